@@ -1,0 +1,57 @@
+"""What flight software is built from: the parameters and the arrays that follow from them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fsw.dictionary.params import Params
+from fsw.kinematics.arm import Arm, arm_from
+from fsw.kinematics.transforms import Array
+
+CYCLE_HZ = 64
+CYCLE_S = 1.0 / CYCLE_HZ
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Config:
+    """Constant for a run; joint arrays in the order of Joint."""
+
+    params: Params
+    params_sha256: str
+    arm: Arm
+    rad_per_count: Array
+    """Output side."""
+    half_gap_rad: Array
+    output_friction_Nm: Array
+    speed_rad_s: Array
+    acceleration_rad_s2: Array
+    jerk_rad_s3: Array
+    current_limit_A: Array
+    brake_ticks: int
+    settle_ticks: int
+    settle_timeout_ticks: int
+
+
+def configure(params: Params, params_sha256: str) -> Config:
+    """The configuration of these parameters; the digest goes into the boot EVR."""
+    joints, motion = params.joints.in_order(), params.motion
+    return Config(
+        params=params,
+        params_sha256=params_sha256,
+        arm=arm_from(params),
+        rad_per_count=np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints]),
+        half_gap_rad=np.array([0.5 * j.backlash_rad for j in joints]),
+        output_friction_Nm=np.array([j.output_friction_Nm for j in joints]),
+        speed_rad_s=np.array([j.speed_rad_s for j in joints]),
+        acceleration_rad_s2=np.array([j.acceleration_rad_s2 for j in joints]),
+        jerk_rad_s3=np.array([j.jerk_rad_s3 for j in joints]),
+        current_limit_A=np.array([j.current_limit_A for j in joints]),
+        brake_ticks=ticks(motion.brake_delay_s),
+        settle_ticks=ticks(motion.settle_time_s),
+        settle_timeout_ticks=ticks(motion.settle_timeout_s),
+    )
+
+
+def ticks(duration_s: float) -> int:
+    """Whole cycles that last at least this long."""
+    return int(np.ceil(duration_s * CYCLE_HZ))

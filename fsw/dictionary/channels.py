@@ -1,0 +1,38 @@
+"""Telemetry channels: a channel is a field, its packet the dataclass."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.dictionary.joints import Tool
+from fsw.dictionary.modes import Mode
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointChannels:
+    """Once a cycle: what the joints do and what is asked of them; output side, order of Joint."""
+
+    tick: int
+    mode: Mode
+    busy: bool
+    motor_rad: NDArray[np.float64]
+    """Encoder angle over gear ratio, zero applied: the output angle without backlash and wind-up."""
+    motor_rate_rad_s: NDArray[np.float64]
+    setpoint_rad: NDArray[np.float64]
+    gap_rad: NDArray[np.float64]
+    """Believed output less motor angle inside the backlash, wind-up not counted."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToolChannels:
+    """At a lower rate: where flight software believes the tool to be, gravity deflection included."""
+
+    tick: int
+    tool: Tool
+    p_RoTo_R_m: NDArray[np.float64]
+    R_RT: NDArray[np.float64]
+    """Tool axes as columns, 3x3, in the rover frame RMECH."""
+    output_rad: NDArray[np.float64]
+    """Joint angles at the output, backlash and wind-up included."""
+    load_torque_Nm: NDArray[np.float64]

@@ -1,0 +1,48 @@
+"""What crosses the boundary of flight software in each cycle."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.dictionary.channels import JointChannels, ToolChannels
+from fsw.dictionary.evrs import Evr
+
+Floats = NDArray[np.float64]
+Counts = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensors:
+    """What the avionics read at the start of a cycle; arrays in the order of Joint and Switch."""
+
+    encoder_count: Counts
+    resolver_rad: Floats
+    current_A: Floats
+    winding_C: Floats
+    switch_closed: Flags
+    gravity_R_m_s2: Floats
+    """Gravity (downward pull) in the rover frame RMECH, from the rover's IMU."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """What flight software asks of the motor controllers and brakes; arrays in the order of Joint."""
+
+    setpoint_count: Counts
+    setpoint_rate_rad_s: Floats
+    """Output side, motor angle over gear ratio."""
+    current_limit_A: Floats
+    power_on: Flags
+    brake_release: Flags
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outputs:
+    """What a cycle gives: the drive, the channels (tool channels only when refreshed) and the EVRs."""
+
+    drive: Drive
+    joint: JointChannels
+    tool: ToolChannels | None
+    evrs: tuple[Evr, ...]

@@ -1,0 +1,125 @@
+"""A move from brake release to brakes on, one phase after the other."""
+
+from dataclasses import dataclass, replace
+from enum import IntEnum
+
+import numpy as np
+
+from fsw.config import CYCLE_S, Config
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, NoContact, NotSettled
+from fsw.dictionary.joints import SWITCHES_OF, Joint, Switch, Tool
+from fsw.dictionary.modes import Mode
+from fsw.estimate.joints import JointEstimate
+from fsw.messages import Flags, Sensors
+from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
+
+
+class Phase(IntEnum):
+    """What a move is doing."""
+
+    RELEASE = 0
+    RUN = 1
+    SETTLE = 2
+    BRAKE = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Move:
+    """A move under way; the paths are run one after the other, each from rest to rest."""
+
+    command: str
+    end_mode: Mode
+    paths: tuple[Path, ...]
+    hold: Setpoint
+    """The set-point of this cycle."""
+    guarded: Tool | None = None
+    """Whose contact ends the move; None for a move that is not to touch."""
+    stopped: bool = False
+    """A stop was commanded: the move ends early and is reported as aborted."""
+    phase: Phase = Phase.RELEASE
+    ticks: int = 0
+    """Cycles in this phase, and for RUN in this path."""
+    calm_ticks: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Advance:
+    """A move one cycle on: the move or None when it is over, what happened, and whether that is a fault."""
+
+    move: Move | None
+    evrs: tuple[Evr, ...] = ()
+    end_mode: Mode | None = None
+
+
+def advance(config: Config, move: Move, joints: JointEstimate, sensors: Sensors) -> Advance:
+    """The move in this cycle."""
+    match move.phase:
+        case Phase.RELEASE:
+            if move.ticks < config.brake_ticks:
+                return Advance(_tick(move))
+            return Advance(_enter(move, Phase.RUN))
+        case Phase.RUN:
+            return _run(move, sensors)
+        case Phase.SETTLE:
+            return _settle(config, move, joints)
+        case Phase.BRAKE:
+            if move.ticks < config.brake_ticks:
+                return Advance(_tick(move))
+            ended = CommandAborted(move.command) if move.stopped else CommandCompleted(move.command)
+            return Advance(None, (ended,), move.end_mode)
+
+
+def stop(config: Config, move: Move, end_mode: Mode) -> Move:
+    """The move brought to rest early."""
+    if move.phase is not Phase.RUN:
+        return replace(move, stopped=True, end_mode=end_mode, guarded=None)
+    path = stop_path(config, move.hold)
+    return replace(move, paths=(path,), ticks=0, stopped=True, end_mode=end_mode, guarded=None)
+
+
+def closed_switch(tool: Tool, closed: Flags) -> Switch | None:
+    """The first closed contact switch of a tool."""
+    return next((switch for switch in SWITCHES_OF[tool] if closed[switch]), None)
+
+
+def _run(move: Move, sensors: Sensors) -> Advance:
+    path = move.paths[0]
+    time_s = (move.ticks + 1) * CYCLE_S
+    if move.guarded is not None:
+        switch = closed_switch(move.guarded, sensors.switch_closed)
+        if switch is not None:
+            touched = replace(move, hold=Setpoint(move.hold.motor_rad, np.zeros_like(move.hold.rate_rad_s)))
+            return Advance(_enter(touched, Phase.SETTLE), (ContactMade(switch, _travel(path, time_s)),))
+        if time_s >= path.duration_s:
+            return Advance(move, (NoContact(_travel(path, time_s)),))
+    running = replace(move, hold=path.at(time_s), ticks=move.ticks + 1)
+    if time_s < path.duration_s:
+        return Advance(running)
+    if len(move.paths) > 1:
+        return Advance(replace(running, paths=move.paths[1:], ticks=0))
+    return Advance(_enter(running, Phase.SETTLE))
+
+
+def _travel(path: Path, time_s: float) -> float:
+    return path.travel_at(time_s)[0] if isinstance(path, LinePath) else 0.0
+
+
+def _settle(config: Config, move: Move, joints: JointEstimate) -> Advance:
+    motion = config.params.motion
+    error = np.abs(joints.motor_rad - move.hold.motor_rad)
+    calm = error.max() < motion.settle_error_rad and np.abs(joints.motor_rate_rad_s).max() < motion.settle_rate_rad_s
+    calm_ticks = move.calm_ticks + 1 if calm else 0
+    if calm_ticks >= config.settle_ticks:
+        return Advance(_enter(move, Phase.BRAKE))
+    if move.ticks >= config.settle_timeout_ticks:
+        joint = Joint(int(error.argmax()))
+        return Advance(move, (NotSettled(joint, float(error[joint])),))
+    return Advance(replace(move, calm_ticks=calm_ticks, ticks=move.ticks + 1))
+
+
+def _enter(move: Move, phase: Phase) -> Move:
+    return replace(move, phase=phase, ticks=0, calm_ticks=0)
+
+
+def _tick(move: Move) -> Move:
+    return replace(move, ticks=move.ticks + 1)

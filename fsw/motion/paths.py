@@ -1,0 +1,128 @@
+"""Paths of motor set-points over time: joint moves, straight tool moves, stops. A path is immutable."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from ruckig import InputParameter, Result, Ruckig, Trajectory
+
+from fsw.config import CYCLE_S, Config
+from fsw.kinematics.transforms import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setpoint:
+    """Motor angles and rates to follow, output side."""
+
+    motor_rad: Array
+    rate_rad_s: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointPath:
+    """A jerk-limited move of all joints that start and end together, at rest."""
+
+    duration_s: float
+    trajectory: Trajectory
+
+    def at(self, time_s: float) -> Setpoint:
+        """The set-point at a time from the start; after the end, the end."""
+        position, velocity, _ = self.trajectory.at_time(min(time_s, self.duration_s))
+        return Setpoint(np.array(position), np.array(velocity))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinePath:
+    """A straight tool move: a jerk-limited travel s(t) along joint knots at equal spacing, joined by cubics."""
+
+    duration_s: float
+    travel: Trajectory
+    step_m: float
+    coefficients: Array
+    """Per segment the cubic in u = (s - s_k) / step, highest power first: (segments, 4, 5)."""
+
+    def at(self, time_s: float) -> Setpoint:
+        """The set-point at a time from the start; after the end, the end."""
+        s, speed = self.travel_at(time_s)
+        u = s / self.step_m
+        k = min(int(u), len(self.coefficients) - 1)
+        u -= k
+        a, b, c, d = self.coefficients[k]
+        rate = ((3 * u * a + 2 * b) * u + c) * (speed / self.step_m)
+        return Setpoint(((a * u + b) * u + c) * u + d, rate)
+
+    def travel_at(self, time_s: float) -> tuple[float, float]:
+        """Travelled length [m] and speed [m/s]."""
+        position, velocity, _ = self.travel.at_time(min(time_s, self.duration_s))
+        return position[0], velocity[0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StopPath:
+    """Every joint comes to rest with constant deceleration, all together."""
+
+    duration_s: float
+    start: Setpoint
+
+    def at(self, time_s: float) -> Setpoint:
+        """The set-point at a time from the start; after the end, the end."""
+        t = min(time_s, self.duration_s)
+        left = 1 - t / self.duration_s
+        return Setpoint(
+            self.start.motor_rad + self.start.rate_rad_s * (t * (1 + left) / 2), self.start.rate_rad_s * left
+        )
+
+
+Path = JointPath | LinePath | StopPath
+
+
+def joint_path(config: Config, start_rad: Array, end_rad: Array) -> JointPath:
+    """The fastest jerk-limited move between two poses at rest."""
+    trajectory = _plan(start_rad, end_rad, config.speed_rad_s, config.acceleration_rad_s2, config.jerk_rad_s3)
+    return JointPath(trajectory.duration, trajectory)
+
+
+def line_path(config: Config, knots_rad: Array, length_m: float, speed_m_s: float) -> LinePath:
+    """A straight move over motor knots (k, 5) at equal spacing along it, no joint above its speed."""
+    motion = config.params.motion
+    step_m = length_m / (len(knots_rad) - 1)
+    steepest = np.max(np.abs(np.diff(knots_rad, axis=0)) / config.speed_rad_s) / step_m
+    speed = min(speed_m_s, 1.0 / max(steepest, 1e-9))
+    travel = _plan(
+        np.zeros(1),
+        np.array([length_m]),
+        np.array([speed]),
+        np.array([motion.line_acceleration_m_s2]),
+        np.array([motion.line_jerk_m_s3]),
+    )
+    return LinePath(travel.duration, travel, step_m, _cubics(knots_rad))
+
+
+def stop_path(config: Config, start: Setpoint) -> StopPath:
+    """The way to rest from a moving set-point."""
+    duration = float(np.max(np.abs(start.rate_rad_s) / (STOP_FACTOR * config.acceleration_rad_s2)))
+    return StopPath(max(duration, CYCLE_S), start)
+
+
+STOP_FACTOR = 10.0
+"""A commanded stop may use this many times the acceleration of a move."""
+
+
+def _plan(start: Array, end: Array, speed: Array, acceleration: Array, jerk: Array) -> Trajectory:
+    request = InputParameter(len(start))
+    request.current_position = start
+    request.target_position = end
+    request.max_velocity = speed
+    request.max_acceleration = acceleration
+    request.max_jerk = jerk
+    trajectory = Trajectory(len(start))
+    result = Ruckig(len(start)).calculate(request, trajectory)
+    if result != Result.Working and result != Result.Finished:
+        raise ValueError(f"no trajectory from {start} to {end}: {result}")
+    return trajectory
+
+
+def _cubics(knots: Array) -> Array:
+    """Hermite cubics through the knots with the slopes of the parabola through each three."""
+    slope = np.gradient(knots, axis=0, edge_order=2 if len(knots) > 2 else 1)
+    y0, y1, m0, m1 = knots[:-1], knots[1:], slope[:-1], slope[1:]
+    return np.stack([2 * (y0 - y1) + m0 + m1, 3 * (y1 - y0) - 2 * m0 - m1, m0, y0], axis=1)

@@ -1,0 +1,39 @@
+"""What is done about what happened: one table, few responses. A response only reduces or stops."""
+
+from enum import StrEnum
+from typing import Final
+
+from fsw.dictionary.evrs import (
+    ContactInFreeSpace,
+    Evr,
+    FollowingErrorHigh,
+    NoContact,
+    NotSettled,
+    OverCurrent,
+    SensorNotFinite,
+    SoftLimitPassed,
+)
+
+
+class Response(StrEnum):
+    """What can be done about a fault."""
+
+    BRAKE_AND_REFUSE = "BRAKE_AND_REFUSE"
+    """Hold the set-point, apply the brakes at once, then power off; refuse moves until cleared."""
+
+
+RESPONSE_TO: Final[dict[type[Evr], Response]] = {
+    SensorNotFinite: Response.BRAKE_AND_REFUSE,
+    SoftLimitPassed: Response.BRAKE_AND_REFUSE,
+    OverCurrent: Response.BRAKE_AND_REFUSE,
+    FollowingErrorHigh: Response.BRAKE_AND_REFUSE,
+    ContactInFreeSpace: Response.BRAKE_AND_REFUSE,
+    NoContact: Response.BRAKE_AND_REFUSE,
+    NotSettled: Response.BRAKE_AND_REFUSE,
+}
+"""An EVR that is not here is no fault."""
+
+
+def response_to(evrs: tuple[Evr, ...]) -> Response | None:
+    """The response that these events ask for, or None."""
+    return next((RESPONSE_TO[type(evr)] for evr in evrs if type(evr) in RESPONSE_TO), None)

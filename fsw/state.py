@@ -1,0 +1,66 @@
+"""The state of flight software: one frozen record from cycle to cycle."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fsw.config import Config
+from fsw.dictionary.channels import JointChannels
+from fsw.dictionary.joints import Tool
+from fsw.dictionary.modes import Mode
+from fsw.estimate.joints import JointEstimate, unreferenced
+from fsw.estimate.load import LoadEstimate, unloaded
+from fsw.messages import Drive, Outputs
+from fsw.motion.move import Move
+from fsw.protect.monitors import MonitorState, nothing_seen
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Everything that a cycle leaves for the next one."""
+
+    tick: int
+    mode: Mode
+    tool: Tool
+    """The tool of the last tool command; the tool channels are about it."""
+    joints: JointEstimate
+    load: LoadEstimate
+    move: Move | None
+    """None while the arm stands on its brakes."""
+    monitors: MonitorState
+    drive: Drive
+
+
+def boot(config: Config, mode: Mode) -> State:
+    """The state before the first cycle: brakes on, power off, no joint referenced."""
+    n = config.rad_per_count.size
+    off = np.zeros(n, bool)
+    return State(
+        tick=0,
+        mode=mode,
+        tool=Tool.DRILL,
+        joints=unreferenced(n),
+        load=unloaded(n),
+        move=None,
+        monitors=nothing_seen(),
+        drive=Drive(np.zeros(n, np.int64), np.zeros(n), config.current_limit_A, off, off),
+    )
+
+
+def outputs_at_rest(state: State) -> Outputs:
+    """What flight software would put out if nothing happened: the last drive, the channels as they are."""
+    return Outputs(state.drive, joint_channels(state), None, ())
+
+
+def joint_channels(state: State) -> JointChannels:
+    """The channels of every cycle."""
+    joints, move = state.joints, state.move
+    return JointChannels(
+        tick=state.tick,
+        mode=state.mode,
+        busy=move is not None,
+        motor_rad=joints.motor_rad,
+        motor_rate_rad_s=joints.motor_rate_rad_s,
+        setpoint_rad=joints.motor_rad if move is None else move.hold.motor_rad,
+        gap_rad=joints.gap_rad,
+    )

@@ -1,0 +1,41 @@
+"""The arms that can be simulated, by name: what they are made of and what flight software believes of them."""
+
+import re
+from dataclasses import dataclass, replace
+
+from fsw.dictionary.params import Params
+from sim.effects.built import as_built, left_by_calibration
+from sim.effects.effect import Effect
+from sim.params import nominal_params
+
+
+class UnknownArm(ValueError):
+    """A name that is not an arm."""
+
+
+@dataclass(frozen=True, slots=True)
+class BuiltArm:
+    """An arm: the effects that make it differ from the drawing, and the flight parameters that go with it."""
+
+    name: str
+    effects: tuple[Effect, ...]
+    params: Params
+
+
+def arm_named(name: str, params: Params | None = None) -> BuiltArm:
+    """`nominal`, `as-built:SEED` or `calibrated:SEED`; UnknownArm otherwise.
+
+    `params` replaces the nominal flight parameters; an arm of either kind is built from its seed alone.
+    """
+    believed = params or nominal_params()
+    if name == "nominal":
+        return BuiltArm(name, (), believed)
+    match = re.fullmatch(r"(as-built|calibrated):(\d{1,9})", name)
+    if match is None:
+        raise UnknownArm(f"arm {name!r} is not known; write nominal, as-built:SEED or calibrated:SEED")
+    seed = int(match[2])
+    effects = as_built(seed)
+    if match[1] == "calibrated":
+        for effect in (*effects, *left_by_calibration(seed)):
+            believed = effect.on_params(believed)
+    return BuiltArm(name, effects, replace(believed, arm_name=name))

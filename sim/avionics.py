@@ -1,0 +1,95 @@
+"""The avionics between flight software and plant: motor controllers, brakes, encoders, resolvers, switches.
+
+The position loop and the current limit of each motor controller run inside the MuJoCo step, on its dcmotor.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.joints import Joint, Switch
+from fsw.kinematics.transforms import Array
+from fsw.messages import Drive, Sensors
+from sim.effects.effect import Hardware
+from sim.frames import FLIP
+from sim.plant import JOINT_NAMES, Plant
+
+RESOLVER_BITS: Final = 16
+RESOLVER_LSB_RAD: Final = 2 * np.pi / 2**RESOLVER_BITS
+
+# places in MuJoCo's arrays of a dcmotor with controller and thermal model
+_TEMPERATURE_RISE: Final = 1
+_AMBIENT: Final = 4
+_MOTOR_CONSTANT: Final = 1
+
+
+class Avionics:
+    """Turns a drive into motor set-points and brake states, and the plant's state into readings."""
+
+    def __init__(self, plant: Plant, hardware: Hardware, rad_per_count: Array, rng: np.random.Generator):
+        model = plant.model
+        motors = [model.actuator(name).id for name in JOINT_NAMES]
+        switches = [model.sensor(switch.name.lower()).id for switch in Switch]
+        self._plant = plant
+        self._hardware = hardware
+        self._rad_per_count = rad_per_count
+        self._rng = rng
+        self._motors = np.array(motors)
+        self._temperature = np.array([model.actuator_actadr[m] + _TEMPERATURE_RISE for m in motors])
+        self._ambient_C = model.actuator_dynprm[motors, _AMBIENT]
+        self._torque_constant_Nm_A = model.actuator_gainprm[motors, _MOTOR_CONSTANT].copy()
+        self._touch = model.sensor_adr[switches]
+        self._brake_cycles = np.rint(hardware.brake_delay_s * CYCLE_HZ).astype(int)
+        self._pending: dict[int, tuple[int, bool]] = {}
+        self._drive: Drive | None = None
+        self._gravity_R = FLIP * model.opt.gravity + hardware.gravity_bias_R_m_s2
+
+    def sense(self) -> Sensors:
+        """The readings of this moment."""
+        plant, hardware, data = self._plant, self._hardware, self._plant.data
+        noise = self._rng.standard_normal(13)
+        motor = plant.motor_rad()
+        count = np.rint((motor + hardware.encoder_zero_rad) / self._rad_per_count).astype(np.int64)
+        resolver = plant.output_rad() + hardware.resolver_bias_rad + hardware.resolver_noise_rad * noise[:5]
+        return Sensors(
+            encoder_count=count,
+            resolver_rad=np.rint(resolver / RESOLVER_LSB_RAD) * RESOLVER_LSB_RAD,
+            current_A=data.actuator_force[self._motors] / self._torque_constant_Nm_A
+            + hardware.current_noise_A * noise[5:10],
+            winding_C=data.act[self._temperature] + self._ambient_C,
+            switch_closed=data.sensordata[self._touch] > hardware.switch_force_N,
+            gravity_R_m_s2=self._gravity_R + hardware.gravity_noise_m_s2 * noise[10:],
+        )
+
+    def apply(self, drive: Drive) -> None:
+        """Take a drive: set-points at once, brakes after their delay."""
+        data, model = self._plant.data, self._plant.model
+        last, self._drive = self._drive, drive
+        data.ctrl[0::2] = drive.setpoint_count * self._rad_per_count - self._hardware.encoder_zero_rad
+        data.ctrl[1::2] = drive.setpoint_rate_rad_s
+        if last is None or drive.current_limit_A is not last.current_limit_A:
+            limit = drive.current_limit_A * self._torque_constant_Nm_A
+            model.actuator_forcerange[self._motors] = np.column_stack([-limit, limit])
+        if last is None or drive.power_on is not last.power_on:
+            off = sum(2 << joint for joint in Joint if not drive.power_on[joint])
+            model.opt.disableactuator = off
+        if last is None or drive.brake_release is not last.brake_release:
+            self._command_brakes(drive, last)
+        if self._pending:
+            self._move_brakes()
+
+    def _command_brakes(self, drive: Drive, last: Drive | None) -> None:
+        for joint in Joint:
+            on = not drive.brake_release[joint]
+            if on != (last is None or not last.brake_release[joint]):
+                self._pending[joint] = (int(self._brake_cycles[joint]), on)
+
+    def _move_brakes(self) -> None:
+        waiting = {}
+        for joint, (cycles, on) in self._pending.items():
+            if cycles == 0:
+                self._plant.brake(joint, on)
+            else:
+                waiting[joint] = (cycles - 1, on)
+        self._pending = waiting

@@ -1,0 +1,67 @@
+"""An effect: one way in which a built arm differs from the drawing."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from fsw.dictionary.params import Params
+from fsw.kinematics.transforms import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hardware:
+    """What avionics and sensors are made of; joint arrays in the order of Joint."""
+
+    encoder_zero_rad: Array
+    """Error of the told encoder zero, output side."""
+    resolver_bias_rad: Array
+    resolver_noise_rad: float
+    current_noise_A: float
+    gravity_noise_m_s2: float
+    gravity_bias_R_m_s2: Array
+    brake_delay_s: Array
+    switch_force_N: float
+    """Force at which a contact switch closes."""
+
+
+def nominal_hardware() -> Hardware:
+    """Avionics as on the drawing; sources in models/mjcf/PROVENANCE.md."""
+    return Hardware(
+        encoder_zero_rad=np.zeros(5),
+        resolver_bias_rad=np.zeros(5),
+        resolver_noise_rad=1e-4,
+        current_noise_A=0.02,
+        gravity_noise_m_s2=0.005,
+        gravity_bias_R_m_s2=np.zeros(3),
+        brake_delay_s=np.full(5, 0.075),
+        switch_force_N=2.0,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """Base of all effects: a subclass names its place and parameters and overrides what it changes.
+
+    An effect that flight software has a word for also says what a perfect calibration would write.
+    """
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """Change the MuJoCo model."""
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        """Change avionics or sensors."""
+        return hardware
+
+    def on_params(self, params: Params) -> Params:
+        """The flight parameters that know this effect."""
+        return params
+
+
+def at_index(values: Array, index: int, value: float) -> Array:
+    """A copy with one element replaced."""
+    changed = values.copy()
+    changed[index] = value
+    return changed
+
+

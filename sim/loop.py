@@ -1,0 +1,96 @@
+"""The closed loop: plant and avionics on one side, flight software on the other, one cycle at a time."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fsw.config import Config, configure
+from fsw.cycle import step
+from fsw.dictionary.commands import Command, Joints5, SetReference, Sides5
+from fsw.dictionary.evrs import SoftwareError
+from fsw.dictionary.modes import Mode
+from fsw.kinematics.transforms import Array
+from fsw.messages import Outputs
+from fsw.state import State, boot, outputs_at_rest
+from sim.arms import BuiltArm
+from sim.avionics import Avionics
+from sim.effects.effect import Effect, nominal_hardware
+from sim.params import digest
+from sim.plant import Plant
+from sim.record import CycleRecord
+from sim.world import World, build
+
+SETTLE_S = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What a run is made of; the seed is of everything random that is not the arm."""
+
+    arm: BuiltArm
+    world: World
+    start_rad: Joints5
+    seed: int = 0
+    effects: tuple[Effect, ...] = ()
+    """Beyond those of the arm."""
+    time_step_s: float | None = None
+    """Other than the model's own."""
+
+
+class ClosedLoop:
+    """A run: call `cycle` with the commands of each control cycle."""
+
+    def __init__(self, setup: Setup, with_truth: bool = False):
+        effects = (*setup.arm.effects, *setup.effects)
+        spec = build(setup.world)
+        if setup.time_step_s is not None:
+            spec.option.timestep = setup.time_step_s
+        hardware = nominal_hardware()
+        for effect in effects:
+            effect.on_model(spec)
+            hardware = effect.on_hardware(hardware)
+        self.config: Config = configure(setup.arm.params, digest(setup.arm.params))
+        self.plant = Plant(spec.compile())
+        self.avionics = Avionics(
+            self.plant, hardware, self.config.rad_per_count, np.random.default_rng([setup.seed, 2])
+        )
+        self.with_truth = with_truth
+        self.plant.place(np.array(setup.start_rad), SETTLE_S)
+        stowed = setup.start_rad == setup.arm.params.poses.stowed_rad
+        self.state: State = boot(self.config, Mode.STOWED if stowed else Mode.DEPLOYED)
+        self.failure: Exception | None = None
+        self._outputs = outputs_at_rest(self.state)
+
+    def cycle(self, commands: tuple[Command, ...] = ()) -> CycleRecord:
+        """One control cycle: read, decide, drive, and let the plant go on."""
+        sensors = self.avionics.sense()
+        truth = self.plant.truth() if self.with_truth else None
+        tick = self.state.tick
+        try:
+            self.state, outputs = step(self.config, self.state, sensors, commands)
+        except Exception as error:
+            # the one place that catches a software error: brakes on, say so; the run is to end here
+            self.failure = error
+            outputs = _safe_outputs(self._outputs, error)
+        self._outputs = outputs
+        self.avionics.apply(outputs.drive)
+        self.plant.step()
+        return CycleRecord(tick, sensors, commands, outputs, truth)
+
+    def reference(self) -> SetReference:
+        """What a hardstop initialisation would find: motor angles with their zero error, true gap sides."""
+        count = self.avionics.sense().encoder_count
+        a, b, c, d, e = (float(angle) for angle in count * self.config.rad_per_count)
+        return SetReference((a, b, c, d, e), _sides(self.plant.gap_rad()))
+
+
+def _safe_outputs(last: Outputs, error: Exception) -> Outputs:
+    """The last outputs with brakes on and power off."""
+    off = np.zeros_like(last.drive.power_on)
+    drive = replace(last.drive, setpoint_rate_rad_s=np.zeros(off.size), power_on=off, brake_release=off)
+    return replace(last, drive=drive, tool=None, evrs=(SoftwareError(f"{type(error).__name__}: {error}"),))
+
+
+def _sides(gap_rad: Array) -> Sides5:
+    a, b, c, d, e = (int(side) for side in np.sign(gap_rad))
+    return (a, b, c, d, e)

@@ -1,0 +1,143 @@
+"""Placing an instrument: unstow, stand off along the surface normal, touch, retract; and how well it was done."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from fsw.dictionary.commands import Command, GuardedMove, Joints5, MoveTool, Retract, SetReference, Unstow, Vector3
+from fsw.dictionary.evrs import BranchChosen, CommandCompleted, ContactMade, Evr
+from fsw.dictionary.joints import Tool
+from fsw.kinematics.transforms import Array
+from sim.frames import p_R_from_N
+from sim.loop import ClosedLoop
+from sim.record import CycleRecord
+from sim.sequence import Outcome, run_sequence
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """An instrument placement; RNAV, metres; the normal points out of the surface."""
+
+    tool: Tool
+    target_N_m: Vector3
+    normal_N: Vector3
+    standoff_m: float = 0.10
+    overtravel_m: float = 0.05
+    """How far beyond the target the guarded move may look for the surface."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlacementError:
+    """Where the true tool frame is against the true target."""
+
+    total_m: float
+    lateral_m: float
+    normal_m: float
+    """Positive is short of the surface."""
+    axis_rad: float
+    """Tool x axis against the inward normal."""
+    backlash_m: float
+    """The part that flight software's belief about the backlash explains."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlacementResult:
+    """What came of a placement."""
+
+    outcome: Outcome
+    branch: str | None
+    duration_s: float
+    contact: PlacementError | None
+    """At rest in contact; None without contact."""
+    standoff: PlacementError | None
+    """At rest at the standoff, against the commanded standoff."""
+    evrs: tuple[tuple[float, Evr], ...]
+    """Time [s] and event."""
+
+
+def placement_commands(placement: Placement, reference: SetReference, stowed: bool) -> tuple[Command, ...]:
+    """The command sequence of a placement."""
+    normal = _unit(placement.normal_N)
+    target = p_R_from_N(np.array(placement.target_N_m))
+    travel = placement.standoff_m + placement.overtravel_m
+    approach = _vector(-normal)
+    tool = placement.tool
+    move = MoveTool(tool, _vector(target + placement.standoff_m * normal), approach, line_m=travel)
+    touch = GuardedMove(tool, _vector(target - placement.overtravel_m * normal), approach)
+    return (reference, *((Unstow(),) if stowed else ()), move, touch, Retract(tool, placement.standoff_m))
+
+
+class PlacementRun:
+    """A placement in a closed loop: iterate over its cycles, then ask for the result."""
+
+    def __init__(self, loop: ClosedLoop, placement: Placement, start_rad: Joints5):
+        stowed = start_rad == loop.config.params.poses.stowed_rad
+        self._loop = loop
+        self._placement = placement
+        self._commands = placement_commands(placement, loop.reference(), stowed)
+        self._evrs: list[tuple[float, Evr]] = []
+        self._errors: dict[str, PlacementError] = {}
+        self._outcome = Outcome.SOFTWARE_ERROR
+        self._touched = False
+
+    def __iter__(self) -> Iterator[CycleRecord]:
+        self._outcome = yield from self._watched()
+
+    def _watched(self):  # type: ignore[no-untyped-def]
+        sequence = run_sequence(self._loop, self._commands)
+        while True:
+            try:
+                record = next(sequence)
+            except StopIteration as end:
+                return end.value
+            self._note(record)
+            yield record
+
+    def _note(self, record: CycleRecord) -> None:
+        for evr in record.outputs.evrs:
+            self._evrs.append((self._loop.plant.data.time, evr))
+            self._touched = self._touched or isinstance(evr, ContactMade)
+            if evr == CommandCompleted("MoveTool"):
+                self._errors["standoff"] = self._error(record, self._placement.standoff_m)
+            if evr == CommandCompleted("GuardedMove"):
+                self._errors["contact"] = self._error(record, 0.0)
+
+    def _error(self, record: CycleRecord, height_m: float) -> PlacementError:
+        placement, plant = self._placement, self._loop.plant
+        normal = _unit(placement.normal_N)
+        target = p_R_from_N(np.array(placement.target_N_m)) + height_m * normal
+        truth = plant.truth()
+        miss = truth.p_RoTo_R_m[placement.tool] - target
+        along = float(miss @ normal)
+        boresight = truth.R_RT[placement.tool][:, 0]
+        shift = plant.tool_shift(placement.tool, plant.gap_rad() - record.outputs.joint.gap_rad)
+        return PlacementError(
+            total_m=float(np.linalg.norm(miss)),
+            lateral_m=float(np.linalg.norm(miss - along * normal)),
+            normal_m=along,
+            axis_rad=float(np.arctan2(np.linalg.norm(np.cross(boresight, -normal)), -boresight @ normal)),
+            backlash_m=float(np.linalg.norm(shift)),
+        )
+
+    def result(self) -> PlacementResult:
+        """What came of it; after the last cycle."""
+        branch = next((evr.branch for _, evr in self._evrs if isinstance(evr, BranchChosen)), None)
+        return PlacementResult(
+            self._outcome,
+            branch,
+            self._loop.plant.data.time,
+            self._errors.get("contact") if self._touched else None,
+            self._errors.get("standoff"),
+            tuple(self._evrs),
+        )
+
+
+def _unit(v: Vector3) -> Array:
+    array = np.array(v)
+    return array / np.linalg.norm(array)
+
+
+def _vector(v: Array) -> Vector3:
+    x, y, z = (float(c) for c in v)
+    return (x, y, z)

@@ -1,0 +1,130 @@
+"""The plant: the MuJoCo model of arm and world, its state, and its stepping."""
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.joints import Joint, Tool
+from fsw.kinematics.transforms import Array
+from sim.frames import FLIP, P_NR_M
+from sim.truth import Truth
+
+JOINT_NAMES = tuple(joint.name.lower() for joint in Joint)
+
+
+class PlantDiverged(RuntimeError):
+    """MuJoCo counted a warning: it may have reset the state, so nothing after it can be believed."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Addresses:
+    """Where the arm is in MuJoCo's arrays; joint arrays in the order of Joint."""
+
+    motor: NDArray[np.intp]
+    gear: NDArray[np.intp]
+    brake: NDArray[np.intp]
+    tools: NDArray[np.intp]
+    """Sites, in the order of Tool."""
+
+
+class Plant:
+    """MuJoCo model and data, and the few questions and orders that avionics and judges have."""
+
+    def __init__(self, model: mujoco.MjModel):
+        self.model = model
+        self.data = mujoco.MjData(model)
+        self.steps_per_cycle = round(1.0 / (CYCLE_HZ * model.opt.timestep))
+        if self.steps_per_cycle * model.opt.timestep * CYCLE_HZ != 1.0:
+            raise ValueError(
+                f"time step {model.opt.timestep} s does not divide the control cycle of 1/{CYCLE_HZ} s"
+            )
+        self.at = Addresses(
+            motor=np.array([model.joint(f"{name}_motor").qposadr[0] for name in JOINT_NAMES]),
+            gear=np.array([model.joint(f"{name}_gear").qposadr[0] for name in JOINT_NAMES]),
+            brake=np.array([model.equality(f"{name}_brake").id for name in JOINT_NAMES]),
+            tools=np.array([model.site(tool.name.lower()).id for tool in Tool]),
+        )
+
+    def place(self, motor_rad: Array, settle_s: float) -> None:
+        """Put the motors at these angles with the brakes on, and let the arm come to rest under gravity."""
+        mujoco.mj_resetData(self.model, self.data)
+        self.data.qpos[self.at.motor] = motor_rad
+        self.data.ctrl[0::2] = motor_rad
+        self.model.opt.disableactuator = ALL_ACTUATORS
+        for joint in Joint:
+            self.brake(joint, True)
+        mujoco.mj_step(self.model, self.data, round(settle_s / self.model.opt.timestep))
+        self.data.time = 0.0
+        self._check()
+
+    def brake(self, joint: int, on: bool) -> None:
+        """Lock a motor where it is, or let it go."""
+        self.model.eq_data[self.at.brake[joint], 0] = self.data.qpos[self.at.motor[joint]]
+        self.data.eq_active[self.at.brake[joint]] = on
+
+    def step(self) -> None:
+        """One control cycle of physics; PlantDiverged if MuJoCo counted a warning."""
+        mujoco.mj_step(self.model, self.data, self.steps_per_cycle)
+        self._check()
+
+    def _check(self) -> None:
+        if self.data.warning.number.any():
+            names = [mujoco.mjtWarning(i).name for i in np.flatnonzero(self.data.warning.number)]
+            raise PlantDiverged(f"MuJoCo warned of {', '.join(names)} at {self.data.time:.3f} s")
+
+    def motor_rad(self) -> Array:
+        """True motor angles, output side."""
+        return self.data.qpos[self.at.motor]
+
+    def output_rad(self) -> Array:
+        """True output angles: motor, backlash and wind-up."""
+        return self.data.qpos[self.at.motor] + self.data.qpos[self.at.gear]
+
+    def gap_rad(self) -> Array:
+        """True position in the backlash, wind-up taken off: half the width where a joint rests on a flank."""
+        half = self.model.tendon_lengthspring[[self.model.tendon(f"{n}_gear").id for n in JOINT_NAMES], 1]
+        gear = self.data.qpos[self.at.gear]
+        return np.clip(gear, -half, half)
+
+    def tool_shift(self, tool: Tool, output_rad: Array) -> Array:
+        """By how much a small change of the output angles (5) moves a tool, in RMECH [m]."""
+        jacobian = np.zeros((3, self.model.nv))
+        mujoco.mj_jacSite(self.model, self.data, jacobian, None, self.at.tools[tool])
+        shift: Array = FLIP * (jacobian[:, self.at.gear] @ output_rad)
+        return shift
+
+    def truth(self) -> Truth:
+        """The state as it is, for logs and judges; forward kinematics are brought up to date."""
+        mujoco.mj_kinematics(self.model, self.data)
+        R_WT = self.data.site_xmat[self.at.tools].reshape(-1, 3, 3)
+        p_N = FLIP * self.data.site_xpos[self.at.tools]
+        return Truth(
+            time_s=self.data.time,
+            motor_rad=self.motor_rad(),
+            output_rad=self.output_rad(),
+            motor_torque_Nm=self.data.actuator_force.copy(),
+            p_RoTo_R_m=p_N - P_NR_M,
+            R_RT=FLIP[:, None] * R_WT,
+            contact_force_N=self._contact_force(),
+            kinetic_energy_J=self._kinetic_energy(),
+        )
+
+    def _contact_force(self) -> float:
+        force = np.zeros(6)
+        total = 0.0
+        for k in range(self.data.ncon):
+            mujoco.mj_contactForce(self.model, self.data, k, force)
+            total += float(force[0])
+        return total
+
+    def _kinetic_energy(self) -> float:
+        moment = np.zeros(self.model.nv)
+        mujoco.mj_mulM(self.model, self.data, moment, self.data.qvel)
+        return 0.5 * float(moment @ self.data.qvel)
+
+
+ALL_ACTUATORS = 0b111110
+"""The motors' actuator groups 1 to 5, one bit each: set means without power."""

@@ -1,0 +1,41 @@
+"""A command sequence through the closed loop: the next command when the last is done."""
+
+from collections.abc import Generator, Sequence
+from enum import StrEnum
+
+from fsw.dictionary.commands import Command
+from fsw.dictionary.evrs import CommandRefused, FaultResponse
+from sim.loop import ClosedLoop
+from sim.record import CycleRecord
+
+
+class Outcome(StrEnum):
+    """How a sequence ended."""
+
+    DONE = "done"
+    REFUSED = "refused"
+    FAULTED = "faulted"
+    SOFTWARE_ERROR = "software error"
+
+
+def run_sequence(loop: ClosedLoop, commands: Sequence[Command]) -> Generator[CycleRecord, None, Outcome]:
+    """Every cycle of the sequence; it ends with the first refusal or, brakes on, with the first fault.
+
+    Moves end by themselves, by contact, at their end or by a monitor; so a sequence always ends.
+    """
+    faulted = False
+    for command in commands:
+        record = loop.cycle((command,))
+        while True:
+            yield record
+            if loop.failure is not None:
+                return Outcome.SOFTWARE_ERROR
+            if any(isinstance(evr, CommandRefused) for evr in record.outputs.evrs):
+                return Outcome.REFUSED
+            faulted = faulted or any(isinstance(evr, FaultResponse) for evr in record.outputs.evrs)
+            if not record.outputs.joint.busy:
+                break
+            record = loop.cycle()
+        if faulted:
+            return Outcome.FAULTED
+    return Outcome.DONE

@@ -1,0 +1,25 @@
+"""What the plant knows and flight software must not: the truth, for logs and for judging."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """The state of the plant at the start of a cycle; joint arrays in the order of Joint."""
+
+    time_s: float
+    motor_rad: NDArray[np.float64]
+    output_rad: NDArray[np.float64]
+    """Motor angle + backlash + wind-up."""
+    motor_torque_Nm: NDArray[np.float64]
+    p_RoTo_R_m: NDArray[np.float64]
+    """Every tool's origin, in the order of Tool, shape (5, 3), in the rover frame RMECH."""
+    R_RT: NDArray[np.float64]
+    """Every tool's axes as columns, shape (5, 3, 3)."""
+    contact_force_N: float
+    """Sum of the normal contact forces on the arm."""
+    kinetic_energy_J: float
+    """Kinetic energy."""
