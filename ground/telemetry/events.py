@@ -1,0 +1,119 @@
+"""Commands and EVRs as messages: the words that people read, and the fields as JSON."""
+
+import json
+import struct
+from dataclasses import dataclass, fields
+from enum import IntEnum
+from typing import Any, Self, get_type_hints
+
+from fsw.dictionary.commands import Command
+from fsw.dictionary.evrs import Evr
+from ground.telemetry.errors import SchemaError
+from ground.telemetry.schema import ENCAPSULATION, aligned
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A line of the log: whole numbers and strings; the kinds below say which."""
+
+    @classmethod
+    def ros_text(cls) -> str:
+        """The body of the ROS 2 message definition."""
+        names = {int: "int64", str: "string"}
+        return "".join(f"{names[kind]} {name}\n" for name, kind in get_type_hints(cls).items())
+
+    def encode(self) -> bytes:
+        """The entry in CDR: numbers on eight bytes; strings with their length, ended by a zero."""
+        out = bytearray(ENCAPSULATION)
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, int):
+                out = out.ljust(aligned(len(out), 8), b"\0") + struct.pack("<q", value)
+            else:
+                # What comes from the operating system may hold bytes that are no text: keep them legible.
+                text = value.encode(errors="backslashreplace") + b"\0"
+                out = out.ljust(aligned(len(out), 4), b"\0") + struct.pack("<I", len(text)) + text
+        return bytes(out)
+
+    @classmethod
+    def decode(cls, message: bytes) -> Self:
+        """The entry that `encode` gave; struct.error, UnicodeDecodeError or ValueError where it did not."""
+        values: list[int | str] = []
+        at = len(ENCAPSULATION)
+        for kind in get_type_hints(cls).values():
+            if kind is int:
+                at = aligned(at, 8)
+                values += struct.unpack_from("<q", message, at)
+                at += 8
+            else:
+                at = aligned(at, 4)
+                (length,) = struct.unpack_from("<I", message, at)
+                values.append(message[at + 4 : at + 4 + length - 1].decode())
+                at += 4 + length
+        if at != len(message):
+            raise ValueError(f"{cls.__name__} of {len(message)} bytes, {at} would be right")
+        return cls(*values)
+
+
+@dataclass(frozen=True, slots=True)
+class EvrEntry(Entry):
+    """An event report of flight software."""
+
+    tick: int
+    severity: int
+    name: str
+    message: str
+    fields_json: str
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """The typed fields; enums by name, tuples and arrays as lists."""
+        return dict(json.loads(self.fields_json))
+
+
+@dataclass(frozen=True, slots=True)
+class CommandEntry(Entry):
+    """A command that flight software was given."""
+
+    tick: int
+    name: str
+    fields_json: str
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        """The arguments; enums by name, tuples as lists."""
+        return dict(json.loads(self.fields_json))
+
+
+def as_json(value: Any) -> Any:
+    """A command's or EVR's field in JSON's words; NaN and infinities stay, as Python's JSON has them.
+
+    Raises:
+        SchemaError: JSON has no word for it.
+    """
+    match value:
+        case IntEnum():
+            return value.name
+        case None | bool() | int() | float() | str():
+            return value
+        case tuple() | list():
+            return [as_json(item) for item in value]
+        case _ if hasattr(value, "tolist"):  # numpy arrays and scalars
+            return value.tolist()
+        case _:
+            raise SchemaError(f"{type(value).__name__} in a command or EVR; use numbers, text, enums, tuples")
+
+
+def fields_as_json(event: Evr | Command) -> str:
+    """The fields of a command or EVR as one JSON object."""
+    return json.dumps({f.name: as_json(getattr(event, f.name)) for f in fields(event)})
+
+
+def evr_entry(tick: int, evr: Evr) -> EvrEntry:
+    """An EVR as it goes into the log."""
+    return EvrEntry(tick, evr.severity, evr.name, evr.message, fields_as_json(evr))
+
+
+def command_entry(tick: int, command: Command) -> CommandEntry:
+    """A command as it goes into the log."""
+    return CommandEntry(tick, type(command).__name__, fields_as_json(command))

@@ -1,0 +1,80 @@
+"""Cycles to record, made from the contracts' annotations; run as a program, it records until it is killed."""
+
+import struct
+import sys
+from collections.abc import Callable, Iterable
+from dataclasses import fields, is_dataclass
+from enum import IntEnum
+from itertools import count
+from pathlib import Path
+from typing import Any, get_args, get_origin, get_type_hints
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.commands import GuardedMove, Stop
+from fsw.dictionary.evrs import Booted, ContactMade
+from fsw.dictionary.joints import Switch, Tool
+from ground.telemetry.record import Recorder
+from ground.telemetry.topics import required
+from sim.record import CycleRecord
+
+SHAPES = {"switch_closed": (10,), "gravity_R_m_s2": (3,), "R_RT": (3, 3)}
+"""Shapes worth having in a test; any other array gets (5,)."""
+
+EVENTS = {
+    "commands": (Stop(), GuardedMove(Tool.APXS, (1.0, 0.25, -0.5), (0.0, 0.0, float("nan")))),
+    "evrs": (Booted("é" * 3), ContactMade(Switch.APXS_1, 0.1)),
+}
+
+Bytes = Callable[[int], bytes]
+
+
+def value_of(name: str, hint: Any, some: Bytes) -> Any:
+    """Any value of an annotated type, its bits as `some` gives them."""
+    kind = required(hint)
+    if get_origin(kind) is np.ndarray:
+        scalar = np.dtype(get_args(get_args(kind)[1])[0])
+        shape = SHAPES.get(name, (5,))
+        raw = np.frombuffer(some(scalar.itemsize * int(np.prod(shape))), np.uint8)
+        return (raw & 1 if scalar.kind == "b" else raw).view(scalar).reshape(shape)
+    if is_dataclass(kind):
+        return packet_of(kind, some)
+    if name in EVENTS:
+        return EVENTS[name]
+    if issubclass(kind, IntEnum):
+        return list(kind)[some(1)[0] % len(kind)]
+    return struct.unpack({bool: "<?", int: "<q", float: "<d"}[kind], some(1 if kind is bool else 8))[0]
+
+
+def packet_of(kind: type, some: Bytes, **given: Any) -> Any:
+    """A packet, or a whole cycle, of any content but what is given."""
+    hints = get_type_hints(kind, include_extras=True)
+    made = (f.name for f in fields(kind) if f.name not in given)
+    return kind(**given, **{name: value_of(name, hints[name], some) for name in made})
+
+
+def cycle_at(tick: int) -> CycleRecord:
+    """The same cycle for the same tick, on any machine."""
+    return packet_of(CycleRecord, np.random.default_rng(tick).bytes, tick=tick)
+
+
+def record(path: Path, cycles: Iterable[CycleRecord], **more: Any) -> Path:
+    """A closed log of these cycles."""
+    with Recorder(path, {"seed": "1", "arm": "nominal"}, **more) as recorder:
+        for cycle in cycles:
+            recorder.write(cycle)
+    return path
+
+
+@pytest.fixture(scope="session")
+def make() -> Any:
+    """The functions of this file, for tests."""
+    return sys.modules[__name__]
+
+
+if __name__ == "__main__":
+    with Recorder(sys.argv[1], {"seed": "1"}, chunk_s=float(sys.argv[2])) as recorder:
+        for tick in count():
+            recorder.write(cycle_at(tick))
+            print(tick, flush=True)
