@@ -5,9 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fsw.dictionary.commands import Command, GuardedMove, Joints5, MoveTool, Retract, SetReference, Unstow, Vector3
+from fsw.dictionary.commands import Command, GuardedMove, MoveTool, Retract, SetReference, Unstow, Vector3
 from fsw.dictionary.evrs import BranchChosen, CommandCompleted, ContactMade, Evr
 from fsw.dictionary.joints import Tool
+from fsw.dictionary.modes import Mode
 from fsw.kinematics.transforms import Array
 from sim.frames import p_R_from_N
 from sim.loop import ClosedLoop
@@ -25,6 +26,9 @@ class Placement:
     standoff_m: float = 0.10
     overtravel_m: float = 0.05
     """How far beyond the target the guarded move may look for the surface."""
+    branch: str = "AUTO"
+    via_m: float = 0.0
+    """Height above the standoff of a way point on the normal, for targets that are reached from above; 0 is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,23 +60,31 @@ class PlacementResult:
     """Time [s] and event."""
 
 
-def placement_commands(placement: Placement, reference: SetReference, stowed: bool) -> tuple[Command, ...]:
-    """The command sequence of a placement."""
+def placement_moves(placement: Placement) -> tuple[tuple[MoveTool, ...], GuardedMove]:
+    """To the standoff, and along the inward normal until it touches or has gone too far."""
     normal = _unit(placement.normal_N)
     target = p_R_from_N(np.array(placement.target_N_m))
+    tool, approach, branch = placement.tool, _vector(-normal), placement.branch
     travel = placement.standoff_m + placement.overtravel_m
-    approach = _vector(-normal)
-    tool = placement.tool
-    move = MoveTool(tool, _vector(target + placement.standoff_m * normal), approach, line_m=travel)
-    touch = GuardedMove(tool, _vector(target - placement.overtravel_m * normal), approach)
-    return (reference, *((Unstow(),) if stowed else ()), move, touch, Retract(tool, placement.standoff_m))
+    heights = [placement.standoff_m] if placement.via_m == 0 else [placement.standoff_m + placement.via_m, placement.standoff_m]
+    moves = tuple(
+        MoveTool(tool, _vector(target + height * normal), approach, line_m=travel, branch=branch) for height in heights
+    )
+    return moves, GuardedMove(tool, _vector(target - placement.overtravel_m * normal), approach)
+
+
+def placement_commands(placement: Placement, reference: SetReference, stowed: bool) -> tuple[Command, ...]:
+    """The command sequence of a placement."""
+    moves, touch = placement_moves(placement)
+    unstow = (Unstow(),) if stowed else ()
+    return (reference, *unstow, *moves, touch, Retract(placement.tool, placement.standoff_m))
 
 
 class PlacementRun:
     """A placement in a closed loop: iterate over its cycles, then ask for the result."""
 
-    def __init__(self, loop: ClosedLoop, placement: Placement, start_rad: Joints5):
-        stowed = start_rad == loop.config.params.poses.stowed_rad
+    def __init__(self, loop: ClosedLoop, placement: Placement):
+        stowed = loop.state.mode is Mode.STOWED
         self._loop = loop
         self._placement = placement
         self._commands = placement_commands(placement, loop.reference(), stowed)
@@ -82,15 +94,14 @@ class PlacementRun:
         self._touched = False
 
     def __iter__(self) -> Iterator[CycleRecord]:
-        self._outcome = yield from self._watched()
-
-    def _watched(self):  # type: ignore[no-untyped-def]
+        """Every cycle, as it happens."""
         sequence = run_sequence(self._loop, self._commands)
         while True:
             try:
                 record = next(sequence)
             except StopIteration as end:
-                return end.value
+                self._outcome = end.value
+                return
             self._note(record)
             yield record
 

@@ -14,6 +14,7 @@ from sim.frames import FLIP, gravity_in_rover
 MJCF: Final = Path(__file__).resolve().parents[1] / "models" / "mjcf"
 GRAVITY_M_S2: Final = {"mars": 3.711, "earth": 9.81}
 ROCK_HALF_M: Final = (0.11, 0.09, 0.06)
+BELOW_ROCK_M: Final = 0.1
 REQUIRED_MUJOCO: Final = "4.0.1"
 
 
@@ -56,6 +57,8 @@ def build(world: World, for_pictures: bool = False) -> mujoco.MjSpec:
     spec.option.gravity = FLIP * world.gravity_N_m_s2
     if world.surface is not None:
         _add_rock(spec, world.surface)
+        # a target below the wheels: the rover stands on a rise
+        spec.geom("ground").pos[2] = min(0.0, -world.surface.p_N_m[2] - BELOW_ROCK_M)
     if not for_pictures:
         for geom in list(spec.geoms):
             if geom.contype == 0 and geom.conaffinity == 0:

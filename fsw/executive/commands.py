@@ -26,7 +26,7 @@ from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import Array
 from fsw.motion.move import Move, stop
 from fsw.motion.paths import JointPath, Path, Setpoint, joint_path, line_path
-from fsw.motion.plan import Refusal, plan_line, plan_tool
+from fsw.motion.plan import LinePlan, Refusal, plan_guarded, plan_retract, plan_tool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,8 +116,7 @@ Planned = tuple[tuple[Path, ...], Tool, tuple[Evr, ...]]
 
 
 def _plan(config: Config, now: Situation, command: MoveCommand) -> Planned | Refusal:
-    start = now.joints.motor_rad
-    motion, poses = config.params.motion, config.params.poses
+    poses = config.params.poses
     match command:
         case Unstow():
             legs = _legs(config, now.joints, [*map(np.array, poses.unstow_via_rad), np.array(poses.ready_rad)])
@@ -126,39 +125,25 @@ def _plan(config: Config, now: Situation, command: MoveCommand) -> Planned | Ref
             legs = _legs(config, now.joints, [np.array(command.angle_rad)])
             return legs if isinstance(legs, Refusal) else (legs, now.tool, ())
         case MoveTool():
-            tool_plan = plan_tool(
-                config,
-                now.joints,
-                start,
-                command.tool,
-                np.array(command.p_RoTo_R_m),
-                np.array(command.approach_R),
-                command.deflection,
-                command.branch,
-                command.line_m,
-            )
-            if isinstance(tool_plan, Refusal):
-                return tool_plan
-            path = joint_path(config, start, tool_plan.motor_rad)
-            return (path,), command.tool, (BranchChosen(command.tool, tool_plan.branch),)
-        case GuardedMove() | Retract():
-            guarded = isinstance(command, GuardedMove)
-            line = plan_line(
-                config,
-                now.joints,
-                start,
-                command.tool,
-                np.array(command.end_p_RoTo_R_m) if isinstance(command, GuardedMove) else None,
-                np.array(command.approach_R) if isinstance(command, GuardedMove) else None,
-                command.distance_m if isinstance(command, Retract) else 0.0,
-                command.deflection,
-            )
-            if isinstance(line, Refusal):
-                return line
-            speed = motion.guarded_speed_m_s if guarded else motion.retract_speed_m_s
-            return (line_path(config, line.motor_rad, line.length_m, speed),), command.tool, ()
+            goal = plan_tool(config, now.joints, command)
+            if isinstance(goal, Refusal):
+                return goal
+            path = joint_path(config, now.joints.motor_rad, goal.motor_rad)
+            return (path,), command.tool, (BranchChosen(command.tool, goal.branch),)
+        case GuardedMove():
+            guarded = plan_guarded(config, now.joints, command)
+            return _line(config, guarded, command.tool, config.params.motion.guarded_speed_m_s)
+        case Retract():
+            back = plan_retract(config, now.joints, command)
+            return _line(config, back, command.tool, config.params.motion.retract_speed_m_s)
         case _:
             assert_never(command)
+
+
+def _line(config: Config, line: LinePlan | Refusal, tool: Tool, speed_m_s: float) -> Planned | Refusal:
+    if isinstance(line, Refusal):
+        return line
+    return (line_path(config, line.motor_rad, line.length_m, speed_m_s),), tool, ()
 
 
 def _legs(config: Config, joints: JointEstimate, outputs: list[Array]) -> tuple[JointPath, ...] | Refusal:

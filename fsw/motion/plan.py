@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.commands import Deflection
+from fsw.dictionary.commands import Deflection, GuardedMove, MoveTool, Retract
 from fsw.dictionary.joints import Joint, Tool
 from fsw.estimate.joints import JointEstimate, gap_to_move
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.compensation import Compensated, refine
 from fsw.kinematics.ik import BRANCHES, Verdict, closed_form, into_limits
-from fsw.kinematics.statics import settle
+from fsw.kinematics.statics import Equilibrium, settle
 from fsw.kinematics.transforms import Array
 
 AUTO = "AUTO"
@@ -40,37 +40,28 @@ class LinePlan:
     length_m: float
 
 
-def plan_tool(
-    config: Config,
-    joints: JointEstimate,
-    start_rad: Array,
-    tool: Tool,
-    p_RoTo_R_m: Array,
-    approach_R: Array,
-    deflection: Deflection,
-    branch: str,
-    line_m: float,
-) -> ToolPlan | Refusal:
-    """The quickest valid branch from the motor angles `start_rad`, or the named one.
+def plan_tool(config: Config, joints: JointEstimate, command: MoveTool) -> ToolPlan | Refusal:
+    """Motor angles for the quickest valid branch from where the joints are, or for the named one.
 
-    A branch is valid if target and the end of a further `line_m` along the approach are within limits.
+    A branch is valid if the target and the end of the straight travel after it are within limits.
     """
-    approach = approach_R / np.linalg.norm(approach_R)
-    targets = p_RoTo_R_m + np.array([[0.0], [line_m]]) * approach
+    tool, start_rad = command.tool, joints.motor_rad
+    approach = np.array(command.approach_R) / np.linalg.norm(command.approach_R)
+    targets = np.array(command.p_RoTo_R_m) + np.array([[0.0], [command.line_m]]) * approach
     rigid = closed_form(config.arm, tool, targets, np.broadcast_to(approach, (2, 3)))
     found = refine(
         config.arm,
         tool,
         targets[:, None, :],
         np.broadcast_to(approach, (2, 1, 3)),
-        _gravity(joints, deflection),
+        _gravity(joints, command.deflection),
         rigid.output_rad,
     )
     output = into_limits(config.arm, found.output_rad, start_rad)
     motor = _motor(config, joints, found, output, output - start_rad)
     over = _over_limits(config, output)
     valid = np.all(found.converged & (over <= 0), axis=0)
-    wanted = np.array([branch in (AUTO, name) for name in BRANCHES])
+    wanted = np.array([command.branch in (AUTO, name) for name in BRANCHES])
     if not np.any(valid & wanted):
         return Refusal(_why_none(tool, rigid.verdict, rigid.excess, over, output, config))
     travel_s = np.max(np.abs(motor[0] - start_rad) / config.speed_rad_s, axis=-1)
@@ -78,29 +69,39 @@ def plan_tool(
     return ToolPlan(motor[0, best], BRANCHES[best])
 
 
-def plan_line(
+def plan_guarded(config: Config, joints: JointEstimate, command: GuardedMove) -> LinePlan | Refusal:
+    """A straight line from where the tool stands to the end of the guarded travel."""
+    here, X_RT = _stand(config, joints, command.tool, command.deflection)
+    approach = np.array(command.approach_R) / np.linalg.norm(command.approach_R)
+    end = np.array(command.end_p_RoTo_R_m)
+    return _plan_line(config, joints, command.tool, command.deflection, here, X_RT, end, approach)
+
+
+def plan_retract(config: Config, joints: JointEstimate, command: Retract) -> LinePlan | Refusal:
+    """A straight line back along the tool's axis."""
+    here, X_RT = _stand(config, joints, command.tool, command.deflection)
+    axis = X_RT[:3, 0]
+    end = X_RT[:3, 3] - command.distance_m * axis
+    return _plan_line(config, joints, command.tool, command.deflection, here, X_RT, end, axis)
+
+
+def _stand(config: Config, joints: JointEstimate, tool: Tool, deflection: Deflection) -> tuple[Equilibrium, Array]:
+    """How the arm stands under the assumptions of a plan, so that a line from there begins without a step."""
+    here = settle(config.arm, joints.motor_rad, joints.gap_rad, _gravity(joints, deflection))
+    return here, tool_pose(config.arm, here.frames, tool)
+
+
+def _plan_line(
     config: Config,
     joints: JointEstimate,
-    start_rad: Array,
     tool: Tool,
-    end_p_RoTo_R_m: Array | None,
-    approach_R: Array | None,
-    retract_m: float,
     deflection: Deflection,
+    here: Equilibrium,
+    X_RT: Array,
+    end: Array,
+    end_axis: Array,
 ) -> LinePlan | Refusal:
-    """A straight line from where the tool stands to an end, or, if none is given, back along its axis.
-
-    The start is the pose that the motor angles `start_rad` have under the same assumptions, so that the
-    line begins without a step.
-    """
-    gravity = _gravity(joints, deflection)
-    here = settle(config.arm, start_rad, joints.gap_rad, gravity)
-    X_RT = tool_pose(config.arm, here.frames, tool)
     start, axis = X_RT[:3, 3], X_RT[:3, 0]
-    if end_p_RoTo_R_m is None or approach_R is None:
-        end, end_axis = start - retract_m * axis, axis
-    else:
-        end, end_axis = end_p_RoTo_R_m, approach_R / np.linalg.norm(approach_R)
     length = float(np.linalg.norm(end - start))
     knots = int(np.ceil(length / config.params.motion.line_step_m)) + 1
     if knots < 2:
@@ -112,7 +113,7 @@ def plan_line(
         tool,
         start + share * (end - start),
         axes / np.linalg.norm(axes, axis=-1, keepdims=True),
-        gravity,
+        _gravity(joints, deflection),
         np.broadcast_to(here.output_rad, (knots, 5)),
     )
     if not np.all(found.converged):
@@ -121,14 +122,14 @@ def plan_line(
     if np.any(over > 0):
         k = int(np.argmax(over > 0))
         return Refusal(f"{share[k, 0] * length:.3f} m along the straight move {_worst_limit(config, found.output_rad[k])}")
-    return LinePlan(_motor_knots(config, joints, start_rad, found), length)
+    return LinePlan(_motor_knots(config, joints, found), length)
 
 
-def _motor_knots(config: Config, joints: JointEstimate, start_rad: Array, found: Compensated) -> Array:
+def _motor_knots(config: Config, joints: JointEstimate, found: Compensated) -> Array:
     """Motor angles along a line: from where the motors are, each knot with the gap of the motion that leads to it."""
     motion = np.diff(found.output_rad, axis=0)
     motor = np.empty_like(found.output_rad)
-    motor[0], gap = start_rad, joints.gap_rad
+    motor[0], gap = joints.motor_rad, joints.gap_rad
     for k in range(1, len(motor)):
         gap = gap_to_move(config, found.torque_Nm[k], gap, motion[k - 1])
         motor[k] = found.output_rad[k] - found.torque_Nm[k] / config.arm.gear_stiffness_Nm_rad - gap

@@ -1,0 +1,71 @@
+# Each target sets up what it needs. Only python3 (3.11 or later), pip, make and git are taken for granted.
+# Progress goes to standard error, so that `make -s bench > bench.json` is a JSON file.
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+# pip of the new environment; or, where python3 cannot bring one (no ensurepip), pip of the machine.
+PIP = $$(test -x $(BIN)/pip && echo $(BIN)/python -m pip || echo $(PYTHON) -m pip --python $(BIN)/python)
+INSTALL = $(PIP) --disable-pip-version-check --quiet install
+WORKERS ?= 2
+
+say = echo "marsarm: $(1)" >&2
+
+.PHONY: help setup demo test bench lint lock clean
+
+help:
+	@echo "make demo    set up, put the APXS on a rock on Mars, write a picture"
+	@echo "make test    set up, run the tests"
+	@echo "make bench   print the benchmarks as JSON"
+	@echo "make lint    style, types and the direction of imports"
+	@echo "make lock    choose package versions anew (needs uv)"
+	@echo "make clean   remove what the other targets made"
+
+setup: $(VENV)/ready
+
+demo: $(VENV)/ready
+	@$(call say,placing the APXS on a rock)
+	@$(BIN)/marsarm place
+
+test: $(VENV)/ready
+	@$(call say,running the tests in $(WORKERS) processes)
+	@$(BIN)/python -m pytest -q -n $(WORKERS) $(ARGS)
+
+bench: $(VENV)/ready
+	@$(call say,measuring; leave the machine alone for a minute)
+	@$(BIN)/python -m benchmarks.run
+
+# All three speak before any of them stops the target.
+lint: $(VENV)/ready
+	@$(call say,ruff; mypy; import-linter)
+	@failed=0; \
+	$(BIN)/ruff check --quiet --no-cache . || failed=1; \
+	$(BIN)/mypy || failed=1; \
+	$(BIN)/lint-imports --no-logo --no-cache || failed=1; \
+	exit $$failed
+
+$(VENV)/ready: $(VENV)/locked pyproject.toml
+	@$(INSTALL) --no-deps --no-build-isolation -e .
+	@touch $@
+
+$(VENV)/locked: requirements.lock
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  $(call say,$(PYTHON) is missing or older than 3.11. Install Python 3.11 or later or name one: make PYTHON=python3.12); exit 1; }
+	@$(call say,setting up $(VENV) with $$($(PYTHON) -V))
+	@if $(PYTHON) -c 'import venv; from ensurepip import version' 2>/dev/null; then $(PYTHON) -m venv --clear $(VENV); \
+	elif $(PYTHON) -c 'import venv, pip' 2>/dev/null; then $(PYTHON) -m venv --clear --without-pip $(VENV); \
+	else $(call say,$(PYTHON) cannot make a virtual environment. On Debian or Ubuntu: apt-get install python3-venv); exit 1; fi
+	@$(call say,installing the packages of requirements.lock; about 200 MB the first time)
+	@$(INSTALL) --require-hashes -r requirements.lock || { \
+	  $(call say,the packages were not installed; pip says why above. It needs a package index or a proxy that it can reach.); exit 1; }
+	@touch $@
+
+lock:
+	@command -v uv >/dev/null || { $(call say,uv is missing. Install it: pip install uv); exit 1; }
+	@uv pip compile --quiet --universal --fork-strategy fewest --python-version 3.11 --generate-hashes \
+	  --no-emit-index-url --no-emit-find-links --custom-compile-command "make lock" \
+	  --extra test --group build $(ARGS) -o requirements.lock pyproject.toml
+
+clean:
+	@rm -rf $(VENV) *.egg-info build dist .hypothesis .mypy_cache .ruff_cache .pytest_cache
+	@find . -name __pycache__ -type d -prune -exec rm -rf {} +

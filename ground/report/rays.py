@@ -1,0 +1,175 @@
+"""A camera for machines without OpenGL: MuJoCo casts a ray for each pixel, numpy shades what it hits.
+
+The rays see what the renderer would draw: every geom of groups 0 to 2 that is not transparent, whatever its
+shape. A texture counts by its mean colour; decorations (sites, contacts) and reflections are left out.
+"""
+
+import copy
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+Image = NDArray[np.uint8]
+Floats = NDArray[np.float64]
+
+TILE_PIXELS = 32
+"""Rays of one square tile are cast together, at the few geoms that stand in its way."""
+SUBPIXELS = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])
+"""Where in a pixel on an edge the extra rays go, in pixels from its middle."""
+AMBIENT = 0.36
+SUN = 0.75
+SUN_DISTANCE_M = 1000.0
+SHADOW_GAP_M = 0.002
+HAZE_M = 150.0
+FARTHEST_M = 1e5
+DEFAULT_SKY = (0.80, 0.74, 0.66)
+DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
+VISIBLE = np.array([1, 1, 1, 0, 0, 0], dtype=np.uint8)
+HIDDEN = 5
+
+
+class RayCamera:
+    """A camera of the model, drawn with rays."""
+
+    def __init__(self, model: mujoco.MjModel, camera_id: int, size: tuple[int, int]) -> None:
+        self._rays = Rays(model)
+        self._camera_id = camera_id
+        self._size = size
+        self._half_height = float(np.tan(np.radians(model.cam_fovy[camera_id]) / 2))
+        self._sky = _sky(model)
+        self._rgb = np.array([_colour(model, geom) for geom in range(model.ngeom)]).reshape(-1, 3)
+
+    def take(self, data: mujoco.MjData) -> Image:
+        """Draw the scene as it is now: (height, width, 3). Pixels on edges get four rays, the others one."""
+        width, height = self._size
+        columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+        middle = np.column_stack([columns.ravel(), rows.ravel()])
+        rgb, look = self._shade(data, middle)
+        edge = _edges(look.reshape(height, width, 4)).ravel()
+        finer = (middle[edge, None, :] + SUBPIXELS).reshape(-1, 2)
+        rgb[edge] = self._shade(data, finer)[0].reshape(-1, len(SUBPIXELS), 3).mean(axis=1)
+        return (255.0 * np.clip(rgb, 0.0, 1.0) + 0.5).astype(np.uint8).reshape(height, width, 3)
+
+    def close(self) -> None:
+        """Nothing is held that needs giving back."""
+
+    def _shade(self, data: mujoco.MjData, pixel: Floats) -> tuple[Floats, Floats]:
+        """Colours (n, 3) at image points (n, 2), and what tells one face from another (n, 4)."""
+        rgb, look = np.empty((len(pixel), 3)), np.empty((len(pixel), 4))
+        tile = (pixel // TILE_PIXELS) @ [1.0, 1e6]
+        order = np.argsort(tile, kind="stable")
+        for part in np.split(order, np.flatnonzero(np.diff(tile[order])) + 1):
+            rgb[part], look[part] = self._shade_tile(data, pixel[part])
+        return rgb, look
+
+    def _shade_tile(self, data: mujoco.MjData, pixel: Floats) -> tuple[Floats, Floats]:
+        eye = data.cam_xpos[self._camera_id]
+        direction = self._directions(data, pixel)
+        geom, distance, normal = self._rays.cast(data, eye, direction)
+        normal = np.where(np.sum(normal * direction, axis=1, keepdims=True) > 0.0, -normal, normal)
+        hit = geom >= 0
+        shade = self._rays.brightness(data, eye + distance[hit, None] * direction[hit], normal[hit])
+        haze = np.exp(-distance[hit, None] / HAZE_M)
+        rgb = np.tile(self._sky, (len(pixel), 1))
+        rgb[hit] = haze * shade * self._rgb[geom[hit]] + (1.0 - haze) * self._sky
+        return rgb, np.column_stack([geom, normal])
+
+    def _directions(self, data: mujoco.MjData, pixel: Floats) -> Floats:
+        """Unit vectors in the world through image points, counted in pixels from the top left: (n, 3)."""
+        right, down = ((2 * pixel - self._size) * self._half_height / self._size[1]).T
+        R_WC = data.cam_xmat[self._camera_id].reshape(3, 3)
+        return _unit(np.column_stack([right, -down, np.full(len(pixel), -1.0)]) @ R_WC.T)
+
+
+class Rays:
+    """Casts rays into a copy of the model, in which geoms can be hidden."""
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = copy.copy(model)
+        # The bounding volumes of bodies leave out geoms without contact, and rays would pass through these.
+        self._model.body_bvhadr[:] = -1
+        self._group = model.geom_group.copy()
+        self._tint = model.light_diffuse[0] / max(model.light_diffuse[0].max(), 1e-6) if model.nlight else 1.0
+
+    def cast(
+        self, data: mujoco.MjData, origin: Floats, direction: Floats
+    ) -> tuple[NDArray[np.int32], Floats, Floats]:
+        """Cast rays from one point: what they hit first (-1 for nothing), how far away, and its normal."""
+        count = len(direction)
+        geom, distance, normal = np.full(count, -1, np.int32), np.zeros(count), np.zeros((count, 3))
+        if count:
+            self._hide_all_but(self._in_the_way(data, origin, direction))
+            rays, normals = direction.ravel(), normal.reshape(-1)
+            mujoco.mj_multiRay(
+                self._model, data, origin, rays, VISIBLE, True, -1, geom, distance, normals, count, FARTHEST_M
+            )
+        return geom, distance, normal
+
+    def brightness(self, data: mujoco.MjData, point: Floats, normal: Floats) -> Floats:
+        """Light on surface points (n, 3): skylight from above, and the sun where nothing stands before it."""
+        sun = data.light_xdir[0] if self._model.nlight else np.array([0.0, 0.0, -1.0])
+        sunlight = np.maximum(0.0, -(normal @ sun))
+        facing = sunlight > 0.0
+        origin = self._model.stat.center - SUN_DISTANCE_M * sun
+        ray = point[facing] - origin
+        _, distance, _ = self.cast(data, origin, _unit(ray))
+        sunlight[facing] *= distance > np.linalg.norm(ray, axis=1) - SHADOW_GAP_M
+        skylight = AMBIENT + 0.08 * normal[:, 2]
+        return np.asarray(skylight[:, None] + SUN * sunlight[:, None] * self._tint)
+
+    def _in_the_way(self, data: mujoco.MjData, origin: Floats, direction: Floats) -> NDArray[np.bool_]:
+        """Geoms (ngeom,) whose bounding sphere reaches into the cone about the rays."""
+        middle = _unit(direction.mean(axis=0, keepdims=True))[0]
+        opening = np.arccos(np.clip(direction @ middle, -1.0, 1.0)).max()
+        offset = data.geom_xpos - origin
+        distance, radius = np.linalg.norm(offset, axis=1), self._model.geom_rbound
+        outside = distance > radius
+        aside = np.arccos(np.clip(_unit(offset) @ middle, -1.0, 1.0))
+        aperture = np.arcsin(np.divide(radius, distance, out=np.ones_like(radius), where=outside))
+        boundless = radius <= 0.0  # planes
+        return np.asarray(boundless | ~outside | (aside < opening + aperture + 1e-6))
+
+    def _hide_all_but(self, shown: NDArray[np.bool_]) -> None:
+        self._model.geom_group[:] = np.where(shown, self._group, HIDDEN)
+
+
+def _unit(vector: Floats) -> Floats:
+    return np.asarray(vector / np.maximum(np.linalg.norm(vector, axis=1, keepdims=True), 1e-12))
+
+
+def _edges(look: Floats) -> NDArray[np.bool_]:
+    """Pixels (height, width) that show another geom or another face than a neighbour does."""
+    edge = np.zeros(look.shape[:2], dtype=bool)
+    across = np.abs(np.diff(look, axis=1)).max(axis=2) > 0.5
+    along = np.abs(np.diff(look, axis=0)).max(axis=2) > 0.5
+    edge[:, 1:] |= across
+    edge[:, :-1] |= across
+    edge[1:] |= along
+    edge[:-1] |= along
+    return edge
+
+
+def _colour(model: mujoco.MjModel, geom: int) -> Floats:
+    """Colour of a geom: its own unless that is the default, else its material's, times the texture's mean."""
+    rgba, material = model.geom_rgba[geom], int(model.geom_matid[geom])
+    if material < 0:
+        return np.array(rgba[:3], dtype=np.float64)
+    if np.allclose(rgba, DEFAULT_RGBA):
+        rgba = model.mat_rgba[material]
+    texture = int(model.mat_texid[material, mujoco.mjtTextureRole.mjTEXROLE_RGB])
+    tint = _mean_colour(model, texture) if texture >= 0 else np.ones(3)
+    return np.asarray(rgba[:3] * tint, dtype=np.float64)
+
+
+def _sky(model: mujoco.MjModel) -> Floats:
+    skies = np.flatnonzero(model.tex_type == mujoco.mjtTexture.mjTEXTURE_SKYBOX)
+    return _mean_colour(model, int(skies[0])) if len(skies) else np.array(DEFAULT_SKY)
+
+
+def _mean_colour(model: mujoco.MjModel, texture: int) -> Floats:
+    channels = int(model.tex_nchannel[texture])
+    pixels = int(model.tex_height[texture]) * int(model.tex_width[texture])
+    data = model.tex_data[int(model.tex_adr[texture]) :][: pixels * channels]
+    mean = data.reshape(pixels, channels).mean(axis=0) / 255.0
+    return np.asarray(mean[:3] if channels >= 3 else np.repeat(mean[:1], 3), dtype=np.float64)
