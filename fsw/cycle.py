@@ -6,9 +6,9 @@ from fsw.config import Config
 from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Booted, Evr, ModeChanged
+from fsw.dictionary.modes import Mode
 from fsw.estimate import joints as joint_estimate
 from fsw.estimate import load as load_estimate
-from fsw.dictionary.modes import Mode
 from fsw.executive.commands import Situation, handle
 from fsw.messages import Outputs, Sensors
 from fsw.motion.drive import drive_for
@@ -18,7 +18,9 @@ from fsw.protect.guard import guard
 from fsw.state import State, joint_channels
 
 
-def step(config: Config, state: State, sensors: Sensors, commands: tuple[Command, ...]) -> tuple[State, Outputs]:
+def step(
+    config: Config, state: State, sensors: Sensors, commands: tuple[Command, ...]
+) -> tuple[State, Outputs]:
     """The state and the outputs after one cycle; everything follows from the arguments."""
     before = state
     bad_readings = monitors.non_finite(sensors)

@@ -1,4 +1,4 @@
-"""The arms that can be simulated, by name: what they are made of and what flight software believes of them."""
+"""The arms that can be simulated, by name: what they are made of and what flight software believes."""
 
 import re
 from dataclasses import dataclass, replace

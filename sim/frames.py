@@ -18,12 +18,14 @@ FLIP: Final = np.array([1.0, -1.0, -1.0])
 
 def p_R_from_N(p_N_m: Array) -> Array:
     """A point (..., 3) from RNAV to RMECH."""
-    return p_N_m - P_NR_M
+    p_R_m: Array = p_N_m - P_NR_M
+    return p_R_m
 
 
 def p_N_from_R(p_R_m: Array) -> Array:
     """A point (..., 3) from RMECH to RNAV."""
-    return p_R_m + P_NR_M
+    p_N_m: Array = p_R_m + P_NR_M
+    return p_N_m
 
 
 def gravity_in_rover(roll_rad: float, pitch_rad: float, gravity_m_s2: float) -> Array:

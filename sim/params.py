@@ -21,24 +21,39 @@ class BadParams(ValueError):
 
 def nominal_params() -> Params:
     """The parameters of the drawing."""
-    return params_from_text(resources.files("fsw.dictionary").joinpath("nominal.toml").read_text(), "nominal.toml")
+    return _validated(_nominal_table(), "nominal.toml")
 
 
-def load_params(path: Path) -> Params:
-    """Parameters from a TOML file; BadParams if it cannot be read or a field is wrong."""
+def params_over_nominal(path: Path) -> Params:
+    """The nominal parameters with those of a TOML file in their place; the file may give any part of them.
+
+    Raises:
+        BadParams: the file cannot be read, or names or values in it are wrong.
+    """
     try:
-        text = path.read_text(encoding="utf-8")
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise BadParams(f"{path}: cannot be read: {error}") from error
-    return params_from_text(text, str(path))
-
-
-def params_from_text(text: str, name: str) -> Params:
-    """Parameters from TOML text; `name` is what errors call it."""
-    try:
-        table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise BadParams(f"{name}: not TOML: {error}") from error
+        raise BadParams(f"{path}: is not TOML: {error}") from error
+    return _validated(_merged(_nominal_table(), table), str(path))
+
+
+def _nominal_table() -> dict[str, Any]:
+    return tomllib.loads(
+        resources.files("fsw.dictionary").joinpath("nominal.toml").read_text(encoding="utf-8")
+    )
+
+
+def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in over.items():
+        both = isinstance(value, dict) and isinstance(base.get(key), dict)
+        merged[key] = _merged(base[key], value) if both else value
+    return merged
+
+
+def _validated(table: dict[str, Any], name: str) -> Params:
     try:
         params = _ADAPTER.validate_json(json.dumps(table), strict=True, extra="forbid")
     except ValidationError as error:
@@ -56,7 +71,7 @@ def digest(params: Params) -> str:
 
 
 def out_of_limits(record: Any, place: str = "") -> Iterator[str]:
-    """Sentences about numbers outside their annotated limits or not finite, and ranges that are upside down."""
+    """Sentences about numbers outside their limits or not finite, and ranges that are upside down."""
     hints = get_type_hints(type(record), include_extras=True)
     for field in fields(record):
         value, where = getattr(record, field.name), f"{place}{field.name}"

@@ -1,4 +1,4 @@
-"""Placing an instrument: unstow, stand off along the surface normal, touch, retract; and how well it was done."""
+"""Placing an instrument: unstow, stand off along the normal, touch, retract; and how well it was done."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ class Placement:
     """How far beyond the target the guarded move may look for the surface."""
     branch: str = "AUTO"
     via_m: float = 0.0
-    """Height above the standoff of a way point on the normal, for targets that are reached from above; 0 is none."""
+    """Height above the standoff of a way point on the normal; 0 is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +66,14 @@ def placement_moves(placement: Placement) -> tuple[tuple[MoveTool, ...], Guarded
     target = p_R_from_N(np.array(placement.target_N_m))
     tool, approach, branch = placement.tool, _vector(-normal), placement.branch
     travel = placement.standoff_m + placement.overtravel_m
-    heights = [placement.standoff_m] if placement.via_m == 0 else [placement.standoff_m + placement.via_m, placement.standoff_m]
+    heights = (
+        [placement.standoff_m]
+        if placement.via_m == 0
+        else [placement.standoff_m + placement.via_m, placement.standoff_m]
+    )
     moves = tuple(
-        MoveTool(tool, _vector(target + height * normal), approach, line_m=travel, branch=branch) for height in heights
+        MoveTool(tool, _vector(target + height * normal), approach, line_m=travel, branch=branch)
+        for height in heights
     )
     return moves, GuardedMove(tool, _vector(target - placement.overtravel_m * normal), approach)
 
@@ -145,8 +150,7 @@ class PlacementRun:
 
 
 def _unit(v: Vector3) -> Array:
-    array = np.array(v)
-    return array / np.linalg.norm(array)
+    return np.asarray(np.array(v) / np.linalg.norm(v))
 
 
 def _vector(v: Array) -> Vector3:

@@ -77,17 +77,18 @@ class Plant:
 
     def motor_rad(self) -> Array:
         """True motor angles, output side."""
-        return self.data.qpos[self.at.motor]
+        return np.asarray(self.data.qpos[self.at.motor])
 
     def output_rad(self) -> Array:
         """True output angles: motor, backlash and wind-up."""
-        return self.data.qpos[self.at.motor] + self.data.qpos[self.at.gear]
+        output: Array = self.data.qpos[self.at.motor] + self.data.qpos[self.at.gear]
+        return output
 
     def gap_rad(self) -> Array:
         """True position in the backlash, wind-up taken off: half the width where a joint rests on a flank."""
         half = self.model.tendon_lengthspring[[self.model.tendon(f"{n}_gear").id for n in JOINT_NAMES], 1]
         gear = self.data.qpos[self.at.gear]
-        return np.clip(gear, -half, half)
+        return np.asarray(np.clip(gear, -half, half))
 
     def tool_shift(self, tool: Tool, output_rad: Array) -> Array:
         """By how much a small change of the output angles (5) moves a tool, in RMECH [m]."""

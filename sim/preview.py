@@ -1,9 +1,10 @@
-"""Looking ahead, as a planner on the ground would: is there a branch for a placement that touches nothing else?
+"""Looking ahead, as a planner would: is there a branch for a placement that touches nothing else?
 
 It knows what flight software knows, the nominal model of rover and terrain, and nothing of the built arm.
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import mujoco
 import numpy as np
@@ -27,15 +28,16 @@ SPRINGS = ("rover", "link1", "link2", "link3", "link4")
 
 @dataclass(frozen=True, slots=True)
 class Preview:
-    """The placement with a branch and a way that touch nothing, or why there is none; how long it may take."""
+    """The placement with a branch and a way that touch nothing, or why there is none."""
 
     placement: Placement
     problem: str | None
     duration_s: float
+    """At most, from the ready pose to contact."""
 
 
 def preview(arm: BuiltArm, world: World, placement: Placement) -> Preview:
-    """The quickest way from the ready pose, straight to the standoff or from above, on any branch that is free."""
+    """The quickest free way from the ready pose, straight to the standoff or from above, on any branch."""
     config = configure(arm.params, digest(arm.params))
     plant = Plant(build(world).compile())
     ready = np.array(arm.params.poses.ready_rad)
@@ -48,6 +50,13 @@ def preview(arm: BuiltArm, world: World, placement: Placement) -> Preview:
                 return found
             tried.append(found)
     return tried[0]
+
+
+def unstow_s(arm: BuiltArm) -> float:
+    """How long the arm takes from the stowed to the ready pose."""
+    config, poses = configure(arm.params, digest(arm.params)), arm.params.poses
+    way = [np.array(pose) for pose in (poses.stowed_rad, *poses.unstow_via_rad, poses.ready_rad)]
+    return sum(joint_path(config, start, end).duration_s for start, end in pairwise(way))
 
 
 def _try(config: Config, plant: Plant, joints: JointEstimate, placement: Placement) -> Preview:
@@ -79,7 +88,10 @@ def _first_hit(plant: Plant, poses: Equilibrium) -> str | None:
     """Which two geoms meet first at these poses."""
     model, data = plant.model, plant.data
     springs = np.array(
-        [[model.joint(f"{s}_{axis}").qposadr[0] for axis in ("rx", "ry", "rz", "tx", "ty", "tz")] for s in SPRINGS]
+        [
+            [model.joint(f"{s}_{axis}").qposadr[0] for axis in ("rx", "ry", "rz", "tx", "ty", "tz")]
+            for s in SPRINGS
+        ]
     )
     for output, strain in zip(poses.output_rad, poses.strain, strict=True):
         data.qpos[plant.at.motor] = output
@@ -95,4 +107,3 @@ def _geom_name(model: mujoco.MjModel, geom: int) -> str:
     """A geom by its name, or by the part of the arm that carries it."""
     name: str = model.geom(geom).name or model.body(model.geom_bodyid[geom]).name
     return name
-

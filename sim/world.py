@@ -15,6 +15,7 @@ MJCF: Final = Path(__file__).resolve().parents[1] / "models" / "mjcf"
 GRAVITY_M_S2: Final = {"mars": 3.711, "earth": 9.81}
 ROCK_HALF_M: Final = (0.11, 0.09, 0.06)
 BELOW_ROCK_M: Final = 0.1
+MAX_TILT_RAD: Final = float(np.radians(30.0))
 REQUIRED_MUJOCO: Final = "4.0.1"
 
 
@@ -44,6 +45,11 @@ class World:
         """Gravity in RNAV (and RMECH) axes."""
         return gravity_in_rover(self.tilt_roll_rad, self.tilt_pitch_rad, GRAVITY_M_S2[self.scene])
 
+    @property
+    def tilt_rad(self) -> float:
+        """Angle between the rover's down axis and gravity."""
+        return float(np.arccos(np.clip(np.cos(self.tilt_roll_rad) * np.cos(self.tilt_pitch_rad), -1.0, 1.0)))
+
 
 def build(world: World, for_pictures: bool = False) -> mujoco.MjSpec:
     """The MuJoCo specification of this world with the nominal arm in it.
@@ -64,6 +70,26 @@ def build(world: World, for_pictures: bool = False) -> mujoco.MjSpec:
             if geom.contype == 0 and geom.conaffinity == 0:
                 spec.delete(geom)
     return spec
+
+
+def inside_rover(p_N_m: Vector3) -> bool:
+    """Whether a point (RNAV) is inside a collision geom of the rover."""
+    spec = mujoco.MjSpec.from_file(str(MJCF / "rover.xml"))
+    for geom in list(spec.geoms):
+        if geom.contype == 0 and geom.conaffinity == 0:
+            spec.delete(geom)
+    probe = spec.worldbody.add_geom(name="probe", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(1e-3, 0, 0))
+    probe.pos = FLIP * np.array(p_N_m)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    probe_id = model.geom("probe").id
+    others = (
+        geom
+        for geom in range(model.ngeom)
+        if geom != probe_id and model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_PLANE
+    )
+    return any(mujoco.mj_geomDistance(model, data, geom, probe_id, 1.0, None) < 0 for geom in others)
 
 
 def _add_rock(spec: mujoco.MjSpec, surface: Surface) -> None:

@@ -34,7 +34,7 @@ class MoveJoints:
 
 @dataclass(frozen=True, slots=True)
 class MoveTool:
-    """Move in joint space until the tool frame is at a position with its x axis along an approach direction."""
+    """Move in joint space until the tool is at a position with its x axis along an approach direction."""
 
     tool: Tool
     p_RoTo_R_m: Vector3
@@ -48,7 +48,7 @@ class MoveTool:
 
 @dataclass(frozen=True, slots=True)
 class GuardedMove:
-    """Move the tool in a straight line at guarded speed until a contact switch closes; past the end is a fault."""
+    """Move the tool in a straight line, slowly, until a contact switch closes; no contact is a fault."""
 
     tool: Tool
     end_p_RoTo_R_m: Vector3

@@ -12,7 +12,8 @@ from fsw.dictionary.commands import Joints5, Vector3
 Row6 = tuple[float, float, float, float, float, float]
 Matrix6 = tuple[Row6, Row6, Row6, Row6, Row6, Row6]
 
-RIGID: Matrix6 = ((0.0,) * 6,) * 6  # type: ignore[assignment]
+_NO_ROW: Row6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+RIGID: Matrix6 = (_NO_ROW, _NO_ROW, _NO_ROW, _NO_ROW, _NO_ROW, _NO_ROW)
 
 
 @dataclass(frozen=True, slots=True)

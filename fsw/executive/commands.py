@@ -17,7 +17,15 @@ from fsw.dictionary.commands import (
     Stop,
     Unstow,
 )
-from fsw.dictionary.evrs import BranchChosen, CommandAccepted, CommandCompleted, CommandRefused, Evr, FaultCleared, ReferenceSet
+from fsw.dictionary.evrs import (
+    BranchChosen,
+    CommandAccepted,
+    CommandCompleted,
+    CommandRefused,
+    Evr,
+    FaultCleared,
+    ReferenceSet,
+)
 from fsw.dictionary.joints import Joint, Tool
 from fsw.dictionary.modes import Mode
 from fsw.estimate.joints import JointEstimate, gap_to_move, set_reference
@@ -82,7 +90,9 @@ def _begin_move(config: Config, now: Situation, command: MoveCommand) -> Situati
         hold=Setpoint(now.joints.motor_rad, np.zeros_like(now.joints.motor_rad)),
         guarded=tool if isinstance(command, GuardedMove) else None,
     )
-    return replace(now, mode=mode, tool=tool, move=move, evrs=(*now.evrs, CommandAccepted(_name(command)), *evrs))
+    return replace(
+        now, mode=mode, tool=tool, move=move, evrs=(*now.evrs, CommandAccepted(_name(command)), *evrs)
+    )
 
 
 def _not_now(now: Situation, mode: Mode | None) -> str | None:
@@ -119,7 +129,9 @@ def _plan(config: Config, now: Situation, command: MoveCommand) -> Planned | Ref
     poses = config.params.poses
     match command:
         case Unstow():
-            legs = _legs(config, now.joints, [*map(np.array, poses.unstow_via_rad), np.array(poses.ready_rad)])
+            legs = _legs(
+                config, now.joints, [*map(np.array, poses.unstow_via_rad), np.array(poses.ready_rad)]
+            )
             return legs if isinstance(legs, Refusal) else (legs, now.tool, ())
         case MoveJoints():
             legs = _legs(config, now.joints, [np.array(command.angle_rad)])
@@ -154,8 +166,8 @@ def _legs(config: Config, joints: JointEstimate, outputs: list[Array]) -> tuple[
         for joint in Joint:
             if not low[joint] <= output[joint] <= high[joint]:
                 return Refusal(
-                    f"joint {joint.name.lower()}: {np.degrees(output[joint]):.1f} deg is outside its soft limits "
-                    f"{np.degrees(low[joint]):.1f} .. {np.degrees(high[joint]):.1f} deg"
+                    f"joint {joint.name.lower()}: {np.degrees(output[joint]):.1f} deg is outside "
+                    f"its soft limits {np.degrees(low[joint]):.1f} .. {np.degrees(high[joint]):.1f} deg"
                 )
         torque = settle(config.arm, output, np.zeros_like(output), joints.gravity_R_m_s2).torque_Nm
         gap = gap_to_move(config, torque, gap, output - last)

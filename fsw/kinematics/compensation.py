@@ -78,5 +78,5 @@ def task_jacobian(frames: Frames, X_RT: Array, approach_R: Array) -> Array:
 def _newton_step(J: Array, error: Array) -> Array:
     """Least squares with a trace of damping, so that a singular pose gives a step and not an exception."""
     J_T = np.swapaxes(J, -1, -2)
-    step: Array = np.linalg.solve(J_T @ J + DAMPING * np.eye(5), J_T @ error[..., None])[..., 0]
-    return step
+    normal: Array = J_T @ J + DAMPING * np.eye(5)
+    return np.asarray(np.linalg.solve(normal, J_T @ error[..., None])[..., 0], np.float64)

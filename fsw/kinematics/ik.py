@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import Array, rigid, rotation_z, wrap_angle
 
+Flags = NDArray[np.bool_]
+
 
 class Verdict(IntEnum):
     """Why a branch is in or out."""
@@ -128,7 +130,7 @@ def _azimuths(geometry: _Geometry, axis_point: Array) -> tuple[Array, Array]:
 
 
 def _turret_axes(pitch_axis: Array, a: Array) -> tuple[Array, Array]:
-    """Unit turret axes, wrist up and down, (..., 2, 2, 3), and the sine of pitch axis to approach, (..., 2)."""
+    """Unit turret axes, wrist up and down, (..., 2, 2, 3); sine of pitch axis to approach, (..., 2)."""
     normal = np.cross(pitch_axis, a[..., None, :])
     sine = np.linalg.norm(normal, axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -138,7 +140,7 @@ def _turret_axes(pitch_axis: Array, a: Array) -> tuple[Array, Array]:
 
 def _planar(
     geometry: _Geometry, forward_dir: Array, axis_point: Array, turret_axis: Array
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Flags]:
     """Elevation, elbow and wrist for both elbow signs: (..., shoulder, sign, wrist, 5) with 1:4 filled in."""
     sin_pitch = -np.sum(turret_axis * forward_dir, axis=-1)
     pitch = np.arctan2(sin_pitch, turret_axis[..., 2])
@@ -173,14 +175,14 @@ def _complete(
     return q
 
 
-def _order_elbows(q: Array, ahead: NDArray[np.bool_]) -> Array:
-    """Elbow up first: the elbow lies above the shoulder-wrist line for positive bend ahead, for negative behind."""
+def _order_elbows(q: Array, ahead: Flags) -> Array:
+    """Elbow up first: positive bend where the wrist is ahead of the shoulder, negative where it is behind."""
     swap = ~ahead[..., :, None, :, None]
     ordered: Array = np.where(swap, q[..., ::-1, :, :], q)
     return ordered
 
 
-def _judge(arm: Arm, q: Array, out_of_reach_m: Array, singular: NDArray[np.bool_]) -> Branches:
+def _judge(arm: Arm, q: Array, out_of_reach_m: Array, singular: Flags) -> Branches:
     q = into_limits(arm, q - arm.theta_rad[1:])
     over = np.max(np.maximum(arm.soft_min_rad - q, q - arm.soft_max_rad), axis=-1)
     verdict = np.where(over > 0, Verdict.OUTSIDE_LIMITS, Verdict.VALID)

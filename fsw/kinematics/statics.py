@@ -50,7 +50,7 @@ def load(arm: Arm, frames: Frames, strain: Array, gravity_R_m_s2: Array) -> tupl
 
 
 def _yield(arm: Arm, frames: Frames, strain: Array, moment_R: Array, force_R: Array) -> Array:
-    """Compliance times the load, as the spring's own coordinates feel it: its second and third axes have turned."""
+    """Compliance times the load as the spring's own coordinates feel it: its later axes have turned."""
     R_CR = np.swapaxes(frames.X_RC[..., :3, :3], -1, -2)
     moment = (R_CR @ moment_R[..., None])[..., 0]
     force = (R_CR @ np.broadcast_to(force_R, moment_R.shape)[..., None])[..., 0]
@@ -66,7 +66,7 @@ def _yield(arm: Arm, frames: Frames, strain: Array, moment_R: Array, force_R: Ar
 
 
 def settle(arm: Arm, motor_rad: Array, gap_rad: Array, gravity_R_m_s2: Array) -> Equilibrium:
-    """The rest pose for motor angles and gap positions (..., 5): output = motor + gap + torque / stiffness."""
+    """The rest pose for motor angles and gaps (..., 5): output = motor + gap + torque / stiffness."""
     anchor = motor_rad + gap_rad
     strain = np.zeros((*anchor.shape[:-1], 6, 6))
     output = anchor

@@ -20,7 +20,9 @@ def drive_for(config: Config, move: Move | None, joints: JointEstimate, last: Dr
     if move is None:
         if not last.power_on.any():
             return last
-        return Drive(last.setpoint_count, np.zeros(n), config.current_limit_A, _constant(False, n), _constant(False, n))
+        return Drive(
+            last.setpoint_count, np.zeros(n), config.current_limit_A, _constant(False, n), _constant(False, n)
+        )
     on = _constant(True, n)
     release = _constant(False, n) if move.phase is Phase.BRAKE else on
     if last.power_on.any() and np.array_equal(last.brake_release, release):

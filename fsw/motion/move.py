@@ -107,7 +107,10 @@ def _travel(path: Path, time_s: float) -> float:
 def _settle(config: Config, move: Move, joints: JointEstimate) -> Advance:
     motion = config.params.motion
     error = np.abs(joints.motor_rad - move.hold.motor_rad)
-    calm = error.max() < motion.settle_error_rad and np.abs(joints.motor_rate_rad_s).max() < motion.settle_rate_rad_s
+    calm = (
+        error.max() < motion.settle_error_rad
+        and np.abs(joints.motor_rate_rad_s).max() < motion.settle_rate_rad_s
+    )
     calm_ticks = move.calm_ticks + 1 if calm else 0
     if calm_ticks >= config.settle_ticks:
         return Advance(_enter(move, Phase.BRAKE))

@@ -32,7 +32,7 @@ class JointPath:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinePath:
-    """A straight tool move: a jerk-limited travel s(t) along joint knots at equal spacing, joined by cubics."""
+    """A straight tool move: a jerk-limited travel along equally spaced joint knots, joined by cubics."""
 
     duration_s: float
     travel: Trajectory

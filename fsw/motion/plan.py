@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fsw.config import Config
 from fsw.dictionary.commands import Deflection, GuardedMove, MoveTool, Retract
@@ -58,7 +59,7 @@ def plan_tool(config: Config, joints: JointEstimate, command: MoveTool) -> ToolP
         rigid.output_rad,
     )
     output = into_limits(config.arm, found.output_rad, start_rad)
-    motor = _motor(config, joints, found, output, output - start_rad)
+    motor = _motor(config, joints, found, output, output - start_rad - joints.gap_rad)
     over = _over_limits(config, output)
     valid = np.all(found.converged & (over <= 0), axis=0)
     wanted = np.array([command.branch in (AUTO, name) for name in BRANCHES])
@@ -85,7 +86,9 @@ def plan_retract(config: Config, joints: JointEstimate, command: Retract) -> Lin
     return _plan_line(config, joints, command.tool, command.deflection, here, X_RT, end, axis)
 
 
-def _stand(config: Config, joints: JointEstimate, tool: Tool, deflection: Deflection) -> tuple[Equilibrium, Array]:
+def _stand(
+    config: Config, joints: JointEstimate, tool: Tool, deflection: Deflection
+) -> tuple[Equilibrium, Array]:
     """How the arm stands under the assumptions of a plan, so that a line from there begins without a step."""
     here = settle(config.arm, joints.motor_rad, joints.gap_rad, _gravity(joints, deflection))
     return here, tool_pose(config.arm, here.frames, tool)
@@ -117,16 +120,21 @@ def _plan_line(
         np.broadcast_to(here.output_rad, (knots, 5)),
     )
     if not np.all(found.converged):
-        return Refusal(f"the straight move leaves the reach of the arm after {share[np.argmin(found.converged), 0] * length:.3f} m")
+        return Refusal(
+            "the straight move leaves the reach of the arm after "
+            f"{share[np.argmin(found.converged), 0] * length:.3f} m"
+        )
     over = _over_limits(config, found.output_rad)
     if np.any(over > 0):
         k = int(np.argmax(over > 0))
-        return Refusal(f"{share[k, 0] * length:.3f} m along the straight move {_worst_limit(config, found.output_rad[k])}")
+        return Refusal(
+            f"{share[k, 0] * length:.3f} m along the line {_worst_limit(config, found.output_rad[k])}"
+        )
     return LinePlan(_motor_knots(config, joints, found), length)
 
 
 def _motor_knots(config: Config, joints: JointEstimate, found: Compensated) -> Array:
-    """Motor angles along a line: from where the motors are, each knot with the gap of the motion that leads to it."""
+    """Motor angles from where the motors are, each knot with the gap of the motion that leads to it."""
     motion = np.diff(found.output_rad, axis=0)
     motor = np.empty_like(found.output_rad)
     motor[0], gap = joints.motor_rad, joints.gap_rad
@@ -140,7 +148,9 @@ def _gravity(joints: JointEstimate, deflection: Deflection) -> Array:
     return joints.gravity_R_m_s2 if deflection == "absolute" else np.zeros(3)
 
 
-def _motor(config: Config, joints: JointEstimate, found: Compensated, output: Array, motion_rad: Array) -> Array:
+def _motor(
+    config: Config, joints: JointEstimate, found: Compensated, output: Array, motion_rad: Array
+) -> Array:
     """Motor angles under output angles: less the wind-up and less the gap as it will be after the motion."""
     gap = gap_to_move(config, found.torque_Nm, joints.gap_rad, motion_rad)
     motor: Array = output - found.torque_Nm / config.arm.gear_stiffness_Nm_rad - gap
@@ -157,16 +167,21 @@ def _worst_limit(config: Config, output: Array) -> str:
     low, high = config.arm.soft_min_rad, config.arm.soft_max_rad
     joint = Joint(int(np.argmax(np.maximum(low - output, output - high))))
     limit = low[joint] if output[joint] < low[joint] else high[joint]
-    return f"{joint.name.lower()} at {np.degrees(output[joint]):.1f} deg is beyond its soft limit {np.degrees(limit):.1f} deg"
+    at_deg, limit_deg = np.degrees(output[joint]), np.degrees(limit)
+    return f"{joint.name.lower()} at {at_deg:.1f} deg is beyond its soft limit {limit_deg:.1f} deg"
 
 
-def _why_none(tool: Tool, verdict: Array, excess: Array, over: Array, output: Array, config: Config) -> str:
-    """The reason of the branch that comes nearest, on the target itself if it fails there, else on the line."""
+def _why_none(
+    tool: Tool, verdict: NDArray[np.int64], excess: Array, over: Array, output: Array, config: Config
+) -> str:
+    """The reason of the branch that comes nearest, at the target if it fails there, else on the line."""
     for place, name in ((0, "the target"), (1, "the end of the approach")):
         if np.all(verdict[place] == Verdict.OUT_OF_REACH):
             return f"{tool.name}: {name} is out of reach by {excess[place].min():.3f} m on every branch"
         reachable = np.where(np.isfinite(over[place]), over[place], np.inf)
         if np.all(reachable > 0):
             k = int(np.argmin(reachable))
-            return f"{tool.name}: {name}, nearest branch {BRANCHES[k]}: {_worst_limit(config, output[place, k])}"
+            return (
+                f"{tool.name}: {name}, nearest branch {BRANCHES[k]}: {_worst_limit(config, output[place, k])}"
+            )
     return f"{tool.name}: no branch reaches the target and the end of the approach alike"

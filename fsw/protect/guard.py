@@ -38,5 +38,3 @@ def brake(move: Move, joints: JointEstimate) -> Move:
         guarded=None,
         stopped=True,
     )
-
-

@@ -76,15 +76,19 @@ def _soft_limits(config: Config, motor_rad: Array) -> tuple[Evr, ...]:
 
 
 def _contact(mode: Mode, move: Move | None, closed: Flags) -> tuple[Evr, ...]:
-    """A closed switch where nothing was to be touched: any switch in free space, another tool's when guarded."""
+    """A closed switch where nothing was to be touched: any in free space, another tool's when guarded."""
     expected: tuple[Switch, ...] = ()
     if mode in (Mode.GUARDED, Mode.RETRACTING, Mode.FAULTED):
-        expected = SWITCHES_OF[move.guarded] if move is not None and move.guarded is not None else tuple(Switch)
+        expected = (
+            SWITCHES_OF[move.guarded] if move is not None and move.guarded is not None else tuple(Switch)
+        )
     found = next((switch for switch in Switch if closed[switch] and switch not in expected), None)
     return () if found is None else (ContactInFreeSpace(found),)
 
 
-def _following(config: Config, last: int, setpoint_rad: Array, motor_rad: Array) -> tuple[int, tuple[Evr, ...]]:
+def _following(
+    config: Config, last: int, setpoint_rad: Array, motor_rad: Array
+) -> tuple[int, tuple[Evr, ...]]:
     bounds = config.params.monitors
     error = np.abs(setpoint_rad - motor_rad)
     if error.max() <= bounds.following_error_rad:
@@ -105,4 +109,3 @@ def _over_current(config: Config, last: int, current_A: Array) -> tuple[int, tup
         return last + 1, ()
     joint = Joint(int(excess.argmax()))
     return last + 1, (OverCurrent(joint, float(current_A[joint]), float(bound[joint])),)
-

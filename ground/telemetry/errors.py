@@ -12,15 +12,15 @@ class LogError(Exception):
         self.why = why
 
 
-class LogNotWritable(LogError):  # noqa: N818  # says what is so
+class LogNotWritable(LogError):  # says what is so
     """A log cannot be written at this path; nothing was written."""
 
 
-class LogNotReadable(LogError):  # noqa: N818  # says what is so
+class LogNotReadable(LogError):  # says what is so
     """This file is not a log of ours, or of a format that this reader does not know."""
 
 
-class LogCorrupt(LogError):  # noqa: N818  # says what is so
+class LogCorrupt(LogError):  # says what is so
     """The bytes of a log are not those that were written; `offset` is where in the file it shows."""
 
     def __init__(self, path: Path, why: str, offset: int) -> None:

@@ -30,7 +30,7 @@ IDENTIFIABLE: Final[dict[Frame, tuple[int, ...]]] = {
     Frame.ARM6: (),
     Frame.TOOL: (0, 1, 2, 3, 4, 5),
 }
-"""Axes of the frame screws that tool poses can tell apart: 26 of 42, the tool's first, then from the rover out."""
+"""Frame screw axes that tool poses can tell apart: 26 of 42, the tool's first, then from the rover out."""
 
 
 def as_built(seed: int) -> tuple[Effect, ...]:

@@ -63,5 +63,3 @@ def at_index(values: Array, index: int, value: float) -> Array:
     changed = values.copy()
     changed[index] = value
     return changed
-
-

@@ -7,11 +7,18 @@ import numpy as np
 
 from fsw.dictionary.commands import Vector3
 from fsw.dictionary.joints import Frame
-from fsw.dictionary.params import LinkParams, Lump, Params
+from fsw.dictionary.params import LinkParams, Lump, Matrix6, Params, Row6
 from sim.effects.effect import Effect
 
 _SPRING_OF = ("rover", "link1", "link2", "link3", "link4")
-_LUMPS_OF = (("arm1",), ("link1", "link1_far"), ("link2", "link2_far"), ("link3", "link3_far"), ("link4", "link4_far"), ("link5", "turret"))
+_LUMPS_OF = (
+    ("arm1",),
+    ("link1", "link1_far"),
+    ("link2", "link2_far"),
+    ("link3", "link3_far"),
+    ("link4", "link4_far"),
+    ("link5", "turret"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +38,9 @@ class LinkStiffness(Effect):
     def on_params(self, params: Params) -> Params:
         """Compliance divided by the factor."""
         link = _link(params, self.frame)
-        rows = tuple(tuple(c / self.factor for c in row) for row in link.compliance)
-        return _with_link(params, self.frame, replace(link, compliance=rows))
+        return _with_link(
+            params, self.frame, replace(link, compliance=scaled(link.compliance, 1 / self.factor))
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +68,17 @@ class LinkMass(Effect):
     def _lump(self, lump: Lump) -> Lump:
         x, y, z = (c + s for c, s in zip(lump.com_m, self.shift_m, strict=True))
         return Lump(lump.mass_kg * self.factor, (x, y, z))
+
+
+def scaled(matrix: Matrix6, factor: float) -> Matrix6:
+    """A 6x6 matrix of parameters times a factor."""
+
+    def row(values: Row6) -> Row6:
+        a, b, c, d, e, f = values
+        return (a * factor, b * factor, c * factor, d * factor, e * factor, f * factor)
+
+    a, b, c, d, e, f = matrix
+    return (row(a), row(b), row(c), row(d), row(e), row(f))
 
 
 def _link(params: Params, frame: Frame) -> LinkParams:

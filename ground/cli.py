@@ -1,0 +1,113 @@
+"""The command line; thin.
+
+Exit status: 0 done, 2 bad input, 3 the arm refused or faulted and is safe, 1 a bug.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+
+import typer
+
+if TYPE_CHECKING:
+    from ground.place import PlaceReport
+
+BAD_INPUT = 2
+ARM_SAFE = 3
+
+app = typer.Typer(
+    name="marsarm",
+    help="Control of the Curiosity rover's arm, a MuJoCo plant for it, and the ground tools around it.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@app.callback()
+def _marsarm() -> None:
+    """Make typer keep the verb even while there is only one."""
+
+
+Vector = tuple[float, float, float]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
+SeedOption = Annotated[int, typer.Option(help="Of everything random that is not the arm.")]
+ArmOption = Annotated[str, typer.Option(help="nominal, as-built:SEED or calibrated:SEED.", metavar="ARM")]
+
+
+@app.command()
+def place(
+    tool: Annotated[str, typer.Option(help="apxs, mahli, drt or drill.", metavar="TOOL")] = "apxs",
+    target: Annotated[Vector, typer.Option(help="Point on the surface, RNAV [m].", metavar="X Y Z")] = (
+        2.05,
+        0.1,
+        -0.25,
+    ),
+    normal: Annotated[
+        Vector, typer.Option(help="Direction out of the surface, RNAV.", metavar="NX NY NZ")
+    ] = (-0.5, 0.1, -0.85),
+    tilt_roll: Annotated[float, typer.Option(help="Rover roll, right side down [deg].", metavar="DEG")] = 0.0,
+    tilt_pitch: Annotated[float, typer.Option(help="Rover pitch, nose up [deg].", metavar="DEG")] = 0.0,
+    arm: ArmOption = "nominal",
+    seed: SeedOption = 0,
+    params: Annotated[
+        Path | None,
+        typer.Option(help="TOML with flight parameters that replace nominal ones.", metavar="FILE.toml"),
+    ] = None,
+    surface: Annotated[
+        bool, typer.Option("--surface/--no-surface", help="Whether the rock is there at all.")
+    ] = True,
+    log: Annotated[
+        Path | None, typer.Option(help="Write a telemetry log (MCAP).", metavar="FILE.mcap")
+    ] = None,
+    picture: Annotated[Path, typer.Option(help="Draw the arm in contact.", metavar="FILE.png")] = Path(
+        "place.png"
+    ),
+    no_picture: Annotated[bool, typer.Option("--no-picture", help="Draw no picture.")] = False,
+    movie: Annotated[Path | None, typer.Option(help="Draw the whole run.", metavar="FILE.gif")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Unstow, put an instrument on a rock, and retract.
+
+    RNAV is x forward, y right, z down, from the ground below the rover: a rock 0.25 m high has z = -0.25.
+
+    Example: marsarm place --tool mahli --target 2.1 0 -0.2 --normal -0.4 0 -1 --tilt-pitch 10
+    """
+    from ground import place as job
+    from ground.report.progress import progress_bar
+    from ground.report.tables import place_json, place_table
+
+    request = job.PlaceRequest(
+        tool, target, normal, tilt_roll, tilt_pitch, arm, "mars", seed, params, surface, log, picture, movie
+    )
+    try:
+        with progress_bar() as progress:
+            report = job.place(request, progress)
+    except job.BadRequest as error:
+        _end(str(error), BAD_INPUT)
+    _show(place_json(report), as_json, lambda: place_table(report))
+    _finish(report)
+
+
+def _finish(report: "PlaceReport") -> None:
+    if report.result.outcome != "done":
+        raise typer.Exit(ARM_SAFE)
+
+
+def _show(document: dict[str, Any], as_json: bool, table: Any) -> None:
+    if as_json:
+        print(json.dumps(document, indent=2, allow_nan=False))
+    else:
+        table()
+
+
+def _end(message: str, status: int) -> NoReturn:
+    print(message, file=sys.stderr)
+    raise typer.Exit(status)
+
+
+def main() -> None:
+    """The entry point of the command `marsarm`."""
+    app()
