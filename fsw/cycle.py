@@ -48,10 +48,13 @@ def _decide(config: Config, state: State, commands: tuple[Command, ...]) -> tupl
     """Commands change what the arm is about to do."""
     if not commands:
         return state, ()
-    now = Situation(state.mode, state.tool, state.joints, state.move)
+    now = Situation(state.mode, state.tool, state.joints, state.planned_gap_rad, state.move)
     for command in commands:
         now = handle(config, now, command)
-    return replace(state, mode=now.mode, tool=now.tool, joints=now.joints, move=now.move), now.evrs
+    state = replace(
+        state, mode=now.mode, tool=now.tool, joints=now.joints, planned_gap_rad=now.gap_rad, move=now.move
+    )
+    return state, now.evrs
 
 
 def _move(config: Config, state: State, sensors: Sensors, usable: bool) -> tuple[State, tuple[Evr, ...]]:

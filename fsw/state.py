@@ -10,6 +10,7 @@ from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
 from fsw.estimate.joints import JointEstimate, unreferenced
 from fsw.estimate.load import LoadEstimate, unloaded
+from fsw.kinematics.transforms import Array
 from fsw.messages import Drive, Outputs
 from fsw.motion.move import Move
 from fsw.protect.monitors import MonitorState, nothing_seen
@@ -25,6 +26,8 @@ class State:
     """The tool of the last tool command; the tool channels are about it."""
     joints: JointEstimate
     load: LoadEstimate
+    planned_gap_rad: Array
+    """Where the set-points assume the outputs to lie in their backlash."""
     move: Move | None
     """None while the arm stands on its brakes."""
     monitors: MonitorState
@@ -41,6 +44,7 @@ def boot(config: Config, mode: Mode) -> State:
         tool=Tool.DRILL,
         joints=unreferenced(n),
         load=unloaded(n),
+        planned_gap_rad=np.zeros(n),
         move=None,
         monitors=nothing_seen(),
         drive=Drive(np.zeros(n, np.int64), np.zeros(n), config.current_limit_A, off, off),
@@ -63,4 +67,5 @@ def joint_channels(state: State) -> JointChannels:
         motor_rate_rad_s=joints.motor_rate_rad_s,
         setpoint_rad=joints.motor_rad if move is None else move.hold.motor_rad,
         gap_rad=joints.gap_rad,
+        planned_gap_rad=state.planned_gap_rad,
     )

@@ -80,8 +80,7 @@ class ClosedLoop:
     def reference(self) -> SetReference:
         """What a hardstop initialisation would find: motor angles with their zero error, true gap sides."""
         count = self.avionics.sense().encoder_count
-        a, b, c, d, e = (float(angle) for angle in count * self.config.rad_per_count)
-        return SetReference((a, b, c, d, e), _sides(self.plant.gap_rad()))
+        return SetReference(joints5(count * self.config.rad_per_count), _sides(self.plant.gap_rad()))
 
 
 def _safe_outputs(last: Outputs, error: Exception) -> Outputs:
@@ -89,6 +88,12 @@ def _safe_outputs(last: Outputs, error: Exception) -> Outputs:
     off = np.zeros_like(last.drive.power_on)
     drive = replace(last.drive, setpoint_rate_rad_s=np.zeros(off.size), power_on=off, brake_release=off)
     return replace(last, drive=drive, tool=None, evrs=(SoftwareError(f"{type(error).__name__}: {error}"),))
+
+
+def joints5(angle_rad: Array) -> Joints5:
+    """An array of five angles as a command takes it."""
+    a, b, c, d, e = (float(angle) for angle in angle_rad)
+    return (a, b, c, d, e)
 
 
 def _sides(gap_rad: Array) -> Sides5:

@@ -42,7 +42,7 @@ class PlacementError:
     axis_rad: float
     """Tool x axis against the inward normal."""
     backlash_m: float
-    """The part that flight software's belief about the backlash explains."""
+    """The part that comes of outputs lying elsewhere in their backlash than the set-points allow for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,7 @@ class PlacementRun:
         miss = truth.p_RoTo_R_m[placement.tool] - target
         along = float(miss @ normal)
         boresight = truth.R_RT[placement.tool][:, 0]
-        shift = plant.tool_shift(placement.tool, plant.gap_rad() - record.outputs.joint.gap_rad)
+        shift = plant.tool_shift(placement.tool, plant.gap_rad() - record.outputs.joint.planned_gap_rad)
         return PlacementError(
             total_m=float(np.linalg.norm(miss)),
             lateral_m=float(np.linalg.norm(miss - along * normal)),

@@ -14,6 +14,10 @@ from sim.truth import Truth
 
 JOINT_NAMES = tuple(joint.name.lower() for joint in Joint)
 
+HARD_FRICTION = 1e-4
+"""MuJoCo softens dry friction by 1e-4 of this inverse weight, at most as hard as its files can ask: an output
+held by friction then gives way with a time constant of four seconds. Less of it takes as many hours."""
+
 
 class PlantDiverged(RuntimeError):
     """MuJoCo counted a warning: it may have reset the state, so nothing after it can be believed."""
@@ -35,6 +39,7 @@ class Plant:
 
     def __init__(self, model: mujoco.MjModel):
         self.model = model
+        self.model.tendon_invweight0[[model.tendon(f"{n}_output").id for n in JOINT_NAMES]] *= HARD_FRICTION
         self.data = mujoco.MjData(model)
         self.steps_per_cycle = round(1.0 / (CYCLE_HZ * model.opt.timestep))
         if self.steps_per_cycle * model.opt.timestep * CYCLE_HZ != 1.0:

@@ -13,20 +13,23 @@ from fsw.config import Config, configure
 from fsw.estimate.joints import JointEstimate, unreferenced
 from fsw.kinematics.ik import BRANCHES
 from fsw.kinematics.statics import Equilibrium, settle
-from fsw.motion.paths import JointPath, joint_path
-from fsw.motion.plan import AUTO, Refusal, plan_guarded, plan_tool
+from fsw.kinematics.transforms import Array
+from fsw.motion.paths import Path, joint_path
+from fsw.motion.plan import Refusal
+from fsw.motion.plan_tool import AUTO, plan_guarded, plan_tool
 from sim.arms import BuiltArm
 from sim.params import digest
 from sim.placement import Placement, placement_moves
 from sim.plant import Plant
 from sim.world import World, build
 
-SAMPLES = 60
 VIA_M = 0.25
+CLEARANCE_M = 0.03
+SPACING_RAD = 0.02
 SPRINGS = ("rover", "link1", "link2", "link3", "link4")
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Preview:
     """The placement with a branch and a way that touch nothing, or why there is none."""
 
@@ -34,12 +37,17 @@ class Preview:
     problem: str | None
     duration_s: float
     """At most, from the ready pose to contact."""
+    standoff_rad: Array
+    """Motor angles at the standoff."""
 
 
 def preview(arm: BuiltArm, world: World, placement: Placement) -> Preview:
     """The quickest free way from the ready pose, straight to the standoff or from above, on any branch."""
     config = configure(arm.params, digest(arm.params))
-    plant = Plant(build(world).compile())
+    spec = build(world)
+    for geom in spec.geoms:
+        geom.margin = 0.5 * CLEARANCE_M
+    plant = Plant(spec.compile())
     ready = np.array(arm.params.poses.ready_rad)
     joints = replace(unreferenced(5), motor_rad=ready, gravity_R_m_s2=world.gravity_N_m_s2)
     tried = []
@@ -63,24 +71,29 @@ def _try(config: Config, plant: Plant, joints: JointEstimate, placement: Placeme
     moves, touch = placement_moves(placement)
     duration = 0.0
     for move in moves:
-        goal = plan_tool(config, joints, move)
-        if isinstance(goal, Refusal):
-            return Preview(placement, goal.reason, 0.0)
-        path = joint_path(config, joints.motor_rad, goal.motor_rad)
-        hit = _first_hit(plant, _poses(config, joints, path))
+        plan = plan_tool(config, joints, move)
+        if isinstance(plan, Refusal):
+            return _no(placement, plan.reason)
+        hit = _first_hit(plant, _poses(config, joints, plan.paths[0]))
         if hit is not None:
-            return Preview(placement, f"{goal.branch}: {hit} on the way to the standoff", 0.0)
-        duration += path.duration_s
-        joints = replace(joints, motor_rad=goal.motor_rad)
-        placement = replace(placement, branch=goal.branch)
+            return _no(placement, f"{plan.branch}: {hit} on the way to the standoff")
+        duration += plan.paths[0].duration_s
+        joints = replace(joints, motor_rad=plan.motor_rad)
+        placement = replace(placement, branch=plan.branch or AUTO)
     line = plan_guarded(config, joints, touch)
     if isinstance(line, Refusal):
-        return Preview(placement, line.reason, 0.0)
-    return Preview(placement, None, duration + line.length_m / config.params.motion.guarded_speed_m_s)
+        return _no(placement, line.reason)
+    return Preview(placement, None, duration + line.paths[0].duration_s, joints.motor_rad)
 
 
-def _poses(config: Config, joints: JointEstimate, path: JointPath) -> Equilibrium:
-    way = np.array([path.at(t).motor_rad for t in np.linspace(0, path.duration_s, SAMPLES)])
+def _no(placement: Placement, problem: str) -> Preview:
+    return Preview(placement, problem, 0.0, np.zeros(5))
+
+
+def _poses(config: Config, joints: JointEstimate, path: Path) -> Equilibrium:
+    start, end = path.at(0.0).motor_rad, path.at(path.duration_s).motor_rad
+    samples = int(np.abs(end - start).max() / SPACING_RAD) + 2
+    way = np.array([path.at(t).motor_rad for t in np.linspace(0, path.duration_s, samples)])
     return settle(config.arm, way, np.zeros_like(way), joints.gravity_R_m_s2)
 
 

@@ -22,6 +22,8 @@ class JointChannels:
     setpoint_rad: NDArray[np.float64]
     gap_rad: NDArray[np.float64]
     """Believed output less motor angle inside the backlash, wind-up not counted."""
+    planned_gap_rad: NDArray[np.float64]
+    """The gap that the last plan's set-points allow for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -26,15 +26,15 @@ from fsw.dictionary.evrs import (
     FaultCleared,
     ReferenceSet,
 )
-from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
-from fsw.estimate.joints import JointEstimate, gap_to_move, set_reference
+from fsw.estimate.joints import JointEstimate, set_reference
 from fsw.executive.modes import Event, after
-from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import Array
 from fsw.motion.move import Move, stop
-from fsw.motion.paths import JointPath, Path, Setpoint, joint_path, line_path
-from fsw.motion.plan import LinePlan, Refusal, plan_guarded, plan_retract, plan_tool
+from fsw.motion.paths import Setpoint
+from fsw.motion.plan import Plan, Refusal, plan_poses
+from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +44,8 @@ class Situation:
     mode: Mode
     tool: Tool
     joints: JointEstimate
+    gap_rad: Array
+    """What the set-points allow for."""
     move: Move | None
     evrs: tuple[Evr, ...] = ()
 
@@ -79,20 +81,21 @@ def _begin_move(config: Config, now: Situation, command: MoveCommand) -> Situati
     problem = _not_now(now, mode) or _malformed(command)
     if problem is not None or mode is None:
         return _refused(now, command, problem or "")
-    planned = _plan(config, now, command)
-    if isinstance(planned, Refusal):
-        return _refused(now, command, planned.reason)
-    paths, tool, evrs = planned
+    plan = _plan(config, now.joints, command)
+    if isinstance(plan, Refusal):
+        return _refused(now, command, plan.reason)
+    tool = now.tool if isinstance(command, Unstow | MoveJoints) else command.tool
     move = Move(
         command=_name(command),
         end_mode=after(mode, Event.DONE) or mode,
-        paths=paths,
+        paths=plan.paths,
         hold=Setpoint(now.joints.motor_rad, np.zeros_like(now.joints.motor_rad)),
         guarded=tool if isinstance(command, GuardedMove) else None,
     )
-    return replace(
-        now, mode=mode, tool=tool, move=move, evrs=(*now.evrs, CommandAccepted(_name(command)), *evrs)
-    )
+    evrs: tuple[Evr, ...] = (CommandAccepted(_name(command)),)
+    if plan.branch is not None:
+        evrs = (*evrs, BranchChosen(tool, plan.branch))
+    return replace(now, mode=mode, tool=tool, move=move, gap_rad=plan.gap_rad, evrs=(*now.evrs, *evrs))
 
 
 def _not_now(now: Situation, mode: Mode | None) -> str | None:
@@ -122,59 +125,21 @@ def _malformed(command: MoveCommand) -> str | None:
     return None
 
 
-Planned = tuple[tuple[Path, ...], Tool, tuple[Evr, ...]]
-
-
-def _plan(config: Config, now: Situation, command: MoveCommand) -> Planned | Refusal:
-    poses = config.params.poses
+def _plan(config: Config, joints: JointEstimate, command: MoveCommand) -> Plan | Refusal:
     match command:
         case Unstow():
-            legs = _legs(
-                config, now.joints, [*map(np.array, poses.unstow_via_rad), np.array(poses.ready_rad)]
-            )
-            return legs if isinstance(legs, Refusal) else (legs, now.tool, ())
+            poses = config.params.poses
+            return plan_poses(config, joints, [np.array(p) for p in (*poses.unstow_via_rad, poses.ready_rad)])
         case MoveJoints():
-            legs = _legs(config, now.joints, [np.array(command.angle_rad)])
-            return legs if isinstance(legs, Refusal) else (legs, now.tool, ())
+            return plan_poses(config, joints, [np.array(command.angle_rad)])
         case MoveTool():
-            goal = plan_tool(config, now.joints, command)
-            if isinstance(goal, Refusal):
-                return goal
-            path = joint_path(config, now.joints.motor_rad, goal.motor_rad)
-            return (path,), command.tool, (BranchChosen(command.tool, goal.branch),)
+            return plan_tool(config, joints, command)
         case GuardedMove():
-            guarded = plan_guarded(config, now.joints, command)
-            return _line(config, guarded, command.tool, config.params.motion.guarded_speed_m_s)
+            return plan_guarded(config, joints, command)
         case Retract():
-            back = plan_retract(config, now.joints, command)
-            return _line(config, back, command.tool, config.params.motion.retract_speed_m_s)
+            return plan_retract(config, joints, command)
         case _:
             assert_never(command)
-
-
-def _line(config: Config, line: LinePlan | Refusal, tool: Tool, speed_m_s: float) -> Planned | Refusal:
-    if isinstance(line, Refusal):
-        return line
-    return (line_path(config, line.motor_rad, line.length_m, speed_m_s),), tool, ()
-
-
-def _legs(config: Config, joints: JointEstimate, outputs: list[Array]) -> tuple[JointPath, ...] | Refusal:
-    """Joint moves from pose to pose, with the motor angles that hold each pose at the output."""
-    low, high = config.arm.soft_min_rad, config.arm.soft_max_rad
-    legs, start, last, gap = [], joints.motor_rad, joints.motor_rad + joints.gap_rad, joints.gap_rad
-    for output in outputs:
-        for joint in Joint:
-            if not low[joint] <= output[joint] <= high[joint]:
-                return Refusal(
-                    f"joint {joint.name.lower()}: {np.degrees(output[joint]):.1f} deg is outside "
-                    f"its soft limits {np.degrees(low[joint]):.1f} .. {np.degrees(high[joint]):.1f} deg"
-                )
-        torque = settle(config.arm, output, np.zeros_like(output), joints.gravity_R_m_s2).torque_Nm
-        gap = gap_to_move(config, torque, gap, output - last)
-        motor = output - gap - torque / config.arm.gear_stiffness_Nm_rad
-        legs.append(joint_path(config, start, motor))
-        start, last = motor, output
-    return tuple(legs)
 
 
 def _set_reference(config: Config, now: Situation, command: SetReference) -> Situation:
@@ -185,7 +150,12 @@ def _set_reference(config: Config, now: Situation, command: SetReference) -> Sit
     if any(side not in (-1, 0, 1) for side in command.gap_side):
         return _refused(now, command, f"a gap side is not -1, 0 or 1: {command.gap_side}")
     joints = set_reference(config, now.joints, command)
-    return replace(now, joints=joints, evrs=(*now.evrs, ReferenceSet(), CommandCompleted(_name(command))))
+    return replace(
+        now,
+        joints=joints,
+        gap_rad=joints.gap_rad,
+        evrs=(*now.evrs, ReferenceSet(), CommandCompleted(_name(command))),
+    )
 
 
 def _clear_fault(now: Situation, command: ClearFault) -> Situation:
@@ -199,7 +169,7 @@ def _clear_fault(now: Situation, command: ClearFault) -> Situation:
 
 def _stop(config: Config, now: Situation, command: Stop) -> Situation:
     evrs = (*now.evrs, CommandCompleted(_name(command)))
-    if now.move is None:
+    if now.move is None or now.mode is Mode.FAULTED:
         return replace(now, evrs=evrs)
     # a guarded or retracting arm may still touch, and stays where only a retraction is allowed
     end_mode = Mode.DEPLOYED if now.mode is Mode.FREE_SPACE else Mode.GUARDED

@@ -60,7 +60,7 @@ def task_error(X_RT: Array, p_RoTo_R_m: Array, approach_R: Array) -> Array:
     error[..., 3:] = (approach_R[..., None, :] @ X_RT[..., :3, 1:3])[..., 0, :]
     # pointing the other way has the same zero error: make it large, so that it is never an answer
     backward = np.sum(approach_R * X_RT[..., :3, 0], axis=-1) < 0
-    error[..., 3] += np.where(backward, 1.0, 0.0)
+    error[..., 3] += np.where(backward, np.copysign(1.0, error[..., 3]), 0.0)
     return error
 
 

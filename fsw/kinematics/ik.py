@@ -71,7 +71,8 @@ def closed_form(arm: Arm, tool: int, p_RoTo_R_m: Array, approach_R: Array) -> Br
     q = _complete(q, q1, forward_dir, pitch_axis, turret_axis, a, geometry.clock_rad)
 
     q = _order_elbows(q, elbow_up)
-    out_of_reach = np.maximum(out_shoulder[..., :, None, None], out_elbow[..., :, None, :])
+    # fmax: without an azimuth the elbow's share is NaN, and the shoulder's says how much is missing
+    out_of_reach = np.fmax(out_shoulder[..., :, None, None], out_elbow[..., :, None, :])
     singular = np.broadcast_to((sine < SINGULAR_SINE)[..., :, None, None], q.shape[:-1])
     flat = (*q.shape[:-4], 8)
     return _judge(
@@ -150,8 +151,7 @@ def _planar(
     l1, l2 = geometry.upper_m, geometry.fore_m
     distance = np.hypot(x, z)
     out = np.maximum(np.maximum(distance - (l1 + l2), abs(l1 - l2) - distance), 0.0)
-    with np.errstate(invalid="ignore"):
-        bend = np.arccos((distance**2 - l1**2 - l2**2) / (2 * l1 * l2))
+    bend = np.arccos(np.clip((distance**2 - l1**2 - l2**2) / (2 * l1 * l2), -1.0, 1.0))
     q3 = np.stack([bend, -bend], axis=-2)
     q2 = np.arctan2(z, x)[..., None, :] - np.arctan2(l2 * np.sin(q3), l1 + l2 * np.cos(q3))
     q = np.empty((*q3.shape, 5))
@@ -186,7 +186,7 @@ def _judge(arm: Arm, q: Array, out_of_reach_m: Array, singular: Flags) -> Branch
     q = into_limits(arm, q - arm.theta_rad[1:])
     over = np.max(np.maximum(arm.soft_min_rad - q, q - arm.soft_max_rad), axis=-1)
     verdict = np.where(over > 0, Verdict.OUTSIDE_LIMITS, Verdict.VALID)
-    excess = np.maximum(over, 0.0)
+    excess = np.fmax(over, 0.0)
     verdict = np.where(singular, Verdict.SINGULAR, verdict)
     verdict = np.where(out_of_reach_m > 0, Verdict.OUT_OF_REACH, verdict)
     excess = np.where(out_of_reach_m > 0, out_of_reach_m, excess)

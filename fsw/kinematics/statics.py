@@ -67,13 +67,22 @@ def _yield(arm: Arm, frames: Frames, strain: Array, moment_R: Array, force_R: Ar
 
 def settle(arm: Arm, motor_rad: Array, gap_rad: Array, gravity_R_m_s2: Array) -> Equilibrium:
     """The rest pose for motor angles and gaps (..., 5): output = motor + gap + torque / stiffness."""
-    anchor = motor_rad + gap_rad
-    strain = np.zeros((*anchor.shape[:-1], 6, 6))
-    output = anchor
+    return _equilibrium(arm, motor_rad + gap_rad, 1.0 / arm.gear_stiffness_Nm_rad, gravity_R_m_s2)
+
+
+def rest(arm: Arm, output_rad: Array, gravity_R_m_s2: Array) -> Equilibrium:
+    """The rest pose for output angles (..., 5), whatever the gears do to hold them."""
+    return _equilibrium(arm, output_rad, np.zeros_like(arm.gear_stiffness_Nm_rad), gravity_R_m_s2)
+
+
+def _equilibrium(arm: Arm, anchor_rad: Array, gear_rad_Nm: Array, gravity_R_m_s2: Array) -> Equilibrium:
+    """Fixed point of load and strain; each pass takes off a factor of twenty or more."""
+    strain = np.zeros((*anchor_rad.shape[:-1], 6, 6))
+    output = anchor_rad
     for _ in range(MAX_PASSES):
         frames = forward(arm, output, strain)
         new_strain, torque = load(arm, frames, strain, gravity_R_m_s2)
-        new_output = anchor + torque / arm.gear_stiffness_Nm_rad
+        new_output = anchor_rad + torque * gear_rad_Nm
         step = np.maximum(
             np.max(np.abs(new_strain - strain), axis=(-2, -1)), np.max(np.abs(new_output - output), axis=-1)
         )

@@ -71,10 +71,12 @@ def advance(config: Config, move: Move, joints: JointEstimate, sensors: Sensors)
 
 def stop(config: Config, move: Move, end_mode: Mode) -> Move:
     """The move brought to rest early."""
-    if move.phase is not Phase.RUN:
-        return replace(move, stopped=True, end_mode=end_mode, guarded=None)
-    path = stop_path(config, move.hold)
-    return replace(move, paths=(path,), ticks=0, stopped=True, end_mode=end_mode, guarded=None)
+    stopped = replace(move, stopped=True, end_mode=end_mode, guarded=None)
+    if move.phase is Phase.RELEASE:
+        return _enter(stopped, Phase.BRAKE)
+    if move.phase is Phase.RUN:
+        return replace(stopped, paths=(stop_path(config, move.hold),), ticks=0)
+    return stopped
 
 
 def closed_switch(tool: Tool, closed: Flags) -> Switch | None:

@@ -1,0 +1,100 @@
+"""How fast the closed loop runs against the bare physics of the same model, in one process run."""
+
+import time
+from collections.abc import Callable
+from statistics import median
+from typing import Any
+
+import mujoco
+import numpy as np
+
+import sim.loop
+from fsw.cycle import step
+from fsw.dictionary.joints import Joint, Tool
+from sim.arms import arm_named
+from sim.loop import ClosedLoop, Setup
+from sim.placement import Placement, PlacementRun
+from sim.world import Surface, World
+
+REPEATS = 5
+BARE_STEPS = 40_000
+TARGET = Placement(Tool.APXS, (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
+
+
+def _loop() -> ClosedLoop:
+    arm = arm_named("nominal")
+    world = World(surface=Surface(TARGET.target_N_m, TARGET.normal_N))
+    return ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad))
+
+
+def _bare_step_s() -> float:
+    """Seconds a bare mj_step: the arm held by its motors at the ready pose, brakes off."""
+    plant = _loop().plant
+    plant.model.opt.disableactuator = 0
+    for joint in Joint:
+        plant.brake(joint, False)
+    mujoco.mj_step(plant.model, plant.data, 512)
+    began = time.perf_counter()
+    mujoco.mj_step(plant.model, plant.data, BARE_STEPS)
+    return (time.perf_counter() - began) / BARE_STEPS
+
+
+def _closed_loop_step_s() -> tuple[float, float]:
+    """Seconds a plant step in the closed loop of a placement, and the real-time factor."""
+    loop = _loop()
+    began = time.perf_counter()
+    cycles = sum(1 for _ in PlacementRun(loop, TARGET))
+    wall_s = time.perf_counter() - began
+    steps = cycles * loop.plant.steps_per_cycle
+    return wall_s / steps, steps * loop.plant.model.opt.timestep / wall_s
+
+
+def _timed(function: Callable[..., Any], times_s: list[float]) -> Callable[..., Any]:
+    def run(*args: Any) -> Any:
+        began = time.perf_counter()
+        result = function(*args)
+        times_s.append(time.perf_counter() - began)
+        return result
+
+    return run
+
+
+def _shares_us() -> dict[str, list[float]]:
+    """Microseconds of every cycle of a placement, by part."""
+    parts: dict[str, list[float]] = {"fsw_step": [], "sense": [], "apply": [], "plant_step": []}
+    loop = _loop()
+    loop.avionics.sense = _timed(loop.avionics.sense, parts["sense"])  # type: ignore[method-assign]
+    loop.avionics.apply = _timed(loop.avionics.apply, parts["apply"])  # type: ignore[method-assign]
+    loop.plant.step = _timed(loop.plant.step, parts["plant_step"])  # type: ignore[method-assign]
+    sim.loop.step = _timed(step, parts["fsw_step"])
+    try:
+        for _ in PlacementRun(loop, TARGET):
+            pass
+    finally:
+        sim.loop.step = step
+    return {name: [1e6 * t for t in times_s] for name, times_s in parts.items()}
+
+
+def closed_loop() -> dict[str, Any]:
+    """Rates and times; each ratio is the median of pairs measured one after the other."""
+    pairs = [(_bare_step_s(), *_closed_loop_step_s()) for _ in range(REPEATS)]
+    shares = _shares_us()
+    fsw = np.array(shares["fsw_step"])
+    means = {name: float(np.mean(times)) for name, times in shares.items()}
+    return {
+        "bare_mj_steps_per_s": median(1 / bare for bare, _, _ in pairs),
+        "closed_loop_steps_per_s": median(1 / closed for _, closed, _ in pairs),
+        "ratio": median(bare / closed for bare, closed, _ in pairs),
+        "realtime_factor": median(factor for _, _, factor in pairs),
+        "fsw_step_us": {
+            "median": float(np.median(fsw)),
+            "p99": float(np.percentile(fsw, 99)),
+            "max": float(fsw.max()),
+        },
+        "mean_us_per_cycle": means,
+        "left_to_gain": (
+            f"flight software and avionics are {means['fsw_step'] + means['sense'] + means['apply']:.0f} us of a "
+            f"cycle against {means['plant_step']:.0f} us of physics; stepping the plant in a thread of its own "
+            "while flight software works on the last readings would hide them, at the price of one cycle of delay"
+        ),
+    }

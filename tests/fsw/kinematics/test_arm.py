@@ -1,0 +1,118 @@
+"""The general link transform, and the arm of the drawing."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.params import Transform6
+from fsw.kinematics.arm import transform6, transform6_from
+from fsw.kinematics.transforms import rotation_x, rotation_y, rotation_z, rigid, translation
+from tests.fsw.rig import config_of
+
+# standard DH of the drawing: a [m], d [m], alpha [deg]; MSL-476-1303
+DH = {
+    Joint.AZIMUTH: (0.156, 0.0, 90.0),
+    Joint.ELEVATION: (0.827, 0.0, 0.0),
+    Joint.ELBOW: (0.785, 0.0, 0.0),
+    Joint.WRIST: (-0.144, -0.1664, -90.0),
+    Joint.TURRET: (0.0, -0.1697, 0.0),
+}
+SHOULDER_R_M = (1.11285, -0.4515, 0.2660)
+# angle [deg], radius [m], z [m]
+TOOLS = {
+    Tool.DRILL: (0.0, 0.360, -0.0718),
+    Tool.DRT: (70.25, 0.299, -0.0868),
+    Tool.MAHLI: (122.5, 0.2973, -0.0798),
+    Tool.APXS: (-133.0, 0.2983, -0.0771),
+    Tool.PORTION: (-89.79, 0.2761, -0.1105),
+}
+MAHLI_CLOCK_DEG = 120.0
+SOFT_LIMITS_DEG = [(-180.2, 91.2), (-187.2, 7.2), (-164.2, 164.2), (-190.2, 210.2), (-20.2, 330.0)]
+
+lengths = st.floats(-2, 2)
+turns = st.floats(-3.1, 3.1)
+
+
+def dh(theta: float, a_m: float, d_m: float, alpha_deg: float) -> np.ndarray:
+    """Rz(theta) Tz(d) Tx(a) Rx(alpha)."""
+    c, s = np.cos(theta), np.sin(theta)
+    ca, sa = np.cos(np.radians(alpha_deg)), np.sin(np.radians(alpha_deg))
+    return np.array(
+        [[c, -s * ca, s * sa, a_m * c], [s, c * ca, -c * sa, a_m * s], [0, sa, ca, d_m], [0, 0, 0, 1]]
+    )
+
+
+def drawn_interface(output_rad) -> np.ndarray:
+    """X_RF of the turret interface as the drawing has it."""
+    X = translation(np.array(SHOULDER_R_M))
+    for joint, angle in zip(Joint, output_rad, strict=True):
+        X = X @ dh(angle, *DH[joint])
+    return X
+
+
+def drawn_tool(tool: Tool) -> np.ndarray:
+    angle_deg, radius_m, z_m = TOOLS[tool]
+    X = rigid(rotation_z(np.radians(angle_deg)), np.zeros(3)) @ translation(np.array([radius_m, 0, z_m]))
+    clock = MAHLI_CLOCK_DEG if tool is Tool.MAHLI else 0.0
+    return X @ rigid(rotation_x(np.radians(clock)), np.zeros(3))
+
+
+@given(turns, lengths, st.floats(-1.5, 1.5), lengths, turns, lengths)
+def test_six_parameters_come_back_from_their_transform(theta, d, beta, b, alpha, a):
+    given_numbers = Transform6(theta, d, beta, b, alpha, a)
+    back = transform6_from(transform6(given_numbers))
+    for name in Transform6.__slots__:
+        assert getattr(back, name) == pytest.approx(getattr(given_numbers, name), abs=1e-11 / np.cos(beta))
+
+
+@given(turns, lengths, st.floats(-1.5, 1.5), lengths, turns, lengths)
+def test_the_link_transform_is_equation_1_of_the_paper(theta, d, beta, b, alpha, a):
+    expected = (
+        rigid(rotation_z(np.array(theta)), np.zeros(3))
+        @ translation(np.array([0, 0, d]))
+        @ rigid(rotation_y(np.array(beta)), np.zeros(3))
+        @ translation(np.array([0, b, 0]))
+        @ rigid(rotation_x(np.array(alpha)), np.zeros(3))
+        @ translation(np.array([a, 0, 0]))
+    )
+    np.testing.assert_allclose(transform6(Transform6(theta, d, beta, b, alpha, a)), expected, atol=1e-12)
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_a_transform_comes_back_from_its_six_parameters(seed):
+    rng = np.random.default_rng(seed)
+    theta, alpha = rng.uniform(-np.pi, np.pi, 2)
+    R = rotation_z(theta) @ rotation_y(rng.uniform(-1.5, 1.5)) @ rotation_x(alpha)
+    X = rigid(R, rng.uniform(-2, 2, 3))
+    np.testing.assert_allclose(transform6(transform6_from(X)), X, atol=1e-11)
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_the_nominal_links_are_the_dh_table_of_the_drawing(joint):
+    link = config_of().params.links.in_order()[joint + 1]
+    np.testing.assert_allclose(transform6(link.transform), dh(0.0, *DH[joint]), atol=1e-15)
+
+
+def test_the_azimuth_joint_stands_where_the_drawing_has_it():
+    base = config_of().params.links.arm1
+    np.testing.assert_allclose(transform6(base.transform), translation(np.array(SHOULDER_R_M)), atol=1e-15)
+
+
+@pytest.mark.parametrize("tool", Tool)
+def test_the_nominal_tools_stand_where_the_drawing_has_them(tool):
+    np.testing.assert_allclose(config_of().arm.X_FT[tool], drawn_tool(tool), atol=1e-12)
+
+
+def test_the_nominal_soft_limits_are_those_of_the_table():
+    arm = config_of().arm
+    np.testing.assert_allclose(
+        np.degrees(np.stack([arm.soft_min_rad, arm.soft_max_rad], axis=1)), SOFT_LIMITS_DEG, atol=1e-9
+    )
+
+
+def test_the_calibrated_arm_uses_all_six_numbers_of_its_links():
+    links = config_of("calibrated:3").params.links.in_order()
+    for link in links:
+        assert all(getattr(link.transform, name) != 0 for name in Transform6.__slots__)

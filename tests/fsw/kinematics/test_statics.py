@@ -1,0 +1,158 @@
+"""The arm at rest under gravity: virtual work, energy, linearity, convergence."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsw.kinematics.chain import forward
+from fsw.kinematics.statics import load, rest, settle
+from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
+
+EARTH_R_m_s2 = np.array([0.0, 0.0, 9.81])
+TILTED_R_m_s2 = np.array([0.9, -1.2, 3.4])
+ARMS = ["nominal", "calibrated:3"]
+
+
+def potential_J(arm, frames, gravity):
+    """Of the lumps under gravity."""
+    energy = 0.0
+    for i in range(6):
+        near = frames.X_RC[i] @ np.array([*arm.near_p_C_m[i], 1.0])
+        far = frames.X_RD[i] @ np.array([*arm.far_p_C_m[i], 1.0])
+        energy -= gravity @ (arm.near_kg[i] * near[:3] + arm.far_kg[i] * far[:3])
+    return energy
+
+
+def spring_J(arm, strain):
+    """Of the springs; where nothing yields there is no energy."""
+    return sum(0.5 * s @ np.linalg.pinv(C) @ s for s, C in zip(strain, arm.compliance, strict=True))
+
+
+def rigid(arm):
+    return replace(arm, compliance=np.zeros_like(arm.compliance))
+
+
+@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("gravity", [MARS_R_m_s2, EARTH_R_m_s2, TILTED_R_m_s2], ids=["mars", "earth", "tilted"])
+def test_joint_torque_is_the_slope_of_the_potential_energy(name, gravity):
+    config, h = config_of(name), 1e-5
+    for q in in_limits(config, np.random.default_rng(1), 10):
+        for arm in (rigid(config.arm), config.arm):
+            at_rest = rest(arm, q, gravity)
+            for joint in range(5):
+                e = h * np.eye(5)[joint]
+                up = potential_J(arm, forward(arm, q + e, at_rest.strain), gravity)
+                down = potential_J(arm, forward(arm, q - e, at_rest.strain), gravity)
+                assert at_rest.torque_Nm[joint] == pytest.approx(-(up - down) / (2 * h), abs=2e-6)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_at_rest_the_total_energy_is_stationary_in_every_spring_coordinate(name):
+    config, h = config_of(name), 1e-6
+    arm = config.arm
+    for q in in_limits(config, np.random.default_rng(2), 4):
+        for gravity in (EARTH_R_m_s2, TILTED_R_m_s2):
+            here = rest(arm, q, gravity)
+
+            def energy(strain, q=q, gravity=gravity):
+                return potential_J(arm, forward(arm, q, strain), gravity) + spring_J(arm, strain)
+
+            for i in range(6):
+                yields = np.abs(arm.compliance[i]).sum(axis=1) > 0
+                for k in np.flatnonzero(yields):
+                    e = np.zeros((6, 6))
+                    e[i, k] = h
+                    slope = (energy(here.strain + e) - energy(here.strain - e)) / (2 * h)
+                    # a newton or newton metre out of hundreds would be an error of the model
+                    assert abs(slope) < 2e-3
+
+
+def test_torque_of_the_rigid_arm_is_linear_in_gravity():
+    config = config_of("calibrated:3")
+    arm = rigid(config.arm)
+    q = in_limits(config, np.random.default_rng(3), 50)
+    a, b = (rest(arm, q, g).torque_Nm for g in (MARS_R_m_s2, TILTED_R_m_s2))
+    both = rest(arm, q, 2.0 * MARS_R_m_s2 - 3.0 * TILTED_R_m_s2).torque_Nm
+    np.testing.assert_allclose(both, 2.0 * a - 3.0 * b, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_every_spring_is_reciprocal_and_gives_only_energy_that_was_put_in(name):
+    for C in config_of(name).arm.compliance:
+        np.testing.assert_allclose(C, C.T, atol=1e-18)
+        assert np.linalg.eigvalsh(C).min() >= -1e-18
+
+
+def test_small_loads_at_two_places_deflect_each_other_alike():
+    """Maxwell and Betti: the work of one small load in the motion of another does not depend on the order."""
+    config = config_of()
+    q = in_limits(config, np.random.default_rng(4), 1)[0]
+    small = 1e-4
+    strains, wrenches = [], []
+    frames = forward(config.arm, q)
+    for gravity in (small * MARS_R_m_s2, small * np.array([1.0, 2.0, 0.5])):
+        strain = rest(config.arm, q, gravity).strain
+        strains.append(strain)
+        wrenches.append(np.stack([np.linalg.pinv(C) @ s for C, s in zip(config.arm.compliance, strain, strict=True)]))
+    assert np.sum(strains[0] * wrenches[1]) == pytest.approx(np.sum(strains[1] * wrenches[0]), rel=1e-4)
+    assert frames.X_RF.shape == (6, 4, 4)
+
+
+def test_without_gravity_nothing_yields():
+    config = config_of("calibrated:3")
+    q = in_limits(config, np.random.default_rng(5), 20)
+    here = settle(config.arm, q, np.zeros_like(q), np.zeros(3))
+    assert not here.strain.any()
+    assert not here.torque_Nm.any()
+    np.testing.assert_array_equal(here.output_rad, q)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_the_equilibrium_converges_everywhere_inside_the_limits_on_mars_and_on_earth(name):
+    config = config_of(name)
+    q = in_limits(config, np.random.default_rng(6), 300)
+    for gravity in (MARS_R_m_s2, EARTH_R_m_s2, TILTED_R_m_s2):
+        here = settle(config.arm, q, np.zeros_like(q), gravity)
+        assert here.converged.all()
+        again, torque = load(config.arm, here.frames, here.strain, gravity)
+        np.testing.assert_allclose(again, here.strain, atol=1e-10)
+        np.testing.assert_allclose(torque, here.torque_Nm, atol=1e-5)
+
+
+def test_the_output_is_the_motor_angle_plus_gap_plus_wind_up():
+    config, rng = config_of(), np.random.default_rng(7)
+    motor = in_limits(config, rng, 30)
+    gap = rng.choice([-1.0, 1.0], (30, 5)) * config.half_gap_rad
+    here = settle(config.arm, motor, gap, MARS_R_m_s2)
+    wind_up = here.torque_Nm / config.arm.gear_stiffness_Nm_rad
+    np.testing.assert_allclose(here.output_rad, motor + gap + wind_up, atol=1e-10)
+
+
+def test_settling_at_the_output_is_settling_at_the_motor_that_leads_there():
+    config = config_of("calibrated:3")
+    motor = in_limits(config, np.random.default_rng(8), 30)
+    here = settle(config.arm, motor, np.zeros_like(motor), EARTH_R_m_s2)
+    same = rest(config.arm, here.output_rad, EARTH_R_m_s2)
+    np.testing.assert_allclose(same.strain, here.strain, atol=1e-10)
+    np.testing.assert_allclose(same.torque_Nm, here.torque_Nm, atol=1e-5)
+
+
+def test_a_batch_of_arms_at_rest_is_its_single_arms():
+    config = config_of()
+    motor = in_limits(config, np.random.default_rng(9), 6)
+    many = settle(config.arm, motor, np.zeros_like(motor), MARS_R_m_s2)
+    for k in range(6):
+        one = settle(config.arm, motor[k], np.zeros(5), MARS_R_m_s2)
+        np.testing.assert_allclose(many.strain[k], one.strain, atol=1e-10)
+
+
+def test_straight_out_on_mars_the_elevation_joint_carries_what_the_mass_table_says():
+    arm = rigid(config_of().arm)
+    q = np.zeros(5)
+    # mass [kg] times horizontal distance from the elevation axis [m], from the table of links
+    lever_kg_m = 15 * 0.42 + 11 * (0.827 + 0.33) + 9.5 * (0.827 + 0.785 - 0.08)
+    lever_kg_m += 35.5 * (0.827 + 0.785 - 0.144 + 0.02)
+    torque = rest(arm, q, MARS_R_m_s2).torque_Nm[1]
+    # positive elevation pitches the straight arm down, as gravity does
+    assert torque == pytest.approx(3.711 * lever_kg_m, rel=1e-6)

@@ -1,0 +1,211 @@
+"""Paths over time: from rest to rest, within their bounds, and straight where they are to be straight."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from fsw.config import CYCLE_S
+from fsw.dictionary.commands import GuardedMove, Retract
+from fsw.dictionary.joints import Tool
+from fsw.kinematics.chain import tool_pose
+from fsw.kinematics.statics import settle
+from fsw.motion.paths import STOP_FACTOR, LinePath, Setpoint, joint_path, line_path, stop_path
+from fsw.motion.plan import Plan
+from fsw.motion.plan_tool import plan_guarded, plan_retract
+from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, floats, in_limits
+
+CONFIG = config_of()
+STRAIGHT_M = 20e-6
+AXIS_RAD = 20e-6
+
+poses = st.integers(0, 2**32 - 1).map(lambda seed: in_limits(CONFIG, np.random.default_rng(seed), 2))
+
+
+def sampled(path, n=400):
+    times = np.linspace(0.0, path.duration_s, n)
+    setpoints = [path.at(t) for t in times]
+    return times, np.array([s.motor_rad for s in setpoints]), np.array([s.rate_rad_s for s in setpoints])
+
+
+@settings(max_examples=30)
+@given(poses)
+def test_a_joint_move_goes_from_rest_to_rest(pair):
+    path = joint_path(CONFIG, *pair)
+    for time, pose in ((0.0, pair[0]), (path.duration_s, pair[1]), (path.duration_s + 5, pair[1])):
+        np.testing.assert_allclose(path.at(time).motor_rad, pose, atol=1e-9)
+        np.testing.assert_allclose(path.at(time).rate_rad_s, 0, atol=1e-9)
+
+
+@settings(max_examples=30)
+@given(poses)
+def test_a_joint_move_keeps_to_its_speed_and_acceleration_and_never_turns_back(pair):
+    path = joint_path(CONFIG, *pair)
+    times, angle, rate = sampled(path)
+    assert (np.abs(rate) <= CONFIG.speed_rad_s * (1 + 1e-9)).all()
+    acceleration = np.diff(rate, axis=0) / np.diff(times)[:, None]
+    assert (np.abs(acceleration) <= CONFIG.acceleration_rad_s2 * (1 + 1e-6)).all()
+    assert (np.diff(angle, axis=0) * np.sign(pair[1] - pair[0]) >= -1e-12).all()
+    assert (angle >= pair.min(axis=0) - 1e-9).all()
+    assert (angle <= pair.max(axis=0) + 1e-9).all()
+
+
+def test_all_joints_of_a_move_end_together():
+    start = np.array(CONFIG.params.poses.ready_rad)
+    path = joint_path(CONFIG, start, start + np.array([0.02, 0.5, 0.1, 0.05, 0.3]))
+    before_end = path.at(path.duration_s - 0.5).rate_rad_s
+    assert (before_end > 0).all()
+    alone = joint_path(CONFIG, start, start + np.array([0.0, 0.5, 0.0, 0.0, 0.0]))
+    assert path.duration_s == pytest.approx(alone.duration_s)
+
+
+def test_a_move_to_where_the_arm_is_takes_no_time_and_stays():
+    start = np.array(CONFIG.params.poses.ready_rad)
+    path = joint_path(CONFIG, start, start)
+    assert path.duration_s == pytest.approx(0.0, abs=1e-9)
+    np.testing.assert_array_equal(path.at(1.0).motor_rad, start)
+    np.testing.assert_array_equal(path.at(1.0).rate_rad_s, 0)
+
+
+@given(
+    hnp.arrays(float, 5, elements=st.floats(-1, 1)),
+    hnp.arrays(float, 5, elements=st.floats(-3, 3)),
+)
+def test_a_stop_begins_where_the_move_was_and_slows_every_joint_to_rest(share, angle):
+    start = Setpoint(angle, share * CONFIG.speed_rad_s)
+    path = stop_path(CONFIG, start)
+    times, angles, rates = sampled(path, 50)
+    np.testing.assert_allclose(angles[0], start.motor_rad, atol=1e-12)
+    np.testing.assert_allclose(rates[0], start.rate_rad_s, atol=1e-12)
+    np.testing.assert_allclose(path.at(path.duration_s + 1).rate_rad_s, 0, atol=1e-15)
+    assert (np.diff(np.abs(rates), axis=0) <= 1e-15).all()
+    assert (rates * np.sign(start.rate_rad_s) >= -1e-15).all()
+    if path.duration_s > CYCLE_S:
+        deceleration = np.abs(np.diff(rates, axis=0)) / np.diff(times)[:, None]
+        assert (deceleration <= STOP_FACTOR * CONFIG.acceleration_rad_s2 * (1 + 1e-6)).all()
+    step = np.diff(angles, axis=0)
+    mean_rate = (rates[1:] + rates[:-1]) / 2 * np.diff(times)[:, None]
+    np.testing.assert_allclose(step, mean_rate, atol=1e-12)
+
+
+def test_a_stop_at_full_speed_takes_less_than_two_tenths_of_a_second():
+    path = stop_path(CONFIG, Setpoint(np.zeros(5), CONFIG.speed_rad_s))
+    assert path.duration_s < 0.2
+
+
+def straight(plan) -> LinePath:
+    assert isinstance(plan, Plan)
+    (path,) = plan.paths
+    assert isinstance(path, LinePath)
+    return path
+
+
+def rig_in_motion(config, tool) -> Rig:
+    """An arm whose gaps are already on the side of the move to come, as after a short move the same way."""
+    rig = Rig(config)
+    rig.run(rig.touch(tool, 0.005))
+    rig.evrs.clear()
+    return rig
+
+
+def line_errors(config, joints, tool, path, samples=160):
+    """Of the settled tool over a line: distance from the straight chord, and turn against the start."""
+    _, motor, _ = sampled(path, samples)
+    gap = np.broadcast_to(joints.gap_rad, motor.shape)
+    at_rest = settle(config.arm, motor, gap, MARS_R_m_s2)
+    X = tool_pose(config.arm, at_rest.frames, tool)
+    p, start, end = X[:, :3, 3], X[0, :3, 3], X[-1, :3, 3]
+    chord = (end - start) / np.linalg.norm(end - start)
+    off = p - start
+    off = off - np.outer(off @ chord, chord)
+    turn = np.arccos(np.clip(X[:, :3, 0] @ X[0, :3, 0], -1, 1))
+    return np.linalg.norm(off, axis=1).max(), turn.max(), float(np.linalg.norm(end - start))
+
+
+def without_backlash(name):
+    """Gaps of no width: what is left is the geometry of the line."""
+    from dataclasses import replace
+
+    config = config_of(name)
+    return replace(config, half_gap_rad=np.zeros(5))
+
+
+@pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
+@pytest.mark.parametrize("tool", Tool)
+def test_a_guarded_line_is_straight_and_keeps_its_axis(name, tool):
+    config = without_backlash(name)
+    rig = Rig(config)
+    path = straight(plan_guarded(config, rig.state.joints, rig.touch(tool, 0.15)))
+    off_m, turn_rad, length_m = line_errors(config, rig.state.joints, tool, path)
+    assert length_m == pytest.approx(0.15, abs=1e-6)
+    assert off_m < STRAIGHT_M
+    assert turn_rad < AXIS_RAD
+
+
+@pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
+def test_a_retraction_is_straight_and_goes_back_along_the_tool(name):
+    config = without_backlash(name)
+    rig = Rig(config)
+    X = rig.tool_pose(Tool.APXS)
+    path = straight(plan_retract(config, rig.state.joints, Retract(Tool.APXS, 0.1)))
+    off_m, turn_rad, length_m = line_errors(config, rig.state.joints, Tool.APXS, path)
+    assert length_m == pytest.approx(0.1, abs=1e-6)
+    assert off_m < STRAIGHT_M
+    assert turn_rad < AXIS_RAD
+    _, motor, _ = sampled(path, 2)
+    end = tool_pose(config.arm, settle(config.arm, motor[-1], rig.state.joints.gap_rad, MARS_R_m_s2).frames, 3)
+    np.testing.assert_allclose(end[:3, 3], X[:3, 3] - 0.1 * X[:3, 0], atol=1e-7)
+
+
+def test_a_line_may_turn_the_tool_to_its_approach_on_the_way():
+    config = without_backlash("nominal")
+    rig = Rig(config)
+    X = rig.tool_pose(Tool.APXS)
+    approach = X[:3, 0] + 0.02 * X[:3, 1]
+    command = GuardedMove(Tool.APXS, floats(X[:3, 3] + 0.1 * X[:3, 0]), floats(approach))
+    path = straight(plan_guarded(config, rig.state.joints, command))
+    _, motor, _ = sampled(path, 2)
+    end = tool_pose(config.arm, settle(config.arm, motor[-1], rig.state.joints.gap_rad, MARS_R_m_s2).frames, 3)
+    np.testing.assert_allclose(end[:3, 0], approach / np.linalg.norm(approach), atol=1e-7)
+
+
+@pytest.mark.parametrize("tool", Tool)
+def test_a_line_runs_from_rest_to_rest_no_faster_than_told_and_no_joint_above_its_speed(tool):
+    config = CONFIG
+    rig = Rig(config)
+    path = straight(plan_guarded(config, rig.state.joints, rig.touch(tool, 0.15)))
+    times, angle, rate = sampled(path, 600)
+    np.testing.assert_allclose(angle[0], rig.state.joints.motor_rad, atol=1e-12)
+    np.testing.assert_allclose(rate[[0, -1]], 0, atol=1e-9)
+    assert (np.abs(rate) <= config.speed_rad_s * (1 + 1e-9)).all()
+    speed = np.array([path.travel_at(t)[1] for t in times])
+    assert speed.max() <= config.params.motion.guarded_speed_m_s * (1 + 1e-9)
+    numeric = np.gradient(angle, times, axis=0)
+    np.testing.assert_allclose(numeric[2:-2], rate[2:-2], atol=2e-5)
+
+
+def test_a_joint_at_the_end_of_its_speed_slows_the_line():
+    knots = np.linspace(np.zeros(5), np.array([0, 0, 0, 0, 1.0]), 11)
+    path = line_path(CONFIG, knots, 0.01, 0.005)
+    _, _, rate = sampled(path)
+    assert np.abs(rate).max() == pytest.approx(CONFIG.speed_rad_s[4], rel=1e-6)
+
+
+def test_a_line_passes_through_its_knots():
+    rng = np.random.default_rng(5)
+    knots = np.cumsum(rng.normal(0, 1e-3, (8, 5)), axis=0)
+    path = line_path(CONFIG, knots, 0.07, 0.005)
+    for k, t in [(0, 0.0), (7, path.duration_s)]:
+        np.testing.assert_allclose(path.at(t).motor_rad, knots[k], atol=1e-12)
+    travelled = [path.travel_at(t)[0] for t in np.linspace(0, path.duration_s, 500)]
+    assert all(a <= b + 1e-15 for a, b in pairwise(travelled))
+
+
+def test_a_line_of_two_knots_is_a_line():
+    knots = np.array([np.zeros(5), np.full(5, 1e-3)])
+    path = line_path(CONFIG, knots, 0.005, 0.005)
+    _, angle, _ = sampled(path, 50)
+    assert np.ptp(angle, axis=1).max() < 1e-12

@@ -1,0 +1,120 @@
+"""A kinematic stand-in for the plant: while a joint has power and no brake, its encoder follows the set-point."""
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+
+from fsw.config import Config, configure
+from fsw.cycle import step
+from fsw.dictionary.commands import Command, GuardedMove, MoveTool, SetReference
+from fsw.dictionary.evrs import Evr
+from fsw.dictionary.joints import Tool
+from fsw.dictionary.modes import Mode
+from fsw.kinematics.chain import tool_pose
+from fsw.kinematics.statics import settle
+from fsw.messages import Outputs, Sensors
+from fsw.state import State, boot
+from sim.arms import arm_named
+from sim.params import digest
+
+MARS_R_m_s2 = np.array([0.0, 0.0, 3.711])
+
+
+@lru_cache
+def config_of(arm: str = "nominal") -> Config:
+    params = arm_named(arm).params
+    return configure(params, digest(params))
+
+
+def in_limits(config: Config, rng: np.random.Generator, n: int, shrink: float = 0.0) -> np.ndarray:
+    """Random joint vectors inside the soft limits."""
+    low, high = config.arm.soft_min_rad, config.arm.soft_max_rad
+    return rng.uniform(low + shrink, high - shrink, (n, 5))
+
+
+def frozen(values, dtype=float) -> np.ndarray:
+    array = np.array(values, dtype)
+    array.flags.writeable = False
+    return array
+
+
+def quiet_sensors(encoder_count, **other) -> Sensors:
+    """Every reading as it is when nothing happens; arrays that raise if anyone writes to them."""
+    sensors = Sensors(
+        encoder_count=frozen(encoder_count, np.int64),
+        resolver_rad=frozen(np.zeros(5)),
+        current_A=frozen(np.zeros(5)),
+        winding_C=frozen(np.full(5, -40.0)),
+        switch_closed=frozen(np.zeros(10), bool),
+        gravity_R_m_s2=frozen(MARS_R_m_s2),
+    )
+    given = {name: frozen(v, getattr(sensors, name).dtype) for name, v in other.items()}
+    return replace(sensors, **given)
+
+
+class Rig:
+    """Flight software with an arm that does what it is told; `cycle` takes sensor readings by name."""
+
+    def __init__(self, config: Config, mode: Mode = Mode.DEPLOYED, start_rad=None, referenced: bool = True):
+        self.config = config
+        start = np.array(config.params.poses.ready_rad if start_rad is None else start_rad)
+        self.count = np.rint(start / config.rad_per_count).astype(np.int64)
+        self.state: State = boot(config, mode)
+        self.evrs: list[Evr] = []
+        self.outputs: Outputs | None = None
+        self.stuck = False
+        if referenced:
+            self.cycle(self.reference())
+
+    def reference(self) -> SetReference:
+        motor = self.count * self.config.rad_per_count
+        here = settle(self.config.arm, motor, np.zeros(5), MARS_R_m_s2)
+        side = np.where(np.abs(here.torque_Nm) > self.config.output_friction_Nm, np.sign(here.torque_Nm), 1)
+        return SetReference(tuple(float(m) for m in motor), tuple(int(s) for s in side))
+
+    def cycle(self, *commands: Command, **readings) -> Outputs:
+        readings = {"encoder_count": self.count, **readings}
+        self.state, self.outputs = step(self.config, self.state, quiet_sensors(**readings), commands)
+        drive = self.outputs.drive
+        if not self.stuck:
+            self.count = np.where(drive.power_on & drive.brake_release, drive.setpoint_count, self.count)
+        self.evrs.extend(self.outputs.evrs)
+        return self.outputs
+
+    def run(self, *commands: Command, at_most: int = 20_000, **readings) -> tuple[Evr, ...]:
+        """Cycle until the arm stands on its brakes; the EVRs from the first command on."""
+        first = len(self.evrs)
+        self.cycle(*commands, **readings)
+        for _ in range(at_most):
+            if not self.outputs.joint.busy:
+                return tuple(self.evrs[first:])
+            self.cycle(**readings)
+        raise AssertionError(f"still busy after {at_most} cycles")
+
+    def until_moving(self, *commands: Command, cycles: int = 40) -> Outputs:
+        """Into the middle of a move."""
+        self.cycle(*commands)
+        for _ in range(cycles):
+            self.cycle()
+        assert np.any(self.outputs.drive.setpoint_rate_rad_s != 0)
+        return self.outputs
+
+    def tool_pose(self, tool: Tool) -> np.ndarray:
+        """X_RT as flight software believes it, at rest."""
+        joints = self.state.joints
+        here = settle(self.config.arm, joints.motor_rad, joints.gap_rad, joints.gravity_R_m_s2)
+        return tool_pose(self.config.arm, here.frames, tool)
+
+    def here(self, tool: Tool, ahead_m: float = 0.0, **fields) -> MoveTool:
+        """A tool move that keeps the approach, some way ahead along it."""
+        X = self.tool_pose(tool)
+        return MoveTool(tool, floats(X[:3, 3] + ahead_m * X[:3, 0]), floats(X[:3, 0]), **fields)
+
+    def touch(self, tool: Tool, travel_m: float) -> GuardedMove:
+        X = self.tool_pose(tool)
+        return GuardedMove(tool, floats(X[:3, 3] + travel_m * X[:3, 0]), floats(X[:3, 0]))
+
+
+def floats(values) -> tuple:
+    return tuple(float(v) for v in values)

@@ -1,0 +1,106 @@
+"""The bench on which the tests of this folder put the arm: a plant of any world, brought to rest with care."""
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.dictionary.joints import Joint
+from sim.plant import JOINT_NAMES, Plant
+from sim.world import World, build
+
+Array = NDArray[np.float64]
+Edit = Callable[[mujoco.MjSpec], None]
+
+READY_RAD = np.radians([0.0, -60.0, 110.0, 130.0, 90.0])
+STOWED_RAD = np.radians([89.86, -15.91, -161.89, 178.57, 34.01])
+LEFT_RAD = np.radians([-35.0, -70.0, 95.0, 20.0, 215.0])
+STRAIGHT_RAD = np.zeros(5)
+
+STIFFNESS_NM_RAD = np.array([100e3, 100e3, 100e3, 50e3, 50e3])
+HALF_GAP_RAD = np.array([1.82e-3, 1.82e-3, 1.82e-3, 2.18e-3, 2.18e-3])
+OUTPUT_FRICTION_NM = np.array([10.0, 10.0, 10.0, 3.0, 3.0])
+
+CYCLE_HZ = 64
+
+
+def plant(world: World | None = None, time_step_s: float = 1 / 512, edit: Edit | None = None) -> Plant:
+    """The nominal arm in a world; `edit` changes its specification first."""
+    spec = build(world or World())
+    spec.option.timestep = time_step_s
+    if edit is not None:
+        edit(spec)
+    return Plant(spec.compile())
+
+
+def tilted(roll_deg: float = 0.0, pitch_deg: float = 0.0, scene: str = "mars") -> World:
+    """A world with a rover that does not stand level."""
+    return World(scene, float(np.radians(roll_deg)), float(np.radians(pitch_deg)))
+
+
+def without_output_friction(spec: mujoco.MjSpec) -> None:
+    """Outputs that turn freely in their bearings."""
+    for name in JOINT_NAMES:
+        spec.tendon(f"{name}_output").frictionloss = 0.0
+
+
+def gentle(amount: float) -> float:
+    """From 0 to 1 with rates that are zero at both ends."""
+    return amount * amount * (3 - 2 * amount)
+
+
+def run(plant: Plant, duration_s: float, each_cycle: Callable[[float], None] | None = None) -> None:
+    """Let time pass; `each_cycle` is told how much of it has, from 0 to 1."""
+    cycles = round(duration_s * CYCLE_HZ)
+    for k in range(cycles):
+        if each_cycle is not None:
+            each_cycle((k + 1) / cycles)
+        plant.step()
+
+
+def load(plant: Plant, motor_rad: Array, duration_s: float = 6.0, overload: float = 1.0) -> Plant:
+    """Brakes on, gravity brought up gently, if wanted beyond its value and back, and a while to come to rest.
+
+    An arm that is dropped comes to rest anywhere in the band in which friction can hold it; one that is loaded
+    gently ends at the edge of that band, which is a pose that can be compared.
+    """
+    full = plant.model.opt.gravity.copy()
+    plant.model.opt.gravity[:] = 0.0
+    plant.place(motor_rad, 0.0)
+
+    def up(amount: float) -> None:
+        plant.model.opt.gravity[:] = full * overload * gentle(amount)
+
+    def back(amount: float) -> None:
+        plant.model.opt.gravity[:] = full * (overload + (1 - overload) * gentle(amount))
+
+    run(plant, duration_s, up)
+    if overload != 1.0:
+        run(plant, duration_s, back)
+    run(plant, 3.0)
+    return plant
+
+
+def hold_by_motors(plant: Plant) -> None:
+    """Power on, brakes released: each motor controller keeps the angle at which its motor was placed."""
+    plant.model.opt.disableactuator = 0
+    for joint in Joint:
+        plant.brake(joint, False)
+
+
+def gear_rad(plant: Plant) -> Array:
+    """Output less motor angles: backlash and wind-up."""
+    return plant.output_rad() - plant.motor_rad()
+
+
+def gear_torque_Nm(plant: Plant) -> Array:
+    """What the gears transmit, from their wind-up and the drawing's stiffness and backlash."""
+    gear = gear_rad(plant)
+    return STIFFNESS_NM_RAD * (gear - np.clip(gear, -HALF_GAP_RAD, HALF_GAP_RAD))
+
+
+def tool_distance_mm(a: Plant, b: Plant) -> float:
+    """The farthest that any tool of one arm is from the same tool of the other."""
+    apart = a.truth().p_RoTo_R_m - b.truth().p_RoTo_R_m
+    return 1e3 * float(np.linalg.norm(apart, axis=1).max())

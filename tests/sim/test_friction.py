@@ -1,0 +1,111 @@
+"""Dry friction of the outputs: full at any speed, no creep below it, and a gap that is crossed once."""
+
+import numpy as np
+import pytest
+
+from sim.plant import Plant
+from tests.sim import lab
+
+SLOW_RAD_S = np.radians(0.1)
+CREEP_RAD = 1e-6
+"""In 60 s at nine tenths of the friction: a five-hundredth of what moves the tool by a millimetre."""
+
+
+def weightless() -> Plant:
+    """The ready pose without gravity, on its brakes."""
+    plant = lab.plant()
+    plant.model.opt.gravity[:] = 0.0
+    plant.place(lab.READY_RAD, 0.0)
+    return plant
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_output_friction_is_there_in_full_at_a_tenth_of_a_degree_per_second(direction: int) -> None:
+    """The motors drag the outputs along at a steady rate; what the gears transmit is the friction."""
+    plant = weightless()
+    lab.hold_by_motors(plant)
+    travelled = 0.0
+    for _ in range(8 * lab.CYCLE_HZ):
+        travelled += direction * SLOW_RAD_S / lab.CYCLE_HZ
+        plant.data.ctrl[0::2] = lab.READY_RAD + travelled
+        plant.data.ctrl[1::2] = direction * SLOW_RAD_S
+        plant.step()
+    before = plant.output_rad()
+    transmitted = []
+    for _ in range(lab.CYCLE_HZ):
+        travelled += direction * SLOW_RAD_S / lab.CYCLE_HZ
+        plant.data.ctrl[0::2] = lab.READY_RAD + travelled
+        plant.step()
+        transmitted.append(lab.gear_torque_Nm(plant))
+    np.testing.assert_allclose(plant.output_rad() - before, direction * SLOW_RAD_S, rtol=0.05)
+    np.testing.assert_allclose(np.mean(transmitted, axis=0), -direction * lab.OUTPUT_FRICTION_NM, rtol=0.02)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_below_the_friction_an_output_in_its_gap_does_not_creep(side: int) -> None:
+    plant = weightless()
+    gears = [plant.model.joint(f"{name}_gear").dofadr[0] for name in lab.JOINT_NAMES]
+    plant.data.qfrc_applied[gears] = side * 0.9 * lab.OUTPUT_FRICTION_NM
+    lab.run(plant, 1.0)
+    start = plant.output_rad()
+    assert np.all(np.abs(lab.gear_rad(plant)) < 0.1 * lab.HALF_GAP_RAD)
+    lab.run(plant, 60.0)
+    assert np.abs(plant.output_rad() - start).max() < CREEP_RAD
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_above_the_friction_an_output_in_its_gap_goes_to_the_flank(side: int) -> None:
+    plant = weightless()
+    gears = [plant.model.joint(f"{name}_gear").dofadr[0] for name in lab.JOINT_NAMES]
+    plant.data.qfrc_applied[gears] = side * 1.1 * lab.OUTPUT_FRICTION_NM
+    lab.run(plant, 10.0)
+    assert np.all(side * lab.gear_rad(plant) > 0.999 * lab.HALF_GAP_RAD)
+
+
+def flanks(gear_rad: lab.Array, joint: int) -> list[int]:
+    """The flanks on which a joint lay, in turn, and 0 for the gap between them, repetitions left out."""
+    half = lab.HALF_GAP_RAD[joint]
+    side = np.where(np.abs(gear_rad) < half, 0, np.sign(gear_rad)).astype(int)
+    return [int(s) for k, s in enumerate(side) if k == 0 or s != side[k - 1]]
+
+
+@pytest.mark.parametrize("held", ["brakes", "motors"])
+def test_the_gap_is_crossed_once_when_gravity_changes_side(held: str) -> None:
+    """Gravity turns over a horizontal line in 40 s; every joint but the azimuth changes side, each once.
+
+    The steps are watched one by one: a bounce of a single step would show.
+    """
+    plant = lab.plant()
+    pose = np.radians([0.0, -60.0, 60.0, 0.0, 90.0])
+    start, end = 4.0, -4.0
+    plant.model.opt.gravity[:] = (0.0, 1.5, -start)
+    lab.load(plant, pose)
+    if held == "motors":
+        lab.hold_by_motors(plant)
+    plant.steps_per_cycle = 1
+    gear = []
+    steps = 40 * 512
+    for k in range(steps):
+        plant.model.opt.gravity[2] = -(start + (end - start) * (k + 1) / steps)
+        plant.step()
+        gear.append(plant.data.qpos[plant.at.gear])
+    way = np.array(gear)
+    for joint in (1, 2, 3):
+        assert flanks(way[:, joint], joint) in ([1, 0, -1], [-1, 0, 1])
+        crossing = way[np.abs(way[:, joint]) < lab.HALF_GAP_RAD[joint], joint]
+        assert np.all(np.sign(np.diff(crossing)) == np.sign(way[-1, joint]))
+
+
+def test_the_gap_is_crossed_once_when_a_joint_carries_its_load_over_the_vertical() -> None:
+    """The wrist swings the turret through the pose in which it hangs straight down, at 0.5 deg/s."""
+    plant = lab.plant()
+    lab.load(plant, np.radians([0.0, -60.0, 60.0, 60.0, 0.0]))
+    lab.hold_by_motors(plant)
+    plant.steps_per_cycle = 1
+    gear, rate = [], np.radians(0.5)
+    for k in range(120 * 512):
+        plant.data.ctrl[6] = np.radians(60.0) + rate * (k + 1) / 512
+        plant.data.ctrl[7] = rate
+        plant.step()
+        gear.append(plant.data.qpos[plant.at.gear[3]])
+    assert flanks(np.array(gear), 3) in ([1, 0, -1], [-1, 0, 1])

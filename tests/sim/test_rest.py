@@ -1,0 +1,105 @@
+"""Where the arm comes to rest: it converges with the step size, and each gear stands where its load puts it."""
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.commands import MoveJoints
+from sim.arms import arm_named
+from sim.loop import ClosedLoop, Setup
+from sim.sequence import Outcome, run_sequence
+from sim.world import World
+from tests.sim import lab
+
+CONVERGED_MM = 0.02
+FINE_S = 1 / 2048
+WORLDS = {
+    "mars": World(),
+    "mars, 25 deg": lab.tilted(20, -15),
+    "earth": World("earth"),
+}
+POSES = {
+    "straight": lab.STRAIGHT_RAD,
+    "ready": lab.READY_RAD,
+    "stowed": lab.STOWED_RAD,
+    "left": lab.LEFT_RAD,
+}
+
+
+@pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
+@pytest.mark.parametrize("pose", POSES.values(), ids=POSES)
+def test_on_its_brakes_the_arm_rests_at_the_same_pose_with_a_quarter_of_the_step(
+    world: World, pose: lab.Array
+) -> None:
+    coarse, fine = (lab.load(lab.plant(world, step_s), pose) for step_s in (1 / 512, FINE_S))
+    assert coarse.truth().kinetic_energy_J < 1e-9
+    assert lab.tool_distance_mm(coarse, fine) < CONVERGED_MM
+
+
+@pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
+@pytest.mark.parametrize("pose", [lab.STRAIGHT_RAD, lab.READY_RAD], ids=["straight", "ready"])
+def test_held_by_its_motors_the_arm_rests_at_the_same_pose_with_a_quarter_of_the_step(
+    world: World, pose: lab.Array
+) -> None:
+    coarse, fine = (lab.load(lab.plant(world, step_s), pose, duration_s=4.0) for step_s in (1 / 512, FINE_S))
+    for plant in (coarse, fine):
+        lab.hold_by_motors(plant)
+        lab.run(plant, 8.0)
+        np.testing.assert_allclose(plant.motor_rad(), pose, atol=2e-5)
+    assert lab.tool_distance_mm(coarse, fine) < CONVERGED_MM
+
+
+@pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
+def test_after_a_move_the_arm_rests_at_the_same_pose_with_a_quarter_of_the_step(world: World) -> None:
+    goal = tuple(float(a) for a in np.radians([5.0, -55.0, 115.0, 135.0, 95.0]))
+    coarse, fine = (moved(world, step_s, goal) for step_s in (1 / 512, FINE_S))
+    assert coarse.plant.motor_rad() == pytest.approx(goal, abs=0.02)
+    assert lab.tool_distance_mm(coarse.plant, fine.plant) < CONVERGED_MM
+
+
+def moved(world: World, time_step_s: float, goal_rad: tuple[float, ...]) -> ClosedLoop:
+    """The arm after a move from the ready pose, on its brakes again."""
+    arm = arm_named("nominal")
+    loop = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, seed=1, time_step_s=time_step_s))
+    sequence = run_sequence(loop, (loop.reference(), MoveJoints(goal_rad)))
+    while True:
+        try:
+            next(sequence)
+        except StopIteration as end:
+            assert end.value is Outcome.DONE
+            break
+    for _ in range(lab.CYCLE_HZ):
+        loop.cycle()
+    assert loop.plant.data.eq_active[loop.plant.at.brake].all()
+    return loop
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_at_rest_a_gear_stands_at_half_its_backlash_and_its_wind_up(side: int) -> None:
+    """Known torques on all five outputs, no gravity; they are the only loads, and friction bears its share.
+
+    Coming from less load, friction bears its full F of the load's torque, and the gear the rest. Coming from more
+    load by more than 2 F, friction has turned round and the gear bears F more than the load.
+    """
+    torque = side * np.array([400.0, 400.0, 300.0, 120.0, 60.0])
+    plant = lab.plant()
+    plant.model.opt.gravity[:] = 0.0
+    plant.place(lab.READY_RAD, 0.0)
+    gears = [plant.model.joint(f"{name}_gear").dofadr[0] for name in lab.JOINT_NAMES]
+    more = side * 4 * lab.OUTPUT_FRICTION_NM
+
+    def apply(loads: lab.Array) -> None:
+        plant.data.qfrc_applied[gears] = loads
+
+    lab.run(plant, 4.0, lambda amount: apply(torque * lab.gentle(amount)))
+    lab.run(plant, 1.0)
+    from_less = lab.gear_rad(plant)
+    lab.run(plant, 1.0, lambda amount: apply(torque + more * lab.gentle(amount)))
+    lab.run(plant, 1.0, lambda amount: apply(torque + more * lab.gentle(1 - amount)))
+    lab.run(plant, 1.0)
+    from_more = lab.gear_rad(plant)
+
+    stand = side * lab.HALF_GAP_RAD + torque / lab.STIFFNESS_NM_RAD
+    share = side * lab.OUTPUT_FRICTION_NM / lab.STIFFNESS_NM_RAD
+    np.testing.assert_allclose(from_less, stand - share, rtol=0.002)
+    np.testing.assert_allclose(from_more, stand + share, rtol=0.002)
+    np.testing.assert_allclose((from_less + from_more) / 2, stand, rtol=0.02)
