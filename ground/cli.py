@@ -40,7 +40,9 @@ ArmOption = Annotated[str, typer.Option(help="nominal, as-built:SEED or calibrat
 @app.command()
 def place(
     tool: Annotated[str, typer.Option(help="apxs, mahli, drt or drill.", metavar="TOOL")] = "apxs",
-    target: Annotated[Vector, typer.Option(help="Point on the surface, RNAV [m].", metavar="X Y Z")] = (
+    target: Annotated[
+        Vector, typer.Option(help="Point on the surface, RNAV, in metres.", metavar="X Y Z")
+    ] = (
         2.05,
         0.1,
         -0.25,
@@ -48,8 +50,10 @@ def place(
     normal: Annotated[
         Vector, typer.Option(help="Direction out of the surface, RNAV.", metavar="NX NY NZ")
     ] = (-0.5, 0.1, -0.85),
-    tilt_roll: Annotated[float, typer.Option(help="Rover roll, right side down [deg].", metavar="DEG")] = 0.0,
-    tilt_pitch: Annotated[float, typer.Option(help="Rover pitch, nose up [deg].", metavar="DEG")] = 0.0,
+    tilt_roll: Annotated[
+        float, typer.Option(help="Rover roll, right side down, in degrees.", metavar="DEG")
+    ] = 0.0,
+    tilt_pitch: Annotated[float, typer.Option(help="Rover pitch, nose up, in degrees.", metavar="DEG")] = 0.0,
     arm: ArmOption = "nominal",
     seed: SeedOption = 0,
     params: Annotated[
@@ -75,18 +79,19 @@ def place(
 
     Example: marsarm place --tool mahli --target 2.1 0 -0.2 --normal -0.4 0 -1 --tilt-pitch 10
     """
-    from ground import place as job
+    from ground.place import place as carry_out
+    from ground.place_request import BadRequest, PlaceRequest
     from ground.report.progress import progress_bar
     from ground.report.tables import place_json, place_table
 
-    request = job.PlaceRequest(
+    request = PlaceRequest(
         tool, target, normal, tilt_roll, tilt_pitch, arm, "mars", seed, params, surface, log, picture, movie
     )
     try:
         with progress_bar() as progress:
-            report = job.place(request, progress)
-    except job.BadRequest as error:
-        _end(str(error), BAD_INPUT)
+            report = carry_out(request, progress)
+    except BadRequest as error:
+        _end(str(error), BAD_INPUT, as_json)
     _show(place_json(report), as_json, lambda: place_table(report))
     _finish(report)
 
@@ -103,7 +108,9 @@ def _show(document: dict[str, Any], as_json: bool, table: Any) -> None:
         table()
 
 
-def _end(message: str, status: int) -> NoReturn:
+def _end(message: str, status: int, as_json: bool) -> NoReturn:
+    if as_json:
+        print(json.dumps({"error": message}))
     print(message, file=sys.stderr)
     raise typer.Exit(status)
 

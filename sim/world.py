@@ -10,10 +10,10 @@ import numpy as np
 from fsw.dictionary.commands import Vector3
 from fsw.kinematics.transforms import Array
 from sim.frames import FLIP, gravity_in_rover
+from sim.rock import add_rock
 
 MJCF: Final = Path(__file__).resolve().parents[1] / "models" / "mjcf"
 GRAVITY_M_S2: Final = {"mars": 3.711, "earth": 9.81}
-ROCK_HALF_M: Final = (0.11, 0.09, 0.06)
 BELOW_ROCK_M: Final = 0.1
 MAX_TILT_RAD: Final = float(np.radians(30.0))
 REQUIRED_MUJOCO: Final = "4.0.1"
@@ -62,7 +62,7 @@ def build(world: World, for_pictures: bool = False) -> mujoco.MjSpec:
     spec = mujoco.MjSpec.from_file(str(MJCF / f"{world.scene}.xml"))
     spec.option.gravity = FLIP * world.gravity_N_m_s2
     if world.surface is not None:
-        _add_rock(spec, world.surface)
+        add_rock(spec, np.array(world.surface.p_N_m), np.array(world.surface.normal_N))
         # a target below the wheels: the rover stands on a rise
         spec.geom("ground").pos[2] = min(0.0, -world.surface.p_N_m[2] - BELOW_ROCK_M)
     if not for_pictures:
@@ -90,34 +90,3 @@ def inside_rover(p_N_m: Vector3) -> bool:
         if geom != probe_id and model.geom_type[geom] != mujoco.mjtGeom.mjGEOM_PLANE
     )
     return any(mujoco.mj_geomDistance(model, data, geom, probe_id, 1.0, None) < 0 for geom in others)
-
-
-def _add_rock(spec: mujoco.MjSpec, surface: Surface) -> None:
-    """A slab whose +z face is the surface, on a heap of rounded rock that only looks."""
-    z = FLIP * np.array(surface.normal_N)
-    z = z / np.linalg.norm(z)
-    x = np.cross([0.0, 1.0, 0.0], z)
-    x = np.array([1.0, 0.0, 0.0]) if np.linalg.norm(x) < 1e-6 else x / np.linalg.norm(x)
-    quat = np.zeros(4)
-    mujoco.mju_mat2Quat(quat, np.column_stack([x, np.cross(z, x), z]).ravel())
-    rock = spec.worldbody.add_body(name="rock", pos=FLIP * np.array(surface.p_N_m), quat=quat)
-    rock.add_geom(
-        name="rock_face",
-        type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=ROCK_HALF_M,
-        pos=(0, 0, -ROCK_HALF_M[2]),
-        contype=2,
-        conaffinity=1,
-        rgba=(0.42, 0.27, 0.19, 1),
-        solref=(0.01, 1),
-    )
-    for dx, dy, dz, size in ((0.05, 0.02, -0.09, 0.11), (-0.06, -0.03, -0.1, 0.1), (0.0, 0.03, -0.14, 0.13)):
-        rock.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_ELLIPSOID,
-            size=(size * 1.25, size, 0.75 * size),
-            pos=(dx, dy, dz),
-            contype=0,
-            conaffinity=0,
-            group=2,
-            rgba=(0.38, 0.24, 0.17, 1),
-        )
