@@ -1,4 +1,4 @@
-"""A kinematic stand-in for the plant: while a joint has power and no brake, its encoder follows the set-point."""
+"""A kinematic stand-in for the plant: with power on and brakes off, encoders follow their set-points."""
 
 from dataclasses import replace
 from functools import lru_cache
@@ -9,7 +9,7 @@ from fsw.config import Config, configure
 from fsw.cycle import step
 from fsw.dictionary.commands import Command, GuardedMove, MoveTool, SetReference
 from fsw.dictionary.evrs import Evr
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.joints import Joint, Tool
 from fsw.dictionary.modes import Mode
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle
@@ -31,6 +31,14 @@ def in_limits(config: Config, rng: np.random.Generator, n: int, shrink: float = 
     """Random joint vectors inside the soft limits."""
     low, high = config.arm.soft_min_rad, config.arm.soft_max_rad
     return rng.uniform(low + shrink, high - shrink, (n, 5))
+
+
+def facing(config: Config, tool: Tool) -> np.ndarray:
+    """The ready pose with the turret turned so that the tool looks well away from the pitch axis."""
+    pose = np.array(config.params.poses.ready_rad)
+    boresight = config.arm.X_FT[tool][:3, 0]
+    pose[Joint.TURRET] = (0.3 - np.arctan2(boresight[1], boresight[0])) % (2 * np.pi)
+    return pose
 
 
 def frozen(values, dtype=float) -> np.ndarray:

@@ -58,7 +58,9 @@ def test_inside_the_gap_the_output_stands_still(gap, motion):
 def test_a_motion_in_one_direction_may_be_taken_in_parts(gap, first, second):
     free = np.zeros(5)
     for sign in (1.0, -1.0):
-        parts = gap_after(CONFIG, free, gap_after(CONFIG, free, gap, np.full(5, sign * first)), np.full(5, sign * second))
+        parts = gap_after(
+            CONFIG, free, gap_after(CONFIG, free, gap, np.full(5, sign * first)), np.full(5, sign * second)
+        )
         whole = gap_after(CONFIG, free, gap, np.full(5, sign * (first + second)))
         np.testing.assert_allclose(parts, whole, atol=1e-15)
 
@@ -99,7 +101,7 @@ def referenced(count, told=(0.1, -1.0, 1.5, 2.0, 1.0), side=(1, 1, -1, 0, -1)):
     return set_reference(CONFIG, first, SetReference(told, side))
 
 
-@given(hnp.arrays(np.int64, 5, elements=st.integers(-10**7, 10**7)))
+@given(hnp.arrays(np.int64, 5, elements=st.integers(-(10**7), 10**7)))
 def test_after_a_reference_the_joint_is_where_it_was_told_to_be(count):
     told = (0.1, -1.0, 1.5, 2.0, 1.0)
     joints = referenced(count, told)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from fsw.dictionary.joints import Joint, Tool
 from fsw.dictionary.params import Transform6
 from fsw.kinematics.arm import transform6, transform6_from
-from fsw.kinematics.transforms import rotation_x, rotation_y, rotation_z, rigid, translation
+from fsw.kinematics.transforms import rigid, rotation_x, rotation_y, rotation_z, translation
 from tests.fsw.rig import config_of
 
 # standard DH of the drawing: a [m], d [m], alpha [deg]; MSL-476-1303

@@ -85,7 +85,9 @@ def test_the_task_jacobian_agrees_with_finite_differences():
         J = task_jacobian(forward(config.arm, angles), X, a)
         for joint in range(5):
             e = h * np.eye(5)[joint]
-            np.testing.assert_allclose((error(angles + e) - error(angles - e)) / (2 * h), J[:, joint], atol=1e-8)
+            np.testing.assert_allclose(
+                (error(angles + e) - error(angles - e)) / (2 * h), J[:, joint], atol=1e-8
+            )
 
 
 def test_a_tool_that_points_the_other_way_is_no_answer():

@@ -34,7 +34,9 @@ def rigid(arm):
 
 
 @pytest.mark.parametrize("name", ARMS)
-@pytest.mark.parametrize("gravity", [MARS_R_m_s2, EARTH_R_m_s2, TILTED_R_m_s2], ids=["mars", "earth", "tilted"])
+@pytest.mark.parametrize(
+    "gravity", [MARS_R_m_s2, EARTH_R_m_s2, TILTED_R_m_s2], ids=["mars", "earth", "tilted"]
+)
 def test_joint_torque_is_the_slope_of_the_potential_energy(name, gravity):
     config, h = config_of(name), 1e-5
     for q in in_limits(config, np.random.default_rng(1), 10):
@@ -94,7 +96,9 @@ def test_small_loads_at_two_places_deflect_each_other_alike():
     for gravity in (small * MARS_R_m_s2, small * np.array([1.0, 2.0, 0.5])):
         strain = rest(config.arm, q, gravity).strain
         strains.append(strain)
-        wrenches.append(np.stack([np.linalg.pinv(C) @ s for C, s in zip(config.arm.compliance, strain, strict=True)]))
+        wrenches.append(
+            np.stack([np.linalg.pinv(C) @ s for C, s in zip(config.arm.compliance, strain, strict=True)])
+        )
     assert np.sum(strains[0] * wrenches[1]) == pytest.approx(np.sum(strains[1] * wrenches[0]), rel=1e-4)
     assert frames.X_RF.shape == (6, 4, 4)
 

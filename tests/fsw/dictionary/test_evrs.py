@@ -1,0 +1,83 @@
+"""Every event says what happened in one sentence; no event and no command is left without a test."""
+
+import typing
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+
+from fsw.dictionary import commands, evrs
+from fsw.dictionary.evrs import Evr, Severity
+from fsw.dictionary.joints import Joint, Switch, Tool
+from fsw.dictionary.modes import Mode
+
+EVRS = [
+    kind
+    for kind in vars(evrs).values()
+    if isinstance(kind, type) and issubclass(kind, Evr) and kind is not Evr
+]
+COMMANDS = typing.get_args(commands.Command)
+TESTS = Path(__file__).parents[1]
+ELSEWHERE = {evrs.SoftwareError}
+"""Said by the loop around flight software, and tested there."""
+
+SENTENCES = {
+    evrs.Booted("ab12"): "flight software up, parameters ab12",
+    evrs.CommandAccepted("Stop"): "Stop accepted",
+    evrs.CommandCompleted("Stop"): "Stop completed",
+    evrs.CommandRefused("Unstow", "no"): "Unstow refused: no",
+    evrs.CommandAborted("Retract"): "Retract aborted",
+    evrs.ModeChanged(Mode.STOWED, Mode.FREE_SPACE): "mode STOWED -> FREE_SPACE",
+    evrs.ReferenceSet(): "encoder reference set for all joints",
+    evrs.BranchChosen(Tool.APXS, "b"): "APXS: branch b",
+    evrs.ContactMade(Switch.APXS_1, 0.1): "contact on APXS_1 after 0.1000 m",
+    evrs.SensorNotFinite("current_A"): "non-finite reading in current_A",
+    evrs.SoftLimitPassed(Joint.ELBOW, 2.9, 2.8): "ELBOW at 2.9000 rad, soft limit 2.8000 rad",
+    evrs.OverCurrent(Joint.WRIST, -2.9, 2.85): "WRIST drew -2.90 A, bound 2.85 A",
+    evrs.FollowingErrorHigh(
+        Joint.TURRET, 0.003, 0.002
+    ): "TURRET is 0.00300 rad from its set-point, bound 0.00200 rad",
+    evrs.ContactInFreeSpace(Switch.DRT_2): "contact on DRT_2 in free space",
+    evrs.NoContact(0.15): "no contact within 0.1500 m of guarded travel",
+    evrs.NotSettled(Joint.AZIMUTH, 1e-4): "AZIMUTH not settled: 0.000100 rad from its set-point",
+    evrs.FaultResponse("BRAKE_AND_REFUSE"): (
+        "response BRAKE_AND_REFUSE: motion stopped, brakes on, commands refused until the fault is cleared"
+    ),
+    evrs.FaultCleared(): "fault cleared",
+    evrs.SoftwareError("KeyError: 'a'"): "software error: KeyError: 'a'",
+}
+
+
+@pytest.mark.parametrize(("evr", "sentence"), SENTENCES.items(), ids=lambda v: getattr(v, "name", ""))
+def test_every_event_reads_as_a_sentence(evr, sentence):
+    assert evr.message == sentence
+
+
+def test_no_event_is_without_its_sentence():
+    assert {type(evr) for evr in SENTENCES} == set(EVRS)
+
+
+@pytest.mark.parametrize("kind", EVRS)
+def test_every_event_has_a_severity_and_names_only_its_own_fields(kind):
+    assert isinstance(kind.severity, Severity)
+    named = {part.split(".")[1] for part in kind.text.replace("}", "{").split("{")[1::2]}
+    named = {name.split(":")[0] for name in named}
+    assert named == {field.name for field in fields(kind)}
+
+
+@pytest.mark.parametrize("kind", EVRS)
+def test_every_event_is_frozen_hashable_and_equal_to_its_like(kind):
+    (one,) = [evr for evr in SENTENCES if type(evr) is kind]
+    same = kind(**{field.name: getattr(one, field.name) for field in fields(one)})
+    assert one == same
+    assert hash(one) == hash(same)
+    assert one.name == kind.__name__
+
+
+def sources() -> dict[Path, str]:
+    return {path: path.read_text() for path in TESTS.rglob("test_*.py") if path != Path(__file__)}
+
+
+@pytest.mark.parametrize("kind", [kind for kind in EVRS if kind not in ELSEWHERE] + list(COMMANDS))
+def test_every_event_is_provoked_and_every_command_given_somewhere(kind):
+    assert any(f"{kind.__name__}(" in text or f", {kind.__name__})" in text for text in sources().values())

@@ -1,0 +1,163 @@
+"""One cycle is a function: the same arguments give the same outputs, and nothing is changed on the way."""
+
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsw.config import CYCLE_HZ, configure, ticks
+from fsw.cycle import step
+from fsw.dictionary.commands import MoveJoints, Retract, Stop, Unstow
+from fsw.dictionary.evrs import Booted
+from fsw.dictionary.joints import Tool
+from fsw.dictionary.modes import Mode
+from fsw.state import boot, outputs_at_rest
+from sim.params import digest, nominal_params
+from tests.fsw.rig import Rig, config_of, facing, floats, quiet_sensors
+
+CONFIG = config_of()
+START = facing(CONFIG, Tool.APXS)
+
+
+def seal(record) -> None:
+    """Make every array under a record read-only."""
+    if isinstance(record, np.ndarray):
+        record.flags.writeable = False
+    elif is_dataclass(record):
+        for field in fields(record):
+            seal(getattr(record, field.name))
+    elif isinstance(record, tuple):
+        for item in record:
+            seal(item)
+
+
+def content(record):
+    """A record as plain values that compare bit by bit."""
+    if isinstance(record, np.ndarray):
+        return record.dtype.str, record.shape, record.tobytes()
+    if is_dataclass(record):
+        return type(record).__name__, tuple(content(getattr(record, f.name)) for f in fields(record))
+    if isinstance(record, tuple):
+        return tuple(content(item) for item in record)
+    if type(record).__name__ == "Trajectory":
+        times = np.linspace(0.0, record.duration, 7)
+        return tuple(str(record.at_time(t)) for t in times)
+    return record
+
+
+def session():
+    """Sensors and commands of a little of everything."""
+    rig = Rig(CONFIG, start_rad=START)
+    script = {
+        5: (MoveJoints(floats(START + 0.01)),),
+        60: (Stop(),),
+        150: (rig.here(Tool.APXS, 0.005),),
+        420: (rig.touch(Tool.APXS, 0.004),),
+        440: (),
+    }
+    return rig, script
+
+
+def test_same_arguments_same_outputs_bit_for_bit_and_arguments_unchanged():
+    rig, script = session()
+    config = rig.config
+    seal(config)
+    state, count = rig.state, rig.count
+    for tick in range(700):
+        commands = script.get(tick, (Retract(Tool.APXS, 0.003),) if tick == 650 else ())
+        bad = {"current_A": [np.nan] * 5} if tick == 600 else {}
+        sensors = quiet_sensors(count, **bad)
+        seal(state)
+        before = content(state)
+        first = step(config, state, sensors, commands)
+        second = step(config, state, sensors, commands)
+        assert content(first) == content(second)
+        assert content(state) == before
+        state, outputs = first
+        drive = outputs.drive
+        count = np.where(drive.power_on & drive.brake_release, drive.setpoint_count, count)
+
+
+def test_two_runs_are_bit_equal():
+    def run():
+        rig = Rig(CONFIG, start_rad=START)
+        said = []
+        rig.cycle(MoveJoints(floats(START + 0.02)))
+        for _ in range(300):
+            rig.cycle()
+            said.append(content(rig.outputs))
+        return said
+
+    assert run() == run()
+
+
+def test_the_first_cycle_says_which_parameters_it_runs_on_and_no_later_one_does():
+    rig = Rig(CONFIG, start_rad=START, referenced=False)
+    rig.cycle()
+    assert rig.evrs == [Booted(digest(nominal_params()))]
+    for _ in range(5):
+        rig.cycle()
+    assert len(rig.evrs) == 1
+
+
+def test_time_is_the_tick():
+    rig = Rig(CONFIG, start_rad=START)
+    ticks_seen = [rig.cycle().joint.tick for _ in range(10)]
+    assert ticks_seen == list(range(1, 11))
+
+
+def test_before_the_first_cycle_brakes_are_on_and_power_is_off():
+    state = boot(CONFIG, Mode.STOWED)
+    outputs = outputs_at_rest(state)
+    for values in (outputs.drive.power_on, outputs.drive.brake_release, outputs.drive.setpoint_rate_rad_s):
+        assert not values.any()
+    assert outputs.evrs == ()
+    assert not state.joints.referenced
+
+
+def test_without_a_reference_nothing_moves_and_no_tool_pose_is_told():
+    rig = Rig(CONFIG, Mode.STOWED, CONFIG.params.poses.stowed_rad, referenced=False)
+    for _ in range(40):
+        out = rig.cycle(Unstow())
+        assert out.tool is None
+        assert not out.drive.power_on.any()
+
+
+def test_the_tool_channels_come_at_their_period_and_are_where_the_settled_arm_is():
+    rig = Rig(CONFIG, start_rad=START)
+    rig.cycle(rig.here(Tool.APXS, 0.001))
+    rig.run()
+    told = [out.tool for out in (rig.cycle() for _ in range(160)) if out.tool is not None]
+    assert len(told) == 160 // CONFIG.params.motion.tool_channels_period
+    X = rig.tool_pose(Tool.APXS)
+    np.testing.assert_allclose(told[-1].p_RoTo_R_m, X[:3, 3], atol=1e-7)
+    np.testing.assert_allclose(told[-1].R_RT, X[:3, :3], atol=1e-7)
+    assert told[-1].tool is Tool.APXS
+
+
+def test_a_duration_lasts_at_least_its_whole_cycles():
+    assert ticks(0.0) == 0
+    assert ticks(1.0) == CYCLE_HZ
+    assert ticks(1.0 + 1e-9) == CYCLE_HZ + 1
+
+
+def test_the_configuration_is_what_the_parameters_say():
+    config = configure(nominal_params(), "digest")
+    joints = config.params.joints.in_order()
+    assert config.params_sha256 == "digest"
+    np.testing.assert_array_equal(config.half_gap_rad, [j.backlash_rad / 2 for j in joints])
+    np.testing.assert_array_equal(config.current_limit_A, [5, 5, 5, 3, 3])
+
+
+@pytest.mark.parametrize("tool", Tool)
+def test_a_guarded_move_to_a_near_surface_is_planned_for_every_tool(tool):
+    rig = Rig(CONFIG, start_rad=facing(CONFIG, tool))
+    rig.cycle(rig.touch(tool, 0.05))
+    assert rig.state.mode is Mode.GUARDED
+
+
+def test_the_cycle_is_the_only_public_function_of_its_file():
+    text = Path(step.__code__.co_filename).read_text()
+    public = [line for line in text.splitlines() if line.startswith("def ") and not line.startswith("def _")]
+    assert public == ["def step("]
