@@ -10,24 +10,26 @@ from fsw.dictionary.modes import Mode
 from fsw.estimate import joints as joint_estimate
 from fsw.estimate import load as load_estimate
 from fsw.executive.commands import Situation, handle
+from fsw.kinematics.transforms import Array
 from fsw.messages import Outputs, Sensors
 from fsw.motion.drive import drive_for
-from fsw.motion.move import advance
+from fsw.motion.move import Phase, advance
 from fsw.protect import monitors
 from fsw.protect.guard import guard
-from fsw.state import State, joint_channels
+from fsw.protect.setpoints import unsafe_setpoint
+from fsw.state import State, joint_channels, last_setpoint
 
 
 def step(
     config: Config, state: State, sensors: Sensors, commands: tuple[Command, ...]
 ) -> tuple[State, Outputs]:
     """The state and the outputs after one cycle; everything follows from the arguments."""
-    before = state
-    bad_readings = monitors.non_finite(sensors)
-    state, tool_channels = _estimate(config, state, sensors, usable=not bad_readings)
-    state, decided = _decide(config, state, commands)
-    state, moved = _move(config, state, sensors, usable=not bad_readings)
-    state, found = _protect(config, state, sensors, bad_readings, moved)
+    before, last_rad = state, last_setpoint(state)
+    bad = monitors.unusable(config, sensors)
+    state, tool_channels = _estimate(config, state, sensors, usable=not bad)
+    state, decided = _decide(config, state, sensors, commands, usable=not bad)
+    state, moved = _move(config, state, sensors, usable=not bad)
+    state, found = _protect(config, state, sensors, last_rad, bad, moved)
     return _output(config, before, state, tool_channels, decided + moved + found)
 
 
@@ -44,11 +46,14 @@ def _estimate(
     return replace(state, joints=joints, load=load), channels
 
 
-def _decide(config: Config, state: State, commands: tuple[Command, ...]) -> tuple[State, tuple[Evr, ...]]:
+def _decide(
+    config: Config, state: State, sensors: Sensors, commands: tuple[Command, ...], usable: bool
+) -> tuple[State, tuple[Evr, ...]]:
     """Commands change what the arm is about to do."""
     if not commands:
         return state, ()
-    now = Situation(state.mode, state.tool, state.joints, state.planned_gap_rad, state.move)
+    touching = bool(sensors.switch_closed.any())
+    now = Situation(state.mode, state.tool, state.joints, state.planned_gap_rad, state.move, usable, touching)
     for command in commands:
         now = handle(config, now, command)
     state = replace(
@@ -58,8 +63,8 @@ def _decide(config: Config, state: State, commands: tuple[Command, ...]) -> tupl
 
 
 def _move(config: Config, state: State, sensors: Sensors, usable: bool) -> tuple[State, tuple[Evr, ...]]:
-    """The move under way, one cycle on."""
-    if state.move is None or not usable:
+    """The move under way, one cycle on; with bad readings only the brakes go on."""
+    if state.move is None or not (usable or state.move.phase is Phase.BRAKE):
         return state, ()
     result = advance(config, state.move, state.joints, sensors)
     mode = state.mode if result.end_mode is None else result.end_mode
@@ -67,18 +72,25 @@ def _move(config: Config, state: State, sensors: Sensors, usable: bool) -> tuple
 
 
 def _protect(
-    config: Config, state: State, sensors: Sensors, bad_readings: tuple[Evr, ...], moved: tuple[Evr, ...]
+    config: Config,
+    state: State,
+    sensors: Sensors,
+    last_rad: Array,
+    bad: tuple[Evr, ...],
+    moved: tuple[Evr, ...],
 ) -> tuple[State, tuple[Evr, ...]]:
     """Monitors say what happened; the response may only reduce or stop. A standing fault is said once."""
-    seen, found = state.monitors, bad_readings
-    if not bad_readings:
+    seen, found = state.monitors, bad
+    if not bad:
         seen, found = monitors.watch(config, seen, state.mode, state.move, sensors, state.joints)
-    if state.mode is Mode.FAULTED:
-        return replace(state, monitors=seen), ()
-    if not (found or moved):
-        return state if seen is state.monitors else replace(state, monitors=seen), ()
-    mode, move, response = guard(state.mode, state.move, state.joints, found + moved)
-    return replace(state, monitors=seen, mode=mode, move=move), found + response
+    if state.move is not None:
+        found += unsafe_setpoint(config, last_rad, state.move.hold.motor_rad)
+    if seen is not state.monitors:
+        state = replace(state, monitors=seen)
+    if state.mode is Mode.FAULTED or not (found or moved):
+        return state, ()
+    mode, move, response = guard(config, state.mode, state.move, last_rad, state.joints, found + moved)
+    return replace(state, mode=mode, move=move), found + response
 
 
 def _output(

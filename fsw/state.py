@@ -13,7 +13,7 @@ from fsw.estimate.load import LoadEstimate, unloaded
 from fsw.kinematics.transforms import Array
 from fsw.messages import Drive, Outputs
 from fsw.motion.move import Move
-from fsw.protect.monitors import MonitorState, nothing_seen
+from fsw.protect.monitors import QUIET, MonitorState
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +46,7 @@ def boot(config: Config, mode: Mode) -> State:
         load=unloaded(n),
         planned_gap_rad=np.zeros(n),
         move=None,
-        monitors=nothing_seen(),
+        monitors=QUIET,
         drive=Drive(np.zeros(n, np.int64), np.zeros(n), config.current_limit_A, off, off),
     )
 
@@ -56,16 +56,21 @@ def outputs_at_rest(state: State) -> Outputs:
     return Outputs(state.drive, joint_channels(state), None, ())
 
 
+def last_setpoint(state: State) -> Array:
+    """The motor angles that were asked for last: a move's set-point, or where the brakes hold the motors."""
+    return state.joints.motor_rad if state.move is None else state.move.hold.motor_rad
+
+
 def joint_channels(state: State) -> JointChannels:
     """The channels of every cycle."""
-    joints, move = state.joints, state.move
+    joints = state.joints
     return JointChannels(
         tick=state.tick,
         mode=state.mode,
-        busy=move is not None,
+        busy=state.move is not None,
         motor_rad=joints.motor_rad,
         motor_rate_rad_s=joints.motor_rate_rad_s,
-        setpoint_rad=joints.motor_rad if move is None else move.hold.motor_rad,
+        setpoint_rad=last_setpoint(state),
         gap_rad=joints.gap_rad,
         planned_gap_rad=state.planned_gap_rad,
     )

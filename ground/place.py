@@ -24,8 +24,10 @@ from sim.placement import PlacementResult, PlacementRun
 from sim.record import CycleRecord
 from sim.world import World, build
 
-FRAME_EVERY_S = 2.0
+FRAME_EVERY_S = 3.0
 PICTURE_SIZE = (1280, 720)
+MOVIE_SHADOWS = 1024
+"""Pixels across a shadow map: coarser than for a picture, and several times faster."""
 
 Progress = Callable[[float, float, str], None]
 """Told what is done, what is to be done, and what it is."""
@@ -126,5 +128,6 @@ def _pictures(
                 progress(k, len(frames), "drawing")
                 yield frame
 
+        model.vis.quality.shadowsize = MOVIE_SHADOWS
         movie = save_movie(model, drawn(), "overview", request.movie)
     return picture, movie

@@ -18,9 +18,8 @@ from sim.plant import JOINT_NAMES, Plant
 RESOLVER_BITS: Final = 16
 RESOLVER_LSB_RAD: Final = 2 * np.pi / 2**RESOLVER_BITS
 
-# places in MuJoCo's arrays of a dcmotor with controller and thermal model
-_TEMPERATURE_RISE: Final = 1
-_AMBIENT: Final = 4
+# places in MuJoCo's gain parameters of a dcmotor
+_RESISTANCE: Final = 0
 _MOTOR_CONSTANT: Final = 1
 
 
@@ -36,8 +35,10 @@ class Avionics:
         self._rad_per_count = rad_per_count
         self._rng = rng
         self._motors = np.array(motors)
-        self._temperature = np.array([model.actuator_actadr[m] + _TEMPERATURE_RISE for m in motors])
-        self._ambient_C = model.actuator_dynprm[motors, _AMBIENT]
+        self._integral = model.actuator_actadr[motors]
+        self._resistance_Ohm = model.actuator_gainprm[motors, _RESISTANCE].copy()
+        self._winding_rise_K = np.zeros(len(motors))
+        self._winding_time_s = plant.data.time
         self._torque_constant_Nm_A = model.actuator_gainprm[motors, _MOTOR_CONSTANT].copy()
         self._touch = model.sensor_adr[switches]
         self._brake_cycles = np.rint(hardware.brake_delay_s * CYCLE_HZ).astype(int)
@@ -49,18 +50,27 @@ class Avionics:
         """The readings of this moment."""
         plant, hardware, data = self._plant, self._hardware, self._plant.data
         noise = self._rng.standard_normal(13)
+        current = data.actuator_force[self._motors] / self._torque_constant_Nm_A
         motor = plant.motor_rad()
         count = np.rint((motor + hardware.encoder_zero_rad) / self._rad_per_count).astype(np.int64)
         resolver = plant.output_rad() + hardware.resolver_bias_rad + hardware.resolver_noise_rad * noise[:5]
         return Sensors(
             encoder_count=count,
             resolver_rad=np.rint(resolver / RESOLVER_LSB_RAD) * RESOLVER_LSB_RAD,
-            current_A=data.actuator_force[self._motors] / self._torque_constant_Nm_A
-            + hardware.current_noise_A * noise[5:10],
-            winding_C=data.act[self._temperature] + self._ambient_C,
+            current_A=current + hardware.current_noise_A * noise[5:10],
+            winding_C=hardware.ambient_C + self._heated(current),
             switch_closed=data.sensordata[self._touch] > hardware.switch_force_N,
             gravity_R_m_s2=self._gravity_R + hardware.gravity_noise_m_s2 * noise[10:],
         )
+
+    def _heated(self, current_A: Array) -> Array:
+        """Rise of the windings by now: MuJoCo's own heats with the unlimited current and never cools."""
+        elapsed_s = self._plant.data.time - self._winding_time_s
+        self._winding_time_s = self._plant.data.time
+        final_K = current_A**2 * self._resistance_Ohm * self._hardware.winding_K_W
+        share = -np.expm1(-elapsed_s / self._hardware.winding_s)
+        self._winding_rise_K = self._winding_rise_K + share * (final_K - self._winding_rise_K)
+        return self._winding_rise_K
 
     def apply(self, drive: Drive) -> None:
         """Take a drive: set-points at once, brakes after their delay."""
@@ -72,8 +82,9 @@ class Avionics:
             limit = drive.current_limit_A * self._torque_constant_Nm_A
             model.actuator_forcerange[self._motors] = np.column_stack([-limit, limit])
         if last is None or drive.power_on is not last.power_on:
-            off = sum(2 << joint for joint in Joint if not drive.power_on[joint])
-            model.opt.disableactuator = off
+            was_on = np.zeros_like(drive.power_on) if last is None else last.power_on
+            data.act[self._integral[drive.power_on & ~was_on]] = 0.0
+            model.opt.disableactuator = sum(2 << joint for joint in Joint if not drive.power_on[joint])
         if last is None or drive.brake_release is not last.brake_release:
             self._command_brakes(drive, last)
         if self._pending:

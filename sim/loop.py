@@ -20,7 +20,7 @@ from sim.plant import Plant
 from sim.record import CycleRecord
 from sim.world import World, build
 
-SETTLE_S = 10.0
+SETTLE_S = 16.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,8 @@ class ClosedLoop:
     def reference(self) -> SetReference:
         """What a hardstop initialisation would find: motor angles with their zero error, true gap sides."""
         count = self.avionics.sense().encoder_count
-        return SetReference(joints5(count * self.config.rad_per_count), _sides(self.plant.gap_rad()))
+        sides = _sides(self.plant.gap_rad(), self.config.half_gap_rad)
+        return SetReference(joints5(count * self.config.rad_per_count), sides)
 
 
 def _safe_outputs(last: Outputs, error: Exception) -> Outputs:
@@ -96,6 +97,7 @@ def joints5(angle_rad: Array) -> Joints5:
     return (a, b, c, d, e)
 
 
-def _sides(gap_rad: Array) -> Sides5:
-    a, b, c, d, e = (int(side) for side in np.sign(gap_rad))
+def _sides(gap_rad: Array, half_gap_rad: Array) -> Sides5:
+    """The side of each joint's backlash, 0 about the middle."""
+    a, b, c, d, e = (int(side) for side in np.sign(gap_rad) * (np.abs(gap_rad) > 0.5 * half_gap_rad))
     return (a, b, c, d, e)

@@ -19,6 +19,10 @@ HARD_FRICTION = 1e-4
 held by friction then gives way with a time constant of four seconds. Less of it takes as many hours."""
 
 
+LOAD_STAGES = 320
+"""Gravity is brought up in so many stages: a dropped arm rests anywhere in the band of its friction."""
+
+
 class PlantDiverged(RuntimeError):
     """MuJoCo counted a warning: it may have reset the state, so nothing after it can be believed."""
 
@@ -61,7 +65,11 @@ class Plant:
         self.model.opt.disableactuator = ALL_ACTUATORS
         for joint in Joint:
             self.brake(joint, True)
-        mujoco.mj_step(self.model, self.data, round(settle_s / self.model.opt.timestep))
+        gravity, steps = self.model.opt.gravity.copy(), round(settle_s / self.model.opt.timestep)
+        for share in (np.arange(LOAD_STAGES) + 1) / LOAD_STAGES:
+            self.model.opt.gravity[:] = gravity * share * share * (3 - 2 * share)
+            mujoco.mj_step(self.model, self.data, steps // (2 * LOAD_STAGES))
+        mujoco.mj_step(self.model, self.data, steps // 2)
         self.data.time = 0.0
         self._check()
 

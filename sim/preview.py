@@ -11,12 +11,13 @@ import numpy as np
 
 from fsw.config import Config, configure
 from fsw.estimate.joints import JointEstimate, unreferenced
-from fsw.kinematics.ik import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.statics import Equilibrium, settle
 from fsw.kinematics.transforms import Array
 from fsw.motion.paths import Path, joint_path
 from fsw.motion.plan import Refusal
-from fsw.motion.plan_tool import AUTO, plan_guarded, plan_tool
+from fsw.motion.plan_line import plan_guarded
+from fsw.motion.plan_tool import AUTO, plan_tool
 from sim.arms import BuiltArm
 from sim.params import digest
 from sim.placement import Placement, placement_moves
@@ -93,7 +94,7 @@ def _no(placement: Placement, problem: str) -> Preview:
 def _poses(config: Config, joints: JointEstimate, path: Path) -> Equilibrium:
     start, end = path.at(0.0).motor_rad, path.at(path.duration_s).motor_rad
     samples = int(np.abs(end - start).max() / SPACING_RAD) + 2
-    way = np.array([path.at(t).motor_rad for t in np.linspace(0, path.duration_s, samples)])
+    way = np.array([path.at(t).motor_rad for t in np.linspace(0, path.duration_s, samples)]).T
     return settle(config.arm, way, np.zeros_like(way), joints.gravity_R_m_s2)
 
 
@@ -106,9 +107,9 @@ def _first_hit(plant: Plant, poses: Equilibrium) -> str | None:
             for s in SPRINGS
         ]
     )
-    for output, strain in zip(poses.output_rad, poses.strain, strict=True):
+    for output, strain in zip(poses.output_rad.T, np.moveaxis(poses.strain, -1, 0), strict=True):
         data.qpos[plant.at.motor] = output
-        data.qpos[springs] = strain[: len(SPRINGS)]
+        data.qpos[springs] = strain[:, : len(SPRINGS)].T
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
         if data.ncon:

@@ -46,6 +46,26 @@ def _add_camera(spec: mujoco.MjSpec, face: Array) -> None:
     spec.worldbody.add_camera(name="target", pos=eye, quat=quat, fovy=42)
 
 
+def lower_ground(spec: mujoco.MjSpec, height_m: float) -> None:
+    """Ground and scenery at a height (world z, not above 0); the rover then stands on a terrace."""
+    if height_m == 0.0:
+        return
+    spec.geom("ground").pos[2] = height_m
+    scenery = spec.body("mars_scenery")
+    if scenery is not None:
+        scenery.pos[2] = height_m
+    spec.worldbody.add_geom(
+        name="terrace",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=(-0.15, 0, 0.5 * height_m),
+        size=(1.5, 1.5, -0.5 * height_m),
+        contype=0,
+        conaffinity=0,
+        group=2,
+        material=spec.geom("ground").material,
+    )
+
+
 def _add_outcrop(spec: mujoco.MjSpec, rock: mujoco.MjsBody, face: Array, z: Array) -> None:
     """Angular blocks around and below the face, none above it."""
     looks = {

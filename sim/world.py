@@ -10,7 +10,7 @@ import numpy as np
 from fsw.dictionary.commands import Vector3
 from fsw.kinematics.transforms import Array
 from sim.frames import FLIP, gravity_in_rover
-from sim.rock import add_rock
+from sim.rock import add_rock, lower_ground
 
 MJCF: Final = Path(__file__).resolve().parents[1] / "models" / "mjcf"
 GRAVITY_M_S2: Final = {"mars": 3.711, "earth": 9.81}
@@ -63,8 +63,7 @@ def build(world: World, for_pictures: bool = False) -> mujoco.MjSpec:
     spec.option.gravity = FLIP * world.gravity_N_m_s2
     if world.surface is not None:
         add_rock(spec, np.array(world.surface.p_N_m), np.array(world.surface.normal_N))
-        # a target below the wheels: the rover stands on a rise
-        spec.geom("ground").pos[2] = min(0.0, -world.surface.p_N_m[2] - BELOW_ROCK_M)
+        lower_ground(spec, min(0.0, -world.surface.p_N_m[2] - BELOW_ROCK_M))
     if not for_pictures:
         for geom in list(spec.geoms):
             if geom.contype == 0 and geom.conaffinity == 0:

@@ -132,8 +132,29 @@ class SensorNotFinite(Evr):
 
 
 @dataclass(frozen=True, slots=True)
+class GravityImplausible(Evr):
+    """The gravity reading is larger than any gravity."""
+
+    severity = Severity.WARNING_HI
+    text = "gravity reads {e.gravity_m_s2:.3g} m/s2, bound {e.bound_m_s2:.3g} m/s2"
+    gravity_m_s2: float
+    bound_m_s2: float
+
+
+@dataclass(frozen=True, slots=True)
+class SetpointUnsafe(Evr):
+    """A set-point was about to go out that is not finite, beyond the limits or too far from the last one."""
+
+    severity = Severity.WARNING_HI
+    text = "{e.joint.name}: set-point {e.setpoint_rad:.4f} rad held back, last {e.last_rad:.4f} rad"
+    joint: Joint
+    setpoint_rad: float
+    last_rad: float
+
+
+@dataclass(frozen=True, slots=True)
 class SoftLimitPassed(Evr):
-    """A joint is beyond its soft limit."""
+    """A joint is beyond its soft limit and moving outward."""
 
     severity = Severity.WARNING_HI
     text = "{e.joint.name} at {e.angle_rad:.4f} rad, soft limit {e.limit_rad:.4f} rad"
@@ -197,7 +218,7 @@ class FaultResponse(Evr):
     """What was done about a fault."""
 
     severity = Severity.WARNING_HI
-    text = "response {e.response}: motion stopped, brakes on, commands refused until the fault is cleared"
+    text = "response {e.response}: stopped, brakes on, moves refused until the fault is cleared"
     response: str
 
 

@@ -62,6 +62,8 @@ class LinkParams:
     compliance: Matrix6 = RIGID
     near: Lump = Lump()
     far: Lump = Lump()
+    expansion_1_K: Row6 = _NO_ROW
+    """Growth per kelvin at the link's end, in its end frame: rotation [rad/K], translation [m/K]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,16 +83,25 @@ class Links:
 
 
 @dataclass(frozen=True, slots=True)
+class ToolParams:
+    """Where a tool frame stands on the turret interface, frame Arm6; tool x is the approach direction."""
+
+    transform: Transform6
+    expansion_1_K: Row6 = _NO_ROW
+    """Growth per kelvin, in tool axes."""
+
+
+@dataclass(frozen=True, slots=True)
 class Tools:
-    """Where each tool frame stands on the turret interface, frame Arm6; tool x is the approach direction."""
+    """The tools on the turret."""
 
-    drill: Transform6
-    drt: Transform6
-    mahli: Transform6
-    apxs: Transform6
-    portion: Transform6
+    drill: ToolParams
+    drt: ToolParams
+    mahli: ToolParams
+    apxs: ToolParams
+    portion: ToolParams
 
-    def in_order(self) -> tuple[Transform6, ...]:
+    def in_order(self) -> tuple[ToolParams, ...]:
         """The tools in the order of Tool."""
         return (self.drill, self.drt, self.mahli, self.apxs, self.portion)
 
@@ -152,6 +163,10 @@ class MotionParams:
     line_jerk_m_s3: Annotated[float, Limits(1e-4, 1.0)]
     line_step_m: Annotated[float, Limits(1e-3, 0.1)]
     """Spacing of the inverse-kinematics knots of a straight move."""
+    line_max_m: Annotated[float, Limits(0.01, 2.0)]
+    """Longest straight move."""
+    line_turn_rad: Annotated[float, Limits(0.0, 0.5)]
+    """How far the tool may look away from the approach when a guarded move begins."""
     tool_channels_period: Annotated[int, Limits(1, 640)]
     """Cycles between two estimates of the deflected tool pose."""
 
@@ -160,6 +175,10 @@ class MotionParams:
 class MonitorParams:
     """Bounds of the monitors; a persistence is the number of cycles a bound must be passed in a row."""
 
+    gravity_max_m_s2: Annotated[float, Limits(1.0, 30.0)]
+    """Beyond this a gravity reading is no gravity."""
+    setpoint_step_factor: Annotated[float, Limits(1.0, 3.0)]
+    """Largest change of a set-point in a cycle, in units of the joint's speed times the cycle."""
     following_error_rad: Annotated[float, Limits(1e-5, 0.1)]
     following_persistence: Annotated[int, Limits(1, 640)]
     soft_limit_margin_rad: Annotated[float, Limits(0.0, 0.03)]

@@ -69,7 +69,7 @@ def set_reference(config: Config, estimate: JointEstimate, command: SetReference
 
 def load_side(config: Config, torque_Nm: Array) -> Array:
     """Sign of the torques that exceed the friction of the output, else 0."""
-    side: Array = np.sign(torque_Nm) * (np.abs(torque_Nm) > config.output_friction_Nm)
+    side: Array = np.sign(torque_Nm) * (np.abs(torque_Nm) > _rows(config.output_friction_Nm, torque_Nm))
     return side
 
 
@@ -90,8 +90,13 @@ def gap_to_move(config: Config, torque_Nm: Array, gap_rad: Array, motion_rad: Ar
 
     Unlike in gap_after, the motion is that of the output: whoever wants it to move at all must cross the gap.
     """
-    side = load_side(config, torque_Nm)
+    side, half = load_side(config, torque_Nm), _rows(config.half_gap_rad, torque_Nm)
     moved = np.abs(motion_rad) > STILL_RAD
-    unloaded = np.where(moved, -np.sign(motion_rad) * config.half_gap_rad, gap_rad)
-    gap: Array = np.where(side != 0, side * config.half_gap_rad, unloaded)
+    unloaded = np.where(moved, -np.sign(motion_rad) * half, gap_rad)
+    gap: Array = np.where(side != 0, side * half, unloaded)
     return gap
+
+
+def _rows(per_joint: Array, like: Array) -> Array:
+    """A value per joint (5,) beside joint arrays (5, ...)."""
+    return per_joint.reshape(-1, *(1,) * (like.ndim - 1))

@@ -15,7 +15,7 @@ from fsw.kinematics.transforms import Array
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadEstimate:
-    """Spring strains (6, 6) and joint torques (5) of the last refresh; they converge over a few refreshes."""
+    """Spring strains (6, 6), links second, and joint torques (5); they converge over a few refreshes."""
 
     strain: Array
     torque_Nm: Array
@@ -23,7 +23,7 @@ class LoadEstimate:
 
 def unloaded(n: int) -> LoadEstimate:
     """No load known yet."""
-    return LoadEstimate(np.zeros((n + 1, 6)), np.zeros(n))
+    return LoadEstimate(np.zeros((6, n + 1)), np.zeros(n))
 
 
 def refresh(
@@ -35,7 +35,7 @@ def refresh(
     frames = forward(arm, output, last.strain)
     strain, torque = load(arm, frames, last.strain, joints.gravity_R_m_s2)
     X_RT = tool_pose(arm, frames, tool)
-    channels = ToolChannels(tick, tool, X_RT[:3, 3], X_RT[:3, :3], output, torque)
+    channels = ToolChannels(tick, tool, X_RT.p, X_RT.R, output, torque)
     side = load_side(config, torque)
     gap = gap_after(config, side, joints.gap_rad, np.zeros_like(side))
     return LoadEstimate(strain, torque), replace(joints, load_side=side, gap_rad=gap), channels

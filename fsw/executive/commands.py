@@ -29,12 +29,19 @@ from fsw.dictionary.evrs import (
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
 from fsw.estimate.joints import JointEstimate, set_reference
-from fsw.executive.modes import Event, after
+from fsw.executive.checks import MoveCommand, malformed
+from fsw.executive.modes import TRANSITIONS, Event, after
 from fsw.kinematics.transforms import Array
 from fsw.motion.move import Move, stop
 from fsw.motion.paths import Setpoint
-from fsw.motion.plan import Plan, Refusal, plan_poses
-from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
+from fsw.motion.plan import Plan, Refusal, over_limits, plan_poses, worst_limit
+from fsw.motion.plan_line import plan_guarded, plan_retract
+from fsw.motion.plan_tool import plan_tool
+
+REFERENCE_MARGIN_RAD = 0.1
+"""How far beyond the soft limits, at a hardstop for one, a reference may be."""
+STOWED_RAD = 0.02
+"""How close to the stowed pose every joint of a stowed arm is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,6 +54,10 @@ class Situation:
     gap_rad: Array
     """What the set-points allow for."""
     move: Move | None
+    usable: bool
+    """Whether this cycle's readings are."""
+    touching: bool
+    """Whether any contact switch is closed."""
     evrs: tuple[Evr, ...] = ()
 
 
@@ -56,7 +67,7 @@ def handle(config: Config, now: Situation, command: Command) -> Situation:
         case SetReference():
             return _set_reference(config, now, command)
         case ClearFault():
-            return _clear_fault(now, command)
+            return _clear_fault(config, now, command)
         case Stop():
             return _stop(config, now, command)
         case Unstow() | MoveJoints() | MoveTool() | GuardedMove() | Retract():
@@ -65,10 +76,8 @@ def handle(config: Config, now: Situation, command: Command) -> Situation:
             assert_never(command)
 
 
-MoveCommand = Unstow | MoveJoints | MoveTool | GuardedMove | Retract
-
 _EVENT_OF: dict[type, Event] = {
-    Unstow: Event.MOVE_FREE,
+    Unstow: Event.UNSTOW,
     MoveJoints: Event.MOVE_FREE,
     MoveTool: Event.MOVE_FREE,
     GuardedMove: Event.MOVE_GUARDED,
@@ -77,17 +86,19 @@ _EVENT_OF: dict[type, Event] = {
 
 
 def _begin_move(config: Config, now: Situation, command: MoveCommand) -> Situation:
+    problem = _not_now(now) or malformed(command)
+    if problem is not None:
+        return _refused(now, command, problem)
     mode = after(now.mode, _EVENT_OF[type(command)])
-    problem = _not_now(now, mode) or _malformed(command)
-    if problem is not None or mode is None:
-        return _refused(now, command, problem or "")
+    if mode is None:
+        return _refused(now, command, f"not allowed in mode {now.mode.name}")
     plan = _plan(config, now.joints, command)
     if isinstance(plan, Refusal):
         return _refused(now, command, plan.reason)
     tool = now.tool if isinstance(command, Unstow | MoveJoints) else command.tool
     move = Move(
         command=_name(command),
-        end_mode=after(mode, Event.DONE) or mode,
+        end_mode=TRANSITIONS[mode, Event.DONE],
         paths=plan.paths,
         hold=Setpoint(now.joints.motor_rad, np.zeros_like(now.joints.motor_rad)),
         guarded=tool if isinstance(command, GuardedMove) else None,
@@ -98,7 +109,7 @@ def _begin_move(config: Config, now: Situation, command: MoveCommand) -> Situati
     return replace(now, mode=mode, tool=tool, move=move, gap_rad=plan.gap_rad, evrs=(*now.evrs, *evrs))
 
 
-def _not_now(now: Situation, mode: Mode | None) -> str | None:
+def _not_now(now: Situation) -> str | None:
     """Why no move can begin in this situation."""
     if now.mode is Mode.FAULTED:
         return "a fault stands; clear it first"
@@ -106,23 +117,7 @@ def _not_now(now: Situation, mode: Mode | None) -> str | None:
         return f"{now.move.command} is under way"
     if not now.joints.referenced:
         return "the encoders have no reference; set it first"
-    if mode is None:
-        return f"not allowed in mode {now.mode.name}"
-    return None
-
-
-def _malformed(command: MoveCommand) -> str | None:
-    """What is wrong with the command's own numbers."""
-    match command:
-        case MoveJoints(angle_rad=angle):
-            return None if np.all(np.isfinite(angle)) else "a joint angle is not finite"
-        case MoveTool(p_RoTo_R_m=p, approach_R=a) | GuardedMove(end_p_RoTo_R_m=p, approach_R=a):
-            if not (np.all(np.isfinite(p)) and np.all(np.isfinite(a))):
-                return "position or approach is not finite"
-            return None if np.linalg.norm(a) > 1e-9 else "the approach has no length"
-        case Retract(distance_m=d):
-            return None if np.isfinite(d) and 0 < d <= 1.0 else f"distance {d} m is outside 0 .. 1 m"
-    return None
+    return None if now.usable else "a reading is unusable"
 
 
 def _plan(config: Config, joints: JointEstimate, command: MoveCommand) -> Plan | Refusal:
@@ -143,28 +138,51 @@ def _plan(config: Config, joints: JointEstimate, command: MoveCommand) -> Plan |
 
 
 def _set_reference(config: Config, now: Situation, command: SetReference) -> Situation:
-    if now.move is not None:
-        return _refused(now, command, f"{now.move.command} is under way")
-    if not np.all(np.isfinite(command.motor_rad)):
-        return _refused(now, command, "a motor angle is not finite")
-    if any(side not in (-1, 0, 1) for side in command.gap_side):
-        return _refused(now, command, f"a gap side is not -1, 0 or 1: {command.gap_side}")
+    problem = _wrong_reference(config, now, command)
+    if problem is not None:
+        return _refused(now, command, problem)
     joints = set_reference(config, now.joints, command)
-    return replace(
-        now,
-        joints=joints,
-        gap_rad=joints.gap_rad,
-        evrs=(*now.evrs, ReferenceSet(), CommandCompleted(_name(command))),
-    )
+    evrs = (*now.evrs, ReferenceSet(), CommandCompleted(_name(command)))
+    mode = after(now.mode, Event.AT_STOW if _at_stow(config, joints.motor_rad) else Event.AWAY)
+    mode = now.mode if mode is None else mode
+    return replace(now, mode=mode, joints=joints, gap_rad=joints.gap_rad, evrs=evrs)
 
 
-def _clear_fault(now: Situation, command: ClearFault) -> Situation:
-    mode = after(now.mode, Event.CLEAR)
+def _wrong_reference(config: Config, now: Situation, command: SetReference) -> str | None:
+    told = np.array(command.motor_rad)
+    if now.move is not None:
+        return f"{now.move.command} is under way"
+    if not now.usable:
+        return "a reading is unusable"
+    if not np.all(np.isfinite(told)):
+        return "a motor angle is not finite"
+    over = over_limits(config, told) - REFERENCE_MARGIN_RAD
+    if over > 0:
+        return worst_limit(config, told)
+    if any(side not in (-1, 0, 1) for side in command.gap_side):
+        return f"a gap side is not -1, 0 or 1: {command.gap_side}"
+    return None
+
+
+def _clear_fault(config: Config, now: Situation, command: ClearFault) -> Situation:
+    mode = after(now.mode, _clearing(config, now))
     if mode is None:
         return _refused(now, command, "no fault stands")
     if now.move is not None:
         return _refused(now, command, "the arm is still being stopped")
     return replace(now, mode=mode, evrs=(*now.evrs, FaultCleared(), CommandCompleted(_name(command))))
+
+
+def _clearing(config: Config, now: Situation) -> Event:
+    """What is cleared depends on where the arm stands: touching it may only retract, stowed only unstow."""
+    if now.touching:
+        return Event.CLEAR_TOUCHING
+    at_stow = now.joints.referenced and _at_stow(config, now.joints.motor_rad)
+    return Event.CLEAR_STOWED if at_stow else Event.CLEAR
+
+
+def _at_stow(config: Config, motor_rad: Array) -> bool:
+    return bool(np.abs(motor_rad - config.params.poses.stowed_rad).max() < STOWED_RAD)
 
 
 def _stop(config: Config, now: Situation, command: Stop) -> Situation:

@@ -9,16 +9,25 @@ from fsw.dictionary.modes import Mode
 class Event(IntEnum):
     """What can change the mode."""
 
-    MOVE_FREE = 0
-    MOVE_GUARDED = 1
-    MOVE_BACK = 2
-    DONE = 3
-    FAULT = 4
-    CLEAR = 5
+    UNSTOW = 0
+    MOVE_FREE = 1
+    MOVE_GUARDED = 2
+    MOVE_BACK = 3
+    DONE = 4
+    FAULT = 5
+    CLEAR = 6
+    CLEAR_STOWED = 7
+    """Cleared in the stowed pose."""
+    CLEAR_TOUCHING = 8
+    """Cleared with a contact switch closed."""
+    AT_STOW = 9
+    """The reference says that the arm is stowed."""
+    AWAY = 10
+    """The reference says that it is not."""
 
 
 TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
-    (Mode.STOWED, Event.MOVE_FREE): Mode.FREE_SPACE,
+    (Mode.STOWED, Event.UNSTOW): Mode.FREE_SPACE,
     (Mode.DEPLOYED, Event.MOVE_FREE): Mode.FREE_SPACE,
     (Mode.DEPLOYED, Event.MOVE_GUARDED): Mode.GUARDED,
     (Mode.DEPLOYED, Event.MOVE_BACK): Mode.RETRACTING,
@@ -28,6 +37,12 @@ TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
     (Mode.GUARDED, Event.DONE): Mode.GUARDED,
     (Mode.RETRACTING, Event.DONE): Mode.DEPLOYED,
     (Mode.FAULTED, Event.CLEAR): Mode.DEPLOYED,
+    (Mode.FAULTED, Event.CLEAR_STOWED): Mode.STOWED,
+    (Mode.FAULTED, Event.CLEAR_TOUCHING): Mode.GUARDED,
+    (Mode.STOWED, Event.AT_STOW): Mode.STOWED,
+    (Mode.DEPLOYED, Event.AT_STOW): Mode.STOWED,
+    (Mode.STOWED, Event.AWAY): Mode.DEPLOYED,
+    (Mode.DEPLOYED, Event.AWAY): Mode.DEPLOYED,
     **{(mode, Event.FAULT): Mode.FAULTED for mode in Mode},
 }
 """A pair that is not here is refused."""

@@ -5,68 +5,87 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.transforms import Array, rigid, rotation_x, rotation_y, rotation_z
+from fsw.kinematics.transforms import Array, Pose, compose, cross, rotation_z
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """Poses along the arm in the rover frame RMECH, outward, (..., 6, 4, 4) each.
+    """Poses along the arm, batch (6, ...) each: links from the rover outward.
 
-    The joint that moves link i turns about the z axis of X_RF[i - 1] through its origin.
+    The joint that moves link i turns about the z axis of X_RL[i], through its origin.
     """
 
-    X_RC: Array
-    """Each link's spring, near side."""
-    X_RD: Array
-    """Each link's spring, far side."""
-    X_RF: Array
-    """Arm1 to Arm6."""
+    X_RL: Pose
+    """Each link's frame, turned by its joint, in the rover frame RMECH."""
+    X_LD: Pose
+    """The far side of each link's spring in the link's frame."""
+    X_RF: Pose
+    """The frame at each link's end, Arm1 to Arm6, in the rover frame."""
 
 
 def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
-    """Frames for output angles (..., 5) and spring strains (..., 6, 6); no strain is the rigid arm.
+    """Frames for output angles (5, ...) and spring strains (6, 6, ...), links second; none is the rigid arm.
 
     Paper equation 2, with the spring of each link as one more transform.
     """
-    turn = np.zeros((*output_rad.shape[:-1], 6))
-    turn[..., 1:] = output_rad
-    R = rotation_z(turn + arm.theta_rad)
-    X_LC = rigid(R, (R @ arm.p_LC_m[..., None])[..., 0])
-    if strain is None:
-        X_CD = np.broadcast_to(np.eye(4), X_LC.shape)
-        X_LF = X_LC @ arm.X_CF
-    else:
-        X_CD = strain_transform(strain)
-        X_LF = X_LC @ X_CD @ arm.X_CF
-    X_RF = np.empty_like(X_LF)
-    X_RF[..., 0, :, :] = X_LF[..., 0, :, :]
-    for i in range(1, 6):
-        np.matmul(X_RF[..., i - 1, :, :], X_LF[..., i, :, :], out=X_RF[..., i, :, :])
-    X_RC = X_LC.copy()
-    np.matmul(X_RF[..., :5, :, :], X_LC[..., 1:, :, :], out=X_RC[..., 1:, :, :])
-    return Frames(X_RC, X_RC @ X_CD, X_RF)
+    batch = output_rad.shape[1:]
+    ones = (1,) * len(batch)
+    angle = np.zeros((6, *batch))
+    angle[1:] = output_rad
+    angle += arm.theta_rad.reshape(6, *ones)
+    R_turn = rotation_z(angle)
+    X_LD = spring_pose(arm, np.zeros((6, 6, *ones)) if strain is None else strain)
+    # a pose as (3, 4, ...), so that one product turns rotation and translation alike
+    X_LF = np.einsum("ikl...,kjl->ijl...", X_LD.R, arm.RP_CF)
+    X_LF[:, 3] += X_LD.p
+    X_LF = compose(R_turn, X_LF)
+    X_RS = np.empty((3, 4, 7, *batch))
+    X_RS[:, :3, 0] = np.eye(3).reshape(3, 3, *ones)
+    X_RS[:, 3, 0] = 0.0
+    for i in range(6):
+        end = compose(X_RS[:, :3, i], X_LF[:, :, i])
+        end[:, 3] += X_RS[:, 3, i]
+        X_RS[:, :, i + 1] = end
+    R_RL = compose(X_RS[:, :3, :6], R_turn)
+    return Frames(Pose(R_RL, X_RS[:, 3, :6]), X_LD, Pose(X_RS[:, :3, 1:], X_RS[:, 3, 1:]))
 
 
-def strain_transform(strain: Array) -> Array:
-    """A spring's displacement as a finite transform: translate, then turn about x, y and z in this order.
+def spring_pose(arm: Arm, strain: Array) -> Pose:
+    """The far side of each spring in its link's frame, for strains (6, 6, ...).
 
-    The order is that of the plant's spring; at 45 mrad it matters by a tenth of a millimetre.
+    A spring translates, then turns about x, y and z in this order, each axis carried by the turns before it,
+    as the plant's spring does; at 45 mrad the order matters by a tenth of a millimetre.
     """
-    R = rotation_x(strain[..., 0]) @ rotation_y(strain[..., 1]) @ rotation_z(strain[..., 2])
-    return rigid(R, strain[..., 3:])
+    (cx, cy, cz), (sx, sy, sz) = _small_cos_sin(strain[:3])
+    R = np.empty((3, 3, *strain.shape[1:]))
+    R[0, 0], R[0, 1], R[0, 2] = cy * cz, -cy * sz, sy
+    sxsy, cxsy = sx * sy, cx * sy
+    R[1, 0], R[1, 1], R[1, 2] = cx * sz + sxsy * cz, cx * cz - sxsy * sz, -sx * cy
+    R[2, 0], R[2, 1], R[2, 2] = sx * sz - cxsy * cz, sx * cz + cxsy * sz, cx * cy
+    return Pose(R, strain[3:] + arm.p_LC_m.reshape(3, 6, *(1,) * (strain.ndim - 2)))
 
 
-def tool_pose(arm: Arm, frames: Frames, tool: int) -> Array:
-    """X_RT of a tool, (..., 4, 4)."""
-    X_RT: Array = frames.X_RF[..., 5, :, :] @ arm.X_FT[tool]
-    return X_RT
+def _small_cos_sin(x: Array) -> tuple[Array, Array]:
+    """Cosine and sine by series, to 1e-13 up to 0.1 rad; in a batch ten times faster than the library's."""
+    x2 = x * x
+    cosine = 1 - x2 * (1 / 2 - x2 * (1 / 24 - x2 * (1 / 720 - x2 / 40320)))
+    sine = x * (1 - x2 * (1 / 6 - x2 * (1 / 120 - x2 / 5040)))
+    return cosine, sine
+
+
+def tool_pose(arm: Arm, frames: Frames, tool: int) -> Pose:
+    """X_RT of a tool, batch (...)."""
+    X_FT = arm.X_FT[tool]
+    R_RF = frames.X_RF.R[:, :, 5]
+    X_RT = np.einsum("ik...,kj->ij...", R_RF, np.column_stack([X_FT.R, X_FT.p]))
+    X_RT[:, 3] += frames.X_RF.p[:, 5]
+    return Pose(X_RT[:, :3], X_RT[:, 3])
 
 
 def joint_jacobian(frames: Frames, p_R_m: Array) -> Array:
-    """Screw of a point fixed to the turret per joint rate, (..., 6, 5), rotation first, in the rover frame.
+    """Screw of a point fixed to the turret per joint rate, (6, 5, ...), rotation first, in the rover frame.
 
-    Point p (..., 3) in the rover frame. The springs' own response to the motion is left out.
+    Point p (3, ...) in the rover frame. The springs' own response to the motion is left out.
     """
-    axis = frames.X_RF[..., :5, :3, 2]
-    arm_m = p_R_m[..., None, :] - frames.X_RF[..., :5, :3, 3]
-    return np.swapaxes(np.concatenate([axis, np.cross(axis, arm_m)], axis=-1), -1, -2)
+    axis = frames.X_RL.R[:, 2, 1:]
+    return np.concatenate([axis, cross(axis, p_R_m[:, None] - frames.X_RL.p[:, 1:])])

@@ -1,7 +1,10 @@
-"""Rotations, homogeneous transforms and screws, for one or for many: every leading axis is a batch axis.
+"""Rotations, poses and screws, for one or for many: components lead, batch axes trail.
 
-A transform X_AB is 4x4 and gives frame B in frame A; a screw is (rotation, translation), rotation first.
+A vector is (3, ...), a rotation (3, 3, ...), a screw (6, ...) with the rotation first. The same code serves a
+single pose and a million: with components leading, numpy's inner loops run over the batch.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,84 +12,122 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """Where a frame is: X_AB holds R_AB and the position of B in A."""
+
+    R: Array
+    """(3, 3, ...)."""
+    p: Array
+    """(3, ...), metres."""
+
+    def __matmul__(self, other: "Pose") -> "Pose":
+        """X_AC = X_AB @ X_BC, in any batch that broadcasts."""
+        return Pose(compose(self.R, other.R), rotate(self.R, other.p) + self.p)
+
+    def __getitem__(self, index: object) -> "Pose":
+        """The poses at an index of the batch axes."""
+        where = index if isinstance(index, tuple) else (index,)
+        return Pose(self.R[(slice(None), slice(None), *where)], self.p[(slice(None), *where)])
+
+
+IDENTITY = Pose(np.eye(3), np.zeros(3))
+
+
+def compose(R: Array, S: Array) -> Array:
+    """The product of rotations (3, 3, ...)."""
+    product: Array = np.einsum("ik...,kj...->ij...", R, S)
+    return product
+
+
+def rotate(R: Array, v: Array) -> Array:
+    """The vectors (3, ...) turned by R (3, 3, ...)."""
+    turned: Array = np.einsum("ij...,j...->i...", R, v)
+    return turned
+
+
+def rotate_back(R: Array, v: Array) -> Array:
+    """The vectors (3, ...) turned by the transpose of R (3, 3, ...)."""
+    turned: Array = np.einsum("ji...,j...->i...", R, v)
+    return turned
+
+
+def inverse(X: Pose) -> Pose:
+    """X_BA from X_AB."""
+    return Pose(np.swapaxes(X.R, 0, 1), -rotate_back(X.R, X.p))
+
+
+def dot(a: Array, b: Array) -> Array:
+    """Scalar products of vectors (n, ...)."""
+    product: Array = np.einsum("i...,i...->...", a, b)
+    return product
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Vector products of vectors (3, ...)."""
+    return np.stack(
+        np.broadcast_arrays(a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+    )
+
+
+def norm(v: Array) -> Array:
+    """Lengths of vectors (n, ...)."""
+    return np.sqrt(dot(v, v))
+
+
 def rotation_x(angle_rad: Array) -> Array:
-    """Rotation about x; angles of shape (...), result (..., 3, 3)."""
-    return _plane_rotation(np.asarray(angle_rad, float), 1, 2)
+    """Rotations about x by angles (...), as (3, 3, ...)."""
+    return _plane_rotation(angle_rad, 1, 2)
 
 
 def rotation_y(angle_rad: Array) -> Array:
-    """Rotation about y; angles of shape (...), result (..., 3, 3)."""
-    return _plane_rotation(np.asarray(angle_rad, float), 2, 0)
+    """Rotations about y by angles (...), as (3, 3, ...)."""
+    return _plane_rotation(angle_rad, 2, 0)
 
 
 def rotation_z(angle_rad: Array) -> Array:
-    """Rotation about z; angles of shape (...), result (..., 3, 3)."""
-    return _plane_rotation(np.asarray(angle_rad, float), 0, 1)
+    """Rotations about z by angles (...), as (3, 3, ...)."""
+    return _plane_rotation(angle_rad, 0, 1)
 
 
 def _plane_rotation(angle_rad: Array, i: int, j: int) -> Array:
-    R = np.zeros((*angle_rad.shape, 3, 3))
     c, s = np.cos(angle_rad), np.sin(angle_rad)
-    R[..., i, i] = c
-    R[..., j, j] = c
-    R[..., j, i] = s
-    R[..., i, j] = -s
-    R[..., 3 - i - j, 3 - i - j] = 1.0
+    R = np.zeros((3, 3, *np.shape(c)))
+    R[i, i] = R[j, j] = c
+    R[j, i] = s
+    R[i, j] = -s
+    R[3 - i - j, 3 - i - j] = 1.0
     return R
 
 
-def rigid(R: Array, p_m: Array) -> Array:
-    """The transform with rotation R (..., 3, 3) and translation p (..., 3)."""
-    p_m = np.asarray(p_m, float)
-    X = np.zeros((*np.broadcast_shapes(R.shape[:-2], p_m.shape[:-1]), 4, 4))
-    X[..., :3, :3] = R
-    X[..., :3, 3] = p_m
-    X[..., 3, 3] = 1.0
-    return X
-
-
-def translation(p_m: Array) -> Array:
-    """The transform that only translates, by p of shape (..., 3)."""
-    return rigid(np.eye(3), p_m)
-
-
-def inverse(X: Array) -> Array:
-    """X_BA from X_AB."""
-    R_T = np.swapaxes(X[..., :3, :3], -1, -2)
-    return rigid(R_T, -(R_T @ X[..., :3, 3:])[..., 0])
-
-
-def skew(p: Array) -> Array:
-    """The matrix [p] with [p] v = p x v; shape (..., 3) to (..., 3, 3)."""
-    K = np.zeros((*p.shape, 3))
-    K[..., 0, 1], K[..., 0, 2], K[..., 1, 2] = -p[..., 2], p[..., 1], -p[..., 0]
-    K[..., 1, 0], K[..., 2, 0], K[..., 2, 1] = p[..., 2], -p[..., 1], p[..., 0]
+def skew(v: Array) -> Array:
+    """The matrices [v] with [v] w = v x w: (3, ...) to (3, 3, ...)."""
+    K = np.zeros((3, *v.shape))
+    K[0, 1], K[0, 2], K[1, 2] = -v[2], v[1], -v[0]
+    K[1, 0], K[2, 0], K[2, 1] = v[2], -v[1], v[0]
     return K
 
 
-def adjoint(X: Array) -> Array:
-    """The 6x6 that carries a screw from frame B to frame A: [[R, 0], [[p] R, R]], rotation first.
+def adjoint(X: Pose) -> Array:
+    """The (6, 6, ...) that carries a screw from frame B to frame A: [[R, 0], [[p] R, R]].
 
     The paper's equation 3 prints [p] alone in the lower left; finite differences ask for [p] R.
     """
-    R = X[..., :3, :3]
-    J = np.zeros((*X.shape[:-2], 6, 6))
-    J[..., :3, :3] = R
-    J[..., 3:, 3:] = R
-    J[..., 3:, :3] = skew(X[..., :3, 3]) @ R
+    J = np.zeros((6, 6, *X.R.shape[2:]))
+    J[:3, :3] = J[3:, 3:] = X.R
+    J[3:, :3] = compose(skew(X.p), X.R)
     return J
 
 
-def screw_exp(screw: Array) -> Array:
-    """The transform reached by following a constant screw (..., 6) for one unit of time."""
-    w, v = screw[..., :3], screw[..., 3:]
-    angle2 = np.sum(w * w, axis=-1)[..., None, None]
+def screw_exp(screw: Array) -> Pose:
+    """The pose reached by following a constant screw (6, ...) for one unit of time."""
+    w = screw[:3]
+    angle2 = dot(w, w)
     a, b, c = _exp_coefficients(angle2)
     W = skew(w)
-    W2 = W @ W
-    R = np.eye(3) + a * W + b * W2
-    V = np.eye(3) + b * W + c * W2
-    return rigid(R, (V @ v[..., None])[..., 0])
+    W2 = compose(W, W)
+    eye = np.eye(3).reshape(3, 3, *(1,) * angle2.ndim)
+    return Pose(eye + a * W + b * W2, rotate(eye + b * W + c * W2, screw[3:]))
 
 
 def _exp_coefficients(angle2: Array) -> tuple[Array, Array, Array]:
@@ -101,6 +142,6 @@ def _exp_coefficients(angle2: Array) -> tuple[Array, Array, Array]:
 
 
 def wrap_angle(angle_rad: Array) -> Array:
-    """The same angle in [-pi, pi)."""
+    """The same angles in [-pi, pi)."""
     wrapped: Array = (angle_rad + np.pi) % (2 * np.pi) - np.pi
     return wrapped

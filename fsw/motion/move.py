@@ -40,6 +40,8 @@ class Move:
     ticks: int = 0
     """Cycles in this phase, and for RUN in this path."""
     calm_ticks: int = 0
+    travelled_m: float = 0.0
+    """Along the straight paths that are done."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,23 +89,26 @@ def closed_switch(tool: Tool, closed: Flags) -> Switch | None:
 def _run(move: Move, sensors: Sensors) -> Advance:
     path = move.paths[0]
     time_s = (move.ticks + 1) * CYCLE_S
+    last = len(move.paths) == 1
     if move.guarded is not None:
         switch = closed_switch(move.guarded, sensors.switch_closed)
         if switch is not None:
             touched = replace(move, hold=Setpoint(move.hold.motor_rad, np.zeros_like(move.hold.rate_rad_s)))
-            return Advance(_enter(touched, Phase.SETTLE), (ContactMade(switch, _travel(path, time_s)),))
-        if time_s >= path.duration_s:
-            return Advance(move, (NoContact(_travel(path, time_s)),))
+            return Advance(_enter(touched, Phase.SETTLE), (ContactMade(switch, _travel(move, time_s)),))
+        if last and time_s >= path.duration_s:
+            return Advance(move, (NoContact(_travel(move, time_s)),))
     running = replace(move, hold=path.at(time_s), ticks=move.ticks + 1)
     if time_s < path.duration_s:
         return Advance(running)
-    if len(move.paths) > 1:
-        return Advance(replace(running, paths=move.paths[1:], ticks=0))
-    return Advance(_enter(running, Phase.SETTLE))
+    if last:
+        return Advance(_enter(running, Phase.SETTLE))
+    travelled = _travel(move, path.duration_s)
+    return Advance(replace(running, paths=move.paths[1:], ticks=0, travelled_m=travelled))
 
 
-def _travel(path: Path, time_s: float) -> float:
-    return path.travel_at(time_s)[0] if isinstance(path, LinePath) else 0.0
+def _travel(move: Move, time_s: float) -> float:
+    path = move.paths[0]
+    return move.travelled_m + (path.travel_at(time_s)[0] if isinstance(path, LinePath) else 0.0)
 
 
 def _settle(config: Config, move: Move, joints: JointEstimate) -> Advance:

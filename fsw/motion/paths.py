@@ -85,8 +85,9 @@ def line_path(config: Config, knots_rad: Array, length_m: float, speed_m_s: floa
     """A straight move over motor knots (k, 5) at equal spacing along it, no joint above its speed."""
     motion = config.params.motion
     step_m = length_m / (len(knots_rad) - 1)
-    steepest = np.max(np.abs(np.diff(knots_rad, axis=0)) / config.speed_rad_s) / step_m
-    speed = min(speed_m_s, 1.0 / max(steepest, 1e-9))
+    coefficients = _cubics(knots_rad)
+    steepest = np.max(_steepest(coefficients) / config.speed_rad_s) / step_m
+    speed = min(speed_m_s, 1.0 / max(float(steepest), 1e-9))
     travel = _plan(
         np.zeros(1),
         np.array([length_m]),
@@ -94,7 +95,7 @@ def line_path(config: Config, knots_rad: Array, length_m: float, speed_m_s: floa
         np.array([motion.line_acceleration_m_s2]),
         np.array([motion.line_jerk_m_s3]),
     )
-    return LinePath(travel.duration, travel, step_m, _cubics(knots_rad))
+    return LinePath(travel.duration, travel, step_m, coefficients)
 
 
 def stop_path(config: Config, start: Setpoint) -> StopPath:
@@ -119,6 +120,16 @@ def _plan(start: Array, end: Array, speed: Array, acceleration: Array, jerk: Arr
     if result != Result.Working and result != Result.Finished:
         raise ValueError(f"no trajectory from {start} to {end}: {result}")
     return trajectory
+
+
+def _steepest(coefficients: Array) -> Array:
+    """The largest slope of each joint along the cubics, in rad per knot spacing: at the ends or between."""
+    a, b, c, _ = np.moveaxis(coefficients, 1, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        between = np.clip(np.nan_to_num(-b / (3 * a)), 0.0, 1.0)
+    slopes = [np.abs((3 * a * u + 2 * b) * u + c) for u in (np.zeros_like(a), np.ones_like(a), between)]
+    steepest: Array = np.max(slopes, axis=(0, 1))
+    return steepest
 
 
 def _cubics(knots: Array) -> Array:

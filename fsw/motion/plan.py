@@ -5,8 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsw.config import Config
+from fsw.dictionary.commands import Deflection
 from fsw.dictionary.joints import Joint
 from fsw.estimate.joints import JointEstimate, gap_to_move
+from fsw.kinematics.limits import beyond_limits, outside
 from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array
 from fsw.motion.paths import Path, joint_path
@@ -47,24 +49,24 @@ def plan_poses(config: Config, joints: JointEstimate, poses: list[Array]) -> Pla
 
 
 def motor_under(config: Config, output_rad: Array, torque_Nm: Array, gap_rad: Array) -> Array:
-    """Motor angles under output angles: less the wind-up and less the gap."""
-    motor: Array = output_rad - torque_Nm / config.arm.gear_stiffness_Nm_rad - gap_rad
+    """Motor angles (5, ...) under output angles: less the wind-up and less the gap."""
+    stiffness = config.arm.gear_stiffness_Nm_rad.reshape(5, *(1,) * (output_rad.ndim - 1))
+    motor: Array = output_rad - torque_Nm / stiffness - gap_rad
     return motor
 
 
+def believed_gravity(joints: JointEstimate, deflection: Deflection) -> Array:
+    """The gravity that a plan reckons with: none if it is not to compensate deflection."""
+    return joints.gravity_R_m_s2 if deflection == "absolute" else np.zeros(3)
+
+
 def over_limits(config: Config, output_rad: Array) -> Array:
-    """By how much the worst joint of (..., 5) is beyond its soft limit; negative is inside."""
-    arm = config.arm
-    over: Array = np.max(np.maximum(arm.soft_min_rad - output_rad, output_rad - arm.soft_max_rad), axis=-1)
+    """By how much the worst joint of (5, ...) is beyond its soft limit; negative is inside."""
+    over: Array = beyond_limits(config.arm, output_rad).max(axis=0)
     return over
 
 
 def worst_limit(config: Config, output_rad: Array) -> str:
     """The sentence about the joint of a pose (5) that is farthest beyond its soft limit."""
-    low, high = config.arm.soft_min_rad, config.arm.soft_max_rad
-    joint = Joint(int(np.argmax(np.maximum(low - output_rad, output_rad - high))))
-    low_deg, high_deg = np.degrees(low[joint]), np.degrees(high[joint])
-    return (
-        f"joint {joint.name.lower()}: {np.degrees(output_rad[joint]):.1f} deg is outside "
-        f"its soft limits {low_deg:.1f} .. {high_deg:.1f} deg"
-    )
+    joint = Joint(int(np.argmax(beyond_limits(config.arm, output_rad))))
+    return outside(config.arm, joint, output_rad[joint])

@@ -1,6 +1,8 @@
 """Monitors: they say what happened and decide nothing. Each has a bound and a persistence of its own."""
 
 from dataclasses import dataclass
+from math import hypot, isfinite
+from typing import Final
 
 import numpy as np
 
@@ -9,6 +11,7 @@ from fsw.dictionary.evrs import (
     ContactInFreeSpace,
     Evr,
     FollowingErrorHigh,
+    GravityImplausible,
     OverCurrent,
     SensorNotFinite,
     SoftLimitPassed,
@@ -29,23 +32,26 @@ class MonitorState:
     over_current: int
 
 
-def nothing_seen() -> MonitorState:
-    """All quiet."""
-    return MonitorState(0, 0)
+QUIET: Final = MonitorState(0, 0)
 
 
-def non_finite(sensors: Sensors) -> tuple[Evr, ...]:
-    """Readings that are no numbers. This comes first: comparisons with NaN are all false and clip nothing."""
+def unusable(config: Config, sensors: Sensors) -> tuple[Evr, ...]:
+    """Readings that nothing may be computed from.
+
+    This comes first: comparisons with NaN are all false and clip nothing, and a wild value stays in filters.
+    """
     analog = (
         ("resolver_rad", sensors.resolver_rad),
         ("current_A", sensors.current_A),
         ("winding_C", sensors.winding_C),
         ("gravity_R_m_s2", sensors.gravity_R_m_s2),
     )
-    # a sum is finite only if all its terms are: one reduction where all is well
-    if np.isfinite(sum(values.sum() for _, values in analog)):
-        return ()
-    return tuple(SensorNotFinite(name) for name, values in analog if not np.all(np.isfinite(values)))
+    # hypot neither overflows nor warns, and is finite only if all its arguments are
+    found = tuple(SensorNotFinite(name) for name, values in analog if not isfinite(hypot(*values.tolist())))
+    if found:
+        return found
+    gravity, bound = hypot(*sensors.gravity_R_m_s2.tolist()), config.params.monitors.gravity_max_m_s2
+    return () if gravity <= bound else (GravityImplausible(gravity, bound),)
 
 
 def watch(
@@ -53,21 +59,23 @@ def watch(
 ) -> tuple[MonitorState, tuple[Evr, ...]]:
     """All other monitors, on finite readings: the state for the next cycle and what was found."""
     evrs: tuple[Evr, ...] = ()
-    if joints.referenced:
-        evrs += _soft_limits(config, joints.motor_rad)
+    if move is not None and joints.referenced:
+        evrs += _soft_limits(config, joints.motor_rad, move.hold.rate_rad_s)
     if sensors.switch_closed.any():
         evrs += _contact(mode, move, sensors.switch_closed)
     if move is None or move.phase is Phase.RELEASE:
-        return nothing_seen(), evrs
+        return QUIET, evrs
     following, found = _following(config, last.following, move.hold.motor_rad, joints.motor_rad)
     over_current, drawn = _over_current(config, last.over_current, sensors.current_A)
-    return MonitorState(following, over_current), evrs + found + drawn
+    counts = QUIET if following == over_current == 0 else MonitorState(following, over_current)
+    return counts, evrs + found + drawn
 
 
-def _soft_limits(config: Config, motor_rad: Array) -> tuple[Evr, ...]:
+def _soft_limits(config: Config, motor_rad: Array, rate_rad_s: Array) -> tuple[Evr, ...]:
+    """A joint beyond a limit that is not being moved back; an arm at rest has nothing to be stopped."""
     margin = config.params.monitors.soft_limit_margin_rad
-    below = motor_rad < config.arm.soft_min_rad - margin
-    above = motor_rad > config.arm.soft_max_rad + margin
+    below = (motor_rad < config.arm.soft_min_rad - margin) & (rate_rad_s < 0)
+    above = (motor_rad > config.arm.soft_max_rad + margin) & (rate_rad_s > 0)
     if not (below.any() or above.any()):
         return ()
     joint = Joint(int(np.argmax(below | above)))

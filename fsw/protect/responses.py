@@ -7,10 +7,12 @@ from fsw.dictionary.evrs import (
     ContactInFreeSpace,
     Evr,
     FollowingErrorHigh,
+    GravityImplausible,
     NoContact,
     NotSettled,
     OverCurrent,
     SensorNotFinite,
+    SetpointUnsafe,
     SoftLimitPassed,
 )
 
@@ -19,11 +21,13 @@ class Response(StrEnum):
     """What can be done about a fault."""
 
     BRAKE_AND_REFUSE = "BRAKE_AND_REFUSE"
-    """Hold the set-point, apply the brakes at once, then power off; refuse moves until cleared."""
+    """Hold the motors where they are, brakes at once, then power off; refuse moves until cleared."""
 
 
 RESPONSE_TO: Final[dict[type[Evr], Response]] = {
     SensorNotFinite: Response.BRAKE_AND_REFUSE,
+    GravityImplausible: Response.BRAKE_AND_REFUSE,
+    SetpointUnsafe: Response.BRAKE_AND_REFUSE,
     SoftLimitPassed: Response.BRAKE_AND_REFUSE,
     OverCurrent: Response.BRAKE_AND_REFUSE,
     FollowingErrorHigh: Response.BRAKE_AND_REFUSE,

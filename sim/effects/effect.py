@@ -23,6 +23,11 @@ class Hardware:
     brake_delay_s: Array
     switch_force_N: float
     """Force at which a contact switch closes."""
+    winding_K_W: Array
+    """Thermal resistance from winding to ambient."""
+    winding_s: Array
+    """Thermal time constant."""
+    ambient_C: float
 
 
 def nominal_hardware() -> Hardware:
@@ -36,6 +41,9 @@ def nominal_hardware() -> Hardware:
         gravity_bias_R_m_s2=np.zeros(3),
         brake_delay_s=np.full(5, 0.075),
         switch_force_N=2.0,
+        winding_K_W=np.array([2.0, 2.0, 2.0, 3.0, 3.0]),
+        winding_s=np.array([900.0, 900.0, 900.0, 600.0, 600.0]),
+        ambient_C=20.0,
     )
 
 

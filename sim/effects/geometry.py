@@ -5,11 +5,13 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
+from fsw.dictionary.commands import Vector3
 from fsw.dictionary.joints import Frame, Tool
-from fsw.dictionary.params import Params, Row6
+from fsw.dictionary.params import LinkParams, Lump, Params, Row6, Transform6
 from fsw.kinematics.arm import transform6, transform6_from
-from fsw.kinematics.transforms import Array, rigid, screw_exp
+from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_exp
 from sim.effects.effect import Effect
+from sim.effects.matrices import turned
 
 _BODY_OF = ("arm1", "link2", "link3", "link4", "link5", "turret")
 
@@ -26,22 +28,44 @@ class FrameError(Effect):
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Displace the body that stands for the frame."""
         body = spec.body(self._body())
-        X = rigid(_rotation(body.quat), body.pos) @ screw_exp(np.array(self.screw))
+        X = Pose(_rotation(body.quat), body.pos) @ screw_exp(np.array(self.screw))
         quat = np.zeros(4)
-        mujoco.mju_mat2Quat(quat, X[:3, :3].ravel())
-        body.pos, body.quat = X[:3, 3], quat
+        mujoco.mju_mat2Quat(quat, X.R.ravel())
+        body.pos, body.quat = X.p, quat
 
     def on_params(self, params: Params) -> Params:
         """The six numbers of the displaced link transform."""
         if self.frame is Frame.TOOL:
             name = self._body()
-            old = getattr(params.tools, name)
-            new = transform6_from(transform6(old) @ screw_exp(np.array(self.screw)))
-            return replace(params, tools=replace(params.tools, **{name: new}))
+            tool = getattr(params.tools, name)
+            changed = replace(tool, transform=self._displaced(tool.transform))
+            return replace(params, tools=replace(params.tools, **{name: changed}))
         name = self.frame.name.lower()
         link = getattr(params.links, name)
-        new = transform6_from(transform6(link.transform) @ screw_exp(np.array(self.screw)))
-        return replace(params, links=replace(params.links, **{name: replace(link, transform=new)}))
+        changed = self._carried(link, replace(link, transform=self._displaced(link.transform)))
+        return replace(params, links=replace(params.links, **{name: changed}))
+
+    def _carried(self, old: LinkParams, new: LinkParams) -> LinkParams:
+        """The link's spring and lumps where the plant has them, though its transform has changed.
+
+        The rover's spring and bracket, and the turret's mass, sit at the frame and move with it; the other
+        springs and lumps stay. Flight software's link frame turns with the new theta, which is taken back.
+        """
+        theta = np.array(old.transform.theta_rad - new.transform.theta_rad)
+        back = Pose(rotation_z(theta), np.zeros(3))
+        moved = back @ transform6(new.transform) @ inverse(transform6(old.transform))
+        spring = moved if self.frame is Frame.ARM1 else back
+        far = moved if self.frame in (Frame.ARM1, Frame.ARM6) else back
+        return replace(
+            new,
+            elastic_centre_m=_vector3(spring.R @ np.array(old.elastic_centre_m) + spring.p),
+            compliance=turned(old.compliance, spring.R),
+            near=_placed(old.near, back),
+            far=_placed(old.far, far),
+        )
+
+    def _displaced(self, transform: Transform6) -> Transform6:
+        return transform6_from(transform6(transform) @ screw_exp(np.array(self.screw)))
 
     def _body(self) -> str:
         if self.frame is not Frame.TOOL:
@@ -49,6 +73,15 @@ class FrameError(Effect):
         if self.tool is None:
             raise ValueError("a FrameError at TOOL names its tool")
         return self.tool.name.lower()
+
+
+def _placed(lump: Lump, X: Pose) -> Lump:
+    return replace(lump, com_m=_vector3(X.R @ np.array(lump.com_m) + X.p))
+
+
+def _vector3(v: Array) -> Vector3:
+    x, y, z = (float(c) for c in v)
+    return (x, y, z)
 
 
 def _rotation(quat: Array) -> Array:

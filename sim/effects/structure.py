@@ -7,8 +7,9 @@ import numpy as np
 
 from fsw.dictionary.commands import Vector3
 from fsw.dictionary.joints import Frame
-from fsw.dictionary.params import LinkParams, Lump, Matrix6, Params, Row6
+from fsw.dictionary.params import LinkParams, Lump, Params
 from sim.effects.effect import Effect
+from sim.effects.matrices import scaled
 
 _SPRING_OF = ("rover", "link1", "link2", "link3", "link4")
 _LUMPS_OF = (
@@ -68,17 +69,6 @@ class LinkMass(Effect):
     def _lump(self, lump: Lump) -> Lump:
         x, y, z = (c + s for c, s in zip(lump.com_m, self.shift_m, strict=True))
         return Lump(lump.mass_kg * self.factor, (x, y, z))
-
-
-def scaled(matrix: Matrix6, factor: float) -> Matrix6:
-    """A 6x6 matrix of parameters times a factor."""
-
-    def row(values: Row6) -> Row6:
-        a, b, c, d, e, f = values
-        return (a * factor, b * factor, c * factor, d * factor, e * factor, f * factor)
-
-    a, b, c, d, e, f = matrix
-    return (row(a), row(b), row(c), row(d), row(e), row(f))
 
 
 def _link(params: Params, frame: Frame) -> LinkParams:

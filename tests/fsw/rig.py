@@ -13,6 +13,7 @@ from fsw.dictionary.joints import Joint, Tool
 from fsw.dictionary.modes import Mode
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle
+from fsw.kinematics.transforms import Pose
 from fsw.messages import Outputs, Sensors
 from fsw.state import State, boot
 from sim.arms import arm_named
@@ -28,17 +29,22 @@ def config_of(arm: str = "nominal") -> Config:
 
 
 def in_limits(config: Config, rng: np.random.Generator, n: int, shrink: float = 0.0) -> np.ndarray:
-    """Random joint vectors inside the soft limits."""
+    """Random joint vectors (5, n) inside the soft limits."""
     low, high = config.arm.soft_min_rad, config.arm.soft_max_rad
-    return rng.uniform(low + shrink, high - shrink, (n, 5))
+    return rng.uniform(low + shrink, high - shrink, (n, 5)).T.copy()
 
 
 def facing(config: Config, tool: Tool) -> np.ndarray:
     """The ready pose with the turret turned so that the tool looks well away from the pitch axis."""
     pose = np.array(config.params.poses.ready_rad)
-    boresight = config.arm.X_FT[tool][:3, 0]
+    boresight = config.arm.X_FT[tool].R[:, 0]
     pose[Joint.TURRET] = (0.3 - np.arctan2(boresight[1], boresight[0])) % (2 * np.pi)
     return pose
+
+
+def matrix(X: Pose) -> np.ndarray:
+    """One pose as the 4x4 matrix of the textbooks."""
+    return np.vstack([np.column_stack([X.R, X.p]), [0, 0, 0, 1]])
 
 
 def frozen(values, dtype=float) -> np.ndarray:
@@ -108,7 +114,7 @@ class Rig:
         assert np.any(self.outputs.drive.setpoint_rate_rad_s != 0)
         return self.outputs
 
-    def tool_pose(self, tool: Tool) -> np.ndarray:
+    def tool_pose(self, tool: Tool) -> Pose:
         """X_RT as flight software believes it, at rest."""
         joints = self.state.joints
         here = settle(self.config.arm, joints.motor_rad, joints.gap_rad, joints.gravity_R_m_s2)
@@ -117,11 +123,11 @@ class Rig:
     def here(self, tool: Tool, ahead_m: float = 0.0, **fields) -> MoveTool:
         """A tool move that keeps the approach, some way ahead along it."""
         X = self.tool_pose(tool)
-        return MoveTool(tool, floats(X[:3, 3] + ahead_m * X[:3, 0]), floats(X[:3, 0]), **fields)
+        return MoveTool(tool, floats(X.p + ahead_m * X.R[:, 0]), floats(X.R[:, 0]), **fields)
 
     def touch(self, tool: Tool, travel_m: float) -> GuardedMove:
         X = self.tool_pose(tool)
-        return GuardedMove(tool, floats(X[:3, 3] + travel_m * X[:3, 0]), floats(X[:3, 0]))
+        return GuardedMove(tool, floats(X.p + travel_m * X.R[:, 0]), floats(X.R[:, 0]))
 
 
 def floats(values) -> tuple:

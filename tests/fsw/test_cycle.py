@@ -131,8 +131,8 @@ def test_the_tool_channels_come_at_their_period_and_are_where_the_settled_arm_is
     told = [out.tool for out in (rig.cycle() for _ in range(160)) if out.tool is not None]
     assert len(told) == 160 // CONFIG.params.motion.tool_channels_period
     X = rig.tool_pose(Tool.APXS)
-    np.testing.assert_allclose(told[-1].p_RoTo_R_m, X[:3, 3], atol=1e-7)
-    np.testing.assert_allclose(told[-1].R_RT, X[:3, :3], atol=1e-7)
+    np.testing.assert_allclose(told[-1].p_RoTo_R_m, X.p, atol=1e-7)
+    np.testing.assert_allclose(told[-1].R_RT, X.R, atol=1e-7)
     assert told[-1].tool is Tool.APXS
 
 

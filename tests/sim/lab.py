@@ -1,6 +1,8 @@
-"""The bench on which the tests of this folder put the arm: a plant of any world, brought to rest with care."""
+"""The bench on which these tests put the arm: a plant of any world, brought to rest with care."""
 
 from collections.abc import Callable
+from copy import copy
+from functools import cache
 
 import mujoco
 import numpy as np
@@ -27,11 +29,22 @@ CYCLE_HZ = 64
 
 def plant(world: World | None = None, time_step_s: float = 1 / 512, edit: Edit | None = None) -> Plant:
     """The nominal arm in a world; `edit` changes its specification first."""
-    spec = build(world or World())
-    spec.option.timestep = time_step_s
-    if edit is not None:
-        edit(spec)
+    if edit is None:
+        return Plant(copy(_unedited(world or World(), time_step_s)))
+    spec = _spec(world or World(), time_step_s)
+    edit(spec)
     return Plant(spec.compile())
+
+
+def _spec(world: World, time_step_s: float) -> mujoco.MjSpec:
+    spec = build(world)
+    spec.option.timestep = time_step_s
+    return spec
+
+
+@cache
+def _unedited(world: World, time_step_s: float) -> mujoco.MjModel:
+    return _spec(world, time_step_s).compile()
 
 
 def tilted(roll_deg: float = 0.0, pitch_deg: float = 0.0, scene: str = "mars") -> World:
@@ -43,6 +56,14 @@ def without_output_friction(spec: mujoco.MjSpec) -> None:
     """Outputs that turn freely in their bearings."""
     for name in JOINT_NAMES:
         spec.tendon(f"{name}_output").frictionloss = 0.0
+
+
+def soon_at_rest(spec: mujoco.MjSpec) -> None:
+    """No friction of the output, and links with twenty times the damping: statics without the wait."""
+    without_output_friction(spec)
+    for joint in spec.joints:
+        if not joint.name.endswith("_motor"):
+            joint.damping = 20.0 * joint.damping
 
 
 def gentle(amount: float) -> float:
@@ -59,11 +80,13 @@ def run(plant: Plant, duration_s: float, each_cycle: Callable[[float], None] | N
         plant.step()
 
 
-def load(plant: Plant, motor_rad: Array, duration_s: float = 6.0, overload: float = 1.0) -> Plant:
+def load(
+    plant: Plant, motor_rad: Array, duration_s: float = 8.0, overload: float = 1.0, rest_s: float = 5.0
+) -> Plant:
     """Brakes on, gravity brought up gently, if wanted beyond its value and back, and a while to come to rest.
 
-    An arm that is dropped comes to rest anywhere in the band in which friction can hold it; one that is loaded
-    gently ends at the edge of that band, which is a pose that can be compared.
+    An arm that is dropped comes to rest anywhere in the band in which friction can hold it; one that is
+    loaded gently ends at the edge of that band, which is a pose that can be compared.
     """
     full = plant.model.opt.gravity.copy()
     plant.model.opt.gravity[:] = 0.0
@@ -78,7 +101,7 @@ def load(plant: Plant, motor_rad: Array, duration_s: float = 6.0, overload: floa
     run(plant, duration_s, up)
     if overload != 1.0:
         run(plant, duration_s, back)
-    run(plant, 3.0)
+    run(plant, rest_s)
     return plant
 
 

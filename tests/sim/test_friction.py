@@ -93,18 +93,19 @@ def test_the_gap_is_crossed_once_when_gravity_changes_side(held: str) -> None:
     for joint in (1, 2, 3):
         assert flanks(way[:, joint], joint) in ([1, 0, -1], [-1, 0, 1])
         crossing = way[np.abs(way[:, joint]) < lab.HALF_GAP_RAD[joint], joint]
-        assert np.all(np.sign(np.diff(crossing)) == np.sign(way[-1, joint]))
+        onward = np.diff(crossing) * np.sign(way[-1, joint])
+        assert -onward[onward < 0].sum() < 0.01 * lab.HALF_GAP_RAD[joint]
 
 
 def test_the_gap_is_crossed_once_when_a_joint_carries_its_load_over_the_vertical() -> None:
-    """The wrist swings the turret through the pose in which it hangs straight down, at 0.5 deg/s."""
+    """The wrist swings the turret through the pose in which it hangs from its joint, at 1 deg/s."""
     plant = lab.plant()
-    lab.load(plant, np.radians([0.0, -60.0, 60.0, 60.0, 0.0]))
+    lab.load(plant, np.radians([0.0, -60.0, 60.0, 40.0, 0.0]))
     lab.hold_by_motors(plant)
     plant.steps_per_cycle = 1
-    gear, rate = [], np.radians(0.5)
-    for k in range(120 * 512):
-        plant.data.ctrl[6] = np.radians(60.0) + rate * (k + 1) / 512
+    gear, rate = [], np.radians(-1.0)
+    for k in range(80 * 512):
+        plant.data.ctrl[6] = np.radians(40.0) + rate * (k + 1) / 512
         plant.data.ctrl[7] = rate
         plant.step()
         gear.append(plant.data.qpos[plant.at.gear[3]])

@@ -1,17 +1,20 @@
-"""Where the arm comes to rest: it converges with the step size, and each gear stands where its load puts it."""
+"""Where the arm comes to rest: it converges with the step, and each gear stands where its load puts it."""
 
 import numpy as np
 import pytest
 
 from fsw.dictionary.commands import MoveJoints
+from fsw.dictionary.evrs import CommandCompleted
 from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
-from sim.sequence import Outcome, run_sequence
+from sim.sequence import run_sequence
 from sim.world import World
 from tests.sim import lab
 
 CONVERGED_MM = 0.02
 FINE_S = 1 / 2048
+AT_REST_J = 1e-7
+"""The arm then still swings by about 6 um."""
 WORLDS = {
     "mars": World(),
     "mars, 25 deg": lab.tilted(20, -15),
@@ -31,7 +34,7 @@ def test_on_its_brakes_the_arm_rests_at_the_same_pose_with_a_quarter_of_the_step
     world: World, pose: lab.Array
 ) -> None:
     coarse, fine = (lab.load(lab.plant(world, step_s), pose) for step_s in (1 / 512, FINE_S))
-    assert coarse.truth().kinetic_energy_J < 1e-9
+    assert max(coarse.truth().kinetic_energy_J, fine.truth().kinetic_energy_J) < AT_REST_J
     assert lab.tool_distance_mm(coarse, fine) < CONVERGED_MM
 
 
@@ -43,7 +46,7 @@ def test_held_by_its_motors_the_arm_rests_at_the_same_pose_with_a_quarter_of_the
     coarse, fine = (lab.load(lab.plant(world, step_s), pose, duration_s=4.0) for step_s in (1 / 512, FINE_S))
     for plant in (coarse, fine):
         lab.hold_by_motors(plant)
-        lab.run(plant, 8.0)
+        lab.run(plant, 6.0)
         np.testing.assert_allclose(plant.motor_rad(), pose, atol=2e-5)
     assert lab.tool_distance_mm(coarse, fine) < CONVERGED_MM
 
@@ -61,12 +64,8 @@ def moved(world: World, time_step_s: float, goal_rad: tuple[float, ...]) -> Clos
     arm = arm_named("nominal")
     loop = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, seed=1, time_step_s=time_step_s))
     sequence = run_sequence(loop, (loop.reference(), MoveJoints(goal_rad)))
-    while True:
-        try:
-            next(sequence)
-        except StopIteration as end:
-            assert end.value is Outcome.DONE
-            break
+    evrs = [evr for record in sequence for evr in record.outputs.evrs]
+    assert CommandCompleted("MoveJoints") in evrs
     for _ in range(lab.CYCLE_HZ):
         loop.cycle()
     assert loop.plant.data.eq_active[loop.plant.at.brake].all()
@@ -77,8 +76,8 @@ def moved(world: World, time_step_s: float, goal_rad: tuple[float, ...]) -> Clos
 def test_at_rest_a_gear_stands_at_half_its_backlash_and_its_wind_up(side: int) -> None:
     """Known torques on all five outputs, no gravity; they are the only loads, and friction bears its share.
 
-    Coming from less load, friction bears its full F of the load's torque, and the gear the rest. Coming from more
-    load by more than 2 F, friction has turned round and the gear bears F more than the load.
+    Coming from less load, friction bears its full F of the load's torque, and the gear the rest. Coming from
+    more load by more than 2 F, friction has turned round, and the gear bears F more than the load.
     """
     torque = side * np.array([400.0, 400.0, 300.0, 120.0, 60.0])
     plant = lab.plant()

@@ -32,6 +32,8 @@ SENTENCES = {
     evrs.BranchChosen(Tool.APXS, "b"): "APXS: branch b",
     evrs.ContactMade(Switch.APXS_1, 0.1): "contact on APXS_1 after 0.1000 m",
     evrs.SensorNotFinite("current_A"): "non-finite reading in current_A",
+    evrs.GravityImplausible(25.04, 20.0): "gravity reads 25 m/s2, bound 20 m/s2",
+    evrs.SetpointUnsafe(Joint.ELBOW, 2.9, 2.8): "ELBOW: set-point 2.9000 rad held back, last 2.8000 rad",
     evrs.SoftLimitPassed(Joint.ELBOW, 2.9, 2.8): "ELBOW at 2.9000 rad, soft limit 2.8000 rad",
     evrs.OverCurrent(Joint.WRIST, -2.9, 2.85): "WRIST drew -2.90 A, bound 2.85 A",
     evrs.FollowingErrorHigh(
@@ -41,7 +43,7 @@ SENTENCES = {
     evrs.NoContact(0.15): "no contact within 0.1500 m of guarded travel",
     evrs.NotSettled(Joint.AZIMUTH, 1e-4): "AZIMUTH not settled: 0.000100 rad from its set-point",
     evrs.FaultResponse("BRAKE_AND_REFUSE"): (
-        "response BRAKE_AND_REFUSE: motion stopped, brakes on, commands refused until the fault is cleared"
+        "response BRAKE_AND_REFUSE: stopped, brakes on, moves refused until the fault is cleared"
     ),
     evrs.FaultCleared(): "fault cleared",
     evrs.SoftwareError("KeyError: 'a'"): "software error: KeyError: 'a'",

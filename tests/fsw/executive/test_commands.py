@@ -29,7 +29,7 @@ from fsw.dictionary.evrs import (
 )
 from fsw.dictionary.joints import Switch, Tool
 from fsw.dictionary.modes import Mode
-from fsw.kinematics.ik import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
 from tests.fsw.rig import Rig, config_of, facing, floats
 
 CONFIG = config_of()
@@ -111,15 +111,16 @@ NO_FAULT = "no fault stands"
 NO_REFERENCE = "the encoders have no reference; set it first"
 FAULT = "a fault stands; clear it first"
 STOPPING = "the arm is still being stopped"
-IN_STOWED = "not allowed in mode STOWED"
-IN_GUARDED = "not allowed in mode GUARDED"
+IN_STOWED, IN_DEPLOYED, IN_GUARDED = (
+    f"not allowed in mode {name}" for name in ("STOWED", "DEPLOYED", "GUARDED")
+)
 BUSY_J, BUSY_G, BUSY_R = (f"{name} is under way" for name in ("MoveJoints", "GuardedMove", "Retract"))
 
 # columns in the order of COMMANDS
 EXPECTED = {
-    stowed: (OK, OK, OK, OK, IN_STOWED, IN_STOWED, OK, NO_FAULT),
+    stowed: (OK, OK, *[IN_STOWED] * 4, OK, NO_FAULT),
     unreferenced: (OK, *[NO_REFERENCE] * 5, OK, NO_FAULT),
-    deployed: (OK, OK, OK, OK, OK, OK, OK, NO_FAULT),
+    deployed: (OK, IN_DEPLOYED, OK, OK, OK, OK, OK, NO_FAULT),
     moving_free: (*[BUSY_J] * 6, OK, NO_FAULT),
     guarded_moving: (*[BUSY_G] * 6, OK, NO_FAULT),
     guarded_in_contact: (OK, IN_GUARDED, IN_GUARDED, IN_GUARDED, OK, OK, OK, NO_FAULT),
@@ -209,32 +210,60 @@ def test_what_cannot_be_planned_is_refused_with_the_plan_s_own_sentence():
     joints = MoveJoints((0.0, -1.0, 3.0, 1.0, 1.0))
     assert refusal(rig, joints) == "joint elbow: 171.9 deg is outside its soft limits -164.2 .. 164.2 deg"
     assert "out of reach by" in refusal(rig, MoveTool(Tool.APXS, (9.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
-    assert "leaves the reach of the arm after" in refusal(rig, rig.touch(Tool.APXS, 3.0))
+    assert "m long, the longest allowed is" in refusal(rig, rig.touch(Tool.APXS, 3.0))
 
 
-@pytest.mark.xfail(reason="bug: MoveTool.line_m is not checked", raises=(AssertionError, RuntimeWarning))
-@pytest.mark.parametrize("line_m", [NAN, INF])
-def test_a_line_length_that_is_not_finite_is_refused_as_such(line_m):
+@pytest.mark.parametrize("line_m", [NAN, INF, -INF, -0.001, 1.001, 1e6])
+def test_a_line_length_is_at_least_nothing_and_at_most_a_metre(line_m):
     rig = deployed()
-    assert "not finite" in refusal(rig, rig.here(Tool.APXS, line_m=line_m))
+    assert refusal(rig, rig.here(Tool.APXS, line_m=line_m)) == f"line_m {line_m} m is outside 0 .. 1 m"
 
 
-@pytest.mark.xfail(reason="bug: an unknown branch is refused with 'no branch reaches the target'")
-def test_a_branch_that_does_not_exist_is_refused_by_its_name():
+def test_a_branch_that_does_not_exist_is_refused_by_its_name_and_the_names_there_are_are_told():
+    for name in ("sideways", "", "auto", "SHOULDER-OUT ELBOW-UP WRIST-UP"):
+        rig = deployed()
+        reason = refusal(rig, rig.here(Tool.APXS, branch=name))
+        assert reason == f"branch {name!r} is not known; there are AUTO, {', '.join(BRANCHES)}"
+
+
+@pytest.mark.parametrize("kind", [MoveTool, GuardedMove, Retract])
+def test_a_deflection_that_does_not_exist_is_refused_by_its_name(kind):
     rig = deployed()
-    assert "sideways" in refusal(rig, rig.here(Tool.APXS, branch="sideways"))
+    command = replace(COMMANDS[kind](rig), deflection="relative")
+    assert refusal(rig, command) == "deflection 'relative' is not known; there are off, absolute"
 
 
-@pytest.mark.xfail(reason="bug: _why_none does not know which branch was asked for")
+@pytest.mark.parametrize("kind", [MoveTool, GuardedMove])
+@pytest.mark.parametrize("length", [1e-10, 1e10, 1e300])
+def test_an_approach_of_no_believable_length_is_refused(kind, length):
+    reason = refusal(deployed(), kind(Tool.APXS, (1.0, 0.0, 0.0), (0.0, length, 0.0)))
+    assert reason == "the approach has no length"
+
+
+@pytest.mark.parametrize("far", [1e150, 1e200, 1e308])
+def test_a_target_beyond_belief_is_refused_as_such(far):
+    rig = deployed()
+    for kind in (MoveTool, GuardedMove):
+        assert "farther than 1e+06 m" in refusal(rig, kind(Tool.APXS, (far, far, -far), (1.0, 0.0, 0.0)))
+
+
+@pytest.mark.parametrize("far", [1e3, 1e5])
+def test_a_target_at_any_finite_distance_is_refused_without_a_warning(far):
+    rig = deployed()
+    assert "out of reach" in refusal(rig, MoveTool(Tool.APXS, (far, far, -far), (1.0, 0.0, 0.0)))
+    assert "m long" in refusal(rig, GuardedMove(Tool.APXS, (far, far, -far), (1.0, 0.0, 0.0)))
+
+
 def test_a_named_branch_is_refused_for_its_own_reason():
-    rig = deployed()
-    reasons = []
+    reasons = {}
     for name in BRANCHES:
         rig = deployed()
         rig.cycle(rig.here(Tool.APXS, branch=name))
-        reasons += [evr.reason for evr in rig.evrs if isinstance(evr, CommandRefused)]
+        reasons.update((name, evr.reason) for evr in rig.evrs if isinstance(evr, CommandRefused))
     assert reasons
-    assert all("soft limit" in reason or "out of reach" in reason for reason in reasons)
+    for name, reason in reasons.items():
+        assert reason.startswith(f"APXS: the target: {name}: ")
+        assert "soft limit" in reason or "out of reach" in reason
 
 
 def test_a_tool_move_says_which_branch_it_takes():
@@ -330,27 +359,75 @@ def test_stops_may_be_repeated_every_cycle():
     assert CommandAborted("MoveJoints") in rig.evrs
 
 
-@pytest.mark.xfail(reason="bug: a guarded line may be any length; 10 km ask for a million knots in one cycle")
 def test_the_end_of_a_guarded_move_is_within_the_arm_s_reach_before_anything_is_planned():
     rig = deployed()
-    # long enough to show that it is planned at all, short enough not to exhaust the machine
-    assert "after" not in refusal(rig, rig.touch(Tool.APXS, 10.0))
+    for metres in (10.0, 1e4):
+        reason = refusal(rig, rig.touch(Tool.APXS, metres))
+        assert reason == f"the straight move is {metres:.3g} m long, the longest allowed is 0.6 m"
 
 
-@pytest.mark.xfail(reason="bug: nothing compares the approach with where the tool looks")
 def test_a_guarded_move_against_the_tool_s_own_direction_is_refused():
     rig = deployed()
     ahead = rig.touch(Tool.APXS, 0.02)
-    refusal(rig, replace(ahead, approach_R=floats(-np.array(ahead.approach_R))))
+    reason = refusal(rig, replace(ahead, approach_R=floats(-np.array(ahead.approach_R))))
+    assert reason == "the approach is 180.0 deg from where the tool looks, at most 5.7 deg are allowed"
 
 
-@pytest.mark.xfail(reason="bug: a stowed arm may be commanded straight through its restraint")
-@pytest.mark.parametrize("kind", [MoveJoints, MoveTool])
+@pytest.mark.parametrize("kind", [MoveJoints, MoveTool, GuardedMove, Retract])
 def test_a_stowed_arm_only_unstows(kind):
     rig = stowed()
+    assert refusal(rig, COMMANDS[kind](rig)) == IN_STOWED
+    assert CommandCompleted("Unstow") in rig.run(Unstow())
+
+
+@pytest.mark.parametrize("mode", [Mode.STOWED, Mode.DEPLOYED])
+@pytest.mark.parametrize(
+    ("off_rad", "expected"), [(0.0, Mode.STOWED), (0.019, Mode.STOWED), (0.021, Mode.DEPLOYED)]
+)
+@pytest.mark.parametrize("joint", range(5))
+def test_the_reference_decides_whether_the_arm_is_stowed(mode, off_rad, expected, joint):
+    for sign in (-1, 1):
+        pose = np.array(CONFIG.params.poses.stowed_rad) + sign * off_rad * (np.arange(5) == joint)
+        rig = Rig(CONFIG, mode, pose, referenced=False)
+        rig.cycle(SetReference(floats(pose), (1, 1, 1, 1, 1)))
+        assert rig.state.mode is expected
+
+
+def test_a_reference_in_contact_stays_where_only_a_retraction_is_allowed():
+    rig = guarded_in_contact()
+    rig.cycle(rig.reference(), **TOUCHED)
+    assert rig.state.mode is Mode.GUARDED
+
+
+@pytest.mark.parametrize("joint", range(5))
+@pytest.mark.parametrize("end", ["min", "max"])
+def test_a_reference_may_be_a_little_beyond_the_soft_limits_and_no_more(joint, end):
+    """At a hardstop the arm is beyond them; further out it cannot be."""
+    sign, limit = (1 if end == "max" else -1), getattr(CONFIG.arm, f"soft_{end}_rad")[joint]
+    for beyond_rad, refused in ((0.099, False), (0.101, True)):
+        pose = START.copy()
+        pose[joint] = limit + sign * beyond_rad
+        rig = deployed()
+        rig.evrs.clear()
+        zero = rig.state.joints.zero_rad
+        rig.cycle(SetReference(floats(pose), (0, 0, 0, 0, 0)))
+        reasons = [evr.reason for evr in rig.evrs if isinstance(evr, CommandRefused)]
+        assert bool(reasons) is refused
+        if refused:
+            (reason,) = reasons
+            assert "is outside its soft limits" in reason
+            np.testing.assert_array_equal(rig.state.joints.zero_rad, zero)
+
+
+@pytest.mark.parametrize("kind", [SetReference, MoveJoints, MoveTool, GuardedMove, Retract])
+def test_with_readings_that_cannot_be_used_nothing_begins(kind):
+    rig = deployed()
     rig.evrs.clear()
-    rig.cycle(COMMANDS[kind](rig))
-    assert any(isinstance(evr, CommandRefused) for evr in rig.evrs)
+    zero = rig.state.joints.zero_rad
+    rig.cycle(COMMANDS[kind](rig), winding_C=[NAN] * 5)
+    assert CommandRefused(kind.__name__, "a reading is unusable") in rig.evrs
+    assert rig.state.move is None
+    np.testing.assert_array_equal(rig.state.joints.zero_rad, zero)
 
 
 @pytest.mark.parametrize("command", [Stop(), ClearFault()], ids=["stop", "clear"])
@@ -358,6 +435,37 @@ def test_no_command_takes_the_arm_out_of_a_fault_while_it_is_being_stopped(comma
     rig = being_stopped_by_a_fault()
     rig.run(command)
     assert rig.state.mode is Mode.FAULTED
+
+
+def test_a_fault_cleared_in_contact_leaves_the_arm_where_only_a_retraction_is_allowed():
+    rig = guarded_in_contact()
+    rig.cycle(**TOUCHED, current_A=[NAN] * 5)
+    assert rig.state.mode is Mode.FAULTED
+    rig.cycle(ClearFault(), **TOUCHED)
+    assert rig.state.mode is Mode.GUARDED
+    rig.evrs.clear()
+    rig.cycle(MoveJoints(floats(START)), **TOUCHED)
+    assert rig.evrs == [CommandRefused("MoveJoints", IN_GUARDED)]
+    rig.cycle(Retract(Tool.APXS, 0.02), **TOUCHED)
+    for _ in range(30):
+        rig.cycle(**TOUCHED)
+    assert CommandCompleted("Retract") in rig.run()
+    assert rig.state.mode is Mode.DEPLOYED
+
+
+def test_a_fault_cleared_at_the_stowed_pose_leaves_the_arm_stowed():
+    rig = stowed()
+    rig.cycle(winding_C=[NAN] * 5)
+    assert rig.state.mode is Mode.FAULTED
+    rig.cycle(ClearFault())
+    assert rig.state.mode is Mode.STOWED
+
+
+def test_a_fault_cleared_without_a_reference_does_not_take_the_arm_for_stowed():
+    rig = Rig(CONFIG, Mode.STOWED, CONFIG.params.poses.stowed_rad, referenced=False)
+    rig.cycle(winding_C=[NAN] * 5)
+    rig.cycle(ClearFault())
+    assert rig.state.mode is Mode.DEPLOYED
 
 
 def test_a_cleared_fault_lets_the_arm_move_again():

@@ -6,15 +6,19 @@ from fsw.dictionary.modes import Mode
 from fsw.executive.modes import TRANSITIONS, Event, after
 
 NO = None
-# columns in the order of Event: MOVE_FREE, MOVE_GUARDED, MOVE_BACK, DONE, FAULT, CLEAR
+STOW, DEPL, FREE, GUARD, BACK, FAULT = Mode
+# columns in the order of Event: UNSTOW, MOVE_FREE, MOVE_GUARDED, MOVE_BACK, DONE, FAULT,
+# CLEAR, CLEAR_STOWED, CLEAR_TOUCHING, AT_STOW, AWAY
 TABLE = {
-    Mode.STOWED: (Mode.FREE_SPACE, NO, NO, NO, Mode.FAULTED, NO),
-    Mode.DEPLOYED: (Mode.FREE_SPACE, Mode.GUARDED, Mode.RETRACTING, NO, Mode.FAULTED, NO),
-    Mode.FREE_SPACE: (NO, NO, NO, Mode.DEPLOYED, Mode.FAULTED, NO),
-    Mode.GUARDED: (NO, Mode.GUARDED, Mode.RETRACTING, Mode.GUARDED, Mode.FAULTED, NO),
-    Mode.RETRACTING: (NO, NO, NO, Mode.DEPLOYED, Mode.FAULTED, NO),
-    Mode.FAULTED: (NO, NO, NO, NO, Mode.FAULTED, Mode.DEPLOYED),
+    Mode.STOWED: (FREE, NO, NO, NO, NO, FAULT, NO, NO, NO, STOW, DEPL),
+    Mode.DEPLOYED: (NO, FREE, GUARD, BACK, NO, FAULT, NO, NO, NO, STOW, DEPL),
+    Mode.FREE_SPACE: (NO, NO, NO, NO, DEPL, FAULT, NO, NO, NO, NO, NO),
+    Mode.GUARDED: (NO, NO, GUARD, BACK, GUARD, FAULT, NO, NO, NO, NO, NO),
+    Mode.RETRACTING: (NO, NO, NO, NO, DEPL, FAULT, NO, NO, NO, NO, NO),
+    Mode.FAULTED: (NO, NO, NO, NO, NO, FAULT, DEPL, STOW, GUARD, NO, NO),
 }
+MOVES = {Event.UNSTOW, Event.MOVE_FREE, Event.MOVE_GUARDED, Event.MOVE_BACK}
+CLEARING = {Event.CLEAR, Event.CLEAR_STOWED, Event.CLEAR_TOUCHING}
 
 
 @pytest.mark.parametrize("mode", Mode)
@@ -30,10 +34,22 @@ def test_the_table_speaks_of_every_mode_and_event():
 
 def test_any_mode_can_fault_and_only_a_cleared_fault_leaves_it():
     assert all(after(mode, Event.FAULT) is Mode.FAULTED for mode in Mode)
-    ways_out = [event for event in Event if after(Mode.FAULTED, event) not in (None, Mode.FAULTED)]
-    assert ways_out == [Event.CLEAR]
+    ways_out = {event for event in Event if after(Mode.FAULTED, event) not in (None, Mode.FAULTED)}
+    assert ways_out == CLEARING
+    assert all(after(mode, event) is None for mode in Mode for event in CLEARING if mode is not Mode.FAULTED)
 
 
-def test_every_mode_is_left_by_some_event_and_all_but_stowed_are_reached_by_one():
-    assert {mode for mode, _ in TRANSITIONS} == set(Mode)
-    assert set(TRANSITIONS.values()) == set(Mode) - {Mode.STOWED}
+def test_a_stowed_arm_moves_only_by_unstowing_and_only_a_stowed_arm_unstows():
+    assert {event for event in MOVES if after(Mode.STOWED, event) is not None} == {Event.UNSTOW}
+    assert {mode for mode in Mode if after(mode, Event.UNSTOW) is not None} == {Mode.STOWED}
+
+
+def test_every_move_ends_somewhere():
+    moving = {after(mode, event) for mode in Mode for event in MOVES} - {None}
+    assert all(after(mode, Event.DONE) is not None for mode in moving)
+
+
+def test_every_mode_is_left_by_some_event_and_reached_by_another():
+    for mode in Mode:
+        assert any(start is mode and end is not mode for (start, _), end in TRANSITIONS.items())
+        assert any(start is not mode and end is mode for (start, _), end in TRANSITIONS.items())

@@ -1,4 +1,6 @@
-"""The general link transform, and the arm of the drawing."""
+"""The general link transform, the arm of the drawing, and how it grows when it is warm."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,9 +9,10 @@ from hypothesis import strategies as st
 
 from fsw.dictionary.joints import Joint, Tool
 from fsw.dictionary.params import Transform6
-from fsw.kinematics.arm import transform6, transform6_from
-from fsw.kinematics.transforms import rigid, rotation_x, rotation_y, rotation_z, translation
-from tests.fsw.rig import config_of
+from fsw.kinematics.arm import transform6, transform6_from, warmed
+from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.transforms import Pose, rotation_x, rotation_y, rotation_z
+from tests.fsw.rig import config_of, in_limits, matrix
 
 # standard DH of the drawing: a [m], d [m], alpha [deg]; MSL-476-1303
 DH = {
@@ -44,9 +47,17 @@ def dh(theta: float, a_m: float, d_m: float, alpha_deg: float) -> np.ndarray:
     )
 
 
+def turn(R: np.ndarray) -> np.ndarray:
+    return matrix(Pose(R, np.zeros(3)))
+
+
+def translation(p_m) -> np.ndarray:
+    return matrix(Pose(np.eye(3), np.array(p_m)))
+
+
 def drawn_interface(output_rad) -> np.ndarray:
     """X_RF of the turret interface as the drawing has it."""
-    X = translation(np.array(SHOULDER_R_M))
+    X = translation(SHOULDER_R_M)
     for joint, angle in zip(Joint, output_rad, strict=True):
         X = X @ dh(angle, *DH[joint])
     return X
@@ -54,9 +65,9 @@ def drawn_interface(output_rad) -> np.ndarray:
 
 def drawn_tool(tool: Tool) -> np.ndarray:
     angle_deg, radius_m, z_m = TOOLS[tool]
-    X = rigid(rotation_z(np.radians(angle_deg)), np.zeros(3)) @ translation(np.array([radius_m, 0, z_m]))
+    X = turn(rotation_z(np.radians(angle_deg))) @ translation([radius_m, 0, z_m])
     clock = MAHLI_CLOCK_DEG if tool is Tool.MAHLI else 0.0
-    return X @ rigid(rotation_x(np.radians(clock)), np.zeros(3))
+    return X @ turn(rotation_x(np.radians(clock)))
 
 
 @given(turns, lengths, st.floats(-1.5, 1.5), lengths, turns, lengths)
@@ -70,14 +81,15 @@ def test_six_parameters_come_back_from_their_transform(theta, d, beta, b, alpha,
 @given(turns, lengths, st.floats(-1.5, 1.5), lengths, turns, lengths)
 def test_the_link_transform_is_equation_1_of_the_paper(theta, d, beta, b, alpha, a):
     expected = (
-        rigid(rotation_z(np.array(theta)), np.zeros(3))
-        @ translation(np.array([0, 0, d]))
-        @ rigid(rotation_y(np.array(beta)), np.zeros(3))
-        @ translation(np.array([0, b, 0]))
-        @ rigid(rotation_x(np.array(alpha)), np.zeros(3))
-        @ translation(np.array([a, 0, 0]))
+        turn(rotation_z(np.array(theta)))
+        @ translation([0, 0, d])
+        @ turn(rotation_y(np.array(beta)))
+        @ translation([0, b, 0])
+        @ turn(rotation_x(np.array(alpha)))
+        @ translation([a, 0, 0])
     )
-    np.testing.assert_allclose(transform6(Transform6(theta, d, beta, b, alpha, a)), expected, atol=1e-12)
+    X = transform6(Transform6(theta, d, beta, b, alpha, a))
+    np.testing.assert_allclose(matrix(X), expected, atol=1e-12)
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -85,24 +97,24 @@ def test_a_transform_comes_back_from_its_six_parameters(seed):
     rng = np.random.default_rng(seed)
     theta, alpha = rng.uniform(-np.pi, np.pi, 2)
     R = rotation_z(theta) @ rotation_y(rng.uniform(-1.5, 1.5)) @ rotation_x(alpha)
-    X = rigid(R, rng.uniform(-2, 2, 3))
-    np.testing.assert_allclose(transform6(transform6_from(X)), X, atol=1e-11)
+    X = Pose(R, rng.uniform(-2, 2, 3))
+    np.testing.assert_allclose(matrix(transform6(transform6_from(X))), matrix(X), atol=1e-11)
 
 
 @pytest.mark.parametrize("joint", Joint)
 def test_the_nominal_links_are_the_dh_table_of_the_drawing(joint):
     link = config_of().params.links.in_order()[joint + 1]
-    np.testing.assert_allclose(transform6(link.transform), dh(0.0, *DH[joint]), atol=1e-15)
+    np.testing.assert_allclose(matrix(transform6(link.transform)), dh(0.0, *DH[joint]), atol=1e-15)
 
 
 def test_the_azimuth_joint_stands_where_the_drawing_has_it():
     base = config_of().params.links.arm1
-    np.testing.assert_allclose(transform6(base.transform), translation(np.array(SHOULDER_R_M)), atol=1e-15)
+    np.testing.assert_allclose(matrix(transform6(base.transform)), translation(SHOULDER_R_M), atol=1e-15)
 
 
 @pytest.mark.parametrize("tool", Tool)
 def test_the_nominal_tools_stand_where_the_drawing_has_them(tool):
-    np.testing.assert_allclose(config_of().arm.X_FT[tool], drawn_tool(tool), atol=1e-12)
+    np.testing.assert_allclose(matrix(config_of().arm.X_FT[tool]), drawn_tool(tool), atol=1e-12)
 
 
 def test_the_nominal_soft_limits_are_those_of_the_table():
@@ -116,3 +128,62 @@ def test_the_calibrated_arm_uses_all_six_numbers_of_its_links():
     links = config_of("calibrated:3").params.links.in_order()
     for link in links:
         assert all(getattr(link.transform, name) != 0 for name in Transform6.__slots__)
+
+
+TITANIUM_1_K = 8.6e-6
+ALUMINIUM_1_K = 23e-6
+
+
+def tool_position(arm, q, tool):
+    return tool_pose(arm, forward(arm, q), tool).p
+
+
+def test_a_hundred_kelvin_move_the_drill_of_the_straight_arm_by_the_hand_calculation():
+    """All joints at zero: everything lies along x, but for the wrist's offset along y and turret and tool up.
+
+    The aluminium body carries the shoulder, titanium reaches from there: 1.11285 and 1.984 m along x, -0.4515
+    and 0.1664 m along y, 0.266 and -(0.1697 + 0.0718) m along z.
+    """
+    arm = config_of().arm
+    moved = tool_position(warmed(arm, 100.0), np.zeros(5), Tool.DRILL) - tool_position(
+        arm, np.zeros(5), Tool.DRILL
+    )
+    by_hand_m = [
+        1.11285 * 23e-4 + (0.156 + 0.827 + 0.785 - 0.144 + 0.360) * 8.6e-4,
+        -0.4515 * 23e-4 + 0.1664 * 8.6e-4,
+        0.266 * 23e-4 - (0.1697 + 0.0718) * 8.6e-4,
+    ]
+    np.testing.assert_allclose(by_hand_m, [4.265795e-3, -0.895346e-3, 0.404110e-3], atol=1e-12)
+    np.testing.assert_allclose(moved, by_hand_m, atol=1e-13)
+
+
+@pytest.mark.parametrize("tool", Tool)
+@pytest.mark.parametrize("warming_K", [100.0, -130.0])
+def test_warming_scales_the_titanium_about_the_shoulder_and_the_body_about_the_rover(tool, warming_K):
+    arm = config_of().arm
+    warm = warmed(arm, warming_K)
+    shoulder = np.array(SHOULDER_R_M)[:, None]
+    q = in_limits(config_of(), np.random.default_rng(6), 50)
+    cold = tool_position(arm, q, tool)
+    expected = cold + warming_K * (ALUMINIUM_1_K * shoulder + TITANIUM_1_K * (cold - shoulder))
+    np.testing.assert_allclose(tool_position(warm, q, tool), expected, atol=1e-13)
+
+
+def test_no_warming_is_the_same_arm():
+    arm = config_of("calibrated:3").arm
+    same = warmed(arm, 0.0)
+    q = in_limits(config_of(), np.random.default_rng(7), 10)
+    for tool in Tool:
+        np.testing.assert_allclose(tool_position(same, q, tool), tool_position(arm, q, tool), atol=1e-15)
+
+
+def test_a_warm_tool_turns_as_its_screw_says():
+    """A growth with a rotation in it, which the drawing has nowhere: a finite turn about the tool's own z."""
+    arm = config_of().arm
+    expansion = np.zeros((6, 5))
+    expansion[2, Tool.APXS] = 1e-3
+    warm = warmed(replace(arm, expansion_T=expansion), 100.0)
+    X, Y = arm.X_FT[Tool.APXS], warm.X_FT[Tool.APXS]
+    np.testing.assert_allclose(X.R.T @ Y.R, rotation_z(np.array(0.1)), atol=1e-15)
+    np.testing.assert_array_equal(Y.p, X.p)
+    np.testing.assert_array_equal(warm.X_FT[Tool.DRT].R, arm.X_FT[Tool.DRT].R)

@@ -18,15 +18,21 @@ def potential_J(arm, frames, gravity):
     """Of the lumps under gravity."""
     energy = 0.0
     for i in range(6):
-        near = frames.X_RC[i] @ np.array([*arm.near_p_C_m[i], 1.0])
-        far = frames.X_RD[i] @ np.array([*arm.far_p_C_m[i], 1.0])
-        energy -= gravity @ (arm.near_kg[i] * near[:3] + arm.far_kg[i] * far[:3])
+        X_RL, X_LD = frames.X_RL[i], frames.X_LD[i]
+        near = X_RL.R @ arm.near_p_L_m[:, i] + X_RL.p
+        far = X_RL.R @ (X_LD.R @ arm.far_p_C_m[:, i] + X_LD.p) + X_RL.p
+        energy -= gravity @ (arm.near_kg[i] * near + arm.far_kg[i] * far)
     return energy
+
+
+def compliances(arm):
+    """One (6, 6) a link."""
+    return np.moveaxis(arm.compliance, -1, 0)
 
 
 def spring_J(arm, strain):
     """Of the springs; where nothing yields there is no energy."""
-    return sum(0.5 * s @ np.linalg.pinv(C) @ s for s, C in zip(strain, arm.compliance, strict=True))
+    return sum(0.5 * s @ np.linalg.pinv(C) @ s for s, C in zip(strain.T, compliances(arm), strict=True))
 
 
 def rigid(arm):
@@ -39,7 +45,7 @@ def rigid(arm):
 )
 def test_joint_torque_is_the_slope_of_the_potential_energy(name, gravity):
     config, h = config_of(name), 1e-5
-    for q in in_limits(config, np.random.default_rng(1), 10):
+    for q in in_limits(config, np.random.default_rng(1), 10).T:
         for arm in (rigid(config.arm), config.arm):
             at_rest = rest(arm, q, gravity)
             for joint in range(5):
@@ -53,7 +59,7 @@ def test_joint_torque_is_the_slope_of_the_potential_energy(name, gravity):
 def test_at_rest_the_total_energy_is_stationary_in_every_spring_coordinate(name):
     config, h = config_of(name), 1e-6
     arm = config.arm
-    for q in in_limits(config, np.random.default_rng(2), 4):
+    for q in in_limits(config, np.random.default_rng(2), 4).T:
         for gravity in (EARTH_R_m_s2, TILTED_R_m_s2):
             here = rest(arm, q, gravity)
 
@@ -61,10 +67,10 @@ def test_at_rest_the_total_energy_is_stationary_in_every_spring_coordinate(name)
                 return potential_J(arm, forward(arm, q, strain), gravity) + spring_J(arm, strain)
 
             for i in range(6):
-                yields = np.abs(arm.compliance[i]).sum(axis=1) > 0
+                yields = np.abs(compliances(arm)[i]).sum(axis=1) > 0
                 for k in np.flatnonzero(yields):
                     e = np.zeros((6, 6))
-                    e[i, k] = h
+                    e[k, i] = h
                     slope = (energy(here.strain + e) - energy(here.strain - e)) / (2 * h)
                     # a newton or newton metre out of hundreds would be an error of the model
                     assert abs(slope) < 2e-3
@@ -81,7 +87,7 @@ def test_torque_of_the_rigid_arm_is_linear_in_gravity():
 
 @pytest.mark.parametrize("name", ARMS)
 def test_every_spring_is_reciprocal_and_gives_only_energy_that_was_put_in(name):
-    for C in config_of(name).arm.compliance:
+    for C in compliances(config_of(name).arm):
         np.testing.assert_allclose(C, C.T, atol=1e-18)
         assert np.linalg.eigvalsh(C).min() >= -1e-18
 
@@ -89,18 +95,15 @@ def test_every_spring_is_reciprocal_and_gives_only_energy_that_was_put_in(name):
 def test_small_loads_at_two_places_deflect_each_other_alike():
     """Maxwell and Betti: the work of one small load in the motion of another does not depend on the order."""
     config = config_of()
-    q = in_limits(config, np.random.default_rng(4), 1)[0]
+    q = in_limits(config, np.random.default_rng(4), 1)[:, 0]
     small = 1e-4
     strains, wrenches = [], []
-    frames = forward(config.arm, q)
     for gravity in (small * MARS_R_m_s2, small * np.array([1.0, 2.0, 0.5])):
         strain = rest(config.arm, q, gravity).strain
         strains.append(strain)
-        wrenches.append(
-            np.stack([np.linalg.pinv(C) @ s for C, s in zip(config.arm.compliance, strain, strict=True)])
-        )
+        links = zip(compliances(config.arm), strain.T, strict=True)
+        wrenches.append(np.stack([np.linalg.pinv(C) @ s for C, s in links], axis=-1))
     assert np.sum(strains[0] * wrenches[1]) == pytest.approx(np.sum(strains[1] * wrenches[0]), rel=1e-4)
-    assert frames.X_RF.shape == (6, 4, 4)
 
 
 def test_without_gravity_nothing_yields():
@@ -127,9 +130,9 @@ def test_the_equilibrium_converges_everywhere_inside_the_limits_on_mars_and_on_e
 def test_the_output_is_the_motor_angle_plus_gap_plus_wind_up():
     config, rng = config_of(), np.random.default_rng(7)
     motor = in_limits(config, rng, 30)
-    gap = rng.choice([-1.0, 1.0], (30, 5)) * config.half_gap_rad
+    gap = rng.choice([-1.0, 1.0], (5, 30)) * config.half_gap_rad[:, None]
     here = settle(config.arm, motor, gap, MARS_R_m_s2)
-    wind_up = here.torque_Nm / config.arm.gear_stiffness_Nm_rad
+    wind_up = here.torque_Nm / config.arm.gear_stiffness_Nm_rad[:, None]
     np.testing.assert_allclose(here.output_rad, motor + gap + wind_up, atol=1e-10)
 
 
@@ -142,13 +145,57 @@ def test_settling_at_the_output_is_settling_at_the_motor_that_leads_there():
     np.testing.assert_allclose(same.torque_Nm, here.torque_Nm, atol=1e-5)
 
 
-def test_a_batch_of_arms_at_rest_is_its_single_arms():
+@pytest.mark.parametrize("name", ARMS)
+def test_a_batch_of_arms_at_rest_is_its_single_arms(name):
+    """The batch goes on until its last arm has converged; one more pass moves a converged arm by 1e-12."""
+    config = config_of(name)
+    motor = in_limits(config, np.random.default_rng(9), 6).reshape(5, 2, 3)
+    many = settle(config.arm, motor, np.zeros_like(motor), EARTH_R_m_s2)
+    for index in np.ndindex(2, 3):
+        one = settle(config.arm, motor[:, *index], np.zeros(5), EARTH_R_m_s2)
+        np.testing.assert_allclose(many.strain[..., *index], one.strain, atol=2e-12)
+        np.testing.assert_allclose(many.output_rad[:, *index], one.output_rad, atol=2e-12)
+        np.testing.assert_allclose(many.torque_Nm[:, *index], one.torque_Nm, atol=1e-8)
+
+
+def test_one_pass_of_the_load_is_that_of_a_single_arm():
+    config, rng = config_of("calibrated:3"), np.random.default_rng(10)
+    q, strain = in_limits(config, rng, 8), rng.normal(0, 0.01, (6, 6, 8))
+    new_strain, torque = load(config.arm, forward(config.arm, q, strain), strain, TILTED_R_m_s2)
+    for k in range(8):
+        frames = forward(config.arm, q[:, k], strain[..., k])
+        one_strain, one_torque = load(config.arm, frames, strain[..., k], TILTED_R_m_s2)
+        np.testing.assert_allclose(new_strain[..., k], one_strain, rtol=1e-13, atol=1e-15)
+        np.testing.assert_allclose(torque[:, k], one_torque, rtol=1e-13, atol=1e-12)
+
+
+def test_gravity_may_differ_from_arm_to_arm_of_a_batch():
+    config, rng = config_of("calibrated:3"), np.random.default_rng(11)
+    motor = in_limits(config, rng, 6).reshape(5, 2, 3)
+    gravity = 3.711 * rng.uniform(-1, 1, (3, 2, 3))
+    many = settle(config.arm, motor, np.zeros_like(motor), gravity)
+    same = settle(config.arm, motor, np.zeros_like(motor), MARS_R_m_s2)
+    alike = np.broadcast_to(MARS_R_m_s2[:, None, None], (3, 2, 3))
+    np.testing.assert_array_equal(settle(config.arm, motor, np.zeros_like(motor), alike).strain, same.strain)
+    for index in np.ndindex(2, 3):
+        one = settle(config.arm, motor[:, *index], np.zeros(5), gravity[:, *index])
+        np.testing.assert_allclose(many.strain[..., *index], one.strain, atol=2e-12)
+        np.testing.assert_allclose(many.torque_Nm[:, *index], one.torque_Nm, atol=1e-8)
+
+
+def test_a_strain_is_rotation_first_and_the_links_come_second():
+    """Arm level and straight; only the upper arm yields, to a turn about its pitch axis, z of its frame."""
     config = config_of()
-    motor = in_limits(config, np.random.default_rng(9), 6)
-    many = settle(config.arm, motor, np.zeros_like(motor), MARS_R_m_s2)
-    for k in range(6):
-        one = settle(config.arm, motor[k], np.zeros(5), MARS_R_m_s2)
-        np.testing.assert_allclose(many.strain[k], one.strain, atol=1e-10)
+    compliance = np.zeros_like(config.arm.compliance)
+    compliance[2, 2, 2] = 1e-9
+    arm = replace(config.arm, compliance=compliance)
+    here = rest(arm, np.zeros(5), MARS_R_m_s2)
+    assert set(zip(*np.nonzero(here.strain), strict=True)) == {(2, 2)}
+    # beyond the spring: half the upper arm's own mass 0.2132 m out, and all that it carries
+    beyond_m = 0.827 - 0.4135
+    lever_kg_m = 7.5 * (0.62675 - 0.4135) + 11 * (beyond_m + 0.33) + 9.5 * (beyond_m + 0.785 - 0.08)
+    lever_kg_m += 35.5 * (beyond_m + 0.785 - 0.144 + 0.02)
+    assert here.strain[2, 2] == pytest.approx(1e-9 * 3.711 * lever_kg_m, rel=1e-6)
 
 
 def test_straight_out_on_mars_the_elevation_joint_carries_what_the_mass_table_says():

@@ -1,27 +1,36 @@
-"""Rotations, transforms and screws obey the laws of their groups."""
+"""Rotations, poses and screws obey the laws of their groups, one or many at a time."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.linalg import expm
 
 from fsw.kinematics.transforms import (
+    IDENTITY,
+    Pose,
     adjoint,
+    compose,
+    cross,
+    dot,
     inverse,
-    rigid,
+    norm,
+    rotate,
+    rotate_back,
     rotation_x,
     rotation_y,
     rotation_z,
     screw_exp,
     skew,
-    translation,
     wrap_angle,
 )
+from tests.fsw.rig import matrix
 
 screws = hnp.arrays(float, 6, elements=st.floats(-3, 3))
 angles = st.floats(-10, 10).map(np.array)
 vectors = hnp.arrays(float, 3, elements=st.floats(-5, 5))
+BATCH = (4, 7)
 
 
 def hat(screw):
@@ -31,42 +40,60 @@ def hat(screw):
 
 
 def log_near_identity(X):
-    R = X[:3, :3]
-    return np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], *(2 * X[:3, 3])]) / 2
+    R = X.R
+    return np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], *(2 * X.p)]) / 2
+
+
+def assert_same(X, Y, atol):
+    np.testing.assert_allclose(X.R, Y.R, atol=atol)
+    np.testing.assert_allclose(X.p, Y.p, atol=atol)
 
 
 @given(screws, screws, screws)
-def test_transforms_associate_and_stay_rigid(a, b, c):
+def test_poses_associate_and_stay_rigid(a, b, c):
     A, B, C = screw_exp(a), screw_exp(b), screw_exp(c)
-    np.testing.assert_allclose((A @ B) @ C, A @ (B @ C), atol=1e-12)
-    R = (A @ B)[:3, :3]
+    assert_same((A @ B) @ C, A @ (B @ C), atol=1e-12)
+    R = (A @ B).R
     np.testing.assert_allclose(R @ R.T, np.eye(3), atol=1e-12)
     assert np.isclose(np.linalg.det(R), 1.0)
+
+
+@given(screws, screws)
+def test_a_product_of_poses_is_the_product_of_their_matrices(a, b):
+    A, B = screw_exp(a), screw_exp(b)
+    np.testing.assert_allclose(matrix(A @ B), matrix(A) @ matrix(B), atol=1e-14)
+
+
+@given(screws)
+def test_the_identity_changes_nothing_on_either_side(s):
+    X = screw_exp(s)
+    assert_same(IDENTITY @ X, X, atol=0)
+    assert_same(X @ IDENTITY, X, atol=0)
 
 
 @given(screws)
 def test_inverse_undoes_on_either_side(s):
     X = screw_exp(s)
-    np.testing.assert_allclose(inverse(X) @ X, np.eye(4), atol=1e-12)
-    np.testing.assert_allclose(X @ inverse(X), np.eye(4), atol=1e-12)
-    np.testing.assert_allclose(inverse(X), screw_exp(-s), atol=1e-12)
+    assert_same(inverse(X) @ X, IDENTITY, atol=1e-12)
+    assert_same(X @ inverse(X), IDENTITY, atol=1e-12)
+    assert_same(inverse(X), screw_exp(-s), atol=1e-12)
 
 
 @given(screws, st.floats(0, 1))
 def test_screw_exp_is_the_matrix_exponential(s, scale):
     for small in (scale, 1e-2 * scale, 1e-6 * scale, 0.0):
-        np.testing.assert_allclose(screw_exp(small * s), expm(hat(small * s)), atol=1e-12)
+        np.testing.assert_allclose(matrix(screw_exp(small * s)), expm(hat(small * s)), atol=1e-12)
 
 
 def test_screw_exp_has_no_step_where_its_series_takes_over():
     axis = np.array([0.6, -0.48, 0.64, 0.3, -0.2, 0.5])
     for angle in (0.00999, 0.0099999999, 0.01, 0.0100000001, 0.01001):
-        np.testing.assert_allclose(screw_exp(angle * axis), expm(hat(angle * axis)), atol=1e-15)
+        np.testing.assert_allclose(matrix(screw_exp(angle * axis)), expm(hat(angle * axis)), atol=1e-15)
 
 
 @given(screws, st.floats(-1, 1), st.floats(-1, 1))
 def test_following_a_screw_for_two_times_adds_the_times(s, t, u):
-    np.testing.assert_allclose(screw_exp(t * s) @ screw_exp(u * s), screw_exp((t + u) * s), atol=1e-11)
+    assert_same(screw_exp(t * s) @ screw_exp(u * s), screw_exp((t + u) * s), atol=1e-11)
 
 
 @given(angles, angles)
@@ -82,14 +109,24 @@ def test_rotations_are_exponentials_of_their_axes(angle):
 
 
 @given(vectors, vectors)
-def test_skew_is_the_cross_product(p, v):
+def test_vector_products_are_numpy_s(p, v):
     np.testing.assert_allclose(skew(p) @ v, np.cross(p, v), atol=1e-12)
+    np.testing.assert_allclose(cross(p, v), np.cross(p, v), atol=1e-12)
+    np.testing.assert_allclose(dot(p, v), p @ v, atol=1e-12)
+    np.testing.assert_allclose(norm(p), np.linalg.norm(p), rtol=1e-14, atol=1e-150)
+
+
+@given(screws, vectors)
+def test_turning_back_undoes_turning(s, v):
+    R = screw_exp(s).R
+    np.testing.assert_allclose(rotate(R, v), R @ v, atol=1e-13)
+    np.testing.assert_allclose(rotate_back(R, rotate(R, v)), v, atol=1e-12)
 
 
 @given(screws, screws)
 def test_adjoint_carries_a_screw_as_conjugation_does(x, s):
     X = screw_exp(x)
-    np.testing.assert_allclose(hat(adjoint(X) @ s), X @ hat(s) @ inverse(X), atol=1e-10)
+    np.testing.assert_allclose(hat(adjoint(X) @ s), matrix(X) @ hat(s) @ matrix(inverse(X)), atol=1e-10)
 
 
 @given(screws, screws)
@@ -106,18 +143,49 @@ def test_adjoint_of_a_product_is_the_product_of_adjoints(a, b):
     np.testing.assert_allclose(adjoint(A @ B), adjoint(A) @ adjoint(B), atol=1e-10)
 
 
-def test_a_batch_is_its_single_cases():
-    many = np.random.default_rng(1).uniform(-3, 3, (4, 7, 6))
-    for function in (screw_exp, lambda s: adjoint(screw_exp(s)), lambda s: inverse(screw_exp(s))):
-        batch = function(many)
-        for index in np.ndindex(4, 7):
-            np.testing.assert_array_equal(batch[index], function(many[index]))
+def many(rows, seed):
+    return np.random.default_rng(seed).uniform(-3, 3, (rows, *BATCH))
 
 
-@given(vectors)
-def test_a_translation_only_translates(p):
-    np.testing.assert_array_equal(translation(p), rigid(np.eye(3), p))
-    np.testing.assert_array_equal(translation(p) @ np.array([0, 0, 0, 1.0]), [*p, 1.0])
+@pytest.mark.parametrize(
+    "function",
+    [
+        lambda s, t: screw_exp(s).R,
+        lambda s, t: screw_exp(s).p,
+        lambda s, t: screw_exp(1e-3 * s).p,
+        lambda s, t: adjoint(screw_exp(s)),
+        lambda s, t: inverse(screw_exp(s)).p,
+        lambda s, t: (screw_exp(s) @ screw_exp(t)).R,
+        lambda s, t: (screw_exp(s) @ screw_exp(t)).p,
+        lambda s, t: compose(rotation_x(s[0]), rotation_y(t[0])),
+        lambda s, t: rotate_back(rotation_z(s[0]), t[:3]),
+        lambda s, t: cross(s[:3], t[:3]),
+        lambda s, t: norm(s),
+        lambda s, t: skew(s[:3]),
+    ],
+)
+def test_a_batch_is_its_single_cases(function):
+    s, t = many(6, 1), many(6, 2)
+    batch = function(s, t)
+    for index in np.ndindex(BATCH):
+        where = (slice(None), *index)
+        np.testing.assert_allclose(batch[(..., *index)], function(s[where], t[where]), rtol=0, atol=4e-15)
+
+
+def test_poses_of_a_batch_are_taken_by_the_index_of_the_batch():
+    X = screw_exp(many(6, 3))
+    for index in ((2, 5), 3, (slice(None), 1), (Ellipsis, 0)):
+        where = index if isinstance(index, tuple) else (index,)
+        np.testing.assert_array_equal(X[index].R, X.R[(slice(None), slice(None), *where)])
+        np.testing.assert_array_equal(X[index].p, X.p[(slice(None), *where)])
+
+
+def test_one_pose_goes_before_and_after_many():
+    one, all_of_them = screw_exp(np.arange(6.0) / 7), screw_exp(many(6, 4))
+    lone = Pose(one.R[:, :, None, None], one.p[:, None, None])
+    for index in np.ndindex(BATCH):
+        assert_same((lone @ all_of_them)[index], one @ all_of_them[index], atol=4e-15)
+        assert_same((all_of_them @ lone)[index], all_of_them[index] @ one, atol=4e-15)
 
 
 @given(st.floats(-1e3, 1e3))

@@ -1,5 +1,6 @@
 """From a command to a plan: the quickest valid branch, the named one, or a sentence that says why not."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,14 +9,18 @@ import pytest
 from fsw.dictionary.commands import GuardedMove, MoveTool, Retract
 from fsw.dictionary.joints import Tool
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.ik import BRANCHES
+from fsw.kinematics.closed_form import BRANCHES
+from fsw.kinematics.compensation import refine
+from fsw.kinematics.ik import Verdict, inverse_kinematics
 from fsw.kinematics.statics import settle
 from fsw.motion.plan import Plan, Refusal, over_limits, plan_poses
-from fsw.motion.plan_tool import AUTO, plan_guarded, plan_retract, plan_tool
+from fsw.motion.plan_line import plan_guarded, plan_retract
+from fsw.motion.plan_tool import AUTO, plan_tool
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, in_limits
 
 CONFIG = config_of()
 RNG_TARGETS = 12
+MEETS = 1e-8
 
 
 def joints_at(pose=None):
@@ -25,10 +30,10 @@ def joints_at(pose=None):
 def targets(tool, n=RNG_TARGETS):
     """Tool moves whose targets the arm is known to reach."""
     q = in_limits(CONFIG, np.random.default_rng(300 + tool), n, shrink=0.2)
-    q[:, 2] = np.where(np.abs(q[:, 2]) < 0.4, 0.8, q[:, 2])
+    q[2] = np.where(np.abs(q[2]) < 0.4, 0.8, q[2])
     here = settle(CONFIG.arm, q, np.zeros_like(q), MARS_R_m_s2)
     X = tool_pose(CONFIG.arm, here.frames, tool)
-    return [MoveTool(tool, floats(x[:3, 3]), floats(x[:3, 0])) for x in X]
+    return [MoveTool(tool, floats(X[k].p), floats(X[k].R[:, 0])) for k in range(n)]
 
 
 def seconds(plan, joints):
@@ -43,15 +48,15 @@ def test_every_reachable_target_is_planned_and_met_by_the_settled_arm(tool):
         assert isinstance(plan, Plan)
         here = settle(CONFIG.arm, plan.motor_rad, plan.gap_rad, MARS_R_m_s2)
         X = tool_pose(CONFIG.arm, here.frames, tool)
-        np.testing.assert_allclose(X[:3, 3], command.p_RoTo_R_m, atol=1e-8)
-        np.testing.assert_allclose(X[:3, 0], command.approach_R, atol=1e-8)
+        np.testing.assert_allclose(X.p, command.p_RoTo_R_m, atol=MEETS)
+        np.testing.assert_allclose(X.R[:, 0], command.approach_R, atol=MEETS)
         assert over_limits(CONFIG, here.output_rad) <= 1e-9
 
 
 @pytest.mark.parametrize("tool", Tool)
 def test_auto_takes_the_quickest_branch_that_a_name_could_have_chosen(tool):
     joints = joints_at()
-    for command in targets(tool):
+    for command in targets(tool, 5):
         named = {name: plan_tool(CONFIG, joints, replace(command, branch=name)) for name in BRANCHES}
         valid = {name: plan for name, plan in named.items() if isinstance(plan, Plan)}
         auto = plan_tool(CONFIG, joints, replace(command, branch=AUTO))
@@ -63,7 +68,7 @@ def test_a_named_branch_is_the_one_that_is_taken():
     joints = joints_at()
     seen = set()
     for tool in Tool:
-        for command in targets(tool):
+        for command in targets(tool, 3):
             for name in BRANCHES:
                 plan = plan_tool(CONFIG, joints, replace(command, branch=name))
                 if isinstance(plan, Plan):
@@ -84,9 +89,7 @@ def test_without_deflection_the_rigid_arm_meets_the_target():
     joints, command = joints_at(), replace(targets(Tool.APXS)[0], deflection="off")
     plan = plan_tool(CONFIG, joints, command)
     here = settle(CONFIG.arm, plan.motor_rad, plan.gap_rad, np.zeros(3))
-    np.testing.assert_allclose(
-        tool_pose(CONFIG.arm, here.frames, Tool.APXS)[:3, 3], command.p_RoTo_R_m, atol=1e-8
-    )
+    np.testing.assert_allclose(tool_pose(CONFIG.arm, here.frames, Tool.APXS).p, command.p_RoTo_R_m, atol=1e-8)
 
 
 def test_a_target_is_refused_if_the_line_beyond_it_cannot_be_run():
@@ -95,21 +98,37 @@ def test_a_target_is_refused_if_the_line_beyond_it_cannot_be_run():
     assert isinstance(plan_tool(CONFIG, joints, rig.here(Tool.APXS, line_m=0.05)), Plan)
     far = plan_tool(CONFIG, joints, rig.here(Tool.APXS, line_m=4.0))
     assert isinstance(far, Refusal)
-    assert "the end of the approach is out of reach by" in far.reason
+    assert far.reason.startswith("APXS: the end of the approach: ")
+    assert " out of reach by " in far.reason
 
 
-def test_out_of_reach_is_refused_with_the_missing_metres():
+def test_out_of_reach_is_refused_with_the_nearest_branch_and_the_missing_metres():
     refusal = plan_tool(CONFIG, joints_at(), MoveTool(Tool.APXS, (9.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
     assert isinstance(refusal, Refusal)
-    assert refusal.reason.startswith("APXS: the target is out of reach by ")
-    metres = float(refusal.reason.split("by ")[1].split(" m")[0])
+    told = re.fullmatch(r"APXS: the target: (.+): out of reach by ([\d.]+) m", refusal.reason)
+    assert told[1] in BRANCHES
     # the arm ends 1.1 + 0.16 + 0.83 + 0.79 + tool from the rover's origin at most
-    assert 5.5 < metres < 7.0
+    assert 5.5 < float(told[2]) < 7.0
 
 
 def test_a_target_too_near_the_azimuth_axis_is_refused_with_the_missing_metres():
     refusal = plan_tool(CONFIG, joints_at(), MoveTool(Tool.DRILL, (1.47285, -0.4415, 1.0), (1.0, 0.0, 0.0)))
-    assert refusal == Refusal("DRILL: the target is out of reach by 0.156 m on every branch")
+    assert refusal == Refusal("DRILL: the target: shoulder-out elbow-up wrist-up: out of reach by 0.156 m")
+
+
+@pytest.mark.parametrize("name", BRANCHES)
+def test_a_named_branch_is_refused_for_its_own_reason(name):
+    joints = joints_at()
+    refused = 0
+    for tool in Tool:
+        for command in targets(tool, 4):
+            plan = plan_tool(CONFIG, joints, replace(command, branch=name))
+            if isinstance(plan, Refusal):
+                told = re.fullmatch(rf"{tool.name}: the target: {name}: (.+)", plan.reason)
+                reasons = r"joint \w+: .+ deg is outside its soft limits .+|out of reach by [\d.]+ m"
+                assert re.fullmatch(reasons, told[1])
+                refused += 1
+    assert refused > 0
 
 
 def test_beyond_the_soft_limits_the_refusal_names_the_joint_and_its_limits():
@@ -132,15 +151,16 @@ def test_a_tool_target_beyond_the_soft_limits_is_refused_with_branch_joint_and_l
     # behind the rover's left shoulder: azimuth beyond +91.2 deg outward, and inward too high for the rest
     angles = np.array([np.radians(125), np.radians(-20), np.radians(40), np.radians(30), 1.0])
     X = tool_pose(CONFIG.arm, settle(CONFIG.arm, angles, np.zeros(5), MARS_R_m_s2).frames, Tool.DRILL)
-    refusal = plan_tool(CONFIG, joints_at(), MoveTool(Tool.DRILL, floats(X[:3, 3]), floats(X[:3, 0])))
+    refusal = plan_tool(CONFIG, joints_at(), MoveTool(Tool.DRILL, floats(X.p), floats(X.R[:, 0])))
     assert isinstance(refusal, Refusal)
-    assert refusal.reason.startswith("DRILL: the target, nearest branch ")
-    assert "deg is outside its soft limits" in refusal.reason
-    assert "nan" not in refusal.reason
+    assert refusal == Refusal(
+        "DRILL: the target: shoulder-out elbow-up wrist-down: "
+        "joint azimuth: 125.0 deg is outside its soft limits -180.2 .. 91.2 deg"
+    )
 
 
 def test_poses_are_met_at_the_output_gap_and_wind_up_allowed_for():
-    poses = list(in_limits(CONFIG, np.random.default_rng(8), 5, shrink=0.05))
+    poses = list(in_limits(CONFIG, np.random.default_rng(8), 5, shrink=0.05).T)
     plan = plan_poses(CONFIG, joints_at(), poses)
     assert len(plan.paths) == 5
     here = settle(CONFIG.arm, plan.motor_rad, plan.gap_rad, MARS_R_m_s2)
@@ -159,18 +179,98 @@ def test_a_move_smaller_than_the_gap_is_planned_from_where_the_output_lies(motio
 
 
 def test_a_line_out_of_reach_says_where_it_ends():
-    rig = Rig(CONFIG, start_rad=facing(CONFIG, Tool.APXS))
-    refusal = plan_guarded(CONFIG, rig.state.joints, rig.touch(Tool.APXS, 3.0))
+    """A tool that looks outward; how far its line can go is known from the targets along it."""
+    pose = facing(CONFIG, Tool.APXS)
+    pose[1:4] = [-0.4, 0.9, -0.9]
+    rig = Rig(CONFIG, start_rad=pose)
+    refusal = plan_guarded(CONFIG, rig.state.joints, rig.touch(Tool.APXS, 0.5))
     assert isinstance(refusal, Refusal)
-    reached = float(refusal.reason.split("after ")[1].split(" m")[0])
-    assert refusal.reason.startswith("the straight move leaves the reach of the arm after")
-    assert 0.1 < reached < 3.0
+    told = re.fullmatch(r"the straight move leaves the reach of the arm after ([\d.]+) m", refusal.reason)
+    reached = float(told[1])
+    assert 0.1 < reached < 0.5
+    X, ahead_m = rig.tool_pose(Tool.APXS), np.array([0.0, reached - 0.02, reached + 0.02])
+    p = X.p[:, None] + ahead_m * X.R[:, [0]]
+    axes = np.repeat(X.R[:, [0]], 3, axis=1)
+    answers = inverse_kinematics(CONFIG.arm, Tool.APXS, p, axes, MARS_R_m_s2)
+    branch = np.nanargmin(np.abs(answers.output_rad[..., 0] - pose[:, None]).max(axis=0))
+    assert list(answers.verdict[branch]) == [Verdict.VALID, Verdict.VALID, Verdict.OUT_OF_REACH]
+
+
+def longest(config):
+    return config.params.motion.line_max_m
+
+
+@pytest.mark.parametrize("distance_m", [0.61, 4.0, 1e4, 1e9])
+def test_a_line_longer_than_the_longest_is_refused_before_anything_is_planned(distance_m):
+    rig = Rig(CONFIG, start_rad=facing(CONFIG, Tool.APXS))
+    refusal = plan_guarded(CONFIG, rig.state.joints, rig.touch(Tool.APXS, distance_m))
+    said = f"the straight move is {distance_m:.3g} m long, the longest allowed is {longest(CONFIG)} m"
+    assert refusal == Refusal(said)
+
+
+def turned(X, angle_rad, about=1):
+    """The approach of a tool, turned about one of its own axes."""
+    side = X.R[:, 3 - about]
+    return np.cos(angle_rad) * X.R[:, 0] + np.sin(angle_rad) * side
+
+
+@pytest.mark.parametrize("about", [1, 2])
+@pytest.mark.parametrize(("share", "refused"), [(0.98, False), (1.02, True), (20.0, True), (31.4, True)])
+def test_a_guarded_approach_may_turn_so_far_from_where_the_tool_looks(share, refused, about):
+    rig = Rig(CONFIG, start_rad=facing(CONFIG, Tool.APXS))
+    X, bound = rig.tool_pose(Tool.APXS), CONFIG.params.motion.line_turn_rad
+    command = replace(rig.touch(Tool.APXS, 0.05), approach_R=floats(turned(X, share * bound, about)))
+    plan = plan_guarded(CONFIG, rig.state.joints, command)
+    assert isinstance(plan, Refusal) is refused
+    if refused:
+        assert plan.reason == (
+            f"the approach is {np.degrees(share * bound):.1f} deg from where the tool looks, "
+            f"at most {np.degrees(bound):.1f} deg are allowed"
+        )
+
+
+@pytest.mark.parametrize("about", [1, 2])
+@pytest.mark.parametrize(("share", "refused"), [(0.98, False), (1.02, True), (10.0, True)])
+def test_a_guarded_way_may_lead_so_far_from_where_the_tool_looks(share, refused, about):
+    rig = Rig(CONFIG, start_rad=facing(CONFIG, Tool.APXS))
+    X, bound = rig.tool_pose(Tool.APXS), CONFIG.params.motion.line_turn_rad
+    end = X.p + 0.05 * turned(X, share * bound, about)
+    plan = plan_guarded(CONFIG, rig.state.joints, GuardedMove(Tool.APXS, floats(end), floats(X.R[:, 0])))
+    assert isinstance(plan, Refusal) is refused
+    if refused:
+        assert plan.reason.startswith(f"the way to the end is {np.degrees(share * bound):.1f} deg from where")
+
+
+def test_a_guarded_move_does_not_lead_backward():
+    rig = Rig(CONFIG, start_rad=facing(CONFIG, Tool.APXS))
+    assert isinstance(plan_guarded(CONFIG, rig.state.joints, rig.touch(Tool.APXS, -0.05)), Refusal)
+
+
+FALSELY_OUT_OF_REACH = [
+    (Tool.PORTION, (0.48507177, -0.71074232, 0.07864559, -1.19383176, 0.24471724), 0.1),
+    (Tool.APXS, (-0.7812698, -1.8119781, 0.4187753, 3.3423765, 2.4556754), 0.3),
+    (Tool.DRILL, (-0.0786086, -1.7903838, 2.0318926, 1.0715055, 4.5379014), 0.4),
+]
+
+
+@pytest.mark.parametrize(("tool", "pose", "length_m"), FALSELY_OUT_OF_REACH)
+def test_a_line_that_can_be_followed_knot_by_knot_is_planned(tool, pose, length_m):
+    rig = Rig(CONFIG, start_rad=pose)
+    joints, X = rig.state.joints, rig.tool_pose(tool)
+    at = settle(CONFIG.arm, joints.motor_rad, joints.gap_rad, MARS_R_m_s2).output_rad
+    for s in np.linspace(0.0, length_m, int(200 * length_m) + 1):
+        found = refine(CONFIG.arm, tool, X.p + s * X.R[:, 0], X.R[:, 0], MARS_R_m_s2, at)
+        if not found.converged or np.abs(found.output_rad - at).max() > 0.1:
+            pytest.fail(f"cannot be followed beyond {s} m; take another example")
+        at = found.output_rad
+    assert over_limits(CONFIG, at) < 0
+    assert isinstance(plan_guarded(CONFIG, joints, rig.touch(tool, length_m)), Plan)
 
 
 def test_a_line_beyond_a_soft_limit_names_place_joint_and_limits():
     pose = np.array(CONFIG.params.poses.ready_rad)
     pose[0] = CONFIG.arm.soft_max_rad[0] - 0.01
-    boresight = CONFIG.arm.X_FT[Tool.DRILL][:3, 0]
+    boresight = CONFIG.arm.X_FT[Tool.DRILL].R[:, 0]
     pose[4] = np.pi / 2 + 0.6 - np.arctan2(boresight[1], boresight[0])
     refusals = []
     for distance in (0.1, 0.2):
@@ -193,16 +293,15 @@ def test_a_line_of_no_length_is_refused():
         ).frames,
         Tool.APXS,
     )
-    command = GuardedMove(Tool.APXS, floats(X[:3, 3]), floats(X[:3, 0]))
+    command = GuardedMove(Tool.APXS, floats(X.p), floats(X.R[:, 0]))
     assert plan_guarded(CONFIG, rig.state.joints, command) == Refusal("the straight move has no length")
 
 
-@pytest.mark.xfail(reason="bug: a branch that is singular counts as the nearest, with NaN for its angles")
 def test_a_refusal_never_speaks_of_an_angle_that_is_no_number():
     joints = joints_at()
     pose = np.array([-2.98497774, -0.19283073, -0.98994392, 2.50209388, 3 * np.pi / 2])
     X = tool_pose(CONFIG.arm, settle(CONFIG.arm, pose, np.zeros(5), np.zeros(3)).frames, Tool.DRILL)
-    command = MoveTool(Tool.DRILL, floats(X[:3, 3]), floats(X[:3, 0]), deflection="off")
+    command = MoveTool(Tool.DRILL, floats(X.p), floats(X.R[:, 0]), deflection="off")
     refusal = plan_tool(CONFIG, joints, command)
     assert isinstance(refusal, Refusal)
     assert "nan" not in refusal.reason

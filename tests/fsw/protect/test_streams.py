@@ -47,7 +47,7 @@ def command(rng, rig):
         return rig.touch(Tool(rng.integers(5)), rng.uniform(0.001, 0.3))
     if kind == 4:
         return rig.here(Tool(rng.integers(5)), rng.uniform(-0.3, 0.3))
-    return MoveJoints(floats(in_limits(CONFIG, rng, 1)[0]))
+    return MoveJoints(floats(in_limits(CONFIG, rng, 1)[:, 0]))
 
 
 def assert_safe(rig):
@@ -78,7 +78,7 @@ def assert_safe(rig):
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 0.3, 1.0]))
 def test_random_sensors_and_commands_never_make_the_arm_unsafe(seed, trouble):
     rng = np.random.default_rng(seed)
-    start = facing(CONFIG, Tool.APXS) if rng.random() < 0.5 else in_limits(CONFIG, rng, 1)[0]
+    start = facing(CONFIG, Tool.APXS) if rng.random() < 0.5 else in_limits(CONFIG, rng, 1)[:, 0]
     rig = Rig(CONFIG, Mode(rng.integers(2)), start)
     for _ in range(CYCLES):
         commands = (command(rng, rig),) if rng.random() < 0.06 else ()
@@ -90,31 +90,30 @@ def test_random_sensors_and_commands_never_make_the_arm_unsafe(seed, trouble):
 @given(st.integers(0, 2**32 - 1))
 def test_a_stuck_or_slipping_arm_never_makes_its_set_points_run_away(seed):
     rng = np.random.default_rng(seed)
-    rig = Rig(CONFIG, start_rad=in_limits(CONFIG, rng, 1, shrink=0.2)[0])
+    rig = Rig(CONFIG, start_rad=in_limits(CONFIG, rng, 1, shrink=0.2)[:, 0])
     rig.stuck = True
-    rig.cycle(MoveJoints(floats(in_limits(CONFIG, rng, 1)[0])))
+    rig.cycle(MoveJoints(floats(in_limits(CONFIG, rng, 1)[:, 0])))
     for _ in range(CYCLES):
         rig.count = rig.count + rng.integers(-30, 31, 5)
         rig.cycle()
         assert_safe(rig)
 
 
-@pytest.mark.xfail(
-    reason="bug: a fault holds where the motors were read, also when that reading is the fault"
-)
 def test_one_wild_encoder_reading_does_not_become_a_set_point_under_power():
     rig = Rig(CONFIG)
     rig.until_moving(MoveJoints(floats(np.array(CONFIG.params.poses.ready_rad) + 0.05)))
     before = rig.outputs.drive.setpoint_count
     drive = rig.cycle(encoder_count=rig.count + 10**7).drive
     assert drive.power_on.all()
-    assert np.abs(drive.setpoint_count - before).max() < 10_000
+    # no farther than a motor may follow
+    bound = np.ceil(CONFIG.params.monitors.following_error_rad / CONFIG.rad_per_count)
+    assert (np.abs(drive.setpoint_count - before) <= bound).all()
 
 
-@pytest.mark.xfail(reason="bug: gravity has no bound; the load stays NaN for good", raises=RuntimeWarning)
-def test_one_wild_but_finite_gravity_reading_is_survived():
+@pytest.mark.parametrize("wild_m_s2", [20.1, 1e6, 1e200])
+def test_one_wild_but_finite_gravity_reading_is_survived(wild_m_s2):
     rig = Rig(CONFIG)
-    rig.cycle(gravity_R_m_s2=[0.0, 0.0, 1e200])
+    rig.cycle(gravity_R_m_s2=[0.0, 0.0, wild_m_s2])
     for _ in range(64):
         rig.cycle()
     assert np.isfinite(rig.state.joints.gap_rad).all()

@@ -1,0 +1,40 @@
+"""The soft limits of the joints: turns, distances and sentences."""
+
+import numpy as np
+
+from fsw.dictionary.joints import Joint
+from fsw.kinematics.arm import Arm
+from fsw.kinematics.transforms import Array, wrap_angle
+
+
+def into_limits(arm: Arm, q: Array, near_rad: Array | None = None) -> Array:
+    """The same angles (5, ...) in the turn inside the soft limits, the nearest to `near_rad` (5,) if two fit.
+
+    Where no turn fits, the turn that is least outside.
+    """
+    low, high = _limits(arm, q)
+    middle = 0.5 * (low + high)
+    near = middle if near_rad is None else np.clip(near_rad.reshape(low.shape), low, high)
+    best = near + wrap_angle(q - near)
+    inside = (best >= low) & (best <= high)
+    return np.where(inside, best, middle + wrap_angle(q - middle))
+
+
+def beyond_limits(arm: Arm, q: Array) -> Array:
+    """By how much each joint of (5, ...) is beyond its soft limits; negative is inside."""
+    low, high = _limits(arm, q)
+    return np.maximum(low - q, q - high)
+
+
+def outside(arm: Arm, joint: Joint, angle_rad: float) -> str:
+    """The sentence about a joint outside its soft limits."""
+    low_deg, high_deg = np.degrees(arm.soft_min_rad[joint]), np.degrees(arm.soft_max_rad[joint])
+    return (
+        f"joint {joint.name.lower()}: {np.degrees(angle_rad):.1f} deg is outside "
+        f"its soft limits {low_deg:.1f} .. {high_deg:.1f} deg"
+    )
+
+
+def _limits(arm: Arm, q: Array) -> tuple[Array, Array]:
+    ones = (1,) * (q.ndim - 1)
+    return arm.soft_min_rad.reshape(5, *ones), arm.soft_max_rad.reshape(5, *ones)

@@ -1,0 +1,27 @@
+"""Arithmetic on the 6x6 compliances of flight parameters, which are tuples."""
+
+import numpy as np
+
+from fsw.dictionary.params import Matrix6, Row6
+from fsw.kinematics.transforms import Array
+
+
+def scaled(matrix: Matrix6, factor: float) -> Matrix6:
+    """Every element times a factor."""
+    return _matrix6(np.array(matrix) * factor)
+
+
+def turned(matrix: Matrix6, R: Array) -> Matrix6:
+    """The same spring seen from axes turned back by R: both its rotations and its translations turn."""
+    both = np.kron(np.eye(2), R)
+    return _matrix6(both @ np.array(matrix) @ both.T)
+
+
+def _matrix6(values: Array) -> Matrix6:
+    a, b, c, d, e, f = (_row6(row) for row in values)
+    return (a, b, c, d, e, f)
+
+
+def _row6(values: Array) -> Row6:
+    a, b, c, d, e, f = (float(v) for v in values)
+    return (a, b, c, d, e, f)

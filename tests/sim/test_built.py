@@ -1,0 +1,211 @@
+"""Built arms: drawn with the stated magnitudes, the same for the same seed, unknown to flight software."""
+
+from collections import defaultdict
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.kinematics.arm import arm_from
+from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.transforms import adjoint, inverse
+from sim.arms import UnknownArm, arm_named
+from sim.effects.built import IDENTIFIABLE, SPRINGS, as_built, left_by_calibration
+from sim.effects.geometry import FrameError
+from sim.effects.joints import BacklashWidth, EncoderZero, GearFriction, GearStiffness, ResolverBias
+from sim.effects.structure import LinkMass, LinkStiffness
+from sim.params import digest, nominal_params
+from tests.sim import lab
+
+SEEDS = range(200)
+AXES = [(frame, axis) for frame in Frame for axis in range(6)]
+SEEN = [(frame, axis) for frame in Frame for axis in IDENTIFIABLE[frame]]
+UNSEEN = [place for place in AXES if place not in SEEN]
+
+
+@pytest.fixture(scope="module")
+def drawn() -> dict[str, lab.Array]:
+    """Every number of 200 arms, by what it is."""
+    values: dict[str, list[float]] = defaultdict(list)
+    for seed in SEEDS:
+        for effect in as_built(seed):
+            match effect:
+                case FrameError(screw=screw):
+                    values["frame_rad"] += screw[:3]
+                    values["frame_m"] += screw[3:]
+                case EncoderZero(error_rad=error):
+                    values["zero_rad"].append(error)
+                case ResolverBias(bias_rad=bias):
+                    values["resolver_rad"].append(bias)
+                case LinkMass(factor=factor, shift_m=shift):
+                    values["mass"].append(np.log(factor))
+                    values["com_m"] += shift
+                case BacklashWidth() | GearStiffness() | GearFriction() | LinkStiffness():
+                    values[type(effect).__name__].append(np.log(effect.factor))
+                case _:
+                    pytest.fail(f"{effect} is not in this test")
+    return {name: np.array(v) for name, v in values.items()}
+
+
+STATED = {
+    # one sigma: facts, How far a built arm is from its drawing
+    "frame_rad": 2e-3,
+    "frame_m": 1.5e-3,
+    "zero_rad": 4e-3,
+    "resolver_rad": 2e-3,
+    "LinkStiffness": 0.20,
+    "GearStiffness": 0.20,
+    "BacklashWidth": 0.10,
+    "mass": 0.03,
+    "com_m": 5e-3,
+    "GearFriction": 0.20,
+}
+
+
+def test_what_is_drawn_is_what_is_stated(drawn: dict[str, lab.Array]) -> None:
+    assert set(drawn) == set(STATED)
+
+
+@pytest.mark.parametrize(("name", "sigma"), STATED.items())
+def test_two_hundred_arms_have_the_stated_spread(
+    drawn: dict[str, lab.Array], name: str, sigma: float
+) -> None:
+    """Mean and standard deviation within four of their standard errors; none beyond five sigma."""
+    values = drawn[name]
+    n = values.size
+    assert abs(values.mean()) < 4 * sigma / n**0.5
+    assert abs(values.std() - sigma) < 4 * sigma / (2 * n) ** 0.5
+    assert np.abs(values).max() < 5 * sigma
+
+
+def test_every_place_of_the_arm_is_drawn_once() -> None:
+    effects = as_built(0)
+    frames = [(e.frame, e.tool) for e in effects if isinstance(e, FrameError)]
+    assert frames == [(f, None) for f in Frame if f is not Frame.TOOL] + [(Frame.TOOL, t) for t in Tool]
+    for kind in (EncoderZero, ResolverBias, BacklashWidth, GearStiffness, GearFriction):
+        assert [e.joint for e in effects if isinstance(e, kind)] == list(Joint)
+    assert tuple(e.frame for e in effects if isinstance(e, LinkStiffness)) == SPRINGS
+    assert [e.frame for e in effects if isinstance(e, LinkMass)] == [*SPRINGS[1:], Frame.ARM6]
+
+
+@pytest.mark.parametrize("seed", [0, 1, 199, 999_999_999])
+def test_the_same_seed_is_the_same_arm_and_another_another(seed: int) -> None:
+    assert as_built(seed) == as_built(seed)
+    assert left_by_calibration(seed) == left_by_calibration(seed)
+    assert as_built(seed) != as_built(seed + 1)
+
+
+def test_an_as_built_arm_flies_with_the_parameters_of_the_drawing() -> None:
+    nominal, built = arm_named("nominal"), arm_named("as-built:7")
+    assert built.effects == as_built(7)
+    assert built.params.arm_name == "as-built:7"
+    for group in ("links", "tools", "joints", "poses", "motion", "monitors"):
+        assert getattr(built.params, group) == getattr(nominal.params, group)
+    assert nominal.effects == ()
+    assert nominal.params == nominal_params()
+
+
+def test_a_calibrated_arm_is_the_same_arm_and_flies_with_other_parameters() -> None:
+    built, calibrated = arm_named("as-built:7"), arm_named("calibrated:7")
+    assert calibrated.effects == built.effects
+    assert digest(calibrated.params) != digest(built.params)
+    perfect = nominal_params()
+    for effect in calibrated.effects:
+        perfect = effect.on_params(perfect)
+    assert calibrated.params.links != perfect.links
+    assert calibrated.params.tools != perfect.tools
+
+
+def test_a_calibration_leaves_a_tenth_of_what_it_found() -> None:
+    """Over 40 arms: the tool where perfect and calibrated parameters put it, for the same joint angles."""
+    miss: dict[str, list[float]] = defaultdict(list)
+    for seed in range(40):
+        perfect = nominal_params()
+        for effect in as_built(seed):
+            perfect = effect.on_params(perfect)
+        for kind in ("as-built", "calibrated"):
+            believed = arm_from(arm_named(f"{kind}:{seed}").params)
+            p = [
+                tool_pose(arm, forward(arm, lab.READY_RAD), Tool.APXS).p
+                for arm in (arm_from(perfect), believed)
+            ]
+            miss[kind].append(float(np.linalg.norm(p[1] - p[0])))
+    rms = {kind: np.sqrt(np.mean(np.square(values))) for kind, values in miss.items()}
+    assert 8e-3 < rms["as-built"] < 20e-3
+    assert rms["calibrated"] < 0.15 * rms["as-built"]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "",
+        "Nominal",
+        "as-built",
+        "as-built:",
+        "as-built:-1",
+        "as-built:x",
+        "calibrated:1.5",
+        "as-built:1234567890",
+    ],
+)
+def test_an_arm_that_is_not_known_is_named_with_those_that_are(name: str) -> None:
+    with pytest.raises(UnknownArm, match=r"not known; write nominal, as-built:SEED or calibrated:SEED") as no:
+        arm_named(name)
+    assert repr(name) in str(no.value)
+
+
+def test_there_are_26_identifiable_axes_of_42() -> None:
+    assert len(AXES) == 42
+    assert len(SEEN) == 26
+
+
+@pytest.fixture(scope="module")
+def screws() -> lab.Array:
+    """How every frame axis moves the tool in its own axes, for 60 poses: shape (360, 42), m and rad."""
+    arm = arm_from(nominal_params())
+    rng = np.random.default_rng(17)
+    rows = []
+    for _ in range(60):
+        frames = forward(arm, rng.uniform(arm.soft_min_rad, arm.soft_max_rad))
+        X_RT = tool_pose(arm, frames, Tool.APXS)
+        poses = (*(frames.X_RF[k] for k in range(6)), X_RT)
+        rows.append(np.hstack([adjoint(inverse(X_RT) @ X) for X in poses]))
+    return np.vstack(rows)
+
+
+def rank(matrix: lab.Array) -> int:
+    """With a gap of a million between what counts and what does not."""
+    values = np.linalg.svd(matrix, compute_uv=False)
+    counted = int(np.sum(values > 1e-3))
+    assert np.all(values[counted:] < 1e-9)
+    return counted
+
+
+def test_all_42_frame_axes_move_the_tool_in_26_ways(screws: lab.Array) -> None:
+    assert rank(screws) == 26
+
+
+def test_the_identifiable_axes_are_independent(screws: lab.Array) -> None:
+    assert rank(screws[:, [AXES.index(place) for place in SEEN]]) == 26
+
+
+@pytest.mark.parametrize("place", UNSEEN, ids=lambda place: f"{place[0].name}-{place[1]}")
+def test_no_other_axis_tells_anything_new(screws: lab.Array, place: tuple[Frame, int]) -> None:
+    columns = [AXES.index(p) for p in (*SEEN, place)]
+    assert rank(screws[:, columns]) == 26
+
+
+@pytest.mark.parametrize("frame", Frame)
+def test_the_columns_are_what_frame_errors_do(screws: lab.Array, frame: Frame) -> None:
+    """The first pose against finite differences through the flight parameters."""
+    params = nominal_params()
+    arm = arm_from(params)
+    pose = np.random.default_rng(17).uniform(arm.soft_min_rad, arm.soft_max_rad)
+    X = tool_pose(arm, forward(arm, pose), Tool.APXS)
+    for axis in range(6):
+        step = 1e-6 * np.eye(6)[axis]
+        tool = Tool.APXS if frame is Frame.TOOL else None
+        other = arm_from(FrameError(frame, tuple(float(s) for s in step), tool).on_params(params))
+        moved = inverse(X) @ tool_pose(other, forward(other, pose), Tool.APXS)
+        screw = np.array([moved.R[2, 1], moved.R[0, 2], moved.R[1, 0], *moved.p]) / 1e-6
+        np.testing.assert_allclose(screws[:6, 6 * frame + axis], screw, rtol=0, atol=1e-5)

@@ -1,0 +1,196 @@
+"""Each effect changes what it says in the plant, and on_params makes flight software know it exactly."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.dictionary.params import Params
+from fsw.kinematics.arm import Arm, arm_from
+from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.statics import settle
+from fsw.kinematics.transforms import Pose, inverse
+from sim.effects.effect import Effect, nominal_hardware
+from sim.effects.geometry import FrameError
+from sim.effects.joints import BacklashWidth, EncoderZero, GearFriction, GearStiffness, ResolverBias
+from sim.effects.structure import LinkMass, LinkStiffness
+from sim.params import nominal_params
+from sim.plant import Plant
+from sim.world import World
+from tests.sim import lab
+
+PARAMS = nominal_params()
+NOMINAL = arm_from(PARAMS)
+SCREW = (0.011, -0.007, 0.013, 0.004, -0.006, 0.005)
+FRAMES = [(frame, None) for frame in Frame if frame is not Frame.TOOL] + [(Frame.TOOL, tool) for tool in Tool]
+SPRING_FRAMES = [Frame.ARM1, Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5]
+TILTED_EARTH = lab.tilted(15, -10, "earth")
+
+
+def built(*effects: Effect, world: World | None = None) -> Plant:
+    def edit(spec: mujoco.MjSpec) -> None:
+        lab.soon_at_rest(spec)
+        for effect in effects:
+            effect.on_model(spec)
+
+    return lab.plant(world, edit=edit)
+
+
+def known(*effects: Effect) -> Params:
+    params = PARAMS
+    for effect in effects:
+        params = effect.on_params(params)
+    return params
+
+
+def rigid_difference_m(plant: Plant, arm: Arm, motor_error_rad: lab.Array | None = None) -> float:
+    """The farthest apart that plant and flight kinematics have any point of a tool frame's unit axes."""
+    error = np.zeros(5) if motor_error_rad is None else motor_error_rad
+    worst = 0.0
+    for seed in range(4):
+        told = np.random.default_rng([13, seed]).uniform(NOMINAL.soft_min_rad, NOMINAL.soft_max_rad)
+        mujoco.mj_resetData(plant.model, plant.data)
+        plant.data.qpos[plant.at.motor] = told - error
+        truth, frames = plant.truth(), forward(arm, told)
+        for tool in Tool:
+            X_RT = tool_pose(arm, frames, tool)
+            worst = max(
+                worst,
+                np.abs(truth.p_RoTo_R_m[tool] - X_RT.p).max(),
+                np.abs(truth.R_RT[tool] - X_RT.R).max(),
+            )
+    return worst
+
+
+def rest_difference_m(plant: Plant, arm: Arm, motor_error_rad: lab.Array | None = None) -> float:
+    """How far the settled plant's tools are from where flight statics put them, on Earth and tilted."""
+    error = np.zeros(5) if motor_error_rad is None else motor_error_rad
+    lab.load(plant, lab.LEFT_RAD - error, duration_s=2.0, rest_s=2.0)
+    gravity_N_m_s2 = TILTED_EARTH.gravity_N_m_s2
+    said = settle(arm, plant.motor_rad() + error, plant.gap_rad(), gravity_N_m_s2)
+    apart = [plant.truth().p_RoTo_R_m[tool] - tool_pose(arm, said.frames, tool).p for tool in Tool]
+    return float(np.linalg.norm(apart, axis=1).max())
+
+
+@pytest.mark.parametrize(("frame", "tool"), FRAMES)
+def test_a_frame_error_displaces_its_frame_by_its_screw_and_is_known_exactly(
+    frame: Frame, tool: Tool | None
+) -> None:
+    effect = FrameError(frame, SCREW, tool)
+    plant = built(effect)
+    assert rigid_difference_m(plant, NOMINAL) > 1e-3
+    assert rigid_difference_m(plant, arm_from(known(effect))) < 1e-12
+
+
+@pytest.mark.parametrize(("frame", "tool"), FRAMES)
+def test_the_screw_of_a_frame_error_is_in_the_frames_own_axes(frame: Frame, tool: Tool | None) -> None:
+    small = (1e-6, -2e-6, 3e-6, 4e-6, -5e-6, 6e-6)
+
+    def pose(arm: Arm) -> Pose:
+        frames = forward(arm, lab.LEFT_RAD)
+        return frames.X_RF[frame] if tool is None else tool_pose(arm, frames, tool)
+
+    X, X_new = pose(NOMINAL), pose(arm_from(known(FrameError(frame, small, tool))))
+    moved = inverse(X) @ X_new
+    screw = (moved.R[2, 1], moved.R[0, 2], moved.R[1, 0], *moved.p)
+    np.testing.assert_allclose(screw, small, rtol=0, atol=1e-10)
+
+
+def test_a_frame_error_at_a_tool_moves_that_tool_only() -> None:
+    plant = built(FrameError(Frame.TOOL, SCREW, Tool.DRT))
+    mujoco.mj_resetData(plant.model, plant.data)
+    truth, frames = plant.truth(), forward(NOMINAL, np.zeros(5))
+    apart = [truth.p_RoTo_R_m[tool] - tool_pose(NOMINAL, frames, tool).p for tool in Tool]
+    assert [tool for tool in Tool if np.linalg.norm(apart[tool]) > 1e-9] == [Tool.DRT]
+
+
+def test_a_frame_error_at_a_tool_names_its_tool() -> None:
+    with pytest.raises(ValueError, match="names its tool"):
+        FrameError(Frame.TOOL, SCREW).on_params(PARAMS)
+
+
+@pytest.mark.parametrize(("frame", "tool"), FRAMES)
+def test_the_loaded_arm_with_a_frame_error_rests_where_flight_software_says(
+    frame: Frame, tool: Tool | None
+) -> None:
+    """Springs and masses that go with the frame in the plant go with it in the flight parameters."""
+    effect = FrameError(frame, tuple(0.2 * s for s in SCREW), tool)
+    assert rest_difference_m(built(effect, world=TILTED_EARTH), arm_from(known(effect))) < 1e-6
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_an_encoder_zero_is_the_turn_that_flight_software_then_takes_off(joint: Joint) -> None:
+    """The told angle is the true one plus the error: sign and place show in the tool."""
+    effect = EncoderZero(joint, 0.02)
+    error = effect.on_hardware(nominal_hardware()).encoder_zero_rad
+    np.testing.assert_array_equal(np.flatnonzero(error), [joint])
+    assert rigid_difference_m(built(effect), NOMINAL, error) > 1e-3
+    assert rigid_difference_m(built(effect), arm_from(known(effect)), error) < 1e-12
+    assert rest_difference_m(built(effect, world=TILTED_EARTH), arm_from(known(effect)), error) < 1e-7
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_a_resolver_bias_is_in_the_reading_of_its_resolver(joint: Joint) -> None:
+    hardware = ResolverBias(joint, 0.003).on_hardware(nominal_hardware())
+    np.testing.assert_array_equal(hardware.resolver_bias_rad, 0.003 * (np.arange(5) == joint))
+    assert known(ResolverBias(joint, 0.003)) == PARAMS
+
+
+@pytest.mark.parametrize("frame", SPRING_FRAMES)
+def test_a_link_of_other_stiffness_sags_otherwise_as_flight_software_then_says(frame: Frame) -> None:
+    effect = LinkStiffness(frame, 0.6)
+    plant = built(effect, world=TILTED_EARTH)
+    assert rest_difference_m(plant, NOMINAL) > 3e-4
+    assert rest_difference_m(plant, arm_from(known(effect))) < 1e-7
+
+
+@pytest.mark.parametrize("frame", [*SPRING_FRAMES[1:], Frame.ARM6])
+def test_a_link_of_other_mass_sags_otherwise_as_flight_software_then_says(frame: Frame) -> None:
+    effect = LinkMass(frame, 1.3, (0.02, -0.03, 0.04))
+    plant = built(effect, world=TILTED_EARTH)
+    nominal = lab.plant()
+    assert plant.model.body_mass.sum() > nominal.model.body_mass.sum() + 1.0
+    assert rest_difference_m(plant, NOMINAL) > 1e-4
+    assert rest_difference_m(plant, arm_from(known(effect))) < 1e-7
+
+
+@pytest.mark.parametrize("joint", [Joint.ELEVATION, Joint.ELBOW, Joint.WRIST])
+@pytest.mark.parametrize("kind", [BacklashWidth, GearStiffness])
+def test_a_gear_of_other_backlash_or_stiffness_lets_the_tool_sag_as_flight_software_then_says(
+    joint: Joint, kind: type[BacklashWidth] | type[GearStiffness]
+) -> None:
+    effect = kind(joint, 0.6)
+    plant = built(effect, world=TILTED_EARTH)
+    arm = arm_from(known(effect))
+    lab.load(plant, lab.LEFT_RAD, duration_s=2.0, rest_s=2.0)
+    believed = getattr(known(effect).joints, joint.name.lower())
+    half_gap = believed.backlash_rad / 2
+    assert abs(plant.gap_rad()[joint]) == pytest.approx(half_gap, rel=1e-9)
+    said = settle(arm, plant.motor_rad(), plant.gap_rad(), TILTED_EARTH.gravity_N_m_s2)
+    wind_up = lab.gear_rad(plant)[joint] - plant.gap_rad()[joint]
+    assert wind_up == pytest.approx(said.torque_Nm[joint] / believed.gear_stiffness_Nm_rad, rel=1e-3)
+    untouched = np.delete(plant.gap_rad(), joint)
+    assert np.all(np.abs(untouched) <= np.delete(lab.HALF_GAP_RAD, joint))
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_gear_friction_is_on_the_motor_and_flight_software_has_no_word_for_it(joint: Joint) -> None:
+    effect = GearFriction(joint, 1.5)
+    plant, nominal = built(effect), built()
+    dof = plant.model.joint(f"{joint.name.lower()}_motor").dofadr[0]
+    for field in ("dof_frictionloss", "dof_damping"):
+        ratio = getattr(plant.model, field) / np.where(
+            getattr(nominal.model, field) == 0, 1, getattr(nominal.model, field)
+        )
+        assert ratio[dof] == pytest.approx(1.5)
+        others = np.delete(ratio, dof)
+        assert np.all((others == 0) | (others == 1.0))
+    assert known(effect) == PARAMS
+
+
+def test_effects_add_up_in_any_order_of_different_places() -> None:
+    effects = (FrameError(Frame.ARM3, SCREW), LinkStiffness(Frame.ARM3, 0.8), LinkMass(Frame.ARM3, 1.1))
+    one, other = known(*effects), known(*effects[::-1])
+    assert arm_from(one).theta_rad.tolist() == arm_from(other).theta_rad.tolist()
+    np.testing.assert_allclose(arm_from(one).compliance, arm_from(other).compliance)
+    np.testing.assert_allclose(arm_from(one).far_kg, arm_from(other).far_kg)

@@ -1,0 +1,115 @@
+"""Torque and energy: the plant weighs what the mass table says, and loses only what its dampers take."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from sim.plant import Plant, PlantDiverged
+from sim.world import World
+from tests.sim import lab
+
+ELEVATION = 1
+OUTBOARD = (
+    # kg, and metres forward of the elevation axis: the tables Mass and Kinematics of the drawing
+    (15.0, 0.42),
+    (11.0, 0.827 + 0.33),
+    (9.5, 0.827 + 0.785 - 0.08),
+    (35.5, 0.827 + 0.785 - 0.144 + 0.02),
+)
+SIDEWAYS_M_S2 = (3.711, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("scene", "gravity_m_s2"), [("mars", 3.711), ("earth", 9.81)])
+def test_straight_out_the_elevation_carries_what_the_mass_table_says(scene: str, gravity_m_s2: float) -> None:
+    """The gear's torque, reached once from less load and once from more: friction drops out of the mean."""
+    by_hand = gravity_m_s2 * sum(kg * arm_m for kg, arm_m in OUTBOARD)
+    from_less = lab.gear_torque_Nm(lab.load(lab.plant(World(scene)), lab.STRAIGHT_RAD))
+    from_more = lab.gear_torque_Nm(lab.load(lab.plant(World(scene)), lab.STRAIGHT_RAD, overload=1.4))
+    carried = abs(from_less + from_more)[ELEVATION] / 2
+    assert carried == pytest.approx(by_hand, rel=0.03)
+    assert abs(from_more - from_less)[ELEVATION] / 2 == pytest.approx(10.0, rel=0.05)
+
+
+def test_the_torque_that_holds_the_arm_is_its_load_give_or_take_the_friction() -> None:
+    plant = lab.load(lab.plant(World("earth")), lab.STRAIGHT_RAD)
+    lab.hold_by_motors(plant)
+    lab.run(plant, 8.0)
+    by_hand = 9.81 * sum(kg * arm_m for kg, arm_m in OUTBOARD)
+    assert abs(plant.truth().motor_torque_Nm[ELEVATION]) == pytest.approx(by_hand, abs=171 + 10)
+
+
+def measured(spec: mujoco.MjSpec) -> None:
+    """The energy is computed in every step, and nothing rubs."""
+    spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
+    lab.without_output_friction(spec)
+    for name in lab.JOINT_NAMES:
+        motor = spec.joint(f"{name}_motor")
+        motor.frictionloss = 0.0
+        motor.damping = 0.0 * motor.damping
+
+
+def measured_undamped(spec: mujoco.MjSpec) -> None:
+    """Neither does anything damp."""
+    measured(spec)
+    for part in (*spec.joints, *spec.tendons):
+        part.damping = 0.0 * part.damping
+
+
+def free_swing(plant: Plant) -> tuple[lab.Array, lab.Array, lab.Array]:
+    """Three seconds of the level arm swinging about its azimuth axis under sideways gravity.
+
+    Total energy, kinetic energy and the power of the dampers after each step.
+    """
+    model, data = plant.model, plant.data
+    model.opt.gravity[:] = SIDEWAYS_M_S2
+    lab.load(plant, np.radians([-20.0, 0.0, 0.0, 0.0, 0.0]), duration_s=4.0)
+    plant.brake(0, False)
+    total, kinetic, power = [], [], []
+    for _ in range(round(3.0 / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+        total.append(data.energy.sum())
+        kinetic.append(data.energy[1])
+        power.append(model.dof_damping @ data.qvel**2 + model.tendon_damping.ravel() @ data.ten_velocity**2)
+    assert not data.warning.number.any()
+    assert np.ptp(total) > 0.0
+    return np.array(total), np.array(kinetic), np.array(power)
+
+
+def test_without_friction_and_damping_a_free_swing_keeps_its_energy() -> None:
+    """To one per cent of what goes back and forth, less with a finer step, and none is ever gained."""
+    lost = {}
+    for step_s in (1 / 512, 1 / 2048):
+        total, kinetic, _ = free_swing(lab.plant(time_step_s=step_s, edit=measured_undamped))
+        assert kinetic.max() > 10.0
+        assert total.max() - total[0] < 1e-3
+        lost[step_s] = (total[0] - total[-1]) / kinetic.max()
+    assert lost[1 / 512] < 0.01
+    assert lost[1 / 2048] < 0.7 * lost[1 / 512]
+
+
+def test_with_damping_a_free_swing_loses_what_the_dampers_take() -> None:
+    step_s = 1 / 2048
+    total, kinetic, power = free_swing(lab.plant(time_step_s=step_s, edit=measured))
+    taken = step_s * power[1:].sum()
+    assert taken > 0.005 * kinetic.max()
+    assert total[0] - total[-1] == pytest.approx(taken, abs=0.0015 * kinetic.max())
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e30])
+def test_a_plant_that_blows_up_is_not_believed(bad: float) -> None:
+    plant = lab.plant()
+    plant.place(lab.READY_RAD, 0.1)
+    plant.data.qvel[0] = bad
+    with pytest.raises(PlantDiverged, match=r"mjWARN_BAD\w+ at \d+\.\d+ s"):
+        plant.step()
+
+
+def test_a_plant_that_blows_up_while_it_is_placed_is_not_believed() -> None:
+    plant = lab.plant()
+    with pytest.raises(PlantDiverged):
+        plant.place(np.array([np.nan, 0.0, 0.0, 0.0, 0.0]), 0.1)
+
+
+def test_a_step_that_does_not_divide_the_control_cycle_is_refused() -> None:
+    with pytest.raises(ValueError, match="does not divide"):
+        lab.plant(time_step_s=1 / 500)

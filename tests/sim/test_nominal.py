@@ -1,0 +1,159 @@
+"""The nominal plant is what flight software believes: kinematics, masses, stiffness and actuators."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from fsw.config import configure
+from fsw.dictionary.joints import Joint, Tool
+from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.statics import settle
+from sim.params import digest, nominal_params
+from sim.plant import Plant
+from sim.world import World
+from tests.sim import lab
+
+PARAMS = nominal_params()
+CONFIG = configure(PARAMS, digest(PARAMS))
+JOINT_PARAMS = dict(zip(Joint, PARAMS.joints.in_order(), strict=True))
+LINKS = PARAMS.links.in_order()
+SPRINGS = ("rover", "link1", "link2", "link3", "link4")
+LUMPS = (
+    ("arm1",),
+    ("link1", "link1_far"),
+    ("link2", "link2_far"),
+    ("link3", "link3_far"),
+    ("link4", "link4_far"),
+    ("link5", "turret"),
+)
+
+
+@pytest.fixture(scope="module")
+def nominal() -> Plant:
+    return lab.plant()
+
+
+def random_pose(rng: np.random.Generator) -> lab.Array:
+    return rng.uniform(CONFIG.arm.soft_min_rad, CONFIG.arm.soft_max_rad)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_every_tool_of_the_rigid_arm_is_where_flight_kinematics_say(nominal: Plant, seed: int) -> None:
+    output = random_pose(np.random.default_rng([7, seed]))
+    mujoco.mj_resetData(nominal.model, nominal.data)
+    nominal.data.qpos[nominal.at.motor] = output
+    truth = nominal.truth()
+    frames = forward(CONFIG.arm, output)
+    for tool in Tool:
+        X_RT = tool_pose(CONFIG.arm, frames, tool)
+        np.testing.assert_allclose(truth.p_RoTo_R_m[tool], X_RT.p, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(truth.R_RT[tool], X_RT.R, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("link", range(6))
+def test_each_link_has_the_mass_and_the_centre_that_flight_software_believes(
+    nominal: Plant, link: int
+) -> None:
+    """In the rover frame at the zero pose, where each link frame is known from the flight kinematics."""
+    mujoco.mj_resetData(nominal.model, nominal.data)
+    mujoco.mj_kinematics(nominal.model, nominal.data)
+    frames = forward(CONFIG.arm, np.zeros(5))
+    X_RL = frames.X_RL[link]
+    rmech = nominal.data.body("rmech")
+    lumps = (LINKS[link].near, LINKS[link].far)
+    for body, lump in zip(LUMPS[link][::-1], lumps[::-1], strict=False):
+        assert nominal.model.body(body).mass[0] == pytest.approx(lump.mass_kg, abs=1e-12)
+        p_R_m = rmech.xmat.reshape(3, 3).T @ (nominal.data.body(body).xipos - rmech.xpos)
+        np.testing.assert_allclose(p_R_m, X_RL.R @ lump.com_m + X_RL.p, rtol=0, atol=1e-12)
+
+
+def test_flight_software_believes_in_the_whole_mass_of_the_arm(nominal: Plant) -> None:
+    believed = sum(link.near.mass_kg + link.far.mass_kg for link in LINKS)
+    assert believed == pytest.approx(nominal.model.body_mass.sum(), abs=1e-12)
+    assert believed == pytest.approx(67.0 + 34.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("link", range(5))
+def test_each_compliance_is_one_over_the_stiffness_of_the_springs(nominal: Plant, link: int) -> None:
+    axes = ("rx", "ry", "rz", "tx", "ty", "tz")
+    springs = [nominal.model.joint(f"{SPRINGS[link]}_{axis}") for axis in axes]
+    stiffness = np.diag([float(np.ravel(spring.stiffness)[0]) for spring in springs])
+    np.testing.assert_allclose(np.array(LINKS[link].compliance) @ stiffness, np.eye(6), rtol=0, atol=1e-12)
+
+
+def test_the_turret_is_rigid_to_both() -> None:
+    assert not np.any(LINKS[5].compliance)
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_each_gear_has_the_backlash_and_the_stiffness_that_flight_software_believes(
+    nominal: Plant, joint: Joint
+) -> None:
+    gear, believed = nominal.model.tendon(f"{joint.name.lower()}_gear"), JOINT_PARAMS[joint]
+    dead_band = nominal.model.tendon_lengthspring[gear.id]
+    np.testing.assert_allclose(dead_band, np.array([-0.5, 0.5]) * believed.backlash_rad)
+    assert np.ravel(nominal.model.tendon_stiffness[gear.id])[0] == believed.gear_stiffness_Nm_rad
+    output = nominal.model.tendon(f"{joint.name.lower()}_output")
+    assert nominal.model.tendon_frictionloss[output.id] == believed.output_friction_Nm
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_the_hardstops_stand_two_degrees_outside_the_soft_limits(nominal: Plant, joint: Joint) -> None:
+    low, high = nominal.model.tendon_lengthspring[nominal.model.tendon(f"{joint.name.lower()}_output").id]
+    believed = JOINT_PARAMS[joint]
+    assert believed.soft_min_rad - low == pytest.approx(np.radians(2.0), abs=1e-5)
+    assert high - believed.soft_max_rad == pytest.approx(np.radians(2.0), abs=1e-5)
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_the_rotor_inertia_comes_through_the_gear_ratio_squared(nominal: Plant, joint: Joint) -> None:
+    rotor_kg_m2 = 1.5e-6 if joint <= Joint.ELBOW else 1.0e-6
+    armature = nominal.model.joint(f"{joint.name.lower()}_motor")
+    reflected = nominal.model.dof_armature[armature.dofadr[0]]
+    assert reflected == pytest.approx(rotor_kg_m2 * JOINT_PARAMS[joint].gear_ratio ** 2, rel=1e-3)
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_at_the_current_limit_a_motor_gives_the_published_torque(nominal: Plant, joint: Joint) -> None:
+    published = 1143.0 if joint <= Joint.ELBOW else 259.0
+    motor = nominal.model.actuator(joint.name.lower())
+    limit = JOINT_PARAMS[joint].current_limit_A
+    assert motor.gainprm.ravel()[1] * limit == pytest.approx(published, rel=1e-3)
+
+
+REST_WORLDS = [World(), lab.tilted(30, 0), lab.tilted(-12, 20), lab.tilted(0, -30), World("earth")]
+
+
+@pytest.mark.parametrize("number", range(20))
+def test_the_arm_comes_to_rest_where_flight_statics_say(number: int) -> None:
+    """On brakes, without friction of the output, which flight software cannot know the share of.
+
+    Where the load decides the side of a gap, it is the same side; where it does not, flight software is told.
+    """
+    world = REST_WORLDS[number % len(REST_WORLDS)]
+    motor = free_pose(np.random.default_rng([11, number]))
+    plant = lab.load(lab.plant(world, edit=lab.soon_at_rest), motor, duration_s=2.0, rest_s=2.0)
+    assert plant.data.ncon == 0
+    said = settle(CONFIG.arm, plant.motor_rad(), plant.gap_rad(), world.gravity_N_m_s2)
+    assert said.converged
+    decided = np.abs(said.torque_Nm) > 3.0
+    np.testing.assert_array_equal(np.sign(said.torque_Nm)[decided], np.sign(plant.gap_rad())[decided])
+    truth = plant.truth()
+    for tool in Tool:
+        X_RT = tool_pose(CONFIG.arm, said.frames, tool)
+        assert np.linalg.norm(truth.p_RoTo_R_m[tool] - X_RT.p) < 1e-4
+        assert np.linalg.norm(truth.R_RT[tool] - X_RT.R) / np.sqrt(2) < 1e-4
+
+
+def free_pose(rng: np.random.Generator) -> lab.Array:
+    """A pose of the workspace side, in which the sagging arm touches neither rover nor ground."""
+    low = np.radians([-60.0, -110.0, 20.0, -40.0, -20.0])
+    high = np.radians([60.0, -50.0, 120.0, 140.0, 330.0])
+    probe = lab.plant()
+    while True:
+        pose = rng.uniform(low, high)
+        mujoco.mj_resetData(probe.model, probe.data)
+        probe.data.qpos[probe.at.motor] = pose
+        mujoco.mj_forward(probe.model, probe.data)
+        if probe.data.ncon == 0 and probe.truth().p_RoTo_R_m[:, 2].max() < 1.0:
+            return pose

@@ -1,0 +1,123 @@
+"""Flight parameters load strictly: every error at once, each with its place."""
+
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.params import BadParams, digest, nominal_params, out_of_limits, params_over_nominal
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "over.toml"
+    path.write_text(text)
+    return path
+
+
+def test_nominal_parameters_are_within_their_limits() -> None:
+    assert list(out_of_limits(nominal_params())) == []
+
+
+def test_a_file_replaces_what_it_names_and_nothing_else(tmp_path: Path) -> None:
+    path = written(tmp_path, 'arm_name = "mine"\n[joints.elbow]\nbacklash_rad = 0.005\n')
+    loaded, nominal = params_over_nominal(path), nominal_params()
+    assert loaded.joints.elbow.backlash_rad == 0.005
+    elbow = replace(nominal.joints.elbow, backlash_rad=0.005)
+    assert loaded == replace(nominal, arm_name="mine", joints=replace(nominal.joints, elbow=elbow))
+
+
+BAD = {
+    "unknown key": ("[joints.elbow]\nbacklash = 0.005\n", ["joints.elbow.backlash: "]),
+    "unknown group": ("[jonts.elbow]\nbacklash_rad = 0.005\n", ["jonts: "]),
+    "text for a number": ('[joints.elbow]\nbacklash_rad = "wide"\n', ["joints.elbow.backlash_rad: "]),
+    "text of a number": ('[joints.elbow]\nbacklash_rad = "0.005"\n', ["joints.elbow.backlash_rad: "]),
+    "truth for a number": ("[joints.elbow]\nbacklash_rad = true\n", ["joints.elbow.backlash_rad: "]),
+    "fraction for a count": (
+        "[joints.elbow]\nencoder_counts_per_turn = 255.5\n",
+        ["joints.elbow.encoder_counts_per_turn: "],
+    ),
+    "number for a group": ("joints = 3\n", ["joints: "]),
+    "too few numbers": ("[poses]\nready_rad = [0.0, 0.0]\n", ["poses.ready_rad"]),
+    "not a number": ("[joints.elbow]\nbacklash_rad = nan\n", ["joints.elbow.backlash_rad: "]),
+    "infinite": ("[motion]\nguarded_speed_m_s = inf\n", ["motion.guarded_speed_m_s: "]),
+    "NaN in a list": ("[poses]\nready_rad = [0.0, 0.0, nan, 0.0, 0.0]\n", ["poses.ready_rad"]),
+    "too large": (
+        "[joints.elbow]\nbacklash_rad = 0.5\n",
+        ["joints.elbow.backlash_rad: 0.5 is outside 0.0 .. 0.02"],
+    ),
+    "negative": (
+        "[motion]\nguarded_speed_m_s = -0.005\n",
+        ["motion.guarded_speed_m_s: -0.005 is outside 0.0001 .. 0.02"],
+    ),
+    "limits upside down": (
+        "[joints.wrist]\nsoft_min_rad = 1.0\nsoft_max_rad = -1.0\n",
+        ["joints.wrist.soft_min_rad: 1.0 is not below soft_max_rad -1.0"],
+    ),
+    "three of them at once": (
+        '[joints.elbow]\nbacklash = 1.0\n[motion]\nsettle_time_s = "long"\n[links.arm2]\ntransform = 4\n',
+        ["joints.elbow.backlash: ", "motion.settle_time_s: ", "links.arm2.transform: "],
+    ),
+    "three out of range at once": (
+        "[joints.elbow]\nbacklash_rad = 1.0\n[motion]\nsettle_time_s = 11.0\n"
+        "[links.arm2.transform]\na_m = 9.0\n",
+        ["joints.elbow.backlash_rad: 1.0 ", "motion.settle_time_s: 11.0 ", "links.arm2.transform.a_m: 9.0 "],
+    ),
+}
+
+
+@pytest.mark.parametrize(("text", "said"), BAD.values(), ids=BAD)
+def test_bad_parameters_are_refused_and_each_is_named_with_its_place(
+    tmp_path: Path, text: str, said: list[str]
+) -> None:
+    path = written(tmp_path, text)
+    with pytest.raises(BadParams) as refused:
+        params_over_nominal(path)
+    lines = str(refused.value).splitlines()
+    assert all(line.startswith(f"{path}: ") for line in lines)
+    for sentence in said:
+        assert any(line.startswith(f"{path}: {sentence}") for line in lines), (sentence, lines)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [(b"[joints", "is not TOML"), (b"\xff\xfe", "cannot be read")],
+    ids=["torn", "binary"],
+)
+def test_a_file_that_is_not_toml_is_refused(tmp_path: Path, content: bytes, said: str) -> None:
+    path = tmp_path / "over.toml"
+    path.write_bytes(content)
+    with pytest.raises(BadParams, match=said):
+        params_over_nominal(path)
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(BadParams, match=r"nothing\.toml: cannot be read"):
+        params_over_nominal(tmp_path / "nothing.toml")
+
+
+def test_the_digest_is_of_the_values_and_not_of_their_order(tmp_path: Path) -> None:
+    one = written(
+        tmp_path, "[joints.elbow]\nbacklash_rad = 0.005\ngear_ratio = 7000.0\n[motion]\nsettle_time_s = 1.0\n"
+    )
+    params = params_over_nominal(one)
+    other = tmp_path / "other.toml"
+    other.write_text(
+        "motion = { settle_time_s = 1.00 }\n[joints.elbow]\ngear_ratio = 7e3\nbacklash_rad = 5e-3\n"
+    )
+    assert digest(params_over_nominal(other)) == digest(params)
+
+
+def test_a_whole_number_is_the_same_as_one_with_a_point(tmp_path: Path) -> None:
+    whole = params_over_nominal(written(tmp_path, "[joints.elbow]\ngear_ratio = 7000\n"))
+    point = params_over_nominal(written(tmp_path, "[joints.elbow]\ngear_ratio = 7000.0\n"))
+    assert digest(whole) == digest(point)
+
+
+def test_the_digest_changes_with_the_last_bit_of_any_number() -> None:
+    params = nominal_params()
+    elbow = params.joints.elbow
+    nudged = replace(elbow, backlash_rad=float(np.nextafter(elbow.backlash_rad, 1.0)))
+    assert digest(replace(params, joints=replace(params.joints, elbow=nudged))) != digest(params)
+    assert len(digest(params)) == 64
+    assert asdict(nominal_params()) == asdict(params)

@@ -1,0 +1,120 @@
+"""Looking ahead for a free way, and placing an instrument on it."""
+
+import re
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.commands import Vector3
+from fsw.dictionary.evrs import CommandCompleted, ContactInFreeSpace, ContactMade, NoContact
+from fsw.dictionary.joints import SWITCHES_OF, Joint, Tool
+from fsw.dictionary.modes import Mode
+from sim.arms import arm_named
+from sim.loop import ClosedLoop, Setup
+from sim.placement import Placement, PlacementResult, PlacementRun
+from sim.preview import VIA_M, Preview, preview
+from sim.sequence import Outcome
+from sim.world import Surface, World
+
+NOMINAL = arm_named("nominal")
+OPEN: tuple[Vector3, Vector3] = ((2.1, 0.2, -0.3), (-0.3, 0.0, -1.0))
+BEHIND_AN_EDGE: tuple[Vector3, Vector3] = ((2.166, -0.129, -0.127), (-0.927, 0.275, -0.254))
+"""A face so steep that the way from the ready pose leads through the rock."""
+
+
+def seen(surface: tuple[Vector3, Vector3], tool: Tool = Tool.APXS) -> Preview:
+    return preview(NOMINAL, World(surface=Surface(*surface)), Placement(tool, *surface))
+
+
+def place(placement: Placement, world: World) -> tuple[ClosedLoop, PlacementResult]:
+    loop = ClosedLoop(Setup(NOMINAL, world, NOMINAL.params.poses.ready_rad, seed=1))
+    run = PlacementRun(loop, placement)
+    ticks = [record.tick for record in run]
+    assert ticks == list(range(len(ticks)))
+    return loop, run.result()
+
+
+def test_an_open_target_has_a_straight_way() -> None:
+    found = seen(OPEN)
+    assert found.problem is None
+    assert found.placement.via_m == 0.0
+    assert 10.0 < found.duration_s < 300.0
+
+
+def test_a_target_behind_an_edge_has_a_way_from_above() -> None:
+    found = seen(BEHIND_AN_EDGE)
+    assert found.problem is None
+    assert found.placement.via_m == VIA_M
+    assert found.placement.branch != "AUTO"
+
+
+@pytest.mark.parametrize(
+    ("surface", "problem"),
+    [
+        (((5.0, 0.0, 0.0), (0.0, 0.0, -1.0)), "out of reach"),
+        (((2.1, 0.0, -0.3), (0.0, 0.0, 1.0)), r"rock_face meets \w+ on the way"),
+        (((1.3, -0.3, -0.3), (0.0, 0.0, -1.0)), r"\w+ meets mast_head on the way"),
+    ],
+    ids=["too far", "from below", "close to the rover"],
+)
+def test_a_target_without_a_way_is_told_with_what_is_in_it(
+    surface: tuple[Vector3, Vector3], problem: str
+) -> None:
+    found = seen(surface)
+    assert found.problem is not None
+    assert re.search(problem, found.problem), found.problem
+
+
+@pytest.mark.parametrize("surface", [OPEN, BEHIND_AN_EDGE], ids=["open", "behind an edge"])
+def test_the_nominal_arm_places_the_apxs_from_the_ready_pose(surface: tuple[Vector3, Vector3]) -> None:
+    world = World(tilt_roll_rad=0.1, tilt_pitch_rad=-0.15, surface=Surface(*surface))
+    found = preview(NOMINAL, world, Placement(Tool.APXS, *surface))
+    assert found.problem is None
+    loop, result = place(found.placement, world)
+    evrs = [evr for _, evr in result.evrs]
+    assert result.outcome is Outcome.DONE
+    assert result.branch == found.placement.branch
+    assert not any(isinstance(evr, ContactInFreeSpace) for evr in evrs)
+    touched = [evr.switch for evr in evrs if isinstance(evr, ContactMade)]
+    assert touched
+    assert set(touched) <= set(SWITCHES_OF[Tool.APXS])
+    assert CommandCompleted("Retract") in evrs
+    assert result.contact is not None
+    assert result.contact.total_m < 5e-3
+    assert np.degrees(result.contact.axis_rad) < 0.3
+    assert result.standoff is not None
+    assert result.standoff.total_m < 5e-3
+    assert loop.plant.truth().contact_force_N == 0.0
+    assert loop.plant.data.eq_active[loop.plant.at.brake].all()
+    times = [time_s for time_s, _ in result.evrs]
+    assert times == sorted(times)
+    assert result.duration_s == pytest.approx(loop.state.tick / 64)
+
+
+def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on() -> None:
+    loop, result = place(seen(OPEN).placement, World())
+    evrs = [evr for _, evr in result.evrs]
+    assert result.outcome is Outcome.FAULTED
+    assert any(isinstance(evr, NoContact) for evr in evrs)
+    assert CommandCompleted("Retract") not in evrs
+    assert result.contact is None
+    assert loop.state.mode is Mode.FAULTED
+    for _ in range(16):
+        loop.cycle()
+    assert loop.plant.data.eq_active[loop.plant.at.brake].all()
+    before = loop.plant.motor_rad().copy()
+    for _ in range(64):
+        loop.cycle()
+    assert np.abs(loop.plant.motor_rad() - before).max() < 1e-8
+
+
+def test_a_software_error_puts_the_brakes_on_and_is_said() -> None:
+    """Commands of no known kind reach the outermost loop as an exception, once, and nowhere else."""
+    loop = ClosedLoop(Setup(NOMINAL, World(), NOMINAL.params.poses.ready_rad, seed=1))
+    loop.cycle((loop.reference(),))
+    record = loop.cycle(("not a command",))  # type: ignore[arg-type]
+    assert loop.failure is not None
+    assert [evr.name for evr in record.outputs.evrs] == ["SoftwareError"]
+    assert not record.outputs.drive.power_on.any()
+    assert not record.outputs.drive.brake_release.any()
+    assert loop.plant.data.eq_active[loop.plant.at.brake[Joint.ELEVATION]]

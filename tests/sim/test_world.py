@@ -1,0 +1,105 @@
+"""The world around the arm: tilt and gravity, frames, the rock face, and where the rover is."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from fsw.kinematics.transforms import rotation_x, rotation_y
+from sim.frames import FLIP, P_NR_M, gravity_in_rover, p_N_from_R, p_R_from_N
+from sim.world import Surface, World, WrongMujoco, build, inside_rover
+from tests.sim import lab
+
+APEX = (2.1, 0.1, -0.3)
+NORMAL = (-0.6, 0.1, -0.7)
+
+
+def test_a_level_rover_feels_gravity_straight_down() -> None:
+    np.testing.assert_array_equal(gravity_in_rover(0.0, 0.0, 3.711), [0.0, 0.0, 3.711])
+
+
+def test_nose_up_gravity_pulls_to_the_rear_and_right_side_down_to_the_right() -> None:
+    assert gravity_in_rover(0.0, 0.1, 3.711) == pytest.approx(
+        [-3.711 * np.sin(0.1), 0.0, 3.711 * np.cos(0.1)]
+    )
+    assert gravity_in_rover(0.1, 0.0, 3.711) == pytest.approx([0.0, 3.711 * np.sin(0.1), 3.711 * np.cos(0.1)])
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_gravity_is_seen_from_the_rover_and_the_tilt_is_its_angle(seed: int) -> None:
+    roll, pitch = np.random.default_rng([19, seed]).uniform(-0.5, 0.5, 2)
+    world = World("earth", float(roll), float(pitch))
+    gravity = world.gravity_N_m_s2
+    back_in_the_world = rotation_y(np.array(pitch)) @ rotation_x(np.array(roll)) @ gravity
+    np.testing.assert_allclose(back_in_the_world, [0.0, 0.0, 9.81], atol=1e-12)
+    assert world.tilt_rad == pytest.approx(np.arccos(gravity[2] / 9.81), abs=1e-9)
+
+
+def test_the_model_has_the_gravity_of_its_world() -> None:
+    world = lab.tilted(10, -20, "earth")
+    np.testing.assert_allclose(FLIP * build(world).option.gravity, world.gravity_N_m_s2)
+
+
+def test_rover_and_navigation_frames_are_parallel() -> None:
+    p_N_m = np.array([[1.0, -2.0, 3.0], [0.0, 0.0, 0.0]])
+    np.testing.assert_array_equal(p_R_from_N(p_N_m), p_N_m - P_NR_M)
+    np.testing.assert_allclose(p_N_from_R(p_R_from_N(p_N_m)), p_N_m, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "normal", [NORMAL, (0.0, 0.0, -1.0), (-1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -2.0, 0.0)]
+)
+def test_the_rock_face_goes_through_its_point_and_looks_along_its_normal(
+    normal: tuple[float, float, float],
+) -> None:
+    model = build(World(surface=Surface(APEX, normal))).compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    outward = FLIP * np.array(normal) / np.linalg.norm(normal)
+    side = np.cross(outward, [0.3, 0.5, 0.8])
+    for aside_m in (0.0, 0.05, -0.05):
+        start = FLIP * np.array(APEX) + 0.2 * outward + aside_m * side
+        hit = np.zeros(1, np.int32)
+        distance_m = mujoco.mj_ray(model, data, start, -outward, None, 1, -1, hit)
+        assert model.geom(int(hit[0])).name == "rock_face"
+        assert distance_m == pytest.approx(0.2, abs=1e-9)
+
+
+def test_the_ground_is_under_the_rock_and_never_above_the_wheels() -> None:
+    low = build(World(surface=Surface((2.1, 0.0, 0.2), NORMAL)))
+    assert low.geom("ground").pos[2] == pytest.approx(-0.3)
+    assert build(World(surface=Surface((2.1, 0.0, -0.5), NORMAL))).geom("ground").pos[2] == 0.0
+
+
+@pytest.mark.parametrize("scene", ["mars", "earth"])
+def test_leaving_out_what_only_looks_leaves_the_state_as_it_is(scene: str) -> None:
+    world = World(scene, 0.1, 0.2, Surface(APEX, NORMAL))
+    lean, full = build(world).compile(), build(world, for_pictures=True).compile()
+    assert lean.ngeom < full.ngeom
+    states = []
+    for model in (lean, full):
+        data = mujoco.MjData(model)
+        mujoco.mj_step(model, data, 50)
+        states.append(data.qpos.copy())
+    np.testing.assert_array_equal(states[0], states[1])
+
+
+@pytest.mark.parametrize(
+    ("p_N_m", "inside"),
+    [
+        ((0.0, 0.0, -0.8), True),
+        ((0.68, 0.48, -1.5), True),
+        ((1.0, 1.13, -0.25), True),
+        ((2.1, 0.0, -0.3), False),
+        ((0.0, 0.0, -3.0), False),
+        ((2.1, 0.0, 0.15), False),
+    ],
+    ids=["body", "mast", "wheel", "workspace", "above", "below the ground"],
+)
+def test_a_target_may_not_be_inside_the_rover(p_N_m: tuple[float, float, float], inside: bool) -> None:
+    assert inside_rover(p_N_m) is inside
+
+
+def test_another_mujoco_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mujoco, "__version__", "4.0.0")
+    with pytest.raises(WrongMujoco, match=r"4\.0\.0 is installed, 4\.0\.1 is required"):
+        build(World())
