@@ -27,6 +27,11 @@ class Config:
     acceleration_rad_s2: Array
     jerk_rad_s3: Array
     current_limit_A: Array
+    lowest_rad: Array
+    highest_rad: Array
+    """Motor angles that are never to be passed: the soft limits and their margin."""
+    setpoint_step_rad: Array
+    """The largest change of a set-point in a cycle."""
     brake_ticks: int
     settle_ticks: int
     settle_timeout_ticks: int
@@ -34,7 +39,7 @@ class Config:
 
 def configure(params: Params, params_sha256: str) -> Config:
     """The configuration of these parameters; the digest goes into the boot EVR."""
-    joints, motion = params.joints.in_order(), params.motion
+    joints, motion, bounds = params.joints.in_order(), params.motion, params.monitors
     return Config(
         params=params,
         params_sha256=params_sha256,
@@ -46,6 +51,9 @@ def configure(params: Params, params_sha256: str) -> Config:
         acceleration_rad_s2=np.array([j.acceleration_rad_s2 for j in joints]),
         jerk_rad_s3=np.array([j.jerk_rad_s3 for j in joints]),
         current_limit_A=np.array([j.current_limit_A for j in joints]),
+        lowest_rad=np.array([j.soft_min_rad - bounds.soft_limit_margin_rad for j in joints]),
+        highest_rad=np.array([j.soft_max_rad + bounds.soft_limit_margin_rad for j in joints]),
+        setpoint_step_rad=np.array([bounds.setpoint_step_factor * CYCLE_S * j.speed_rad_s for j in joints]),
         brake_ticks=ticks(motion.brake_delay_s),
         settle_ticks=ticks(motion.settle_time_s),
         settle_timeout_ticks=ticks(motion.settle_timeout_s),

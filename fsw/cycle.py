@@ -6,7 +6,6 @@ from fsw.config import Config
 from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Booted, Evr, ModeChanged
-from fsw.dictionary.modes import Mode
 from fsw.estimate import joints as joint_estimate
 from fsw.estimate import load as load_estimate
 from fsw.executive.commands import Situation, handle
@@ -15,22 +14,24 @@ from fsw.messages import Outputs, Sensors
 from fsw.motion.drive import drive_for
 from fsw.motion.move import Phase, advance
 from fsw.protect import monitors
-from fsw.protect.guard import guard
+from fsw.protect.guard import Guarded, guard
 from fsw.protect.setpoints import unsafe_setpoint
-from fsw.state import State, joint_channels, last_setpoint
+from fsw.state import State, joint_channels
 
 
 def step(
     config: Config, state: State, sensors: Sensors, commands: tuple[Command, ...]
 ) -> tuple[State, Outputs]:
     """The state and the outputs after one cycle; everything follows from the arguments."""
-    before, last_rad = state, last_setpoint(state)
+    before = state
     bad = monitors.unusable(config, sensors)
     state, tool_channels = _estimate(config, state, sensors, usable=not bad)
     state, decided = _decide(config, state, sensors, commands, usable=not bad)
+    # at rest the last set-point is where the motors are, in today's encoder zero
+    last_rad = state.joints.motor_rad if before.move is None else before.move.hold.motor_rad
     state, moved = _move(config, state, sensors, usable=not bad)
     state, found = _protect(config, state, sensors, last_rad, bad, moved)
-    return _output(config, before, state, tool_channels, decided + moved + found)
+    return _output(config, before, state, tool_channels, decided + found)
 
 
 def _estimate(
@@ -40,7 +41,7 @@ def _estimate(
     if not usable:
         return state, None
     joints = joint_estimate.update(config, state.joints, sensors)
-    if not joints.referenced or state.tick % config.params.motion.tool_channels_period != 0:
+    if not joints.referenced or state.tick % config.params.motion.load_period != 0:
         return replace(state, joints=joints), None
     load, joints, channels = load_estimate.refresh(config, state.tick, state.tool, joints, state.load)
     return replace(state, joints=joints, load=load), channels
@@ -52,12 +53,26 @@ def _decide(
     """Commands change what the arm is about to do."""
     if not commands:
         return state, ()
-    touching = bool(sensors.switch_closed.any())
-    now = Situation(state.mode, state.tool, state.joints, state.planned_gap_rad, state.move, usable, touching)
+    now = Situation(
+        state.mode,
+        state.tool,
+        state.joints,
+        state.planned_gap_rad,
+        state.move,
+        state.fault,
+        usable,
+        touching=bool(sensors.switch_closed.any()),
+    )
     for command in commands:
         now = handle(config, now, command)
     state = replace(
-        state, mode=now.mode, tool=now.tool, joints=now.joints, planned_gap_rad=now.gap_rad, move=now.move
+        state,
+        mode=now.mode,
+        tool=now.tool,
+        joints=now.joints,
+        planned_gap_rad=now.gap_rad,
+        move=now.move,
+        fault=now.fault,
     )
     return state, now.evrs
 
@@ -79,7 +94,7 @@ def _protect(
     bad: tuple[Evr, ...],
     moved: tuple[Evr, ...],
 ) -> tuple[State, tuple[Evr, ...]]:
-    """Monitors say what happened; the response may only reduce or stop. A standing fault is said once."""
+    """Monitors say what happened; the response may only reduce or stop."""
     seen, found = state.monitors, bad
     if not bad:
         seen, found = monitors.watch(config, seen, state.mode, state.move, sensors, state.joints)
@@ -87,10 +102,11 @@ def _protect(
         found += unsafe_setpoint(config, last_rad, state.move.hold.motor_rad)
     if seen is not state.monitors:
         state = replace(state, monitors=seen)
-    if state.mode is Mode.FAULTED or not (found or moved):
+    found += moved
+    if not found:
         return state, ()
-    mode, move, response = guard(config, state.mode, state.move, last_rad, state.joints, found + moved)
-    return replace(state, mode=mode, move=move), found + response
+    after = guard(config, Guarded(state.mode, state.move, state.fault, ()), last_rad, state.joints, found)
+    return replace(state, mode=after.mode, move=after.move, fault=after.fault), after.evrs
 
 
 def _output(

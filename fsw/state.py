@@ -13,6 +13,7 @@ from fsw.estimate.load import LoadEstimate, unloaded
 from fsw.kinematics.transforms import Array
 from fsw.messages import Drive, Outputs
 from fsw.motion.move import Move
+from fsw.protect.guard import StandingFault
 from fsw.protect.monitors import QUIET, MonitorState
 
 
@@ -30,6 +31,7 @@ class State:
     """Where the set-points assume the outputs to lie in their backlash."""
     move: Move | None
     """None while the arm stands on its brakes."""
+    fault: StandingFault | None
     monitors: MonitorState
     drive: Drive
 
@@ -46,6 +48,7 @@ def boot(config: Config, mode: Mode) -> State:
         load=unloaded(n),
         planned_gap_rad=np.zeros(n),
         move=None,
+        fault=None,
         monitors=QUIET,
         drive=Drive(np.zeros(n, np.int64), np.zeros(n), config.current_limit_A, off, off),
     )

@@ -10,7 +10,7 @@ import numpy as np
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.joints import Joint, Switch
 from fsw.kinematics.transforms import Array
-from fsw.messages import Drive, Sensors
+from fsw.messages import Counts, Drive, Sensors
 from sim.effects.effect import Hardware
 from sim.frames import FLIP
 from sim.plant import JOINT_NAMES, Plant
@@ -26,13 +26,12 @@ _MOTOR_CONSTANT: Final = 1
 class Avionics:
     """Turns a drive into motor set-points and brake states, and the plant's state into readings."""
 
-    def __init__(self, plant: Plant, hardware: Hardware, rad_per_count: Array, rng: np.random.Generator):
+    def __init__(self, plant: Plant, hardware: Hardware, rng: np.random.Generator):
         model = plant.model
         motors = [model.actuator(name).id for name in JOINT_NAMES]
         switches = [model.sensor(switch.name.lower()).id for switch in Switch]
         self._plant = plant
         self._hardware = hardware
-        self._rad_per_count = rad_per_count
         self._rng = rng
         self._motors = np.array(motors)
         self._integral = model.actuator_actadr[motors]
@@ -51,17 +50,21 @@ class Avionics:
         plant, hardware, data = self._plant, self._hardware, self._plant.data
         noise = self._rng.standard_normal(13)
         current = data.actuator_force[self._motors] / self._torque_constant_Nm_A
-        motor = plant.motor_rad()
-        count = np.rint((motor + hardware.encoder_zero_rad) / self._rad_per_count).astype(np.int64)
         resolver = plant.output_rad() + hardware.resolver_bias_rad + hardware.resolver_noise_rad * noise[:5]
         return Sensors(
-            encoder_count=count,
+            encoder_count=self.encoder_count(),
             resolver_rad=np.rint(resolver / RESOLVER_LSB_RAD) * RESOLVER_LSB_RAD,
             current_A=current + hardware.current_noise_A * noise[5:10],
             winding_C=hardware.ambient_C + self._heated(current),
             switch_closed=data.sensordata[self._touch] > hardware.switch_force_N,
             gravity_R_m_s2=self._gravity_R + hardware.gravity_noise_m_s2 * noise[10:],
         )
+
+    def encoder_count(self) -> Counts:
+        """What the encoders read; asking changes nothing."""
+        hardware = self._hardware
+        angle = self._plant.motor_rad() + hardware.encoder_zero_rad
+        return np.rint(angle / hardware.rad_per_count).astype(np.int64)
 
     def _heated(self, current_A: Array) -> Array:
         """Rise of the windings by now: MuJoCo's own heats with the unlimited current and never cools."""
@@ -76,7 +79,9 @@ class Avionics:
         """Take a drive: set-points at once, brakes after their delay."""
         data, model = self._plant.data, self._plant.model
         last, self._drive = self._drive, drive
-        data.ctrl[0::2] = drive.setpoint_count * self._rad_per_count - self._hardware.encoder_zero_rad
+        data.ctrl[0::2] = (
+            drive.setpoint_count * self._hardware.rad_per_count - self._hardware.encoder_zero_rad
+        )
         data.ctrl[1::2] = drive.setpoint_rate_rad_s
         if last is None or drive.current_limit_A is not last.current_limit_A:
             limit = drive.current_limit_A * self._torque_constant_Nm_A

@@ -22,12 +22,6 @@ def p_R_from_N(p_N_m: Array) -> Array:
     return p_R_m
 
 
-def p_N_from_R(p_R_m: Array) -> Array:
-    """A point (..., 3) from RMECH to RNAV."""
-    p_N_m: Array = p_R_m + P_NR_M
-    return p_N_m
-
-
 def gravity_in_rover(roll_rad: float, pitch_rad: float, gravity_m_s2: float) -> Array:
     """Gravity in RNAV axes of a rover rolled (right side down) after it is pitched (nose up)."""
     R_WN = rotation_y(np.array(pitch_rad)) @ rotation_x(np.array(roll_rad))

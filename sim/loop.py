@@ -51,9 +51,7 @@ class ClosedLoop:
             hardware = effect.on_hardware(hardware)
         self.config: Config = configure(setup.arm.params, digest(setup.arm.params))
         self.plant = Plant(spec.compile())
-        self.avionics = Avionics(
-            self.plant, hardware, self.config.rad_per_count, np.random.default_rng([setup.seed, 2])
-        )
+        self.avionics = Avionics(self.plant, hardware, np.random.default_rng([setup.seed, 2]))
         self.with_truth = with_truth
         self.plant.place(np.array(setup.start_rad), SETTLE_S)
         stowed = setup.start_rad == setup.arm.params.poses.stowed_rad
@@ -66,6 +64,8 @@ class ClosedLoop:
         sensors = self.avionics.sense()
         truth = self.plant.truth() if self.with_truth else None
         tick = self.state.tick
+        if self.failure is not None:
+            raise RuntimeError("flight software has ended; start another run") from self.failure
         try:
             self.state, outputs = step(self.config, self.state, sensors, commands)
         except Exception as error:
@@ -79,9 +79,9 @@ class ClosedLoop:
 
     def reference(self) -> SetReference:
         """What a hardstop initialisation would find: motor angles with their zero error, true gap sides."""
-        count = self.avionics.sense().encoder_count
-        sides = _sides(self.plant.gap_rad(), self.config.half_gap_rad)
-        return SetReference(joints5(count * self.config.rad_per_count), sides)
+        told = self.avionics.encoder_count() * self.config.rad_per_count
+        gap, half = self.plant.gap_rad(), self.plant.half_gap_rad
+        return SetReference(joints5(told), _sides(gap, half))
 
 
 def _safe_outputs(last: Outputs, error: Exception) -> Outputs:

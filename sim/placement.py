@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command, GuardedMove, MoveTool, Retract, SetReference, Unstow, Vector3
 from fsw.dictionary.evrs import BranchChosen, CommandCompleted, ContactMade, Evr
 from fsw.dictionary.joints import Tool
@@ -112,7 +113,7 @@ class PlacementRun:
 
     def _note(self, record: CycleRecord) -> None:
         for evr in record.outputs.evrs:
-            self._evrs.append((self._loop.plant.data.time, evr))
+            self._evrs.append((record.tick / CYCLE_HZ, evr))
             self._touched = self._touched or isinstance(evr, ContactMade)
             if evr == CommandCompleted("MoveTool"):
                 self._errors["standoff"] = self._error(record, self._placement.standoff_m)

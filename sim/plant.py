@@ -33,6 +33,8 @@ class Addresses:
 
     motor: NDArray[np.intp]
     gear: NDArray[np.intp]
+    gaps: NDArray[np.intp]
+    """Tendons of the gears."""
     brake: NDArray[np.intp]
     tools: NDArray[np.intp]
     """Sites, in the order of Tool."""
@@ -53,9 +55,15 @@ class Plant:
         self.at = Addresses(
             motor=np.array([model.joint(f"{name}_motor").qposadr[0] for name in JOINT_NAMES]),
             gear=np.array([model.joint(f"{name}_gear").qposadr[0] for name in JOINT_NAMES]),
+            gaps=np.array([model.tendon(f"{name}_gear").id for name in JOINT_NAMES]),
             brake=np.array([model.equality(f"{name}_brake").id for name in JOINT_NAMES]),
             tools=np.array([model.site(tool.name.lower()).id for tool in Tool]),
         )
+
+    @property
+    def half_gap_rad(self) -> Array:
+        """Half the width of each joint's backlash."""
+        return np.asarray(self.model.tendon_lengthspring[self.at.gaps, 1])
 
     def place(self, motor_rad: Array, settle_s: float) -> None:
         """Put the motors at these angles with the brakes on, and let the arm come to rest under gravity."""
@@ -99,9 +107,8 @@ class Plant:
 
     def gap_rad(self) -> Array:
         """True position in the backlash, wind-up taken off: half the width where a joint rests on a flank."""
-        half = self.model.tendon_lengthspring[[self.model.tendon(f"{n}_gear").id for n in JOINT_NAMES], 1]
         gear = self.data.qpos[self.at.gear]
-        return np.asarray(np.clip(gear, -half, half))
+        return np.asarray(np.clip(gear, -self.half_gap_rad, self.half_gap_rad))
 
     def tool_shift(self, tool: Tool, output_rad: Array) -> Array:
         """By how much a small change of the output angles (5) moves a tool, in RMECH [m]."""

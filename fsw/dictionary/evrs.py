@@ -133,12 +133,13 @@ class SensorNotFinite(Evr):
 
 @dataclass(frozen=True, slots=True)
 class GravityImplausible(Evr):
-    """The gravity reading is larger than any gravity."""
+    """The gravity reading is smaller or larger than any gravity the arm works in."""
 
     severity = Severity.WARNING_HI
-    text = "gravity reads {e.gravity_m_s2:.3g} m/s2, bound {e.bound_m_s2:.3g} m/s2"
+    text = "gravity reads {e.gravity_m_s2:.3g} m/s2, bounds {e.min_m_s2:.3g} .. {e.max_m_s2:.3g} m/s2"
     gravity_m_s2: float
-    bound_m_s2: float
+    min_m_s2: float
+    max_m_s2: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -151,12 +151,18 @@ class PoseParams:
 class MotionParams:
     """How a move begins, runs and ends."""
 
-    brake_delay_s: Annotated[float, Limits(0.0, 1.0)]
+    brake_delay_s: Annotated[float, Limits(0.02, 1.0)]
     """Time a brake takes to hold or let go, at most."""
     settle_error_rad: Annotated[float, Limits(1e-6, 1e-2)]
     settle_rate_rad_s: Annotated[float, Limits(1e-7, 1e-2)]
     settle_time_s: Annotated[float, Limits(0.0, 10.0)]
     settle_timeout_s: Annotated[float, Limits(0.1, 60.0)]
+    stop_factor: Annotated[float, Limits(1.0, 100.0)]
+    """A commanded stop may use this many times the acceleration of a move."""
+    stowed_rad: Annotated[float, Limits(0.0, 0.2)]
+    """How close to the stowed pose every joint of a stowed arm is."""
+    reference_margin_rad: Annotated[float, Limits(0.0, 0.2)]
+    """How far beyond the soft limits, at a hardstop for one, a reference may be."""
     guarded_speed_m_s: Annotated[float, Limits(1e-4, 0.02)]
     retract_speed_m_s: Annotated[float, Limits(1e-4, 0.05)]
     line_acceleration_m_s2: Annotated[float, Limits(1e-4, 0.1)]
@@ -167,16 +173,17 @@ class MotionParams:
     """Longest straight move."""
     line_turn_rad: Annotated[float, Limits(0.0, 0.5)]
     """How far the tool may look away from the approach when a guarded move begins."""
-    tool_channels_period: Annotated[int, Limits(1, 640)]
-    """Cycles between two estimates of the deflected tool pose."""
+    load_period: Annotated[int, Limits(1, 640)]
+    """Cycles between two estimates of load, backlash side and deflected tool pose."""
 
 
 @dataclass(frozen=True, slots=True)
 class MonitorParams:
     """Bounds of the monitors; a persistence is the number of cycles a bound must be passed in a row."""
 
+    gravity_min_m_s2: Annotated[float, Limits(0.0, 10.0)]
     gravity_max_m_s2: Annotated[float, Limits(1.0, 30.0)]
-    """Beyond this a gravity reading is no gravity."""
+    """Outside these a gravity reading is no gravity."""
     setpoint_step_factor: Annotated[float, Limits(1.0, 3.0)]
     """Largest change of a set-point in a cycle, in units of the joint's speed times the cycle."""
     following_error_rad: Annotated[float, Limits(1e-5, 0.1)]

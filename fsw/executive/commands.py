@@ -37,11 +37,7 @@ from fsw.motion.paths import Setpoint
 from fsw.motion.plan import Plan, Refusal, over_limits, plan_poses, worst_limit
 from fsw.motion.plan_line import plan_guarded, plan_retract
 from fsw.motion.plan_tool import plan_tool
-
-REFERENCE_MARGIN_RAD = 0.1
-"""How far beyond the soft limits, at a hardstop for one, a reference may be."""
-STOWED_RAD = 0.02
-"""How close to the stowed pose every joint of a stowed arm is."""
+from fsw.protect.guard import StandingFault
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,6 +50,7 @@ class Situation:
     gap_rad: Array
     """What the set-points allow for."""
     move: Move | None
+    fault: StandingFault | None
     usable: bool
     """Whether this cycle's readings are."""
     touching: bool
@@ -150,14 +147,15 @@ def _set_reference(config: Config, now: Situation, command: SetReference) -> Sit
 
 def _wrong_reference(config: Config, now: Situation, command: SetReference) -> str | None:
     told = np.array(command.motor_rad)
+    if now.mode is Mode.FAULTED:
+        return "a fault stands; clear it first"
     if now.move is not None:
         return f"{now.move.command} is under way"
     if not now.usable:
         return "a reading is unusable"
     if not np.all(np.isfinite(told)):
         return "a motor angle is not finite"
-    over = over_limits(config, told) - REFERENCE_MARGIN_RAD
-    if over > 0:
+    if over_limits(config, told) > config.params.motion.reference_margin_rad:
         return worst_limit(config, told)
     if any(side not in (-1, 0, 1) for side in command.gap_side):
         return f"a gap side is not -1, 0 or 1: {command.gap_side}"
@@ -170,28 +168,31 @@ def _clear_fault(config: Config, now: Situation, command: ClearFault) -> Situati
         return _refused(now, command, "no fault stands")
     if now.move is not None:
         return _refused(now, command, "the arm is still being stopped")
-    return replace(now, mode=mode, evrs=(*now.evrs, FaultCleared(), CommandCompleted(_name(command))))
+    return replace(
+        now, mode=mode, fault=None, evrs=(*now.evrs, FaultCleared(), CommandCompleted(_name(command)))
+    )
 
 
 def _clearing(config: Config, now: Situation) -> Event:
-    """What is cleared depends on where the arm stands: touching it may only retract, stowed only unstow."""
-    if now.touching:
+    """What is cleared depends on where the arm stands: touching it may only retract, stowed only unstow.
+
+    An arm that faulted in a guarded move or a retraction may touch, whatever its switches say.
+    """
+    if now.touching or (now.fault is not None and now.fault.mode in (Mode.GUARDED, Mode.RETRACTING)):
         return Event.CLEAR_TOUCHING
     at_stow = now.joints.referenced and _at_stow(config, now.joints.motor_rad)
     return Event.CLEAR_STOWED if at_stow else Event.CLEAR
 
 
 def _at_stow(config: Config, motor_rad: Array) -> bool:
-    return bool(np.abs(motor_rad - config.params.poses.stowed_rad).max() < STOWED_RAD)
+    return bool(np.abs(motor_rad - config.params.poses.stowed_rad).max() < config.params.motion.stowed_rad)
 
 
 def _stop(config: Config, now: Situation, command: Stop) -> Situation:
     evrs = (*now.evrs, CommandCompleted(_name(command)))
     if now.move is None or now.mode is Mode.FAULTED:
         return replace(now, evrs=evrs)
-    # a guarded or retracting arm may still touch, and stays where only a retraction is allowed
-    end_mode = Mode.DEPLOYED if now.mode is Mode.FREE_SPACE else Mode.GUARDED
-    return replace(now, move=stop(config, now.move, end_mode), evrs=evrs)
+    return replace(now, move=stop(config, now.move, TRANSITIONS[now.mode, Event.STOP]), evrs=evrs)
 
 
 def _refused(now: Situation, command: Command, reason: str) -> Situation:

@@ -19,11 +19,13 @@ class Event(IntEnum):
     CLEAR_STOWED = 7
     """Cleared in the stowed pose."""
     CLEAR_TOUCHING = 8
-    """Cleared with a contact switch closed."""
+    """Cleared where the arm touches or may touch."""
     AT_STOW = 9
     """The reference says that the arm is stowed."""
     AWAY = 10
     """The reference says that it is not."""
+    STOP = 11
+    """A stop was commanded; a guarded or retracting arm may still touch."""
 
 
 TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
@@ -39,6 +41,9 @@ TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
     (Mode.FAULTED, Event.CLEAR): Mode.DEPLOYED,
     (Mode.FAULTED, Event.CLEAR_STOWED): Mode.STOWED,
     (Mode.FAULTED, Event.CLEAR_TOUCHING): Mode.GUARDED,
+    (Mode.FREE_SPACE, Event.STOP): Mode.DEPLOYED,
+    (Mode.GUARDED, Event.STOP): Mode.GUARDED,
+    (Mode.RETRACTING, Event.STOP): Mode.GUARDED,
     (Mode.STOWED, Event.AT_STOW): Mode.STOWED,
     (Mode.DEPLOYED, Event.AT_STOW): Mode.STOWED,
     (Mode.STOWED, Event.AWAY): Mode.DEPLOYED,

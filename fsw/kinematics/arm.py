@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fsw.dictionary.params import Lump, Params, Transform6
+from fsw.kinematics.shape import Shape, shape_of
 from fsw.kinematics.transforms import Array, Pose, rotation_x, rotation_y, rotation_z, screw_exp
 
 
@@ -39,6 +40,8 @@ class Arm:
     gear_stiffness_Nm_rad: Array
     soft_min_rad: Array
     soft_max_rad: Array
+    shapes: tuple[Shape, ...]
+    """The nearest square arm with each tool, for the closed form of the inverse kinematics."""
 
     @property
     def X_CF(self) -> Pose:
@@ -51,32 +54,38 @@ def arm_from(params: Params) -> Arm:
     links, joints, tools = params.links.in_order(), params.joints.in_order(), params.tools.in_order()
     theta = np.array([link.transform.theta_rad for link in links])
     centre = np.array([link.elastic_centre_m for link in links]).T
-    ends = _stack([transform6(replace(link.transform, theta_rad=0.0)) for link in links])
+    X_LF = _stack([transform6(replace(link.transform, theta_rad=0.0)) for link in links])
+    X_FT = tuple(transform6(tool.transform) for tool in tools)
     return Arm(
         theta_rad=theta,
         p_LC_m=centre,
-        RP_CF=_side_by_side(Pose(ends.R, ends.p - centre)),
+        RP_CF=_side_by_side(Pose(X_LF.R, X_LF.p - centre)),
         compliance=np.moveaxis(np.array([link.compliance for link in links]), 0, -1),
         near_kg=np.array([link.near.mass_kg for link in links]),
         far_kg=np.array([link.far.mass_kg for link in links]),
         near_p_L_m=_positions([link.near for link in links]),
         far_p_C_m=_positions([link.far for link in links]) - centre,
-        X_FT=tuple(transform6(tool.transform) for tool in tools),
+        X_FT=X_FT,
         expansion_F=np.array([link.expansion_1_K for link in links]).T,
         expansion_T=np.array([tool.expansion_1_K for tool in tools]).T,
         gear_stiffness_Nm_rad=np.array([joint.gear_stiffness_Nm_rad for joint in joints]),
         soft_min_rad=np.array([joint.soft_min_rad for joint in joints]),
         soft_max_rad=np.array([joint.soft_max_rad for joint in joints]),
+        shapes=tuple(shape_of(theta, X_LF, tool) for tool in X_FT),
     )
 
 
 def warmed(arm: Arm, warming_K: float) -> Arm:
     """The arm this much warmer than at calibration: paper equation 6, as finite transforms."""
+    X_CF = arm.X_CF @ screw_exp(arm.expansion_F * warming_K)
     tools = _stack(list(arm.X_FT)) @ screw_exp(arm.expansion_T * warming_K)
+    X_FT = tuple(tools[k] for k in range(len(arm.X_FT)))
+    X_LF = Pose(X_CF.R, X_CF.p + arm.p_LC_m)
     return replace(
         arm,
-        RP_CF=_side_by_side(arm.X_CF @ screw_exp(arm.expansion_F * warming_K)),
-        X_FT=tuple(tools[k] for k in range(len(arm.X_FT))),
+        RP_CF=_side_by_side(X_CF),
+        X_FT=X_FT,
+        shapes=tuple(shape_of(arm.theta_rad, X_LF, tool) for tool in X_FT),
     )
 
 

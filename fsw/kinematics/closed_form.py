@@ -8,13 +8,13 @@ two-link arm: two elbows.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.transforms import Array, Pose, rotate_back, rotation_x, rotation_z
+from fsw.kinematics.shape import Shape
+from fsw.kinematics.transforms import Array, rotate_back
 
 BRANCHES: Final = tuple(
     f"shoulder-{shoulder} elbow-{elbow} wrist-{wrist}"
@@ -37,67 +37,6 @@ class Roots:
     """(8, ...): how far the approach is from parallel to the pitch axes; at 0 the wrist pitch is free."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Shape:
-    """The lengths of the square arm with one tool, as the closed form sees them."""
-
-    X_R1: Pose
-    theta_rad: Array
-    out_m: float
-    down_m: float
-    upper_m: float
-    fore_m: float
-    wrist_m: float
-    lateral_m: float
-    along_m: float
-    """Turret axis: wrist centre to the foot of the tool's offset."""
-    radius_m: float
-    """Tool point along the boresight from that foot."""
-    offset_m: float
-    """Distance at which the boresight passes the turret axis; 0 for a radial tool."""
-    boresight_z: float
-    """Cosine of boresight and turret axis; 0 for a radial tool."""
-    clock_rad: float
-    is_exact: bool
-    """Whether this is the arm itself: its axes are square."""
-
-
-@lru_cache(maxsize=256)
-def shape(arm: Arm, tool: int) -> Shape:
-    """The nearest square arm: axes parallel and at right angles, lengths those of this arm."""
-    p = arm.X_CF.p + arm.p_LC_m
-    X_FT = arm.X_FT[tool]
-    (bx, by, bz), (px, py, pz) = X_FT.R[:, 0], X_FT.p
-    flat = bx * bx + by * by
-    radius = (px * bx + py * by) / flat
-    turn = rotation_z(arm.theta_rad[0])
-    return Shape(
-        X_R1=Pose(turn @ arm.X_CF.R[:, :, 0], turn @ p[:, 0]),
-        theta_rad=arm.theta_rad[1:],
-        out_m=p[0, 1],
-        down_m=p[2, 1],
-        upper_m=p[0, 2],
-        fore_m=p[0, 3],
-        wrist_m=p[0, 4],
-        lateral_m=p[2, 2] + p[2, 3] + p[2, 4] - p[1, 1],
-        along_m=p[2, 5] + pz - radius * bz,
-        radius_m=radius,
-        offset_m=(py * bx - px * by) / flat,
-        boresight_z=bz,
-        clock_rad=float(np.arctan2(by, bx)),
-        is_exact=_is_square(arm),
-    )
-
-
-def _is_square(arm: Arm) -> bool:
-    """Parallel and right-angled axes, no offsets beyond those of Shape."""
-    p = arm.X_CF.p + arm.p_LC_m
-    quarter = [np.pi / 2, 0.0, 0.0, -np.pi / 2, 0.0]
-    turns = np.stack([rotation_x(np.array(angle)) for angle in quarter], -1)
-    offsets = [*p[1, 2:], *p[0, 5:]]
-    return bool(np.abs(arm.X_CF.R[:, :, 1:] - turns).max() < 1e-15 and np.abs(offsets).max() < 1e-15)
-
-
 def closed_form(
     arm: Arm, tool: int, p_RoTo_R_m: Array, approach_R: Array, min_bend_rad: float = 0.0
 ) -> Roots:
@@ -106,7 +45,7 @@ def closed_form(
     Exact for an arm whose axes are square, whatever the tool; for a calibrated arm, the place to start from.
     `min_bend_rad` keeps the elbow that far from straight and folded, where two roots meet.
     """
-    s = shape(arm, tool)
+    s = arm.shapes[tool]
     batch = (1,) * (p_RoTo_R_m.ndim - 1)
     p = rotate_back(s.X_R1.R.reshape(3, 3, *batch), p_RoTo_R_m - s.X_R1.p.reshape(3, *batch))
     a = rotate_back(s.X_R1.R.reshape(3, 3, *batch), approach_R)

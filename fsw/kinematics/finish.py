@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.closed_form import shape
 from fsw.kinematics.compensation import STEPS_PER_ROUND, TASK_TOLERANCE, refine
 from fsw.kinematics.transforms import Array, wrap_angle
 
@@ -83,7 +82,7 @@ class Finish:
 
     def _mirrored(self, q: Array) -> Array:
         """The pose with the elbow on the other side of the shoulder-wrist line."""
-        s = shape(self.arm, self.tool)
+        s = self.arm.shapes[self.tool]
         bend = q[2] + s.theta_rad[2]
         lean = np.arctan2(s.fore_m * np.sin(bend), s.upper_m + s.fore_m * np.cos(bend))
         mirrored = q.copy()

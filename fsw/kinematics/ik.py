@@ -13,7 +13,7 @@ import numpy as np
 from fsw.dictionary.joints import Joint
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.closed_form import BRANCHES, Roots, closed_form, shape
+from fsw.kinematics.closed_form import BRANCHES, Roots, closed_form
 from fsw.kinematics.compensation import task_error
 from fsw.kinematics.finish import Finish, Flags, Numbers
 from fsw.kinematics.limits import beyond_limits, into_limits, outside
@@ -101,7 +101,7 @@ def _inverse(
     if gravity_R_m_s2 is None:
         error = _forward_error(arm, tool, q, p, a)
         found = error < ROOT_TOLERANCE
-        wanted = np.zeros_like(found) if shape(arm, tool).is_exact else ~found & (flat.missing_m < CAPTURE_M)
+        wanted = np.zeros_like(found) if arm.shapes[tool].is_exact else ~found & (flat.missing_m < CAPTURE_M)
         tried = wanted
     else:
         error, found = np.full(q.shape[1], np.nan), np.zeros(q.shape[1], bool)
@@ -156,7 +156,7 @@ def _forward_error(arm: Arm, tool: int, q: Array, p: Array, a: Array) -> Array:
 
 def _close_to_fold(arm: Arm, tool: int, flat: Roots) -> Flags:
     """Roots whose elbow is nearly straight or folded, where two roots meet."""
-    bend = np.abs(wrap_angle(flat.output_rad[Joint.ELBOW] + shape(arm, tool).theta_rad[Joint.ELBOW]))
+    bend = np.abs(wrap_angle(flat.output_rad[Joint.ELBOW] + arm.shapes[tool].theta_rad[Joint.ELBOW]))
     return (bend < START_BEND_RAD) | (bend > np.pi - START_BEND_RAD)
 
 

@@ -20,12 +20,13 @@ def drive_for(config: Config, move: Move | None, joints: JointEstimate, last: Dr
     if move is None:
         if not last.power_on.any():
             return last
-        return Drive(
-            last.setpoint_count, np.zeros(n), config.current_limit_A, _constant(False, n), _constant(False, n)
-        )
-    on = _constant(True, n)
-    release = _constant(False, n) if move.phase is Phase.BRAKE else on
-    if last.power_on.any() and np.array_equal(last.brake_release, release):
-        on, release = last.power_on, last.brake_release
+        off = _constant(False, n)
+        return Drive(last.setpoint_count, np.zeros(n), config.current_limit_A, off, off)
+    released = move.phase is not Phase.BRAKE
+    # the flags are the same for all joints; unchanged ones are the same arrays, so that nobody compares them
+    same = last.power_on[0] and last.brake_release[0] == released
+    on, release = (
+        (last.power_on, last.brake_release) if same else (_constant(True, n), _constant(released, n))
+    )
     count = np.rint((move.hold.motor_rad - joints.zero_rad) / config.rad_per_count).astype(np.int64)
     return Drive(count, move.hold.rate_rad_s, config.current_limit_A, on, release)

@@ -100,12 +100,10 @@ def line_path(config: Config, knots_rad: Array, length_m: float, speed_m_s: floa
 
 def stop_path(config: Config, start: Setpoint) -> StopPath:
     """The way to rest from a moving set-point."""
-    duration = float(np.max(np.abs(start.rate_rad_s) / (STOP_FACTOR * config.acceleration_rad_s2)))
+    duration = float(
+        np.max(np.abs(start.rate_rad_s) / (config.params.motion.stop_factor * config.acceleration_rad_s2))
+    )
     return StopPath(max(duration, CYCLE_S), start)
-
-
-STOP_FACTOR = 10.0
-"""A commanded stop may use this many times the acceleration of a move."""
 
 
 def _plan(start: Array, end: Array, speed: Array, acceleration: Array, jerk: Array) -> Trajectory:

@@ -1,6 +1,7 @@
 """The last stage: it may only reduce or stop."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import assert_never
 
 import numpy as np
 
@@ -12,27 +13,58 @@ from fsw.executive.modes import TRANSITIONS, Event
 from fsw.kinematics.transforms import Array
 from fsw.motion.move import Move, Phase
 from fsw.motion.paths import Setpoint
-from fsw.protect.responses import response_to
+from fsw.protect.responses import Response, response_to
+
+
+@dataclass(frozen=True, slots=True)
+class StandingFault:
+    """A fault that the ground has not cleared: where it happened and what has been reported since."""
+
+    mode: Mode
+    reported: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Guarded:
+    """Mode, move and fault after protection, and the events to report."""
+
+    mode: Mode
+    move: Move | None
+    fault: StandingFault | None
+    evrs: tuple[Evr, ...]
 
 
 def guard(
     config: Config,
-    mode: Mode,
-    move: Move | None,
+    before: Guarded,
     last_rad: Array,
     joints: JointEstimate,
-    evrs: tuple[Evr, ...],
-) -> tuple[Mode, Move | None, tuple[Evr, ...]]:
-    """Mode and move after the response that these events ask for; unchanged if they ask for none.
+    found: tuple[Evr, ...],
+) -> Guarded:
+    """What is left of mode and move after the response that the found events ask for.
 
-    `last_rad` is the last set-point that went out. A standing fault is not answered again: the arm is on
-    its way to its brakes or on them.
+    `last_rad` is the last set-point that went out. A standing fault is not answered again, for the arm is on
+    its way to its brakes or on them; what it brings that was not reported yet still is.
     """
-    response = response_to(evrs)
-    if response is None or mode is Mode.FAULTED:
-        return mode, move, ()
-    stopped = None if move is None else brake(config, move, last_rad, joints)
-    return TRANSITIONS[mode, Event.FAULT], stopped, (FaultResponse(response.value),)
+    if before.fault is not None:
+        new = tuple(evr for evr in found if evr.name not in before.fault.reported)
+        if not new:
+            return before
+        reported = before.fault.reported | {evr.name for evr in new}
+        return replace(before, fault=replace(before.fault, reported=reported), evrs=before.evrs + new)
+    response = response_to(found)
+    match response:
+        case None:
+            return replace(before, evrs=before.evrs + found)
+        case Response.BRAKE_AND_REFUSE:
+            return Guarded(
+                mode=TRANSITIONS[before.mode, Event.FAULT],
+                move=None if before.move is None else brake(config, before.move, last_rad, joints),
+                fault=StandingFault(before.mode, frozenset(evr.name for evr in found)),
+                evrs=(*before.evrs, *found, FaultResponse(response.value)),
+            )
+        case _:
+            assert_never(response)
 
 
 def brake(config: Config, move: Move, last_rad: Array, joints: JointEstimate) -> Move:

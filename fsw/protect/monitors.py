@@ -50,8 +50,10 @@ def unusable(config: Config, sensors: Sensors) -> tuple[Evr, ...]:
     found = tuple(SensorNotFinite(name) for name, values in analog if not isfinite(hypot(*values.tolist())))
     if found:
         return found
-    gravity, bound = hypot(*sensors.gravity_R_m_s2.tolist()), config.params.monitors.gravity_max_m_s2
-    return () if gravity <= bound else (GravityImplausible(gravity, bound),)
+    gravity, bounds = hypot(*sensors.gravity_R_m_s2.tolist()), config.params.monitors
+    if bounds.gravity_min_m_s2 <= gravity <= bounds.gravity_max_m_s2:
+        return ()
+    return (GravityImplausible(gravity, bounds.gravity_min_m_s2, bounds.gravity_max_m_s2),)
 
 
 def watch(
@@ -73,9 +75,10 @@ def watch(
 
 def _soft_limits(config: Config, motor_rad: Array, rate_rad_s: Array) -> tuple[Evr, ...]:
     """A joint beyond a limit that is not being moved back; an arm at rest has nothing to be stopped."""
-    margin = config.params.monitors.soft_limit_margin_rad
-    below = (motor_rad < config.arm.soft_min_rad - margin) & (rate_rad_s < 0)
-    above = (motor_rad > config.arm.soft_max_rad + margin) & (rate_rad_s > 0)
+    below, above = motor_rad < config.lowest_rad, motor_rad > config.highest_rad
+    if not (below.any() or above.any()):
+        return ()
+    below, above = below & (rate_rad_s < 0), above & (rate_rad_s > 0)
     if not (below.any() or above.any()):
         return ()
     joint = Joint(int(np.argmax(below | above)))

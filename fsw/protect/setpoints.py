@@ -1,11 +1,15 @@
 """Limits of protection's own on what goes out to the motors, whatever planned it."""
 
+from typing import Final
+
 import numpy as np
 
-from fsw.config import CYCLE_S, Config
+from fsw.config import Config
 from fsw.dictionary.evrs import Evr, SetpointUnsafe
 from fsw.dictionary.joints import Joint
 from fsw.kinematics.transforms import Array
+
+ROUNDING_RAD: Final = 1e-9
 
 
 def unsafe_setpoint(config: Config, last_rad: Array, setpoint_rad: Array) -> tuple[Evr, ...]:
@@ -13,14 +17,11 @@ def unsafe_setpoint(config: Config, last_rad: Array, setpoint_rad: Array) -> tup
 
     Outside the limits it may still move inward: that is the way back.
     """
-    bounds = config.params.monitors
-    step = setpoint_rad - last_rad
-    beyond = np.maximum(setpoint_rad - config.arm.soft_max_rad, config.arm.soft_min_rad - setpoint_rad)
-    before = np.maximum(last_rad - config.arm.soft_max_rad, config.arm.soft_min_rad - last_rad)
-    outward = (beyond > bounds.soft_limit_margin_rad) & (beyond > before)
     # written so that NaN fails it
-    safe = (np.abs(step) <= bounds.setpoint_step_factor * CYCLE_S * config.speed_rad_s) & ~outward
-    if safe.all():
+    safe = np.abs(setpoint_rad - last_rad) <= config.setpoint_step_rad
+    low_safe = setpoint_rad >= np.minimum(config.lowest_rad, last_rad - ROUNDING_RAD)
+    high_safe = setpoint_rad <= np.maximum(config.highest_rad, last_rad + ROUNDING_RAD)
+    if safe.all() and low_safe.all() and high_safe.all():
         return ()
-    joint = Joint(int(np.argmin(safe)))
+    joint = Joint(int(np.argmin(safe & low_safe & high_safe)))
     return (SetpointUnsafe(joint, float(setpoint_rad[joint]), float(last_rad[joint])),)

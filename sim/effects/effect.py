@@ -13,6 +13,8 @@ from fsw.kinematics.transforms import Array
 class Hardware:
     """What avionics and sensors are made of; joint arrays in the order of Joint."""
 
+    rad_per_count: Array
+    """Output side: encoder counts and gear ratio as they are, whatever flight software believes."""
     encoder_zero_rad: Array
     """Error of the told encoder zero, output side."""
     resolver_bias_rad: Array
@@ -33,6 +35,7 @@ class Hardware:
 def nominal_hardware() -> Hardware:
     """Avionics as on the drawing; sources in models/mjcf/PROVENANCE.md."""
     return Hardware(
+        rad_per_count=2 * np.pi / (256 * np.array([7520.0, 7520.0, 7520.0, 4624.0, 4624.0])),
         encoder_zero_rad=np.zeros(5),
         resolver_bias_rad=np.zeros(5),
         resolver_noise_rad=1e-4,

@@ -21,6 +21,8 @@ def test_the_nominal_arm_touches_within_5_mm_and_a_third_of_a_degree(seed):
     assert result.contact is not None
     assert result.contact.total_m < 5e-3
     assert np.degrees(result.contact.axis_rad) < 0.3
+    # what is left beside the backlash, whose share is told
+    assert result.contact.total_m - result.contact.backlash_m < 1e-3
 
 
 @pytest.mark.parametrize("seed", TARGETS)

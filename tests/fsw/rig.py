@@ -28,6 +28,13 @@ def config_of(arm: str = "nominal") -> Config:
     return configure(params, digest(params))
 
 
+def with_params(**groups: dict) -> Config:
+    """The nominal configuration with other values of some parameters, by group."""
+    params = arm_named("nominal").params
+    changed = {name: replace(getattr(params, name), **values) for name, values in groups.items()}
+    return configure(replace(params, **changed), "changed")
+
+
 def in_limits(config: Config, rng: np.random.Generator, n: int, shrink: float = 0.0) -> np.ndarray:
     """Random joint vectors (5, n) inside the soft limits."""
     low, high = config.arm.soft_min_rad, config.arm.soft_max_rad

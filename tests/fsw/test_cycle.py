@@ -8,8 +8,8 @@ import pytest
 
 from fsw.config import CYCLE_HZ, configure, ticks
 from fsw.cycle import step
-from fsw.dictionary.commands import MoveJoints, Retract, Stop, Unstow
-from fsw.dictionary.evrs import Booted
+from fsw.dictionary.commands import MoveJoints, Retract, SetReference, Stop, Unstow
+from fsw.dictionary.evrs import Booted, CommandCompleted, FaultResponse
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
 from fsw.state import boot, outputs_at_rest
@@ -129,11 +129,27 @@ def test_the_tool_channels_come_at_their_period_and_are_where_the_settled_arm_is
     rig.cycle(rig.here(Tool.APXS, 0.001))
     rig.run()
     told = [out.tool for out in (rig.cycle() for _ in range(160)) if out.tool is not None]
-    assert len(told) == 160 // CONFIG.params.motion.tool_channels_period
+    assert len(told) == 160 // CONFIG.params.motion.load_period
     X = rig.tool_pose(Tool.APXS)
     np.testing.assert_allclose(told[-1].p_RoTo_R_m, X.p, atol=1e-7)
     np.testing.assert_allclose(told[-1].R_RT, X.R, atol=1e-7)
     assert told[-1].tool is Tool.APXS
+
+
+@pytest.mark.parametrize("off_rad", [-0.5, 0.5])
+def test_a_move_in_the_cycle_of_a_new_reference_begins_without_a_step(off_rad):
+    rig = Rig(CONFIG, start_rad=START)
+    told = START - off_rad * np.sign(START)
+    rig.evrs.clear()
+    before, bound = rig.count.copy(), CONFIG.speed_rad_s / CYCLE_HZ / CONFIG.rad_per_count
+    rig.cycle(SetReference(floats(told), (0, 0, 0, 0, 0)), MoveJoints(floats(told + 0.05)))
+    np.testing.assert_array_equal(rig.outputs.drive.setpoint_count, before)
+    while rig.outputs.joint.busy:
+        before = rig.outputs.drive.setpoint_count
+        rig.cycle()
+        assert (np.abs(rig.outputs.drive.setpoint_count - before) <= np.ceil(bound)).all()
+    assert CommandCompleted("MoveJoints") in rig.evrs
+    assert not any(isinstance(evr, FaultResponse) for evr in rig.evrs)
 
 
 def test_a_duration_lasts_at_least_its_whole_cycles():

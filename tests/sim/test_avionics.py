@@ -24,9 +24,7 @@ READINGS = 2000
 
 
 def avionics_of(plant: Plant, hardware: Hardware | None = None, seed: int = 5) -> Avionics:
-    return Avionics(
-        plant, hardware or nominal_hardware(), CONFIG.rad_per_count, np.random.default_rng([seed, 2])
-    )
+    return Avionics(plant, hardware or nominal_hardware(), np.random.default_rng([seed, 2]))
 
 
 def drive_to(motor_rad: lab.Array, **changes: lab.Array) -> Drive:

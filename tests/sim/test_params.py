@@ -54,6 +54,45 @@ BAD = {
         "[joints.wrist]\nsoft_min_rad = 1.0\nsoft_max_rad = -1.0\n",
         ["joints.wrist.soft_min_rad: 1.0 is not below soft_max_rad -1.0"],
     ),
+    "a date": (
+        "[joints.elbow]\nbacklash_rad = 2012-08-06\n",
+        ["joints.elbow.backlash_rad: 2012-08-06 is a date"],
+    ),
+    "a time in a list": (
+        "[poses]\nready_rad = [0.0, 0.0, 05:17:00, 0.0, 0.0]\n",
+        ["poses.ready_rad.2: 05:17:00 is a date or a time"],
+    ),
+    "an unknown name": ("[joints.elbow]\nlash = 1\n", ["joints.elbow.lash: is not a parameter"]),
+    "an unknown group": ("[elbows]\nlash = 1\n", ["elbows: is not a parameter"]),
+    "a vector beyond the rover": (
+        "[links.arm3]\nelastic_centre_m = [0.4, -5.1, 0.0]\nfar = { com_m = [1e300, 0, 0] }\n",
+        ["links.arm3.elastic_centre_m.1: -5.1 is outside -5.0 .. 5.0", "links.arm3.far.com_m.0: 1e+300 "],
+    ),
+    "poses beyond the soft limits": (
+        "[poses]\nready_rad = [0.0, -1.0, 2.9, 2.3, 1.6]\nstowed_rad = [1.6, -0.3, -2.8, 3.1, 0.6]\n"
+        "unstow_via_rad = [[0.0, -1.0, 2.0, 2.0, 1.0], [0.0, -1.0, 2.0, 2.0, 6.0]]\n",
+        [
+            "poses.stowed_rad: joint azimuth: 1.6 is outside its soft limits -3.14508 .. 1.59174",
+            "poses.ready_rad: joint elbow: 2.9 ",
+            "poses.unstow_via_rad.1: joint turret: 6.0 ",
+        ],
+    ),
+    "a forearm without length": (
+        "[links.arm4.transform]\na_m = 0.0\n",
+        ["links.arm4.transform.a_m: 0.0 is below 0.05"],
+    ),
+    "an upper arm turned round": (
+        "[links.arm3.transform]\na_m = -0.8\n",
+        ["links.arm3.transform.a_m: -0.8 is below 0.05"],
+    ),
+    "a shoulder without a right angle": (
+        "[links.arm2.transform]\nalpha_rad = 1.0\n",
+        ["links.arm2.transform.alpha_rad: 1.0 is not within 0.5 of a right angle"],
+    ),
+    "a wrist without a right angle": (
+        "[links.arm5.transform]\nalpha_rad = 0.0\n",
+        ["links.arm5.transform.alpha_rad: 0.0 "],
+    ),
     "three of them at once": (
         '[joints.elbow]\nbacklash = 1.0\n[motion]\nsettle_time_s = "long"\n[links.arm2]\ntransform = 4\n',
         ["joints.elbow.backlash: ", "motion.settle_time_s: ", "links.arm2.transform: "],
@@ -79,10 +118,49 @@ def test_bad_parameters_are_refused_and_each_is_named_with_its_place(
         assert any(line.startswith(f"{path}: {sentence}") for line in lines), (sentence, lines)
 
 
+def compliance(changes: dict[tuple[int, int], float]) -> str:
+    """The nominal upper arm with other entries in its compliance."""
+    rows = [list(row) for row in nominal_params().links.arm3.compliance]
+    for (row, column), value in changes.items():
+        rows[row][column] = value
+    return f"[links.arm3]\ncompliance = {rows}\n"
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({(0, 4): 1e-9}, r"is not symmetric: 1e-09 at \[0\]\[4\], 0.0 across"),
+        ({(2, 2): -1e-9}, "is not positive semidefinite"),
+        ({(1, 5): 1e-5, (5, 1): 1e-5}, "is not positive semidefinite"),
+        ({(3, 3): 0.0, (3, 4): 1e-13, (4, 3): 1e-13}, "is not positive semidefinite"),
+    ],
+    ids=["lopsided", "negative", "coupled too much", "coupled to nothing"],
+)
+def test_a_compliance_of_no_spring_is_refused(
+    tmp_path: Path, changes: dict[tuple[int, int], float], said: str
+) -> None:
+    with pytest.raises(BadParams, match=r"over\.toml: links\.arm3\.compliance: (" + said + ")"):
+        params_over_nominal(written(tmp_path, compliance(changes)))
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{(1, 5): 1e-9, (5, 1): 1e-9 * (1 + 1e-15)}, {(k, k): 0.0 for k in range(6)}],
+    ids=["coupled, rounded", "rigid"],
+)
+def test_the_compliance_of_a_spring_is_taken(tmp_path: Path, changes: dict[tuple[int, int], float]) -> None:
+    params_over_nominal(written(tmp_path, compliance(changes)))
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
-    [(b"[joints", "is not TOML"), (b"\xff\xfe", "cannot be read")],
-    ids=["torn", "binary"],
+    [
+        (b"[joints", "is not TOML"),
+        (b"arm_name = " + b"9" * 5000, "is not TOML"),
+        (b"arm_name = " + b"[" * 100_000, "is not TOML"),
+        (b"\xff\xfe", "cannot be read"),
+    ],
+    ids=["torn", "a number without end", "a list without end", "binary"],
 )
 def test_a_file_that_is_not_toml_is_refused(tmp_path: Path, content: bytes, said: str) -> None:
     path = tmp_path / "over.toml"

@@ -1,6 +1,7 @@
 """Looking ahead for a free way, and placing an instrument on it."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from fsw.dictionary.modes import Mode
 from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementResult, PlacementRun
-from sim.preview import VIA_M, Preview, preview
+from sim.preview import CLEARANCE_M, VIA_M, Preview, preview
 from sim.sequence import Outcome
 from sim.world import Surface, World
 
@@ -63,6 +64,40 @@ def test_a_target_without_a_way_is_told_with_what_is_in_it(
     found = seen(surface)
     assert found.problem is not None
     assert re.search(problem, found.problem), found.problem
+
+
+def test_the_way_from_the_stowed_pose_is_looked_at_where_the_arm_starts_there() -> None:
+    world, placement = World(surface=Surface(*OPEN)), Placement(Tool.APXS, *OPEN)
+    poses = replace(NOMINAL.params.poses, unstow_via_rad=((-3.0, 0.0, 0.0, 0.0, 0.0),))
+    through_the_rover = replace(NOMINAL, params=replace(NOMINAL.params, poses=poses))
+    assert preview(NOMINAL, world, placement, stowed=True).problem is None
+    assert preview(through_the_rover, world, placement).problem is None
+    problem = preview(through_the_rover, world, placement, stowed=True).problem
+    assert problem is not None
+    assert re.search(r"\w+ meets \w+ on the way from the stowed to the ready pose", problem), problem
+
+
+@pytest.mark.parametrize("tool", [tool for tool in Tool if SWITCHES_OF[tool]])
+def test_along_the_guarded_line_the_pads_may_meet_the_rock_and_nothing_else(
+    tool: Tool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert seen(OPEN, tool).problem is None
+    monkeypatch.setattr("sim.preview._meant", lambda names, touching: False)
+    problem = seen(OPEN, tool).problem
+    assert problem is not None
+    assert re.search(
+        rf"rock_face.* {tool.name.lower()}_\w+_pad|{tool.name.lower()}_\w+_pad.* rock_face", problem
+    )
+    assert problem.endswith("on the way from the standoff to the target")
+
+
+def test_along_the_guarded_line_the_body_of_the_tool_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sim.preview.TOUCH_CLEARANCE_M", CLEARANCE_M)
+    problem = seen(OPEN, Tool.APXS).problem
+    assert problem is not None
+    assert "apxs" in problem
+    assert "pad" not in problem
+    assert problem.endswith("on the way from the standoff to the target")
 
 
 @pytest.mark.parametrize("surface", [OPEN, BEHIND_AN_EDGE], ids=["open", "behind an edge"])

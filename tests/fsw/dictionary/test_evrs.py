@@ -32,7 +32,7 @@ SENTENCES = {
     evrs.BranchChosen(Tool.APXS, "b"): "APXS: branch b",
     evrs.ContactMade(Switch.APXS_1, 0.1): "contact on APXS_1 after 0.1000 m",
     evrs.SensorNotFinite("current_A"): "non-finite reading in current_A",
-    evrs.GravityImplausible(25.04, 20.0): "gravity reads 25 m/s2, bound 20 m/s2",
+    evrs.GravityImplausible(25.04, 1.0, 20.0): "gravity reads 25 m/s2, bounds 1 .. 20 m/s2",
     evrs.SetpointUnsafe(Joint.ELBOW, 2.9, 2.8): "ELBOW: set-point 2.9000 rad held back, last 2.8000 rad",
     evrs.SoftLimitPassed(Joint.ELBOW, 2.9, 2.8): "ELBOW at 2.9000 rad, soft limit 2.8000 rad",
     evrs.OverCurrent(Joint.WRIST, -2.9, 2.85): "WRIST drew -2.90 A, bound 2.85 A",

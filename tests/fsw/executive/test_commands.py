@@ -24,13 +24,14 @@ from fsw.dictionary.evrs import (
     CommandRefused,
     ContactMade,
     FaultCleared,
+    FaultResponse,
     ModeChanged,
     ReferenceSet,
 )
 from fsw.dictionary.joints import Switch, Tool
 from fsw.dictionary.modes import Mode
 from fsw.kinematics.closed_form import BRANCHES
-from tests.fsw.rig import Rig, config_of, facing, floats
+from tests.fsw.rig import Rig, config_of, facing, floats, with_params
 
 CONFIG = config_of()
 START = facing(CONFIG, Tool.APXS)
@@ -125,8 +126,8 @@ EXPECTED = {
     guarded_moving: (*[BUSY_G] * 6, OK, NO_FAULT),
     guarded_in_contact: (OK, IN_GUARDED, IN_GUARDED, IN_GUARDED, OK, OK, OK, NO_FAULT),
     retracting: (*[BUSY_R] * 6, OK, NO_FAULT),
-    being_stopped_by_a_fault: (BUSY_J, *[FAULT] * 5, OK, STOPPING),
-    faulted: (OK, *[FAULT] * 5, OK, OK),
+    being_stopped_by_a_fault: (*[FAULT] * 6, OK, STOPPING),
+    faulted: (*[FAULT] * 6, OK, OK),
 }
 
 
@@ -419,6 +420,33 @@ def test_a_reference_may_be_a_little_beyond_the_soft_limits_and_no_more(joint, e
             np.testing.assert_array_equal(rig.state.joints.zero_rad, zero)
 
 
+def test_how_far_beyond_its_limits_and_how_close_to_stowed_a_reference_may_be_are_parameters():
+    stow = np.array(CONFIG.params.poses.stowed_rad)
+    config = with_params(motion={"reference_margin_rad": 0.0, "stowed_rad": 0.15})
+    beyond = floats(START + (CONFIG.arm.soft_max_rad + 1e-6 - START) * (np.arange(5) == 2))
+    rig = Rig(config, start_rad=START)
+    assert "is outside its soft limits" in refusal(rig, SetReference(beyond, (0, 0, 0, 0, 0)))
+    inward = np.sign(config.arm.soft_max_rad + config.arm.soft_min_rad - 2 * stow)
+    for off_rad, mode in ((0.151, Mode.DEPLOYED), (0.149, Mode.STOWED)):
+        rig.cycle(SetReference(floats(stow + off_rad * inward), (0, 0, 0, 0, 0)))
+        assert rig.state.mode is mode
+
+
+@pytest.mark.parametrize("joint", range(5))
+@pytest.mark.parametrize("end", ["min", "max"])
+def test_an_arm_referenced_beyond_a_soft_limit_is_moved_back_in_without_a_fault(joint, end):
+    outward, limit = (1 if end == "max" else -1), getattr(CONFIG.arm, f"soft_{end}_rad")[joint]
+    pose = START.copy()
+    pose[joint] = limit + outward * 0.05
+    rig = deployed()
+    rig.cycle(SetReference(floats(pose), (0, 0, 0, 0, 0)))
+    pose[joint] = limit - outward * 0.05
+    evrs = rig.run(MoveJoints(floats(pose)))
+    assert CommandCompleted("MoveJoints") in evrs
+    assert not any(isinstance(evr, FaultResponse) for evr in evrs)
+    assert rig.state.mode is Mode.DEPLOYED
+
+
 @pytest.mark.parametrize("kind", [SetReference, MoveJoints, MoveTool, GuardedMove, Retract])
 def test_with_readings_that_cannot_be_used_nothing_begins(kind):
     rig = deployed()
@@ -450,6 +478,42 @@ def test_a_fault_cleared_in_contact_leaves_the_arm_where_only_a_retraction_is_al
     for _ in range(30):
         rig.cycle(**TOUCHED)
     assert CommandCompleted("Retract") in rig.run()
+    assert rig.state.mode is Mode.DEPLOYED
+
+
+@pytest.mark.parametrize(
+    ("situation", "end"),
+    [
+        (deployed, Mode.DEPLOYED),
+        (moving_free, Mode.DEPLOYED),
+        (guarded_moving, Mode.GUARDED),
+        (guarded_in_contact, Mode.GUARDED),
+        (retracting, Mode.GUARDED),
+    ],
+)
+def test_a_fault_cleared_with_all_switches_open_remembers_that_the_arm_may_touch(situation, end):
+    rig = situation()
+    mode = rig.state.mode
+    rig.cycle(winding_C=[NAN] * 5)
+    assert rig.state.fault.mode is mode
+    rig.run()
+    for _ in range(3):  # a fault in the cycle in which it is cleared stands where the first one did
+        rig.cycle(ClearFault(), winding_C=[NAN] * 5)
+        assert rig.state.mode is Mode.FAULTED
+    rig.cycle(ClearFault())
+    assert rig.state.mode is end
+    assert rig.state.fault is None
+
+
+@pytest.mark.parametrize("moving", [guarded_moving, retracting])
+def test_after_a_fault_where_it_may_touch_the_arm_retracts_before_it_moves_freely(moving):
+    rig = moving()
+    rig.run(winding_C=[NAN] * 5)
+    rig.cycle(ClearFault())
+    rig.evrs.clear()
+    rig.cycle(MoveJoints(floats(START)))
+    assert rig.evrs == [CommandRefused("MoveJoints", IN_GUARDED)]
+    assert CommandCompleted("Retract") in rig.run(Retract(Tool.APXS, 0.02))
     assert rig.state.mode is Mode.DEPLOYED
 
 

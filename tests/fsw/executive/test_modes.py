@@ -8,14 +8,14 @@ from fsw.executive.modes import TRANSITIONS, Event, after
 NO = None
 STOW, DEPL, FREE, GUARD, BACK, FAULT = Mode
 # columns in the order of Event: UNSTOW, MOVE_FREE, MOVE_GUARDED, MOVE_BACK, DONE, FAULT,
-# CLEAR, CLEAR_STOWED, CLEAR_TOUCHING, AT_STOW, AWAY
+# CLEAR, CLEAR_STOWED, CLEAR_TOUCHING, AT_STOW, AWAY, STOP
 TABLE = {
-    Mode.STOWED: (FREE, NO, NO, NO, NO, FAULT, NO, NO, NO, STOW, DEPL),
-    Mode.DEPLOYED: (NO, FREE, GUARD, BACK, NO, FAULT, NO, NO, NO, STOW, DEPL),
-    Mode.FREE_SPACE: (NO, NO, NO, NO, DEPL, FAULT, NO, NO, NO, NO, NO),
-    Mode.GUARDED: (NO, NO, GUARD, BACK, GUARD, FAULT, NO, NO, NO, NO, NO),
-    Mode.RETRACTING: (NO, NO, NO, NO, DEPL, FAULT, NO, NO, NO, NO, NO),
-    Mode.FAULTED: (NO, NO, NO, NO, NO, FAULT, DEPL, STOW, GUARD, NO, NO),
+    Mode.STOWED: (FREE, NO, NO, NO, NO, FAULT, NO, NO, NO, STOW, DEPL, NO),
+    Mode.DEPLOYED: (NO, FREE, GUARD, BACK, NO, FAULT, NO, NO, NO, STOW, DEPL, NO),
+    Mode.FREE_SPACE: (NO, NO, NO, NO, DEPL, FAULT, NO, NO, NO, NO, NO, DEPL),
+    Mode.GUARDED: (NO, NO, GUARD, BACK, GUARD, FAULT, NO, NO, NO, NO, NO, GUARD),
+    Mode.RETRACTING: (NO, NO, NO, NO, DEPL, FAULT, NO, NO, NO, NO, NO, GUARD),
+    Mode.FAULTED: (NO, NO, NO, NO, NO, FAULT, DEPL, STOW, GUARD, NO, NO, NO),
 }
 MOVES = {Event.UNSTOW, Event.MOVE_FREE, Event.MOVE_GUARDED, Event.MOVE_BACK}
 CLEARING = {Event.CLEAR, Event.CLEAR_STOWED, Event.CLEAR_TOUCHING}
@@ -47,6 +47,15 @@ def test_a_stowed_arm_moves_only_by_unstowing_and_only_a_stowed_arm_unstows():
 def test_every_move_ends_somewhere():
     moving = {after(mode, event) for mode in Mode for event in MOVES} - {None}
     assert all(after(mode, Event.DONE) is not None for mode in moving)
+
+
+def test_exactly_the_modes_in_which_an_arm_moves_can_be_stopped():
+    moving = {after(mode, event) for mode in Mode for event in MOVES} - {None}
+    assert {mode for mode in Mode if after(mode, Event.STOP) is not None} == moving
+
+
+def test_a_stop_never_takes_an_arm_that_may_touch_into_free_space():
+    assert {after(mode, Event.STOP) for mode in (Mode.GUARDED, Mode.RETRACTING)} == {Mode.GUARDED}
 
 
 def test_every_mode_is_left_by_some_event_and_reached_by_another():

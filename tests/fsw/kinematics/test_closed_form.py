@@ -7,8 +7,9 @@ import pytest
 
 from fsw.dictionary.joints import Tool
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.closed_form import BRANCHES, closed_form, shape
+from fsw.kinematics.closed_form import BRANCHES, closed_form
 from fsw.kinematics.compensation import task_error, task_jacobian
+from fsw.kinematics.shape import shape_of
 from fsw.kinematics.transforms import Pose, cross, dot, rotation_x, rotation_y, rotation_z, wrap_angle
 from tests.fsw.rig import config_of, in_limits
 
@@ -23,7 +24,9 @@ SAME_RAD = 1e-6
 
 def with_tool(R, p_m):
     """The arm of the drawing with this tool frame instead of its tools."""
-    return replace(ARM, X_FT=(Pose(np.array(R), np.array(p_m)),) * len(Tool))
+    X_FT, X_LF = Pose(np.array(R), np.array(p_m)), Pose(ARM.X_CF.R, ARM.X_CF.p + ARM.p_LC_m)
+    shape = shape_of(ARM.theta_rad, X_LF, X_FT)
+    return replace(ARM, X_FT=(X_FT,) * len(Tool), shapes=(shape,) * len(Tool))
 
 
 def skew_tool(seed, offset_m=OFFSET_M, tilt_rad=TILT_RAD):
@@ -61,7 +64,7 @@ def wrist_sine(arm, q, a):
 
 def from_the_azimuth_axis(arm, p, a, tool=TOOL):
     """Distance from the azimuth axis of the position less the tool's radius: the foot on the turret axis."""
-    s = shape(arm, tool)
+    s = arm.shapes[tool]
     foot = s.X_R1.R.T @ (p - s.X_R1.p[:, None]) - s.radius_m * (s.X_R1.R.T @ a)
     return np.hypot(foot[0], foot[1])
 
@@ -76,16 +79,16 @@ def test_there_are_eight_branches_with_names_of_their_own():
 
 @pytest.mark.parametrize("tool", Tool)
 def test_the_drawing_is_square_and_its_tools_radial(tool):
-    s = shape(ARM, tool)
+    s = ARM.shapes[tool]
     assert s.is_exact
     # as exactly as the tool table's angles
     assert abs(s.offset_m) < 1e-15
     assert abs(s.boresight_z) < 1e-15
-    assert not shape(config_of("calibrated:3").arm, tool).is_exact
+    assert not config_of("calibrated:3").arm.shapes[tool].is_exact
 
 
 def test_a_tool_alone_does_not_make_the_arm_less_square():
-    assert shape(skew_tool(1), TOOL).is_exact
+    assert skew_tool(1).shapes[TOOL].is_exact
 
 
 @pytest.mark.parametrize("tool", Tool)
@@ -106,7 +109,7 @@ def tool_of_the_drawing_but(offset_m=0.0, lean_rad=0.0):
 
 
 def test_shape_reads_offset_and_lean_of_a_tool():
-    s = shape(tool_of_the_drawing_but(0.03, 0.2), TOOL)
+    s = tool_of_the_drawing_but(0.03, 0.2).shapes[TOOL]
     assert abs(s.offset_m) == pytest.approx(0.03 / np.cos(0.2), rel=1e-12)
     assert abs(s.boresight_z) == pytest.approx(np.sin(0.2), rel=1e-12)
 

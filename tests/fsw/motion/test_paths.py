@@ -15,12 +15,13 @@ from fsw.dictionary.joints import Tool
 from fsw.estimate.joints import gap_after, load_side
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle
-from fsw.motion.paths import STOP_FACTOR, JointPath, LinePath, Setpoint, joint_path, line_path, stop_path
+from fsw.motion.paths import JointPath, LinePath, Setpoint, joint_path, line_path, stop_path
 from fsw.motion.plan import Plan
 from fsw.motion.plan_line import plan_guarded, plan_retract
-from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, in_limits
+from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, in_limits, with_params
 
 CONFIG = config_of()
+STOP_FACTOR = CONFIG.params.motion.stop_factor
 STRAIGHT_M = 20e-6
 AXIS_RAD = 20e-6
 STEP_M = 1e-6
@@ -98,6 +99,14 @@ def test_a_stop_begins_where_the_move_was_and_slows_every_joint_to_rest(share, a
 def test_a_stop_at_full_speed_takes_less_than_two_tenths_of_a_second():
     path = stop_path(CONFIG, Setpoint(np.zeros(5), CONFIG.speed_rad_s))
     assert path.duration_s < 0.2
+
+
+@pytest.mark.parametrize("factor", [1.0, 10.0])
+def test_a_stop_takes_the_time_that_its_factor_and_the_slowest_joint_need(factor):
+    config = with_params(motion={"stop_factor": factor})
+    path = stop_path(config, Setpoint(np.zeros(5), config.speed_rad_s))
+    slowest_s = (config.speed_rad_s / config.acceleration_rad_s2).max() / factor
+    assert path.duration_s == pytest.approx(max(slowest_s, CYCLE_S), rel=1e-12)
 
 
 def straight(plan) -> LinePath:

@@ -267,6 +267,25 @@ def test_a_line_that_can_be_followed_knot_by_knot_is_planned(tool, pose, length_
     assert isinstance(plan_guarded(CONFIG, joints, rig.touch(tool, length_m)), Plan)
 
 
+@pytest.mark.parametrize(("tool", "pose", "length_m"), FALSELY_OUT_OF_REACH)
+def test_a_line_that_newton_from_its_start_loses_is_followed_on_its_branch_to_its_end(tool, pose, length_m):
+    rig = Rig(CONFIG, start_rad=pose)
+    joints, X = rig.state.joints, rig.tool_pose(tool)
+    at = settle(CONFIG.arm, joints.motor_rad, joints.gap_rad, MARS_R_m_s2).output_rad
+    ahead_m = np.arange(0.0, length_m + 1e-9, CONFIG.params.motion.line_step_m)
+    p, axes = X.p[:, None] + ahead_m * X.R[:, [0]], np.tile(X.R[:, [0]], ahead_m.size)
+    at_once = refine(CONFIG.arm, tool, p, axes, MARS_R_m_s2, np.tile(at[:, None], ahead_m.size))
+    assert not at_once.converged.all()
+    plan = plan_guarded(CONFIG, joints, rig.touch(tool, length_m))
+    for path in plan.paths:
+        angle = np.array([path.at(t).motor_rad for t in np.linspace(0.0, path.duration_s, 500)])
+        assert np.abs(np.diff(angle, axis=0)).max() < 0.05
+    there = settle(CONFIG.arm, plan.motor_rad, plan.gap_rad, MARS_R_m_s2)
+    X_end = tool_pose(CONFIG.arm, there.frames, tool)
+    np.testing.assert_allclose(X_end.p, X.p + length_m * X.R[:, 0], atol=MEETS)
+    np.testing.assert_allclose(X_end.R[:, 0], X.R[:, 0], atol=MEETS)
+
+
 def test_a_line_beyond_a_soft_limit_names_place_joint_and_limits():
     pose = np.array(CONFIG.params.poses.ready_rad)
     pose[0] = CONFIG.arm.soft_max_rad[0] - 0.01

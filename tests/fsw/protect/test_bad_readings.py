@@ -106,7 +106,7 @@ def test_the_aborted_move_is_reported_and_later_moves_are_refused_until_cleared(
     rig.cycle(MoveJoints(floats(START)))
     assert rig.evrs == [CommandRefused("MoveJoints", "a fault stands; clear it first")]
     rig.cycle(ClearFault())
-    assert rig.state.mode is Mode.DEPLOYED
+    assert rig.state.mode is (Mode.DEPLOYED if kind == "joints" else Mode.GUARDED)
 
 
 def test_a_standing_fault_is_said_once():
@@ -159,7 +159,7 @@ def found_in(**readings):
 
 @pytest.mark.parametrize(("name", "place"), PLACES)
 def test_finite_readings_of_any_size_are_finite(name, place):
-    sizes = (0.0, -20.0, 1.0, 5e-324) if name == "gravity_R_m_s2" else (0.0, -1e6, 1e6, 5e-324)
+    sizes = (-20.0, -1.0, 1.0, 20.0) if name == "gravity_R_m_s2" else (0.0, -1e6, 1e6, 5e-324)
     for value in sizes:
         values = np.zeros_like(QUIET[name])
         values[place] = value
@@ -179,29 +179,39 @@ def test_a_wild_but_finite_reading_is_judged_without_a_warning():
         assert all(isinstance(evr, SensorNotFinite | GravityImplausible) for evr in found)
 
 
-BOUND_m_s2 = CONFIG.params.monitors.gravity_max_m_s2
+MIN_m_s2, MAX_m_s2 = CONFIG.params.monitors.gravity_min_m_s2, CONFIG.params.monitors.gravity_max_m_s2
 
 
 @pytest.mark.parametrize("direction", [(0, 0, 1), (0, 0, -1), (0.6, 0, -0.8), (-0.36, 0.48, 0.8)])
-def test_gravity_is_implausible_from_its_bound_on_in_any_direction(direction):
-    for size, said in ((0.0, False), (3.711, False), (0.9999, False), (1.0001, True), (1e3, True)):
-        pull = (size if size == 3.711 else size * BOUND_m_s2) * np.array(direction)
+def test_gravity_is_implausible_outside_its_bounds_in_any_direction(direction):
+    for pull_m_s2, said in (
+        (0.0, True),
+        (5e-324, True),
+        (0.9999 * MIN_m_s2, True),
+        (1.0001 * MIN_m_s2, False),
+        (3.711, False),
+        (0.9999 * MAX_m_s2, False),
+        (1.0001 * MAX_m_s2, True),
+        (1e3 * MAX_m_s2, True),
+    ):
+        pull = pull_m_s2 * np.array(direction)
         found = found_in(gravity_R_m_s2=pull)
         assert bool(found) is said
         if said:
             (evr,) = found
             assert isinstance(evr, GravityImplausible)
-            assert evr.gravity_m_s2 == pytest.approx(size * BOUND_m_s2, rel=1e-12)
-            assert evr.bound_m_s2 == BOUND_m_s2
+            assert evr.gravity_m_s2 == pytest.approx(pull_m_s2, rel=1e-12)
+            assert (evr.min_m_s2, evr.max_m_s2) == (MIN_m_s2, MAX_m_s2)
 
 
+@pytest.mark.parametrize("reads_m_s2", [0.0, 25.0])
 @pytest.mark.parametrize("kind", MOVES)
-def test_an_implausible_gravity_stops_the_arm_in_the_same_cycle_and_is_not_learnt(kind):
+def test_an_implausible_gravity_stops_the_arm_in_the_same_cycle_and_is_not_learnt(kind, reads_m_s2):
     rig = moving(kind)
     before, mode = rig.state.joints.gravity_R_m_s2, rig.state.mode
-    out = rig.cycle(gravity_R_m_s2=[0.0, 0.0, 25.0])
+    out = rig.cycle(gravity_R_m_s2=[0.0, 0.0, reads_m_s2])
     assert out.evrs == (
-        GravityImplausible(25.0, BOUND_m_s2),
+        GravityImplausible(reads_m_s2, MIN_m_s2, MAX_m_s2),
         FaultResponse("BRAKE_AND_REFUSE"),
         ModeChanged(mode, Mode.FAULTED),
     )
@@ -210,10 +220,14 @@ def test_an_implausible_gravity_stops_the_arm_in_the_same_cycle_and_is_not_learn
     np.testing.assert_array_equal(rig.state.joints.gravity_R_m_s2, before)
 
 
-@pytest.mark.parametrize("name", [*QUIET, "gravity_max"])
+@pytest.mark.parametrize("name", [*QUIET, "gravity_min", "gravity_max"])
 def test_the_arm_comes_to_its_brakes_and_power_off_while_the_reading_stays_bad(name):
     rig = moving()
-    bad = {"gravity_R_m_s2": [0, 0, 99.0]} if name == "gravity_max" else spoilt(name, 0, BAD[0])
+    finite_but_bad = {"gravity_min": 0.0, "gravity_max": 99.0}
+    if name in finite_but_bad:
+        bad = {"gravity_R_m_s2": [0, 0, finite_but_bad[name]]}
+    else:
+        bad = spoilt(name, 0, BAD[0])
     rig.run(**bad, at_most=CONFIG.brake_ticks + 2)
     assert not rig.outputs.drive.power_on.any()
     assert CommandAborted("MoveJoints") in rig.evrs

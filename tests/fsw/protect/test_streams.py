@@ -110,7 +110,7 @@ def test_one_wild_encoder_reading_does_not_become_a_set_point_under_power():
     assert (np.abs(drive.setpoint_count - before) <= bound).all()
 
 
-@pytest.mark.parametrize("wild_m_s2", [20.1, 1e6, 1e200])
+@pytest.mark.parametrize("wild_m_s2", [0.0, 0.99, 20.1, 1e6, 1e200])
 def test_one_wild_but_finite_gravity_reading_is_survived(wild_m_s2):
     rig = Rig(CONFIG)
     rig.cycle(gravity_R_m_s2=[0.0, 0.0, wild_m_s2])
