@@ -4,7 +4,9 @@ Exit status: 0 done, 2 bad input, 3 the arm refused or faulted and is safe, 1 a 
 """
 
 import json
+import os
 import sys
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
@@ -15,6 +17,9 @@ if TYPE_CHECKING:
 
 BAD_INPUT = 2
 ARM_SAFE = 3
+
+GL_OFF = ("disable", "disabled", "off", "false", "0")
+"""The values of MUJOCO_GL that mujoco takes for no OpenGL."""
 
 app = typer.Typer(
     name="marsarm",
@@ -85,7 +90,18 @@ def place(
     from ground.report.tables import place_json, place_table
 
     request = PlaceRequest(
-        tool, target, normal, tilt_roll, tilt_pitch, arm, "mars", seed, params, surface, log, picture, movie
+        tool=tool,
+        target_m=target,
+        normal=normal,
+        tilt_roll_deg=tilt_roll,
+        tilt_pitch_deg=tilt_pitch,
+        arm=arm,
+        seed=seed,
+        params=params,
+        has_surface=surface,
+        log=log,
+        picture=None if no_picture else picture,
+        movie=movie,
     )
     try:
         with progress_bar() as progress:
@@ -117,4 +133,21 @@ def _end(message: str, status: int, as_json: bool) -> NoReturn:
 
 def main() -> None:
     """The entry point of the command `marsarm`."""
-    app()
+    _free_of_gl_settings()
+    warnings.simplefilter("ignore", RuntimeWarning)  # numpy's are for developers; users get sentences
+    if "--json" not in sys.argv:
+        app()
+    try:
+        status = app(standalone_mode=False)
+    except typer.TyperException as error:  # wrong usage, which typer would print in a box
+        message = error.format_message()
+        print(json.dumps({"error": message}))
+        print(message, file=sys.stderr)
+        status = error.exit_code
+    sys.exit(status)
+
+
+def _free_of_gl_settings() -> None:
+    """Before mujoco is imported: a MUJOCO_GL that it cannot serve stops the import. Pictures need none."""
+    if os.environ.get("MUJOCO_GL", "").lower().strip() not in GL_OFF:
+        os.environ.pop("MUJOCO_GL", None)

@@ -6,13 +6,24 @@ import math
 import tomllib
 from collections.abc import Iterator
 from dataclasses import asdict, fields, is_dataclass
+from datetime import date, time
 from importlib import resources
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Any, Final, get_type_hints
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from fsw.dictionary.params import Limits, Params
+from fsw.dictionary.params import Limits, Matrix6, Params
+
+METRES: Final = Limits(-5.0, 5.0)
+"""For the components of every vector in metres."""
+SHORTEST_LINK_M: Final = 0.05
+"""Of upper arm and forearm: with none, the elbow moves nothing."""
+MOST_SKEW_RAD: Final = 0.5
+"""How far the azimuth and the turret axis may be from square to the axes beside them."""
+ROUNDING: Final = 1e-12
+"""Relative; what is left of arithmetic in a matrix that ought to be symmetric."""
 
 
 class BadParams(ValueError):
@@ -34,7 +45,7 @@ def params_over_nominal(path: Path) -> Params:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise BadParams(f"{path}: cannot be read: {error}") from error
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # torn, or a number or a list without end
         raise BadParams(f"{path}: is not TOML: {error}") from error
     return _validated(_merged(_nominal_table(), table), str(path))
 
@@ -54,15 +65,36 @@ def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 
 def _validated(table: dict[str, Any], name: str) -> Params:
+    _refuse(name, _dates(table))
     try:
         params = _ADAPTER.validate_json(json.dumps(table), strict=True, extra="forbid")
     except ValidationError as error:
-        lines = [f"{name}: {'.'.join(str(p) for p in e['loc'])}: {e['msg']}" for e in error.errors()]
+        lines = [f"{name}: {'.'.join(str(p) for p in e['loc'])}: {_said(e)}" for e in error.errors()]
         raise BadParams("\n".join(lines)) from error
-    problems = [f"{name}: {problem}" for problem in out_of_limits(params)]
-    if problems:
-        raise BadParams("\n".join(problems))
+    _refuse(name, out_of_limits(params))
+    _refuse(name, not_an_arm(params))
     return params
+
+
+def _refuse(name: str, problems: Iterator[str]) -> None:
+    lines = [f"{name}: {problem}" for problem in problems]
+    if lines:
+        raise BadParams("\n".join(lines))
+
+
+def _said(error: Any) -> str:
+    """What pydantic says, without the words of a call."""
+    unknown = error["type"] in ("unexpected_keyword_argument", "extra_forbidden")
+    return "is not a parameter" if unknown else str(error["msg"])
+
+
+def _dates(value: Any, place: str = "") -> Iterator[str]:
+    """Sentences about dates and times, which TOML has and parameters have not."""
+    if isinstance(value, date | time):
+        yield f"{place}: {value} is a date or a time; no parameter is one"
+    elif isinstance(value, dict | list):
+        for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from _dates(item, f"{place}.{key}" if place else str(key))
 
 
 def digest(params: Params) -> str:
@@ -83,9 +115,56 @@ def out_of_limits(record: Any, place: str = "") -> Iterator[str]:
         for limits in getattr(hints[field.name], "__metadata__", ()):
             if isinstance(limits, Limits) and not limits.low <= value <= limits.high:
                 yield f"{where}: {value} is outside {limits.low} .. {limits.high}"
+        if field.name.endswith("_m") and isinstance(value, tuple):
+            for k, component in enumerate(value):
+                if not METRES.low <= component <= METRES.high:
+                    yield f"{where}.{k}: {component} is outside {METRES.low} .. {METRES.high}"
     low, high = getattr(record, "soft_min_rad", 0.0), getattr(record, "soft_max_rad", 1.0)
     if not low < high:
         yield f"{place}soft_min_rad: {low} is not below soft_max_rad {high}"
+
+
+def not_an_arm(params: Params) -> Iterator[str]:
+    """Sentences about numbers, each within its limits, that together are no arm that could be flown."""
+    for field in fields(params.links):
+        link, where = getattr(params.links, field.name), f"links.{field.name}"
+        problem = _no_spring(link.compliance)
+        if problem is not None:
+            yield f"{where}.compliance: {problem}"
+        if field.name in ("arm3", "arm4") and link.transform.a_m < SHORTEST_LINK_M:
+            yield f"{where}.transform.a_m: {link.transform.a_m} is below {SHORTEST_LINK_M}, the shortest link"
+        skew = abs(abs(link.transform.alpha_rad) - 0.5 * math.pi)
+        if field.name in ("arm2", "arm5") and skew > MOST_SKEW_RAD:
+            yield (
+                f"{where}.transform.alpha_rad: {link.transform.alpha_rad} is not within {MOST_SKEW_RAD} "
+                "of a right angle, 1.5708 or -1.5708"
+            )
+    poses = {"stowed_rad": params.poses.stowed_rad, "ready_rad": params.poses.ready_rad}
+    poses |= {f"unstow_via_rad.{k}": via for k, via in enumerate(params.poses.unstow_via_rad)}
+    for name, pose in poses.items():
+        for field, joint, angle in zip(fields(params.joints), params.joints.in_order(), pose, strict=True):
+            if not joint.soft_min_rad <= angle <= joint.soft_max_rad:
+                yield (
+                    f"poses.{name}: joint {field.name}: {angle} is outside its soft limits "
+                    f"{joint.soft_min_rad:.6g} .. {joint.soft_max_rad:.6g}"
+                )
+
+
+def _no_spring(compliance: Matrix6) -> str | None:
+    """Why no spring has this compliance; measured in units in which its diagonal is 1."""
+    C = np.array(compliance)
+    unit = np.sqrt(np.abs(np.diag(C)))
+    scale = np.outer(unit, unit)
+    lopsided = np.abs(C - C.T) > ROUNDING * scale
+    if np.any(lopsided):
+        row, column = np.argwhere(lopsided)[0]
+        there, across = C[row, column], C[column, row]
+        return f"is not symmetric: {there} at [{row}][{column}], {across} across the diagonal"
+    gives = np.where(unit > 0, unit, 1.0)
+    weakest = np.linalg.eigvalsh(C / np.outer(gives, gives)).min()
+    if np.any(np.abs(C) > scale * (1 + ROUNDING)) or weakest < -ROUNDING:
+        return "is not positive semidefinite: under some load the link would give way against the load"
+    return None
 
 
 def _numbers(value: Any) -> Iterator[float]:

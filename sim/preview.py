@@ -4,18 +4,20 @@ It knows what flight software knows, the nominal model of rover and terrain, and
 """
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from typing import Final
 
 import mujoco
 import numpy as np
 
 from fsw.config import Config, configure
+from fsw.dictionary.joints import Tool
 from fsw.estimate.joints import JointEstimate, unreferenced
+from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.statics import Equilibrium, settle
 from fsw.kinematics.transforms import Array
-from fsw.motion.paths import Path, joint_path
-from fsw.motion.plan import Refusal
+from fsw.motion.paths import Path
+from fsw.motion.plan import Plan, Refusal, plan_poses
 from fsw.motion.plan_line import plan_guarded
 from fsw.motion.plan_tool import AUTO, plan_tool
 from sim.arms import BuiltArm
@@ -24,10 +26,16 @@ from sim.placement import Placement, placement_moves
 from sim.plant import Plant
 from sim.world import World, build
 
-VIA_M = 0.25
-CLEARANCE_M = 0.03
-SPACING_RAD = 0.02
-SPRINGS = ("rover", "link1", "link2", "link3", "link4")
+VIA_M: Final = 0.25
+CLEARANCE_M: Final = 0.03
+STOW_CLEARANCE_M: Final = 0.01
+"""While unstowing: the stowed arm lies 15 mm beside its own shoulder."""
+TOUCH_CLEARANCE_M: Final = 0.002
+"""Along the guarded line: what is to touch is beside much that is not."""
+SPACING_RAD: Final = 0.02
+SPACING_M: Final = 0.001
+"""On a guarded line; less than its clearance."""
+SPRINGS: Final = ("rover", "link1", "link2", "link3", "link4")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,8 +50,11 @@ class Preview:
     """Motor angles at the standoff."""
 
 
-def preview(arm: BuiltArm, world: World, placement: Placement) -> Preview:
-    """The quickest free way from the ready pose, straight to the standoff or from above, on any branch."""
+def preview(arm: BuiltArm, world: World, placement: Placement, stowed: bool = False) -> Preview:
+    """The quickest free way from the ready pose, straight to the standoff or from above, on any branch.
+
+    From the stowed pose the way to the ready pose must be free too, and it is the same for every branch.
+    """
     config = configure(arm.params, digest(arm.params))
     spec = build(world)
     for geom in spec.geoms:
@@ -51,6 +62,10 @@ def preview(arm: BuiltArm, world: World, placement: Placement) -> Preview:
     plant = Plant(spec.compile())
     ready = np.array(arm.params.poses.ready_rad)
     joints = replace(unreferenced(5), motor_rad=ready, gravity_R_m_s2=world.gravity_N_m_s2)
+    if stowed:
+        hit = _unstow_hit(config, plant, joints)
+        if hit is not None:
+            return _no(placement, f"{hit} on the way from the stowed to the ready pose")
     tried = []
     for via_m in (0.0, VIA_M):
         for branch in (AUTO, *BRANCHES):
@@ -63,9 +78,23 @@ def preview(arm: BuiltArm, world: World, placement: Placement) -> Preview:
 
 def unstow_s(arm: BuiltArm) -> float:
     """How long the arm takes from the stowed to the ready pose."""
-    config, poses = configure(arm.params, digest(arm.params)), arm.params.poses
-    way = [np.array(pose) for pose in (poses.stowed_rad, *poses.unstow_via_rad, poses.ready_rad)]
-    return sum(joint_path(config, start, end).duration_s for start, end in pairwise(way))
+    plan = _unstow(configure(arm.params, digest(arm.params)), unreferenced(5))
+    return 0.0 if isinstance(plan, Refusal) else sum(path.duration_s for path in plan.paths)
+
+
+def _unstow(config: Config, joints: JointEstimate) -> Plan | Refusal:
+    poses = config.params.poses
+    way = [np.array(pose) for pose in (*poses.unstow_via_rad, poses.ready_rad)]
+    return plan_poses(config, replace(joints, motor_rad=np.array(poses.stowed_rad)), way)
+
+
+def _unstow_hit(config: Config, plant: Plant, joints: JointEstimate) -> str | None:
+    plan = _unstow(config, joints)
+    if isinstance(plan, Refusal):
+        return plan.reason
+    ways = (_poses(config, joints, path) for path in plan.paths)
+    hits = (_first_hit(plant, way, STOW_CLEARANCE_M) for way in ways)
+    return next((hit for hit in hits if hit is not None), None)
 
 
 def _try(config: Config, plant: Plant, joints: JointEstimate, placement: Placement) -> Preview:
@@ -75,15 +104,18 @@ def _try(config: Config, plant: Plant, joints: JointEstimate, placement: Placeme
         plan = plan_tool(config, joints, move)
         if isinstance(plan, Refusal):
             return _no(placement, plan.reason)
-        hit = _first_hit(plant, _poses(config, joints, plan.paths[0]))
+        hit = _first_hit(plant, _poses(config, joints, plan.paths[0]), CLEARANCE_M)
         if hit is not None:
             return _no(placement, f"{plan.branch}: {hit} on the way to the standoff")
         duration += plan.paths[0].duration_s
-        joints = replace(joints, motor_rad=plan.motor_rad)
+        joints = replace(joints, motor_rad=plan.motor_rad, gap_rad=plan.gap_rad)
         placement = replace(placement, branch=plan.branch or AUTO)
     line = plan_guarded(config, joints, touch)
     if isinstance(line, Refusal):
         return _no(placement, line.reason)
+    hit = _first_hit(plant, _approach(config, joints, line, placement), TOUCH_CLEARANCE_M, placement.tool)
+    if hit is not None:
+        return _no(placement, f"{placement.branch}: {hit} on the way from the standoff to the target")
     return Preview(placement, None, duration + line.paths[0].duration_s, joints.motor_rad)
 
 
@@ -98,8 +130,22 @@ def _poses(config: Config, joints: JointEstimate, path: Path) -> Equilibrium:
     return settle(config.arm, way, np.zeros_like(way), joints.gravity_R_m_s2)
 
 
-def _first_hit(plant: Plant, poses: Equilibrium) -> str | None:
-    """Which two geoms meet first at these poses."""
+def _approach(config: Config, joints: JointEstimate, line: Plan, placement: Placement) -> Equilibrium:
+    """The poses along a guarded line up to the target; what lies beyond it is only looked for."""
+    samples = round((placement.standoff_m + placement.overtravel_m) / SPACING_M)
+    way = [path.at(t).motor_rad for path in line.paths for t in np.linspace(0, path.duration_s, samples)]
+    motor, gap = np.array(way).T, line.gap_rad[:, None]
+    poses = settle(config.arm, motor, gap, joints.gravity_R_m_s2)
+    _, touch = placement_moves(placement)
+    from_end = tool_pose(config.arm, poses.frames, placement.tool).p - np.array(touch.end_p_RoTo_R_m)[:, None]
+    before = -np.array(touch.approach_R) @ from_end >= placement.overtravel_m
+    return settle(config.arm, motor[:, before], gap, joints.gravity_R_m_s2)
+
+
+def _first_hit(
+    plant: Plant, poses: Equilibrium, clearance_m: float, touching: Tool | None = None
+) -> str | None:
+    """Which two geoms come too close first at these poses; the pads of a tool may touch the rock face."""
     model, data = plant.model, plant.data
     springs = np.array(
         [
@@ -112,9 +158,19 @@ def _first_hit(plant: Plant, poses: Equilibrium) -> str | None:
         data.qpos[springs] = strain[:, : len(SPRINGS)].T
         mujoco.mj_kinematics(model, data)
         mujoco.mj_collision(model, data)
-        if data.ncon:
-            return " meets ".join(_geom_name(model, geom) for geom in data.contact[0].geom)
+        for contact in data.contact:
+            names = [_geom_name(model, geom) for geom in contact.geom]
+            if contact.dist < clearance_m and not _meant(names, touching):
+                return " meets ".join(names)
     return None
+
+
+def _meant(names: list[str], touching: Tool | None) -> bool:
+    """Whether a tool meets the rock face with its pads."""
+    if touching is None or "rock_face" not in names:
+        return False
+    pads = touching.name.lower() + "_"
+    return any(name.startswith(pads) and name.endswith("_pad") for name in names)
 
 
 def _geom_name(model: mujoco.MjModel, geom: int) -> str:

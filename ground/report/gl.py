@@ -1,7 +1,8 @@
 """OpenGL without a display: whether this machine has it, and a camera that uses it.
 
 The context is made here and not by MUJOCO_GL=egl: on a machine without libEGL that setting breaks the
-import of mujoco itself, and it has no effect once mujoco has been imported. Where MUJOCO_GL is set, it rules.
+import of mujoco itself, and it has no effect once mujoco has been imported. Where MUJOCO_GL is set, it rules;
+the command line lets only the values through that turn OpenGL off.
 """
 
 import functools

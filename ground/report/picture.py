@@ -61,7 +61,7 @@ def save_picture(
     Raises:
         PictureError: the path cannot be written, there is no such camera, or the size is not positive.
     """
-    file = check_path(path, ".png")
+    file = check_path(path, ".png", "picture")
     eye, shown = _open(model, camera, file, size)
     if eye is None:
         return shown
@@ -90,7 +90,7 @@ def save_movie(
     Raises:
         PictureError: the path cannot be written, there is no such camera, or the size is not positive.
     """
-    file = check_path(path, ".gif")
+    file = check_path(path, ".gif", "movie")
     eye, shown = _open(model, camera, file, size)
     if eye is None:
         return shown
@@ -117,7 +117,7 @@ def write_gif(frames: Iterable[Image], path: str | os.PathLike[str], frames_per_
     """
     import PIL.Image
 
-    file = check_path(path, ".gif")
+    file = check_path(path, ".gif", "movie")
     images = [PIL.Image.fromarray(frame).quantize(128, dither=PIL.Image.Dither.NONE) for frame in frames]
     if not images:
         raise PictureError(f"movie {file}: there is no frame to write")
@@ -125,21 +125,30 @@ def write_gif(frames: Iterable[Image], path: str | os.PathLike[str], frames_per_
     images[0].save(file, save_all=True, append_images=images[1:], duration=duration_ms, loop=0)
 
 
-def check_path(path: str | os.PathLike[str], suffix: str) -> Path:
-    """Give the path back if a picture can be written there.
+def check_path(path: str | os.PathLike[str], suffix: str, what: Literal["picture", "movie"]) -> Path:
+    """Give the path back if a picture or movie can be written there.
 
     Raises:
-        PictureError: wrong suffix, no such folder, or no right to write.
+        PictureError: wrong suffix, no such folder, a name that cannot be, or no right to write.
     """
     file = Path(path)
     if file.suffix.lower() != suffix:
-        raise PictureError(f"picture {file}: its name must end in {suffix}")
-    if not file.parent.is_dir():
-        raise PictureError(f"picture {file}: there is no folder {file.parent}")
-    if file.is_dir():
-        raise PictureError(f"picture {file}: this is a folder; name a file in it")
-    if not os.access(file if file.exists() else file.parent, os.W_OK):
-        raise PictureError(f"picture {file}: no right to write there")
+        raise PictureError(f"{what} {file}: its name must end in {suffix}")
+    if not os.path.isdir(file.parent):  # unlike Path.is_dir, False for any bad name
+        raise PictureError(f"{what} {file}: there is no folder {file.parent}")
+    if os.path.isdir(file):
+        raise PictureError(f"{what} {file}: this is a folder; name a file in it")
+    exists = os.path.exists(file)
+    try:
+        file.lstat()
+        if not exists:
+            raise PictureError(f"{what} {file}: this is a link to {os.readlink(file)}, which is not there")
+    except FileNotFoundError:
+        pass  # a new file
+    except OSError as error:
+        raise PictureError(f"{what} {file}: cannot be written ({error.strerror})") from error
+    if not os.access(file if exists else file.parent, os.W_OK):
+        raise PictureError(f"{what} {file}: no right to write there")
     return file
 
 

@@ -1,6 +1,7 @@
 """`marsarm place` as a user meets it: what it prints, what it refuses, and what it leaves on the disk."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,9 +14,17 @@ PARAMS_BEYOND = "[joints.elbow]\nspeed_rad_s = 5.0\n"
 PARAMS_UNKNOWN = "[joints.elbow]\nspede_rad_s = 0.01\n"
 
 
-def marsarm(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+PARAMS_GOOD = "[joints.elbow]\nspeed_rad_s = 0.01\n"
+PARAMS_THROUGH = "[poses]\nunstow_via_rad = [[-3.0, 0.0, 0.0, 0.0, 0.0]]\n"
+PARAMS_DATE = "[joints.elbow]\nspeed_rad_s = 2012-08-06\n"
+
+
+def marsarm(folder: Path, *words: str, **variables: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-c", "from ground.cli import main; main()", *words]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    env = os.environ | variables
+    return subprocess.run(
+        command, cwd=folder, env=env, capture_output=True, text=True, timeout=300, check=False
+    )
 
 
 BAD = {
@@ -25,6 +34,9 @@ BAD = {
         "joint elevation: -199",
     ),
     "normal without length": (("--normal", "0", "0", "0"), "no direction"),
+    "normal next to nothing": (("--normal", "0", "2e-9", "0"), "normal: 0 2e-09 0 has no direction"),
+    "normal too long for a square": (("--normal", "1e200", "0", "1e200"), "cannot be reached"),
+    "too far for a square": (("--target", "1e200", "0", "0"), "target: 1e+200 0 0 m is farther than 100 m"),
     "NaN target": (("--target", "nan", "0", "0"), "finite"),
     "infinite normal": (("--normal", "0", "inf", "0"), "finite"),
     "NaN tilt": (("--tilt-roll", "nan"), "finite"),
@@ -33,13 +45,25 @@ BAD = {
     "no such tool": (("--tool", "spoon"), "drill, drt, mahli, apxs"),
     "a tool that cannot touch": (("--tool", "portion"), "contact switches"),
     "too much roll": (("--tilt-roll", "30.1"), "up to 30 deg"),
+    "a hair too much roll": (("--tilt-roll", "30.0001"), "by 30.0001 deg"),
+    "a whole turn": (("--tilt-pitch", "-360"), "by 360 deg"),
     "too much of both": (("--tilt-roll", "25", "--tilt-pitch", "25"), "34.8 deg"),
     "no such arm": (("--arm", "as-built"), "as-built:SEED"),
     "negative seed": (("--seed", "-1"), "negative"),
     "log in no folder": (("--log", "nowhere/run.mcap"), "nowhere"),
-    "log is a folder": (("--log", "."), "directory"),
+    "log is a folder": (("--log", "folder.mcap"), "directory"),
+    "log of another kind": (("--log", "run.png"), "must end in .mcap"),
+    "log over params": (("--params", "good.toml", "--log", "./good.toml"), "the file of params"),
+    "log over linked params": (("--params", "link.mcap", "--log", "good.toml"), "the file of params"),
+    "picture over log": (("--log", "a.png", "--picture", "a.png"), "the file of log"),
+    "movie over picture": (("--picture", "a.png", "--movie", "folder.mcap/../a.png"), "the file of picture"),
     "picture in no folder": (("--picture", "nowhere/p.png"), "nowhere"),
     "picture of another kind": (("--picture", "p.jpg"), ".png"),
+    "picture with a long name": (("--picture", "p" * 300 + ".png"), "too long"),
+    "picture to a link to nothing": (("--picture", "dangling.png"), "link to nothing"),
+    "movie of another kind": (("--movie", "m.png"), "movie m.png: its name must end in .gif"),
+    "params with a date": (("--params", "date.toml"), "joints.elbow.speed_rad_s: 2012-08-06 is a date"),
+    "unstowing through the rover": (("--params", "through.toml"), "from the stowed to the ready pose"),
     "params missing": (("--params", "none.toml"), "none.toml"),
     "params beyond limits": (("--params", "beyond.toml"), "joints.elbow.speed_rad_s"),
     "params unknown": (("--params", "unknown.toml"), "joints.elbow.spede_rad_s"),
@@ -50,6 +74,12 @@ BAD = {
 def test_bad_input_is_a_sentence_and_status_2_and_writes_nothing(tmp_path, case):
     (tmp_path / "beyond.toml").write_text(PARAMS_BEYOND)
     (tmp_path / "unknown.toml").write_text(PARAMS_UNKNOWN)
+    (tmp_path / "through.toml").write_text(PARAMS_THROUGH)
+    (tmp_path / "date.toml").write_text(PARAMS_DATE)
+    (tmp_path / "good.toml").write_text(PARAMS_GOOD)
+    (tmp_path / "folder.mcap").mkdir()
+    (tmp_path / "link.mcap").symlink_to("good.toml")
+    (tmp_path / "dangling.png").symlink_to("nothing")
     before = sorted(tmp_path.iterdir())
     words, said = BAD[case]
     log = () if "--log" in words else ("--log", "run.mcap")
@@ -57,14 +87,26 @@ def test_bad_input_is_a_sentence_and_status_2_and_writes_nothing(tmp_path, case)
     assert done.returncode == 2
     assert said in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
+    assert "Warning" not in done.stderr
     assert done.stdout == ""
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_bad_input_with_json_is_still_one_document(tmp_path):
-    done = marsarm(tmp_path, "place", "--json", "--tool", "spoon")
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--tool", "spoon"), "spoon"),
+        (("--target", "a", "b", "c"), "'--target': Input should be a valid number"),
+        (("--target", "1"), "3 arguments"),
+        (("--sped", "1"), "--sped"),
+    ],
+    ids=["no such tool", "no numbers", "too few numbers", "no such option"],
+)
+def test_bad_input_with_json_is_still_one_document(tmp_path, words, said):
+    done = marsarm(tmp_path, "place", "--json", *words)
     assert done.returncode == 2
-    assert "spoon" in json.loads(done.stdout)["error"]
+    assert said in json.loads(done.stdout)["error"]
+    assert done.stderr.strip() == json.loads(done.stdout)["error"]
 
 
 @pytest.fixture(scope="module")
@@ -106,12 +148,26 @@ def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on(tmp_path)
     assert done.returncode == 3
     report = json.loads(done.stdout)
     assert report["outcome"] == "faulted"
+    assert report["picture"] is None
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
     assert report["error_mm"] is None
     assert "NoContact" in [evr["name"] for evr in report["evrs"]]
     assert "Retract accepted" not in [evr["message"] for evr in report["evrs"]]
     log = read_log(tmp_path / "run.mcap")
     assert not log["/drive"]["brake_release"][-1].any()
     assert not log["/drive"]["power_on"][-1].any()
+
+
+def test_a_setting_of_opengl_that_is_not_there_does_not_stop_a_run(tmp_path):
+    done = marsarm(tmp_path, "place", "--no-surface", "--json", MUJOCO_GL="osmesa")
+    assert done.returncode == 3, done.stderr
+    assert (tmp_path / json.loads(done.stdout)["picture"]).stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("value", ["nonsense", "egl", "off", " OFF "])
+def test_no_setting_of_opengl_stops_the_import(tmp_path, value):
+    done = marsarm(tmp_path, "place", "--tool", "spoon", MUJOCO_GL=value)
+    assert (done.returncode, done.stderr.split(":")[0]) == (2, "tool")
 
 
 def test_help_comes_with_an_example(tmp_path):

@@ -168,11 +168,14 @@ def test_movie_has_a_frame_for_each_pose(model, tmp_path, monkeypatch, wanted):
         ("file.txt/scene.png", "there is no folder"),
         ("scene.jpg", r"must end in \.png"),
         ("scene", r"must end in \.png"),
+        ("s" * 300 + ".png", "too long"),
+        ("dangling.png", "a link to nothing, which is not there"),
     ],
 )
 def test_bad_path_is_refused_before_any_work(model, data, tmp_path, monkeypatch, path, complaint):
     (tmp_path / "folder.png").mkdir()
     (tmp_path / "file.txt").touch()
+    (tmp_path / "dangling.png").symlink_to("nothing")
     monkeypatch.setattr(gl, "why_not", lambda: pytest.fail("work was done"))
     before = sorted(tmp_path.rglob("*"))
 
@@ -197,6 +200,18 @@ def test_unknown_camera_names_the_cameras_there_are(model, data, tmp_path):
 def test_size_must_be_positive(model, data, tmp_path):
     with pytest.raises(PictureError, match="size 0 x 10"):
         save_picture(model, data, "front", tmp_path / "scene.png", (0, 10))
+
+
+def test_a_movie_is_called_a_movie(model, tmp_path):
+    with pytest.raises(PictureError, match=r"movie .*lift\.mp4: its name must end in \.gif"):
+        save_movie(model, [], "front", tmp_path / "lift.mp4")
+
+
+def test_a_link_to_a_file_may_be_written(model, data, tmp_path):
+    (tmp_path / "there.png").touch()
+    (tmp_path / "link.png").symlink_to("there.png")
+    save_picture(model, data, "front", tmp_path / "link.png", (32, 24))
+    assert pixels(tmp_path / "there.png").shape == (24, 32, 3)
 
 
 def test_movie_without_frames_is_refused(tmp_path):
