@@ -116,7 +116,8 @@ def _try(config: Config, plant: Plant, joints: JointEstimate, placement: Placeme
     hit = _first_hit(plant, _approach(config, joints, line, placement), TOUCH_CLEARANCE_M, placement.tool)
     if hit is not None:
         return _no(placement, f"{placement.branch}: {hit} on the way from the standoff to the target")
-    return Preview(placement, None, duration + line.paths[0].duration_s, joints.motor_rad)
+    duration += sum(path.duration_s for path in line.paths)
+    return Preview(placement, None, duration, joints.motor_rad)
 
 
 def _no(placement: Placement, problem: str) -> Preview:
