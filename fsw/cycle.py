@@ -53,28 +53,10 @@ def _decide(
     """Commands change what the arm is about to do."""
     if not commands:
         return state, ()
-    now = Situation(
-        state.mode,
-        state.tool,
-        state.joints,
-        state.planned_gap_rad,
-        state.move,
-        state.fault,
-        usable,
-        touching=bool(sensors.switch_closed.any()),
-    )
+    now = Situation(state, usable, touching=bool(sensors.switch_closed.any()))
     for command in commands:
         now = handle(config, now, command)
-    state = replace(
-        state,
-        mode=now.mode,
-        tool=now.tool,
-        joints=now.joints,
-        planned_gap_rad=now.gap_rad,
-        move=now.move,
-        fault=now.fault,
-    )
-    return state, now.evrs
+    return now.state, now.evrs
 
 
 def _move(config: Config, state: State, sensors: Sensors, usable: bool) -> tuple[State, tuple[Evr, ...]]:

@@ -26,7 +26,6 @@ from fsw.dictionary.evrs import (
     FaultCleared,
     ReferenceSet,
 )
-from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
 from fsw.estimate.joints import JointEstimate, set_reference
 from fsw.executive.checks import MoveCommand, malformed
@@ -37,20 +36,14 @@ from fsw.motion.paths import Setpoint
 from fsw.motion.plan import Plan, Refusal, over_limits, plan_poses, worst_limit
 from fsw.motion.plan_line import plan_guarded, plan_retract
 from fsw.motion.plan_tool import plan_tool
-from fsw.protect.guard import StandingFault
+from fsw.state import State
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Situation:
     """What commands act on; each returns it changed."""
 
-    mode: Mode
-    tool: Tool
-    joints: JointEstimate
-    gap_rad: Array
-    """What the set-points allow for."""
-    move: Move | None
-    fault: StandingFault | None
+    state: State
     usable: bool
     """Whether this cycle's readings are."""
     touching: bool
@@ -86,33 +79,34 @@ def _begin_move(config: Config, now: Situation, command: MoveCommand) -> Situati
     problem = _not_now(now) or malformed(command)
     if problem is not None:
         return _refused(now, command, problem)
-    mode = after(now.mode, _EVENT_OF[type(command)])
+    mode = after(now.state.mode, _EVENT_OF[type(command)])
     if mode is None:
-        return _refused(now, command, f"not allowed in mode {now.mode.name}")
-    plan = _plan(config, now.joints, command)
+        return _refused(now, command, f"not allowed in mode {now.state.mode.name}")
+    plan = _plan(config, now.state.joints, command)
     if isinstance(plan, Refusal):
         return _refused(now, command, plan.reason)
-    tool = now.tool if isinstance(command, Unstow | MoveJoints) else command.tool
+    tool = now.state.tool if isinstance(command, Unstow | MoveJoints) else command.tool
     move = Move(
         command=_name(command),
         end_mode=TRANSITIONS[mode, Event.DONE],
         paths=plan.paths,
-        hold=Setpoint(now.joints.motor_rad, np.zeros_like(now.joints.motor_rad)),
+        hold=Setpoint(now.state.joints.motor_rad, np.zeros_like(now.state.joints.motor_rad)),
         guarded=tool if isinstance(command, GuardedMove) else None,
     )
     evrs: tuple[Evr, ...] = (CommandAccepted(_name(command)),)
     if plan.branch is not None:
         evrs = (*evrs, BranchChosen(tool, plan.branch))
-    return replace(now, mode=mode, tool=tool, move=move, gap_rad=plan.gap_rad, evrs=(*now.evrs, *evrs))
+    state = replace(now.state, mode=mode, tool=tool, move=move, planned_gap_rad=plan.gap_rad)
+    return replace(now, state=state, evrs=(*now.evrs, *evrs))
 
 
 def _not_now(now: Situation) -> str | None:
     """Why no move can begin in this situation."""
-    if now.mode is Mode.FAULTED:
+    if now.state.mode is Mode.FAULTED:
         return "a fault stands; clear it first"
-    if now.move is not None:
-        return f"{now.move.command} is under way"
-    if not now.joints.referenced:
+    if now.state.move is not None:
+        return f"{now.state.move.command} is under way"
+    if not now.state.joints.referenced:
         return "the encoders have no reference; set it first"
     return None if now.usable else "a reading is unusable"
 
@@ -138,19 +132,20 @@ def _set_reference(config: Config, now: Situation, command: SetReference) -> Sit
     problem = _wrong_reference(config, now, command)
     if problem is not None:
         return _refused(now, command, problem)
-    joints = set_reference(config, now.joints, command)
+    joints = set_reference(config, now.state.joints, command)
     evrs = (*now.evrs, ReferenceSet(), CommandCompleted(_name(command)))
-    mode = after(now.mode, Event.AT_STOW if _at_stow(config, joints.motor_rad) else Event.AWAY)
-    mode = now.mode if mode is None else mode
-    return replace(now, mode=mode, joints=joints, gap_rad=joints.gap_rad, evrs=evrs)
+    mode = after(now.state.mode, Event.AT_STOW if _at_stow(config, joints.motor_rad) else Event.AWAY)
+    mode = now.state.mode if mode is None else mode
+    state = replace(now.state, mode=mode, joints=joints, planned_gap_rad=joints.gap_rad)
+    return replace(now, state=state, evrs=evrs)
 
 
 def _wrong_reference(config: Config, now: Situation, command: SetReference) -> str | None:
     told = np.array(command.motor_rad)
-    if now.mode is Mode.FAULTED:
+    if now.state.mode is Mode.FAULTED:
         return "a fault stands; clear it first"
-    if now.move is not None:
-        return f"{now.move.command} is under way"
+    if now.state.move is not None:
+        return f"{now.state.move.command} is under way"
     if not now.usable:
         return "a reading is unusable"
     if not np.all(np.isfinite(told)):
@@ -163,13 +158,15 @@ def _wrong_reference(config: Config, now: Situation, command: SetReference) -> s
 
 
 def _clear_fault(config: Config, now: Situation, command: ClearFault) -> Situation:
-    mode = after(now.mode, _clearing(config, now))
+    mode = after(now.state.mode, _clearing(config, now))
     if mode is None:
         return _refused(now, command, "no fault stands")
-    if now.move is not None:
+    if now.state.move is not None:
         return _refused(now, command, "the arm is still being stopped")
     return replace(
-        now, mode=mode, fault=None, evrs=(*now.evrs, FaultCleared(), CommandCompleted(_name(command)))
+        now,
+        state=replace(now.state, mode=mode, fault=None),
+        evrs=(*now.evrs, FaultCleared(), CommandCompleted(_name(command))),
     )
 
 
@@ -178,9 +175,11 @@ def _clearing(config: Config, now: Situation) -> Event:
 
     An arm that faulted in a guarded move or a retraction may touch, whatever its switches say.
     """
-    if now.touching or (now.fault is not None and now.fault.mode in (Mode.GUARDED, Mode.RETRACTING)):
+    if now.touching or (
+        now.state.fault is not None and now.state.fault.mode in (Mode.GUARDED, Mode.RETRACTING)
+    ):
         return Event.CLEAR_TOUCHING
-    at_stow = now.joints.referenced and _at_stow(config, now.joints.motor_rad)
+    at_stow = now.state.joints.referenced and _at_stow(config, now.state.joints.motor_rad)
     return Event.CLEAR_STOWED if at_stow else Event.CLEAR
 
 
@@ -190,9 +189,10 @@ def _at_stow(config: Config, motor_rad: Array) -> bool:
 
 def _stop(config: Config, now: Situation, command: Stop) -> Situation:
     evrs = (*now.evrs, CommandCompleted(_name(command)))
-    if now.move is None or now.mode is Mode.FAULTED:
+    if now.state.move is None or now.state.mode is Mode.FAULTED:
         return replace(now, evrs=evrs)
-    return replace(now, move=stop(config, now.move, TRANSITIONS[now.mode, Event.STOP]), evrs=evrs)
+    stopping = stop(config, now.state.move, TRANSITIONS[now.state.mode, Event.STOP])
+    return replace(now, state=replace(now.state, move=stopping), evrs=evrs)
 
 
 def _refused(now: Situation, command: Command, reason: str) -> Situation:

@@ -46,7 +46,7 @@ class Move:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Advance:
-    """A move one cycle on: the move or None when it is over, what happened, and whether that is a fault."""
+    """A move one cycle on: the move or None when it is over, what happened, and the mode it ends in."""
 
     move: Move | None
     evrs: tuple[Evr, ...] = ()
