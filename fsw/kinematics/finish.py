@@ -50,8 +50,9 @@ class Finish:
     def __call__(self, start: Array, wanted: Flags, close: Flags, shape_of: tuple[int, ...]) -> Finished:
         """The wanted roots from their starts (5, n); close to a fold with a Jacobian in every step."""
         done = self._from(start, wanted & ~close)
-        if close.any():
-            done = _merged(done, self._from(start, wanted & close, 1), wanted & close)
+        near_fold = wanted & close
+        if near_fold.any():
+            done = _merged(done, self._from(start, near_fold, 1), near_fold)
         other = _other_elbow(np.arange(wanted.size).reshape(shape_of[1:])).reshape(-1)
         apart = np.max(np.abs(wrap_angle(done.output_rad - done.output_rad[:, other])), axis=0)
         # the second of a pair on one root, and a lost one whose partner was found, try from the mirror image
