@@ -3,9 +3,9 @@
 import json
 import time
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -43,6 +43,8 @@ class PlaceReport:
     realtime_factor: float
     picture: PictureResult | None
     movie: PictureResult | None
+    log_problem: str | None
+    """From when on the log could not be written, and why; the run went on."""
 
 
 def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
@@ -55,39 +57,74 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
     setup = Setup(job.arm, job.world, job.arm.params.poses.stowed_rad, request.seed)
     loop = ClosedLoop(setup, with_truth=request.log is not None)
     run = PlacementRun(loop, job.placement)
+    log = _Log(request.log, _recorder(request, job.arm))
     frames: list[NDArray[np.float64]] = []
-    best = loop.plant.data.qpos.copy()
+    best = None
     started = time.perf_counter()
-    with _recorder(request, job.arm) as recorder:
+    try:
         for record in run:
-            if recorder is not None:
-                recorder.write(record)
+            log.write(record)
             if record.tick % round(FRAME_EVERY_S * CYCLE_HZ) == 0:
                 frames.append(loop.plant.data.qpos.copy())
                 progress(record.tick / CYCLE_HZ, job.expected_s, _doing(record))
-            if _worth_a_picture(record):
+            if CommandCompleted("GuardedMove") in record.outputs.evrs:
                 best = loop.plant.data.qpos.copy()
+    finally:
+        log.close()
     wall_s = time.perf_counter() - started
     if loop.failure is not None:
         raise loop.failure
     result = run.result()
-    if result.contact is None:
-        best = loop.plant.data.qpos.copy()
-    picture, movie = _pictures(request, job.world, best, frames, progress)
-    return PlaceReport(request, loop.config.params_sha256, result, result.duration_s / wall_s, picture, movie)
+    shown = loop.plant.data.qpos.copy() if best is None else best
+    picture, movie = _pictures(request, job.world, shown, frames, progress)
+    return PlaceReport(
+        request=request,
+        params_sha256=loop.config.params_sha256,
+        result=result,
+        realtime_factor=result.duration_s / wall_s,
+        picture=picture,
+        movie=movie,
+        log_problem=log.problem,
+    )
 
 
-def _worth_a_picture(record: CycleRecord) -> bool:
-    return CommandCompleted("GuardedMove") in record.outputs.evrs
+class _Log:
+    """A recorder whose disk may fill up: the run goes on, and the report says what was not recorded."""
+
+    def __init__(self, path: Path | None, recorder: Recorder | None):
+        self._path = path
+        self._recorder = recorder
+        self.problem: str | None = None
+
+    def write(self, record: CycleRecord) -> None:
+        if self._recorder is None or self.problem is not None:
+            return
+        try:
+            self._recorder.write(record)
+        except OSError as error:
+            self._failed(error, f"from {record.tick / CYCLE_HZ:.2f} s on")
+
+    def close(self) -> None:
+        if self._recorder is None:
+            return
+        try:
+            self._recorder.close()
+        except OSError as error:
+            if self.problem is None:
+                self._failed(error, "at the end")
+
+    def _failed(self, error: OSError, when: str) -> None:
+        why = error.strerror or str(error)
+        self.problem = f"log {self._path}: not recorded {when} ({why}); what was closed before can be read"
 
 
 def _doing(record: CycleRecord) -> str:
     return record.outputs.joint.mode.name.lower().replace("_", " ")
 
 
-def _recorder(request: PlaceRequest, arm: BuiltArm) -> AbstractContextManager[Recorder | None]:
+def _recorder(request: PlaceRequest, arm: BuiltArm) -> Recorder | None:
     if request.log is None:
-        return nullcontext()
+        return None
     header = {
         "marsarm": version("marsarm"),
         "mujoco": mujoco.__version__,

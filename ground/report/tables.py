@@ -35,6 +35,7 @@ def place_json(report: PlaceReport) -> dict[str, Any]:
         "params_sha256": report.params_sha256,
         "evrs": [_evr(time_s, evr) for time_s, evr in result.evrs],
         "log": None if request.log is None else str(request.log),
+        "log_problem": report.log_problem,
         "picture": None if report.picture is None else _path(report.picture.path),
         "movie": None if report.movie is None else _path(report.movie.path),
     }
@@ -68,7 +69,7 @@ def place_table(report: PlaceReport) -> None:
                 soft_wrap=True,
             )
     if request.log is not None:
-        console.print(f"log       {request.log}", soft_wrap=True)
+        console.print(f"log       {report.log_problem or request.log}", soft_wrap=True)
 
 
 def _cells(error: PlacementError) -> tuple[str, ...]:

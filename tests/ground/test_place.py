@@ -1,0 +1,38 @@
+"""The placement job where the machine fails it."""
+
+import errno
+
+import pytest
+
+from ground.place import place
+from ground.place_request import PlaceRequest
+from ground.telemetry.read import read_log
+from ground.telemetry.record import Recorder
+from sim.sequence import Outcome
+
+
+@pytest.fixture
+def disk_full_after(monkeypatch):
+    """Let the recorder write some cycles and then find the disk full."""
+
+    def limit(cycles):
+        written = Recorder.write
+
+        def write(self, record):
+            if record.tick >= cycles:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            written(self, record)
+
+        monkeypatch.setattr(Recorder, "write", write)
+
+    return limit
+
+
+def test_a_full_disk_does_not_stop_the_arm_and_is_told(tmp_path, disk_full_after):
+    disk_full_after(cycles=640)
+    log = tmp_path / "run.mcap"
+    report = place(PlaceRequest(log=log), lambda done, total, what: None)
+    assert report.result.outcome is Outcome.DONE
+    assert report.log_problem is not None
+    assert "from 10.00 s on (No space left on device)" in report.log_problem
+    assert len(read_log(log)["/joint"]) == 640
