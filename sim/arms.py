@@ -30,7 +30,7 @@ def arm_named(name: str, params: Params | None = None) -> BuiltArm:
     believed = params or nominal_params()
     if name == "nominal":
         return BuiltArm(name, (), believed)
-    match = re.fullmatch(r"(as-built|calibrated):(\d{1,9})", name)
+    match = re.fullmatch(r"(as-built|calibrated):([0-9]{1,9})", name)
     if match is None:
         raise UnknownArm(f"arm {name!r} is not known; write nominal, as-built:SEED or calibrated:SEED")
     seed = int(match[2])

@@ -60,6 +60,11 @@ class Avionics:
             gravity_R_m_s2=self._gravity_R + hardware.gravity_noise_m_s2 * noise[10:],
         )
 
+    @property
+    def brakes_move(self) -> bool:
+        """Whether a brake was commanded and has yet to follow."""
+        return bool(self._pending)
+
     def encoder_count(self) -> Counts:
         """What the encoders read; asking changes nothing."""
         hardware = self._hardware

@@ -61,11 +61,11 @@ class ClosedLoop:
 
     def cycle(self, commands: tuple[Command, ...] = ()) -> CycleRecord:
         """One control cycle: read, decide, drive, and let the plant go on."""
+        if self.failure is not None:
+            raise RuntimeError("flight software has ended; start another run") from self.failure
         sensors = self.avionics.sense()
         truth = self.plant.truth() if self.with_truth else None
         tick = self.state.tick
-        if self.failure is not None:
-            raise RuntimeError("flight software has ended; start another run") from self.failure
         try:
             self.state, outputs = step(self.config, self.state, sensors, commands)
         except Exception as error:
@@ -75,6 +75,9 @@ class ClosedLoop:
         self._outputs = outputs
         self.avionics.apply(outputs.drive)
         self.plant.step()
+        while self.failure is not None and self.avionics.brakes_move:
+            self.avionics.apply(outputs.drive)
+            self.plant.step()
         return CycleRecord(tick, sensors, commands, outputs, truth)
 
     def reference(self) -> SetReference:
@@ -88,7 +91,9 @@ def _safe_outputs(last: Outputs, error: Exception) -> Outputs:
     """The last outputs with brakes on and power off."""
     off = np.zeros_like(last.drive.power_on)
     drive = replace(last.drive, setpoint_rate_rad_s=np.zeros(off.size), power_on=off, brake_release=off)
-    return replace(last, drive=drive, tool=None, evrs=(SoftwareError(f"{type(error).__name__}: {error}"),))
+    joint = replace(last.joint, busy=False)
+    evr = SoftwareError(f"{type(error).__name__}: {error}")
+    return replace(last, drive=drive, joint=joint, tool=None, evrs=(evr,))
 
 
 def joints5(angle_rad: Array) -> Joints5:

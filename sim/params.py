@@ -18,6 +18,7 @@ from fsw.dictionary.params import Limits, Matrix6, Params
 
 METRES: Final = Limits(-5.0, 5.0)
 """For the components of every vector in metres."""
+SOFTEST: Final = 1e-3
 SHORTEST_LINK_M: Final = 0.05
 """Of upper arm and forearm: with none, the elbow moves nothing."""
 MOST_SKEW_RAD: Final = 0.5
@@ -119,9 +120,10 @@ def out_of_limits(record: Any, place: str = "") -> Iterator[str]:
             for k, component in enumerate(value):
                 if not METRES.low <= component <= METRES.high:
                     yield f"{where}.{k}: {component} is outside {METRES.low} .. {METRES.high}"
-    low, high = getattr(record, "soft_min_rad", 0.0), getattr(record, "soft_max_rad", 1.0)
-    if not low < high:
-        yield f"{place}soft_min_rad: {low} is not below soft_max_rad {high}"
+    for low in (field.name for field in fields(record) if "_min_" in field.name):
+        high = low.replace("_min_", "_max_")
+        if not getattr(record, low) < getattr(record, high):
+            yield f"{place}{low}: {getattr(record, low)} is not below {high} {getattr(record, high)}"
 
 
 def not_an_arm(params: Params) -> Iterator[str]:
@@ -160,6 +162,8 @@ def _no_spring(compliance: Matrix6) -> str | None:
         row, column = np.argwhere(lopsided)[0]
         there, across = C[row, column], C[column, row]
         return f"is not symmetric: {there} at [{row}][{column}], {across} across the diagonal"
+    if C.max() > SOFTEST:
+        return f"{C.max()} is softer than any link, at most {SOFTEST} (rad or m, per N m or N)"
     gives = np.where(unit > 0, unit, 1.0)
     weakest = np.linalg.eigvalsh(C / np.outer(gives, gives)).min()
     if np.any(np.abs(C) > scale * (1 + ROUNDING)) or weakest < -ROUNDING:

@@ -117,9 +117,9 @@ class JointParams:
     output_friction_Nm: Annotated[float, Limits(0.0, 200.0)]
     soft_min_rad: Angle
     soft_max_rad: Angle
-    speed_rad_s: Annotated[float, Limits(1e-4, 0.1)]
-    acceleration_rad_s2: Annotated[float, Limits(1e-4, 1.0)]
-    jerk_rad_s3: Annotated[float, Limits(1e-4, 10.0)]
+    speed_rad_s: Annotated[float, Limits(1e-3, 0.1)]
+    acceleration_rad_s2: Annotated[float, Limits(1e-3, 1.0)]
+    jerk_rad_s3: Annotated[float, Limits(1e-3, 10.0)]
     current_limit_A: Annotated[float, Limits(0.1, 20.0)]
 
 

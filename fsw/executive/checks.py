@@ -13,6 +13,7 @@ from fsw.dictionary.commands import (
     Unstow,
     Vector3,
 )
+from fsw.dictionary.joints import SWITCHES_OF
 from fsw.kinematics.closed_form import BRANCHES
 from fsw.motion.plan_tool import AUTO
 
@@ -33,6 +34,8 @@ def malformed(command: MoveCommand) -> str | None:
                 return f"line_m {command.line_m} m is outside 0 .. 1 m"
             return _malformed_target(command.p_RoTo_R_m, command.approach_R, command.deflection)
         case GuardedMove():
+            if not SWITCHES_OF[command.tool]:
+                return f"{command.tool.name} has no contact switch to end a guarded move"
             return _malformed_target(command.end_p_RoTo_R_m, command.approach_R, command.deflection)
         case Retract(distance_m=d):
             if not 0 < d <= 1.0:

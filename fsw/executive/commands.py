@@ -82,6 +82,9 @@ def _begin_move(config: Config, now: Situation, command: MoveCommand) -> Situati
     mode = after(now.state.mode, _EVENT_OF[type(command)])
     if mode is None:
         return _refused(now, command, f"not allowed in mode {now.state.mode.name}")
+    touching = now.state.mode is Mode.GUARDED
+    if touching and isinstance(command, GuardedMove | Retract) and command.tool is not now.state.tool:
+        return _refused(now, command, f"{now.state.tool.name} is the tool that may touch; retract it first")
     plan = _plan(config, now.state.joints, command)
     if isinstance(plan, Refusal):
         return _refused(now, command, plan.reason)
@@ -171,13 +174,13 @@ def _clear_fault(config: Config, now: Situation, command: ClearFault) -> Situati
 
 
 def _clearing(config: Config, now: Situation) -> Event:
-    """What is cleared depends on where the arm stands: touching it may only retract, stowed only unstow.
+    """What is cleared depends on where the arm stands: where it may touch, no free move; stowed, only unstow.
 
-    An arm that faulted in a guarded move or a retraction may touch, whatever its switches say.
+    An arm that faulted in a guarded move, in a retraction or on a contact may touch, whatever its switches
+    say now.
     """
-    if now.touching or (
-        now.state.fault is not None and now.state.fault.mode in (Mode.GUARDED, Mode.RETRACTING)
-    ):
+    fault = now.state.fault
+    if now.touching or (fault is not None and fault.may_touch):
         return Event.CLEAR_TOUCHING
     at_stow = now.state.joints.referenced and _at_stow(config, now.state.joints.motor_rad)
     return Event.CLEAR_STOWED if at_stow else Event.CLEAR
@@ -191,7 +194,9 @@ def _stop(config: Config, now: Situation, command: Stop) -> Situation:
     evrs = (*now.evrs, CommandCompleted(_name(command)))
     if now.state.move is None or now.state.mode is Mode.FAULTED:
         return replace(now, evrs=evrs)
-    stopping = stop(config, now.state.move, TRANSITIONS[now.state.mode, Event.STOP])
+    still_stowed = now.state.mode is Mode.FREE_SPACE and _at_stow(config, now.state.joints.motor_rad)
+    event = Event.STOP_STOWED if still_stowed else Event.STOP
+    stopping = stop(config, now.state.move, TRANSITIONS[now.state.mode, event])
     return replace(now, state=replace(now.state, move=stopping), evrs=evrs)
 
 

@@ -26,6 +26,8 @@ class Event(IntEnum):
     """The reference says that it is not."""
     STOP = 11
     """A stop was commanded; a guarded or retracting arm may still touch."""
+    STOP_STOWED = 12
+    """A stop was commanded before the arm had left the stowed pose."""
 
 
 TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
@@ -42,6 +44,7 @@ TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
     (Mode.FAULTED, Event.CLEAR_STOWED): Mode.STOWED,
     (Mode.FAULTED, Event.CLEAR_TOUCHING): Mode.GUARDED,
     (Mode.FREE_SPACE, Event.STOP): Mode.DEPLOYED,
+    (Mode.FREE_SPACE, Event.STOP_STOWED): Mode.STOWED,
     (Mode.GUARDED, Event.STOP): Mode.GUARDED,
     (Mode.RETRACTING, Event.STOP): Mode.GUARDED,
     (Mode.STOWED, Event.AT_STOW): Mode.STOWED,

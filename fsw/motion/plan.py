@@ -41,7 +41,10 @@ def plan_poses(config: Config, joints: JointEstimate, poses: list[Array]) -> Pla
     for pose in poses:
         if over_limits(config, pose) > 0:
             return Refusal(worst_limit(config, pose))
-        torque = rest(config.arm, pose, joints.gravity_R_m_s2).torque_Nm
+        hanging = rest(config.arm, pose, joints.gravity_R_m_s2)
+        if not hanging.converged:
+            return Refusal("the arm of these parameters is too soft to hang still")
+        torque = hanging.torque_Nm
         gap = gap_to_move(config, torque, gap, pose - output)
         start, motor, output = motor, motor_under(config, pose, torque, gap), pose
         legs.append(joint_path(config, start, motor))

@@ -6,7 +6,7 @@ from typing import assert_never
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.evrs import Evr, FaultResponse
+from fsw.dictionary.evrs import ContactInFreeSpace, Evr, FaultResponse
 from fsw.dictionary.modes import Mode
 from fsw.estimate.joints import JointEstimate
 from fsw.executive.modes import TRANSITIONS, Event
@@ -15,13 +15,28 @@ from fsw.motion.move import Move, Phase
 from fsw.motion.paths import Setpoint
 from fsw.protect.responses import Response, response_to
 
+Kind = tuple[type[Evr], object]
+"""An event's class, and the joint, sensor or switch that it is about."""
+
 
 @dataclass(frozen=True, slots=True)
 class StandingFault:
     """A fault that the ground has not cleared: where it happened and what has been reported since."""
 
     mode: Mode
-    reported: frozenset[str]
+    reported: frozenset[Kind]
+
+    @property
+    def may_touch(self) -> bool:
+        """Whether the arm may be in contact with something."""
+        on_contact = any(event is ContactInFreeSpace for event, _ in self.reported)
+        return on_contact or self.mode in (Mode.GUARDED, Mode.RETRACTING)
+
+
+def kind_of(evr: Evr) -> Kind:
+    """What makes two events the same news."""
+    about = next((getattr(evr, name) for name in ("joint", "sensor", "switch") if hasattr(evr, name)), None)
+    return type(evr), about
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,10 +62,10 @@ def guard(
     its way to its brakes or on them; what it brings that was not reported yet still is.
     """
     if before.fault is not None:
-        new = tuple(evr for evr in found if evr.name not in before.fault.reported)
+        new = tuple(evr for evr in found if kind_of(evr) not in before.fault.reported)
         if not new:
             return before
-        reported = before.fault.reported | {evr.name for evr in new}
+        reported = before.fault.reported | {kind_of(evr) for evr in new}
         return replace(before, fault=replace(before.fault, reported=reported), evrs=before.evrs + new)
     response = response_to(found)
     match response:
@@ -60,7 +75,7 @@ def guard(
             return Guarded(
                 mode=TRANSITIONS[before.mode, Event.FAULT],
                 move=None if before.move is None else brake(config, before.move, last_rad, joints),
-                fault=StandingFault(before.mode, frozenset(evr.name for evr in found)),
+                fault=StandingFault(before.mode, frozenset(kind_of(evr) for evr in found)),
                 evrs=(*before.evrs, *found, FaultResponse(response.value)),
             )
         case _:

@@ -9,8 +9,8 @@ import pytest
 from fsw.config import CYCLE_HZ, configure, ticks
 from fsw.cycle import step
 from fsw.dictionary.commands import MoveJoints, Retract, SetReference, Stop, Unstow
-from fsw.dictionary.evrs import Booted, CommandCompleted, FaultResponse
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.evrs import Booted, CommandCompleted, CommandRefused, FaultResponse
+from fsw.dictionary.joints import SWITCHES_OF, Tool
 from fsw.dictionary.modes import Mode
 from fsw.state import boot, outputs_at_rest
 from sim.params import digest, nominal_params
@@ -166,11 +166,19 @@ def test_the_configuration_is_what_the_parameters_say():
     np.testing.assert_array_equal(config.current_limit_A, [5, 5, 5, 3, 3])
 
 
-@pytest.mark.parametrize("tool", Tool)
-def test_a_guarded_move_to_a_near_surface_is_planned_for_every_tool(tool):
+@pytest.mark.parametrize("tool", [tool for tool in Tool if SWITCHES_OF[tool]])
+def test_a_guarded_move_to_a_near_surface_is_planned_for_every_tool_with_switches(tool):
     rig = Rig(CONFIG, start_rad=facing(CONFIG, tool))
     rig.cycle(rig.touch(tool, 0.05))
     assert rig.state.mode is Mode.GUARDED
+
+
+def test_a_tool_without_switches_is_not_guarded():
+    rig = Rig(CONFIG, start_rad=facing(CONFIG, Tool.PORTION))
+    rig.cycle(rig.touch(Tool.PORTION, 0.05))
+    assert rig.state.mode is Mode.DEPLOYED
+    refusals = [evr.reason for evr in rig.evrs if isinstance(evr, CommandRefused)]
+    assert refusals == ["PORTION has no contact switch to end a guarded move"]
 
 
 def test_the_cycle_is_the_only_public_function_of_its_file():

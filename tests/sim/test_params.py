@@ -199,3 +199,20 @@ def test_the_digest_changes_with_the_last_bit_of_any_number() -> None:
     assert digest(replace(params, joints=replace(params.joints, elbow=nudged))) != digest(params)
     assert len(digest(params)) == 64
     assert asdict(nominal_params()) == asdict(params)
+
+
+def test_bounds_that_are_upside_down_are_named(tmp_path):
+    file = tmp_path / "bounds.toml"
+    file.write_text("[monitors]\ngravity_min_m_s2 = 9.0\ngravity_max_m_s2 = 2.0\n")
+    with pytest.raises(
+        BadParams, match=r"monitors\.gravity_min_m_s2: 9\.0 is not below gravity_max_m_s2 2\.0"
+    ):
+        params_over_nominal(file)
+
+
+def test_a_link_softer_than_any_link_is_named(tmp_path):
+    file = tmp_path / "soft.toml"
+    rows = [[0.1 if row == column < 3 else 0.0 for column in range(6)] for row in range(6)]
+    file.write_text(f"[links.arm3]\ncompliance = {rows}\n")
+    with pytest.raises(BadParams, match=r"links\.arm3\.compliance: 0\.1 is softer than any link"):
+        params_over_nominal(file)

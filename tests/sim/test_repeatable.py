@@ -103,3 +103,24 @@ def test_asking_for_the_truth_does_not_change_the_run(first: list[CycleRecord]) 
         assert one.truth is None
         assert bits(one.outputs) == bits(other.outputs), f"tick {one.tick}"
         assert bits(one.sensors) == bits(other.sensors), f"tick {one.tick}"
+
+
+def test_a_software_error_ends_with_the_brakes_holding_and_nothing_after_it(monkeypatch):
+    """An exception in flight software: power off at once, and the plant goes on until the brakes hold."""
+    loop = ClosedLoop(Setup(arm_named("nominal"), World(), arm_named("nominal").params.poses.ready_rad))
+    target = tuple(float(angle) + 0.1 for angle in arm_named("nominal").params.poses.ready_rad)
+    loop.cycle((loop.reference(), MoveJoints(target)))
+    for _ in range(64):
+        loop.cycle()
+    assert not loop.plant.data.eq_active[loop.plant.at.brake].any()
+
+    def broken(*_):
+        raise ZeroDivisionError("a bug")
+
+    monkeypatch.setattr("sim.loop.step", broken)
+    record = loop.cycle()
+    assert [evr.name for evr in record.outputs.evrs] == ["SoftwareError"]
+    assert not record.outputs.joint.busy
+    assert loop.plant.data.eq_active[loop.plant.at.brake].all()
+    with pytest.raises(RuntimeError, match="ended"):
+        loop.cycle()

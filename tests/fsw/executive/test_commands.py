@@ -565,3 +565,27 @@ def test_the_tool_channels_follow_the_tool_of_the_last_tool_command(command):
     rig = deployed()
     rig.cycle(rig.touch(Tool.APXS, 0.02) if command is GuardedMove else Retract(Tool.APXS, 0.02))
     assert rig.state.tool is Tool.APXS
+
+
+def test_only_the_tool_that_may_touch_is_retracted_from_contact():
+    rig = guarded_in_contact()
+    reason = refusal(rig, Retract(Tool.DRILL, 0.05))
+    assert reason == "APXS is the tool that may touch; retract it first"
+
+
+def test_a_stop_before_the_arm_has_left_its_stow_leaves_it_stowed():
+    rig = stowed()
+    rig.cycle(Unstow())
+    rig.run(Stop(), at_most=200)
+    assert rig.state.mode is Mode.STOWED
+    rig.cycle(Unstow())
+    assert CommandAccepted("Unstow") in rig.evrs
+
+
+def test_a_fault_on_contact_clears_to_where_the_arm_may_touch_though_the_switch_opened():
+    rig = moving_free()
+    rig.cycle(**TOUCHED)
+    assert rig.state.mode is Mode.FAULTED
+    rig.run(at_most=60)
+    rig.cycle(ClearFault())
+    assert rig.state.mode is Mode.GUARDED

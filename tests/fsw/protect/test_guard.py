@@ -53,7 +53,7 @@ def test_a_fault_brakes_the_move_and_remembers_where_it_happened(mode):
     after = guarded(rig, Guarded(mode, rig.state.move, None, ()), *found)
     assert after.mode is Mode.FAULTED
     assert after.move.phase is Phase.BRAKE
-    assert after.fault == StandingFault(mode, frozenset({"NoContact", "CommandCompleted"}))
+    assert after.fault == StandingFault(mode, frozenset({(NoContact, None), (CommandCompleted, None)}))
     assert after.evrs == (*found, RESPONDED)
 
 
@@ -66,7 +66,8 @@ def test_a_standing_fault_is_not_answered_again_but_what_is_new_is_reported_once
     after = guarded(rig, before, NoContact(0.2), drew)
     assert after.evrs == (drew,)
     assert (after.mode, after.move) == (before.mode, before.move)
-    assert after.fault == StandingFault(Mode.FREE_SPACE, frozenset({"NoContact", "OverCurrent"}))
+    reported = frozenset({(NoContact, None), (OverCurrent, Joint.WRIST)})
+    assert after.fault == StandingFault(Mode.FREE_SPACE, reported)
     assert guarded(rig, Guarded(after.mode, after.move, after.fault, ()), drew).evrs == ()
 
 
@@ -77,8 +78,11 @@ def test_each_kind_of_trouble_is_said_once_from_fault_to_clearing():
         rig.cycle(**NO_GRAVITY)
         rig.cycle(winding_C=[np.inf] * 5)
     kinds = [type(evr) for evr in rig.evrs]
-    for kind in (SensorNotFinite, GravityImplausible, FaultResponse, CommandAborted):
+    for kind in (GravityImplausible, FaultResponse, CommandAborted):
         assert kinds.count(kind) == 1
+    # once for each sensor
+    unreadable = [evr.sensor for evr in rig.evrs if isinstance(evr, SensorNotFinite)]
+    assert len(unreadable) == len(set(unreadable)) == 2
     assert rig.outputs.drive.power_on.any() is np.False_
     rig.evrs.clear()
     rig.cycle(ClearFault())
