@@ -16,7 +16,7 @@ from fsw.motion.move import Phase, advance
 from fsw.protect import monitors
 from fsw.protect.guard import Guarded, guard
 from fsw.protect.setpoints import unsafe_setpoint
-from fsw.state import State, joint_channels
+from fsw.state import State, joint_channels, last_setpoint
 
 
 def step(
@@ -28,7 +28,7 @@ def step(
     state, tool_channels = _estimate(config, state, sensors, usable=not bad)
     state, decided = _decide(config, state, sensors, commands, usable=not bad)
     # at rest the last set-point is where the motors are, in today's encoder zero
-    last_rad = state.joints.motor_rad if before.move is None else before.move.hold.motor_rad
+    last_rad = state.joints.motor_rad if before.move is None else last_setpoint(before)
     state, moved = _move(config, state, sensors, usable=not bad)
     state, found = _protect(config, state, sensors, last_rad, bad, moved)
     return _output(config, before, state, tool_channels, decided + found)

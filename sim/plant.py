@@ -18,6 +18,8 @@ HARD_FRICTION = 1e-4
 """MuJoCo softens dry friction by 1e-4 of this inverse weight, at most as hard as its files can ask: an output
 held by friction then gives way with a time constant of four seconds. Less of it takes as many hours."""
 
+ALL_ACTUATORS = 0b111110
+"""The motors' actuator groups 1 to 5, one bit each: set means without power."""
 
 LOAD_STAGES = 320
 """Gravity is brought up in so many stages: a dropped arm rests anywhere in the band of its friction."""
@@ -145,7 +147,3 @@ class Plant:
         moment = np.zeros(self.model.nv)
         mujoco.mj_mulM(self.model, self.data, moment, self.data.qvel)
         return 0.5 * float(moment @ self.data.qvel)
-
-
-ALL_ACTUATORS = 0b111110
-"""The motors' actuator groups 1 to 5, one bit each: set means without power."""

@@ -43,7 +43,7 @@ class MoveTool:
     """Straight travel along the approach that must remain possible from there."""
     deflection: Deflection = "absolute"
     branch: str = "AUTO"
-    """AUTO, or one of the names in kinematics.ik.BRANCHES."""
+    """AUTO, or one of the names in kinematics.closed_form.BRANCHES."""
 
 
 @dataclass(frozen=True, slots=True)

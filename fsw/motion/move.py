@@ -35,7 +35,7 @@ class Move:
     guarded: Tool | None = None
     """Whose contact ends the move; None for a move that is not to touch."""
     stopped: bool = False
-    """A stop was commanded: the move ends early and is reported as aborted."""
+    """A command or a fault stopped it: the move ends early and is reported as aborted."""
     phase: Phase = Phase.RELEASE
     ticks: int = 0
     """Cycles in this phase, and for RUN in this path."""

@@ -66,17 +66,17 @@ def guard(
         if not new:
             return before
         reported = before.fault.reported | {kind_of(evr) for evr in new}
-        return replace(before, fault=replace(before.fault, reported=reported), evrs=before.evrs + new)
+        return replace(before, fault=replace(before.fault, reported=reported), evrs=new)
     response = response_to(found)
     match response:
         case None:
-            return replace(before, evrs=before.evrs + found)
+            return replace(before, evrs=found)
         case Response.BRAKE_AND_REFUSE:
             return Guarded(
                 mode=TRANSITIONS[before.mode, Event.FAULT],
                 move=None if before.move is None else brake(config, before.move, last_rad, joints),
                 fault=StandingFault(before.mode, frozenset(kind_of(evr) for evr in found)),
-                evrs=(*before.evrs, *found, FaultResponse(response.value)),
+                evrs=(*found, FaultResponse(response.value)),
             )
         case _:
             assert_never(response)

@@ -1,7 +1,5 @@
 """Results as tables for people and as documents for programs; degrees and millimetres begin here."""
 
-from dataclasses import fields
-from enum import Enum
 from math import degrees
 from typing import Any
 
@@ -10,6 +8,7 @@ from rich.table import Table
 
 from fsw.dictionary.evrs import Evr, Severity
 from ground.place import PlaceReport
+from ground.telemetry.events import json_fields
 from sim.placement import PlacementError
 
 
@@ -91,14 +90,12 @@ def _error_mm(error: PlacementError) -> dict[str, float]:
 
 
 def _evr(time_s: float, evr: Evr) -> dict[str, Any]:
-    values = {field.name: getattr(evr, field.name) for field in fields(evr)}
-    named = {key: value.name if isinstance(value, Enum) else value for key, value in values.items()}
     return {
         "time_s": time_s,
         "name": evr.name,
         "severity": evr.severity.name,
         "message": evr.message,
-        "fields": named,
+        "fields": json_fields(evr),
     }
 
 

@@ -104,16 +104,16 @@ def as_json(value: Any) -> Any:
             raise SchemaError(f"{type(value).__name__} in a command or EVR; use numbers, text, enums, tuples")
 
 
-def fields_as_json(event: Evr | Command) -> str:
-    """The fields of a command or EVR as one JSON object."""
-    return json.dumps({f.name: as_json(getattr(event, f.name)) for f in fields(event)})
+def json_fields(event: Evr | Command) -> dict[str, Any]:
+    """The fields of a command or EVR in JSON's words."""
+    return {f.name: as_json(getattr(event, f.name)) for f in fields(event)}
 
 
 def evr_entry(tick: int, evr: Evr) -> EvrEntry:
     """An EVR as it goes into the log."""
-    return EvrEntry(tick, evr.severity, evr.name, evr.message, fields_as_json(evr))
+    return EvrEntry(tick, evr.severity, evr.name, evr.message, json.dumps(json_fields(evr)))
 
 
 def command_entry(tick: int, command: Command) -> CommandEntry:
     """A command as it goes into the log."""
-    return CommandEntry(tick, type(command).__name__, fields_as_json(command))
+    return CommandEntry(tick, type(command).__name__, json.dumps(json_fields(command)))
