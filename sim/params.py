@@ -14,15 +14,18 @@ from typing import Any, Final, get_type_hints
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from fsw.dictionary.params import Limits, Matrix6, Params
+from fsw.dictionary.params import Limits, Matrix6, Params, Tools, Transform6
 
-METRES: Final = Limits(-5.0, 5.0)
-"""For the components of every vector in metres."""
+OF_COMPONENTS: Final = {"_m": Limits(-5.0, 5.0), "_1_K": Limits(-1e-3, 1e-3)}
+"""For the components of every vector, by the unit in its name."""
 SOFTEST: Final = 1e-3
 SHORTEST_LINK_M: Final = 0.05
 """Of upper arm and forearm: with none, the elbow moves nothing."""
+SQUARE_RAD: Final = {"arm2": 0.5 * math.pi, "arm3": 0.0, "arm4": 0.0, "arm5": -0.5 * math.pi, "arm6": 0.0}
+"""Turn about x from each joint axis to the next, as the square arm has it; about y there is none."""
 MOST_SKEW_RAD: Final = 0.5
-"""How far the azimuth and the turret axis may be from square to the axes beside them."""
+"""How far an axis may be from that: the inverse kinematics begin with the square arm. A boresight may come no
+closer to the turret axis: turning about it would have no effect."""
 ROUNDING: Final = 1e-12
 """Relative; what is left of arithmetic in a matrix that ought to be symmetric."""
 
@@ -116,10 +119,11 @@ def out_of_limits(record: Any, place: str = "") -> Iterator[str]:
         for limits in getattr(hints[field.name], "__metadata__", ()):
             if isinstance(limits, Limits) and not limits.low <= value <= limits.high:
                 yield f"{where}: {value} is outside {limits.low} .. {limits.high}"
-        if field.name.endswith("_m") and isinstance(value, tuple):
-            for k, component in enumerate(value):
-                if not METRES.low <= component <= METRES.high:
-                    yield f"{where}.{k}: {component} is outside {METRES.low} .. {METRES.high}"
+        for unit, limits in OF_COMPONENTS.items():
+            if field.name.endswith(unit) and isinstance(value, tuple):
+                for k, component in enumerate(value):
+                    if not limits.low <= component <= limits.high:
+                        yield f"{where}.{k}: {component} is outside {limits.low} .. {limits.high}"
     for low in (field.name for field in fields(record) if "_min_" in field.name):
         high = low.replace("_min_", "_max_")
         if not getattr(record, low) < getattr(record, high):
@@ -133,14 +137,37 @@ def not_an_arm(params: Params) -> Iterator[str]:
         problem = _no_spring(link.compliance)
         if problem is not None:
             yield f"{where}.compliance: {problem}"
-        if field.name in ("arm3", "arm4") and link.transform.a_m < SHORTEST_LINK_M:
-            yield f"{where}.transform.a_m: {link.transform.a_m} is below {SHORTEST_LINK_M}, the shortest link"
-        skew = abs(abs(link.transform.alpha_rad) - 0.5 * math.pi)
-        if field.name in ("arm2", "arm5") and skew > MOST_SKEW_RAD:
-            yield (
-                f"{where}.transform.alpha_rad: {link.transform.alpha_rad} is not within {MOST_SKEW_RAD} "
-                "of a right angle, 1.5708 or -1.5708"
-            )
+        yield from _crooked(field.name, link.transform)
+    yield from _axial(params.tools)
+    yield from _poses_outside(params)
+
+
+def _crooked(name: str, link: Transform6) -> Iterator[str]:
+    """Sentences about a link that leaves the chain without an elbow, or with axes that are not its own."""
+    where = f"links.{name}.transform"
+    if name in ("arm3", "arm4") and link.a_m < SHORTEST_LINK_M:
+        yield f"{where}.a_m: {link.a_m} is below {SHORTEST_LINK_M}, the shortest link"
+    if name not in SQUARE_RAD:
+        return
+    for angle, value, square in (
+        ("alpha_rad", link.alpha_rad, SQUARE_RAD[name]),
+        ("beta_rad", link.beta_rad, 0.0),
+    ):
+        if abs(value - square) > MOST_SKEW_RAD:
+            yield f"{where}.{angle}: {value} is not within {MOST_SKEW_RAD} of the square arm's {square:.6g}"
+
+
+def _axial(tools: Tools) -> Iterator[str]:
+    """Sentences about tools that look along the turret axis."""
+    for field in fields(tools):
+        beta = getattr(tools, field.name).transform.beta_rad
+        if math.asin(abs(math.cos(beta))) < MOST_SKEW_RAD:
+            where = f"tools.{field.name}.transform.beta_rad"
+            yield f"{where}: {beta} brings the boresight within {MOST_SKEW_RAD} of the turret axis"
+
+
+def _poses_outside(params: Params) -> Iterator[str]:
+    """Sentences about named poses beyond the soft limits."""
     poses = {"stowed_rad": params.poses.stowed_rad, "ready_rad": params.poses.ready_rad}
     poses |= {f"unstow_via_rad.{k}": via for k, via in enumerate(params.poses.unstow_via_rad)}
     for name, pose in poses.items():
@@ -155,6 +182,9 @@ def not_an_arm(params: Params) -> Iterator[str]:
 def _no_spring(compliance: Matrix6) -> str | None:
     """Why no spring has this compliance; measured in units in which its diagonal is 1."""
     C = np.array(compliance)
+    if np.abs(C).max() > SOFTEST:
+        worst = C.flat[np.abs(C).argmax()]
+        return f"{worst} is outside {-SOFTEST} .. {SOFTEST} (rad or m, per N m or N), no link is as soft"
     unit = np.sqrt(np.abs(np.diag(C)))
     scale = np.outer(unit, unit)
     lopsided = np.abs(C - C.T) > ROUNDING * scale
@@ -162,8 +192,6 @@ def _no_spring(compliance: Matrix6) -> str | None:
         row, column = np.argwhere(lopsided)[0]
         there, across = C[row, column], C[column, row]
         return f"is not symmetric: {there} at [{row}][{column}], {across} across the diagonal"
-    if C.max() > SOFTEST:
-        return f"{C.max()} is softer than any link, at most {SOFTEST} (rad or m, per N m or N)"
     gives = np.where(unit > 0, unit, 1.0)
     weakest = np.linalg.eigvalsh(C / np.outer(gives, gives)).min()
     if np.any(np.abs(C) > scale * (1 + ROUNDING)) or weakest < -ROUNDING:

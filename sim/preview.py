@@ -12,8 +12,8 @@ import numpy as np
 from fsw.config import Config, configure
 from fsw.dictionary.joints import Tool
 from fsw.estimate.joints import JointEstimate, unreferenced
+from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.closed_form import BRANCHES
 from fsw.kinematics.statics import Equilibrium, settle
 from fsw.kinematics.transforms import Array
 from fsw.motion.paths import Path

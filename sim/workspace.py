@@ -5,27 +5,44 @@ from typing import Final
 import numpy as np
 
 from fsw.dictionary.commands import Vector3
+from fsw.kinematics.transforms import Array
 
 CENTRE_X_M: Final = 2.1
 RADIUS_M: Final = 0.4
 TOP_Z_M: Final = -0.8
 BOTTOM_Z_M: Final = 0.2
+WEDGE_DOWN_RAD: Final = np.pi / 2
 WEDGE_SIDE_RAD: Final = np.pi / 4
 
 
 def random_surface(rng: np.random.Generator) -> tuple[Vector3, Vector3]:
-    """A point uniform in the cylinder and an outward normal uniform over the wedge's two angles.
-
-    The approach, against the normal, goes from horizontal forward to vertical down, and to either side.
-    """
-    radius, heading = RADIUS_M * np.sqrt(rng.random()), rng.uniform(-np.pi, np.pi)
-    point = (
-        CENTRE_X_M + radius * np.cos(heading),
-        radius * np.sin(heading),
-        rng.uniform(TOP_Z_M, BOTTOM_Z_M),
-    )
-    down, side = rng.uniform(0.0, np.pi / 2), rng.uniform(-WEDGE_SIDE_RAD, WEDGE_SIDE_RAD)
-    approach = (np.cos(down) * np.cos(side), np.cos(down) * np.sin(side), np.sin(down))
-    x, y, z = (float(v) for v in point)
-    nx, ny, nz = (-float(v) for v in approach)
+    """A point uniform in the cylinder and an outward normal uniform over the wedge's two angles."""
+    point, angles = random_targets(rng, 1)
+    x, y, z = (float(v) for v in point[:, 0])
+    nx, ny, nz = (-float(v) for v in approach_from(angles)[:, 0])
     return (x, y, z), (nx, ny, nz)
+
+
+def random_targets(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
+    """Points (3, count) uniform in the cylinder, and angles (2, count) uniform over the wedge, in rad.
+
+    The first angle is how far the approach points below horizontal, the second how far to the right.
+    """
+    radius, heading, height, down, side = rng.random((count, 5)).T
+    radius, heading = RADIUS_M * np.sqrt(radius), _between(heading, -np.pi, np.pi)
+    height = _between(height, TOP_Z_M, BOTTOM_Z_M)
+    point = np.array([CENTRE_X_M + radius * np.cos(heading), radius * np.sin(heading), height])
+    return point, np.array(
+        [_between(down, 0.0, WEDGE_DOWN_RAD), _between(side, -WEDGE_SIDE_RAD, WEDGE_SIDE_RAD)]
+    )
+
+
+def approach_from(angles_rad: Array) -> Array:
+    """Unit approach vectors (3, n), from horizontal forward to vertical down and to either side."""
+    down, side = angles_rad
+    return np.array([np.cos(down) * np.cos(side), np.cos(down) * np.sin(side), np.sin(down)])
+
+
+def _between(share: Array, low: float, high: float) -> Array:
+    between: Array = low + (high - low) * share
+    return between

@@ -33,7 +33,7 @@ def refresh(
     arm = config.arm
     output = joints.motor_rad + joints.gap_rad + last.torque_Nm / arm.gear_stiffness_Nm_rad
     frames = forward(arm, output, last.strain)
-    strain, torque = load(arm, frames, last.strain, joints.gravity_R_m_s2)
+    strain, torque = load(arm, frames, joints.gravity_R_m_s2)
     X_RT = tool_pose(arm, frames, tool)
     channels = ToolChannels(tick, tool, X_RT.p, X_RT.R, output, torque)
     side = load_side(config, torque)

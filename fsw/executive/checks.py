@@ -14,7 +14,7 @@ from fsw.dictionary.commands import (
     Vector3,
 )
 from fsw.dictionary.joints import SWITCHES_OF
-from fsw.kinematics.closed_form import BRANCHES
+from fsw.kinematics.branches import BRANCHES
 from fsw.motion.plan_tool import AUTO
 
 FARTHEST_M = 1e6

@@ -27,6 +27,8 @@ class Arm:
     """(6, 6, 6): (moment, force) to (rotation, translation), links last."""
     near_kg: Array
     far_kg: Array
+    carried_kg: Array
+    """Mass of each link and all links beyond."""
     near_p_L_m: Array
     """Near lumps in the link frame, (3, 6)."""
     far_p_C_m: Array
@@ -56,13 +58,15 @@ def arm_from(params: Params) -> Arm:
     centre = np.array([link.elastic_centre_m for link in links]).T
     X_LF = _stack([transform6(replace(link.transform, theta_rad=0.0)) for link in links])
     X_FT = tuple(transform6(tool.transform) for tool in tools)
+    near_kg, far_kg = (np.array([getattr(link, side).mass_kg for link in links]) for side in ("near", "far"))
     return Arm(
         theta_rad=theta,
         p_LC_m=centre,
         RP_CF=_side_by_side(Pose(X_LF.R, X_LF.p - centre)),
         compliance=np.moveaxis(np.array([link.compliance for link in links]), 0, -1),
-        near_kg=np.array([link.near.mass_kg for link in links]),
-        far_kg=np.array([link.far.mass_kg for link in links]),
+        near_kg=near_kg,
+        far_kg=far_kg,
+        carried_kg=np.cumsum((near_kg + far_kg)[::-1])[::-1],
         near_p_L_m=_positions([link.near for link in links]),
         far_p_C_m=_positions([link.far for link in links]) - centre,
         X_FT=X_FT,

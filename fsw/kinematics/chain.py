@@ -1,11 +1,11 @@
-"""Forward kinematics of the strained chain, and its Jacobian."""
+"""Forward kinematics of the strained chain, and its Jacobians: by joint and by frame."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.transforms import Array, Pose, compose, cross, rotation_z
+from fsw.kinematics.transforms import Array, Pose, adjoint, cross
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,20 +33,31 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     angle = np.zeros((6, *batch))
     angle[1:] = output_rad
     angle += arm.theta_rad.reshape(6, *ones)
-    R_turn = rotation_z(angle)
+    cosine, sine = np.cos(angle), np.sin(angle)
     X_LD = spring_pose(arm, np.zeros((6, 6, *ones)) if strain is None else strain)
     # a pose as (3, 4, ...), so that one product turns rotation and translation alike
     X_LF = np.einsum("ikl...,kjl->ijl...", X_LD.R, arm.RP_CF)
     X_LF[:, 3] += X_LD.p
-    X_LF = compose(R_turn, X_LF)
+    X_SF = np.empty((3, 4, 6, *batch))  # in the frame at the link's start, before its joint turns
+    np.multiply(cosine, X_LF[0], out=X_SF[0])
+    X_SF[0] -= sine * X_LF[1]
+    np.multiply(sine, X_LF[0], out=X_SF[1])
+    X_SF[1] += cosine * X_LF[1]
+    X_SF[2] = X_LF[2]
     X_RS = np.empty((3, 4, 7, *batch))
     X_RS[:, :3, 0] = np.eye(3).reshape(3, 3, *ones)
     X_RS[:, 3, 0] = 0.0
     for i in range(6):
-        end = compose(X_RS[:, :3, i], X_LF[:, :, i])
+        end = X_RS[:, :, i + 1]
+        np.einsum("ik...,kj...->ij...", X_RS[:, :3, i], X_SF[:, :, i], out=end)
         end[:, 3] += X_RS[:, 3, i]
-        X_RS[:, :, i + 1] = end
-    R_RL = compose(X_RS[:, :3, :6], R_turn)
+    R_RL = np.empty((3, 3, 6, *batch))
+    x, y = X_RS[:, 0, :6], X_RS[:, 1, :6]
+    np.multiply(x, cosine, out=R_RL[:, 0])
+    R_RL[:, 0] += y * sine
+    np.multiply(y, cosine, out=R_RL[:, 1])
+    R_RL[:, 1] -= x * sine
+    R_RL[:, 2] = X_RS[:, 2, :6]
     return Frames(Pose(R_RL, X_RS[:, 3, :6]), X_LD, Pose(X_RS[:, :3, 1:], X_RS[:, 3, 1:]))
 
 
@@ -66,10 +77,10 @@ def spring_pose(arm: Arm, strain: Array) -> Pose:
 
 
 def _small_cos_sin(x: Array) -> tuple[Array, Array]:
-    """Cosine and sine by series, to 1e-13 up to 0.1 rad; in a batch ten times faster than the library's."""
+    """Cosine and sine by series, to 3e-13 up to 0.1 rad; in a batch ten times faster than the library's."""
     x2 = x * x
-    cosine = 1 - x2 * (1 / 2 - x2 * (1 / 24 - x2 * (1 / 720 - x2 / 40320)))
-    sine = x * (1 - x2 * (1 / 6 - x2 * (1 / 120 - x2 / 5040)))
+    cosine = 1 - x2 * (1 / 2 - x2 * (1 / 24 - x2 * (1 / 720)))
+    sine = x * (1 - x2 * (1 / 6 - x2 * (1 / 120 - x2 * (1 / 5040))))
     return cosine, sine
 
 
@@ -89,3 +100,19 @@ def joint_jacobian(frames: Frames, p_R_m: Array) -> Array:
     """
     axis = frames.X_RL.R[:, 2, 1:]
     return np.concatenate([axis, cross(axis, p_R_m[:, None] - frames.X_RL.p[:, 1:])])
+
+
+def frame_poses(frames: Frames, X_RT: Pose) -> Pose:
+    """Arm1 to Arm6 and the tool in the rover frame, batch (7, ...), in the order of Frame."""
+    R = np.concatenate([frames.X_RF.R, X_RT.R[:, :, None]], axis=2)
+    return Pose(R, np.concatenate([frames.X_RF.p, X_RT.p[:, None]], axis=1))
+
+
+def frame_jacobian(frames: Frames, X_RT: Pose) -> Array:
+    """Screw of the tool per small screw of each frame in its own axes, (6, 6, 7, ...), in the order of Frame.
+
+    Paper equations 3 and 7, u = J theta: theta displaces a frame and all that it carries, u is the turn of
+    the tool and the shift of its origin, in rover axes. The springs' response to the motion is left out.
+    """
+    X_RJ = frame_poses(frames, X_RT)
+    return adjoint(Pose(X_RJ.R, X_RJ.p - X_RT.p[:, None]))

@@ -1,33 +1,29 @@
-"""Closed-form inverse kinematics for a position and an approach axis: eight roots.
+"""Closed-form inverse kinematics of the square rigid arm for a position and an approach axis: eight roots.
 
 The arm's plane holds the three parallel joints. The turret axis is normal to the pitch axis and makes a
-fixed angle with the approach: two directions (wrist down, up). The turret's centre is at a known lateral
-offset from the plane: two azimuths (shoulder out, in), in one step for a radial tool, by Newton steps in the
-azimuth alone for a tool whose boresight passes the turret axis at a distance. What is left is a planar
-two-link arm: two elbows.
+fixed angle with the approach: two directions (wrist down, up). The wrist centre is at a known lateral offset
+from the plane: two azimuths (shoulder out, in), in one step for a radial tool; for a tool whose boresight
+passes the turret axis at a distance, the azimuths of both wrists together are the four roots of one
+trigonometric polynomial. What is left is a planar two-link arm: two elbows.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from fsw.kinematics.arm import Arm
+from fsw.kinematics.azimuth import azimuth_near, azimuths, offset_azimuth_near, offset_azimuths
 from fsw.kinematics.shape import Shape
 from fsw.kinematics.transforms import Array, rotate_back
 
-BRANCHES: Final = tuple(
-    f"shoulder-{shoulder} elbow-{elbow} wrist-{wrist}"
-    for shoulder in ("out", "in")
-    for elbow in ("up", "down")
-    for wrist in ("up", "down")
-)
-AZIMUTH_STEPS: Final = 8
+SQUARED_ROUNDING: Final = 1e-14
+"""What is left of arithmetic in a difference of squares of cosines."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roots:
-    """The eight roots of each target in the order of BRANCHES, batch axes trailing."""
+    """The eight roots of each target, batch axes trailing; of a radial tool in the order of BRANCHES."""
 
     output_rad: Array
     """(5, 8, ...); where a target is out of reach, the pose that comes nearest in this construction."""
@@ -38,96 +34,112 @@ class Roots:
 
 
 def closed_form(
-    arm: Arm, tool: int, p_RoTo_R_m: Array, approach_R: Array, min_bend_rad: float = 0.0
+    arm: Arm, tool: int, p_RoTo_R_m: Array, approach_R: Array, least_bend_rad: float = 0.0
 ) -> Roots:
     """All roots of the square rigid arm for positions (3, ...) and unit approach vectors (3, ...).
 
     Exact for an arm whose axes are square, whatever the tool; for a calibrated arm, the place to start from.
-    `min_bend_rad` keeps the elbow that far from straight and folded, where two roots meet.
+    `least_bend_rad` keeps the elbow that far from straight and folded, where two roots meet.
     """
     s = arm.shapes[tool]
-    batch = (1,) * (p_RoTo_R_m.ndim - 1)
-    p = rotate_back(s.X_R1.R.reshape(3, 3, *batch), p_RoTo_R_m - s.X_R1.p.reshape(3, *batch))
-    a = rotate_back(s.X_R1.R.reshape(3, 3, *batch), approach_R)
+    p, a = into_shoulder(s, p_RoTo_R_m, approach_R)
     foot = p - s.radius_m * a
-
-    sign = np.array([-1.0, 1.0]).reshape(1, 2, *batch)
-    q1, missing_shoulder = _azimuths(s, foot, a, sign)
-    c1, s1 = np.cos(q1), np.sin(q1)
-    # n pitch axis, e forward in the plane, z down; a_n and so on are components of the approach
-    a_n, a_e, a_z = a[0] * s1 - a[1] * c1, a[0] * c1 + a[1] * s1, a[2]
-    flat2 = np.maximum(a_e * a_e + a_z * a_z, 1e-300)  # not 1 - a_n^2, which loses half the digits near 0
-    sine2 = flat2 - s.boresight_z**2
-    sine = sign * np.sqrt(np.maximum(sine2, 0.0))
-    # turret axis z5 = bz a_flat / flat^2 + sine (n x a) / flat^2, in the plane: (e, z)
-    t_e = (s.boresight_z * a_e - sine * a_z) / flat2
-    t_z = (s.boresight_z * a_z + sine * a_e) / flat2
-    # wrist centre = foot - offset (z5 x a) - along z5, in the plane
-    f_e = foot[0] * c1 + foot[1] * s1
-    w_e = f_e - s.offset_m * a_n * t_z - s.along_m * t_e
-    w_z = foot[2] + s.offset_m * a_n * t_e - s.along_m * t_z
-
-    x = w_e - s.out_m - s.wrist_m * t_z
-    z = w_z - s.down_m + s.wrist_m * t_e
-    bend, missing_elbow = _bend(s, x, z, min_bend_rad)
-    up = np.where(x >= 0, bend, -bend)
-    q3 = np.stack([up, -up], axis=1)
-    reach = np.arctan2(s.fore_m * np.sin(bend), s.upper_m + s.fore_m * np.cos(bend))
-    q2 = np.arctan2(z, x)[:, None] - np.sign(q3) * reach[:, None]
-    pitch = np.arctan2(-t_e, t_z)[:, None]
-    q = np.empty((5, *q3.shape))
-    q[0] = q1[:, None]
-    q[1], q[2], q[3] = q2, q3, pitch - q2 - q3
-    q[4] = (np.arctan2(-a_n, sine) - s.clock_rad)[:, None]
-    q -= s.theta_rad.reshape(5, 1, 1, 1, *batch)
-
-    missing_axis = np.sqrt(np.maximum(-sine2, 0.0))
-    missing = np.maximum(np.maximum(missing_shoulder, missing_elbow), missing_axis)
+    find = azimuths if s.offset_m == 0.0 else offset_azimuths
+    q1, sine, missing_shoulder = find(s, foot, a)  # (shoulder, wrist, ...)
+    t_e, t_z, missing_axis = turret_axis(s, a, q1, sine)
+    reach = wrist_joint(s, foot, a, q1, t_e, t_z)
+    bend = np.clip(reach.bend_rad, least_bend_rad, np.pi - least_bend_rad)
+    up = np.where(reach.x_m >= 0, bend, -bend)
+    bend = np.stack([up, -up], axis=1)  # (shoulder, elbow, wrist, ...)
+    both = Reach(reach.x_m[:, None], reach.z_m[:, None], bend, reach.missing_m[:, None])
+    q = pose_of(s, a, q1[:, None], t_e[:, None], t_z[:, None], sine[:, None], both)
+    missing = np.maximum(np.maximum(missing_shoulder, missing_axis), reach.missing_m)
     flat = (8, *q.shape[4:])
-    both = (2, 2, 2, *q.shape[4:])
     return Roots(
         q.reshape(5, *flat),
-        np.broadcast_to(missing[:, None], both).reshape(flat),
-        np.broadcast_to(np.abs(sine)[:, None], both).reshape(flat),
+        np.broadcast_to(missing[:, None], bend.shape).reshape(flat),
+        np.broadcast_to(np.abs(sine)[:, None], bend.shape).reshape(flat),
     )
 
 
-def _azimuths(s: Shape, foot: Array, a: Array, sign: Array) -> tuple[Array, Array]:
-    """Azimuths (shoulder, wrist, ...) that put the wrist centre at its lateral offset, and what is missing.
+def closed_form_branch(
+    s: Shape, p_RoTo_R_m: Array, approach_R: Array, near_rad: Array
+) -> tuple[Array, Array]:
+    """The roots (5, n) of targets (3, n) on the branches of the poses `near_rad`, and what is missing."""
+    p, a = into_shoulder(s, p_RoTo_R_m, approach_R)
+    near = near_rad + s.theta_rad[:, None]
+    foot = p - s.radius_m * a
+    wrist = np.where(np.cos(near[4] + s.clock_rad) >= 0, 1.0, -1.0)
+    find = azimuth_near if s.offset_m == 0.0 else offset_azimuth_near
+    q1, sine, missing_shoulder = find(s, foot, a, wrist, near[0])
+    t_e, t_z, missing_axis = turret_axis(s, a, q1, sine)
+    reach = wrist_joint(s, foot, a, q1, t_e, t_z)
+    bend = np.where(np.sin(near[2]) >= 0, reach.bend_rad, -reach.bend_rad)
+    q = pose_of(s, a, q1, t_e, t_z, sine, replace(reach, bend_rad=bend))
+    return q, np.maximum(np.maximum(missing_shoulder, missing_axis), reach.missing_m)
 
-    The condition is rho sin(q1 - heading) + offset a.x5 = lateral, with a.x5 the signed sine of the wrist.
+
+def into_shoulder(s: Shape, p_R_m: Array, v_R: Array) -> tuple[Array, Array]:
+    """Points and directions (3, ...) of the rover frame in frame Arm1, in which the azimuth turns about z."""
+    batch = (1,) * (p_R_m.ndim - 1)
+    R, p = s.X_R1.R.reshape(3, 3, *batch), s.X_R1.p.reshape(3, *batch)
+    return rotate_back(R, p_R_m - p), rotate_back(R, v_R)
+
+
+def turret_axis(s: Shape, a: Array, q1: Array, sine: Array) -> tuple[Array, Array, Array]:
+    """Turret axis in the arm's plane, forward and down, and by how much there is none.
+
+    The axis is z5 = (bz a_flat + sine n x a) / flat^2, with n the pitch axis, a_flat the approach's part in
+    the plane and bz the cosine of boresight and turret axis.
     """
-    rho = np.hypot(foot[0], foot[1])
-    heading = np.arctan2(foot[1], foot[0])
-    lean = np.arcsin(np.clip(s.lateral_m / np.maximum(rho, 1e-12), -1.0, 1.0))
-    q1 = np.stack([heading + lean, heading + np.pi - lean])[:, None] + np.zeros_like(sign)
-    missing = np.maximum(abs(s.lateral_m) - rho, 0.0) + np.zeros_like(q1)
-    if s.offset_m == 0.0:
-        return q1, missing
-    for _ in range(AZIMUTH_STEPS):
-        error, slope = _lateral_error(s, foot, a, sign, q1)
-        q1 = q1 - np.clip(error / np.where(np.abs(slope) < 1e-9, 1e-9, slope), -0.5, 0.5)
-    error, _ = _lateral_error(s, foot, a, sign, q1)
-    return q1, np.maximum(np.abs(error) - 1e-12, 0.0)
+    a_e, a_z = a[0] * np.cos(q1) + a[1] * np.sin(q1), a[2]
+    flat2 = np.maximum(a_e * a_e + a_z * a_z, 1e-300)  # not 1 - a_n^2, which loses half the digits near 0
+    t_e = (s.boresight_z * a_e - sine * a_z) / flat2
+    t_z = (s.boresight_z * a_z + sine * a_e) / flat2
+    missing = np.sqrt(np.maximum(s.boresight_z**2 - flat2 - SQUARED_ROUNDING, 0.0))
+    length = np.maximum(np.hypot(t_e, t_z), 1e-300)
+    return t_e / length, t_z / length, missing
 
 
-def _lateral_error(s: Shape, foot: Array, a: Array, sign: Array, q1: Array) -> tuple[Array, Array]:
-    """By how much the wrist centre misses its lateral offset, and the derivative by the azimuth."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Reach:
+    """The wrist joint as seen from the elevation joint, in the arm's plane, and the elbow that reaches it."""
+
+    x_m: Array
+    """Forward."""
+    z_m: Array
+    """Down."""
+    bend_rad: Array
+    missing_m: Array
+    """By how much it is out of reach; the elbow is then straight or folded."""
+
+
+def wrist_joint(s: Shape, foot: Array, b: Array, q1: Array, t_e: Array, t_z: Array) -> Reach:
+    """Where the wrist joint has to be for an azimuth and a turret axis; the bend is without its sign.
+
+    The foot on the turret axis and the boresight b (3, ...) are in frame Arm1.
+    """
     c1, s1 = np.cos(q1), np.sin(q1)
-    a_n, a_e = a[0] * s1 - a[1] * c1, a[0] * c1 + a[1] * s1
-    sine = np.sqrt(np.maximum(a_e * a_e + a[2] * a[2] - s.boresight_z**2, 1e-18))
-    f_n, f_e = foot[0] * s1 - foot[1] * c1, foot[0] * c1 + foot[1] * s1
-    return f_n + s.offset_m * sign * sine - s.lateral_m, f_e - s.offset_m * sign * a_n * a_e / sine
-
-
-def _bend(s: Shape, x: Array, z: Array, min_bend_rad: float) -> tuple[Array, Array]:
-    """The elbow's bend, without its sign, for a wrist joint at (x, z), and by how much it is out of reach."""
+    b_n = b[0] * s1 - b[1] * c1
+    # wrist centre = foot - offset (z5 x b) - along z5, in the plane
+    x = foot[0] * c1 + foot[1] * s1 - s.offset_m * b_n * t_z - s.along_m * t_e - s.out_m - s.wrist_m * t_z
+    z = foot[2] + s.offset_m * b_n * t_e - s.along_m * t_z - s.down_m + s.wrist_m * t_e
     distance2 = x * x + z * z
     distance = np.sqrt(distance2)
     longest, shortest = s.upper_m + s.fore_m, abs(s.upper_m - s.fore_m)
     missing = np.maximum(np.maximum(distance - longest, shortest - distance), 0.0)
     cosine = (distance2 - s.upper_m**2 - s.fore_m**2) / (2 * s.upper_m * s.fore_m)
-    bend = np.arccos(np.clip(cosine, -1.0, 1.0))
-    if min_bend_rad > 0.0:
-        bend = np.clip(bend, min_bend_rad, np.pi - min_bend_rad)
-    return bend, missing
+    return Reach(x, z, np.arccos(np.clip(cosine, -1.0, 1.0)), missing)
+
+
+def pose_of(s: Shape, b: Array, q1: Array, t_e: Array, t_z: Array, sine: Array, reach: Reach) -> Array:
+    """Output angles (5, ...); `sine` is the boresight's part in the plane, square to the turret axis."""
+    lean = np.arctan2(s.fore_m * np.sin(reach.bend_rad), s.upper_m + s.fore_m * np.cos(reach.bend_rad))
+    q = np.empty((5, *lean.shape))
+    q[0] = q1
+    q[1] = np.arctan2(reach.z_m, reach.x_m) - lean
+    q[2] = reach.bend_rad
+    q[3] = np.arctan2(-t_e, t_z) - q[1] - q[2]
+    q[4] = np.arctan2(b[1] * np.cos(q1) - b[0] * np.sin(q1), sine) - s.clock_rad
+    q -= s.theta_rad.reshape(5, *(1,) * lean.ndim)
+    return q

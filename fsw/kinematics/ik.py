@@ -1,65 +1,48 @@
-"""Inverse kinematics: every branch of a target, with its angles or the reason that it is out.
+"""Inverse kinematics of the arm for a position and an approach: every branch of a target.
 
-The closed form gives the roots of the square rigid arm. Where the arm is not square, or hangs under gravity,
-Newton steps finish them. Every root is checked by forward kinematics, and only limits reject a root.
+The closed form gives the roots of the square rigid arm. Where the arm is not square, or hangs under
+gravity, aiming off leads from each of them to the root of the real arm; targets close to a singularity,
+where roots meet, part or multiply, are scanned instead. Every root is checked by forward kinematics, and
+only limits reject a root.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Final
 
 import numpy as np
 
 from fsw.dictionary.joints import Joint
+from fsw.kinematics.aim import Aimed, aim_off, tolerance
+from fsw.kinematics.answers import FREE_SINE, Answers, Verdict, join, put
 from fsw.kinematics.arm import Arm
+from fsw.kinematics.branches import signs_of
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.closed_form import BRANCHES, Roots, closed_form
-from fsw.kinematics.compensation import task_error
-from fsw.kinematics.finish import Finish, Flags, Numbers
-from fsw.kinematics.limits import beyond_limits, into_limits, outside
-from fsw.kinematics.transforms import Array, wrap_angle
+from fsw.kinematics.closed_form import Roots, closed_form
+from fsw.kinematics.limits import beyond_limits, into_limits
+from fsw.kinematics.records import at_targets, concatenated, extended, values_of
+from fsw.kinematics.shape import Shape
+from fsw.kinematics.singular import FoundRoots, roots_near_singularity
+from fsw.kinematics.suspects import NEAR_LIMITS_RAD, Suspects, find_suspects
+from fsw.kinematics.task import ROOT_TOLERANCE, task_error
+from fsw.kinematics.transforms import Array, Flags, Numbers
 
-
-class Verdict(IntEnum):
-    """Why a branch is in or out."""
-
-    VALID = 0
-    OUTSIDE_LIMITS = 1
-    OUT_OF_REACH = 2
-    SINGULAR = 3
-    """The approach is parallel to the pitch axes: the wrist pitch is free, a family with one parameter."""
-    NOT_CONVERGED = 4
-
-
-ROOT_TOLERANCE: Final = 1e-9
-"""Forward check of a root: position [m] and axis [rad]."""
-SINGULAR_SINE: Final = 1e-7
-CAPTURE_M: Final = 0.03
-"""How far out of the square arm's reach the real arm may still reach: deflection and calibration."""
-CAPTURE_RAD: Final = 0.08
-"""How far outside the limits a root of the rigid arm may be and still come in under deflection."""
-START_BEND_RAD: Final = 0.15
-"""Newton starts keep the elbow this far from its double roots, and there renew the Jacobian in every step."""
+NEGLIGIBLE_M: Final = 1e-6
+"""A target out of reach by less than this is at the edge of reach, within rounding."""
+SINGULAR_JOINTS: Final = np.array([Joint.AZIMUTH, Joint.ELBOW, Joint.WRIST])
+"""The joints at fault at the folds of signs_of."""
 CHUNK: Final = 2048
-"""Targets at a time, to bound the memory."""
+SCANNED: Final = 1024
+"""Targets at a time, to bound the memory; and of those that are scanned."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Answers:
-    """The eight branches of each target in the order of BRANCHES, batch axes trailing."""
+class _Reasons:
+    """Why a slot has no root, if it has none: Verdict, Joint and excess as in Answers, (slots, n) each."""
 
-    output_rad: Array
-    """(5, 8, ...), in the turn that the limits allow; NaN where there is no root."""
-    torque_Nm: Array
-    """(5, 8, ...), of gravity on each output; 0 for the rigid arm."""
     verdict: Numbers
-    """(8, ...), of Verdict."""
     joint: Numbers
-    """(8, ...), of Joint: the one farthest beyond its limit; meaningful for OUTSIDE_LIMITS."""
     excess: Array
-    """(8, ...): by how much a branch is out: radians over the limit, or metres out of reach; else 0."""
-    error: Array
-    """(8, ...): forward check, the larger of position error [m] and axis error [rad]; NaN without a root."""
 
 
 def inverse_kinematics(
@@ -76,121 +59,130 @@ def inverse_kinematics(
     turns of a joint, the one nearest to `near_rad` (5,) is taken, or to the middle of the range.
     """
     targets = p_RoTo_R_m.shape[1:]
+    if np.prod(targets) > CHUNK // 16:
+        _keep_freed_memory()
     p, a = p_RoTo_R_m.reshape(3, -1), approach_R.reshape(3, -1)
-    pieces = [
-        _inverse(arm, tool, p[:, k : k + CHUNK], a[:, k : k + CHUNK], gravity_R_m_s2, near_rad)
-        for k in range(0, p.shape[1], CHUNK)
-    ]
-    joined = {
-        name: np.concatenate([getattr(piece, name) for piece in pieces], axis=-1)
-        for name in Answers.__slots__
-    }
-    return Answers(**{name: values.reshape(*values.shape[:-1], *targets) for name, values in joined.items()})
+    gravity = np.zeros(3) if gravity_R_m_s2 is None else gravity_R_m_s2
+    solve = _exact if arm.shapes[tool].is_exact and not gravity.any() else _real
+    answers = solve(arm, tool, p, a, gravity, near_rad)
+    return Answers(*(v.reshape(*v.shape[:-1], *targets) for v in values_of(answers)))
 
 
-def _inverse(
-    arm: Arm, tool: int, p_m: Array, approach: Array, gravity_R_m_s2: Array | None, near_rad: Array | None
-) -> Answers:
-    """inverse_kinematics for targets (3, n)."""
-    roots = closed_form(arm, tool, p_m, approach)
-    shape_of = roots.output_rad.shape
-    flat = _flattened(roots)
-    p, a = (np.broadcast_to(v[:, None], (3, *shape_of[1:])).reshape(3, -1) for v in (p_m, approach))
-    q, torque = flat.output_rad.copy(), np.zeros_like(flat.output_rad)
-    singular = flat.wrist_sine < SINGULAR_SINE
-    if gravity_R_m_s2 is None:
-        error = _forward_error(arm, tool, q, p, a)
-        found = error < ROOT_TOLERANCE
-        wanted = np.zeros_like(found) if arm.shapes[tool].is_exact else ~found & (flat.missing_m < CAPTURE_M)
-        tried = wanted
-    else:
-        error, found = np.full(q.shape[1], np.nan), np.zeros(q.shape[1], bool)
-        tried = flat.missing_m < CAPTURE_M
-        rigid_over = beyond_limits(arm, into_limits(arm, q, near_rad)).max(axis=0)
-        wanted = tried & (rigid_over < CAPTURE_RAD) & ~singular
-    if wanted.any():
-        finish = Finish(arm, tool, p, a, np.zeros(3) if gravity_R_m_s2 is None else gravity_R_m_s2)
-        close = _close_to_fold(arm, tool, flat)
-        start = flat.output_rad
-        if (wanted & close).any():
-            off = _flattened(closed_form(arm, tool, p_m, approach, START_BEND_RAD))
-            start = np.where(close, off.output_rad, start)
-        done = finish(start, wanted, close, shape_of)
-        q = np.where(done.found, done.output_rad, q)
-        torque, error, found = done.torque_Nm, np.where(wanted, done.error, error), found | done.found
-    q = into_limits(arm, q, near_rad)
-    return _judged(arm, q, torque, flat, found, tried & ~wanted, singular, error, shape_of)
+def _keep_freed_memory() -> None:
+    """Free one large array; after that the C library keeps freed memory, and batches run up to twice as fast.
+
+    It would otherwise hand the memory of every intermediate result back to the system and fetch it again.
+    The array is not touched, so it costs nothing.
+    """
+    np.empty(31 * 2**20, np.uint8)
 
 
-def why(arm: Arm, answers: Answers, branch: int) -> str:
-    """The sentence about one branch of a single target."""
-    name, verdict, excess = BRANCHES[branch], Verdict(int(answers.verdict[branch])), answers.excess[branch]
-    match verdict:
-        case Verdict.VALID:
-            return f"{name}: valid"
-        case Verdict.OUTSIDE_LIMITS:
-            joint = Joint(int(answers.joint[branch]))
-            return f"{name}: {outside(arm, joint, answers.output_rad[joint, branch])}"
-        case Verdict.OUT_OF_REACH:
-            return f"{name}: out of reach by {excess:.3f} m"
-        case Verdict.SINGULAR:
-            return f"{name}: singular, the approach is parallel to the pitch axes and the wrist pitch is free"
-        case Verdict.NOT_CONVERGED:
-            return f"{name}: no answer found, {answers.error[branch]:.2g} left"
+def _chunks(n: int, size: int) -> Iterator[slice]:
+    """Of n targets so many at a time; one chunk at least."""
+    return (slice(k, k + size) for k in range(0, max(n, 1), size))
 
 
-def at_target(answers: Answers, index: int) -> Answers:
-    """The answers of one target of a batch (n,)."""
-    return Answers(*(getattr(answers, name)[..., index] for name in Answers.__slots__))
+def _exact(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, near_rad: Array | None) -> Answers:
+    """The square rigid arm, targets (3, n)."""
+    return join(
+        [_exact_chunk(arm, tool, p[:, k], a[:, k], near_rad) for k in _chunks(p.shape[1], CHUNK // 8)]
+    )
 
 
-def _flattened(roots: Roots) -> Roots:
-    return Roots(roots.output_rad.reshape(5, -1), roots.missing_m.reshape(-1), roots.wrist_sine.reshape(-1))
+def _exact_chunk(arm: Arm, tool: int, p: Array, a: Array, near_rad: Array | None) -> Answers:
+    roots = closed_form(arm, tool, p, a)
+    X_RT = tool_pose(arm, forward(arm, roots.output_rad), tool)
+    error = np.max(np.abs(task_error(X_RT, p[:, None], a[:, None])), axis=0)
+    found = (error < ROOT_TOLERANCE) & (roots.wrist_sine >= FREE_SINE)
+    output = np.where(found, roots.output_rad, np.nan)
+    return _judged(
+        arm, FoundRoots(output, np.zeros_like(output), error), _why_not(arm.shapes[tool], roots), near_rad
+    )
 
 
-def _forward_error(arm: Arm, tool: int, q: Array, p: Array, a: Array) -> Array:
-    X_RT = tool_pose(arm, forward(arm, q), tool)
-    worst: Array = np.max(np.abs(task_error(X_RT, p, a)), axis=0)
-    return worst
+def _real(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, near_rad: Array | None) -> Answers:
+    """The arm as it is, rigid or hanging, targets (3, n)."""
+    chunks = [_aimed_chunk(arm, tool, p[:, k], a[:, k], gravity) for k in _chunks(p.shape[1], CHUNK)]
+    found, reasons, suspects = (concatenated(parts) for parts in zip(*chunks, strict=True))
+    answers = _judged(arm, found, reasons, near_rad)
+    close = np.flatnonzero(suspects.is_suspect.any(axis=0))
+    for at in np.split(close, range(SCANNED, close.size, SCANNED)) if close.size else ():
+        some = at_targets(suspects, at)
+        near = roots_near_singularity(arm, tool, p[:, at], a[:, at], gravity, some, at_targets(found, at))
+        answers = put(
+            answers, at, _judged(arm, near, _without_pose(arm, tool, some, at_targets(reasons, at)), near_rad)
+        )
+    return answers
 
 
-def _close_to_fold(arm: Arm, tool: int, flat: Roots) -> Flags:
-    """Roots whose elbow is nearly straight or folded, where two roots meet."""
-    bend = np.abs(wrap_angle(flat.output_rad[Joint.ELBOW] + arm.shapes[tool].theta_rad[Joint.ELBOW]))
-    return (bend < START_BEND_RAD) | (bend > np.pi - START_BEND_RAD)
+def _aimed_chunk(
+    arm: Arm, tool: int, p: Array, a: Array, gravity: Array
+) -> tuple[FoundRoots, _Reasons, Suspects]:
+    """The roots that aiming off leads to, why others are out, and where to look more closely."""
+    roots = closed_form(arm, tool, p, a)
+    each = roots.missing_m.shape
+    start, missing = roots.output_rad.reshape(5, -1), roots.missing_m.reshape(-1)
+    p8, a8 = (np.broadcast_to(v[:, None], (3, *each)).reshape(3, -1) for v in (p, a))
+    over = beyond_limits(arm, into_limits(arm, start)).max(axis=0)
+    aimed = aim_off(arm, tool, p8, a8, gravity, start, (missing == 0) & (over < NEAR_LIMITS_RAD))
+    output = np.where(aimed.error < tolerance(gravity), aimed.output_rad, np.nan)
+    found = FoundRoots(output.reshape(5, *each), aimed.torque_Nm.reshape(5, *each), aimed.error.reshape(each))
+    reasons = _outside_by_estimate(arm, aimed, missing == 0, _why_not(arm.shapes[tool], roots))
+    return found, reasons, find_suspects(arm, tool, p8, a8, roots, aimed, over, gravity)
 
 
-def _judged(
-    arm: Arm,
-    q: Array,
-    torque: Array,
-    flat: Roots,
-    found: Flags,
-    rigid_only: Flags,
-    singular: Flags,
-    error: Array,
-    shape_of: tuple[int, ...],
-) -> Answers:
-    """Verdicts; a root too far outside the limits to come in under load is judged by its rigid angles."""
+def _why_not(s: Shape, roots: Roots) -> _Reasons:
+    """Of the square arm."""
+    distance = np.abs(signs_of(s, roots.output_rad))
+    free, out = roots.wrist_sine < FREE_SINE, roots.missing_m > NEGLIGIBLE_M
+    singular = free | (roots.missing_m > ROOT_TOLERANCE)  # within rounding, where two roots meet
+    verdict = np.full(out.shape, int(Verdict.NOT_CONVERGED))
+    verdict[singular], verdict[out] = Verdict.SINGULAR, Verdict.OUT_OF_REACH
+    nearest = np.where(free, int(Joint.WRIST), SINGULAR_JOINTS[np.argmin(distance, axis=0)])
+    at_singularity = np.where(singular, np.where(free, roots.wrist_sine, distance.min(axis=0)), 0.0)
+    return _Reasons(verdict, nearest, np.where(out, roots.missing_m, at_singularity))
+
+
+def _outside_by_estimate(arm: Arm, aimed: Aimed, reached: Flags, reasons: _Reasons) -> _Reasons:
+    """Roots of the square arm that were not followed to the end are outside the limits, by about so much."""
+    beyond = beyond_limits(arm, into_limits(arm, aimed.output_rad))
+    outside = (reached & ~aimed.followed).reshape(reasons.verdict.shape)
+    over, joint = (v.reshape(outside.shape) for v in (beyond.max(axis=0), beyond.argmax(axis=0)))
+    return _Reasons(
+        np.where(outside, Verdict.OUTSIDE_LIMITS, reasons.verdict),
+        np.where(outside, joint, reasons.joint),
+        np.where(outside, over, reasons.excess),
+    )
+
+
+def _without_pose(arm: Arm, tool: int, suspects: Suspects, reasons: _Reasons) -> _Reasons:
+    """If a suspect has no root after the scan, it has gone where it would have met another."""
+    distance = np.abs(signs_of(arm.shapes[tool], suspects.output_rad))
+    nearest = SINGULAR_JOINTS[np.argmin(distance, axis=0)]
+    rootless = (reasons.verdict == Verdict.NOT_CONVERGED) | (reasons.verdict == Verdict.SINGULAR)
+    gone = suspects.is_suspect & rootless
+    return _Reasons(
+        np.where(gone, Verdict.SINGULAR, reasons.verdict),
+        np.where(gone, nearest, reasons.joint),
+        np.where(gone, np.maximum(distance.min(axis=0), FREE_SINE), reasons.excess),
+    )
+
+
+def _judged(arm: Arm, found: FoundRoots, reasons: _Reasons, near_rad: Array | None) -> Answers:
+    """Verdicts on roots, and reasons where there are none."""
+    q = into_limits(arm, found.output_rad, near_rad)
     beyond = beyond_limits(arm, q)
     over, joint = beyond.max(axis=0), beyond.argmax(axis=0)
-    missing = flat.missing_m > ROOT_TOLERANCE
-    found = found & ~singular
-    has_angles = found | (rigid_only & ~singular)
-    verdict = np.full(found.shape, int(Verdict.NOT_CONVERGED))
-    verdict[missing] = Verdict.OUT_OF_REACH
-    verdict[singular & ~missing] = Verdict.SINGULAR
-    verdict[has_angles] = Verdict.OUTSIDE_LIMITS
-    verdict[found & (over <= 0)] = Verdict.VALID
-    excess = np.zeros_like(over)
-    excess[verdict == Verdict.OUTSIDE_LIMITS] = over[verdict == Verdict.OUTSIDE_LIMITS]
-    excess[verdict == Verdict.OUT_OF_REACH] = flat.missing_m[verdict == Verdict.OUT_OF_REACH]
-    batch = shape_of[1:]
+    is_root = np.isfinite(over)
+    outside = is_root & (over > 0)
+    slots = is_root.shape[0]
+    rootless = extended(reasons.verdict, slots, int(Verdict.ABSENT))
+    verdict = np.where(is_root, np.where(outside, Verdict.OUTSIDE_LIMITS, Verdict.VALID), rootless)
     return Answers(
-        np.where(has_angles, q, np.nan).reshape(shape_of),
-        torque.reshape(shape_of),
-        verdict.reshape(batch),
-        joint.reshape(batch),
-        excess.reshape(batch),
-        np.where(found | (verdict == Verdict.NOT_CONVERGED), error, np.nan).reshape(batch),
+        q,
+        np.where(is_root, found.torque_Nm, 0.0),
+        verdict,
+        np.where(is_root, joint, extended(reasons.joint, slots, 0)),
+        np.where(is_root, np.where(outside, over, 0.0), extended(reasons.excess, slots, 0.0)),
+        np.where(is_root | (verdict == Verdict.NOT_CONVERGED), found.error, np.nan),
     )

@@ -28,11 +28,17 @@ def beyond_limits(arm: Arm, q: Array) -> Array:
 
 def outside(arm: Arm, joint: Joint, angle_rad: float) -> str:
     """The sentence about a joint outside its soft limits."""
+    return f"joint {joint.name.lower()}: {np.degrees(angle_rad):.1f} deg is outside {_range(arm, joint)}"
+
+
+def about_outside(arm: Arm, joint: Joint, beyond_rad: float) -> str:
+    """Likewise, where the angle was only estimated."""
+    return f"joint {joint.name.lower()}: about {np.degrees(beyond_rad):.1f} deg outside {_range(arm, joint)}"
+
+
+def _range(arm: Arm, joint: Joint) -> str:
     low_deg, high_deg = np.degrees(arm.soft_min_rad[joint]), np.degrees(arm.soft_max_rad[joint])
-    return (
-        f"joint {joint.name.lower()}: {np.degrees(angle_rad):.1f} deg is outside "
-        f"its soft limits {low_deg:.1f} .. {high_deg:.1f} deg"
-    )
+    return f"its soft limits {low_deg:.1f} .. {high_deg:.1f} deg"
 
 
 def _limits(arm: Arm, q: Array) -> tuple[Array, Array]:

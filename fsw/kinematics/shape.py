@@ -1,10 +1,17 @@
 """The nearest square arm: axes parallel and at right angles, with the lengths of this arm."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from fsw.kinematics.transforms import Array, Pose, rotation_x, rotation_z
+
+ROUNDING: Final = 1e-12
+LEAST_SKEW: Final = 1e-4
+MOST_SKEW: Final = 0.02
+"""A tool with less offset [m] and lean [cosine] is taken for radial, and aiming off does the rest: for a
+square arm, the closed form would lose digits; for another, it is only the place to start from."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +36,7 @@ class Shape:
     """Cosine of boresight and turret axis; 0 for a radial tool."""
     clock_rad: float
     is_exact: bool
-    """Whether this is the arm itself: its axes are square."""
+    """Whether this is the arm itself: its axes are square, and the tool is radial or taken as it is."""
 
 
 def shape_of(theta_rad: Array, X_LF: Pose, X_FT: Pose) -> Shape:
@@ -39,6 +46,12 @@ def shape_of(theta_rad: Array, X_LF: Pose, X_FT: Pose) -> Shape:
     flat = bx * bx + by * by
     radius = (px * bx + py * by) / flat
     turn = rotation_z(theta_rad[0])
+    offset = (py * bx - px * by) / flat
+    skew = max(abs(offset), abs(bz))
+    is_square = _is_square(X_LF)
+    nearly_radial = LEAST_SKEW if is_square else MOST_SKEW
+    least = nearly_radial if skew < nearly_radial else ROUNDING
+    offset, bz = (0.0 if abs(value) < least else value for value in (offset, bz))
     return Shape(
         X_R1=Pose(turn @ X_LF.R[:, :, 0], turn @ p[:, 0]),
         theta_rad=theta_rad[1:],
@@ -50,10 +63,10 @@ def shape_of(theta_rad: Array, X_LF: Pose, X_FT: Pose) -> Shape:
         lateral_m=p[2, 2] + p[2, 3] + p[2, 4] - p[1, 1],
         along_m=p[2, 5] + pz - radius * bz,
         radius_m=radius,
-        offset_m=(py * bx - px * by) / flat,
+        offset_m=offset,
         boresight_z=bz,
         clock_rad=float(np.arctan2(by, bx)),
-        is_exact=_is_square(X_LF),
+        is_exact=is_square and not ROUNDING < skew < nearly_radial,
     )
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import Frames, forward
-from fsw.kinematics.transforms import Array, dot, rotate, rotate_back, skew
+from fsw.kinematics.transforms import Array, cross, dot
 
 EQUILIBRIUM_TOLERANCE = 1e-11
 MAX_PASSES = 30
@@ -27,39 +27,45 @@ class Equilibrium:
     """(...) bool."""
 
 
-def load(arm: Arm, frames: Frames, strain: Array, gravity_R_m_s2: Array) -> tuple[Array, Array]:
+def load(arm: Arm, frames: Frames, gravity_R_m_s2: Array) -> tuple[Array, Array]:
     """The strain that the springs take under the load of these frames, and the joint torques.
 
     Paper equations 4 and 5, with the load at the deflected pose. Gravity (3,) or (3, ...) in the rover frame;
     strain (6, 6, ...) and torque (5, ...) out.
     """
-    ones = (1,) * (strain.ndim - 2)
+    ones = (1,) * (frames.X_RF.p.ndim - 2)
     g = gravity_R_m_s2.reshape(3, 1, *(gravity_R_m_s2.shape[1:] or ones))
     R_RL, X_LD, origin = frames.X_RL.R, frames.X_LD, frames.X_RL.p
-    near = np.einsum("ijl...,jl->il...", R_RL, arm.near_p_L_m) + origin
-    far_p_L = np.einsum("ijl...,jl->il...", X_LD.R, arm.far_p_C_m) + X_LD.p
-    far, spring = rotate(R_RL, far_p_L) + origin, rotate(R_RL, X_LD.p) + origin
-    near_kg, far_kg = (kg.reshape(1, 6, *ones) for kg in (arm.near_kg, arm.far_kg))
-    near_kg_m = near_kg * near
-    carried_kg_m = _outward_sum(near_kg_m + far_kg * far)
-    carried_kg = _outward_sum(near_kg + far_kg)
-
-    times_g = -skew(g)  # v x g = [-g] v
+    in_link = np.empty((3, 3, 6, *origin.shape[2:]))
+    in_link[0] = arm.near_p_L_m.reshape(3, 6, *ones)
+    in_link[1] = np.einsum("ijl...,jl->il...", X_LD.R, arm.far_p_C_m) + X_LD.p
+    in_link[2] = X_LD.p
+    near, far, spring = np.einsum("ij...,kj...->ki...", R_RL, in_link) + origin
+    near_kg, far_kg, carried_kg = (
+        kg.reshape(1, 6, *ones) for kg in (arm.near_kg, arm.far_kg, arm.carried_kg)
+    )
     spring_kg = carried_kg - near_kg
-    moment = rotate(times_g, carried_kg_m - near_kg_m - spring_kg * spring)
-    new_strain = _yield(arm, frames, rotate_back(R_RL, moment), rotate_back(R_RL, spring_kg * g))
-
-    lever_kg_m = carried_kg_m[:, 1:] - carried_kg[:, 1:] * origin[:, 1:]
-    torque = dot(rotate(times_g, lever_kg_m), R_RL[:, 2, 1:])
+    near *= near_kg
+    far *= far_kg
+    # moments of mass about the springs, and about the joint axes' origins
+    lever_kg_m = np.empty((3, 2, 6, *origin.shape[2:]))
+    carried_kg_m = _outward_sum(near + far)
+    np.subtract(carried_kg_m, near + spring_kg * spring, out=lever_kg_m[:, 0])
+    np.subtract(carried_kg_m, carried_kg * origin, out=lever_kg_m[:, 1])
+    moment = cross(lever_kg_m, g[:, None])
+    wrench = np.empty((2, 3, 6, *origin.shape[2:]))
+    wrench[0] = moment[:, 0]
+    wrench[1] = spring_kg * g
+    new_strain = _yield(arm, frames, *np.einsum("ji...,kj...->ki...", R_RL, wrench))
+    torque = dot(moment[:, 1, 1:], R_RL[:, 2, 1:])
     return new_strain, torque
 
 
 def _outward_sum(per_link: Array) -> Array:
-    """For each link the sum over it and all links beyond, along axis 1."""
-    total = np.array(per_link)
+    """For each link the sum over it and all links beyond, along axis 1; the array itself."""
     for i in range(4, -1, -1):
-        total[:, i] += total[:, i + 1]
-    return total
+        per_link[:, i] += per_link[:, i + 1]
+    return per_link
 
 
 def _yield(arm: Arm, frames: Frames, moment_L: Array, force_L: Array) -> Array:
@@ -68,11 +74,11 @@ def _yield(arm: Arm, frames: Frames, moment_L: Array, force_L: Array) -> Array:
     The axes are x, then y turned about x, then z turned about both, which is the far side's z axis.
     """
     z_axis = frames.X_LD.R[:, 2]
-    moment = np.broadcast_to(moment_L, force_L.shape)
     wrench = np.empty((6, *force_L.shape[1:]))
-    wrench[0] = moment[0]
-    wrench[1] = (z_axis[2] * moment[1] - z_axis[1] * moment[2]) / np.sqrt(z_axis[1] ** 2 + z_axis[2] ** 2)
-    wrench[2] = dot(z_axis, moment)
+    wrench[0] = moment_L[0]
+    wrench[1] = z_axis[2] * moment_L[1] - z_axis[1] * moment_L[2]
+    wrench[1] /= np.sqrt(z_axis[1] ** 2 + z_axis[2] ** 2)
+    wrench[2] = dot(z_axis, moment_L)
     wrench[3:] = force_L
     new_strain: Array = np.einsum("ijl,jl...->il...", arm.compliance, wrench)
     return new_strain
@@ -96,7 +102,7 @@ def _equilibrium(arm: Arm, anchor_rad: Array, gear_rad_Nm: Array, gravity_R_m_s2
     output = anchor_rad
     for _ in range(MAX_PASSES):
         frames = forward(arm, output, strain)
-        new_strain, torque = load(arm, frames, strain, gravity_R_m_s2)
+        new_strain, torque = load(arm, frames, gravity_R_m_s2)
         new_output = anchor_rad + torque * gear
         step = np.maximum(
             np.max(np.abs(new_strain - strain), axis=(0, 1)), np.max(np.abs(new_output - output), axis=0)

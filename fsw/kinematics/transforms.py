@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+Numbers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,9 +67,11 @@ def dot(a: Array, b: Array) -> Array:
 
 def cross(a: Array, b: Array) -> Array:
     """Vector products of vectors (3, ...)."""
-    return np.stack(
-        np.broadcast_arrays(a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
-    )
+    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.multiply(a[j], b[k], out=product[i, ...])
+        product[i] -= a[k] * b[j]
+    return product
 
 
 def norm(v: Array) -> Array:
@@ -143,5 +147,7 @@ def _exp_coefficients(angle2: Array) -> tuple[Array, Array, Array]:
 
 def wrap_angle(angle_rad: Array) -> Array:
     """The same angles in [-pi, pi)."""
-    wrapped: Array = (angle_rad + np.pi) % (2 * np.pi) - np.pi
+    wrapped: Array = angle_rad - 2 * np.pi * np.floor(
+        angle_rad / (2 * np.pi) + 0.5
+    )  # % takes three times as long
     return wrapped

@@ -9,7 +9,7 @@ from fsw.dictionary.commands import Deflection, GuardedMove, Retract
 from fsw.dictionary.joints import Tool
 from fsw.estimate.joints import STILL_RAD, JointEstimate, gap_to_move
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.compensation import Compensated, refine
+from fsw.kinematics.refine import Refined, refine
 from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import Array, norm
 from fsw.motion.paths import Path, joint_path, line_path
@@ -105,7 +105,7 @@ def _planned(config: Config, joints: JointEstimate, line: Line, speed_m_s: float
     return _paths_along(config, joints, found, line.length_m, speed_m_s)
 
 
-def _followed(config: Config, line: Line, share: Array) -> Compensated:
+def _followed(config: Config, line: Line, share: Array) -> Refined:
     """Outputs at each share (k,) of the line: all at once, or knot by knot where that loses the branch."""
     p_m = line.p_m[:, None] + share * (line.end_p_m - line.p_m)[:, None]
     axes = line.axis[:, None] + share * (line.end_axis - line.axis)[:, None]
@@ -115,14 +115,14 @@ def _followed(config: Config, line: Line, share: Array) -> Compensated:
     steps = np.abs(np.diff(found.output_rad, prepend=line.output_rad[:, None]))
     if np.all(found.converged) and steps.max() < KNOT_RAD:
         return found
-    knots: list[Compensated] = []
+    knots: list[Refined] = []
     last = before = line.output_rad
     for k in range(share.size):
         knot = refine(config.arm, line.tool, p_m[:, k], axes[:, k], line.gravity_R_m_s2, 2 * last - before)
         followed = knot.converged & (np.abs(knot.output_rad - last).max() < KNOT_RAD)
         knots.append(replace(knot, converged=followed))
         before, last = last, knot.output_rad
-    return Compensated(
+    return Refined(
         output_rad=np.stack([knot.output_rad for knot in knots], axis=-1),
         torque_Nm=np.stack([knot.torque_Nm for knot in knots], axis=-1),
         error=np.stack([knot.error for knot in knots]),
@@ -131,7 +131,7 @@ def _followed(config: Config, line: Line, share: Array) -> Compensated:
 
 
 def _paths_along(
-    config: Config, joints: JointEstimate, found: Compensated, length_m: float, speed_m_s: float
+    config: Config, joints: JointEstimate, found: Refined, length_m: float, speed_m_s: float
 ) -> Plan:
     """Lines over the knots; where a gap must be crossed first, a joint move while the tool stands still."""
     step_m = length_m / (found.output_rad.shape[1] - 1)

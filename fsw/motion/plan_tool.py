@@ -7,8 +7,9 @@ from fsw.config import Config
 from fsw.dictionary.commands import MoveTool
 from fsw.dictionary.joints import Tool
 from fsw.estimate.joints import JointEstimate, gap_to_move
-from fsw.kinematics.closed_form import BRANCHES
-from fsw.kinematics.ik import Answers, Verdict, at_target, inverse_kinematics, why
+from fsw.kinematics.answers import Answers, Verdict, at_target, why
+from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.statics import settle
 from fsw.motion.paths import joint_path
 from fsw.motion.plan import Plan, Refusal, believed_gravity, motor_under
@@ -29,7 +30,8 @@ def plan_tool(config: Config, joints: JointEstimate, command: MoveTool) -> Plan 
         config.arm, command.tool, targets, np.tile(approach[:, None], 2), gravity, joints.motor_rad
     )
     valid = np.all(answers.verdict == Verdict.VALID, axis=-1)
-    wanted = np.array([command.branch in (AUTO, name) for name in BRANCHES])
+    names = [BRANCHES[slot % len(BRANCHES)] for slot in range(len(valid))]
+    wanted = np.array([command.branch in (AUTO, name) for name in names])
     if not np.any(valid & wanted):
         return Refusal(_why_none(config, command.tool, answers, wanted))
     output, torque = answers.output_rad[..., 0], answers.torque_Nm[..., 0]
@@ -39,7 +41,7 @@ def plan_tool(config: Config, joints: JointEstimate, command: MoveTool) -> Plan 
     travel_s = np.max(np.abs(motor - joints.motor_rad[:, None]) / config.speed_rad_s[:, None], axis=0)
     best = int(np.argmin(np.where(valid & wanted, travel_s, np.inf)))
     path = joint_path(config, joints.motor_rad, motor[:, best])
-    return Plan((path,), motor[:, best], gap[:, best], BRANCHES[best])
+    return Plan((path,), motor[:, best], gap[:, best], names[best])
 
 
 def _why_none(config: Config, tool: Tool, answers: Answers, wanted: NDArray[np.bool_]) -> str:

@@ -81,16 +81,24 @@ def run(plant: Plant, duration_s: float, each_cycle: Callable[[float], None] | N
 
 
 def load(
-    plant: Plant, motor_rad: Array, duration_s: float = 8.0, overload: float = 1.0, rest_s: float = 5.0
+    plant: Plant,
+    motor_rad: Array,
+    duration_s: float = 8.0,
+    overload: float = 1.0,
+    rest_s: float = 5.0,
+    gear_rad: Array | None = None,
 ) -> Plant:
     """Brakes on, gravity brought up gently, if wanted beyond its value and back, and a while to come to rest.
 
     An arm that is dropped comes to rest anywhere in the band in which friction can hold it; one that is
-    loaded gently ends at the edge of that band, which is a pose that can be compared.
+    loaded gently ends at the edge of that band, which is a pose that can be compared. The gears begin in the
+    middle of their backlash, or where `gear_rad` says.
     """
     full = plant.model.opt.gravity.copy()
     plant.model.opt.gravity[:] = 0.0
     plant.place(motor_rad, 0.0)
+    if gear_rad is not None:
+        plant.data.qpos[plant.at.gear] = gear_rad
 
     def up(amount: float) -> None:
         plant.model.opt.gravity[:] = full * overload * gentle(amount)

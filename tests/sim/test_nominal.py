@@ -7,10 +7,9 @@ import pytest
 from fsw.config import configure
 from fsw.dictionary.joints import Joint, Tool
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.statics import settle
+from fsw.kinematics.transforms import Pose, rotation_z
 from sim.params import digest, nominal_params
 from sim.plant import Plant
-from sim.world import World
 from tests.sim import lab
 
 PARAMS = nominal_params()
@@ -33,21 +32,53 @@ def nominal() -> Plant:
     return lab.plant()
 
 
-def random_pose(rng: np.random.Generator) -> lab.Array:
-    return rng.uniform(CONFIG.arm.soft_min_rad, CONFIG.arm.soft_max_rad)
+def random_poses(seed: int, count: int) -> lab.Array:
+    """Outputs inside the soft limits, (5, count)."""
+    rng, arm = np.random.default_rng(seed), CONFIG.arm
+    return rng.uniform(arm.soft_min_rad, arm.soft_max_rad, (count, 5)).T
 
 
-@pytest.mark.parametrize("seed", range(10))
-def test_every_tool_of_the_rigid_arm_is_where_flight_kinematics_say(nominal: Plant, seed: int) -> None:
-    output = random_pose(np.random.default_rng([7, seed]))
-    mujoco.mj_resetData(nominal.model, nominal.data)
-    nominal.data.qpos[nominal.at.motor] = output
-    truth = nominal.truth()
-    frames = forward(CONFIG.arm, output)
-    for tool in Tool:
-        X_RT = tool_pose(CONFIG.arm, frames, tool)
-        np.testing.assert_allclose(truth.p_RoTo_R_m[tool], X_RT.p, rtol=0, atol=1e-10)
-        np.testing.assert_allclose(truth.R_RT[tool], X_RT.R, rtol=0, atol=1e-10)
+def posed(plant: Plant, output_rad: lab.Array) -> None:
+    """Every spring and gear at zero, and the outputs at these angles."""
+    mujoco.mj_resetData(plant.model, plant.data)
+    plant.data.qpos[plant.at.motor] = output_rad
+    mujoco.mj_kinematics(plant.model, plant.data)
+
+
+def in_rmech(plant: Plant, body: str) -> tuple[lab.Array, lab.Array]:
+    """Position and axes of a body in the rover frame."""
+    rmech, of = plant.data.body("rmech"), plant.data.body(body)
+    R_RW = rmech.xmat.reshape(3, 3).T
+    return R_RW @ (of.xpos - rmech.xpos), R_RW @ of.xmat.reshape(3, 3)
+
+
+def test_every_tool_of_the_rigid_arm_is_where_flight_kinematics_say(nominal: Plant) -> None:
+    outputs = random_poses(7, 500)
+    frames = forward(CONFIG.arm, outputs)
+    for k in range(outputs.shape[1]):
+        posed(nominal, outputs[:, k])
+        truth = nominal.truth()
+        for tool in Tool:
+            X_RT = tool_pose(CONFIG.arm, frames, tool)[k]
+            np.testing.assert_allclose(truth.p_RoTo_R_m[tool], X_RT.p, rtol=0, atol=1e-10)
+            np.testing.assert_allclose(truth.R_RT[tool], X_RT.R, rtol=0, atol=1e-10)
+
+
+def test_every_frame_of_the_rigid_arm_is_where_flight_kinematics_say(nominal: Plant) -> None:
+    """Body arm1 is frame Arm1, turret is Arm6; link1 to link5 are Arm1 to Arm5 turned by their joints."""
+    outputs = random_poses(8, 100)
+    frames = forward(CONFIG.arm, outputs)
+    for k in range(outputs.shape[1]):
+        posed(nominal, outputs[:, k])
+        said = {"arm1": frames.X_RF[0, k], "turret": frames.X_RF[5, k]}
+        for joint in Joint:
+            turned = rotation_z(outputs[joint, k])
+            X_RF = frames.X_RF[int(joint), k]
+            said[f"link{joint + 1}"] = Pose(X_RF.R @ turned, X_RF.p)
+        for body, X in said.items():
+            p_R_m, R = in_rmech(nominal, body)
+            np.testing.assert_allclose(p_R_m, X.p, rtol=0, atol=1e-10)
+            np.testing.assert_allclose(R, X.R, rtol=0, atol=1e-10)
 
 
 @pytest.mark.parametrize("link", range(6))
@@ -119,41 +150,3 @@ def test_at_the_current_limit_a_motor_gives_the_published_torque(nominal: Plant,
     motor = nominal.model.actuator(joint.name.lower())
     limit = JOINT_PARAMS[joint].current_limit_A
     assert motor.gainprm.ravel()[1] * limit == pytest.approx(published, rel=1e-3)
-
-
-REST_WORLDS = [World(), lab.tilted(30, 0), lab.tilted(-12, 20), lab.tilted(0, -30), World("earth")]
-
-
-@pytest.mark.parametrize("number", range(20))
-def test_the_arm_comes_to_rest_where_flight_statics_say(number: int) -> None:
-    """On brakes, without friction of the output, which flight software cannot know the share of.
-
-    Where the load decides the side of a gap, it is the same side; where it does not, flight software is told.
-    """
-    world = REST_WORLDS[number % len(REST_WORLDS)]
-    motor = free_pose(np.random.default_rng([11, number]))
-    plant = lab.load(lab.plant(world, edit=lab.soon_at_rest), motor, duration_s=2.0, rest_s=2.0)
-    assert plant.data.ncon == 0
-    said = settle(CONFIG.arm, plant.motor_rad(), plant.gap_rad(), world.gravity_N_m_s2)
-    assert said.converged
-    decided = np.abs(said.torque_Nm) > 3.0
-    np.testing.assert_array_equal(np.sign(said.torque_Nm)[decided], np.sign(plant.gap_rad())[decided])
-    truth = plant.truth()
-    for tool in Tool:
-        X_RT = tool_pose(CONFIG.arm, said.frames, tool)
-        assert np.linalg.norm(truth.p_RoTo_R_m[tool] - X_RT.p) < 1e-4
-        assert np.linalg.norm(truth.R_RT[tool] - X_RT.R) / np.sqrt(2) < 1e-4
-
-
-def free_pose(rng: np.random.Generator) -> lab.Array:
-    """A pose of the workspace side, in which the sagging arm touches neither rover nor ground."""
-    low = np.radians([-60.0, -110.0, 20.0, -40.0, -20.0])
-    high = np.radians([60.0, -50.0, 120.0, 140.0, 330.0])
-    probe = lab.plant()
-    while True:
-        pose = rng.uniform(low, high)
-        mujoco.mj_resetData(probe.model, probe.data)
-        probe.data.qpos[probe.at.motor] = pose
-        mujoco.mj_forward(probe.model, probe.data)
-        if probe.data.ncon == 0 and probe.truth().p_RoTo_R_m[:, 2].max() < 1.0:
-            return pose

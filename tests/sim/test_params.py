@@ -1,11 +1,15 @@
 """Flight parameters load strictly: every error at once, each with its place."""
 
+import re
+from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from sim import params as loader
 from sim.params import BadParams, digest, nominal_params, out_of_limits, params_over_nominal
 
 
@@ -87,12 +91,78 @@ BAD = {
     ),
     "a shoulder without a right angle": (
         "[links.arm2.transform]\nalpha_rad = 1.0\n",
-        ["links.arm2.transform.alpha_rad: 1.0 is not within 0.5 of a right angle"],
+        ["links.arm2.transform.alpha_rad: 1.0 is not within 0.5 of the square arm's 1.5708"],
     ),
     "a wrist without a right angle": (
         "[links.arm5.transform]\nalpha_rad = 0.0\n",
-        ["links.arm5.transform.alpha_rad: 0.0 "],
+        ["links.arm5.transform.alpha_rad: 0.0 is not within 0.5 of the square arm's -1.5708"],
     ),
+    "an azimuth axis along the elevation axis": (
+        "[links.arm2.transform]\nalpha_rad = 0.0\n",
+        ["links.arm2.transform.alpha_rad: 0.0 "],
+    ),
+    "an elevation axis turned over": (
+        "[links.arm2.transform]\nalpha_rad = -1.5707963267948966\n",
+        ["links.arm2.transform.alpha_rad: -1.5707963267948966 "],
+    ),
+    "an upper arm along its own joint axis": (
+        "[links.arm3.transform]\nbeta_rad = 1.5707963267948966\n",
+        ["links.arm3.transform.beta_rad: 1.5707963267948966 is not within 0.5 of the square arm's 0"],
+    ),
+    "a forearm along its own joint axis": (
+        "[links.arm4.transform]\nbeta_rad = -1.5707963267948966\n",
+        ["links.arm4.transform.beta_rad: -1.5707963267948966 "],
+    ),
+    "an elbow that does not pitch": (
+        "[links.arm3.transform]\nalpha_rad = 1.5707963267948966\n",
+        ["links.arm3.transform.alpha_rad: 1.5707963267948966 "],
+    ),
+    "a turret interface on its side": (
+        "[links.arm6.transform]\nalpha_rad = 1.0\n",
+        ["links.arm6.transform.alpha_rad: 1.0 "],
+    ),
+    "a boresight along the turret axis": (
+        "[tools.drill.transform]\nbeta_rad = 1.5707963267948966\n[tools.apxs.transform]\nbeta_rad = -1.2\n",
+        [
+            "tools.drill.transform.beta_rad: 1.5707963267948966 brings the boresight within 0.5 of",
+            "tools.apxs.transform.beta_rad: -1.2 ",
+        ],
+    ),
+    "a tool that there is not": ("[tools.scoop.transform]\na_m = 0.3\n", ["tools.scoop: is not a parameter"]),
+    "a link that there is not": ("[links.arm7.transform]\na_m = 0.3\n", ["links.arm7: is not a parameter"]),
+    "a number for a tool": ("[tools]\ndrill = 3\n", ["tools.drill: "]),
+    "a list for the tools": ("tools = []\n", ["tools: "]),
+    "NaN in a transform": ("[links.arm2.transform]\nalpha_rad = nan\n", ["links.arm2.transform.alpha_rad: "]),
+    "NaN of a tool": ("[tools.mahli.transform]\na_m = nan\n", ["tools.mahli.transform.a_m: must be finite"]),
+    "NaN in a mass": ("[links.arm6.far]\nmass_kg = nan\n", ["links.arm6.far.mass_kg: must be finite"]),
+    "NaN in a growth": (
+        "[links.arm3]\nexpansion_1_K = [0.0, 0.0, 0.0, nan, 0.0, 0.0]\n",
+        ["links.arm3.expansion_1_K: must be finite"],
+    ),
+    "a growth beyond any metal": (
+        "[links.arm3]\nexpansion_1_K = [0.0, 0.0, 0.0, 1e300, 0.0, -0.01]\n",
+        [
+            "links.arm3.expansion_1_K.3: 1e+300 is outside -0.001 .. 0.001",
+            "links.arm3.expansion_1_K.5: -0.01 is outside",
+        ],
+    ),
+    "a growth along too few axes": (
+        "[tools.apxs]\nexpansion_1_K = [0.0, 0.0, 0.0]\n",
+        ["tools.apxs.expansion_1_K.3: "],
+    ),
+    "a centre of mass with two numbers": (
+        "[links.arm3.far]\ncom_m = [0.1, 0.2]\n",
+        ["links.arm3.far.com_m.2: "],
+    ),
+    "a compliance of five rows": (
+        f"[links.arm3]\ncompliance = {[[0.0] * 6] * 5}\n",
+        ["links.arm3.compliance.5: "],
+    ),
+    "a compliance with a short row": (
+        f"[links.arm3]\ncompliance = {[[0.0] * 6] * 5 + [[0.0] * 5]}\n",
+        ["links.arm3.compliance.5.5: "],
+    ),
+    "a number for a compliance": ("[links.arm3]\ncompliance = 0.0\n", ["links.arm3.compliance: "]),
     "three of them at once": (
         '[joints.elbow]\nbacklash = 1.0\n[motion]\nsettle_time_s = "long"\n[links.arm2]\ntransform = 4\n',
         ["joints.elbow.backlash: ", "motion.settle_time_s: ", "links.arm2.transform: "],
@@ -133,14 +203,85 @@ def compliance(changes: dict[tuple[int, int], float]) -> str:
         ({(2, 2): -1e-9}, "is not positive semidefinite"),
         ({(1, 5): 1e-5, (5, 1): 1e-5}, "is not positive semidefinite"),
         ({(3, 3): 0.0, (3, 4): 1e-13, (4, 3): 1e-13}, "is not positive semidefinite"),
+        ({(0, 0): float("nan")}, "must be finite"),
+        ({(0, 1): 1e308, (1, 0): -1e308}, r"1e\+308 is outside -0\.001 \.\. 0\.001"),
+        ({(2, 2): -0.1}, r"-0\.1 is outside -0\.001 \.\. 0\.001"),
+        # each pair of axes alone would do; all three give way against a moment along (1, 1, 1)
+        ({(a, b): 8e-6 if a == b else -8e-6 for a in range(3) for b in range(3)}, "is not positive semidef"),
     ],
-    ids=["lopsided", "negative", "coupled too much", "coupled to nothing"],
+    ids=[
+        "lopsided",
+        "negative",
+        "coupled too much",
+        "coupled to nothing",
+        "not a number",
+        "without measure",
+        "pushing",
+        "three coupled too much",
+    ],
 )
 def test_a_compliance_of_no_spring_is_refused(
     tmp_path: Path, changes: dict[tuple[int, int], float], said: str
 ) -> None:
     with pytest.raises(BadParams, match=r"over\.toml: links\.arm3\.compliance: (" + said + ")"):
         params_over_nominal(written(tmp_path, compliance(changes)))
+
+
+@pytest.mark.parametrize("link", ["arm1", "arm2", "arm3", "arm4", "arm5", "arm6"])
+def test_the_compliance_of_every_link_is_looked_at(tmp_path: Path, link: str) -> None:
+    rows = [[-1e-9 if row == column == 3 else 0.0 for column in range(6)] for row in range(6)]
+    with pytest.raises(BadParams, match=rf"links\.{link}\.compliance: is not positive semidefinite"):
+        params_over_nominal(written(tmp_path, f"[links.{link}]\ncompliance = {rows}\n"))
+
+
+@pytest.mark.parametrize(
+    "missing",
+    [
+        "tools.drill",
+        "tools.portion",
+        "tools.apxs.transform",
+        "links.arm1",
+        "links.arm6",
+        "joints.turret",
+        "poses",
+    ],
+)
+def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
+    """A file over the nominal one cannot leave anything out; the nominal one can."""
+    table = loader._nominal_table()
+    *groups, name = missing.split(".")
+    group = table
+    for key in groups:
+        group = group[key]
+    del group[name]
+    monkeypatch.setattr(loader, "_nominal_table", lambda: table)
+    with pytest.raises(BadParams, match=rf"nominal\.toml: {re.escape(missing)}: Field required"):
+        nominal_params()
+
+
+def test_any_number_that_is_not_one_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    places = list(numbers_of(loader._nominal_table()))
+    assert len(places) > 300
+    for place in places:
+        table = loader._nominal_table()
+        group = table
+        for key in place[:-1]:
+            group = group[key]
+        group[place[-1]] = float("nan")
+        monkeypatch.setattr(loader, "_nominal_table", lambda table=table: table)
+        field = ".".join(key for key in place if isinstance(key, str))
+        with pytest.raises(BadParams, match=rf"nominal\.toml: {re.escape(field)}\b"):
+            nominal_params()
+        monkeypatch.undo()
+
+
+def numbers_of(table: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Where the numbers of a table are."""
+    if isinstance(table, dict | list):
+        for key, value in table.items() if isinstance(table, dict) else enumerate(table):
+            yield from numbers_of(value, (*place, key))
+    elif isinstance(table, int | float):
+        yield place
 
 
 @pytest.mark.parametrize(
@@ -214,5 +355,5 @@ def test_a_link_softer_than_any_link_is_named(tmp_path):
     file = tmp_path / "soft.toml"
     rows = [[0.1 if row == column < 3 else 0.0 for column in range(6)] for row in range(6)]
     file.write_text(f"[links.arm3]\ncompliance = {rows}\n")
-    with pytest.raises(BadParams, match=r"links\.arm3\.compliance: 0\.1 is softer than any link"):
+    with pytest.raises(BadParams, match=r"links\.arm3\.compliance: 0\.1 is outside -0\.001 \.\. 0\.001"):
         params_over_nominal(file)

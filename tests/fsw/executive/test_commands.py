@@ -30,7 +30,7 @@ from fsw.dictionary.evrs import (
 )
 from fsw.dictionary.joints import Switch, Tool
 from fsw.dictionary.modes import Mode
-from fsw.kinematics.closed_form import BRANCHES
+from fsw.kinematics.branches import BRANCHES
 from tests.fsw.rig import Rig, config_of, facing, floats, with_params
 
 CONFIG = config_of()

@@ -138,23 +138,54 @@ def tool_position(arm, q, tool):
     return tool_pose(arm, forward(arm, q), tool).p
 
 
-def test_a_hundred_kelvin_move_the_drill_of_the_straight_arm_by_the_hand_calculation():
-    """All joints at zero: everything lies along x, but for the wrist's offset along y and turret and tool up.
+FORWARD, STARBOARD, DOWN = np.eye(3)
+STRAIGHT = (
+    # every joint at zero: what a link has along x lies forward, the offset of the wrist to starboard
+    (ALUMINIUM_1_K, 1.11285, FORWARD),  # the body, to the azimuth joint
+    (ALUMINIUM_1_K, -0.4515, STARBOARD),
+    (ALUMINIUM_1_K, 0.2660, DOWN),
+    (TITANIUM_1_K, 0.156, FORWARD),  # azimuth to elevation
+    (TITANIUM_1_K, 0.827, FORWARD),  # upper arm
+    (TITANIUM_1_K, 0.785, FORWARD),  # forearm
+    (TITANIUM_1_K, 0.1664, STARBOARD),  # wrist bracket
+    (TITANIUM_1_K, -0.144, FORWARD),
+    (TITANIUM_1_K, -0.1697, DOWN),  # turret interface
+    (TITANIUM_1_K, -0.0718, DOWN),  # drill
+    (TITANIUM_1_K, 0.360, FORWARD),
+)
+BENT_DEG = (90.0, -90.0, 90.0, 90.0, 90.0)
+BENT = (
+    # arm to starboard, upper arm up, forearm level, turret axis level; the drill looks back
+    (ALUMINIUM_1_K, 1.11285, FORWARD),
+    (ALUMINIUM_1_K, -0.4515, STARBOARD),
+    (ALUMINIUM_1_K, 0.2660, DOWN),
+    (TITANIUM_1_K, 0.156, STARBOARD),
+    (TITANIUM_1_K, -0.827, DOWN),
+    (TITANIUM_1_K, 0.785, STARBOARD),
+    (TITANIUM_1_K, -0.1664, FORWARD),
+    (TITANIUM_1_K, -0.144, DOWN),
+    (TITANIUM_1_K, 0.1697, STARBOARD),
+    (TITANIUM_1_K, 0.0718, STARBOARD),
+    (TITANIUM_1_K, -0.360, FORWARD),
+)
 
-    The aluminium body carries the shoulder, titanium reaches from there: 1.11285 and 1.984 m along x, -0.4515
-    and 0.1664 m along y, 0.266 and -(0.1697 + 0.0718) m along z.
-    """
-    arm = config_of().arm
-    moved = tool_position(warmed(arm, 100.0), np.zeros(5), Tool.DRILL) - tool_position(
-        arm, np.zeros(5), Tool.DRILL
-    )
-    by_hand_m = [
-        1.11285 * 23e-4 + (0.156 + 0.827 + 0.785 - 0.144 + 0.360) * 8.6e-4,
-        -0.4515 * 23e-4 + 0.1664 * 8.6e-4,
-        0.266 * 23e-4 - (0.1697 + 0.0718) * 8.6e-4,
-    ]
-    np.testing.assert_allclose(by_hand_m, [4.265795e-3, -0.895346e-3, 0.404110e-3], atol=1e-12)
-    np.testing.assert_allclose(moved, by_hand_m, atol=1e-13)
+
+@pytest.mark.parametrize(
+    ("pose_deg", "pieces", "sum_mm"),
+    [
+        ((0.0, 0.0, 0.0, 0.0, 0.0), STRAIGHT, (4.265795, -0.895346, 0.404110)),
+        (BENT_DEG, BENT, (2.106851, -0.021500, -0.223260)),
+    ],
+    ids=["straight", "bent"],
+)
+def test_a_hundred_kelvin_move_the_drill_by_the_hand_calculation(pose_deg, pieces, sum_mm):
+    """Piece by piece from the drawing: expansion, length, and where it points in this pose."""
+    arm, q = config_of().arm, np.radians(pose_deg)
+    cold = tool_position(arm, q, Tool.DRILL)
+    np.testing.assert_allclose(cold, sum(length * way for _, length, way in pieces), atol=1e-14)
+    grown_m = sum(100.0 * expansion * length * way for expansion, length, way in pieces)
+    np.testing.assert_allclose(1e3 * grown_m, sum_mm, atol=1e-6)
+    np.testing.assert_allclose(tool_position(warmed(arm, 100.0), q, Tool.DRILL) - cold, grown_m, atol=1e-13)
 
 
 @pytest.mark.parametrize("tool", Tool)

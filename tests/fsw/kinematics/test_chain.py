@@ -1,12 +1,21 @@
 """Forward kinematics of the strained chain, and its Jacobian."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.joints import Frame, Joint, Tool
 from fsw.kinematics.arm import transform6
-from fsw.kinematics.chain import forward, joint_jacobian, spring_pose, tool_pose
-from fsw.kinematics.transforms import rotation_x, rotation_y, rotation_z
+from fsw.kinematics.chain import (
+    forward,
+    frame_jacobian,
+    frame_poses,
+    joint_jacobian,
+    spring_pose,
+    tool_pose,
+)
+from fsw.kinematics.transforms import rotation_x, rotation_y, rotation_z, screw_exp
 from tests.fsw.kinematics.test_arm import drawn_interface, drawn_tool, translation, turn
 from tests.fsw.rig import config_of, in_limits, matrix
 
@@ -99,12 +108,91 @@ def test_the_jacobian_agrees_with_finite_differences(name, tool):
             np.testing.assert_allclose(J[3:, joint], (up.p - down.p) / (2 * h), atol=1e-8)
 
 
+def displaced(arm, frame, tool, screw):
+    """The arm with one frame, and all that it carries, moved by a screw in the frame's own axes."""
+    X = screw_exp(screw)
+    if frame is Frame.TOOL:
+        X_FT = list(arm.X_FT)
+        X_FT[tool] = X_FT[tool] @ X
+        return replace(arm, X_FT=tuple(X_FT))
+    RP_CF, X_CF = arm.RP_CF.copy(), arm.X_CF[int(frame)] @ X
+    RP_CF[:, :3, frame], RP_CF[:, 3, frame] = X_CF.R, X_CF.p
+    return replace(arm, RP_CF=RP_CF)
+
+
+@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("tool", Tool)
+@pytest.mark.parametrize("frame", Frame)
+def test_the_jacobian_of_every_frame_agrees_with_finite_differences(name, tool, frame):
+    config, rng, h = config_of(name), np.random.default_rng(6), 1e-6
+    for q in in_limits(config, rng, 5).T:
+        strain = rng.normal(0, STRAIN, (6, 6))
+
+        def pose(screw, q=q, strain=strain):
+            arm = displaced(config.arm, frame, tool, screw)
+            return tool_pose(arm, forward(arm, q, strain), tool)
+
+        X = pose(np.zeros(6))
+        J = frame_jacobian(forward(config.arm, q, strain), X)[:, :, frame]
+        for axis in range(6):
+            e = h * np.eye(6)[axis]
+            up, down = pose(e), pose(-e)
+            W = (up.R - down.R) / (2 * h) @ X.R.T
+            np.testing.assert_allclose(J[:3, axis], [W[2, 1], W[0, 2], W[1, 0]], atol=1e-8)
+            np.testing.assert_allclose(J[3:, axis], (up.p - down.p) / (2 * h), atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_a_joint_turns_the_frame_before_its_link_about_z(name):
+    """Arm1 to Arm5: a zero offset is the rz of a frame."""
+    config, rng = config_of(name), np.random.default_rng(7)
+    frames = forward(config.arm, in_limits(config, rng, 20), rng.normal(0, STRAIN, (6, 6, 20)))
+    X_RT = tool_pose(config.arm, frames, Tool.MAHLI)
+    by_frame = frame_jacobian(frames, X_RT)
+    by_joint = joint_jacobian(frames, X_RT.p)
+    for joint in Joint:
+        np.testing.assert_allclose(by_frame[:, 2, Frame(joint)], by_joint[:, joint], atol=1e-14)
+
+
+@pytest.mark.parametrize("tool", Tool)
+def test_the_poses_of_the_frames_are_those_of_the_chain_and_of_the_tool(tool):
+    config = config_of("calibrated:3")
+    frames = forward(config.arm, in_limits(config, np.random.default_rng(8), 4))
+    X_RT = tool_pose(config.arm, frames, tool)
+    X = frame_poses(frames, X_RT)
+    assert X.R.shape == (3, 3, len(Frame), 4)
+    for frame in Frame:
+        expected = X_RT if frame is Frame.TOOL else frames.X_RF[int(frame)]
+        np.testing.assert_array_equal(X[int(frame)].R, expected.R)
+        np.testing.assert_array_equal(X[int(frame)].p, expected.p)
+
+
+def test_an_error_of_the_tool_s_own_frame_is_itself_in_rover_axes():
+    config = config_of()
+    frames = forward(config.arm, in_limits(config, np.random.default_rng(9), 1)[:, 0])
+    X_RT = tool_pose(config.arm, frames, Tool.APXS)
+    own = np.kron(np.eye(2), X_RT.R)
+    np.testing.assert_allclose(frame_jacobian(frames, X_RT)[:, :, Frame.TOOL], own, atol=1e-15)
+
+
+@pytest.mark.parametrize("tool", Tool)
+def test_of_forty_two_frame_numbers_tool_poses_can_tell_twenty_six_apart(tool):
+    """The middle axes are parallel, so that neighbouring frames have motions in common."""
+    config = config_of()
+    frames = forward(config.arm, in_limits(config, np.random.default_rng(10), 100))
+    J = frame_jacobian(frames, tool_pose(config.arm, frames, tool))
+    stacked = np.moveaxis(J, -1, 0).reshape(600, 42)
+    singular = np.linalg.svd(stacked, compute_uv=False)
+    assert np.count_nonzero(singular > 1e-9 * singular[0]) == 26
+    assert singular[25] > 1e-3 * singular[0]
+
+
 def test_a_batch_of_poses_is_its_single_poses():
     config, rng = config_of("calibrated:3"), np.random.default_rng(5)
     q, strain = in_limits(config, rng, 12).reshape(5, 3, 4), rng.normal(0, STRAIN, (6, 6, 3, 4))
     many = forward(config.arm, q, strain)
     X = tool_pose(config.arm, many, Tool.APXS)
-    J = joint_jacobian(many, X.p)
+    J, J_frame = joint_jacobian(many, X.p), frame_jacobian(many, X)
     for index in np.ndindex(3, 4):
         one = forward(config.arm, q[:, *index], strain[:, :, *index])
         for name in ("X_RL", "X_LD", "X_RF"):
@@ -114,3 +202,4 @@ def test_a_batch_of_poses_is_its_single_poses():
         X_one = tool_pose(config.arm, one, Tool.APXS)
         np.testing.assert_allclose(X.p[:, *index], X_one.p, rtol=0, atol=2e-15)
         np.testing.assert_allclose(J[..., *index], joint_jacobian(one, X_one.p), rtol=0, atol=4e-15)
+        np.testing.assert_allclose(J_frame[..., *index], frame_jacobian(one, X_one), rtol=0, atol=4e-15)

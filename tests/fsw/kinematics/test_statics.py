@@ -122,7 +122,7 @@ def test_the_equilibrium_converges_everywhere_inside_the_limits_on_mars_and_on_e
     for gravity in (MARS_R_m_s2, EARTH_R_m_s2, TILTED_R_m_s2):
         here = settle(config.arm, q, np.zeros_like(q), gravity)
         assert here.converged.all()
-        again, torque = load(config.arm, here.frames, here.strain, gravity)
+        again, torque = load(config.arm, here.frames, gravity)
         np.testing.assert_allclose(again, here.strain, atol=1e-10)
         np.testing.assert_allclose(torque, here.torque_Nm, atol=1e-5)
 
@@ -161,10 +161,10 @@ def test_a_batch_of_arms_at_rest_is_its_single_arms(name):
 def test_one_pass_of_the_load_is_that_of_a_single_arm():
     config, rng = config_of("calibrated:3"), np.random.default_rng(10)
     q, strain = in_limits(config, rng, 8), rng.normal(0, 0.01, (6, 6, 8))
-    new_strain, torque = load(config.arm, forward(config.arm, q, strain), strain, TILTED_R_m_s2)
+    new_strain, torque = load(config.arm, forward(config.arm, q, strain), TILTED_R_m_s2)
     for k in range(8):
         frames = forward(config.arm, q[:, k], strain[..., k])
-        one_strain, one_torque = load(config.arm, frames, strain[..., k], TILTED_R_m_s2)
+        one_strain, one_torque = load(config.arm, frames, TILTED_R_m_s2)
         np.testing.assert_allclose(new_strain[..., k], one_strain, rtol=1e-13, atol=1e-15)
         np.testing.assert_allclose(torque[:, k], one_torque, rtol=1e-13, atol=1e-12)
 

@@ -8,10 +8,11 @@ import pytest
 
 from fsw.dictionary.commands import GuardedMove, MoveTool, Retract
 from fsw.dictionary.joints import Tool
+from fsw.kinematics.answers import Verdict
+from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.closed_form import BRANCHES
-from fsw.kinematics.compensation import refine
-from fsw.kinematics.ik import Verdict, inverse_kinematics
+from fsw.kinematics.ik import inverse_kinematics
+from fsw.kinematics.refine import refine
 from fsw.kinematics.statics import settle
 from fsw.motion.plan import Plan, Refusal, over_limits, plan_poses
 from fsw.motion.plan_line import plan_guarded, plan_retract
@@ -125,7 +126,9 @@ def test_a_named_branch_is_refused_for_its_own_reason(name):
             plan = plan_tool(CONFIG, joints, replace(command, branch=name))
             if isinstance(plan, Refusal):
                 told = re.fullmatch(rf"{tool.name}: the target: {name}: (.+)", plan.reason)
-                reasons = r"joint \w+: .+ deg is outside its soft limits .+|out of reach by [\d.]+ m"
+                reasons = (
+                    r"joint \w+: (.+ deg is|about .+ deg) outside its soft limits .+|out of reach by [\d.]+ m"
+                )
                 assert re.fullmatch(reasons, told[1])
                 refused += 1
     assert refused > 0
@@ -155,7 +158,7 @@ def test_a_tool_target_beyond_the_soft_limits_is_refused_with_branch_joint_and_l
     assert isinstance(refusal, Refusal)
     assert refusal == Refusal(
         "DRILL: the target: shoulder-out elbow-up wrist-down: "
-        "joint azimuth: 125.0 deg is outside its soft limits -180.2 .. 91.2 deg"
+        "joint azimuth: about 33.8 deg outside its soft limits -180.2 .. 91.2 deg"
     )
 
 
@@ -267,7 +270,13 @@ def test_a_line_that_can_be_followed_knot_by_knot_is_planned(tool, pose, length_
     assert isinstance(plan_guarded(CONFIG, joints, rig.touch(tool, length_m)), Plan)
 
 
-@pytest.mark.parametrize(("tool", "pose", "length_m"), FALSELY_OUT_OF_REACH)
+LOST_AT_ONCE = [
+    (Tool.DRT, (-1.7069743, -1.4192549, 0.1796573, -1.2550237, 3.8179913), 0.2),
+]
+"""Newton from the start of the line does not converge, or leaps, somewhere along it."""
+
+
+@pytest.mark.parametrize(("tool", "pose", "length_m"), LOST_AT_ONCE)
 def test_a_line_that_newton_from_its_start_loses_is_followed_on_its_branch_to_its_end(tool, pose, length_m):
     rig = Rig(CONFIG, start_rad=pose)
     joints, X = rig.state.joints, rig.tool_pose(tool)
@@ -275,7 +284,7 @@ def test_a_line_that_newton_from_its_start_loses_is_followed_on_its_branch_to_it
     ahead_m = np.arange(0.0, length_m + 1e-9, CONFIG.params.motion.line_step_m)
     p, axes = X.p[:, None] + ahead_m * X.R[:, [0]], np.tile(X.R[:, [0]], ahead_m.size)
     at_once = refine(CONFIG.arm, tool, p, axes, MARS_R_m_s2, np.tile(at[:, None], ahead_m.size))
-    assert not at_once.converged.all()
+    assert not at_once.converged.all() or np.abs(np.diff(at_once.output_rad)).max() > 0.15
     plan = plan_guarded(CONFIG, joints, rig.touch(tool, length_m))
     for path in plan.paths:
         angle = np.array([path.at(t).motor_rad for t in np.linspace(0.0, path.duration_s, 500)])
@@ -324,3 +333,16 @@ def test_a_refusal_never_speaks_of_an_angle_that_is_no_number():
     refusal = plan_tool(CONFIG, joints, command)
     assert isinstance(refusal, Refusal)
     assert "nan" not in refusal.reason
+
+
+def test_a_target_next_to_a_double_root_is_planned_though_a_branch_has_several_roots():
+    """One of its branches has three: there are more slots than branches."""
+    p, a = (1.55434449, -0.95322549, 0.15111527), (-0.52713579, -0.84977996, -0.00137068)
+    command = MoveTool(Tool.DRILL, p, a)
+    plan = plan_tool(CONFIG, joints_at(), command)
+    assert isinstance(plan, Plan)
+    assert any(plan.branch.startswith(name) for name in BRANCHES)
+    here = settle(CONFIG.arm, plan.motor_rad, plan.gap_rad, MARS_R_m_s2)
+    np.testing.assert_allclose(tool_pose(CONFIG.arm, here.frames, Tool.DRILL).p, p, atol=MEETS)
+    for name in BRANCHES:
+        assert isinstance(plan_tool(CONFIG, joints_at(), replace(command, branch=name)), Plan | Refusal)

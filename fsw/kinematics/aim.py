@@ -1,0 +1,113 @@
+"""Aiming off: roots of the real, hanging arm that are clear of every singularity.
+
+The square rigid arm is told a target beside the true one, by as much as the real arm misses it. The load
+changes little with the aim, so a few shots are enough, and every shot costs one closed form and one look at
+the real arm.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.dictionary.joints import Joint
+from fsw.kinematics.arm import Arm
+from fsw.kinematics.branches import signs_of
+from fsw.kinematics.closed_form import closed_form_branch
+from fsw.kinematics.limits import beyond_limits, into_limits
+from fsw.kinematics.task import task_error, try_pose
+from fsw.kinematics.transforms import Array, norm
+
+HANGING_TOLERANCE: Final = 2e-8
+RIGID_TOLERANCE: Final = 2e-10
+"""Of a root: position [m], axis [rad] and what strains still change. Less, by the square, where it is ..."""
+CLEAR: Final = 0.3
+"""... not so far from every fold, for there the angles follow the tool by more."""
+MAX_SHOTS: Final = 12
+COMES_IN_RAD: Final = 0.03
+"""After the first shot, how far outside the limits a root may be and still come in."""
+NEAR_FOLD: Final = 0.2
+"""The same with the elbow this close to straight or folded [sine], where one shot tells less."""
+BLOCK: Final = 3000
+"""Roots at a time, to bound the memory."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Aimed:
+    """Roots of the real arm, (n,) last."""
+
+    output_rad: Array
+    """(5, n)."""
+    torque_Nm: Array
+    """(5, n)."""
+    error: Array
+    """(n,): the larger of position error [m] and axis error [rad]; infinite where not tried."""
+    followed: NDArray[np.bool_]
+    """Not given up after the first shot."""
+    first_miss: Array
+    """(n,): the error of the first shot: how far the real arm is from the square one there; else 0."""
+
+
+def aim_off(
+    arm: Arm,
+    tool: int,
+    p: Array,
+    a: Array,
+    gravity_R_m_s2: Array,
+    start_rad: Array,
+    wanted: NDArray[np.bool_],
+) -> Aimed:
+    """The roots of targets (3, n) on the branches of the square arm's roots (5, n), where wanted."""
+    n = wanted.size
+    aimed = Aimed(start_rad.copy(), np.zeros_like(start_rad), np.full(n, np.inf), wanted.copy(), np.zeros(n))
+    chosen = np.flatnonzero(wanted)
+    for block in np.split(chosen, range(BLOCK, chosen.size, BLOCK)):
+        _aim_block(arm, tool, p[:, block], a[:, block], gravity_R_m_s2, block, aimed)
+    return aimed
+
+
+def tolerance(gravity_R_m_s2: Array) -> float:
+    """Of the roots of an arm that hangs or, without gravity, is rigid."""
+    return HANGING_TOLERANCE if gravity_R_m_s2.any() else RIGID_TOLERANCE
+
+
+def _aim_block(
+    arm: Arm, tool: int, p: Array, a: Array, gravity: Array, where: NDArray[np.intp], aimed: Aimed
+) -> None:
+    """Shots at the targets `where`, written into `aimed`."""
+    q, aim_p, aim_a = aimed.output_rad[:, where], p, a
+    clear = np.min(np.abs(signs_of(arm.shapes[tool], q)), axis=0) / CLEAR
+    allowed = tolerance(gravity) * np.minimum(clear, 1.0) ** 2
+    strain = None
+    for shot in range(MAX_SHOTS):
+        tried = try_pose(arm, tool, q, strain, gravity)
+        error = np.maximum(np.max(np.abs(task_error(tried.X_RT, p, a)), axis=0), tried.unrest)
+        aimed.torque_Nm[:, where], aimed.error[where] = tried.torque_Nm, error
+        going = error >= allowed
+        miss_p, miss_a, strain = tried.X_RT.p - p, tried.X_RT.R[:, 0] - a, tried.strain
+        if not going.any():
+            return
+        if not going.all():
+            where, miss_p, miss_a = where[going], miss_p[:, going], miss_a[:, going]
+            p, a, aim_p, aim_a, q, strain = (v[..., going] for v in (p, a, aim_p, aim_a, q, strain))
+            allowed = allowed[going]
+        aim_p, aim_a = aim_p - miss_p, aim_a - miss_a
+        q, _ = closed_form_branch(arm.shapes[tool], aim_p, aim_a / norm(aim_a), q)
+        aimed.output_rad[:, where] = q
+        if shot == 0:
+            aimed.first_miss[where] = error[going]
+            follow = _may_come_in(arm, tool, q)
+            aimed.followed[where] = follow
+            if not follow.any():
+                return
+            where, allowed = where[follow], allowed[follow]
+            p, a, aim_p, aim_a, q, strain = (v[..., follow] for v in (p, a, aim_p, aim_a, q, strain))
+
+
+def _may_come_in(arm: Arm, tool: int, q: Array) -> NDArray[np.bool_]:
+    """Which roots (5, k), known to one shot, may be inside the limits."""
+    elbow = np.sin(q[Joint.ELBOW] + arm.shapes[tool].theta_rad[Joint.ELBOW])
+    margin = np.where(np.abs(elbow) < NEAR_FOLD, NEAR_FOLD, COMES_IN_RAD)
+    may: NDArray[np.bool_] = beyond_limits(arm, into_limits(arm, q)).max(axis=0) < margin
+    return may

@@ -1,0 +1,203 @@
+"""Starts for targets close to a singularity, where roots of the real arm meet, part or multiply.
+
+With the azimuth and the pitch of the turret axis given, the rest of a pose follows: the turret looks as
+nearly along the approach as it can, and the planar arm reaches the wrist. Two conditions are left: the
+lateral one and that the turret axis is square to the approach. Both are looked at on a grid over the torus
+of azimuth and pitch, at the real arm, and wherever their zero lines may both pass a node, the node is a
+start.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.dictionary.joints import Joint
+from fsw.kinematics.arm import Arm
+from fsw.kinematics.closed_form import closed_form, into_shoulder, pose_of, wrist_joint
+from fsw.kinematics.shape import Shape
+from fsw.kinematics.suspects import Suspects
+from fsw.kinematics.task import task_error, task_jacobian, try_pose
+from fsw.kinematics.transforms import Array, Flags, norm, wrap_angle
+
+PITCH_RANGE_RAD: Final = 1.0
+"""How far from the pitch of a suspect with a wrist that is not free a node may be."""
+LATERAL_M: Final = 0.1
+"""How far from its lateral offset the wrist centre of a node may be."""
+CLOSE_M: Final = 0.5
+"""Closer to the azimuth axis than this, the shoulder's fold is near."""
+REACH_M: Final = 0.1
+"""How far out of the planar arm's reach a node may be."""
+MOST_LEAN: Final = 0.35
+"""How far from its angle with the approach (cosine) the turret axis of a node may be."""
+LEAST_BEND_RAD: Final = 0.1
+"""Starts keep the elbow this far from straight and folded, where the planar arm is singular."""
+CLEAR_BEND_RAD: Final = 0.15
+"""The same for the square arm's roots: from outside, on the convex side of the fold, Newton converges."""
+LONGEST_STEP_RAD: Final = 0.3
+SLACK: Final = 1.0
+"""A zero line may pass a node if the value there is below this share of its change to the neighbours."""
+BLOCK: Final = 500
+"""Nodes at a time: their arrays stay in the cache."""
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """How many nodes there are."""
+
+    azimuths: int
+    """Of either shoulder."""
+    pitches: int
+
+    def pitch_rad(self) -> Array:
+        """(pitches,)."""
+        return np.linspace(0.0, 2 * np.pi, self.pitches, endpoint=False)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Starts:
+    """Where to begin, (k) last."""
+
+    output_rad: Array
+    """(5, k)."""
+    target: NDArray[np.intp]
+    """(k,): of which target."""
+
+
+def scan(
+    arm: Arm,
+    tool: int,
+    p_RoTo_R_m: Array,
+    approach_R: Array,
+    gravity_R_m_s2: Array,
+    suspects: Suspects,
+    grid: Grid,
+) -> Starts:
+    """Starts close to every root of targets (3, n) that is near one of the suspects."""
+    nodes, at, worth = _nodes(arm.shapes[tool], p_RoTo_R_m, approach_R, suspects, grid)
+    target = np.unravel_index(at, worth)[0]
+    conditions = np.full((2, *worth), np.nan).reshape(2, -1)
+    for block in np.split(np.arange(at.size), range(BLOCK, at.size, BLOCK)):
+        p, a = p_RoTo_R_m[:, target[block]], approach_R[:, target[block]]
+        nodes[:, block], conditions[:, at[block]] = _look(arm, tool, p, a, gravity_R_m_s2, nodes[:, block])
+    near = _zero_lines_pass(conditions.reshape(2, *worth)).reshape(-1)[at]
+    # where the elbow is nearly straight, few nodes can reach: the square arm's own roots, from either side
+    bent = closed_form(arm, tool, p_RoTo_R_m, approach_R, CLEAR_BEND_RAD).output_rad[:, suspects.is_suspect]
+    return Starts(
+        np.concatenate([bent, nodes[:, near]], axis=1),
+        np.concatenate([np.nonzero(suspects.is_suspect)[1], target[near]]),
+    )
+
+
+def _nodes(
+    s: Shape, p_m: Array, approach: Array, suspects: Suspects, grid: Grid
+) -> tuple[Array, NDArray[np.intp], tuple[int, ...]]:
+    """Poses (5, k) of the square arm at the nodes worth a look, where on the grid they are, and its shape.
+
+    The grid is (target, shoulder, azimuth, pitch, elbow); the places are those on the flat grid.
+    """
+    p, a = into_shoulder(s, p_m, approach)
+    q1 = _azimuths(s, p - s.radius_m * a, grid)[..., None]
+    p, a = (v.reshape(3, -1, 1, 1, 1) for v in (p, a))
+    t_e, t_z = -np.sin(grid.pitch_rad()), np.cos(grid.pitch_rad())
+    lean = (a[0] * np.cos(q1) + a[1] * np.sin(q1)) * t_e + a[2] * t_z
+    worth = (np.abs(lean - s.boresight_z) < MOST_LEAN) & _near_suspects(s, suspects, grid.pitch_rad())
+    k, shoulder, azimuth, pitch = np.nonzero(worth)
+    p, a, q1 = p[:, k, 0, 0, 0], a[:, k, 0, 0, 0], q1[k, shoulder, azimuth, 0]
+    t_e, t_z, lean = t_e[pitch], t_z[pitch], lean[k, shoulder, azimuth, pitch]
+    look = a - lean * np.stack([t_e * np.cos(q1), t_e * np.sin(q1), t_z])
+    flat = np.sqrt(1 - s.boresight_z**2) / norm(look)
+    b = s.boresight_z * np.stack([t_e * np.cos(q1), t_e * np.sin(q1), t_z]) + flat * look
+    foot = p - s.radius_m * b
+    sine = (b[0] * np.cos(q1) + b[1] * np.sin(q1)) * t_z - b[2] * t_e
+    lateral = foot[0] * np.sin(q1) - foot[1] * np.cos(q1) + s.offset_m * sine - s.lateral_m
+    reach = wrist_joint(s, foot, b, q1, t_e, t_z)
+    bend = np.clip(reach.bend_rad, LEAST_BEND_RAD, np.pi - LEAST_BEND_RAD)
+    # far from the fold of the shoulder the lateral condition is nearly linear in the azimuth
+    aside = np.where(np.hypot(foot[0], foot[1]) < CLOSE_M, 1.5 * LATERAL_M, 0.5 * LATERAL_M)
+    near = np.flatnonzero((np.abs(lateral) < aside) & (reach.missing_m < REACH_M))
+    elbows = [
+        pose_of(s, b, q1, t_e, t_z, sine, replace(reach, bend_rad=side * bend))[:, near] for side in (1, -1)
+    ]
+    place = 2 * np.ravel_multi_index((k, shoulder, azimuth, pitch), worth.shape)[near]
+    return np.concatenate(elbows, axis=1), np.concatenate([place, place + 1]), (*worth.shape, 2)
+
+
+def _near_suspects(s: Shape, suspects: Suspects, pitch_rad: Array) -> Flags:
+    """Which nodes, (n, shoulder, 1, pitch), have the shoulder of a scanned suspect and a pitch near its."""
+    q = suspects.output_rad
+    pitch = np.sum(q[Joint.ELEVATION : Joint.TURRET] + s.theta_rad[1:4, None, None], axis=0)
+    apart = np.abs(wrap_angle(pitch_rad.reshape(-1, 1, 1) - pitch))
+    near = suspects.is_scanned & (suspects.wrist_is_free | (apart < PITCH_RANGE_RAD))
+    by_shoulder: Flags = np.any(near.reshape(pitch_rad.size, 2, 4, -1), axis=2)
+    return np.moveaxis(by_shoulder, (0, 2), (2, 0))[:, :, None]
+
+
+def _azimuths(s: Shape, foot: Array, grid: Grid) -> Array:
+    """Azimuths (n, shoulder, azimuth) around those at which the foot is at its lateral offset."""
+    rho, heading = np.hypot(foot[0], foot[1]), np.arctan2(foot[1], foot[0])
+    low, high = (
+        np.arcsin(
+            np.clip((s.lateral_m + side * (LATERAL_M + abs(s.offset_m))) / np.maximum(rho, 1e-9), -1.0, 1.0)
+        )
+        for side in (-1, 1)
+    )
+    lean = low[:, None] + (high - low)[:, None] * np.linspace(0.0, 1.0, grid.azimuths)
+    azimuth: Array = heading[:, None, None] + np.stack([lean, np.pi - lean], axis=1)
+    return azimuth
+
+
+def _look(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, q: Array) -> tuple[Array, Array]:
+    """Nodes (5, k) with planar arm and turret put right to first order, and the two conditions (2, k)."""
+    tried = try_pose(arm, tool, q, np.zeros((6, 6, q.shape[1])), gravity)
+    to_turret_axis = _toward_turret_axis(arm, tool)
+    frame = _in_plane(arm.shapes[tool], q)
+
+    def split(v: Array) -> tuple[Array, Array]:
+        """In-plane position and look, to be put right; lateral position and turret axis, the conditions."""
+        position = np.einsum("ij...,i...->j...", frame.reshape(3, 3, *(1,) * (v.ndim - 2), -1), v[:3])
+        axis, look = np.einsum("ij,j...->i...", to_turret_axis, v[3:])
+        return np.stack([position[0], position[1], look]), np.stack([position[2], axis])
+
+    residual, conditions = split(task_error(tried.X_RT, p, a))
+    planar = [Joint.ELEVATION, Joint.ELBOW, Joint.TURRET]
+    J, J_conditions = split(task_jacobian(tried.frames, tried.X_RT, a)[:, planar])
+    A = np.moveaxis(J, (0, 1), (-2, -1)) + 1e-9 * np.eye(3)
+    step = -np.linalg.solve(A, residual.T[..., None])[..., 0].T
+    step *= np.minimum(1.0, LONGEST_STEP_RAD / np.maximum(np.max(np.abs(step), axis=0), 1e-300))
+    q = q.copy()
+    q[planar] += step
+    return q, conditions + np.einsum("ij...,j...->i...", J_conditions, step)
+
+
+def _toward_turret_axis(arm: Arm, tool: int) -> Array:
+    """The rotation (2, 2) of the tool's y and z axes that brings the first nearest to the turret axis."""
+    y, z = arm.X_FT[tool].R[2, 1:] / np.hypot(*arm.X_FT[tool].R[2, 1:])
+    return np.array([[y, z], [z, -y]])
+
+
+def _in_plane(s: Shape, q: Array) -> Array:
+    """Forward, down and lateral of the arm's plane in the rover frame, as columns (3, 3, k)."""
+    q1 = q[Joint.AZIMUTH] + s.theta_rad[Joint.AZIMUTH]
+    c, s1, zero = np.cos(q1), np.sin(q1), np.zeros_like(q1)
+    columns = np.array([[c, zero, s1], [s1, zero, -c], [zero, zero + 1, zero]])
+    in_rover: Array = np.einsum("ij,jk...->ik...", s.X_R1.R, columns)
+    return in_rover
+
+
+def _zero_lines_pass(conditions: Array) -> Flags:
+    """Where on the grid (2, n, shoulder, azimuth, pitch, elbow) both conditions may vanish close by."""
+    change = np.zeros_like(conditions)
+    for axis in (3, 4):
+        step = np.abs(np.diff(conditions, axis=axis, append=_first(conditions, axis)))
+        if axis == 3:
+            step[:, :, :, -1] = np.nan  # azimuths do not go round
+        both = np.fmax(step, np.roll(step, 1, axis))
+        change += np.nan_to_num(both)
+    passes: Flags = np.all(np.abs(conditions) <= SLACK * change, axis=0)
+    return passes
+
+
+def _first(values: Array, axis: int) -> Array:
+    return np.take(values, [0], axis=axis)

@@ -1,0 +1,71 @@
+"""The task of the inverse kinematics: a tool's position and approach, as an error with a derivative."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from fsw.kinematics.arm import Arm
+from fsw.kinematics.chain import Frames, forward, joint_jacobian, tool_pose
+from fsw.kinematics.statics import load
+from fsw.kinematics.transforms import Array, Pose, compose, cross, dot, skew
+
+ROOT_TOLERANCE: Final = 5e-10
+"""Forward check of a root: position [m] and axis [rad]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tried:
+    """What the hanging arm does at some joint angles, batch (n,)."""
+
+    frames: Frames
+    X_RT: Pose
+    """The tool once the springs have taken the load that was found, to first order."""
+    strain: Array
+    """(6, 6, n), under that load."""
+    torque_Nm: Array
+    """(5, n)."""
+    unrest: Array
+    """(n,): by how much the load changed the strain that was assumed."""
+
+
+def try_pose(arm: Arm, tool: int, output_rad: Array, strain: Array | None, gravity_R_m_s2: Array) -> Tried:
+    """One pass of load and deflection at angles (5, n), from an assumed strain (6, 6, n) or from none."""
+    frames = forward(arm, output_rad, strain)
+    X_RT = tool_pose(arm, frames, tool)
+    n = output_rad.shape[1]
+    if not gravity_R_m_s2.any():
+        return Tried(frames, X_RT, np.zeros((6, 6, n)), np.zeros_like(output_rad), np.zeros(n))
+    new_strain, torque = load(arm, frames, gravity_R_m_s2)
+    change = new_strain if strain is None else new_strain - strain
+    unrest = np.abs(change).reshape(36, n).max(axis=0)
+    return Tried(frames, _sagged(frames, change, X_RT), new_strain, torque, unrest)
+
+
+def _sagged(frames: Frames, change: Array, X_RT: Pose) -> Pose:
+    """Where the tool will be when the springs have taken a small change of strain (6, 6, n): first order."""
+    parts = np.empty((3, 3, *change.shape[1:]))
+    parts[0], parts[1], parts[2] = change[:3], change[3:], frames.X_LD.p
+    turns, shifts, spring = np.einsum("ij...,kj...->ki...", frames.X_RL.R, parts)
+    turn = turns.sum(axis=1)
+    lever = X_RT.p[:, None] - spring - frames.X_RL.p
+    p_m = X_RT.p + (cross(turns, lever) + shifts).sum(axis=1)
+    return Pose(X_RT.R + compose(skew(turn), X_RT.R), p_m)
+
+
+def task_error(X_RT: Pose, p_RoTo_R_m: Array, approach_R: Array) -> Array:
+    """Position error and the approach's components along the tool's y and z axes, (5, ...)."""
+    miss = X_RT.p - p_RoTo_R_m
+    along = np.einsum("ij...,i...->j...", X_RT.R, np.broadcast_to(approach_R, miss.shape))
+    # pointing the other way has the same zero components: make it large, so that it is never an answer
+    away = np.copysign(along[:1] < 0, along[1:2])
+    return np.concatenate([miss, along[1:2] + away, along[2:]])
+
+
+def task_jacobian(frames: Frames, X_RT: Pose, approach_R: Array) -> Array:
+    """Derivative of task_error by the joint angles, springs held, (5, 5, ...)."""
+    J = joint_jacobian(frames, X_RT.p)
+    a = np.broadcast_to(approach_R, X_RT.p.shape)
+    # (w x y) . a = w . (y x a)
+    turning = [dot(cross(X_RT.R[:, k], a)[:, None], J[:3]) for k in (1, 2)]
+    return np.concatenate([J[3:], np.stack(turning)])

@@ -1,0 +1,126 @@
+"""Targets made from joint vectors, many of them next to double roots, and what their answers are held to."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from benchmarks.cases import HANGING_M, RIGID_M, Trial, arm_of
+from benchmarks.checks import CLEAR_SIGMA, SAME_RAD, apart, claimed, smallest_singular_value
+from benchmarks.samples import Near, vectors
+from fsw.dictionary.joints import Joint, Tool
+from fsw.kinematics.answers import Answers, Verdict, why
+from fsw.kinematics.branches import BRANCHES, slot_name
+from fsw.kinematics.ik import inverse_kinematics
+from fsw.kinematics.limits import beyond_limits
+from fsw.kinematics.singular import SAME_RAD as TWICE_RAD
+from fsw.kinematics.transforms import wrap_angle
+from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
+
+GRAVITIES = {"rigid": None, "mars": MARS_R_m_s2, "tilted": np.array([0.9, -1.2, 3.4])}
+DOUBLE_ROOT = Near.ELBOW | Near.WRIST | Near.SHOULDER
+INSIDE_RAD = 1e-6
+
+
+@dataclass(frozen=True)
+class Made:
+    """Targets, the joint vectors that made them, and the answers."""
+
+    trial: Trial
+    q: np.ndarray
+    p: np.ndarray
+    a: np.ndarray
+    answers: Answers
+    sigma: np.ndarray
+    """Smallest singular value of the task Jacobian, of the tool as it hangs."""
+
+    @property
+    def tolerance(self) -> float:
+        return RIGID_M if self.trial.gravity_R_m_s2 is None else HANGING_M
+
+
+def trial_of(name: str, gravity: str, tool: Tool) -> Trial:
+    return Trial(name, arm_of(name), tool, GRAVITIES[gravity])
+
+
+def made_from(trial: Trial, q: np.ndarray) -> Made:
+    X = trial.tool_pose(q)
+    p, a = X.p, X.R[:, 0]
+    answers = inverse_kinematics(trial.arm, trial.tool, p, a, trial.gravity_R_m_s2)
+    return Made(trial, q, p, a, answers, smallest_singular_value(trial, q))
+
+
+@lru_cache
+def anywhere(name: str, gravity: str, tool: Tool, n: int) -> Made:
+    """From joint vectors anywhere inside the limits."""
+    rng = np.random.default_rng(100 + tool)
+    return made_from(trial_of(name, gravity, tool), in_limits(config_of(), rng, n))
+
+
+@lru_cache
+def near_double_roots(name: str, gravity: str, tool: Tool, n: int) -> Made:
+    """From joint vectors a microradian to a third of a radian from where two roots meet."""
+    trial, rng = trial_of(name, gravity, tool), np.random.default_rng([2264, tool])
+    q, near = vectors(trial, rng, 9 * n)
+    return made_from(trial, q[:, np.flatnonzero(near & DOUBLE_ROOT)[:n]])
+
+
+def assert_makers_found(made: Made) -> None:
+    """Where a pose is not singular it is among the answers to its target, and valid if inside the limits."""
+    distance = apart(made.answers, made.q)
+    clear = made.sigma > CLEAR_SIGMA
+    assert clear.any()
+    lost = np.flatnonzero(clear & ~(distance.min(axis=0) < SAME_RAD))
+    assert not lost.size, [(made.q[:, k].tolist(), made.sigma[k]) for k in lost[:3]]
+    at = np.flatnonzero(clear & (beyond_limits(made.trial.arm, made.q).max(axis=0) < -INSIDE_RAD))
+    assert (made.answers.verdict[distance.argmin(axis=0)[at], at] == Verdict.VALID).all()
+
+
+def between_answers(answers: Answers) -> np.ndarray:
+    """The distance of the closest two answers of each target, turns apart; infinite below two."""
+    q = answers.output_rad
+    slots = np.arange(q.shape[1])
+    distance = np.abs(wrap_angle(q[:, :, None] - q[:, None])).max(axis=0)
+    distance[slots, slots] = np.inf
+    return np.where(np.isnan(distance), np.inf, distance).min(axis=(0, 1))
+
+
+def assert_no_root_twice(answers: Answers) -> None:
+    assert between_answers(answers).min(initial=np.inf) > TWICE_RAD
+
+
+def assert_consistent(arm, answers: Answers) -> None:
+    """What the words of Answers promise, whatever the target."""
+    angles, verdict, excess = answers.output_rad, answers.verdict, answers.excess
+    assert verdict.shape == answers.joint.shape == excess.shape == answers.error.shape
+    assert angles.shape == answers.torque_Nm.shape == (5, *verdict.shape)
+    assert verdict.shape[0] % len(BRANCHES) == 0
+    assert not np.isin(verdict[: len(BRANCHES)], Verdict.ABSENT).any()
+    further = (Verdict.VALID, Verdict.OUTSIDE_LIMITS, Verdict.ABSENT)
+    assert np.isin(verdict[len(BRANCHES) :], further).all()
+    is_root = claimed(answers)
+    assert np.isfinite(angles[:, is_root]).all()
+    assert np.isnan(angles[:, ~is_root]).all()
+    assert np.isfinite(answers.torque_Nm).all()
+    assert not answers.torque_Nm[:, ~is_root].any()
+    assert np.isfinite(answers.error[is_root | (verdict == Verdict.NOT_CONVERGED)]).all()
+    over = beyond_limits(arm, angles)
+    assert (over[:, verdict == Verdict.VALID] <= 0).all()
+    out = is_root & (verdict == Verdict.OUTSIDE_LIMITS)
+    np.testing.assert_array_equal(excess[out], over[:, out].max(axis=0))
+    np.testing.assert_array_equal(answers.joint[out], over[:, out].argmax(axis=0))
+    assert np.isfinite(excess).all()
+    assert (excess >= 0).all()
+    assert (excess[np.isin(verdict, (Verdict.OUTSIDE_LIMITS, Verdict.OUT_OF_REACH))] > 0).all()
+    assert not excess[np.isin(verdict, (Verdict.VALID, Verdict.NOT_CONVERGED, Verdict.ABSENT))].any()
+    at_fault = answers.joint[verdict == Verdict.SINGULAR]
+    assert np.isin(at_fault, (Joint.AZIMUTH, Joint.ELBOW, Joint.WRIST)).all()
+
+
+def assert_sentences(arm, answers: Answers) -> None:
+    """Of a single target."""
+    for slot in range(answers.verdict.shape[0]):
+        sentence = why(arm, answers, slot)
+        assert sentence.startswith(f"{slot_name(slot)}: ")
+        assert "nan" not in sentence
+        assert "inf" not in sentence

@@ -1,0 +1,103 @@
+"""The names of branches, and which of them a pose is on as forward kinematics sees it."""
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Tool
+from fsw.kinematics.branches import BRANCHES, branch_of, signs_of, slot_name
+from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.closed_form import closed_form
+from tests.fsw.rig import config_of, in_limits
+
+N = 3000
+ARM = config_of().arm
+# of the drawing: the turret's reach to each tool point
+RADIUS_M = {Tool.DRILL: 0.360, Tool.DRT: 0.299, Tool.MAHLI: 0.2973, Tool.APXS: 0.2983, Tool.PORTION: 0.2761}
+
+
+def poses(n=N):
+    return in_limits(config_of(), np.random.default_rng(11), n)
+
+
+def named(words, index):
+    """Whether the branches have this word in their names."""
+    return np.array([words in name for name in BRANCHES])[index]
+
+
+def test_there_are_eight_branches_with_names_of_their_own():
+    assert len(set(BRANCHES)) == 8
+    words = {tuple(name.split()) for name in BRANCHES}
+    assert {w[0] for w in words} == {"shoulder-out", "shoulder-in"}
+    assert {w[1] for w in words} == {"elbow-up", "elbow-down"}
+    assert {w[2] for w in words} == {"wrist-up", "wrist-down"}
+
+
+def test_the_first_eight_slots_have_the_names_of_the_branches_and_further_ones_are_numbered():
+    assert tuple(slot_name(k) for k in range(8)) == BRANCHES
+    assert slot_name(8) == "shoulder-out elbow-up wrist-up, root 2"
+    assert slot_name(21) == "shoulder-in elbow-up wrist-down, root 3"
+    assert slot_name(31) == "shoulder-in elbow-down wrist-down, root 4"
+    assert len({slot_name(k) for k in range(32)}) == 32
+
+
+@pytest.mark.parametrize("tool", Tool)
+def test_out_is_the_shoulder_whose_azimuth_looks_toward_the_foot_of_the_turret_axis(tool):
+    q = poses()
+    frames = forward(ARM, q)
+    X = tool_pose(ARM, frames, tool)
+    foot = X.p - RADIUS_M[tool] * X.R[:, 0]
+    ahead_m = np.sum(frames.X_RF.R[:, 0, 1] * (foot - frames.X_RF.p[:, 0]), axis=0)
+    signs = signs_of(ARM.shapes[tool], q)
+    np.testing.assert_allclose(signs[0], -ahead_m, atol=1e-12)
+    np.testing.assert_array_equal(named("shoulder-out", branch_of(signs)), ahead_m > 0)
+
+
+def test_up_is_the_elbow_above_the_line_from_shoulder_to_wrist():
+    q = poses()
+    frames = forward(ARM, q)
+    shoulder, elbow, wrist = (frames.X_RF.p[:, k] for k in (1, 2, 3))
+    # z is down
+    chord = wrist - shoulder
+    share = np.sum((elbow - shoulder) * chord, axis=0) / np.sum(chord * chord, axis=0)
+    above_m = (shoulder + share * chord - elbow)[2]
+    signs = signs_of(ARM.shapes[Tool.APXS], q)
+    clear = np.abs(above_m) > 1e-9
+    up = named("elbow-up", branch_of(signs))
+    np.testing.assert_array_equal(up[clear], (above_m > 0)[clear])
+    np.testing.assert_allclose(np.abs(signs[1]), np.abs(np.sin(q[2])), atol=1e-12)
+    assert 0.2 < up.mean() < 0.8
+
+
+@pytest.mark.parametrize("tool", Tool)
+def test_the_wrists_carry_the_turret_axis_on_either_side_of_the_approach(tool):
+    q = poses()
+    frames = forward(ARM, q)
+    X = tool_pose(ARM, frames, tool)
+    n, z5 = frames.X_RF.R[:, 2, 1], frames.X_RF.R[:, 2, 4]
+    sine = np.sum(np.cross(n, X.R[:, 0], axis=0) * z5, axis=0)
+    signs = signs_of(ARM.shapes[tool], q)
+    np.testing.assert_allclose(signs[2], sine, atol=1e-12)
+    np.testing.assert_array_equal(named("wrist-up", branch_of(signs)), sine < 0)
+
+
+@pytest.mark.parametrize("tool", Tool)
+def test_the_roots_of_the_square_arm_are_on_the_branches_of_their_slots(tool):
+    q = poses()
+    X = tool_pose(ARM, forward(ARM, q), tool)
+    roots = closed_form(ARM, tool, X.p, X.R[:, 0])
+    signs = signs_of(ARM.shapes[tool], roots.output_rad)
+    clear = (roots.missing_m == 0) & (np.abs(signs).min(axis=0) > 1e-6)
+    assert clear.mean() > 0.5
+    slot = np.broadcast_to(np.arange(8)[:, None], clear.shape)
+    np.testing.assert_array_equal(branch_of(signs)[clear], slot[clear])
+
+
+def test_a_batch_of_poses_is_on_the_branches_of_its_single_poses():
+    q, s = poses(24), config_of("calibrated:3").arm.shapes[Tool.DRT]
+    many = branch_of(signs_of(s, q.reshape(5, 2, 3, 4)))
+    assert many.shape == (2, 3, 4)
+    for k, index in enumerate(np.ndindex(2, 3, 4)):
+        one = branch_of(signs_of(s, q[:, k]))
+        assert one.shape == ()
+        assert one == many[index]
+    assert branch_of(np.zeros((3, 0))).shape == (0,)

@@ -1,0 +1,156 @@
+"""A small edition of the kinematics campaign: 200,000 targets, half of them made from joint vectors.
+
+`make campaign` runs twenty million. What fails here has examples, enough to run each again.
+"""
+
+import json
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from benchmarks.campaign import Chunk, Tally, plan, run
+from benchmarks.cases import CASES, Trial, arm_of, trials
+from benchmarks.checks import smallest_singular_value, task_jacobian
+from benchmarks.kinematics import campaign
+from benchmarks.samples import FARTHEST, NEAREST, Near, log_distances, vectors
+from fsw.dictionary.joints import Tool
+from fsw.kinematics.limits import beyond_limits
+
+EACH = 100_000
+SEED = 2024
+by_case = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name.replace(" ", "-"))
+
+
+@lru_cache
+def tally_of(case) -> Tally:
+    tally = Tally()
+    for chunk in plan(EACH, EACH, SEED, case):
+        tally.add(run(chunk))
+    return tally
+
+
+def examples(tally, what):
+    return [example for example in tally.examples if example["what"] == what]
+
+
+@by_case
+def test_no_target_raises_an_exception_or_a_numerical_warning(case):
+    tally = tally_of(case)
+    assert tally.exceptions == 0, examples(tally, "exception")
+
+
+@by_case
+def test_every_answer_meets_its_target(case):
+    """To a nanometre where the arm is rigid, to a micrometre where its deflection is compensated."""
+    tally = tally_of(case)
+    assert tally.roots > tally.targets
+    assert tally.off == 0, examples(tally, "off")
+    assert tally.worst_error <= case.tolerance_m
+
+
+@by_case
+def test_a_joint_vector_clear_of_double_roots_is_among_the_answers_to_its_target(case):
+    tally = tally_of(case)
+    assert not tally.missed, examples(tally, "missed")
+
+
+@by_case
+def test_where_two_roots_meet_the_target_is_met_or_named_as_singular(case):
+    tally = tally_of(case)
+    assert tally.indistinct > 0
+    assert not tally.unanswered, examples(tally, "unanswered")
+
+
+@by_case
+def test_what_is_inside_the_limits_is_valid_and_nothing_else_is(case):
+    tally = tally_of(case)
+    assert tally.not_called_valid == 0, examples(tally, "not called valid")
+    assert tally.valid_outside_limits == 0
+
+
+@by_case
+def test_in_the_primary_workspace_at_most_four_branches_are_valid_but_for_a_few_targets(case):
+    tally = tally_of(case)
+    assert tally.workspace_at_most_four > 0.98 * tally.workspace
+
+
+def test_the_small_campaign_is_of_200_000_targets():
+    chunks = plan(EACH, EACH, SEED)
+    assert sum(chunk.targets for chunk in chunks) == sum(chunk.vectors for chunk in chunks) == EACH
+    assert {chunk.case for chunk in chunks} == set(CASES)
+
+
+@by_case
+def test_vectors_of_the_campaign_are_inside_their_limits_and_many_are_near_double_roots(case):
+    rng = np.random.default_rng(1)
+    for trial in trials(case, rng):
+        q, near = vectors(trial, rng, 2000)
+        assert (beyond_limits(trial.arm, q) <= 0).all()
+        for flag in (Near.ELBOW, Near.WRIST, Near.SHOULDER):
+            there = (near & flag) > 0
+            assert there.sum() > 100
+            assert np.median(smallest_singular_value(trial, q[:, there])) < 0.01
+
+
+@by_case
+def test_some_vectors_are_measured_from_the_double_roots_of_the_arm_as_it_is(case):
+    trial = next(trials(case, np.random.default_rng(2)))
+    q, near = vectors(trial, np.random.default_rng(3), 3000)
+    assert (smallest_singular_value(trial, q[:, near > 0]) < 1e-4).sum() > 10
+
+
+def test_distances_come_in_every_size():
+    sizes = np.abs(log_distances(np.random.default_rng(4), 10_000))
+    assert sizes.min() >= NEAREST
+    assert sizes.max() <= FARTHEST
+    decades = np.histogram(np.log10(sizes), bins=[-6, -5, -4, -3, -2, -1])[0]
+    assert decades.min() > 0.8 * decades.max()
+
+
+def test_of_a_tool_that_hangs_the_jacobian_counts_the_load_s_response():
+    """To a few parts in a thousand it is the rigid one, and it is not the rigid one."""
+    q = np.array([[0.1, -1.0, 1.2, 1.0, 1.0]]).T
+    rigid, hanging = (
+        task_jacobian(Trial("nominal", arm_of("nominal"), Tool.DRILL, pull), q)
+        for pull in (None, np.array([0.0, 0.0, 3.711]))
+    )
+    change = np.abs(hanging - rigid).max()
+    assert 1e-3 < change < 0.1
+
+
+def test_a_chunk_comes_again_with_its_seed():
+    case = CASES[0]
+    twice = [run(Chunk(0, case, 300, 300, np.random.SeedSequence(7))).as_json() for _ in range(2)]
+    assert twice[0] == twice[1]
+
+
+def test_the_result_of_a_campaign_is_json_by_case_and_adds_up():
+    result = json.loads(json.dumps(campaign(100, 100, seed=3)))
+    assert list(result["cases"]) == [case.name for case in CASES]
+    for name in ("targets", "vectors", "failures"):
+        assert result[name] == sum(tally[name] for tally in result["cases"].values())
+
+
+def test_an_exception_is_counted_and_told_but_does_not_end_the_campaign(monkeypatch):
+    def breaks(*_):
+        raise ZeroDivisionError("on purpose")
+
+    monkeypatch.setattr("benchmarks.campaign.inverse_kinematics", breaks)
+    tally = run(Chunk(0, CASES[0], 50, 50, np.random.SeedSequence(7)))
+    assert tally.exceptions == len(Tool)
+    assert "on purpose" in tally.examples[0]["trace"]
+    assert tally.failures == len(Tool)
+
+
+def test_a_lost_root_is_a_miss_with_the_means_to_run_it_again(monkeypatch):
+    """Without the answers near it, the vector is missed; its example holds arm, tool, gravity and vector."""
+    monkeypatch.setattr(
+        "benchmarks.campaign.apart", lambda answers, q: np.full(answers.verdict.shape, np.inf)
+    )
+    tally = run(Chunk(0, CASES[0], 50, 50, np.random.SeedSequence(7)))
+    assert tally.missed.total() + tally.indistinct == tally.vectors
+    example = examples(tally, "missed")[0]
+    again = Trial(example["arm"], arm_of(example["arm"]), Tool[example["tool"]], None)
+    q = np.array(example["vector_rad"])[:, None]
+    assert smallest_singular_value(again, q)[0] == pytest.approx(example["sigma"], rel=1e-6)

@@ -1,0 +1,99 @@
+"""Relative compensation: at the reference pose nothing is corrected, elsewhere the difference is."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Tool
+from fsw.kinematics.answers import Verdict
+from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.ik import inverse_kinematics
+from fsw.kinematics.refine import refine
+from fsw.kinematics.relative import relative_target
+from tests.fsw.kinematics.test_refine import RIGID, hanging, hanging_targets
+from tests.fsw.rig import MARS_R_m_s2, config_of
+
+REFERENCE = np.array([0.3, -1.0, 1.6, 2.1, 1.2])
+
+
+@pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
+@pytest.mark.parametrize("tool", Tool)
+def test_relative_to_the_reference_pose_the_target_there_is_the_reference_pose(name, tool):
+    """The rigid tool at the reference pose as target: the answer is the reference pose itself."""
+    config = config_of(name)
+    drawn = tool_pose(config.arm, forward(config.arm, REFERENCE), tool)
+    p, a = relative_target(config.arm, tool, REFERENCE, MARS_R_m_s2, drawn.p, drawn.R[:, 0])
+    hung = hanging(config, REFERENCE, MARS_R_m_s2, tool)
+    np.testing.assert_allclose(p, hung.p, atol=1e-14)
+    np.testing.assert_allclose(a, hung.R[:, 0], atol=1e-14)
+    found = refine(config.arm, tool, p, a, MARS_R_m_s2, REFERENCE + 0.01)
+    assert found.converged
+    np.testing.assert_allclose(found.output_rad, REFERENCE, atol=1e-8)
+
+
+def test_without_deflection_relative_is_absolute():
+    config = config_of()
+    _, p, a = hanging_targets(config, Tool.DRT, 8, RIGID)
+    moved_p, moved_a = relative_target(config.arm, Tool.DRILL, REFERENCE, RIGID, p, a)
+    np.testing.assert_allclose(moved_p, p, atol=1e-14)
+    np.testing.assert_allclose(moved_a, a, atol=1e-14)
+
+
+def test_only_the_difference_of_deflection_counts():
+    """Near the reference, commanded angles follow the rigid arm: what both poses share cancels."""
+    config = config_of()
+    rng = np.random.default_rng(12)
+    q = REFERENCE[:, None] + rng.uniform(-0.01, 0.01, (5, 20))
+    drawn = tool_pose(config.arm, forward(config.arm, q), Tool.APXS)
+    p, a = drawn.p, drawn.R[:, 0]
+    absolute = refine(config.arm, Tool.APXS, p, a, MARS_R_m_s2, q)
+    target = relative_target(config.arm, Tool.APXS, REFERENCE, MARS_R_m_s2, p, a)
+    relative = refine(config.arm, Tool.APXS, *target, MARS_R_m_s2, q)
+    assert absolute.converged.all()
+    assert relative.converged.all()
+    whole, rest_of_it = (np.abs(found.output_rad - q).max(axis=0) for found in (absolute, relative))
+    assert (rest_of_it < 0.1 * whole).all()
+
+
+def test_over_one_spot_the_shifts_of_two_tools_relative_to_each_other_cancel():
+    """What one tool is shifted for, seen from the other, is what the other is shifted back; stiff springs."""
+    config = config_of()
+    arm = replace(config.arm, compliance=1e-3 * config.arm.compliance)
+    spot = tool_pose(arm, forward(arm, REFERENCE), Tool.APXS)
+    p, a = spot.p, spot.R[:, 0]
+    answers = inverse_kinematics(arm, Tool.DRT, p, a)
+    there = answers.output_rad[:, np.flatnonzero(answers.verdict == Verdict.VALID)[-1]]
+    shifts = []
+    for tool, pose, other, other_pose in (
+        (Tool.DRT, there, Tool.APXS, REFERENCE),
+        (Tool.APXS, REFERENCE, Tool.DRT, there),
+    ):
+        target = relative_target(arm, other, other_pose, MARS_R_m_s2, p, a)
+        found = refine(arm, tool, *target, MARS_R_m_s2, pose)
+        assert found.converged
+        shifts.append(tool_pose(arm, forward(arm, found.output_rad), tool).p - p)
+    assert np.linalg.norm(shifts[0]) > 2e-7
+    np.testing.assert_allclose(shifts[0], -shifts[1], atol=2e-3 * np.linalg.norm(shifts[0]))
+
+
+def test_relative_targets_come_in_batches():
+    config = config_of()
+    _, p, a = hanging_targets(config, Tool.APXS, 6, MARS_R_m_s2)
+    batch = (v.reshape(3, 2, 3) for v in (p, a))
+    many = relative_target(config.arm, Tool.DRILL, REFERENCE, MARS_R_m_s2, *batch)
+    for k in range(6):
+        one = relative_target(config.arm, Tool.DRILL, REFERENCE, MARS_R_m_s2, p[:, k], a[:, k])
+        for several, single in zip(many, one, strict=True):
+            np.testing.assert_allclose(several.reshape(3, 6)[:, k], single, rtol=0, atol=2e-15)
+
+
+def test_with_springs_half_as_stiff_the_relative_shift_doubles():
+    config = config_of()
+    _, p, a = hanging_targets(config, Tool.APXS, 1, MARS_R_m_s2)
+    shifts = []
+    for softer in (1e-4, 2e-4):
+        arm = replace(config.arm, compliance=softer * config.arm.compliance)
+        moved, _ = relative_target(arm, Tool.APXS, REFERENCE, MARS_R_m_s2, p[:, 0], a[:, 0])
+        shifts.append(moved - p[:, 0])
+    np.testing.assert_allclose(shifts[1], 2 * shifts[0], atol=1e-4 * np.linalg.norm(shifts[0]))

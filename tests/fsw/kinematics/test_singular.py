@@ -1,0 +1,81 @@
+"""The scan near singularities: starts close to every root, and what becomes of them."""
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Tool
+from fsw.kinematics.closed_form import closed_form
+from fsw.kinematics.scan import scan
+from fsw.kinematics.singular import MOST_ROOTS, QUICK, FoundRoots, roots_near_singularity
+from fsw.kinematics.suspects import Suspects
+from fsw.kinematics.transforms import wrap_angle
+from tests.fsw.kinematics.lab import CLEAR_SIGMA, SAME_RAD, near_double_roots
+
+N = 60
+CASES = pytest.mark.parametrize(
+    ("name", "gravity"), [("nominal", "mars"), ("calibrated:3", "rigid"), ("calibrated:3", "tilted")]
+)
+
+
+def all_suspect(made):
+    roots = closed_form(made.trial.arm, made.trial.tool, made.p, made.a)
+    every = np.ones(roots.missing_m.shape, bool)
+    return Suspects(roots.output_rad, roots.missing_m == 0, every, every, every)
+
+
+def pull_of(made):
+    return np.zeros(3) if made.trial.gravity_R_m_s2 is None else made.trial.gravity_R_m_s2
+
+
+def nothing_known(n):
+    return FoundRoots(np.full((5, 8, n), np.nan), np.zeros((5, 8, n)), np.full((8, n), np.nan))
+
+
+@CASES
+def test_there_are_starts_for_every_target_and_one_near_every_maker(name, gravity):
+    made = near_double_roots(name, gravity, Tool.DRILL, N)
+    starts = scan(made.trial.arm, Tool.DRILL, made.p, made.a, pull_of(made), all_suspect(made), QUICK.grid)
+    assert np.isfinite(starts.output_rad).all()
+    assert set(starts.target) == set(range(N))
+    nearest = [
+        np.abs(wrap_angle(starts.output_rad[:, starts.target == k] - made.q[:, [k]])).max(axis=0).min()
+        for k in range(N)
+    ]
+    assert max(nearest) < 0.6
+
+
+def test_without_suspects_there_are_no_starts():
+    made = near_double_roots("nominal", "mars", Tool.DRILL, N)
+    none = np.zeros((8, N), bool)
+    suspects = Suspects(all_suspect(made).output_rad, none, none, none, none)
+    starts = scan(made.trial.arm, Tool.DRILL, made.p, made.a, pull_of(made), suspects, QUICK.grid)
+    assert starts.output_rad.shape == (5, 0)
+    assert starts.target.shape == (0,)
+
+
+@CASES
+def test_with_nothing_known_the_makers_are_found(name, gravity):
+    made = near_double_roots(name, gravity, Tool.DRILL, N)
+    found = roots_near_singularity(
+        made.trial.arm, Tool.DRILL, made.p, made.a, pull_of(made), all_suspect(made), nothing_known(N)
+    )
+    slots = found.error.shape[0]
+    assert slots in range(8, 8 * MOST_ROOTS + 1, 8)
+    distance = np.abs(wrap_angle(found.output_rad - made.q[:, None])).max(axis=0)
+    clear = made.sigma > CLEAR_SIGMA
+    assert np.where(np.isnan(distance), np.inf, distance).min(axis=0)[clear].max() < SAME_RAD
+    is_root = np.isfinite(found.error)
+    assert (np.isfinite(found.output_rad) == is_root).all()
+
+
+def test_known_roots_that_are_not_suspects_are_kept_as_they_are():
+    """Bit for bit, whatever slot they come to."""
+    made = near_double_roots("nominal", "mars", Tool.DRILL, N)
+    known = made.answers
+    first = FoundRoots(known.output_rad[:, :8], known.torque_Nm[:, :8], known.error[:8])
+    none = np.zeros((8, N), bool)
+    suspects = Suspects(all_suspect(made).output_rad, none, none, none, none)
+    kept = roots_near_singularity(made.trial.arm, Tool.DRILL, made.p, made.a, pull_of(made), suspects, first)
+    for k in range(N):
+        before, after = (set(v.output_rad[0, :, k][np.isfinite(v.error[:, k])]) for v in (first, kept))
+        assert before == after

@@ -1,0 +1,220 @@
+"""Next to double roots, where roots of the real arm meet, part or multiply: all are found, and none twice."""
+
+import numpy as np
+import pytest
+
+from benchmarks.checks import CLEAR_SIGMA, claimed, errors, smallest_singular_value
+from fsw.dictionary.joints import Joint, Tool
+from fsw.kinematics.answers import Answers, Verdict, at_target
+from fsw.kinematics.branches import BRANCHES, branch_of, signs_of
+from fsw.kinematics.ik import inverse_kinematics
+from fsw.kinematics.limits import beyond_limits
+from fsw.kinematics.refine import refine
+from fsw.kinematics.statics import rest
+from fsw.kinematics.task import ROOT_TOLERANCE, task_error
+from fsw.kinematics.transforms import wrap_angle
+from tests.fsw.kinematics.lab import (
+    GRAVITIES,
+    assert_consistent,
+    assert_makers_found,
+    assert_no_root_twice,
+    assert_sentences,
+    made_from,
+    near_double_roots,
+    trial_of,
+)
+from tests.fsw.rig import config_of, in_limits
+
+N = 110
+OVERHEAD_M = 0.02
+"""Wrists so close over the elevation joint may be called by the other elbow, for up changes side there."""
+RADIAL = [
+    ("nominal", "mars", Tool.DRILL),
+    ("nominal", "mars", Tool.APXS),
+    ("nominal", "tilted", Tool.MAHLI),
+    ("nominal", "tilted", Tool.PORTION),
+    ("calibrated:3", "rigid", Tool.DRT),
+    ("calibrated:3", "mars", Tool.DRILL),
+    ("calibrated:3", "tilted", Tool.APXS),
+    ("calibrated:11", "rigid", Tool.APXS),
+    ("calibrated:11", "mars", Tool.DRT),
+    ("calibrated:11", "tilted", Tool.MAHLI),
+]
+SKEW = [("skew:1", "mars", Tool.DRILL), ("skew:5", "tilted", Tool.DRILL), ("skew:8", "mars", Tool.DRILL)]
+radial = pytest.mark.parametrize(("name", "gravity", "tool"), RADIAL)
+every = pytest.mark.parametrize(("name", "gravity", "tool"), [*RADIAL, *SKEW])
+
+
+@every
+def test_every_pose_that_is_not_singular_itself_is_among_the_answers_to_its_target(name, gravity, tool):
+    assert_makers_found(near_double_roots(name, gravity, tool, N))
+
+
+@every
+def test_every_root_meets_its_target_and_no_root_is_there_twice(name, gravity, tool):
+    made = near_double_roots(name, gravity, tool, N)
+    there = claimed(made.answers)
+    error = errors(made.trial, made.answers, made.p, made.a)[there]
+    assert error.max() < made.tolerance
+    np.testing.assert_allclose(made.answers.error[there], error, rtol=0, atol=2e-8)
+    assert_no_root_twice(made.answers)
+
+
+@every
+def test_a_target_that_a_pose_made_has_a_root_or_a_singular_branch(name, gravity, tool):
+    """On the double root itself two roots may have gone together, to within what the errors allow."""
+    made = near_double_roots(name, gravity, tool, N)
+    named = made.answers.verdict == Verdict.SINGULAR
+    assert (claimed(made.answers) | named).any(axis=0).all()
+
+
+@radial
+def test_every_slot_keeps_its_word_and_none_is_without_an_answer(name, gravity, tool):
+    made = near_double_roots(name, gravity, tool, N)
+    assert_consistent(made.trial.arm, made.answers)
+    assert not (made.answers.verdict == Verdict.NOT_CONVERGED).any()
+    for k in range(0, N, 5):
+        assert_sentences(made.trial.arm, at_target(made.answers, k))
+
+
+@radial
+def test_torques_are_those_of_the_arm_at_rest(name, gravity, tool):
+    made = near_double_roots(name, gravity, tool, N)
+    there, pull = claimed(made.answers), made.trial.gravity_R_m_s2
+    if pull is None:
+        assert not made.answers.torque_Nm.any()
+    else:
+        at_rest = rest(made.trial.arm, made.answers.output_rad[:, there], pull)
+        np.testing.assert_allclose(made.answers.torque_Nm[:, there], at_rest.torque_Nm, rtol=0, atol=1e-4)
+
+
+@radial
+def test_a_root_clear_of_the_folds_is_in_a_slot_of_its_own_branch(name, gravity, tool):
+    made = near_double_roots(name, gravity, tool, N)
+    shape, q = made.trial.arm.shapes[tool], made.answers.output_rad
+    upper = q[Joint.ELEVATION] + shape.theta_rad[Joint.ELEVATION]
+    fore = upper + q[Joint.ELBOW] + shape.theta_rad[Joint.ELBOW]
+    ahead_m = np.abs(shape.upper_m * np.cos(upper) + shape.fore_m * np.cos(fore))
+    signs = signs_of(shape, q)
+    clear = claimed(made.answers) & (np.abs(signs).min(axis=0) > 0.1) & (ahead_m > OVERHEAD_M)
+    assert clear.sum() > 50
+    slot = np.broadcast_to(np.arange(q.shape[1])[:, None], clear.shape)
+    np.testing.assert_array_equal(branch_of(signs)[clear], slot[clear] % len(BRANCHES))
+
+
+def test_some_branches_next_to_double_roots_have_several_roots_and_some_roots_are_gone():
+    """Otherwise the tests above would not try what they are for."""
+    makers = [near_double_roots(*case, N) for case in RADIAL]
+    assert sum(claimed(made.answers)[len(BRANCHES) :].sum() for made in makers) > 30
+    gone = [made.answers.joint[made.answers.verdict == Verdict.SINGULAR] for made in makers]
+    assert set(np.concatenate(gone)) == {Joint.AZIMUTH, Joint.ELBOW, Joint.WRIST}
+
+
+@pytest.mark.parametrize(("name", "gravity", "tool"), [RADIAL[0], RADIAL[4], RADIAL[5], RADIAL[9]])
+def test_newton_from_a_few_hundred_random_starts_finds_no_root_that_the_answers_lack(name, gravity, tool):
+    """Of those inside the limits and not double: what the grid of the scan may have missed."""
+    made = near_double_roots(name, gravity, tool, N)
+    arm, pull = (
+        made.trial.arm,
+        np.zeros(3) if made.trial.gravity_R_m_s2 is None else made.trial.gravity_R_m_s2,
+    )
+    some = np.arange(0, N, 15)
+    start = in_limits(config_of(), np.random.default_rng(9), 300 * some.size)
+    of = np.repeat(some, 300)
+    found = refine(arm, tool, made.p[:, of], made.a[:, of], pull, start)
+    inside = found.converged & (beyond_limits(arm, wrap_into(arm, found.output_rad)).max(axis=0) < -1e-4)
+    q, of = found.output_rad[:, inside], of[inside]
+    assert q.shape[1] > 100
+    clear = smallest_singular_value(made.trial, q) > CLEAR_SIGMA
+    distance = np.abs(wrap_angle(made.answers.output_rad[:, :, of] - q[:, None])).max(axis=0)
+    assert np.where(np.isnan(distance), np.inf, distance).min(axis=0)[clear].max() < 1e-6
+
+
+def wrap_into(arm, q):
+    middle = 0.5 * (arm.soft_min_rad + arm.soft_max_rad)[:, None]
+    return middle + wrap_angle(q - middle)
+
+
+ONCE_TWICE = [
+    ("nominal", "mars", (2.3979, -0.0308, 0.5683), (0.5414, 0.0800, 0.8370)),
+    ("calibrated:2", "rigid", (2.2891, 0.2840, 0.7820), (0.7657, 0.0523, 0.6410)),
+]
+
+
+@pytest.mark.parametrize(("name", "gravity", "p", "a"), ONCE_TWICE)
+@pytest.mark.parametrize("tool", Tool)
+def test_targets_that_once_had_the_same_root_in_two_slots_have_different_ones(name, gravity, p, a, tool):
+    trial, approach = trial_of(name, gravity, tool), np.array(a) / np.linalg.norm(a)
+    answers = inverse_kinematics(
+        trial.arm, tool, np.array(p)[:, None], approach[:, None], trial.gravity_R_m_s2
+    )
+    assert claimed(answers).sum() >= 2
+    assert_no_root_twice(answers)
+    assert_consistent(trial.arm, answers)
+
+
+OVERHEAD = [
+    # wrist right over the elevation joint and the approach nearly parallel to the pitch axes
+    ("nominal", "mars", (0.64664995, -1.20267089, -0.75696808, -1.18014510, 2.15600928)),
+    ("calibrated:3", "rigid", (-2.70602688, -2.23248749, 1.36372571, 1.36076790, 4.43515819)),
+    ("calibrated:11", "mars", (-0.28355575, -1.00276974, -1.16686160, 1.48853998, 2.41723051)),
+]
+
+
+@pytest.mark.parametrize(("name", "gravity", "q"), OVERHEAD)
+def test_with_the_wrist_right_over_the_elevation_joint_every_slot_has_an_answer_or_a_reason(name, gravity, q):
+    made = made_from(trial_of(name, gravity, Tool.DRILL), np.array(q)[:, None])
+    assert_makers_found(made)
+    assert not (made.answers.verdict == Verdict.NOT_CONVERGED).any()
+    assert_sentences(made.trial.arm, at_target(made.answers, 0))
+
+
+@pytest.mark.parametrize(("name", "gravity", "tool"), SKEW)
+def test_every_slot_of_a_hanging_skew_tool_has_an_answer_or_a_reason(name, gravity, tool):
+    made = near_double_roots(name, gravity, tool, N)
+    assert not (made.answers.verdict == Verdict.NOT_CONVERGED).any()
+    assert_consistent(made.trial.arm, made.answers)
+
+
+@pytest.mark.parametrize(("name", "gravity", "tool"), [RADIAL[1], RADIAL[4], RADIAL[8], SKEW[0]])
+def test_a_batch_of_hard_targets_is_its_single_targets(name, gravity, tool):
+    """Verdicts alike; angles too, but for roots that are double to within what Newton steps can tell."""
+    made = near_double_roots(name, gravity, tool, N)
+    for k in range(0, N, 4):
+        one = inverse_kinematics(made.trial.arm, tool, made.p[:, k], made.a[:, k], made.trial.gravity_R_m_s2)
+        many, own = at_target(made.answers, k), one.verdict.shape[0]
+        assert (many.verdict[own:] == Verdict.ABSENT).all()
+        np.testing.assert_array_equal(many.verdict[:own], one.verdict)
+        np.testing.assert_array_equal(many.joint[:own], one.joint)
+        np.testing.assert_allclose(many.excess[:own], one.excess, rtol=0, atol=1e-6)
+        np.testing.assert_allclose(many.error[:own], one.error, rtol=0, atol=1e-9)
+        there = np.flatnonzero(claimed(one))
+        there = there[smallest_singular_value(made.trial, one.output_rad[:, there]) > CLEAR_SIGMA]
+        for word, bound in (("output_rad", 1e-6), ("torque_Nm", 1e-3)):
+            several, single = getattr(many, word)[:, there], getattr(one, word)[:, there]
+            np.testing.assert_allclose(several, single, rtol=0, atol=bound)
+
+
+def test_a_double_root_is_told_once():
+    """Two answers are one root if the pose halfway between them meets the target as well as they do."""
+    q = (
+        -2.0829611948924667,
+        -1.7368145427639048,
+        -0.004355004684645752,
+        -1.712865964694209,
+        0.7505001702083764,
+    )
+    made = made_from(trial_of("nominal", "mars", Tool.APXS), np.array(q)[:, None])
+    roots = made.answers.output_rad[:, claimed(made.answers)[:, 0], 0]
+    first, second = np.triu_indices(roots.shape[1], 1)
+    X = made.trial.tool_pose(roots[:, first] + 0.5 * wrap_angle(roots[:, second] - roots[:, first]))
+    error = np.abs(task_error(X, made.p, made.a)).max(axis=0)
+    assert error.min() > ROOT_TOLERANCE
+
+
+def test_no_further_slots_are_made_where_no_branch_needs_them():
+    for gravity in GRAVITIES:
+        trial = trial_of("nominal", gravity, Tool.APXS)
+        q = np.array([[0.1, -1.0, 1.2, 1.0, 1.0]]).T
+        answers: Answers = made_from(trial, q).answers
+        assert answers.verdict.shape == (8, 1)

@@ -1,0 +1,147 @@
+"""A pose of the rover on Mars: flight statics against its own estimate, and docs/sol-2264.md against both."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Joint, Tool
+from fsw.kinematics.arm import Arm, warmed
+from fsw.kinematics.chain import Frames, forward, tool_pose
+from fsw.kinematics.statics import rest, settle
+from fsw.kinematics.transforms import Pose
+from tests.fsw.rig import config_of
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "sol-2264.md"
+
+# the label of an image of sol 2264: angles, gravity's direction, and the drill where the rover believes it
+ENCODER_RAD = np.array([0.799985, -1.570999, -1.500003, 1.678171, 2.761113])
+RESOLVER_RAD = np.array([0.797107, -1.576209, -1.506384, 1.673409, 2.760045])
+GRAVITY_R_m_s2 = 3.711 * np.array([-0.056348, 0.023005, 0.998146])
+FLIGHT_P_R_M = np.array([0.238353, -0.923706, -0.165335])
+FLIGHT_Q_TR = np.array([0.1586527, 0.5402789, 0.3604649, 0.7436351])
+"""(w, x, y, z), rover to tool: its conjugate is the tool in the rover frame."""
+
+CONFIG = config_of()
+ARM, HALF_GAP_RAD = CONFIG.arm, CONFIG.half_gap_rad
+LOADED_SIDE = np.sign(settle(ARM, ENCODER_RAD, np.zeros(5), GRAVITY_R_m_s2).torque_Nm)
+
+
+def from_quaternion(q) -> np.ndarray:
+    """The rotation of a unit quaternion (w, x, y, z)."""
+    w, (x, y, z) = q[0], q[1:]
+    K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return np.eye(3) + 2 * w * K + 2 * K @ K
+
+
+FLIGHT = Pose(from_quaternion(FLIGHT_Q_TR).T, FLIGHT_P_R_M)
+
+
+def drill(frames: Frames) -> Pose:
+    return tool_pose(ARM, frames, Tool.DRILL)
+
+
+def hanging(gap_rad, arm: Arm = ARM) -> Pose:
+    """The drill for motors at the encoder angles, gears wound up beyond these places in their backlash."""
+    return tool_pose(arm, settle(arm, ENCODER_RAD, gap_rad, GRAVITY_R_m_s2).frames, Tool.DRILL)
+
+
+def across(*joints: Joint) -> Pose:
+    """Half the backlash on the side of the load, but on the other side for some joints."""
+    sides = np.array(LOADED_SIDE)
+    sides[list(joints)] *= -1
+    return hanging(sides * HALF_GAP_RAD)
+
+
+def stiffer(factor: float) -> Arm:
+    """All links and gears."""
+    gears = ARM.gear_stiffness_Nm_rad * factor
+    return replace(ARM, compliance=ARM.compliance / factor, gear_stiffness_Nm_rad=gears)
+
+
+LINES = {
+    "rigid": drill(forward(ARM, ENCODER_RAD)),
+    "links": drill(rest(ARM, ENCODER_RAD, GRAVITY_R_m_s2).frames),
+    "wound up": hanging(np.zeros(5)),
+    "deflected": across(),
+    "J1 across": across(Joint.AZIMUTH),
+    "J5 across": across(Joint.TURRET),
+    "both across": across(Joint.AZIMUTH, Joint.TURRET),
+    "whole gap": hanging((LOADED_SIDE - 1.0) * HALF_GAP_RAD),
+    "rigid, resolvers": drill(forward(ARM, RESOLVER_RAD)),
+    "links, resolvers": drill(rest(ARM, RESOLVER_RAD, GRAVITY_R_m_s2).frames),
+    "stiffer": hanging(LOADED_SIDE * HALF_GAP_RAD, stiffer(1.2)),
+    "softer": hanging(LOADED_SIDE * HALF_GAP_RAD, stiffer(1 / 1.2)),
+    "colder": hanging(LOADED_SIDE * HALF_GAP_RAD, warmed(ARM, -60.0)),
+}
+
+
+def apart(X_RT: Pose) -> tuple[np.ndarray, float]:
+    """Position [m] and angle [rad] from the rover's own estimate."""
+    chord = np.linalg.norm(X_RT.R - FLIGHT.R) / np.sqrt(8)
+    return X_RT.p - FLIGHT.p, 2 * float(np.arcsin(chord))
+
+
+def table_under(heading: str) -> dict[str, list[str]]:
+    """The rows of the page's table under a heading, by their first cell."""
+    part = PAGE.read_text(encoding="utf-8").split(f"## {heading}\n")[1].split("\n## ")[0]
+    rows = [[cell.strip(" *") for cell in line.split("|")[1:-1]] for line in part.splitlines() if "|" in line]
+    return {row[0]: row[1:] for row in rows[2:]}
+
+
+def test_the_flight_pose_is_a_pose():
+    np.testing.assert_allclose(np.linalg.norm(FLIGHT_Q_TR), 1.0, atol=1e-6)
+    np.testing.assert_allclose(np.linalg.norm(GRAVITY_R_m_s2), 3.711, atol=1e-5)
+    assert np.linalg.det(FLIGHT.R) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_the_deflected_drill_is_within_5_mm_and_5_mrad_of_the_rover_s_own_estimate():
+    """Encoders at the motors; each gear wound up by its load, on the flank that the load presses it to."""
+    miss, angle = apart(LINES["deflected"])
+    assert np.linalg.norm(miss) < 5e-3
+    assert angle < 5e-3
+
+
+def test_the_rigid_drill_is_centimetres_away():
+    miss, angle = apart(LINES["rigid"])
+    assert np.linalg.norm(miss) > 20e-3
+    assert angle > 20e-3
+
+
+def test_the_load_decides_the_side_of_three_gaps_and_leaves_two_to_friction():
+    at_rest = settle(ARM, ENCODER_RAD, LOADED_SIDE * HALF_GAP_RAD, GRAVITY_R_m_s2)
+    assert at_rest.converged
+    np.testing.assert_array_equal(np.sign(at_rest.torque_Nm), LOADED_SIDE)
+    left_open = np.abs(at_rest.torque_Nm) < CONFIG.output_friction_Nm
+    assert list(np.flatnonzero(left_open)) == [Joint.AZIMUTH, Joint.TURRET]
+
+
+def test_the_page_says_what_is_computed():
+    table = table_under("Rigid, deflected, flight")
+    assert [name for name in table if name != "flight"] == list(LINES)
+    np.testing.assert_array_equal([float(cell) for cell in table["flight"][:3]], FLIGHT_P_R_M.round(4))
+    for name, X_RT in LINES.items():
+        miss, angle = apart(X_RT)
+        cells = [float(cell) for cell in table[name]]
+        np.testing.assert_allclose(cells[:3], FLIGHT.p + miss, rtol=0, atol=0.51e-4)
+        said = [*1e3 * miss, 1e3 * np.linalg.norm(miss), 1e3 * angle]
+        np.testing.assert_allclose(cells[3:], said, rtol=0, atol=0.051)
+
+
+def test_the_page_says_where_the_resolvers_are():
+    table = table_under("The resolvers")
+    outputs, whole_gap = (
+        settle(ARM, ENCODER_RAD, (LOADED_SIDE + zero) * HALF_GAP_RAD, GRAVITY_R_m_s2) for zero in (0.0, -1.0)
+    )
+    computed = {
+        "torque of gravity [N m]": outputs.torque_Nm,
+        "wind-up [mrad]": 1e3 * outputs.torque_Nm / ARM.gear_stiffness_Nm_rad,
+        "half the backlash [mrad]": 1e3 * LOADED_SIDE * HALF_GAP_RAD,
+        "output - encoder, computed [mrad]": 1e3 * (outputs.output_rad - ENCODER_RAD),
+        "the same, whole gap [mrad]": 1e3 * (whole_gap.output_rad - ENCODER_RAD),
+        "resolver - encoder, flight [mrad]": 1e3 * (RESOLVER_RAD - ENCODER_RAD),
+    }
+    assert list(table) == list(computed)
+    for name, values in computed.items():
+        np.testing.assert_allclose([float(cell) for cell in table[name]], values, rtol=0, atol=0.051)
