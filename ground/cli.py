@@ -5,19 +5,32 @@ Exit status: 0 done, 2 bad input, 3 the arm refused or faulted and is safe, 1 a 
 
 import json
 import os
+import signal
 import sys
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from ground.cli_ik import ik, reach
+from ground.cli_parts import (
+    ARM_SAFE,
+    BAD_INPUT,
+    ArmOption,
+    JsonOption,
+    ParamsOption,
+    PitchOption,
+    RollOption,
+    Vector,
+    end,
+    show,
+)
 
 if TYPE_CHECKING:
     from ground.place import PlaceReport
 
-BAD_INPUT = 2
-ARM_SAFE = 3
-
+KILLED = 128 + signal.SIGTERM
 GL_OFF = ("disable", "disabled", "off", "false", "0")
 """The values of MUJOCO_GL that mujoco takes for no OpenGL."""
 
@@ -29,17 +42,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-
-@app.callback()
-def _marsarm() -> None:
-    """Make typer keep the verb even while there is only one."""
-
-
-Vector = tuple[float, float, float]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 SeedOption = Annotated[int, typer.Option(help="Of everything random that is not the arm.")]
-ArmOption = Annotated[str, typer.Option(help="nominal, as-built:SEED or calibrated:SEED.", metavar="ARM")]
 
 
 @app.command()
@@ -55,16 +58,11 @@ def place(
     normal: Annotated[
         Vector, typer.Option(help="Direction out of the surface, RNAV.", metavar="NX NY NZ")
     ] = (-0.5, 0.1, -0.85),
-    tilt_roll: Annotated[
-        float, typer.Option(help="Rover roll, right side down, in degrees.", metavar="DEG")
-    ] = 0.0,
-    tilt_pitch: Annotated[float, typer.Option(help="Rover pitch, nose up, in degrees.", metavar="DEG")] = 0.0,
+    tilt_roll: RollOption = 0.0,
+    tilt_pitch: PitchOption = 0.0,
     arm: ArmOption = "nominal",
     seed: SeedOption = 0,
-    params: Annotated[
-        Path | None,
-        typer.Option(help="TOML with flight parameters that replace nominal ones.", metavar="FILE.toml"),
-    ] = None,
+    params: ParamsOption = None,
     surface: Annotated[
         bool, typer.Option("--surface/--no-surface", help="Whether the rock is there at all.")
     ] = True,
@@ -85,9 +83,10 @@ def place(
     Example: marsarm place --tool mahli --target 2.1 0 -0.2 --normal -0.4 0 -1 --tilt-pitch 10
     """
     from ground.place import place as carry_out
-    from ground.place_request import BadRequest, PlaceRequest
+    from ground.place_request import PlaceRequest
     from ground.report.progress import progress_bar
     from ground.report.tables import place_json, place_table
+    from ground.request import BadRequest
 
     request = PlaceRequest(
         tool=tool,
@@ -107,9 +106,13 @@ def place(
         with progress_bar() as progress:
             report = carry_out(request, progress)
     except BadRequest as error:
-        _end(str(error), BAD_INPUT, as_json)
-    _show(place_json(report), as_json, lambda: place_table(report))
+        end(str(error), BAD_INPUT, as_json)
+    show(place_json(report), as_json, lambda: place_table(report))
     _finish(report)
+
+
+app.command()(ik)
+app.command()(reach)
 
 
 def _finish(report: "PlaceReport") -> None:
@@ -117,23 +120,10 @@ def _finish(report: "PlaceReport") -> None:
         raise typer.Exit(ARM_SAFE)
 
 
-def _show(document: dict[str, Any], as_json: bool, table: Any) -> None:
-    if as_json:
-        print(json.dumps(document, indent=2, allow_nan=False))
-    else:
-        table()
-
-
-def _end(message: str, status: int, as_json: bool) -> NoReturn:
-    if as_json:
-        print(json.dumps({"error": message}))
-    print(message, file=sys.stderr)
-    raise typer.Exit(status)
-
-
 def main() -> None:
     """The entry point of the command `marsarm`."""
     _free_of_gl_settings()
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(KILLED))  # so that half-written files go
     warnings.simplefilter("ignore", RuntimeWarning)  # numpy's are for developers; users get sentences
     if "--json" not in sys.argv:
         app()

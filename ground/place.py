@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.evrs import CommandCompleted
-from ground.place_request import BadRequest, PlaceRequest, checked
+from ground.place_request import PlaceRequest, checked
 from ground.report.picture import PictureResult, save_movie, save_picture
+from ground.request import BadRequest
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.record import Recorder
 from sim.arms import BuiltArm

@@ -15,6 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.outputs import BadOutput, check_output
 from ground.report import gl
 from ground.report.rays import RayCamera
 
@@ -131,25 +132,10 @@ def check_path(path: str | os.PathLike[str], suffix: str, what: Literal["picture
     Raises:
         PictureError: wrong suffix, no such folder, a name that cannot be, or no right to write.
     """
-    file = Path(path)
-    if file.suffix.lower() != suffix:
-        raise PictureError(f"{what} {file}: its name must end in {suffix}")
-    if not os.path.isdir(file.parent):  # unlike Path.is_dir, False for any bad name
-        raise PictureError(f"{what} {file}: there is no folder {file.parent}")
-    if os.path.isdir(file):
-        raise PictureError(f"{what} {file}: this is a folder; name a file in it")
-    exists = os.path.exists(file)
     try:
-        file.lstat()
-        if not exists:
-            raise PictureError(f"{what} {file}: this is a link to {os.readlink(file)}, which is not there")
-    except FileNotFoundError:
-        pass  # a new file
-    except OSError as error:
-        raise PictureError(f"{what} {file}: cannot be written ({error.strerror})") from error
-    if not os.access(file if exists else file.parent, os.W_OK):
-        raise PictureError(f"{what} {file}: no right to write there")
-    return file
+        return check_output(path, (suffix,), what)
+    except BadOutput as error:
+        raise PictureError(str(error)) from error
 
 
 def _open(

@@ -1,14 +1,11 @@
 """`marsarm place` as a user meets it: what it prints, what it refuses, and what it leaves on the disk."""
 
 import json
-import os
-import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 
 from ground.telemetry.read import read_log
+from tests.ground.command import marsarm
 
 PARAMS_BEYOND = "[joints.elbow]\nspeed_rad_s = 5.0\n"
 PARAMS_UNKNOWN = "[joints.elbow]\nspede_rad_s = 0.01\n"
@@ -19,19 +16,11 @@ PARAMS_THROUGH = "[poses]\nunstow_via_rad = [[-3.0, 0.0, 0.0, 0.0, 0.0]]\n"
 PARAMS_DATE = "[joints.elbow]\nspeed_rad_s = 2012-08-06\n"
 
 
-def marsarm(folder: Path, *words: str, **variables: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from ground.cli import main; main()", *words]
-    env = os.environ | variables
-    return subprocess.run(
-        command, cwd=folder, env=env, capture_output=True, text=True, timeout=300, check=False
-    )
-
-
 BAD = {
     "unreachable": (("--target", "9", "9", "9"), "out of reach"),
     "beyond every limit": (
         ("--target", "1.3", "-1", "-0.1", "--normal", "0", "1", "0"),
-        "joint elevation: -199",
+        "joint elevation: about 12",
     ),
     "normal without length": (("--normal", "0", "0", "0"), "no direction"),
     "normal next to nothing": (("--normal", "0", "2e-9", "0"), "normal: 0 2e-09 0 has no direction"),

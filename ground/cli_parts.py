@@ -1,0 +1,38 @@
+"""What the verbs of the command line share: options, exit statuses, and how results are shown."""
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, NoReturn
+
+import typer
+
+BAD_INPUT = 2
+ARM_SAFE = 3
+
+Vector = tuple[float, float, float]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
+ArmOption = Annotated[str, typer.Option(help="nominal, as-built:SEED or calibrated:SEED.", metavar="ARM")]
+RollOption = Annotated[float, typer.Option(help="Rover roll, right side down, in degrees.", metavar="DEG")]
+PitchOption = Annotated[float, typer.Option(help="Rover pitch, nose up, in degrees.", metavar="DEG")]
+ParamsOption = Annotated[
+    Path | None,
+    typer.Option(help="TOML with flight parameters that replace nominal ones.", metavar="FILE.toml"),
+]
+
+
+def show(document: dict[str, Any], as_json: bool, table: Callable[[], None]) -> None:
+    """Print a result, for a program or for a person."""
+    if as_json:
+        print(json.dumps(document, indent=2, allow_nan=False))
+    else:
+        table()
+
+
+def end(message: str, status: int, as_json: bool) -> NoReturn:
+    """Say why nothing was done, and end."""
+    if as_json:
+        print(json.dumps({"error": message}))
+    print(message, file=sys.stderr)
+    raise typer.Exit(status)

@@ -1,0 +1,105 @@
+"""The arm whose inverse kinematics is asked for: which one, with which tool, and how it hangs."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from fsw.dictionary.joints import Tool
+from fsw.kinematics.answers import Answers
+from fsw.kinematics.arm import Arm, arm_from, warmed
+from fsw.kinematics.ik import inverse_kinematics
+from fsw.kinematics.transforms import Array
+from ground.ik.targets import Targets
+from ground.request import BadRequest, chosen_arm, tilted_world
+from sim.params import digest
+
+COMPENSATIONS: Final = ("absolute", "off")
+MOST_WARMING_K: Final = 200.0
+"""Either way, more than from the warmest day of calibration to the coldest night on Mars."""
+
+
+PART: Final = 8192
+"""Targets at a time: about a second."""
+
+Progress = Callable[[float, float, str], None]
+"""Told what is done, what is to be done, and what it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModelRequest:
+    """What is asked; degrees and kelvin."""
+
+    tool: str = "apxs"
+    compensate: str = "absolute"
+    tilt_roll_deg: float = 0.0
+    tilt_pitch_deg: float = 0.0
+    gravity: str = "mars"
+    warming_K: float = 0.0
+    arm: str = "nominal"
+    params: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmModel:
+    """What flight software believes about the arm, and the gravity to compensate, if any."""
+
+    request: ModelRequest
+    arm: Arm
+    tool: Tool
+    gravity_R_m_s2: Array | None
+    params_sha256: str
+
+    @property
+    def words(self) -> str:
+        """The arm and its load in words."""
+        asked = self.request
+        words = f"{asked.tool.upper()}, {asked.arm} arm"
+        if asked.warming_K:
+            words += f" {asked.warming_K:+g} K"
+        if self.gravity_R_m_s2 is None:
+            return words + ", rigid"
+        tilted = f", roll {asked.tilt_roll_deg:g} pitch {asked.tilt_pitch_deg:g} deg"
+        level = asked.tilt_roll_deg == asked.tilt_pitch_deg == 0.0
+        return words + f", hanging in the gravity of {asked.gravity.title()}" + ("" if level else tilted)
+
+    def in_parts(self, targets: Targets, progress: Progress) -> Iterator[Answers]:
+        """The answers to many targets, some at a time, (S, n) each; S may differ."""
+        for start in range(0, len(targets), PART):
+            progress(start, len(targets), "solving")
+            yield self.answers(targets.part(start, PART))
+
+    def answers(self, targets: Targets) -> Answers:
+        """Every branch of every target, (S, n)."""
+        return inverse_kinematics(
+            self.arm, self.tool, targets.p_RoTo_R_m, targets.approach_R, self.gravity_R_m_s2
+        )
+
+
+def checked_model(request: ModelRequest) -> ArmModel:
+    """The arm that is meant.
+
+    Raises:
+        BadRequest: a field of the request is wrong.
+    """
+    tool = _tool(request.tool)
+    if request.compensate not in COMPENSATIONS:
+        raise BadRequest(
+            f"compensate: {request.compensate!r} is not known; there are {', '.join(COMPENSATIONS)}"
+        )
+    world = tilted_world(request.gravity, request.tilt_roll_deg, request.tilt_pitch_deg, "gravity")
+    if not math.isfinite(request.warming_K) or abs(request.warming_K) > MOST_WARMING_K:
+        raise BadRequest(
+            f"warming: {request.warming_K:g} K is not within {MOST_WARMING_K:g} K of calibration temperature"
+        )
+    params = chosen_arm(request.arm, request.params).params
+    gravity = world.gravity_N_m_s2 if request.compensate == "absolute" else None
+    return ArmModel(request, warmed(arm_from(params), request.warming_K), tool, gravity, digest(params))
+
+
+def _tool(name: str) -> Tool:
+    known = {tool.name.lower(): tool for tool in Tool}
+    if name.lower() not in known:
+        raise BadRequest(f"tool: {name!r} is not known; there are {', '.join(known)}")
+    return known[name.lower()]

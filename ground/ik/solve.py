@@ -1,0 +1,108 @@
+"""Inverse kinematics of one target or of a file of them."""
+
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+from fsw.dictionary.commands import Vector3
+from fsw.kinematics.answers import Answers, at_target
+from ground.ik.model import ArmModel, ModelRequest, Progress, checked_model
+from ground.ik.read import SUFFIXES, read_targets
+from ground.ik.tally import Tally, tally
+from ground.ik.targets import Targets, checked_targets
+from ground.ik.write import writer
+from ground.outputs import BadOutput, check_output
+from ground.request import BadRequest, check_apart
+
+
+@dataclass(frozen=True, slots=True)
+class IkRequest:
+    """What is asked: one target, or a file of them and one for the answers."""
+
+    model: ModelRequest = field(default_factory=ModelRequest)
+    frame: str = "rnav"
+    position_m: Vector3 | None = None
+    approach: Vector3 | None = None
+    batch: Path | None = None
+    out: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class IkReport:
+    """The answers to one target."""
+
+    request: IkRequest
+    model: ArmModel
+    answers: Answers
+    """(S,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BatchReport:
+    """What came of a file of targets; the answers are in the file `request.out`."""
+
+    request: IkRequest
+    model: ArmModel
+    tally: Tally
+
+
+def solve(request: IkRequest, progress: Progress) -> IkReport | BatchReport:
+    """Answer a request.
+
+    Raises:
+        BadRequest: the request is wrong, or a file cannot be read or written; nothing was written.
+    """
+    model = checked_model(request.model)
+    if request.batch is None and request.out is None:
+        return IkReport(request, model, at_target(model.answers(_one_target(request)), 0))
+    if request.batch is None or request.out is None:
+        raise BadRequest("batch and out: give both, the file with the targets and the one for the answers")
+    if request.position_m is not None or request.approach is not None:
+        raise BadRequest("position and approach: the targets are in the batch; give one or the other")
+    return _solve_batch(request, model, request.batch, request.out, progress)
+
+
+def _one_target(request: IkRequest) -> Targets:
+    if request.position_m is None or request.approach is None:
+        raise BadRequest(
+            "position and approach: give both, such as --position 2.1 0 -0.3 --approach 0.5 0 0.85; "
+            "or a batch and out"
+        )
+    position, approach = (np.array(vector)[:, None] for vector in (request.position_m, request.approach))
+    return checked_targets(position, approach, request.frame, lambda _: ("position", "approach"))
+
+
+def _solve_batch(
+    request: IkRequest, model: ArmModel, batch: Path, out: Path, progress: Progress
+) -> BatchReport:
+    check_apart({"params": request.model.params, "batch": batch, "out": out})
+    try:
+        check_output(out, SUFFIXES, "out")
+        targets = read_targets(batch, request.frame)
+        counted = Tally()
+        with writer(out, _about(request, model)) as answers_file:
+            for answers in model.in_parts(targets, progress):
+                answers_file.add(answers)
+                counted += tally(answers)
+            progress(1, 1, "writing")
+    except BadOutput as error:
+        raise BadRequest(str(error)) from error
+    return BatchReport(request, model, counted)
+
+
+def _about(request: IkRequest, model: ArmModel) -> dict[str, object]:
+    """What a reader of the file must know to make it again."""
+    params = request.model.params
+    return {
+        "marsarm": version("marsarm"),
+        **asdict(request.model),
+        "params": None if params is None else str(params),
+        "params_sha256": model.params_sha256,
+        "gravity_R_m_s2": None if model.gravity_R_m_s2 is None else model.gravity_R_m_s2.tolist(),
+        "batch": str(request.batch),
+        "frame": request.frame,
+        "excess": "radians beyond the limit of the joint, or metres out of reach",
+        "forward_error": "the larger of position error [m] and axis error [rad], by forward kinematics",
+    }

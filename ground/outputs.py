@@ -1,0 +1,67 @@
+"""Files that are written whole or not at all."""
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO
+
+
+class BadOutput(ValueError):
+    """A file cannot be written where it was asked for; what was there before is still there."""
+
+
+def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: str) -> Path:
+    """Give the path back if a file can be written there; `what` is the option that named it.
+
+    Raises:
+        BadOutput: wrong suffix, no such folder, a name that cannot be, no file, or no right to write.
+    """
+    file = Path(path)
+    if file.suffix.lower() not in suffixes:
+        raise BadOutput(f"{what} {file}: its name must end in {' or '.join(suffixes)}")
+    if not os.path.isdir(file.parent):  # unlike Path.is_dir, False for any bad name
+        raise BadOutput(f"{what} {file}: there is no folder {file.parent}")
+    if os.path.isdir(file):
+        raise BadOutput(f"{what} {file}: this is a folder; name a file in it")
+    exists = os.path.exists(file)
+    if exists and not os.path.isfile(file):
+        raise BadOutput(f"{what} {file}: this is not a regular file; give the path of a new file")
+    try:
+        file.lstat()
+        if not exists:
+            raise BadOutput(f"{what} {file}: this is a link to {os.readlink(file)}, which is not there")
+    except FileNotFoundError:
+        pass  # a new file
+    except OSError as error:
+        raise BadOutput(f"{what} {file}: cannot be written ({error.strerror})") from error
+    if not os.access(file if exists else file.parent, os.W_OK):
+        raise BadOutput(f"{what} {file}: no right to write there")
+    return file
+
+
+@contextmanager
+def written_whole(path: Path, what: str) -> Iterator[BinaryIO]:
+    """Open a temporary file beside `path` that takes its place when the block ends well, and else goes.
+
+    Raises:
+        BadOutput: the file cannot be written, at the start or on the way.
+    """
+    place = Path(os.path.realpath(path))  # a link stays a link
+    part = place.with_name(f".marsarm-{secrets.token_hex(8)}.part")
+    try:
+        with part.open("xb") as file:
+            yield file
+        os.replace(part, place)
+    except OSError as error:
+        _remove(part)
+        raise BadOutput(f"{what} {path}: cannot be written ({error.strerror or error})") from error
+    except BaseException:
+        _remove(part)
+        raise
+
+
+def _remove(part: Path) -> None:
+    with suppress(OSError):
+        part.unlink()

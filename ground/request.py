@@ -1,0 +1,104 @@
+"""What several verbs are asked, and the checks that they share; nothing is done before it is checked."""
+
+import math
+import os
+from itertools import combinations
+from pathlib import Path
+from typing import Final, Literal, cast
+
+import numpy as np
+
+from fsw.dictionary.commands import Vector3
+from sim.arms import BuiltArm, UnknownArm, arm_named
+from sim.params import BadParams, params_over_nominal
+from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World
+
+FARTHEST_M: Final = 100.0
+"""A target beyond this is a slip of the pen, and its square need not be a number."""
+SHORTEST: Final = 1e-6
+"""The largest component of a vector that still has a direction."""
+WORKSPACE: Final = "the workspace is around 2.1 0 -0.3 in RNAV"
+
+
+class BadRequest(ValueError):
+    """A request that cannot be carried out; nothing moved and nothing was written."""
+
+
+def check_finite(name: str, values: tuple[float, ...]) -> None:
+    """Refuse NaN and infinity."""
+    if not np.all(np.isfinite(values)):
+        raise BadRequest(f"{name}: {numbers(values)} is not three finite numbers")
+
+
+def check_near(name: str, position_m: tuple[float, ...]) -> None:
+    """Refuse a point that no rover's arm is asked for."""
+    if math.hypot(*position_m) > FARTHEST_M:
+        raise BadRequest(
+            f"{name}: {numbers(position_m)} m is farther than {FARTHEST_M:g} m from the rover; {WORKSPACE}"
+        )
+
+
+def scaled(name: str, vector: Vector3, what: str) -> Vector3:
+    """The vector with a largest component of 1, so that its length is a number; `what` it ought to be."""
+    largest = max(abs(component) for component in vector)
+    if largest < SHORTEST:
+        raise BadRequest(f"{name}: {numbers(vector)} has no direction; give {what}")
+    x, y, z = (component / largest for component in vector)
+    return (x, y, z)
+
+
+def chosen_arm(name: str, params: Path | None) -> BuiltArm:
+    """The arm of this name, its flight parameters over those of a TOML file if there is one."""
+    try:
+        return arm_named(name, None if params is None else params_over_nominal(params))
+    except (UnknownArm, BadParams) as error:
+        raise BadRequest(str(error)) from error
+
+
+def tilted_world(scene: str, roll_deg: float, pitch_deg: float, scene_option: str = "scene") -> World:
+    """A world without a surface, its rover tilted within what the arm is used at."""
+    if scene not in GRAVITY_M_S2:
+        raise BadRequest(f"{scene_option}: {scene!r} is not known; there are {', '.join(GRAVITY_M_S2)}")
+    if not np.all(np.isfinite((roll_deg, pitch_deg))):
+        raise BadRequest(f"tilt: {numbers((roll_deg, pitch_deg))} deg is not finite")
+    roll, pitch = (float(np.radians(angle)) for angle in (roll_deg, pitch_deg))
+    world = World(cast(Literal["mars", "earth"], scene), roll, pitch)
+    most = max(abs(roll), abs(pitch), world.tilt_rad)
+    if most > MAX_TILT_RAD + 1e-12:
+        limit_deg = round(math.degrees(MAX_TILT_RAD), 9)
+        raise BadRequest(
+            f"tilt: roll {roll_deg} and pitch {pitch_deg} deg tilt the rover by "
+            f"{_beyond(math.degrees(most), limit_deg)} deg; the arm is used up to {limit_deg:g} deg"
+        )
+    return world
+
+
+def check_seed(seed: int) -> None:
+    """Refuse a seed that numpy would."""
+    if seed < 0:
+        raise BadRequest(f"seed: {seed} must not be negative")
+
+
+def check_apart(files: dict[str, Path | None]) -> None:
+    """Refuse two names for one file, through links too."""
+    given = [(name, path) for name, path in files.items() if path is not None]
+    for (one, path), (other, same) in combinations(given, 2):
+        if _same_file(path, same):
+            raise BadRequest(f"{other} {same}: this is the file of {one} too; give each a file of its own")
+
+
+def numbers(values: tuple[float, ...]) -> str:
+    """Numbers as a user would type them."""
+    return " ".join(f"{value:g}" for value in values)
+
+
+def _same_file(one: Path, other: Path) -> bool:
+    if os.path.realpath(one) == os.path.realpath(other):
+        return True
+    return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
+
+
+def _beyond(value: float, limit: float) -> str:
+    """A number with as many digits, three at least, as show that it is beyond its limit."""
+    texts = (f"{value:.{digits}g}" for digits in range(3, 17))
+    return next((text for text in texts if float(text) > limit), f"{value!r}")

@@ -1,0 +1,35 @@
+"""A small batch of targets, as files and as answers."""
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import parquet
+
+from ground.ik.model import ModelRequest, checked_model
+from ground.ik.read import APPROACH, POSITION
+from ground.ik.solve import IkRequest, solve
+from ground.ik.targets import Targets
+from sim.frames import p_R_from_N
+
+P_M = np.array([[2.1, 0.0, -0.3], [2.0, 0.2, -0.1], [9.0, 0.0, 0.0], [1.9, -0.3, 0.1]])
+A = np.array([[0.0, 0.0, 1.0], [0.5, 0.1, 0.8], [1.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+
+
+def save(path, position_m=P_M, approach=A) -> None:
+    """Write a batch of either kind."""
+    if path.suffix == ".npz":
+        np.savez(path, position_m=position_m, approach=approach)
+    else:
+        names, columns = (*POSITION, *APPROACH), (*position_m.T, *approach.T)
+        parquet.write_table(pa.table(dict(zip(names, columns, strict=True))), path)
+
+
+def solved(batch, out, **model):
+    """Answer a batch."""
+    return solve(IkRequest(ModelRequest(**model), batch=batch, out=out), lambda *_: None)
+
+
+def expected(position_m=P_M, approach=A, **model):
+    """The answers straight from the kinematics, (S, n)."""
+    unit = approach / np.linalg.norm(approach, axis=1)[:, None]
+    targets = Targets(p_R_from_N(position_m).T, unit.T)
+    return checked_model(ModelRequest(**model)).answers(targets)
