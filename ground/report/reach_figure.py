@@ -12,7 +12,7 @@ from sim.workspace import BOTTOM_Z_M, CENTRE_X_M, RADIUS_M, TOP_Z_M, WEDGE_DOWN_
 
 if TYPE_CHECKING:
     from ground.ik.model import ArmModel
-    from ground.ik.reach import ReachSamples
+    from ground.ik.samples import ReachSamples
     from ground.ik.tally import Tally
 
 SAMPLES_PER_CELL: Final = 40

@@ -8,7 +8,8 @@ import PIL.Image
 import pytest
 
 from ground.ik.model import ModelRequest, checked_model
-from ground.ik.reach import ReachRequest, reach, sample
+from ground.ik.reach import ReachRequest, reach
+from ground.ik.samples import sample
 from ground.report.ik_tables import reach_json
 from ground.request import BadRequest
 from sim.workspace import approach_from, random_surface, random_targets
