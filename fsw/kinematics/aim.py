@@ -16,7 +16,7 @@ from fsw.kinematics.arm import Arm
 from fsw.kinematics.branches import signs_of
 from fsw.kinematics.closed_form import closed_form_branch
 from fsw.kinematics.limits import beyond_limits, into_limits
-from fsw.kinematics.task import task_error, try_pose
+from fsw.kinematics.task import try_pose
 from fsw.kinematics.transforms import Array, norm
 
 HANGING_TOLERANCE: Final = 2e-8
@@ -76,24 +76,24 @@ def _aim_block(
     arm: Arm, tool: int, p: Array, a: Array, gravity: Array, where: NDArray[np.intp], aimed: Aimed
 ) -> None:
     """Shots at the targets `where`, written into `aimed`."""
-    q, aim_p, aim_a = aimed.output_rad[:, where], p, a
+    q, aim = aimed.output_rad[:, where], np.concatenate([p, a])
     clear = np.min(np.abs(signs_of(arm.shapes[tool], q)), axis=0) / CLEAR
     allowed = tolerance(gravity) * np.minimum(clear, 1.0) ** 2
     strain = None
     for shot in range(MAX_SHOTS):
         tried = try_pose(arm, tool, q, strain, gravity)
-        error = np.maximum(np.max(np.abs(task_error(tried.X_RT, p, a)), axis=0), tried.unrest)
+        miss = np.concatenate([tried.X_RT.p - p, tried.X_RT.R[:, 0] - a])
+        error = np.maximum(np.max(np.abs(miss), axis=0), tried.unrest)
         aimed.torque_Nm[:, where], aimed.error[where] = tried.torque_Nm, error
         going = error >= allowed
-        miss_p, miss_a, strain = tried.X_RT.p - p, tried.X_RT.R[:, 0] - a, tried.strain
         if not going.any():
             return
+        strain = tried.strain
         if not going.all():
-            where, miss_p, miss_a = where[going], miss_p[:, going], miss_a[:, going]
-            p, a, aim_p, aim_a, q, strain = (v[..., going] for v in (p, a, aim_p, aim_a, q, strain))
-            allowed = allowed[going]
-        aim_p, aim_a = aim_p - miss_p, aim_a - miss_a
-        q, _ = closed_form_branch(arm.shapes[tool], aim_p, aim_a / norm(aim_a), q)
+            where, allowed = where[going], allowed[going]
+            p, a, aim, miss, q, strain = (v[..., going] for v in (p, a, aim, miss, q, strain))
+        aim = aim - miss
+        q, _ = closed_form_branch(arm.shapes[tool], aim[:3], aim[3:] / norm(aim[3:]), q)
         aimed.output_rad[:, where] = q
         if shot == 0:
             aimed.first_miss[where] = error[going]
@@ -102,7 +102,7 @@ def _aim_block(
             if not follow.any():
                 return
             where, allowed = where[follow], allowed[follow]
-            p, a, aim_p, aim_a, q, strain = (v[..., follow] for v in (p, a, aim_p, aim_a, q, strain))
+            p, a, aim, q, strain = (v[..., follow] for v in (p, a, aim, q, strain))
 
 
 def _may_come_in(arm: Arm, tool: int, q: Array) -> NDArray[np.bool_]:

@@ -44,21 +44,21 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     np.multiply(sine, X_LF[0], out=X_SF[1])
     X_SF[1] += cosine * X_LF[1]
     X_SF[2] = X_LF[2]
-    X_RS = np.empty((3, 4, 7, *batch))
-    X_RS[:, :3, 0] = np.eye(3).reshape(3, 3, *ones)
-    X_RS[:, 3, 0] = 0.0
-    for i in range(6):
-        end = X_RS[:, :, i + 1]
-        np.einsum("ik...,kj...->ij...", X_RS[:, :3, i], X_SF[:, :, i], out=end)
-        end[:, 3] += X_RS[:, 3, i]
+    R_RS = np.empty((3, 3, 7, *batch))
+    R_RS[:, :, 0] = np.eye(3).reshape(3, 3, *ones)
+    R_RS[:, :, 1] = X_SF[:, :3, 0]
+    for i in range(1, 6):
+        np.einsum("ik...,kj...->ij...", R_RS[:, :, i], X_SF[:, :3, i], out=R_RS[:, :, i + 1])
+    p_RS = np.zeros((3, 7, *batch))
+    np.cumsum(np.einsum("ij...,j...->i...", R_RS[:, :, :6], X_SF[:, 3]), axis=1, out=p_RS[:, 1:])
     R_RL = np.empty((3, 3, 6, *batch))
-    x, y = X_RS[:, 0, :6], X_RS[:, 1, :6]
+    x, y = R_RS[:, 0, :6], R_RS[:, 1, :6]
     np.multiply(x, cosine, out=R_RL[:, 0])
     R_RL[:, 0] += y * sine
     np.multiply(y, cosine, out=R_RL[:, 1])
     R_RL[:, 1] -= x * sine
-    R_RL[:, 2] = X_RS[:, 2, :6]
-    return Frames(Pose(R_RL, X_RS[:, 3, :6]), X_LD, Pose(X_RS[:, :3, 1:], X_RS[:, 3, 1:]))
+    R_RL[:, 2] = R_RS[:, 2, :6]
+    return Frames(Pose(R_RL, p_RS[:, :6]), X_LD, Pose(R_RS[:, :, 1:], p_RS[:, 1:]))
 
 
 def spring_pose(arm: Arm, strain: Array) -> Pose:
@@ -86,11 +86,9 @@ def _small_cos_sin(x: Array) -> tuple[Array, Array]:
 
 def tool_pose(arm: Arm, frames: Frames, tool: int) -> Pose:
     """X_RT of a tool, batch (...)."""
-    X_FT = arm.X_FT[tool]
-    R_RF = frames.X_RF.R[:, :, 5]
-    X_RT = np.einsum("ik...,kj->ij...", R_RF, np.column_stack([X_FT.R, X_FT.p]))
-    X_RT[:, 3] += frames.X_RF.p[:, 5]
-    return Pose(X_RT[:, :3], X_RT[:, 3])
+    X_FT, R_RF = arm.X_FT[tool], frames.X_RF.R[:, :, 5]
+    R_RT = np.einsum("ik...,kj->ij...", R_RF, X_FT.R)
+    return Pose(R_RT, np.einsum("ik...,k->i...", R_RF, X_FT.p) + frames.X_RF.p[:, 5])
 
 
 def joint_jacobian(frames: Frames, p_R_m: Array) -> Array:

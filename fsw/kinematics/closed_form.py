@@ -17,6 +17,9 @@ from fsw.kinematics.azimuth import azimuth_near, azimuths, offset_azimuth_near, 
 from fsw.kinematics.shape import Shape
 from fsw.kinematics.transforms import Array, rotate_back
 
+InPlane = tuple[Array, Array, Array]
+"""Components of a vector as seen from the arm's plane: forward, along the pitch axis, down."""
+
 SQUARED_ROUNDING: Final = 1e-14
 """What is left of arithmetic in a difference of squares of cosines."""
 
@@ -46,13 +49,14 @@ def closed_form(
     foot = p - s.radius_m * a
     find = azimuths if s.offset_m == 0.0 else offset_azimuths
     q1, sine, missing_shoulder = find(s, foot, a)  # (shoulder, wrist, ...)
-    t_e, t_z, missing_axis = turret_axis(s, a, q1, sine)
-    reach = wrist_joint(s, foot, a, q1, t_e, t_z)
+    foot_P, a_P = in_plane(q1, foot, a)
+    t_e, t_z, missing_axis = turret_axis(s, a_P, sine)
+    reach = wrist_joint(s, foot_P, a_P, t_e, t_z)
     bend = np.clip(reach.bend_rad, least_bend_rad, np.pi - least_bend_rad)
     up = np.where(reach.x_m >= 0, bend, -bend)
     bend = np.stack([up, -up], axis=1)  # (shoulder, elbow, wrist, ...)
     both = Reach(reach.x_m[:, None], reach.z_m[:, None], bend, reach.missing_m[:, None])
-    q = pose_of(s, a, q1[:, None], t_e[:, None], t_z[:, None], sine[:, None], both)
+    q = pose_of(s, a_P[1][:, None], q1[:, None], t_e[:, None], t_z[:, None], sine[:, None], both)
     missing = np.maximum(np.maximum(missing_shoulder, missing_axis), reach.missing_m)
     flat = (8, *q.shape[4:])
     return Roots(
@@ -72,10 +76,11 @@ def closed_form_branch(
     wrist = np.where(np.cos(near[4] + s.clock_rad) >= 0, 1.0, -1.0)
     find = azimuth_near if s.offset_m == 0.0 else offset_azimuth_near
     q1, sine, missing_shoulder = find(s, foot, a, wrist, near[0])
-    t_e, t_z, missing_axis = turret_axis(s, a, q1, sine)
-    reach = wrist_joint(s, foot, a, q1, t_e, t_z)
+    foot_P, a_P = in_plane(q1, foot, a)
+    t_e, t_z, missing_axis = turret_axis(s, a_P, sine)
+    reach = wrist_joint(s, foot_P, a_P, t_e, t_z)
     bend = np.where(np.sin(near[2]) >= 0, reach.bend_rad, -reach.bend_rad)
-    q = pose_of(s, a, q1, t_e, t_z, sine, replace(reach, bend_rad=bend))
+    q = pose_of(s, a_P[1], q1, t_e, t_z, sine, replace(reach, bend_rad=bend))
     return q, np.maximum(np.maximum(missing_shoulder, missing_axis), reach.missing_m)
 
 
@@ -86,13 +91,19 @@ def into_shoulder(s: Shape, p_R_m: Array, v_R: Array) -> tuple[Array, Array]:
     return rotate_back(R, p_R_m - p), rotate_back(R, v_R)
 
 
-def turret_axis(s: Shape, a: Array, q1: Array, sine: Array) -> tuple[Array, Array, Array]:
+def in_plane(q1: Array, *vectors: Array) -> tuple[InPlane, ...]:
+    """Vectors (3, ...) of frame Arm1 as seen from the arm's plane at some azimuths."""
+    c, s = np.cos(q1), np.sin(q1)
+    return tuple((v[0] * c + v[1] * s, v[0] * s - v[1] * c, v[2]) for v in vectors)
+
+
+def turret_axis(s: Shape, a: InPlane, sine: Array) -> tuple[Array, Array, Array]:
     """Turret axis in the arm's plane, forward and down, and by how much there is none.
 
     The axis is z5 = (bz a_flat + sine n x a) / flat^2, with n the pitch axis, a_flat the approach's part in
     the plane and bz the cosine of boresight and turret axis.
     """
-    a_e, a_z = a[0] * np.cos(q1) + a[1] * np.sin(q1), a[2]
+    a_e, _, a_z = a
     flat2 = np.maximum(a_e * a_e + a_z * a_z, 1e-300)  # not 1 - a_n^2, which loses half the digits near 0
     t_e = (s.boresight_z * a_e - sine * a_z) / flat2
     t_z = (s.boresight_z * a_z + sine * a_e) / flat2
@@ -114,15 +125,14 @@ class Reach:
     """By how much it is out of reach; the elbow is then straight or folded."""
 
 
-def wrist_joint(s: Shape, foot: Array, b: Array, q1: Array, t_e: Array, t_z: Array) -> Reach:
-    """Where the wrist joint has to be for an azimuth and a turret axis; the bend is without its sign.
+def wrist_joint(s: Shape, foot: InPlane, b: InPlane, t_e: Array, t_z: Array) -> Reach:
+    """Where the wrist joint has to be for a foot on the turret axis, a boresight b and a turret axis.
 
-    The foot on the turret axis and the boresight b (3, ...) are in frame Arm1.
+    The bend is without its sign.
     """
-    c1, s1 = np.cos(q1), np.sin(q1)
-    b_n = b[0] * s1 - b[1] * c1
+    b_n = b[1]
     # wrist centre = foot - offset (z5 x b) - along z5, in the plane
-    x = foot[0] * c1 + foot[1] * s1 - s.offset_m * b_n * t_z - s.along_m * t_e - s.out_m - s.wrist_m * t_z
+    x = foot[0] - s.offset_m * b_n * t_z - s.along_m * t_e - s.out_m - s.wrist_m * t_z
     z = foot[2] + s.offset_m * b_n * t_e - s.along_m * t_z - s.down_m + s.wrist_m * t_e
     distance2 = x * x + z * z
     distance = np.sqrt(distance2)
@@ -132,14 +142,14 @@ def wrist_joint(s: Shape, foot: Array, b: Array, q1: Array, t_e: Array, t_z: Arr
     return Reach(x, z, np.arccos(np.clip(cosine, -1.0, 1.0)), missing)
 
 
-def pose_of(s: Shape, b: Array, q1: Array, t_e: Array, t_z: Array, sine: Array, reach: Reach) -> Array:
-    """Output angles (5, ...); `sine` is the boresight's part in the plane, square to the turret axis."""
+def pose_of(s: Shape, b_n: Array, q1: Array, t_e: Array, t_z: Array, sine: Array, reach: Reach) -> Array:
+    """Output angles (5, ...); b_n and sine are the boresight's parts square to the plane and, in it, to t."""
     lean = np.arctan2(s.fore_m * np.sin(reach.bend_rad), s.upper_m + s.fore_m * np.cos(reach.bend_rad))
     q = np.empty((5, *lean.shape))
     q[0] = q1
     q[1] = np.arctan2(reach.z_m, reach.x_m) - lean
     q[2] = reach.bend_rad
     q[3] = np.arctan2(-t_e, t_z) - q[1] - q[2]
-    q[4] = np.arctan2(b[1] * np.cos(q1) - b[0] * np.sin(q1), sine) - s.clock_rad
+    q[4] = np.arctan2(-b_n, sine) - s.clock_rad
     q -= s.theta_rad.reshape(5, *(1,) * lean.ndim)
     return q

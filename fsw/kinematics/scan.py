@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from fsw.dictionary.joints import Joint
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.closed_form import closed_form, into_shoulder, pose_of, wrist_joint
+from fsw.kinematics.closed_form import closed_form, in_plane, into_shoulder, pose_of, wrist_joint
 from fsw.kinematics.shape import Shape
 from fsw.kinematics.suspects import Suspects
 from fsw.kinematics.task import task_error, task_jacobian, try_pose
@@ -106,19 +106,20 @@ def _nodes(
     k, shoulder, azimuth, pitch = np.nonzero(worth)
     p, a, q1 = p[:, k, 0, 0, 0], a[:, k, 0, 0, 0], q1[k, shoulder, azimuth, 0]
     t_e, t_z, lean = t_e[pitch], t_z[pitch], lean[k, shoulder, azimuth, pitch]
-    look = a - lean * np.stack([t_e * np.cos(q1), t_e * np.sin(q1), t_z])
-    flat = np.sqrt(1 - s.boresight_z**2) / norm(look)
-    b = s.boresight_z * np.stack([t_e * np.cos(q1), t_e * np.sin(q1), t_z]) + flat * look
-    foot = p - s.radius_m * b
-    sine = (b[0] * np.cos(q1) + b[1] * np.sin(q1)) * t_z - b[2] * t_e
-    lateral = foot[0] * np.sin(q1) - foot[1] * np.cos(q1) + s.offset_m * sine - s.lateral_m
-    reach = wrist_joint(s, foot, b, q1, t_e, t_z)
+    z5 = np.stack([t_e * np.cos(q1), t_e * np.sin(q1), t_z])
+    look = a - lean * z5
+    b = s.boresight_z * z5 + np.sqrt(1 - s.boresight_z**2) / norm(look) * look
+    foot_P, b_P = in_plane(q1, p - s.radius_m * b, b)
+    sine = b_P[0] * t_z - b_P[2] * t_e
+    lateral = foot_P[1] + s.offset_m * sine - s.lateral_m
+    reach = wrist_joint(s, foot_P, b_P, t_e, t_z)
     bend = np.clip(reach.bend_rad, LEAST_BEND_RAD, np.pi - LEAST_BEND_RAD)
     # far from the fold of the shoulder the lateral condition is nearly linear in the azimuth
-    aside = np.where(np.hypot(foot[0], foot[1]) < CLOSE_M, 1.5 * LATERAL_M, 0.5 * LATERAL_M)
+    aside = np.where(np.hypot(foot_P[0], foot_P[1]) < CLOSE_M, 1.5 * LATERAL_M, 0.5 * LATERAL_M)
     near = np.flatnonzero((np.abs(lateral) < aside) & (reach.missing_m < REACH_M))
     elbows = [
-        pose_of(s, b, q1, t_e, t_z, sine, replace(reach, bend_rad=side * bend))[:, near] for side in (1, -1)
+        pose_of(s, b_P[1], q1, t_e, t_z, sine, replace(reach, bend_rad=side * bend))[:, near]
+        for side in (1, -1)
     ]
     place = 2 * np.ravel_multi_index((k, shoulder, azimuth, pitch), worth.shape)[near]
     return np.concatenate(elbows, axis=1), np.concatenate([place, place + 1]), (*worth.shape, 2)

@@ -24,7 +24,7 @@ MISS_S2: Final = 0.005
 """Where there was no shot, what it is taken to miss: that much, and so much for each m/s2 of gravity."""
 FAR_M: Final = 0.5
 """Farther out of the square arm's reach than this, no deflection and no free wrist brings a target."""
-REACHES: Final = 1.2
+REACHES: Final = 2.0
 """A target is out of reach if more is missing than so many times what the wrist has to move, ..."""
 SHOTS: Final = 2
 SECOND_ORDER: Final = 2.0

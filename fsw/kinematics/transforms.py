@@ -65,12 +65,13 @@ def dot(a: Array, b: Array) -> Array:
     return product
 
 
+NEXT, LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+"""The axes after each axis."""
+
+
 def cross(a: Array, b: Array) -> Array:
     """Vector products of vectors (3, ...)."""
-    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        np.multiply(a[j], b[k], out=product[i, ...])
-        product[i] -= a[k] * b[j]
+    product: Array = a.take(NEXT, 0) * b.take(LAST, 0) - a.take(LAST, 0) * b.take(NEXT, 0)
     return product
 
 
