@@ -13,11 +13,10 @@ from numpy.typing import NDArray
 
 from fsw.dictionary.joints import Joint
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.branches import signs_of
 from fsw.kinematics.closed_form import closed_form_branch
 from fsw.kinematics.limits import beyond_limits, into_limits
 from fsw.kinematics.task import try_pose
-from fsw.kinematics.transforms import Array, norm
+from fsw.kinematics.transforms import Array, Flags, norm
 
 HANGING_TOLERANCE: Final = 2e-8
 RIGID_TOLERANCE: Final = 2e-10
@@ -43,7 +42,7 @@ class Aimed:
     """(5, n)."""
     error: Array
     """(n,): the larger of position error [m] and axis error [rad]; infinite where not tried."""
-    followed: NDArray[np.bool_]
+    followed: Flags
     """Not given up after the first shot."""
     first_miss: Array
     """(n,): the error of the first shot: how far the real arm is from the square one there; else 0."""
@@ -56,14 +55,19 @@ def aim_off(
     a: Array,
     gravity_R_m_s2: Array,
     start_rad: Array,
-    wanted: NDArray[np.bool_],
+    clear: Array,
+    wanted: Flags,
 ) -> Aimed:
-    """The roots of targets (3, n) on the branches of the square arm's roots (5, n), where wanted."""
+    """The roots of targets (3, n) on the branches of the square arm's roots (5, n), where wanted.
+
+    `clear` (n,) is how far these are from the nearest fold.
+    """
     n = wanted.size
+    allowed = tolerance(gravity_R_m_s2) * np.minimum(clear / CLEAR, 1.0) ** 2
     aimed = Aimed(start_rad.copy(), np.zeros_like(start_rad), np.full(n, np.inf), wanted.copy(), np.zeros(n))
     chosen = np.flatnonzero(wanted)
     for block in np.split(chosen, range(BLOCK, chosen.size, BLOCK)):
-        _aim_block(arm, tool, p[:, block], a[:, block], gravity_R_m_s2, block, aimed)
+        _aim_block(arm, tool, p[:, block], a[:, block], gravity_R_m_s2, allowed[block], block, aimed)
     return aimed
 
 
@@ -73,12 +77,17 @@ def tolerance(gravity_R_m_s2: Array) -> float:
 
 
 def _aim_block(
-    arm: Arm, tool: int, p: Array, a: Array, gravity: Array, where: NDArray[np.intp], aimed: Aimed
+    arm: Arm,
+    tool: int,
+    p: Array,
+    a: Array,
+    gravity: Array,
+    allowed: Array,
+    where: NDArray[np.intp],
+    aimed: Aimed,
 ) -> None:
-    """Shots at the targets `where`, written into `aimed`."""
+    """Shots at the targets `where`, written into `aimed`, until they miss by less than allowed."""
     q, aim = aimed.output_rad[:, where], np.concatenate([p, a])
-    clear = np.min(np.abs(signs_of(arm.shapes[tool], q)), axis=0) / CLEAR
-    allowed = tolerance(gravity) * np.minimum(clear, 1.0) ** 2
     strain = None
     for shot in range(MAX_SHOTS):
         tried = try_pose(arm, tool, q, strain, gravity)
@@ -105,9 +114,9 @@ def _aim_block(
             p, a, aim, q, strain = (v[..., follow] for v in (p, a, aim, q, strain))
 
 
-def _may_come_in(arm: Arm, tool: int, q: Array) -> NDArray[np.bool_]:
+def _may_come_in(arm: Arm, tool: int, q: Array) -> Flags:
     """Which roots (5, k), known to one shot, may be inside the limits."""
     elbow = np.sin(q[Joint.ELBOW] + arm.shapes[tool].theta_rad[Joint.ELBOW])
     margin = np.where(np.abs(elbow) < NEAR_FOLD, NEAR_FOLD, COMES_IN_RAD)
-    may: NDArray[np.bool_] = beyond_limits(arm, into_limits(arm, q)).max(axis=0) < margin
+    may: Flags = beyond_limits(arm, into_limits(arm, q)).max(axis=0) < margin
     return may

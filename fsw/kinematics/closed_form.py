@@ -34,6 +34,8 @@ class Roots:
     """(8, ...): by how much the target is out of reach, 0 within."""
     wrist_sine: Array
     """(8, ...): how far the approach is from parallel to the pitch axes; at 0 the wrist pitch is free."""
+    from_fold: Array
+    """(3, 8, ...): how far from the folds of shoulder [m], elbow and wrist [sine], where roots meet."""
 
 
 def closed_form(
@@ -58,11 +60,16 @@ def closed_form(
     both = Reach(reach.x_m[:, None], reach.z_m[:, None], bend, reach.missing_m[:, None])
     q = pose_of(s, a_P[1][:, None], q1[:, None], t_e[:, None], t_z[:, None], sine[:, None], both)
     missing = np.maximum(np.maximum(missing_shoulder, missing_axis), reach.missing_m)
+    from_fold = np.empty((3, *bend.shape))
+    from_fold[0] = np.abs(reach.x_m + s.out_m + s.wrist_m * t_z + s.along_m * t_e)[:, None]
+    from_fold[1] = np.abs(np.sin(bend))
+    from_fold[2] = np.abs(sine)[:, None]
     flat = (8, *q.shape[4:])
     return Roots(
         q.reshape(5, *flat),
         np.broadcast_to(missing[:, None], bend.shape).reshape(flat),
-        np.broadcast_to(np.abs(sine)[:, None], bend.shape).reshape(flat),
+        from_fold[2].reshape(flat),
+        from_fold.reshape(3, *flat),
     )
 
 

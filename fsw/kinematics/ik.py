@@ -16,12 +16,10 @@ from fsw.dictionary.joints import Joint
 from fsw.kinematics.aim import Aimed, aim_off, tolerance
 from fsw.kinematics.answers import FREE_SINE, Answers, Verdict, join, put
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.branches import signs_of
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import Roots, closed_form
 from fsw.kinematics.limits import beyond_limits, into_limits
 from fsw.kinematics.records import at_targets, concatenated, extended, values_of
-from fsw.kinematics.shape import Shape
 from fsw.kinematics.singular import FoundRoots, roots_near_singularity
 from fsw.kinematics.suspects import NEAR_LIMITS_RAD, Suspects, find_suspects
 from fsw.kinematics.task import ROOT_TOLERANCE, task_error
@@ -95,9 +93,7 @@ def _exact_chunk(arm: Arm, tool: int, p: Array, a: Array, near_rad: Array | None
     error = np.max(np.abs(task_error(X_RT, p[:, None], a[:, None])), axis=0)
     found = (error < ROOT_TOLERANCE) & (roots.wrist_sine >= FREE_SINE)
     output = np.where(found, roots.output_rad, np.nan)
-    return _judged(
-        arm, FoundRoots(output, np.zeros_like(output), error), _why_not(arm.shapes[tool], roots), near_rad
-    )
+    return _judged(arm, FoundRoots(output, np.zeros_like(output), error), _why_not(roots), near_rad)
 
 
 def _real(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, near_rad: Array | None) -> Answers:
@@ -109,9 +105,7 @@ def _real(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, near_rad: Arr
     for at in np.split(close, range(SCANNED, close.size, SCANNED)) if close.size else ():
         some = at_targets(suspects, at)
         near = roots_near_singularity(arm, tool, p[:, at], a[:, at], gravity, some, at_targets(found, at))
-        answers = put(
-            answers, at, _judged(arm, near, _without_pose(arm, tool, some, at_targets(reasons, at)), near_rad)
-        )
+        answers = put(answers, at, _judged(arm, near, _without_pose(some, at_targets(reasons, at)), near_rad))
     return answers
 
 
@@ -124,22 +118,22 @@ def _aimed_chunk(
     start, missing = roots.output_rad.reshape(5, -1), roots.missing_m.reshape(-1)
     p8, a8 = (np.broadcast_to(v[:, None], (3, *each)).reshape(3, -1) for v in (p, a))
     over = beyond_limits(arm, into_limits(arm, start)).max(axis=0)
-    aimed = aim_off(arm, tool, p8, a8, gravity, start, (missing == 0) & (over < NEAR_LIMITS_RAD))
+    clear = roots.from_fold.reshape(3, -1).min(axis=0)
+    aimed = aim_off(arm, tool, p8, a8, gravity, start, clear, (missing == 0) & (over < NEAR_LIMITS_RAD))
     output = np.where(aimed.error < tolerance(gravity), aimed.output_rad, np.nan)
     found = FoundRoots(output.reshape(5, *each), aimed.torque_Nm.reshape(5, *each), aimed.error.reshape(each))
-    reasons = _outside_by_estimate(arm, aimed, missing == 0, _why_not(arm.shapes[tool], roots))
+    reasons = _outside_by_estimate(arm, aimed, missing == 0, _why_not(roots))
     return found, reasons, find_suspects(arm, tool, p8, a8, roots, aimed, over, gravity)
 
 
-def _why_not(s: Shape, roots: Roots) -> _Reasons:
+def _why_not(roots: Roots) -> _Reasons:
     """Of the square arm."""
-    distance = np.abs(signs_of(s, roots.output_rad))
     free, out = roots.wrist_sine < FREE_SINE, roots.missing_m > NEGLIGIBLE_M
     singular = free | (roots.missing_m > ROOT_TOLERANCE)  # within rounding, where two roots meet
     verdict = np.full(out.shape, int(Verdict.NOT_CONVERGED))
     verdict[singular], verdict[out] = Verdict.SINGULAR, Verdict.OUT_OF_REACH
-    nearest = np.where(free, int(Joint.WRIST), SINGULAR_JOINTS[np.argmin(distance, axis=0)])
-    at_singularity = np.where(singular, np.where(free, roots.wrist_sine, distance.min(axis=0)), 0.0)
+    nearest = np.where(free, int(Joint.WRIST), SINGULAR_JOINTS[np.argmin(roots.from_fold, axis=0)])
+    at_singularity = np.where(singular, np.where(free, roots.wrist_sine, roots.from_fold.min(axis=0)), 0.0)
     return _Reasons(verdict, nearest, np.where(out, roots.missing_m, at_singularity))
 
 
@@ -155,9 +149,9 @@ def _outside_by_estimate(arm: Arm, aimed: Aimed, reached: Flags, reasons: _Reaso
     )
 
 
-def _without_pose(arm: Arm, tool: int, suspects: Suspects, reasons: _Reasons) -> _Reasons:
+def _without_pose(suspects: Suspects, reasons: _Reasons) -> _Reasons:
     """If a suspect has no root after the scan, it has gone where it would have met another."""
-    distance = np.abs(signs_of(arm.shapes[tool], suspects.output_rad))
+    distance = suspects.from_fold
     nearest = SINGULAR_JOINTS[np.argmin(distance, axis=0)]
     rootless = (reasons.verdict == Verdict.NOT_CONVERGED) | (reasons.verdict == Verdict.SINGULAR)
     gone = suspects.is_suspect & rootless

@@ -39,6 +39,8 @@ class Suspects:
     """The square arm's roots of targets, and what makes them suspicious; (..., 8, n)."""
 
     output_rad: Array
+    from_fold: Array
+    """(3, 8, n), as in Roots."""
     exists: Flags
     """The square arm reaches the target."""
     is_suspect: Flags
@@ -59,7 +61,8 @@ def find_suspects(
     each = roots.missing_m.shape
     missing, sine = roots.missing_m.reshape(-1), roots.wrist_sine.reshape(-1)
     shape, start = arm.shapes[tool], roots.output_rad.reshape(5, -1)
-    shoulder, elbow, _ = np.minimum(np.abs(signs_of(shape, start)), np.abs(signs_of(shape, aimed.output_rad)))
+    from_fold = roots.from_fold.reshape(3, -1)
+    shoulder, elbow, _ = np.minimum(from_fold, np.abs(signs_of(shape, aimed.output_rad)))
     likely = RIGID_MISS + MISS_S2 * norm(gravity_R_m_s2)
     miss = aimed.first_miss.reshape(each).max(axis=0)
     miss = np.broadcast_to(np.where(miss > 0, miss, likely), each).reshape(-1)
@@ -78,7 +81,7 @@ def find_suspects(
         at = (p[:, beyond], a[:, beyond], start[:, beyond], missing[beyond])
         suspect[beyond] = (moved[beyond] > FAR_MOVED_M) | _may_reach(arm, tool, *at, gravity_R_m_s2)
     flags = (missing == 0, suspect, scanned, free)
-    return Suspects(roots.output_rad, *(each_root.reshape(each) for each_root in flags))
+    return Suspects(roots.output_rad, roots.from_fold, *(each_root.reshape(each) for each_root in flags))
 
 
 def _may_reach(arm: Arm, tool: int, p: Array, a: Array, q: Array, missing_m: Array, gravity: Array) -> Flags:

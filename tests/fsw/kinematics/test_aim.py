@@ -28,7 +28,7 @@ def clear_targets(name, gravity):
 @pytest.mark.parametrize(("name", "gravity"), CASES)
 def test_from_beside_a_clear_pose_shots_lead_to_it(name, gravity):
     trial, pull, q, p, a = clear_targets(name, gravity)
-    aimed = aim_off(trial.arm, Tool.APXS, p, a, pull, q + 0.005, np.ones(N, bool))
+    aimed = aim_off(trial.arm, Tool.APXS, p, a, pull, q + 0.005, np.ones(N), np.ones(N, bool))
     good = aimed.followed & (aimed.error < tolerance(pull))
     assert good.mean() > 0.9
     X = trial.tool_pose(aimed.output_rad[:, good])
@@ -39,7 +39,7 @@ def test_from_beside_a_clear_pose_shots_lead_to_it(name, gravity):
 def test_what_is_not_wanted_is_left_as_it_was():
     trial, pull, q, p, a = clear_targets("nominal", "mars")
     wanted = np.arange(N) % 2 == 0
-    aimed = aim_off(trial.arm, Tool.APXS, p, a, pull, q + 0.005, wanted)
+    aimed = aim_off(trial.arm, Tool.APXS, p, a, pull, q + 0.005, np.ones(N), wanted)
     np.testing.assert_array_equal(aimed.output_rad[:, ~wanted], q[:, ~wanted] + 0.005)
     assert np.isinf(aimed.error[~wanted]).all()
     assert not aimed.followed[~wanted].any()
@@ -51,7 +51,7 @@ def test_a_root_far_outside_the_limits_is_given_up_after_the_first_shot():
     q = q.copy()
     q[0] = trial.arm.soft_max_rad[0] + 0.3
     X = trial.tool_pose(q)
-    aimed = aim_off(trial.arm, Tool.APXS, X.p, X.R[:, 0], pull, q, np.ones(N, bool))
+    aimed = aim_off(trial.arm, Tool.APXS, X.p, X.R[:, 0], pull, q, np.ones(N), np.ones(N, bool))
     assert not aimed.followed.any()
     # the shot tells about where it is
     assert np.quantile(np.abs(wrap_angle(aimed.output_rad - q)).max(axis=0), 0.9) < 0.05
@@ -63,11 +63,18 @@ def test_the_tolerance_is_tighter_for_the_rigid_arm():
 
 def test_a_batch_of_roots_is_its_single_roots():
     trial, pull, q, p, a = clear_targets("calibrated:3", "tilted")
-    many = aim_off(trial.arm, Tool.APXS, p, a, pull, q + 0.005, np.ones(N, bool))
+    many = aim_off(trial.arm, Tool.APXS, p, a, pull, q + 0.005, np.ones(N), np.ones(N, bool))
     for k in range(0, N, 20):
         here = slice(k, k + 1)
         one = aim_off(
-            trial.arm, Tool.APXS, p[:, here], a[:, here], pull, q[:, here] + 0.005, np.ones(1, bool)
+            trial.arm,
+            Tool.APXS,
+            p[:, here],
+            a[:, here],
+            pull,
+            q[:, here] + 0.005,
+            np.ones(1),
+            np.ones(1, bool),
         )
         np.testing.assert_allclose(many.output_rad[:, here], one.output_rad, rtol=0, atol=1e-12)
         assert many.followed[k] == one.followed[0]

@@ -1,5 +1,7 @@
 """The scan near singularities: starts close to every root, and what becomes of them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,7 +22,7 @@ CASES = pytest.mark.parametrize(
 def all_suspect(made):
     roots = closed_form(made.trial.arm, made.trial.tool, made.p, made.a)
     every = np.ones(roots.missing_m.shape, bool)
-    return Suspects(roots.output_rad, roots.missing_m == 0, every, every, every)
+    return Suspects(roots.output_rad, roots.from_fold, roots.missing_m == 0, every, every, every)
 
 
 def pull_of(made):
@@ -47,7 +49,7 @@ def test_there_are_starts_for_every_target_and_one_near_every_maker(name, gravit
 def test_without_suspects_there_are_no_starts():
     made = near_double_roots("nominal", "mars", Tool.DRILL, N)
     none = np.zeros((8, N), bool)
-    suspects = Suspects(all_suspect(made).output_rad, none, none, none, none)
+    suspects = replace(all_suspect(made), is_suspect=none, is_scanned=none, wrist_is_free=none)
     starts = scan(made.trial.arm, Tool.DRILL, made.p, made.a, pull_of(made), suspects, QUICK.grid)
     assert starts.output_rad.shape == (5, 0)
     assert starts.target.shape == (0,)
@@ -74,7 +76,7 @@ def test_known_roots_that_are_not_suspects_are_kept_as_they_are():
     known = made.answers
     first = FoundRoots(known.output_rad[:, :8], known.torque_Nm[:, :8], known.error[:8])
     none = np.zeros((8, N), bool)
-    suspects = Suspects(all_suspect(made).output_rad, none, none, none, none)
+    suspects = replace(all_suspect(made), is_suspect=none, is_scanned=none, wrist_is_free=none)
     kept = roots_near_singularity(made.trial.arm, Tool.DRILL, made.p, made.a, pull_of(made), suspects, first)
     for k in range(N):
         before, after = (set(v.output_rad[0, :, k][np.isfinite(v.error[:, k])]) for v in (first, kept))
