@@ -114,6 +114,8 @@ def turret_axis(s: Shape, a: InPlane, sine: Array) -> tuple[Array, Array, Array]
     flat2 = np.maximum(a_e * a_e + a_z * a_z, 1e-300)  # not 1 - a_n^2, which loses half the digits near 0
     t_e = (s.boresight_z * a_e - sine * a_z) / flat2
     t_z = (s.boresight_z * a_z + sine * a_e) / flat2
+    if s.offset_m == 0.0 and s.boresight_z == 0.0:
+        return t_e, t_z, np.zeros(())
     missing = np.sqrt(np.maximum(s.boresight_z**2 - flat2 - SQUARED_ROUNDING, 0.0))
     length = np.maximum(np.hypot(t_e, t_z), 1e-300)
     return t_e / length, t_z / length, missing

@@ -22,6 +22,8 @@ def at_targets(record: Record, where: Any) -> Record:
 
 def concatenated(parts: Sequence[Record]) -> Record:
     """Records of arrays (..., n), one after the other."""
+    if len(parts) == 1:
+        return parts[0]
     columns = zip(*(values_of(part) for part in parts), strict=True)
     return type(parts[0])(*(np.concatenate(column, axis=-1) for column in columns))
 
@@ -36,6 +38,8 @@ def replaced(record: Record, where: NDArray[np.intp], others: Record) -> Record:
 
 def extended(values: NDArray[Any], slots: int, fill: float) -> NDArray[Any]:
     """Values (..., slots, n) with at least so many slots, the new ones filled."""
-    more = max(slots - values.shape[-2], 0)
+    more = slots - values.shape[-2]
+    if more <= 0:
+        return values
     filler = np.full((*values.shape[:-2], more, values.shape[-1]), fill, values.dtype)
     return np.concatenate([values, filler], axis=-2)
