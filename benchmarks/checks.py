@@ -18,7 +18,7 @@ CLEAR_SIGMA: Final = 1e-4
 def claimed(answers: Answers) -> Flags:
     """Roots (S, ...) that are said to meet the target.
 
-    Where an arm hangs, a root far outside the limits may stand for itself with rigid angles and no error.
+    Where an arm hangs or is not square, a root far outside the limits has no angles and no error.
     """
     has_angles = (answers.verdict == Verdict.VALID) | (answers.verdict == Verdict.OUTSIDE_LIMITS)
     return has_angles & ((answers.verdict == Verdict.VALID) | np.isfinite(answers.error))

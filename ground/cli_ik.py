@@ -73,8 +73,8 @@ def ik(
     """Every branch of a target: its five output angles, or the reason that it is out.
 
     x forward, y right, z down; collisions are not looked at. A target that no branch reaches is an answer
-    too, with status 0. Angles without a forward check are those of the rigid arm, too far outside the limits
-    for deflection to bring them in.
+    too, with status 0. Branches of a hanging arm that are far outside the limits have no angles, and say by
+    about how much.
 
     Example: marsarm ik --tool mahli --position 2.1 0 -0.3 --approach 0.5 0 0.85 --tilt-pitch 10
     """

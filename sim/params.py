@@ -16,16 +16,18 @@ from pydantic import TypeAdapter, ValidationError
 
 from fsw.dictionary.params import Limits, Matrix6, Params, Tools, Transform6
 
-OF_COMPONENTS: Final = {"_m": Limits(-5.0, 5.0), "_1_K": Limits(-1e-3, 1e-3)}
+OF_COMPONENTS: Final = {"_m": Limits(-5.0, 5.0), "_1_K": Limits(-1e-4, 1e-4)}
 """For the components of every vector, by the unit in its name."""
-SOFTEST: Final = 1e-3
-SHORTEST_LINK_M: Final = 0.05
+SOFTEST: Final = 1e-4
+SHORTEST_LINK_M: Final = 0.2
 """Of upper arm and forearm: with none, the elbow moves nothing."""
 SQUARE_RAD: Final = {"arm2": 0.5 * math.pi, "arm3": 0.0, "arm4": 0.0, "arm5": -0.5 * math.pi, "arm6": 0.0}
 """Turn about x from each joint axis to the next, as the square arm has it; about y there is none."""
-MOST_SKEW_RAD: Final = 0.5
-"""How far an axis may be from that: the inverse kinematics begin with the square arm. A boresight may come no
-closer to the turret axis: turning about it would have no effect."""
+MOST_SKEW_RAD: Final = 0.02
+"""How far an axis may be from that: the inverse kinematics begin with the square arm,
+and lose some from 0.03 on."""
+LEAST_LEAN_RAD: Final = 0.5
+"""How close to the turret axis a boresight may come; turning about it would have no effect."""
 ROUNDING: Final = 1e-12
 """Relative; what is left of arithmetic in a matrix that ought to be symmetric."""
 
@@ -161,9 +163,9 @@ def _axial(tools: Tools) -> Iterator[str]:
     """Sentences about tools that look along the turret axis."""
     for field in fields(tools):
         beta = getattr(tools, field.name).transform.beta_rad
-        if math.asin(abs(math.cos(beta))) < MOST_SKEW_RAD:
+        if math.asin(abs(math.cos(beta))) < LEAST_LEAN_RAD:
             where = f"tools.{field.name}.transform.beta_rad"
-            yield f"{where}: {beta} brings the boresight within {MOST_SKEW_RAD} of the turret axis"
+            yield f"{where}: {beta} brings the boresight within {LEAST_LEAN_RAD} of the turret axis"
 
 
 def _poses_outside(params: Params) -> Iterator[str]:

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +9,8 @@ from numpy.typing import NDArray
 from fsw.dictionary.joints import Joint
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.branches import slot_name
-from fsw.kinematics.limits import about_outside, outside
+from fsw.kinematics.closed_form import FREE_SINE
+from fsw.kinematics.limits import about_outside, digits, outside
 from fsw.kinematics.records import at_targets, concatenated, extended, replaced
 from fsw.kinematics.transforms import Array, Numbers
 
@@ -28,17 +28,13 @@ class Verdict(IntEnum):
     """A slot for a further root of a branch that has none."""
 
 
-FREE_SINE: Final = 1e-7
-"""An approach this close to parallel to the pitch axes leaves the wrist pitch free, within rounding."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Answers:
     """The branches of each target, batch axes trailing.
 
-    The first eight slots are in the order of BRANCHES. Very close to singularities a branch of the real arm
-    may have several roots; batches in which that happens have eight slots more for the second roots, and so
-    on.
+    The first eight slots are in the order of BRANCHES; a root has the slot of the square arm's root that it
+    belongs to. Very close to singularities a branch of the real arm may have several roots; batches in which
+    that happens have eight slots more for the second roots, and so on.
     """
 
     output_rad: Array
@@ -102,7 +98,7 @@ def _reason(arm: Arm, answers: Answers, slot: int) -> str:
             angle = float(answers.output_rad[joint, slot])
             return about_outside(arm, joint, excess) if np.isnan(angle) else outside(arm, joint, angle)
         case Verdict.OUT_OF_REACH:
-            return f"out of reach by {excess:.3f} m"
+            return f"out of reach by {digits(excess, 3)} m"
         case Verdict.SINGULAR:
             return _singular(Joint(int(answers.joint[slot])), excess)
         case Verdict.NOT_CONVERGED:

@@ -26,7 +26,8 @@ def signs_of(s: Shape, output_rad: Array) -> Array:
     """How clearly poses (5, ...) are on either side of each fold, (3, ...): shoulder, elbow, wrist.
 
     Negative is out, up, up: the turret axis' foot ahead of the azimuth axis [m], the elbow above the line
-    from shoulder to wrist (sine of its bend), the turret axis on that side of the approach (sine).
+    from shoulder to wrist (sine of its bend), the turret axis on that side of the approach (sine). The elbow
+    also changes its name, without a fold, where the wrist joint passes over or under the elevation joint.
     """
     q = output_rad + s.theta_rad.reshape(5, *(1,) * (output_rad.ndim - 1))
     upper, fore = q[Joint.ELEVATION], q[Joint.ELEVATION] + q[Joint.ELBOW]

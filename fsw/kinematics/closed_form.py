@@ -14,19 +14,27 @@ import numpy as np
 
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.azimuth import azimuth_near, azimuths, offset_azimuth_near, offset_azimuths
+from fsw.kinematics.branches import branch_of, signs_of
+from fsw.kinematics.records import values_of
 from fsw.kinematics.shape import Shape
 from fsw.kinematics.transforms import Array, rotate_back
 
 InPlane = tuple[Array, Array, Array]
 """Components of a vector as seen from the arm's plane: forward, along the pitch axis, down."""
 
+FREE_SINE: Final = 1e-7
+"""An approach this close to parallel to the pitch axes leaves the wrist pitch free, within rounding."""
 SQUARED_ROUNDING: Final = 1e-14
 """What is left of arithmetic in a difference of squares of cosines."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Roots:
-    """The eight roots of each target, batch axes trailing; of a radial tool in the order of BRANCHES."""
+    """The eight roots of each target, batch axes trailing, in the order of BRANCHES.
+
+    With a boresight that misses the turret axis one branch may have two roots and another none; then the
+    azimuths are ordered by wrist, and of a wrist by how far ahead they put the foot on the turret axis.
+    """
 
     output_rad: Array
     """(5, 8, ...); where a target is out of reach, the pose that comes nearest in this construction."""
@@ -59,17 +67,32 @@ def closed_form(
     bend = np.stack([up, -up], axis=1)  # (shoulder, elbow, wrist, ...)
     both = Reach(reach.x_m[:, None], reach.z_m[:, None], bend, reach.missing_m[:, None])
     q = pose_of(s, a_P[1][:, None], q1[:, None], t_e[:, None], t_z[:, None], sine[:, None], both)
-    missing = np.maximum(np.maximum(missing_shoulder, missing_axis), reach.missing_m)
+    missing_elbow = reach.missing_m
+    free = np.abs(sine) < FREE_SINE
+    if free.any():
+        missing_elbow = np.where(free, _missing_of_circle(s, foot_P, a_P), missing_elbow)
+    missing = np.maximum(np.maximum(missing_shoulder, missing_axis), missing_elbow)
     from_fold = np.empty((3, *bend.shape))
     from_fold[0] = np.abs(reach.x_m + s.out_m + s.wrist_m * t_z + s.along_m * t_e)[:, None]
     from_fold[1] = np.abs(np.sin(bend))
     from_fold[2] = np.abs(sine)[:, None]
     flat = (8, *q.shape[4:])
-    return Roots(
+    roots = Roots(
         q.reshape(5, *flat),
         np.broadcast_to(missing[:, None], bend.shape).reshape(flat),
         from_fold[2].reshape(flat),
         from_fold.reshape(3, *flat),
+    )
+    return roots if s.offset_m == 0.0 else _by_name(s, roots)
+
+
+def _by_name(s: Shape, roots: Roots) -> Roots:
+    """The roots in the order of BRANCHES, where each of the eight is on another branch; else as they are."""
+    name = branch_of(signs_of(s, roots.output_rad))
+    each = np.broadcast_to(np.arange(8).reshape(8, *(1,) * (name.ndim - 1)), name.shape)
+    order = np.where(np.all(np.sort(name, axis=0) == each, axis=0), np.argsort(name, axis=0), each)
+    return Roots(
+        *(np.take_along_axis(v, np.broadcast_to(order, v.shape), axis=-order.ndim) for v in values_of(roots))
     )
 
 
@@ -149,6 +172,17 @@ def wrist_joint(s: Shape, foot: InPlane, b: InPlane, t_e: Array, t_z: Array) -> 
     missing = np.maximum(np.maximum(distance - longest, shortest - distance), 0.0)
     cosine = (distance2 - s.upper_m**2 - s.fore_m**2) / (2 * s.upper_m * s.fore_m)
     return Reach(x, z, np.arccos(np.clip(cosine, -1.0, 1.0)), missing)
+
+
+def _missing_of_circle(s: Shape, foot: InPlane, b: InPlane) -> Array:
+    """By how much the wrist joint, on a circle around the foot, is out of reach whatever the turret axis."""
+    radius = np.hypot(s.along_m, s.wrist_m + s.offset_m * b[1])
+    centre = np.hypot(foot[0] - s.out_m, foot[2] - s.down_m)
+    longest, shortest = s.upper_m + s.fore_m, abs(s.upper_m - s.fore_m)
+    missing: Array = np.maximum(
+        np.maximum(np.abs(centre - radius) - longest, shortest - centre - radius), 0.0
+    )
+    return missing
 
 
 def pose_of(s: Shape, b_n: Array, q1: Array, t_e: Array, t_z: Array, sine: Array, reach: Reach) -> Array:

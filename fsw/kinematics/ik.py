@@ -14,10 +14,10 @@ import numpy as np
 
 from fsw.dictionary.joints import Joint
 from fsw.kinematics.aim import Aimed, aim_off, tolerance
-from fsw.kinematics.answers import FREE_SINE, Answers, Verdict, join, put
+from fsw.kinematics.answers import Answers, Verdict, join, put
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.closed_form import Roots, closed_form
+from fsw.kinematics.closed_form import FREE_SINE, Roots, closed_form
 from fsw.kinematics.limits import beyond_limits, into_limits
 from fsw.kinematics.records import at_targets, concatenated, extended, values_of
 from fsw.kinematics.singular import FoundRoots, roots_near_singularity

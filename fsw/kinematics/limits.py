@@ -1,5 +1,7 @@
 """The soft limits of the joints: turns, distances and sentences."""
 
+import math
+
 import numpy as np
 
 from fsw.dictionary.joints import Joint
@@ -27,18 +29,28 @@ def beyond_limits(arm: Arm, q: Array) -> Array:
 
 
 def outside(arm: Arm, joint: Joint, angle_rad: float) -> str:
-    """The sentence about a joint outside its soft limits."""
-    return f"joint {joint.name.lower()}: {np.degrees(angle_rad):.1f} deg is outside {_range(arm, joint)}"
+    """The sentence about a joint outside its soft limits, with as many digits as show that it is."""
+    low, high = arm.soft_min_rad[joint], arm.soft_max_rad[joint]
+    places = max(1, 1 - math.floor(math.log10(np.degrees(max(low - angle_rad, angle_rad - high, 1e-12)))))
+    angle = f"{np.degrees(angle_rad):.{min(places, 9)}f} deg"
+    return f"joint {joint.name.lower()}: {angle} is outside {_range(arm, joint, min(places, 9))}"
+
+
+def digits(value: float, places: int) -> str:
+    """A positive number with so many places, or as many as show that it is not 0."""
+    return f"{value:.{max(places, -math.floor(math.log10(max(value, 1e-12))))}f}"
 
 
 def about_outside(arm: Arm, joint: Joint, beyond_rad: float) -> str:
     """Likewise, where the angle was only estimated."""
-    return f"joint {joint.name.lower()}: about {np.degrees(beyond_rad):.1f} deg outside {_range(arm, joint)}"
+    return (
+        f"joint {joint.name.lower()}: about {np.degrees(beyond_rad):.1f} deg outside {_range(arm, joint, 1)}"
+    )
 
 
-def _range(arm: Arm, joint: Joint) -> str:
+def _range(arm: Arm, joint: Joint, places: int) -> str:
     low_deg, high_deg = np.degrees(arm.soft_min_rad[joint]), np.degrees(arm.soft_max_rad[joint])
-    return f"its soft limits {low_deg:.1f} .. {high_deg:.1f} deg"
+    return f"its soft limits {low_deg:.{places}f} .. {high_deg:.{places}f} deg"
 
 
 def _limits(arm: Arm, q: Array) -> tuple[Array, Array]:

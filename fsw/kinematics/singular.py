@@ -22,7 +22,7 @@ CLOSE_RAD: Final = 1e-2
 """Roots closer than this may be one, if the pose between them is a root as well."""
 CHECK_PASSES: Final = 4
 MOST_ROOTS: Final = 8
-"""Roots of one branch that are kept; more is a family of poses."""
+"""Roots of one branch that are kept; more were never met."""
 UNFOLLOWED_RAD: Final = 0.15
 """How far a root may be from the square arm's that was not followed, to be that one."""
 
@@ -195,11 +195,15 @@ def _slots(
     slot = known.copy()
     new = np.flatnonzero(known < 0)
     apart = _apart(suspects, q[:, new], target[new])
-    apart[~suspects.is_suspect[:, target[new]].T] = np.inf
+    # a root that was not followed, as it is far outside the limits, may have been found by the way
+    unfollowed = suspects.exists & ~suspects.is_suspect
+    near_one: Flags = np.logical_and(unfollowed[:, target[new]].T, apart < UNFOLLOWED_RAD)
+    apart[~(suspects.is_suspect[:, target[new]].T | near_one)] = np.inf
     home = branch_of(signs_of(s, q[:, new]))
-    of_branch = np.arange(len(BRANCHES)) == home[:, None]
-    taken: set[tuple[int, int]] = set()
-    for k, branch in sorted(np.ndindex(apart.shape), key=lambda at: (not of_branch[at], float(apart[at]))):
+    of_branch: Flags = np.equal(np.arange(len(BRANCHES)), home[:, None])
+    taken = {(int(k), int(branch)) for k, branch in zip(target[known >= 0], known[known >= 0], strict=True)}
+    at_home: Flags = np.where(near_one.any(axis=1)[:, None], near_one, of_branch)
+    for k, branch in sorted(np.ndindex(apart.shape), key=lambda at: (not at_home[at], float(apart[at]))):
         of = int(target[new[k]])
         if np.isfinite(apart[k, branch]) and slot[new[k]] < 0 and (of, branch) not in taken:
             slot[new[k]] = branch

@@ -20,7 +20,7 @@ MISSES: Final = 3.0
 """A root this close to a fold of the shoulder [m] or elbow [sine], or an approach this close to the pitch
 axes [sine] is a suspect: that much, and so many times what the first shot misses the target by."""
 RIGID_MISS: Final = 0.01
-MISS_S2: Final = 0.005
+MISS_S2: Final = 0.01
 """Where there was no shot, what it is taken to miss: that much, and so much for each m/s2 of gravity."""
 FAR_M: Final = 0.5
 """Farther out of the square arm's reach than this, no deflection and no free wrist brings a target."""

@@ -33,7 +33,7 @@ class ParquetWriter:
             metadata={"about": json.dumps(about)},
         )
         self._schema = schema
-        self._writer = parquet.ParquetWriter(file, schema)
+        self._writer = parquet.ParquetWriter(file, schema, write_page_checksum=True)
         self._next = 0
 
     def add(self, answers: Answers) -> None:

@@ -106,7 +106,7 @@ def _from_parquet(path: Path) -> tuple[Array, Array]:
     """Positions and approaches, (3, n) each; a null is NaN."""
     from pyarrow import parquet, types
 
-    with path.open("rb") as source, parquet.ParquetFile(source) as file:
+    with path.open("rb") as source, parquet.ParquetFile(source, page_checksum_verification=True) as file:
         there = file.schema_arrow.names
         missing = [name for name in (*POSITION, *APPROACH) if there.count(name) != 1]
         if missing:

@@ -83,19 +83,19 @@ BAD = {
     ),
     "a forearm without length": (
         "[links.arm4.transform]\na_m = 0.0\n",
-        ["links.arm4.transform.a_m: 0.0 is below 0.05"],
+        ["links.arm4.transform.a_m: 0.0 is below 0.2"],
     ),
     "an upper arm turned round": (
         "[links.arm3.transform]\na_m = -0.8\n",
-        ["links.arm3.transform.a_m: -0.8 is below 0.05"],
+        ["links.arm3.transform.a_m: -0.8 is below 0.2"],
     ),
     "a shoulder without a right angle": (
         "[links.arm2.transform]\nalpha_rad = 1.0\n",
-        ["links.arm2.transform.alpha_rad: 1.0 is not within 0.5 of the square arm's 1.5708"],
+        ["links.arm2.transform.alpha_rad: 1.0 is not within 0.02 of the square arm's 1.5708"],
     ),
     "a wrist without a right angle": (
         "[links.arm5.transform]\nalpha_rad = 0.0\n",
-        ["links.arm5.transform.alpha_rad: 0.0 is not within 0.5 of the square arm's -1.5708"],
+        ["links.arm5.transform.alpha_rad: 0.0 is not within 0.02 of the square arm's -1.5708"],
     ),
     "an azimuth axis along the elevation axis": (
         "[links.arm2.transform]\nalpha_rad = 0.0\n",
@@ -107,7 +107,7 @@ BAD = {
     ),
     "an upper arm along its own joint axis": (
         "[links.arm3.transform]\nbeta_rad = 1.5707963267948966\n",
-        ["links.arm3.transform.beta_rad: 1.5707963267948966 is not within 0.5 of the square arm's 0"],
+        ["links.arm3.transform.beta_rad: 1.5707963267948966 is not within 0.02 of the square arm's 0"],
     ),
     "a forearm along its own joint axis": (
         "[links.arm4.transform]\nbeta_rad = -1.5707963267948966\n",
@@ -142,7 +142,7 @@ BAD = {
     "a growth beyond any metal": (
         "[links.arm3]\nexpansion_1_K = [0.0, 0.0, 0.0, 1e300, 0.0, -0.01]\n",
         [
-            "links.arm3.expansion_1_K.3: 1e+300 is outside -0.001 .. 0.001",
+            "links.arm3.expansion_1_K.3: 1e+300 is outside -0.0001 .. 0.0001",
             "links.arm3.expansion_1_K.5: -0.01 is outside",
         ],
     ),
@@ -204,8 +204,8 @@ def compliance(changes: dict[tuple[int, int], float]) -> str:
         ({(1, 5): 1e-5, (5, 1): 1e-5}, "is not positive semidefinite"),
         ({(3, 3): 0.0, (3, 4): 1e-13, (4, 3): 1e-13}, "is not positive semidefinite"),
         ({(0, 0): float("nan")}, "must be finite"),
-        ({(0, 1): 1e308, (1, 0): -1e308}, r"1e\+308 is outside -0\.001 \.\. 0\.001"),
-        ({(2, 2): -0.1}, r"-0\.1 is outside -0\.001 \.\. 0\.001"),
+        ({(0, 1): 1e308, (1, 0): -1e308}, r"1e\+308 is outside -0\.0001 \.\. 0\.0001"),
+        ({(2, 2): -0.1}, r"-0\.1 is outside -0\.0001 \.\. 0\.0001"),
         # each pair of axes alone would do; all three give way against a moment along (1, 1, 1)
         ({(a, b): 8e-6 if a == b else -8e-6 for a in range(3) for b in range(3)}, "is not positive semidef"),
     ],
@@ -355,5 +355,5 @@ def test_a_link_softer_than_any_link_is_named(tmp_path):
     file = tmp_path / "soft.toml"
     rows = [[0.1 if row == column < 3 else 0.0 for column in range(6)] for row in range(6)]
     file.write_text(f"[links.arm3]\ncompliance = {rows}\n")
-    with pytest.raises(BadParams, match=r"links\.arm3\.compliance: 0\.1 is outside -0\.001 \.\. 0\.001"):
+    with pytest.raises(BadParams, match=r"links\.arm3\.compliance: 0\.1 is outside -0\.0001 \.\. 0\.0001"):
         params_over_nominal(file)

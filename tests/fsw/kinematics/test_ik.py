@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from benchmarks.cases import Trial, arm_of
 from benchmarks.checks import CLEAR_SIGMA, SAME_RAD, apart, claimed, errors, smallest_singular_value
 from fsw.dictionary.joints import Joint, Tool
-from fsw.kinematics.answers import FREE_SINE, Answers, Verdict, at_target, why
+from fsw.kinematics.answers import Answers, Verdict, at_target, why
 from fsw.kinematics.arm import warmed
-from fsw.kinematics.branches import BRANCHES, slot_name
+from fsw.kinematics.branches import BRANCHES, signs_of, slot_name
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.closed_form import closed_form
+from fsw.kinematics.closed_form import FREE_SINE, closed_form
 from fsw.kinematics.ik import CHUNK, inverse_kinematics
 from fsw.kinematics.limits import beyond_limits, into_limits, outside
 from fsw.kinematics.refine import refine
@@ -298,6 +298,21 @@ def test_no_branch_of_the_hanging_arm_is_said_to_have_a_free_wrist(gravity):
     answers = inverse_kinematics(ARM, Tool.DRILL, *along_the_pitch_axis(Tool.DRILL), GRAVITIES[gravity])
     for branch in np.flatnonzero(where_verdict(answers, Verdict.SINGULAR)):
         assert "singular, no pose" in why(ARM, answers, branch)
+
+
+@pytest.mark.parametrize("off_rad", [0.0, 1e-15, 1e-12, 1e-9])
+@pytest.mark.parametrize("tool", Tool)
+def test_a_pose_with_its_approach_along_the_pitch_axes_is_answered_or_its_family_is_named(tool, off_rad):
+    """Whatever the elbow: at a free wrist the reach of one pitch says nothing about the others."""
+    q = in_limits(config_of(), np.random.default_rng(31), 2000)
+    boresight = ARM.X_FT[tool].R[:, 0]
+    q[Joint.TURRET] = (0.5 * np.pi + off_rad - np.arctan2(boresight[1], boresight[0])) % (2 * np.pi)
+    p, a = targets_of(q, tool)
+    answers = inverse_kinematics(ARM, tool, p, a)
+    shoulder = np.where(signs_of(ARM.shapes[tool], q)[0] < 0, 0, 4)
+    of_shoulder = answers.verdict[shoulder + np.arange(4)[:, None], np.arange(q.shape[1])]
+    met = apart(answers, q).min(axis=0) < SAME_RAD
+    assert (met | (of_shoulder == Verdict.SINGULAR).any(axis=0)).all()
 
 
 @pytest.mark.parametrize("tool", Tool)
