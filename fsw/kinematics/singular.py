@@ -202,7 +202,7 @@ def _slots(
     home = branch_of(signs_of(s, q[:, new]))
     of_branch: Flags = np.equal(np.arange(len(BRANCHES)), home[:, None])
     taken = {(int(k), int(branch)) for k, branch in zip(target[known >= 0], known[known >= 0], strict=True)}
-    at_home: Flags = np.where(near_one.any(axis=1)[:, None], near_one, of_branch)
+    at_home: Flags = np.where(np.any(near_one, axis=1, keepdims=True), near_one, of_branch)
     for k, branch in sorted(np.ndindex(apart.shape), key=lambda at: (not at_home[at], float(apart[at]))):
         of = int(target[new[k]])
         if np.isfinite(apart[k, branch]) and slot[new[k]] < 0 and (of, branch) not in taken:
