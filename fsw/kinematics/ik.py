@@ -30,8 +30,9 @@ NEGLIGIBLE_M: Final = 1e-6
 SINGULAR_JOINTS: Final = np.array([Joint.AZIMUTH, Joint.ELBOW, Joint.WRIST])
 """The joints at fault at the folds of signs_of."""
 CHUNK: Final = 2048
-SCANNED: Final = 1024
-"""Targets at a time, to bound the memory; and of those that are scanned."""
+EXACT_CHUNK: Final = 256
+SCAN_CHUNK: Final = 1024
+"""Targets at a time, to bound the memory: aimed at, solved exactly (in the cache), scanned for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,9 +56,12 @@ def inverse_kinematics(
 
     With gravity (3,) the deflected tool meets the target, without it the rigid one. Where limits allow two
     turns of a joint, the one nearest to `near_rad` (5,) is taken, or to the middle of the range.
+
+    The same targets give the same bits. In another batch they may differ: by 1e-12 rad, and next to double
+    roots by what the forward check allows.
     """
     targets = p_RoTo_R_m.shape[1:]
-    if np.prod(targets) > CHUNK // 16:
+    if np.prod(targets) > EXACT_CHUNK:
         _keep_freed_memory()
     p, a = p_RoTo_R_m.reshape(3, -1), approach_R.reshape(3, -1)
     gravity = np.zeros(3) if gravity_R_m_s2 is None else gravity_R_m_s2
@@ -83,7 +87,7 @@ def _chunks(n: int, size: int) -> Iterator[slice]:
 def _exact(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, near_rad: Array | None) -> Answers:
     """The square rigid arm, targets (3, n)."""
     return join(
-        [_exact_chunk(arm, tool, p[:, k], a[:, k], near_rad) for k in _chunks(p.shape[1], CHUNK // 8)]
+        [_exact_chunk(arm, tool, p[:, k], a[:, k], near_rad) for k in _chunks(p.shape[1], EXACT_CHUNK)]
     )
 
 
@@ -102,7 +106,7 @@ def _real(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, near_rad: Arr
     found, reasons, suspects = (concatenated(parts) for parts in zip(*chunks, strict=True))
     answers = _judged(arm, found, reasons, near_rad)
     close = np.flatnonzero(suspects.is_suspect.any(axis=0))
-    for at in np.split(close, range(SCANNED, close.size, SCANNED)) if close.size else ():
+    for at in np.split(close, range(SCAN_CHUNK, close.size, SCAN_CHUNK)) if close.size else ():
         some = at_targets(suspects, at)
         near = roots_near_singularity(arm, tool, p[:, at], a[:, at], gravity, some, at_targets(found, at))
         answers = put(answers, at, _judged(arm, near, _without_pose(some, at_targets(reasons, at)), near_rad))

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.kinematics.arm import Arm
+from fsw.kinematics.records import at_targets
 from fsw.kinematics.task import ROOT_TOLERANCE, task_error, task_jacobian, try_pose
 from fsw.kinematics.transforms import Array
 
@@ -81,7 +82,7 @@ def _refine_block(newton: "_Newton", where: NDArray[np.intp], done: Refined, pat
         if not going.any():
             return
         if not going.all():
-            at = at.only(going)
+            at = at_targets(at, going)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,10 +106,6 @@ class _Iterate:
         """The larger of what is missing at the tool and what the strains still change."""
         worst: Array = np.maximum(np.max(np.abs(self.residual), axis=0), self.unrest)
         return worst
-
-    def only(self, keep: NDArray[np.bool_]) -> "_Iterate":
-        """Some of them."""
-        return _Iterate(*(getattr(self, name)[..., keep] for name in self.__slots__))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
