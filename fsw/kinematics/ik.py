@@ -26,7 +26,9 @@ from fsw.kinematics.task import ROOT_TOLERANCE, task_error
 from fsw.kinematics.transforms import Array, Flags, Numbers
 
 NEGLIGIBLE_M: Final = 1e-6
-"""A target out of reach by less than this is at the edge of reach, within rounding."""
+ROUNDED_M: Final = 1e-10
+"""A target out of reach by less than the one, and the other over the wrist's sine, is at the edge of reach,
+within rounding: the smaller the sine, the more the wrist turns."""
 SINGULAR_JOINTS: Final = np.array([Joint.AZIMUTH, Joint.ELBOW, Joint.WRIST])
 """The joints at fault at the folds of signs_of."""
 CHUNK: Final = 2048
@@ -132,7 +134,9 @@ def _aimed_chunk(
 
 def _why_not(roots: Roots) -> _Reasons:
     """Of the square arm."""
-    free, out = roots.wrist_sine < FREE_SINE, roots.missing_m > NEGLIGIBLE_M
+    negligible_m = NEGLIGIBLE_M + ROUNDED_M / np.maximum(roots.wrist_sine, FREE_SINE)
+    free = roots.wrist_sine < FREE_SINE
+    out = roots.missing_m > np.where(free, NEGLIGIBLE_M, negligible_m)
     singular = free | (roots.missing_m > ROOT_TOLERANCE)  # within rounding, where two roots meet
     verdict = np.full(out.shape, int(Verdict.NOT_CONVERGED))
     verdict[singular], verdict[out] = Verdict.SINGULAR, Verdict.OUT_OF_REACH
