@@ -28,7 +28,7 @@ COMES_IN_RAD: Final = 0.03
 """After the first shot, how far outside the limits a root may be and still come in."""
 NEAR_FOLD: Final = 0.2
 """The same with the elbow this close to straight or folded [sine], where one shot tells less."""
-BLOCK: Final = 3000
+BLOCK: Final = 6000
 """Roots at a time, to bound the memory."""
 
 

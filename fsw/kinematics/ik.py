@@ -31,7 +31,7 @@ ROUNDED_M: Final = 1e-10
 within rounding: the smaller the sine, the more the wrist turns."""
 SINGULAR_JOINTS: Final = np.array([Joint.AZIMUTH, Joint.ELBOW, Joint.WRIST])
 """The joints at fault at the folds of signs_of."""
-CHUNK: Final = 2048
+CHUNK: Final = 4096
 EXACT_CHUNK: Final = 256
 SCAN_CHUNK: Final = 1024
 """Targets at a time, to bound the memory: aimed at, solved exactly (in the cache), scanned for."""
