@@ -408,7 +408,7 @@ def test_targets_of_more_than_one_chunk_are_answered_as_those_of_one():
     """Chunks may have different numbers of slots; together they have the largest."""
     made = near_double_roots("calibrated:3", "rigid", Tool.DRT, 40)
     easy = anywhere("calibrated:3", "rigid", Tool.DRT, N_LOADED)
-    p, a = (np.tile(v, 8)[:, :CHUNK] for v in (easy.p, easy.a))
+    p, a = (np.tile(v, CHUNK // N_LOADED + 1)[:, :CHUNK] for v in (easy.p, easy.a))
     p, a = (np.concatenate([many, few], axis=1) for many, few in ((p, made.p), (a, made.a)))
     assert p.shape[1] == CHUNK + 40
     answers = inverse_kinematics(made.trial.arm, Tool.DRT, p, a)
