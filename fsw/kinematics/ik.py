@@ -67,8 +67,10 @@ def inverse_kinematics(
         _keep_freed_memory()
     p, a = p_RoTo_R_m.reshape(3, -1), approach_R.reshape(3, -1)
     gravity = np.zeros(3) if gravity_R_m_s2 is None else gravity_R_m_s2
-    solve = _exact if arm.shapes[tool].is_exact and not gravity.any() else _real
-    answers = solve(arm, tool, p, a, gravity, near_rad)
+    if arm.shapes[tool].is_exact and not gravity.any():
+        answers = _exact(arm, tool, p, a, near_rad)
+    else:
+        answers = _real(arm, tool, p, a, gravity, near_rad)
     return Answers(*(v.reshape(*v.shape[:-1], *targets) for v in values_of(answers)))
 
 
@@ -86,7 +88,7 @@ def _chunks(n: int, size: int) -> Iterator[slice]:
     return (slice(k, k + size) for k in range(0, max(n, 1), size))
 
 
-def _exact(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, near_rad: Array | None) -> Answers:
+def _exact(arm: Arm, tool: int, p: Array, a: Array, near_rad: Array | None) -> Answers:
     """The square rigid arm, targets (3, n)."""
     return join(
         [_exact_chunk(arm, tool, p[:, k], a[:, k], near_rad) for k in _chunks(p.shape[1], EXACT_CHUNK)]
@@ -134,9 +136,10 @@ def _aimed_chunk(
 
 def _why_not(roots: Roots) -> _Reasons:
     """Of the square arm."""
-    negligible_m = NEGLIGIBLE_M + ROUNDED_M / np.maximum(roots.wrist_sine, FREE_SINE)
     free = roots.wrist_sine < FREE_SINE
-    out = roots.missing_m > np.where(free, NEGLIGIBLE_M, negligible_m)
+    out = roots.missing_m > NEGLIGIBLE_M + np.where(
+        free, 0.0, ROUNDED_M / np.maximum(roots.wrist_sine, FREE_SINE)
+    )
     singular = free | (roots.missing_m > ROOT_TOLERANCE)  # within rounding, where two roots meet
     verdict = np.full(out.shape, int(Verdict.NOT_CONVERGED))
     verdict[singular], verdict[out] = Verdict.SINGULAR, Verdict.OUT_OF_REACH

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.records import at_targets
 from fsw.kinematics.task import ROOT_TOLERANCE, task_error, task_jacobian, try_pose
-from fsw.kinematics.transforms import Array
+from fsw.kinematics.transforms import Array, Flags
 
 TASK_TOLERANCE: Final = 1e-11
 """Of a root: position [m], axis [rad] and what the strains still change."""
@@ -35,7 +35,7 @@ class Refined:
     """(5, ...), of gravity on each output at this pose: what winds the gear up."""
     error: Array
     """(...), what is left: the largest of position error [m] and axis error [rad]."""
-    converged: NDArray[np.bool_]
+    converged: Flags
 
 
 def refine(

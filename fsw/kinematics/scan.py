@@ -151,15 +151,15 @@ def _azimuths(s: Shape, foot: Array, grid: Grid) -> Array:
 
 def _look(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, q: Array) -> tuple[Array, Array]:
     """Nodes (5, k) with planar arm and turret put right to first order, and the two conditions (2, k)."""
-    tried = try_pose(arm, tool, q, np.zeros((6, 6, q.shape[1])), gravity)
-    to_turret_axis = _toward_turret_axis(arm, tool)
-    frame = _in_plane(arm.shapes[tool], q)
+    tried = try_pose(arm, tool, q, None, gravity)
+    to_turret_axis, s = _toward_turret_axis(arm, tool), arm.shapes[tool]
+    q1 = q[Joint.AZIMUTH] + s.theta_rad[Joint.AZIMUTH]
 
     def split(v: Array) -> tuple[Array, Array]:
         """In-plane position and look, to be put right; lateral position and turret axis, the conditions."""
-        position = np.einsum("ij...,i...->j...", frame.reshape(3, 3, *(1,) * (v.ndim - 2), -1), v[:3])
+        ((forward, lateral, down),) = in_plane(q1, np.einsum("ji,j...->i...", s.X_R1.R, v[:3]))
         axis, look = np.einsum("ij,j...->i...", to_turret_axis, v[3:])
-        return np.stack([position[0], position[1], look]), np.stack([position[2], axis])
+        return np.stack([forward, down, look]), np.stack([lateral, axis])
 
     residual, conditions = split(task_error(tried.X_RT, p, a))
     planar = [Joint.ELEVATION, Joint.ELBOW, Joint.TURRET]
@@ -178,27 +178,14 @@ def _toward_turret_axis(arm: Arm, tool: int) -> Array:
     return np.array([[y, z], [z, -y]])
 
 
-def _in_plane(s: Shape, q: Array) -> Array:
-    """Forward, down and lateral of the arm's plane in the rover frame, as columns (3, 3, k)."""
-    q1 = q[Joint.AZIMUTH] + s.theta_rad[Joint.AZIMUTH]
-    c, s1, zero = np.cos(q1), np.sin(q1), np.zeros_like(q1)
-    columns = np.array([[c, zero, s1], [s1, zero, -c], [zero, zero + 1, zero]])
-    in_rover: Array = np.einsum("ij,jk...->ik...", s.X_R1.R, columns)
-    return in_rover
-
-
 def _zero_lines_pass(conditions: Array) -> Flags:
     """Where on the grid (2, n, shoulder, azimuth, pitch, elbow) both conditions may vanish close by."""
     change = np.zeros_like(conditions)
     for axis in (3, 4):
-        step = np.abs(np.diff(conditions, axis=axis, append=_first(conditions, axis)))
+        step = np.abs(np.diff(conditions, axis=axis, append=conditions.take([0], axis)))
         if axis == 3:
             step[:, :, :, -1] = np.nan  # azimuths do not go round
         both = np.fmax(step, np.roll(step, 1, axis))
         change += np.nan_to_num(both)
     passes: Flags = np.all(np.abs(conditions) <= SLACK * change, axis=0)
     return passes
-
-
-def _first(values: Array, axis: int) -> Array:
-    return np.take(values, [0], axis=axis)
