@@ -22,7 +22,10 @@ class Config:
     rad_per_count: Array
     """Output side."""
     half_gap_rad: Array
+    """Of the drawing; a calibrated joint has its own."""
     output_friction_Nm: Array
+    load_error_Nm: Array
+    torque_constant_Nm_A: Array
     speed_rad_s: Array
     acceleration_rad_s2: Array
     jerk_rad_s3: Array
@@ -30,6 +33,8 @@ class Config:
     lowest_rad: Array
     highest_rad: Array
     """Motor angles that are never to be passed: the soft limits and their margin."""
+    lowest_seeking_rad: Array
+    """A row for each joint: the same while it seeks its hardstop."""
     setpoint_step_rad: Array
     """The largest change of a set-point in a cycle."""
     brake_ticks: int
@@ -40,6 +45,8 @@ class Config:
 def configure(params: Params, params_sha256: str) -> Config:
     """The configuration of these parameters; the digest goes into the boot EVR."""
     joints, motion, bounds = params.joints.in_order(), params.motion, params.monitors
+    lowest = np.array([j.soft_min_rad - bounds.soft_limit_margin_rad for j in joints])
+    beyond_stop = np.array([j.hardstop_rad for j in joints]) - 2 * params.hardstop.window_rad
     return Config(
         params=params,
         params_sha256=params_sha256,
@@ -47,11 +54,14 @@ def configure(params: Params, params_sha256: str) -> Config:
         rad_per_count=np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints]),
         half_gap_rad=np.array([0.5 * j.backlash_rad for j in joints]),
         output_friction_Nm=np.array([j.output_friction_Nm for j in joints]),
+        load_error_Nm=np.array([j.load_error_Nm for j in joints]),
+        torque_constant_Nm_A=np.array([j.torque_constant_Nm_A for j in joints]),
         speed_rad_s=np.array([j.speed_rad_s for j in joints]),
         acceleration_rad_s2=np.array([j.acceleration_rad_s2 for j in joints]),
         jerk_rad_s3=np.array([j.jerk_rad_s3 for j in joints]),
         current_limit_A=np.array([j.current_limit_A for j in joints]),
-        lowest_rad=np.array([j.soft_min_rad - bounds.soft_limit_margin_rad for j in joints]),
+        lowest_rad=lowest,
+        lowest_seeking_rad=np.where(np.eye(len(joints), dtype=bool), beyond_stop, lowest),
         highest_rad=np.array([j.soft_max_rad + bounds.soft_limit_margin_rad for j in joints]),
         setpoint_step_rad=np.array([bounds.setpoint_step_factor * CYCLE_S * j.speed_rad_s for j in joints]),
         brake_ticks=ticks(motion.brake_delay_s),

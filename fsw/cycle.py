@@ -5,10 +5,10 @@ from dataclasses import replace
 from fsw.config import Config
 from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.commands import Command
-from fsw.dictionary.evrs import Booted, Evr, ModeChanged
+from fsw.dictionary.evrs import Booted, Evr, JointCalibrated, ModeChanged
 from fsw.estimate import joints as joint_estimate
 from fsw.estimate import load as load_estimate
-from fsw.executive.commands import Situation, handle
+from fsw.executive.commands import Situation, handle, proceed
 from fsw.kinematics.transforms import Array
 from fsw.messages import Outputs, Sensors
 from fsw.motion.drive import drive_for
@@ -41,7 +41,7 @@ def _estimate(
     if not usable:
         return state, None
     joints = joint_estimate.update(config, state.joints, sensors)
-    if not joints.referenced or state.tick % config.params.motion.load_period != 0:
+    if state.load.known and state.tick % config.params.motion.load_period != 0:
         return replace(state, joints=joints), None
     load, joints, channels = load_estimate.refresh(config, state.tick, state.tool, joints, state.load)
     return replace(state, joints=joints, load=load), channels
@@ -51,11 +51,12 @@ def _decide(
     config: Config, state: State, sensors: Sensors, commands: tuple[Command, ...], usable: bool
 ) -> tuple[State, tuple[Evr, ...]]:
     """Commands change what the arm is about to do."""
-    if not commands:
+    if not commands and state.sequence is None:
         return state, ()
     now = Situation(state, usable, touching=bool(sensors.switch_closed.any()))
     for command in commands:
         now = handle(config, now, command)
+    now = proceed(config, now)
     return now.state, now.evrs
 
 
@@ -63,9 +64,23 @@ def _move(config: Config, state: State, sensors: Sensors, usable: bool) -> tuple
     """The move under way, one cycle on; with bad readings only the brakes go on."""
     if state.move is None or not (usable or state.move.phase is Phase.BRAKE):
         return state, ()
-    result = advance(config, state.move, state.joints, sensors)
+    result = advance(config, state.move, state.joints, state.load.torque_Nm, sensors)
     mode = state.mode if result.end_mode is None else result.end_mode
-    return replace(state, move=result.move, mode=mode), result.evrs
+    state = replace(state, move=result.move, mode=mode)
+    if result.stop is None:
+        return state, result.evrs
+    joint, found = result.stop
+    joints = joint_estimate.calibrated(config, state.joints, state.load.torque_Nm, joint, found)
+    moved_rad = float((joints.motor_rad - state.joints.motor_rad)[joint])
+    evr = JointCalibrated(
+        joint,
+        moved_rad,
+        found.running_Nm,
+        1e6 * found.compliance_rad_Nm,
+        2 * found.half_gap_rad,
+        found.gap_measured,
+    )
+    return replace(state, joints=joints), (evr, *result.evrs)
 
 
 def _protect(
@@ -81,7 +96,9 @@ def _protect(
     if not bad:
         seen, found = monitors.watch(config, seen, state.mode, state.move, sensors, state.joints)
     if state.move is not None:
-        found += unsafe_setpoint(config, last_rad, state.move.hold.motor_rad)
+        found += unsafe_setpoint(
+            config, monitors.lowest_for(config, state.move), last_rad, state.move.hold.motor_rad
+        )
     if seen is not state.monitors:
         state = replace(state, monitors=seen)
     found += moved

@@ -8,8 +8,10 @@ from fsw.config import Config
 from fsw.dictionary.channels import JointChannels
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
-from fsw.estimate.joints import JointEstimate, unreferenced
+from fsw.estimate.joints import JointEstimate, asleep
 from fsw.estimate.load import LoadEstimate, unloaded
+from fsw.estimate.reference import Reference, no_reference
+from fsw.executive.sequence import Sequence
 from fsw.kinematics.transforms import Array
 from fsw.messages import Drive, Outputs
 from fsw.motion.move import Move
@@ -31,23 +33,26 @@ class State:
     """Where the set-points assume the outputs to lie in their backlash."""
     move: Move | None
     """None while the arm stands on its brakes."""
+    sequence: Sequence | None
+    """Commands that are still to come of one that takes several."""
     fault: StandingFault | None
     monitors: MonitorState
     drive: Drive
 
 
-def boot(config: Config, mode: Mode) -> State:
-    """The state before the first cycle: brakes on, power off, no joint referenced."""
+def boot(config: Config, mode: Mode, reference: Reference | None = None) -> State:
+    """The state before the first cycle: brakes on, power off, and what was remembered of the joints."""
     n = config.rad_per_count.size
     off = np.zeros(n, bool)
     return State(
         tick=0,
         mode=mode,
         tool=Tool.DRILL,
-        joints=unreferenced(n),
+        joints=asleep(config, no_reference(config) if reference is None else reference),
         load=unloaded(n),
         planned_gap_rad=np.zeros(n),
         move=None,
+        sequence=None,
         fault=None,
         monitors=QUIET,
         drive=Drive(np.zeros(n, np.int64), np.zeros(n), config.current_limit_A, off, off),
@@ -70,10 +75,15 @@ def joint_channels(state: State) -> JointChannels:
     return JointChannels(
         tick=state.tick,
         mode=state.mode,
-        busy=state.move is not None,
+        busy=state.move is not None or state.sequence is not None,
         motor_rad=joints.motor_rad,
         motor_rate_rad_s=joints.motor_rate_rad_s,
         setpoint_rad=last_setpoint(state),
+        output_rad=joints.output_rad,
         gap_rad=joints.gap_rad,
+        gap_side=joints.side,
+        gap_uncertainty_rad=joints.uncertainty_rad,
         planned_gap_rad=state.planned_gap_rad,
+        calibrated=joints.reference.calibrated,
+        resolver_error_rad=joints.resolver_error_rad,
     )

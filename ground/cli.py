@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ground.cli_hardstop import hardstop
 from ground.cli_ik import ik, reach
 from ground.cli_parts import (
     ARM_SAFE,
@@ -22,6 +23,7 @@ from ground.cli_parts import (
     ParamsOption,
     PitchOption,
     RollOption,
+    SeedOption,
     Vector,
     end,
     show,
@@ -42,7 +44,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-SeedOption = Annotated[int, typer.Option(help="Of everything random that is not the arm.")]
 
 
 @app.command()
@@ -113,6 +114,7 @@ def place(
 
 app.command()(ik)
 app.command()(reach)
+app.command()(hardstop)
 
 
 def _finish(report: "PlaceReport") -> None:

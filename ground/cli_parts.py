@@ -16,6 +16,7 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON documen
 ArmOption = Annotated[str, typer.Option(help="nominal, as-built:SEED or calibrated:SEED.", metavar="ARM")]
 RollOption = Annotated[float, typer.Option(help="Rover roll, right side down, in degrees.", metavar="DEG")]
 PitchOption = Annotated[float, typer.Option(help="Rover pitch, nose up, in degrees.", metavar="DEG")]
+SeedOption = Annotated[int, typer.Option(help="Of everything random that is not the arm.")]
 ParamsOption = Annotated[
     Path | None,
     typer.Option(help="TOML with flight parameters that replace nominal ones.", metavar="FILE.toml"),

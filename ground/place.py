@@ -13,16 +13,19 @@ from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.evrs import CommandCompleted
+from fsw.dictionary.joints import STOP_ORDER
 from ground.place_request import PlaceRequest, checked
 from ground.report.picture import PictureResult, save_movie, save_picture
 from ground.request import BadRequest
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.record import Recorder
 from sim.arms import BuiltArm
+from sim.initialisation import Initialisation, initialised
 from sim.loop import ClosedLoop, Setup
 from sim.params import digest
 from sim.placement import PlacementResult, PlacementRun
 from sim.record import CycleRecord
+from sim.sequence import Outcome
 from sim.world import World, build
 
 FRAME_EVERY_S = 3.0
@@ -55,7 +58,10 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
         BadRequest: the request is wrong; nothing moved and nothing was written.
     """
     job = checked(request)
-    setup = Setup(job.arm, job.world, job.arm.params.poses.stowed_rad, request.seed)
+    stops = _initialised(job.arm, request.seed, progress)
+    if stops[-1].outcome is not Outcome.DONE:
+        return _not_initialised(request, job.arm, stops)
+    setup = Setup(job.arm, job.world, job.arm.params.poses.stowed_rad, request.seed, stops[-1].reference)
     loop = ClosedLoop(setup, with_truth=request.log is not None)
     run = PlacementRun(loop, job.placement)
     log = _Log(request.log, _recorder(request, job.arm))
@@ -87,6 +93,24 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
         movie=movie,
         log_problem=log.problem,
     )
+
+
+def _initialised(arm: BuiltArm, seed: int, progress: Progress) -> list[Initialisation]:
+    """Every joint at its hardstop, as was done before the arm was stowed."""
+    stops: list[Initialisation] = []
+    for run in initialised(arm, seed=seed):
+        if run.failure is not None:
+            raise run.failure
+        stops.append(run)
+        progress(len(stops), len(STOP_ORDER), "initialising")
+    return stops
+
+
+def _not_initialised(request: PlaceRequest, arm: BuiltArm, stops: list[Initialisation]) -> PlaceReport:
+    failed = stops[-1]
+    result = PlacementResult(failed.outcome, None, failed.duration_s, None, None, failed.evrs)
+    no_log = None if request.log is None else f"log {request.log}: not recorded (the arm was not initialised)"
+    return PlaceReport(request, digest(arm.params), result, 0.0, None, None, no_log)
 
 
 class _Log:

@@ -3,6 +3,7 @@
 The position loop and the current limit of each motor controller run inside the MuJoCo step, on its dcmotor.
 """
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -13,14 +14,14 @@ from fsw.kinematics.transforms import Array
 from fsw.messages import Counts, Drive, Sensors
 from sim.effects.effect import Hardware
 from sim.frames import FLIP
-from sim.plant import JOINT_NAMES, Plant
+from sim.plant import Plant
 
 RESOLVER_BITS: Final = 16
 RESOLVER_LSB_RAD: Final = 2 * np.pi / 2**RESOLVER_BITS
+UNPOWERED: Final = np.zeros(len(Joint), bool)
 
 # places in MuJoCo's gain parameters of a dcmotor
 _RESISTANCE: Final = 0
-_MOTOR_CONSTANT: Final = 1
 
 
 class Avionics:
@@ -28,17 +29,16 @@ class Avionics:
 
     def __init__(self, plant: Plant, hardware: Hardware, rng: np.random.Generator):
         model = plant.model
-        motors = [model.actuator(name).id for name in JOINT_NAMES]
+        motors = plant.at.actuators
         switches = [model.sensor(switch.name.lower()).id for switch in Switch]
         self._plant = plant
         self._hardware = hardware
         self._rng = rng
-        self._motors = np.array(motors)
+        self._motors = motors
         self._integral = model.actuator_actadr[motors]
         self._resistance_Ohm = model.actuator_gainprm[motors, _RESISTANCE].copy()
         self._winding_rise_K = np.zeros(len(motors))
         self._winding_time_s = plant.data.time
-        self._torque_constant_Nm_A = model.actuator_gainprm[motors, _MOTOR_CONSTANT].copy()
         self._touch = model.sensor_adr[switches]
         self._brake_cycles = np.rint(hardware.brake_delay_s * CYCLE_HZ).astype(int)
         self._pending: dict[int, tuple[int, bool]] = {}
@@ -49,7 +49,7 @@ class Avionics:
         """The readings of this moment."""
         plant, hardware, data = self._plant, self._hardware, self._plant.data
         noise = self._rng.standard_normal(13)
-        current = data.actuator_force[self._motors] / self._torque_constant_Nm_A
+        current = plant.motor_current_A()
         resolver = plant.output_rad() + hardware.resolver_bias_rad + hardware.resolver_noise_rad * noise[:5]
         return Sensors(
             encoder_count=self.encoder_count(),
@@ -68,7 +68,7 @@ class Avionics:
     def encoder_count(self) -> Counts:
         """What the encoders read; asking changes nothing."""
         hardware = self._hardware
-        angle = self._plant.motor_rad() + hardware.encoder_zero_rad
+        angle = self._plant.motor_rad() - hardware.counter_zero_rad
         return np.rint(angle / hardware.rad_per_count).astype(np.int64)
 
     def _heated(self, current_A: Array) -> Array:
@@ -83,13 +83,15 @@ class Avionics:
     def apply(self, drive: Drive) -> None:
         """Take a drive: set-points at once, brakes after their delay."""
         data, model = self._plant.data, self._plant.model
+        if data.time >= self._hardware.power_until_s:
+            drive = replace(drive, power_on=UNPOWERED, brake_release=UNPOWERED)
         last, self._drive = self._drive, drive
         data.ctrl[0::2] = (
-            drive.setpoint_count * self._hardware.rad_per_count - self._hardware.encoder_zero_rad
+            drive.setpoint_count * self._hardware.rad_per_count + self._hardware.counter_zero_rad
         )
         data.ctrl[1::2] = drive.setpoint_rate_rad_s
         if last is None or drive.current_limit_A is not last.current_limit_A:
-            limit = drive.current_limit_A * self._torque_constant_Nm_A
+            limit = drive.current_limit_A * self._plant.torque_constant_Nm_A
             model.actuator_forcerange[self._motors] = np.column_stack([-limit, limit])
         if last is None or drive.power_on is not last.power_on:
             was_on = np.zeros_like(drive.power_on) if last is None else last.power_on

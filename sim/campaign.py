@@ -7,6 +7,7 @@ import numpy as np
 
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.joints import Tool
+from fsw.estimate.reference import Reference
 from sim.arms import BuiltArm
 from sim.loop import ClosedLoop, Setup, joints5
 from sim.placement import Placement, PlacementError, PlacementResult, PlacementRun
@@ -30,12 +31,13 @@ def random_placement(seed: int, arm: BuiltArm, tool: Tool, max_tilt_rad: float) 
             return world, seen
 
 
-def standoff_error(arm: BuiltArm, seed: int, max_tilt_rad: float) -> PlacementError:
+def standoff_error(arm: BuiltArm, reference: Reference, seed: int, max_tilt_rad: float) -> PlacementError:
     """How far the true APXS is from its commanded standoff in free space, after a short move to it."""
     world, seen = random_placement(seed, arm, Tool.APXS, max_tilt_rad)
     way = np.array(arm.params.poses.ready_rad) - seen.standoff_rad
     near = seen.standoff_rad + np.clip(way, -SHORT_MOVE_RAD, SHORT_MOVE_RAD)
-    run = PlacementRun(ClosedLoop(Setup(arm, world, joints5(near), seed)), replace(seen.placement, via_m=0.0))
+    loop = ClosedLoop(Setup(arm, world, joints5(near), seed, reference))
+    run = PlacementRun(loop, replace(seen.placement, via_m=0.0))
     for record in run:
         if CommandCompleted("MoveTool") in record.outputs.evrs:
             break
@@ -45,9 +47,12 @@ def standoff_error(arm: BuiltArm, seed: int, max_tilt_rad: float) -> PlacementEr
     return error
 
 
-def run_placement(arm: BuiltArm, world: World, placement: Placement, seed: int) -> PlacementResult:
+def run_placement(
+    arm: BuiltArm, reference: Reference, world: World, placement: Placement, seed: int
+) -> PlacementResult:
     """A placement in the closed loop, from the ready pose."""
-    run = PlacementRun(ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, seed)), placement)
+    loop = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, seed, reference))
+    run = PlacementRun(loop, placement)
     for _ in run:
         pass
     return run.result()

@@ -6,9 +6,10 @@ import numpy as np
 
 from fsw.config import Config, configure
 from fsw.cycle import step
-from fsw.dictionary.commands import Command, Joints5, SetReference, Sides5
+from fsw.dictionary.commands import Command, Joints5
 from fsw.dictionary.evrs import SoftwareError
 from fsw.dictionary.modes import Mode
+from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from fsw.messages import Outputs
 from fsw.state import State, boot, outputs_at_rest
@@ -31,6 +32,8 @@ class Setup:
     world: World
     start_rad: Joints5
     seed: int = 0
+    reference: Reference | None = None
+    """What flight software remembers of its joints; None if it has yet to find their hardstops."""
     effects: tuple[Effect, ...] = ()
     """Beyond those of the arm."""
     time_step_s: float | None = None
@@ -55,7 +58,7 @@ class ClosedLoop:
         self.with_truth = with_truth
         self.plant.place(np.array(setup.start_rad), SETTLE_S)
         stowed = setup.start_rad == setup.arm.params.poses.stowed_rad
-        self.state: State = boot(self.config, Mode.STOWED if stowed else Mode.DEPLOYED)
+        self.state: State = boot(self.config, Mode.STOWED if stowed else Mode.DEPLOYED, setup.reference)
         self.failure: Exception | None = None
         self._outputs = outputs_at_rest(self.state)
 
@@ -80,12 +83,6 @@ class ClosedLoop:
             self.plant.step()
         return CycleRecord(tick, sensors, commands, outputs, truth)
 
-    def reference(self) -> SetReference:
-        """What a hardstop initialisation would find: motor angles with their zero error, true gap sides."""
-        told = self.avionics.encoder_count() * self.config.rad_per_count
-        gap, half = self.plant.gap_rad(), self.plant.half_gap_rad
-        return SetReference(joints5(told), _sides(gap, half))
-
 
 def _safe_outputs(last: Outputs, error: Exception) -> Outputs:
     """The last outputs with brakes on and power off."""
@@ -99,10 +96,4 @@ def _safe_outputs(last: Outputs, error: Exception) -> Outputs:
 def joints5(angle_rad: Array) -> Joints5:
     """An array of five angles as a command takes it."""
     a, b, c, d, e = (float(angle) for angle in angle_rad)
-    return (a, b, c, d, e)
-
-
-def _sides(gap_rad: Array, half_gap_rad: Array) -> Sides5:
-    """The side of each joint's backlash, 0 about the middle."""
-    a, b, c, d, e = (int(side) for side in np.sign(gap_rad) * (np.abs(gap_rad) > 0.5 * half_gap_rad))
     return (a, b, c, d, e)

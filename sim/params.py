@@ -28,6 +28,10 @@ MOST_SKEW_RAD: Final = 0.02
 and lose some from 0.03 on."""
 LEAST_LEAN_RAD: Final = 0.5
 """How close to the turret axis a boresight may come; turning about it would have no effect."""
+DEEPEST_STOP_RAD: Final = 0.1
+"""How far below its soft limit a hardstop may be."""
+MOST_OF_RATED: Final = 0.5
+"""Of the torque that a hardstop is made for; speed, noise and old friction need the rest."""
 ROUNDING: Final = 1e-12
 """Relative; what is left of arithmetic in a matrix that ought to be symmetric."""
 
@@ -142,6 +146,7 @@ def not_an_arm(params: Params) -> Iterator[str]:
         yield from _crooked(field.name, link.transform)
     yield from _axial(params.tools)
     yield from _poses_outside(params)
+    yield from _stops(params)
 
 
 def _crooked(name: str, link: Transform6) -> Iterator[str]:
@@ -170,15 +175,35 @@ def _axial(tools: Tools) -> Iterator[str]:
 
 def _poses_outside(params: Params) -> Iterator[str]:
     """Sentences about named poses beyond the soft limits."""
-    poses = {"stowed_rad": params.poses.stowed_rad, "ready_rad": params.poses.ready_rad}
-    poses |= {f"unstow_via_rad.{k}": via for k, via in enumerate(params.poses.unstow_via_rad)}
+    poses = {"poses.stowed_rad": params.poses.stowed_rad, "poses.ready_rad": params.poses.ready_rad}
+    poses |= {f"poses.unstow_via_rad.{k}": via for k, via in enumerate(params.poses.unstow_via_rad)}
+    stops = params.hardstop
+    poses |= {f"hardstop.{name}": getattr(stops, name) for name in ("start_rad", "park_rad", "again_rad")}
     for name, pose in poses.items():
         for field, joint, angle in zip(fields(params.joints), params.joints.in_order(), pose, strict=True):
             if not joint.soft_min_rad <= angle <= joint.soft_max_rad:
                 yield (
-                    f"poses.{name}: joint {field.name}: {angle} is outside its soft limits "
+                    f"{name}: joint {field.name}: {angle} is outside its soft limits "
                     f"{joint.soft_min_rad:.6g} .. {joint.soft_max_rad:.6g}"
                 )
+
+
+def _stops(params: Params) -> Iterator[str]:
+    """Sentences about hardstops that are not a little beyond the soft limits, or pressed on too hard."""
+    room_rad = params.monitors.soft_limit_margin_rad
+    for field, joint in zip(fields(params.joints), params.joints.in_order(), strict=True):
+        low, high = joint.soft_min_rad - DEEPEST_STOP_RAD, joint.soft_min_rad - room_rad
+        if not low <= joint.hardstop_rad <= high:
+            yield (
+                f"joints.{field.name}.hardstop_rad: {joint.hardstop_rad} is not between {room_rad} and "
+                f"{DEEPEST_STOP_RAD} below soft_min_rad, {low:.6g} .. {high:.6g}"
+            )
+        most_Nm = MOST_OF_RATED * joint.hardstop_rated_Nm
+        if joint.hardstop_press_Nm > most_Nm:
+            yield (
+                f"joints.{field.name}.hardstop_press_Nm: {joint.hardstop_press_Nm} is above {most_Nm:g}, "
+                f"{MOST_OF_RATED} of hardstop_rated_Nm"
+            )
 
 
 def _no_spring(compliance: Matrix6) -> str | None:

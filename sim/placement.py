@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.commands import Command, GuardedMove, MoveTool, Retract, SetReference, Unstow, Vector3
+from fsw.dictionary.commands import Command, GuardedMove, MoveTool, Retract, Unstow, Vector3
 from fsw.dictionary.evrs import BranchChosen, CommandCompleted, ContactMade, Evr
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
@@ -79,11 +79,11 @@ def placement_moves(placement: Placement) -> tuple[tuple[MoveTool, ...], Guarded
     return moves, GuardedMove(tool, _vector(target - placement.overtravel_m * normal), approach)
 
 
-def placement_commands(placement: Placement, reference: SetReference, stowed: bool) -> tuple[Command, ...]:
+def placement_commands(placement: Placement, stowed: bool) -> tuple[Command, ...]:
     """The command sequence of a placement."""
     moves, touch = placement_moves(placement)
     unstow = (Unstow(),) if stowed else ()
-    return (reference, *unstow, *moves, touch, Retract(placement.tool, placement.standoff_m))
+    return (*unstow, *moves, touch, Retract(placement.tool, placement.standoff_m))
 
 
 class PlacementRun:
@@ -93,7 +93,7 @@ class PlacementRun:
         stowed = loop.state.mode is Mode.STOWED
         self._loop = loop
         self._placement = placement
-        self._commands = placement_commands(placement, loop.reference(), stowed)
+        self._commands = placement_commands(placement, stowed)
         self._evrs: list[tuple[float, Evr]] = []
         self._errors: dict[str, PlacementError] = {}
         self._outcome = Outcome.SOFTWARE_ERROR

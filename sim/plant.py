@@ -21,6 +21,9 @@ held by friction then gives way with a time constant of four seconds. Less of it
 ALL_ACTUATORS = 0b111110
 """The motors' actuator groups 1 to 5, one bit each: set means without power."""
 
+MOTOR_CONSTANT = 1
+"""Its place in MuJoCo's gain parameters of a dcmotor."""
+
 LOAD_STAGES = 320
 """Gravity is brought up in so many stages: a dropped arm rests anywhere in the band of its friction."""
 
@@ -37,6 +40,9 @@ class Addresses:
     gear: NDArray[np.intp]
     gaps: NDArray[np.intp]
     """Tendons of the gears."""
+    outputs: NDArray[np.intp]
+    """Tendons of the outputs, with friction and hardstops."""
+    actuators: NDArray[np.intp]
     brake: NDArray[np.intp]
     tools: NDArray[np.intp]
     """Sites, in the order of Tool."""
@@ -47,7 +53,6 @@ class Plant:
 
     def __init__(self, model: mujoco.MjModel):
         self.model = model
-        self.model.tendon_invweight0[[model.tendon(f"{n}_output").id for n in JOINT_NAMES]] *= HARD_FRICTION
         self.data = mujoco.MjData(model)
         self.steps_per_cycle = round(1.0 / (CYCLE_HZ * model.opt.timestep))
         if self.steps_per_cycle * model.opt.timestep * CYCLE_HZ != 1.0:
@@ -58,9 +63,13 @@ class Plant:
             motor=np.array([model.joint(f"{name}_motor").qposadr[0] for name in JOINT_NAMES]),
             gear=np.array([model.joint(f"{name}_gear").qposadr[0] for name in JOINT_NAMES]),
             gaps=np.array([model.tendon(f"{name}_gear").id for name in JOINT_NAMES]),
+            outputs=np.array([model.tendon(f"{name}_output").id for name in JOINT_NAMES]),
+            actuators=np.array([model.actuator(name).id for name in JOINT_NAMES]),
             brake=np.array([model.equality(f"{name}_brake").id for name in JOINT_NAMES]),
             tools=np.array([model.site(tool.name.lower()).id for tool in Tool]),
         )
+        self.model.tendon_invweight0[self.at.outputs] *= HARD_FRICTION
+        self.torque_constant_Nm_A = model.actuator_gainprm[self.at.actuators, MOTOR_CONSTANT].copy()
 
     @property
     def half_gap_rad(self) -> Array:
@@ -111,6 +120,21 @@ class Plant:
         """True position in the backlash, wind-up taken off: half the width where a joint rests on a flank."""
         gear = self.data.qpos[self.at.gear]
         return np.asarray(np.clip(gear, -self.half_gap_rad, self.half_gap_rad))
+
+    def stop_rad(self) -> Array:
+        """Output angles of the negative hardstops."""
+        return np.asarray(self.model.tendon_lengthspring[self.at.outputs, 0])
+
+    def stop_torque_Nm(self) -> Array:
+        """What the outputs press on their negative hardstops with."""
+        pressed = self.stop_rad() - self.output_rad()
+        torque: Array = self.model.tendon_stiffness[self.at.outputs] * np.maximum(pressed, 0.0)
+        return torque
+
+    def motor_current_A(self) -> Array:
+        """True motor currents."""
+        current: Array = self.data.actuator_force[self.at.actuators] / self.torque_constant_Nm_A
+        return current
 
     def tool_shift(self, tool: Tool, output_rad: Array) -> Array:
         """By how much a small change of the output angles (5) moves a tool, in RMECH [m]."""

@@ -11,13 +11,15 @@ import numpy as np
 
 from fsw.config import Config, configure
 from fsw.dictionary.joints import Tool
-from fsw.estimate.joints import JointEstimate, unreferenced
+from fsw.estimate.joints import JointEstimate, asleep
+from fsw.estimate.reference import no_reference
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import Equilibrium, settle
 from fsw.kinematics.transforms import Array
+from fsw.motion.compensation import Compensation
 from fsw.motion.paths import Path
-from fsw.motion.plan import Plan, Refusal, plan_poses
+from fsw.motion.plan import Plan, Refusal, Stand, plan_poses
 from fsw.motion.plan_line import plan_guarded
 from fsw.motion.plan_tool import AUTO, plan_tool
 from sim.arms import BuiltArm
@@ -61,7 +63,7 @@ def preview(arm: BuiltArm, world: World, placement: Placement, stowed: bool = Fa
         geom.margin = 0.5 * CLEARANCE_M
     plant = Plant(spec.compile())
     ready = np.array(arm.params.poses.ready_rad)
-    joints = replace(unreferenced(5), motor_rad=ready, gravity_R_m_s2=world.gravity_N_m_s2)
+    joints = _joints(config, ready, world.gravity_N_m_s2)
     if stowed:
         hit = _unstow_hit(config, plant, joints)
         if hit is not None:
@@ -78,14 +80,26 @@ def preview(arm: BuiltArm, world: World, placement: Placement, stowed: bool = Fa
 
 def unstow_s(arm: BuiltArm) -> float:
     """How long the arm takes from the stowed to the ready pose."""
-    plan = _unstow(configure(arm.params, digest(arm.params)), unreferenced(5))
+    config = configure(arm.params, digest(arm.params))
+    plan = _unstow(config, _joints(config, np.array(arm.params.poses.ready_rad), np.zeros(3)))
     return 0.0 if isinstance(plan, Refusal) else sum(path.duration_s for path in plan.paths)
 
 
 def _unstow(config: Config, joints: JointEstimate) -> Plan | Refusal:
     poses = config.params.poses
     way = [np.array(pose) for pose in (*poses.unstow_via_rad, poses.ready_rad)]
-    return plan_poses(config, replace(joints, motor_rad=np.array(poses.stowed_rad)), way)
+    stowed = replace(joints, motor_rad=np.array(poses.stowed_rad))
+    return plan_poses(config, stowed, way, Compensation())
+
+
+def _joints(config: Config, motor_rad: Array, gravity_R_m_s2: Array) -> JointEstimate:
+    joints = asleep(config, no_reference(config))
+    return replace(joints, motor_rad=motor_rad, gravity_R_m_s2=gravity_R_m_s2)
+
+
+def _at(joints: JointEstimate, stand: Stand) -> JointEstimate:
+    """The joints where a plan ends."""
+    return replace(joints, motor_rad=stand.motor_rad, gear_rad=np.repeat(stand.gear_rad[:, None], 3, axis=1))
 
 
 def _unstow_hit(config: Config, plant: Plant, joints: JointEstimate) -> str | None:
@@ -104,11 +118,12 @@ def _try(config: Config, plant: Plant, joints: JointEstimate, placement: Placeme
         plan = plan_tool(config, joints, move)
         if isinstance(plan, Refusal):
             return _no(placement, plan.reason)
-        hit = _first_hit(plant, _poses(config, joints, plan.paths[0]), CLEARANCE_M)
+        ways = [_poses(config, joints, path) for path in plan.paths]
+        hit = next((hit for hit in (_first_hit(plant, way, CLEARANCE_M) for way in ways) if hit), None)
         if hit is not None:
             return _no(placement, f"{plan.branch}: {hit} on the way to the standoff")
-        duration += plan.paths[0].duration_s
-        joints = replace(joints, motor_rad=plan.motor_rad, gap_rad=plan.gap_rad)
+        duration += sum(path.duration_s for path in plan.paths)
+        joints = _at(joints, plan.end)
         placement = replace(placement, branch=plan.branch or AUTO)
     line = plan_guarded(config, joints, touch)
     if isinstance(line, Refusal):

@@ -17,13 +17,25 @@ class JointChannels:
     mode: Mode
     busy: bool
     motor_rad: NDArray[np.float64]
-    """Encoder angle over gear ratio, zero applied: the output angle without backlash and wind-up."""
+    """Encoder angle over gear ratio, zero applied: the output angle without backlash and wind-up.
+
+    Of a joint that is not calibrated, what its resolver said at first and the motion since.
+    """
     motor_rate_rad_s: NDArray[np.float64]
     setpoint_rad: NDArray[np.float64]
+    output_rad: NDArray[np.float64]
+    """Believed, with backlash and wind-up."""
     gap_rad: NDArray[np.float64]
     """Believed output less motor angle inside the backlash, wind-up not counted."""
+    gap_side: NDArray[np.float64]
+    """+1 or -1 where the output surely lies on that flank, 0 floating: where nothing has decided it."""
+    gap_uncertainty_rad: NDArray[np.float64]
+    """Half the range in which output less motor angle may be."""
     planned_gap_rad: NDArray[np.float64]
     """The gap that the last plan's set-points allow for."""
+    calibrated: NDArray[np.bool_]
+    resolver_error_rad: NDArray[np.float64]
+    """Resolver less believed output and the bias learned at the hardstop, smoothed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

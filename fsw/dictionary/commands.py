@@ -3,21 +3,41 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.joints import Joint, Tool
 
 Vector3 = tuple[float, float, float]
 Joints5 = tuple[float, float, float, float, float]
-Sides5 = tuple[int, int, int, int, int]
 
-Deflection = Literal["off", "absolute"]
+Backlash = Literal["off", "on"]
+"""Whether set-points allow for the gap, and moves end with every output on a known side of it."""
+Deflection = Literal["off", "absolute", "relative"]
+"""What is done about gravity: nothing, all of it, or only how it differs from where the arm is now."""
 
 
 @dataclass(frozen=True, slots=True)
-class SetReference:
-    """Take these as the motor angles (output side) of this moment, and these as the sides of the backlash."""
+class Calibrate:
+    """Run one joint to its negative hardstop and take its encoder zero from there; the others stay braked."""
 
-    motor_rad: Joints5
-    gap_side: Sides5
+    joint: Joint
+    anew: bool = False
+    """Take the hardstop where it is, even if it is not where it was found last."""
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrateAll:
+    """Calibrate every joint, in an order and by way of poses in which each may run to its hardstop."""
+
+    anew: bool = False
+    """Take the hardstops where they are, even if they are not where they were found last."""
+
+
+@dataclass(frozen=True, slots=True)
+class MoveJoint:
+    """Move one calibrated joint to an output angle; the others stay on their brakes."""
+
+    joint: Joint
+    angle_rad: float
+    backlash: Backlash = "on"
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,20 +50,26 @@ class MoveJoints:
     """Move all joints to these output angles, synchronised and jerk-limited."""
 
     angle_rad: Joints5
+    backlash: Backlash = "on"
 
 
 @dataclass(frozen=True, slots=True)
 class MoveTool:
-    """Move in joint space until the tool is at a position with its x axis along an approach direction."""
+    """Move in joint space until the tool is at a position with its x axis along an approach direction.
+
+    With backlash compensation it may pass the position by some millimetres, in any direction, before it comes
+    back to it: outputs that their load does not hold are dragged to their places.
+    """
 
     tool: Tool
     p_RoTo_R_m: Vector3
     approach_R: Vector3
     line_m: float = 0.0
     """Straight travel along the approach that must remain possible from there."""
+    backlash: Backlash = "on"
     deflection: Deflection = "absolute"
     branch: str = "AUTO"
-    """AUTO, or one of the names in kinematics.closed_form.BRANCHES."""
+    """AUTO, or one of the names in kinematics.branches.BRANCHES."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +79,7 @@ class GuardedMove:
     tool: Tool
     end_p_RoTo_R_m: Vector3
     approach_R: Vector3
+    backlash: Backlash = "on"
     deflection: Deflection = "absolute"
 
 
@@ -62,6 +89,7 @@ class Retract:
 
     tool: Tool
     distance_m: float
+    backlash: Backlash = "on"
     deflection: Deflection = "absolute"
 
 
@@ -75,4 +103,15 @@ class ClearFault:
     """Accept commands again after a fault."""
 
 
-Command = SetReference | Unstow | MoveJoints | MoveTool | GuardedMove | Retract | Stop | ClearFault
+Command = (
+    Calibrate
+    | CalibrateAll
+    | Unstow
+    | MoveJoint
+    | MoveJoints
+    | MoveTool
+    | GuardedMove
+    | Retract
+    | Stop
+    | ClearFault
+)

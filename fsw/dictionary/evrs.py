@@ -95,11 +95,113 @@ class ModeChanged(Evr):
 
 
 @dataclass(frozen=True, slots=True)
-class ReferenceSet(Evr):
-    """Encoder zero and backlash side were given from outside."""
+class JointCalibrated(Evr):
+    """A joint found its hardstop; its encoder zero follows from it."""
 
     severity = Severity.ACTIVITY_HI
-    text = "encoder reference set for all joints"
+    text = (
+        "{e.joint.name} calibrated: zero moved by {e.moved_rad:.6f} rad, runs with {e.running_Nm:.1f} N m, "
+        "hardstop and gear give {e.compliance_urad_Nm:.2f} urad per N m, backlash {e.backlash_rad:.6f} rad "
+        "(measured: {e.backlash_measured})"
+    )
+    joint: Joint
+    moved_rad: float
+    """Against the zero of before, or what the resolver said."""
+    running_Nm: float
+    compliance_urad_Nm: float
+    backlash_rad: float
+    backlash_measured: bool
+
+
+@dataclass(frozen=True, slots=True)
+class StalledEarly(Evr):
+    """A joint that was looking for its hardstop stalled where there is none."""
+
+    severity = Severity.WARNING_HI
+    text = "{e.joint.name} stalled at {e.angle_rad:.4f} rad, its hardstop is at {e.stop_rad:.4f} rad"
+    joint: Joint
+    angle_rad: float
+    """As its resolver reads."""
+    stop_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class HardstopMissed(Evr):
+    """A joint went beyond the place where its hardstop should be."""
+
+    severity = Severity.WARNING_HI
+    text = "{e.joint.name} is at {e.angle_rad:.4f} rad and met no hardstop at {e.stop_rad:.4f} rad"
+    joint: Joint
+    angle_rad: float
+    """As its resolver reads."""
+    stop_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class NoHardstop(Evr):
+    """What a joint was pressed against is softer or harder than a hardstop."""
+
+    severity = Severity.WARNING_HI
+    text = (
+        "{e.joint.name} is pressed on something that gives {e.compliance_urad_Nm:.2f} urad per N m, "
+        "a hardstop gives {e.drawn_urad_Nm:.2f}"
+    )
+    joint: Joint
+    compliance_urad_Nm: float
+    drawn_urad_Nm: float
+
+
+@dataclass(frozen=True, slots=True)
+class HardstopMoved(Evr):
+    """A hardstop is not where it was found last."""
+
+    severity = Severity.WARNING_HI
+    text = "{e.joint.name}: its hardstop moved by {e.moved_rad:.6f} rad, bound {e.bound_rad:.6f} rad"
+    joint: Joint
+    moved_rad: float
+    bound_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class MotorStuck(Evr):
+    """A motor did not turn: not driven, seized, or held up while its current reads less than its limit."""
+
+    severity = Severity.WARNING_HI
+    text = "{e.joint.name} does not turn at {e.current_A:.2f} A, limit {e.limit_A:.2f} A"
+    joint: Joint
+    current_A: float
+    limit_A: float
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentImplausible(Evr):
+    """A current was read that is above its limit, or drives against the motion."""
+
+    severity = Severity.WARNING_HI
+    text = "{e.joint.name} reads {e.current_A:.2f} A, which cannot be at a limit of {e.limit_A:.2f} A"
+    joint: Joint
+    current_A: float
+    limit_A: float
+
+
+@dataclass(frozen=True, slots=True)
+class HardstopUnclear(Evr):
+    """A joint stalled, but its torque did not rise along a line as it does on a hardstop."""
+
+    severity = Severity.WARNING_HI
+    text = "{e.joint.name} stalled where no hardstop can be told from its current"
+    joint: Joint
+
+
+@dataclass(frozen=True, slots=True)
+class ResolverDisagrees(Evr):
+    """A resolver is not where encoder, wind-up and backlash say that the output is."""
+
+    severity = Severity.WARNING_HI
+    text = "{e.joint.name}: resolver off by {e.error_rad:.5f} rad, bound {e.bound_rad:.5f} rad"
+    joint: Joint
+    error_rad: float
+    bound_rad: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,6 +14,10 @@ class Joint(IntEnum):
     TURRET = 4
 
 
+STOP_ORDER: Final = (Joint.TURRET, Joint.WRIST, Joint.ELEVATION, Joint.ELBOW, Joint.AZIMUTH)
+"""In which the joints find their hardstops; the short ways that this takes are clear of the rover."""
+
+
 class Frame(IntEnum):
     """The seven frames of the kinematic chain (paper, section Propagating Source Errors)."""
 

@@ -115,6 +115,17 @@ class JointParams:
     backlash_rad: Annotated[float, Limits(0.0, 0.02)]
     gear_stiffness_Nm_rad: Annotated[float, Limits(1e3, 1e8)]
     output_friction_Nm: Annotated[float, Limits(0.0, 200.0)]
+    load_error_Nm: Annotated[float, Limits(0.0, 100.0)]
+    """How far the modelled load, less the friction of the output, may be from the true one on Mars."""
+    torque_constant_Nm_A: Annotated[float, Limits(1.0, 1e4)]
+    """Of the motor, at the output."""
+    hardstop_rad: Angle
+    """Where the output meets its negative hardstop."""
+    hardstop_stiffness_Nm_rad: Annotated[float, Limits(1e3, 1e8)]
+    hardstop_press_Nm: Annotated[float, Limits(1.0, 2000.0)]
+    """Torque beyond that of running at which a joint on its hardstop is to stall."""
+    hardstop_rated_Nm: Annotated[float, Limits(1.0, 5000.0)]
+    """Torque that the hardstop is made for."""
     soft_min_rad: Angle
     soft_max_rad: Angle
     speed_rad_s: Annotated[float, Limits(1e-3, 0.1)]
@@ -136,6 +147,39 @@ class Joints:
     def in_order(self) -> tuple[JointParams, ...]:
         """The joints in the order of Joint."""
         return (self.azimuth, self.elevation, self.elbow, self.wrist, self.turret)
+
+
+@dataclass(frozen=True, slots=True)
+class HardstopParams:
+    """How a joint finds its negative hardstop, and where the others are meanwhile."""
+
+    start_rad: Joints5
+    """Where a joint waits for its turn."""
+    park_rad: Joints5
+    """Where it goes after it."""
+    again_rad: Joints5
+    """Where the elevation has its turn again once all joints are calibrated: its load there is chosen."""
+    pose_tolerance_rad: Annotated[float, Limits(0.0, 0.5)]
+    """How far a joint may be from there."""
+    coarse_speed_share: Annotated[float, Limits(0.01, 1.0)]
+    """Of the speed of a move, until the hardstop is met for the first time."""
+    fine_speed_rad_s: Annotated[float, Limits(1e-4, 0.01)]
+    """While it is measured."""
+    retreat_rad: Annotated[float, Limits(0.005, 0.2)]
+    """Way back between the two."""
+    breakaway_A_s: Annotated[float, Limits(0.01, 20.0)]
+    """How fast the current limit rises until the motor turns."""
+    lead_rad: Annotated[float, Limits(1e-4, 2e-3)]
+    """How far the set-point may be ahead of a motor that is held up."""
+    stall_speed_share: Annotated[float, Limits(0.001, 0.5)]
+    stall_time_s: Annotated[float, Limits(0.05, 10.0)]
+    """A motor slower than this share of its speed for this long, at its current limit, has stalled."""
+    window_rad: Annotated[float, Limits(1e-3, 0.1)]
+    """How far from its place, as the resolver tells it, a hardstop may be met."""
+    moved_rad: Annotated[float, Limits(1e-4, 0.1)]
+    """How far it may have moved since it was found last."""
+    stiffness_ratio: Annotated[float, Limits(1.1, 10.0)]
+    """A hardstop that seems softer or harder than the drawing's by more is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,8 +205,8 @@ class MotionParams:
     """A commanded stop may use this many times the acceleration of a move."""
     stowed_rad: Annotated[float, Limits(0.0, 0.2)]
     """How close to the stowed pose every joint of a stowed arm is."""
-    reference_margin_rad: Annotated[float, Limits(0.0, 0.2)]
-    """How far beyond the soft limits, at a hardstop for one, a reference may be."""
+    approach_rad: Annotated[float, Limits(1e-5, 0.05)]
+    """An output that its load does not hold is dragged at least this far to the place where it is to rest."""
     guarded_speed_m_s: Annotated[float, Limits(1e-4, 0.02)]
     retract_speed_m_s: Annotated[float, Limits(1e-4, 0.05)]
     line_acceleration_m_s2: Annotated[float, Limits(1e-4, 0.1)]
@@ -193,6 +237,9 @@ class MonitorParams:
     over_current_fraction: Annotated[float, Limits(0.1, 1.0)]
     """Share of the joint's current limit."""
     over_current_persistence: Annotated[int, Limits(1, 640)]
+    resolver_error_rad: Annotated[float, Limits(1e-4, 0.1)]
+    """How far a resolver may be from the believed output, its bias and the unknown share of the gap apart."""
+    resolver_persistence: Annotated[int, Limits(1, 640)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +250,7 @@ class Params:
     links: Links
     tools: Tools
     joints: Joints
+    hardstop: HardstopParams
     poses: PoseParams
     motion: MotionParams
     monitors: MonitorParams

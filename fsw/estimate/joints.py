@@ -1,102 +1,152 @@
-"""Motor angles from the incremental encoders, and the side of each joint's backlash."""
+"""What the joints are believed to do, from the incremental encoders and the load."""
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
 from fsw.config import CYCLE_HZ, Config
-from fsw.dictionary.commands import SetReference
+from fsw.dictionary.joints import Joint
+from fsw.estimate.gear import (
+    LIKELY,
+    GearBounds,
+    bounds_under,
+    gap_of,
+    gear_after,
+    side_of,
+    uncertain_loads,
+)
+from fsw.estimate.hardstop import Found
+from fsw.estimate.reference import Reference, provisional, remembered
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 
-GRAVITY_FILTER_S = 1.0
-GRAVITY_GAIN = 1.0 / (GRAVITY_FILTER_S * CYCLE_HZ)
-STILL_RAD = 2e-5
-"""An output that is to move less than this is left where it lies."""
+GRAVITY_FILTER_S: Final = 1.0
+GRAVITY_GAIN: Final = 1.0 / (GRAVITY_FILTER_S * CYCLE_HZ)
+ANYWHERE_RAD: Final = 1.0
+RESOLVER_FILTER_S: Final = 0.25
+RESOLVER_GAIN: Final = 1.0 / (RESOLVER_FILTER_S * CYCLE_HZ)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointEstimate:
-    """What the joints are believed to do; output side, order of Joint."""
+    """Output side, order of Joint."""
 
-    referenced: bool
-    """Whether the encoder zero is known; before that the angles mean nothing."""
-    zero_rad: Array
+    awake: bool
+    """Whether anything has been read yet."""
+    reference: Reference
     motor_rad: Array
+    """Of a joint that is not calibrated, what its resolver said at first and the motion since."""
     motor_rate_rad_s: Array
-    load_side: Array
-    """Sign of a load that exceeds friction and so decides the side of the backlash, else 0."""
-    gap_rad: Array
-    """Output less motor angle inside the backlash: half the width on a flank, wind-up not counted."""
+    gear_rad: Array
+    """Output less motor angle, backlash and wind-up: at least, likely, at most; (5, 3)."""
+    bounds: GearBounds
+    resolver_error_rad: Array
+    """Resolver less believed output and learned bias, smoothed."""
     gravity_R_m_s2: Array
 
+    @property
+    def output_rad(self) -> Array:
+        """The likely output angles."""
+        output: Array = self.motor_rad + self.gear_rad[:, LIKELY]
+        return output
 
-def unreferenced(n: int) -> JointEstimate:
-    """Nothing is known yet."""
-    zeros = np.zeros(n)
-    return JointEstimate(False, zeros, zeros, zeros, zeros, zeros, np.zeros(3))
+    @property
+    def gap_rad(self) -> Array:
+        """Likely place of the output in its gap, wind-up not counted."""
+        return gap_of(self.reference.half_gap_rad, self.gear_rad[:, LIKELY])
+
+    @property
+    def side(self) -> Array:
+        """Side of the gap where it is known, else 0."""
+        return side_of(self.reference.half_gap_rad, self.gear_rad)
+
+    @property
+    def uncertainty_rad(self) -> Array:
+        """How far the gear angle may be from its likely value; an error of its stiffness comes on top."""
+        least, likely, most = self.gear_rad.T
+        uncertainty: Array = np.maximum(most - likely, likely - least)
+        return uncertainty
+
+
+def asleep(config: Config, reference: Reference) -> JointEstimate:
+    """Nothing has been read yet; every output may be anywhere in its gear until a load is known."""
+    zeros = np.zeros_like(config.half_gap_rad)
+    anywhere = np.outer(np.ones_like(zeros), [-ANYWHERE_RAD, 0.0, ANYWHERE_RAD])
+    return JointEstimate(
+        awake=False,
+        reference=reference,
+        motor_rad=zeros,
+        motor_rate_rad_s=zeros,
+        gear_rad=anywhere,
+        bounds=GearBounds(np.full_like(anywhere, -ANYWHERE_RAD), np.full_like(anywhere, ANYWHERE_RAD)),
+        resolver_error_rad=zeros,
+        gravity_R_m_s2=np.zeros(3),
+    )
 
 
 def update(config: Config, last: JointEstimate, sensors: Sensors) -> JointEstimate:
-    """The estimate with this cycle's encoder counts and gravity reading."""
-    motor = sensors.encoder_count * config.rad_per_count + last.zero_rad
-    if not last.referenced:
-        return replace(last, motor_rad=motor, gravity_R_m_s2=sensors.gravity_R_m_s2)
+    """The estimate with this cycle's readings."""
+    if not last.awake:
+        return _first(config, last, sensors)
+    motor = sensors.encoder_count * config.rad_per_count + last.reference.zero_rad
     motion = motor - last.motor_rad
+    gear = gear_after(last.gear_rad, motion, last.bounds)
+    error = sensors.resolver_rad - motor - gear[:, LIKELY] - last.reference.resolver_bias_rad
     return JointEstimate(
-        referenced=True,
-        zero_rad=last.zero_rad,
+        awake=True,
+        reference=last.reference,
         motor_rad=motor,
         motor_rate_rad_s=motion * CYCLE_HZ,
-        load_side=last.load_side,
-        gap_rad=gap_after(config, last.load_side, last.gap_rad, motion),
+        gear_rad=gear,
+        bounds=last.bounds,
+        resolver_error_rad=last.resolver_error_rad + RESOLVER_GAIN * (error - last.resolver_error_rad),
         gravity_R_m_s2=last.gravity_R_m_s2 + GRAVITY_GAIN * (sensors.gravity_R_m_s2 - last.gravity_R_m_s2),
     )
 
 
-def set_reference(config: Config, estimate: JointEstimate, command: SetReference) -> JointEstimate:
-    """The estimate with encoder zero and backlash side as told."""
-    told = np.array(command.motor_rad)
+def calibrated(
+    config: Config, joints: JointEstimate, load_Nm: Array, joint: Joint, found: Found
+) -> JointEstimate:
+    """The estimate with a joint's zero such that its output met the hardstop where the drawing has it.
+
+    The joint has just been dragged off its stop, to positive angles.
+    """
+    this = np.arange(load_Nm.size) == joint
+    shift = config.params.joints.in_order()[joint].hardstop_rad - found.stop_rad
+    read = joints.output_rad + joints.reference.resolver_bias_rad + joints.resolver_error_rad
+    half = np.where(this, found.half_gap_rad, joints.reference.half_gap_rad)
+    bounds = bounds_under(config, half, uncertain_loads(config, load_Nm, joints.gravity_R_m_s2))
+    gear = np.where(this[:, None], bounds.lowest_rad, joints.gear_rad)
+    motor = joints.motor_rad + np.where(this, shift, 0.0)
+    bias = read - motor - gear[:, LIKELY]
     return replace(
-        estimate,
-        referenced=True,
-        zero_rad=estimate.zero_rad + told - estimate.motor_rad,
-        motor_rad=told,
-        motor_rate_rad_s=np.zeros_like(told),
-        gap_rad=config.half_gap_rad * np.array(command.gap_side),
+        joints,
+        reference=remembered(
+            joints.reference,
+            joint,
+            zero_rad=float(joints.reference.zero_rad[joint] + shift),
+            half_gap_rad=found.half_gap_rad,
+            resolver_bias_rad=float(bias[joint]),
+        ),
+        motor_rad=motor,
+        gear_rad=gear,
+        bounds=bounds,
+        resolver_error_rad=np.where(this, 0.0, joints.resolver_error_rad),
     )
 
 
-def load_side(config: Config, torque_Nm: Array) -> Array:
-    """Sign of the torques that exceed the friction of the output, else 0."""
-    side: Array = np.sign(torque_Nm) * (np.abs(torque_Nm) > _rows(config.output_friction_Nm, torque_Nm))
-    return side
+def _first(config: Config, asleep: JointEstimate, sensors: Sensors) -> JointEstimate:
+    reference = provisional(config, asleep.reference, sensors)
+    motor = sensors.encoder_count * config.rad_per_count + reference.zero_rad
+    return replace(
+        asleep, awake=True, reference=reference, motor_rad=motor, gravity_R_m_s2=sensors.gravity_R_m_s2
+    )
 
 
-def gap_after(config: Config, load_side: Array, gap_rad: Array, motion_rad: Array) -> Array:
-    """Where the output lies in the backlash after the motor moved.
-
-    A load that exceeds friction holds the output on its flank. Otherwise friction holds the output while the
-    motor crosses the gap, and then the rear flank drags it along: the play operator.
-    """
-    half = config.half_gap_rad
-    dragged = np.minimum(np.maximum(gap_rad - motion_rad, -half), half)
-    gap: Array = np.where(load_side != 0, load_side * half, dragged)
-    return gap
-
-
-def gap_to_move(config: Config, torque_Nm: Array, gap_rad: Array, motion_rad: Array) -> Array:
-    """Where the output will lie in the backlash once it has moved this far: what a set-point must allow for.
-
-    Unlike in gap_after, the motion is that of the output: whoever wants it to move at all must cross the gap.
-    """
-    side, half = load_side(config, torque_Nm), _rows(config.half_gap_rad, torque_Nm)
-    moved = np.abs(motion_rad) > STILL_RAD
-    unloaded = np.where(moved, -np.sign(motion_rad) * half, gap_rad)
-    gap: Array = np.where(side != 0, side * half, unloaded)
-    return gap
-
-
-def _rows(per_joint: Array, like: Array) -> Array:
-    """A value per joint (5,) beside joint arrays (5, ...)."""
-    return per_joint.reshape(-1, *(1,) * (like.ndim - 1))
+def loaded(config: Config, joints: JointEstimate, load_Nm: Array) -> JointEstimate:
+    """The estimate under newly modelled loads."""
+    loads = uncertain_loads(config, load_Nm, joints.gravity_R_m_s2)
+    bounds = bounds_under(config, joints.reference.half_gap_rad, loads)
+    gear = gear_after(joints.gear_rad, np.zeros_like(load_Nm), bounds)
+    return replace(joints, bounds=bounds, gear_rad=gear)

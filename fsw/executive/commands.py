@@ -7,35 +7,40 @@ import numpy as np
 
 from fsw.config import Config
 from fsw.dictionary.commands import (
+    Calibrate,
+    CalibrateAll,
     ClearFault,
     Command,
     GuardedMove,
+    MoveJoint,
     MoveJoints,
     MoveTool,
     Retract,
-    SetReference,
     Stop,
     Unstow,
 )
 from fsw.dictionary.evrs import (
     BranchChosen,
+    CommandAborted,
     CommandAccepted,
     CommandCompleted,
     CommandRefused,
     Evr,
     FaultCleared,
-    ReferenceSet,
 )
+from fsw.dictionary.joints import Joint
 from fsw.dictionary.modes import Mode
-from fsw.estimate.joints import JointEstimate, set_reference
-from fsw.executive.checks import MoveCommand, malformed
+from fsw.estimate.joints import JointEstimate
+from fsw.estimate.reference import forgotten
+from fsw.executive.checks import malformed
+from fsw.executive.hardstop_pose import unsafe, unsafe_for_all
 from fsw.executive.modes import TRANSITIONS, Event, after
-from fsw.kinematics.transforms import Array
+from fsw.executive.planning import PlannedMove, plan_for
+from fsw.executive.sequence import calibrate_all
+from fsw.motion import seek
 from fsw.motion.move import Move, stop
 from fsw.motion.paths import Setpoint
-from fsw.motion.plan import Plan, Refusal, over_limits, plan_poses, worst_limit
-from fsw.motion.plan_line import plan_guarded, plan_retract
-from fsw.motion.plan_tool import plan_tool
+from fsw.motion.plan import Refusal
 from fsw.state import State
 
 
@@ -54,13 +59,15 @@ class Situation:
 def handle(config: Config, now: Situation, command: Command) -> Situation:
     """The situation after a command: changed if it was accepted, with a reason if it was refused."""
     match command:
-        case SetReference():
-            return _set_reference(config, now, command)
+        case CalibrateAll():
+            return _calibrate_all(config, now, command)
+        case Calibrate():
+            return _calibrate(config, now, command)
         case ClearFault():
             return _clear_fault(config, now, command)
         case Stop():
             return _stop(config, now, command)
-        case Unstow() | MoveJoints() | MoveTool() | GuardedMove() | Retract():
+        case Unstow() | MoveJoint() | MoveJoints() | MoveTool() | GuardedMove() | Retract():
             return _begin_move(config, now, command)
         case _:
             assert_never(command)
@@ -68,6 +75,7 @@ def handle(config: Config, now: Situation, command: Command) -> Situation:
 
 _EVENT_OF: dict[type, Event] = {
     Unstow: Event.UNSTOW,
+    MoveJoint: Event.MOVE_FREE,
     MoveJoints: Event.MOVE_FREE,
     MoveTool: Event.MOVE_FREE,
     GuardedMove: Event.MOVE_GUARDED,
@@ -75,8 +83,53 @@ _EVENT_OF: dict[type, Event] = {
 }
 
 
-def _begin_move(config: Config, now: Situation, command: MoveCommand) -> Situation:
-    problem = _not_now(now) or malformed(command)
+def proceed(config: Config, now: Situation) -> Situation:
+    """The situation after the next command of a sequence, if its last one is done."""
+    sequence = now.state.sequence
+    if sequence is None or now.state.move is not None:
+        return now
+    if now.state.mode is Mode.FAULTED:
+        return _sequence_over(now, CommandAborted(sequence.command))
+    if not sequence.rest:
+        return _sequence_over(now, CommandCompleted(sequence.command))
+    rest = replace(sequence, rest=sequence.rest[1:])
+    begun = handle(config, replace(now, state=replace(now.state, sequence=None)), sequence.rest[0])
+    if begun.state.move is None:
+        return _sequence_over(begun, CommandAborted(sequence.command))
+    return replace(begun, state=replace(begun.state, sequence=rest))
+
+
+def _sequence_over(now: Situation, evr: Evr) -> Situation:
+    return replace(now, state=replace(now.state, sequence=None), evrs=(*now.evrs, evr))
+
+
+def _calibrate_all(config: Config, now: Situation, command: CalibrateAll) -> Situation:
+    problem = _not_now(now) or _not_free(now) or unsafe_for_all(config, now.state.joints)
+    if problem is not None:
+        return _refused(now, command, problem)
+    accepted = (*now.evrs, CommandAccepted(_name(command)))
+    return replace(now, state=replace(now.state, sequence=calibrate_all(config, command.anew)), evrs=accepted)
+
+
+def _calibrate(config: Config, now: Situation, command: Calibrate) -> Situation:
+    problem = _not_now(now) or malformed(command) or _not_free(now)
+    problem = problem or unsafe(config, now.state.joints, command.joint)
+    if problem is not None:
+        return _refused(now, command, problem)
+    joints, mode = now.state.joints, TRANSITIONS[now.state.mode, Event.MOVE_FREE]
+    move = _at_rest(config, now, command, TRANSITIONS[mode, Event.DONE])
+    move = replace(
+        move,
+        active=np.arange(joints.motor_rad.size) == command.joint,
+        seek=seek.begin(Joint(command.joint), joints, command.anew),
+    )
+    joints = replace(joints, reference=forgotten(joints.reference, command.joint))
+    state = replace(now.state, mode=mode, move=move, joints=joints)
+    return replace(now, state=state, evrs=(*now.evrs, CommandAccepted(_name(command))))
+
+
+def _begin_move(config: Config, now: Situation, command: PlannedMove) -> Situation:
+    problem = _not_now(now) or _not_calibrated(now, command) or malformed(command)
     if problem is not None:
         return _refused(now, command, problem)
     mode = after(now.state.mode, _EVENT_OF[type(command)])
@@ -85,22 +138,35 @@ def _begin_move(config: Config, now: Situation, command: MoveCommand) -> Situati
     touching = now.state.mode is Mode.GUARDED
     if touching and isinstance(command, GuardedMove | Retract) and command.tool is not now.state.tool:
         return _refused(now, command, f"{now.state.tool.name} is the tool that may touch; retract it first")
-    plan = _plan(config, now.state.joints, command)
+    plan = plan_for(config, now.state.joints, now.state.tool, command)
     if isinstance(plan, Refusal):
         return _refused(now, command, plan.reason)
-    tool = now.state.tool if isinstance(command, Unstow | MoveJoints) else command.tool
-    move = Move(
-        command=_name(command),
-        end_mode=TRANSITIONS[mode, Event.DONE],
+    tool = command.tool if isinstance(command, MoveTool | GuardedMove | Retract) else now.state.tool
+    move = replace(
+        _at_rest(config, now, command, TRANSITIONS[mode, Event.DONE]),
         paths=plan.paths,
-        hold=Setpoint(now.state.joints.motor_rad, np.zeros_like(now.state.joints.motor_rad)),
         guarded=tool if isinstance(command, GuardedMove) else None,
     )
+    if isinstance(command, MoveJoint):
+        move = replace(move, active=np.arange(move.active.size) == command.joint)
     evrs: tuple[Evr, ...] = (CommandAccepted(_name(command)),)
     if plan.branch is not None:
         evrs = (*evrs, BranchChosen(tool, plan.branch))
     state = replace(now.state, mode=mode, tool=tool, move=move, planned_gap_rad=plan.gap_rad)
     return replace(now, state=state, evrs=(*now.evrs, *evrs))
+
+
+def _at_rest(config: Config, now: Situation, command: Command, end_mode: Mode) -> Move:
+    """A move of all joints that has yet to go anywhere."""
+    motor = now.state.joints.motor_rad
+    return Move(
+        command=_name(command),
+        end_mode=end_mode,
+        active=np.ones(motor.size, bool),
+        limit_A=config.current_limit_A,
+        paths=(),
+        hold=Setpoint(motor, np.zeros_like(motor)),
+    )
 
 
 def _not_now(now: Situation) -> str | None:
@@ -109,55 +175,25 @@ def _not_now(now: Situation) -> str | None:
         return "a fault stands; clear it first"
     if now.state.move is not None:
         return f"{now.state.move.command} is under way"
-    if not now.state.joints.referenced:
-        return "the encoders have no reference; set it first"
+    if now.state.sequence is not None:
+        return f"{now.state.sequence.command} is under way"
     return None if now.usable else "a reading is unusable"
 
 
-def _plan(config: Config, joints: JointEstimate, command: MoveCommand) -> Plan | Refusal:
-    match command:
-        case Unstow():
-            poses = config.params.poses
-            return plan_poses(config, joints, [np.array(p) for p in (*poses.unstow_via_rad, poses.ready_rad)])
-        case MoveJoints():
-            return plan_poses(config, joints, [np.array(command.angle_rad)])
-        case MoveTool():
-            return plan_tool(config, joints, command)
-        case GuardedMove():
-            return plan_guarded(config, joints, command)
-        case Retract():
-            return plan_retract(config, joints, command)
-        case _:
-            assert_never(command)
+def _not_free(now: Situation) -> str | None:
+    """Why no free motion can begin in this mode."""
+    free = after(now.state.mode, Event.MOVE_FREE) is not None
+    return None if free else f"not allowed in mode {now.state.mode.name}"
 
 
-def _set_reference(config: Config, now: Situation, command: SetReference) -> Situation:
-    problem = _wrong_reference(config, now, command)
-    if problem is not None:
-        return _refused(now, command, problem)
-    joints = set_reference(config, now.state.joints, command)
-    evrs = (*now.evrs, ReferenceSet(), CommandCompleted(_name(command)))
-    mode = after(now.state.mode, Event.AT_STOW if _at_stow(config, joints.motor_rad) else Event.AWAY)
-    mode = now.state.mode if mode is None else mode
-    state = replace(now.state, mode=mode, joints=joints, planned_gap_rad=joints.gap_rad)
-    return replace(now, state=state, evrs=evrs)
-
-
-def _wrong_reference(config: Config, now: Situation, command: SetReference) -> str | None:
-    told = np.array(command.motor_rad)
-    if now.state.mode is Mode.FAULTED:
-        return "a fault stands; clear it first"
-    if now.state.move is not None:
-        return f"{now.state.move.command} is under way"
-    if not now.usable:
-        return "a reading is unusable"
-    if not np.all(np.isfinite(told)):
-        return "a motor angle is not finite"
-    if over_limits(config, told) > config.params.motion.reference_margin_rad:
-        return worst_limit(config, told)
-    if any(side not in (-1, 0, 1) for side in command.gap_side):
-        return f"a gap side is not -1, 0 or 1: {command.gap_side}"
-    return None
+def _not_calibrated(now: Situation, command: PlannedMove) -> str | None:
+    """Why this command must wait until joints are calibrated."""
+    known = now.state.joints.reference.calibrated
+    needed = (command.joint,) if isinstance(command, MoveJoint) else tuple(Joint)
+    missing = [Joint(joint).name.lower() for joint in needed if joint in tuple(Joint) and not known[joint]]
+    if not missing:
+        return None
+    return f"not calibrated: {', '.join(missing)}; until it is, a joint may only look for its hardstop"
 
 
 def _clear_fault(config: Config, now: Situation, command: ClearFault) -> Situation:
@@ -166,6 +202,8 @@ def _clear_fault(config: Config, now: Situation, command: ClearFault) -> Situati
         return _refused(now, command, "no fault stands")
     if now.state.move is not None:
         return _refused(now, command, "the arm is still being stopped")
+    if now.state.sequence is not None:
+        now = _sequence_over(now, CommandAborted(now.state.sequence.command))
     return replace(
         now,
         state=replace(now.state, mode=mode, fault=None),
@@ -182,19 +220,22 @@ def _clearing(config: Config, now: Situation) -> Event:
     fault = now.state.fault
     if now.touching or (fault is not None and fault.may_touch):
         return Event.CLEAR_TOUCHING
-    at_stow = now.state.joints.referenced and _at_stow(config, now.state.joints.motor_rad)
+    at_stow = _at_stow(config, now.state.joints)
     return Event.CLEAR_STOWED if at_stow else Event.CLEAR
 
 
-def _at_stow(config: Config, motor_rad: Array) -> bool:
-    return bool(np.abs(motor_rad - config.params.poses.stowed_rad).max() < config.params.motion.stowed_rad)
+def _at_stow(config: Config, joints: JointEstimate) -> bool:
+    off = np.abs(joints.motor_rad - config.params.poses.stowed_rad).max()
+    return bool(joints.reference.calibrated.all() and off < config.params.motion.stowed_rad)
 
 
 def _stop(config: Config, now: Situation, command: Stop) -> Situation:
+    if now.state.sequence is not None:
+        now = _sequence_over(now, CommandAborted(now.state.sequence.command))
     evrs = (*now.evrs, CommandCompleted(_name(command)))
     if now.state.move is None or now.state.mode is Mode.FAULTED:
         return replace(now, evrs=evrs)
-    still_stowed = now.state.mode is Mode.FREE_SPACE and _at_stow(config, now.state.joints.motor_rad)
+    still_stowed = now.state.mode is Mode.FREE_SPACE and _at_stow(config, now.state.joints)
     event = Event.STOP_STOWED if still_stowed else Event.STOP
     stopping = stop(config, now.state.move, TRANSITIONS[now.state.mode, event])
     return replace(now, state=replace(now.state, move=stopping), evrs=evrs)

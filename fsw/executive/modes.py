@@ -20,13 +20,9 @@ class Event(IntEnum):
     """Cleared in the stowed pose."""
     CLEAR_TOUCHING = 8
     """Cleared where the arm touches or may touch."""
-    AT_STOW = 9
-    """The reference says that the arm is stowed."""
-    AWAY = 10
-    """The reference says that it is not."""
-    STOP = 11
+    STOP = 9
     """A stop was commanded; a guarded or retracting arm may still touch."""
-    STOP_STOWED = 12
+    STOP_STOWED = 10
     """A stop was commanded before the arm had left the stowed pose."""
 
 
@@ -47,10 +43,6 @@ TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
     (Mode.FREE_SPACE, Event.STOP_STOWED): Mode.STOWED,
     (Mode.GUARDED, Event.STOP): Mode.GUARDED,
     (Mode.RETRACTING, Event.STOP): Mode.GUARDED,
-    (Mode.STOWED, Event.AT_STOW): Mode.STOWED,
-    (Mode.DEPLOYED, Event.AT_STOW): Mode.STOWED,
-    (Mode.STOWED, Event.AWAY): Mode.DEPLOYED,
-    (Mode.DEPLOYED, Event.AWAY): Mode.DEPLOYED,
     **{(mode, Event.FAULT): Mode.FAULTED for mode in Mode},
 }
 """A pair that is not here is refused."""

@@ -9,9 +9,13 @@ from fsw.config import CYCLE_S, Config
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, NoContact, NotSettled
 from fsw.dictionary.joints import SWITCHES_OF, Joint, Switch, Tool
 from fsw.dictionary.modes import Mode
+from fsw.estimate.hardstop import Found
 from fsw.estimate.joints import JointEstimate
+from fsw.kinematics.transforms import Array
 from fsw.messages import Flags, Sensors
+from fsw.motion import seek as seeking
 from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
+from fsw.motion.seek import Seek, limits_A
 
 
 class Phase(IntEnum):
@@ -25,15 +29,19 @@ class Phase(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Move:
-    """A move under way; the paths are run one after the other, each from rest to rest."""
+    """A move under way: paths one after the other, each from rest to rest, or a joint that seeks its stop."""
 
     command: str
     end_mode: Mode
+    active: Flags
+    """The joints that are released; the others stay on their brakes, without power."""
+    limit_A: Array
     paths: tuple[Path, ...]
     hold: Setpoint
     """The set-point of this cycle."""
     guarded: Tool | None = None
     """Whose contact ends the move; None for a move that is not to touch."""
+    seek: Seek | None = None
     stopped: bool = False
     """A command or a fault stopped it: the move ends early and is reported as aborted."""
     phase: Phase = Phase.RELEASE
@@ -46,14 +54,16 @@ class Move:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Advance:
-    """A move one cycle on: the move or None when it is over, what happened, and the mode it ends in."""
+    """A move one cycle on: the move or None when it is over, what happened, and what it ends in."""
 
     move: Move | None
     evrs: tuple[Evr, ...] = ()
     end_mode: Mode | None = None
+    stop: tuple[Joint, Found] | None = None
+    """The hardstop that was found, and whose."""
 
 
-def advance(config: Config, move: Move, joints: JointEstimate, sensors: Sensors) -> Advance:
+def advance(config: Config, move: Move, joints: JointEstimate, load_Nm: Array, sensors: Sensors) -> Advance:
     """The move in this cycle."""
     match move.phase:
         case Phase.RELEASE:
@@ -61,21 +71,33 @@ def advance(config: Config, move: Move, joints: JointEstimate, sensors: Sensors)
                 return Advance(_tick(move))
             return Advance(_enter(move, Phase.RUN))
         case Phase.RUN:
+            if move.seek is not None:
+                return _seek(config, move, move.seek, joints, load_Nm, sensors)
             return _run(move, sensors)
         case Phase.SETTLE:
             return _settle(config, move, joints)
         case Phase.BRAKE:
             if move.ticks < config.brake_ticks:
                 return Advance(_tick(move))
-            ended = CommandAborted(move.command) if move.stopped else CommandCompleted(move.command)
-            return Advance(None, (ended,), move.end_mode)
+            if move.stopped:
+                return Advance(None, (CommandAborted(move.command),), move.end_mode)
+            return Advance(None, (CommandCompleted(move.command),), move.end_mode, _found(move))
+
+
+def _found(move: Move) -> tuple[Joint, Found] | None:
+    if move.seek is None or move.seek.found is None:
+        return None
+    return move.seek.joint, move.seek.found
 
 
 def stop(config: Config, move: Move, end_mode: Mode) -> Move:
-    """The move brought to rest early."""
+    """The move brought to rest early; a joint that seeks its hardstop is slow, and may be stalled: brakes."""
     stopped = replace(move, stopped=True, end_mode=end_mode, guarded=None)
     if move.phase is Phase.RELEASE:
         return _enter(stopped, Phase.BRAKE)
+    if move.phase is Phase.RUN and move.seek is not None:
+        held = Setpoint(move.hold.motor_rad, np.zeros_like(move.hold.rate_rad_s))
+        return _enter(replace(stopped, hold=held), Phase.BRAKE)
     if move.phase is Phase.RUN:
         return replace(stopped, paths=(stop_path(config, move.hold),), ticks=0)
     return stopped
@@ -84,6 +106,16 @@ def stop(config: Config, move: Move, end_mode: Mode) -> Move:
 def closed_switch(tool: Tool, closed: Flags) -> Switch | None:
     """The first closed contact switch of a tool."""
     return next((switch for switch in SWITCHES_OF[tool] if closed[switch]), None)
+
+
+def _seek(
+    config: Config, move: Move, seek: Seek, joints: JointEstimate, load_Nm: Array, sensors: Sensors
+) -> Advance:
+    sought = seeking.advance(config, seek, move.hold, joints, load_Nm, sensors)
+    limit = limits_A(config, sought.seek)
+    limit = move.limit_A if np.array_equal(limit, move.limit_A) else limit
+    move = replace(move, seek=sought.seek, hold=sought.hold, limit_A=limit, ticks=move.ticks + 1)
+    return Advance(move if sought.seek.found is None else _enter(move, Phase.SETTLE), sought.evrs)
 
 
 def _run(move: Move, sensors: Sensors) -> Advance:

@@ -1,17 +1,22 @@
-"""A plan: the paths of a move, the gap that its set-points allow for, or why it cannot be."""
+"""A plan: the paths of a move, how its outputs come to lie in their gears, or why it cannot be."""
 
 from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
 
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.commands import Deflection
 from fsw.dictionary.joints import Joint
-from fsw.estimate.joints import JointEstimate, gap_to_move
+from fsw.estimate.gear import LIKELY, bounds_under, gear_moved
+from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.limits import beyond_limits, outside
 from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array
+from fsw.motion.compensation import Compensation, last_motion
 from fsw.motion.paths import Path, joint_path
+
+TOO_SOFT: Final = "the arm of these parameters is too soft to hang still"
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,45 +27,110 @@ class Refusal:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Stand:
+    """Where motors stand and how the outputs lie in their gears."""
+
+    motor_rad: Array
+    gear_rad: Array
+
+    @property
+    def output_rad(self) -> Array:
+        """Where the outputs are."""
+        output: Array = self.motor_rad + self.gear_rad
+        return output
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """Paths to run one after the other, where they end, and what they assume."""
+    """Paths to run one after the other, and where they end."""
 
     paths: tuple[Path, ...]
-    motor_rad: Array
-    """At the end."""
+    end: Stand
     gap_rad: Array
-    """Where the outputs are expected to lie in their backlash at the end."""
+    """The backlash that the last set-points allow for."""
     branch: str | None = None
     """The inverse-kinematics branch, where one was chosen."""
 
 
-def plan_poses(config: Config, joints: JointEstimate, poses: list[Array]) -> Plan | Refusal:
+def standing(joints: JointEstimate) -> Stand:
+    """Where the joints are now, as far as is known."""
+    return Stand(joints.motor_rad, joints.gear_rad[:, LIKELY])
+
+
+def plan_poses(
+    config: Config, joints: JointEstimate, poses: list[Array], compensation: Compensation
+) -> Plan | Refusal:
     """Joint moves from output pose (5) to output pose, deflection apart; refused beyond the soft limits."""
-    legs: list[Path] = []
-    motor, output, gap = joints.motor_rad, joints.motor_rad + joints.gap_rad, joints.gap_rad
-    for pose in poses:
+    paths: list[Path] = []
+    here = standing(joints)
+    gap = np.zeros_like(here.motor_rad)
+    for k, pose in enumerate(poses):
         if over_limits(config, pose) > 0:
             return Refusal(worst_limit(config, pose))
         hanging = rest(config.arm, pose, joints.gravity_R_m_s2)
         if not hanging.converged:
-            return Refusal("the arm of these parameters is too soft to hang still")
-        torque = hanging.torque_Nm
-        gap = gap_to_move(config, torque, gap, pose - output)
-        start, motor, output = motor, motor_under(config, pose, torque, gap), pose
-        legs.append(joint_path(config, start, motor))
-    return Plan(tuple(legs), motor, gap)
+            return Refusal(TOO_SOFT)
+        last = k == len(poses) - 1
+        leg = plan_to(config, joints, here, pose, hanging.torque_Nm, compensation, on_known_side=last)
+        paths.extend(leg.paths)
+        here, gap = leg.end, leg.gap_rad
+    return Plan(tuple(paths), here, gap)
 
 
-def motor_under(config: Config, output_rad: Array, torque_Nm: Array, gap_rad: Array) -> Array:
-    """Motor angles (5, ...) under output angles: less the wind-up and less the gap."""
-    stiffness = config.arm.gear_stiffness_Nm_rad.reshape(5, *(1,) * (output_rad.ndim - 1))
-    motor: Array = output_rad - torque_Nm / stiffness - gap_rad
-    return motor
+def plan_joint(
+    config: Config, joints: JointEstimate, joint: Joint, angle_rad: float, compensation: Compensation
+) -> Plan | Refusal:
+    """A move of one joint's output to an angle while the others stay on their brakes."""
+    pose = joints.output_rad.copy()
+    pose[joint] = angle_rad
+    arm = config.arm
+    if not arm.soft_min_rad[joint] <= angle_rad <= arm.soft_max_rad[joint]:
+        return Refusal(outside(arm, joint, angle_rad))
+    hanging = rest(arm, pose, joints.gravity_R_m_s2)
+    if not hanging.converged:
+        return Refusal(TOO_SOFT)
+    return plan_to(config, joints, standing(joints), pose, hanging.torque_Nm, compensation, only=joint)
 
 
-def believed_gravity(joints: JointEstimate, deflection: Deflection) -> Array:
-    """The gravity that a plan reckons with: none if it is not to compensate deflection."""
-    return joints.gravity_R_m_s2 if deflection == "absolute" else np.zeros(3)
+def plan_to(
+    config: Config,
+    joints: JointEstimate,
+    start: Stand,
+    output_rad: Array,
+    load_Nm: Array,
+    compensation: Compensation,
+    on_known_side: bool = True,
+    only: Joint | None = None,
+) -> Plan:
+    """A joint move to outputs (5) under the loads there, such that backlash is on a known side at the end.
+
+    Outputs that their load does not hold are dragged to their places. Where the direct way does not do so by
+    itself, the move first goes as far beyond as that takes. With `only`, the other motors stay.
+    """
+    moving = np.array([only in (None, joint) for joint in Joint])
+    bounds = bounds_under(config, joints.reference.half_gap_rad, load_Nm)
+    gear = gear_moved(start.gear_rad, output_rad - start.output_rad, bounds)
+    if compensation.backlash == "off" or not on_known_side:
+        motor = np.where(moving, output_rad - compensation.allowance(joints, gear), start.motor_rad)
+        path = joint_path(config, start.motor_rad, motor)
+        return Plan((path,), Stand(motor, gear), compensation.gap(joints, gear))
+    run_up = bounds.highest_rad - bounds.lowest_rad + config.params.motion.approach_rad
+    direction = moving * last_motion(config, load_Nm, joints.gravity_R_m_s2)
+    direction = _allowed(config, output_rad, run_up, direction)
+    gear = np.where(direction == 0, gear, gear_moved(gear, direction, bounds))
+    motor = np.where(moving, output_rad - compensation.allowance(joints, gear), start.motor_rad)
+    short = (direction != 0) & (direction * (motor - start.motor_rad) < run_up)
+    before = [np.where(short, motor - direction * run_up, motor)] if short.any() else []
+    paths = tuple(joint_path(config, a, b) for a, b in pairwise((start.motor_rad, *before, motor)))
+    return Plan(paths, Stand(motor, gear), compensation.gap(joints, gear))
+
+
+def _allowed(config: Config, output_rad: Array, run_up_rad: Array, direction: Array) -> Array:
+    """The directions, turned round where the run-up would leave the soft limits."""
+    before = output_rad - direction * run_up_rad
+    outside_limits = (before < config.arm.soft_min_rad) | (before > config.arm.soft_max_rad)
+    allowed: Array = np.where(outside_limits, -direction, direction)
+    return allowed
 
 
 def over_limits(config: Config, output_rad: Array) -> Array:

@@ -5,15 +5,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.commands import Deflection, GuardedMove, Retract
+from fsw.dictionary.commands import GuardedMove, Retract
 from fsw.dictionary.joints import Tool
-from fsw.estimate.joints import STILL_RAD, JointEstimate, gap_to_move
+from fsw.estimate.gear import STILL_RAD, bounds_under, gear_moved
+from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.refine import Refined, refine
-from fsw.kinematics.statics import settle
+from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array, norm
+from fsw.motion.compensation import Compensation
 from fsw.motion.paths import Path, joint_path, line_path
-from fsw.motion.plan import Plan, Refusal, believed_gravity, motor_under, over_limits, worst_limit
+from fsw.motion.plan import Plan, Refusal, Stand, over_limits, standing, worst_limit
 
 KNOT_RAD = 0.2
 """A joint that moves more than this between two knots has not stayed on its branch."""
@@ -24,6 +26,7 @@ class Line:
     """A straight tool move, from the pose that the motor angles have under the plan's assumptions."""
 
     tool: Tool
+    compensation: Compensation
     gravity_R_m_s2: Array
     output_rad: Array
     """At the start."""
@@ -41,9 +44,13 @@ class Line:
 
 def plan_guarded(config: Config, joints: JointEstimate, command: GuardedMove) -> Plan | Refusal:
     """A straight line from where the tool stands to the end of the guarded travel, the way the tool looks."""
-    line = _from_here(config, joints, command.tool, command.deflection)
+    compensation = Compensation(command.backlash, command.deflection)
+    line = _from_here(config, joints, command.tool, compensation)
     approach = np.array(command.approach_R) / np.linalg.norm(command.approach_R)
-    line = replace(line, end_p_m=np.array(command.end_p_RoTo_R_m), end_axis=approach)
+    end_p_m, approach = compensation.target(
+        config, joints, command.tool, np.array(command.end_p_RoTo_R_m), approach
+    )
+    line = replace(line, end_p_m=end_p_m, end_axis=approach)
     problem = _length_problem(config, line) or _direction_problem(config, line)
     if problem is not None:
         return Refusal(problem)
@@ -52,7 +59,8 @@ def plan_guarded(config: Config, joints: JointEstimate, command: GuardedMove) ->
 
 def plan_retract(config: Config, joints: JointEstimate, command: Retract) -> Plan | Refusal:
     """A straight line back along the tool's axis."""
-    line = _from_here(config, joints, command.tool, command.deflection)
+    compensation = Compensation(command.backlash, command.deflection)
+    line = _from_here(config, joints, command.tool, compensation)
     line = replace(line, end_p_m=line.p_m - command.distance_m * line.axis)
     problem = _length_problem(config, line)
     if problem is not None:
@@ -60,13 +68,13 @@ def plan_retract(config: Config, joints: JointEstimate, command: Retract) -> Pla
     return _planned(config, joints, line, config.params.motion.retract_speed_m_s)
 
 
-def _from_here(config: Config, joints: JointEstimate, tool: Tool, deflection: Deflection) -> Line:
+def _from_here(config: Config, joints: JointEstimate, tool: Tool, compensation: Compensation) -> Line:
     """A line that has yet to go anywhere, so that its plan begins without a step."""
-    gravity = believed_gravity(joints, deflection)
-    here = settle(config.arm, joints.motor_rad, joints.gap_rad, gravity)
-    X_RT = tool_pose(config.arm, here.frames, tool)
+    gravity = compensation.gravity(joints)
+    output = joints.motor_rad + compensation.allowance(joints, standing(joints).gear_rad)
+    X_RT = tool_pose(config.arm, rest(config.arm, output, gravity).frames, tool)
     axis = X_RT.R[:, 0]
-    return Line(tool, gravity, here.output_rad, X_RT.p, axis, X_RT.p, axis)
+    return Line(tool, compensation, gravity, output, X_RT.p, axis, X_RT.p, axis)
 
 
 def _length_problem(config: Config, line: Line) -> str | None:
@@ -102,7 +110,7 @@ def _planned(config: Config, joints: JointEstimate, line: Line, speed_m_s: float
         k = int(np.argmax(over > 0))
         along_m = share[k] * line.length_m
         return Refusal(f"{along_m:.3f} m along the line, {worst_limit(config, found.output_rad[:, k])}")
-    return _paths_along(config, joints, found, line.length_m, speed_m_s)
+    return _paths_along(config, joints, line, found, speed_m_s)
 
 
 def _followed(config: Config, line: Line, share: Array) -> Refined:
@@ -130,22 +138,26 @@ def _followed(config: Config, line: Line, share: Array) -> Refined:
     )
 
 
-def _paths_along(
-    config: Config, joints: JointEstimate, found: Refined, length_m: float, speed_m_s: float
-) -> Plan:
-    """Lines over the knots; where a gap must be crossed first, a joint move while the tool stands still."""
-    step_m = length_m / (found.output_rad.shape[1] - 1)
+def _paths_along(config: Config, joints: JointEstimate, line: Line, found: Refined, speed_m_s: float) -> Plan:
+    """Lines over the knots; where a gear is to be crossed first, a joint move while the tool stands still."""
+    step_m = line.length_m / (found.output_rad.shape[1] - 1)
+    loads_Nm = rest(config.arm, found.output_rad, joints.gravity_R_m_s2).torque_Nm
+    stiffness, compensation = config.arm.gear_stiffness_Nm_rad, line.compensation
+    here = standing(joints)
     paths: list[Path] = []
-    gap, knots = joints.gap_rad, [joints.motor_rad]
+    gear, knots = here.gear_rad, [here.motor_rad]
     for k, moved in enumerate(np.diff(found.output_rad).T, start=1):
-        new_gap = gap_to_move(config, found.torque_Nm[:, k], gap, moved)
-        if np.abs(new_gap - gap).max() > STILL_RAD:
+        bounds = bounds_under(config, joints.reference.half_gap_rad, loads_Nm[:, k])
+        wound = (loads_Nm[:, k] - loads_Nm[:, k - 1]) / stiffness
+        new_gear = gear_moved(gear + wound, moved, bounds)
+        allowance = compensation.allowance(joints, new_gear)
+        crossed = allowance - compensation.allowance(joints, gear + wound)
+        if np.abs(crossed).max() > STILL_RAD:
             if len(knots) > 1:
                 paths.append(line_path(config, np.array(knots), step_m * (len(knots) - 1), speed_m_s))
-            crossed = knots[-1] - (new_gap - gap)
-            paths.append(joint_path(config, knots[-1], crossed))
-            knots = [crossed]
-        gap = new_gap
-        knots.append(motor_under(config, found.output_rad[:, k], found.torque_Nm[:, k], gap))
+            paths.append(joint_path(config, knots[-1], knots[-1] - crossed))
+            knots = [knots[-1] - crossed]
+        gear = new_gear
+        knots.append(found.output_rad[:, k] - allowance)
     paths.append(line_path(config, np.array(knots), step_m * (len(knots) - 1), speed_m_s))
-    return Plan(tuple(paths), knots[-1], gap)
+    return Plan(tuple(paths), Stand(knots[-1], gear), compensation.gap(joints, gear))

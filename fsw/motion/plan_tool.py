@@ -1,47 +1,56 @@
 """From a tool target to a joint move: branch choice and compensation."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
 from fsw.config import Config
 from fsw.dictionary.commands import MoveTool
 from fsw.dictionary.joints import Tool
-from fsw.estimate.joints import JointEstimate, gap_to_move
+from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.answers import Answers, Verdict, at_target, why
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.ik import inverse_kinematics
-from fsw.kinematics.statics import settle
-from fsw.motion.paths import joint_path
-from fsw.motion.plan import Plan, Refusal, believed_gravity, motor_under
+from fsw.kinematics.statics import rest
+from fsw.motion.compensation import Compensation
+from fsw.motion.plan import Plan, Refusal, plan_to, standing
 
 AUTO = "AUTO"
 
 
-def plan_tool(config: Config, joints: JointEstimate, command: MoveTool) -> Plan | Refusal:
+def plan_tool(
+    config: Config, joints: JointEstimate, command: MoveTool, reference: Tool | None = None
+) -> Plan | Refusal:
     """A joint move to the quickest valid branch from where the joints are, or to the named one.
 
-    A branch is valid if the target and the end of the straight travel after it are within limits.
+    A branch is valid if the target and the end of the straight travel after it are within limits. Relative
+    to `reference`, or else to the tool itself, a target moves along with that tool's deflection of now.
     """
+    compensation = Compensation(command.backlash, command.deflection)
     approach = np.array(command.approach_R) / np.linalg.norm(command.approach_R)
     along = np.array([0.0, command.line_m])
-    targets = np.array(command.p_RoTo_R_m)[:, None] + approach[:, None] * along
-    gravity = believed_gravity(joints, command.deflection)
+    targets, approaches = compensation.target(
+        config,
+        joints,
+        command.tool if reference is None else reference,
+        np.array(command.p_RoTo_R_m)[:, None] + approach[:, None] * along,
+        np.tile(approach[:, None], 2),
+    )
     answers = inverse_kinematics(
-        config.arm, command.tool, targets, np.tile(approach[:, None], 2), gravity, joints.motor_rad
+        config.arm, command.tool, targets, approaches, compensation.gravity(joints), joints.motor_rad
     )
     valid = np.all(answers.verdict == Verdict.VALID, axis=-1)
     names = [BRANCHES[slot % len(BRANCHES)] for slot in range(len(valid))]
     wanted = np.array([command.branch in (AUTO, name) for name in names])
     if not np.any(valid & wanted):
         return Refusal(_why_none(config, command.tool, answers, wanted))
-    output, torque = answers.output_rad[..., 0], answers.torque_Nm[..., 0]
-    here = settle(config.arm, joints.motor_rad, joints.gap_rad, gravity)
-    gap = gap_to_move(config, torque, joints.gap_rad[:, None], output - here.output_rad[:, None])
-    motor = motor_under(config, output, torque, gap)
-    travel_s = np.max(np.abs(motor - joints.motor_rad[:, None]) / config.speed_rad_s[:, None], axis=0)
-    best = int(np.argmin(np.where(valid & wanted, travel_s, np.inf)))
-    path = joint_path(config, joints.motor_rad, motor[:, best])
-    return Plan((path,), motor[:, best], gap[:, best], names[best])
+    output = answers.output_rad[..., 0]
+    turns_s = np.abs(output - joints.output_rad[:, None]) / config.speed_rad_s[:, None]
+    best = int(np.argmin(np.where(valid & wanted, np.max(turns_s, axis=0), np.inf)))
+    load_Nm = rest(config.arm, output[:, best], joints.gravity_R_m_s2).torque_Nm
+    plan = plan_to(config, joints, standing(joints), output[:, best], load_Nm, compensation)
+    return replace(plan, branch=names[best])
 
 
 def _why_none(config: Config, tool: Tool, answers: Answers, wanted: NDArray[np.bool_]) -> str:

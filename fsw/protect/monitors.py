@@ -13,6 +13,7 @@ from fsw.dictionary.evrs import (
     FollowingErrorHigh,
     GravityImplausible,
     OverCurrent,
+    ResolverDisagrees,
     SensorNotFinite,
     SoftLimitPassed,
 )
@@ -30,9 +31,10 @@ class MonitorState:
 
     following: int
     over_current: int
+    resolver: int
 
 
-QUIET: Final = MonitorState(0, 0)
+QUIET: Final = MonitorState(0, 0, 0)
 
 
 def unusable(config: Config, sensors: Sensors) -> tuple[Evr, ...]:
@@ -61,29 +63,52 @@ def watch(
 ) -> tuple[MonitorState, tuple[Evr, ...]]:
     """All other monitors, on finite readings: the state for the next cycle and what was found."""
     evrs: tuple[Evr, ...] = ()
-    if move is not None and joints.referenced:
-        evrs += _soft_limits(config, joints.motor_rad, move.hold.rate_rad_s)
+    if move is not None:
+        evrs += _soft_limits(config, move, joints.motor_rad)
     if sensors.switch_closed.any():
         evrs += _contact(mode, move, sensors.switch_closed)
+    resolver, apart = _resolver(config, last.resolver, joints)
+    evrs += apart
     if move is None or move.phase is Phase.RELEASE:
-        return QUIET, evrs
+        return QUIET if resolver == 0 else MonitorState(0, 0, resolver), evrs
     following, found = _following(config, last.following, move.hold.motor_rad, joints.motor_rad)
     over_current, drawn = _over_current(config, last.over_current, sensors.current_A)
-    counts = QUIET if following == over_current == 0 else MonitorState(following, over_current)
-    return counts, evrs + found + drawn
+    counts = MonitorState(following, over_current, resolver)
+    return QUIET if counts == QUIET else counts, evrs + found + drawn
 
 
-def _soft_limits(config: Config, motor_rad: Array, rate_rad_s: Array) -> tuple[Evr, ...]:
+def _soft_limits(config: Config, move: Move, motor_rad: Array) -> tuple[Evr, ...]:
     """A joint beyond a limit that is not being moved back; an arm at rest has nothing to be stopped."""
-    below, above = motor_rad < config.lowest_rad, motor_rad > config.highest_rad
+    below, above = motor_rad < lowest_for(config, move), motor_rad > config.highest_rad
     if not (below.any() or above.any()):
         return ()
+    rate_rad_s = move.hold.rate_rad_s
     below, above = below & (rate_rad_s < 0), above & (rate_rad_s > 0)
     if not (below.any() or above.any()):
         return ()
     joint = Joint(int(np.argmax(below | above)))
-    limit = config.arm.soft_min_rad[joint] if below[joint] else config.arm.soft_max_rad[joint]
+    lowest = config.arm.soft_min_rad if move.seek is None else lowest_for(config, move)
+    limit = lowest[joint] if below[joint] else config.arm.soft_max_rad[joint]
     return (SoftLimitPassed(joint, float(motor_rad[joint]), float(limit)),)
+
+
+def lowest_for(config: Config, move: Move) -> Array:
+    """Motor angles not to be passed: a joint that seeks its hardstop goes beyond its soft limit."""
+    return config.lowest_rad if move.seek is None else config.lowest_seeking_rad[move.seek.joint]
+
+
+def _resolver(config: Config, last: int, joints: JointEstimate) -> tuple[int, tuple[Evr, ...]]:
+    """A resolver away from the believed output of its joint by more than its bound and what is unknown."""
+    bounds = config.params.monitors
+    excess = np.abs(joints.resolver_error_rad) - joints.uncertainty_rad - bounds.resolver_error_rad
+    excess = np.where(joints.reference.calibrated, excess, -np.inf)
+    if excess.max() <= 0:
+        return 0, ()
+    if last + 1 < bounds.resolver_persistence:
+        return last + 1, ()
+    joint = Joint(int(excess.argmax()))
+    error = float(joints.resolver_error_rad[joint])
+    return last + 1, (ResolverDisagrees(joint, error, abs(error) - float(excess[joint])),)
 
 
 def _contact(mode: Mode, move: Move | None, closed: Flags) -> tuple[Evr, ...]:

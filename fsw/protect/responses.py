@@ -5,15 +5,23 @@ from typing import Final
 
 from fsw.dictionary.evrs import (
     ContactInFreeSpace,
+    CurrentImplausible,
     Evr,
     FollowingErrorHigh,
     GravityImplausible,
+    HardstopMissed,
+    HardstopMoved,
+    HardstopUnclear,
+    MotorStuck,
     NoContact,
+    NoHardstop,
     NotSettled,
     OverCurrent,
+    ResolverDisagrees,
     SensorNotFinite,
     SetpointUnsafe,
     SoftLimitPassed,
+    StalledEarly,
 )
 
 
@@ -32,6 +40,14 @@ RESPONSE_TO: Final[dict[type[Evr], Response]] = {
     OverCurrent: Response.BRAKE_AND_REFUSE,
     FollowingErrorHigh: Response.BRAKE_AND_REFUSE,
     ContactInFreeSpace: Response.BRAKE_AND_REFUSE,
+    HardstopMissed: Response.BRAKE_AND_REFUSE,
+    HardstopMoved: Response.BRAKE_AND_REFUSE,
+    MotorStuck: Response.BRAKE_AND_REFUSE,
+    HardstopUnclear: Response.BRAKE_AND_REFUSE,
+    CurrentImplausible: Response.BRAKE_AND_REFUSE,
+    NoHardstop: Response.BRAKE_AND_REFUSE,
+    ResolverDisagrees: Response.BRAKE_AND_REFUSE,
+    StalledEarly: Response.BRAKE_AND_REFUSE,
     NoContact: Response.BRAKE_AND_REFUSE,
     NotSettled: Response.BRAKE_AND_REFUSE,
 }

@@ -32,7 +32,7 @@ def place_json(report: PlaceReport) -> dict[str, Any]:
         "tilt_deg": {"roll": request.tilt_roll_deg, "pitch": request.tilt_pitch_deg},
         "seed": request.seed,
         "params_sha256": report.params_sha256,
-        "evrs": [_evr(time_s, evr) for time_s, evr in result.evrs],
+        "evrs": [evr_json(time_s, evr) for time_s, evr in result.evrs],
         "log": None if request.log is None else str(request.log),
         "log_problem": report.log_problem,
         "picture": None if report.picture is None else _path(report.picture.path),
@@ -89,7 +89,8 @@ def _error_mm(error: PlacementError) -> dict[str, float]:
     }
 
 
-def _evr(time_s: float, evr: Evr) -> dict[str, Any]:
+def evr_json(time_s: float, evr: Evr) -> dict[str, Any]:
+    """An event and its time as a JSON document."""
     return {
         "time_s": time_s,
         "name": evr.name,

@@ -8,7 +8,14 @@ from fsw.dictionary.joints import Frame, Joint, Tool
 from fsw.dictionary.params import Row6
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError
-from sim.effects.joints import BacklashWidth, EncoderZero, GearFriction, GearStiffness, ResolverBias
+from sim.effects.joints import (
+    BacklashWidth,
+    GearFriction,
+    GearStiffness,
+    HardstopAngle,
+    HardstopStiffness,
+    ResolverBias,
+)
 from sim.effects.structure import LinkMass, LinkStiffness
 
 # one sigma each, assumed; see models/mjcf/PROVENANCE.md
@@ -40,7 +47,7 @@ def as_built(seed: int) -> tuple[Effect, ...]:
     for frame, tool in _frames():
         effects.append(FrameError(frame, _screw(rng, FRAME_RAD, FRAME_M), tool))
     for joint in Joint:
-        effects.append(EncoderZero(joint, ZERO_RAD * rng.standard_normal()))
+        effects.append(HardstopAngle(joint, -ZERO_RAD * rng.standard_normal()))
         effects.append(ResolverBias(joint, RESOLVER_RAD * rng.standard_normal()))
         effects.append(BacklashWidth(joint, _factor(rng, BACKLASH)))
         effects.append(GearStiffness(joint, _factor(rng, STIFFNESS)))
@@ -50,6 +57,8 @@ def as_built(seed: int) -> tuple[Effect, ...]:
     for frame in (*SPRINGS[1:], Frame.ARM6):
         x, y, z = (float(v) for v in COM_M * rng.standard_normal(3))
         effects.append(LinkMass(frame, _factor(rng, MASS), (x, y, z)))
+    for joint in Joint:
+        effects.append(HardstopStiffness(joint, _factor(rng, STIFFNESS)))
     return tuple(effects)
 
 
@@ -62,7 +71,7 @@ def left_by_calibration(seed: int) -> tuple[Effect, ...]:
         screw = np.where(seen, _screw(rng, LEFT_FRAME_RAD, LEFT_FRAME_M), 0.0)
         effects.append(FrameError(frame, _row6(screw), tool))
     for joint in Joint:
-        effects.append(EncoderZero(joint, LEFT_ZERO_RAD * rng.standard_normal()))
+        effects.append(HardstopAngle(joint, -LEFT_ZERO_RAD * rng.standard_normal()))
         effects.append(GearStiffness(joint, _factor(rng, LEFT_STIFFNESS)))
     for frame in SPRINGS:
         effects.append(LinkStiffness(frame, _factor(rng, LEFT_STIFFNESS)))

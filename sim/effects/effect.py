@@ -15,8 +15,8 @@ class Hardware:
 
     rad_per_count: Array
     """Output side: encoder counts and gear ratio as they are, whatever flight software believes."""
-    encoder_zero_rad: Array
-    """Error of the told encoder zero, output side."""
+    counter_zero_rad: Array
+    """Motor angle, output side, at which an encoder's counter happens to read 0."""
     resolver_bias_rad: Array
     resolver_noise_rad: float
     current_noise_A: float
@@ -30,13 +30,15 @@ class Hardware:
     winding_s: Array
     """Thermal time constant."""
     ambient_C: float
+    power_until_s: float
+    """When the bus voltage goes for good; brakes hold without power."""
 
 
 def nominal_hardware() -> Hardware:
     """Avionics as on the drawing; sources in models/mjcf/PROVENANCE.md."""
     return Hardware(
         rad_per_count=2 * np.pi / (256 * np.array([7520.0, 7520.0, 7520.0, 4624.0, 4624.0])),
-        encoder_zero_rad=np.zeros(5),
+        counter_zero_rad=np.array([0.7313, -1.2147, 0.3339, -0.9281, 1.6073]),
         resolver_bias_rad=np.zeros(5),
         resolver_noise_rad=1e-4,
         current_noise_A=0.02,
@@ -47,6 +49,7 @@ def nominal_hardware() -> Hardware:
         winding_K_W=np.array([2.0, 2.0, 2.0, 3.0, 3.0]),
         winding_s=np.array([900.0, 900.0, 900.0, 600.0, 600.0]),
         ambient_C=20.0,
+        power_until_s=np.inf,
     )
 
 

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import mujoco
+import numpy as np
 
 from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import JointParams, Params
@@ -10,24 +11,42 @@ from sim.effects.effect import Effect, Hardware, at_index
 
 
 @dataclass(frozen=True, slots=True)
-class EncoderZero(Effect):
-    """The encoder zero that flight software is told is off by an angle at the output."""
+class HardstopAngle(Effect):
+    """The negative hardstop is off its place by an angle; so is the encoder zero that is found from it."""
 
     joint: Joint
-    error_rad: float
+    shift_rad: float
 
-    def on_hardware(self, hardware: Hardware) -> Hardware:
-        """The told angle is the true one plus the error."""
-        return replace(
-            hardware, encoder_zero_rad=at_index(hardware.encoder_zero_rad, self.joint, self.error_rad)
-        )
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """Shift the lower end of the output's travel."""
+        tendon = spec.tendon(f"{self.joint.name.lower()}_output")
+        tendon.springlength = tendon.springlength + np.array([self.shift_rad, 0.0])
 
     def on_params(self, params: Params) -> Params:
-        """A zero offset is the turn of the link that the joint moves."""
-        name = f"arm{self.joint + 2}"
-        link = getattr(params.links, name)
-        turned = replace(link.transform, theta_rad=link.transform.theta_rad - self.error_rad)
-        return replace(params, links=replace(params.links, **{name: replace(link, transform=turned)}))
+        """The true place of the hardstop."""
+        joint = _joint(params, self.joint)
+        return _with_joint(
+            params, self.joint, replace(joint, hardstop_rad=joint.hardstop_rad + self.shift_rad)
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class HardstopStiffness(Effect):
+    """The stiffness of the hardstops of a joint, times a factor."""
+
+    joint: Joint
+    factor: float
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """Scale the spring at both ends of the output's travel."""
+        tendon = spec.tendon(f"{self.joint.name.lower()}_output")
+        tendon.stiffness = tendon.stiffness * self.factor
+
+    def on_params(self, params: Params) -> Params:
+        """The true stiffness."""
+        joint = _joint(params, self.joint)
+        stiffness = joint.hardstop_stiffness_Nm_rad * self.factor
+        return _with_joint(params, self.joint, replace(joint, hardstop_stiffness_Nm_rad=stiffness))
 
 
 @dataclass(frozen=True, slots=True)

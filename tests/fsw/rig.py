@@ -7,12 +7,14 @@ import numpy as np
 
 from fsw.config import Config, configure
 from fsw.cycle import step
-from fsw.dictionary.commands import Command, GuardedMove, MoveTool, SetReference
+from fsw.dictionary.commands import Command, GuardedMove, MoveTool
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.joints import Joint, Tool
 from fsw.dictionary.modes import Mode
+from fsw.estimate.gear import LIKELY
+from fsw.estimate.reference import Reference, no_reference
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import settle
+from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Pose
 from fsw.messages import Outputs, Sensors
 from fsw.state import State, boot
@@ -74,28 +76,31 @@ def quiet_sensors(encoder_count, **other) -> Sensors:
     return replace(sensors, **given)
 
 
+def all_known(config: Config) -> Reference:
+    """The joints of the rig: encoders count from joint angle zero, resolvers are right."""
+    return replace(no_reference(config), calibrated=np.ones(5, bool), known=np.ones(5, bool))
+
+
 class Rig:
     """Flight software with an arm that does what it is told; `cycle` takes sensor readings by name."""
 
-    def __init__(self, config: Config, mode: Mode = Mode.DEPLOYED, start_rad=None, referenced: bool = True):
+    def __init__(self, config: Config, mode: Mode = Mode.DEPLOYED, start_rad=None, calibrated: bool = True):
         self.config = config
         start = np.array(config.params.poses.ready_rad if start_rad is None else start_rad)
         self.count = np.rint(start / config.rad_per_count).astype(np.int64)
-        self.state: State = boot(config, mode)
+        self.state: State = boot(config, mode, all_known(config) if calibrated else None)
         self.evrs: list[Evr] = []
         self.outputs: Outputs | None = None
         self.stuck = False
-        if referenced:
-            self.cycle(self.reference())
+        if calibrated:
+            self.cycle()
 
-    def reference(self) -> SetReference:
-        motor = self.count * self.config.rad_per_count
-        here = settle(self.config.arm, motor, np.zeros(5), MARS_R_m_s2)
-        side = np.where(np.abs(here.torque_Nm) > self.config.output_friction_Nm, np.sign(here.torque_Nm), 1)
-        return SetReference(tuple(float(m) for m in motor), tuple(int(s) for s in side))
+    def resolver_rad(self) -> np.ndarray:
+        """The outputs where flight software takes them to be in their gears."""
+        return self.count * self.config.rad_per_count + self.state.joints.gear_rad[:, LIKELY]
 
     def cycle(self, *commands: Command, **readings) -> Outputs:
-        readings = {"encoder_count": self.count, **readings}
+        readings = {"encoder_count": self.count, "resolver_rad": self.resolver_rad(), **readings}
         self.state, self.outputs = step(self.config, self.state, quiet_sensors(**readings), commands)
         drive = self.outputs.drive
         if not self.stuck:
@@ -113,6 +118,15 @@ class Rig:
             self.cycle(**readings)
         raise AssertionError(f"still busy after {at_most} cycles")
 
+    def until(self, command: Command, reached, at_most: int = 6000) -> None:
+        """From a command into its move."""
+        self.cycle(command)
+        for _ in range(at_most):
+            if reached():
+                return
+            self.cycle()
+        raise AssertionError(f"not there after {at_most} cycles")
+
     def until_moving(self, *commands: Command, cycles: int = 40) -> Outputs:
         """Into the middle of a move."""
         self.cycle(*commands)
@@ -124,7 +138,7 @@ class Rig:
     def tool_pose(self, tool: Tool) -> Pose:
         """X_RT as flight software believes it, at rest."""
         joints = self.state.joints
-        here = settle(self.config.arm, joints.motor_rad, joints.gap_rad, joints.gravity_R_m_s2)
+        here = rest(self.config.arm, joints.output_rad, joints.gravity_R_m_s2)
         return tool_pose(self.config.arm, here.frames, tool)
 
     def here(self, tool: Tool, ahead_m: float = 0.0, **fields) -> MoveTool:

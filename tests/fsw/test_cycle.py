@@ -1,6 +1,6 @@
 """One cycle is a function: the same arguments give the same outputs, and nothing is changed on the way."""
 
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -8,13 +8,13 @@ import pytest
 
 from fsw.config import CYCLE_HZ, configure, ticks
 from fsw.cycle import step
-from fsw.dictionary.commands import MoveJoints, Retract, SetReference, Stop, Unstow
-from fsw.dictionary.evrs import Booted, CommandCompleted, CommandRefused, FaultResponse
-from fsw.dictionary.joints import SWITCHES_OF, Tool
+from fsw.dictionary.commands import Calibrate, MoveJoints, Retract, Stop, Unstow
+from fsw.dictionary.evrs import Booted, CommandRefused
+from fsw.dictionary.joints import SWITCHES_OF, Joint, Tool
 from fsw.dictionary.modes import Mode
 from fsw.state import boot, outputs_at_rest
 from sim.params import digest, nominal_params
-from tests.fsw.rig import Rig, config_of, facing, floats, quiet_sensors
+from tests.fsw.rig import Rig, config_of, facing, floats, quiet_sensors, with_params
 
 CONFIG = config_of()
 START = facing(CONFIG, Tool.APXS)
@@ -67,7 +67,7 @@ def test_same_arguments_same_outputs_bit_for_bit_and_arguments_unchanged():
     for tick in range(700):
         commands = script.get(tick, (Retract(Tool.APXS, 0.003),) if tick == 650 else ())
         bad = {"current_A": [np.nan] * 5} if tick == 600 else {}
-        sensors = quiet_sensors(count, **bad)
+        sensors = quiet_sensors(count, resolver_rad=count * config.rad_per_count, **bad)
         seal(state)
         before = content(state)
         first = step(config, state, sensors, commands)
@@ -93,7 +93,7 @@ def test_two_runs_are_bit_equal():
 
 
 def test_the_first_cycle_says_which_parameters_it_runs_on_and_no_later_one_does():
-    rig = Rig(CONFIG, start_rad=START, referenced=False)
+    rig = Rig(CONFIG, start_rad=START, calibrated=False)
     rig.cycle()
     assert rig.evrs == [Booted(digest(nominal_params()))]
     for _ in range(5):
@@ -113,15 +113,18 @@ def test_before_the_first_cycle_brakes_are_on_and_power_is_off():
     for values in (outputs.drive.power_on, outputs.drive.brake_release, outputs.drive.setpoint_rate_rad_s):
         assert not values.any()
     assert outputs.evrs == ()
-    assert not state.joints.referenced
+    assert not state.joints.awake
 
 
-def test_without_a_reference_nothing_moves_and_no_tool_pose_is_told():
-    rig = Rig(CONFIG, Mode.STOWED, CONFIG.params.poses.stowed_rad, referenced=False)
+def test_without_calibrated_joints_nothing_moves_but_the_tool_pose_that_resolvers_make_likely_is_told():
+    rig = Rig(CONFIG, Mode.STOWED, CONFIG.params.poses.stowed_rad, calibrated=False)
+    told = []
     for _ in range(40):
         out = rig.cycle(Unstow())
-        assert out.tool is None
         assert not out.drive.power_on.any()
+        assert not out.joint.calibrated.any()
+        told += [] if out.tool is None else [out.tool.output_rad]
+    np.testing.assert_allclose(told[-1], CONFIG.params.poses.stowed_rad, atol=2 * CONFIG.half_gap_rad.max())
 
 
 def test_the_tool_channels_come_at_their_period_and_are_where_the_settled_arm_is():
@@ -136,20 +139,19 @@ def test_the_tool_channels_come_at_their_period_and_are_where_the_settled_arm_is
     assert told[-1].tool is Tool.APXS
 
 
-@pytest.mark.parametrize("off_rad", [-0.5, 0.5])
-def test_a_move_in_the_cycle_of_a_new_reference_begins_without_a_step(off_rad):
-    rig = Rig(CONFIG, start_rad=START)
-    told = START - off_rad * np.sign(START)
-    rig.evrs.clear()
-    before, bound = rig.count.copy(), CONFIG.speed_rad_s / CYCLE_HZ / CONFIG.rad_per_count
-    rig.cycle(SetReference(floats(told), (0, 0, 0, 0, 0)), MoveJoints(floats(told + 0.05)))
-    np.testing.assert_array_equal(rig.outputs.drive.setpoint_count, before)
-    while rig.outputs.joint.busy:
-        before = rig.outputs.drive.setpoint_count
-        rig.cycle()
-        assert (np.abs(rig.outputs.drive.setpoint_count - before) <= np.ceil(bound)).all()
-    assert CommandCompleted("MoveJoints") in rig.evrs
-    assert not any(isinstance(evr, FaultResponse) for evr in rig.evrs)
+@pytest.mark.parametrize("joint", Joint)
+def test_while_a_joint_looks_for_its_hardstop_the_others_have_no_power(joint):
+    stronger = replace(CONFIG.params.joints.elevation, hardstop_press_Nm=300.0)
+    config = with_params(
+        hardstop={"start_rad": floats(START), "park_rad": floats(START), "again_rad": floats(START)},
+        joints={"elevation": stronger},
+    )
+    rig = Rig(config, start_rad=START)
+    rig.cycle(Calibrate(joint))
+    for _ in range(60):
+        drive = rig.cycle().drive
+        np.testing.assert_array_equal(drive.power_on, np.arange(5) == joint)
+        np.testing.assert_array_equal(drive.brake_release, np.arange(5) == joint)
 
 
 def test_a_duration_lasts_at_least_its_whole_cycles():

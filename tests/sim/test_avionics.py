@@ -11,6 +11,7 @@ from fsw.dictionary.joints import SWITCHES_OF, Joint, Switch, Tool
 from fsw.messages import Drive
 from sim.avionics import RESOLVER_LSB_RAD, Avionics
 from sim.effects.effect import Hardware, nominal_hardware
+from sim.effects.environment import PowerLoss
 from sim.frames import FLIP
 from sim.params import digest, nominal_params
 from sim.plant import Plant
@@ -20,6 +21,7 @@ from tests.sim import lab
 PARAMS = nominal_params()
 CONFIG = configure(PARAMS, digest(PARAMS))
 ALL, NONE = np.ones(5, bool), np.zeros(5, bool)
+COUNTER_ZERO_RAD = nominal_hardware().counter_zero_rad
 READINGS = 2000
 
 
@@ -29,7 +31,7 @@ def avionics_of(plant: Plant, hardware: Hardware | None = None, seed: int = 5) -
 
 def drive_to(motor_rad: lab.Array, **changes: lab.Array) -> Drive:
     """Power on, brakes released, and the set-points at these angles."""
-    count = np.rint(motor_rad / CONFIG.rad_per_count).astype(np.int64)
+    count = np.rint((motor_rad - COUNTER_ZERO_RAD) / CONFIG.rad_per_count).astype(np.int64)
     return replace(Drive(count, np.zeros(5), CONFIG.current_limit_A, ALL, ALL), **changes)
 
 
@@ -48,8 +50,15 @@ def test_an_encoder_counts_256_a_turn_of_the_motor() -> None:
 @pytest.mark.parametrize("offset_count", [-0.49, -0.1, 0.0, 0.1, 0.49])
 def test_encoders_read_whole_counts_nearest_to_the_motor(ready: Plant, offset_count: float) -> None:
     whole = np.array([1000, -20000, 45000, 0, 7])
-    ready.data.qpos[ready.at.motor] = (whole + offset_count) * CONFIG.rad_per_count
+    ready.data.qpos[ready.at.motor] = COUNTER_ZERO_RAD + (whole + offset_count) * CONFIG.rad_per_count
     np.testing.assert_array_equal(avionics_of(ready).sense().encoder_count, whole)
+
+
+def test_encoders_read_0_at_an_angle_that_says_nothing(ready: Plant) -> None:
+    zero = np.array([0.3, -2.0, 1.0, -0.5, 0.1])
+    ready.data.qpos[ready.at.motor] = zero
+    sensors = avionics_of(ready, replace(nominal_hardware(), counter_zero_rad=zero))
+    np.testing.assert_array_equal(sensors.sense().encoder_count, 0)
 
 
 def test_encoders_do_not_see_backlash_and_wind_up_and_resolvers_do(ready: Plant) -> None:
@@ -139,6 +148,18 @@ def test_a_brake_locks_75_ms_after_the_drive_that_asks_for_it(ready: Plant) -> N
     assert abs(locked_after / CYCLE_HZ - 0.075) <= 0.5 / CYCLE_HZ + 1e-9
     assert np.all(travel[:locked_after] > 0.5 * rate / CYCLE_HZ)
     assert np.abs(travel[locked_after:].sum(axis=0)).max() < 5e-6
+
+
+def test_when_the_power_is_lost_motors_are_limp_and_brakes_fall_in_whatever_is_asked(ready: Plant) -> None:
+    sensors = avionics_of(ready, PowerLoss(1.0).on_hardware(nominal_hardware()))
+    ask = drive_to(lab.READY_RAD + 0.1)
+    for cycle in range(2 * CYCLE_HZ):
+        sensors.apply(ask)
+        ready.step()
+        time_s = cycle / CYCLE_HZ
+        assert ready.truth().motor_torque_Nm.any() == (time_s < 1.0)
+        if 0.1 < time_s < 1.0 or time_s > 1.1:
+            assert (ready.data.eq_active[ready.at.brake] == (time_s > 1.0)).all()
 
 
 def test_a_brake_asked_to_change_its_mind_does_what_it_was_asked_last(ready: Plant) -> None:

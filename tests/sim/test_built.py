@@ -12,7 +12,14 @@ from fsw.kinematics.transforms import adjoint, inverse
 from sim.arms import UnknownArm, arm_named
 from sim.effects.built import IDENTIFIABLE, SPRINGS, as_built, left_by_calibration
 from sim.effects.geometry import FrameError
-from sim.effects.joints import BacklashWidth, EncoderZero, GearFriction, GearStiffness, ResolverBias
+from sim.effects.joints import (
+    BacklashWidth,
+    GearFriction,
+    GearStiffness,
+    HardstopAngle,
+    HardstopStiffness,
+    ResolverBias,
+)
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.params import digest, nominal_params
 from tests.sim import lab
@@ -33,14 +40,16 @@ def drawn() -> dict[str, lab.Array]:
                 case FrameError(screw=screw):
                     values["frame_rad"] += screw[:3]
                     values["frame_m"] += screw[3:]
-                case EncoderZero(error_rad=error):
-                    values["zero_rad"].append(error)
+                case HardstopAngle(shift_rad=shift):
+                    values["hardstop_rad"].append(shift)
                 case ResolverBias(bias_rad=bias):
                     values["resolver_rad"].append(bias)
                 case LinkMass(factor=factor, shift_m=shift):
                     values["mass"].append(np.log(factor))
                     values["com_m"] += shift
-                case BacklashWidth() | GearStiffness() | GearFriction() | LinkStiffness():
+                case (
+                    BacklashWidth() | GearStiffness() | GearFriction() | HardstopStiffness() | LinkStiffness()
+                ):
                     values[type(effect).__name__].append(np.log(effect.factor))
                 case _:
                     pytest.fail(f"{effect} is not in this test")
@@ -51,7 +60,7 @@ STATED = {
     # one sigma: facts, How far a built arm is from its drawing
     "frame_rad": 2e-3,
     "frame_m": 1.5e-3,
-    "zero_rad": 4e-3,
+    "hardstop_rad": 4e-3,
     "resolver_rad": 2e-3,
     "LinkStiffness": 0.20,
     "GearStiffness": 0.20,
@@ -59,6 +68,7 @@ STATED = {
     "mass": 0.03,
     "com_m": 5e-3,
     "GearFriction": 0.20,
+    "HardstopStiffness": 0.20,
 }
 
 
@@ -82,7 +92,14 @@ def test_every_place_of_the_arm_is_drawn_once() -> None:
     effects = as_built(0)
     frames = [(e.frame, e.tool) for e in effects if isinstance(e, FrameError)]
     assert frames == [(f, None) for f in Frame if f is not Frame.TOOL] + [(Frame.TOOL, t) for t in Tool]
-    for kind in (EncoderZero, ResolverBias, BacklashWidth, GearStiffness, GearFriction):
+    for kind in (
+        HardstopAngle,
+        HardstopStiffness,
+        ResolverBias,
+        BacklashWidth,
+        GearStiffness,
+        GearFriction,
+    ):
         assert [e.joint for e in effects if isinstance(e, kind)] == list(Joint)
     assert tuple(e.frame for e in effects if isinstance(e, LinkStiffness)) == SPRINGS
     assert [e.frame for e in effects if isinstance(e, LinkMass)] == [*SPRINGS[1:], Frame.ARM6]
@@ -99,7 +116,7 @@ def test_an_as_built_arm_flies_with_the_parameters_of_the_drawing() -> None:
     nominal, built = arm_named("nominal"), arm_named("as-built:7")
     assert built.effects == as_built(7)
     assert built.params.arm_name == "as-built:7"
-    for group in ("links", "tools", "joints", "poses", "motion", "monitors"):
+    for group in ("links", "tools", "joints", "hardstop", "poses", "motion", "monitors"):
         assert getattr(built.params, group) == getattr(nominal.params, group)
     assert nominal.effects == ()
     assert nominal.params == nominal_params()

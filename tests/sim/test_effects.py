@@ -11,9 +11,26 @@ from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
 from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import Pose, inverse
 from sim.effects.effect import Effect, nominal_hardware
+from sim.effects.environment import (
+    COLD_C,
+    COULOMB_COLD,
+    VISCOUS_COLD,
+    WARM_C,
+    Ambient,
+    CurrentNoise,
+    NothingToTouch,
+)
 from sim.effects.geometry import FrameError
-from sim.effects.joints import BacklashWidth, EncoderZero, GearFriction, GearStiffness, ResolverBias
+from sim.effects.joints import (
+    BacklashWidth,
+    GearFriction,
+    GearStiffness,
+    HardstopAngle,
+    HardstopStiffness,
+    ResolverBias,
+)
 from sim.effects.structure import LinkMass, LinkStiffness
+from sim.effects.turret import TurretMass
 from sim.params import nominal_params
 from sim.plant import Plant
 from sim.world import World
@@ -135,15 +152,35 @@ def test_the_loaded_arm_with_a_frame_error_rests_where_flight_software_says(
     assert rest_difference_m(built(effect, world=TILTED_EARTH), arm_from(known(effect))) < 1e-6
 
 
+def drawn_stops(params: Params) -> lab.Array:
+    return np.array([joint.hardstop_rad for joint in params.joints.in_order()])
+
+
 @pytest.mark.parametrize("joint", Joint)
-def test_an_encoder_zero_is_the_turn_that_flight_software_then_takes_off(joint: Joint) -> None:
-    """The told angle is the true one plus the error: sign and place show in the tool."""
-    effect = EncoderZero(joint, 0.02)
-    error = effect.on_hardware(nominal_hardware()).encoder_zero_rad
-    np.testing.assert_array_equal(np.flatnonzero(error), [joint])
-    assert rigid_difference_m(built(effect), NOMINAL, error) > 1e-3
-    assert rigid_difference_m(built(effect), arm_from(known(effect)), error) < 1e-12
-    assert rest_difference_m(built(effect, world=TILTED_EARTH), arm_from(known(effect)), error) < 1e-7
+def test_a_hardstop_off_its_place_is_an_error_of_the_zero_until_flight_software_knows_it(
+    joint: Joint,
+) -> None:
+    """The zero is such that the output meets its stop where that is believed: it shows in the tool."""
+    effect = HardstopAngle(joint, 0.02)
+    plant = built(effect)
+    shift = plant.stop_rad() - drawn_stops(PARAMS)
+    np.testing.assert_allclose(shift, 0.02 * (np.arange(5) == joint), atol=1e-12)
+    assert rigid_difference_m(plant, NOMINAL, -shift) > 1e-3
+    left = drawn_stops(known(effect)) - plant.stop_rad()
+    np.testing.assert_allclose(left, 0.0, atol=1e-12)
+    assert rigid_difference_m(plant, arm_from(known(effect)), left) < 1e-12
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_a_hardstop_of_other_stiffness_presses_back_as_flight_software_then_says(joint: Joint) -> None:
+    effect = HardstopStiffness(joint, 0.6)
+    plant = built(effect)
+    mujoco.mj_resetData(plant.model, plant.data)
+    plant.data.qpos[plant.at.motor] = plant.stop_rad() - 1e-3
+    believed = np.array([one.hardstop_stiffness_Nm_rad for one in known(effect).joints.in_order()])
+    np.testing.assert_allclose(plant.stop_torque_Nm(), 1e-3 * believed, rtol=1e-9)
+    drawn = np.array([one.hardstop_stiffness_Nm_rad for one in PARAMS.joints.in_order()])
+    np.testing.assert_allclose(believed / drawn, np.where(np.arange(5) == joint, 0.6, 1.0))
 
 
 @pytest.mark.parametrize("joint", Joint)
@@ -169,6 +206,20 @@ def test_a_link_of_other_mass_sags_otherwise_as_flight_software_then_says(frame:
     assert plant.model.body_mass.sum() > nominal.model.body_mass.sum() + 1.0
     assert rest_difference_m(plant, NOMINAL) > 1e-4
     assert rest_difference_m(plant, arm_from(known(effect))) < 1e-7
+
+
+@pytest.mark.parametrize("mass_kg", [0.0, 8.0, 19.0])
+def test_an_arm_with_another_turret_sags_as_flight_software_then_says(mass_kg: float) -> None:
+    effect = TurretMass(mass_kg)
+    plant = built(effect, world=TILTED_EARTH)
+    nominal = lab.plant()
+    lighter_kg = nominal.model.body_mass.sum() - plant.model.body_mass.sum()
+    assert lighter_kg == pytest.approx(34.0 - mass_kg, abs=1.1e-4)
+    turret = plant.model.body("turret").id
+    for_each_kg = [m.body_inertia[turret] / m.body_mass[turret] for m in (plant.model, nominal.model)]
+    np.testing.assert_allclose(*for_each_kg, rtol=1e-12)
+    assert rest_difference_m(plant, NOMINAL) > 1e-3
+    assert rest_difference_m(plant, arm_from(known(effect))) < 1e-6
 
 
 @pytest.mark.parametrize("joint", [Joint.ELEVATION, Joint.ELBOW, Joint.WRIST])
@@ -211,3 +262,38 @@ def test_effects_add_up_in_any_order_of_different_places() -> None:
     assert arm_from(one).theta_rad.tolist() == arm_from(other).theta_rad.tolist()
     np.testing.assert_allclose(arm_from(one).compliance, arm_from(other).compliance)
     np.testing.assert_allclose(arm_from(one).far_kg, arm_from(other).far_kg)
+
+
+def motor_friction(plant: Plant) -> tuple[lab.Array, lab.Array]:
+    dofs = [plant.model.joint(f"{name}_motor").dofadr[0] for name in lab.JOINT_NAMES]
+    return plant.model.dof_frictionloss[dofs], plant.model.dof_damping[dofs]
+
+
+@pytest.mark.parametrize(
+    ("temperature_C", "share"),
+    [(WARM_C, 0.0), (COLD_C, 1.0), (0.5 * (WARM_C + COLD_C), 0.5), (40.0, -20 / 75)],
+)
+def test_in_the_cold_every_motor_has_more_friction_and_is_as_cold_as_it_is(
+    temperature_C: float, share: float
+) -> None:
+    effect = Ambient(temperature_C)
+    for one, warm, cold in zip(
+        motor_friction(built(effect)), motor_friction(built()), (COULOMB_COLD, VISCOUS_COLD), strict=True
+    ):
+        np.testing.assert_allclose(one / warm, cold**share)
+    assert effect.on_hardware(nominal_hardware()).ambient_C == temperature_C
+    assert known(effect) == PARAMS
+
+
+def test_the_noise_of_the_current_sensors_is_what_it_is_told_to_be() -> None:
+    assert CurrentNoise(0.07).on_hardware(nominal_hardware()).current_noise_A == 0.07
+    assert known(CurrentNoise(0.07)) == PARAMS
+
+
+def test_an_arm_with_nothing_to_touch_goes_through_the_rover() -> None:
+    for effects, touches in (((), True), ((NothingToTouch(),), False)):
+        plant = built(*effects)
+        mujoco.mj_resetData(plant.model, plant.data)
+        plant.data.qpos[plant.at.motor] = np.radians([-170.0, 0.0, 0.0, 0.0, 0.0])
+        mujoco.mj_forward(plant.model, plant.data)
+        assert (plant.data.ncon > 0) is touches

@@ -16,6 +16,7 @@ from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.sequence import run_sequence
 from sim.world import World
+from tests.sim import lab
 
 ROOT = Path(__file__).resolve().parents[2]
 GOAL = tuple(float(a) for a in np.radians([0.4, -60.3, 110.5, 129.0, 91.0]))
@@ -25,8 +26,9 @@ def records(arm_name: str = "as-built:3", seed: int = 1) -> list[CycleRecord]:
     """A short move of a built arm on a tilted rover, and a second at rest."""
     arm = arm_named(arm_name)
     world = World(tilt_roll_rad=0.1)
-    loop = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, seed=seed), with_truth=True)
-    cycles = list(run_sequence(loop, (loop.reference(), MoveJoints(GOAL))))
+    setup = Setup(arm, world, arm.params.poses.ready_rad, seed, lab.true_reference(arm))
+    loop = ClosedLoop(setup, with_truth=True)
+    cycles = list(run_sequence(loop, (MoveJoints(GOAL),)))
     return cycles + [loop.cycle() for _ in range(64)]
 
 
@@ -97,8 +99,9 @@ def test_time_is_the_tick_over_the_cycle_rate(first: list[CycleRecord]) -> None:
 
 def test_asking_for_the_truth_does_not_change_the_run(first: list[CycleRecord]) -> None:
     arm = arm_named("as-built:3")
-    loop = ClosedLoop(Setup(arm, World(tilt_roll_rad=0.1), arm.params.poses.ready_rad, seed=1))
-    cycles = list(run_sequence(loop, (loop.reference(), MoveJoints(GOAL))))
+    world, known = World(tilt_roll_rad=0.1), lab.true_reference(arm)
+    loop = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, 1, known))
+    cycles = list(run_sequence(loop, (MoveJoints(GOAL),)))
     for one, other in zip(cycles, first, strict=False):
         assert one.truth is None
         assert bits(one.outputs) == bits(other.outputs), f"tick {one.tick}"
@@ -107,9 +110,11 @@ def test_asking_for_the_truth_does_not_change_the_run(first: list[CycleRecord]) 
 
 def test_a_software_error_ends_with_the_brakes_holding_and_nothing_after_it(monkeypatch):
     """An exception in flight software: power off at once, and the plant goes on until the brakes hold."""
-    loop = ClosedLoop(Setup(arm_named("nominal"), World(), arm_named("nominal").params.poses.ready_rad))
-    target = tuple(float(angle) + 0.1 for angle in arm_named("nominal").params.poses.ready_rad)
-    loop.cycle((loop.reference(), MoveJoints(target)))
+    arm = arm_named("nominal")
+    ready = arm.params.poses.ready_rad
+    loop = ClosedLoop(Setup(arm, World(), ready, reference=lab.true_reference(arm)))
+    target = tuple(float(angle) + 0.1 for angle in ready)
+    loop.cycle((MoveJoints(target),))
     for _ in range(64):
         loop.cycle()
     assert not loop.plant.data.eq_active[loop.plant.at.brake].any()

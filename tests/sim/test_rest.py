@@ -62,8 +62,9 @@ def test_after_a_move_the_arm_rests_at_the_same_pose_with_a_quarter_of_the_step(
 def moved(world: World, time_step_s: float, goal_rad: tuple[float, ...]) -> ClosedLoop:
     """The arm after a move from the ready pose, on its brakes again."""
     arm = arm_named("nominal")
-    loop = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, seed=1, time_step_s=time_step_s))
-    sequence = run_sequence(loop, (loop.reference(), MoveJoints(goal_rad)))
+    ready, known = arm.params.poses.ready_rad, lab.true_reference(arm)
+    loop = ClosedLoop(Setup(arm, world, ready, seed=1, reference=known, time_step_s=time_step_s))
+    sequence = run_sequence(loop, (MoveJoints(goal_rad),))
     evrs = [evr for record in sequence for evr in record.outputs.evrs]
     assert CommandCompleted("MoveJoints") in evrs
     for _ in range(lab.CYCLE_HZ):

@@ -28,7 +28,30 @@ SENTENCES = {
     evrs.CommandRefused("Unstow", "no"): "Unstow refused: no",
     evrs.CommandAborted("Retract"): "Retract aborted",
     evrs.ModeChanged(Mode.STOWED, Mode.FREE_SPACE): "mode STOWED -> FREE_SPACE",
-    evrs.ReferenceSet(): "encoder reference set for all joints",
+    evrs.JointCalibrated(Joint.ELBOW, -0.0012, 31.5, 15.2, 0.0037, True): (
+        "ELBOW calibrated: zero moved by -0.001200 rad, runs with 31.5 N m, "
+        "hardstop and gear give 15.20 urad per N m, backlash 0.003700 rad (measured: True)"
+    ),
+    evrs.StalledEarly(
+        Joint.WRIST, -3.1, -3.35
+    ): "WRIST stalled at -3.1000 rad, its hardstop is at -3.3500 rad",
+    evrs.HardstopMissed(
+        Joint.WRIST, -3.38, -3.35
+    ): "WRIST is at -3.3800 rad and met no hardstop at -3.3500 rad",
+    evrs.NoHardstop(Joint.TURRET, 90.0, 25.0): (
+        "TURRET is pressed on something that gives 90.00 urad per N m, a hardstop gives 25.00"
+    ),
+    evrs.HardstopMoved(
+        Joint.AZIMUTH, 0.003, 0.002
+    ): "AZIMUTH: its hardstop moved by 0.003000 rad, bound 0.002000 rad",
+    evrs.MotorStuck(Joint.TURRET, 0.01, 0.8): "TURRET does not turn at 0.01 A, limit 0.80 A",
+    evrs.CurrentImplausible(
+        Joint.ELBOW, 4.0, 1.5
+    ): "ELBOW reads 4.00 A, which cannot be at a limit of 1.50 A",
+    evrs.HardstopUnclear(Joint.ELBOW): "ELBOW stalled where no hardstop can be told from its current",
+    evrs.ResolverDisagrees(
+        Joint.ELEVATION, -0.006, 0.0055
+    ): "ELEVATION: resolver off by -0.00600 rad, bound 0.00550 rad",
     evrs.BranchChosen(Tool.APXS, "b"): "APXS: branch b",
     evrs.ContactMade(Switch.APXS_1, 0.1): "contact on APXS_1 after 0.1000 m",
     evrs.SensorNotFinite("current_A"): "non-finite reading in current_A",

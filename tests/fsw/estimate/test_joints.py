@@ -1,140 +1,163 @@
-"""The estimate of the joints: encoder zero, rates, and the play operator of the backlash."""
+"""The estimate of the joints: what encoders and resolvers mean from boot to calibration and after it."""
 
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.commands import SetReference
-from fsw.estimate.joints import (
-    STILL_RAD,
-    gap_after,
-    gap_to_move,
-    load_side,
-    set_reference,
-    unreferenced,
-    update,
-)
+from fsw.dictionary.joints import Joint
+from fsw.estimate.gear import LIKELY
+from fsw.estimate.hardstop import Found
+from fsw.estimate.joints import RESOLVER_FILTER_S, asleep, calibrated, loaded, update
+from fsw.estimate.reference import Reference, forgotten, no_reference
 from tests.fsw.rig import MARS_R_m_s2, config_of, quiet_sensors
 
 CONFIG = config_of()
 HALF = CONFIG.half_gap_rad
+ZERO = np.array([0.1, -1.0, 1.5, 2.0, 1.0])
+BIAS = np.array([1e-3, -2e-3, 0.0, 3e-3, -1e-3])
+LOADS_NM = np.array([0.0, -150.0, -60.0, -2.0, 1.0])
+REMEMBERED = Reference(np.ones(5, bool), np.ones(5, bool), ZERO, 0.9 * HALF, BIAS)
 
-sides = hnp.arrays(float, 5, elements=st.sampled_from([-1.0, 0.0, 1.0]))
-motions = hnp.arrays(float, 5, elements=st.floats(-0.01, 0.01))
-gaps = hnp.arrays(float, 5, elements=st.floats(-1, 1)).map(lambda share: share * HALF)
-torques = hnp.arrays(float, 5, elements=st.floats(-200, 200))
-
-
-@given(sides, gaps, motions)
-def test_the_output_never_leaves_its_gap(side, gap, motion):
-    assert (np.abs(gap_after(CONFIG, side, gap, motion)) <= HALF).all()
+counts = hnp.arrays(np.int64, 5, elements=st.integers(-(10**7), 10**7))
 
 
-@given(sides, gaps, motions)
-def test_a_motor_that_stands_changes_nothing_twice(side, gap, motion):
-    once = gap_after(CONFIG, side, gap, motion)
-    np.testing.assert_array_equal(gap_after(CONFIG, side, once, np.zeros(5)), once)
+def awake(count, reference=REMEMBERED, **readings):
+    return update(CONFIG, asleep(CONFIG, reference), quiet_sensors(count, **readings))
 
 
-@given(sides, gaps, motions)
-def test_a_load_beyond_friction_holds_the_output_on_its_flank(side, gap, motion):
-    after = gap_after(CONFIG, side, gap, motion)
-    loaded = side != 0
-    np.testing.assert_array_equal(after[loaded], (side * HALF)[loaded])
+def resting(count=(100, 200, 300, 400, 500)):
+    """Joints under a load, and what their sensors read."""
+    joints = loaded(CONFIG, awake(np.array(count)), LOADS_NM)
+    sensors = quiet_sensors(count, resolver_rad=joints.output_rad + BIAS)
+    return joints, sensors
 
 
-@given(gaps, motions)
-def test_inside_the_gap_the_output_stands_still(gap, motion):
-    after = gap_after(CONFIG, np.zeros(5), gap, motion)
-    inside = np.abs(gap - motion) < HALF
-    np.testing.assert_allclose((after + motion)[inside], gap[inside], atol=1e-15)
+def test_before_the_first_reading_nothing_is_known():
+    joints = asleep(CONFIG, REMEMBERED)
+    assert not joints.awake
+    np.testing.assert_array_equal(joints.side, 0)
+    assert (joints.uncertainty_rad > 100 * HALF).all()
 
 
-@given(gaps, st.floats(0, 0.005), st.floats(0, 0.005))
-def test_a_motion_in_one_direction_may_be_taken_in_parts(gap, first, second):
-    free = np.zeros(5)
-    for sign in (1.0, -1.0):
-        parts = gap_after(
-            CONFIG, free, gap_after(CONFIG, free, gap, np.full(5, sign * first)), np.full(5, sign * second)
-        )
-        whole = gap_after(CONFIG, free, gap, np.full(5, sign * (first + second)))
-        np.testing.assert_allclose(parts, whole, atol=1e-15)
-
-
-def test_a_long_motion_drags_the_output_on_the_rear_flank():
-    for direction in (1.0, -1.0):
-        after = gap_after(CONFIG, np.zeros(5), np.zeros(5), np.full(5, 0.1 * direction))
-        np.testing.assert_array_equal(after, -direction * HALF)
-
-
-@given(torques, gaps, motions)
-def test_the_gap_to_plan_for_is_what_a_motor_that_far_leaves(torque, gap, motion):
-    """Where the output is to move, the planned gap is where the play operator ends up."""
-    planned = gap_to_move(CONFIG, torque, gap, motion)
-    assert (np.abs(planned) <= HALF).all()
-    moved = np.abs(motion) > STILL_RAD
-    motor = motion - (planned - gap)
-    reached = gap_after(CONFIG, load_side(CONFIG, torque), gap, motor)
-    np.testing.assert_allclose(reached[moved], planned[moved], atol=1e-15)
-
-
-@given(torques, gaps)
-def test_an_output_that_is_not_to_move_stays_where_it_lies_unless_loaded(torque, gap):
-    planned = gap_to_move(CONFIG, torque, gap, np.zeros(5))
-    free = np.abs(torque) <= CONFIG.output_friction_Nm
-    np.testing.assert_array_equal(planned[free], gap[free])
-    np.testing.assert_array_equal(planned[~free], (np.sign(torque) * HALF)[~free])
-
-
-@given(torques)
-def test_only_a_torque_beyond_friction_has_a_side(torque):
-    expected = np.where(np.abs(torque) > CONFIG.output_friction_Nm, np.sign(torque), 0)
-    np.testing.assert_array_equal(load_side(CONFIG, torque), expected)
-
-
-def referenced(count, told=(0.1, -1.0, 1.5, 2.0, 1.0), side=(1, 1, -1, 0, -1)):
-    first = update(CONFIG, unreferenced(5), quiet_sensors(count))
-    return set_reference(CONFIG, first, SetReference(told, side))
-
-
-@given(hnp.arrays(np.int64, 5, elements=st.integers(-(10**7), 10**7)))
-def test_after_a_reference_the_joint_is_where_it_was_told_to_be(count):
-    told = (0.1, -1.0, 1.5, 2.0, 1.0)
-    joints = referenced(count, told)
-    assert joints.referenced
-    np.testing.assert_array_equal(joints.motor_rad, told)
-    np.testing.assert_array_equal(joints.gap_rad, HALF * np.array([1, 1, -1, 0, -1]))
+@given(counts)
+def test_a_calibrated_joint_is_where_its_encoder_and_its_zero_say(count):
+    joints = awake(count, resolver_rad=np.full(5, 9.0))
+    assert joints.awake
+    np.testing.assert_array_equal(joints.motor_rad, count * CONFIG.rad_per_count + ZERO)
+    np.testing.assert_array_equal(joints.motor_rate_rad_s, 0)
     again = update(CONFIG, joints, quiet_sensors(count))
-    np.testing.assert_allclose(again.motor_rad, told, atol=1e-12)
-    np.testing.assert_allclose(again.motor_rate_rad_s, 0, atol=1e-10)
+    np.testing.assert_array_equal(again.motor_rad, joints.motor_rad)
+    np.testing.assert_array_equal(again.motor_rate_rad_s, 0)
+
+
+@given(counts, counts)
+def test_a_joint_that_is_not_calibrated_is_where_its_resolver_said_at_first_and_the_motion_since(
+    count, moved
+):
+    read = np.array([0.2, -0.4, 0.6, -0.8, 1.0])
+    joints = awake(count, no_reference(CONFIG), resolver_rad=read)
+    np.testing.assert_allclose(joints.motor_rad, read, atol=1e-11)
+    joints = update(CONFIG, joints, quiet_sensors(count + moved, resolver_rad=np.full(5, 9.0)))
+    np.testing.assert_allclose(joints.motor_rad, read + moved * CONFIG.rad_per_count, atol=1e-11)
+    assert not joints.reference.calibrated.any()
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_what_is_remembered_of_a_joint_is_used_and_kept_for_comparison_when_it_no_longer_counts(joint):
+    count, this = np.array([100, 200, 300, 400, 500]), np.arange(5) == joint
+    joints = awake(count, forgotten(REMEMBERED, joint))
+    np.testing.assert_array_equal(joints.reference.calibrated, ~this)
+    assert joints.reference.known.all()
+    np.testing.assert_allclose(joints.motor_rad, count * CONFIG.rad_per_count + ZERO, atol=1e-15)
 
 
 def test_one_count_is_one_step_of_the_motor_over_the_gear_ratio():
-    start = np.array([10, -20, 30, -40, 50])
-    joints = update(CONFIG, referenced(start), quiet_sensors(start + 1))
+    count = np.array([10, -20, 30, -40, 50])
+    before = awake(count)
+    joints = update(CONFIG, before, quiet_sensors(count + 1))
     step = 2 * np.pi / 256 / np.array([7520, 7520, 7520, 4624, 4624])
-    np.testing.assert_allclose(joints.motor_rad - (0.1, -1.0, 1.5, 2.0, 1.0), step, atol=1e-15)
+    np.testing.assert_allclose(joints.motor_rad - before.motor_rad, step, atol=1e-15)
     np.testing.assert_allclose(joints.motor_rate_rad_s, step * CYCLE_HZ, atol=1e-12)
 
 
-def test_a_second_reference_replaces_the_first():
+def test_the_likely_output_is_the_motor_with_its_likely_gear_angle():
+    joints, _ = resting()
+    np.testing.assert_array_equal(joints.output_rad, joints.motor_rad + joints.gear_rad[:, LIKELY])
+    np.testing.assert_array_equal(joints.side, [0, -1, -1, 0, 0])
+    np.testing.assert_allclose(joints.gap_rad, 0.9 * HALF * joints.side)
+    stiffness = CONFIG.arm.gear_stiffness_Nm_rad
+    known = joints.side != 0
+    unknown_Nm = CONFIG.load_error_Nm + 2 * CONFIG.output_friction_Nm
+    np.testing.assert_allclose(joints.uncertainty_rad[known], (unknown_Nm / stiffness)[known])
+    assert (joints.uncertainty_rad[~known] > 0.8 * HALF[~known]).all()
+
+
+@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("off_rad", [-4e-3, 4e-3])
+def test_after_its_calibration_a_joint_met_its_hardstop_where_the_drawing_has_it(joint, off_rad):
+    """The output that met its stop at this angle in the old zero is `off_rad` from there in the new one."""
+    before, sensors = resting()
+    stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
+    found = Found(stop + off_rad, 30.0, 1.5e-5, 1.1 * HALF[joint], gap_measured=True)
+    after = calibrated(CONFIG, before, LOADS_NM, joint, found)
+    this = np.arange(5) == joint
+    np.testing.assert_allclose(after.motor_rad - before.motor_rad, np.where(this, -off_rad, 0.0), atol=1e-12)
+    np.testing.assert_array_equal(after.reference.half_gap_rad, np.where(this, 1.1 * HALF, 0.9 * HALF))
+    np.testing.assert_array_equal(after.gear_rad[~this], before.gear_rad[~this])
+    np.testing.assert_array_equal(after.reference.zero_rad[~this], ZERO[~this])
+    next_one = update(CONFIG, after, sensors)
+    np.testing.assert_allclose(next_one.motor_rad, after.motor_rad, atol=1e-12)
+    np.testing.assert_allclose(next_one.motor_rate_rad_s, 0, atol=1e-9)
+    # the joint has just been dragged off its stop
+    np.testing.assert_array_equal(next_one.gear_rad[joint], after.bounds.lowest_rad[joint])
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_a_calibration_learns_the_bias_of_its_resolver_from_what_it_reads(joint):
+    joints, sensors = resting()
+    sensors = replace(sensors, resolver_rad=sensors.resolver_rad + 1e-3)
+    for _ in range(10 * CYCLE_HZ):
+        joints = update(CONFIG, joints, sensors)
+    np.testing.assert_allclose(joints.resolver_error_rad, 1e-3, atol=1e-9)
+    stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
+    found = Found(stop + 2e-3, 30.0, 1.5e-5, HALF[joint], gap_measured=False)
+    joints = calibrated(CONFIG, joints, LOADS_NM, joint, found)
+    for _ in range(10 * CYCLE_HZ):
+        joints = update(CONFIG, joints, sensors)
+    expected = np.where(np.arange(5) == joint, 0.0, 1e-3)
+    np.testing.assert_allclose(joints.resolver_error_rad, expected, atol=1e-9)
+    learned = sensors.resolver_rad[joint] - joints.output_rad[joint]
+    assert joints.reference.resolver_bias_rad[joint] == pytest.approx(learned, abs=1e-9)
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_a_joint_calibrated_for_the_first_time_is_calibrated_from_then_on(joint):
     count = np.array([100, 200, 300, 400, 500])
-    joints = referenced(count)
-    joints = update(CONFIG, joints, quiet_sensors(count + 1000))
-    joints = set_reference(CONFIG, joints, SetReference((0.0, 0.0, 0.0, 0.0, 0.0), (0, 0, 0, 0, 0)))
-    joints = update(CONFIG, joints, quiet_sensors(count + 1000))
-    np.testing.assert_allclose(joints.motor_rad, 0, atol=1e-12)
+    joints = awake(count, no_reference(CONFIG))
+    stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
+    found = Found(stop, 30.0, 1.5e-5, HALF[joint], gap_measured=True)
+    joints = calibrated(CONFIG, joints, LOADS_NM, joint, found)
+    np.testing.assert_array_equal(joints.reference.calibrated, np.arange(5) == joint)
 
 
-def test_before_a_reference_gravity_is_as_read_and_after_it_filtered():
+def test_the_resolver_error_is_smoothed():
+    joints, sensors = resting()
+    wrong = replace(sensors, resolver_rad=sensors.resolver_rad + 0.01)
+    for _ in range(round(RESOLVER_FILTER_S * CYCLE_HZ)):
+        joints = update(CONFIG, joints, wrong)
+    np.testing.assert_allclose(joints.resolver_error_rad, 0.01 * (1 - np.exp(-1)), rtol=0.03)
+
+
+def test_gravity_is_as_first_read_and_then_filtered():
     count = np.zeros(5, int)
-    raw = update(CONFIG, unreferenced(5), quiet_sensors(count, gravity_R_m_s2=[1, 2, 3]))
-    np.testing.assert_array_equal(raw.gravity_R_m_s2, [1, 2, 3])
-    joints = replace(referenced(count), gravity_R_m_s2=MARS_R_m_s2)
+    joints = awake(count, gravity_R_m_s2=[1, 2, 3])
+    np.testing.assert_array_equal(joints.gravity_R_m_s2, [1, 2, 3])
+    joints = awake(count)
     tilted = np.array([0.5, 0.0, 3.68])
     for _ in range(CYCLE_HZ):
         joints = update(CONFIG, joints, quiet_sensors(count, gravity_R_m_s2=tilted))

@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import (
+    Calibrate,
+    CalibrateAll,
     ClearFault,
     GuardedMove,
+    MoveJoint,
     MoveJoints,
     MoveTool,
     Retract,
-    SetReference,
     Stop,
     Unstow,
 )
@@ -25,16 +27,23 @@ from fsw.dictionary.evrs import (
     ContactMade,
     FaultCleared,
     FaultResponse,
+    HardstopMissed,
     ModeChanged,
-    ReferenceSet,
 )
-from fsw.dictionary.joints import Switch, Tool
+from fsw.dictionary.joints import STOP_ORDER, Joint, Switch, Tool
 from fsw.dictionary.modes import Mode
+from fsw.executive.sequence import Sequence
 from fsw.kinematics.branches import BRANCHES
 from tests.fsw.rig import Rig, config_of, facing, floats, with_params
 
-CONFIG = config_of()
-START = facing(CONFIG, Tool.APXS)
+START = facing(config_of(), Tool.APXS)
+STRONGER = replace(config_of().params.joints.elevation, hardstop_press_Nm=300.0)
+"""In the ready pose gravity presses the elevation on its hardstop too hard for the drawing's."""
+CONFIG = with_params(
+    hardstop={"start_rad": floats(START), "park_rad": floats(START), "again_rad": floats(START)},
+    joints={"elevation": STRONGER},
+)
+"""Any joint may look for its hardstop from where these tests begin."""
 NAN = float("nan")
 INF = float("inf")
 TOUCHED = {"switch_closed": np.arange(10) == Switch.APXS_1}
@@ -44,8 +53,8 @@ def stowed():
     return Rig(CONFIG, Mode.STOWED, CONFIG.params.poses.stowed_rad)
 
 
-def unreferenced():
-    rig = Rig(CONFIG, start_rad=START, referenced=False)
+def uncalibrated():
+    rig = Rig(CONFIG, start_rad=START, calibrated=False)
     rig.cycle()
     return rig
 
@@ -79,6 +88,12 @@ def retracting():
     return rig
 
 
+def calibrating():
+    rig = deployed()
+    rig.until_moving(Calibrate(Joint.TURRET))
+    return rig
+
+
 def being_stopped_by_a_fault():
     rig = moving_free()
     rig.cycle(winding_C=[NAN] * 5)
@@ -92,13 +107,15 @@ def faulted():
 
 
 SITUATIONS = [
-    stowed, unreferenced, deployed, moving_free, guarded_moving, guarded_in_contact, retracting,
-    being_stopped_by_a_fault, faulted,
+    stowed, uncalibrated, deployed, moving_free, guarded_moving, guarded_in_contact, retracting,
+    calibrating, being_stopped_by_a_fault, faulted,
 ]  # fmt: skip
 
 COMMANDS = {
-    SetReference: lambda rig: rig.reference(),
+    Calibrate: lambda rig: Calibrate(Joint.TURRET),
+    CalibrateAll: lambda rig: CalibrateAll(),
     Unstow: lambda rig: Unstow(),
+    MoveJoint: lambda rig: MoveJoint(Joint.WRIST, float(rig.state.joints.output_rad[Joint.WRIST])),
     MoveJoints: lambda rig: MoveJoints(floats(rig.state.joints.motor_rad)),
     MoveTool: lambda rig: rig.here(Tool.APXS),
     GuardedMove: lambda rig: rig.touch(Tool.APXS, 0.02),
@@ -109,25 +126,37 @@ COMMANDS = {
 
 OK = ""
 NO_FAULT = "no fault stands"
-NO_REFERENCE = "the encoders have no reference; set it first"
+NOT_CALIBRATED = "not calibrated: {}; until it is, a joint may only look for its hardstop"
+NONE_CALIBRATED = NOT_CALIBRATED.format("azimuth, elevation, elbow, wrist, turret")
 FAULT = "a fault stands; clear it first"
 STOPPING = "the arm is still being stopped"
 IN_STOWED, IN_DEPLOYED, IN_GUARDED = (
     f"not allowed in mode {name}" for name in ("STOWED", "DEPLOYED", "GUARDED")
 )
-BUSY_J, BUSY_G, BUSY_R = (f"{name} is under way" for name in ("MoveJoints", "GuardedMove", "Retract"))
+BUSY_J, BUSY_G, BUSY_R, BUSY_C = (
+    f"{name} is under way" for name in ("MoveJoints", "GuardedMove", "Retract", "Calibrate")
+)
 
 # columns in the order of COMMANDS
 EXPECTED = {
-    stowed: (OK, OK, *[IN_STOWED] * 4, OK, NO_FAULT),
-    unreferenced: (OK, *[NO_REFERENCE] * 5, OK, NO_FAULT),
-    deployed: (OK, IN_DEPLOYED, OK, OK, OK, OK, OK, NO_FAULT),
-    moving_free: (*[BUSY_J] * 6, OK, NO_FAULT),
-    guarded_moving: (*[BUSY_G] * 6, OK, NO_FAULT),
-    guarded_in_contact: (OK, IN_GUARDED, IN_GUARDED, IN_GUARDED, OK, OK, OK, NO_FAULT),
-    retracting: (*[BUSY_R] * 6, OK, NO_FAULT),
-    being_stopped_by_a_fault: (*[FAULT] * 6, OK, STOPPING),
-    faulted: (*[FAULT] * 6, OK, OK),
+    stowed: (IN_STOWED, IN_STOWED, OK, *[IN_STOWED] * 5, OK, NO_FAULT),
+    uncalibrated: (
+        OK,
+        OK,
+        NONE_CALIBRATED,
+        NOT_CALIBRATED.format("wrist"),
+        *[NONE_CALIBRATED] * 4,
+        OK,
+        NO_FAULT,
+    ),
+    deployed: (OK, OK, IN_DEPLOYED, *[OK] * 6, NO_FAULT),
+    moving_free: (*[BUSY_J] * 8, OK, NO_FAULT),
+    guarded_moving: (*[BUSY_G] * 8, OK, NO_FAULT),
+    guarded_in_contact: (*[IN_GUARDED] * 6, OK, OK, OK, NO_FAULT),
+    retracting: (*[BUSY_R] * 8, OK, NO_FAULT),
+    calibrating: (*[BUSY_C] * 8, OK, NO_FAULT),
+    being_stopped_by_a_fault: (*[FAULT] * 8, OK, STOPPING),
+    faulted: (*[FAULT] * 8, OK, OK),
 }
 
 
@@ -155,7 +184,7 @@ def test_every_command_in_every_situation(situation, kind):
         assert rig.state.mode is before.mode
         assert CommandAccepted(name) not in rig.evrs
         assert (rig.state.move is None) is (before.move is None)
-        np.testing.assert_array_equal(rig.state.joints.zero_rad, before.joints.zero_rad)
+        assert rig.state.joints.reference is before.joints.reference
     else:
         assert not refused
         assert CommandAccepted(name) in rig.evrs or CommandCompleted(name) in rig.evrs
@@ -182,7 +211,7 @@ def test_numbers_of_a_command_that_are_not_finite_are_refused(bad, place):
     five = floats(np.where(np.arange(5) == place, bad, 1.0))
     fine = (1.0, 0.0, 0.0)
     assert refusal(rig, MoveJoints(five)) == "a joint angle is not finite"
-    assert refusal(rig, SetReference(five, (0, 0, 0, 0, 0))) == "a motor angle is not finite"
+    assert refusal(rig, MoveJoint(Joint(place), bad)) == "the joint angle is not finite"
     for kind in (MoveTool, GuardedMove):
         assert refusal(rig, kind(Tool.APXS, spoilt, fine)) == "position or approach is not finite"
         assert refusal(rig, kind(Tool.APXS, fine, spoilt)) == "position or approach is not finite"
@@ -200,16 +229,29 @@ def test_a_retraction_is_longer_than_nothing_and_at_most_a_metre(distance):
     assert refusal(deployed(), Retract(Tool.APXS, distance)) == f"distance {distance} m is outside 0 .. 1 m"
 
 
-def test_a_backlash_side_is_minus_one_nought_or_one():
+@pytest.mark.parametrize("joint", [-1, 5, 2.5])
+def test_a_joint_that_does_not_exist_is_refused_and_the_joints_there_are_are_told(joint):
+    reason = f"joint {joint} is not known; there are azimuth, elevation, elbow, wrist, turret"
+    assert refusal(deployed(), Calibrate(joint)) == reason
+    assert refusal(deployed(), MoveJoint(joint, 0.0)) == reason
+
+
+def test_a_joint_may_be_given_by_its_number():
+    """Commands are plain records: nothing turns the number into a name on the way."""
+    number: int = int(Joint.ELBOW)
     rig = deployed()
-    reason = refusal(rig, SetReference(floats(START), (0, 0, 2, 0, 0)))
-    assert reason == "a gap side is not -1, 0 or 1: (0, 0, 2, 0, 0)"
+    assert "joint elbow: 171.9 deg is outside" in refusal(rig, MoveJoint(number, 3.0))
+    assert CommandCompleted("MoveJoint") in rig.run(MoveJoint(number, float(START[number]) + 0.01))
+    rig.cycle(Calibrate(number))
+    assert rig.state.move.seek.joint is Joint.ELBOW
 
 
 def test_what_cannot_be_planned_is_refused_with_the_plan_s_own_sentence():
     rig = deployed()
     joints = MoveJoints((0.0, -1.0, 3.0, 1.0, 1.0))
     assert refusal(rig, joints) == "joint elbow: 171.9 deg is outside its soft limits -164.2 .. 164.2 deg"
+    joint = MoveJoint(Joint.ELBOW, 3.0)
+    assert refusal(rig, joint) == "joint elbow: 171.9 deg is outside its soft limits -164.2 .. 164.2 deg"
     assert "out of reach by" in refusal(rig, MoveTool(Tool.APXS, (9.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
     assert "m long, the longest allowed is" in refusal(rig, rig.touch(Tool.APXS, 3.0))
 
@@ -230,8 +272,15 @@ def test_a_branch_that_does_not_exist_is_refused_by_its_name_and_the_names_there
 @pytest.mark.parametrize("kind", [MoveTool, GuardedMove, Retract])
 def test_a_deflection_that_does_not_exist_is_refused_by_its_name(kind):
     rig = deployed()
-    command = replace(COMMANDS[kind](rig), deflection="relative")
-    assert refusal(rig, command) == "deflection 'relative' is not known; there are off, absolute"
+    command = replace(COMMANDS[kind](rig), deflection="some")
+    assert refusal(rig, command) == "deflection 'some' is not known; there are off, absolute, relative"
+
+
+@pytest.mark.parametrize("kind", [MoveJoint, MoveJoints, MoveTool, GuardedMove, Retract])
+def test_a_backlash_mode_that_does_not_exist_is_refused_by_its_name(kind):
+    rig = deployed()
+    command = replace(COMMANDS[kind](rig), backlash="some")
+    assert refusal(rig, command) == "backlash 'some' is not known; there are off, on"
 
 
 @pytest.mark.parametrize("kind", [MoveTool, GuardedMove])
@@ -280,17 +329,138 @@ def test_unstow_leads_past_the_way_points_to_the_ready_pose():
     evrs = rig.run(Unstow())
     assert CommandCompleted("Unstow") in evrs
     assert rig.state.mode is Mode.DEPLOYED
-    output = rig.state.joints.motor_rad + rig.state.joints.gap_rad
-    np.testing.assert_allclose(output, CONFIG.params.poses.ready_rad, atol=5e-3)
+    # a joint that is already there is left as the loads on the way leave it in its friction
+    held_rad = 2 * CONFIG.output_friction_Nm / CONFIG.arm.gear_stiffness_Nm_rad + 1e-5
+    off = np.abs(rig.state.joints.output_rad - CONFIG.params.poses.ready_rad)
+    assert (off < held_rad).all()
     modes = [(evr.before, evr.after) for evr in evrs if isinstance(evr, ModeChanged)]
     assert modes == [(Mode.STOWED, Mode.FREE_SPACE), (Mode.FREE_SPACE, Mode.DEPLOYED)]
 
 
-def test_a_reference_is_acknowledged_and_used():
-    rig = unreferenced()
-    rig.cycle(rig.reference())
-    assert ReferenceSet() in rig.evrs
-    np.testing.assert_allclose(rig.state.joints.motor_rad, rig.count * CONFIG.rad_per_count, atol=1e-12)
+@pytest.mark.parametrize("joint", Joint)
+def test_one_joint_moves_to_its_angle_and_the_others_stay_where_they_are(joint):
+    rig = deployed()
+    start, goal = rig.count.copy(), float(START[joint]) + 0.01
+    assert CommandCompleted("MoveJoint") in rig.run(MoveJoint(joint, goal))
+    assert rig.state.joints.output_rad[joint] == pytest.approx(goal, abs=1e-5)
+    np.testing.assert_array_equal(np.flatnonzero(rig.count != start), [joint])
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_a_joint_is_not_calibrated_from_when_it_begins_to_look_for_its_hardstop_until_it_found_it(joint):
+    rig = deployed()
+    rig.until_moving(Calibrate(joint))
+    np.testing.assert_array_equal(rig.outputs.joint.calibrated, np.arange(5) != joint)
+    rig.run(Stop())
+    assert CommandAborted("Calibrate") in rig.evrs
+    np.testing.assert_array_equal(rig.outputs.joint.calibrated, np.arange(5) != joint)
+    missing = NOT_CALIBRATED.format(joint.name.lower())
+    assert refusal(rig, MoveJoints(floats(START))) == missing
+    assert refusal(rig, MoveJoint(joint, float(START[joint]))) == missing
+    other = Joint((joint + 1) % 5)
+    rig.cycle(MoveJoint(other, float(START[other]) + 0.01))
+    assert CommandAccepted("MoveJoint") in rig.evrs
+
+
+@pytest.mark.parametrize("kind", [Calibrate, CalibrateAll])
+@pytest.mark.parametrize("calibrated", [True, False])
+@pytest.mark.parametrize("joint", STOP_ORDER[1:])
+def test_a_joint_looks_for_its_hardstop_only_where_the_others_are_out_of_its_way(kind, calibrated, joint):
+    tolerance = CONFIG.params.hardstop.pose_tolerance_rad
+    for off_rad, refused in ((0.9 * tolerance, False), (1.1 * tolerance, True)):
+        pose = START + off_rad * (np.arange(5) == joint)
+        rig = Rig(CONFIG, start_rad=pose, calibrated=calibrated)
+        rig.evrs.clear()
+        rig.cycle(COMMANDS[kind](rig))
+        reasons = [evr.reason for evr in rig.evrs if isinstance(evr, CommandRefused)]
+        assert bool(reasons) is refused
+        if refused:
+            (reason,) = reasons
+            assert reason.startswith(f"joint {joint.name.lower()}: ")
+            assert reason.endswith("where turret may be calibrated")
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_a_joint_may_begin_anywhere_between_its_hardstop_and_its_place(joint):
+    stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
+    for angle_rad in (stop - 0.01, stop + 0.01, 0.5 * (stop + START[joint])):
+        rig = Rig(CONFIG, start_rad=np.where(np.arange(5) == joint, angle_rad, START))
+        rig.cycle(Calibrate(joint))
+        assert CommandAccepted("Calibrate") in rig.evrs
+
+
+def next_to_its_stop(joint):
+    """So near that this joint, in an arm without hardstops, soon is where its own should be."""
+    stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
+    return Rig(CONFIG, start_rad=np.where(np.arange(5) == joint, stop + 0.05, START))
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_a_joint_that_meets_no_hardstop_is_stopped_behind_the_place_of_it(joint):
+    rig = next_to_its_stop(joint)
+    evrs = rig.run(Calibrate(joint))
+    (missed,) = [evr for evr in evrs if isinstance(evr, HardstopMissed)]
+    params = CONFIG.params
+    assert missed.joint is joint
+    assert missed.stop_rad == params.joints.in_order()[joint].hardstop_rad
+    assert missed.stop_rad - missed.angle_rad == pytest.approx(params.hardstop.window_rad, abs=1e-3)
+    assert CommandAborted("Calibrate") in evrs
+    assert rig.state.mode is Mode.FAULTED
+
+
+@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("beyond_m", [0.001, 0.01, 0.02])
+def test_a_stop_on_the_way_from_soft_limit_to_hardstop_is_no_fault(joint, beyond_m):
+    rig = next_to_its_stop(joint)
+    lowest = CONFIG.lowest_rad[joint] - beyond_m
+    rig.cycle(Calibrate(joint))
+    while rig.state.joints.motor_rad[joint] > lowest:
+        rig.cycle()
+    rig.run(Stop())
+    assert CommandAborted("Calibrate") in rig.evrs
+    assert not any(isinstance(evr, FaultResponse) for evr in rig.evrs)
+    assert rig.state.mode is Mode.DEPLOYED
+
+
+def test_all_joints_are_calibrated_by_commands_of_their_own():
+    rig = deployed()
+    rig.evrs.clear()
+    rig.cycle(CalibrateAll())
+    assert rig.evrs[:2] == [CommandAccepted("CalibrateAll"), CommandAccepted("Calibrate")]
+    assert rig.state.move.seek.joint is STOP_ORDER[0]
+    assert rig.outputs.joint.busy
+
+
+@pytest.mark.parametrize("cycles", [0, 40])
+def test_a_stop_ends_the_calibration_of_all_joints(cycles):
+    rig = deployed()
+    rig.cycle(CalibrateAll())
+    for _ in range(cycles):
+        rig.cycle()
+    evrs = rig.run(Stop(), at_most=200)
+    assert {CommandAborted("CalibrateAll"), CommandAborted("Calibrate"), CommandCompleted("Stop")} <= set(
+        evrs
+    )
+    assert rig.state.mode is Mode.DEPLOYED
+    assert rig.state.sequence is None
+
+
+@pytest.mark.parametrize("when", ["when all is over", "in every cycle"])
+def test_after_a_fault_and_its_clearing_the_calibration_of_all_joints_does_not_go_on(when):
+    rig = deployed()
+    rig.until_moving(MoveJoint(Joint.TURRET, float(START[Joint.TURRET]) + 0.05))
+    rig.state = replace(rig.state, sequence=Sequence("CalibrateAll", (Calibrate(Joint.WRIST),)))
+    rig.cycle(winding_C=[NAN] * 5)
+    if when == "in every cycle":
+        while rig.state.mode is Mode.FAULTED:
+            rig.cycle(ClearFault())
+    else:
+        rig.run(at_most=60)
+        rig.cycle(ClearFault())
+    rig.run(at_most=60)
+    assert CommandAccepted("Calibrate") not in rig.evrs
+    assert rig.evrs.count(CommandAborted("CalibrateAll")) == 1
+    assert rig.state.mode is Mode.DEPLOYED
 
 
 def test_contact_then_retraction_is_a_placement_without_a_fault():
@@ -374,7 +544,9 @@ def test_a_guarded_move_against_the_tool_s_own_direction_is_refused():
     assert reason == "the approach is 180.0 deg from where the tool looks, at most 5.7 deg are allowed"
 
 
-@pytest.mark.parametrize("kind", [MoveJoints, MoveTool, GuardedMove, Retract])
+@pytest.mark.parametrize(
+    "kind", [Calibrate, CalibrateAll, MoveJoint, MoveJoints, MoveTool, GuardedMove, Retract]
+)
 def test_a_stowed_arm_only_unstows(kind):
     rig = stowed()
     assert refusal(rig, COMMANDS[kind](rig)) == IN_STOWED
@@ -386,60 +558,31 @@ def test_a_stowed_arm_only_unstows(kind):
     ("off_rad", "expected"), [(0.0, Mode.STOWED), (0.019, Mode.STOWED), (0.021, Mode.DEPLOYED)]
 )
 @pytest.mark.parametrize("joint", range(5))
-def test_the_reference_decides_whether_the_arm_is_stowed(mode, off_rad, expected, joint):
+def test_after_a_fault_the_joint_angles_decide_whether_the_arm_is_stowed(mode, off_rad, expected, joint):
     for sign in (-1, 1):
         pose = np.array(CONFIG.params.poses.stowed_rad) + sign * off_rad * (np.arange(5) == joint)
-        rig = Rig(CONFIG, mode, pose, referenced=False)
-        rig.cycle(SetReference(floats(pose), (1, 1, 1, 1, 1)))
+        rig = Rig(CONFIG, mode, pose)
+        rig.cycle(winding_C=[NAN] * 5)
+        rig.cycle(ClearFault())
         assert rig.state.mode is expected
 
 
-def test_a_reference_in_contact_stays_where_only_a_retraction_is_allowed():
-    rig = guarded_in_contact()
-    rig.cycle(rig.reference(), **TOUCHED)
-    assert rig.state.mode is Mode.GUARDED
-
-
-@pytest.mark.parametrize("joint", range(5))
-@pytest.mark.parametrize("end", ["min", "max"])
-def test_a_reference_may_be_a_little_beyond_the_soft_limits_and_no_more(joint, end):
-    """At a hardstop the arm is beyond them; further out it cannot be."""
-    sign, limit = (1 if end == "max" else -1), getattr(CONFIG.arm, f"soft_{end}_rad")[joint]
-    for beyond_rad, refused in ((0.099, False), (0.101, True)):
-        pose = START.copy()
-        pose[joint] = limit + sign * beyond_rad
-        rig = deployed()
-        rig.evrs.clear()
-        zero = rig.state.joints.zero_rad
-        rig.cycle(SetReference(floats(pose), (0, 0, 0, 0, 0)))
-        reasons = [evr.reason for evr in rig.evrs if isinstance(evr, CommandRefused)]
-        assert bool(reasons) is refused
-        if refused:
-            (reason,) = reasons
-            assert "is outside its soft limits" in reason
-            np.testing.assert_array_equal(rig.state.joints.zero_rad, zero)
-
-
-def test_how_far_beyond_its_limits_and_how_close_to_stowed_a_reference_may_be_are_parameters():
-    stow = np.array(CONFIG.params.poses.stowed_rad)
-    config = with_params(motion={"reference_margin_rad": 0.0, "stowed_rad": 0.15})
-    beyond = floats(START + (CONFIG.arm.soft_max_rad + 1e-6 - START) * (np.arange(5) == 2))
-    rig = Rig(config, start_rad=START)
-    assert "is outside its soft limits" in refusal(rig, SetReference(beyond, (0, 0, 0, 0, 0)))
-    inward = np.sign(config.arm.soft_max_rad + config.arm.soft_min_rad - 2 * stow)
+def test_how_close_to_stowed_an_arm_is_stowed_is_a_parameter():
+    config = with_params(motion={"stowed_rad": 0.15})
     for off_rad, mode in ((0.151, Mode.DEPLOYED), (0.149, Mode.STOWED)):
-        rig.cycle(SetReference(floats(stow + off_rad * inward), (0, 0, 0, 0, 0)))
+        rig = Rig(config, start_rad=np.array(config.params.poses.stowed_rad) + off_rad)
+        rig.cycle(winding_C=[NAN] * 5)
+        rig.cycle(ClearFault())
         assert rig.state.mode is mode
 
 
 @pytest.mark.parametrize("joint", range(5))
 @pytest.mark.parametrize("end", ["min", "max"])
-def test_an_arm_referenced_beyond_a_soft_limit_is_moved_back_in_without_a_fault(joint, end):
+def test_an_arm_found_beyond_a_soft_limit_is_moved_back_in_without_a_fault(joint, end):
     outward, limit = (1 if end == "max" else -1), getattr(CONFIG.arm, f"soft_{end}_rad")[joint]
     pose = START.copy()
     pose[joint] = limit + outward * 0.05
-    rig = deployed()
-    rig.cycle(SetReference(floats(pose), (0, 0, 0, 0, 0)))
+    rig = Rig(CONFIG, start_rad=pose)
     pose[joint] = limit - outward * 0.05
     evrs = rig.run(MoveJoints(floats(pose)))
     assert CommandCompleted("MoveJoints") in evrs
@@ -447,15 +590,18 @@ def test_an_arm_referenced_beyond_a_soft_limit_is_moved_back_in_without_a_fault(
     assert rig.state.mode is Mode.DEPLOYED
 
 
-@pytest.mark.parametrize("kind", [SetReference, MoveJoints, MoveTool, GuardedMove, Retract])
+@pytest.mark.parametrize(
+    "kind", [Calibrate, CalibrateAll, MoveJoint, MoveJoints, MoveTool, GuardedMove, Retract]
+)
 def test_with_readings_that_cannot_be_used_nothing_begins(kind):
     rig = deployed()
     rig.evrs.clear()
-    zero = rig.state.joints.zero_rad
+    reference = rig.state.joints.reference
     rig.cycle(COMMANDS[kind](rig), winding_C=[NAN] * 5)
     assert CommandRefused(kind.__name__, "a reading is unusable") in rig.evrs
     assert rig.state.move is None
-    np.testing.assert_array_equal(rig.state.joints.zero_rad, zero)
+    assert rig.state.sequence is None
+    assert rig.state.joints.reference is reference
 
 
 @pytest.mark.parametrize("command", [Stop(), ClearFault()], ids=["stop", "clear"])
@@ -525,8 +671,8 @@ def test_a_fault_cleared_at_the_stowed_pose_leaves_the_arm_stowed():
     assert rig.state.mode is Mode.STOWED
 
 
-def test_a_fault_cleared_without_a_reference_does_not_take_the_arm_for_stowed():
-    rig = Rig(CONFIG, Mode.STOWED, CONFIG.params.poses.stowed_rad, referenced=False)
+def test_a_fault_cleared_with_joints_not_calibrated_does_not_take_the_arm_for_stowed():
+    rig = Rig(CONFIG, Mode.STOWED, CONFIG.params.poses.stowed_rad, calibrated=False)
     rig.cycle(winding_C=[NAN] * 5)
     rig.cycle(ClearFault())
     assert rig.state.mode is Mode.DEPLOYED

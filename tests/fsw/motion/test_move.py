@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.evrs import CommandCompleted
-from fsw.dictionary.joints import SWITCHES_OF, Tool
+from fsw.dictionary.joints import SWITCHES_OF, Joint, Tool
 from fsw.dictionary.modes import Mode
 from fsw.motion.drive import drive_for
 from fsw.motion.move import Move, Phase, advance, closed_switch, stop
@@ -16,6 +16,7 @@ from tests.fsw.rig import Rig, config_of, quiet_sensors
 
 CONFIG = config_of()
 READY = np.array(CONFIG.params.poses.ready_rad)
+NO_LOAD = np.zeros(5)
 SENSORS = quiet_sensors(np.zeros(5))
 
 
@@ -25,7 +26,8 @@ def resting() -> Setpoint:
 
 def move_by(angle_rad: float, **fields) -> Move:
     path = joint_path(CONFIG, READY, READY + angle_rad)
-    return Move("MoveJoints", Mode.DEPLOYED, (path,), resting(), **fields)
+    every, limit_A = np.ones(5, bool), CONFIG.current_limit_A
+    return Move("MoveJoints", Mode.DEPLOYED, every, limit_A, (path,), resting(), **fields)
 
 
 def following(move):
@@ -39,7 +41,7 @@ def test_the_phases_follow_one_another_to_the_end():
     while move is not None:
         if not phases or phases[-1] is not move.phase:
             phases.append(move.phase)
-        result = advance(CONFIG, move, following(move), SENSORS)
+        result = advance(CONFIG, move, following(move), NO_LOAD, SENSORS)
         move, ticks = result.move, ticks + 1
         assert ticks < 2000
     assert phases == list(Phase)
@@ -51,7 +53,7 @@ def test_the_set_point_goes_from_the_start_to_the_end_of_the_path_without_a_jump
     move, seen = move_by(0.02), []
     while move is not None:
         seen.append(move.hold.motor_rad)
-        move = advance(CONFIG, move, following(move), SENSORS).move
+        move = advance(CONFIG, move, following(move), NO_LOAD, SENSORS).move
     seen = np.array(seen)
     np.testing.assert_array_equal(seen[0], READY)
     np.testing.assert_allclose(seen[-1], READY + 0.02, atol=1e-12)
@@ -65,7 +67,7 @@ def test_paths_run_one_after_the_other_each_to_its_end():
     while move is not None:
         highest = max(highest, move.hold.motor_rad[0] - READY[0])
         last = move
-        move = advance(CONFIG, move, following(move), SENSORS).move
+        move = advance(CONFIG, move, following(move), NO_LOAD, SENSORS).move
     assert highest == pytest.approx(0.01)
     np.testing.assert_allclose(last.hold.motor_rad, READY, atol=1e-12)
 
@@ -98,6 +100,16 @@ def test_without_a_move_brakes_are_on_and_power_is_off():
 
 
 @pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize("joint", Joint)
+def test_the_joints_that_a_move_does_not_take_stay_braked_without_power(phase, joint):
+    rig, alone = Rig(CONFIG), np.arange(5) == joint
+    move = replace(move_by(0.1, phase=phase), active=alone)
+    drive = drive_for(CONFIG, move, rig.state.joints, rig.state.drive)
+    np.testing.assert_array_equal(drive.power_on, alone)
+    np.testing.assert_array_equal(drive.brake_release, alone & (phase is not Phase.BRAKE))
+
+
+@pytest.mark.parametrize("phase", Phase)
 def test_power_is_on_in_every_phase_and_the_brakes_are_off_in_all_but_the_last(phase):
     rig = Rig(CONFIG)
     drive = drive_for(CONFIG, move_by(0.1, phase=phase), rig.state.joints, rig.state.drive)
@@ -109,7 +121,7 @@ def test_set_points_are_the_counts_nearest_to_the_angle():
     rig = Rig(CONFIG)
     move = replace(move_by(0.1), hold=Setpoint(READY + 1e-4, np.zeros(5)))
     drive = drive_for(CONFIG, move, rig.state.joints, rig.state.drive)
-    back = drive.setpoint_count * CONFIG.rad_per_count + rig.state.joints.zero_rad
+    back = drive.setpoint_count * CONFIG.rad_per_count + rig.state.joints.reference.zero_rad
     assert (np.abs(back - READY - 1e-4) <= CONFIG.rad_per_count / 2 * (1 + 1e-6)).all()
 
 
@@ -119,10 +131,10 @@ def test_calm_is_counted_anew_after_the_last_motion():
     for upset in (0, 3):
         settling = move
         for joints in [calm] * upset + [replace(calm, motor_rad=calm.motor_rad + 1e-3)]:
-            settling = advance(CONFIG, settling, joints, SENSORS).move
+            settling = advance(CONFIG, settling, joints, NO_LOAD, SENSORS).move
         cycles = 0
         while settling.phase is Phase.SETTLE:
-            settling = advance(CONFIG, settling, calm, SENSORS).move
+            settling = advance(CONFIG, settling, calm, NO_LOAD, SENSORS).move
             cycles += 1
         assert cycles == CONFIG.settle_ticks
 
@@ -130,9 +142,9 @@ def test_calm_is_counted_anew_after_the_last_motion():
 def test_a_stop_goes_on_from_the_set_point_without_a_jump():
     move = move_by(0.5)
     for _ in range(300):
-        move = advance(CONFIG, move, following(move), SENSORS).move
+        move = advance(CONFIG, move, following(move), NO_LOAD, SENSORS).move
     rate = move.hold.rate_rad_s
-    braking = advance(CONFIG, stop(CONFIG, move, Mode.DEPLOYED), following(move), SENSORS).move
+    braking = advance(CONFIG, stop(CONFIG, move, Mode.DEPLOYED), following(move), NO_LOAD, SENSORS).move
     step = braking.hold.motor_rad - move.hold.motor_rad
     np.testing.assert_allclose(step, (rate + braking.hold.rate_rad_s) / 2 / 64, atol=1e-12)
     assert (braking.hold.rate_rad_s < rate).all()

@@ -12,15 +12,14 @@ from hypothesis.extra import numpy as hnp
 from fsw.config import CYCLE_S
 from fsw.dictionary.commands import GuardedMove, Retract
 from fsw.dictionary.joints import Tool
-from fsw.estimate.joints import gap_after, load_side
-from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import settle
 from fsw.motion.paths import JointPath, LinePath, Setpoint, joint_path, line_path, stop_path
 from fsw.motion.plan import Plan
 from fsw.motion.plan_line import plan_guarded, plan_retract
-from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, in_limits, with_params
+from tests.fsw.motion.lab import gears_along, likely, sampled, tool_at
+from tests.fsw.rig import Rig, config_of, facing, floats, in_limits, with_params
 
 CONFIG = config_of()
+WIND_UP_RAD = CONFIG.output_friction_Nm / CONFIG.arm.gear_stiffness_Nm_rad
 STOP_FACTOR = CONFIG.params.motion.stop_factor
 STRAIGHT_M = 20e-6
 AXIS_RAD = 20e-6
@@ -28,12 +27,6 @@ STEP_M = 1e-6
 """How closely one path of a plan goes on where the tool was left by the one before."""
 
 poses = st.integers(0, 2**32 - 1).map(lambda seed: in_limits(CONFIG, np.random.default_rng(seed), 2).T)
-
-
-def sampled(path, n=400):
-    times = np.linspace(0.0, path.duration_s, n)
-    setpoints = [path.at(t) for t in times]
-    return times, np.array([s.motor_rad for s in setpoints]), np.array([s.rate_rad_s for s in setpoints])
 
 
 @settings(max_examples=30)
@@ -116,12 +109,15 @@ def straight(plan) -> LinePath:
     return path
 
 
-def line_errors(config, joints, tool, path, gap_rad=None, samples=160):
-    """Of the settled tool over a line: distance from the straight chord, turn against the start, length."""
+def along(config, tool, path, gear_rad, samples=160):
+    """The tool over a path whose outputs follow their motors, and the gear angles at its end."""
     _, motor, _ = sampled(path, samples)
-    gap = np.broadcast_to((joints.gap_rad if gap_rad is None else gap_rad)[:, None], motor.T.shape)
-    at_rest = settle(config.arm, motor.T, gap, MARS_R_m_s2)
-    X = tool_pose(config.arm, at_rest.frames, tool)
+    gears = gears_along(config, gear_rad, motor)
+    return tool_at(config, (motor + gears).T, tool), gears[-1]
+
+
+def line_errors(X):
+    """Of the tool over a line: distance from the straight chord, turn against the start, length."""
     p, axis = X.p.T, X.R[:, 0].T
     start, end = p[0], p[-1]
     chord = (end - start) / np.linalg.norm(end - start)
@@ -131,23 +127,27 @@ def line_errors(config, joints, tool, path, gap_rad=None, samples=160):
     return np.linalg.norm(off, axis=1).max(), turn.max(), float(np.linalg.norm(end - start))
 
 
-def settled(config, motor, gap, tool):
-    return tool_pose(config.arm, settle(config.arm, motor, gap, MARS_R_m_s2).frames, tool)
+def without_play(name):
+    """Gaps of no width and outputs without friction: what is left is the geometry of the line."""
+    return replace(config_of(name), half_gap_rad=np.zeros(5), output_friction_Nm=np.zeros(5))
 
 
-def without_backlash(name):
-    """Gaps of no width: what is left is the geometry of the line."""
-    config = config_of(name)
-    return replace(config, half_gap_rad=np.zeros(5))
+def settled(config, start_rad=None):
+    """The rig after some looks at the load."""
+    rig = Rig(config, start_rad=start_rad)
+    for _ in range(3 * config.params.motion.load_period):
+        rig.cycle()
+    return rig
 
 
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
 @pytest.mark.parametrize("tool", Tool)
 def test_a_guarded_line_is_straight_and_keeps_its_axis(name, tool):
-    config = without_backlash(name)
-    rig = Rig(config, start_rad=facing(config, tool))
+    config = without_play(name)
+    rig = settled(config, facing(config, tool))
     path = straight(plan_guarded(config, rig.state.joints, rig.touch(tool, 0.15)))
-    off_m, turn_rad, length_m = line_errors(config, rig.state.joints, tool, path)
+    X, _ = along(config, tool, path, likely(rig.state.joints))
+    off_m, turn_rad, length_m = line_errors(X)
     assert length_m == pytest.approx(0.15, abs=1e-6)
     assert off_m < STRAIGHT_M
     assert turn_rad < AXIS_RAD
@@ -155,28 +155,16 @@ def test_a_guarded_line_is_straight_and_keeps_its_axis(name, tool):
 
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
 def test_a_retraction_is_straight_and_goes_back_along_the_tool(name):
-    config = without_backlash(name)
-    rig = Rig(config)
-    X = rig.tool_pose(Tool.APXS)
+    config = without_play(name)
+    rig = settled(config)
+    start = rig.tool_pose(Tool.APXS)
     path = straight(plan_retract(config, rig.state.joints, Retract(Tool.APXS, 0.1)))
-    off_m, turn_rad, length_m = line_errors(config, rig.state.joints, Tool.APXS, path)
+    X, _ = along(config, Tool.APXS, path, likely(rig.state.joints))
+    off_m, turn_rad, length_m = line_errors(X)
     assert length_m == pytest.approx(0.1, abs=1e-6)
     assert off_m < STRAIGHT_M
     assert turn_rad < AXIS_RAD
-    end = settled(config, sampled(path, 2)[1][-1], rig.state.joints.gap_rad, Tool.APXS)
-    np.testing.assert_allclose(end.p, X.p - 0.1 * X.R[:, 0], atol=1e-7)
-
-
-def gap_of(plan, joints):
-    """The gaps that each path of a plan ends with, by the play operator and the load where it ends."""
-    gap, gaps = joints.gap_rad, []
-    for path in plan.paths:
-        _, motor, _ = sampled(path, 600)
-        side = load_side(CONFIG, settle(CONFIG.arm, motor[0], gap, MARS_R_m_s2).torque_Nm)
-        for motion in np.diff(motor, axis=0):
-            gap = gap_after(CONFIG, side, gap, motion)
-        gaps.append(gap)
-    return gaps
+    np.testing.assert_allclose(X.p[:, -1], start.p - 0.1 * start.R[:, 0], atol=1e-7)
 
 
 CROSSING = [
@@ -195,41 +183,37 @@ CROSSING = [
 def test_a_line_is_straight_also_where_gaps_are_crossed_and_the_crossing_leaves_the_tool_where_it_was(
     tool, kind, start
 ):
-    """A gap is crossed in a joint move of its own while the output stands still; then the line goes on."""
+    """A gear is crossed in a joint move of its own while the output stands still; then the line goes on."""
     rig = Rig(CONFIG, start_rad=facing(CONFIG, tool) if start == "facing" else None)
-    joints = rig.state.joints
+    joints, begin = rig.state.joints, rig.tool_pose(tool)
     if kind == "guarded":
         plan = plan_guarded(CONFIG, joints, rig.touch(tool, 0.12))
     else:
         plan = plan_retract(CONFIG, joints, Retract(tool, 0.1))
     assert isinstance(plan, Plan)
-    length = 0.0
-    gap = joints.gap_rad
-    X = settled(CONFIG, joints.motor_rad, gap, tool)
-    here, there = X, X.p + (0.12 if kind == "guarded" else -0.1) * X.R[:, 0]
-    way = (there - X.p) / np.linalg.norm(there - X.p)
-    for path, gap_at_end in zip(plan.paths, gap_of(plan, joints), strict=True):
-        ends = np.array([path.at(t).motor_rad for t in (0.0, path.duration_s)])
+    there = begin.p + (0.12 if kind == "guarded" else -0.1) * begin.R[:, 0]
+    way = (there - begin.p) / np.linalg.norm(there - begin.p)
+    here, gear, length = begin.p, likely(joints), 0.0
+    for path in plan.paths:
+        X, gear = along(CONFIG, tool, path, gear)
+        np.testing.assert_allclose(X.p[:, 0], here, atol=STEP_M)
+        off = X.p - begin.p[:, None]
+        assert np.linalg.norm(off - np.outer(way, way @ off), axis=0).max() < STRAIGHT_M
         if isinstance(path, LinePath):
-            np.testing.assert_allclose(gap_at_end, gap, atol=1e-12)
-            off_m, turn_rad, piece_m = line_errors(CONFIG, joints, tool, path, gap)
+            off_m, turn_rad, piece_m = line_errors(X)
             assert off_m < STRAIGHT_M
             assert turn_rad < AXIS_RAD
             length += piece_m
         else:
-            # the motor crosses what the output has of play, and the output stands
-            np.testing.assert_allclose(ends[1] - ends[0], gap - gap_at_end, atol=1e-9)
-            assert np.abs(ends[1] - ends[0]).max() <= 2 * CONFIG.half_gap_rad.max() * (1 + 1e-9)
-        before, after = settled(CONFIG, ends[0], gap, tool), settled(CONFIG, ends[1], gap_at_end, tool)
-        np.testing.assert_allclose(before.p, here.p, atol=STEP_M)
-        for end in (before, after):
-            off = end.p - X.p
-            assert np.linalg.norm(off - (off @ way) * way) < STRAIGHT_M
-        here, gap = after, gap_at_end
-    np.testing.assert_allclose(here.p, there, atol=1e-6)
-    np.testing.assert_allclose(gap, plan.gap_rad, atol=1e-12)
-    np.testing.assert_allclose(ends[1], plan.motor_rad, atol=1e-12)
-    assert length == pytest.approx(np.linalg.norm(there - X.p), abs=2e-5)
+            # the motor crosses what the output has of play and wind-up, and the output stands
+            np.testing.assert_allclose(X.p, np.tile(here[:, None], X.p.shape[1]), atol=STEP_M)
+            crossed = np.abs(path.at(path.duration_s).motor_rad - path.at(0.0).motor_rad)
+            assert (crossed <= 2 * (CONFIG.half_gap_rad + WIND_UP_RAD) + 1e-9).all()
+        here = X.p[:, -1]
+    np.testing.assert_allclose(here, there, atol=1e-6)
+    np.testing.assert_allclose(gear, plan.end.gear_rad, atol=1e-9)
+    np.testing.assert_allclose(path.at(path.duration_s).motor_rad, plan.end.motor_rad, atol=1e-12)
+    assert length == pytest.approx(np.linalg.norm(there - begin.p), abs=2e-5)
 
 
 def test_some_line_does_cross_a_gap():
@@ -245,14 +229,14 @@ def test_some_line_does_cross_a_gap():
 
 
 def test_a_line_may_turn_the_tool_to_its_approach_on_the_way():
-    config = without_backlash("nominal")
+    config = without_play("nominal")
     rig = Rig(config)
     X = rig.tool_pose(Tool.APXS)
     approach = X.R[:, 0] + 0.02 * X.R[:, 1]
     command = GuardedMove(Tool.APXS, floats(X.p + 0.1 * X.R[:, 0]), floats(approach))
     path = straight(plan_guarded(config, rig.state.joints, command))
-    end = settled(config, sampled(path, 2)[1][-1], rig.state.joints.gap_rad, Tool.APXS)
-    np.testing.assert_allclose(end.R[:, 0], approach / np.linalg.norm(approach), atol=1e-7)
+    end, _ = along(config, Tool.APXS, path, likely(rig.state.joints))
+    np.testing.assert_allclose(end.R[:, 0, -1], approach / np.linalg.norm(approach), atol=1e-7)
 
 
 def lines(plan):

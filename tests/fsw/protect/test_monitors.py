@@ -3,26 +3,35 @@
 import numpy as np
 import pytest
 
-from fsw.config import ticks
+from fsw.config import CYCLE_HZ, ticks
 from fsw.dictionary.commands import ClearFault, MoveJoints, Retract
 from fsw.dictionary.evrs import (
     CommandAborted,
     CommandCompleted,
     ContactInFreeSpace,
     ContactMade,
+    CurrentImplausible,
     Evr,
     FaultResponse,
     FollowingErrorHigh,
     GravityImplausible,
+    HardstopMissed,
+    HardstopMoved,
+    HardstopUnclear,
+    MotorStuck,
     NoContact,
+    NoHardstop,
     NotSettled,
     OverCurrent,
+    ResolverDisagrees,
     SensorNotFinite,
     SetpointUnsafe,
     SoftLimitPassed,
+    StalledEarly,
 )
 from fsw.dictionary.joints import SWITCHES_OF, Joint, Switch, Tool
 from fsw.dictionary.modes import Mode
+from fsw.motion.move import Phase
 from fsw.protect.responses import RESPONSE_TO, Response, response_to
 from tests.fsw.rig import Rig, config_of, facing, floats
 
@@ -137,7 +146,7 @@ def test_a_motor_that_does_not_turn_ends_in_a_following_error():
 
 def encoders_at(rig, joint, angle_rad):
     """A reading of the encoders with one joint at this angle."""
-    zero = rig.state.joints.zero_rad[joint]
+    zero = rig.state.joints.reference.zero_rad[joint]
     count = np.rint((angle_rad - zero) / CONFIG.rad_per_count[joint]).astype(int)
     return {"encoder_count": np.where(np.arange(5) == joint, count, rig.count)}
 
@@ -184,10 +193,52 @@ def test_a_joint_beyond_its_limit_may_move_back_or_rest(joint, end):
     assert rig.state.mode is Mode.DEPLOYED
 
 
-def test_before_a_reference_there_are_no_soft_limits():
-    rig = Rig(CONFIG, start_rad=START, referenced=False)
-    rig.cycle(encoder_count=np.full(5, 10**9))
-    assert not found(rig, SoftLimitPassed)
+def test_joints_that_are_not_calibrated_rest_beyond_any_soft_limit_without_a_fault():
+    rig = Rig(CONFIG, start_rad=START, calibrated=False)
+    for _ in range(5):
+        rig.cycle(encoder_count=np.full(5, 10**9))
+    assert rig.state.mode is Mode.DEPLOYED
+
+
+def resolver_off(rig, joint, off_rad):
+    return {"resolver_rad": rig.resolver_rad() + off_rad * (np.arange(5) == joint)}
+
+
+@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("start", [moving, lambda: Rig(CONFIG, start_rad=START)], ids=["moving", "resting"])
+def test_a_resolver_may_be_off_by_its_bound_and_what_is_unknown_of_the_gap_and_no_more(joint, sign, start):
+    for more_rad, said in ((-2e-4, False), (2e-4, True)):
+        rig = start()
+        for _ in range(300):
+            bound = BOUNDS.resolver_error_rad + rig.state.joints.uncertainty_rad[joint]
+            rig.cycle(**resolver_off(rig, joint, sign * (bound + more_rad)))
+        assert bool(found(rig, ResolverDisagrees)) is said
+        if said:
+            (evr,) = found(rig, ResolverDisagrees)
+            assert evr.joint is joint
+            assert sign * evr.error_rad > evr.bound_rad >= BOUNDS.resolver_error_rad
+            assert RESPONDED in rig.evrs
+            assert rig.state.mode is Mode.FAULTED
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_a_resolver_that_reads_wrong_for_less_than_its_persistence_is_no_fault(joint):
+    rig = moving()
+    for _ in range(3):
+        for _ in range(BOUNDS.resolver_persistence // 2):
+            rig.cycle(**resolver_off(rig, joint, 0.01))
+        for _ in range(2 * CYCLE_HZ):
+            rig.cycle()
+    assert not found(rig, ResolverDisagrees)
+
+
+def test_a_resolver_of_a_joint_that_is_not_calibrated_disagrees_with_nothing():
+    rig = Rig(CONFIG, start_rad=START, calibrated=False)
+    rig.cycle()
+    for _ in range(3 * BOUNDS.resolver_persistence):
+        rig.cycle(resolver_rad=np.full(5, 1.0))
+    assert not found(rig, ResolverDisagrees)
 
 
 @pytest.mark.parametrize("switch", Switch)
@@ -277,7 +328,7 @@ def test_a_motor_that_does_not_come_to_rest_is_a_fault_after_its_time():
 
 def test_calm_is_counted_in_whole_cycles_in_a_row():
     rig = moving(MoveJoints(floats(START + 0.002)))
-    while rig.outputs.drive.setpoint_rate_rad_s.any():
+    while rig.state.move.phase is not Phase.SETTLE:
         rig.cycle()
     for k in range(5 * CONFIG.settle_ticks):
         far = k % CONFIG.settle_ticks == 0
@@ -317,6 +368,14 @@ def test_every_fault_has_a_response_and_every_response_is_used():
         OverCurrent,
         FollowingErrorHigh,
         ContactInFreeSpace,
+        CurrentImplausible,
+        HardstopMissed,
+        HardstopMoved,
+        HardstopUnclear,
+        MotorStuck,
+        NoHardstop,
+        ResolverDisagrees,
+        StalledEarly,
         NoContact,
         NotSettled,
     }

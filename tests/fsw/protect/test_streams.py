@@ -21,7 +21,7 @@ def readings(rng, rig, trouble):
     jitter = rng.uniform(-JITTER_RAD, JITTER_RAD, 5) / CONFIG.rad_per_count
     values = {
         "encoder_count": rig.count + np.rint(jitter).astype(int),
-        "resolver_rad": rng.uniform(-7, 7, 5),
+        "resolver_rad": rig.resolver_rad() + rng.normal(0, 1e-3, 5),
         "current_A": rng.normal(0, 1.0, 5),
         "winding_C": rng.uniform(-130, 80, 5),
         "switch_closed": rng.random(10) < 0.02 * trouble,
@@ -32,6 +32,8 @@ def readings(rng, rig, trouble):
         values[name][rng.integers(values[name].size)] = rng.choice([np.nan, np.inf])
     if rng.random() < 0.1 * trouble:
         values["current_A"] = rng.uniform(-1e3, 1e3, 5)
+    if rng.random() < 0.1 * trouble:
+        values["resolver_rad"] = rng.uniform(-7, 7, 5)
     return values
 
 
@@ -52,7 +54,7 @@ def command(rng, rig):
 
 def assert_safe(rig):
     drive, joint = rig.outputs.drive, rig.outputs.joint
-    setpoint = drive.setpoint_count * CONFIG.rad_per_count + rig.state.joints.zero_rad
+    setpoint = drive.setpoint_count * CONFIG.rad_per_count + rig.state.joints.reference.zero_rad
     room = CONFIG.params.monitors.soft_limit_margin_rad + JITTER_RAD
     if drive.power_on.any():
         assert (setpoint >= CONFIG.arm.soft_min_rad - room).all()

@@ -88,7 +88,8 @@ def some_value(hint: Any) -> Any:
         return tuple(some_value(item) for item in get_args(hint))
     if get_origin(hint) is Literal:
         return get_args(hint)[0]
-    return {int: 1, float: 0.5, str: "x"}[hint] if hint in (int, float, str) else next(iter(hint))
+    values = {bool: True, int: 1, float: 0.5, str: "x"}
+    return values[hint] if hint in values else next(iter(hint))
 
 
 def some_event(kind: Any) -> Any:

@@ -1,0 +1,76 @@
+"""The poses in which a joint may run to its hardstop."""
+
+from math import degrees
+from typing import Final
+
+import numpy as np
+
+from fsw.config import Config
+from fsw.dictionary.joints import STOP_ORDER, Joint
+from fsw.dictionary.params import Params
+from fsw.estimate.joints import JointEstimate
+from fsw.kinematics.statics import rest
+from fsw.kinematics.transforms import Array
+
+AGAIN: Final = Joint.ELEVATION
+"""It has a second turn, when the joints beyond it can go where its load is as wanted."""
+MOST_OF_PRESS: Final = 0.6
+"""The share of the pressing torque that gravity may take."""
+
+
+def stop_poses(params: Params, joint: Joint) -> tuple[Array, ...]:
+    """The poses in which a joint begins, one for each of its turns.
+
+    In the first those before it are parked, and it and those after it wait.
+    """
+    parked = [STOP_ORDER.index(other) < STOP_ORDER.index(joint) for other in Joint]
+    first = np.where(parked, params.hardstop.park_rad, params.hardstop.start_rad)
+    return (first, np.array(params.hardstop.again_rad)) if joint is AGAIN else (first,)
+
+
+def unsafe(config: Config, joints: JointEstimate, joint: Joint) -> str | None:
+    """Why a joint may not run to its hardstop from where the arm is, or None.
+
+    It may begin anywhere between its hardstop and its place in such a pose; where joints are not calibrated,
+    their resolvers tell.
+    """
+    reasons = [_outside(config, joints.output_rad, joint, pose) for pose in stop_poses(config.params, joint)]
+    if None not in reasons:
+        return reasons[-1]
+    return _too_heavy(config, joints, joint, joints.output_rad)
+
+
+def unsafe_for_all(config: Config, joints: JointEstimate) -> str | None:
+    """Why the joints may not be calibrated one after the other from where the arm is, or None."""
+    turns = [(joint, pose) for joint in STOP_ORDER for pose in stop_poses(config.params, joint)]
+    heavy = (_too_heavy(config, joints, joint, pose) for joint, pose in turns)
+    return unsafe(config, joints, STOP_ORDER[0]) or next((reason for reason in heavy if reason), None)
+
+
+def _too_heavy(config: Config, joints: JointEstimate, joint: Joint, pose_rad: Array) -> str | None:
+    """Gravity that presses a joint on its hardstop leaves little of the torque by which it is to be felt."""
+    params, pose = config.params.joints.in_order()[joint], pose_rad.copy()
+    pose[joint] = params.hardstop_rad
+    press_Nm = -float(rest(config.arm, pose, joints.gravity_R_m_s2).torque_Nm[joint])
+    most_Nm = MOST_OF_PRESS * params.hardstop_press_Nm
+    if press_Nm <= most_Nm:
+        return None
+    return (
+        f"joint {joint.name.lower()}: gravity presses it on its hardstop with {press_Nm:.0f} N m, "
+        f"at most {most_Nm:.0f} N m are allowed"
+    )
+
+
+def _outside(config: Config, at_rad: Array, joint: Joint, pose_rad: Array) -> str | None:
+    tolerance = config.params.hardstop.pose_tolerance_rad
+    low, high = pose_rad - tolerance, pose_rad + tolerance
+    low[joint] = config.lowest_seeking_rad[joint, joint]
+    beyond = np.maximum(low - at_rad, at_rad - high)
+    if beyond.max() <= 0:
+        return None
+    worst = Joint(int(beyond.argmax()))
+    return (
+        f"joint {worst.name.lower()}: {degrees(at_rad[worst]):.1f} deg is outside "
+        f"{degrees(low[worst]):.1f} .. {degrees(high[worst]):.1f} deg, "
+        f"where {joint.name.lower()} may be calibrated"
+    )

@@ -1,0 +1,29 @@
+"""Commands that follow from one command, each begun when the one before is done."""
+
+from dataclasses import dataclass
+from typing import Final
+
+from fsw.config import Config
+from fsw.dictionary.commands import Calibrate, Command, MoveJoint
+from fsw.dictionary.joints import STOP_ORDER, Joint
+from fsw.executive.hardstop_pose import AGAIN
+
+CLEAR_ORDER: Final = (Joint.AZIMUTH, Joint.TURRET, Joint.WRIST, Joint.ELBOW, Joint.ELEVATION)
+"""In which the joints go from their parking places to the last turn: sideways first, down last."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sequence:
+    """What is still to come of a command that takes several moves."""
+
+    command: str
+    rest: tuple[Command, ...]
+
+
+def calibrate_all(config: Config, anew: bool = False) -> Sequence:
+    """Each joint to its hardstop and then to where it waits for the others; one of them again at the end."""
+    park, again = config.params.hardstop.park_rad, config.params.hardstop.again_rad
+    turns = [(Calibrate(joint, anew), MoveJoint(joint, park[joint])) for joint in STOP_ORDER]
+    ready = [MoveJoint(joint, again[joint]) for joint in CLEAR_ORDER if again[joint] != park[joint]]
+    last = (Calibrate(AGAIN, anew), MoveJoint(AGAIN, park[AGAIN]))
+    return Sequence("CalibrateAll", (*(command for turn in turns for command in turn), *ready, *last))

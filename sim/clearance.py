@@ -1,0 +1,84 @@
+"""How close the arm comes to rover, ground and itself."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from fsw.dictionary.params import Params
+from fsw.kinematics.arm import Arm, arm_from
+from fsw.kinematics.statics import rest
+from fsw.kinematics.transforms import Array
+from sim.plant import Plant
+from sim.preview import SPRINGS
+from sim.world import World, build
+
+FAR_M: Final = 0.3
+"""Clearances above this are not told apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class Clearance:
+    """Least distance of the arm to rover or ground, and between parts of itself that are no neighbours."""
+
+    outside_m: float
+    self_m: float
+
+
+class Space:
+    """The arm in a world, to measure how close it comes to anything."""
+
+    def __init__(self, params: Params, world: World):
+        self.plant = Plant(build(world).compile())
+        self.arm: Arm = arm_from(params)
+        self.gravity_R_m_s2 = world.gravity_N_m_s2
+        model = self.plant.model
+        self._springs = np.array([_addresses(model, spring) for spring in SPRINGS])
+        arm = [geom for geom in range(model.ngeom) if model.geom_contype[geom] == 1]
+        others = [geom for geom in range(model.ngeom) if model.geom_contype[geom] == 2]
+        self._outside = np.array([(a, b) for a in arm for b in others])
+        self._self = np.array([(a, b) for a in arm for b in arm if _far_apart(model, a, b)])
+
+    def clearance(self, poses_rad: Array) -> Clearance:
+        """The least over poses (5, n), the arm deflected by gravity."""
+        strain = np.moveaxis(rest(self.arm, poses_rad, self.gravity_R_m_s2).strain, -1, 0)
+        outside = inside = FAR_M
+        for output, bent in zip(poses_rad.T, strain, strict=True):
+            self.plant.data.qpos[self.plant.at.motor] = output
+            self.plant.data.qpos[self._springs] = bent[:, : len(SPRINGS)].T
+            mujoco.mj_kinematics(self.plant.model, self.plant.data)
+            outside = self._least(self._outside, outside)
+            inside = self._least(self._self, inside)
+        return Clearance(outside, inside)
+
+    def _least(self, pairs: Array, least_m: float) -> float:
+        """The least distance of these pairs or what was found before; the nearest spheres first."""
+        model, data = self.plant.model, self.plant.data
+        one, other = pairs.T
+        spheres = np.linalg.norm(data.geom_xpos[one] - data.geom_xpos[other], axis=1)
+        spheres -= model.geom_rbound[one] + model.geom_rbound[other]
+        plane = model.geom_type[other] == mujoco.mjtGeom.mjGEOM_PLANE
+        spheres[plane] = data.geom_xpos[one[plane], 2] - model.geom_rbound[one[plane]]
+        for k in np.argsort(spheres):
+            if spheres[k] >= least_m:
+                break
+            apart = mujoco.mj_geomDistance(model, data, int(one[k]), int(other[k]), least_m, None)
+            least_m = min(least_m, apart)
+        return least_m
+
+
+def _addresses(model: mujoco.MjModel, spring: str) -> list[int]:
+    return [model.joint(f"{spring}_{axis}").qposadr[0] for axis in ("rx", "ry", "rz", "tx", "ty", "tz")]
+
+
+def _far_apart(model: mujoco.MjModel, one: int, other: int) -> bool:
+    """Whether two geoms of the arm are not on one link or on neighbours; the turret and its tools are one."""
+    return _link(model, other) - _link(model, one) >= 2
+
+
+def _link(model: mujoco.MjModel, geom: int) -> int:
+    body = model.geom_bodyid[geom]
+    while not model.body(body).name.removeprefix("link").isdigit():
+        body = model.body_parentid[body]
+    return int(model.body(body).name.removeprefix("link"))

@@ -1,0 +1,184 @@
+"""Finding the hardstops of an arm in the closed loop, watched from outside."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.commands import Calibrate, CalibrateAll
+from fsw.dictionary.evrs import Evr, JointCalibrated
+from fsw.dictionary.joints import STOP_ORDER, Joint
+from fsw.estimate.reference import Reference
+from fsw.executive.hardstop_pose import stop_poses
+from fsw.kinematics.transforms import Array
+from fsw.motion.seek import Stage
+from sim.arms import BuiltArm
+from sim.effects.effect import Effect
+from sim.loop import ClosedLoop, Setup, joints5
+from sim.record import CycleRecord
+from sim.sequence import Outcome, run_sequence
+from sim.world import World
+
+BEFORE_STOP_RAD: Final = 0.05
+"""Where a joint begins that is only to be measured: the long way to its hardstop tells nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """A hardstop that was found, against the true one."""
+
+    joint: Joint
+    zero_error_rad: float
+    """Believed less true motor angle, beyond what a hardstop off its drawn place brings about."""
+    uncorrected_error_rad: float
+    """The same, had wind-up been left out: output = motor + b/2 at the stall."""
+    half_gap_error_rad: float
+    load_Nm: float
+    """Modelled, at the hardstop."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """A seeking joint in one cycle; angles and speeds of the motor, output side."""
+
+    time_s: float
+    joint: Joint
+    stage: Stage
+    angle_rad: float
+    speed_rad_s: float
+    current_A: float
+    limit_A: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Initialisation:
+    """What came of it."""
+
+    outcome: Outcome
+    duration_s: float
+    evrs: tuple[tuple[float, Evr], ...]
+    """Time [s] and event."""
+    stops: tuple[Stop, ...]
+    samples: tuple[Sample, ...]
+    reference: Reference
+    """What flight software remembers after it."""
+    most_torque_Nm: Array
+    """On each hardstop."""
+    most_current_share: Array
+    """Of the current limit in force."""
+    failure: Exception | None
+    """What ended flight software, if it did."""
+
+
+class InitialisationRun:
+    """Joints looking for their hardstops: iterate over the cycles, then ask for the result."""
+
+    def __init__(self, loop: ClosedLoop, command: Calibrate | CalibrateAll):
+        self.loop = loop
+        self._command = command
+        self._outcome = Outcome.SOFTWARE_ERROR
+        self._evrs: list[tuple[float, Evr]] = []
+        self._stops: list[Stop] = []
+        self._samples: list[Sample] = []
+        self._torque_Nm = np.zeros(len(Joint))
+        self._current_share = np.zeros(len(Joint))
+
+    def __iter__(self) -> Iterator[CycleRecord]:
+        """Every cycle, as it happens."""
+        sequence = run_sequence(self.loop, (self._command,))
+        while True:
+            try:
+                record = next(sequence)
+            except StopIteration as end:
+                self._outcome = end.value
+                return
+            self._note(record)
+            yield record
+
+    def _note(self, record: CycleRecord) -> None:
+        plant, state, time_s = self.loop.plant, self.loop.state, record.tick / CYCLE_HZ
+        self._torque_Nm = np.maximum(self._torque_Nm, plant.stop_torque_Nm())
+        # the plant has just gone through a cycle under this record's limits
+        share = np.abs(plant.motor_current_A()) / record.outputs.drive.current_limit_A
+        self._current_share = np.maximum(self._current_share, share)
+        for evr in record.outputs.evrs:
+            self._evrs.append((time_s, evr))
+            if isinstance(evr, JointCalibrated):
+                self._stops.append(self._found(evr))
+        if state.move is not None and state.move.seek is not None:
+            seek = state.move.seek
+            j = seek.joint
+            self._samples.append(
+                Sample(
+                    time_s,
+                    j,
+                    seek.stage,
+                    float(state.joints.motor_rad[j]),
+                    float(state.joints.motor_rate_rad_s[j]),
+                    float(record.sensors.current_A[j]),
+                    float(record.outputs.drive.current_limit_A[j]),
+                )
+            )
+
+    def _found(self, evr: JointCalibrated) -> Stop:
+        plant, state, config, j = self.loop.plant, self.loop.state, self.loop.config, evr.joint
+        drawn_rad = config.params.joints.in_order()[j].hardstop_rad
+        zero_error = float((state.joints.motor_rad - plant.motor_rad() + plant.stop_rad())[j]) - drawn_rad
+        stalled_rad = min(s.angle_rad for s in self._samples if s.joint is j and s.stage is Stage.FINE)
+        uncorrected = drawn_rad - stalled_rad - float(config.half_gap_rad[j])
+        return Stop(
+            joint=j,
+            zero_error_rad=zero_error,
+            uncorrected_error_rad=zero_error + uncorrected - evr.moved_rad,
+            half_gap_error_rad=float(state.joints.reference.half_gap_rad[j] - plant.half_gap_rad[j]),
+            load_Nm=float(state.load.torque_Nm[j]),
+        )
+
+    def result(self) -> Initialisation:
+        """What came of it; after the last cycle."""
+        return Initialisation(
+            outcome=self._outcome,
+            duration_s=self.loop.plant.data.time,
+            evrs=tuple(self._evrs),
+            stops=tuple(self._stops),
+            samples=tuple(self._samples),
+            reference=self.loop.state.joints.reference,
+            most_torque_Nm=self._torque_Nm,
+            most_current_share=self._current_share,
+            failure=self.loop.failure,
+        )
+
+
+def stop_run(
+    arm: BuiltArm,
+    joint: Joint,
+    world: World,
+    seed: int = 0,
+    effects: tuple[Effect, ...] = (),
+    reference: Reference | None = None,
+    away_rad: Array | None = None,
+    before_stop_rad: float = BEFORE_STOP_RAD,
+) -> InitialisationRun:
+    """One joint about to look for its hardstop in its last pose, the others so far (5) away from there."""
+    pose = stop_poses(arm.params, joint)[-1] + (0.0 if away_rad is None else away_rad)
+    pose[joint] = arm.params.joints.in_order()[joint].hardstop_rad + before_stop_rad
+    loop = ClosedLoop(Setup(arm, world, joints5(pose), seed, reference, effects))
+    return InitialisationRun(loop, Calibrate(joint))
+
+
+def initialised(arm: BuiltArm, world: World | None = None, seed: int = 0) -> Iterator[Initialisation]:
+    """Every joint measured at its hardstop, each taken near it beforehand; ends with the first that fails.
+
+    The last one's reference is what flight software then remembers: counters keep counting without power.
+    """
+    known = None
+    for joint in STOP_ORDER:
+        run = stop_run(arm, joint, world or World(), seed, reference=known)
+        for _ in run:
+            pass
+        yield run.result()
+        if run.result().outcome is not Outcome.DONE:
+            return
+        known = run.result().reference

@@ -1,0 +1,165 @@
+"""The poses of the hardstop initialisation: gravity's torque at each stop, and how much room there is.
+
+They are flight parameters, `[hardstop]`. Those of nominal.toml are for the whole arm on Mars. The paper
+calibrated on Earth without a turret, in poses in which gravity has the same torque at each stop as later on
+Mars.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final, Literal
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from fsw.config import configure
+from fsw.dictionary.commands import Calibrate, Joints5, MoveJoint
+from fsw.dictionary.joints import Joint
+from fsw.dictionary.params import Params
+from fsw.executive.hardstop_pose import stop_poses
+from fsw.executive.sequence import calibrate_all
+from fsw.kinematics.arm import arm_from
+from fsw.kinematics.statics import rest
+from fsw.kinematics.transforms import Array
+from sim.arms import BuiltArm
+from sim.clearance import Clearance, Space
+from sim.effects.turret import TurretMass
+from sim.params import digest
+from sim.world import World
+
+SPACING_RAD: Final = 0.03
+CLEARANCE_M: Final = 0.015
+EQUAL_NM: Final = 0.5
+
+PoseName = Literal["start_rad", "park_rad", "again_rad"]
+FREE: Final[tuple[tuple[PoseName, Joint], ...]] = (
+    ("start_rad", Joint.ELEVATION),
+    ("park_rad", Joint.ELEVATION),
+    ("again_rad", Joint.ELBOW),
+)
+"""The angles that make torques equal: at the stops of wrist, elbow and elevation."""
+COMPARED: Final = (Joint.WRIST, Joint.ELBOW, Joint.ELEVATION)
+"""The others carry next to nothing at their stops."""
+
+
+def _degrees(*angles_deg: float) -> Joints5:
+    return _joints(np.radians(angles_deg))
+
+
+def _joints(angles: Array) -> Joints5:
+    a, b, c, d, e = (float(angle) for angle in angles)
+    return (a, b, c, d, e)
+
+
+EARTH_GUESS: Final[dict[PoseName, Joints5]] = {
+    "start_rad": _degrees(-81.1, -110.4, -158.2, -184.2, -14.2),
+    "park_rad": _degrees(-179.9, -101.8, -163.9, -172.6, 38.9),
+    "again_rad": _degrees(-81.1, -175.0, -158.0, -172.6, 38.9),
+}
+"""For the arm without a turret on Earth; `equalised` makes its torques those of another plan."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StopLoads:
+    """Gravity's torque on each joint at its hardstop, in the pose of its last turn."""
+
+    pose_rad: Array
+    """Joints by poses, both in the order of Joint."""
+    torque_Nm: Array
+    """Negative presses the output on its stop."""
+
+
+class NoPlan(ValueError):
+    """No poses within the limits do what is asked."""
+
+
+def stop_loads(params: Params, gravity_R_m_s2: Array) -> StopLoads:
+    """What each joint carries at its hardstop."""
+    poses = np.array([stop_poses(params, joint)[-1] for joint in Joint]).T
+    for joint, of_joint in zip(Joint, params.joints.in_order(), strict=True):
+        poses[joint, joint] = of_joint.hardstop_rad
+    torques = rest(arm_from(params), poses, gravity_R_m_s2).torque_Nm
+    return StopLoads(poses, np.diag(torques).copy())
+
+
+def way(params: Params) -> list[Array]:
+    """Every pose (5) between two motions while all joints are calibrated; each motion is of one joint."""
+    stops = [joint.hardstop_rad for joint in params.joints.in_order()]
+    poses = [np.array(params.hardstop.start_rad)]
+    for command in calibrate_all(configure(params, digest(params))).rest:
+        pose = poses[-1].copy()
+        match command:
+            case Calibrate(joint=joint):
+                pose[joint] = stops[joint]
+            case MoveJoint(joint=joint, angle_rad=angle):
+                pose[joint] = angle
+        poses.append(pose)
+    return poses
+
+
+def sweep_poses(params: Params, spacing_rad: float = SPACING_RAD) -> Array:
+    """Poses all along the way, (5, n)."""
+    poses = way(params)
+    legs = []
+    for start, end in pairwise(poses):
+        samples = int(np.abs(end - start).max() / spacing_rad) + 2
+        legs.append(np.linspace(start, end, samples, axis=1))
+    return np.concatenate(legs, axis=1)
+
+
+def clearances(params: Params, space: Space, spacing_rad: float = SPACING_RAD) -> Clearance:
+    """How close the arm comes to anything while all joints are calibrated."""
+    return space.clearance(sweep_poses(params, spacing_rad))
+
+
+def with_poses(params: Params, poses: dict[PoseName, Joints5]) -> Params:
+    """The parameters with other poses of the hardstop initialisation."""
+    stops = replace(
+        params.hardstop,
+        start_rad=poses["start_rad"],
+        park_rad=poses["park_rad"],
+        again_rad=poses["again_rad"],
+    )
+    return replace(params, hardstop=stops)
+
+
+def equalised(params: Params, gravity_R_m_s2: Array, wanted_Nm: Array) -> Params:
+    """The parameters with poses near those they have, in which gravity has these torques (5) at the stops.
+
+    Raises:
+        NoPlan: the free angles cannot bring them about.
+    """
+    limits = [params.joints.in_order()[joint] for _, joint in FREE]
+
+    def missed_Nm(angles: Array) -> Array:
+        found = stop_loads(_turned(params, angles), gravity_R_m_s2).torque_Nm
+        missed: Array = (found - wanted_Nm)[list(COMPARED)]
+        return missed
+
+    first = np.array([getattr(params.hardstop, pose)[joint] for pose, joint in FREE])
+    low, high = [joint.soft_min_rad for joint in limits], [joint.soft_max_rad for joint in limits]
+    found = least_squares(missed_Nm, first, bounds=(low, high), xtol=1e-10)
+    if np.abs(found.fun).max() > EQUAL_NM:
+        raise NoPlan(f"the torques miss what was wanted by {np.round(found.fun, 1)} N m at best")
+    return _turned(params, found.x)
+
+
+def without_turret(arm: BuiltArm, on_earth: bool) -> BuiltArm:
+    """The arm without its turret, which flight software knows; on Earth in poses for it.
+
+    There the torques are those that the whole arm has in its own poses on Mars.
+    """
+    turret = TurretMass(0.0)
+    bare = replace(arm, effects=(*arm.effects, turret), params=turret.on_params(arm.params))
+    if not on_earth:
+        return bare
+    wanted_Nm = stop_loads(arm.params, World().gravity_N_m_s2).torque_Nm
+    guess = with_poses(bare.params, EARTH_GUESS)
+    return replace(bare, params=equalised(guess, World("earth").gravity_N_m_s2, wanted_Nm))
+
+
+def _turned(params: Params, angles: Array) -> Params:
+    poses = {name: list(getattr(params.hardstop, name)) for name in EARTH_GUESS}
+    for (pose, joint), angle in zip(FREE, angles, strict=True):
+        poses[pose][joint] = float(angle)
+    return with_poses(params, {name: _joints(np.array(pose)) for name, pose in poses.items()})

@@ -1,0 +1,141 @@
+"""Tours of poses in free air: where the joints come to rest, what flight software believes, what is true."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from fsw.config import CYCLE_HZ, Config
+from fsw.dictionary.commands import Backlash, MoveJoints
+from fsw.dictionary.evrs import CommandCompleted
+from fsw.dictionary.joints import Tool
+from fsw.estimate.reference import Reference
+from fsw.kinematics.answers import Verdict
+from fsw.kinematics.ik import inverse_kinematics
+from fsw.kinematics.transforms import Array
+from sim.arms import BuiltArm
+from sim.effects.environment import NothingToTouch
+from sim.frames import p_R_from_N
+from sim.loop import ClosedLoop, Setup, joints5
+from sim.sequence import run_sequence
+from sim.workspace import approach_from, random_targets
+from sim.world import World
+
+REST_S: Final = 2.0
+"""On the brakes, before anything is looked at."""
+SMALL_RAD: Final = 0.02
+INSIDE_RAD: Final = 0.02
+"""How far random poses keep from the soft limits."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """The arm at rest after a move; joint arrays in the order of Joint, positions in RMECH."""
+
+    goal_rad: Array
+    output_rad: Array
+    """True."""
+    gear_rad: Array
+    """True output less motor angle."""
+    half_gap_rad: Array
+    """True."""
+    motor_rad: Array
+    """Believed, as are all below but the last two."""
+    side: Array
+    believed_gear_rad: Array
+    uncertainty_rad: Array
+    load_Nm: Array
+    gravity_R_m_s2: Array
+    backlash_shift_m: Array
+    """How far the drill is off because outputs lie elsewhere in their gaps than the set-points allow for."""
+    p_RoTo_R_m: Array
+    """The drill's true place."""
+
+    @property
+    def true_side(self) -> Array:
+        """+1 or -1 on a flank, 0 between."""
+        side: Array = np.sign(self.gear_rad) * (np.abs(self.gear_rad) > 0.95 * self.half_gap_rad)
+        return side
+
+
+def tour(
+    arm: BuiltArm, reference: Reference, world: World, goals: Sequence[Array], backlash: Backlash, seed: int
+) -> Iterator[Settled]:
+    """The arm at rest at each goal (5), reached from the one before; it begins at the ready pose.
+
+    Raises:
+        RuntimeError: a move did not come to its end.
+    """
+    setup = Setup(arm, world, arm.params.poses.ready_rad, seed, reference, (NothingToTouch(),))
+    loop = ClosedLoop(setup)
+    for _ in range(CYCLE_HZ):
+        loop.cycle()
+    for goal in goals:
+        command = MoveJoints(joints5(goal), backlash)
+        evrs = [evr for record in run_sequence(loop, (command,)) for evr in record.outputs.evrs]
+        if CommandCompleted("MoveJoints") not in evrs:
+            raise RuntimeError(f"{arm.name}: no way to {np.degrees(goal)} deg: {evrs[-1].message}")
+        for _ in range(round(REST_S * CYCLE_HZ)):
+            loop.cycle()
+        yield _settled(loop, goal)
+
+
+def _settled(loop: ClosedLoop, goal_rad: Array) -> Settled:
+    plant, state = loop.plant, loop.state
+    joints, truth = state.joints, plant.truth()
+    return Settled(
+        goal_rad=goal_rad,
+        output_rad=truth.output_rad,
+        gear_rad=truth.output_rad - truth.motor_rad,
+        half_gap_rad=plant.half_gap_rad,
+        motor_rad=joints.motor_rad,
+        side=joints.side,
+        believed_gear_rad=joints.output_rad - joints.motor_rad,
+        uncertainty_rad=joints.uncertainty_rad,
+        load_Nm=state.load.torque_Nm,
+        gravity_R_m_s2=joints.gravity_R_m_s2,
+        backlash_shift_m=plant.tool_shift(Tool.DRILL, plant.gap_rad() - state.planned_gap_rad),
+        p_RoTo_R_m=truth.p_RoTo_R_m[Tool.DRILL],
+    )
+
+
+def random_goals(config: Config, rng: np.random.Generator, count: int) -> list[Array]:
+    """Poses anywhere in the limits, over the workspace on any branch, a little way on, and back again."""
+    goals = [np.array(config.params.poses.ready_rad)]
+    while len(goals) <= count:
+        match rng.integers(10):
+            case 0:
+                goals.append(_anywhere(config, rng))
+            case 1 | 2:
+                goals.append(_in_workspace(config, rng))
+            case 3:
+                goals.append(goals[-2] if len(goals) > 1 else goals[-1])
+            case _:
+                step = rng.uniform(-SMALL_RAD, SMALL_RAD, 5) * rng.integers(0, 2, 5)
+                goals.append(_inside(config, goals[-1] + step))
+    return goals[1:]
+
+
+def _anywhere(config: Config, rng: np.random.Generator) -> Array:
+    arm = config.arm
+    return rng.uniform(arm.soft_min_rad + INSIDE_RAD, arm.soft_max_rad - INSIDE_RAD)
+
+
+def _in_workspace(config: Config, rng: np.random.Generator) -> Array:
+    """A pose on a random valid branch at a random target of the workspace, for a random tool."""
+    tool = Tool(int(rng.integers(len(Tool))))
+    while True:
+        p_N_m, angles = random_targets(rng, 1)
+        approach = approach_from(angles)[:, 0]
+        answers = inverse_kinematics(
+            config.arm, tool, p_R_from_N(p_N_m[:, 0]), approach, np.zeros(3), np.zeros(5)
+        )
+        valid = np.flatnonzero(answers.verdict == Verdict.VALID)
+        if valid.size:
+            return _inside(config, np.asarray(answers.output_rad[:, rng.choice(valid)]))
+
+
+def _inside(config: Config, pose: Array) -> Array:
+    arm = config.arm
+    return np.clip(pose, arm.soft_min_rad + INSIDE_RAD, arm.soft_max_rad - INSIDE_RAD)

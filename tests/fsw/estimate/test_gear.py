@@ -1,0 +1,182 @@
+"""The interval observer of a gear: backlash, wind-up and friction as one clip, and what it may claim."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from fsw.estimate.gear import (
+    LEAST,
+    LIKELY,
+    MOST,
+    STILL_RAD,
+    bounds_under,
+    gap_of,
+    gear_after,
+    gear_moved,
+    load_error,
+    side_of,
+    uncertain_loads,
+)
+from tests.fsw.rig import MARS_R_m_s2, config_of
+
+CONFIG = config_of()
+HALF, FRICTION = CONFIG.half_gap_rad, CONFIG.output_friction_Nm
+STIFFNESS = CONFIG.arm.gear_stiffness_Nm_rad
+ERROR = load_error(CONFIG, MARS_R_m_s2)
+
+shares = hnp.arrays(float, 5, elements=st.floats(-1, 1))
+motions = hnp.arrays(float, 5, elements=st.floats(-0.01, 0.01))
+loads = hnp.arrays(float, 5, elements=st.floats(-40, 40))
+gears = hnp.arrays(float, (5, 3), elements=st.floats(-0.005, 0.005)).map(
+    lambda values: np.sort(values, axis=1)
+)
+histories = st.lists(st.tuples(motions, loads, shares), min_size=1, max_size=12)
+
+
+def bounds(load_Nm):
+    return bounds_under(CONFIG, HALF, uncertain_loads(CONFIG, load_Nm, MARS_R_m_s2))
+
+
+def anywhere():
+    return np.column_stack([-HALF, np.zeros(5), HALF])
+
+
+def torque_Nm(gear_rad):
+    """What a spring with play carries."""
+    return STIFFNESS * (gear_rad - np.clip(gear_rad, -HALF, HALF))
+
+
+def true_gear(gear_rad, motion_rad, load_Nm):
+    """The motor turns while friction holds the output, and then the output slips as far as it must."""
+    gear_rad = gear_rad - motion_rad
+    carried = torque_Nm(gear_rad)
+    left = np.clip(carried, load_Nm - FRICTION, load_Nm + FRICTION)
+    up, down = (
+        left / STIFFNESS + np.where(left > 0, HALF, -HALF),
+        left / STIFFNESS - np.where(left < 0, HALF, -HALF),
+    )
+    return np.where(left > carried, up, np.where(left < carried, down, gear_rad))
+
+
+@given(shares, histories)
+def test_the_true_gear_angle_is_always_inside_and_no_side_is_claimed_that_it_is_not_on(start, history):
+    truth, believed = start * HALF, anywhere()
+    for motion, load, error in history:
+        truth = true_gear(truth, motion, load + error * ERROR)
+        believed = gear_after(believed, motion, bounds(load))
+        assert (believed[:, LEAST] <= truth + 1e-12).all()
+        assert (truth <= believed[:, MOST] + 1e-12).all()
+        side = side_of(HALF, believed)
+        assert (side * truth >= np.abs(side) * (HALF - 2e-6)).all()
+
+
+@given(gears, loads, motions)
+def test_least_likely_and_most_stay_in_order(gear, load, motion):
+    assert (np.diff(gear_after(gear, motion, bounds(load)), axis=1) >= 0).all()
+
+
+@given(loads, loads)
+def test_bounds_are_monotone_in_the_load_and_leave_room_for_friction(one, other):
+    low, high = (
+        bounds_under(CONFIG, HALF, load) for load in (np.minimum(one, other), np.maximum(one, other))
+    )
+    assert (low.lowest_rad <= high.lowest_rad).all()
+    assert (low.highest_rad <= high.highest_rad).all()
+    assert (high.highest_rad - high.lowest_rad >= 2 * FRICTION / STIFFNESS - 1e-15).all()
+
+
+@given(gears, loads, motions)
+def test_a_motor_that_stands_changes_nothing_twice(gear, load, motion):
+    once = gear_after(gear, motion, bounds(load))
+    np.testing.assert_array_equal(gear_after(once, np.zeros(5), bounds(load)), once)
+
+
+@given(gears, loads, motions)
+def test_between_the_bounds_the_output_stands_still(gear, load, motion):
+    under = bounds(load)
+    after = gear_after(gear, motion, under)
+    held = (after > under.lowest_rad) & (after < under.highest_rad)
+    np.testing.assert_allclose((after + motion[:, None])[held], gear[held], atol=1e-15)
+
+
+@given(gears, loads, st.floats(0, 0.005), st.floats(0, 0.005))
+def test_a_motion_in_one_direction_may_be_taken_in_parts(gear, load, first, second):
+    under = bounds(load)
+    gear = gear_after(gear, np.zeros(5), under)
+    for sign in (1.0, -1.0):
+        parts = gear
+        for motion in (first, second):
+            parts = gear_after(parts, np.full(5, sign * motion), under)
+        whole = gear_after(gear, np.full(5, sign * (first + second)), under)
+        np.testing.assert_allclose(parts, whole, atol=1e-15)
+
+
+@given(gears, loads, st.sampled_from([-1.0, 1.0]))
+def test_an_output_that_was_dragged_is_known_but_for_the_error_of_the_load(gear, load, direction):
+    after = gear_after(gear, np.full(5, 0.1 * direction), bounds(load))
+    taken_up = load - direction * FRICTION
+    decided = np.abs(taken_up) > ERROR
+    np.testing.assert_allclose(after[:, LIKELY], true_gear(gear[:, 0], 0.1 * direction, load), atol=1e-15)
+    np.testing.assert_array_equal(side_of(HALF, after)[decided], np.sign(taken_up)[decided])
+    width = after[:, MOST] - after[:, LEAST]
+    np.testing.assert_allclose(width[decided], (2 * ERROR / STIFFNESS)[decided], atol=1e-15)
+
+
+@given(gears, loads, st.sampled_from([-1.0, 1.0]))
+def test_without_an_error_of_the_load_dragging_leaves_no_doubt(gear, load, direction):
+    certain = bounds_under(CONFIG, HALF, np.tile(load[:, None], 3))
+    after = gear_after(gear, np.full(5, 0.1 * direction), certain)
+    np.testing.assert_array_equal(after[:, LEAST], after[:, MOST])
+
+
+@given(gears, loads)
+def test_a_load_beyond_friction_and_error_holds_the_output_on_its_flank(gear, load):
+    after = gear_after(gear, np.zeros(5), bounds(load))
+    loaded = np.abs(load) > FRICTION + ERROR
+    np.testing.assert_array_equal(side_of(HALF, after)[loaded], np.sign(load)[loaded])
+
+
+@given(loads)
+def test_there_and_back_the_gear_angle_is_another_by_twice_the_friction_and_the_gap_if_it_is_crossed(load):
+    """Hysteresis: from above the gear bears the load and friction, from below the load less friction."""
+    forth = gear_after(anywhere(), np.full(5, 0.1), bounds(load))[:, LIKELY]
+    back = gear_after(forth[:, None], np.full(5, -0.1), bounds_under(CONFIG, HALF, load[:, None]))[:, 0]
+    crossed = (load > -FRICTION) & (load < FRICTION)
+    np.testing.assert_allclose(torque_Nm(back) - torque_Nm(forth), 2 * FRICTION, atol=1e-8)
+    np.testing.assert_allclose(
+        (back - forth)[crossed], (2 * FRICTION / STIFFNESS + 2 * HALF)[crossed], atol=1e-12
+    )
+
+
+@given(gears, loads, motions)
+def test_what_is_planned_is_what_a_motor_that_far_leaves(gear, load, moved):
+    """Where the outputs are to move, the planned gear angles are those at which the motors' way ends."""
+    under = bounds(load)
+    planned = gear_moved(gear, moved[:, None], under)
+    for column in range(3):
+        turned = moved - (planned - gear)[:, column]
+        reached = gear_after(gear, turned, under)[:, column]
+        far = np.abs(moved) > STILL_RAD
+        np.testing.assert_allclose(reached[far], planned[far, column], atol=1e-15)
+
+
+@given(gears, loads)
+def test_an_output_that_is_not_to_move_stays_where_it_lies_unless_its_load_drags_it(gear, load):
+    np.testing.assert_array_equal(
+        gear_moved(gear, np.zeros((5, 1)), bounds(load)), gear_after(gear, np.zeros(5), bounds(load))
+    )
+
+
+@given(gears)
+def test_the_gap_is_the_gear_angle_inside_the_backlash(gear):
+    gap = gap_of(HALF, gear)
+    inside = np.abs(gear) <= HALF[:, None]
+    np.testing.assert_array_equal(gap[inside], gear[inside])
+    np.testing.assert_array_equal(np.abs(gap)[~inside], np.tile(HALF[:, None], 3)[~inside])
+
+
+def test_the_load_is_known_the_worse_the_more_gravity_there_is():
+    np.testing.assert_array_equal(ERROR, CONFIG.load_error_Nm)
+    np.testing.assert_allclose(load_error(CONFIG, np.array([0.0, 9.81, 0.0])), ERROR * 9.81 / 3.711)
+    np.testing.assert_array_equal(load_error(CONFIG, np.zeros(3)), 0.0)

@@ -1,0 +1,49 @@
+"""The judge of these tests: outputs that follow their motors through play, wind-up and friction, at rest."""
+
+import numpy as np
+
+from fsw.config import Config
+from fsw.estimate.gear import LIKELY, bounds_under, gear_after
+from fsw.estimate.joints import JointEstimate
+from fsw.kinematics.chain import tool_pose
+from fsw.kinematics.statics import rest
+from fsw.kinematics.transforms import Pose
+from fsw.motion.plan import Plan
+from tests.fsw.rig import MARS_R_m_s2
+
+
+def sampled(path, n=400):
+    times = np.linspace(0.0, path.duration_s, n)
+    setpoints = [path.at(t) for t in times]
+    return times, np.array([s.motor_rad for s in setpoints]), np.array([s.rate_rad_s for s in setpoints])
+
+
+def likely(joints: JointEstimate) -> np.ndarray:
+    return joints.gear_rad[:, LIKELY]
+
+
+def gears_along(config: Config, gear_rad: np.ndarray, motor_rad: np.ndarray) -> np.ndarray:
+    """The gear angles (n, 5) of motors that turn through these angles (n, 5), from the first one's."""
+    gears = np.tile(gear_rad, (len(motor_rad), 1))
+    for _ in range(3):  # the loads are those of the outputs, which are the motors' nearly
+        loads = rest(config.arm, (motor_rad + gears).T, MARS_R_m_s2).torque_Nm
+        bounds = [bounds_under(config, config.half_gap_rad, load[:, None]) for load in loads.T]
+        turns = np.diff(motor_rad, axis=0, prepend=motor_rad[:1])
+        gear, gears = gear_rad[:, None], np.empty_like(gears)
+        for k, (turn, under) in enumerate(zip(turns, bounds, strict=True)):
+            gear = gear_after(gear, turn, under)
+            gears[k] = gear[:, 0]
+    return gears
+
+
+def gear_at_end(config: Config, joints: JointEstimate, plan: Plan, n: int = 400) -> np.ndarray:
+    """The gear angles that a plan ends with."""
+    gear = likely(joints)
+    for path in plan.paths:
+        gear = gears_along(config, gear, sampled(path, n)[1])[-1]
+    return gear
+
+
+def tool_at(config: Config, output_rad: np.ndarray, tool: int, gravity_R_m_s2=MARS_R_m_s2) -> Pose:
+    """X_RT at rest with the outputs (5, ...) at these angles."""
+    return tool_pose(config.arm, rest(config.arm, output_rad, gravity_R_m_s2).frames, tool)

@@ -1,0 +1,95 @@
+"""The rig with hardstops: motors that only turn as far as their current drives them, outputs with play."""
+
+import numpy as np
+
+from fsw.config import Config
+from fsw.dictionary.commands import Command
+from fsw.messages import Outputs
+from tests.fsw.rig import Rig
+
+FRICTION_NM = 60.0
+"""Of motor and gear."""
+NOISE_A = 0.005
+
+
+class StopRig(Rig):
+    """Encoders are off by `zero_error_rad`, hardstops by `stop_off_rad` and give `softer` times as much."""
+
+    def __init__(
+        self, config: Config, start_rad, zero_error_rad=0.0, stop_off_rad=0.0, softer=1.0, calibrated=True
+    ):
+        joints = config.params.joints.in_order()
+        self.zero_error_rad = np.zeros(5) + zero_error_rad
+        self.stop_rad = np.array([joint.hardstop_rad for joint in joints]) + stop_off_rad
+        self.stop_Nm_rad = np.array([joint.hardstop_stiffness_Nm_rad for joint in joints]) / softer
+        self.current_A = np.zeros(5)
+        self.output_rad: np.ndarray | None = None
+        self.dead = False
+        self.seized = False
+        self.pressed_Nm = 0.0
+        self._rng = np.random.default_rng(7)
+        super().__init__(config, start_rad=np.array(start_rad) + self.zero_error_rad, calibrated=calibrated)
+
+    @property
+    def motor_rad(self) -> np.ndarray:
+        """True motor angles."""
+        return self.count * self.config.rad_per_count - self.zero_error_rad
+
+    def resolver_rad(self) -> np.ndarray:
+        return super().resolver_rad() - self.zero_error_rad if self.output_rad is None else self.output_rad
+
+    def cycle(self, *commands: Command, **readings) -> Outputs:
+        before = self.count
+        noise = NOISE_A * self._rng.standard_normal(5)
+        out = super().cycle(*commands, **{"current_A": self.current_A + noise, **readings})
+        if self.output_rad is None:
+            self.output_rad = self.motor_rad
+            self.output_rad = np.array([self._torque(j, before[j], 0.0)[1] for j in range(5)])
+        asked, self.count, self.current_A = self.count, before, np.zeros(5)
+        for j in np.flatnonzero(out.drive.power_on & out.drive.brake_release):
+            self._turn(j, asked[j])
+        return out
+
+    def _turn(self, j: int, asked: int) -> None:
+        """The motor one cycle on, and its current."""
+        constant = self.config.torque_constant_Nm_A[j]
+        most = 0.0 if self.dead else self.outputs.drive.current_limit_A[j] * constant
+        way = np.sign(asked - self.count[j])
+        near, far = self.count[j], asked
+        if self.seized:
+            far = self.count[j]
+        elif way * self._torque(j, far, way)[0] > most:
+            while abs(far - near) > 1:
+                middle = (near + far) // 2
+                near, far = (middle, far) if way * self._torque(j, middle, way)[0] <= most else (near, middle)
+            far = near
+        held_up = far != asked
+        torque, output = self._torque(j, far, way)
+        self.count = np.where(np.arange(5) == j, far, self.count)
+        self.output_rad = np.where(np.arange(5) == j, output, self.output_rad)
+        self.current_A[j] = (way * most if held_up else torque) / constant
+        self.pressed_Nm = max(self.pressed_Nm, self.stop_Nm_rad[j] * (self.stop_rad[j] - output))
+
+    def _torque(self, j: int, count: int, way: float) -> tuple[float, float]:
+        """What the motor needs there, and where its output then is: friction holds it within its bounds."""
+        motor = count * self.config.rad_per_count[j] - self.zero_error_rad[j]
+        load, friction = self.state.load.torque_Nm[j], self.config.output_friction_Nm[j]
+        low, high = (self._balance(j, motor, load + side * friction) for side in (-1, 1))
+        output = min(max(self.output_rad[j], low), high)
+        half, stiffness = self.config.half_gap_rad[j], self.config.arm.gear_stiffness_Nm_rad[j]
+        twist = output - motor
+        return way * FRICTION_NM - stiffness * (twist - np.clip(twist, -half, half)), output
+
+    def _balance(self, j: int, motor: float, pull_Nm: float) -> float:
+        """Where an output without friction rests between its gear and its hardstop."""
+        k, stop, stop_k = self.config.arm.gear_stiffness_Nm_rad[j], self.stop_rad[j], self.stop_Nm_rad[j]
+        half = self.config.half_gap_rad[j]
+        free = motor + pull_Nm / k + (half if pull_Nm > 0 else -half)
+        if free >= stop:
+            return free
+        lifted, pushed = (
+            (pull_Nm + k * (motor + side * half) + stop_k * stop) / (k + stop_k) for side in (-1, 1)
+        )
+        if lifted - motor < -half:
+            return lifted
+        return pushed if pushed - motor > half else stop + pull_Nm / stop_k

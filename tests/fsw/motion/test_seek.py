@@ -1,0 +1,167 @@
+"""A joint on its way to its hardstop: what it finds there, and what it says if something else is there."""
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.commands import Calibrate, CalibrateAll, MoveJoint
+from fsw.dictionary.evrs import (
+    CommandAborted,
+    CommandAccepted,
+    CommandCompleted,
+    CurrentImplausible,
+    FaultResponse,
+    HardstopMoved,
+    HardstopUnclear,
+    JointCalibrated,
+    MotorStuck,
+    NoHardstop,
+    StalledEarly,
+)
+from fsw.dictionary.joints import STOP_ORDER, Joint
+from fsw.dictionary.modes import Mode
+from fsw.executive.hardstop_pose import AGAIN
+from fsw.motion.seek import Stage
+from tests.fsw.motion.stops import StopRig
+from tests.fsw.rig import config_of, floats, with_params
+
+STOPS_RAD = np.array([joint.hardstop_rad for joint in config_of().params.joints.in_order()])
+BEFORE_RAD = 0.1
+START = STOPS_RAD + BEFORE_RAD
+CONFIG = with_params(
+    hardstop={"start_rad": floats(START), "park_rad": floats(START), "again_rad": floats(START)}
+)
+ZERO_ERROR_RAD = np.array([1e-3, -1.2e-3, 0.8e-3, 1.5e-3, -0.5e-3])
+STOP_NM_RAD = 200e3
+COMPLIANCE_RAD_NM = 1 / CONFIG.arm.gear_stiffness_Nm_rad + 1 / STOP_NM_RAD
+
+
+def of(evrs, kind):
+    return [evr for evr in evrs if isinstance(evr, kind)]
+
+
+def faulted(rig, joint, kind):
+    evrs = rig.run(Calibrate(joint), at_most=6000)
+    (evr,) = of(evrs, kind)
+    assert evr.joint is joint
+    assert FaultResponse("BRAKE_AND_REFUSE") in evrs
+    assert CommandAborted("Calibrate") in evrs
+    assert not of(evrs, JointCalibrated)
+    assert rig.state.mode is Mode.FAULTED
+    assert not rig.outputs.joint.calibrated[joint]
+    assert not rig.outputs.drive.power_on.any()
+    return evr
+
+
+@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("calibrated", [True, False])
+def test_a_joint_finds_its_zero_at_its_hardstop(joint, calibrated):
+    rig = StopRig(CONFIG, START, ZERO_ERROR_RAD, calibrated=calibrated)
+    evrs = rig.run(Calibrate(joint))
+    (found,) = of(evrs, JointCalibrated)
+    assert CommandCompleted("Calibrate") in evrs
+    assert rig.state.mode is Mode.DEPLOYED
+    assert rig.outputs.joint.calibrated[joint]
+    assert rig.state.joints.motor_rad[joint] == pytest.approx(rig.motor_rad[joint], abs=0.1e-3)
+    if calibrated:
+        assert found.moved_rad == pytest.approx(-ZERO_ERROR_RAD[joint], abs=0.1e-3)
+    assert found.compliance_urad_Nm == pytest.approx(1e6 * COMPLIANCE_RAD_NM[joint], rel=0.05)
+    assert found.backlash_rad == pytest.approx(2 * CONFIG.half_gap_rad[joint], abs=0.1e-3)
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_a_joint_stalls_with_what_it_is_to_press_with_and_not_with_what_its_motor_can(joint):
+    rig = StopRig(CONFIG, START)
+    assert CommandCompleted("Calibrate") in rig.run(Calibrate(joint))
+    press_Nm = CONFIG.params.joints.in_order()[joint].hardstop_press_Nm
+    assert 0.8 * press_Nm < rig.pressed_Nm < 1.3 * press_Nm
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_a_joint_that_already_stands_at_its_hardstop_finds_it_too(joint):
+    rig = StopRig(CONFIG, START - (BEFORE_RAD - 1e-3) * (np.arange(5) == joint))
+    assert CommandCompleted("Calibrate") in rig.run(Calibrate(joint))
+    assert rig.state.joints.motor_rad[joint] == pytest.approx(rig.motor_rad[joint], abs=0.1e-3)
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_a_joint_that_stalls_before_its_hardstop_says_so(joint):
+    window = CONFIG.params.hardstop.window_rad
+    early = faulted(StopRig(CONFIG, START, stop_off_rad=1.5 * window), joint, StalledEarly)
+    assert early.stop_rad == STOPS_RAD[joint]
+    assert early.angle_rad == pytest.approx(STOPS_RAD[joint] + 1.5 * window, abs=3e-3)
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_what_gives_way_like_no_hardstop_is_none(joint):
+    gear = 1 / CONFIG.arm.gear_stiffness_Nm_rad[joint]
+    too_soft = (1.5 * CONFIG.params.hardstop.stiffness_ratio * COMPLIANCE_RAD_NM[joint] - gear) * STOP_NM_RAD
+    rig = StopRig(CONFIG, START, softer=too_soft)
+    evr = faulted(rig, joint, NoHardstop)
+    assert evr.compliance_urad_Nm > CONFIG.params.hardstop.stiffness_ratio * evr.drawn_urad_Nm
+    assert evr.drawn_urad_Nm == pytest.approx(1e6 * COMPLIANCE_RAD_NM[joint])
+
+
+@pytest.mark.parametrize("joint", Joint)
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_a_hardstop_is_not_to_be_elsewhere_than_it_was_found_before(joint, sign):
+    bound = CONFIG.params.hardstop.moved_rad
+    for share, moved in ((0.9, False), (1.1, True)):
+        off = sign * share * bound * (np.arange(5) == joint)
+        rig = StopRig(CONFIG, START, off)
+        if moved:
+            evr = faulted(rig, joint, HardstopMoved)
+            assert evr.bound_rad == bound
+            assert evr.moved_rad == pytest.approx(sign * share * bound, abs=0.1e-3)
+        else:
+            assert CommandCompleted("Calibrate") in rig.run(Calibrate(joint))
+        rig = StopRig(CONFIG, START, off, calibrated=False)
+        assert CommandCompleted("Calibrate") in rig.run(Calibrate(joint))
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_a_motor_that_neither_turns_nor_draws_current_is_stuck(joint):
+    rig = StopRig(CONFIG, START)
+    rig.dead = True
+    evr = faulted(rig, joint, MotorStuck)
+    assert abs(evr.current_A) < 0.1 < evr.limit_A
+
+
+def test_a_stall_without_a_rise_of_torque_is_unclear():
+    rig = StopRig(CONFIG, START)
+    rig.until(Calibrate(Joint.WRIST), lambda: rig.state.move.seek.stage is Stage.FINE)
+    rig.seized = True
+    evrs = rig.run(at_most=2000)
+    assert HardstopUnclear(Joint.WRIST) in evrs
+    assert not rig.outputs.joint.calibrated[Joint.WRIST]
+
+
+def test_a_current_that_cannot_be_is_not_believed():
+    rig = StopRig(CONFIG, START)
+    rig.until(Calibrate(Joint.WRIST), lambda: rig.state.move.seek.stage is Stage.COARSE)
+    evrs = rig.run(at_most=200, current_A=np.full(5, -2.9))
+    (evr,) = of(evrs, CurrentImplausible)
+    assert isinstance(evr, CurrentImplausible)
+    assert evr == CurrentImplausible(Joint.WRIST, -2.9, evr.limit_A)
+    assert evr.limit_A < 2.9
+
+
+def test_all_joints_are_calibrated_one_after_the_other_and_then_wait_where_they_are_parked():
+    rig = StopRig(CONFIG, START, ZERO_ERROR_RAD, calibrated=False)
+    evrs = rig.run(CalibrateAll(), at_most=60_000)
+    assert CommandCompleted("CalibrateAll") in evrs
+    assert [evr.joint for evr in of(evrs, JointCalibrated)] == [*STOP_ORDER, AGAIN]
+    assert evrs.count(CommandAccepted("MoveJoint")) == len(Joint) + 1
+    assert rig.outputs.joint.calibrated.all()
+    assert rig.state.mode is Mode.DEPLOYED
+    np.testing.assert_allclose(rig.state.joints.motor_rad, rig.motor_rad, atol=0.1e-3)
+    np.testing.assert_allclose(rig.output_rad, START, atol=0.2e-3)
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_from_its_hardstop_a_joint_moves_back_inside_without_a_fault(joint):
+    rig = StopRig(CONFIG, START)
+    rig.run(Calibrate(joint))
+    assert rig.state.joints.motor_rad[joint] < CONFIG.arm.soft_min_rad[joint]
+    evrs = rig.run(MoveJoint(joint, float(START[joint])))
+    assert CommandCompleted("MoveJoint") in evrs
+    assert not of(evrs, FaultResponse)

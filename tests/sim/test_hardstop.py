@@ -1,0 +1,241 @@
+"""Joints against the hardstops of the plant: what is found, and what happens when something is wrong."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from fsw.dictionary import evrs
+from fsw.dictionary.commands import Calibrate, Stop
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, FaultResponse
+from fsw.dictionary.joints import Joint
+from fsw.dictionary.modes import Mode
+from fsw.estimate.reference import no_reference
+from fsw.messages import Sensors
+from fsw.motion.seek import Stage
+from fsw.state import boot
+from sim.arms import arm_named
+from sim.effects.environment import Ambient, PowerLoss
+from sim.effects.joints import GearFriction, HardstopAngle, HardstopStiffness
+from sim.initialisation import Initialisation, InitialisationRun, stop_run
+from sim.sequence import Outcome
+from sim.trials import varied
+from sim.world import World
+from tests.sim import lab
+
+RATED_NM = np.array([joint.hardstop_rated_Nm for joint in arm_named("nominal").params.joints.in_order()])
+COLD_C = -55.0
+
+
+@dataclass(frozen=True)
+class Stuck:
+    current_A: float
+
+    def __call__(self, _: float) -> float:
+        return self.current_A
+
+
+@dataclass(frozen=True)
+class Scaled:
+    gain: float
+
+    def __call__(self, current_A: float) -> float:
+        return self.gain * current_A
+
+
+@dataclass(frozen=True)
+class Shifted:
+    offset_A: float
+
+    def __call__(self, current_A: float) -> float:
+        return current_A + self.offset_A
+
+
+def finished(run: InitialisationRun) -> Initialisation:
+    """The run to its end; nothing may ever exceed its limits."""
+    for _ in run:
+        pass
+    result = run.result()
+    assert np.all(result.most_torque_Nm < RATED_NM)
+    assert result.most_current_share.max() <= 1.0 + 1e-9
+    return result
+
+
+def failed(run: InitialisationRun, event: type[evrs.Evr], joint: Joint) -> None:
+    """The run ends with this event, braked, and the joint is not calibrated."""
+    result = finished(run)
+    happened = [evr for _, evr in result.evrs]
+    assert result.outcome is Outcome.FAULTED
+    assert any(isinstance(evr, event) and evr.joint is joint for evr in happened)
+    assert FaultResponse("BRAKE_AND_REFUSE") in happened
+    assert CommandAborted("Calibrate") in happened
+    assert not result.reference.calibrated[joint]
+    assert run.loop.state.mode is Mode.FAULTED
+    assert run.loop.plant.data.eq_active[run.loop.plant.at.brake].all()
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_every_joint_of_the_nominal_arm_finds_its_zero_and_its_gap(joint):
+    run = stop_run(arm_named("nominal"), joint, World())
+    before = run.loop.plant.motor_rad()
+    result = finished(run)
+    assert result.outcome is Outcome.DONE
+    (stop,) = result.stops
+    assert abs(stop.zero_error_rad) < 0.1e-3
+    assert abs(stop.half_gap_error_rad) < 0.1e-3
+    assert list(result.reference.calibrated) == [other is joint for other in Joint]
+    assert run.loop.state.joints.side[joint] == np.sign(lab.gear_rad(run.loop.plant)[joint])
+    others = [other for other in Joint if other is not joint]
+    np.testing.assert_allclose(run.loop.plant.motor_rad()[others], before[others], atol=1e-6)
+
+
+@pytest.mark.parametrize("arm", ["as-built:3", "as-built:4"])
+@pytest.mark.parametrize("joint", Joint)
+def test_an_as_built_joint_in_the_cold_finds_its_zero(arm, joint):
+    result = finished(stop_run(arm_named(arm), joint, World(), effects=(Ambient(COLD_C),)))
+    assert abs(result.stops[0].zero_error_rad) < 0.3e-3
+    # without wind-up it would be milliradians
+    assert abs(result.stops[0].uncorrected_error_rad) > 1e-3
+
+
+def test_a_joint_repeats_on_other_days():
+    runs = [finished(varied(arm_named("as-built:1"), Joint.ELBOW, World(), seed)) for seed in range(4)]
+    errors = np.array([run.stops[0].zero_error_rad for run in runs])
+    assert np.ptp(errors) < 0.3e-3
+
+
+@pytest.mark.parametrize("temperature_C", [20.0, COLD_C])
+@pytest.mark.parametrize("joint", [Joint.WRIST, Joint.AZIMUTH])
+def test_a_joint_that_was_left_pressed_on_its_hardstop_is_not_pressed_any_harder(joint, temperature_C):
+    run = stop_run(arm_named("nominal"), joint, World(), effects=(Ambient(temperature_C),))
+    for _ in run:
+        seek = run.loop.state.move.seek if run.loop.state.move is not None else None
+        if seek is not None and seek.stage is Stage.RETREAT:
+            break
+    record = run.loop.cycle((Stop(),))
+    while record.outputs.joint.busy:
+        record = run.loop.cycle()
+    assert run.loop.state.mode is Mode.DEPLOYED
+    left_Nm = run.loop.plant.stop_torque_Nm()[joint]
+    assert left_Nm > 0.5 * run.loop.config.params.joints.in_order()[joint].hardstop_press_Nm
+    result = finished(InitialisationRun(run.loop, Calibrate(joint)))
+    assert result.outcome is Outcome.DONE
+    assert result.most_torque_Nm[joint] < 1.2 * left_Nm
+    assert abs(result.stops[0].zero_error_rad) < 0.1e-3
+
+
+def test_a_snag_on_the_way_is_a_stall_too_early():
+    snag = (HardstopAngle(Joint.TURRET, 0.1),)
+    run = stop_run(arm_named("nominal"), Joint.TURRET, World(), effects=snag, before_stop_rad=0.15)
+    failed(run, evrs.StalledEarly, Joint.TURRET)
+
+
+def test_a_hardstop_that_is_not_there_is_missed():
+    gone = (HardstopAngle(Joint.TURRET, -0.3),)
+    failed(
+        stop_run(arm_named("nominal"), Joint.TURRET, World(), effects=gone), evrs.HardstopMissed, Joint.TURRET
+    )
+
+
+def test_something_soft_in_its_place_is_no_hardstop():
+    soft = (HardstopStiffness(Joint.TURRET, 0.15),)
+    failed(stop_run(arm_named("nominal"), Joint.TURRET, World(), effects=soft), evrs.NoHardstop, Joint.TURRET)
+
+
+def test_a_hardstop_that_moved_since_last_time_is_not_believed():
+    arm = arm_named("nominal")
+    known = finished(stop_run(arm, Joint.TURRET, World())).reference
+    moved = (HardstopAngle(Joint.TURRET, 4e-3),)
+    run = stop_run(arm, Joint.TURRET, World(), effects=moved, reference=known)
+    failed(run, evrs.HardstopMoved, Joint.TURRET)
+    # nor the second time, until the ground says so
+    left = run.loop.state.joints.reference
+    again = stop_run(arm, Joint.TURRET, World(), effects=moved, reference=left)
+    failed(again, evrs.HardstopMoved, Joint.TURRET)
+    loop = stop_run(arm, Joint.TURRET, World(), effects=moved, reference=left).loop
+    result = finished(InitialisationRun(loop, Calibrate(Joint.TURRET, anew=True)))
+    assert result.outcome is Outcome.DONE
+    assert result.reference.zero_rad[Joint.TURRET] != pytest.approx(known.zero_rad[Joint.TURRET], abs=3e-3)
+
+
+def test_a_seized_motor_is_stuck():
+    seized = (GearFriction(Joint.TURRET, 50.0),)
+    run = stop_run(arm_named("nominal"), Joint.TURRET, World(), effects=seized, before_stop_rad=0.1)
+    failed(run, evrs.MotorStuck, Joint.TURRET)
+
+
+@pytest.mark.parametrize("reads", [Stuck(3.5), Stuck(-3.5), Stuck(0.0), Scaled(0.6), Shifted(0.5)], ids=str)
+@pytest.mark.parametrize("joint", [Joint.ELBOW, Joint.TURRET])
+def test_with_a_current_sensor_that_lies_nothing_is_pressed_too_hard_or_for_ever(joint, reads):
+    run = stop_run(arm_named("nominal"), joint, World())
+    sense = run.loop.avionics.sense
+
+    def lying() -> Sensors:
+        sensors = sense()
+        current_A = sensors.current_A.copy()
+        current_A[joint] = reads(current_A[joint])
+        return replace(sensors, current_A=current_A)
+
+    run.loop.avionics.sense = lying
+    result = finished(run)
+    assert result.duration_s < 120.0
+    if result.outcome is Outcome.DONE:
+        assert abs(result.stops[0].zero_error_rad) < 0.3e-3
+    else:
+        assert not result.reference.calibrated[joint]
+
+
+@pytest.mark.parametrize("stage", Stage)
+def test_power_lost_half_way_leaves_nothing_half_set(stage):
+    arm = arm_named("nominal")
+    whole = finished(stop_run(arm, Joint.TURRET, World()))
+    times_s = [s.time_s for s in whole.samples if s.stage is stage]
+    lost = (PowerLoss(float(np.median(times_s))),)
+    known = whole.reference
+    run = stop_run(arm, Joint.TURRET, World(), effects=lost, reference=known)
+    result = finished(run)
+    assert result.outcome is Outcome.FAULTED
+    assert not result.reference.calibrated[Joint.TURRET]
+    assert run.loop.plant.data.eq_active[run.loop.plant.at.brake].all()
+    np.testing.assert_array_equal(result.reference.half_gap_rad, known.half_gap_rad)
+
+
+def test_flight_software_that_starts_anew_half_way_knows_nothing_of_the_joint():
+    run = stop_run(arm_named("nominal"), Joint.TURRET, World())
+    for k, _ in enumerate(run):
+        if k == 1000:
+            break
+    reference = run.loop.state.joints.reference
+    run.loop.state = boot(run.loop.config, Mode.DEPLOYED, reference)
+    run.loop.cycle()
+    assert not run.loop.state.joints.reference.calibrated[Joint.TURRET]
+
+
+def test_a_stop_command_half_way_leaves_the_joint_uncalibrated():
+    run = stop_run(arm_named("nominal"), Joint.TURRET, World())
+    for k, _ in enumerate(run):
+        if k == 1000:
+            break
+    record = run.loop.cycle((Stop(),))
+    while record.outputs.joint.busy:
+        record = run.loop.cycle()
+    assert CommandAborted("Calibrate") in record.outputs.evrs
+    assert run.loop.state.mode is Mode.DEPLOYED
+    assert not run.loop.state.joints.reference.calibrated.any()
+
+
+def test_a_joint_found_twice_is_found_in_the_same_place():
+    arm = arm_named("as-built:2")
+    first = finished(stop_run(arm, Joint.WRIST, World(), seed=1))
+    second = finished(stop_run(arm, Joint.WRIST, World(), seed=2, reference=first.reference))
+    assert second.outcome is Outcome.DONE
+    assert CommandCompleted("Calibrate") in [evr for _, evr in second.evrs]
+    zeros = first.reference.zero_rad[Joint.WRIST], second.reference.zero_rad[Joint.WRIST]
+    assert zeros[0] == pytest.approx(zeros[1], abs=0.1e-3)
+
+
+def test_what_is_remembered_is_a_boot_s_whole_knowledge():
+    config = stop_run(arm_named("nominal"), Joint.WRIST, World()).loop.config
+    assert not boot(config, Mode.DEPLOYED).joints.reference.calibrated.any()
+    known = replace(no_reference(config), calibrated=np.ones(5, bool), known=np.ones(5, bool))
+    assert boot(config, Mode.DEPLOYED, known).joints.reference is known

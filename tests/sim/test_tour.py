@@ -1,0 +1,79 @@
+"""A tour of poses: flight software knows on which side of its backlash a joint lies, and allows for it."""
+
+import numpy as np
+import pytest
+
+from fsw.config import configure
+from sim.arms import arm_named
+from sim.params import digest
+from sim.tour import Settled, random_goals, tour
+from sim.world import World
+from tests.sim import lab
+
+ARM = arm_named("nominal")
+FRICTION_NM = np.array([joint.output_friction_Nm for joint in ARM.params.joints.in_order()])
+TILTED = World("mars", np.radians(15.0), np.radians(-20.0))
+POSES = 14
+
+
+def settled(backlash: str, arm_name: str = "nominal", poses: int = POSES) -> list[Settled]:
+    arm = arm_named(arm_name)
+    goals = random_goals(configure(arm.params, digest(arm.params)), np.random.default_rng(41), poses)
+    return list(tour(arm, lab.true_reference(arm), TILTED, goals, backlash, seed=41))
+
+
+@pytest.fixture(scope="module")
+def compensated() -> list[Settled]:
+    return settled("on")
+
+
+@pytest.fixture(scope="module")
+def uncompensated() -> list[Settled]:
+    return settled("off", poses=POSES // 2)
+
+
+def error_rad(poses: list[Settled]) -> np.ndarray:
+    return np.array([pose.output_rad - pose.goal_rad for pose in poses])
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def test_a_side_that_is_claimed_is_the_side(compensated, uncompensated):
+    for pose in (*compensated, *uncompensated):
+        known = pose.side != 0
+        np.testing.assert_array_equal(pose.side[known], pose.true_side[known])
+
+
+def test_it_is_claimed_wherever_the_load_decides_it_and_nearly_everywhere_else(compensated):
+    sides = np.array([pose.side for pose in compensated])
+    loaded = np.abs([pose.load_Nm for pose in compensated]) > FRICTION_NM
+    assert np.mean(sides[loaded] != 0) > 0.95
+    assert np.mean(sides == 0) < 0.05
+
+
+def test_outputs_come_to_where_they_are_wanted(compensated, uncompensated):
+    known = np.array([pose.side != 0 for pose in compensated])
+    assert rms(error_rad(compensated)[known]) < 0.05e-3
+    assert rms(error_rad(uncompensated)) > 1.5e-3
+
+
+def test_the_tool_is_no_longer_off_for_backlash(compensated, uncompensated):
+    with_it, without = (
+        rms(np.array([np.linalg.norm(pose.backlash_shift_m) for pose in poses]))
+        for poses in (compensated, uncompensated)
+    )
+    assert with_it < 0.2 * without
+
+
+def test_what_is_believed_of_a_gear_is_true_within_its_uncertainty(compensated):
+    for pose in compensated:
+        off = np.abs(pose.gear_rad - pose.believed_gear_rad)
+        assert np.all(off < pose.uncertainty_rad + 0.05e-3)
+
+
+def test_an_as_built_arm_is_not_claimed_to_lie_where_it_does_not():
+    for pose in settled("on", "as-built:6", poses=8):
+        known = pose.side != 0
+        np.testing.assert_array_equal(pose.side[known], pose.true_side[known])
