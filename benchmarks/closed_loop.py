@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from functools import cache
 from statistics import median
 from typing import Any
 
@@ -11,9 +12,12 @@ import numpy as np
 import sim.loop
 from fsw.cycle import step
 from fsw.dictionary.joints import Joint, Tool
+from fsw.estimate.reference import Reference
 from sim.arms import arm_named
+from sim.initialisation import initialised
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementRun
+from sim.sequence import Outcome
 from sim.world import Surface, World
 
 REPEATS = 5
@@ -21,10 +25,18 @@ BARE_STEPS = 40_000
 TARGET = Placement(Tool.APXS, (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
 
 
+@cache
+def _reference() -> Reference:
+    *_, last = initialised(arm_named("nominal"))
+    if last.outcome is not Outcome.DONE:
+        raise RuntimeError(f"the arm was not initialised: {last.evrs[-1][1].message}")
+    return last.reference
+
+
 def _loop() -> ClosedLoop:
     arm = arm_named("nominal")
     world = World(surface=Surface(TARGET.target_N_m, TARGET.normal_N))
-    return ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad))
+    return ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, reference=_reference()))
 
 
 def _bare_step_s() -> float:

@@ -1,0 +1,125 @@
+"""Where joints lie in their backlash after random moves: what is believed against what is true.
+
+Tours of settled poses at random tilts, in all branches, with reversals and small moves, each once with
+backlash compensation and once without.
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import Any, Final
+
+import numpy as np
+
+from fsw.config import configure
+from fsw.dictionary.commands import Backlash
+from fsw.dictionary.joints import Joint
+from sim.arms import arm_named
+from sim.initialisation import initialised
+from sim.params import digest
+from sim.sequence import Outcome
+from sim.tour import Settled, random_goals, tour
+from sim.world import World
+
+EXAMPLE = "example: python -m benchmarks.backlash --tours 20 --poses 50 --arm nominal > backlash.json"
+MAX_TILT_RAD: Final = float(np.radians(30.0))
+
+
+def one_tour(arm_name: str, backlash: Backlash, poses: int, seed: int) -> list[Settled]:
+    """The settled poses of a tour, its tilt and goals from the seed."""
+    arm = arm_named(arm_name)
+    runs = list(initialised(arm, seed=seed))
+    if runs[-1].outcome is not Outcome.DONE:
+        raise RuntimeError(f"{arm_name} was not initialised: {runs[-1].evrs[-1][1].message}")
+    rng = np.random.default_rng([seed, 4])
+    tilt, heading = rng.uniform(0.0, MAX_TILT_RAD), rng.uniform(-np.pi, np.pi)
+    world = World("mars", float(tilt * np.cos(heading)), float(tilt * np.sin(heading)))
+    goals = random_goals(configure(arm.params, digest(arm.params)), rng, poses)
+    return list(tour(arm, runs[-1].reference, world, goals, backlash, seed))
+
+
+def summary(config_friction_Nm: np.ndarray, settled: Sequence[Settled]) -> dict[str, Any]:
+    """How often a side is claimed and how often rightly, and how far outputs and tool are off."""
+    claimed = np.array([s.side for s in settled])
+    true = np.array([s.true_side for s in settled])
+    loaded = np.abs([s.load_Nm for s in settled]) > config_friction_Nm
+    error = np.array([s.output_rad - s.goal_rad for s in settled])
+    known = claimed != 0
+    shift = np.linalg.norm([s.backlash_shift_m for s in settled], axis=1)
+    believed = np.array([s.gear_rad - s.believed_gear_rad for s in settled])
+    return {
+        "poses": len(settled),
+        "joint_poses": int(known.size),
+        "claimed_share": float(known.mean()),
+        "claimed_share_of_loaded": float(known[loaded].mean()),
+        "floating_share": float(1.0 - known.mean()),
+        "right_share_of_claimed": float((claimed == true)[known].mean()),
+        "wrong_claims": int(np.count_nonzero((claimed != true) & known)),
+        "output_error_rms_mrad": {"claimed": _rms_mrad(error[known]), "floating": _rms_mrad(error[~known])},
+        "believed_output_error_rms_mrad": {
+            "claimed": _rms_mrad(believed[known]),
+            "floating": _rms_mrad(believed[~known]),
+        },
+        "by_joint": {
+            joint.name.lower(): {
+                "claimed_share": float(known[:, joint].mean()),
+                "output_error_rms_mrad": _rms_mrad(error[known[:, joint], joint]),
+            }
+            for joint in Joint
+        },
+        "tool_error_from_backlash_mm": {
+            "rms": 1e3 * float(np.sqrt(np.mean(shift**2))),
+            "max": 1e3 * float(shift.max()),
+        },
+    }
+
+
+def campaign(arm_name: str, tours: int, poses: int, seed: int, workers: int) -> dict[str, Any]:
+    """All tours, with and without compensation; with the same numbers everything comes again."""
+    friction = np.array([j.output_friction_Nm for j in arm_named(arm_name).params.joints.in_order()])
+    result: dict[str, Any] = {"arm": arm_name, "tours": tours, "seed": seed}
+    modes: tuple[Backlash, ...] = ("on", "off")
+    # a fifth is enough to see what there is without compensation
+    jobs = [(mode, seed + k) for mode in modes for k in range(tours if mode == "on" else max(1, tours // 5))]
+    found: dict[str, list[Settled]] = {mode: [] for mode in modes}
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        running = [(mode, pool.submit(one_tour, arm_name, mode, poses, s)) for mode, s in jobs]
+        for done, (mode, future) in enumerate(running, 1):
+            found[mode].extend(future.result())
+            print(f"marsarm: {done} of {len(jobs)} tours", file=sys.stderr)
+    for mode in modes:
+        result[f"backlash_{mode}"] = summary(friction, found[mode])
+    tool = "tool_error_from_backlash_mm"
+    result["tool_error_ratio"] = result["backlash_off"][tool]["rms"] / result["backlash_on"][tool]["rms"]
+    return result
+
+
+def _rms_mrad(error: np.ndarray) -> float | None:
+    return 1e3 * float(np.sqrt(np.mean(error**2))) if error.size else None
+
+
+def main() -> int:
+    """Print the result as JSON."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.backlash",
+        description=__doc__,
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--arm", default="nominal", help="nominal, as-built:SEED or calibrated:SEED")
+    parser.add_argument("--tours", type=int, default=20, help="tours of each kind (default 20)")
+    parser.add_argument("--poses", type=int, default=50, help="settled poses a tour (default 50)")
+    parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
+    parser.add_argument("--seed", type=int, default=0, help="of the first tour (default 0)")
+    asked = parser.parse_args()
+    if min(asked.tours, asked.poses, asked.workers) < 1 or asked.seed < 0:
+        parser.error("tours, poses and workers are 1 or more, the seed is not negative")
+    print(json.dumps(campaign(asked.arm, asked.tours, asked.poses, asked.seed, asked.workers), indent=2))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
