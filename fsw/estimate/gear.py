@@ -75,19 +75,18 @@ def gear_moved(gear_rad: Array, moved_rad: Array, bounds: GearBounds) -> Array:
 
 def side_of(half_gap_rad: Array, gear_rad: Array) -> Array:
     """+1 or -1 where the output surely lies on that side of its gap, 0 where nothing has decided; (5)."""
-    positive = gear_rad[:, LEAST] >= half_gap_rad - ON_FLANK_RAD
-    negative = gear_rad[:, MOST] <= ON_FLANK_RAD - half_gap_rad
-    side: Array = positive.astype(float) - negative
+    flank = half_gap_rad - ON_FLANK_RAD
+    side: Array = np.subtract(gear_rad[:, LEAST] >= flank, gear_rad[:, MOST] <= -flank, dtype=float)
     return side
 
 
 def gap_of(half_gap_rad: Array, gear_rad: Array) -> Array:
     """The part of gear angles (5, ...) that is backlash: half the width on a flank."""
     half = _rows(half_gap_rad, gear_rad)
-    gap: Array = np.clip(gear_rad, -half, half)
+    gap: Array = np.minimum(np.maximum(gear_rad, -half), half)
     return gap
 
 
 def _rows(per_joint: Array, like: Array) -> Array:
     """A value per joint (5) beside joint arrays (5, ...)."""
-    return per_joint.reshape(-1, *(1,) * (like.ndim - 1))
+    return per_joint if like.ndim == 1 else per_joint.reshape(-1, *(1,) * (like.ndim - 1))

@@ -100,7 +100,10 @@ def lowest_for(config: Config, move: Move) -> Array:
 def _resolver(config: Config, last: int, joints: JointEstimate) -> tuple[int, tuple[Evr, ...]]:
     """A resolver away from the believed output of its joint by more than its bound and what is unknown."""
     bounds = config.params.monitors
-    excess = np.abs(joints.resolver_error_rad) - joints.uncertainty_rad - bounds.resolver_error_rad
+    error_rad = np.abs(joints.resolver_error_rad)
+    if error_rad.max() <= bounds.resolver_error_rad:
+        return 0, ()
+    excess = error_rad - joints.uncertainty_rad - bounds.resolver_error_rad
     excess = np.where(joints.reference.calibrated, excess, -np.inf)
     if excess.max() <= 0:
         return 0, ()
