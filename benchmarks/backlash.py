@@ -4,7 +4,6 @@ Tours of settled poses at random tilts, in all branches, with reversals and smal
 backlash compensation and once without.
 """
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
@@ -14,13 +13,13 @@ from typing import Any, Final
 
 import numpy as np
 
+from benchmarks.options import parser
 from fsw.config import configure
 from fsw.dictionary.commands import Backlash
 from fsw.dictionary.joints import Joint
 from sim.arms import arm_named
-from sim.initialisation import initialised
+from sim.initialisation import initial_reference
 from sim.params import digest
-from sim.sequence import Outcome
 from sim.tour import Settled, random_goals, tour
 from sim.world import World
 
@@ -31,14 +30,12 @@ MAX_TILT_RAD: Final = float(np.radians(30.0))
 def one_tour(arm_name: str, backlash: Backlash, poses: int, seed: int) -> list[Settled]:
     """The settled poses of a tour, its tilt and goals from the seed."""
     arm = arm_named(arm_name)
-    runs = list(initialised(arm, seed=seed))
-    if runs[-1].outcome is not Outcome.DONE:
-        raise RuntimeError(f"{arm_name} was not initialised: {runs[-1].evrs[-1][1].message}")
+    reference = initial_reference(arm, seed)
     rng = np.random.default_rng([seed, 4])
     tilt, heading = rng.uniform(0.0, MAX_TILT_RAD), rng.uniform(-np.pi, np.pi)
     world = World("mars", float(tilt * np.cos(heading)), float(tilt * np.sin(heading)))
     goals = random_goals(configure(arm.params, digest(arm.params)), rng, poses)
-    return list(tour(arm, runs[-1].reference, world, goals, backlash, seed))
+    return list(tour(arm, reference, world, goals, backlash, seed))
 
 
 def summary(config_friction_Nm: np.ndarray, settled: Sequence[Settled]) -> dict[str, Any]:
@@ -103,20 +100,13 @@ def _rms_mrad(error: np.ndarray) -> float | None:
 
 def main() -> int:
     """Print the result as JSON."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.backlash",
-        description=__doc__,
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--arm", default="nominal", help="nominal, as-built:SEED or calibrated:SEED")
-    parser.add_argument("--tours", type=int, default=20, help="tours of each kind (default 20)")
-    parser.add_argument("--poses", type=int, default=50, help="settled poses a tour (default 50)")
-    parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
-    parser.add_argument("--seed", type=int, default=0, help="of the first tour (default 0)")
-    asked = parser.parse_args()
+    options = parser("backlash", __doc__, EXAMPLE)
+    options.add_argument("--arm", default="nominal", help="nominal, as-built:SEED or calibrated:SEED")
+    options.add_argument("--tours", type=int, default=20, help="tours of each kind (default 20)")
+    options.add_argument("--poses", type=int, default=50, help="settled poses a tour (default 50)")
+    asked = options.parse_args()
     if min(asked.tours, asked.poses, asked.workers) < 1 or asked.seed < 0:
-        parser.error("tours, poses and workers are 1 or more, the seed is not negative")
+        options.error("tours, poses and workers are 1 or more, the seed is not negative")
     print(json.dumps(campaign(asked.arm, asked.tours, asked.poses, asked.seed, asked.workers), indent=2))
     return 0
 

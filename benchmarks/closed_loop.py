@@ -14,10 +14,9 @@ from fsw.cycle import step
 from fsw.dictionary.joints import Joint, Tool
 from fsw.estimate.reference import Reference
 from sim.arms import arm_named
-from sim.initialisation import initialised
+from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementRun
-from sim.sequence import Outcome
 from sim.world import Surface, World
 
 REPEATS = 5
@@ -27,10 +26,7 @@ TARGET = Placement(Tool.APXS, (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
 
 @cache
 def _reference() -> Reference:
-    *_, last = initialised(arm_named("nominal"))
-    if last.outcome is not Outcome.DONE:
-        raise RuntimeError(f"the arm was not initialised: {last.evrs[-1][1].message}")
-    return last.reference
+    return initial_reference(arm_named("nominal"))
 
 
 def _loop() -> ClosedLoop:

@@ -5,7 +5,6 @@ and pose: on Mars with the turret in the planned poses; and, a fifth as often, o
 poses of equal torque and in the poses of Mars, where the torque is another.
 """
 
-import argparse
 import json
 import sys
 from collections.abc import Sequence
@@ -16,6 +15,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
+from benchmarks.options import parser
 from fsw.dictionary.joints import Joint
 from sim.arms import BuiltArm, arm_named
 from sim.initialisation import Initialisation
@@ -74,9 +74,7 @@ def run(trial: Trial) -> Result:
     """Carry out a trial."""
     arm, world = arm_at(trial.place, trial.arm)
     running = varied(arm, trial.joint, world, 1000 * trial.arm + trial.repetition)
-    for _ in running:
-        pass
-    return _result(trial, running.result())
+    return _result(trial, running.finish())
 
 
 def _result(trial: Trial, found: Initialisation) -> Result:
@@ -192,19 +190,12 @@ def _most(results: Sequence[Result], joint: Joint) -> float:
 
 def main() -> int:
     """Print the result as JSON; exit status 1 if a joint failed, or was pressed or driven too hard."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.hardstops",
-        description=__doc__,
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--arms", type=int, default=5, help="as-built arms (default 5)")
-    parser.add_argument("--repeats", type=int, default=50, help="times each (default 50)")
-    parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
-    parser.add_argument("--seed", type=int, default=0, help="of the first arm (default 0)")
-    asked = parser.parse_args()
+    options = parser("hardstops", __doc__, EXAMPLE)
+    options.add_argument("--arms", type=int, default=5, help="as-built arms (default 5)")
+    options.add_argument("--repeats", type=int, default=50, help="times each (default 50)")
+    asked = options.parse_args()
     if min(asked.arms, asked.workers) < 1 or asked.repeats < 2 or asked.seed < 0:
-        parser.error("arms and workers are 1 or more, repeats 2 or more, the seed is not negative")
+        options.error("arms and workers are 1 or more, repeats 2 or more, the seed is not negative")
     result = campaign(asked.arms, asked.repeats, asked.seed, asked.workers)
     print(json.dumps(result, indent=2))
     return 1 if result["failed"] or result["above_rated_torque"] or result["above_current_limit"] else 0

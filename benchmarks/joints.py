@@ -1,25 +1,23 @@
 """All about joint angles in one document: hardstops, backlash, and where joints fall to the other side."""
 
-import argparse
 import json
 import sys
 
 from benchmarks import backlash, hardstops, shoulder_in
+from benchmarks.options import parser
 
 EXAMPLE = "example: python -m benchmarks.joints --arms 4 --repeats 50 --tours 20 > joints.json"
 
 
 def main() -> int:
     """Print the result as JSON; exit status 1 if a joint was not initialised."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.joints", description=__doc__, epilog=EXAMPLE)
-    parser.add_argument("--arms", type=int, default=4, help="as-built arms for the hardstops (default 4)")
-    parser.add_argument("--repeats", type=int, default=50, help="times each (default 50)")
-    parser.add_argument("--tours", type=int, default=20, help="tours of 50 poses (default 20)")
-    parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
-    parser.add_argument("--seed", type=int, default=0, help="of the first of each (default 0)")
-    asked = parser.parse_args()
+    options = parser("joints", __doc__, EXAMPLE)
+    options.add_argument("--arms", type=int, default=4, help="as-built arms for the hardstops (default 4)")
+    options.add_argument("--repeats", type=int, default=50, help="times each (default 50)")
+    options.add_argument("--tours", type=int, default=20, help="tours of 50 poses (default 20)")
+    asked = options.parse_args()
     if min(asked.arms, asked.tours, asked.workers) < 1 or asked.repeats < 2 or asked.seed < 0:
-        parser.error("arms, tours and workers are 1 or more, repeats 2 or more, the seed is not negative")
+        options.error("arms, tours and workers are 1 or more, repeats 2 or more, the seed is not negative")
     found = hardstops.campaign(asked.arms, asked.repeats, asked.seed, asked.workers)
     document = {
         "hardstops": found,

@@ -3,7 +3,6 @@
 A target is tried for what its answers do, a joint vector for whether it is among the answers to its target.
 """
 
-import argparse
 import json
 import sys
 import time
@@ -14,6 +13,7 @@ from typing import Any
 
 from benchmarks.campaign import Chunk, Tally, plan, run
 from benchmarks.cases import CASES
+from benchmarks.options import parser
 
 EXAMPLE = "example: python -m benchmarks.kinematics --targets 200000 --vectors 200000 > campaign.json"
 SAY_EVERY_S = 10.0
@@ -68,19 +68,12 @@ def _say(done: int, of: int, spent_s: float, tallies: dict[str, Tally]) -> None:
 
 def main() -> int:
     """Print the result as JSON; exit status 1 if anything failed."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.kinematics",
-        description=__doc__,
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--targets", type=int, default=200_000, help="random targets (default 200000)")
-    parser.add_argument("--vectors", type=int, default=200_000, help="random joint vectors (default 200000)")
-    parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
-    parser.add_argument("--seed", type=int, default=0, help="of everything random (default 0)")
-    asked = parser.parse_args()
+    options = parser("kinematics", __doc__, EXAMPLE)
+    options.add_argument("--targets", type=int, default=200_000, help="random targets (default 200000)")
+    options.add_argument("--vectors", type=int, default=200_000, help="random joint vectors (default 200000)")
+    asked = options.parse_args()
     if min(asked.targets, asked.vectors, asked.workers) < 1 or asked.seed < 0:
-        parser.error("targets, vectors and workers are 1 or more, the seed is not negative")
+        options.error("targets, vectors and workers are 1 or more, the seed is not negative")
     result = campaign(asked.targets, asked.vectors, asked.seed, asked.workers)
     print(json.dumps(result, indent=2))
     return 1 if result["failures"] else 0

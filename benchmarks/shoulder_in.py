@@ -6,9 +6,7 @@ the encoders after hardstop initialisation: once as if every joint still lay on 
 was pressed against its hardstop, once with the state that flight software believes.
 """
 
-import argparse
 import json
-import os
 import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -19,21 +17,18 @@ from typing import Any, Final
 
 import numpy as np
 
+from benchmarks.options import parser
 from fsw.config import Config, configure
 from fsw.dictionary.joints import Tool
-from fsw.kinematics.answers import Verdict
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.statics import rest, settle
-from fsw.kinematics.transforms import Array
+from ground.report.figures import save_figure
 from sim.arms import BuiltArm, arm_named
 from sim.effects.turret import TurretMass
-from sim.frames import p_R_from_N
-from sim.initialisation import initialised
+from sim.initialisation import initial_reference
 from sim.params import digest
-from sim.tour import Settled, tour
-from sim.workspace import approach_from, random_targets
+from sim.tour import Settled, pose_in_workspace, tour
 from sim.world import World
 
 EXAMPLE = "example: python -m benchmarks.shoulder_in --picture docs/shoulder-in.png"
@@ -41,7 +36,14 @@ GROUPS: Final = ((8.0, 0.0), (8.0, 20.0), (19.0, 0.0), (19.0, 20.0))
 """Mass of the stand-in turret [kg], roll of the rover [deg]."""
 POSES: Final = 40
 SHOULDER_IN: Final = 12
-INSIDE_RAD: Final = 0.05
+WITH_SHOULDER: Final = {
+    shoulder: [name for name in BRANCHES if name.startswith(f"shoulder-{shoulder}")]
+    for shoulder in ("out", "in")
+}
+SERIES: Final = (
+    ("as_initialised_mm", "#c1121f", "gaps taken to be as at the hardstop"),
+    ("with_state_mm", "#31688e", "with the believed state of the backlash"),
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,36 +69,17 @@ def group(index: int, seed: int) -> list[Predicted]:
     world = World("earth", tilt_roll_rad=float(np.radians(roll_deg)))
     config = configure(arm.params, digest(arm.params))
     rng = np.random.default_rng([seed, index, 6])
-    goals = [pose_on(config, rng, k >= POSES - SHOULDER_IN) for k in range(POSES)]
-    reference = list(initialised(arm_named("nominal"), seed=seed))[-1].reference
+    shoulders = ["out"] * (POSES - SHOULDER_IN) + ["in"] * SHOULDER_IN
+    goals = [pose_in_workspace(config, rng, Tool.DRILL, WITH_SHOULDER[shoulder]) for shoulder in shoulders]
+    reference = initial_reference(arm_named("nominal"), seed)
     settled = tour(arm, reference, world, goals, "off", seed)
-    return [_predicted(config, s, k >= POSES - SHOULDER_IN) for k, s in enumerate(settled)]
+    return [_predicted(config, s, shoulder == "in") for s, shoulder in zip(settled, shoulders, strict=True)]
 
 
 def predictions(seed: int, workers: int) -> list[list[Predicted]]:
     """All groups."""
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         return list(pool.map(group, range(len(GROUPS)), [seed] * len(GROUPS)))
-
-
-def pose_on(config: Config, rng: np.random.Generator, shoulder_in: bool) -> Array:
-    """A pose at a random target of the workspace on a random valid branch with that shoulder."""
-    while True:
-        p_N_m, angles = random_targets(rng, 1)
-        approach = approach_from(angles)[:, 0]
-        answers = inverse_kinematics(
-            config.arm, Tool.DRILL, p_R_from_N(p_N_m[:, 0]), approach, np.zeros(3), np.zeros(5)
-        )
-        wanted = [name.startswith("shoulder-in") == shoulder_in for name in BRANCHES]
-        low, high = config.arm.soft_min_rad + INSIDE_RAD, config.arm.soft_max_rad - INSIDE_RAD
-        for slot in rng.permutation(len(BRANCHES)):
-            pose = answers.output_rad[:, slot]
-            if (
-                wanted[slot]
-                and answers.verdict[slot] == Verdict.VALID
-                and np.all((low < pose) & (pose < high))
-            ):
-                return np.asarray(pose)
 
 
 def _predicted(config: Config, s: Settled, shoulder_in: bool) -> Predicted:
@@ -131,62 +114,44 @@ def _mean(values: Sequence[float]) -> float:
 
 def draw(groups: Sequence[Sequence[Predicted]], path: Path) -> None:
     """Both predictions over the poses, as in the paper's figure."""
-    os.environ.pop("MPLBACKEND", None)
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(11, 4.2), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    every = [p for poses in groups for p in poses]
-    number = np.arange(1, len(every) + 1)
-    for k in range(len(groups)):
-        first = k * POSES + POSES - SHOULDER_IN + 0.5
-        axes.axvspan(first, first + SHOULDER_IN, color="0.92", label="shoulder-in" if k == 0 else None)
-        mass_kg, roll_deg = GROUPS[k]
-        axes.text(
-            k * POSES + 1,
-            0.97,
-            f"{mass_kg:g} kg, roll {roll_deg:g} deg",
-            va="top",
-            fontsize=8,
-            transform=axes.get_xaxis_transform(),
+    def on(figure: Any) -> None:
+        axes = figure.subplots()
+        every = [p for poses in groups for p in poses]
+        number = np.arange(1, len(every) + 1)
+        for k in range(len(groups)):
+            first = k * POSES + POSES - SHOULDER_IN + 0.5
+            axes.axvspan(first, first + SHOULDER_IN, color="0.92", label="shoulder-in" if k == 0 else None)
+            mass_kg, roll_deg = GROUPS[k]
+            axes.text(
+                k * POSES + 1,
+                0.97,
+                f"{mass_kg:g} kg, roll {roll_deg:g} deg",
+                va="top",
+                fontsize=8,
+                transform=axes.get_xaxis_transform(),
+            )
+        for name, colour, label in SERIES:
+            off_mm = [getattr(p, name) for p in every]
+            axes.plot(number, off_mm, ".-", color=colour, linewidth=0.6, label=label)
+        axes.set(
+            xlabel="pose",
+            ylabel="drill from its predicted place [mm]",
+            xlim=(0, len(every) + 1),
+            ylim=(0, None),
         )
-    axes.plot(
-        number,
-        [p.as_initialised_mm for p in every],
-        ".-",
-        color="#c1121f",
-        linewidth=0.6,
-        label="gaps taken to be as at the hardstop",
-    )
-    axes.plot(
-        number,
-        [p.with_state_mm for p in every],
-        ".-",
-        color="#31688e",
-        linewidth=0.6,
-        label="with the believed state of the backlash",
-    )
-    axes.set(
-        xlabel="pose", ylabel="drill from its predicted place [mm]", xlim=(0, len(every) + 1), ylim=(0, None)
-    )
-    figure.legend(loc="outside lower center", ncols=3, fontsize=9)
-    figure.savefig(path, dpi=110)
+        figure.legend(loc="outside lower center", ncols=3, fontsize=9)
+
+    problem = save_figure(path, (11, 4.2), 110, on)
+    if problem is not None:
+        print(f"marsarm: {problem}", file=sys.stderr)
 
 
 def main() -> int:
     """Print the means as JSON, and draw the picture."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.shoulder_in",
-        description=__doc__,
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--picture", type=Path, help="where to draw it, .png")
-    parser.add_argument("--workers", type=int, default=2, help="processes (default 2)")
-    parser.add_argument("--seed", type=int, default=0, help="of everything random (default 0)")
-    asked = parser.parse_args()
+    options = parser("shoulder_in", __doc__, EXAMPLE)
+    options.add_argument("--picture", type=Path, help="where to draw it, .png")
+    asked = options.parse_args()
     groups = predictions(asked.seed, asked.workers)
     if asked.picture is not None:
         draw(groups, asked.picture)

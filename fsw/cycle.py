@@ -5,7 +5,7 @@ from dataclasses import replace
 from fsw.config import Config
 from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.commands import Command
-from fsw.dictionary.evrs import Booted, Evr, JointCalibrated, ModeChanged
+from fsw.dictionary.evrs import Booted, Evr, ModeChanged
 from fsw.estimate import joints as joint_estimate
 from fsw.estimate import load as load_estimate
 from fsw.executive.commands import Situation, handle, proceed
@@ -72,15 +72,7 @@ def _move(config: Config, state: State, sensors: Sensors, usable: bool) -> tuple
     joint, found = result.stop
     joints = joint_estimate.calibrated(config, state.joints, state.load.torque_Nm, joint, found)
     moved_rad = float((joints.motor_rad - state.joints.motor_rad)[joint])
-    evr = JointCalibrated(
-        joint,
-        moved_rad,
-        found.running_Nm,
-        1e6 * found.compliance_rad_Nm,
-        2 * found.half_gap_rad,
-        found.gap_measured,
-    )
-    return replace(state, joints=joints), (evr, *result.evrs)
+    return replace(state, joints=joints), (found.event(joint, moved_rad), *result.evrs)
 
 
 def _protect(

@@ -173,12 +173,11 @@ def _runs(request: HardstopRequest, job: HardstopJob, progress: Progress) -> Ite
             run = stop_run(job.arm, joint, job.world, request.seed, job.effects)
         else:
             run = varied(job.arm, joint, job.world, request.seed + repetition)
-        for _ in run:
-            pass
-        if run.loop.failure is not None:
-            raise run.loop.failure
-        yield run.result()
-        if run.result().outcome is not Outcome.DONE:
+        result = run.finish()
+        if result.failure is not None:
+            raise result.failure
+        yield result
+        if result.outcome is not Outcome.DONE:
             return
 
 

@@ -11,7 +11,6 @@ from fsw.kinematics.arm import Arm, arm_from
 from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array
 from sim.plant import Plant
-from sim.preview import SPRINGS
 from sim.world import World, build
 
 FAR_M: Final = 0.3
@@ -34,7 +33,6 @@ class Space:
         self.arm: Arm = arm_from(params)
         self.gravity_R_m_s2 = world.gravity_N_m_s2
         model = self.plant.model
-        self._springs = np.array([_addresses(model, spring) for spring in SPRINGS])
         arm = [geom for geom in range(model.ngeom) if model.geom_contype[geom] == 1]
         others = [geom for geom in range(model.ngeom) if model.geom_contype[geom] == 2]
         self._outside = np.array([(a, b) for a in arm for b in others])
@@ -45,9 +43,7 @@ class Space:
         strain = np.moveaxis(rest(self.arm, poses_rad, self.gravity_R_m_s2).strain, -1, 0)
         outside = inside = FAR_M
         for output, bent in zip(poses_rad.T, strain, strict=True):
-            self.plant.data.qpos[self.plant.at.motor] = output
-            self.plant.data.qpos[self._springs] = bent[:, : len(SPRINGS)].T
-            mujoco.mj_kinematics(self.plant.model, self.plant.data)
+            self.plant.show(output, bent)
             outside = self._least(self._outside, outside)
             inside = self._least(self._self, inside)
         return Clearance(outside, inside)
@@ -66,10 +62,6 @@ class Space:
             apart = mujoco.mj_geomDistance(model, data, int(one[k]), int(other[k]), least_m, None)
             least_m = min(least_m, apart)
         return least_m
-
-
-def _addresses(model: mujoco.MjModel, spring: str) -> list[int]:
-    return [model.joint(f"{spring}_{axis}").qposadr[0] for axis in ("rx", "ry", "rz", "tx", "ty", "tz")]
 
 
 def _far_apart(model: mujoco.MjModel, one: int, other: int) -> bool:

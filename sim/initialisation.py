@@ -18,7 +18,7 @@ from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.loop import ClosedLoop, Setup, joints5
 from sim.record import CycleRecord
-from sim.sequence import Outcome, run_sequence
+from sim.sequence import Outcome, run_sequence, watched
 from sim.world import World
 
 BEFORE_STOP_RAD: Final = 0.05
@@ -87,15 +87,7 @@ class InitialisationRun:
 
     def __iter__(self) -> Iterator[CycleRecord]:
         """Every cycle, as it happens."""
-        sequence = run_sequence(self.loop, (self._command,))
-        while True:
-            try:
-                record = next(sequence)
-            except StopIteration as end:
-                self._outcome = end.value
-                return
-            self._note(record)
-            yield record
+        self._outcome = yield from watched(run_sequence(self.loop, (self._command,)), self._note)
 
     def _note(self, record: CycleRecord) -> None:
         plant, state, time_s = self.loop.plant, self.loop.state, record.tick / CYCLE_HZ
@@ -136,6 +128,12 @@ class InitialisationRun:
             load_Nm=float(state.load.torque_Nm[j]),
         )
 
+    def finish(self) -> Initialisation:
+        """Run to the end, and say what came of it."""
+        for _ in self:
+            pass
+        return self.result()
+
     def result(self) -> Initialisation:
         """What came of it; after the last cycle."""
         return Initialisation(
@@ -175,10 +173,20 @@ def initialised(arm: BuiltArm, world: World | None = None, seed: int = 0) -> Ite
     """
     known = None
     for joint in STOP_ORDER:
-        run = stop_run(arm, joint, world or World(), seed, reference=known)
-        for _ in run:
-            pass
-        yield run.result()
-        if run.result().outcome is not Outcome.DONE:
+        result = stop_run(arm, joint, world or World(), seed, reference=known).finish()
+        yield result
+        if result.outcome is not Outcome.DONE:
             return
-        known = run.result().reference
+        known = result.reference
+
+
+def initial_reference(arm: BuiltArm, seed: int = 0) -> Reference:
+    """What flight software remembers once every joint has been at its hardstop.
+
+    Raises:
+        RuntimeError: one was not found.
+    """
+    *_, last = initialised(arm, seed=seed)
+    if last.outcome is not Outcome.DONE:
+        raise RuntimeError(f"{arm.name} was not initialised: {last.evrs[-1][1].message}")
+    return last.reference

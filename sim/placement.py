@@ -14,7 +14,7 @@ from fsw.kinematics.transforms import Array
 from sim.frames import p_R_from_N
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
-from sim.sequence import Outcome, run_sequence
+from sim.sequence import Outcome, run_sequence, watched
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,15 +101,7 @@ class PlacementRun:
 
     def __iter__(self) -> Iterator[CycleRecord]:
         """Every cycle, as it happens."""
-        sequence = run_sequence(self._loop, self._commands)
-        while True:
-            try:
-                record = next(sequence)
-            except StopIteration as end:
-                self._outcome = end.value
-                return
-            self._note(record)
-            yield record
+        self._outcome = yield from watched(run_sequence(self._loop, self._commands), self._note)
 
     def _note(self, record: CycleRecord) -> None:
         for evr in record.outputs.evrs:

@@ -14,6 +14,9 @@ from sim.truth import Truth
 
 JOINT_NAMES = tuple(joint.name.lower() for joint in Joint)
 
+SPRINGS = ("rover", "link1", "link2", "link3", "link4")
+AXES = ("rx", "ry", "rz", "tx", "ty", "tz")
+
 HARD_FRICTION = 1e-4
 """MuJoCo softens dry friction by 1e-4 of this inverse weight, at most as hard as its files can ask: an output
 held by friction then gives way with a time constant of four seconds. Less of it takes as many hours."""
@@ -44,6 +47,8 @@ class Addresses:
     """Tendons of the outputs, with friction and hardstops."""
     actuators: NDArray[np.intp]
     brake: NDArray[np.intp]
+    springs: NDArray[np.intp]
+    """Of rover and links, from the rover outward; each as its strain is listed, rotation first."""
     tools: NDArray[np.intp]
     """Sites, in the order of Tool."""
 
@@ -66,6 +71,7 @@ class Plant:
             outputs=np.array([model.tendon(f"{name}_output").id for name in JOINT_NAMES]),
             actuators=np.array([model.actuator(name).id for name in JOINT_NAMES]),
             brake=np.array([model.equality(f"{name}_brake").id for name in JOINT_NAMES]),
+            springs=np.array([[model.joint(f"{s}_{axis}").qposadr[0] for axis in AXES] for s in SPRINGS]),
             tools=np.array([model.site(tool.name.lower()).id for tool in Tool]),
         )
         self.model.tendon_invweight0[self.at.outputs] *= HARD_FRICTION
@@ -91,6 +97,12 @@ class Plant:
         mujoco.mj_step(self.model, self.data, steps // 2)
         self.data.time = 0.0
         self._check()
+
+    def show(self, output_rad: Array, strain: Array) -> None:
+        """Bring geometry, and nothing else, to output angles (5) and spring strains (6, springs or more)."""
+        self.data.qpos[self.at.motor] = output_rad
+        self.data.qpos[self.at.springs] = strain[:, : len(SPRINGS)].T
+        mujoco.mj_kinematics(self.model, self.data)
 
     def brake(self, joint: int, on: bool) -> None:
         """Lock a motor where it is, or let it go."""

@@ -37,7 +37,6 @@ TOUCH_CLEARANCE_M: Final = 0.002
 SPACING_RAD: Final = 0.02
 SPACING_M: Final = 0.001
 """On a guarded line; less than its clearance."""
-SPRINGS: Final = ("rover", "link1", "link2", "link3", "link4")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +52,7 @@ class Preview:
 
 
 def preview(arm: BuiltArm, world: World, placement: Placement, stowed: bool = False) -> Preview:
-    """The quickest free way from the ready pose, straight to the standoff or from above, on any branch.
+    """The first free way from the ready pose: straight to the standoff on any branch, or else from above.
 
     From the stowed pose the way to the ready pose must be free too, and it is the same for every branch.
     """
@@ -163,16 +162,8 @@ def _first_hit(
 ) -> str | None:
     """Which two geoms come too close first at these poses; the pads of a tool may touch the rock face."""
     model, data = plant.model, plant.data
-    springs = np.array(
-        [
-            [model.joint(f"{s}_{axis}").qposadr[0] for axis in ("rx", "ry", "rz", "tx", "ty", "tz")]
-            for s in SPRINGS
-        ]
-    )
     for output, strain in zip(poses.output_rad.T, np.moveaxis(poses.strain, -1, 0), strict=True):
-        data.qpos[plant.at.motor] = output
-        data.qpos[springs] = strain[:, : len(SPRINGS)].T
-        mujoco.mj_kinematics(model, data)
+        plant.show(output, strain)
         mujoco.mj_collision(model, data)
         for contact in data.contact:
             names = [_geom_name(model, geom) for geom in contact.geom]

@@ -1,7 +1,8 @@
 """A command sequence through the closed loop: the next command when the last is done."""
 
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from enum import StrEnum
+from typing import cast
 
 from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import CommandRefused, FaultResponse
@@ -16,6 +17,19 @@ class Outcome(StrEnum):
     REFUSED = "refused"
     FAULTED = "faulted"
     SOFTWARE_ERROR = "software error"
+
+
+def watched(
+    cycles: Generator[CycleRecord, None, Outcome], note: Callable[[CycleRecord], None]
+) -> Generator[CycleRecord, None, Outcome]:
+    """The same cycles, each noted before it is handed on."""
+    while True:
+        try:
+            record = next(cycles)
+        except StopIteration as end:
+            return cast(Outcome, end.value)
+        note(record)
+        yield record
 
 
 def run_sequence(loop: ClosedLoop, commands: Sequence[Command]) -> Generator[CycleRecord, None, Outcome]:

@@ -12,7 +12,6 @@ from typing import Final, Literal
 import numpy as np
 from scipy.optimize import least_squares
 
-from fsw.config import configure
 from fsw.dictionary.commands import Calibrate, Joints5, MoveJoint
 from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import Params
@@ -24,7 +23,7 @@ from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm
 from sim.clearance import Clearance, Space
 from sim.effects.turret import TurretMass
-from sim.params import digest
+from sim.loop import joints5
 from sim.world import World
 
 SPACING_RAD: Final = 0.03
@@ -43,12 +42,7 @@ COMPARED: Final = (Joint.WRIST, Joint.ELBOW, Joint.ELEVATION)
 
 
 def _degrees(*angles_deg: float) -> Joints5:
-    return _joints(np.radians(angles_deg))
-
-
-def _joints(angles: Array) -> Joints5:
-    a, b, c, d, e = (float(angle) for angle in angles)
-    return (a, b, c, d, e)
+    return joints5(np.radians(angles_deg))
 
 
 EARTH_GUESS: Final[dict[PoseName, Joints5]] = {
@@ -86,7 +80,7 @@ def way(params: Params) -> list[Array]:
     """Every pose (5) between two motions while all joints are calibrated; each motion is of one joint."""
     stops = [joint.hardstop_rad for joint in params.joints.in_order()]
     poses = [np.array(params.hardstop.start_rad)]
-    for command in calibrate_all(configure(params, digest(params))).rest:
+    for command in calibrate_all(params).rest:
         pose = poses[-1].copy()
         match command:
             case Calibrate(joint=joint):
@@ -162,4 +156,4 @@ def _turned(params: Params, angles: Array) -> Params:
     poses = {name: list(getattr(params.hardstop, name)) for name in EARTH_GUESS}
     for (pose, joint), angle in zip(FREE, angles, strict=True):
         poses[pose][joint] = float(angle)
-    return with_poses(params, {name: _joints(np.array(pose)) for name, pose in poses.items()})
+    return with_poses(params, {name: joints5(np.array(pose)) for name, pose in poses.items()})

@@ -1,6 +1,6 @@
 """Tours of poses in free air: where the joints come to rest, what flight software believes, what is true."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,6 +12,7 @@ from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.joints import Tool
 from fsw.estimate.reference import Reference
 from fsw.kinematics.answers import Verdict
+from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm
@@ -108,7 +109,8 @@ def random_goals(config: Config, rng: np.random.Generator, count: int) -> list[A
             case 0:
                 goals.append(_anywhere(config, rng))
             case 1 | 2:
-                goals.append(_in_workspace(config, rng))
+                tool = Tool(int(rng.integers(len(Tool))))
+                goals.append(pose_in_workspace(config, rng, tool, BRANCHES))
             case 3:
                 goals.append(goals[-2] if len(goals) > 1 else goals[-1])
             case _:
@@ -122,16 +124,19 @@ def _anywhere(config: Config, rng: np.random.Generator) -> Array:
     return rng.uniform(arm.soft_min_rad + INSIDE_RAD, arm.soft_max_rad - INSIDE_RAD)
 
 
-def _in_workspace(config: Config, rng: np.random.Generator) -> Array:
-    """A pose on a random valid branch at a random target of the workspace, for a random tool."""
-    tool = Tool(int(rng.integers(len(Tool))))
+def pose_in_workspace(
+    config: Config, rng: np.random.Generator, tool: Tool, branches: Collection[str]
+) -> Array:
+    """A pose on a random valid one of these branches at a random target of the workspace."""
+    wanted = np.array([name in branches for name in BRANCHES])
     while True:
         p_N_m, angles = random_targets(rng, 1)
         approach = approach_from(angles)[:, 0]
         answers = inverse_kinematics(
             config.arm, tool, p_R_from_N(p_N_m[:, 0]), approach, np.zeros(3), np.zeros(5)
         )
-        valid = np.flatnonzero(answers.verdict == Verdict.VALID)
+        first_roots = answers.verdict[: len(BRANCHES)]
+        valid = np.flatnonzero(wanted & (first_roots == Verdict.VALID))
         if valid.size:
             return _inside(config, np.asarray(answers.output_rad[:, rng.choice(valid)]))
 

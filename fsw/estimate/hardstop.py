@@ -19,6 +19,8 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
+from fsw.dictionary.evrs import JointCalibrated
+from fsw.dictionary.joints import Joint
 from fsw.kinematics.transforms import Array
 
 RISE: Final = (0.2, 0.85)
@@ -76,6 +78,17 @@ class Found:
     compliance_rad_Nm: float
     half_gap_rad: float
     gap_measured: bool
+
+    def event(self, joint: Joint, moved_rad: float) -> JointCalibrated:
+        """What is reported of it, the joint's zero having moved by so much."""
+        return JointCalibrated(
+            joint,
+            moved_rad,
+            self.running_Nm,
+            1e6 * self.compliance_rad_Nm,
+            2 * self.half_gap_rad,
+            self.gap_measured,
+        )
 
 
 def pressed(config: Config, joint: int, load_Nm: float, towards: Readings) -> Pressed | None:
@@ -148,8 +161,9 @@ def gap_width(config: Config, joint: int, load_Nm: float, press: Pressed, away: 
 def found(config: Config, joint: int, load_Nm: float, press: Pressed, width_rad: float | None) -> Found:
     """Where the stop is, given the line and the gap."""
     drawn = 2 * float(config.half_gap_rad[joint])
-    believable = width_rad is not None and GAP_FACTOR[0] < width_rad / drawn < GAP_FACTOR[1]
-    half = 0.5 * width_rad if believable and width_rad is not None else 0.5 * drawn
+    measured = drawn if width_rad is None else width_rad
+    believable = width_rad is not None and GAP_FACTOR[0] < measured / drawn < GAP_FACTOR[1]
+    half = 0.5 * (measured if believable else drawn)
     carried_Nm = load_Nm + float(config.output_friction_Nm[joint])
     gear = press.compliance_rad_Nm * gear_share(config, joint)
     return Found(

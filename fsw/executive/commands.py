@@ -108,7 +108,9 @@ def _calibrate_all(config: Config, now: Situation, command: CalibrateAll) -> Sit
     if problem is not None:
         return _refused(now, command, problem)
     accepted = (*now.evrs, CommandAccepted(_name(command)))
-    return replace(now, state=replace(now.state, sequence=calibrate_all(config, command.anew)), evrs=accepted)
+    return replace(
+        now, state=replace(now.state, sequence=calibrate_all(config.params, command.anew)), evrs=accepted
+    )
 
 
 def _calibrate(config: Config, now: Situation, command: Calibrate) -> Situation:

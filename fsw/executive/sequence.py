@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Final
 
-from fsw.config import Config
 from fsw.dictionary.commands import Calibrate, Command, MoveJoint
 from fsw.dictionary.joints import STOP_ORDER, Joint
+from fsw.dictionary.params import Params
 from fsw.executive.hardstop_pose import AGAIN
 
 CLEAR_ORDER: Final = (Joint.AZIMUTH, Joint.TURRET, Joint.WRIST, Joint.ELBOW, Joint.ELEVATION)
@@ -20,9 +20,9 @@ class Sequence:
     rest: tuple[Command, ...]
 
 
-def calibrate_all(config: Config, anew: bool = False) -> Sequence:
+def calibrate_all(params: Params, anew: bool = False) -> Sequence:
     """Each joint to its hardstop and then to where it waits for the others; one of them again at the end."""
-    park, again = config.params.hardstop.park_rad, config.params.hardstop.again_rad
+    park, again = params.hardstop.park_rad, params.hardstop.again_rad
     turns = [(Calibrate(joint, anew), MoveJoint(joint, park[joint])) for joint in STOP_ORDER]
     ready = [MoveJoint(joint, again[joint]) for joint in CLEAR_ORDER if again[joint] != park[joint]]
     last = (Calibrate(AGAIN, anew), MoveJoint(AGAIN, park[AGAIN]))

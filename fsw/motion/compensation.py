@@ -30,7 +30,8 @@ class Compensation:
     def allowance(self, joints: JointEstimate, gear_rad: Array) -> Array:
         """The part of gear angles (5, ...) by which set-points are shifted."""
         wind_up = gear_rad - gap_of(joints.reference.half_gap_rad, gear_rad)
-        allowed: Array = self.gap(joints, gear_rad) + (0.0 if self.deflection == "off" else 1.0) * wind_up
+        gap = self.gap(joints, gear_rad)
+        allowed: Array = gap if self.deflection == "off" else gap + wind_up
         return allowed
 
     def gap(self, joints: JointEstimate, gear_rad: Array) -> Array:

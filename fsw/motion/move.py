@@ -15,7 +15,7 @@ from fsw.kinematics.transforms import Array
 from fsw.messages import Flags, Sensors
 from fsw.motion import seek as seeking
 from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
-from fsw.motion.seek import Seek, limits_A
+from fsw.motion.seek import Seek, limit_A
 
 
 class Phase(IntEnum):
@@ -112,9 +112,11 @@ def _seek(
     config: Config, move: Move, seek: Seek, joints: JointEstimate, load_Nm: Array, sensors: Sensors
 ) -> Advance:
     sought = seeking.advance(config, seek, move.hold, joints, load_Nm, sensors)
-    limit = limits_A(config, sought.seek)
-    limit = move.limit_A if np.array_equal(limit, move.limit_A) else limit
-    move = replace(move, seek=sought.seek, hold=sought.hold, limit_A=limit, ticks=move.ticks + 1)
+    j, limit = seek.joint, limit_A(config, sought.seek)
+    limits = move.limit_A
+    if limits[j] != limit:  # an unchanged limit is the same array, see drive.py
+        limits = np.where(move.active, limit, limits)
+    move = replace(move, seek=sought.seek, hold=sought.hold, limit_A=limits, ticks=move.ticks + 1)
     return Advance(move if sought.seek.found is None else _enter(move, Phase.SETTLE), sought.evrs)
 
 

@@ -132,20 +132,19 @@ def begin(joint: Joint, joints: JointEstimate, anew: bool) -> Seek:
     return Seek(joint, known, Stage.FREE, 0, 0.0, False, at, at, 0)
 
 
-def limits_A(config: Config, seek: Seek) -> Array:
-    """Current limits of all joints: what running takes today and a fixed margin for the one that seeks.
+def limit_A(config: Config, seek: Seek) -> float:
+    """The current limit of the joint that seeks: what running takes today, and a fixed margin.
 
     Until it has broken away there is no margin. On its way back, once it turns, it lifts the load that helped
     it on its way there.
     """
-    limits = config.current_limit_A.copy()
     limit = seek.running_A
     if seek.stage is not Stage.FREE or seek.turned:
-        limit += _press_A(config, seek.joint)
+        params = config.params.joints.in_order()[seek.joint]
+        limit += params.hardstop_press_Nm / params.torque_constant_Nm_A
     if seek.stage in (Stage.RETREAT, Stage.RELEASE) and seek.turned:
         limit += _lift_A(config, seek)
-    limits[seek.joint] = min(limits[seek.joint], limit)
-    return limits
+    return min(float(config.current_limit_A[seek.joint]), limit)
 
 
 def advance(
@@ -208,7 +207,7 @@ def _missed(now: Now, seek: Seek) -> Evr | None:
 
 def _implausible(now: Now, seek: Seek) -> Evr | None:
     """A current above its limit, or one against the motion: by such a sensor no limit can be set."""
-    limit = float(limits_A(now.config, seek)[seek.joint])
+    limit = limit_A(now.config, seek)
     too_much = seek.turned and abs(now.current_A) > READ_SHARE * limit + READ_A
     steady = seek.turned and seek.ticks * CYCLE_S > STEADY_S and seek.stage in (Stage.COARSE, Stage.FINE)
     moving = steady and now.rate_rad_s < -SLOWER * _speed(now, seek)
@@ -219,7 +218,7 @@ def _implausible(now: Now, seek: Seek) -> Evr | None:
 
 def _stuck(now: Now, seek: Seek) -> Evr | None:
     """A motor that does not turn although it should, and has not stalled at its limit either."""
-    limit = float(limits_A(now.config, seek)[seek.joint])
+    limit = limit_A(now.config, seek)
     rising = seek.stage is Stage.FREE and limit < now.config.current_limit_A[seek.joint]
     waited = seek.anchor_ticks * CYCLE_S > STUCK_TIMES * now.config.params.hardstop.stall_time_s
     if rising or not waited or seek.stage is Stage.RETREAT:
@@ -249,7 +248,8 @@ def _coarse(now: Now, seek: Seek) -> Sought:
 
 def _retreat(now: Now, seek: Seek) -> Sought:
     path, time_s = seek.retreat, seek.ticks * CYCLE_S
-    if path is None or time_s >= path.duration_s + STEADY_S:
+    assert path is not None  # it is what this stage begins with
+    if time_s >= path.duration_s + STEADY_S:
         return Sought(_entered(now, seek, Stage.FINE), _still(now.hold))
     return Sought(seek, path.at(time_s))
 
@@ -274,12 +274,10 @@ def _fine(now: Now, seek: Seek) -> Sought:
 
 
 def _release(now: Now, seek: Seek) -> Sought:
-    assert seek.press is not None
     if seek.turned:
         seek = replace(seek, away=_read(now, seek.away))
     j, press = seek.joint, seek.press
-    if press is None:
-        return _failed(now, seek, HardstopUnclear(j))
+    assert press is not None  # it is what this stage begins with
     enough = (
         press.contact_rad
         + seek.relief_Nm * press.compliance_rad_Nm
@@ -297,7 +295,7 @@ def _release(now: Now, seek: Seek) -> Sought:
 def _stalled(now: Now, seek: Seek) -> bool:
     """Whether the motor has not turned for a while although its current is at the limit."""
     waited = seek.anchor_ticks * CYCLE_S >= now.config.params.hardstop.stall_time_s
-    limit = float(limits_A(now.config, seek)[seek.joint])
+    limit = limit_A(now.config, seek)
     return waited and abs(now.current_A) >= AT_LIMIT * limit
 
 
@@ -338,8 +336,3 @@ def _speed(now: Now, seek: Seek) -> float:
 def _lift_A(config: Config, seek: Seek) -> float:
     """By how much more current running takes away from the hardstop than towards it."""
     return 2 * seek.relief_Nm / float(config.torque_constant_Nm_A[seek.joint])
-
-
-def _press_A(config: Config, joint: int) -> float:
-    params = config.params.joints.in_order()[joint]
-    return params.hardstop_press_Nm / params.torque_constant_Nm_A

@@ -1,6 +1,5 @@
 """The picture of a joint meeting its hardstop: current, speed and angle over time, and current over angle."""
 
-import os
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -10,7 +9,7 @@ import numpy as np
 
 from fsw.dictionary.joints import STOP_ORDER, Joint
 from fsw.motion.seek import Stage
-from ground.outputs import written_whole
+from ground.report.figures import save_figure
 from sim.initialisation import Initialisation, Sample
 
 BEFORE_S: Final = 3.0
@@ -40,27 +39,19 @@ def save_hardstop_figure(runs: Sequence[Initialisation], path: Path) -> str | No
     Raises:
         BadOutput: the file cannot be written.
     """
-    os.environ.pop("MPLBACKEND", None)  # one that matplotlib does not know stops its import; none is needed
-    try:
-        import matplotlib
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        return f"matplotlib is missing ({error}); pip install matplotlib"
     seen = _by_joint(runs)
-    with matplotlib.rc_context(matplotlib.rcParamsDefault):
-        figure = Figure(figsize=(15, 1.2 + 3.4 * max(len(seen), 1)), layout="constrained")
-        FigureCanvasAgg(figure)
+    rows = max(len(seen), 1)
+
+    def draw(figure: Any) -> None:
         figure.suptitle("Against the negative hardstop: motor current, speed and angle", fontsize=12)
-        rows = figure.subplots(max(len(seen), 1), 4, squeeze=False)
-        for axes, (joint, samples) in zip(rows, seen.items(), strict=False):
+        panels = figure.subplots(rows, 4, squeeze=False)
+        for axes, (joint, samples) in zip(panels, seen.items(), strict=False):
             _draw(axes, joint, samples)
-        drawn = dict(zip(*reversed(rows[0][0].get_legend_handles_labels()), strict=True))
+        drawn = dict(zip(*reversed(panels[0][0].get_legend_handles_labels()), strict=True))
         if drawn:
             figure.legend(drawn.values(), drawn.keys(), loc="outside lower center", ncols=len(drawn))
-        with written_whole(path, "picture") as file:
-            figure.savefig(file, format="png", dpi=90)
-    return None
+
+    return save_figure(path, (15, 1.2 + 3.4 * rows), 90, draw)
 
 
 def _by_joint(runs: Sequence[Initialisation]) -> dict[Joint, list[Sample]]:

@@ -1,13 +1,12 @@
 """The picture of a reach map: two views of the workspace, the wedge of approaches, and counts."""
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from ground.outputs import written_whole
+from ground.report.figures import save_figure
 from sim.workspace import BOTTOM_Z_M, CENTRE_X_M, RADIUS_M, TOP_Z_M, WEDGE_DOWN_RAD, WEDGE_SIDE_RAD
 
 if TYPE_CHECKING:
@@ -33,22 +32,13 @@ def save_reach_figure(samples: "ReachSamples", counted: "Tally", model: "ArmMode
     Raises:
         BadOutput: the file cannot be written.
     """
-    os.environ.pop("MPLBACKEND", None)  # one that matplotlib does not know stops its import; none is needed
-    try:
-        import matplotlib
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-        from matplotlib.layout_engine import ConstrainedLayoutEngine
-    except ImportError as error:
-        return f"matplotlib is missing ({error}); pip install matplotlib"
-    with matplotlib.rc_context(matplotlib.rcParamsDefault):
-        figure = Figure(figsize=(14, 9), layout=ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.1))
-        FigureCanvasAgg(figure)
+
+    def draw(figure: Any) -> None:
+        figure.get_layout_engine().set(w_pad=0.1, h_pad=0.1)
         figure.suptitle(_title(samples, counted, model), fontsize=11)
         _draw(figure, samples, counted)
-        with written_whole(path, "picture") as file:
-            figure.savefig(file, format="png", dpi=110)
-    return None
+
+    return save_figure(path, (14, 9), 110, draw)
 
 
 def _draw(figure: Any, samples: "ReachSamples", counted: "Tally") -> None:
