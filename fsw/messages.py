@@ -17,6 +17,8 @@ Flags = NDArray[np.bool_]
 class Sensors:
     """What the avionics read at the start of a cycle; arrays in the order of Joint and Switch."""
 
+    cycle: int
+    """The avionics' own count of cycles, from any number on: a step of more than one is a cycle missed."""
     encoder_count: Counts
     resolver_rad: Floats
     current_A: Floats
@@ -36,6 +38,8 @@ class Drive:
     current_limit_A: Floats
     power_on: Flags
     brake_release: Flags
+    vibrate: bool
+    """Whether the turret's vibration motor runs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

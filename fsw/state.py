@@ -55,7 +55,7 @@ def boot(config: Config, mode: Mode, reference: Reference | None = None) -> Stat
         sequence=None,
         fault=None,
         monitors=QUIET,
-        drive=Drive(np.zeros(n, np.int64), np.zeros(n), config.current_limit_A, off, off),
+        drive=Drive(np.zeros(n, np.int64), np.zeros(n), config.current_limit_A, off, off, vibrate=False),
     )
 
 

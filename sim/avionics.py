@@ -43,6 +43,7 @@ class Avionics:
         self._brake_cycles = np.rint(hardware.brake_delay_s * CYCLE_HZ).astype(int)
         self._pending: dict[int, tuple[int, bool]] = {}
         self._drive: Drive | None = None
+        self._cycle = 0
         self._gravity_R = FLIP * model.opt.gravity + hardware.gravity_bias_R_m_s2
 
     def sense(self) -> Sensors:
@@ -51,7 +52,9 @@ class Avionics:
         noise = self._rng.standard_normal(13)
         current = plant.motor_current_A()
         resolver = plant.output_rad() + hardware.resolver_bias_rad + hardware.resolver_noise_rad * noise[:5]
+        self._cycle += 1
         return Sensors(
+            cycle=self._cycle,
             encoder_count=self.encoder_count(),
             resolver_rad=np.rint(resolver / RESOLVER_LSB_RAD) * RESOLVER_LSB_RAD,
             current_A=current + hardware.current_noise_A * noise[5:10],

@@ -120,6 +120,10 @@ def out_of_limits(record: Any, place: str = "") -> Iterator[str]:
         if is_dataclass(value):
             yield from out_of_limits(value, f"{where}.")
             continue
+        if isinstance(value, tuple) and value and is_dataclass(value[0]):
+            for k, item in enumerate(value):
+                yield from out_of_limits(item, f"{where}.{k}.")
+            continue
         if not all(math.isfinite(v) for v in _numbers(value)):
             yield f"{where}: must be finite, is {value}"
         for limits in getattr(hints[field.name], "__metadata__", ()):

@@ -1,7 +1,7 @@
 """Commands: what the ground may ask. SI units; positions and directions in the rover frame RMECH."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from fsw.dictionary.joints import Joint, Tool
 
@@ -12,6 +12,8 @@ Backlash = Literal["off", "on"]
 """Whether set-points allow for the gap, and moves end with every output on a known side of it."""
 Deflection = Literal["off", "absolute", "relative"]
 """What is done about gravity: nothing, all of it, or only how it differs from where the arm is now."""
+ROVER: Final = "ROVER"
+"""The name of frame RMECH in a command."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,24 +48,35 @@ class Unstow:
 
 
 @dataclass(frozen=True, slots=True)
+class Stow:
+    """Go to the ready pose and from there along the same way points into the stowed pose."""
+
+
+@dataclass(frozen=True, slots=True)
 class MoveJoints:
     """Move all joints to these output angles, synchronised and jerk-limited."""
 
     angle_rad: Joints5
     backlash: Backlash = "on"
+    relative: bool = False
+    """Whether the angles count from where the outputs are."""
 
 
 @dataclass(frozen=True, slots=True)
 class MoveTool:
-    """Move in joint space until the tool is at a position with its x axis along an approach direction.
+    """Move the tool to a position with its x axis along an approach direction.
 
     With backlash compensation it may pass the position by some millimetres, in any direction, before it comes
     back to it: outputs that their load does not hold are dragged to their places.
     """
 
     tool: Tool
-    p_RoTo_R_m: Vector3
-    approach_R: Vector3
+    p_FoTo_F_m: Vector3
+    approach_F: Vector3
+    frame: str = ROVER
+    """Frame F of position and approach: ROVER, or an arm frame or a tool as it is believed to stand."""
+    straight: bool = False
+    """Whether the tool moves in a straight line, turning evenly, or the joints move evenly."""
     line_m: float = 0.0
     """Straight travel along the approach that must remain possible from there."""
     backlash: Backlash = "on"
@@ -84,6 +97,82 @@ class GuardedMove:
 
 
 @dataclass(frozen=True, slots=True)
+class PlaceTool:
+    """Go to a standoff in front of a place, and from there straight on until a contact switch closes."""
+
+    tool: Tool
+    p_RoTo_R_m: Vector3
+    approach_R: Vector3
+    standoff_m: float = 0.10
+    overtravel_m: float = 0.05
+    """How far beyond the place contact may be looked for."""
+    backlash: Backlash = "on"
+    deflection: Deflection = "absolute"
+    branch: str = "AUTO"
+
+
+@dataclass(frozen=True, slots=True)
+class Preload:
+    """Press the tool that touches by overdrive through the modelled stiffness; no force releases it."""
+
+    tool: Tool
+    force_N: float
+
+
+@dataclass(frozen=True, slots=True)
+class ToolChange:
+    """Put another tool on the spot that the arm touches: back off, turn the turret, touch again.
+
+    The spot is where the touching tool is believed to be, so that only what differs between the two poses of
+    deflection, backlash and kinematics enters.
+    """
+
+    tool: Tool
+    standoff_m: float = 0.10
+    overtravel_m: float = 0.03
+    hover_m: float = 0.0
+    """Distance at which to stop in front of the spot; 0 is to touch."""
+    backlash: Backlash = "on"
+    deflection: Deflection = "relative"
+    branch: str = "AUTO"
+
+
+@dataclass(frozen=True, slots=True)
+class MoveTeachPoint:
+    """Move a tool to a point that was taught on this arm, or to a distance in front of it."""
+
+    point: str
+    away_m: float = 0.0
+    along_gravity: bool = False
+    """Whether the tool looks along gravity, and stands off against it, whatever way it looked when taught."""
+    straight: bool = False
+    backlash: Backlash = "on"
+    deflection: Deflection = "absolute"
+
+
+@dataclass(frozen=True, slots=True)
+class Dock:
+    """From in front of a taught point straight on, relative to how the arm hangs there, until it touches."""
+
+    point: str
+    overtravel_m: float = 0.01
+    backlash: Backlash = "on"
+
+
+@dataclass(frozen=True, slots=True)
+class Process:
+    """Turn wrist and turret until gravity, tilt included, lies along a direction of a tool; hold, vibrate."""
+
+    tool: Tool
+    gravity_T: Vector3
+    """Direction, in the tool's axes."""
+    duration_s: float
+    vibrate: bool = True
+    backlash: Backlash = "on"
+    deflection: Deflection = "absolute"
+
+
+@dataclass(frozen=True, slots=True)
 class Retract:
     """Move the tool in a straight line back along its approach axis."""
 
@@ -91,6 +180,24 @@ class Retract:
     distance_m: float
     backlash: Backlash = "on"
     deflection: Deflection = "absolute"
+
+
+@dataclass(frozen=True, slots=True)
+class SetTilt:
+    """Take this attitude of the rover in place of the direction of gravity that the IMU reads, until boot."""
+
+    roll_rad: float
+    """Right side down, after the pitch."""
+    pitch_rad: float
+    """Nose up."""
+
+
+@dataclass(frozen=True, slots=True)
+class SetParam:
+    """Give one number of the parameters, by its dotted name, another value until boot."""
+
+    name: str
+    value: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,11 +214,20 @@ Command = (
     Calibrate
     | CalibrateAll
     | Unstow
+    | Stow
     | MoveJoint
     | MoveJoints
     | MoveTool
     | GuardedMove
+    | PlaceTool
+    | Preload
+    | ToolChange
+    | MoveTeachPoint
+    | Dock
+    | Process
     | Retract
+    | SetTilt
+    | SetParam
     | Stop
     | ClearFault
 )

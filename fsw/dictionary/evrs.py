@@ -114,97 +114,6 @@ class JointCalibrated(Evr):
 
 
 @dataclass(frozen=True, slots=True)
-class StalledEarly(Evr):
-    """A joint that was looking for its hardstop stalled where there is none."""
-
-    severity = Severity.WARNING_HI
-    text = "{e.joint.name} stalled at {e.angle_rad:.4f} rad, its hardstop is at {e.stop_rad:.4f} rad"
-    joint: Joint
-    angle_rad: float
-    """As its resolver reads."""
-    stop_rad: float
-
-
-@dataclass(frozen=True, slots=True)
-class HardstopMissed(Evr):
-    """A joint went beyond the place where its hardstop should be."""
-
-    severity = Severity.WARNING_HI
-    text = "{e.joint.name} is at {e.angle_rad:.4f} rad and met no hardstop at {e.stop_rad:.4f} rad"
-    joint: Joint
-    angle_rad: float
-    """As its resolver reads."""
-    stop_rad: float
-
-
-@dataclass(frozen=True, slots=True)
-class NoHardstop(Evr):
-    """What a joint was pressed against is softer or harder than a hardstop."""
-
-    severity = Severity.WARNING_HI
-    text = (
-        "{e.joint.name} is pressed on something that gives {e.compliance_urad_Nm:.2f} urad per N m, "
-        "a hardstop gives {e.drawn_urad_Nm:.2f}"
-    )
-    joint: Joint
-    compliance_urad_Nm: float
-    drawn_urad_Nm: float
-
-
-@dataclass(frozen=True, slots=True)
-class HardstopMoved(Evr):
-    """A hardstop is not where it was found last."""
-
-    severity = Severity.WARNING_HI
-    text = "{e.joint.name}: its hardstop moved by {e.moved_rad:.6f} rad, bound {e.bound_rad:.6f} rad"
-    joint: Joint
-    moved_rad: float
-    bound_rad: float
-
-
-@dataclass(frozen=True, slots=True)
-class MotorStuck(Evr):
-    """A motor did not turn: not driven, seized, or held up while its current reads less than its limit."""
-
-    severity = Severity.WARNING_HI
-    text = "{e.joint.name} does not turn at {e.current_A:.2f} A, limit {e.limit_A:.2f} A"
-    joint: Joint
-    current_A: float
-    limit_A: float
-
-
-@dataclass(frozen=True, slots=True)
-class CurrentImplausible(Evr):
-    """A current was read that is above its limit, or drives against the motion."""
-
-    severity = Severity.WARNING_HI
-    text = "{e.joint.name} reads {e.current_A:.2f} A, which cannot be at a limit of {e.limit_A:.2f} A"
-    joint: Joint
-    current_A: float
-    limit_A: float
-
-
-@dataclass(frozen=True, slots=True)
-class HardstopUnclear(Evr):
-    """A joint stalled, but its torque did not rise along a line as it does on a hardstop."""
-
-    severity = Severity.WARNING_HI
-    text = "{e.joint.name} stalled where no hardstop can be told from its current"
-    joint: Joint
-
-
-@dataclass(frozen=True, slots=True)
-class ResolverDisagrees(Evr):
-    """A resolver is not where encoder, wind-up and backlash say that the output is."""
-
-    severity = Severity.WARNING_HI
-    text = "{e.joint.name}: resolver off by {e.error_rad:.5f} rad, bound {e.bound_rad:.5f} rad"
-    joint: Joint
-    error_rad: float
-    bound_rad: float
-
-
-@dataclass(frozen=True, slots=True)
 class BranchChosen(Evr):
     """Which inverse-kinematics branch a tool move takes."""
 
@@ -225,95 +134,54 @@ class ContactMade(Evr):
 
 
 @dataclass(frozen=True, slots=True)
-class SensorNotFinite(Evr):
-    """A reading was NaN or infinite."""
+class Preloaded(Evr):
+    """The overdrive for a force is done; no sensor has felt it."""
 
-    severity = Severity.WARNING_HI
-    text = "non-finite reading in {e.sensor}"
-    sensor: str
-
-
-@dataclass(frozen=True, slots=True)
-class GravityImplausible(Evr):
-    """The gravity reading is smaller or larger than any gravity the arm works in."""
-
-    severity = Severity.WARNING_HI
-    text = "gravity reads {e.gravity_m_s2:.3g} m/s2, bounds {e.min_m_s2:.3g} .. {e.max_m_s2:.3g} m/s2"
-    gravity_m_s2: float
-    min_m_s2: float
-    max_m_s2: float
+    severity = Severity.ACTIVITY_HI
+    text = "{e.tool.name} pressed with {e.force_N:.1f} N"
+    tool: Tool
+    force_N: float
 
 
 @dataclass(frozen=True, slots=True)
-class SetpointUnsafe(Evr):
-    """A set-point was about to go out that is not finite, beyond the limits or too far from the last one."""
+class SpotTaken(Evr):
+    """A tool change counts from where the touching tool is believed to be."""
 
-    severity = Severity.WARNING_HI
-    text = "{e.joint.name}: set-point {e.setpoint_rad:.4f} rad held back, last {e.last_rad:.4f} rad"
-    joint: Joint
-    setpoint_rad: float
-    last_rad: float
-
-
-@dataclass(frozen=True, slots=True)
-class SoftLimitPassed(Evr):
-    """A joint is beyond its soft limit and moving outward."""
-
-    severity = Severity.WARNING_HI
-    text = "{e.joint.name} at {e.angle_rad:.4f} rad, soft limit {e.limit_rad:.4f} rad"
-    joint: Joint
-    angle_rad: float
-    limit_rad: float
+    severity = Severity.ACTIVITY_LO
+    text = "spot of {e.tool.name} at {e.x_m:.4f} {e.y_m:.4f} {e.z_m:.4f} m in RMECH"
+    tool: Tool
+    x_m: float
+    y_m: float
+    z_m: float
 
 
 @dataclass(frozen=True, slots=True)
-class OverCurrent(Evr):
-    """A motor drew more than its bound for longer than its persistence."""
+class ParamSet(Evr):
+    """A parameter has another value; the digest is of all parameters."""
 
-    severity = Severity.WARNING_HI
-    text = "{e.joint.name} drew {e.current_A:.2f} A, bound {e.bound_A:.2f} A"
-    joint: Joint
-    current_A: float
-    bound_A: float
-
-
-@dataclass(frozen=True, slots=True)
-class FollowingErrorHigh(Evr):
-    """A motor did not follow its set-point."""
-
-    severity = Severity.WARNING_HI
-    text = "{e.joint.name} is {e.error_rad:.5f} rad from its set-point, bound {e.bound_rad:.5f} rad"
-    joint: Joint
-    error_rad: float
-    bound_rad: float
+    severity = Severity.ACTIVITY_HI
+    text = "{e.parameter} is {e.value:.9g}, parameters {e.params_sha256}"
+    parameter: str
+    value: float
+    params_sha256: str
 
 
 @dataclass(frozen=True, slots=True)
-class ContactInFreeSpace(Evr):
-    """A contact switch closed where nothing was to be touched."""
+class TiltSet(Evr):
+    """The ground said how the rover stands."""
 
-    severity = Severity.WARNING_HI
-    text = "contact on {e.switch.name} in free space"
-    switch: Switch
-
-
-@dataclass(frozen=True, slots=True)
-class NoContact(Evr):
-    """A guarded move came to the end of its travel without contact."""
-
-    severity = Severity.WARNING_HI
-    text = "no contact within {e.travel_m:.4f} m of guarded travel"
-    travel_m: float
+    severity = Severity.ACTIVITY_HI
+    text = "tilt set, {e.off_rad:.4f} rad from what the IMU reads"
+    off_rad: float
 
 
 @dataclass(frozen=True, slots=True)
-class NotSettled(Evr):
-    """A motor did not come to rest at its set-point in time."""
+class CyclesSkipped(Evr):
+    """Flight software was not called for some cycles, which is tolerated."""
 
-    severity = Severity.WARNING_HI
-    text = "{e.joint.name} not settled: {e.error_rad:.6f} rad from its set-point"
-    joint: Joint
-    error_rad: float
+    severity = Severity.WARNING_LO
+    text = "{e.cycles} cycles missed"
+    cycles: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,7 +189,7 @@ class FaultResponse(Evr):
     """What was done about a fault."""
 
     severity = Severity.WARNING_HI
-    text = "response {e.response}: stopped, brakes on, moves refused until the fault is cleared"
+    text = "response {e.response}"
     response: str
 
 

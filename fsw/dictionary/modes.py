@@ -12,3 +12,5 @@ class Mode(IntEnum):
     GUARDED = 3
     RETRACTING = 4
     FAULTED = 5
+    PRELOAD = 6
+    """A tool is pressed on something; it moves only to press more or less."""

@@ -222,6 +222,78 @@ class MotionParams:
 
 
 @dataclass(frozen=True, slots=True)
+class Capsule:
+    """All points within a radius of a segment; from one end to the other."""
+
+    from_m: Vector3
+    to_m: Vector3
+    radius_m: Annotated[float, Limits(0.001, 1.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A box along the axes of its frame."""
+
+    centre_m: Vector3
+    half_m: Vector3
+
+
+@dataclass(frozen=True, slots=True)
+class ArmShapes:
+    """What each body of the arm is inside of: links in their frames, the turret in Arm6, tools in theirs."""
+
+    link1: tuple[Capsule, ...]
+    link2: tuple[Capsule, ...]
+    link3: tuple[Capsule, ...]
+    link4: tuple[Capsule, ...]
+    link5: tuple[Capsule, ...]
+    turret: tuple[Capsule, ...]
+    drill: tuple[Capsule, ...]
+    drt: tuple[Capsule, ...]
+    mahli: tuple[Capsule, ...]
+    apxs: tuple[Capsule, ...]
+    portion: tuple[Capsule, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CollisionParams:
+    """What the arm is not to meet, in RMECH, and how far it keeps from it."""
+
+    padding_m: Annotated[float, Limits(0.0, 0.2)]
+    stow_padding_m: Annotated[float, Limits(0.0, 0.2)]
+    """On the way between the stowed and the ready pose, which is close to the rover and always the same."""
+    ground_z_m: Annotated[float, Limits(0.0, 5.0)]
+    """Height of level ground; z points down."""
+    arm: ArmShapes
+    rover_boxes: tuple[Box, ...]
+    rover_capsules: tuple[Capsule, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PreloadParams:
+    """How a tool is pressed on what it touches."""
+
+    most_N: Annotated[float, Limits(1.0, 1000.0)]
+    """The largest force that may be commanded."""
+    rate_N_s: Annotated[float, Limits(0.1, 200.0)]
+    step_N: Annotated[float, Limits(0.1, 100.0)]
+    """Spacing of the knots of an overdrive."""
+    guard_share: Annotated[float, Limits(0.05, 1.0)]
+    """How far beyond the torque that a force takes the current limits are set, as a share of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class TeachPoint:
+    """A tool's place in RMECH as flight software believed it when the true tool was where it should be."""
+
+    name: str
+    tool: str
+    p_RoTo_R_m: Vector3
+    approach_R: Vector3
+    branch: str = "AUTO"
+
+
+@dataclass(frozen=True, slots=True)
 class MonitorParams:
     """Bounds of the monitors; a persistence is the number of cycles a bound must be passed in a row."""
 
@@ -240,6 +312,23 @@ class MonitorParams:
     resolver_error_rad: Annotated[float, Limits(1e-4, 0.1)]
     """How far a resolver may be from the believed output, its bias and the unknown share of the gap apart."""
     resolver_persistence: Annotated[int, Limits(1, 640)]
+    stall_share: Annotated[float, Limits(0.001, 0.9)]
+    """A motor slower than this share of the speed that is asked for has stalled."""
+    stall_persistence: Annotated[int, Limits(1, 640)]
+    winding_min_C: Annotated[float, Limits(-150.0, 50.0)]
+    winding_max_C: Annotated[float, Limits(0.0, 250.0)]
+    winding_persistence: Annotated[int, Limits(1, 640)]
+    frozen_persistence: Annotated[int, Limits(2, 6400)]
+    missed_cycles: Annotated[int, Limits(0, 64)]
+    """Missed cycles in a row that are tolerated."""
+    tilt_rad: Annotated[float, Limits(1e-3, 0.5)]
+    """How far gravity may turn during a move, and be from what the ground set."""
+    tilt_persistence: Annotated[int, Limits(1, 640)]
+    contact_persistence: Annotated[int, Limits(1, 640)]
+    """Cycles for which a tool that presses may have no switch closed."""
+    preload_error_N: Annotated[float, Limits(1.0, 500.0)]
+    """How far the force that the joints' wind-up tells may be from the one that is pressed with."""
+    preload_persistence: Annotated[int, Limits(1, 640)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,4 +342,7 @@ class Params:
     hardstop: HardstopParams
     poses: PoseParams
     motion: MotionParams
+    preload: PreloadParams
+    collision: CollisionParams
     monitors: MonitorParams
+    teach: tuple[TeachPoint, ...]

@@ -42,7 +42,7 @@ def malformed(command: MoveCommand) -> str | None:
                 return f"branch {command.branch!r} is not known; there are {AUTO}, {', '.join(BRANCHES)}"
             if not 0 <= command.line_m <= 1.0:
                 return f"line_m {command.line_m} m is outside 0 .. 1 m"
-            return _malformed_target(command.p_RoTo_R_m, command.approach_R) or _malformed_modes(command)
+            return _malformed_target(command.p_FoTo_F_m, command.approach_F) or _malformed_modes(command)
         case GuardedMove():
             if not SWITCHES_OF[command.tool]:
                 return f"{command.tool.name} has no contact switch to end a guarded move"

@@ -11,12 +11,21 @@ from fsw.dictionary.commands import (
     CalibrateAll,
     ClearFault,
     Command,
+    Dock,
     GuardedMove,
     MoveJoint,
     MoveJoints,
+    MoveTeachPoint,
     MoveTool,
+    PlaceTool,
+    Preload,
+    Process,
     Retract,
+    SetParam,
+    SetTilt,
     Stop,
+    Stow,
+    ToolChange,
     Unstow,
 )
 from fsw.dictionary.evrs import (
@@ -67,6 +76,10 @@ def handle(config: Config, now: Situation, command: Command) -> Situation:
             return _clear_fault(config, now, command)
         case Stop():
             return _stop(config, now, command)
+        case Stow() | PlaceTool() | Preload() | ToolChange() | MoveTeachPoint() | Dock() | Process():
+            return _refused(now, command, "not there yet")
+        case SetTilt() | SetParam():
+            return _refused(now, command, "not there yet")
         case Unstow() | MoveJoint() | MoveJoints() | MoveTool() | GuardedMove() | Retract():
             return _begin_move(config, now, command)
         case _:

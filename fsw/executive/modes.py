@@ -24,6 +24,13 @@ class Event(IntEnum):
     """A stop was commanded; a guarded or retracting arm may still touch."""
     STOP_STOWED = 10
     """A stop was commanded before the arm had left the stowed pose."""
+    DONE_STOWED = 11
+    """A move came to its end in the stowed pose."""
+    PRESS = 12
+    DONE_RELEASED = 13
+    """A tool no longer presses; it still touches."""
+    CLEAR_PRESSED = 14
+    """Cleared where a tool may press."""
 
 
 TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
@@ -43,6 +50,13 @@ TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
     (Mode.FREE_SPACE, Event.STOP_STOWED): Mode.STOWED,
     (Mode.GUARDED, Event.STOP): Mode.GUARDED,
     (Mode.RETRACTING, Event.STOP): Mode.GUARDED,
+    (Mode.FREE_SPACE, Event.DONE_STOWED): Mode.STOWED,
+    (Mode.GUARDED, Event.PRESS): Mode.PRELOAD,
+    (Mode.PRELOAD, Event.PRESS): Mode.PRELOAD,
+    (Mode.PRELOAD, Event.DONE): Mode.PRELOAD,
+    (Mode.PRELOAD, Event.DONE_RELEASED): Mode.GUARDED,
+    (Mode.PRELOAD, Event.STOP): Mode.PRELOAD,
+    (Mode.FAULTED, Event.CLEAR_PRESSED): Mode.PRELOAD,
     **{(mode, Event.FAULT): Mode.FAULTED for mode in Mode},
 }
 """A pair that is not here is refused."""

@@ -19,8 +19,10 @@ def drive_for(config: Config, move: Move | None, joints: JointEstimate, last: Dr
     if move is None:
         if not last.power_on.any():
             return last
-        return Drive(last.setpoint_count, np.zeros(NONE.size), config.current_limit_A, NONE, NONE)
+        return Drive(
+            last.setpoint_count, np.zeros(NONE.size), config.current_limit_A, NONE, NONE, vibrate=False
+        )
     # unchanged flags and limits are the same arrays, so that nobody compares them
     release = NONE if move.phase is Phase.BRAKE else move.active
     count = np.rint((move.hold.motor_rad - joints.reference.zero_rad) / config.rad_per_count).astype(np.int64)
-    return Drive(count, move.hold.rate_rad_s, move.limit_A, move.active, release)
+    return Drive(count, move.hold.rate_rad_s, move.limit_A, move.active, release, vibrate=False)

@@ -6,7 +6,8 @@ from enum import IntEnum
 import numpy as np
 
 from fsw.config import CYCLE_S, Config
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, NoContact, NotSettled
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr
+from fsw.dictionary.faults import NoContact, NotSettled
 from fsw.dictionary.joints import SWITCHES_OF, Joint, Switch, Tool
 from fsw.dictionary.modes import Mode
 from fsw.estimate.hardstop import Found

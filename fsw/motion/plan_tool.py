@@ -28,13 +28,13 @@ def plan_tool(
     to `reference`, or else to the tool itself, a target moves along with that tool's deflection of now.
     """
     compensation = Compensation(command.backlash, command.deflection)
-    approach = np.array(command.approach_R) / np.linalg.norm(command.approach_R)
+    approach = np.array(command.approach_F) / np.linalg.norm(command.approach_F)
     along = np.array([0.0, command.line_m])
     targets, approaches = compensation.target(
         config,
         joints,
         command.tool if reference is None else reference,
-        np.array(command.p_RoTo_R_m)[:, None] + approach[:, None] * along,
+        np.array(command.p_FoTo_F_m)[:, None] + approach[:, None] * along,
         np.tile(approach[:, None], 2),
     )
     answers = inverse_kinematics(

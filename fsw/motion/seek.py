@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ, CYCLE_S, Config
-from fsw.dictionary.evrs import (
+from fsw.dictionary.evrs import Evr
+from fsw.dictionary.faults import (
     CurrentImplausible,
-    Evr,
     HardstopMissed,
     HardstopMoved,
     HardstopUnclear,

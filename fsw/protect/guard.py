@@ -6,7 +6,8 @@ from typing import assert_never
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.evrs import ContactInFreeSpace, Evr, FaultResponse
+from fsw.dictionary.evrs import Evr, FaultResponse
+from fsw.dictionary.faults import ContactInFreeSpace
 from fsw.dictionary.modes import Mode
 from fsw.estimate.joints import JointEstimate
 from fsw.executive.modes import TRANSITIONS, Event

@@ -3,10 +3,10 @@
 from enum import StrEnum
 from typing import Final
 
-from fsw.dictionary.evrs import (
+from fsw.dictionary.evrs import Evr
+from fsw.dictionary.faults import (
     ContactInFreeSpace,
     CurrentImplausible,
-    Evr,
     FollowingErrorHigh,
     GravityImplausible,
     HardstopMissed,

@@ -5,7 +5,8 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.evrs import Evr, SetpointUnsafe
+from fsw.dictionary.evrs import Evr
+from fsw.dictionary.faults import SetpointUnsafe
 from fsw.dictionary.joints import Joint
 from fsw.kinematics.transforms import Array
 

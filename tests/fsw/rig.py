@@ -62,9 +62,10 @@ def frozen(values, dtype=float) -> np.ndarray:
     return array
 
 
-def quiet_sensors(encoder_count, **other) -> Sensors:
+def quiet_sensors(encoder_count, cycle: int = 0, **other) -> Sensors:
     """Every reading as it is when nothing happens; arrays that raise if anyone writes to them."""
     sensors = Sensors(
+        cycle=cycle,
         encoder_count=frozen(encoder_count, np.int64),
         resolver_rad=frozen(np.zeros(5)),
         current_A=frozen(np.zeros(5)),
@@ -92,6 +93,7 @@ class Rig:
         self.evrs: list[Evr] = []
         self.outputs: Outputs | None = None
         self.stuck = False
+        self.cycles = 0
         if calibrated:
             self.cycle()
 
@@ -100,7 +102,9 @@ class Rig:
         return self.count * self.config.rad_per_count + self.state.joints.gear_rad[:, LIKELY]
 
     def cycle(self, *commands: Command, **readings) -> Outputs:
-        readings = {"encoder_count": self.count, "resolver_rad": self.resolver_rad(), **readings}
+        self.cycles += 1
+        defaults = {"cycle": self.cycles, "encoder_count": self.count, "resolver_rad": self.resolver_rad()}
+        readings = defaults | readings
         self.state, self.outputs = step(self.config, self.state, quiet_sensors(**readings), commands)
         drive = self.outputs.drive
         if not self.stuck:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from fsw.dictionary.evrs import StalledEarly
+from fsw.dictionary.faults import StalledEarly
 from fsw.dictionary.joints import Joint
 from ground.place import place
 from ground.place_request import PlaceRequest

@@ -32,7 +32,7 @@ def avionics_of(plant: Plant, hardware: Hardware | None = None, seed: int = 5) -
 def drive_to(motor_rad: lab.Array, **changes: lab.Array) -> Drive:
     """Power on, brakes released, and the set-points at these angles."""
     count = np.rint((motor_rad - COUNTER_ZERO_RAD) / CONFIG.rad_per_count).astype(np.int64)
-    return replace(Drive(count, np.zeros(5), CONFIG.current_limit_A, ALL, ALL), **changes)
+    return replace(Drive(count, np.zeros(5), CONFIG.current_limit_A, ALL, ALL, vibrate=False), **changes)
 
 
 @pytest.fixture

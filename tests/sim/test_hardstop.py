@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from fsw.dictionary import evrs
+from fsw.dictionary import evrs, faults
 from fsw.dictionary.commands import Calibrate, Stop
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, FaultResponse
 from fsw.dictionary.joints import Joint
@@ -127,19 +127,23 @@ def test_a_joint_that_was_left_pressed_on_its_hardstop_is_not_pressed_any_harder
 def test_a_snag_on_the_way_is_a_stall_too_early():
     snag = (HardstopAngle(Joint.TURRET, 0.1),)
     run = stop_run(arm_named("nominal"), Joint.TURRET, World(), effects=snag, before_stop_rad=0.15)
-    failed(run, evrs.StalledEarly, Joint.TURRET)
+    failed(run, faults.StalledEarly, Joint.TURRET)
 
 
 def test_a_hardstop_that_is_not_there_is_missed():
     gone = (HardstopAngle(Joint.TURRET, -0.3),)
     failed(
-        stop_run(arm_named("nominal"), Joint.TURRET, World(), effects=gone), evrs.HardstopMissed, Joint.TURRET
+        stop_run(arm_named("nominal"), Joint.TURRET, World(), effects=gone),
+        faults.HardstopMissed,
+        Joint.TURRET,
     )
 
 
 def test_something_soft_in_its_place_is_no_hardstop():
     soft = (HardstopStiffness(Joint.TURRET, 0.15),)
-    failed(stop_run(arm_named("nominal"), Joint.TURRET, World(), effects=soft), evrs.NoHardstop, Joint.TURRET)
+    failed(
+        stop_run(arm_named("nominal"), Joint.TURRET, World(), effects=soft), faults.NoHardstop, Joint.TURRET
+    )
 
 
 def test_a_hardstop_that_moved_since_last_time_is_not_believed():
@@ -147,11 +151,11 @@ def test_a_hardstop_that_moved_since_last_time_is_not_believed():
     known = finished(stop_run(arm, Joint.TURRET, World())).reference
     moved = (HardstopAngle(Joint.TURRET, 4e-3),)
     run = stop_run(arm, Joint.TURRET, World(), effects=moved, reference=known)
-    failed(run, evrs.HardstopMoved, Joint.TURRET)
+    failed(run, faults.HardstopMoved, Joint.TURRET)
     # nor the second time, until the ground says so
     left = run.loop.state.joints.reference
     again = stop_run(arm, Joint.TURRET, World(), effects=moved, reference=left)
-    failed(again, evrs.HardstopMoved, Joint.TURRET)
+    failed(again, faults.HardstopMoved, Joint.TURRET)
     loop = stop_run(arm, Joint.TURRET, World(), effects=moved, reference=left).loop
     result = finished(InitialisationRun(loop, Calibrate(Joint.TURRET, anew=True)))
     assert result.outcome is Outcome.DONE
@@ -161,7 +165,7 @@ def test_a_hardstop_that_moved_since_last_time_is_not_believed():
 def test_a_seized_motor_is_stuck():
     seized = (GearFriction(Joint.TURRET, 50.0),)
     run = stop_run(arm_named("nominal"), Joint.TURRET, World(), effects=seized, before_stop_rad=0.1)
-    failed(run, evrs.MotorStuck, Joint.TURRET)
+    failed(run, faults.MotorStuck, Joint.TURRET)
 
 
 @pytest.mark.parametrize("reads", [Stuck(3.5), Stuck(-3.5), Stuck(0.0), Scaled(0.6), Shifted(0.5)], ids=str)

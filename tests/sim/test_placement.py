@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import Vector3
-from fsw.dictionary.evrs import CommandCompleted, ContactInFreeSpace, ContactMade, NoContact
+from fsw.dictionary.evrs import CommandCompleted, ContactMade
+from fsw.dictionary.faults import ContactInFreeSpace, NoContact
 from fsw.dictionary.joints import SWITCHES_OF, Joint, Tool
 from fsw.dictionary.modes import Mode
 from sim.arms import arm_named

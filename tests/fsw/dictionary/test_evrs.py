@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from fsw.dictionary import commands, evrs
+from fsw.dictionary import commands, evrs, faults
 from fsw.dictionary.evrs import Evr, Severity
 from fsw.dictionary.joints import Joint, Switch, Tool
 from fsw.dictionary.modes import Mode
 
 EVRS = [
     kind
-    for kind in vars(evrs).values()
-    if isinstance(kind, type) and issubclass(kind, Evr) and kind is not Evr
+    for kind in (vars(evrs) | vars(faults)).values()
+    if isinstance(kind, type) and issubclass(kind, Evr) and kind not in (Evr, faults.Fault)
 ]
 COMMANDS = typing.get_args(commands.Command)
 TESTS = Path(__file__).parents[1]
@@ -32,39 +32,39 @@ SENTENCES = {
         "ELBOW calibrated: zero moved by -0.001200 rad, runs with 31.5 N m, "
         "hardstop and gear give 15.20 urad per N m, backlash 0.003700 rad (measured: True)"
     ),
-    evrs.StalledEarly(
+    faults.StalledEarly(
         Joint.WRIST, -3.1, -3.35
     ): "WRIST stalled at -3.1000 rad, its hardstop is at -3.3500 rad",
-    evrs.HardstopMissed(
+    faults.HardstopMissed(
         Joint.WRIST, -3.38, -3.35
     ): "WRIST is at -3.3800 rad and met no hardstop at -3.3500 rad",
-    evrs.NoHardstop(Joint.TURRET, 90.0, 25.0): (
+    faults.NoHardstop(Joint.TURRET, 90.0, 25.0): (
         "TURRET is pressed on something that gives 90.00 urad per N m, a hardstop gives 25.00"
     ),
-    evrs.HardstopMoved(
+    faults.HardstopMoved(
         Joint.AZIMUTH, 0.003, 0.002
     ): "AZIMUTH: its hardstop moved by 0.003000 rad, bound 0.002000 rad",
-    evrs.MotorStuck(Joint.TURRET, 0.01, 0.8): "TURRET does not turn at 0.01 A, limit 0.80 A",
-    evrs.CurrentImplausible(
+    faults.MotorStuck(Joint.TURRET, 0.01, 0.8): "TURRET does not turn at 0.01 A, limit 0.80 A",
+    faults.CurrentImplausible(
         Joint.ELBOW, 4.0, 1.5
     ): "ELBOW reads 4.00 A, which cannot be at a limit of 1.50 A",
-    evrs.HardstopUnclear(Joint.ELBOW): "ELBOW stalled where no hardstop can be told from its current",
-    evrs.ResolverDisagrees(
+    faults.HardstopUnclear(Joint.ELBOW): "ELBOW stalled where no hardstop can be told from its current",
+    faults.ResolverDisagrees(
         Joint.ELEVATION, -0.006, 0.0055
     ): "ELEVATION: resolver off by -0.00600 rad, bound 0.00550 rad",
     evrs.BranchChosen(Tool.APXS, "b"): "APXS: branch b",
     evrs.ContactMade(Switch.APXS_1, 0.1): "contact on APXS_1 after 0.1000 m",
-    evrs.SensorNotFinite("current_A"): "non-finite reading in current_A",
-    evrs.GravityImplausible(25.04, 1.0, 20.0): "gravity reads 25 m/s2, bounds 1 .. 20 m/s2",
-    evrs.SetpointUnsafe(Joint.ELBOW, 2.9, 2.8): "ELBOW: set-point 2.9000 rad held back, last 2.8000 rad",
-    evrs.SoftLimitPassed(Joint.ELBOW, 2.9, 2.8): "ELBOW at 2.9000 rad, soft limit 2.8000 rad",
-    evrs.OverCurrent(Joint.WRIST, -2.9, 2.85): "WRIST drew -2.90 A, bound 2.85 A",
-    evrs.FollowingErrorHigh(
+    faults.SensorNotFinite("current_A"): "non-finite reading in current_A",
+    faults.GravityImplausible(25.04, 1.0, 20.0): "gravity reads 25 m/s2, bounds 1 .. 20 m/s2",
+    faults.SetpointUnsafe(Joint.ELBOW, 2.9, 2.8): "ELBOW: set-point 2.9000 rad held back, last 2.8000 rad",
+    faults.SoftLimitPassed(Joint.ELBOW, 2.9, 2.8): "ELBOW at 2.9000 rad, soft limit 2.8000 rad",
+    faults.OverCurrent(Joint.WRIST, -2.9, 2.85): "WRIST drew -2.90 A, bound 2.85 A",
+    faults.FollowingErrorHigh(
         Joint.TURRET, 0.003, 0.002
     ): "TURRET is 0.00300 rad from its set-point, bound 0.00200 rad",
-    evrs.ContactInFreeSpace(Switch.DRT_2): "contact on DRT_2 in free space",
-    evrs.NoContact(0.15): "no contact within 0.1500 m of guarded travel",
-    evrs.NotSettled(Joint.AZIMUTH, 1e-4): "AZIMUTH not settled: 0.000100 rad from its set-point",
+    faults.ContactInFreeSpace(Switch.DRT_2): "contact on DRT_2 in free space",
+    faults.NoContact(0.15): "no contact within 0.1500 m of guarded travel",
+    faults.NotSettled(Joint.AZIMUTH, 1e-4): "AZIMUTH not settled: 0.000100 rad from its set-point",
     evrs.FaultResponse("BRAKE_AND_REFUSE"): (
         "response BRAKE_AND_REFUSE: stopped, brakes on, moves refused until the fault is cleared"
     ),

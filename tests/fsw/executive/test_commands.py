@@ -27,9 +27,9 @@ from fsw.dictionary.evrs import (
     ContactMade,
     FaultCleared,
     FaultResponse,
-    HardstopMissed,
     ModeChanged,
 )
+from fsw.dictionary.faults import HardstopMissed
 from fsw.dictionary.joints import STOP_ORDER, Joint, Switch, Tool
 from fsw.dictionary.modes import Mode
 from fsw.executive.sequence import Sequence

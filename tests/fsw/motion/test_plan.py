@@ -50,8 +50,8 @@ def test_every_reachable_target_is_planned_and_met_by_the_settled_arm(tool):
         plan = plan_tool(CONFIG, joints, command)
         assert isinstance(plan, Plan)
         X = tool_at(CONFIG, plan.end.output_rad, tool)
-        np.testing.assert_allclose(X.p, command.p_RoTo_R_m, atol=MEETS)
-        np.testing.assert_allclose(X.R[:, 0], command.approach_R, atol=MEETS)
+        np.testing.assert_allclose(X.p, command.p_FoTo_F_m, atol=MEETS)
+        np.testing.assert_allclose(X.R[:, 0], command.approach_F, atol=MEETS)
         assert over_limits(CONFIG, plan.end.output_rad) <= 1e-9
 
 
@@ -81,7 +81,7 @@ def test_a_named_branch_is_the_one_that_is_taken():
 
 def test_the_approach_need_not_have_unit_length():
     joints, command = joints_at(), targets(Tool.APXS)[0]
-    long = replace(command, approach_R=floats(7.0 * np.array(command.approach_R)))
+    long = replace(command, approach_F=floats(7.0 * np.array(command.approach_F)))
     ends = [plan_tool(CONFIG, joints, one).end.motor_rad for one in (long, command)]
     np.testing.assert_allclose(*ends, atol=1e-9)
 
@@ -90,7 +90,7 @@ def test_without_deflection_the_rigid_arm_meets_the_target():
     joints, command = joints_at(), replace(targets(Tool.APXS)[0], deflection="off")
     plan = plan_tool(CONFIG, joints, command)
     rigid = forward(CONFIG.arm, plan.end.motor_rad + plan.gap_rad)
-    np.testing.assert_allclose(tool_pose(CONFIG.arm, rigid, Tool.APXS).p, command.p_RoTo_R_m, atol=1e-8)
+    np.testing.assert_allclose(tool_pose(CONFIG.arm, rigid, Tool.APXS).p, command.p_FoTo_F_m, atol=1e-8)
 
 
 def test_a_target_is_refused_if_the_line_beyond_it_cannot_be_run():

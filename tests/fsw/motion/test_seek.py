@@ -8,11 +8,13 @@ from fsw.dictionary.evrs import (
     CommandAborted,
     CommandAccepted,
     CommandCompleted,
-    CurrentImplausible,
     FaultResponse,
+    JointCalibrated,
+)
+from fsw.dictionary.faults import (
+    CurrentImplausible,
     HardstopMoved,
     HardstopUnclear,
-    JointCalibrated,
     MotorStuck,
     NoHardstop,
     StalledEarly,

@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import ClearFault, MoveJoints, Retract, Stop
-from fsw.dictionary.evrs import (
-    CommandAborted,
-    CommandRefused,
-    FaultResponse,
-    GravityImplausible,
-    ModeChanged,
-    SensorNotFinite,
-)
+from fsw.dictionary.evrs import CommandAborted, CommandRefused, FaultResponse, ModeChanged
+from fsw.dictionary.faults import GravityImplausible, SensorNotFinite
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
 from fsw.messages import Sensors

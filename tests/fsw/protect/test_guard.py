@@ -4,15 +4,8 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import ClearFault, MoveJoints
-from fsw.dictionary.evrs import (
-    CommandAborted,
-    CommandCompleted,
-    FaultResponse,
-    GravityImplausible,
-    NoContact,
-    OverCurrent,
-    SensorNotFinite,
-)
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, FaultResponse
+from fsw.dictionary.faults import GravityImplausible, NoContact, OverCurrent, SensorNotFinite
 from fsw.dictionary.joints import Joint, Tool
 from fsw.dictionary.modes import Mode
 from fsw.motion.move import Phase

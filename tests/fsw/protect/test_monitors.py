@@ -5,14 +5,10 @@ import pytest
 
 from fsw.config import CYCLE_HZ, ticks
 from fsw.dictionary.commands import ClearFault, MoveJoints, Retract
-from fsw.dictionary.evrs import (
-    CommandAborted,
-    CommandCompleted,
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, FaultResponse
+from fsw.dictionary.faults import (
     ContactInFreeSpace,
-    ContactMade,
     CurrentImplausible,
-    Evr,
-    FaultResponse,
     FollowingErrorHigh,
     GravityImplausible,
     HardstopMissed,

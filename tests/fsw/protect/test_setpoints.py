@@ -10,7 +10,8 @@ from hypothesis.extra import numpy as hnp
 
 from fsw.config import CYCLE_S
 from fsw.dictionary.commands import MoveJoints
-from fsw.dictionary.evrs import CommandAborted, FaultResponse, SetpointUnsafe
+from fsw.dictionary.evrs import CommandAborted, FaultResponse
+from fsw.dictionary.faults import SetpointUnsafe
 from fsw.dictionary.joints import Joint, Tool
 from fsw.dictionary.modes import Mode
 from fsw.motion.paths import Setpoint

@@ -1,0 +1,255 @@
+"""Faults: events that something is done about; what, is in fsw/protect/responses.py."""
+
+from dataclasses import dataclass
+
+from fsw.dictionary.evrs import Evr, Severity
+from fsw.dictionary.joints import Joint, Switch, Tool
+
+
+@dataclass(frozen=True, slots=True)
+class Fault(Evr):
+    """What went wrong; a subclass gives the text and its fields."""
+
+    severity = Severity.WARNING_HI
+
+
+@dataclass(frozen=True, slots=True)
+class StalledEarly(Fault):
+    """A joint that was looking for its hardstop stalled where there is none."""
+
+    text = "{e.joint.name} stalled at {e.angle_rad:.4f} rad, its hardstop is at {e.stop_rad:.4f} rad"
+    joint: Joint
+    angle_rad: float
+    """As its resolver reads."""
+    stop_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class HardstopMissed(Fault):
+    """A joint went beyond the place where its hardstop should be."""
+
+    text = "{e.joint.name} is at {e.angle_rad:.4f} rad and met no hardstop at {e.stop_rad:.4f} rad"
+    joint: Joint
+    angle_rad: float
+    """As its resolver reads."""
+    stop_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class NoHardstop(Fault):
+    """What a joint was pressed against is softer or harder than a hardstop."""
+
+    text = (
+        "{e.joint.name} is pressed on something that gives {e.compliance_urad_Nm:.2f} urad per N m, "
+        "a hardstop gives {e.drawn_urad_Nm:.2f}"
+    )
+    joint: Joint
+    compliance_urad_Nm: float
+    drawn_urad_Nm: float
+
+
+@dataclass(frozen=True, slots=True)
+class HardstopMoved(Fault):
+    """A hardstop is not where it was found last."""
+
+    text = "{e.joint.name}: its hardstop moved by {e.moved_rad:.6f} rad, bound {e.bound_rad:.6f} rad"
+    joint: Joint
+    moved_rad: float
+    bound_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class MotorStuck(Fault):
+    """A motor did not turn: not driven, seized, or held up while its current reads less than its limit."""
+
+    text = "{e.joint.name} does not turn at {e.current_A:.2f} A, limit {e.limit_A:.2f} A"
+    joint: Joint
+    current_A: float
+    limit_A: float
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentImplausible(Fault):
+    """A current was read that is above its limit, or drives against the motion."""
+
+    text = "{e.joint.name} reads {e.current_A:.2f} A, which cannot be at a limit of {e.limit_A:.2f} A"
+    joint: Joint
+    current_A: float
+    limit_A: float
+
+
+@dataclass(frozen=True, slots=True)
+class HardstopUnclear(Fault):
+    """A joint stalled, but its torque did not rise along a line as it does on a hardstop."""
+
+    text = "{e.joint.name} stalled where no hardstop can be told from its current"
+    joint: Joint
+
+
+@dataclass(frozen=True, slots=True)
+class ResolverDisagrees(Fault):
+    """A resolver is not where encoder, wind-up and backlash say that the output is."""
+
+    text = "{e.joint.name}: resolver off by {e.error_rad:.5f} rad, bound {e.bound_rad:.5f} rad"
+    joint: Joint
+    error_rad: float
+    bound_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class SensorNotFinite(Fault):
+    """A reading was NaN or infinite."""
+
+    text = "non-finite reading in {e.sensor}"
+    sensor: str
+
+
+@dataclass(frozen=True, slots=True)
+class GravityImplausible(Fault):
+    """The gravity reading is smaller or larger than any gravity the arm works in."""
+
+    text = "gravity reads {e.gravity_m_s2:.3g} m/s2, bounds {e.min_m_s2:.3g} .. {e.max_m_s2:.3g} m/s2"
+    gravity_m_s2: float
+    min_m_s2: float
+    max_m_s2: float
+
+
+@dataclass(frozen=True, slots=True)
+class SetpointUnsafe(Fault):
+    """A set-point was about to go out that is not finite, beyond the limits or too far from the last one."""
+
+    text = "{e.joint.name}: set-point {e.setpoint_rad:.4f} rad held back, last {e.last_rad:.4f} rad"
+    joint: Joint
+    setpoint_rad: float
+    last_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class SoftLimitPassed(Fault):
+    """A joint is beyond its soft limit and moving outward."""
+
+    text = "{e.joint.name} at {e.angle_rad:.4f} rad, soft limit {e.limit_rad:.4f} rad"
+    joint: Joint
+    angle_rad: float
+    limit_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class OverCurrent(Fault):
+    """A motor drew more than its bound for longer than its persistence."""
+
+    text = "{e.joint.name} drew {e.current_A:.2f} A, bound {e.bound_A:.2f} A"
+    joint: Joint
+    current_A: float
+    bound_A: float
+
+
+@dataclass(frozen=True, slots=True)
+class FollowingErrorHigh(Fault):
+    """A motor did not follow its set-point."""
+
+    text = "{e.joint.name} is {e.error_rad:.5f} rad from its set-point, bound {e.bound_rad:.5f} rad"
+    joint: Joint
+    error_rad: float
+    bound_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class ContactInFreeSpace(Fault):
+    """A contact switch closed where nothing was to be touched."""
+
+    text = "contact on {e.switch.name} in free space"
+    switch: Switch
+
+
+@dataclass(frozen=True, slots=True)
+class NoContact(Fault):
+    """A guarded move came to the end of its travel without contact."""
+
+    text = "no contact within {e.travel_m:.4f} m of guarded travel"
+    travel_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class NotSettled(Fault):
+    """A motor did not come to rest at its set-point in time."""
+
+    text = "{e.joint.name} not settled: {e.error_rad:.6f} rad from its set-point"
+    joint: Joint
+    error_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class MotorStalled(Fault):
+    """A motor does not turn although it is to."""
+
+    text = "{e.joint.name} stalled: turns at {e.rate_rad_s:.5f} rad/s, asked for {e.asked_rad_s:.5f} rad/s"
+    joint: Joint
+    rate_rad_s: float
+    asked_rad_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class OverTemperature(Fault):
+    """A winding is hotter than it may be."""
+
+    text = "{e.joint.name}: winding at {e.winding_C:.1f} degC, bound {e.bound_C:.1f} degC"
+    joint: Joint
+    winding_C: float
+    bound_C: float
+
+
+@dataclass(frozen=True, slots=True)
+class UnderTemperature(Fault):
+    """A motor was moved that is colder than it may be."""
+
+    text = "{e.joint.name}: winding at {e.winding_C:.1f} degC, bound {e.bound_C:.1f} degC"
+    joint: Joint
+    winding_C: float
+    bound_C: float
+
+
+@dataclass(frozen=True, slots=True)
+class SensorFrozen(Fault):
+    """A reading has stayed the same to the last bit for longer than a live sensor can."""
+
+    text = "{e.sensor} reads the same for {e.cycles} cycles"
+    sensor: str
+    cycles: int
+
+
+@dataclass(frozen=True, slots=True)
+class CyclesMissed(Fault):
+    """Flight software was not called for more cycles than a move may go on without it."""
+
+    text = "{e.cycles} cycles missed, at most {e.bound} are tolerated"
+    cycles: int
+    bound: int
+
+
+@dataclass(frozen=True, slots=True)
+class TiltChanged(Fault):
+    """Gravity turned while the arm moved, or is not where the ground said."""
+
+    text = "gravity turned by {e.turned_rad:.4f} rad, bound {e.bound_rad:.4f} rad"
+    turned_rad: float
+    bound_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class ContactLost(Fault):
+    """No contact switch of a tool is closed that is to press."""
+
+    text = "{e.tool.name} lost contact"
+    tool: Tool
+
+
+@dataclass(frozen=True, slots=True)
+class PreloadOutside(Fault):
+    """What the joints carry says another force than the one that is pressed with."""
+
+    text = "force on {e.tool.name} off by {e.error_N:.1f} N from {e.force_N:.1f} N, bound {e.bound_N:.1f} N"
+    tool: Tool
+    force_N: float
+    error_N: float
+    bound_N: float
