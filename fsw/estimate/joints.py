@@ -140,7 +140,7 @@ def calibrated(
             zero_rad=float(joints.reference.zero_rad[joint] + shift),
             half_gap_rad=found.half_gap_rad,
             resolver_bias_rad=float(bias[joint]),
-            running_Nm=found.running_Nm,
+            friction_Nm=found.running_Nm - float(load_Nm[joint]),
         ),
         motor_rad=motor,
         gear_rad=gear,

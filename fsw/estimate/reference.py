@@ -22,8 +22,8 @@ class Reference:
     half_gap_rad: Array
     """Half the width of the backlash, measured where it could be."""
     resolver_bias_rad: Array
-    running_Nm: Array
-    """Torque that it took to turn the motor; infinite where nobody has felt it."""
+    friction_Nm: Array
+    """Torque that it takes to turn a joint without load; infinite where nobody has felt it."""
 
 
 def no_reference(config: Config) -> Reference:
@@ -51,7 +51,7 @@ def remembered(
     zero_rad: float,
     half_gap_rad: float,
     resolver_bias_rad: float,
-    running_Nm: float,
+    friction_Nm: float,
 ) -> Reference:
     """The reference with a joint that is now calibrated."""
     this = np.arange(reference.zero_rad.size) == joint
@@ -61,5 +61,5 @@ def remembered(
         zero_rad=np.where(this, zero_rad, reference.zero_rad),
         half_gap_rad=np.where(this, half_gap_rad, reference.half_gap_rad),
         resolver_bias_rad=np.where(this, resolver_bias_rad, reference.resolver_bias_rad),
-        running_Nm=np.where(this, running_Nm, reference.running_Nm),
+        friction_Nm=np.where(this, friction_Nm, reference.friction_Nm),
     )

@@ -20,7 +20,7 @@ from fsw.motion.plan_knots import plan_through
 STEPS: Final = 20
 RAMP_S: Final = 1.0
 """In which the rate of the force builds up."""
-RUNNING_FACTOR: Final = 1.5
+FRICTION_FACTOR: Final = 1.5
 """Friction may have risen by so much since it was felt at the hardstop."""
 
 
@@ -97,7 +97,7 @@ def press_limit_A(config: Config, joints: JointEstimate, press: Press, load_Nm: 
     """Current limits (5) that stall the motors before the force is much larger than it ought to be."""
     most_N = max(press.start.force_N, press.end_N) * (1 + config.params.preload.guard_share)
     carried = np.abs(load_Nm) + np.abs(press.torque_per_N) * most_N
-    torque = carried + RUNNING_FACTOR * joints.reference.running_Nm + config.output_friction_Nm
+    torque = carried + FRICTION_FACTOR * joints.reference.friction_Nm
     limit: Array = np.minimum(torque / config.torque_constant_Nm_A, config.current_limit_A)
     return limit
 
