@@ -8,6 +8,7 @@ from fsw.dictionary.commands import (
     Calibrate,
     CalibrateAll,
     ClearFault,
+    Command,
     Dock,
     GuardedMove,
     MoveJoint,
@@ -25,6 +26,7 @@ from fsw.dictionary.commands import (
     ToolChange,
     Unstow,
 )
+from fsw.dictionary.evrs import CommandRefused
 from fsw.dictionary.joints import Joint, Switch, Tool
 from fsw.dictionary.modes import Mode
 from fsw.dictionary.params import TeachPoint
@@ -153,3 +155,17 @@ COMMANDS = {
     Stop: lambda rig: Stop(),
     ClearFault: lambda rig: ClearFault(),
 }
+
+
+def refusal(rig: Rig, command: Command) -> str:
+    """Why a command is refused that leaves everything as it was."""
+    before = rig.state
+    rig.evrs.clear()
+    rig.cycle(command)
+    (evr,) = rig.evrs
+    assert isinstance(evr, CommandRefused)
+    assert evr.command == type(command).__name__
+    assert rig.state.mode is before.mode
+    assert rig.state.move is None
+    assert not rig.outputs.drive.brake_release.any()
+    return evr.reason

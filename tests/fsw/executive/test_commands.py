@@ -46,6 +46,7 @@ from tests.fsw.executive.lab import (
     guarded_in_contact,
     guarded_moving,
     moving_free,
+    refusal,
     retracting,
     stowed,
 )
@@ -53,19 +54,6 @@ from tests.fsw.rig import Rig, floats, with_params
 
 NOT_CALIBRATED = "not calibrated: {}; until it is, a joint may only look for its hardstop"
 IN_STOWED, IN_GUARDED = (f"not allowed in mode {name}" for name in ("STOWED", "GUARDED"))
-
-
-def refusal(rig, command) -> str:
-    before = rig.state
-    rig.evrs.clear()
-    rig.cycle(command)
-    (evr,) = rig.evrs
-    assert isinstance(evr, CommandRefused)
-    assert evr.command == type(command).__name__
-    assert rig.state.mode is before.mode
-    assert rig.state.move is None
-    assert not rig.outputs.drive.brake_release.any()
-    return evr.reason
 
 
 @pytest.mark.parametrize("bad", [NAN, INF, -INF])
