@@ -16,7 +16,7 @@ from fsw.kinematics.transforms import Array
 from fsw.messages import Drive, Outputs
 from fsw.motion.move import Move
 from fsw.protect.guard import StandingFault
-from fsw.protect.monitors import QUIET, MonitorState
+from fsw.protect.monitors import MonitorState
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +54,7 @@ def boot(config: Config, mode: Mode, reference: Reference | None = None) -> Stat
         move=None,
         sequence=None,
         fault=None,
-        monitors=QUIET,
+        monitors=MonitorState(),
         drive=Drive(np.zeros(n, np.int64), np.zeros(n), config.current_limit_A, off, off, vibrate=False),
     )
 

@@ -39,13 +39,13 @@ from fsw.dictionary.evrs import (
 )
 from fsw.dictionary.joints import Joint
 from fsw.dictionary.modes import Mode
-from fsw.estimate.joints import JointEstimate
 from fsw.estimate.reference import forgotten
 from fsw.executive.checks import malformed
 from fsw.executive.hardstop_pose import unsafe, unsafe_for_all
 from fsw.executive.modes import TRANSITIONS, Event, after
 from fsw.executive.planning import PlannedMove, plan_for
 from fsw.executive.sequence import calibrate_all
+from fsw.executive.stopping import at_stow, stop_event
 from fsw.motion import seek
 from fsw.motion.move import Move, stop
 from fsw.motion.paths import Setpoint
@@ -235,13 +235,7 @@ def _clearing(config: Config, now: Situation) -> Event:
     fault = now.state.fault
     if now.touching or (fault is not None and fault.may_touch):
         return Event.CLEAR_TOUCHING
-    at_stow = _at_stow(config, now.state.joints)
-    return Event.CLEAR_STOWED if at_stow else Event.CLEAR
-
-
-def _at_stow(config: Config, joints: JointEstimate) -> bool:
-    off = np.abs(joints.motor_rad - config.params.poses.stowed_rad).max()
-    return bool(joints.reference.calibrated.all() and off < config.params.motion.stowed_rad)
+    return Event.CLEAR_STOWED if at_stow(config, now.state.joints) else Event.CLEAR
 
 
 def _stop(config: Config, now: Situation, command: Stop) -> Situation:
@@ -250,8 +244,7 @@ def _stop(config: Config, now: Situation, command: Stop) -> Situation:
     evrs = (*now.evrs, CommandCompleted(_name(command)))
     if now.state.move is None or now.state.mode is Mode.FAULTED:
         return replace(now, evrs=evrs)
-    still_stowed = now.state.mode is Mode.FREE_SPACE and _at_stow(config, now.state.joints)
-    event = Event.STOP_STOWED if still_stowed else Event.STOP
+    event = stop_event(config, now.state.mode, now.state.joints)
     stopping = stop(config, now.state.move, TRANSITIONS[now.state.mode, event])
     return replace(now, state=replace(now.state, move=stopping), evrs=evrs)
 

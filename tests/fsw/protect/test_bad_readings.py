@@ -11,7 +11,7 @@ from fsw.dictionary.faults import GravityImplausible, SensorNotFinite
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
 from fsw.messages import Sensors
-from fsw.protect.monitors import unusable
+from fsw.protect.readings import unusable
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, quiet_sensors
 
 CONFIG = config_of()
