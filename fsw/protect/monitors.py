@@ -3,8 +3,8 @@
 Each has a bound, and most a persistence: for how many cycles in a row the bound must be passed.
 """
 
-from dataclasses import dataclass
-from math import nan
+from dataclasses import dataclass, replace
+from math import inf
 from typing import Final
 
 import numpy as np
@@ -44,7 +44,7 @@ class MonitorState:
     counts: Counts = QUIET
     cycle: int | None = None
     """The avionics' count when flight software was called last."""
-    readings: tuple[float, ...] = (nan,) * len(LIVELY)
+    readings: tuple[float, ...] = (inf,) * len(LIVELY)
     """Of the sensors that have noise."""
     same: tuple[int, ...] = (0,) * len(LIVELY)
     """For how many cycles each of those readings has been the same."""
@@ -61,17 +61,17 @@ def watch(
     joints: JointEstimate,
     usable: bool,
 ) -> tuple[MonitorState, tuple[Evr, ...]]:
-    """The state for the next cycle and what was found; of readings that are not usable, only if they live."""
-    readings = lively(sensors)
-    same, evrs = frozen(config, last.same, last.readings, readings)
-    evrs += missed(config, last.cycle, sensors.cycle)
-    counts, planned = last.counts, None
+    """The state for the next cycle and what was found; of readings that are not usable, only how many came."""
+    evrs = missed(config, last.cycle, sensors.cycle)
+    planned = None
     if move is not None:
         planned = joints.gravity_R_m_s2 if last.planned_gravity_R is None else last.planned_gravity_R
-    if usable:
-        counts, found = _watch_arm(config, counts, mode, move, sensors, joints, planned)
-        evrs += found
-    return MonitorState(counts, sensors.cycle, readings, same, planned), evrs
+    if not usable:
+        return replace(last, cycle=sensors.cycle, planned_gravity_R=planned), evrs
+    readings = lively(sensors)
+    same, dead = frozen(config, last.same, last.readings, readings)
+    counts, found = _watch_arm(config, last.counts, mode, move, sensors, joints, planned)
+    return MonitorState(counts, sensors.cycle, readings, same, planned), evrs + dead + found
 
 
 def _watch_arm(
