@@ -316,6 +316,8 @@ class MonitorParams:
     resolver_persistence: Annotated[int, Limits(1, 640)]
     stall_share: Annotated[float, Limits(0.001, 0.9)]
     """A motor slower than this share of the speed that is asked for has stalled."""
+    stall_error_rad: Annotated[float, Limits(1e-5, 0.1)]
+    """A motor that is closer to its set-point is held up by friction, if at all."""
     stall_persistence: Annotated[int, Limits(1, 640)]
     winding_min_C: Annotated[float, Limits(-150.0, 50.0)]
     winding_max_C: Annotated[float, Limits(0.0, 250.0)]

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from sim.contact import tool_forces
 
 from fsw.dictionary.commands import PlaceTool, Preload, Retract
 from fsw.dictionary.joints import Tool
@@ -10,7 +11,6 @@ from fsw.kinematics.arm import arm_from
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import Push, rest
 from sim.arms import arm_named
-from sim.contact import tool_forces
 from sim.frames import FLIP, p_R_from_N
 from sim.loop import ClosedLoop, Setup
 from sim.params import nominal_params

@@ -1,0 +1,28 @@
+"""The monitor of the rover's attitude: a plan holds for the gravity that it was made for."""
+
+from math import atan2, sin
+
+import numpy as np
+
+from fsw.config import Config
+from fsw.dictionary.evrs import Evr
+from fsw.dictionary.faults import TiltChanged
+from fsw.kinematics.transforms import Array
+
+
+def tilt(config: Config, last: int, planned_R: Array, read_R: Array) -> tuple[int, tuple[Evr, ...]]:
+    """Gravity in another direction than when the move began; how many cycles it has been so, what was found.
+
+    Both are in RMECH, and only their directions count.
+    """
+    bounds, apart = config.params.monitors, read_R - planned_R
+    # vectors this close cannot differ more in direction
+    near = sin(bounds.tilt_rad)
+    if float(apart @ apart) <= near * near * float(planned_R @ planned_R):
+        return 0, ()
+    turned = atan2(float(np.linalg.norm(np.cross(planned_R, read_R))), float(planned_R @ read_R))
+    if turned <= bounds.tilt_rad:
+        return 0, ()
+    if last + 1 < bounds.tilt_persistence:
+        return last + 1, ()
+    return last + 1, (TiltChanged(turned, bounds.tilt_rad),)
