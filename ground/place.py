@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.config import CYCLE_HZ
+from fsw.config import CYCLE_HZ, digest
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.joints import STOP_ORDER
 from ground.place_request import PlaceRequest, checked
@@ -22,7 +22,6 @@ from ground.telemetry.record import Recorder
 from sim.arms import BuiltArm
 from sim.initialisation import Initialisation, initialised
 from sim.loop import ClosedLoop, Setup
-from sim.params import digest
 from sim.placement import PlacementResult, PlacementRun
 from sim.record import CycleRecord
 from sim.sequence import Outcome

@@ -6,7 +6,7 @@ from enum import IntEnum
 import numpy as np
 
 from fsw.config import CYCLE_S, Config
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, Preloaded
 from fsw.dictionary.faults import NoContact, NotSettled
 from fsw.dictionary.joints import SWITCHES_OF, Joint, Switch, Tool
 from fsw.dictionary.modes import Mode
@@ -16,6 +16,7 @@ from fsw.kinematics.transforms import Array
 from fsw.messages import Flags, Sensors
 from fsw.motion import seek as seeking
 from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
+from fsw.motion.plan_press import Press, Pressing
 from fsw.motion.seek import Seek, limit_A
 
 
@@ -43,14 +44,16 @@ class Move:
     guarded: Tool | None = None
     """Whose contact ends the move; None for a move that is not to touch."""
     seek: Seek | None = None
+    press: Press | None = None
+    vibrate: bool = False
     stopped: bool = False
     """A command or a fault stopped it: the move ends early and is reported as aborted."""
     phase: Phase = Phase.RELEASE
     ticks: int = 0
     """Cycles in this phase, and for RUN in this path."""
     calm_ticks: int = 0
-    travelled_m: float = 0.0
-    """Along the straight paths that are done."""
+    travelled: float = 0.0
+    """Along the paths over knots that are done."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +85,15 @@ def advance(config: Config, move: Move, joints: JointEstimate, load_Nm: Array, s
                 return Advance(_tick(move))
             if move.stopped:
                 return Advance(None, (CommandAborted(move.command),), move.end_mode)
-            return Advance(None, (CommandCompleted(move.command),), move.end_mode, _found(move))
+            return Advance(
+                None, (*_pressed(move), CommandCompleted(move.command)), move.end_mode, _found(move)
+            )
+
+
+def _pressed(move: Move) -> tuple[Evr, ...]:
+    if move.press is None:
+        return ()
+    return (Preloaded(move.press.start.tool, move.press.end_N),)
 
 
 def _found(move: Move) -> tuple[Joint, Found] | None:
@@ -100,7 +111,7 @@ def stop(config: Config, move: Move, end_mode: Mode) -> Move:
         held = Setpoint(move.hold.motor_rad, np.zeros_like(move.hold.rate_rad_s))
         return _enter(replace(stopped, hold=held), Phase.BRAKE)
     if move.phase is Phase.RUN:
-        return replace(stopped, paths=(stop_path(config, move.hold),), ticks=0)
+        return replace(stopped, paths=(stop_path(config, move.hold),), ticks=0, travelled=gone(move))
     return stopped
 
 
@@ -135,15 +146,26 @@ def _run(move: Move, sensors: Sensors) -> Advance:
     running = replace(move, hold=path.at(time_s), ticks=move.ticks + 1)
     if time_s < path.duration_s:
         return Advance(running)
+    running = replace(running, travelled=_travel(move, path.duration_s))
     if last:
         return Advance(_enter(running, Phase.SETTLE))
-    travelled = _travel(move, path.duration_s)
-    return Advance(replace(running, paths=move.paths[1:], ticks=0, travelled_m=travelled))
+    return Advance(replace(running, paths=move.paths[1:], ticks=0))
+
+
+def gone(move: Move) -> float:
+    """How far a move has come on its paths over knots."""
+    running = move.phase is Phase.RUN and bool(move.paths)
+    return _travel(move, move.ticks * CYCLE_S) if running else move.travelled
+
+
+def pressing_in(move: Move) -> Pressing | None:
+    """What a move presses with by now."""
+    return None if move.press is None else move.press.after(gone(move))
 
 
 def _travel(move: Move, time_s: float) -> float:
     path = move.paths[0]
-    return move.travelled_m + (path.travel_at(time_s)[0] if isinstance(path, LinePath) else 0.0)
+    return move.travelled + (path.travel_at(time_s)[0] if isinstance(path, LinePath) else 0.0)
 
 
 def _settle(config: Config, move: Move, joints: JointEstimate) -> Advance:

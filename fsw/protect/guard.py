@@ -12,7 +12,7 @@ from fsw.dictionary.modes import Mode
 from fsw.estimate.joints import JointEstimate
 from fsw.executive.modes import TRANSITIONS, Event
 from fsw.kinematics.transforms import Array
-from fsw.motion.move import Move, Phase
+from fsw.motion.move import Move, Phase, gone
 from fsw.motion.paths import Setpoint
 from fsw.protect.responses import Response, response_to
 
@@ -93,6 +93,7 @@ def brake(config: Config, move: Move, last_rad: Array, joints: JointEstimate) ->
     return replace(
         move,
         phase=Phase.BRAKE,
+        travelled=gone(move),
         ticks=0 if move.phase is not Phase.BRAKE else move.ticks,
         hold=Setpoint(np.clip(joints.motor_rad, asked - bound, asked + bound), np.zeros_like(asked)),
         end_mode=Mode.FAULTED,

@@ -117,7 +117,7 @@ def _resolver(config: Config, last: int, joints: JointEstimate) -> tuple[int, tu
 def _contact(mode: Mode, move: Move | None, closed: Flags) -> tuple[Evr, ...]:
     """A closed switch where nothing was to be touched: any in free space, another tool's when guarded."""
     expected: tuple[Switch, ...] = ()
-    if mode in (Mode.GUARDED, Mode.RETRACTING, Mode.FAULTED):
+    if mode in (Mode.GUARDED, Mode.RETRACTING, Mode.PRELOAD, Mode.FAULTED):
         expected = (
             SWITCHES_OF[move.guarded] if move is not None and move.guarded is not None else tuple(Switch)
         )

@@ -19,7 +19,6 @@ from fsw.kinematics.transforms import Pose
 from fsw.messages import Outputs, Sensors
 from fsw.state import State, boot
 from sim.arms import arm_named
-from sim.params import digest
 
 MARS_R_m_s2 = np.array([0.0, 0.0, 3.711])
 
@@ -27,14 +26,14 @@ MARS_R_m_s2 = np.array([0.0, 0.0, 3.711])
 @lru_cache
 def config_of(arm: str = "nominal") -> Config:
     params = arm_named(arm).params
-    return configure(params, digest(params))
+    return configure(params)
 
 
 def with_params(**groups: dict) -> Config:
     """The nominal configuration with other values of some parameters, by group."""
     params = arm_named("nominal").params
     changed = {name: replace(getattr(params, name), **values) for name, values in groups.items()}
-    return configure(replace(params, **changed), "changed")
+    return configure(replace(params, **changed))
 
 
 def in_limits(config: Config, rng: np.random.Generator, n: int, shrink: float = 0.0) -> np.ndarray:
