@@ -30,9 +30,10 @@ class Injection:
     """A fault of the hardware and when it comes."""
 
     effect: Effect
-    """With the time at which it comes; during a command, since that command began."""
+    at_s: float
+    """Since the scenario began, or since a command did."""
     during: int | None = None
-    """The number of that command, from 1; None for a time since the scenario began."""
+    """The number of that command, from 1."""
 
 
 @dataclass(frozen=True, slots=True)

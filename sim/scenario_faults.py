@@ -1,5 +1,6 @@
 """The faults of the hardware that a scenario may inject."""
 
+from dataclasses import replace
 from typing import Final
 
 from sim.effects.effect import Effect
@@ -10,3 +11,9 @@ FAULTS: Final[tuple[type[Effect], ...]] = (PowerLoss,)
 
 STOPPING: Final[tuple[type[Effect], ...]] = (PowerLoss,)
 """Those with which no command that moves can come to its end."""
+
+
+def timed(effect: Effect, at_s: float) -> Effect:
+    """The same fault at another time."""
+    when = {"at_s": at_s}
+    return replace(effect, **when)

@@ -12,6 +12,7 @@ import numpy as np
 from fsw.dictionary.modes import Mode
 from fsw.dictionary.params import Limits
 from sim.arms import UnknownArm, arm_named
+from sim.checks import Done, Faulted
 from sim.effects.environment import WARM_C
 from sim.scenario import Scenario, Start
 from sim.scenario_faults import STOPPING
@@ -142,6 +143,10 @@ def _scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario |
         taught=_all(taught),
         faults=_all(faults),
     )
+    if not any(isinstance(check, Done | Faulted) for check in scenario.checks):
+        findings.say(
+            ("check", 0), 'check: none says how the scenario ends; add one of type "done" or "faulted"'
+        )
     _check_tilt(scenario.world, findings)
     _check_sequence(scenario, findings)
     return scenario

@@ -126,9 +126,10 @@ def _events(command: Command) -> tuple[Event, ...]:
 
 def _refused(standing: Standing, command: Command) -> str | None:
     name, modes = upper_snake(type(command)), standing.modes
-    if modes == {Mode.FAULTED} and moves(command):
+    if modes == {Mode.FAULTED} and not isinstance(command, ClearFault | Stop):
+        asks = "asks for motion" if moves(command) else "comes"
         return (
-            f"{name} asks for motion while the fault of command {standing.faulted_in} stands; "
+            f"{name} {asks} while the fault of command {standing.faulted_in} stands; "
             "put CLEAR_FAULT before it"
         )
     if not modes_after(modes, command):

@@ -1,7 +1,7 @@
 """A scenario in the closed loop, watched by a judge who knows the truth."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from sim.judge import Measured, judged
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.scenario import Scenario
+from sim.scenario_faults import timed
 from sim.sequence import Outcome, run_sequence, watched
 from sim.trace import Ending, Moment, Trace, moment
 
@@ -36,8 +37,8 @@ class ScenarioResult:
 
     @property
     def passed(self) -> bool:
-        """Whether every check is."""
-        return all(measured.passed for measured in self.measured)
+        """Whether every check is; a run that was not judged has not passed."""
+        return bool(self.measured) and all(measured.passed for measured in self.measured)
 
 
 def setup_of(
@@ -70,9 +71,9 @@ def faults_of(scenario: Scenario, arm: BuiltArm, reference: Reference, seed: int
             if len(begins_s) >= max(awaited):
                 break
     return tuple(
-        fault.effect
+        timed(fault.effect, fault.at_s)
         if fault.during is None
-        else replace(fault.effect, at_s=fault.effect.at_s + begins_s.get(fault.during, np.inf))  # type: ignore[attr-defined,call-arg]
+        else timed(fault.effect, fault.at_s + begins_s.get(fault.during, np.inf))
         for fault in scenario.faults
     )
 
@@ -87,7 +88,8 @@ class ScenarioRun:
         self._evrs: list[tuple[float, Evr]] = []
         self._outcome = Outcome.SOFTWARE_ERROR
         self._refuses = False
-        self._command = 0
+        self.command = 0
+        """The number of the command under way, from 1."""
 
     def __iter__(self) -> Iterator[CycleRecord]:
         """Every cycle, as it happens; after a fault, one more in which a move is asked for."""
@@ -99,9 +101,9 @@ class ScenarioRun:
             yield record
 
     def _note(self, record: CycleRecord) -> None:
-        self._command += len(record.commands)
+        self.command += len(record.commands)
         self._evrs += [(record.tick / CYCLE_HZ, evr) for evr in record.outputs.evrs]
-        self._moments.append(moment(self._loop.plant, record, self._command))
+        self._moments.append(moment(self._loop.plant, record, self.command))
 
     def result(self) -> ScenarioResult:
         """What came of it; after the last cycle."""
@@ -118,7 +120,7 @@ class ScenarioRun:
         trace = Trace(tuple(self._moments), ending)
         return ScenarioResult(
             outcome=self._outcome,
-            command=self._command,
+            command=self.command,
             duration_s=plant.data.time,
             measured=judged(self._scenario, stowed, trace),
             evrs=ending.evrs,

@@ -37,6 +37,13 @@ EFFECTS: Final[dict[str, type[Effect]]] = {upper_snake(kind): kind for kind in F
 
 
 @dataclass(frozen=True, slots=True)
+class _At:
+    """When a fault comes."""
+
+    at_s: Annotated[float, Limits(0.0, 1e5)]
+
+
+@dataclass(frozen=True, slots=True)
 class _During:
     """When a fault comes that comes during a command."""
 
@@ -97,22 +104,23 @@ def fault_of(table: dict[str, Any], place: Place, findings: Findings, commands: 
     rest = {key: value for key, value in table.items() if key != TYPE}
     when: dict[str, Any] = {key: rest.pop(key) for key in ("during", "after_s") if key in rest}
     if "at_s" in rest and when:
-        findings.say(
-            (*place, "at_s"), "at_s: counts from the beginning; give it alone, or during and after_s"
-        )
+        text = "at_s: counts from the beginning; give it alone, or during and after_s"
+        findings.say((*place, "at_s"), text)
         return None
-    if "at_s" not in rest and not when:
+    at: _At | _During | None
+    if "at_s" in rest:
+        at = record_of(_At, {"at_s": rest.pop("at_s")}, place, findings)
+    elif when:
+        at = record_of(_During, when, place, findings)
+    else:
         findings.say(place, "at_s: is missing; or give during, the number of a command, and after_s")
         return None
-    if not when:
-        effect = record_of(kind, rest, place, findings)
-        return None if effect is None else Injection(effect)
-    during = record_of(_During, when, place, findings)
-    if during is not None:
-        _check_number("during", during.during, commands, place, findings)
-        rest["at_s"] = during.after_s
-    effect = record_of(kind, {"at_s": 0.0, **rest}, place, findings)
-    return None if effect is None or during is None else Injection(effect, during.during)
+    effect = record_of(kind, {**rest, "at_s": 0.0}, place, findings)
+    if isinstance(at, _During):
+        _check_number("during", at.during, commands, place, findings)
+    if effect is None or at is None:
+        return None
+    return Injection(effect, at.after_s, at.during) if isinstance(at, _During) else Injection(effect, at.at_s)
 
 
 def check_of(
