@@ -143,7 +143,7 @@ def _scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario |
         taught=_all(taught),
         faults=_all(faults),
     )
-    if not any(isinstance(check, Done | Faulted) for check in scenario.checks):
+    if checks and not any(isinstance(check, Done | Faulted) for check in scenario.checks):
         findings.say(
             ("check", 0), 'check: none says how the scenario ends; add one of type "done" or "faulted"'
         )

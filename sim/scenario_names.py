@@ -62,9 +62,9 @@ def one_of(known: Iterable[str]) -> str:
 
 
 def did_you_mean(said: str, known: Iterable[str]) -> str:
-    """What was probably meant, and what there is."""
+    """What was probably meant, and what there is; any part of `one or other` may have been meant."""
     names = list(known)
-    near = {name.lower(): name for name in names}
+    near = {part.lower(): name for name in names for part in name.split(" or ")}
     close = get_close_matches(said.lower(), near, n=1)
     meant = f"did you mean {near[close[0]]}? " if close else ""
     return meant + one_of(names)

@@ -59,7 +59,7 @@ def record_of(
     values: dict[str, Any] = {}
     for f in fields(kind):  # type: ignore[arg-type]
         key = said.get(f.name)
-        if key is not None:
+        if key in words[f.name].factors:
             values[f.name] = _value(
                 hints[f.name],
                 table[key],
@@ -68,7 +68,7 @@ def record_of(
                 words[f.name].factors[key],
                 choices.get(f.name),
             )
-        elif f.default is MISSING and f.default_factory is MISSING:
+        elif key is None and f.default is MISSING and f.default_factory is MISSING:
             findings.say(place, f"{words[f.name]}: is missing")
     return kind(**values) if len(findings.problems) == before else None
 
@@ -96,30 +96,26 @@ def kind_of(
 
 
 def _keys(words: list[Words], table: dict[str, Any], place: Place, findings: Findings) -> dict[str, str]:
-    """The key that says each field that is said; keys that say none are problems."""
-    known = {key: w for w in words for key in w.factors}
+    """The key that is there for each field; one that does not say its field rightly is a problem."""
     said: dict[str, str] = {}
     for key in table:
         at = (*place, key)
-        if key not in known:
-            findings.say(at, _unknown(key, words))
-        elif known[key].field in said:
-            findings.say(at, f"{key}: {said[known[key].field]} says the same; give one of the two")
+        meant = next((w for w in words if key in w.factors), None) or _without_unit(key, words)
+        if meant is None:
+            findings.say(at, f"{key}: is not known here; {did_you_mean(key, map(str, words))}")
+        elif meant.field in said:
+            findings.say(at, f"{key}: {said[meant.field]} says the same; give one of the two")
         else:
-            said[known[key].field] = key
+            said[meant.field] = key
+            if key not in meant.factors:
+                findings.say(at, f"{key}: has {'no' if key == meant.stem else 'another'} unit; write {meant}")
     return said
 
 
-def _unknown(key: str, words: list[Words]) -> str:
-    for w in words:
-        if len(w.factors) == 1 and w.stem in w.factors:
-            continue  # it has no unit
-        if key == w.stem:
-            return f"{key}: has no unit; write {w}"
-        if key.startswith(f"{w.stem}_"):
-            return f"{key}: has no unit of its own; write {w}"
-    known = [str(w) for w in words]
-    return f"{key}: is not known here; {did_you_mean(key, known) if known else 'nothing is to be said here'}"
+def _without_unit(key: str, words: list[Words]) -> Words | None:
+    """The field that a key is about that lacks its unit or has one that is not its own."""
+    with_unit = [w for w in words if w.stem not in w.factors]
+    return next((w for w in with_unit if key == w.stem or key.startswith(f"{w.stem}_")), None)
 
 
 def _value(
@@ -199,5 +195,5 @@ def _within(limits: Any, value: Any, factor: float) -> None:
 
 def _shown(value: Any) -> str:
     """A value of the file, short enough for a sentence."""
-    text = repr(value) if isinstance(value, str) else str(value)
+    text = str(value).lower() if isinstance(value, bool) else f"{value!r}"
     return text if len(text) <= 60 else f"{text[:57]}..."

@@ -53,12 +53,12 @@ class _Finder:
         place: Place = ()
         for k, name in enumerate(names):
             place = (*place, name)
+            self._note(place, begun)
             if opening == "[[" and k == len(names) - 1:
                 self._counts[place] = self._counts.get(place, 0) + 1
-                self._note(place, begun)
             if place in self._counts:
                 place = (*place, self._counts[place] - 1)
-        self._note(place, begun)
+                self._note(place, begun)
         return place
 
     def _pair(self, table: Place) -> None:
