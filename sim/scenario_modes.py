@@ -105,6 +105,8 @@ def modes_after(modes: Modes, command: Command) -> Modes:
     """The modes in which a command may leave the arm; none where it may not begin."""
     if isinstance(command, ClearFault):
         return _CLEARED if Mode.FAULTED in modes else frozenset()
+    if isinstance(command, ToolChange):
+        modes &= {Mode.GUARDED}  # what touches nothing may move back, but has no spot to come back to
     return _through(modes, _events(command))
 
 
@@ -147,6 +149,8 @@ def _refused(standing: Standing, command: Command) -> str | None:
 def _after(standing: Standing, command: Command, fault: int | None) -> Standing:
     if fault is not None and moves(command):
         return Standing(frozenset({Mode.FAULTED}), faulted_in=fault)
+    if standing.modes == {Mode.FAULTED} and not isinstance(command, ClearFault):
+        return standing
     # one that is refused was told already; go on as if what is missing had been there
     modes = modes_after(standing.modes, command) or modes_after(frozenset(Mode), command)
     if not modes <= {Mode.GUARDED, Mode.PRELOAD}:
@@ -163,6 +167,6 @@ def _ways(modes: Modes, command: Command) -> str:
         upper_snake(kind) + (" of force 0" if events is _RELEASE else "")
         for kind in get_args(Command)
         for events in ((_PRESS, _RELEASE) if kind is Preload else (EVENTS[kind],))
-        if events and kind is not ClearFault and _through(modes, events) & fit
+        if events and kind not in (ClearFault, ToolChange) and _through(modes, events) & fit
     ]
     return " or ".join(ways) or f"what leads to mode {' or '.join(mode.name for mode in sorted(fit))}"
