@@ -43,6 +43,8 @@ class Move:
     """The set-point of this cycle."""
     guarded: Tool | None = None
     """Whose contact ends the move; None for a move that is not to touch."""
+    contact_at: float | None = None
+    """How far a guarded move had come when a switch closed."""
     seek: Seek | None = None
     press: Press | None = None
     vibrate: bool = False
@@ -77,7 +79,7 @@ def advance(config: Config, move: Move, joints: JointEstimate, load_Nm: Array, s
         case Phase.RUN:
             if move.seek is not None:
                 return _seek(config, move, move.seek, joints, load_Nm, sensors)
-            return _run(move, sensors)
+            return _run(config, move, sensors)
         case Phase.SETTLE:
             return _settle(config, move, joints)
         case Phase.BRAKE:
@@ -132,24 +134,34 @@ def _seek(
     return Advance(move if sought.seek.found is None else _enter(move, Phase.SETTLE), sought.evrs)
 
 
-def _run(move: Move, sensors: Sensors) -> Advance:
-    path = move.paths[0]
-    time_s = (move.ticks + 1) * CYCLE_S
-    last = len(move.paths) == 1
+def _run(config: Config, move: Move, sensors: Sensors) -> Advance:
+    evrs: tuple[Evr, ...] = ()
     if move.guarded is not None:
-        switch = closed_switch(move.guarded, sensors.switch_closed)
-        if switch is not None:
-            touched = replace(move, hold=Setpoint(move.hold.motor_rad, np.zeros_like(move.hold.rate_rad_s)))
-            return Advance(_enter(touched, Phase.SETTLE), (ContactMade(switch, _travel(move, time_s)),))
-        if last and time_s >= path.duration_s:
-            return Advance(move, (NoContact(_travel(move, time_s)),))
+        move, evrs = _felt(move, move.guarded, sensors)
+        if (
+            move.contact_at is not None
+            and gone(move) >= move.contact_at + config.params.motion.contact_firm_m
+        ):
+            still = Setpoint(move.hold.motor_rad, np.zeros_like(move.hold.rate_rad_s))
+            return Advance(_enter(replace(move, hold=still), Phase.SETTLE), evrs)
+    path, time_s = move.paths[0], (move.ticks + 1) * CYCLE_S
     running = replace(move, hold=path.at(time_s), ticks=move.ticks + 1)
     if time_s < path.duration_s:
-        return Advance(running)
+        return Advance(running, evrs)
     running = replace(running, travelled=_travel(move, path.duration_s))
-    if last:
-        return Advance(_enter(running, Phase.SETTLE))
-    return Advance(replace(running, paths=move.paths[1:], ticks=0))
+    if len(move.paths) > 1:
+        return Advance(replace(running, paths=move.paths[1:], ticks=0), evrs)
+    if move.guarded is not None and move.contact_at is None:
+        return Advance(move, (*evrs, NoContact(_travel(move, time_s))))
+    return Advance(_enter(running, Phase.SETTLE), evrs)
+
+
+def _felt(move: Move, tool: Tool, sensors: Sensors) -> tuple[Move, tuple[Evr, ...]]:
+    """A guarded move that remembers where its tool made contact."""
+    switch = closed_switch(tool, sensors.switch_closed)
+    if switch is None or move.contact_at is not None:
+        return move, ()
+    return replace(move, contact_at=gone(move)), (ContactMade(switch, gone(move)),)
 
 
 def gone(move: Move) -> float:

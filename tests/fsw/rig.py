@@ -29,10 +29,13 @@ def config_of(arm: str = "nominal") -> Config:
     return configure(params)
 
 
-def with_params(**groups: dict) -> Config:
+def with_params(**groups) -> Config:
     """The nominal configuration with other values of some parameters, by group."""
     params = arm_named("nominal").params
-    changed = {name: replace(getattr(params, name), **values) for name, values in groups.items()}
+    changed = {
+        name: replace(getattr(params, name), **values) if isinstance(values, dict) else values
+        for name, values in groups.items()
+    }
     return configure(replace(params, **changed))
 
 

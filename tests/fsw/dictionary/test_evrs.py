@@ -65,10 +65,12 @@ SENTENCES = {
     faults.ContactInFreeSpace(Switch.DRT_2): "contact on DRT_2 in free space",
     faults.NoContact(0.15): "no contact within 0.1500 m of guarded travel",
     faults.NotSettled(Joint.AZIMUTH, 1e-4): "AZIMUTH not settled: 0.000100 rad from its set-point",
-    evrs.FaultResponse("BRAKE_AND_REFUSE"): (
-        "response BRAKE_AND_REFUSE: stopped, brakes on, moves refused until the fault is cleared"
-    ),
+    evrs.FaultResponse("BRAKE_AND_REFUSE"): "response BRAKE_AND_REFUSE",
     evrs.FaultCleared(): "fault cleared",
+    evrs.Preloaded(Tool.DRILL, 300.0): "DRILL pressed with 300.0 N",
+    evrs.SpotTaken(Tool.APXS, 2.0, -0.1, 0.85): "spot of APXS at 2.0000 -0.1000 0.8500 m in RMECH",
+    evrs.ParamSet("collision.ground_z_m", 1.25, "ab12"): "collision.ground_z_m is 1.25, parameters ab12",
+    evrs.TiltSet(0.0012): "tilt set, 0.0012 rad from what the IMU reads",
     evrs.SoftwareError("KeyError: 'a'"): "software error: KeyError: 'a'",
 }
 
