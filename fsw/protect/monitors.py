@@ -61,7 +61,7 @@ def watch(
     joints: JointEstimate,
     usable: bool,
 ) -> tuple[MonitorState, tuple[Evr, ...]]:
-    """The state for the next cycle and what was found; of readings that are not usable, only how many came."""
+    """The state for the next cycle and what was found; of unusable readings, only how many came."""
     evrs = missed(config, last.cycle, sensors.cycle)
     planned = None
     if move is not None:
@@ -85,6 +85,7 @@ def _watch_arm(
 ) -> tuple[Counts, tuple[Evr, ...]]:
     """The monitors that need readings to compute with."""
     evrs: tuple[Evr, ...] = ()
+    bounds = config.params.monitors
     if sensors.switch_closed.any():
         evrs += contact(mode, move, sensors.switch_closed)
     resolver, apart = motors.resolver(config, last.resolver, joints)
@@ -98,10 +99,12 @@ def _watch_arm(
         evrs += turned
         if move.phase is not Phase.RELEASE:
             error = np.abs(move.hold.motor_rad - joints.motor_rad)
-            stalled, still = motors.stalled(config, last.stalled, move, error, joints)
-            following, behind = motors.following(config, last.following, error)
+            if error.max() > min(bounds.stall_error_rad, bounds.following_error_rad):
+                stalled, still = motors.stalled(config, last.stalled, move, error, joints)
+                following, behind = motors.following(config, last.following, error)
+                evrs += still + behind
             drawn, high = motors.over_current(config, last.over_current, sensors.current_A)
-            evrs += still + behind + high
+            evrs += high
     if not (tilted or following or stalled or drawn or winding or resolver):
         return QUIET, evrs
     return Counts(following, stalled, drawn, winding, resolver, tilted), evrs
