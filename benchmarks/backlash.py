@@ -19,7 +19,6 @@ from fsw.dictionary.commands import Backlash
 from fsw.dictionary.joints import Joint
 from sim.arms import arm_named
 from sim.initialisation import initial_reference
-from sim.params import digest
 from sim.tour import Settled, random_goals, tour
 from sim.world import World
 
@@ -34,7 +33,7 @@ def one_tour(arm_name: str, backlash: Backlash, poses: int, seed: int) -> list[S
     rng = np.random.default_rng([seed, 4])
     tilt, heading = rng.uniform(0.0, MAX_TILT_RAD), rng.uniform(-np.pi, np.pi)
     world = World("mars", float(tilt * np.cos(heading)), float(tilt * np.sin(heading)))
-    goals = random_goals(configure(arm.params, digest(arm.params)), rng, poses)
+    goals = random_goals(configure(arm.params), rng, poses)
     return list(tour(arm, reference, world, goals, backlash, seed))
 
 

@@ -27,7 +27,6 @@ from ground.report.figures import save_figure
 from sim.arms import BuiltArm, arm_named
 from sim.effects.turret import TurretMass
 from sim.initialisation import initial_reference
-from sim.params import digest
 from sim.tour import Settled, pose_in_workspace, tour
 from sim.world import World
 
@@ -67,7 +66,7 @@ def group(index: int, seed: int) -> list[Predicted]:
     mass_kg, roll_deg = GROUPS[index]
     arm = standing_in(mass_kg)
     world = World("earth", tilt_roll_rad=float(np.radians(roll_deg)))
-    config = configure(arm.params, digest(arm.params))
+    config = configure(arm.params)
     rng = np.random.default_rng([seed, index, 6])
     shoulders = ["out"] * (POSES - SHOULDER_IN) + ["in"] * SHOULDER_IN
     goals = [pose_in_workspace(config, rng, Tool.DRILL, WITH_SHOULDER[shoulder]) for shoulder in shoulders]

@@ -1,6 +1,7 @@
 """What flight software is built from: the parameters and the arrays that follow from them."""
 
-from dataclasses import dataclass
+import hashlib
+from dataclasses import dataclass, fields, is_dataclass
 
 import numpy as np
 
@@ -42,14 +43,28 @@ class Config:
     settle_timeout_ticks: int
 
 
-def configure(params: Params, params_sha256: str) -> Config:
-    """The configuration of these parameters; the digest goes into the boot EVR."""
+def digest(params: Params) -> str:
+    """SHA-256 of the parameters' values, the same for the same values however they were written."""
+    return hashlib.sha256(_written(params).encode()).hexdigest()
+
+
+def _written(value: object) -> str:
+    """One text for one value, whatever kind of number holds it."""
+    if is_dataclass(value):
+        return "".join(f"{f.name}={_written(getattr(value, f.name))};" for f in fields(value))
+    if isinstance(value, tuple):
+        return f"({','.join(_written(item) for item in value)})"
+    return float(value).hex() if isinstance(value, float) else str(value)
+
+
+def configure(params: Params) -> Config:
+    """The configuration of these parameters."""
     joints, motion, bounds = params.joints.in_order(), params.motion, params.monitors
     lowest = np.array([j.soft_min_rad - bounds.soft_limit_margin_rad for j in joints])
     beyond_stop = np.array([j.hardstop_rad for j in joints]) - 2 * params.hardstop.window_rad
     return Config(
         params=params,
-        params_sha256=params_sha256,
+        params_sha256=digest(params),
         arm=arm_from(params),
         rad_per_count=np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints]),
         half_gap_rad=np.array([0.5 * j.backlash_rad for j in joints]),

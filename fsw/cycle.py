@@ -6,13 +6,15 @@ from fsw.config import Config
 from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Booted, Evr, ModeChanged
+from fsw.dictionary.modes import Mode
 from fsw.estimate import joints as joint_estimate
 from fsw.estimate import load as load_estimate
-from fsw.executive.commands import Situation, handle, proceed
+from fsw.executive.commands import handle, proceed
+from fsw.executive.situation import Situation
 from fsw.kinematics.transforms import Array
 from fsw.messages import Outputs, Sensors
 from fsw.motion.drive import drive_for
-from fsw.motion.move import Phase, advance
+from fsw.motion.move import Phase, advance, pressing_in
 from fsw.protect.guard import Guarded, guard
 from fsw.protect.monitors import MonitorState, watch
 from fsw.protect.motors import lowest_for
@@ -25,7 +27,7 @@ def step(
     config: Config, state: State, sensors: Sensors, commands: tuple[Command, ...]
 ) -> tuple[State, Outputs]:
     """The state and the outputs after one cycle; everything follows from the arguments."""
-    before = state
+    before, config = state, state.changed or config
     bad = unusable(config, sensors)
     state, tool_channels = _estimate(config, state, sensors, usable=not bad)
     state, decided = _decide(config, state, sensors, commands, usable=not bad)
@@ -45,7 +47,8 @@ def _estimate(
     joints = joint_estimate.update(config, state.joints, sensors)
     if state.load.known and state.tick % config.params.motion.load_period != 0:
         return replace(state, joints=joints), None
-    load, joints, channels = load_estimate.refresh(config, state.tick, state.tool, joints, state.load)
+    push = None if state.pressing is None else state.pressing.pushed
+    load, joints, channels = load_estimate.refresh(config, state.tick, state.tool, joints, state.load, push)
     return replace(state, joints=joints, load=load), channels
 
 
@@ -68,7 +71,10 @@ def _move(config: Config, state: State, sensors: Sensors, usable: bool) -> tuple
         return state, ()
     result = advance(config, state.move, state.joints, state.load.torque_Nm, sensors)
     mode = state.mode if result.end_mode is None else result.end_mode
-    state = replace(state, move=result.move, mode=mode)
+    pressing = state.pressing
+    if state.move.press is not None:
+        pressing = None if mode is Mode.GUARDED else pressing_in(result.move or state.move)
+    state = replace(state, move=result.move, mode=mode, pressing=pressing)
     if result.stop is None:
         return state, result.evrs
     joint, found = result.stop
@@ -86,7 +92,8 @@ def _protect(
     moved: tuple[Evr, ...],
 ) -> tuple[State, MonitorState, tuple[Evr, ...]]:
     """Monitors say what happened; the response may only reduce or stop."""
-    seen, found = watch(config, state.monitors, state.mode, state.move, sensors, state.joints, usable=not bad)
+    arm = (state.mode, state.move, sensors, state.joints, state.pressing)
+    seen, found = watch(config, state.monitors, *arm, usable=not bad)
     found = bad + found
     if state.move is not None:
         found += unsafe_setpoint(config, lowest_for(config, state.move), last_rad, state.move.hold.motor_rad)

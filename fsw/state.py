@@ -15,6 +15,7 @@ from fsw.executive.sequence import Sequence
 from fsw.kinematics.transforms import Array
 from fsw.messages import Drive, Outputs
 from fsw.motion.move import Move
+from fsw.motion.plan_press import Pressing
 from fsw.protect.guard import StandingFault
 from fsw.protect.monitors import MonitorState
 
@@ -33,11 +34,15 @@ class State:
     """Where the set-points assume the outputs to lie in their backlash."""
     move: Move | None
     """None while the arm stands on its brakes."""
+    pressing: Pressing | None
+    """What the tool that touches is believed to press with; None where nothing is pressed."""
     sequence: Sequence | None
     """Commands that are still to come of one that takes several."""
     fault: StandingFault | None
     monitors: MonitorState
     drive: Drive
+    changed: Config | None = None
+    """The configuration with the parameters that were set since boot; None if none was."""
 
 
 def boot(config: Config, mode: Mode, reference: Reference | None = None) -> State:
@@ -52,6 +57,7 @@ def boot(config: Config, mode: Mode, reference: Reference | None = None) -> Stat
         load=unloaded(n),
         planned_gap_rad=np.zeros(n),
         move=None,
+        pressing=None,
         sequence=None,
         fault=None,
         monitors=MonitorState(),

@@ -28,6 +28,7 @@ from ground.cli_parts import (
     end,
     show,
 )
+from ground.cli_run import run, scenarios
 
 if TYPE_CHECKING:
     from ground.place import PlaceReport
@@ -115,6 +116,8 @@ def place(
 app.command()(ik)
 app.command()(reach)
 app.command()(hardstop)
+app.command()(run)
+app.command()(scenarios)
 
 
 def _finish(report: "PlaceReport") -> None:

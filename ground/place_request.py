@@ -6,11 +6,10 @@ from typing import Literal
 
 from fsw.dictionary.commands import Vector3
 from fsw.dictionary.joints import SWITCHES_OF, Tool
-from ground.report.picture import PictureError, check_path
+from ground.evidence import Files, check_files
 from ground.request import (
     WORKSPACE,
     BadRequest,
-    check_apart,
     check_finite,
     check_near,
     check_seed,
@@ -67,7 +66,7 @@ def checked(request: PlaceRequest) -> PlaceJob:
     world = replace(level, surface=Surface(request.target_m, normal))
     if inside_rover(request.target_m):
         raise BadRequest(f"target: {numbers(request.target_m)} m is inside the rover; {WORKSPACE}")
-    _writable(request)
+    check_files(Files(request.log, request.picture, request.movie), params=request.params)
     seen = preview(arm, world, Placement(tool, request.target_m, normal), stowed=True)
     if seen.problem is not None:
         raise BadRequest(f"target: {numbers(request.target_m)} m cannot be reached: {seen.problem}")
@@ -83,24 +82,3 @@ def _tool(name: str) -> Tool:
             f"tool: {name!r} cannot be placed; the tools with contact switches are {', '.join(known)}"
         )
     return known[name.lower()]
-
-
-def _writable(request: PlaceRequest) -> None:
-    """Nothing is written over anything else; the log itself is opened before the run and says the rest."""
-    check_apart(
-        {
-            "params": request.params,
-            "log": request.log,
-            "picture": request.picture,
-            "movie": request.movie,
-        }
-    )
-    if request.log is not None and request.log.suffix.lower() != ".mcap":
-        raise BadRequest(f"log {request.log}: its name must end in .mcap")
-    try:
-        if request.picture is not None:
-            check_path(request.picture, ".png", "picture")
-        if request.movie is not None:
-            check_path(request.movie, ".gif", "movie")
-    except PictureError as error:
-        raise BadRequest(str(error)) from error

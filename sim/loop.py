@@ -18,7 +18,6 @@ from sim.arms import BuiltArm
 from sim.avionics import Avionics
 from sim.effects.effect import Effect, nominal_hardware
 from sim.effects.faults import Fault
-from sim.params import digest
 from sim.plant import Plant
 from sim.record import CycleRecord
 from sim.world import World, build
@@ -54,7 +53,7 @@ class ClosedLoop:
         for effect in effects:
             effect.on_model(spec)
             hardware = effect.on_hardware(hardware)
-        self.config: Config = configure(setup.arm.params, digest(setup.arm.params))
+        self.config: Config = configure(setup.arm.params)
         self.plant = Plant(spec.compile())
         self.avionics = Avionics(self.plant, hardware, np.random.default_rng([setup.seed, 2]))
         self.with_truth = with_truth

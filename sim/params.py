@@ -1,39 +1,17 @@
 """Flight parameters from TOML, strictly: every error at once, each with its place, and one digest."""
 
-import hashlib
 import json
-import math
 import tomllib
 from collections.abc import Iterator
-from dataclasses import asdict, fields, is_dataclass
 from datetime import date, time
 from importlib import resources
 from pathlib import Path
-from typing import Any, Final, get_type_hints
+from typing import Any
 
-import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from fsw.dictionary.params import Limits, Matrix6, Params, Tools, Transform6
-
-OF_COMPONENTS: Final = {"_m": Limits(-5.0, 5.0), "_1_K": Limits(-1e-4, 1e-4)}
-"""For the components of every vector, by the unit in its name."""
-SOFTEST: Final = 1e-4
-SHORTEST_LINK_M: Final = 0.2
-"""Of upper arm and forearm: with none, the elbow moves nothing."""
-SQUARE_RAD: Final = {"arm2": 0.5 * math.pi, "arm3": 0.0, "arm4": 0.0, "arm5": -0.5 * math.pi, "arm6": 0.0}
-"""Turn about x from each joint axis to the next, as the square arm has it; about y there is none."""
-MOST_SKEW_RAD: Final = 0.02
-"""How far an axis may be from that: the inverse kinematics begin with the square arm,
-and lose some from 0.03 on."""
-LEAST_LEAN_RAD: Final = 0.5
-"""How close to the turret axis a boresight may come; turning about it would have no effect."""
-DEEPEST_STOP_RAD: Final = 0.1
-"""How far below its soft limit a hardstop may be."""
-MOST_OF_RATED: Final = 0.5
-"""Of the torque that a hardstop is made for; speed, noise and old friction need the rest."""
-ROUNDING: Final = 1e-12
-"""Relative; what is left of arithmetic in a matrix that ought to be symmetric."""
+from fsw.dictionary.params import Params
+from fsw.dictionary.validity import not_an_arm, out_of_limits
 
 
 class BadParams(ValueError):
@@ -105,137 +83,6 @@ def _dates(value: Any, place: str = "") -> Iterator[str]:
     elif isinstance(value, dict | list):
         for key, item in value.items() if isinstance(value, dict) else enumerate(value):
             yield from _dates(item, f"{place}.{key}" if place else str(key))
-
-
-def digest(params: Params) -> str:
-    """SHA-256 of the parameters' values, the same for the same values however they were written."""
-    return hashlib.sha256(json.dumps(asdict(params), sort_keys=True).encode()).hexdigest()
-
-
-def out_of_limits(record: Any, place: str = "") -> Iterator[str]:
-    """Sentences about numbers outside their limits or not finite, and ranges that are upside down."""
-    hints = get_type_hints(type(record), include_extras=True)
-    for field in fields(record):
-        value, where = getattr(record, field.name), f"{place}{field.name}"
-        if is_dataclass(value):
-            yield from out_of_limits(value, f"{where}.")
-            continue
-        if isinstance(value, tuple) and value and is_dataclass(value[0]):
-            for k, item in enumerate(value):
-                yield from out_of_limits(item, f"{where}.{k}.")
-            continue
-        if not all(math.isfinite(v) for v in _numbers(value)):
-            yield f"{where}: must be finite, is {value}"
-        for limits in getattr(hints[field.name], "__metadata__", ()):
-            if isinstance(limits, Limits) and not limits.low <= value <= limits.high:
-                yield f"{where}: {value} is outside {limits.low} .. {limits.high}"
-        for unit, limits in OF_COMPONENTS.items():
-            if field.name.endswith(unit) and isinstance(value, tuple):
-                for k, component in enumerate(value):
-                    if not limits.low <= component <= limits.high:
-                        yield f"{where}.{k}: {component} is outside {limits.low} .. {limits.high}"
-    for low in (field.name for field in fields(record) if "_min_" in field.name):
-        high = low.replace("_min_", "_max_")
-        if not getattr(record, low) < getattr(record, high):
-            yield f"{place}{low}: {getattr(record, low)} is not below {high} {getattr(record, high)}"
-
-
-def not_an_arm(params: Params) -> Iterator[str]:
-    """Sentences about numbers, each within its limits, that together are no arm that could be flown."""
-    for field in fields(params.links):
-        link, where = getattr(params.links, field.name), f"links.{field.name}"
-        problem = _no_spring(link.compliance)
-        if problem is not None:
-            yield f"{where}.compliance: {problem}"
-        yield from _crooked(field.name, link.transform)
-    yield from _axial(params.tools)
-    yield from _poses_outside(params)
-    yield from _stops(params)
-
-
-def _crooked(name: str, link: Transform6) -> Iterator[str]:
-    """Sentences about a link that leaves the chain without an elbow, or with axes that are not its own."""
-    where = f"links.{name}.transform"
-    if name in ("arm3", "arm4") and link.a_m < SHORTEST_LINK_M:
-        yield f"{where}.a_m: {link.a_m} is below {SHORTEST_LINK_M}, the shortest link"
-    if name not in SQUARE_RAD:
-        return
-    for angle, value, square in (
-        ("alpha_rad", link.alpha_rad, SQUARE_RAD[name]),
-        ("beta_rad", link.beta_rad, 0.0),
-    ):
-        if abs(value - square) > MOST_SKEW_RAD:
-            yield f"{where}.{angle}: {value} is not within {MOST_SKEW_RAD} of the square arm's {square:.6g}"
-
-
-def _axial(tools: Tools) -> Iterator[str]:
-    """Sentences about tools that look along the turret axis."""
-    for field in fields(tools):
-        beta = getattr(tools, field.name).transform.beta_rad
-        if math.asin(abs(math.cos(beta))) < LEAST_LEAN_RAD:
-            where = f"tools.{field.name}.transform.beta_rad"
-            yield f"{where}: {beta} brings the boresight within {LEAST_LEAN_RAD} of the turret axis"
-
-
-def _poses_outside(params: Params) -> Iterator[str]:
-    """Sentences about named poses beyond the soft limits."""
-    poses = {"poses.stowed_rad": params.poses.stowed_rad, "poses.ready_rad": params.poses.ready_rad}
-    poses |= {f"poses.unstow_via_rad.{k}": via for k, via in enumerate(params.poses.unstow_via_rad)}
-    stops = params.hardstop
-    poses |= {f"hardstop.{name}": getattr(stops, name) for name in ("start_rad", "park_rad", "again_rad")}
-    for name, pose in poses.items():
-        for field, joint, angle in zip(fields(params.joints), params.joints.in_order(), pose, strict=True):
-            if not joint.soft_min_rad <= angle <= joint.soft_max_rad:
-                yield (
-                    f"{name}: joint {field.name}: {angle} is outside its soft limits "
-                    f"{joint.soft_min_rad:.6g} .. {joint.soft_max_rad:.6g}"
-                )
-
-
-def _stops(params: Params) -> Iterator[str]:
-    """Sentences about hardstops that are not a little beyond the soft limits, or pressed on too hard."""
-    room_rad = params.monitors.soft_limit_margin_rad
-    for field, joint in zip(fields(params.joints), params.joints.in_order(), strict=True):
-        low, high = joint.soft_min_rad - DEEPEST_STOP_RAD, joint.soft_min_rad - room_rad
-        if not low <= joint.hardstop_rad <= high:
-            yield (
-                f"joints.{field.name}.hardstop_rad: {joint.hardstop_rad} is not between {room_rad} and "
-                f"{DEEPEST_STOP_RAD} below soft_min_rad, {low:.6g} .. {high:.6g}"
-            )
-        most_Nm = MOST_OF_RATED * joint.hardstop_rated_Nm
-        if joint.hardstop_press_Nm > most_Nm:
-            yield (
-                f"joints.{field.name}.hardstop_press_Nm: {joint.hardstop_press_Nm} is above {most_Nm:g}, "
-                f"{MOST_OF_RATED} of hardstop_rated_Nm"
-            )
-
-
-def _no_spring(compliance: Matrix6) -> str | None:
-    """Why no spring has this compliance; measured in units in which its diagonal is 1."""
-    C = np.array(compliance)
-    if np.abs(C).max() > SOFTEST:
-        worst = C.flat[np.abs(C).argmax()]
-        return f"{worst} is outside {-SOFTEST} .. {SOFTEST} (rad or m, per N m or N), no link is as soft"
-    unit = np.sqrt(np.abs(np.diag(C)))
-    scale = np.outer(unit, unit)
-    lopsided = np.abs(C - C.T) > ROUNDING * scale
-    if np.any(lopsided):
-        row, column = np.argwhere(lopsided)[0]
-        there, across = C[row, column], C[column, row]
-        return f"is not symmetric: {there} at [{row}][{column}], {across} across the diagonal"
-    gives = np.where(unit > 0, unit, 1.0)
-    weakest = np.linalg.eigvalsh(C / np.outer(gives, gives)).min()
-    if np.any(np.abs(C) > scale * (1 + ROUNDING)) or weakest < -ROUNDING:
-        return "is not positive semidefinite: under some load the link would give way against the load"
-    return None
-
-
-def _numbers(value: Any) -> Iterator[float]:
-    if isinstance(value, tuple):
-        for item in value:
-            yield from _numbers(item)
-    elif isinstance(value, float):
-        yield value
 
 
 _ADAPTER = TypeAdapter(Params)

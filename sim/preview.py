@@ -23,7 +23,6 @@ from fsw.motion.plan import Plan, Refusal, Stand, plan_poses
 from fsw.motion.plan_line import plan_guarded
 from fsw.motion.plan_tool import AUTO, plan_tool
 from sim.arms import BuiltArm
-from sim.params import digest
 from sim.placement import Placement, placement_moves
 from sim.plant import Plant
 from sim.world import World, build
@@ -56,7 +55,7 @@ def preview(arm: BuiltArm, world: World, placement: Placement, stowed: bool = Fa
 
     From the stowed pose the way to the ready pose must be free too, and it is the same for every branch.
     """
-    config = configure(arm.params, digest(arm.params))
+    config = configure(arm.params)
     spec = build(world)
     for geom in spec.geoms:
         geom.margin = 0.5 * CLEARANCE_M
@@ -79,7 +78,7 @@ def preview(arm: BuiltArm, world: World, placement: Placement, stowed: bool = Fa
 
 def unstow_s(arm: BuiltArm) -> float:
     """How long the arm takes from the stowed to the ready pose."""
-    config = configure(arm.params, digest(arm.params))
+    config = configure(arm.params)
     plan = _unstow(config, _joints(config, np.array(arm.params.poses.ready_rad), np.zeros(3)))
     return 0.0 if isinstance(plan, Refusal) else sum(path.duration_s for path in plan.paths)
 
@@ -93,7 +92,7 @@ def _unstow(config: Config, joints: JointEstimate) -> Plan | Refusal:
 
 def _joints(config: Config, motor_rad: Array, gravity_R_m_s2: Array) -> JointEstimate:
     joints = asleep(config, no_reference(config))
-    return replace(joints, motor_rad=motor_rad, gravity_R_m_s2=gravity_R_m_s2)
+    return replace(joints, motor_rad=motor_rad, imu_R_m_s2=gravity_R_m_s2)
 
 
 def _at(joints: JointEstimate, stand: Stand) -> JointEstimate:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Generator, Sequence
 from enum import StrEnum
 from typing import cast
 
-from fsw.dictionary.commands import Command
+from fsw.dictionary.commands import ClearFault, Command
 from fsw.dictionary.evrs import CommandRefused, FaultResponse
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
@@ -33,12 +33,14 @@ def watched(
 
 
 def run_sequence(loop: ClosedLoop, commands: Sequence[Command]) -> Generator[CycleRecord, None, Outcome]:
-    """Every cycle of the sequence; it ends with the first refusal or, brakes on, with the first fault.
+    """Every cycle of the sequence; it ends with the first refusal or, brakes on, with a fault.
+
+    A fault after which the sequence clears it does not end it.
 
     Moves end by themselves, by contact, at their end or by a monitor; so a sequence always ends.
     """
     faulted = False
-    for command in commands:
+    for number, command in enumerate(commands):
         record = loop.cycle((command,))
         while True:
             yield record
@@ -50,6 +52,8 @@ def run_sequence(loop: ClosedLoop, commands: Sequence[Command]) -> Generator[Cyc
             if not record.outputs.joint.busy:
                 break
             record = loop.cycle()
-        if faulted:
+        clears = number + 1 < len(commands) and isinstance(commands[number + 1], ClearFault)
+        if faulted and not clears:
             return Outcome.FAULTED
+        faulted = False
     return Outcome.DONE

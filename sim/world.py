@@ -12,6 +12,8 @@ from fsw.kinematics.transforms import Array
 from sim.frames import FLIP, gravity_in_rover
 from sim.rock import add_rock, lower_ground
 
+Scene = Literal["mars", "earth"]
+
 MJCF: Final = Path(__file__).resolve().parents[1] / "models" / "mjcf"
 GRAVITY_M_S2: Final = {"mars": 3.711, "earth": 9.81}
 BELOW_ROCK_M: Final = 0.1
@@ -35,7 +37,7 @@ class Surface:
 class World:
     """Everything outside the arm."""
 
-    scene: Literal["mars", "earth"] = "mars"
+    scene: Scene = "mars"
     tilt_roll_rad: float = 0.0
     tilt_pitch_rad: float = 0.0
     surface: Surface | None = None

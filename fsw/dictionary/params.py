@@ -208,6 +208,8 @@ class MotionParams:
     approach_rad: Annotated[float, Limits(1e-5, 0.05)]
     """An output that its load does not hold is dragged at least this far to the place where it is to rest."""
     guarded_speed_m_s: Annotated[float, Limits(1e-4, 0.02)]
+    contact_firm_m: Annotated[float, Limits(0.0, 0.01)]
+    """How far a guarded move goes on once a switch has closed, so that the tool stays in contact."""
     retract_speed_m_s: Annotated[float, Limits(1e-4, 0.05)]
     line_acceleration_m_s2: Annotated[float, Limits(1e-4, 0.1)]
     line_jerk_m_s3: Annotated[float, Limits(1e-4, 1.0)]

@@ -43,7 +43,18 @@ class JointEstimate:
     bounds: GearBounds
     resolver_error_rad: Array
     """Resolver less believed output and learned bias, smoothed."""
-    gravity_R_m_s2: Array
+    imu_R_m_s2: Array
+    """Gravity as the IMU reads it, smoothed."""
+    down_R: Array | None = None
+    """The direction of gravity as the ground set it."""
+
+    @property
+    def gravity_R_m_s2(self) -> Array:
+        """Gravity, in the direction that the ground set or the IMU reads."""
+        if self.down_R is None:
+            return self.imu_R_m_s2
+        gravity: Array = self.down_R * np.linalg.norm(self.imu_R_m_s2)
+        return gravity
 
     @property
     def output_rad(self) -> Array:
@@ -81,7 +92,7 @@ def asleep(config: Config, reference: Reference) -> JointEstimate:
         gear_rad=anywhere,
         bounds=GearBounds(np.full_like(anywhere, -ANYWHERE_RAD), np.full_like(anywhere, ANYWHERE_RAD)),
         resolver_error_rad=zeros,
-        gravity_R_m_s2=np.zeros(3),
+        imu_R_m_s2=np.zeros(3),
     )
 
 
@@ -101,7 +112,8 @@ def update(config: Config, last: JointEstimate, sensors: Sensors) -> JointEstima
         gear_rad=gear,
         bounds=last.bounds,
         resolver_error_rad=last.resolver_error_rad + RESOLVER_GAIN * (error - last.resolver_error_rad),
-        gravity_R_m_s2=last.gravity_R_m_s2 + GRAVITY_GAIN * (sensors.gravity_R_m_s2 - last.gravity_R_m_s2),
+        imu_R_m_s2=last.imu_R_m_s2 + GRAVITY_GAIN * (sensors.gravity_R_m_s2 - last.imu_R_m_s2),
+        down_R=last.down_R,
     )
 
 
@@ -128,6 +140,7 @@ def calibrated(
             zero_rad=float(joints.reference.zero_rad[joint] + shift),
             half_gap_rad=found.half_gap_rad,
             resolver_bias_rad=float(bias[joint]),
+            friction_Nm=found.running_Nm - float(load_Nm[joint]),
         ),
         motor_rad=motor,
         gear_rad=gear,
@@ -140,7 +153,7 @@ def _first(config: Config, asleep: JointEstimate, sensors: Sensors) -> JointEsti
     reference = provisional(config, asleep.reference, sensors)
     motor = sensors.encoder_count * config.rad_per_count + reference.zero_rad
     return replace(
-        asleep, awake=True, reference=reference, motor_rad=motor, gravity_R_m_s2=sensors.gravity_R_m_s2
+        asleep, awake=True, reference=reference, motor_rad=motor, imu_R_m_s2=sensors.gravity_R_m_s2
     )
 
 

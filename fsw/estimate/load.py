@@ -9,7 +9,7 @@ from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.joints import Tool
 from fsw.estimate.joints import JointEstimate, loaded
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.statics import load, rest
+from fsw.kinematics.statics import Push, load, rest
 from fsw.kinematics.transforms import Array
 
 
@@ -29,13 +29,13 @@ def unloaded(n: int) -> LoadEstimate:
 
 
 def refresh(
-    config: Config, tick: int, tool: Tool, joints: JointEstimate, last: LoadEstimate
+    config: Config, tick: int, tool: Tool, joints: JointEstimate, last: LoadEstimate, push: Push | None = None
 ) -> tuple[LoadEstimate, JointEstimate, ToolChannels]:
     """One pass of the statics at the present outputs: load, bounds of the gears, and the tool channels."""
     arm, output = config.arm, joints.output_rad
     strain = last.strain if last.known else rest(arm, output, joints.gravity_R_m_s2).strain
     frames = forward(arm, output, strain)
-    strain, torque = load(arm, frames, joints.gravity_R_m_s2)
+    strain, torque = load(arm, frames, joints.gravity_R_m_s2, push)
     X_RT = tool_pose(arm, frames, tool)
     channels = ToolChannels(tick, tool, X_RT.p, X_RT.R, output, torque)
     return LoadEstimate(True, strain, torque), loaded(config, joints, torque), channels

@@ -22,13 +22,15 @@ class Reference:
     half_gap_rad: Array
     """Half the width of the backlash, measured where it could be."""
     resolver_bias_rad: Array
+    friction_Nm: Array
+    """Torque that it takes to turn a joint without load; infinite where nobody has felt it."""
 
 
 def no_reference(config: Config) -> Reference:
     """Nothing is known but what the parameters say."""
     zeros = np.zeros_like(config.half_gap_rad)
     never = np.zeros(zeros.size, bool)
-    return Reference(never, never, zeros, config.half_gap_rad, zeros)
+    return Reference(never, never, zeros, config.half_gap_rad, zeros, np.full(zeros.size, np.inf))
 
 
 def provisional(config: Config, reference: Reference, sensors: Sensors) -> Reference:
@@ -44,7 +46,12 @@ def forgotten(reference: Reference, joint: int) -> Reference:
 
 
 def remembered(
-    reference: Reference, joint: int, zero_rad: float, half_gap_rad: float, resolver_bias_rad: float
+    reference: Reference,
+    joint: int,
+    zero_rad: float,
+    half_gap_rad: float,
+    resolver_bias_rad: float,
+    friction_Nm: float,
 ) -> Reference:
     """The reference with a joint that is now calibrated."""
     this = np.arange(reference.zero_rad.size) == joint
@@ -54,4 +61,5 @@ def remembered(
         zero_rad=np.where(this, zero_rad, reference.zero_rad),
         half_gap_rad=np.where(this, half_gap_rad, reference.half_gap_rad),
         resolver_bias_rad=np.where(this, resolver_bias_rad, reference.resolver_bias_rad),
+        friction_Nm=np.where(this, friction_Nm, reference.friction_Nm),
     )

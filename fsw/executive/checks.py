@@ -1,34 +1,63 @@
 """What can be wrong with a command's own numbers and words, whatever the arm is doing."""
 
 from math import isfinite
-from typing import get_args
+from typing import assert_never, get_args
 
 import numpy as np
 
 from fsw.dictionary.commands import (
+    ROVER,
     Backlash,
     Calibrate,
     Deflection,
+    Dock,
     GuardedMove,
     MoveJoint,
     MoveJoints,
+    MoveTeachPoint,
     MoveTool,
+    PlaceTool,
+    Preload,
+    Process,
     Retract,
+    Stow,
+    ToolChange,
     Unstow,
     Vector3,
 )
-from fsw.dictionary.joints import SWITCHES_OF, Joint
+from fsw.dictionary.joints import SWITCHES_OF, Frame, Joint, Tool
 from fsw.kinematics.branches import BRANCHES
 from fsw.motion.plan_tool import AUTO
 
 FARTHEST_M = 1e6
 
-MoveCommand = Calibrate | Unstow | MoveJoint | MoveJoints | MoveTool | GuardedMove | Retract
+FRAMES = (ROVER, *(frame.name for frame in Frame if frame is not Frame.TOOL), *(tool.name for tool in Tool))
+LONGEST_M = 1.0
+LONGEST_S = 3600.0
+
+MoveCommand = (
+    Calibrate
+    | Unstow
+    | Stow
+    | MoveJoint
+    | MoveJoints
+    | MoveTool
+    | GuardedMove
+    | PlaceTool
+    | Preload
+    | ToolChange
+    | MoveTeachPoint
+    | Dock
+    | Process
+    | Retract
+)
 
 
 def malformed(command: MoveCommand) -> str | None:
     """What is wrong with the command's own numbers and words."""
     match command:
+        case Unstow() | Stow():
+            return None
         case Calibrate(joint=joint):
             return _malformed_joint(joint)
         case MoveJoint(joint=joint, angle_rad=angle):
@@ -38,20 +67,70 @@ def malformed(command: MoveCommand) -> str | None:
             finite = None if np.all(np.isfinite(angles)) else "a joint angle is not finite"
             return finite or _malformed_backlash(command.backlash)
         case MoveTool():
-            if command.branch not in (AUTO, *BRANCHES):
-                return f"branch {command.branch!r} is not known; there are {AUTO}, {', '.join(BRANCHES)}"
-            if not 0 <= command.line_m <= 1.0:
-                return f"line_m {command.line_m} m is outside 0 .. 1 m"
-            return _malformed_target(command.p_FoTo_F_m, command.approach_F) or _malformed_modes(command)
+            return _malformed_move_tool(command)
         case GuardedMove():
-            if not SWITCHES_OF[command.tool]:
-                return f"{command.tool.name} has no contact switch to end a guarded move"
-            return _malformed_target(command.end_p_RoTo_R_m, command.approach_R) or _malformed_modes(command)
+            problem = _no_switch(command.tool) or _malformed_target(
+                command.end_p_RoTo_R_m, command.approach_R
+            )
+            return problem or _malformed_modes(command)
+        case PlaceTool():
+            problem = _no_switch(command.tool) or _malformed_target(command.p_RoTo_R_m, command.approach_R)
+            problem = problem or _malformed_lengths(command) or _malformed_modes(command)
+            return problem or _malformed_branch(command.branch)
+        case ToolChange():
+            problem = _no_switch(command.tool) if command.hover_m == 0 else None
+            if not 0 <= command.hover_m < command.standoff_m:
+                problem = problem or f"hover_m {command.hover_m} m is not below the standoff, nor 0"
+            problem = problem or _malformed_lengths(command) or _malformed_modes(command)
+            return problem or _malformed_branch(command.branch)
+        case MoveTeachPoint():
+            return _malformed_length("away_m", command.away_m, least_m=0.0) or _malformed_modes(command)
+        case Dock():
+            problem = _malformed_length("overtravel_m", command.overtravel_m)
+            return problem or _malformed_backlash(command.backlash)
+        case Preload():
+            return None if isfinite(command.force_N) else "the force is not finite"
+        case Process():
+            if not 0 <= command.duration_s <= LONGEST_S:
+                return f"duration_s {command.duration_s} s is outside 0 .. {LONGEST_S:g} s"
+            return _malformed_direction("gravity_T", command.gravity_T) or _malformed_modes(command)
         case Retract(distance_m=d):
-            if not 0 < d <= 1.0:
-                return f"distance {d} m is outside 0 .. 1 m"
-            return _malformed_modes(command)
-    return None
+            return _malformed_length("distance", d) or _malformed_modes(command)
+        case _:
+            assert_never(command)
+
+
+def _malformed_move_tool(command: MoveTool) -> str | None:
+    if command.frame not in FRAMES:
+        return f"frame {command.frame!r} is not known; there are {', '.join(FRAMES)}"
+    if command.straight and command.branch != AUTO:
+        return f"a straight move stays on the branch that the arm is on; leave branch {AUTO}"
+    problem = _malformed_branch(command.branch) or _malformed_length("line_m", command.line_m, least_m=0.0)
+    problem = problem or _malformed_target(command.p_FoTo_F_m, command.approach_F)
+    return problem or _malformed_modes(command)
+
+
+def _no_switch(tool: Tool) -> str | None:
+    return None if SWITCHES_OF[tool] else f"{tool.name} has no contact switch to end a guarded move"
+
+
+def _malformed_lengths(command: PlaceTool | ToolChange) -> str | None:
+    standoff = _malformed_length("standoff_m", command.standoff_m)
+    return standoff or _malformed_length("overtravel_m", command.overtravel_m)
+
+
+def _malformed_length(name: str, length_m: float, least_m: float | None = None) -> str | None:
+    """A length is at most a metre, and at least this or above nothing."""
+    enough = length_m > 0 if least_m is None else length_m >= least_m
+    return (
+        None if enough and length_m <= LONGEST_M else f"{name} {length_m} m is outside 0 .. {LONGEST_M:g} m"
+    )
+
+
+def _malformed_branch(branch: str) -> str | None:
+    if branch in (AUTO, *BRANCHES):
+        return None
+    return f"branch {branch!r} is not known; there are {AUTO}, {', '.join(BRANCHES)}"
 
 
 def _malformed_joint(joint: object) -> str | None:
@@ -65,12 +144,18 @@ def _malformed_target(p_m: Vector3, approach: Vector3) -> str | None:
         return "position or approach is not finite"
     if max(map(abs, p_m)) > FARTHEST_M:
         return f"the position is farther than {FARTHEST_M:g} m away"
-    if not 1e-9 < max(map(abs, approach)) < 1e9:
-        return "the approach has no length"
-    return None
+    return _malformed_direction("the approach", approach)
 
 
-def _malformed_modes(command: MoveTool | GuardedMove | Retract) -> str | None:
+def _malformed_direction(name: str, direction: Vector3) -> str | None:
+    if not np.all(np.isfinite(direction)):
+        return f"{name} is not finite"
+    return None if 1e-9 < max(map(abs, direction)) < 1e9 else f"{name} has no length"
+
+
+def _malformed_modes(
+    command: MoveTool | GuardedMove | PlaceTool | ToolChange | MoveTeachPoint | Process | Retract,
+) -> str | None:
     if command.deflection in get_args(Deflection):
         return _malformed_backlash(command.backlash)
     return f"deflection {command.deflection!r} is not known; there are {', '.join(get_args(Deflection))}"

@@ -1,19 +1,22 @@
-"""From a command to the plan of its move."""
+"""From a command to the plan of its move, and from several to whether all of them can be."""
 
+from dataclasses import replace
 from typing import assert_never
 
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.commands import GuardedMove, MoveJoint, MoveJoints, MoveTool, Retract, Unstow
+from fsw.dictionary.commands import GuardedMove, MoveJoint, MoveJoints, MoveTool, Retract, Stow, Unstow
 from fsw.dictionary.joints import Joint, Tool
 from fsw.estimate.joints import JointEstimate
+from fsw.executive.steps import Step
 from fsw.motion.compensation import Compensation
 from fsw.motion.plan import Plan, Refusal, plan_joint, plan_poses
 from fsw.motion.plan_line import plan_guarded, plan_retract
 from fsw.motion.plan_tool import plan_tool
+from fsw.state import State
 
-PlannedMove = Unstow | MoveJoint | MoveJoints | MoveTool | GuardedMove | Retract
+PlannedMove = Unstow | Stow | MoveJoint | MoveJoints | MoveTool | GuardedMove | Retract
 
 
 def plan_for(
@@ -28,11 +31,16 @@ def plan_for(
             poses = config.params.poses
             way = [np.array(pose) for pose in (*poses.unstow_via_rad, poses.ready_rad)]
             return plan_poses(config, joints, way, Compensation())
+        case Stow():
+            poses = config.params.poses
+            back = (poses.ready_rad, *reversed(poses.unstow_via_rad), poses.stowed_rad)
+            return plan_poses(config, joints, [np.array(pose) for pose in back], Compensation())
         case MoveJoint():
             compensation = Compensation(command.backlash)
             return plan_joint(config, joints, Joint(command.joint), command.angle_rad, compensation)
         case MoveJoints():
-            return plan_poses(config, joints, [np.array(command.angle_rad)], Compensation(command.backlash))
+            pose = np.array(command.angle_rad) + (joints.output_rad if command.relative else 0.0)
+            return plan_poses(config, joints, [pose], Compensation(command.backlash))
         case MoveTool():
             return plan_tool(config, joints, command, tool)
         case GuardedMove():
@@ -41,3 +49,18 @@ def plan_for(
             return plan_retract(config, joints, command)
         case _:
             assert_never(command)
+
+
+def ahead(config: Config, state: State, steps: tuple[Step, ...]) -> str | None:
+    """Why one of these steps, each from the end of the one before it, can not be; None if all can."""
+    joints, tool = state.joints, state.tool
+    for step in steps:
+        if not isinstance(step, PlannedMove):
+            continue
+        plan = plan_for(config, joints, tool, step)
+        if isinstance(plan, Refusal):
+            return f"{type(step).__name__}: {plan.reason}"
+        gear = np.repeat(plan.end.gear_rad[:, None], joints.gear_rad.shape[1], axis=1)
+        joints = replace(joints, motor_rad=plan.end.motor_rad, gear_rad=gear)
+        tool = step.tool if isinstance(step, MoveTool | GuardedMove | Retract) else tool
+    return None

@@ -1,20 +1,59 @@
-"""What a stop ends in."""
+"""Ending what is under way, and going on after a fault."""
 
-import numpy as np
+from dataclasses import replace
 
 from fsw.config import Config
+from fsw.dictionary.commands import ClearFault, Stop
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, Evr, FaultCleared
 from fsw.dictionary.modes import Mode
-from fsw.estimate.joints import JointEstimate
-from fsw.executive.modes import Event
+from fsw.executive.modes import TRANSITIONS, Event, after
+from fsw.executive.situation import Situation, name_of, refused, told
+from fsw.executive.stow import at_stow, stop_event
+from fsw.motion.move import stop
 
 
-def stop_event(config: Config, mode: Mode, joints: JointEstimate) -> Event:
-    """Which stop it is: an arm that has not left the stowed pose stays stowed."""
-    still_stowed = mode is Mode.FREE_SPACE and at_stow(config, joints)
-    return Event.STOP_STOWED if still_stowed else Event.STOP
+def clear_fault(config: Config, now: Situation, command: ClearFault) -> Situation:
+    """Commands are accepted again."""
+    mode = after(now.state.mode, _clearing(config, now))
+    if mode is None:
+        return refused(now, command, "no fault stands")
+    if now.state.move is not None:
+        return refused(now, command, "the arm is still being stopped")
+    if now.state.sequence is not None:
+        now = sequence_over(now, CommandAborted(now.state.sequence.command))
+    now = replace(now, state=replace(now.state, mode=mode, fault=None))
+    return told(now, FaultCleared(), CommandCompleted(name_of(command)))
 
 
-def at_stow(config: Config, joints: JointEstimate) -> bool:
-    """Whether every joint is known to be in its stowed place."""
-    off = np.abs(joints.motor_rad - config.params.poses.stowed_rad).max()
-    return bool(joints.reference.calibrated.all() and off < config.params.motion.stowed_rad)
+def stop_move(config: Config, now: Situation, command: Stop) -> Situation:
+    """The move under way, if there is one, comes to rest early."""
+    if now.state.sequence is not None:
+        now = sequence_over(now, CommandAborted(now.state.sequence.command))
+    now = told(now, CommandCompleted(name_of(command)))
+    if now.state.move is None or now.state.mode is Mode.FAULTED:
+        return now
+    stopping = stop(
+        config,
+        now.state.move,
+        TRANSITIONS[now.state.mode, stop_event(config, now.state.mode, now.state.joints)],
+    )
+    return replace(now, state=replace(now.state, move=stopping))
+
+
+def sequence_over(now: Situation, evr: Evr) -> Situation:
+    """The situation without its sequence."""
+    return told(replace(now, state=replace(now.state, sequence=None)), evr)
+
+
+def _clearing(config: Config, now: Situation) -> Event:
+    """What is cleared depends on where the arm stands: where it may touch, no free move; stowed, only unstow.
+
+    An arm that faulted in a guarded move, in a retraction or on a contact may touch, whatever its switches
+    say now; one that pressed may press.
+    """
+    fault = now.state.fault
+    if now.state.pressing is not None:
+        return Event.CLEAR_PRESSED
+    if now.touching or (fault is not None and fault.may_touch):
+        return Event.CLEAR_TOUCHING
+    return Event.CLEAR_STOWED if at_stow(config, now.state.joints) else Event.CLEAR

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.chain import Frames, forward
+from fsw.kinematics.chain import Frames, forward, tool_pose
 from fsw.kinematics.transforms import Array, cross, dot
 
 EQUILIBRIUM_TOLERANCE = 1e-11
@@ -13,8 +13,17 @@ MAX_PASSES = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Push:
+    """What a tool presses on pushes back, at the tool's origin."""
+
+    tool: int
+    force_R_N: Array
+    """On the arm, (3,) or (3, ...)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Equilibrium:
-    """The arm at rest under gravity."""
+    """The arm at rest under gravity, and under what it presses on."""
 
     output_rad: Array
     """Joint angles at the output, (5, ...)."""
@@ -27,7 +36,7 @@ class Equilibrium:
     """(...) bool."""
 
 
-def load(arm: Arm, frames: Frames, gravity_R_m_s2: Array) -> tuple[Array, Array]:
+def load(arm: Arm, frames: Frames, gravity_R_m_s2: Array, push: Push | None = None) -> tuple[Array, Array]:
     """The strain that the springs take under the load of these frames, and the joint torques.
 
     Paper equations 4 and 5, with the load at the deflected pose. Gravity (3,) or (3, ...) in the rover frame;
@@ -56,6 +65,12 @@ def load(arm: Arm, frames: Frames, gravity_R_m_s2: Array) -> tuple[Array, Array]
     wrench = np.empty((2, 3, 6, *origin.shape[2:]))
     wrench[0] = moment[:, 0]
     wrench[1] = spring_kg * g
+    if push is not None:
+        force_N = push.force_R_N.reshape(3, 1, *(push.force_R_N.shape[1:] or ones))
+        p_RT = tool_pose(arm, frames, push.tool).p[:, None]
+        wrench[0] += cross(p_RT - spring, force_N)
+        wrench[1] += force_N
+        moment[:, 1] += cross(p_RT - origin, force_N)
     new_strain = _yield(arm, frames, *np.einsum("ji...,kj...->ki...", R_RL, wrench))
     torque = dot(moment[:, 1, 1:], R_RL[:, 2, 1:])
     return new_strain, torque
@@ -84,17 +99,21 @@ def _yield(arm: Arm, frames: Frames, moment_L: Array, force_L: Array) -> Array:
     return new_strain
 
 
-def settle(arm: Arm, motor_rad: Array, gap_rad: Array, gravity_R_m_s2: Array) -> Equilibrium:
+def settle(
+    arm: Arm, motor_rad: Array, gap_rad: Array, gravity_R_m_s2: Array, push: Push | None = None
+) -> Equilibrium:
     """The rest pose for motor angles and gaps (5, ...): output = motor + gap + torque / stiffness."""
-    return _equilibrium(arm, motor_rad + gap_rad, 1.0 / arm.gear_stiffness_Nm_rad, gravity_R_m_s2)
+    return _equilibrium(arm, motor_rad + gap_rad, 1.0 / arm.gear_stiffness_Nm_rad, gravity_R_m_s2, push)
 
 
-def rest(arm: Arm, output_rad: Array, gravity_R_m_s2: Array) -> Equilibrium:
+def rest(arm: Arm, output_rad: Array, gravity_R_m_s2: Array, push: Push | None = None) -> Equilibrium:
     """The rest pose for output angles (5, ...), whatever the gears do to hold them."""
-    return _equilibrium(arm, output_rad, np.zeros_like(arm.gear_stiffness_Nm_rad), gravity_R_m_s2)
+    return _equilibrium(arm, output_rad, np.zeros_like(arm.gear_stiffness_Nm_rad), gravity_R_m_s2, push)
 
 
-def _equilibrium(arm: Arm, anchor_rad: Array, gear_rad_Nm: Array, gravity_R_m_s2: Array) -> Equilibrium:
+def _equilibrium(
+    arm: Arm, anchor_rad: Array, gear_rad_Nm: Array, gravity_R_m_s2: Array, push: Push | None
+) -> Equilibrium:
     """Fixed point of load and strain; each pass takes off a factor of twenty or more."""
     batch = anchor_rad.shape[1:]
     gear = gear_rad_Nm.reshape(5, *(1,) * len(batch))
@@ -102,7 +121,7 @@ def _equilibrium(arm: Arm, anchor_rad: Array, gear_rad_Nm: Array, gravity_R_m_s2
     output = anchor_rad
     for _ in range(MAX_PASSES):
         frames = forward(arm, output, strain)
-        new_strain, torque = load(arm, frames, gravity_R_m_s2)
+        new_strain, torque = load(arm, frames, gravity_R_m_s2, push)
         new_output = anchor_rad + torque * gear
         step = np.maximum(
             np.max(np.abs(new_strain - strain), axis=(0, 1)), np.max(np.abs(new_output - output), axis=0)

@@ -17,7 +17,7 @@ NONE.flags.writeable = False
 def drive_for(config: Config, move: Move | None, joints: JointEstimate, last: Drive) -> Drive:
     """Brakes on and power off without a move; its joints powered while it lasts, released until it brakes."""
     if move is None:
-        if not last.power_on.any():
+        if not (last.power_on.any() or last.vibrate):
             return last
         return Drive(
             last.setpoint_count, np.zeros(NONE.size), config.current_limit_A, NONE, NONE, vibrate=False
@@ -25,4 +25,5 @@ def drive_for(config: Config, move: Move | None, joints: JointEstimate, last: Dr
     # unchanged flags and limits are the same arrays, so that nobody compares them
     release = NONE if move.phase is Phase.BRAKE else move.active
     count = np.rint((move.hold.motor_rad - joints.reference.zero_rad) / config.rad_per_count).astype(np.int64)
-    return Drive(count, move.hold.rate_rad_s, move.limit_A, move.active, release, vibrate=False)
+    vibrate = move.vibrate and move.phase is Phase.RUN
+    return Drive(count, move.hold.rate_rad_s, move.limit_A, move.active, release, vibrate)

@@ -6,7 +6,7 @@ from enum import IntEnum
 import numpy as np
 
 from fsw.config import CYCLE_S, Config
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, Preloaded
 from fsw.dictionary.faults import NoContact, NotSettled
 from fsw.dictionary.joints import SWITCHES_OF, Joint, Switch, Tool
 from fsw.dictionary.modes import Mode
@@ -16,6 +16,7 @@ from fsw.kinematics.transforms import Array
 from fsw.messages import Flags, Sensors
 from fsw.motion import seek as seeking
 from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
+from fsw.motion.plan_press import Press, Pressing
 from fsw.motion.seek import Seek, limit_A
 
 
@@ -42,15 +43,19 @@ class Move:
     """The set-point of this cycle."""
     guarded: Tool | None = None
     """Whose contact ends the move; None for a move that is not to touch."""
+    contact_at: float | None = None
+    """How far a guarded move had come when a switch closed."""
     seek: Seek | None = None
+    press: Press | None = None
+    vibrate: bool = False
     stopped: bool = False
     """A command or a fault stopped it: the move ends early and is reported as aborted."""
     phase: Phase = Phase.RELEASE
     ticks: int = 0
     """Cycles in this phase, and for RUN in this path."""
     calm_ticks: int = 0
-    travelled_m: float = 0.0
-    """Along the straight paths that are done."""
+    travelled: float = 0.0
+    """Along the paths over knots that are done."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +79,7 @@ def advance(config: Config, move: Move, joints: JointEstimate, load_Nm: Array, s
         case Phase.RUN:
             if move.seek is not None:
                 return _seek(config, move, move.seek, joints, load_Nm, sensors)
-            return _run(move, sensors)
+            return _run(config, move, sensors)
         case Phase.SETTLE:
             return _settle(config, move, joints)
         case Phase.BRAKE:
@@ -82,7 +87,15 @@ def advance(config: Config, move: Move, joints: JointEstimate, load_Nm: Array, s
                 return Advance(_tick(move))
             if move.stopped:
                 return Advance(None, (CommandAborted(move.command),), move.end_mode)
-            return Advance(None, (CommandCompleted(move.command),), move.end_mode, _found(move))
+            return Advance(
+                None, (*_pressed(move), CommandCompleted(move.command)), move.end_mode, _found(move)
+            )
+
+
+def _pressed(move: Move) -> tuple[Evr, ...]:
+    if move.press is None:
+        return ()
+    return (Preloaded(move.press.start.tool, move.press.end_N),)
 
 
 def _found(move: Move) -> tuple[Joint, Found] | None:
@@ -100,7 +113,7 @@ def stop(config: Config, move: Move, end_mode: Mode) -> Move:
         held = Setpoint(move.hold.motor_rad, np.zeros_like(move.hold.rate_rad_s))
         return _enter(replace(stopped, hold=held), Phase.BRAKE)
     if move.phase is Phase.RUN:
-        return replace(stopped, paths=(stop_path(config, move.hold),), ticks=0)
+        return replace(stopped, paths=(stop_path(config, move.hold),), ticks=0, travelled=gone(move))
     return stopped
 
 
@@ -121,29 +134,50 @@ def _seek(
     return Advance(move if sought.seek.found is None else _enter(move, Phase.SETTLE), sought.evrs)
 
 
-def _run(move: Move, sensors: Sensors) -> Advance:
-    path = move.paths[0]
-    time_s = (move.ticks + 1) * CYCLE_S
-    last = len(move.paths) == 1
+def _run(config: Config, move: Move, sensors: Sensors) -> Advance:
+    evrs: tuple[Evr, ...] = ()
     if move.guarded is not None:
-        switch = closed_switch(move.guarded, sensors.switch_closed)
-        if switch is not None:
-            touched = replace(move, hold=Setpoint(move.hold.motor_rad, np.zeros_like(move.hold.rate_rad_s)))
-            return Advance(_enter(touched, Phase.SETTLE), (ContactMade(switch, _travel(move, time_s)),))
-        if last and time_s >= path.duration_s:
-            return Advance(move, (NoContact(_travel(move, time_s)),))
+        move, evrs = _felt(move, move.guarded, sensors)
+        if (
+            move.contact_at is not None
+            and gone(move) >= move.contact_at + config.params.motion.contact_firm_m
+        ):
+            still = Setpoint(move.hold.motor_rad, np.zeros_like(move.hold.rate_rad_s))
+            return Advance(_enter(replace(move, hold=still), Phase.SETTLE), evrs)
+    path, time_s = move.paths[0], (move.ticks + 1) * CYCLE_S
     running = replace(move, hold=path.at(time_s), ticks=move.ticks + 1)
     if time_s < path.duration_s:
-        return Advance(running)
-    if last:
-        return Advance(_enter(running, Phase.SETTLE))
-    travelled = _travel(move, path.duration_s)
-    return Advance(replace(running, paths=move.paths[1:], ticks=0, travelled_m=travelled))
+        return Advance(running, evrs)
+    running = replace(running, travelled=_travel(move, path.duration_s))
+    if len(move.paths) > 1:
+        return Advance(replace(running, paths=move.paths[1:], ticks=0), evrs)
+    if move.guarded is not None and move.contact_at is None:
+        return Advance(move, (*evrs, NoContact(_travel(move, time_s))))
+    return Advance(_enter(running, Phase.SETTLE), evrs)
+
+
+def _felt(move: Move, tool: Tool, sensors: Sensors) -> tuple[Move, tuple[Evr, ...]]:
+    """A guarded move that remembers where its tool made contact."""
+    switch = closed_switch(tool, sensors.switch_closed)
+    if switch is None or move.contact_at is not None:
+        return move, ()
+    return replace(move, contact_at=gone(move)), (ContactMade(switch, gone(move)),)
+
+
+def gone(move: Move) -> float:
+    """How far a move has come on its paths over knots."""
+    running = move.phase is Phase.RUN and bool(move.paths)
+    return _travel(move, move.ticks * CYCLE_S) if running else move.travelled
+
+
+def pressing_in(move: Move) -> Pressing | None:
+    """What a move presses with by now."""
+    return None if move.press is None else move.press.after(gone(move))
 
 
 def _travel(move: Move, time_s: float) -> float:
     path = move.paths[0]
-    return move.travelled_m + (path.travel_at(time_s)[0] if isinstance(path, LinePath) else 0.0)
+    return move.travelled + (path.travel_at(time_s)[0] if isinstance(path, LinePath) else 0.0)
 
 
 def _settle(config: Config, move: Move, joints: JointEstimate) -> Advance:

@@ -30,30 +30,52 @@ class JointPath:
         return Setpoint(np.array(position), np.array(velocity))
 
 
+@dataclass(frozen=True, slots=True)
+class Travel:
+    """How far a path goes along its knots and how fast: metres of a line, or newtons of a press."""
+
+    length: float
+    speed: float
+    acceleration: float
+    jerk: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LinePath:
-    """A straight tool move: a jerk-limited travel along equally spaced joint knots, joined by cubics."""
+    """A jerk-limited travel along equally spaced joint knots, joined by cubics; unit as of its Travel."""
 
     duration_s: float
     travel: Trajectory
-    step_m: float
+    step: float
     coefficients: Array
     """Per segment the cubic in u = (s - s_k) / step, highest power first: (segments, 4, 5)."""
 
     def at(self, time_s: float) -> Setpoint:
         """The set-point at a time from the start; after the end, the end."""
         s, speed = self.travel_at(time_s)
-        u = s / self.step_m
+        u = s / self.step
         k = min(int(u), len(self.coefficients) - 1)
         u -= k
         a, b, c, d = self.coefficients[k]
-        rate = ((3 * u * a + 2 * b) * u + c) * (speed / self.step_m)
+        rate = ((3 * u * a + 2 * b) * u + c) * (speed / self.step)
         return Setpoint(((a * u + b) * u + c) * u + d, rate)
 
     def travel_at(self, time_s: float) -> tuple[float, float]:
-        """Travelled length [m] and speed [m/s]."""
+        """Travelled so far, and the speed."""
         position, velocity, _ = self.travel.at_time(min(time_s, self.duration_s))
         return position[0], velocity[0]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StillPath:
+    """Every joint stays where it is for a while."""
+
+    duration_s: float
+    motor_rad: Array
+
+    def at(self, time_s: float) -> Setpoint:
+        """The set-point at any time."""
+        return Setpoint(self.motor_rad, np.zeros_like(self.motor_rad))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +94,7 @@ class StopPath:
         )
 
 
-Path = JointPath | LinePath | StopPath
+Path = JointPath | LinePath | StillPath | StopPath
 
 
 def joint_path(config: Config, start_rad: Array, end_rad: Array) -> JointPath:
@@ -81,21 +103,15 @@ def joint_path(config: Config, start_rad: Array, end_rad: Array) -> JointPath:
     return JointPath(trajectory.duration, trajectory)
 
 
-def line_path(config: Config, knots_rad: Array, length_m: float, speed_m_s: float) -> LinePath:
-    """A straight move over motor knots (k, 5) at equal spacing along it, no joint above its speed."""
-    motion = config.params.motion
-    step_m = length_m / (len(knots_rad) - 1)
+def line_path(config: Config, knots_rad: Array, travel: Travel) -> LinePath:
+    """A way over motor knots (k, 5) at equal spacing along it, no joint above its speed."""
+    step = travel.length / (len(knots_rad) - 1)
     coefficients = _cubics(knots_rad)
-    steepest = np.max(_steepest(coefficients) / config.speed_rad_s) / step_m
-    speed = min(speed_m_s, 1.0 / max(float(steepest), 1e-9))
-    travel = _plan(
-        np.zeros(1),
-        np.array([length_m]),
-        np.array([speed]),
-        np.array([motion.line_acceleration_m_s2]),
-        np.array([motion.line_jerk_m_s3]),
-    )
-    return LinePath(travel.duration, travel, step_m, coefficients)
+    steepest = np.max(_steepest(coefficients) / config.speed_rad_s) / step
+    speed = min(travel.speed, 1.0 / max(float(steepest), 1e-9))
+    bounds = (np.array([bound]) for bound in (speed, travel.acceleration, travel.jerk))
+    trajectory = _plan(np.zeros(1), np.array([travel.length]), *bounds)
+    return LinePath(trajectory.duration, trajectory, step, coefficients)
 
 
 def stop_path(config: Config, start: Setpoint) -> StopPath:

@@ -1,21 +1,21 @@
-"""Straight tool moves: where the tool goes, whether it may, and the joint paths that take it there."""
+"""Straight tool moves: where the tool goes, and whether it may."""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.commands import GuardedMove, Retract
+from fsw.dictionary.commands import GuardedMove, MoveTool, Retract
 from fsw.dictionary.joints import Tool
-from fsw.estimate.gear import STILL_RAD, bounds_under, gear_moved
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.refine import Refined, refine
 from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array, norm
 from fsw.motion.compensation import Compensation
-from fsw.motion.paths import Path, joint_path, line_path
-from fsw.motion.plan import Plan, Refusal, Stand, over_limits, standing, worst_limit
+from fsw.motion.paths import Travel
+from fsw.motion.plan import Plan, Refusal, over_limits, standing, worst_limit
+from fsw.motion.plan_knots import plan_through
 
 KNOT_RAD = 0.2
 """A joint that moves more than this between two knots has not stayed on its branch."""
@@ -45,7 +45,7 @@ class Line:
 def plan_guarded(config: Config, joints: JointEstimate, command: GuardedMove) -> Plan | Refusal:
     """A straight line from where the tool stands to the end of the guarded travel, the way the tool looks."""
     compensation = Compensation(command.backlash, command.deflection)
-    line = _from_here(config, joints, command.tool, compensation)
+    line = from_here(config, joints, command.tool, compensation)
     approach = np.array(command.approach_R) / np.linalg.norm(command.approach_R)
     end_p_m, approach = compensation.target(
         config, joints, command.tool, np.array(command.end_p_RoTo_R_m), approach
@@ -57,10 +57,22 @@ def plan_guarded(config: Config, joints: JointEstimate, command: GuardedMove) ->
     return _planned(config, joints, line, config.params.motion.guarded_speed_m_s)
 
 
+def plan_straight(
+    config: Config, joints: JointEstimate, command: MoveTool, p_RoTo_R_m: Array, approach_R: Array
+) -> Plan | Refusal:
+    """A straight line to a place, while the tool turns evenly to look along an approach."""
+    line = from_here(config, joints, command.tool, Compensation(command.backlash, command.deflection))
+    line = replace(line, end_p_m=p_RoTo_R_m, end_axis=approach_R)
+    problem = _length_problem(config, line)
+    if problem is not None:
+        return Refusal(problem)
+    return _planned(config, joints, line, config.params.motion.retract_speed_m_s)
+
+
 def plan_retract(config: Config, joints: JointEstimate, command: Retract) -> Plan | Refusal:
     """A straight line back along the tool's axis."""
     compensation = Compensation(command.backlash, command.deflection)
-    line = _from_here(config, joints, command.tool, compensation)
+    line = from_here(config, joints, command.tool, compensation)
     line = replace(line, end_p_m=line.p_m - command.distance_m * line.axis)
     problem = _length_problem(config, line)
     if problem is not None:
@@ -68,7 +80,7 @@ def plan_retract(config: Config, joints: JointEstimate, command: Retract) -> Pla
     return _planned(config, joints, line, config.params.motion.retract_speed_m_s)
 
 
-def _from_here(config: Config, joints: JointEstimate, tool: Tool, compensation: Compensation) -> Line:
+def from_here(config: Config, joints: JointEstimate, tool: Tool, compensation: Compensation) -> Line:
     """A line that has yet to go anywhere, so that its plan begins without a step."""
     gravity = compensation.gravity(joints)
     output = joints.motor_rad + compensation.allowance(joints, standing(joints).gear_rad)
@@ -110,7 +122,10 @@ def _planned(config: Config, joints: JointEstimate, line: Line, speed_m_s: float
         k = int(np.argmax(over > 0))
         along_m = share[k] * line.length_m
         return Refusal(f"{along_m:.3f} m along the line, {worst_limit(config, found.output_rad[:, k])}")
-    return _paths_along(config, joints, line, found, speed_m_s)
+    loads_Nm = rest(config.arm, found.output_rad, joints.gravity_R_m_s2).torque_Nm
+    motion = config.params.motion
+    travel = Travel(line.length_m, speed_m_s, motion.line_acceleration_m_s2, motion.line_jerk_m_s3)
+    return plan_through(config, joints, found.output_rad, loads_Nm, line.compensation, travel)
 
 
 def _followed(config: Config, line: Line, share: Array) -> Refined:
@@ -136,28 +151,3 @@ def _followed(config: Config, line: Line, share: Array) -> Refined:
         error=np.stack([knot.error for knot in knots]),
         converged=np.stack([knot.converged for knot in knots]),
     )
-
-
-def _paths_along(config: Config, joints: JointEstimate, line: Line, found: Refined, speed_m_s: float) -> Plan:
-    """Lines over the knots; where a gear is to be crossed first, a joint move while the tool stands still."""
-    step_m = line.length_m / (found.output_rad.shape[1] - 1)
-    loads_Nm = rest(config.arm, found.output_rad, joints.gravity_R_m_s2).torque_Nm
-    stiffness, compensation = config.arm.gear_stiffness_Nm_rad, line.compensation
-    here = standing(joints)
-    paths: list[Path] = []
-    gear, knots = here.gear_rad, [here.motor_rad]
-    for k, moved in enumerate(np.diff(found.output_rad).T, start=1):
-        bounds = bounds_under(config, joints.reference.half_gap_rad, loads_Nm[:, k])
-        wound = (loads_Nm[:, k] - loads_Nm[:, k - 1]) / stiffness
-        new_gear = gear_moved(gear + wound, moved, bounds)
-        allowance = compensation.allowance(joints, new_gear)
-        crossed = allowance - compensation.allowance(joints, gear + wound)
-        if np.abs(crossed).max() > STILL_RAD:
-            if len(knots) > 1:
-                paths.append(line_path(config, np.array(knots), step_m * (len(knots) - 1), speed_m_s))
-            paths.append(joint_path(config, knots[-1], knots[-1] - crossed))
-            knots = [knots[-1] - crossed]
-        gear = new_gear
-        knots.append(found.output_rad[:, k] - allowance)
-    paths.append(line_path(config, np.array(knots), step_m * (len(knots) - 1), speed_m_s))
-    return Plan(tuple(paths), Stand(knots[-1], gear), compensation.gap(joints, gear))

@@ -6,15 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.config import Config
-from fsw.dictionary.commands import MoveTool
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.commands import ROVER, MoveTool
+from fsw.dictionary.joints import Frame, Tool
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.answers import Answers, Verdict, at_target, why
 from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.chain import Frames, tool_pose
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.statics import rest
+from fsw.kinematics.transforms import Array, Pose
 from fsw.motion.compensation import Compensation
 from fsw.motion.plan import Plan, Refusal, plan_to, standing
+from fsw.motion.plan_line import plan_straight
 
 AUTO = "AUTO"
 
@@ -28,15 +31,17 @@ def plan_tool(
     to `reference`, or else to the tool itself, a target moves along with that tool's deflection of now.
     """
     compensation = Compensation(command.backlash, command.deflection)
-    approach = np.array(command.approach_F) / np.linalg.norm(command.approach_F)
+    p_m, approach = _in_rover(config, joints, command, compensation)
     along = np.array([0.0, command.line_m])
     targets, approaches = compensation.target(
         config,
         joints,
         command.tool if reference is None else reference,
-        np.array(command.p_FoTo_F_m)[:, None] + approach[:, None] * along,
+        p_m[:, None] + approach[:, None] * along,
         np.tile(approach[:, None], 2),
     )
+    if command.straight:
+        return plan_straight(config, joints, command, targets[:, 0], approaches[:, 0])
     answers = inverse_kinematics(
         config.arm, command.tool, targets, approaches, compensation.gravity(joints), joints.motor_rad
     )
@@ -51,6 +56,26 @@ def plan_tool(
     load_Nm = rest(config.arm, output[:, best], joints.gravity_R_m_s2).torque_Nm
     plan = plan_to(config, joints, standing(joints), output[:, best], load_Nm, compensation)
     return replace(plan, branch=names[best])
+
+
+def _in_rover(
+    config: Config, joints: JointEstimate, command: MoveTool, compensation: Compensation
+) -> tuple[Array, Array]:
+    """Position and unit approach in RMECH."""
+    p_m, approach = np.array(command.p_FoTo_F_m), np.array(command.approach_F)
+    if command.frame != ROVER:
+        frames = rest(config.arm, joints.output_rad, compensation.gravity(joints)).frames
+        X_RF = _frame(config, frames, command.frame)
+        p_m, approach = X_RF.R @ p_m + X_RF.p, X_RF.R @ approach
+    return p_m, approach / np.linalg.norm(approach)
+
+
+def _frame(config: Config, frames: Frames, name: str) -> Pose:
+    """An arm frame or a tool, by its name."""
+    if name in Tool.__members__:
+        return tool_pose(config.arm, frames, Tool[name])
+    k = Frame[name]
+    return Pose(frames.X_RF.R[:, :, k], frames.X_RF.p[:, k])
 
 
 def _why_none(config: Config, tool: Tool, answers: Answers, wanted: NDArray[np.bool_]) -> str:

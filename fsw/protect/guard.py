@@ -12,10 +12,10 @@ from fsw.dictionary.modes import Mode
 from fsw.estimate.joints import JointEstimate
 from fsw.executive.modes import TRANSITIONS, Event
 from fsw.executive.sequence import Sequence
-from fsw.executive.stopping import stop_event
+from fsw.executive.stow import stop_event
 from fsw.kinematics.transforms import Array
 from fsw.motion.drive import NONE
-from fsw.motion.move import Move, Phase, stop
+from fsw.motion.move import Move, Phase, gone, stop
 from fsw.motion.paths import Setpoint
 from fsw.protect.responses import Response, response_to
 
@@ -116,6 +116,7 @@ def brake(config: Config, move: Move, last_rad: Array, joints: JointEstimate) ->
     return replace(
         move,
         phase=Phase.BRAKE,
+        travelled=gone(move),
         ticks=0 if move.phase is not Phase.BRAKE else move.ticks,
         hold=Setpoint(np.clip(joints.motor_rad, asked - bound, asked + bound), np.zeros_like(asked)),
         end_mode=Mode.FAULTED,

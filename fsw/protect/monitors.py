@@ -16,10 +16,11 @@ from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from fsw.motion.move import Move, Phase
+from fsw.motion.plan_press import Pressing
 from fsw.protect import motors
 from fsw.protect.readings import LIVELY, frozen, lively, missed
 from fsw.protect.tilt import tilt
-from fsw.protect.touch import contact
+from fsw.protect.touch import contact, contact_lost, preload_outside
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,8 @@ class Counts:
     winding: int = 0
     resolver: int = 0
     tilt: int = 0
+    contact: int = 0
+    preload: int = 0
 
 
 QUIET: Final = Counts()
@@ -59,6 +62,7 @@ def watch(
     move: Move | None,
     sensors: Sensors,
     joints: JointEstimate,
+    pressing: Pressing | None,
     usable: bool,
 ) -> tuple[MonitorState, tuple[Evr, ...]]:
     """The state for the next cycle and what was found; of unusable readings, only how many came."""
@@ -70,7 +74,7 @@ def watch(
         return replace(last, cycle=sensors.cycle, planned_gravity_R=planned), evrs
     readings = lively(sensors)
     same, dead = frozen(config, last.same, last.readings, readings)
-    counts, found = _watch_arm(config, last.counts, mode, move, sensors, joints, planned)
+    counts, found = _watch_arm(config, last.counts, mode, move, sensors, joints, pressing, planned)
     return MonitorState(counts, sensors.cycle, readings, same, planned), evrs + dead + found
 
 
@@ -81,6 +85,7 @@ def _watch_arm(
     move: Move | None,
     sensors: Sensors,
     joints: JointEstimate,
+    pressing: Pressing | None,
     planned_gravity_R: Array | None,
 ) -> tuple[Counts, tuple[Evr, ...]]:
     """The monitors that need readings to compute with."""
@@ -92,10 +97,10 @@ def _watch_arm(
     moving = move is not None and not move.stopped
     winding, heat = motors.winding(config, last.winding, moving, sensors.winding_C)
     evrs += apart + heat
-    tilted = following = stalled = drawn = 0
+    tilted = following = stalled = drawn = lost = outside = 0
     if move is not None and planned_gravity_R is not None:
         evrs += motors.soft_limits(config, move, joints.motor_rad)
-        tilted, turned = tilt(config, last.tilt, planned_gravity_R, joints.gravity_R_m_s2)
+        tilted, turned = tilt(config, last.tilt, planned_gravity_R, joints.imu_R_m_s2)
         evrs += turned
         if move.phase is not Phase.RELEASE:
             error = np.abs(move.hold.motor_rad - joints.motor_rad)
@@ -105,6 +110,10 @@ def _watch_arm(
                 evrs += still + behind
             drawn, high = motors.over_current(config, last.over_current, sensors.current_A)
             evrs += high
-    if not (tilted or following or stalled or drawn or winding or resolver):
+        if moving and move.press is not None and pressing is not None:
+            lost, gone = contact_lost(config, last.contact, pressing, sensors.switch_closed)
+            outside, force = preload_outside(config, last.preload, pressing, move.press.torque_per_N, joints)
+            evrs += gone + force
+    if not (tilted or following or stalled or drawn or winding or resolver or lost or outside):
         return QUIET, evrs
-    return Counts(following, stalled, drawn, winding, resolver, tilted), evrs
+    return Counts(following, stalled, drawn, winding, resolver, tilted, lost, outside), evrs

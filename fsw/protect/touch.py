@@ -5,12 +5,13 @@ import numpy as np
 from fsw.config import Config
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import ContactInFreeSpace, ContactLost, PreloadOutside
-from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
+from fsw.dictionary.joints import SWITCHES_OF, Switch
 from fsw.dictionary.modes import Mode
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.transforms import Array
 from fsw.messages import Flags
 from fsw.motion.move import Move
+from fsw.motion.plan_press import Pressing
 
 MAY_TOUCH = (Mode.GUARDED, Mode.RETRACTING, Mode.PRELOAD, Mode.FAULTED)
 
@@ -26,19 +27,21 @@ def contact(mode: Mode, move: Move | None, closed: Flags) -> tuple[Evr, ...]:
     return () if found is None else (ContactInFreeSpace(found),)
 
 
-def contact_lost(config: Config, last: int, tool: Tool, closed: Flags) -> tuple[int, tuple[Evr, ...]]:
+def contact_lost(config: Config, last: int, pressing: Pressing, closed: Flags) -> tuple[int, tuple[Evr, ...]]:
     """A tool that is to press and has no switch closed: how many cycles it has been so, and what was found.
 
-    One closed switch is enough, so that the other may be dead.
+    One closed switch is enough, so that the other may be dead. With less than the smallest step of a press
+    a switch may well be open.
     """
-    if any(closed[switch] for switch in SWITCHES_OF[tool]):
+    firm = pressing.force_N > config.params.preload.step_N
+    if not firm or any(closed[switch] for switch in SWITCHES_OF[pressing.tool]):
         return 0, ()
     lost = last + 1 >= config.params.monitors.contact_persistence
-    return last + 1, (ContactLost(tool),) if lost else ()
+    return last + 1, (ContactLost(pressing.tool),) if lost else ()
 
 
 def preload_outside(
-    config: Config, last: int, tool: Tool, force_N: float, torque_per_N: Array, joints: JointEstimate
+    config: Config, last: int, pressing: Pressing, torque_per_N: Array, joints: JointEstimate
 ) -> tuple[int, tuple[Evr, ...]]:
     """A force on the tool that is not the one that it is believed to press with.
 
@@ -49,7 +52,8 @@ def preload_outside(
         return 0, ()
     if last + 1 < bounds.preload_persistence:
         return last + 1, ()
-    return last + 1, (PreloadOutside(tool, force_N, error_N, bounds.preload_error_N),)
+    outside = PreloadOutside(pressing.tool, pressing.force_N, error_N, bounds.preload_error_N)
+    return last + 1, (outside,)
 
 
 def force_error_N(config: Config, torque_per_N: Array, joints: JointEstimate) -> float:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from fsw.config import digest
 from fsw.dictionary.joints import Tool
 from fsw.kinematics.answers import Answers
 from fsw.kinematics.arm import Arm, arm_from, warmed
@@ -13,7 +14,6 @@ from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.transforms import Array
 from ground.ik.targets import Targets
 from ground.request import BadRequest, chosen_arm, tilted_world
-from sim.params import digest
 
 COMPENSATIONS: Final = ("absolute", "off")
 MOST_WARMING_K: Final = 200.0

@@ -1,12 +1,14 @@
 """Results as tables for people and as documents for programs; degrees and millimetres begin here."""
 
 from math import degrees
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
 from fsw.dictionary.evrs import Evr, Severity
+from ground.evidence import Kept
 from ground.place import PlaceReport
 from ground.telemetry.events import json_fields
 from sim.placement import PlacementError
@@ -34,9 +36,7 @@ def place_json(report: PlaceReport) -> dict[str, Any]:
         "params_sha256": report.params_sha256,
         "evrs": [evr_json(time_s, evr) for time_s, evr in result.evrs],
         "log": None if request.log is None else str(request.log),
-        "log_problem": report.log_problem,
-        "picture": None if report.picture is None else _path(report.picture.path),
-        "movie": None if report.movie is None else _path(report.movie.path),
+        **kept_json(report.kept),
     }
 
 
@@ -61,14 +61,28 @@ def place_table(report: PlaceReport) -> None:
     for time_s, evr in result.evrs:
         if evr.severity >= Severity.WARNING_LO:
             console.print(f"[bold]{time_s:8.2f} s  {evr.severity.name}  {evr.message}[/bold]")
-    for name, drawn in (("picture", report.picture), ("movie", report.movie)):
+    kept_table(console, report.kept, request.log)
+
+
+def kept_json(kept: Kept) -> dict[str, Any]:
+    """What was kept of a run, for its document."""
+    return {
+        "log_problem": kept.log_problem,
+        "picture": None if kept.picture is None else _path(kept.picture.path),
+        "movie": None if kept.movie is None else _path(kept.movie.path),
+    }
+
+
+def kept_table(console: Console, kept: Kept, log: Path | None) -> None:
+    """Print where the files are, or why there are none."""
+    for name, drawn in (("picture", kept.picture), ("movie", kept.movie)):
         if drawn is not None:
             console.print(
                 f"{name:<9} {drawn.path or 'none'}" + (f"  ({drawn.hint})" if drawn.hint else ""),
                 soft_wrap=True,
             )
-    if request.log is not None:
-        console.print(f"log       {report.log_problem or request.log}", soft_wrap=True)
+    if log is not None:
+        console.print(f"log       {kept.log_problem or log}", soft_wrap=True)
 
 
 def _cells(error: PlacementError) -> tuple[str, ...]:

@@ -12,6 +12,7 @@ from fsw.kinematics.arm import transform6, transform6_from
 from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_exp
 from sim.effects.effect import Effect
 from sim.effects.matrices import turned
+from sim.params import nominal_params
 
 _BODY_OF = ("arm1", "link2", "link3", "link4", "link5", "turret")
 
@@ -73,6 +74,27 @@ class FrameError(Effect):
         if self.tool is None:
             raise ValueError("a FrameError at TOOL names its tool")
         return self.tool.name.lower()
+
+
+@dataclass(frozen=True, slots=True)
+class Warming(Effect):
+    """Every link and tool grown as the drawing's materials do, without flight software being told."""
+
+    warming_K: float
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """Displace each frame by its growth, in its own axes."""
+        params = nominal_params()
+        for frame, link in zip(Frame, params.links.in_order(), strict=False):
+            FrameError(frame, _times(link.expansion_1_K, self.warming_K)).on_model(spec)
+        for tool, grown in zip(Tool, params.tools.in_order(), strict=True):
+            screw = _times(grown.expansion_1_K, self.warming_K)
+            FrameError(Frame.TOOL, screw, tool).on_model(spec)
+
+
+def _times(row: Row6, factor: float) -> Row6:
+    a, b, c, d, e, f = (factor * value for value in row)
+    return (a, b, c, d, e, f)
 
 
 def _placed(lump: Lump, X: Pose) -> Lump:

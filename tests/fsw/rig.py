@@ -19,7 +19,6 @@ from fsw.kinematics.transforms import Pose
 from fsw.messages import Outputs, Sensors
 from fsw.state import State, boot
 from sim.arms import arm_named
-from sim.params import digest
 
 MARS_R_m_s2 = np.array([0.0, 0.0, 3.711])
 DITHER = 1e-12
@@ -28,14 +27,17 @@ DITHER = 1e-12
 @lru_cache
 def config_of(arm: str = "nominal") -> Config:
     params = arm_named(arm).params
-    return configure(params, digest(params))
+    return configure(params)
 
 
-def with_params(**groups: dict) -> Config:
+def with_params(**groups) -> Config:
     """The nominal configuration with other values of some parameters, by group."""
     params = arm_named("nominal").params
-    changed = {name: replace(getattr(params, name), **values) for name, values in groups.items()}
-    return configure(replace(params, **changed), "changed")
+    changed = {
+        name: replace(getattr(params, name), **values) if isinstance(values, dict) else values
+        for name, values in groups.items()
+    }
+    return configure(replace(params, **changed))
 
 
 def in_limits(config: Config, rng: np.random.Generator, n: int, shrink: float = 0.0) -> np.ndarray:

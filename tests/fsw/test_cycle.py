@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsw.config import CYCLE_HZ, configure, ticks
+from fsw.config import CYCLE_HZ, configure, digest, ticks
 from fsw.cycle import step
 from fsw.dictionary.commands import Calibrate, MoveJoints, Retract, Stop, Unstow
 from fsw.dictionary.evrs import Booted, CommandRefused
 from fsw.dictionary.joints import SWITCHES_OF, Joint, Tool
 from fsw.dictionary.modes import Mode
 from fsw.state import boot, outputs_at_rest
-from sim.params import digest, nominal_params
+from sim.params import nominal_params
 from tests.fsw.rig import Rig, alive, config_of, facing, floats, quiet_sensors, with_params
 
 CONFIG = config_of()
@@ -162,9 +162,9 @@ def test_a_duration_lasts_at_least_its_whole_cycles():
 
 
 def test_the_configuration_is_what_the_parameters_say():
-    config = configure(nominal_params(), "digest")
+    config = configure(nominal_params())
     joints = config.params.joints.in_order()
-    assert config.params_sha256 == "digest"
+    assert config.params_sha256 == digest(config.params)
     np.testing.assert_array_equal(config.half_gap_rad, [j.backlash_rad / 2 for j in joints])
     np.testing.assert_array_equal(config.current_limit_A, [5, 5, 5, 3, 3])
 

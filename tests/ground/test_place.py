@@ -41,7 +41,7 @@ def test_an_arm_that_finds_no_hardstop_is_not_placed_and_its_log_is_said_not_to_
     assert report.result.outcome is Outcome.FAULTED
     assert any(isinstance(evr, StalledEarly) for _, evr in report.result.evrs)
     assert report.result.contact is None
-    assert "not recorded (the arm was not initialised)" in report.log_problem
+    assert "not recorded (the arm was not initialised)" in report.kept.log_problem
     assert not list(tmp_path.iterdir())
 
 
@@ -50,6 +50,6 @@ def test_a_full_disk_does_not_stop_the_arm_and_is_told(tmp_path, disk_full_after
     log = tmp_path / "run.mcap"
     report = place(PlaceRequest(log=log), lambda done, total, what: None)
     assert report.result.outcome is Outcome.DONE
-    assert report.log_problem is not None
-    assert "from 10.00 s on (No space left on device)" in report.log_problem
+    assert report.kept.log_problem is not None
+    assert "from 10.00 s on (No space left on device)" in report.kept.log_problem
     assert len(read_log(log)["/joint"]) == 640

@@ -137,6 +137,7 @@ def true_reference(arm: BuiltArm) -> Reference:
         zero_rad=hardware.counter_zero_rad + off_place,
         half_gap_rad=plant.half_gap_rad,
         resolver_bias_rad=hardware.resolver_bias_rad - off_place,
+        friction_Nm=np.array([spec.joint(f"{name}_motor").frictionloss for name in JOINT_NAMES]),
     )
 
 

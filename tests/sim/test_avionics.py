@@ -13,13 +13,13 @@ from sim.avionics import RESOLVER_LSB_RAD, Avionics
 from sim.effects.effect import Hardware, nominal_hardware
 from sim.effects.environment import PowerLoss
 from sim.frames import FLIP
-from sim.params import digest, nominal_params
+from sim.params import nominal_params
 from sim.plant import Plant
 from sim.world import World
 from tests.sim import lab
 
 PARAMS = nominal_params()
-CONFIG = configure(PARAMS, digest(PARAMS))
+CONFIG = configure(PARAMS)
 ALL, NONE = np.ones(5, bool), np.zeros(5, bool)
 COUNTER_ZERO_RAD = nominal_hardware().counter_zero_rad
 READINGS = 2000

@@ -5,6 +5,7 @@ from collections import defaultdict
 import numpy as np
 import pytest
 
+from fsw.config import digest
 from fsw.dictionary.joints import Frame, Joint, Tool
 from fsw.kinematics.arm import arm_from
 from fsw.kinematics.chain import forward, tool_pose
@@ -21,7 +22,7 @@ from sim.effects.joints import (
     ResolverBias,
 )
 from sim.effects.structure import LinkMass, LinkStiffness
-from sim.params import digest, nominal_params
+from sim.params import nominal_params
 from tests.sim import lab
 
 SEEDS = range(200)

@@ -8,12 +8,12 @@ from fsw.config import configure
 from fsw.dictionary.joints import Joint, Tool
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import Pose, rotation_z
-from sim.params import digest, nominal_params
+from sim.params import nominal_params
 from sim.plant import Plant
 from tests.sim import lab
 
 PARAMS = nominal_params()
-CONFIG = configure(PARAMS, digest(PARAMS))
+CONFIG = configure(PARAMS)
 JOINT_PARAMS = dict(zip(Joint, PARAMS.joints.in_order(), strict=True))
 LINKS = PARAMS.links.in_order()
 SPRINGS = ("rover", "link1", "link2", "link3", "link4")

@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fsw.config import digest
+from fsw.dictionary.validity import out_of_limits
 from sim import params as loader
-from sim.params import BadParams, digest, nominal_params, out_of_limits, params_over_nominal
+from sim.params import BadParams, nominal_params, params_over_nominal
 
 
 def written(folder: Path, text: str) -> Path:

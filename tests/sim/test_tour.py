@@ -5,7 +5,6 @@ import pytest
 
 from fsw.config import configure
 from sim.arms import arm_named
-from sim.params import digest
 from sim.tour import Settled, random_goals, tour
 from sim.world import World
 from tests.sim import lab
@@ -18,7 +17,7 @@ POSES = 14
 
 def settled(backlash: str, arm_name: str = "nominal", poses: int = POSES) -> list[Settled]:
     arm = arm_named(arm_name)
-    goals = random_goals(configure(arm.params, digest(arm.params)), np.random.default_rng(41), poses)
+    goals = random_goals(configure(arm.params), np.random.default_rng(41), poses)
     return list(tour(arm, lab.true_reference(arm), TILTED, goals, backlash, seed=41))
 
 

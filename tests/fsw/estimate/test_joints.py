@@ -21,7 +21,7 @@ HALF = CONFIG.half_gap_rad
 ZERO = np.array([0.1, -1.0, 1.5, 2.0, 1.0])
 BIAS = np.array([1e-3, -2e-3, 0.0, 3e-3, -1e-3])
 LOADS_NM = np.array([0.0, -150.0, -60.0, -2.0, 1.0])
-REMEMBERED = Reference(np.ones(5, bool), np.ones(5, bool), ZERO, 0.9 * HALF, BIAS)
+REMEMBERED = Reference(np.ones(5, bool), np.ones(5, bool), ZERO, 0.9 * HALF, BIAS, np.full(5, 170.0))
 
 counts = hnp.arrays(np.int64, 5, elements=st.integers(-(10**7), 10**7))
 

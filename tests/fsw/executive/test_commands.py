@@ -1,7 +1,6 @@
 """Every command in every situation: accepted, or refused with its reason and nothing changed."""
 
 from dataclasses import replace
-from itertools import product
 
 import numpy as np
 import pytest
@@ -34,173 +33,27 @@ from fsw.dictionary.joints import STOP_ORDER, Joint, Switch, Tool
 from fsw.dictionary.modes import Mode
 from fsw.executive.sequence import Sequence
 from fsw.kinematics.branches import BRANCHES
-from tests.fsw.rig import Rig, config_of, facing, floats, with_params
-
-START = facing(config_of(), Tool.APXS)
-STRONGER = replace(config_of().params.joints.elevation, hardstop_press_Nm=300.0)
-"""In the ready pose gravity presses the elevation on its hardstop too hard for the drawing's."""
-CONFIG = with_params(
-    hardstop={"start_rad": floats(START), "park_rad": floats(START), "again_rad": floats(START)},
-    joints={"elevation": STRONGER},
+from tests.fsw.executive.lab import (
+    COMMANDS,
+    CONFIG,
+    INF,
+    NAN,
+    START,
+    TOUCHED,
+    being_stopped_by_a_fault,
+    deployed,
+    faulted,
+    guarded_in_contact,
+    guarded_moving,
+    moving_free,
+    refusal,
+    retracting,
+    stowed,
 )
-"""Any joint may look for its hardstop from where these tests begin."""
-NAN = float("nan")
-INF = float("inf")
-TOUCHED = {"switch_closed": np.arange(10) == Switch.APXS_1}
+from tests.fsw.rig import Rig, floats, with_params
 
-
-def stowed():
-    return Rig(CONFIG, Mode.STOWED, CONFIG.params.poses.stowed_rad)
-
-
-def uncalibrated():
-    rig = Rig(CONFIG, start_rad=START, calibrated=False)
-    rig.cycle()
-    return rig
-
-
-def deployed():
-    return Rig(CONFIG, start_rad=START)
-
-
-def moving_free():
-    rig = deployed()
-    rig.until_moving(MoveJoints(floats(START + 0.05)))
-    return rig
-
-
-def guarded_moving():
-    rig = deployed()
-    rig.until_moving(rig.touch(Tool.APXS, 0.05))
-    return rig
-
-
-def guarded_in_contact():
-    rig = guarded_moving()
-    rig.run(**TOUCHED)
-    assert rig.state.mode is Mode.GUARDED
-    return rig
-
-
-def retracting():
-    rig = deployed()
-    rig.until_moving(Retract(Tool.APXS, 0.05))
-    return rig
-
-
-def calibrating():
-    rig = deployed()
-    rig.until_moving(Calibrate(Joint.TURRET))
-    return rig
-
-
-def being_stopped_by_a_fault():
-    rig = moving_free()
-    rig.cycle(winding_C=[NAN] * 5)
-    return rig
-
-
-def faulted():
-    rig = being_stopped_by_a_fault()
-    rig.run()
-    return rig
-
-
-SITUATIONS = [
-    stowed, uncalibrated, deployed, moving_free, guarded_moving, guarded_in_contact, retracting,
-    calibrating, being_stopped_by_a_fault, faulted,
-]  # fmt: skip
-
-COMMANDS = {
-    Calibrate: lambda rig: Calibrate(Joint.TURRET),
-    CalibrateAll: lambda rig: CalibrateAll(),
-    Unstow: lambda rig: Unstow(),
-    MoveJoint: lambda rig: MoveJoint(Joint.WRIST, float(rig.state.joints.output_rad[Joint.WRIST])),
-    MoveJoints: lambda rig: MoveJoints(floats(rig.state.joints.motor_rad)),
-    MoveTool: lambda rig: rig.here(Tool.APXS),
-    GuardedMove: lambda rig: rig.touch(Tool.APXS, 0.02),
-    Retract: lambda rig: Retract(Tool.APXS, 0.02),
-    Stop: lambda rig: Stop(),
-    ClearFault: lambda rig: ClearFault(),
-}
-
-OK = ""
-NO_FAULT = "no fault stands"
 NOT_CALIBRATED = "not calibrated: {}; until it is, a joint may only look for its hardstop"
-NONE_CALIBRATED = NOT_CALIBRATED.format("azimuth, elevation, elbow, wrist, turret")
-FAULT = "a fault stands; clear it first"
-STOPPING = "the arm is still being stopped"
-IN_STOWED, IN_DEPLOYED, IN_GUARDED = (
-    f"not allowed in mode {name}" for name in ("STOWED", "DEPLOYED", "GUARDED")
-)
-BUSY_J, BUSY_G, BUSY_R, BUSY_C = (
-    f"{name} is under way" for name in ("MoveJoints", "GuardedMove", "Retract", "Calibrate")
-)
-
-# columns in the order of COMMANDS
-EXPECTED = {
-    stowed: (IN_STOWED, IN_STOWED, OK, *[IN_STOWED] * 5, OK, NO_FAULT),
-    uncalibrated: (
-        OK,
-        OK,
-        NONE_CALIBRATED,
-        NOT_CALIBRATED.format("wrist"),
-        *[NONE_CALIBRATED] * 4,
-        OK,
-        NO_FAULT,
-    ),
-    deployed: (OK, OK, IN_DEPLOYED, *[OK] * 6, NO_FAULT),
-    moving_free: (*[BUSY_J] * 8, OK, NO_FAULT),
-    guarded_moving: (*[BUSY_G] * 8, OK, NO_FAULT),
-    guarded_in_contact: (*[IN_GUARDED] * 6, OK, OK, OK, NO_FAULT),
-    retracting: (*[BUSY_R] * 8, OK, NO_FAULT),
-    calibrating: (*[BUSY_C] * 8, OK, NO_FAULT),
-    being_stopped_by_a_fault: (*[FAULT] * 8, OK, STOPPING),
-    faulted: (*[FAULT] * 8, OK, OK),
-}
-
-
-def test_the_table_speaks_of_every_mode_and_every_command():
-    assert {make().state.mode for make in SITUATIONS} == set(Mode)
-    assert set(EXPECTED) == set(SITUATIONS)
-    assert all(len(row) == len(COMMANDS) for row in EXPECTED.values())
-
-
-@pytest.mark.parametrize(
-    ("situation", "kind"),
-    list(product(SITUATIONS, COMMANDS)),
-    ids=lambda value: getattr(value, "__name__", None),
-)
-def test_every_command_in_every_situation(situation, kind):
-    rig = situation()
-    before, name = rig.state, kind.__name__
-    readings = TOUCHED if situation is guarded_in_contact else {}
-    rig.evrs.clear()
-    rig.cycle(COMMANDS[kind](rig), **readings)
-    reason = EXPECTED[situation][list(COMMANDS).index(kind)]
-    refused = [evr for evr in rig.evrs if isinstance(evr, CommandRefused)]
-    if reason:
-        assert refused == [CommandRefused(name, reason)]
-        assert rig.state.mode is before.mode
-        assert CommandAccepted(name) not in rig.evrs
-        assert (rig.state.move is None) is (before.move is None)
-        assert rig.state.joints.reference is before.joints.reference
-    else:
-        assert not refused
-        assert CommandAccepted(name) in rig.evrs or CommandCompleted(name) in rig.evrs
-
-
-def refusal(rig, command) -> str:
-    before = rig.state
-    rig.evrs.clear()
-    rig.cycle(command)
-    (evr,) = rig.evrs
-    assert isinstance(evr, CommandRefused)
-    assert evr.command == type(command).__name__
-    assert rig.state.mode is before.mode
-    assert rig.state.move is None
-    assert not rig.outputs.drive.brake_release.any()
-    return evr.reason
+IN_STOWED, IN_GUARDED = (f"not allowed in mode {name}" for name in ("STOWED", "GUARDED"))
 
 
 @pytest.mark.parametrize("bad", [NAN, INF, -INF])

@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 from fsw.config import CYCLE_S
 from fsw.dictionary.commands import GuardedMove, Retract
 from fsw.dictionary.joints import Tool
-from fsw.motion.paths import JointPath, LinePath, Setpoint, joint_path, line_path, stop_path
+from fsw.motion.paths import JointPath, LinePath, Setpoint, Travel, joint_path, line_path, stop_path
 from fsw.motion.plan import Plan
 from fsw.motion.plan_line import plan_guarded, plan_retract
 from tests.fsw.motion.lab import gears_along, likely, sampled, tool_at
@@ -49,6 +49,12 @@ def test_a_joint_move_keeps_to_its_speed_and_acceleration_and_never_turns_back(p
     assert (np.diff(angle, axis=0) * np.sign(pair[1] - pair[0]) >= -1e-12).all()
     assert (angle >= pair.min(axis=0) - 1e-9).all()
     assert (angle <= pair.max(axis=0) + 1e-9).all()
+
+
+def line(length_m: float) -> Travel:
+    """A straight move with the speed of a guarded one."""
+    motion = CONFIG.params.motion
+    return Travel(length_m, 0.005, motion.line_acceleration_m_s2, motion.line_jerk_m_s3)
 
 
 def test_all_joints_of_a_move_end_together():
@@ -272,14 +278,14 @@ def test_no_joint_is_above_its_speed_where_the_line_crosses_a_gap_close_to_a_sin
 def test_no_joint_is_above_its_speed_on_any_knots(seed, count):
     rng = np.random.default_rng(seed)
     knots = np.cumsum(rng.normal(0, 10.0 ** rng.uniform(-4, -1), (count, 5)), axis=0)
-    path = line_path(CONFIG, knots, 0.01 * (count - 1), 0.005)
+    path = line_path(CONFIG, knots, line(0.01 * (count - 1)))
     _, _, rate = sampled(path, 1000)
     assert (np.abs(rate) <= CONFIG.speed_rad_s * (1 + 1e-9)).all()
 
 
 def test_a_joint_at_the_end_of_its_speed_slows_the_line():
     knots = np.linspace(np.zeros(5), np.array([0, 0, 0, 0, 1.0]), 11)
-    path = line_path(CONFIG, knots, 0.01, 0.005)
+    path = line_path(CONFIG, knots, line(0.01))
     _, _, rate = sampled(path)
     assert np.abs(rate).max() == pytest.approx(CONFIG.speed_rad_s[4], rel=1e-6)
 
@@ -287,7 +293,7 @@ def test_a_joint_at_the_end_of_its_speed_slows_the_line():
 def test_a_line_passes_through_its_knots():
     rng = np.random.default_rng(5)
     knots = np.cumsum(rng.normal(0, 1e-3, (8, 5)), axis=0)
-    path = line_path(CONFIG, knots, 0.07, 0.005)
+    path = line_path(CONFIG, knots, line(0.07))
     for k, t in [(0, 0.0), (7, path.duration_s)]:
         np.testing.assert_allclose(path.at(t).motor_rad, knots[k], atol=1e-12)
     travelled = [path.travel_at(t)[0] for t in np.linspace(0, path.duration_s, 500)]
@@ -296,6 +302,6 @@ def test_a_line_passes_through_its_knots():
 
 def test_a_line_of_two_knots_is_a_line():
     knots = np.array([np.zeros(5), np.full(5, 1e-3)])
-    path = line_path(CONFIG, knots, 0.005, 0.005)
+    path = line_path(CONFIG, knots, line(0.005))
     _, angle, _ = sampled(path, 50)
     assert np.ptp(angle, axis=1).max() < 1e-12

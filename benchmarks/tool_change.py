@@ -1,0 +1,166 @@
+"""Relative tool change: how far the second tool is from the first one's spot, and what absolute moves give.
+
+Calibrated arms are 50 K warmer or colder than flight software knows, and all their springs are a fifth softer
+or stiffer than it takes them to be. The APXS is placed, the tool changed to MAHLI, and on the same arm and
+target MAHLI placed by its coordinates alone. As-built arms are flown with the parameters of the drawing.
+"""
+
+import json
+import sys
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks.options import parser
+from fsw.dictionary.commands import Command, PlaceTool, Retract, ToolChange
+from fsw.dictionary.evrs import CommandCompleted
+from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.kinematics.transforms import Array
+from sim.arms import BuiltArm, arm_named
+from sim.campaign import random_placement
+from sim.effects.built import SPRINGS
+from sim.effects.effect import Effect
+from sim.effects.geometry import FrameError, Warming
+from sim.effects.joints import GearStiffness
+from sim.effects.structure import LinkStiffness
+from sim.frames import p_R_from_N
+from sim.initialisation import initial_reference
+from sim.loop import ClosedLoop, Setup, joints5
+from sim.sequence import run_sequence
+
+WARMING_K = 50.0
+STIFFNESS = 1.2
+TILT_RAD = float(np.radians(30.0))
+POSES = 5
+FIRST, SECOND = Tool.APXS, Tool.MAHLI
+
+
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """One tool change, lateral distances [mm]."""
+
+    from_spot_mm: float
+    """Second tool, placed by the tool change, from where the first one truly touched."""
+    absolute_mm: float
+    """Second tool, placed by its coordinates, from the target."""
+    twice_absolute_mm: float
+    """Second tool, placed by its coordinates, from where the first one, placed likewise, truly touched."""
+    tool_frames_mm: float
+    """What the two tool frames' own errors make of the first of these."""
+    rest_mm: float
+    """What is left of it without them."""
+
+
+def unknown_to_flight(seed: int) -> tuple[Effect, ...]:
+    """Warmer or colder, softer or stiffer, everything alike."""
+    warm, stiff = np.random.default_rng([seed, 50]).choice([-1.0, 1.0], 2)
+    factor = float(STIFFNESS**stiff)
+    springs = [LinkStiffness(frame, factor) for frame in SPRINGS]
+    return (Warming(WARMING_K * float(warm)), *springs, *(GearStiffness(joint, factor) for joint in Joint))
+
+
+def one_arm(kind: str, seed: int) -> list[Changed]:
+    """The tool changes of one arm; targets of which the arm refuses one are drawn again."""
+    arm = arm_named(f"{kind}:{seed}")
+    reference = initial_reference(arm)
+    effects = unknown_to_flight(seed) if kind == "calibrated" else ()
+    found: list[Changed] = []
+    draw = 0
+    while len(found) < POSES:
+        draw += 1
+        world, seen = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
+        start = joints5(seen.standoff_rad)
+        setup = Setup(arm, world, start, draw, reference, effects)
+        target = p_R_from_N(np.array(seen.placement.target_N_m))
+        axis = -np.array(seen.placement.normal_N) / np.linalg.norm(seen.placement.normal_N)
+        changed = _one(arm, setup, target, axis, seen.placement.branch)
+        if changed is not None:
+            found.append(changed)
+    return found
+
+
+def _one(arm: BuiltArm, setup: Setup, target: Array, axis: Array, branch: str) -> Changed | None:
+    place = PlaceTool(FIRST, _vector(target), _vector(axis), branch=branch)
+    relative = _touched(setup, (place, ToolChange(SECOND)))
+    absolute = _touched(setup, (place, Retract(FIRST, 0.1), replace(place, tool=SECOND, branch="AUTO")))
+    if relative is None or absolute is None:
+        return None
+    spot, R_1 = relative[FIRST]
+    second, R_2 = relative[SECOND]
+    frames = R_2 @ _tool_shift(arm, SECOND) - R_1 @ _tool_shift(arm, FIRST)
+    return Changed(
+        from_spot_mm=_lateral_mm(second - spot, axis),
+        absolute_mm=_lateral_mm(absolute[SECOND][0] - target, axis),
+        twice_absolute_mm=_lateral_mm(absolute[SECOND][0] - absolute[FIRST][0], axis),
+        tool_frames_mm=_lateral_mm(frames, axis),
+        rest_mm=_lateral_mm(second - spot - frames, axis),
+    )
+
+
+def _touched(setup: Setup, commands: tuple[Command, ...]) -> dict[Tool, tuple[Array, Array]] | None:
+    """True place and attitude of each tool when it touched; None if not every command was done."""
+    loop = ClosedLoop(setup)
+    places = {}
+    done = 0
+    for record in run_sequence(loop, commands):
+        for evr in record.outputs.evrs:
+            if evr == CommandCompleted("GuardedMove"):
+                truth, tool = loop.plant.truth(), loop.state.tool
+                places[tool] = (truth.p_RoTo_R_m[tool], truth.R_RT[tool])
+            done += isinstance(evr, CommandCompleted) and evr.command in ("PlaceTool", "ToolChange")
+    return places if done == 2 and len(places) == 2 else None
+
+
+def _tool_shift(arm: BuiltArm, tool: Tool) -> Array:
+    """By how much a tool's origin is off its place on the turret, in tool axes; for arms flown as drawn."""
+    return sum(
+        (
+            np.array(effect.screw[3:])
+            for effect in arm.effects
+            if isinstance(effect, FrameError) and effect.frame is Frame.TOOL and effect.tool is tool
+        ),
+        np.zeros(3),
+    )
+
+
+def _lateral_mm(apart_m: Array, axis: Array) -> float:
+    return 1e3 * float(np.linalg.norm(apart_m - (apart_m @ axis) * axis))
+
+
+def _vector(v: Array) -> tuple[float, float, float]:
+    x, y, z = (float(c) for c in v)
+    return (x, y, z)
+
+
+def summary(changes: list[Changed]) -> dict[str, object]:
+    """Three times the root mean square of each lateral distance, and the largest."""
+    table = np.array([[getattr(c, name) for name in Changed.__slots__] for c in changes])
+    three_sigma = 3 * np.sqrt(np.mean(table**2, axis=0))
+    named = {
+        name: {"three_sigma": float(three), "most": float(most)}
+        for name, three, most in zip(Changed.__slots__, three_sigma, table.max(axis=0), strict=True)
+    }
+    return {"count": len(changes), **named}
+
+
+def main() -> None:
+    options = parser("tool_change", __doc__, "example: python -m benchmarks.tool_change --as-built 0")
+    options.add_argument("--calibrated", type=int, default=50, help="calibrated arms (default %(default)s)")
+    options.add_argument("--as-built", type=int, default=20, help="as-built arms (default %(default)s)")
+    options.set_defaults(seed=100)
+    asked = options.parse_args()
+    found: dict[str, list[Changed]] = {}
+    with ProcessPoolExecutor(asked.workers) as pool:
+        for kind, count in (("calibrated", asked.calibrated), ("as-built", asked.as_built)):
+            seeds = range(asked.seed, asked.seed + count)
+            found[kind] = []
+            for k, changes in enumerate(pool.map(one_arm, [kind] * count, seeds), start=1):
+                found[kind].extend(changes)
+                print(f"\r{kind}: {k} of {count} arms", end="", file=sys.stderr)
+            print(file=sys.stderr)
+    print(json.dumps({kind: summary(changes) for kind, changes in found.items() if changes}, indent=2))
+
+
+if __name__ == "__main__":
+    main()

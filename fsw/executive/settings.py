@@ -1,0 +1,95 @@
+"""What the ground may set while the arm stands: the rover's tilt, and one parameter at a time."""
+
+from dataclasses import fields, is_dataclass, replace
+from difflib import get_close_matches
+from math import isfinite
+from typing import Any, Final
+
+import numpy as np
+
+from fsw.config import Config, configure
+from fsw.dictionary.commands import SetParam, SetTilt
+from fsw.dictionary.evrs import CommandAccepted, CommandCompleted, ParamSet, TiltSet
+from fsw.dictionary.joints import Joint
+from fsw.dictionary.params import Params
+from fsw.dictionary.validity import not_an_arm, out_of_limits
+from fsw.estimate.reference import forgotten
+from fsw.executive.situation import Situation, name_of, not_now, refused, told
+from fsw.kinematics.transforms import Array, rotation_x, rotation_y
+
+COUNTED_FROM: Final = ("gear_ratio", "encoder_counts_per_turn", "hardstop_rad")
+"""What an encoder zero rests on: a joint of which one of these changes is to be calibrated again."""
+FARTHEST_RAD: Final = 1.6
+
+
+def set_tilt(config: Config, now: Situation, command: SetTilt) -> Situation:
+    """Gravity lies as this attitude says, from now on."""
+    angles = (command.roll_rad, command.pitch_rad)
+    problem = not_now(now)
+    if not all(isfinite(angle) and abs(angle) <= FARTHEST_RAD for angle in angles):
+        problem = problem or f"roll and pitch must be within {FARTHEST_RAD} rad"
+    if problem is not None:
+        return refused(now, command, problem)
+    down_R, joints, bound = _down(*angles), now.state.joints, config.params.monitors.tilt_rad
+    read = joints.imu_R_m_s2 / np.linalg.norm(joints.imu_R_m_s2)
+    off = float(np.arctan2(np.linalg.norm(np.cross(read, down_R)), read @ down_R))
+    if off > bound:
+        return refused(
+            now, command, f"the IMU reads gravity {off:.4f} rad from there, at most {bound:.4f} are allowed"
+        )
+    state = replace(now.state, joints=replace(joints, down_R=down_R))
+    return _done(replace(now, state=state), command, TiltSet(off))
+
+
+def set_param(config: Config, now: Situation, command: SetParam) -> Situation:
+    """Flight software goes on with another value of one parameter."""
+    problem = not_now(now)
+    if problem is not None:
+        return refused(now, command, problem)
+    changed = _with(config.params, command.name.split("."), command)
+    if isinstance(changed, str):
+        return refused(now, command, changed)
+    wrong = [*out_of_limits(changed), *not_an_arm(changed)]
+    if wrong:
+        return refused(now, command, wrong[0])
+    anew = configure(changed)
+    state = replace(now.state, changed=anew)
+    group, *middle, leaf = command.name.split(".")
+    if group == "joints" and leaf in COUNTED_FROM:
+        joint = Joint[middle[0].upper()]
+        known = forgotten(state.joints.reference, joint)
+        state = replace(state, joints=replace(state.joints, reference=known))
+    evr = ParamSet(command.name, command.value, anew.params_sha256)
+    return _done(replace(now, state=state), command, evr)
+
+
+def _done(now: Situation, command: SetTilt | SetParam, evr: ParamSet | TiltSet) -> Situation:
+    return told(now, CommandAccepted(name_of(command)), evr, CommandCompleted(name_of(command)))
+
+
+def _down(roll_rad: float, pitch_rad: float) -> Array:
+    """The direction of gravity in RMECH of a rover rolled (right side down) after it is pitched (nose up)."""
+    R_WR = rotation_y(np.array(pitch_rad)) @ rotation_x(np.array(roll_rad))
+    down: Array = R_WR.T @ np.array([0.0, 0.0, 1.0])
+    return down
+
+
+def _with(record: Any, names: list[str], command: SetParam) -> Params | str:
+    """The record with the number at this place replaced, or why not."""
+    name, *rest = names
+    known = [field.name for field in fields(record)]
+    if name not in known:
+        near = get_close_matches(name, known, n=1)
+        hint = f"; {near[0]} is" if near else f"; there are {', '.join(known)}"
+        return f"{command.name}: {name!r} is not a parameter{hint}"
+    value = getattr(record, name)
+    if rest and is_dataclass(value):
+        inner = _with(value, rest, command)
+        return inner if isinstance(inner, str) else replace(record, **{name: inner})
+    if rest or not isinstance(value, int | float):
+        return f"{command.name}: not one number; only single numbers can be set"
+    if isinstance(value, int) and command.value != int(command.value if isfinite(command.value) else 0):
+        return f"{command.name}: must be a whole number, is {command.value}"
+    number = int(command.value) if isinstance(value, int) else float(command.value)
+    changed: Params = replace(record, **{name: number})
+    return changed

@@ -1,0 +1,171 @@
+"""Commands that take several moves: the moves, each as a command of its own."""
+
+from dataclasses import dataclass
+from typing import assert_never
+
+import numpy as np
+
+from fsw.config import Config
+from fsw.dictionary.commands import (
+    Command,
+    Deflection,
+    Dock,
+    GuardedMove,
+    MoveJoints,
+    MoveTeachPoint,
+    MoveTool,
+    PlaceTool,
+    Process,
+    Retract,
+    ToolChange,
+    Vector3,
+)
+from fsw.dictionary.joints import Tool
+from fsw.dictionary.params import TeachPoint
+from fsw.estimate.joints import JointEstimate
+from fsw.kinematics.transforms import Array
+from fsw.motion.compensation import Compensation
+from fsw.motion.plan import Refusal
+from fsw.motion.plan_line import from_here
+from fsw.motion.plan_process import gravity_pose
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """Stand on the brakes for a while."""
+
+    duration_s: float
+    vibrate: bool
+
+
+Step = Command | Hold
+Stepped = PlaceTool | ToolChange | MoveTeachPoint | Dock | Process
+
+
+def steps_of(
+    config: Config, joints: JointEstimate, tool: Tool, command: Stepped
+) -> tuple[Step, ...] | Refusal:
+    """The moves of a command from where the joints are; `tool` is that of the last tool command."""
+    match command:
+        case PlaceTool():
+            return _place(command)
+        case ToolChange():
+            return _tool_change(config, joints, tool, command)
+        case MoveTeachPoint():
+            return _to_point(config, joints, command)
+        case Dock():
+            return _dock(config, command)
+        case Process():
+            pose = gravity_pose(config, joints, command)
+            if isinstance(pose, Refusal):
+                return pose
+            a, b, c, d, e = (float(angle) for angle in pose)
+            return MoveJoints((a, b, c, d, e), command.backlash), Hold(command.duration_s, command.vibrate)
+        case _:
+            assert_never(command)
+
+
+def taught(config: Config, name: str) -> TeachPoint | Refusal:
+    """The taught point of this name."""
+    points = {point.name: point for point in config.params.teach}
+    if name in points:
+        return points[name]
+    return Refusal(f"point {name!r} was not taught; there are {', '.join(points) or 'none'}")
+
+
+def tool_of(point: TeachPoint) -> Tool:
+    """The tool of a taught point."""
+    return Tool[point.tool.upper()]
+
+
+def _place(command: PlaceTool) -> tuple[Step, ...]:
+    p, approach = np.array(command.p_RoTo_R_m), _unit(np.array(command.approach_R))
+    modes = (command.backlash, command.deflection)
+    line_m = command.standoff_m + command.overtravel_m
+    to_standoff = MoveTool(
+        command.tool,
+        _vector(p - command.standoff_m * approach),
+        _vector(approach),
+        line_m=line_m,
+        backlash=command.backlash,
+        deflection=command.deflection,
+        branch=command.branch,
+    )
+    return to_standoff, GuardedMove(
+        command.tool, _vector(p + command.overtravel_m * approach), _vector(approach), *modes
+    )
+
+
+def _tool_change(
+    config: Config, joints: JointEstimate, touching: Tool, command: ToolChange
+) -> tuple[Step, ...]:
+    """Back off, and place the other tool where this one is believed to touch.
+
+    The believed place carries the error of the model at this pose, so that at the next pose only the
+    difference of errors is left: relative compensation follows from counting from here. The moves themselves
+    are compensated absolutely, or not at all.
+    """
+    deflection: Deflection = "off" if command.deflection == "off" else "absolute"
+    here = from_here(config, joints, touching, Compensation(command.backlash, deflection))
+    back = Retract(touching, command.standoff_m, command.backlash, deflection)
+    place = PlaceTool(
+        command.tool,
+        _vector(here.p_m),
+        _vector(here.axis),
+        command.standoff_m,
+        command.overtravel_m if command.hover_m == 0 else -command.hover_m,
+        command.backlash,
+        deflection,
+        command.branch,
+    )
+    to_standoff, touch = _place(place)
+    if command.hover_m == 0:
+        return back, to_standoff, touch
+    hover = MoveTool(
+        command.tool,
+        _vector(here.p_m - command.hover_m * here.axis),
+        _vector(here.axis),
+        straight=True,
+        backlash=command.backlash,
+        deflection=deflection,
+    )
+    return back, to_standoff, hover
+
+
+def _to_point(config: Config, joints: JointEstimate, command: MoveTeachPoint) -> tuple[Step, ...] | Refusal:
+    point = taught(config, command.point)
+    if isinstance(point, Refusal):
+        return point
+    gravity = joints.gravity_R_m_s2
+    approach = _unit(gravity if command.along_gravity else np.array(point.approach_R))
+    p = np.array(point.p_RoTo_R_m) - command.away_m * approach
+    move = MoveTool(
+        tool_of(point),
+        _vector(p),
+        _vector(approach),
+        straight=command.straight,
+        line_m=0.0 if command.straight else command.away_m,
+        backlash=command.backlash,
+        deflection=command.deflection,
+        branch="AUTO" if command.straight else point.branch,
+    )
+    return (move,)
+
+
+def _dock(config: Config, command: Dock) -> tuple[Step, ...] | Refusal:
+    point = taught(config, command.point)
+    if isinstance(point, Refusal):
+        return point
+    approach = _unit(np.array(point.approach_R))
+    end = np.array(point.p_RoTo_R_m) + command.overtravel_m * approach
+    return (GuardedMove(tool_of(point), _vector(end), _vector(approach), command.backlash),)
+
+
+def _unit(v: Array) -> Array:
+    unit: Array = v / np.linalg.norm(v)
+    return unit
+
+
+def _vector(v: Array) -> Vector3:
+    x, y, z = (float(c) for c in v)
+    return (x, y, z)

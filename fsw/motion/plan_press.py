@@ -1,0 +1,118 @@
+"""Pressing without a force sensor: overdrive through the modelled stiffness of the arm."""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from fsw.config import Config
+from fsw.dictionary.joints import Tool
+from fsw.estimate.joints import JointEstimate
+from fsw.kinematics.chain import tool_pose
+from fsw.kinematics.statics import Push, rest
+from fsw.kinematics.task import ROOT_TOLERANCE, task_error, task_jacobian
+from fsw.kinematics.transforms import Array
+from fsw.motion.compensation import Compensation
+from fsw.motion.paths import Travel
+from fsw.motion.plan import Plan, Refusal, over_limits, standing, worst_limit
+from fsw.motion.plan_knots import plan_through
+
+STEPS: Final = 20
+RAMP_S: Final = 1.0
+"""In which the rate of the force builds up."""
+FRICTION_FACTOR: Final = 1.5
+"""Friction may have risen by so much since it was felt at the hardstop."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pressing:
+    """A tool that presses: where it touched, how it looked there, and with what it is believed to press."""
+
+    tool: Tool
+    p_RoTo_R_m: Array
+    axis_R: Array
+    force_N: float
+
+    def push(self, force_N: Array | float) -> Push:
+        """What comes back of a force or forces (...)."""
+        column = self.axis_R.reshape(3, *(1,) * np.ndim(force_N))
+        return Push(self.tool, -column * force_N)
+
+    @property
+    def pushed(self) -> Push:
+        """What comes back of the force as it is."""
+        return self.push(self.force_N)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Press:
+    """A change of force under way."""
+
+    start: Pressing
+    end_N: float
+    torque_per_N: Array
+    """By how much each joint's load rises with the force, (5,)."""
+
+    def after(self, travelled_N: float) -> Pressing:
+        """What is pressed with when so much of the change is done."""
+        sign = 1.0 if self.end_N > self.start.force_N else -1.0
+        return replace(self.start, force_N=self.start.force_N + sign * travelled_N)
+
+
+def touching(config: Config, joints: JointEstimate, tool: Tool) -> Pressing:
+    """A tool in contact as it is believed to stand, before it presses."""
+    compensation = Compensation()
+    output = joints.motor_rad + compensation.allowance(joints, standing(joints).gear_rad)
+    X_RT = tool_pose(config.arm, rest(config.arm, output, joints.gravity_R_m_s2).frames, tool)
+    return Pressing(tool, X_RT.p, X_RT.R[:, 0], 0.0)
+
+
+def plan_press(
+    config: Config, joints: JointEstimate, pressing: Pressing, force_N: float
+) -> tuple[Plan, Press] | Refusal:
+    """The overdrive from one force to another, such that the tool stays where it touches and looks as it did.
+
+    What the arm gives way, sideways and in its angle too, is made up for at every force on the way, so
+    nothing is left for friction to hold.
+    """
+    preload, change_N = config.params.preload, abs(force_N - pressing.force_N)
+    if change_N < preload.step_N:
+        return Refusal(f"{pressing.tool.name} is pressed with {pressing.force_N:.1f} N as it is")
+    forces = np.linspace(pressing.force_N, force_N, int(np.ceil(change_N / preload.step_N)) + 1)
+    output = _outputs(config, joints, pressing, forces)
+    if output is None:
+        return Refusal(f"no overdrive found from {pressing.force_N:.1f} to {force_N:.1f} N")
+    over = over_limits(config, output)
+    if np.any(over > 0):
+        k = int(np.argmax(over > 0))
+        return Refusal(f"at {forces[k]:.1f} N, {worst_limit(config, output[:, k])}")
+    load_Nm = rest(config.arm, output, joints.gravity_R_m_s2, pressing.push(forces)).torque_Nm
+    travel = Travel(change_N, preload.rate_N_s, preload.rate_N_s / RAMP_S, 2 * preload.rate_N_s / RAMP_S**2)
+    plan = plan_through(config, joints, output, load_Nm, Compensation(), travel)
+    per_N = (load_Nm[:, -1] - load_Nm[:, 0]) / (force_N - pressing.force_N)
+    return plan, Press(pressing, force_N, per_N)
+
+
+def press_limit_A(config: Config, joints: JointEstimate, press: Press, load_Nm: Array) -> Array:
+    """Current limits (5) that stall the motors before the force is much larger than it ought to be."""
+    most_N = max(press.start.force_N, press.end_N) * (1 + config.params.preload.guard_share)
+    carried = np.abs(load_Nm) + np.abs(press.torque_per_N) * most_N
+    torque = carried + FRICTION_FACTOR * joints.reference.friction_Nm
+    limit: Array = np.minimum(torque / config.torque_constant_Nm_A, config.current_limit_A)
+    return limit
+
+
+def _outputs(config: Config, joints: JointEstimate, pressing: Pressing, forces: Array) -> Array | None:
+    """Outputs (5, k) at which the pushed arm keeps the tool where it touches; None if there are none."""
+    arm, push, tool = config.arm, pressing.push(forces), pressing.tool
+    p, axis = pressing.p_RoTo_R_m[:, None], pressing.axis_R[:, None]
+    output = np.tile(joints.output_rad[:, None], forces.size)
+    for _ in range(STEPS):
+        hanging = rest(arm, output, joints.gravity_R_m_s2, push)
+        X_RT = tool_pose(arm, hanging.frames, tool)
+        error = task_error(X_RT, p, axis)
+        if np.abs(error).max() < ROOT_TOLERANCE:
+            return output
+        J = np.moveaxis(task_jacobian(hanging.frames, X_RT, axis), -1, 0)
+        output = output - np.linalg.solve(J, np.moveaxis(error, -1, 0)[..., None])[..., 0].T
+    return None

@@ -1,0 +1,26 @@
+"""What touches the tools, and with what force."""
+
+import mujoco
+import numpy as np
+
+from fsw.dictionary.joints import Tool
+from fsw.kinematics.transforms import Array
+from sim.frames import FLIP
+from sim.plant import Plant
+
+
+def tool_forces(plant: Plant) -> Array:
+    """The force of the world on each tool, friction too [N]: (5, 3), in the order of Tool, RMECH axes."""
+    model, data = plant.model, plant.data
+    total = np.zeros((len(Tool), 3))
+    if data.ncon == 0:
+        return total
+    wrench = np.zeros(6)
+    bodies = model.geom_bodyid[data.contact.geom]
+    for tool in Tool:
+        of_tool = bodies == model.body(tool.name.lower()).id
+        for k in np.flatnonzero(of_tool.any(axis=1)):
+            mujoco.mj_contactForce(model, data, k, wrench)
+            force_W = data.contact.frame[k].reshape(3, 3).T @ wrench[:3]  # of the first geom on the second
+            total[tool] += FLIP * force_W * (1.0 if of_tool[k, 1] else -1.0)
+    return total

@@ -1,0 +1,191 @@
+"""Scenarios from TOML, strictly: every problem at once, each with its line and with what would be right."""
+
+import re
+import tomllib
+from dataclasses import dataclass, fields
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Final, TypeVar
+
+import numpy as np
+
+from fsw.dictionary.modes import Mode
+from fsw.dictionary.params import Limits
+from sim.arms import UnknownArm, arm_named
+from sim.checks import Done, Faulted
+from sim.effects.environment import WARM_C
+from sim.scenario import Scenario, Start
+from sim.scenario_faults import STOPPING
+from sim.scenario_modes import refusals
+from sim.scenario_names import did_you_mean
+from sim.scenario_record import Findings, Problem, record_of, table_of
+from sim.scenario_tables import check_of, command_of, fault_of, tables, taught_of
+from sim.toml_lines import lines_of
+from sim.world import MAX_TILT_RAD, Scene, Surface, World
+
+T = TypeVar("T")
+
+LISTS: Final = ("teach", "command", "fault", "check")
+NEEDED: Final = ("command", "check")
+
+
+class BadScenario(ValueError):
+    """A scenario that is not to be run; a line of the message for every problem, with file and line."""
+
+    def __init__(self, file: str, problems: list[Problem]):
+        self.problems = tuple(sorted(problems))
+        super().__init__("\n".join(f"{file}:{p.line}: {p.text}" for p in self.problems))
+
+
+@dataclass(frozen=True, slots=True)
+class _Head:
+    """What a file says before its first table."""
+
+    title: str
+    sentence: str
+    arm: str = "nominal"
+    start: Start = "stowed"
+
+
+@dataclass(frozen=True, slots=True)
+class _World:
+    """The table [world]."""
+
+    scene: Scene = "mars"
+    tilt_roll_rad: float = 0.0
+    tilt_pitch_rad: float = 0.0
+    temperature_C: Annotated[float, Limits(-130.0, 50.0)] = WARM_C
+    surface: Surface | None = None
+
+
+def shipped() -> dict[str, str]:
+    """The text of every scenario that comes with the house, by name."""
+    folder = resources.files("sim").joinpath("scenarios")
+    files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
+    return {file.name.removesuffix(".toml"): file.read_text(encoding="utf-8") for file in files}
+
+
+def load(name: str) -> Scenario:
+    """A scenario that comes with the house, by name, or that of a TOML file, by path.
+
+    Raises:
+        BadScenario: there is none, it cannot be read, or something in it is wrong.
+    """
+    texts = shipped()
+    if name in texts:
+        return scenario_from(texts[name], name, f"{name}.toml")
+    path = Path(name)
+    if path.suffix != ".toml":
+        hint = f"{did_you_mean(name, texts)}, or give the path of a .toml file"
+        raise BadScenario(name, [Problem(1, f"there is no such scenario; {hint}")])
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        raise BadScenario(name, [Problem(1, f"cannot be read: {error}")]) from error
+    return scenario_from(text, path.stem, name)
+
+
+def scenario_from(text: str, name: str, file: str) -> Scenario:
+    """The scenario that a TOML text says; `file` is how messages call it.
+
+    Raises:
+        BadScenario: something in it is wrong; the message has every problem, by line.
+    """
+    try:
+        data = tomllib.loads(text)
+        findings = Findings(lines_of(text))
+    except tomllib.TOMLDecodeError as error:
+        raise BadScenario(file, [_torn(text, str(error))]) from error
+    except (ValueError, RecursionError) as error:  # a number or a list without end
+        raise BadScenario(file, [Problem(1, f"is not TOML: {error}")]) from error
+    scenario = _scenario(data, name, findings)
+    if scenario is None or findings.problems:
+        raise BadScenario(file, findings.problems)
+    return scenario
+
+
+def _torn(text: str, error: str) -> Problem:
+    """What Python's parser says, on the line that it says."""
+    said = re.fullmatch(r"(.*) \(at (?:line (\d+), column \d+|end of document)\)", error, re.DOTALL)
+    if said is None:
+        return Problem(1, f"is not TOML: {error}")
+    return Problem(int(said[2]) if said[2] else text.count("\n") + 1, f"is not TOML: {said[1]}")
+
+
+def _scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario | None:
+    head = _head(data, findings)
+    table = table_of(data.get("world", {}), ("world",), findings)
+    world = None if table is None else record_of(_World, table, ("world",), findings)
+    taught = [taught_of(table, place, findings) for place, table in tables(data, "teach", findings)]
+    points = tuple(point.name for point in taught if point is not None)
+    asked = list(tables(data, "command", findings))
+    commands = [command_of(table, place, findings, points) for place, table in asked]
+    faults = [
+        fault_of(table, place, findings, len(asked)) for place, table in tables(data, "fault", findings)
+    ]
+    touchable = world is None or world.surface is not None
+    checks = [
+        check_of(table, place, findings, points, len(asked), touchable)
+        for place, table in tables(data, "check", findings)
+    ]
+    if head is None or world is None or None in (*taught, *commands, *faults, *checks):
+        return None
+    scenario = Scenario(
+        name=name,
+        title=head.title,
+        sentence=head.sentence,
+        world=World(world.scene, world.tilt_roll_rad, world.tilt_pitch_rad, world.surface),
+        commands=_all(commands),
+        checks=_all(checks),
+        start=head.start,
+        arm=head.arm,
+        temperature_C=world.temperature_C,
+        taught=_all(taught),
+        faults=_all(faults),
+    )
+    if checks and not any(isinstance(check, Done | Faulted) for check in scenario.checks):
+        findings.say(
+            ("check", 0), 'check: none says how the scenario ends; add one of type "done" or "faulted"'
+        )
+    _check_tilt(scenario.world, findings)
+    _check_sequence(scenario, findings)
+    return scenario
+
+
+def _all(items: list[T | None]) -> tuple[T, ...]:
+    return tuple(item for item in items if item is not None)
+
+
+def _head(data: dict[str, Any], findings: Findings) -> _Head | None:
+    own = [field.name for field in fields(_Head)]
+    known = (*own, "world", *LISTS)
+    for key in data:
+        if key not in known:
+            findings.say((key,), f"{key}: is not known here; {did_you_mean(key, known)}")
+    for what in NEEDED:
+        if what not in data:
+            findings.say((), f"{what}: is missing; write [[{what}]] and its keys below, once for each")
+    head = record_of(_Head, {key: data[key] for key in own if key in data}, (), findings)
+    if head is not None:
+        try:
+            arm_named(head.arm)
+        except UnknownArm as error:
+            findings.say(("arm",), f"arm: {error}")
+    return head
+
+
+def _check_tilt(world: World, findings: Findings) -> None:
+    most = max(abs(world.tilt_roll_rad), abs(world.tilt_pitch_rad), world.tilt_rad)
+    if most > MAX_TILT_RAD + 1e-12:
+        most_deg, limit_deg = np.degrees(most), np.degrees(MAX_TILT_RAD)
+        text = f"world: tilts the rover by {most_deg:.4g} deg; the arm is used up to {limit_deg:g} deg"
+        findings.say(("world",), text)
+
+
+def _check_sequence(scenario: Scenario, findings: Findings) -> None:
+    """Refuse a sequence that flight software would be bound to refuse halfway."""
+    bound = [fault.during for fault in scenario.faults if isinstance(fault.effect, STOPPING)]
+    faulting = [number for number in bound if number is not None]
+    start = Mode.STOWED if scenario.start == "stowed" else Mode.DEPLOYED
+    for number, problem in refusals(scenario.commands, start, faulting):
+        findings.say(("command", number - 1), f"command {number}: {problem}")

@@ -1,0 +1,172 @@
+"""A sequence walked through the mode table before anything moves: which command would be refused, and why."""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final, get_args
+
+from fsw.dictionary.commands import (
+    Calibrate,
+    CalibrateAll,
+    ClearFault,
+    Command,
+    Dock,
+    GuardedMove,
+    MoveJoint,
+    MoveJoints,
+    MoveTeachPoint,
+    MoveTool,
+    PlaceTool,
+    Preload,
+    Process,
+    Retract,
+    SetParam,
+    SetTilt,
+    Stop,
+    Stow,
+    ToolChange,
+    Unstow,
+)
+from fsw.dictionary.joints import Tool
+from fsw.dictionary.modes import Mode
+from fsw.executive.modes import Event, after
+from sim.scenario_names import upper_snake
+
+_FREE: Final = (Event.MOVE_FREE, Event.DONE)
+_GUARDED: Final = (Event.MOVE_GUARDED, Event.DONE)
+_BACK: Final = (Event.MOVE_BACK, Event.DONE)
+_PRESS: Final = (Event.PRESS, Event.DONE)
+_RELEASE: Final = (Event.PRESS, Event.DONE_RELEASED)
+
+EVENTS: Final[dict[type[Command], tuple[Event, ...]]] = {
+    Calibrate: _FREE,
+    CalibrateAll: _FREE,
+    Unstow: (Event.UNSTOW, Event.DONE),
+    Stow: (Event.MOVE_FREE, Event.DONE_STOWED),
+    MoveJoint: _FREE,
+    MoveJoints: _FREE,
+    MoveTool: _FREE,
+    GuardedMove: _GUARDED,
+    PlaceTool: (*_FREE, *_GUARDED),
+    Preload: _PRESS,
+    ToolChange: (*_BACK, *_FREE, *_GUARDED),
+    MoveTeachPoint: _FREE,
+    Dock: _GUARDED,
+    Process: _FREE,
+    Retract: _BACK,
+    SetTilt: (),
+    SetParam: (),
+    Stop: (),
+    ClearFault: (Event.CLEAR,),
+}
+"""What a command that goes well does to the mode, step by step; `_events` knows those with a choice."""
+
+
+Modes = frozenset[Mode]
+
+_CLEARED: Final[Modes] = frozenset(
+    Mode(mode) for event in Event if (mode := after(Mode.FAULTED, event)) not in (None, Mode.FAULTED)
+)
+"""Where a cleared fault leaves the arm depends on where it stands, which cannot be known beforehand."""
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """Where a sequence has come to."""
+
+    modes: Modes
+    """Those that are possible."""
+    tool: Tool | None = None
+    """That touches, if it is known."""
+    faulted_in: int | None = None
+    """The number of the command that an injected fault ended."""
+
+
+def refusals(
+    commands: Sequence[Command], start: Mode, faulting: Collection[int] = ()
+) -> Iterator[tuple[int, str]]:
+    """The number of each command that would be refused, and what would be right.
+
+    `faulting` are the numbers of commands that are bound to end in a fault, if they move at all.
+    """
+    standing = Standing(frozenset({start}))
+    for number, command in enumerate(commands, 1):
+        problem = _refused(standing, command)
+        if problem is not None:
+            yield number, problem
+        standing = _after(standing, command, number if number in faulting else None)
+
+
+def moves(command: Command) -> bool:
+    """Whether a command moves the arm."""
+    return EVENTS[type(command)] not in ((), (Event.CLEAR,))
+
+
+def modes_after(modes: Modes, command: Command) -> Modes:
+    """The modes in which a command may leave the arm; none where it may not begin."""
+    if isinstance(command, ClearFault):
+        return _CLEARED if Mode.FAULTED in modes else frozenset()
+    if isinstance(command, ToolChange):
+        modes &= {Mode.GUARDED}  # what touches nothing may move back, but has no spot to come back to
+    return _through(modes, _events(command))
+
+
+def _through(modes: Modes, events: tuple[Event, ...]) -> Modes:
+    for event in events:
+        modes = frozenset(reached for mode in modes if (reached := after(mode, event)) is not None)
+    return modes
+
+
+def _events(command: Command) -> tuple[Event, ...]:
+    match command:
+        case Preload(force_N=force):
+            return _RELEASE if force == 0 else _PRESS
+        case ToolChange(hover_m=hover) if hover > 0:
+            return (*_BACK, *_FREE)
+        case _:
+            return EVENTS[type(command)]
+
+
+def _refused(standing: Standing, command: Command) -> str | None:
+    name, modes = upper_snake(type(command)), standing.modes
+    if modes == {Mode.FAULTED} and not isinstance(command, ClearFault | Stop):
+        asks = "asks for motion" if moves(command) else "comes"
+        return (
+            f"{name} {asks} while the fault of command {standing.faulted_in} stands; "
+            "put CLEAR_FAULT before it"
+        )
+    if not modes_after(modes, command):
+        if isinstance(command, ClearFault):
+            return f"{name}: no fault is known to stand; leave it out, or inject a fault during a command"
+        here = " or ".join(mode.name for mode in sorted(modes))
+        return f"{name} is refused in mode {here}; before it comes {_ways(modes, command)}"
+    wrong_tool = isinstance(command, GuardedMove | Retract | Preload) and command.tool is not standing.tool
+    if wrong_tool and standing.tool is not None:
+        touching = standing.tool.name.lower()
+        return f"{name}: {touching} is the tool that touches; write {touching}"
+    return None
+
+
+def _after(standing: Standing, command: Command, fault: int | None) -> Standing:
+    if fault is not None and moves(command):
+        return Standing(frozenset({Mode.FAULTED}), faulted_in=fault)
+    if standing.modes == {Mode.FAULTED} and not isinstance(command, ClearFault):
+        return standing
+    # one that is refused was told already; go on as if what is missing had been there
+    modes = modes_after(standing.modes, command) or modes_after(frozenset(Mode), command)
+    if not modes <= {Mode.GUARDED, Mode.PRELOAD}:
+        return Standing(modes, faulted_in=standing.faulted_in)
+    if isinstance(command, GuardedMove | PlaceTool | ToolChange):
+        return replace(standing, modes=modes, tool=command.tool)
+    return replace(standing, modes=modes)
+
+
+def _ways(modes: Modes, command: Command) -> str:
+    """The commands after which this one may begin, as far as one command leads there."""
+    fit = frozenset(mode for mode in Mode if modes_after(frozenset({mode}), command))
+    ways = [
+        upper_snake(kind) + (" of force 0" if events is _RELEASE else "")
+        for kind in get_args(Command)
+        for events in ((_PRESS, _RELEASE) if kind is Preload else (EVENTS[kind],))
+        if events and kind not in (ClearFault, ToolChange) and _through(modes, events) & fit
+    ]
+    return " or ".join(ways) or f"what leads to mode {' or '.join(mode.name for mode in sorted(fit))}"

@@ -1,0 +1,70 @@
+"""How the names of dataclasses and their fields are written in a scenario file, units included."""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from math import pi
+from typing import Any, Final
+
+UNITS: Final[dict[str, dict[str, float]]] = {
+    "rad": {"rad": 1.0, "deg": pi / 180},
+    "m": {"m": 1.0, "mm": 1e-3},
+    "N": {"N": 1.0},
+    "s": {"s": 1.0},
+    "C": {"degC": 1.0},
+    "A": {"A": 1.0},
+    "Nm": {"Nm": 1.0},
+}
+"""By the suffix of a field: what may stand for it in a file, and how much of the SI unit that is."""
+
+_POSITION: Final = re.compile(r"p_(?:[A-Z]o[A-Z]o_)?[A-Z]_m$")
+_FRAME: Final = re.compile(r"_[A-Z]$")
+
+
+@dataclass(frozen=True, slots=True)
+class Words:
+    """How one field is written."""
+
+    field: str
+    stem: str
+    factors: dict[str, float]
+    """SI value per value in the file, by key; one key without a unit if there is none."""
+
+    def __str__(self) -> str:
+        return " or ".join(self.factors)
+
+
+def words_of(field: str, kind: Any) -> Words:
+    """How a field of this type is written: no letters of frames, `position` for p, and any unit that fits."""
+    name = _POSITION.sub("position_m", field)
+    if kind is not float:  # of a number, a capital at the end is a unit
+        name = _FRAME.sub("", name)
+    stem, _, unit = name.rpartition("_")
+    if not stem or unit not in UNITS:
+        return Words(field, name, {name: 1.0})
+    return Words(field, stem, {f"{stem}_{said}": factor for said, factor in UNITS[unit].items()})
+
+
+def is_position(field: str) -> bool:
+    """Whether a field is the position of a point."""
+    return _POSITION.search(field) is not None
+
+
+def upper_snake(kind: type) -> str:
+    """MoveTool is MOVE_TOOL in a file."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).upper()
+
+
+def one_of(known: Iterable[str]) -> str:
+    """These names for the end of a sentence."""
+    return f"there are {', '.join(known) or 'none'}"
+
+
+def did_you_mean(said: str, known: Iterable[str]) -> str:
+    """What was probably meant, and what there is; any part of `one or other` may have been meant."""
+    names = list(known)
+    near = {part.lower(): name for name in names for part in name.split(" or ")}
+    close = get_close_matches(said.lower(), near, n=1)
+    meant = f"did you mean {near[close[0]]}? " if close else ""
+    return meant + one_of(names)

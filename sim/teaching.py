@@ -1,0 +1,107 @@
+"""Teaching an arm its places: led there and surveyed from outside, it keeps where it believed to be."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.channels import ToolChannels
+from fsw.dictionary.commands import MoveTool, Vector3
+from fsw.dictionary.evrs import CommandCompleted
+from fsw.dictionary.params import TeachPoint
+from fsw.estimate.reference import Reference
+from fsw.kinematics.answers import Verdict
+from fsw.kinematics.arm import arm_from
+from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.ik import inverse_kinematics
+from fsw.kinematics.transforms import Array
+from fsw.motion.plan_tool import AUTO
+from sim.arms import BuiltArm
+from sim.effects.environment import NothingToTouch
+from sim.frames import p_R_from_N
+from sim.loop import ClosedLoop, Setup, joints5
+from sim.scenario import Taught
+from sim.sequence import run_sequence
+from sim.world import World
+
+PASSES: Final = 3
+"""Moves to a place, each aimed off by what the one before missed."""
+NEAR_RAD: Final = 0.01
+"""How far from a place every joint begins."""
+REST_S: Final = 1.0
+
+
+class NotTaught(RuntimeError):
+    """A place that the arm could not be led to."""
+
+
+def taught(
+    arm: BuiltArm, reference: Reference, points: tuple[Taught, ...], world: World, seed: int = 0
+) -> BuiltArm:
+    """The arm with these places among its parameters.
+
+    Raises:
+        NotTaught: flight software refuses to go to one, or does not come to its end.
+    """
+    found = tuple(_taught(arm, reference, point, world, seed) for point in points)
+    names = {point.name for point in found}
+    kept = tuple(point for point in arm.params.teach if point.name not in names)
+    return replace(arm, params=replace(arm.params, teach=(*kept, *found)))
+
+
+def _taught(arm: BuiltArm, reference: Reference, point: Taught, world: World, seed: int) -> TeachPoint:
+    wanted = p_R_from_N(np.array(point.p_N_m))
+    axis = np.array(point.approach_N) / np.linalg.norm(point.approach_N)
+    start = _near(arm, point, wanted, axis, world)
+    level = replace(world, surface=None)
+    loop = ClosedLoop(Setup(arm, level, joints5(start), seed, reference, (NothingToTouch(),)))
+    aim, towards = wanted, axis
+    for _ in range(PASSES):
+        believed = _led(loop, point, aim, towards)
+        truth = loop.plant.truth()
+        missed = wanted - truth.p_RoTo_R_m[point.tool]
+        turned = axis - truth.R_RT[point.tool][:, 0]
+        aim, towards = aim + missed, towards + turned
+    return TeachPoint(
+        name=point.name,
+        tool=point.tool.name.lower(),
+        p_RoTo_R_m=_vector(believed.p_RoTo_R_m + missed),
+        approach_R=_vector(believed.R_RT[:, 0] + turned),
+        branch=point.branch,
+    )
+
+
+def _near(arm: BuiltArm, point: Taught, p_R_m: Array, axis: Array, world: World) -> Array:
+    """A pose beside the place, on the branch asked for; of several the nearest to the ready pose."""
+    ready = np.array(arm.params.poses.ready_rad)
+    answers = inverse_kinematics(arm_from(arm.params), point.tool, p_R_m, axis, world.gravity_N_m_s2, ready)
+    poses = [
+        answers.output_rad[:, slot]
+        for slot in np.flatnonzero(answers.verdict == Verdict.VALID)
+        if point.branch in (AUTO, BRANCHES[slot % len(BRANCHES)])
+    ]
+    if not poses:
+        raise NotTaught(f"{arm.name}: {point.name} is out of reach of the {point.tool.name.lower()}")
+    nearest = min(poses, key=lambda pose: float(np.abs(pose - ready).max()))
+    return np.asarray(nearest + NEAR_RAD * np.sign(ready - nearest))
+
+
+def _led(loop: ClosedLoop, point: Taught, p_R_m: Array, axis: Array) -> ToolChannels:
+    """What flight software believes of the tool, at rest after a move."""
+    command = MoveTool(point.tool, _vector(p_R_m), _vector(axis), branch=point.branch)
+    evrs = [evr for record in run_sequence(loop, (command,)) for evr in record.outputs.evrs]
+    if CommandCompleted("MoveTool") not in evrs:
+        raise NotTaught(f"{point.name}: {evrs[-1].message}")
+    return [tool for tool in _rest(loop) if tool is not None][-1]
+
+
+def _rest(loop: ClosedLoop) -> Iterator[ToolChannels | None]:
+    for _ in range(round(REST_S * CYCLE_HZ)):
+        yield loop.cycle().outputs.tool
+
+
+def _vector(v: Array) -> Vector3:
+    x, y, z = (float(c) for c in v)
+    return (x, y, z)

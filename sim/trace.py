@@ -1,0 +1,95 @@
+"""What the plant truly did in a scenario, cycle by cycle: what a judge looks at."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.dictionary.evrs import CommandRefused, Evr
+from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
+from fsw.dictionary.modes import Mode
+from fsw.kinematics.transforms import Array
+from sim.contact import tool_forces
+from sim.plant import Plant
+from sim.record import CycleRecord
+from sim.sequence import Outcome
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Moment:
+    """The plant at the end of a cycle; tools in the order of Tool, vectors in RMECH axes."""
+
+    command: int
+    """The number of the command under way, from 1."""
+    p_RoTo_R_m: Array
+    """(5, 3)"""
+    R_RT: Array
+    """(5, 3, 3)"""
+    force_R_N: Array
+    """Of the world on each tool, (5, 3)."""
+    closed: NDArray[np.bool_]
+    """As the cycle read them, in the order of Switch."""
+    vibrates: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ending:
+    """How a scenario ended."""
+
+    outcome: Outcome
+    mode: Mode
+    """As flight software believes."""
+    output_rad: Array
+    """True."""
+    braked: bool
+    """Every brake holds and no motor has power."""
+    refuses: bool
+    """Whether a move that was asked for after the end was refused."""
+    evrs: tuple[tuple[float, Evr], ...]
+    """Time [s] and event."""
+
+    @property
+    def refusal(self) -> CommandRefused | None:
+        """The refusal that ended the sequence, if one did."""
+        found = [evr for _, evr in self.evrs if isinstance(evr, CommandRefused)]
+        return found[0] if found and self.outcome is Outcome.REFUSED else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """A whole scenario."""
+
+    moments: tuple[Moment, ...]
+    ending: Ending
+
+    def during(self, command: int) -> tuple[Moment, ...]:
+        """The cycles of a command; none if it did not begin."""
+        return tuple(moment for moment in self.moments if moment.command == command)
+
+    def since(self, command: int) -> tuple[Moment, ...]:
+        """The cycles from the beginning of a command to the end of the scenario."""
+        return tuple(moment for moment in self.moments if moment.command >= command)
+
+    def at_end_of(self, command: int) -> Moment | None:
+        """The last cycle of a command, or None if it did not begin."""
+        found = self.during(command)
+        return found[-1] if found else None
+
+
+def moment(plant: Plant, record: CycleRecord, command: int) -> Moment:
+    """The plant as it is after a cycle."""
+    truth = plant.truth()
+    return Moment(
+        command=command,
+        p_RoTo_R_m=truth.p_RoTo_R_m,
+        R_RT=truth.R_RT,
+        force_R_N=tool_forces(plant),
+        closed=record.sensors.switch_closed,
+        vibrates=record.outputs.drive.vibrate,
+    )
+
+
+def touches(moment: Moment, tool: Tool) -> bool:
+    """Whether a contact switch of a tool is closed."""
+    closed: NDArray[np.bool_] = moment.closed[[Switch(switch) for switch in SWITCHES_OF[tool]]]
+    return bool(closed.any())

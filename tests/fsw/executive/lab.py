@@ -1,0 +1,171 @@
+"""Flight software in every situation that commands can meet, and a command of every kind to give it."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from fsw.dictionary.commands import (
+    Calibrate,
+    CalibrateAll,
+    ClearFault,
+    Command,
+    Dock,
+    GuardedMove,
+    MoveJoint,
+    MoveJoints,
+    MoveTeachPoint,
+    MoveTool,
+    PlaceTool,
+    Preload,
+    Process,
+    Retract,
+    SetParam,
+    SetTilt,
+    Stop,
+    Stow,
+    ToolChange,
+    Unstow,
+)
+from fsw.dictionary.evrs import CommandRefused
+from fsw.dictionary.joints import Joint, Switch, Tool
+from fsw.dictionary.modes import Mode
+from fsw.dictionary.params import TeachPoint
+from tests.fsw.rig import Rig, config_of, facing, floats, with_params
+
+START = facing(config_of(), Tool.APXS)
+STRONGER = replace(config_of().params.joints.elevation, hardstop_press_Nm=300.0)
+"""In the ready pose gravity presses the elevation on its hardstop too hard for the drawing's."""
+_X_RT = Rig(with_params(), start_rad=START).tool_pose(Tool.APXS)
+HERE = TeachPoint("here", "apxs", floats(_X_RT.p), floats(_X_RT.R[:, 0]))
+"""Where the APXS stands in these tests."""
+CONFIG = with_params(
+    hardstop={"start_rad": floats(START), "park_rad": floats(START), "again_rad": floats(START)},
+    joints={"elevation": STRONGER},
+    teach=(HERE,),
+)
+"""Any joint may look for its hardstop from where these tests begin."""
+NAN = float("nan")
+INF = float("inf")
+TOUCHED = {"switch_closed": np.arange(10) == Switch.APXS_1}
+
+
+def stowed():
+    return Rig(CONFIG, Mode.STOWED, CONFIG.params.poses.stowed_rad)
+
+
+def uncalibrated():
+    rig = Rig(CONFIG, start_rad=START, calibrated=False)
+    rig.cycle()
+    return rig
+
+
+def deployed():
+    return Rig(CONFIG, start_rad=START)
+
+
+def moving_free():
+    rig = deployed()
+    rig.until_moving(MoveJoints(floats(START + 0.05)))
+    return rig
+
+
+def guarded_moving():
+    rig = deployed()
+    rig.until_moving(rig.touch(Tool.APXS, 0.05))
+    return rig
+
+
+def guarded_in_contact():
+    rig = guarded_moving()
+    rig.run(**TOUCHED)
+    assert rig.state.mode is Mode.GUARDED
+    return rig
+
+
+def retracting():
+    rig = deployed()
+    rig.until_moving(Retract(Tool.APXS, 0.05))
+    return rig
+
+
+def calibrating():
+    rig = deployed()
+    rig.until_moving(Calibrate(Joint.TURRET))
+    return rig
+
+
+def being_stopped_by_a_fault():
+    rig = moving_free()
+    rig.cycle(winding_C=[NAN] * 5)
+    return rig
+
+
+def faulted():
+    rig = being_stopped_by_a_fault()
+    rig.run()
+    return rig
+
+
+def pressing():
+    rig = guarded_in_contact()
+    rig.cycle(Preload(Tool.APXS, 50.0), **TOUCHED)
+    while rig.state.pressing.force_N < 10.0:
+        rig.cycle(**TOUCHED)
+    return rig
+
+
+def pressed():
+    rig = pressing()
+    rig.run(**TOUCHED)
+    assert rig.state.pressing.force_N == 50.0
+    return rig
+
+
+SITUATIONS = [
+    stowed, uncalibrated, deployed, moving_free, guarded_moving, guarded_in_contact, retracting,
+    calibrating, pressing, pressed, being_stopped_by_a_fault, faulted,
+]  # fmt: skip
+TOUCHING = (guarded_in_contact, pressing, pressed)
+"""The situations in which a switch is closed."""
+
+
+def _place(rig: Rig) -> PlaceTool:
+    ahead = rig.here(Tool.APXS, 0.02)
+    return PlaceTool(Tool.APXS, ahead.p_FoTo_F_m, ahead.approach_F, 0.02, 0.02)
+
+
+COMMANDS = {
+    Calibrate: lambda rig: Calibrate(Joint.TURRET),
+    CalibrateAll: lambda rig: CalibrateAll(),
+    Unstow: lambda rig: Unstow(),
+    Stow: lambda rig: Stow(),
+    MoveJoint: lambda rig: MoveJoint(Joint.WRIST, float(rig.state.joints.output_rad[Joint.WRIST])),
+    MoveJoints: lambda rig: MoveJoints(floats(rig.state.joints.motor_rad)),
+    MoveTool: lambda rig: rig.here(Tool.APXS),
+    GuardedMove: lambda rig: rig.touch(Tool.APXS, 0.02),
+    PlaceTool: _place,
+    Preload: lambda rig: Preload(Tool.APXS, 100.0),
+    ToolChange: lambda rig: ToolChange(Tool.MAHLI),
+    MoveTeachPoint: lambda rig: MoveTeachPoint(HERE.name),
+    Dock: lambda rig: Dock(HERE.name, 0.02),
+    Process: lambda rig: Process(Tool.PORTION, (1.0, 0.0, 0.2), 1.0),
+    Retract: lambda rig: Retract(Tool.APXS, 0.02),
+    SetTilt: lambda rig: SetTilt(0.0, 0.0),
+    SetParam: lambda rig: SetParam("motion.settle_time_s", 0.5),
+    Stop: lambda rig: Stop(),
+    ClearFault: lambda rig: ClearFault(),
+}
+
+
+def refusal(rig: Rig, command: Command) -> str:
+    """Why a command is refused that leaves everything as it was."""
+    before = rig.state
+    rig.evrs.clear()
+    rig.cycle(command)
+    (evr,) = rig.evrs
+    assert isinstance(evr, CommandRefused)
+    assert evr.command == type(command).__name__
+    assert rig.state.mode is before.mode
+    assert rig.state.move is None
+    assert not rig.outputs.drive.brake_release.any()
+    return evr.reason

@@ -1,0 +1,102 @@
+"""Every command in every situation: accepted, or refused with its reason and nothing changed."""
+
+from itertools import product
+from typing import get_args
+
+import pytest
+
+from fsw.dictionary.commands import (
+    Calibrate,
+    CalibrateAll,
+    ClearFault,
+    Command,
+    Dock,
+    GuardedMove,
+    MoveJoint,
+    Preload,
+    Retract,
+    SetParam,
+    SetTilt,
+    Stop,
+    ToolChange,
+    Unstow,
+)
+from fsw.dictionary.evrs import CommandAccepted, CommandCompleted, CommandRefused
+from fsw.dictionary.modes import Mode
+from tests.fsw.executive import lab
+from tests.fsw.executive.lab import COMMANDS, SITUATIONS, TOUCHED, TOUCHING
+
+NOT_CALIBRATED = "not calibrated: {}; until it is, a joint may only look for its hardstop"
+NO_MOVES = (SetTilt, SetParam, Stop)
+"""What is done at once where nothing is under way."""
+
+
+def in_mode(name: str, *allowed: type) -> dict[type, str]:
+    """Everything is refused in a mode but what is allowed, and there is no fault to clear."""
+    refused = {kind: f"not allowed in mode {name}" for kind in COMMANDS if kind not in (*allowed, *NO_MOVES)}
+    return refused | {ClearFault: "no fault stands"}
+
+
+def under_way(name: str, clearing: str = "no fault stands") -> dict[type, str]:
+    """Everything waits for what is under way but a stop."""
+    return {kind: f"{name} is under way" for kind in COMMANDS if kind is not Stop} | {ClearFault: clearing}
+
+
+FAULT = {kind: "a fault stands; clear it first" for kind in COMMANDS if kind not in (Stop, ClearFault)}
+
+
+REFUSED = {
+    lab.stowed: in_mode("STOWED", Unstow),
+    lab.uncalibrated: {
+        kind: NOT_CALIBRATED.format("azimuth, elevation, elbow, wrist, turret")
+        for kind in COMMANDS
+        if kind not in (Calibrate, CalibrateAll, *NO_MOVES)
+    }
+    | {MoveJoint: NOT_CALIBRATED.format("wrist"), ClearFault: "no fault stands"},
+    lab.deployed: {
+        Unstow: "not allowed in mode DEPLOYED",
+        Preload: "not allowed in mode DEPLOYED",
+        ToolChange: "no contact switch is closed, so there is no spot to go back to",
+        ClearFault: "no fault stands",
+    },
+    lab.moving_free: under_way("MoveJoints"),
+    lab.guarded_moving: under_way("GuardedMove"),
+    lab.guarded_in_contact: in_mode("GUARDED", GuardedMove, Retract, Preload, ToolChange, Dock)
+    | {Dock: "APXS is the tool that may touch; retract it first"},
+    lab.retracting: under_way("Retract"),
+    lab.calibrating: under_way("Calibrate"),
+    lab.pressing: under_way("Preload"),
+    lab.pressed: in_mode("PRELOAD", Preload),
+    lab.being_stopped_by_a_fault: FAULT | {ClearFault: "the arm is still being stopped"},
+    lab.faulted: FAULT,
+}
+"""By situation, the commands that are refused and why; the others are accepted."""
+
+
+def test_the_table_speaks_of_every_mode_and_every_command():
+    assert {make().state.mode for make in SITUATIONS} == set(Mode)
+    assert set(REFUSED) == set(SITUATIONS)
+    assert set(COMMANDS) == set(get_args(Command))
+
+
+@pytest.mark.parametrize(
+    ("situation", "kind"),
+    list(product(SITUATIONS, COMMANDS)),
+    ids=lambda value: getattr(value, "__name__", None),
+)
+def test_every_command_in_every_situation(situation, kind):
+    rig = situation()
+    before, name = rig.state, kind.__name__
+    rig.evrs.clear()
+    rig.cycle(COMMANDS[kind](rig), **(TOUCHED if situation in TOUCHING else {}))
+    reason = REFUSED[situation].get(kind)
+    refused = [evr for evr in rig.evrs if isinstance(evr, CommandRefused)]
+    if reason:
+        assert refused == [CommandRefused(name, reason)]
+        assert rig.state.mode is before.mode
+        assert CommandAccepted(name) not in rig.evrs
+        assert (rig.state.move is None) is (before.move is None)
+        assert rig.state.joints.reference is before.joints.reference
+    else:
+        assert not refused
+        assert CommandAccepted(name) in rig.evrs or CommandCompleted(name) in rig.evrs

@@ -1,0 +1,100 @@
+"""What the ground may set: the tilt, and any one number of the parameters."""
+
+import numpy as np
+import pytest
+
+from fsw.config import digest
+from fsw.dictionary.commands import MoveJoints, SetParam, SetTilt
+from fsw.dictionary.evrs import CommandCompleted, CommandRefused, ParamSet, TiltSet
+from fsw.dictionary.joints import Joint
+from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, floats
+
+CONFIG = config_of()
+
+
+def refusal(rig: Rig, command) -> str:
+    before = rig.state
+    rig.evrs.clear()
+    rig.cycle(command)
+    (evr,) = rig.evrs
+    assert isinstance(evr, CommandRefused)
+    assert rig.state.changed is before.changed
+    assert rig.state.joints.down_R is before.joints.down_R
+    return evr.reason
+
+
+def test_a_parameter_takes_effect_and_the_digest_of_all_is_told():
+    rig = Rig(CONFIG)
+    rig.run(SetParam("joints.turret.speed_rad_s", 0.02))
+    changed = rig.state.changed
+    assert changed.speed_rad_s[Joint.TURRET] == 0.02
+    assert digest(changed.params) == changed.params_sha256 != CONFIG.params_sha256
+    assert rig.evrs[-2:] == [
+        ParamSet("joints.turret.speed_rad_s", 0.02, changed.params_sha256),
+        CommandCompleted("SetParam"),
+    ]
+    pose = np.array(CONFIG.params.poses.ready_rad)
+    pose[Joint.TURRET] += 0.5
+    rates = []
+    rig.cycle(MoveJoints(floats(pose)))
+    while rig.outputs.joint.busy:
+        rates.append(rig.outputs.drive.setpoint_rate_rad_s[Joint.TURRET])
+        rig.cycle()
+    assert max(rates) == pytest.approx(0.02)
+
+
+def test_two_parameters_may_be_set_one_after_the_other():
+    rig = Rig(CONFIG)
+    rig.run(SetParam("collision.ground_z_m", 1.3))
+    rig.run(SetParam("hardstop.moved_rad", 0.003))
+    params = rig.state.changed.params
+    assert (params.collision.ground_z_m, params.hardstop.moved_rad) == (1.3, 0.003)
+
+
+@pytest.mark.parametrize("name", ["gear_ratio", "hardstop_rad", "encoder_counts_per_turn"])
+def test_a_joint_whose_zero_rests_on_a_parameter_is_to_be_calibrated_again(name):
+    rig = Rig(CONFIG)
+    value = getattr(CONFIG.params.joints.elbow, name)
+    rig.run(SetParam(f"joints.elbow.{name}", value + (1 if name != "hardstop_rad" else 1e-3)))
+    calibrated = rig.state.joints.reference.calibrated
+    assert calibrated.tolist() == [joint is not Joint.ELBOW for joint in Joint]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "reason"),
+    [
+        ("monitors.tilt_rd", 0.1, "monitors.tilt_rd: 'tilt_rd' is not a parameter; tilt_rad is"),
+        ("joints", 1.0, "joints: not one number; only single numbers can be set"),
+        ("arm_name", 1.0, "arm_name: not one number; only single numbers can be set"),
+        ("joints.elbow.speed_rad_s", 9.0, "joints.elbow.speed_rad_s: 9.0 is outside 0.001 .. 0.1"),
+        ("joints.elbow.speed_rad_s", float("nan"), "joints.elbow.speed_rad_s: must be finite, is nan"),
+        ("motion.load_period", 2.5, "motion.load_period: must be a whole number, is 2.5"),
+        ("motion.load_period", float("inf"), "motion.load_period: must be a whole number, is inf"),
+        ("", 1.0, ": '' is not a parameter"),
+    ],
+)
+def test_what_is_no_parameter_or_no_believable_value_is_refused(name, value, reason):
+    assert refusal(Rig(CONFIG), SetParam(name, value)).startswith(reason)
+
+
+def test_a_value_that_is_believable_alone_but_not_with_the_others_is_refused():
+    reason = refusal(Rig(CONFIG), SetParam("joints.elbow.soft_max_rad", 1.0))
+    assert "poses.ready_rad" in reason
+
+
+def test_gravity_lies_where_the_ground_says_from_then_on():
+    rig = Rig(CONFIG)
+    rig.run(SetTilt(0.005, -0.003))
+    gravity = rig.state.joints.gravity_R_m_s2
+    assert np.linalg.norm(gravity) == pytest.approx(3.711)
+    # right side down: gravity has a part to the right; nose down: a part forward
+    np.testing.assert_allclose(gravity / 3.711, [0.003, 0.005, 1.0], atol=2e-5)
+    np.testing.assert_array_equal(rig.state.joints.imu_R_m_s2, MARS_R_m_s2)
+    assert any(
+        isinstance(evr, TiltSet) and evr.off_rad == pytest.approx(0.00583, abs=1e-5) for evr in rig.evrs
+    )
+
+
+@pytest.mark.parametrize("tilt", [(0.02, 0.0), (float("nan"), 0.0), (0.0, float("inf")), (3.0, 0.0)])
+def test_a_tilt_that_the_imu_does_not_confirm_is_refused(tilt):
+    assert refusal(Rig(CONFIG), SetTilt(*tilt))

@@ -1,0 +1,231 @@
+"""Commands of several moves: what the moves are, and that they are checked before the first begins."""
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.commands import (
+    ROVER,
+    Dock,
+    GuardedMove,
+    MoveJoints,
+    MoveTeachPoint,
+    MoveTool,
+    PlaceTool,
+    Process,
+    Retract,
+    Stow,
+    ToolChange,
+)
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused, ContactMade, SpotTaken
+from fsw.dictionary.joints import Frame, Switch, Tool
+from fsw.dictionary.modes import Mode
+from fsw.executive.steps import Hold, steps_of
+from fsw.kinematics.chain import tool_pose
+from fsw.kinematics.statics import rest
+from tests.fsw.executive.lab import CONFIG, HERE, TOUCHED, deployed, guarded_in_contact, refusal
+from tests.fsw.rig import Rig, floats
+
+MAHLI_TOUCHED = {"switch_closed": np.arange(10) == Switch.MAHLI_1A}
+
+
+def test_a_placement_is_a_standoff_and_a_guarded_line_through_the_place():
+    p, approach = np.array(HERE.p_RoTo_R_m), np.array(HERE.approach_R)
+    command = PlaceTool(Tool.APXS, HERE.p_RoTo_R_m, floats(3 * approach), 0.04, 0.02)
+    rig = deployed()
+    to_standoff, touch = steps_of(CONFIG, rig.state.joints, rig.state.tool, command)
+    assert isinstance(to_standoff, MoveTool)
+    assert isinstance(touch, GuardedMove)
+    np.testing.assert_allclose(to_standoff.p_FoTo_F_m, p - 0.04 * approach, atol=1e-12)
+    np.testing.assert_allclose(touch.end_p_RoTo_R_m, p + 0.02 * approach, atol=1e-12)
+    assert to_standoff.line_m == pytest.approx(0.06)
+
+
+def test_a_placement_runs_through_its_moves_and_ends_in_contact():
+    rig = deployed()
+    ahead = rig.here(Tool.APXS, 0.02)
+    rig.cycle(PlaceTool(Tool.APXS, ahead.p_FoTo_F_m, ahead.approach_F, 0.02, 0.02))
+    while rig.state.mode is not Mode.GUARDED:
+        rig.cycle()
+    evrs = rig.run(**TOUCHED)
+    done = [evr.command for evr in rig.evrs if isinstance(evr, CommandCompleted)]
+    assert done == ["MoveTool", "GuardedMove", "PlaceTool"]
+    assert any(isinstance(evr, ContactMade) for evr in evrs)
+    assert rig.state.mode is Mode.GUARDED
+
+
+def test_a_step_that_cannot_be_is_found_before_the_first_begins():
+    rig = deployed()
+    far = rig.here(Tool.APXS, 0.0)
+    command = PlaceTool(Tool.APXS, far.p_FoTo_F_m, far.approach_F, standoff_m=0.9, overtravel_m=0.9)
+    assert refusal(rig, command).startswith(("MoveTool: ", "GuardedMove: "))
+
+
+def test_a_tool_change_counts_from_where_the_touching_tool_is_believed_to_be():
+    rig = guarded_in_contact()
+    X = rig.tool_pose(Tool.APXS)
+    back, to_standoff, touch = steps_of(CONFIG, rig.state.joints, rig.state.tool, ToolChange(Tool.MAHLI))
+    assert back == Retract(Tool.APXS, 0.10, "on", "absolute")
+    np.testing.assert_allclose(to_standoff.p_FoTo_F_m, X.p - 0.10 * X.R[:, 0], atol=2e-5)
+    np.testing.assert_allclose(touch.approach_R, X.R[:, 0], atol=1e-5)
+    assert (to_standoff.tool, touch.tool) == (Tool.MAHLI, Tool.MAHLI)
+
+
+def test_without_compensation_a_tool_change_counts_from_the_rigid_arm():
+    rig = guarded_in_contact()
+    command = ToolChange(Tool.MAHLI, deflection="off")
+    back, to_standoff, touch = steps_of(CONFIG, rig.state.joints, rig.state.tool, command)
+    assert {back.deflection, to_standoff.deflection, touch.deflection} == {"off"}
+    hanging = rig.tool_pose(Tool.APXS)
+    spot = np.array(to_standoff.p_FoTo_F_m) + 0.10 * np.array(to_standoff.approach_F)
+    assert 2e-3 < np.linalg.norm(spot - hanging.p) < 0.1
+
+
+def test_a_tool_that_is_not_to_touch_stops_in_front_of_the_spot():
+    rig = guarded_in_contact()
+    command = ToolChange(Tool.PORTION, hover_m=0.03)
+    *_, to_standoff, hover = steps_of(CONFIG, rig.state.joints, rig.state.tool, command)
+    assert hover.straight
+    apart = np.array(hover.p_FoTo_F_m) - np.array(to_standoff.p_FoTo_F_m)
+    np.testing.assert_allclose(apart, 0.07 * np.array(hover.approach_F), atol=1e-12)
+
+
+def test_a_tool_change_ends_with_the_other_tool_in_contact():
+    rig = guarded_in_contact()
+    rig.evrs.clear()
+    rig.cycle(ToolChange(Tool.MAHLI, standoff_m=0.05), **TOUCHED)
+    assert isinstance(rig.evrs[1], SpotTaken)
+    while rig.state.mode is not Mode.GUARDED or rig.state.tool is not Tool.MAHLI:
+        rig.cycle()
+    rig.run(**MAHLI_TOUCHED)
+    done = [evr.command for evr in rig.evrs if isinstance(evr, CommandCompleted)]
+    assert done == ["Retract", "MoveTool", "GuardedMove", "ToolChange"]
+
+
+def test_a_fault_in_one_step_ends_the_whole_command():
+    rig = guarded_in_contact()
+    rig.cycle(ToolChange(Tool.MAHLI, standoff_m=0.05), **TOUCHED)
+    for _ in range(60):
+        rig.cycle()
+    evrs = rig.run(winding_C=[float("nan")] * 5)
+    assert CommandAborted("Retract") in evrs
+    assert CommandAborted("ToolChange") in evrs
+    assert rig.state.sequence is None
+
+
+def test_the_tool_that_touches_is_not_changed_for_itself():
+    rig = guarded_in_contact()
+    rig.evrs.clear()
+    rig.cycle(ToolChange(Tool.APXS), **TOUCHED)
+    assert rig.evrs == [CommandRefused("ToolChange", "APXS is the tool that touches")]
+
+
+def test_a_taught_point_is_stood_off_along_its_approach_or_against_gravity():
+    rig = deployed()
+    p, approach = np.array(HERE.p_RoTo_R_m), np.array(HERE.approach_R)
+    (move,) = steps_of(CONFIG, rig.state.joints, rig.state.tool, MoveTeachPoint("here", 0.05))
+    np.testing.assert_allclose(move.p_FoTo_F_m, p - 0.05 * approach, atol=1e-12)
+    (move,) = steps_of(
+        CONFIG, rig.state.joints, rig.state.tool, MoveTeachPoint("here", 0.05, along_gravity=True)
+    )
+    np.testing.assert_allclose(move.p_FoTo_F_m, p - [0, 0, 0.05], atol=1e-9)
+    np.testing.assert_allclose(move.approach_F, [0, 0, 1], atol=1e-9)
+
+
+@pytest.mark.parametrize("command", [MoveTeachPoint("there"), Dock("there")])
+def test_a_point_that_was_not_taught_is_refused_with_those_that_were(command):
+    assert refusal(deployed(), command) == "point 'there' was not taught; there are here"
+
+
+def test_docking_goes_straight_on_beyond_the_taught_point_until_it_touches():
+    rig = deployed()
+    (touch,) = steps_of(CONFIG, rig.state.joints, rig.state.tool, Dock("here", 0.02))
+    np.testing.assert_allclose(
+        touch.end_p_RoTo_R_m, np.array(HERE.p_RoTo_R_m) + 0.02 * np.array(HERE.approach_R), atol=1e-12
+    )
+    rig.cycle(Dock("here", 0.02))
+    for _ in range(40):
+        rig.cycle()
+    assert CommandCompleted("Dock") in rig.run(**TOUCHED)
+    assert rig.state.mode is Mode.GUARDED
+
+
+def test_the_turret_vibrates_on_its_brakes_while_it_is_held_against_gravity():
+    rig = deployed()
+    rig.cycle(Process(Tool.PORTION, (1.0, 0.0, 0.2), 2.0))
+    assert isinstance(rig.state.sequence.rest[-1], Hold)
+    vibrating = 0
+    while rig.outputs.joint.busy:
+        drive = rig.cycle().drive
+        vibrating += drive.vibrate
+        assert not (drive.vibrate and (drive.power_on.any() or drive.brake_release.any()))
+    assert vibrating == pytest.approx(2.0 * 64, abs=2)
+    assert CommandCompleted("Process") in rig.evrs
+
+
+def test_an_arm_stows_by_way_of_its_ready_pose_and_unstows_again():
+    rig = Rig(CONFIG)
+    evrs = rig.run(Stow(), at_most=60_000)
+    assert CommandCompleted("Stow") in evrs
+    assert rig.state.mode is Mode.STOWED
+    np.testing.assert_allclose(rig.state.joints.output_rad, CONFIG.params.poses.stowed_rad, atol=1e-4)
+
+
+def test_relative_angles_count_from_where_the_outputs_are():
+    rig = deployed()
+    before = rig.state.joints.output_rad
+    rig.run(MoveJoints((0.01, 0.0, -0.02, 0.0, 0.03), relative=True))
+    np.testing.assert_allclose(rig.state.joints.output_rad - before, [0.01, 0.0, -0.02, 0.0, 0.03], atol=2e-5)
+
+
+@pytest.mark.parametrize(
+    "name", [ROVER, *(frame.name for frame in Frame if frame is not Frame.TOOL), "MAHLI"]
+)
+def test_a_place_may_be_given_in_any_frame_of_the_arm_as_it_stands(name):
+    rig = deployed()
+    X_RT = rig.tool_pose(Tool.APXS)
+    frames = rest(CONFIG.arm, rig.state.joints.output_rad, rig.state.joints.gravity_R_m_s2).frames
+    R, p = np.eye(3), np.zeros(3)
+    if name == "MAHLI":
+        X = tool_pose(CONFIG.arm, frames, Tool.MAHLI)
+        R, p = X.R, X.p
+    elif name != ROVER:
+        k = Frame[name]
+        R, p = frames.X_RF.R[:, :, k], frames.X_RF.p[:, k]
+    wanted = X_RT.p + 0.01 * X_RT.R[:, 0]
+    rig.run(MoveTool(Tool.APXS, floats(R.T @ (wanted - p)), floats(R.T @ X_RT.R[:, 0]), frame=name))
+    np.testing.assert_allclose(rig.tool_pose(Tool.APXS).p, wanted, atol=3e-5)
+
+
+def test_a_straight_move_keeps_the_tool_on_its_line():
+    rig = deployed()
+    start = rig.tool_pose(Tool.APXS)
+    end = start.p + np.array([0.05, 0.08, -0.04])
+    rig.cycle(MoveTool(Tool.APXS, floats(end), floats(start.R[:, 0]), straight=True))
+    along = (end - start.p) / np.linalg.norm(end - start.p)
+    while rig.outputs.joint.busy:
+        rig.cycle()
+        if rig.state.tick % 32 == 0:
+            off = rig.tool_pose(Tool.APXS).p - start.p
+            assert np.linalg.norm(off - (off @ along) * along) < 5e-4
+    np.testing.assert_allclose(rig.tool_pose(Tool.APXS).p, end, atol=3e-5)
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        (
+            MoveTool(Tool.APXS, (0, 0, 0), (1, 0, 0), frame="TOOL"),
+            "frame 'TOOL' is not known; there are ROVER",
+        ),
+        (MoveTool(Tool.APXS, (0, 0, 0), (1, 0, 0), straight=True, branch="b"), "a straight move stays"),
+        (PlaceTool(Tool.PORTION, (2, 0, 0), (0, 0, 1)), "PORTION has no contact switch"),
+        (PlaceTool(Tool.APXS, (2, 0, 0), (0, 0, 1), standoff_m=0.0), "standoff_m 0.0 m is outside 0 .. 1 m"),
+        (PlaceTool(Tool.APXS, (2, 0, 0), (0, 0, 1), overtravel_m=2.0), "overtravel_m 2.0 m is outside"),
+        (Process(Tool.PORTION, (0, 0, 0), 1.0), "gravity_T has no length"),
+        (Process(Tool.PORTION, (1, 0, 0), -1.0), "duration_s -1.0 s is outside 0 .. 3600 s"),
+        (Dock("here", 0.0), "overtravel_m 0.0 m is outside"),
+        (MoveTeachPoint("here", -0.1), "away_m -0.1 m is outside"),
+    ],
+)
+def test_numbers_and_words_that_make_no_sense_are_refused(command, reason):
+    assert refusal(deployed(), command).startswith(reason)

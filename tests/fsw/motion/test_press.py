@@ -1,0 +1,127 @@
+"""Pressing: the tool stays where it touches while the arm is overdriven, and is released the same way."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.commands import ClearFault, Preload, Retract, Stop
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused, Preloaded
+from fsw.dictionary.joints import Tool
+from fsw.dictionary.modes import Mode
+from fsw.kinematics.chain import tool_pose
+from fsw.kinematics.statics import rest
+from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
+from tests.fsw.rig import Rig
+
+STAYS_M = 2e-5
+"""Encoder counts and backlash bounds are some microns at the tool."""
+
+
+def tool_under_force(rig: Rig):
+    """The tool of the arm as flight software believes it, what it presses on pushing back."""
+    state, arm = rig.state, rig.config.arm
+    push = None if state.pressing is None else state.pressing.pushed
+    here = rest(arm, state.joints.output_rad, state.joints.imu_R_m_s2, push)
+    return tool_pose(arm, here.frames, Tool.APXS)
+
+
+def pressed_with(force_N: float) -> Rig:
+    rig = guarded_in_contact()
+    rig.run(Preload(Tool.APXS, force_N), **TOUCHED)
+    return rig
+
+
+def test_the_force_rises_and_the_tool_ends_where_it_touched():
+    rig = guarded_in_contact()
+    start, forces = tool_under_force(rig), []
+    rig.cycle(Preload(Tool.APXS, 300.0), **TOUCHED)
+    while rig.outputs.joint.busy:
+        rig.cycle(**TOUCHED)
+        forces.append(rig.state.pressing.force_N)
+    assert np.all(np.diff(forces) > -1e-9)
+    assert np.linalg.norm(tool_under_force(rig).p - start.p) < STAYS_M
+    assert np.abs(tool_under_force(rig).R[:, 0] - start.R[:, 0]).max() < STAYS_M
+    assert Preloaded(Tool.APXS, 300.0) in rig.evrs
+    assert rig.state.mode is Mode.PRELOAD
+
+
+def test_a_force_is_changed_and_released_the_way_it_came():
+    rig = pressed_with(200.0)
+    rig.run(Preload(Tool.APXS, 80.0), **TOUCHED)
+    assert (rig.state.mode, rig.state.pressing.force_N) == (Mode.PRELOAD, 80.0)
+    assert CommandCompleted("Preload") in rig.run(Preload(Tool.APXS, 0.0), **TOUCHED)
+    assert (rig.state.mode, rig.state.pressing) == (Mode.GUARDED, None)
+    rig.cycle(Retract(Tool.APXS, 0.02), **TOUCHED)
+    assert rig.state.mode is Mode.RETRACTING
+
+
+def test_every_joint_carries_the_force_times_its_lever():
+    rig = pressed_with(300.0)
+    press = rig.state.pressing
+    axis, p = press.axis_R, press.p_RoTo_R_m
+    here = rest(rig.config.arm, rig.state.joints.output_rad, rig.state.joints.imu_R_m_s2).frames
+    z, origin = here.X_RL.R[:, 2, 1:], here.X_RL.p[:, 1:]
+    levers = np.einsum("ij,ij->j", z, np.cross((p[:, None] - origin).T, -axis).T)
+    pushed = rest(
+        rig.config.arm, rig.state.joints.output_rad, rig.state.joints.imu_R_m_s2, press.pushed
+    ).torque_Nm
+    free = rest(rig.config.arm, rig.state.joints.output_rad, rig.state.joints.imu_R_m_s2).torque_Nm
+    np.testing.assert_allclose(pushed - free, 300.0 * levers, atol=0.06 * np.abs(300.0 * levers).max())
+
+
+def test_current_limits_stop_a_press_well_before_the_joints_of_a_move():
+    rig = guarded_in_contact()
+    rig.state = replace_friction(rig, 170.0)
+    rig.cycle(Preload(Tool.APXS, 100.0), **TOUCHED)
+    rig.cycle(**TOUCHED)
+    limit = rig.outputs.drive.current_limit_A
+    assert np.all(limit <= rig.config.current_limit_A)
+    assert limit[:3].max() < 0.5 * rig.config.current_limit_A[0]
+
+
+def replace_friction(rig: Rig, friction_Nm: float):
+    joints = rig.state.joints
+    reference = replace(joints.reference, friction_Nm=np.full(5, friction_Nm))
+    return replace(rig.state, joints=replace(joints, reference=reference))
+
+
+@pytest.mark.parametrize("force_N", [-1.0, 351.0, float("nan"), float("inf")])
+def test_a_force_beyond_what_may_be_pressed_with_is_refused(force_N):
+    rig = guarded_in_contact()
+    rig.evrs.clear()
+    rig.cycle(Preload(Tool.APXS, force_N), **TOUCHED)
+    (evr,) = rig.evrs
+    assert isinstance(evr, CommandRefused)
+    assert "force" in evr.reason
+
+
+def test_nothing_is_pressed_where_no_switch_is_closed_nor_with_another_tool():
+    rig = guarded_in_contact()
+    rig.evrs.clear()
+    rig.cycle(Preload(Tool.APXS, 100.0))
+    rig.cycle(Preload(Tool.DRILL, 100.0), **TOUCHED)
+    assert [evr.reason for evr in rig.evrs] == [
+        "no contact switch is closed: there is nothing to press on",
+        "APXS is the tool that may touch; retract it first",
+    ]
+
+
+@pytest.mark.parametrize("end", ["stop", "fault"])
+def test_a_press_that_ends_early_is_remembered_and_can_be_released(end):
+    rig = guarded_in_contact()
+    rig.cycle(Preload(Tool.APXS, 200.0), **TOUCHED)
+    while rig.state.pressing.force_N < 100.0:
+        rig.cycle(**TOUCHED)
+    if end == "stop":
+        evrs = rig.run(Stop(), **TOUCHED)
+        assert CommandAborted("Preload") in evrs
+    else:
+        rig.cycle(current_A=[float("nan")] * 5, **TOUCHED)
+        rig.run(**TOUCHED)
+        assert rig.state.mode is Mode.FAULTED
+        rig.cycle(ClearFault(), **TOUCHED)
+    assert rig.state.mode is Mode.PRELOAD
+    assert 95.0 < rig.state.pressing.force_N < 120.0
+    rig.run(Preload(Tool.APXS, 0.0), **TOUCHED)
+    assert (rig.state.mode, rig.state.pressing) == (Mode.GUARDED, None)

@@ -1,0 +1,320 @@
+"""A good scenario file and the ways to spoil it: what for what, the line that is told, and the words."""
+
+GOOD = """\
+title = "T"
+sentence = "S."
+start = "ready"
+
+[world]
+tilt_roll_deg = 5
+[world.surface]
+position_m = [2.0, 0.0, -0.2]
+normal = [0.0, 0.0, -1.0]
+
+[[teach]]
+name = "inlet"
+tool = "portion"
+position_m = [0.62, 0.05, -1.175]
+approach = [0.0, 0.0, 1.0]
+
+[[command]]
+type = "MOVE_TOOL"
+tool = "apxs"
+position_m = [2.0, 0.0, -0.3]
+approach = [0.0, 0.0, 1.0]
+
+[[command]]
+type = "PLACE_TOOL"
+tool = "apxs"
+position_m = [2.0, 0.0, -0.2]
+approach = [0.0, 0.0, 1.0]
+
+[[command]]
+type = "RETRACT"
+tool = "apxs"
+distance_mm = 100
+
+[[command]]
+type = "MOVE_JOINT"
+joint = "elbow"
+angle_deg = 100
+
+[[fault]]
+type = "POWER_LOSS"
+at_s = 100
+
+[[check]]
+type = "done"
+
+[[check]]
+type = "placed"
+after = 2
+tool = "apxs"
+"""
+
+BAD = {
+    "an unknown key": (
+        "tilt_roll_deg = 5",
+        "tilt_rol_deg = 5",
+        6,
+        "tilt_rol_deg: is not known here; did you mean tilt_roll_rad or tilt_roll_deg?",
+    ),
+    "an unknown key at the top": (
+        'start = "ready"',
+        'begin = "ready"',
+        3,
+        "begin: is not known here; there are title, sentence, arm, start, world, teach, command",
+    ),
+    "a key of another command": (
+        "distance_mm = 100",
+        "distance_mm = 100\nangle_deg = 1",
+        33,
+        "angle_deg: is not known here; there are tool, distance_m or distance_mm, backlash",
+    ),
+    "a missing unit": (
+        "position_m = [2.0, 0.0, -0.3]",
+        "position = [2.0, 0.0, -0.3]",
+        20,
+        "position: has no unit; write position_m or position_mm",
+    ),
+    "a missing unit of an angle": (
+        "angle_deg = 100",
+        "angle = 100",
+        37,
+        "angle: has no unit; write angle_rad or angle_deg",
+    ),
+    "a unit of something else": (
+        "angle_deg = 100",
+        "angle_mm = 100",
+        37,
+        "angle_mm: has another unit; write angle_rad or angle_deg",
+    ),
+    "two units at once": (
+        "angle_deg = 100",
+        "angle_deg = 100\nangle_rad = 1.0",
+        38,
+        "angle_rad: angle_deg says the same; give one of the two",
+    ),
+    "a command that does not exist": (
+        '"MOVE_TOOL"',
+        '"MOVE_TOLL"',
+        18,
+        "type: 'MOVE_TOLL' is not known; did you mean MOVE_TOOL? there are CALIBRATE,",
+    ),
+    "a command in small letters": ('"RETRACT"', '"retract"', 30, "did you mean RETRACT?"),
+    "a command without a type": (
+        'type = "RETRACT"\n',
+        "",
+        29,
+        "type: is missing; there are CALIBRATE, CALIBRATE_ALL",
+    ),
+    "a check that does not exist": (
+        '"placed"',
+        '"palced"',
+        47,
+        "type: 'palced' is not known; did you mean placed?",
+    ),
+    "a fault that does not exist": (
+        '"POWER_LOSS"',
+        '"POWER_CUT"',
+        40,
+        "type: 'POWER_CUT' is not known; did you mean POWER_LOSS?",
+    ),
+    "a tool that does not exist": (
+        'tool = "apxs"\ndistance',
+        'tool = "spoon"\ndistance',
+        31,
+        "tool: 'spoon' is not known; did you mean portion? there are drill, drt, mahli, apxs, portion",
+    ),
+    "a joint that does not exist": (
+        '"elbow"',
+        '"elbo"',
+        36,
+        "joint: 'elbo' is not known; did you mean elbow?",
+    ),
+    "a tool that is a number": (
+        'tool = "apxs"\ndistance',
+        "tool = 3\ndistance",
+        31,
+        "tool: 3 is not known; there are drill",
+    ),
+    "text for a number": (
+        "distance_mm = 100",
+        'distance_mm = "100"',
+        32,
+        "distance_mm: '100' is not a number",
+    ),
+    "truth for a number": (
+        "distance_mm = 100",
+        "distance_mm = true",
+        32,
+        "distance_mm: true is not a number",
+    ),
+    "infinity": ("distance_mm = 100", "distance_mm = inf", 32, "distance_mm: inf is not a finite number"),
+    "a number for text": ('title = "T"', "title = 5", 1, "title: 5 is not text in quotes"),
+    "too few numbers": (
+        'approach = [0.0, 0.0, 1.0]\n\n[[command]]\ntype = "PLACE',
+        'approach = [0.0, 1.0]\n\n[[command]]\ntype = "PLACE',
+        21,
+        "approach: [0.0, 1.0] is not 3 numbers in brackets",
+    ),
+    "a number for a vector": (
+        "normal = [0.0, 0.0, -1.0]",
+        "normal = -1",
+        9,
+        "normal: -1 is not 3 numbers in brackets",
+    ),
+    "text in a vector": (
+        "normal = [0.0, 0.0, -1.0]",
+        "normal = [0, 0, 'up']",
+        9,
+        "normal: 'up' is not a number",
+    ),
+    "a missing field": ("distance_mm = 100\n", "", 29, "distance_m or distance_mm: is missing"),
+    "a missing tool": ('type = "RETRACT"\ntool = "apxs"', 'type = "RETRACT"', 29, "tool: is missing"),
+    "a missing title": ('title = "T"\n', "", 1, "title: is missing"),
+    "a missing normal": ("normal = [0.0, 0.0, -1.0]\n", "", 7, "normal: is missing"),
+    "a number beyond its range": (
+        "after = 2",
+        "after = 2\nlateral_mm = 2000",
+        49,
+        "lateral_mm: 2000 is outside 0 .. 1000",
+    ),
+    "a length that the arm never goes": (
+        "distance_mm = 100",
+        "distance_mm = 5000",
+        29,
+        "RETRACT: distance 5.0 m is outside 0 .. 1 m",
+    ),
+    "a frame that does not exist": (
+        'approach = [0.0, 0.0, 1.0]\n\n[[command]]\ntype = "PLACE',
+        'approach = [0.0, 0.0, 1.0]\nframe = "RNAW"\n\n[[command]]\ntype = "PLACE',
+        22,
+        "frame: 'RNAW' is not known; did you mean RNAV?",
+    ),
+    "an arm frame where only the rover's fit": (
+        '[[command]]\ntype = "RETRACT"',
+        'frame = "ARM3"\n[[command]]\ntype = "RETRACT"',
+        29,
+        "frame: 'ARM3' is not known; there are RNAV, RMECH",
+    ),
+    "a frame for what has no position": (
+        "distance_mm = 100",
+        'distance_mm = 100\nframe = "RNAV"',
+        33,
+        "frame: is not known here",
+    ),
+    "a branch that does not exist": (
+        'approach = [0.0, 0.0, 1.0]\n\n[[command]]\ntype = "PLACE',
+        'approach = [0.0, 0.0, 1.0]\nbranch = "auto"\n\n[[command]]\ntype = "PLACE',
+        22,
+        "branch: 'auto' is not known; did you mean AUTO?",
+    ),
+    "a place that is not taught": (
+        'type = "MOVE_JOINT"\njoint = "elbow"\nangle_deg = 100',
+        'type = "MOVE_TEACH_POINT"\npoint = "inlit"',
+        36,
+        "point: 'inlit' is not known; did you mean inlet?",
+    ),
+    "a command that is not there": (
+        "after = 2",
+        "after = 9",
+        48,
+        "after: there is no command 9; they are numbered 1 to 4",
+    ),
+    "a fault in a command that is not there": (
+        "at_s = 100",
+        "during = 0\nafter_s = 1",
+        41,
+        "during: there is no command 0; they are numbered 1 to 4",
+    ),
+    "a fault without a time": (
+        "at_s = 100\n",
+        "",
+        39,
+        "at_s: is missing; or give during, the number of a command, and after_s",
+    ),
+    "a fault with two times": (
+        "at_s = 100",
+        "at_s = 100\nafter_s = 1",
+        41,
+        "at_s: counts from the beginning; give it alone, or during and after_s",
+    ),
+    "a fault during a command without a time": ("at_s = 100", "during = 1", 39, "after_s: is missing"),
+    "a fault before the beginning": ("at_s = 100", "at_s = -1", 41, "at_s: -1 is outside 0 .. 100000"),
+    "an arm that does not exist": (
+        'start = "ready"',
+        'start = "ready"\narm = "asbuilt"',
+        4,
+        "arm: arm 'asbuilt' is not known; write nominal, as-built:SEED or calibrated:SEED",
+    ),
+    "a start that does not exist": (
+        '"ready"',
+        '"deployed"',
+        3,
+        "start: 'deployed' is not known; there are stowed, ready",
+    ),
+    "a scene that does not exist": (
+        "[world]",
+        '[world]\nscene = "moon"',
+        6,
+        "scene: 'moon' is not known; there are mars, earth",
+    ),
+    "more tilt than the arm is used at": (
+        "tilt_roll_deg = 5",
+        "tilt_roll_deg = 35",
+        5,
+        "world: tilts the rover by 35 deg; the arm is used up to 30 deg",
+    ),
+    "a world that is no table": (
+        "[world]\ntilt_roll_deg = 5\n[world.surface]",
+        "world = 5\n[surface]",
+        5,
+        "world: 5 is no table; write [world] and its keys below",
+    ),
+    "commands that are no list": (
+        "[[fault]]",
+        "[fault]",
+        39,
+        "fault: is no list of tables; write [[fault]] and its keys below",
+    ),
+    "nothing to touch": (
+        "[world.surface]\nposition_m = [2.0, 0.0, -0.2]\nnormal = [0.0, 0.0, -1.0]\n",
+        "",
+        43,
+        "placed: there is nothing to touch; write [world.surface]",
+    ),
+    "no end": (
+        'type = "done"',
+        'type = "stowed"',
+        43,
+        'check: none says how the scenario ends; add one of type "done" or "faulted"',
+    ),
+    "no TOML": ("tilt_roll_deg = 5", "tilt_roll_deg = = 5", 6, "is not TOML: Invalid value"),
+    "a table twice": ("[[teach]]", "[world]\n[[teach]]", 11, "is not TOML: Cannot declare ('world',) twice"),
+    "a string without an end": ("after = 2", 'after = "2', 48, "is not TOML:"),
+    "motion from the wrong pose": (
+        'start = "ready"',
+        'start = "stowed"',
+        17,
+        "command 1: MOVE_TOOL is refused in mode STOWED; before it comes UNSTOW",
+    ),
+    "the wrong tool taken off": (
+        'tool = "apxs"\ndistance',
+        'tool = "mahli"\ndistance',
+        29,
+        "command 3: RETRACT: apxs is the tool that touches; write apxs",
+    ),
+    "motion in contact": (
+        'type = "RETRACT"\ntool = "apxs"\ndistance_mm = 100',
+        'type = "UNSTOW"',
+        29,
+        "command 3: UNSTOW is refused in mode GUARDED; before it comes what leads to mode STOWED",
+    ),
+    "motion while faulted": (
+        "at_s = 100",
+        "during = 2\nafter_s = 1",
+        29,
+        "command 3: RETRACT asks for motion while the fault of command 2 stands; put CLEAR_FAULT before it",
+    ),
+}

@@ -1,0 +1,159 @@
+"""A sequence walked through the mode table: what flight software would refuse is refused before it runs."""
+
+from typing import get_args
+
+import pytest
+
+from fsw.dictionary.commands import (
+    CalibrateAll,
+    ClearFault,
+    Command,
+    Dock,
+    GuardedMove,
+    MoveJoint,
+    MoveJoints,
+    MoveTool,
+    PlaceTool,
+    Preload,
+    Process,
+    Retract,
+    SetTilt,
+    Stop,
+    Stow,
+    ToolChange,
+    Unstow,
+)
+from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.modes import Mode
+from sim.scenario_modes import EVENTS, modes_after, refusals
+
+UP = (0.0, 0.0, 1.0)
+HERE = (2.0, 0.0, 0.8)
+MOVE = MoveTool(Tool.APXS, HERE, UP)
+PLACE = PlaceTool(Tool.APXS, HERE, UP)
+TOUCH = GuardedMove(Tool.APXS, HERE, UP)
+CHANGE = ToolChange(Tool.MAHLI)
+PRESS, RELEASE = Preload(Tool.APXS, 50.0), Preload(Tool.APXS, 0.0)
+BACK = Retract(Tool.APXS, 0.1)
+
+FINE = {
+    "a placement": (Mode.STOWED, (Unstow(), MOVE, PLACE, BACK, Stow())),
+    "contact again and again": (Mode.DEPLOYED, (TOUCH, TOUCH, BACK, TOUCH)),
+    "a tool change": (Mode.DEPLOYED, (PLACE, CHANGE, Retract(Tool.MAHLI, 0.1), MOVE)),
+    "a tool that hovers": (Mode.DEPLOYED, (PLACE, ToolChange(Tool.MAHLI, hover_m=0.05), MOVE)),
+    "a press": (Mode.DEPLOYED, (PLACE, PRESS, PRESS, RELEASE, BACK)),
+    "a dock": (Mode.DEPLOYED, (Dock("box"), Preload(Tool.DRILL, 100.0), Preload(Tool.DRILL, 0.0))),
+    "there and back": (Mode.STOWED, (Unstow(), Stow(), Unstow())),
+    "joints": (Mode.DEPLOYED, (CalibrateAll(), MoveJoint(Joint.ELBOW, 1.0), Process(Tool.DRILL, UP, 1.0))),
+    "settings anywhere": (Mode.STOWED, (SetTilt(0.0, 0.0), Stop(), Unstow(), SetTilt(0.0, 0.0))),
+}
+
+REFUSED = {
+    "motion from the stowed pose": (
+        Mode.STOWED,
+        (MOVE,),
+        1,
+        "MOVE_TOOL is refused in mode STOWED; before it comes UNSTOW",
+    ),
+    "unstowing twice": (
+        Mode.STOWED,
+        (Unstow(), Unstow()),
+        2,
+        "UNSTOW is refused in mode DEPLOYED; before it comes STOW",
+    ),
+    "stowing in contact": (
+        Mode.DEPLOYED,
+        (TOUCH, Stow()),
+        2,
+        "STOW is refused in mode GUARDED; before it comes RETRACT",
+    ),
+    "a press without contact": (
+        Mode.DEPLOYED,
+        (MOVE, PRESS),
+        2,
+        "PRELOAD is refused in mode DEPLOYED; before it comes GUARDED_MOVE or PLACE_TOOL or DOCK",
+    ),
+    "a retraction under force": (
+        Mode.DEPLOYED,
+        (PLACE, PRESS, BACK),
+        3,
+        "RETRACT is refused in mode PRELOAD; before it comes PRELOAD of force 0",
+    ),
+    "a tool change without contact": (Mode.DEPLOYED, (CHANGE,), 1, "TOOL_CHANGE is refused in mode DEPLOYED"),
+    "a free move in contact": (
+        Mode.DEPLOYED,
+        (PLACE, MOVE),
+        2,
+        "MOVE_TOOL is refused in mode GUARDED; before it comes RETRACT",
+    ),
+    "another tool in contact": (
+        Mode.DEPLOYED,
+        (PLACE, Retract(Tool.DRILL, 0.1)),
+        2,
+        "RETRACT: apxs is the tool that touches",
+    ),
+    "the tool of before a change": (
+        Mode.DEPLOYED,
+        (PLACE, CHANGE, BACK),
+        3,
+        "RETRACT: mahli is the tool that touches",
+    ),
+    "no fault to clear": (Mode.DEPLOYED, (ClearFault(),), 1, "no fault is known to stand"),
+}
+
+
+@pytest.mark.parametrize("case", FINE)
+def test_what_flight_software_does_is_not_refused(case):
+    start, commands = FINE[case]
+    assert not list(refusals(commands, start))
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_what_flight_software_refuses_is_told_with_its_number_and_what_comes_before(case):
+    start, commands, number, said = REFUSED[case]
+    ((found, problem),) = refusals(commands, start)
+    assert found == number
+    assert said in problem
+
+
+def test_every_command_has_its_events():
+    assert set(EVENTS) == set(get_args(Command))
+
+
+@pytest.mark.parametrize(
+    "kind", [kind for kind in get_args(Command) if EVENTS[kind]], ids=lambda k: k.__name__
+)
+def test_every_command_that_changes_the_mode_can_begin_in_some_mode_and_not_in_another(kind):
+    sample = (
+        next(
+            c
+            for _, commands in FINE.values()
+            for c in (*commands, ClearFault(), MoveJoints((0.0,) * 5))
+            if isinstance(c, kind)
+        )
+        if kind.__name__ not in ("Calibrate", "MoveTeachPoint")
+        else MOVE
+    )
+    begins = {mode for mode in Mode if modes_after(frozenset({mode}), sample)}
+    assert begins
+    assert begins < set(Mode)
+
+
+def test_after_a_fault_that_is_bound_to_come_motion_waits_for_the_fault_to_be_cleared():
+    commands = (MOVE, PLACE, MOVE, SetTilt(0.0, 0.0), ClearFault(), MOVE)
+    found = dict(refusals(commands, Mode.DEPLOYED, faulting=[1]))
+    assert set(found) == {2, 3, 4}
+    assert (
+        found[2]
+        == "PLACE_TOOL asks for motion while the fault of command 1 stands; put CLEAR_FAULT before it"
+    )
+    assert found[4] == "SET_TILT comes while the fault of command 1 stands; put CLEAR_FAULT before it"
+
+
+def test_where_a_cleared_fault_leaves_the_arm_is_not_guessed():
+    for after_it in ((BACK,), (MOVE,), (Unstow(),), (RELEASE, BACK, MOVE)):
+        assert not list(refusals((PLACE, ClearFault(), *after_it), Mode.DEPLOYED, faulting=[1]))
+
+
+def test_a_command_that_does_not_move_cannot_fault():
+    assert not list(refusals((SetTilt(0.0, 0.0), MOVE), Mode.DEPLOYED, faulting=[1]))

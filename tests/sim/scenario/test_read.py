@@ -1,0 +1,261 @@
+"""What a scenario file says, read as commands, faults and checks."""
+
+from dataclasses import MISSING, fields
+from math import pi
+from typing import get_args, get_type_hints
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.commands import (
+    ROVER,
+    Command,
+    GuardedMove,
+    MoveJoint,
+    MoveJoints,
+    MoveTool,
+    PlaceTool,
+    Preload,
+    Process,
+    Retract,
+)
+from fsw.dictionary.joints import Joint, Tool
+from sim.checks import Check, Docked, GravityHeld, Placed
+from sim.effects.environment import PowerLoss
+from sim.frames import P_NR_M
+from sim.scenario import Injection, Scenario, Taught
+from sim.scenario_faults import FAULTS
+from sim.scenario_file import load, scenario_from, shipped
+from sim.scenario_names import UNITS, upper_snake, words_of
+from sim.scenario_record import Findings, record_of
+from sim.scenario_tables import CHECKS, COMMANDS, EFFECTS, command_of
+from sim.world import Surface
+
+HEAD = 'title = "T"\nsentence = "S."\nstart = "ready"\n'
+NOTHING_FOUND = {(): 1}
+SAMPLES = {
+    "tool": "apxs",
+    "first_tool": "drill",
+    "joint": "elbow",
+    "backlash": "off",
+    "deflection": "relative",
+    "branch": "shoulder-out elbow-up wrist-down",
+    "frame": "DRILL",
+    "point": "inlet",
+    "evr": "NoContact",
+    "name": "motion.settle_time_s",
+}
+
+
+def scenario(text: str) -> Scenario:
+    return scenario_from(HEAD + text, "test", "test.toml")
+
+
+def command(**table: object) -> Command:
+    findings = Findings(NOTHING_FOUND)
+    found = command_of(table, (), findings, ("inlet",))
+    assert not findings.problems
+    assert found is not None
+    return found
+
+
+def sample(hint: object, name: str, k: int) -> object:
+    """A value for a field as a file says it."""
+    if name in SAMPLES:
+        return SAMPLES[name]
+    args = [arg for arg in get_args(hint) if arg is not Ellipsis]
+    if hint is bool:
+        return True
+    if hint is int or (args and args[0] is int):
+        return 1
+    if args and len(args) > 1 and args[0] is float and args[1] is float:
+        return [0.1 * (j + k + 1) for j in range(len(args))]
+    return 0.25
+
+
+@pytest.mark.parametrize(
+    "kind", [*get_args(Command), *get_args(Check), *FAULTS], ids=lambda kind: kind.__name__
+)
+@pytest.mark.parametrize("unit", [0, 1], ids=["SI", "another unit"])
+def test_every_field_of_every_dataclass_can_be_said_and_comes_back(kind, unit):
+    hints = get_type_hints(kind)
+    table, wanted = {}, {}
+    for k, field in enumerate(fields(kind)):
+        said = sample(hints[field.name], field.name, k)
+        keys = list(words_of(field.name, hints[field.name]).factors.items())
+        key, factor = keys[unit % len(keys)]
+        table[key] = said
+        if field.name in ("tool", "first_tool", "joint"):
+            wanted[field.name] = (Joint if field.name == "joint" else Tool)[str(said).upper()]
+        elif isinstance(said, list):
+            wanted[field.name] = tuple(value * factor for value in said)
+        else:
+            wanted[field.name] = said * factor if isinstance(said, float) else said
+    findings = Findings(NOTHING_FOUND)
+    assert record_of(kind, table, (), findings) == kind(**wanted)
+    assert not findings.problems
+
+
+@pytest.mark.parametrize("kind", get_args(Command), ids=lambda kind: kind.__name__)
+def test_a_command_that_says_what_it_must_has_the_defaults_of_its_dataclass(kind):
+    hints = get_type_hints(kind)
+    table = {}
+    for k, field in enumerate(fields(kind)):
+        if field.default is MISSING:
+            key = next(iter(words_of(field.name, hints[field.name]).factors))
+            table[key] = sample(hints[field.name], field.name, k)
+    found = command(type=upper_snake(kind), **table)
+    assert type(found) is kind
+    for field in fields(kind):
+        if field.default is not MISSING:
+            assert getattr(found, field.name) == field.default
+
+
+def test_every_command_check_and_fault_has_a_name_in_the_file():
+    assert set(COMMANDS.values()) == set(get_args(Command))
+    assert set(CHECKS.values()) == set(get_args(Check))
+    assert set(EFFECTS.values()) == set(FAULTS)
+    assert {"MOVE_TOOL", "CALIBRATE_ALL", "MOVE_TEACH_POINT"} <= set(COMMANDS)
+    assert {"same_spot", "over_inlet"} <= set(CHECKS)
+
+
+def test_the_words_of_a_field_leave_out_the_letters_of_its_frames():
+    vector = tuple[float, float, float]
+    assert str(words_of("p_RoTo_R_m", vector)) == "position_m or position_mm"
+    assert str(words_of("end_p_RoTo_R_m", vector)) == "end_position_m or end_position_mm"
+    assert str(words_of("p_N_m", vector)) == "position_m or position_mm"
+    assert str(words_of("approach_R", vector)) == "approach"
+    assert str(words_of("gravity_T", vector)) == "gravity"
+    assert str(words_of("force_N", float)) == "force_N"
+    assert str(words_of("angle_rad", float)) == "angle_rad or angle_deg"
+    assert str(words_of("temperature_C", float)) == "temperature_degC"
+
+
+@pytest.mark.parametrize("suffix", UNITS)
+def test_every_unit_of_the_house_is_one_of_its_own(suffix):
+    assert 1.0 in UNITS[suffix].values()
+
+
+def test_positions_are_in_rnav_unless_another_frame_is_said():
+    place = [2.0, 0.1, -0.25]
+    said = {"tool": "apxs", "approach": [0, 0, 1]}
+    in_rover = tuple(float(v) for v in np.array(place) - P_NR_M)
+    for kind, key, field in (
+        (PlaceTool, "position_m", "p_RoTo_R_m"),
+        (GuardedMove, "end_position_m", "end_p_RoTo_R_m"),
+        (MoveTool, "position_m", "p_FoTo_F_m"),
+    ):
+        name = upper_snake(kind)
+        for frame, wanted in (
+            ({}, in_rover),
+            ({"frame": "RNAV"}, in_rover),
+            ({"frame": "RMECH"}, tuple(place)),
+        ):
+            found = command(type=name, **{key: place}, **said, **frame)
+            assert getattr(found, field) == wanted
+            assert getattr(found, "frame", ROVER) == ROVER
+    moved = command(type="MOVE_TOOL", position_mm=[0, 0, -10], frame="DRILL", **said)
+    assert isinstance(moved, MoveTool)
+    assert (moved.p_FoTo_F_m, moved.frame) == ((0.0, 0.0, -0.01), "DRILL")
+
+
+def test_degrees_and_millimetres_are_read_as_radians_and_metres():
+    assert command(type="MOVE_JOINT", joint="wrist", angle_deg=90) == MoveJoint(Joint.WRIST, pi / 2)
+    pose = command(type="MOVE_JOINTS", angle_deg=[0, -60, 110, 130, 90])
+    assert isinstance(pose, MoveJoints)
+    assert pose.angle_rad == pytest.approx(np.radians([0, -60, 110, 130, 90]))
+    assert command(type="RETRACT", tool="apxs", distance_mm=100) == Retract(Tool.APXS, 0.1)
+    assert command(type="PRELOAD", tool="drill", force_N=300) == Preload(Tool.DRILL, 300.0)
+
+
+def test_a_whole_file_says_a_whole_scenario():
+    found = scenario(
+        """
+arm = "as-built:3"
+[world]
+scene = "earth"
+tilt_roll_deg = 10
+tilt_pitch_deg = -5
+temperature_degC = -40
+[world.surface]
+position_m = [2.0, 0.0, -0.2]
+normal = [0, 0, -1]
+[[teach]]
+name = "box"
+tool = "drill"
+position_mm = [940, 280, -860]
+approach = [-1, 0, 0]
+branch = "shoulder-out elbow-up wrist-down"
+[[command]]
+type = "PLACE_TOOL"
+tool = "apxs"
+position_m = [2.0, 0.0, -0.2]
+approach = [0, 0, 1]
+[[command]]
+type = "RETRACT"
+tool = "apxs"
+distance_mm = 50
+[[command]]
+type = "PROCESS"
+tool = "portion"
+gravity = [1, 0, 0]
+duration_s = 5
+[[fault]]
+type = "POWER_LOSS"
+during = 3
+after_s = 2.5
+[[fault]]
+type = "POWER_LOSS"
+at_s = 900
+[[check]]
+type = "placed"
+after = 1
+tool = "apxs"
+lateral_mm = 7
+[[check]]
+type = "docked"
+after = 2
+point = "box"
+[[check]]
+type = "gravity_held"
+during = 3
+tool = "portion"
+gravity = [1, 0, 0]
+angle_deg = 2
+[[check]]
+type = "faulted"
+evr = "FollowingErrorHigh"
+"""
+    )
+    assert (found.arm, found.start, found.temperature_C) == ("as-built:3", "ready", -40.0)
+    assert found.world.scene == "earth"
+    assert np.degrees([found.world.tilt_roll_rad, found.world.tilt_pitch_rad]) == pytest.approx([10, -5])
+    assert found.world.surface == Surface((2.0, 0.0, -0.2), (0.0, 0.0, -1.0))
+    (point,) = found.taught
+    assert point.p_N_m == pytest.approx((0.94, 0.28, -0.86))
+    assert (point.name, point.tool, point.approach_N) == ("box", Tool.DRILL, (-1.0, 0.0, 0.0))
+    assert isinstance(point, Taught)
+    assert found.commands[2] == Process(Tool.PORTION, (1.0, 0.0, 0.0), 5.0)
+    assert found.faults == (Injection(PowerLoss(0.0), 2.5, 3), Injection(PowerLoss(0.0), 900.0))
+    assert found.checks[:2] == (Placed(1, Tool.APXS, 7.0 * 1e-3), Docked(2, "box"))
+    assert found.checks[2] == GravityHeld(3, Tool.PORTION, (1.0, 0.0, 0.0), 2.0 * pi / 180)
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_every_scenario_of_the_house_loads_and_says_how_it_ends(name):
+    found = load(name)
+    assert found.name == name
+    assert found.title
+    assert found.sentence.endswith(".")
+    assert found.arm == "nominal"
+
+
+def test_the_five_jobs_of_the_arm_are_there():
+    assert set(shipped()) >= {
+        "contact-science",
+        "tool-change",
+        "sampling",
+        "processing",
+        "delivery",
+        "bit-exchange",
+    }

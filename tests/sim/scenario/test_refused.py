@@ -1,0 +1,80 @@
+"""What is wrong in a scenario file is told all at once, with its line and the words that would be right."""
+
+import pytest
+
+from sim.scenario_file import BadScenario, load, scenario_from, shipped
+from tests.sim.scenario.bad import BAD, GOOD
+
+
+def problems(text: str) -> tuple[tuple[int, str], ...]:
+    with pytest.raises(BadScenario) as refused:
+        scenario_from(text, "test", "some/test.toml")
+    said = str(refused.value).splitlines()
+    assert said == [f"some/test.toml:{p.line}: {p.text}" for p in refused.value.problems]
+    return tuple((p.line, p.text) for p in refused.value.problems)
+
+
+def test_the_file_that_is_spoilt_here_is_good():
+    assert len(scenario_from(GOOD, "test", "test.toml").commands) == 4
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_refused_with_its_line_and_what_would_be_right(case):
+    right, wrong, line, said = BAD[case]
+    assert GOOD.count(right) >= 1
+    spoilt = GOOD.replace(right, wrong, 1)
+    first = problems(spoilt)[0]
+    assert first[0] == line
+    assert said in first[1]
+
+
+def test_all_problems_are_told_at_once_in_the_order_of_their_lines():
+    spoilt = GOOD.replace("tilt_roll_deg", "tilt_rol_deg").replace('"elbow"', '"elbo"')
+    spoilt = spoilt.replace("distance_mm = 100\n", "").replace('"placed"', '"palced"')
+    found = problems(spoilt)
+    assert [line for line, _ in found] == [6, 29, 35, 46]
+    assert [text.split(":")[0] for _, text in found] == [
+        "tilt_rol_deg",
+        "distance_m or distance_mm",
+        "joint",
+        "type",
+    ]
+
+
+def test_a_file_without_commands_and_checks_says_what_is_missing():
+    found = problems('title = "T"\nsentence = "S."\n')
+    assert [text.split(";")[0] for _, text in found] == ["check: is missing", "command: is missing"]
+
+
+def test_an_empty_file_is_told_everything_that_is_missing():
+    assert {text.split(":")[0] for _, text in problems("")} == {"title", "sentence", "command", "check"}
+
+
+@pytest.mark.parametrize("text", ["[" * 20000, "x = " + "[" * 20000, "x = 1" + "0" * 5000], ids=str.__len__)
+def test_a_file_without_end_is_a_sentence_too(text):
+    assert "is not TOML" in problems(text)[0][1]
+
+
+def test_a_scenario_that_is_not_there_is_told_with_the_names_that_are():
+    with pytest.raises(
+        BadScenario, match="there is no such scenario; did you mean sampling\\? there are bit-ex"
+    ):
+        load("samplin")
+
+
+def test_a_file_that_is_not_there_or_no_text_is_told(tmp_path):
+    with pytest.raises(BadScenario, match=r"none\.toml:1: cannot be read: .*No such file"):
+        load(str(tmp_path / "none.toml"))
+    (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(BadScenario, match=r"bytes\.toml:1: cannot be read: "):
+        load(str(tmp_path / "bytes.toml"))
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_any_key_of_a_scenario_of_the_house_that_is_misspelt_is_found_on_its_line(name):
+    lines = shipped()[name].splitlines()
+    keys = [k for k, line in enumerate(lines) if " = " in line and line[:4] not in ("type", "# ")]
+    for k in keys:
+        spoilt = [*lines]
+        spoilt[k] = "x" + spoilt[k]
+        assert (k + 1) in [line for line, _ in problems("\n".join(spoilt))]

@@ -1,0 +1,80 @@
+"""Pressing in the plant: the force is what was asked for, and the tool does not slip."""
+
+import numpy as np
+import pytest
+from sim.contact import tool_forces
+
+from fsw.dictionary.commands import PlaceTool, Preload, Retract
+from fsw.dictionary.joints import Tool
+from fsw.dictionary.modes import Mode
+from fsw.kinematics.arm import arm_from
+from fsw.kinematics.chain import tool_pose
+from fsw.kinematics.statics import Push, rest
+from sim.arms import arm_named
+from sim.frames import FLIP, p_R_from_N
+from sim.loop import ClosedLoop, Setup
+from sim.params import nominal_params
+from sim.sequence import Outcome, run_sequence
+from sim.world import Surface, World
+from tests.sim.lab import load, plant, run, soon_at_rest, tilted, true_reference
+
+POINT_N_M = (2.05, 0.1, -0.25)
+NORMAL = np.array((-0.5, 0.1, -0.85)) / np.linalg.norm((-0.5, 0.1, -0.85))
+
+
+@pytest.mark.parametrize("force_R_N", [(0.0, 0.0, -200.0), (120.0, -80.0, 0.0), (-50.0, 60.0, 90.0)])
+def test_a_push_on_a_tool_moves_it_as_it_does_in_the_plant(force_R_N):
+    arm, pose = arm_from(nominal_params()), np.radians([-20.0, -65.0, 100.0, 30.0, 80.0])
+    world = tilted(5.0, -8.0)
+    free = load(plant(world, edit=soon_at_rest), pose)
+    before = free.truth()
+    body = free.model.body("drill").id
+    force_W = FLIP * np.array(force_R_N)
+
+    def pushed(share: float) -> None:
+        at = free.data.site_xpos[free.at.tools[Tool.DRILL]] - free.data.xipos[body]
+        free.data.xfrc_applied[body] = share * np.concatenate([force_W, np.cross(at, force_W)])
+
+    run(free, 6.0, pushed)
+    run(free, 6.0, lambda _: pushed(1.0))
+    after = free.truth()
+    push = Push(Tool.DRILL, np.array(force_R_N))
+    ours = [
+        tool_pose(arm, rest(arm, truth.output_rad, world.gravity_N_m_s2, p).frames, Tool.DRILL).p
+        for truth, p in ((before, None), (after, push))
+    ]
+    moved = after.p_RoTo_R_m[Tool.DRILL] - before.p_RoTo_R_m[Tool.DRILL]
+    assert np.linalg.norm(moved) > 5e-3
+    assert np.linalg.norm(ours[1] - after.p_RoTo_R_m[Tool.DRILL]) < 2e-5 + np.linalg.norm(
+        ours[0] - before.p_RoTo_R_m[Tool.DRILL]
+    )
+
+
+def test_the_drill_presses_with_the_force_and_neither_slips_nor_leans():
+    arm = arm_named("nominal")
+    world = World(surface=Surface(POINT_N_M, tuple(NORMAL)))
+    loop = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, 0, true_reference(arm)))
+    target, axis = p_R_from_N(np.array(POINT_N_M)), -NORMAL
+    place = PlaceTool(Tool.DRILL, tuple(target.tolist()), tuple(axis.tolist()))
+    commands = (place, Preload(Tool.DRILL, 300.0), Preload(Tool.DRILL, 0.0), Retract(Tool.DRILL, 0.1))
+    forces, places, asked = [], [], []
+    cycles = run_sequence(loop, commands)
+    while True:
+        try:
+            next(cycles)
+        except StopIteration as end:
+            assert end.value is Outcome.DONE
+            break
+        if loop.state.pressing is not None:
+            forces.append(tool_forces(loop.plant)[Tool.DRILL])
+            places.append(loop.plant.truth().p_RoTo_R_m[Tool.DRILL])
+            asked.append(loop.state.pressing.force_N)
+    normal = np.array(forces) @ -axis
+    lateral = np.linalg.norm(np.array(forces) - np.outer(normal, -axis), axis=1)
+    moved = np.array(places) - places[0]
+    slip = np.linalg.norm(moved - np.outer(moved @ axis, axis), axis=1)
+    assert loop.state.mode is Mode.DEPLOYED
+    assert max(asked) == 300.0
+    assert normal.max() == pytest.approx(300.0, rel=0.02)
+    assert np.max(lateral[normal > 10.0] / normal[normal > 10.0]) < 0.35
+    assert slip.max() < 1e-3
