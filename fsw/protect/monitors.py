@@ -65,7 +65,7 @@ def watch(
     pressing: Pressing | None,
     usable: bool,
 ) -> tuple[MonitorState, tuple[Evr, ...]]:
-    """The state for the next cycle and what was found; of unusable readings only how many came."""
+    """The state for the next cycle and what was found; of unusable readings, only how many came."""
     evrs = missed(config, last.cycle, sensors.cycle)
     planned = None
     if move is not None:
@@ -90,6 +90,7 @@ def _watch_arm(
 ) -> tuple[Counts, tuple[Evr, ...]]:
     """The monitors that need readings to compute with."""
     evrs: tuple[Evr, ...] = ()
+    bounds = config.params.monitors
     if sensors.switch_closed.any():
         evrs += contact(mode, move, sensors.switch_closed)
     resolver, apart = motors.resolver(config, last.resolver, joints)
@@ -103,11 +104,13 @@ def _watch_arm(
         evrs += turned
         if move.phase is not Phase.RELEASE:
             error = np.abs(move.hold.motor_rad - joints.motor_rad)
-            stalled, still = motors.stalled(config, last.stalled, move, error, joints)
-            following, behind = motors.following(config, last.following, error)
+            if error.max() > min(bounds.stall_error_rad, bounds.following_error_rad):
+                stalled, still = motors.stalled(config, last.stalled, move, error, joints)
+                following, behind = motors.following(config, last.following, error)
+                evrs += still + behind
             drawn, high = motors.over_current(config, last.over_current, sensors.current_A)
-            evrs += still + behind + high
-        if move.press is not None and pressing is not None:
+            evrs += high
+        if moving and move.press is not None and pressing is not None:
             lost, gone = contact_lost(config, last.contact, pressing, sensors.switch_closed)
             outside, force = preload_outside(config, last.preload, pressing, move.press.torque_per_N, joints)
             evrs += gone + force

@@ -61,7 +61,7 @@ def stalled(
     A joint that seeks its hardstop is to stall, and is watched by its own rules.
     """
     bounds = config.params.monitors
-    if move.seek is not None or error_rad.max() <= bounds.stall_error_rad:
+    if move.seek is not None:
         return 0, ()
     asked = move.hold.rate_rad_s
     short = bounds.stall_share * np.abs(asked) - joints.motor_rate_rad_s * np.sign(asked)

@@ -23,7 +23,7 @@ def unusable(config: Config, sensors: Sensors) -> tuple[Evr, ...]:
         ("winding_C", sensors.winding_C),
         ("gravity_R_m_s2", sensors.gravity_R_m_s2),
     )
-    # hypot neither overflows nor warns, and is finite only if all its arguments are
+    # hypot warns of nothing, and is finite only if all its arguments are
     found = tuple(SensorNotFinite(name) for name, values in analog if not isfinite(hypot(*values.tolist())))
     if found:
         return found

@@ -15,10 +15,11 @@ def tilt(config: Config, last: int, planned_R: Array, read_R: Array) -> tuple[in
 
     Both are in RMECH, and only their directions count.
     """
-    bounds, apart = config.params.monitors, read_R - planned_R
+    bounds, near = config.params.monitors, sin(config.params.monitors.tilt_rad)
+    ax, ay, az = planned_R.tolist()
+    bx, by, bz = read_R.tolist()
     # vectors this close cannot differ more in direction
-    near = sin(bounds.tilt_rad)
-    if float(apart @ apart) <= near * near * float(planned_R @ planned_R):
+    if (bx - ax) ** 2 + (by - ay) ** 2 + (bz - az) ** 2 <= near * near * (ax * ax + ay * ay + az * az):
         return 0, ()
     turned = atan2(float(np.linalg.norm(np.cross(planned_R, read_R))), float(planned_R @ read_R))
     if turned <= bounds.tilt_rad:

@@ -14,6 +14,7 @@ from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
 from fsw.dictionary.modes import Mode
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import rest
+from fsw.motion.plan_press import Pressing
 from fsw.protect.touch import contact_lost, force_error_N, preload_outside
 from tests.fsw.protect.lab import (
     BOUNDS,
@@ -115,19 +116,28 @@ def test_an_arm_that_faulted_in_contact_can_be_cleared_and_then_retracted():
 PRESSING = [tool for tool in Tool if SWITCHES_OF[tool]]
 
 
+def pressed(tool, force_N=300.0):
+    return Pressing(tool, np.zeros(3), np.array([1.0, 0.0, 0.0]), force_N)
+
+
 @pytest.mark.parametrize("tool", PRESSING)
 def test_a_contact_is_lost_when_no_switch_of_the_tool_has_been_closed_for_exactly_its_persistence(tool):
     others = [switch for switch in Switch if switch not in SWITCHES_OF[tool]]
     count = 0
     for cycle in range(1, 2 * BOUNDS.contact_persistence):
-        count, evrs = contact_lost(CONFIG, count, tool, closed(*others)["switch_closed"])
+        count, evrs = contact_lost(CONFIG, count, pressed(tool), closed(*others)["switch_closed"])
         assert evrs == ((ContactLost(tool),) if cycle >= BOUNDS.contact_persistence else ())
 
 
 @pytest.mark.parametrize("tool", PRESSING)
 def test_one_closed_switch_is_contact_whichever_it_is_and_counting_begins_anew(tool):
     for switch in SWITCHES_OF[tool]:
-        assert contact_lost(CONFIG, 100, tool, closed(switch)["switch_closed"]) == (0, ())
+        assert contact_lost(CONFIG, 100, pressed(tool), closed(switch)["switch_closed"]) == (0, ())
+
+
+def test_a_tool_that_hardly_presses_may_have_its_switches_open():
+    light = pressed(Tool.DRILL, CONFIG.params.preload.step_N)
+    assert contact_lost(CONFIG, 100, light, closed()["switch_closed"]) == (0, ())
 
 
 def torque_per_N(tool):
@@ -180,7 +190,7 @@ def test_a_preload_outside_its_bounds_is_said_after_exactly_its_persistence(sign
         error_N, count = sign * share * BOUNDS.preload_error_N, 0
         joints = known(error_N * per_N / CONFIG.arm.gear_stiffness_Nm_rad)
         for cycle in range(1, 2 * BOUNDS.preload_persistence):
-            count, evrs = preload_outside(CONFIG, count, Tool.DRILL, 300.0, per_N, joints)
+            count, evrs = preload_outside(CONFIG, count, pressed(Tool.DRILL), per_N, joints)
             assert bool(evrs) is (said and cycle >= BOUNDS.preload_persistence)
         if said:
             (evr,) = evrs
