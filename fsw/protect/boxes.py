@@ -46,7 +46,7 @@ def segment_to_box(p_m: Array, along_m: Array, half_m: Array) -> Array:
     The squared distance of the point at t is convex in t, and its slope is straight between the places where
     the segment passes a face's plane. The slope's root lies between two of them that are next to each other.
     """
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         passes = np.concatenate([(half_m - p_m) / along_m, (-half_m - p_m) / along_m])
     bends = np.clip(np.nan_to_num(passes, nan=0.0), 0.0, 1.0)
     bends = np.concatenate([bends, np.zeros((1, *bends.shape[1:])), np.ones((1, *bends.shape[1:]))])

@@ -105,9 +105,9 @@ def _rounded(shape: Capsule | Box) -> tuple[Pose, Array, float]:
 
 
 def _along(v: Array) -> Array:
-    """A rotation whose x axis is along a vector; any, if it has no length."""
+    """A rotation whose x axis is along a vector; any, if it has hardly a length."""
     length = np.linalg.norm(v)
-    if length == 0:
+    if length < 1e-9:
         return np.eye(3)
     x = v / length
     y = cross(np.eye(3)[int(np.abs(x).argmin())], x)
