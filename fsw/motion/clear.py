@@ -21,6 +21,7 @@ COARSE_M: Final = 0.05
 SWAY_M: Final = 0.01
 """What changes of deflection and backlash add between two poses of the first look."""
 FEWEST: Final = 9
+"""Poses that are looked at on any path."""
 
 
 def blocked(
@@ -30,9 +31,9 @@ def blocked(
     padding_m: float,
     touching: Tool | None = None,
 ) -> str | None:
-    """What the arm comes closer to than the padding as it hangs along the paths, or None.
+    """What the arm comes too close to along paths, as it hangs, or None; a tool that is to touch may.
 
-    The tool that is to touch is not looked at.
+    Too close is closer than the padding, or closer than where the paths begin if that is within it.
     """
     coarse = hanging(config, joints, samples(config, paths, COARSE_M))
     near_m = padding_m + 0.5 * COARSE_M + SWAY_M
@@ -74,10 +75,8 @@ def hanging(config: Config, joints: JointEstimate, motor_rad: Array) -> Frames:
 
 
 def _farthest(config: Config, motor_rad: Array) -> Array:
-    """How far any point of the arm moves at most from each pose (5, n) to the next."""
-    moved: Array = config.space.lever_m @ np.abs(
-        np.diff(motor_rad, axis=1)
-    )  # a joint moves one way in between
+    """How far any point of the arm moves at most from each pose (5, n) to the next, no joint turning back."""
+    moved: Array = config.space.lever_m @ np.abs(np.diff(motor_rad, axis=1))
     return moved
 
 

@@ -19,6 +19,17 @@ from fsw.protect.space import GROUND, OBSTACLES, PARTS, Space
 ROUNDING_M: Final = 1e-5
 """What begins too close may come this much closer."""
 
+SPOKEN: Final = {
+    "link2": "upper arm",
+    "link3": "forearm",
+    "link4": "wrist",
+    "link5": "turret joint",
+    "drt": "DRT",
+    "mahli": "MAHLI",
+    "apxs": "APXS",
+    "portion": "portion tube",
+}
+
 Indices = NDArray[np.intp]
 
 
@@ -137,4 +148,4 @@ def _distances(space: Space, X_RS: Pose, near: Indices, hull: Indices) -> Array:
 
 
 def _spoken(name: str) -> str:
-    return name.replace("_", " ")
+    return SPOKEN.get(name, name.replace("_", " "))

@@ -8,7 +8,7 @@ import pytest
 from fsw.dictionary.joints import Tool
 from fsw.kinematics.chain import forward
 from fsw.kinematics.statics import rest
-from fsw.protect.collision import clearances, too_close
+from fsw.protect.collision import SPOKEN, clearances, too_close
 from fsw.protect.space import GROUND, OBSTACLES, PARTS
 from tests.fsw.protect.space_oracle import FAR_M, mujoco_clearances, obstacle_of, part_of, plant
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits, with_params
@@ -114,7 +114,7 @@ def test_a_way_into_the_ground_is_refused_with_part_obstacle_and_distance():
     assert apart[..., : close.first].min() >= PADDING_M
     assert apart[..., close.first].min() < PADDING_M
     assert close.distance_m == apart[PARTS.index(close.part), GROUND].min()
-    assert close.reason == f"the {close.part} meets the ground"
+    assert close.reason == f"the {SPOKEN.get(close.part, close.part)} meets the ground"
 
 
 def test_what_does_not_meet_is_refused_by_how_close_it_comes():
@@ -125,8 +125,8 @@ def test_what_does_not_meet_is_refused_by_how_close_it_comes():
     close = too_close(CONFIG.space, until, PADDING_M)
     assert 0 < close.distance_m < PADDING_M
     assert close.reason == (
-        f"the {close.part} comes within {1e3 * close.distance_m:.1f} mm of the ground, "
-        "at least 15.0 mm are to be kept"
+        f"the {SPOKEN.get(close.part, close.part)} comes within {1e3 * close.distance_m:.1f} mm "
+        "of the ground, at least 15.0 mm are to be kept"
     )
 
 
