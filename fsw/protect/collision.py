@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fsw.dictionary.joints import Tool
 from fsw.kinematics.chain import Frames
-from fsw.kinematics.transforms import Array, Pose, compose, inverse, rotate_back
+from fsw.kinematics.transforms import Array, Pose, inverse, rotate_back
 from fsw.protect.boxes import box_to_box, edges_to_box, point_to_box
 from fsw.protect.space import GROUND, OBSTACLES, PARTS, Space
 
@@ -84,22 +84,26 @@ def too_close(
 
 def clearances(space: Space, frames: Frames, within_m: float, touching: Tool | None = None) -> Array:
     """How far each part is from each obstacle at poses (n): (PARTS, OBSTACLES, n), inf beyond `within_m`."""
-    X_RC = _carriers(frames)
-    arm = space.arm
-    R_RC = X_RC.R[:, :, arm.carrier]
-    p_RS = np.einsum("ijmn,jm->imn", R_RC, arm.X_CS.p) + X_RC.p[:, arm.carrier]
-    apart = np.full((len(PARTS), len(OBSTACLES), p_RS.shape[-1]), np.inf)
-    height = _height(space, R_RC, p_RS)
+    arm, X_RS = space.arm, placed(space, frames)
+    apart = np.full((len(PARTS), len(OBSTACLES), X_RS.p.shape[-1]), np.inf)
+    height = _height(space, X_RS)
     low, at = np.nonzero(height < within_m)
     np.minimum.at(apart[:, GROUND], (arm.part[low], at), height[low, at])
-    near, hull, at = _neighbours(space, p_RS, within_m)
-    R_RS = compose(R_RC[:, :, near, at], arm.X_CS.R[:, :, near])
-    distance = _distances(space, Pose(R_RS, p_RS[:, near, at]), near, hull)
+    near, hull, at = _neighbours(space, X_RS.p, within_m)
+    distance = _distances(space, X_RS[near, at], near, hull)
     np.minimum.at(apart, (arm.part[near], space.rover.part[hull], at), distance)
     if touching is not None:
         apart[PARTS.index(touching.name.lower())] = np.inf
     apart[apart > within_m] = np.inf
     return apart
+
+
+def placed(space: Space, frames: Frames) -> Pose:
+    """The arm's shapes in RMECH at poses (n), batch (m, n)."""
+    arm, X_RC = space.arm, _carriers(frames)
+    R_RC = X_RC.R[:, :, arm.carrier]
+    p_RS = np.einsum("ijmn,jm->imn", R_RC, arm.X_CS.p) + X_RC.p[:, arm.carrier]
+    return Pose(np.einsum("ijmn,jkm->ikmn", R_RC, arm.X_CS.R), p_RS)
 
 
 def _carriers(frames: Frames) -> Pose:
@@ -111,11 +115,10 @@ def _carriers(frames: Frames) -> Pose:
     )
 
 
-def _height(space: Space, R_RC: Array, p_RS: Array) -> Array:
+def _height(space: Space, X_RS: Pose) -> Array:
     """Of the lowest point of every solid above level ground, (m, n)."""
     arm = space.arm
-    down = np.abs(np.einsum("jmn,jkm->kmn", R_RC[2], arm.X_CS.R))
-    lowest = p_RS[2] + np.einsum("kmn,km->mn", down, arm.half_m) + arm.radius_m[:, None]
+    lowest = X_RS.p[2] + np.einsum("kmn,km->mn", np.abs(X_RS.R[2]), arm.half_m) + arm.radius_m[:, None]
     height: Array = space.ground_z_m - lowest
     return height
 
