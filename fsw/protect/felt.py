@@ -22,7 +22,7 @@ from fsw.messages import Sensors
 from fsw.motion.move import Move, Phase
 from fsw.motion.paths import LinePath
 
-FELT_GAIN: Final = 0.25
+FELT_GAIN: Final = 0.125
 """Of the smoothing, per cycle: the force rises by newtons a cycle, and the noise of a reading is as large."""
 UNSURE_RAD: Final = 1e-3
 """A gear whose angle is known no better says nothing."""
@@ -32,8 +32,8 @@ UNSURE_RAD: Final = 1e-3
 class Felt:
     """A guarded travel, felt."""
 
-    torque_per_N: Array
-    """By how much each joint's load rises with the force; 0 for a joint that says nothing, (5,)."""
+    rad_per_N: Array
+    """By how much the force winds up each gear; 0 for a joint that says nothing, (5,)."""
     start_rad: Array
     """How far the resolvers were from the believed outputs when the travel began."""
     force_N: float
@@ -48,22 +48,24 @@ def felt(
     if not isinstance(move.paths[0], LinePath):
         return None, ()
     if last is None:
-        return Felt(_lever(config, move.guarded, joints), joints.resolver_error_rad, 0.0), ()
-    per_N = np.where(joints.uncertainty_rad < UNSURE_RAD, last.torque_per_N, 0.0)
+        return Felt(_wind_up(config, move.guarded, joints), joints.resolver_error_rad, 0.0), ()
+    per_N = np.where(joints.uncertainty_rad < UNSURE_RAD, last.rad_per_N, 0.0)
     square = float(per_N @ per_N)
     if square == 0.0:
         return last, ()
     believed = joints.motor_rad + joints.gear_rad[:, LIKELY] + joints.reference.resolver_bias_rad
     wound_rad = sensors.resolver_rad - believed - last.start_rad
-    now_N = float(per_N @ (config.arm.gear_stiffness_Nm_rad * wound_rad)) / square
+    now_N = float(per_N @ wound_rad) / square
     force_N = last.force_N + FELT_GAIN * (now_N - last.force_N)
     bound_N = config.params.monitors.guarded_force_N
     found = (PreloadOutside(move.guarded, 0.0, force_N, bound_N),) if force_N > bound_N else ()
     return Felt(per_N, last.start_rad, force_N), found
 
 
-def _lever(config: Config, tool: Tool, joints: JointEstimate) -> Array:
-    """By how much each joint's load rises with a force against the tool's approach, (5,)."""
+def _wind_up(config: Config, tool: Tool, joints: JointEstimate) -> Array:
+    """By how much a force against the tool's approach winds up each gear, (5,)."""
     frames = forward(config.arm, joints.output_rad)
     X_RT = tool_pose(config.arm, frames, tool)
-    return -joint_jacobian(frames, X_RT.p)[3:].T @ X_RT.R[:, 0]
+    torque_Nm_N = -joint_jacobian(frames, X_RT.p)[3:].T @ X_RT.R[:, 0]
+    wind_up: Array = torque_Nm_N / config.arm.gear_stiffness_Nm_rad
+    return wind_up
