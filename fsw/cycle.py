@@ -6,7 +6,6 @@ from fsw.config import Config
 from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Booted, Evr, ModeChanged
-from fsw.dictionary.modes import Mode
 from fsw.estimate import joints as joint_estimate
 from fsw.estimate import load as load_estimate
 from fsw.executive.commands import handle, proceed
@@ -73,7 +72,7 @@ def _move(config: Config, state: State, sensors: Sensors, usable: bool) -> tuple
     mode = state.mode if result.end_mode is None else result.end_mode
     pressing = state.pressing
     if state.move.press is not None:
-        pressing = None if mode is Mode.GUARDED else pressing_in(result.move or state.move)
+        pressing = pressing_in(result.move or state.move)
     state = replace(state, move=result.move, mode=mode, pressing=pressing)
     if result.stop is None:
         return state, result.evrs

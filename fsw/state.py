@@ -35,7 +35,7 @@ class State:
     move: Move | None
     """None while the arm stands on its brakes."""
     pressing: Pressing | None
-    """What the tool that touches is believed to press with; None where nothing is pressed."""
+    """What the tool that touches was pressed with last; None since it has been moved."""
     sequence: Sequence | None
     """Commands that are still to come of one that takes several."""
     fault: StandingFault | None

@@ -20,7 +20,7 @@ from sim.effects.effect import Effect, nominal_hardware
 from sim.effects.faults import Fault
 from sim.plant import Plant
 from sim.record import CycleRecord
-from sim.world import World, build
+from sim.world import World, build, told_of
 
 SETTLE_S = 16.0
 
@@ -53,7 +53,7 @@ class ClosedLoop:
         for effect in effects:
             effect.on_model(spec)
             hardware = effect.on_hardware(hardware)
-        self.config: Config = configure(setup.arm.params)
+        self.config: Config = configure(told_of(setup.world, setup.arm.params))
         self.plant = Plant(spec.compile())
         self.avionics = Avionics(self.plant, hardware, np.random.default_rng([setup.seed, 2]))
         self.with_truth = with_truth

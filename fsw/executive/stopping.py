@@ -52,7 +52,7 @@ def _clearing(config: Config, now: Situation) -> Event:
     say now; one that pressed may press.
     """
     fault = now.state.fault
-    if now.state.pressing is not None:
+    if now.state.pressing is not None and now.state.pressing.force_N > 0:
         return Event.CLEAR_PRESSED
     if now.touching or (fault is not None and fault.may_touch):
         return Event.CLEAR_TOUCHING

@@ -7,6 +7,7 @@ from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import ContactInFreeSpace, ContactLost, PreloadOutside
 from fsw.dictionary.joints import SWITCHES_OF, Switch
 from fsw.dictionary.modes import Mode
+from fsw.estimate.gear import LIKELY
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.transforms import Array
 from fsw.messages import Flags
@@ -61,9 +62,16 @@ def force_error_N(config: Config, torque_per_N: Array, joints: JointEstimate) ->
 
     An output that is farther along than believed carries more than believed; of what each joint carries too
     much, the part that a force takes is the least-squares fit. What is not known of a gear angle is taken off
-    first, so that the side of a gap is not mistaken for a force.
+    first, and joints do not count that a force off by half its bound could take to the other side of their
+    gap: a gap that is crossed early or late is no force.
     """
+    stiffness, half = config.arm.gear_stiffness_Nm_rad, joints.reference.half_gap_rad
+    beyond = half + 0.5 * config.params.monitors.preload_error_N * np.abs(torque_per_N) / stiffness
+    low, high = joints.bounds.lowest_rad[:, LIKELY], joints.bounds.highest_rad[:, LIKELY]
+    counts = ((low > beyond) | (high < -beyond)) & joints.reference.calibrated
+    if not counts.any():
+        return 0.0
     error_rad = joints.resolver_error_rad
     sure_rad = np.maximum(np.abs(error_rad) - joints.uncertainty_rad, 0.0) * np.sign(error_rad)
-    torque_Nm = config.arm.gear_stiffness_Nm_rad * np.where(joints.reference.calibrated, sure_rad, 0.0)
-    return float(torque_per_N @ torque_Nm / (torque_per_N @ torque_per_N))
+    per_N = torque_per_N[counts]
+    return float(per_N @ (stiffness * sure_rad)[counts] / (per_N @ per_N))

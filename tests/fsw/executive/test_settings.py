@@ -63,7 +63,7 @@ def test_a_joint_whose_zero_rests_on_a_parameter_is_to_be_calibrated_again(name)
 @pytest.mark.parametrize(
     ("name", "value", "reason"),
     [
-        ("monitors.tilt_rd", 0.1, "monitors.tilt_rd: 'tilt_rd' is not a parameter; tilt_rad is"),
+        ("monitors.tilt_rd", 0.1, "monitors.tilt_rd: 'tilt_rd' is not a parameter; there are gravity_min_"),
         ("joints", 1.0, "joints: not one number; only single numbers can be set"),
         ("arm_name", 1.0, "arm_name: not one number; only single numbers can be set"),
         ("joints.elbow.speed_rad_s", 9.0, "joints.elbow.speed_rad_s: 9.0 is outside 0.001 .. 0.1"),
