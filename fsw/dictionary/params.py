@@ -360,6 +360,8 @@ class MonitorParams:
     preload_error_N: Annotated[float, Limits(1.0, 500.0)]
     """How far the force that the joints' wind-up tells may be from the one that is pressed with."""
     preload_persistence: Annotated[int, Limits(1, 640)]
+    guarded_force_N: Annotated[float, Limits(1.0, 500.0)]
+    """Force on a guarded tool, as the joints' wind-up tells it, while no switch of it is closed."""
 
 
 @dataclass(frozen=True, slots=True)

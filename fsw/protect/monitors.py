@@ -18,6 +18,7 @@ from fsw.messages import Sensors
 from fsw.motion.move import Move, Phase
 from fsw.motion.plan_press import Pressing
 from fsw.protect import motors
+from fsw.protect.felt import Felt, felt
 from fsw.protect.readings import LIVELY, frozen, lively, missed
 from fsw.protect.tilt import tilt
 from fsw.protect.touch import contact, contact_lost, preload_outside
@@ -53,6 +54,7 @@ class MonitorState:
     """For how many cycles each of those readings has been the same."""
     planned_gravity_R: Array | None = None
     """What gravity was when the move under way began."""
+    felt: Felt | None = None
 
 
 def watch(
@@ -75,7 +77,8 @@ def watch(
     readings = lively(sensors)
     same, dead = frozen(config, last.same, last.readings, readings)
     counts, found = _watch_arm(config, last.counts, mode, move, sensors, joints, pressing, planned)
-    return MonitorState(counts, sensors.cycle, readings, same, planned), evrs + dead + found
+    touch, force = felt(config, last.felt, move, sensors, joints)
+    return MonitorState(counts, sensors.cycle, readings, same, planned, touch), evrs + dead + found + force
 
 
 def _watch_arm(

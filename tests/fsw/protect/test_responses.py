@@ -82,8 +82,8 @@ def rows(heading):
 
 
 def test_the_page_says_of_every_fault_what_is_done_about_it():
-    assert {name: response for name, *_, response in rows("Monitors")} == {
-        kind.__name__: response.value for kind, response in RESPONSE_TO.items()
+    assert {(name, response) for name, *_, response in rows("Monitors")} == {
+        (kind.__name__, response.value) for kind, response in RESPONSE_TO.items()
     }
     assert {name for name, *_ in rows("Responses")} == {response.value for response in Response}
 
@@ -166,7 +166,7 @@ PERSISTENT = {
 }
 """How long, and which readings of a moving arm, passing the bound with the first of them."""
 BY_A_CALL = {faults.ContactLost, faults.PreloadOutside}
-"""Tested in test_touch.py."""
+"""Tested in test_touch.py and test_felt.py."""
 BY_THE_MOVE = {
     faults.NoContact,
     faults.NotSettled,

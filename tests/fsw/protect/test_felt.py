@@ -1,0 +1,74 @@
+"""A guarded tool that touches something although no switch says so."""
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.faults import Fault, PreloadOutside
+from fsw.dictionary.joints import SWITCHES_OF, Tool
+from fsw.dictionary.modes import Mode
+from fsw.kinematics.chain import tool_pose
+from fsw.kinematics.statics import rest
+from tests.fsw.protect.lab import BOUNDS, CONFIG, REFUSED, braked, closed, found, in_guarded_motion, moving
+from tests.fsw.rig import MARS_R_m_s2
+
+PRESSING = [tool for tool in Tool if SWITCHES_OF[tool]]
+LATEST = 40
+
+
+def wind_up_rad_N(rig, tool):
+    """By virtual work: how far each joint moves the tool along its axis, by finite differences."""
+    output, axis = rig.state.joints.output_rad, rig.tool_pose(tool).R[:, 0]
+
+    def along_m(step):
+        X_RT = tool_pose(CONFIG.arm, rest(CONFIG.arm, output + step, MARS_R_m_s2).frames, tool)
+        return X_RT.p @ axis
+
+    torque = np.array([along_m(-step) - along_m(step) for step in 1e-5 * np.eye(5)]) / 2e-5
+    return torque / CONFIG.arm.gear_stiffness_Nm_rad
+
+
+def pushed(rig, tool, force_N, cycles, **readings):
+    """Resolvers that show a force, and encoders that do not."""
+    wound = force_N * wind_up_rad_N(rig, tool)
+    for _ in range(cycles):
+        rig.cycle(resolver_rad=rig.resolver_rad() + wound, **readings)
+        if found(rig, Fault):
+            break
+
+
+@pytest.mark.parametrize("tool", PRESSING)
+def test_a_force_on_a_guarded_tool_that_closes_no_switch_stops_the_arm(tool):
+    rig = in_guarded_motion(tool)
+    pushed(rig, tool, 1.3 * BOUNDS.guarded_force_N, LATEST)
+    (evr,) = found(rig, Fault)
+    assert evr == PreloadOutside(tool, 0.0, evr.error_N, BOUNDS.guarded_force_N)
+    assert evr.error_N > BOUNDS.guarded_force_N
+    assert REFUSED in rig.evrs
+    assert rig.state.mode is Mode.FAULTED
+    assert braked(rig)
+
+
+@pytest.mark.parametrize("force_N", [0.8 * BOUNDS.guarded_force_N, -3.0 * BOUNDS.guarded_force_N])
+def test_a_small_force_or_one_that_pulls_does_not(force_N):
+    rig = in_guarded_motion()
+    pushed(rig, Tool.APXS, force_N, LATEST)
+    assert not found(rig, Fault)
+
+
+def test_a_large_force_is_felt_within_three_cycles():
+    rig = in_guarded_motion()
+    pushed(rig, Tool.APXS, 10.0 * BOUNDS.guarded_force_N, 3)
+    assert found(rig, PreloadOutside)
+
+
+def test_with_a_switch_closed_a_force_is_as_it_should_be():
+    rig = in_guarded_motion()
+    contact = closed(SWITCHES_OF[Tool.APXS][0])
+    pushed(rig, Tool.APXS, 2.0 * BOUNDS.guarded_force_N, LATEST, **contact)
+    assert not found(rig, Fault)
+
+
+def test_in_free_space_a_force_is_left_to_the_switches():
+    rig = moving()
+    pushed(rig, Tool.APXS, 2.0 * BOUNDS.guarded_force_N, LATEST)
+    assert not found(rig, Fault)
