@@ -8,6 +8,7 @@ import numpy as np
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm, arm_from
 from fsw.kinematics.transforms import Array
+from fsw.protect.space import Space, space_from
 
 CYCLE_HZ = 64
 CYCLE_S = 1.0 / CYCLE_HZ
@@ -20,6 +21,8 @@ class Config:
     params: Params
     params_sha256: str
     arm: Arm
+    space: Space
+    """What the arm is not to meet."""
     rad_per_count: Array
     """Output side."""
     half_gap_rad: Array
@@ -62,10 +65,12 @@ def configure(params: Params) -> Config:
     joints, motion, bounds = params.joints.in_order(), params.motion, params.monitors
     lowest = np.array([j.soft_min_rad - bounds.soft_limit_margin_rad for j in joints])
     beyond_stop = np.array([j.hardstop_rad for j in joints]) - 2 * params.hardstop.window_rad
+    arm = arm_from(params)
     return Config(
         params=params,
         params_sha256=digest(params),
-        arm=arm_from(params),
+        arm=arm,
+        space=space_from(params, arm),
         rad_per_count=np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints]),
         half_gap_rad=np.array([0.5 * j.backlash_rad for j in joints]),
         output_friction_Nm=np.array([j.output_friction_Nm for j in joints]),

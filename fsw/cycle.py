@@ -6,7 +6,6 @@ from fsw.config import Config
 from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Booted, Evr, ModeChanged
-from fsw.dictionary.modes import Mode
 from fsw.estimate import joints as joint_estimate
 from fsw.estimate import load as load_estimate
 from fsw.executive.commands import handle, proceed
@@ -15,8 +14,10 @@ from fsw.kinematics.transforms import Array
 from fsw.messages import Outputs, Sensors
 from fsw.motion.drive import drive_for
 from fsw.motion.move import Phase, advance, pressing_in
-from fsw.protect import monitors
 from fsw.protect.guard import Guarded, guard
+from fsw.protect.monitors import MonitorState, watch
+from fsw.protect.motors import lowest_for
+from fsw.protect.readings import unusable
 from fsw.protect.setpoints import unsafe_setpoint
 from fsw.state import State, joint_channels, last_setpoint
 
@@ -26,14 +27,14 @@ def step(
 ) -> tuple[State, Outputs]:
     """The state and the outputs after one cycle; everything follows from the arguments."""
     before, config = state, state.changed or config
-    bad = monitors.unusable(config, sensors)
+    bad = unusable(config, sensors)
     state, tool_channels = _estimate(config, state, sensors, usable=not bad)
     state, decided = _decide(config, state, sensors, commands, usable=not bad)
     # at rest the last set-point is where the motors are, in today's encoder zero
     last_rad = state.joints.motor_rad if before.move is None else last_setpoint(before)
     state, moved = _move(config, state, sensors, usable=not bad)
-    state, found = _protect(config, state, sensors, last_rad, bad, moved)
-    return _output(config, before, state, tool_channels, decided + found)
+    state, seen, found = _protect(config, state, sensors, last_rad, bad, moved)
+    return _output(config, before, state, seen, tool_channels, decided + found)
 
 
 def _estimate(
@@ -71,7 +72,7 @@ def _move(config: Config, state: State, sensors: Sensors, usable: bool) -> tuple
     mode = state.mode if result.end_mode is None else result.end_mode
     pressing = state.pressing
     if state.move.press is not None:
-        pressing = None if mode is Mode.GUARDED else pressing_in(result.move or state.move)
+        pressing = pressing_in(result.move or state.move)
     state = replace(state, move=result.move, mode=mode, pressing=pressing)
     if result.stop is None:
         return state, result.evrs
@@ -88,26 +89,29 @@ def _protect(
     last_rad: Array,
     bad: tuple[Evr, ...],
     moved: tuple[Evr, ...],
-) -> tuple[State, tuple[Evr, ...]]:
+) -> tuple[State, MonitorState, tuple[Evr, ...]]:
     """Monitors say what happened; the response may only reduce or stop."""
-    seen, found = state.monitors, bad
-    if not bad:
-        seen, found = monitors.watch(config, seen, state.mode, state.move, sensors, state.joints)
+    arm = (state.mode, state.move, sensors, state.joints, state.pressing)
+    seen, found = watch(config, state.monitors, *arm, usable=not bad)
+    found = bad + found
     if state.move is not None:
-        found += unsafe_setpoint(
-            config, monitors.lowest_for(config, state.move), last_rad, state.move.hold.motor_rad
-        )
-    if seen is not state.monitors:
-        state = replace(state, monitors=seen)
+        found += unsafe_setpoint(config, lowest_for(config, state.move), last_rad, state.move.hold.motor_rad)
     found += moved
     if not found:
-        return state, ()
-    after = guard(config, Guarded(state.mode, state.move, state.fault, ()), last_rad, state.joints, found)
-    return replace(state, mode=after.mode, move=after.move, fault=after.fault), after.evrs
+        return state, seen, ()
+    before = Guarded(state.mode, state.move, state.sequence, state.fault, ())
+    after = guard(config, before, last_rad, state.joints, found)
+    state = replace(state, mode=after.mode, move=after.move, sequence=after.sequence, fault=after.fault)
+    return state, seen, after.evrs
 
 
 def _output(
-    config: Config, before: State, state: State, tool: ToolChannels | None, evrs: tuple[Evr, ...]
+    config: Config,
+    before: State,
+    state: State,
+    seen: MonitorState,
+    tool: ToolChannels | None,
+    evrs: tuple[Evr, ...],
 ) -> tuple[State, Outputs]:
     """What leaves flight software in this cycle."""
     if state.tick == 0:
@@ -116,4 +120,5 @@ def _output(
         evrs = (*evrs, ModeChanged(before.mode, state.mode))
     channels = joint_channels(state)
     drive = drive_for(config, state.move, state.joints, state.drive)
-    return replace(state, tick=state.tick + 1, drive=drive), Outputs(drive, channels, tool, evrs)
+    after = replace(state, tick=state.tick + 1, monitors=seen, drive=drive)
+    return after, Outputs(drive, channels, tool, evrs)

@@ -17,7 +17,7 @@ from fsw.messages import Drive, Outputs
 from fsw.motion.move import Move
 from fsw.motion.plan_press import Pressing
 from fsw.protect.guard import StandingFault
-from fsw.protect.monitors import QUIET, MonitorState
+from fsw.protect.monitors import MonitorState
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,7 +35,7 @@ class State:
     move: Move | None
     """None while the arm stands on its brakes."""
     pressing: Pressing | None
-    """What the tool that touches is believed to press with; None where nothing is pressed."""
+    """What the tool that touches was pressed with last; None since it has been moved."""
     sequence: Sequence | None
     """Commands that are still to come of one that takes several."""
     fault: StandingFault | None
@@ -60,7 +60,7 @@ def boot(config: Config, mode: Mode, reference: Reference | None = None) -> Stat
         pressing=None,
         sequence=None,
         fault=None,
-        monitors=QUIET,
+        monitors=MonitorState(),
         drive=Drive(np.zeros(n, np.int64), np.zeros(n), config.current_limit_A, off, off, vibrate=False),
     )
 

@@ -3,6 +3,7 @@
 The position loop and the current limit of each motor controller run inside the MuJoCo step, on its dcmotor.
 """
 
+from copy import copy, deepcopy
 from dataclasses import replace
 from typing import Final
 
@@ -12,13 +13,16 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.joints import Joint, Switch
 from fsw.kinematics.transforms import Array
 from fsw.messages import Counts, Drive, Sensors
-from sim.effects.effect import Hardware
+from sim.effects.effect import Effect, Hardware
 from sim.frames import FLIP
 from sim.plant import Plant
 
 RESOLVER_BITS: Final = 16
 RESOLVER_LSB_RAD: Final = 2 * np.pi / 2**RESOLVER_BITS
 UNPOWERED: Final = np.zeros(len(Joint), bool)
+VIBRATION_N: Final = 10.0
+VIBRATION_TURN: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+"""In turret axes, one a cycle: 16 Hz about the turret's axis."""
 
 # places in MuJoCo's gain parameters of a dcmotor
 _RESISTANCE: Final = 0
@@ -44,16 +48,52 @@ class Avionics:
         self._pending: dict[int, tuple[int, bool]] = {}
         self._drive: Drive | None = None
         self._cycle = 0
-        self._gravity_R = FLIP * model.opt.gravity + hardware.gravity_bias_R_m_s2
+        self._turret = model.body("turret").id
+        self._shaken = False
+        self._look_ahead()
+
+    def _look_ahead(self) -> None:
+        """What follows from model and hardware, which change only when something happens to them."""
+        self._next_s = min((effect.at_s for effect in self._hardware.timed), default=np.inf)
+        self._gravity_R = FLIP * self._plant.model.opt.gravity + self._hardware.gravity_bias_R_m_s2
+
+    def on(self, plant: Plant) -> "Avionics":
+        """The same avionics with a copy of their plant."""
+        other = copy(self)
+        other._plant, other._rng, other._pending = plant, deepcopy(self._rng), dict(self._pending)
+        return other
+
+    def inject(self, effect: Effect) -> None:
+        """Let something happen to avionics and plant, now or when it is time."""
+        self._hardware = effect.on_hardware(self._hardware)
+        self._look_ahead()
+
+    def missed_cycles(self) -> int:
+        """For how many cycles flight software is not called now; asked for once, they are over."""
+        missed = self._hardware.missed_cycles
+        if missed:
+            self._hardware = replace(self._hardware, missed_cycles=0)
+        return missed
+
+    def _happen(self) -> None:
+        """All that is due."""
+        now_s, timed = self._plant.data.time, self._hardware.timed
+        self._hardware = replace(self._hardware, timed=tuple(e for e in timed if e.at_s > now_s))
+        for effect in timed:
+            if effect.at_s <= now_s:
+                self._hardware = effect.begin(self._plant, self._hardware)
+        self._look_ahead()
 
     def sense(self) -> Sensors:
         """The readings of this moment."""
+        if self._plant.data.time >= self._next_s:
+            self._happen()
         plant, hardware, data = self._plant, self._hardware, self._plant.data
         noise = self._rng.standard_normal(13)
         current = plant.motor_current_A()
         resolver = plant.output_rad() + hardware.resolver_bias_rad + hardware.resolver_noise_rad * noise[:5]
         self._cycle += 1
-        return Sensors(
+        sensors = Sensors(
             cycle=self._cycle,
             encoder_count=self.encoder_count(),
             resolver_rad=np.rint(resolver / RESOLVER_LSB_RAD) * RESOLVER_LSB_RAD,
@@ -62,6 +102,16 @@ class Avionics:
             switch_closed=data.sensordata[self._touch] > hardware.switch_force_N,
             gravity_R_m_s2=self._gravity_R + hardware.gravity_noise_m_s2 * noise[10:],
         )
+        return self._spoilt(sensors) if hardware.spoilt else sensors
+
+    def _spoilt(self, sensors: Sensors) -> Sensors:
+        """The readings with all that is wrong with them, in the order in which it began."""
+        begun = []
+        for spoilt in self._hardware.spoilt:
+            begun.append(spoilt.held(sensors))
+            sensors = begun[-1].read(sensors, self._rng)
+        self._hardware = replace(self._hardware, spoilt=tuple(begun))
+        return sensors
 
     @property
     def brakes_move(self) -> bool:
@@ -104,6 +154,15 @@ class Avionics:
             self._command_brakes(drive, last)
         if self._pending:
             self._move_brakes()
+        if drive.vibrate or self._shaken:
+            self._shake(drive.vibrate)
+
+    def _shake(self, on: bool) -> None:
+        """The unbalance of the vibration motor, a quarter of a turn farther; nothing once it is off."""
+        data, turret = self._plant.data, self._turret
+        R_WB = data.xmat[turret].reshape(3, 3)
+        data.xfrc_applied[turret, :3] = VIBRATION_N * on * (R_WB @ VIBRATION_TURN[self._cycle % 4])
+        self._shaken = on
 
     def _command_brakes(self, drive: Drive, last: Drive | None) -> None:
         for joint in Joint:
@@ -115,7 +174,8 @@ class Avionics:
         waiting = {}
         for joint, (cycles, on) in self._pending.items():
             if cycles == 0:
-                self._plant.brake(joint, on)
+                if on or not self._hardware.brake_stuck[joint]:
+                    self._plant.brake(joint, on)
             else:
                 waiting[joint] = (cycles - 1, on)
         self._pending = waiting

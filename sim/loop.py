@@ -1,5 +1,6 @@
 """The closed loop: plant and avionics on one side, flight software on the other, one cycle at a time."""
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,9 +17,10 @@ from fsw.state import State, boot, outputs_at_rest
 from sim.arms import BuiltArm
 from sim.avionics import Avionics
 from sim.effects.effect import Effect, nominal_hardware
+from sim.effects.faults import Fault
 from sim.plant import Plant
 from sim.record import CycleRecord
-from sim.world import World, build
+from sim.world import World, build, told_of
 
 SETTLE_S = 16.0
 
@@ -51,7 +53,7 @@ class ClosedLoop:
         for effect in effects:
             effect.on_model(spec)
             hardware = effect.on_hardware(hardware)
-        self.config: Config = configure(setup.arm.params)
+        self.config: Config = configure(told_of(setup.world, setup.arm.params))
         self.plant = Plant(spec.compile())
         self.avionics = Avionics(self.plant, hardware, np.random.default_rng([setup.seed, 2]))
         self.with_truth = with_truth
@@ -61,10 +63,28 @@ class ClosedLoop:
         self.failure: Exception | None = None
         self._outputs = outputs_at_rest(self.state)
 
+    def fork(self, faults: tuple[Fault, ...] = ()) -> "ClosedLoop":
+        """The same run, to go on by itself: bit by bit as this one, or with faults injected.
+
+        A fork that is never run is a snapshot.
+        """
+        other = copy(self)
+        other.plant = self.plant.copied()
+        other.avionics = self.avionics.on(other.plant)
+        for fault in faults:
+            other.avionics.inject(fault)
+        return other
+
     def cycle(self, commands: tuple[Command, ...] = ()) -> CycleRecord:
-        """One control cycle: read, decide, drive, and let the plant go on."""
+        """One control cycle: read, decide, drive, and let the plant go on.
+
+        Cycles in which flight software is not called pass before it.
+        """
         if self.failure is not None:
             raise RuntimeError("flight software has ended; start another run") from self.failure
+        for _ in range(self.avionics.missed_cycles()):
+            self.avionics.sense()
+            self._drive()
         sensors = self.avionics.sense()
         truth = self.plant.truth() if self.with_truth else None
         tick = self.state.tick
@@ -75,12 +95,15 @@ class ClosedLoop:
             self.failure = error
             outputs = _safe_outputs(self._outputs, error)
         self._outputs = outputs
-        self.avionics.apply(outputs.drive)
-        self.plant.step()
+        self._drive()
         while self.failure is not None and self.avionics.brakes_move:
-            self.avionics.apply(outputs.drive)
-            self.plant.step()
+            self._drive()
         return CycleRecord(tick, sensors, commands, outputs, truth)
+
+    def _drive(self) -> None:
+        """The plant goes on for a cycle with the last drive."""
+        self.avionics.apply(self._outputs.drive)
+        self.plant.step()
 
 
 def _safe_outputs(last: Outputs, error: Exception) -> Outputs:

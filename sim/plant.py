@@ -1,5 +1,6 @@
 """The plant: the MuJoCo model of arm and world, its state, and its stepping."""
 
+from copy import copy
 from dataclasses import dataclass
 
 import mujoco
@@ -76,6 +77,12 @@ class Plant:
         )
         self.model.tendon_invweight0[self.at.outputs] *= HARD_FRICTION
         self.torque_constant_Nm_A = model.actuator_gainprm[self.at.actuators, MOTOR_CONSTANT].copy()
+
+    def copied(self) -> "Plant":
+        """The same plant in the same state, to go on by itself."""
+        other = copy(self)
+        other.model, other.data = copy(self.model), copy(self.data)
+        return other
 
     @property
     def half_gap_rad(self) -> Array:

@@ -13,6 +13,7 @@ from fsw.config import Config, configure
 from fsw.dictionary.joints import Tool
 from fsw.estimate.joints import JointEstimate, asleep
 from fsw.estimate.reference import no_reference
+from fsw.executive.planning import plan_for
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import Equilibrium, settle
@@ -20,12 +21,11 @@ from fsw.kinematics.transforms import Array
 from fsw.motion.compensation import Compensation
 from fsw.motion.paths import Path
 from fsw.motion.plan import Plan, Refusal, Stand, plan_poses
-from fsw.motion.plan_line import plan_guarded
 from fsw.motion.plan_tool import AUTO, plan_tool
 from sim.arms import BuiltArm
 from sim.placement import Placement, placement_moves
 from sim.plant import Plant
-from sim.world import World, build
+from sim.world import World, build, told_of
 
 VIA_M: Final = 0.25
 CLEARANCE_M: Final = 0.03
@@ -55,7 +55,7 @@ def preview(arm: BuiltArm, world: World, placement: Placement, stowed: bool = Fa
 
     From the stowed pose the way to the ready pose must be free too, and it is the same for every branch.
     """
-    config = configure(arm.params)
+    config = configure(told_of(world, arm.params))
     spec = build(world)
     for geom in spec.geoms:
         geom.margin = 0.5 * CLEARANCE_M
@@ -123,7 +123,7 @@ def _try(config: Config, plant: Plant, joints: JointEstimate, placement: Placeme
         duration += sum(path.duration_s for path in plan.paths)
         joints = _at(joints, plan.end)
         placement = replace(placement, branch=plan.branch or AUTO)
-    line = plan_guarded(config, joints, touch)
+    line = plan_for(config, joints, placement.tool, touch)
     if isinstance(line, Refusal):
         return _no(placement, line.reason)
     hit = _first_hit(plant, _approach(config, joints, line, placement), TOUCH_CLEARANCE_M, placement.tool)

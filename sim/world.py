@@ -1,6 +1,6 @@
 """The world around the arm: which scene, how the rover is tilted, and the rock face to be touched."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal
 
@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 
 from fsw.dictionary.commands import Vector3
+from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
-from sim.frames import FLIP, gravity_in_rover
+from sim.frames import FLIP, P_NR_M, gravity_in_rover
 from sim.rock import add_rock, lower_ground
 
 Scene = Literal["mars", "earth"]
@@ -48,6 +49,11 @@ class World:
         return gravity_in_rover(self.tilt_roll_rad, self.tilt_pitch_rad, GRAVITY_M_S2[self.scene])
 
     @property
+    def ground_N_m(self) -> float:
+        """Height of the ground in RNAV, z down: below a surface that lies low."""
+        return 0.0 if self.surface is None else max(0.0, self.surface.p_N_m[2] + BELOW_ROCK_M)
+
+    @property
     def tilt_rad(self) -> float:
         """Angle between the rover's down axis and gravity."""
         return float(np.arccos(np.clip(np.cos(self.tilt_roll_rad) * np.cos(self.tilt_pitch_rad), -1.0, 1.0)))
@@ -65,12 +71,18 @@ def build(world: World, for_pictures: bool = False) -> mujoco.MjSpec:
     spec.option.gravity = FLIP * world.gravity_N_m_s2
     if world.surface is not None:
         add_rock(spec, np.array(world.surface.p_N_m), np.array(world.surface.normal_N))
-        lower_ground(spec, min(0.0, -world.surface.p_N_m[2] - BELOW_ROCK_M))
+        lower_ground(spec, -world.ground_N_m)
     if not for_pictures:
         for geom in list(spec.geoms):
             if geom.contype == 0 and geom.conaffinity == 0:
                 spec.delete(geom)
     return spec
+
+
+def told_of(world: World, params: Params) -> Params:
+    """Flight parameters of this place: the ground is where the rover's cameras see it."""
+    ground_z_m = float(world.ground_N_m - P_NR_M[2])
+    return replace(params, collision=replace(params.collision, ground_z_m=ground_z_m))
 
 
 def inside_rover(p_N_m: Vector3) -> bool:

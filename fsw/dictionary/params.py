@@ -208,6 +208,8 @@ class MotionParams:
     approach_rad: Annotated[float, Limits(1e-5, 0.05)]
     """An output that its load does not hold is dragged at least this far to the place where it is to rest."""
     guarded_speed_m_s: Annotated[float, Limits(1e-4, 0.02)]
+    switch_force_N: Annotated[float, Limits(0.1, 50.0)]
+    """At which a contact switch closes."""
     contact_firm_m: Annotated[float, Limits(0.0, 0.01)]
     """How far a guarded move goes on once a switch has closed, so that the tool stays in contact."""
     retract_speed_m_s: Annotated[float, Limits(1e-4, 0.05)]
@@ -234,41 +236,66 @@ class Capsule:
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A box along the axes of its frame."""
+    """A box along the axes of its frame, turned about z."""
 
     centre_m: Vector3
     half_m: Vector3
+    turn_rad: Angle = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Shapes:
+    """What a part is inside of."""
+
+    capsules: tuple[Capsule, ...] = ()
+    boxes: tuple[Box, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class ArmShapes:
-    """What each body of the arm is inside of: links in their frames, the turret in Arm6, tools in theirs."""
+    """The parts of the arm: links in their frames before their springs, the turret in Arm6, tools in theirs.
 
-    link1: tuple[Capsule, ...]
-    link2: tuple[Capsule, ...]
-    link3: tuple[Capsule, ...]
-    link4: tuple[Capsule, ...]
-    link5: tuple[Capsule, ...]
-    turret: tuple[Capsule, ...]
-    drill: tuple[Capsule, ...]
-    drt: tuple[Capsule, ...]
-    mahli: tuple[Capsule, ...]
-    apxs: tuple[Capsule, ...]
-    portion: tuple[Capsule, ...]
+    The housing of azimuth and elevation is not among them: it turns between the plates of its bracket.
+    """
+
+    link2: Shapes
+    link3: Shapes
+    link4: Shapes
+    link5: Shapes
+    turret: Shapes
+    drill: Shapes
+    drt: Shapes
+    mahli: Shapes
+    apxs: Shapes
+    portion: Shapes
+
+
+@dataclass(frozen=True, slots=True)
+class RoverShapes:
+    """The parts of the rover, in RMECH."""
+
+    chassis: Shapes
+    shoulder_bracket: Shapes
+    bit_box_1: Shapes
+    bit_box_2: Shapes
+    port_wheels: Shapes
+    starboard_wheels: Shapes
+    mast: Shapes
+    mast_head: Shapes
+    antenna: Shapes
 
 
 @dataclass(frozen=True, slots=True)
 class CollisionParams:
-    """What the arm is not to meet, in RMECH, and how far it keeps from it."""
+    """What the arm is not to meet, and how far it keeps from it."""
 
     padding_m: Annotated[float, Limits(0.0, 0.2)]
     stow_padding_m: Annotated[float, Limits(0.0, 0.2)]
     """On the way between the stowed and the ready pose, which is close to the rover and always the same."""
     ground_z_m: Annotated[float, Limits(0.0, 5.0)]
-    """Height of level ground; z points down."""
+    """Height of level ground in RMECH; z points down."""
     arm: ArmShapes
-    rover_boxes: tuple[Box, ...]
-    rover_capsules: tuple[Capsule, ...]
+    rover: RoverShapes
 
 
 @dataclass(frozen=True, slots=True)
@@ -316,6 +343,8 @@ class MonitorParams:
     resolver_persistence: Annotated[int, Limits(1, 640)]
     stall_share: Annotated[float, Limits(0.001, 0.9)]
     """A motor slower than this share of the speed that is asked for has stalled."""
+    stall_error_rad: Annotated[float, Limits(1e-5, 0.1)]
+    """A motor that is closer to its set-point is held up by friction, if at all."""
     stall_persistence: Annotated[int, Limits(1, 640)]
     winding_min_C: Annotated[float, Limits(-150.0, 50.0)]
     winding_max_C: Annotated[float, Limits(0.0, 250.0)]

@@ -7,7 +7,7 @@ from typing import Any, Final, get_type_hints
 
 import numpy as np
 
-from fsw.dictionary.params import Limits, Matrix6, Params, Tools, Transform6
+from fsw.dictionary.params import CollisionParams, Limits, Matrix6, Params, Tools, Transform6
 
 OF_COMPONENTS: Final = {"_m": Limits(-5.0, 5.0), "_1_K": Limits(-1e-4, 1e-4)}
 """For the components of every vector, by the unit in its name."""
@@ -68,6 +68,7 @@ def not_an_arm(params: Params) -> Iterator[str]:
     yield from _axial(params.tools)
     yield from _poses_outside(params)
     yield from _stops(params)
+    yield from _shapeless(params.collision)
 
 
 def _crooked(name: str, link: Transform6) -> Iterator[str]:
@@ -125,6 +126,18 @@ def _stops(params: Params) -> Iterator[str]:
                 f"joints.{field.name}.hardstop_press_Nm: {joint.hardstop_press_Nm} is above {most_Nm:g}, "
                 f"{MOST_OF_RATED} of hardstop_rated_Nm"
             )
+
+
+def _shapeless(collision: CollisionParams) -> Iterator[str]:
+    """Sentences about parts without a shape, and boxes that are inside out."""
+    for place, parts in (("arm", collision.arm), ("rover", collision.rover)):
+        for field in fields(parts):
+            shapes, where = getattr(parts, field.name), f"collision.{place}.{field.name}"
+            if not shapes.capsules and not shapes.boxes:
+                yield f"{where}: has neither capsules nor boxes; what has no shape is never met"
+            for k, box in enumerate(shapes.boxes):
+                if min(box.half_m) <= 0:
+                    yield f"{where}.boxes.{k}.half_m: {box.half_m} must be positive"
 
 
 def _no_spring(compliance: Matrix6) -> str | None:

@@ -204,7 +204,7 @@ def _begin_move(config: Config, now: Situation, command: PlannedMove) -> Situati
     evrs: tuple[Evr, ...] = (CommandAccepted(name_of(command)),)
     if plan.branch is not None:
         evrs = (*evrs, BranchChosen(tool, plan.branch))
-    state = replace(now.state, mode=mode, tool=tool, move=move, planned_gap_rad=plan.gap_rad)
+    state = replace(now.state, mode=mode, tool=tool, move=move, pressing=None, planned_gap_rad=plan.gap_rad)
     return told(replace(now, state=state), *evrs)
 
 

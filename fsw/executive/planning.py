@@ -10,6 +10,7 @@ from fsw.dictionary.commands import GuardedMove, MoveJoint, MoveJoints, MoveTool
 from fsw.dictionary.joints import Joint, Tool
 from fsw.estimate.joints import JointEstimate
 from fsw.executive.steps import Step
+from fsw.motion.clear import blocked
 from fsw.motion.compensation import Compensation
 from fsw.motion.plan import Plan, Refusal, plan_joint, plan_poses
 from fsw.motion.plan_line import plan_guarded, plan_retract
@@ -25,7 +26,21 @@ def plan_for(
     tool: Tool,
     command: PlannedMove,
 ) -> Plan | Refusal:
-    """The plan of a move from where the joints are; `tool` is that of the last tool command."""
+    """The plan of a move from where the joints are, clear of rover and ground all the way.
+
+    `tool` is that of the last tool command.
+    """
+    plan = _plan(config, joints, tool, command)
+    if isinstance(plan, Refusal) or isinstance(command, MoveTool):
+        return plan
+    known_way = isinstance(command, Unstow | Stow)
+    padding_m = config.params.collision.stow_padding_m if known_way else config.params.collision.padding_m
+    touching = command.tool if isinstance(command, GuardedMove | Retract) else None
+    meeting = blocked(config, joints, plan.paths, padding_m, touching)
+    return plan if meeting is None else Refusal(meeting)
+
+
+def _plan(config: Config, joints: JointEstimate, tool: Tool, command: PlannedMove) -> Plan | Refusal:
     match command:
         case Unstow():
             poses = config.params.poses

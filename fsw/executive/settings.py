@@ -1,7 +1,6 @@
 """What the ground may set while the arm stands: the rover's tilt, and one parameter at a time."""
 
 from dataclasses import fields, is_dataclass, replace
-from difflib import get_close_matches
 from math import isfinite
 from typing import Any, Final
 
@@ -79,9 +78,7 @@ def _with(record: Any, names: list[str], command: SetParam) -> Params | str:
     name, *rest = names
     known = [field.name for field in fields(record)]
     if name not in known:
-        near = get_close_matches(name, known, n=1)
-        hint = f"; {near[0]} is" if near else f"; there are {', '.join(known)}"
-        return f"{command.name}: {name!r} is not a parameter{hint}"
+        return f"{command.name}: {name!r} is not a parameter; there are {', '.join(known)}"
     value = getattr(record, name)
     if rest and is_dataclass(value):
         inner = _with(value, rest, command)

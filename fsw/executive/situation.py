@@ -2,12 +2,10 @@
 
 from dataclasses import dataclass, replace
 
-from fsw.config import Config
 from fsw.dictionary.commands import MoveJoint
 from fsw.dictionary.evrs import CommandRefused, Evr
 from fsw.dictionary.joints import Joint
 from fsw.dictionary.modes import Mode
-from fsw.estimate.joints import JointEstimate
 from fsw.executive.modes import Event, after
 from fsw.executive.steps import Step
 from fsw.state import State
@@ -65,9 +63,3 @@ def not_calibrated(now: Situation, command: Step) -> str | None:
     if not missing:
         return None
     return f"not calibrated: {', '.join(missing)}; until it is, a joint may only look for its hardstop"
-
-
-def at_stow(config: Config, joints: JointEstimate) -> bool:
-    """Whether every joint is in its stowed place."""
-    off = abs(joints.motor_rad - config.params.poses.stowed_rad).max()
-    return bool(joints.reference.calibrated.all() and off < config.params.motion.stowed_rad)

@@ -7,7 +7,8 @@ from fsw.dictionary.commands import ClearFault, Stop
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, Evr, FaultCleared
 from fsw.dictionary.modes import Mode
 from fsw.executive.modes import TRANSITIONS, Event, after
-from fsw.executive.situation import Situation, at_stow, name_of, refused, told
+from fsw.executive.situation import Situation, name_of, refused, told
+from fsw.executive.stow import at_stow, stop_event
 from fsw.motion.move import stop
 
 
@@ -31,14 +32,12 @@ def stop_move(config: Config, now: Situation, command: Stop) -> Situation:
     now = told(now, CommandCompleted(name_of(command)))
     if now.state.move is None or now.state.mode is Mode.FAULTED:
         return now
-    stopping = stop(config, now.state.move, TRANSITIONS[now.state.mode, stopping_event(config, now)])
+    stopping = stop(
+        config,
+        now.state.move,
+        TRANSITIONS[now.state.mode, stop_event(config, now.state.mode, now.state.joints)],
+    )
     return replace(now, state=replace(now.state, move=stopping))
-
-
-def stopping_event(config: Config, now: Situation) -> Event:
-    """What a stop is: of an arm that has not left its stow yet, or of any other."""
-    still_stowed = now.state.mode is Mode.FREE_SPACE and at_stow(config, now.state.joints)
-    return Event.STOP_STOWED if still_stowed else Event.STOP
 
 
 def sequence_over(now: Situation, evr: Evr) -> Situation:
@@ -53,7 +52,7 @@ def _clearing(config: Config, now: Situation) -> Event:
     say now; one that pressed may press.
     """
     fault = now.state.fault
-    if now.state.pressing is not None:
+    if now.state.pressing is not None and now.state.pressing.force_N > 0:
         return Event.CLEAR_PRESSED
     if now.touching or (fault is not None and fault.may_touch):
         return Event.CLEAR_TOUCHING

@@ -60,11 +60,15 @@ class Press:
 
 
 def touching(config: Config, joints: JointEstimate, tool: Tool) -> Pressing:
-    """A tool in contact as it is believed to stand, before it presses."""
-    compensation = Compensation()
-    output = joints.motor_rad + compensation.allowance(joints, standing(joints).gear_rad)
-    X_RT = tool_pose(config.arm, rest(config.arm, output, joints.gravity_R_m_s2).frames, tool)
-    return Pressing(tool, X_RT.p, X_RT.R[:, 0], 0.0)
+    """A tool as a guarded move leaves it: its switch closed, and the move then went on a little."""
+    motion, arm, gravity = config.params.motion, config.arm, joints.gravity_R_m_s2
+    output = joints.motor_rad + Compensation().allowance(joints, standing(joints).gear_rad)
+    X_RT = tool_pose(arm, rest(arm, output, gravity).frames, tool)
+    free = Pressing(tool, X_RT.p, X_RT.R[:, 0], 1.0)
+    yields_m = free.axis_R @ (X_RT.p - tool_pose(arm, rest(arm, output, gravity, free.pushed).frames, tool).p)
+    firm = replace(free, force_N=motion.switch_force_N + motion.contact_firm_m / float(yields_m))
+    pushed = tool_pose(arm, rest(arm, output, gravity, firm.pushed).frames, tool)
+    return replace(firm, p_RoTo_R_m=pushed.p, axis_R=pushed.R[:, 0])
 
 
 def plan_press(

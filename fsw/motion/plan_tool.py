@@ -15,6 +15,7 @@ from fsw.kinematics.chain import Frames, tool_pose
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array, Pose
+from fsw.motion.clear import blocked
 from fsw.motion.compensation import Compensation
 from fsw.motion.plan import Plan, Refusal, plan_to, standing
 from fsw.motion.plan_line import plan_straight
@@ -25,7 +26,7 @@ AUTO = "AUTO"
 def plan_tool(
     config: Config, joints: JointEstimate, command: MoveTool, reference: Tool | None = None
 ) -> Plan | Refusal:
-    """A joint move to the quickest valid branch from where the joints are, or to the named one.
+    """A joint move to the quickest valid and clear branch from where the joints are, or to the named one.
 
     A branch is valid if the target and the end of the straight travel after it are within limits. Relative
     to `reference`, or else to the tool itself, a target moves along with that tool's deflection of now.
@@ -41,7 +42,8 @@ def plan_tool(
         np.tile(approach[:, None], 2),
     )
     if command.straight:
-        return plan_straight(config, joints, command, targets[:, 0], approaches[:, 0])
+        plan = plan_straight(config, joints, command, targets[:, 0], approaches[:, 0])
+        return plan if isinstance(plan, Refusal) else _if_clear(config, joints, plan)
     answers = inverse_kinematics(
         config.arm, command.tool, targets, approaches, compensation.gravity(joints), joints.motor_rad
     )
@@ -52,10 +54,21 @@ def plan_tool(
         return Refusal(_why_none(config, command.tool, answers, wanted))
     output = answers.output_rad[..., 0]
     turns_s = np.abs(output - joints.output_rad[:, None]) / config.speed_rad_s[:, None]
-    best = int(np.argmin(np.where(valid & wanted, np.max(turns_s, axis=0), np.inf)))
-    load_Nm = rest(config.arm, output[:, best], joints.gravity_R_m_s2).torque_Nm
-    plan = plan_to(config, joints, standing(joints), output[:, best], load_Nm, compensation)
-    return replace(plan, branch=names[best])
+    duration = np.where(valid & wanted, np.max(turns_s, axis=0), np.inf)
+    met = []
+    for slot in np.argsort(duration)[: np.count_nonzero(valid & wanted)]:
+        load_Nm = rest(config.arm, output[:, slot], joints.gravity_R_m_s2).torque_Nm
+        plan = plan_to(config, joints, standing(joints), output[:, slot], load_Nm, compensation)
+        clear = _if_clear(config, joints, plan)
+        if not isinstance(clear, Refusal):
+            return replace(clear, branch=names[slot])
+        met.append(f"{names[slot]}: {clear.reason}")
+    return Refusal(f"{command.tool.name}: {met[0]}")
+
+
+def _if_clear(config: Config, joints: JointEstimate, plan: Plan) -> Plan | Refusal:
+    meeting = blocked(config, joints, plan.paths, config.params.collision.padding_m)
+    return plan if meeting is None else Refusal(meeting)
 
 
 def _in_rover(

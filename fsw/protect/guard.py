@@ -6,13 +6,16 @@ from typing import assert_never
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.evrs import Evr, FaultResponse
+from fsw.dictionary.evrs import CommandAborted, Evr, FaultResponse
 from fsw.dictionary.faults import ContactInFreeSpace
 from fsw.dictionary.modes import Mode
 from fsw.estimate.joints import JointEstimate
 from fsw.executive.modes import TRANSITIONS, Event
+from fsw.executive.sequence import Sequence
+from fsw.executive.stow import stop_event
 from fsw.kinematics.transforms import Array
-from fsw.motion.move import Move, Phase, gone
+from fsw.motion.drive import NONE
+from fsw.motion.move import Move, Phase, gone, stop
 from fsw.motion.paths import Setpoint
 from fsw.protect.responses import Response, response_to
 
@@ -31,7 +34,7 @@ class StandingFault:
     def may_touch(self) -> bool:
         """Whether the arm may be in contact with something."""
         on_contact = any(event is ContactInFreeSpace for event, _ in self.reported)
-        return on_contact or self.mode in (Mode.GUARDED, Mode.RETRACTING)
+        return on_contact or self.mode in (Mode.GUARDED, Mode.RETRACTING, Mode.PRELOAD)
 
 
 def kind_of(evr: Evr) -> Kind:
@@ -42,10 +45,11 @@ def kind_of(evr: Evr) -> Kind:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Guarded:
-    """Mode, move and fault after protection, and the events to report."""
+    """Mode, move, sequence and fault after protection, and the events to report."""
 
     mode: Mode
     move: Move | None
+    sequence: Sequence | None
     fault: StandingFault | None
     evrs: tuple[Evr, ...]
 
@@ -68,19 +72,38 @@ def guard(
             return before
         reported = before.fault.reported | {kind_of(evr) for evr in new}
         return replace(before, fault=replace(before.fault, reported=reported), evrs=new)
-    response = response_to(found)
+    response, move = response_to(found), before.move
     match response:
         case None:
             return replace(before, evrs=found)
-        case Response.BRAKE_AND_REFUSE:
+        case Response.STOP_AND_BRAKE:
+            return _stopped(config, replace(before, evrs=(*found, FaultResponse(response.value))), joints)
+        case Response.BRAKE_AND_REFUSE | Response.POWER_OFF:
+            if move is not None:
+                move = brake(config, move, last_rad, joints)
+                if response is Response.POWER_OFF:
+                    move = replace(move, active=NONE)
             return Guarded(
                 mode=TRANSITIONS[before.mode, Event.FAULT],
-                move=None if before.move is None else brake(config, before.move, last_rad, joints),
+                move=move,
+                sequence=before.sequence,
                 fault=StandingFault(before.mode, frozenset(kind_of(evr) for evr in found)),
                 evrs=(*found, FaultResponse(response.value)),
             )
         case _:
             assert_never(response)
+
+
+def _stopped(config: Config, before: Guarded, joints: JointEstimate) -> Guarded:
+    """As after a commanded stop; what is being stopped already goes on as it is."""
+    sequence, move, evrs = before.sequence, before.move, before.evrs
+    if sequence is not None:
+        evrs = (*evrs, CommandAborted(sequence.command))
+    if move is not None and not move.stopped:
+        move = stop(config, move, TRANSITIONS[before.mode, stop_event(config, before.mode, joints)])
+        if move.phase is Phase.SETTLE:
+            move = replace(move, phase=Phase.BRAKE, ticks=0)
+    return replace(before, move=move, sequence=None, evrs=evrs)
 
 
 def brake(config: Config, move: Move, last_rad: Array, joints: JointEstimate) -> Move:

@@ -1,150 +1,119 @@
-"""Monitors: they say what happened and decide nothing. Each has a bound and a persistence of its own."""
+"""All monitors of a cycle: they say what happened and decide nothing. docs/faults.md lists them.
 
-from dataclasses import dataclass
-from math import hypot, isfinite
+Each has a bound, and most a persistence: for how many cycles in a row the bound must be passed.
+"""
+
+from dataclasses import dataclass, replace
+from math import inf
 from typing import Final
 
 import numpy as np
 
 from fsw.config import Config
 from fsw.dictionary.evrs import Evr
-from fsw.dictionary.faults import (
-    ContactInFreeSpace,
-    FollowingErrorHigh,
-    GravityImplausible,
-    OverCurrent,
-    ResolverDisagrees,
-    SensorNotFinite,
-    SoftLimitPassed,
-)
-from fsw.dictionary.joints import SWITCHES_OF, Joint, Switch
 from fsw.dictionary.modes import Mode
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.transforms import Array
-from fsw.messages import Flags, Sensors
+from fsw.messages import Sensors
 from fsw.motion.move import Move, Phase
+from fsw.motion.plan_press import Pressing
+from fsw.protect import motors
+from fsw.protect.readings import LIVELY, frozen, lively, missed
+from fsw.protect.tilt import tilt
+from fsw.protect.touch import contact, contact_lost, preload_outside
 
 
 @dataclass(frozen=True, slots=True)
-class MonitorState:
+class Counts:
     """How many cycles in a row each persistent monitor has been beyond its bound."""
 
-    following: int
-    over_current: int
-    resolver: int
+    following: int = 0
+    stalled: int = 0
+    over_current: int = 0
+    winding: int = 0
+    resolver: int = 0
+    tilt: int = 0
+    contact: int = 0
+    preload: int = 0
 
 
-QUIET: Final = MonitorState(0, 0, 0)
+QUIET: Final = Counts()
 
 
-def unusable(config: Config, sensors: Sensors) -> tuple[Evr, ...]:
-    """Readings that nothing may be computed from.
+@dataclass(frozen=True, slots=True, eq=False)
+class MonitorState:
+    """What monitors remember of the cycles before."""
 
-    This comes first: comparisons with NaN are all false and clip nothing, and a wild value stays in filters.
-    """
-    analog = (
-        ("resolver_rad", sensors.resolver_rad),
-        ("current_A", sensors.current_A),
-        ("winding_C", sensors.winding_C),
-        ("gravity_R_m_s2", sensors.gravity_R_m_s2),
-    )
-    # hypot neither overflows nor warns, and is finite only if all its arguments are
-    found = tuple(SensorNotFinite(name) for name, values in analog if not isfinite(hypot(*values.tolist())))
-    if found:
-        return found
-    gravity, bounds = hypot(*sensors.gravity_R_m_s2.tolist()), config.params.monitors
-    if bounds.gravity_min_m_s2 <= gravity <= bounds.gravity_max_m_s2:
-        return ()
-    return (GravityImplausible(gravity, bounds.gravity_min_m_s2, bounds.gravity_max_m_s2),)
+    counts: Counts = QUIET
+    cycle: int | None = None
+    """The avionics' count when flight software was called last."""
+    readings: tuple[float, ...] = (inf,) * len(LIVELY)
+    """Of the sensors that have noise."""
+    same: tuple[int, ...] = (0,) * len(LIVELY)
+    """For how many cycles each of those readings has been the same."""
+    planned_gravity_R: Array | None = None
+    """What gravity was when the move under way began."""
 
 
 def watch(
-    config: Config, last: MonitorState, mode: Mode, move: Move | None, sensors: Sensors, joints: JointEstimate
+    config: Config,
+    last: MonitorState,
+    mode: Mode,
+    move: Move | None,
+    sensors: Sensors,
+    joints: JointEstimate,
+    pressing: Pressing | None,
+    usable: bool,
 ) -> tuple[MonitorState, tuple[Evr, ...]]:
-    """All other monitors, on finite readings: the state for the next cycle and what was found."""
-    evrs: tuple[Evr, ...] = ()
+    """The state for the next cycle and what was found; of unusable readings, only how many came."""
+    evrs = missed(config, last.cycle, sensors.cycle)
+    planned = None
     if move is not None:
-        evrs += _soft_limits(config, move, joints.motor_rad)
+        planned = joints.gravity_R_m_s2 if last.planned_gravity_R is None else last.planned_gravity_R
+    if not usable:
+        return replace(last, cycle=sensors.cycle, planned_gravity_R=planned), evrs
+    readings = lively(sensors)
+    same, dead = frozen(config, last.same, last.readings, readings)
+    counts, found = _watch_arm(config, last.counts, mode, move, sensors, joints, pressing, planned)
+    return MonitorState(counts, sensors.cycle, readings, same, planned), evrs + dead + found
+
+
+def _watch_arm(
+    config: Config,
+    last: Counts,
+    mode: Mode,
+    move: Move | None,
+    sensors: Sensors,
+    joints: JointEstimate,
+    pressing: Pressing | None,
+    planned_gravity_R: Array | None,
+) -> tuple[Counts, tuple[Evr, ...]]:
+    """The monitors that need readings to compute with."""
+    evrs: tuple[Evr, ...] = ()
+    bounds = config.params.monitors
     if sensors.switch_closed.any():
-        evrs += _contact(mode, move, sensors.switch_closed)
-    resolver, apart = _resolver(config, last.resolver, joints)
-    evrs += apart
-    if move is None or move.phase is Phase.RELEASE:
-        return QUIET if resolver == 0 else MonitorState(0, 0, resolver), evrs
-    following, found = _following(config, last.following, move.hold.motor_rad, joints.motor_rad)
-    over_current, drawn = _over_current(config, last.over_current, sensors.current_A)
-    counts = MonitorState(following, over_current, resolver)
-    return QUIET if counts == QUIET else counts, evrs + found + drawn
-
-
-def _soft_limits(config: Config, move: Move, motor_rad: Array) -> tuple[Evr, ...]:
-    """A joint beyond a limit that is not being moved back; an arm at rest has nothing to be stopped."""
-    below, above = motor_rad < lowest_for(config, move), motor_rad > config.highest_rad
-    if not (below.any() or above.any()):
-        return ()
-    rate_rad_s = move.hold.rate_rad_s
-    below, above = below & (rate_rad_s < 0), above & (rate_rad_s > 0)
-    if not (below.any() or above.any()):
-        return ()
-    joint = Joint(int(np.argmax(below | above)))
-    lowest = config.arm.soft_min_rad if move.seek is None else lowest_for(config, move)
-    limit = lowest[joint] if below[joint] else config.arm.soft_max_rad[joint]
-    return (SoftLimitPassed(joint, float(motor_rad[joint]), float(limit)),)
-
-
-def lowest_for(config: Config, move: Move) -> Array:
-    """Motor angles not to be passed: a joint that seeks its hardstop goes beyond its soft limit."""
-    return config.lowest_rad if move.seek is None else config.lowest_seeking_rad[move.seek.joint]
-
-
-def _resolver(config: Config, last: int, joints: JointEstimate) -> tuple[int, tuple[Evr, ...]]:
-    """A resolver away from the believed output of its joint by more than its bound and what is unknown."""
-    bounds = config.params.monitors
-    error_rad = np.abs(joints.resolver_error_rad)
-    if error_rad.max() <= bounds.resolver_error_rad:
-        return 0, ()
-    excess = error_rad - joints.uncertainty_rad - bounds.resolver_error_rad
-    excess = np.where(joints.reference.calibrated, excess, -np.inf)
-    if excess.max() <= 0:
-        return 0, ()
-    if last + 1 < bounds.resolver_persistence:
-        return last + 1, ()
-    joint = Joint(int(excess.argmax()))
-    error = float(joints.resolver_error_rad[joint])
-    return last + 1, (ResolverDisagrees(joint, error, abs(error) - float(excess[joint])),)
-
-
-def _contact(mode: Mode, move: Move | None, closed: Flags) -> tuple[Evr, ...]:
-    """A closed switch where nothing was to be touched: any in free space, another tool's when guarded."""
-    expected: tuple[Switch, ...] = ()
-    if mode in (Mode.GUARDED, Mode.RETRACTING, Mode.PRELOAD, Mode.FAULTED):
-        expected = (
-            SWITCHES_OF[move.guarded] if move is not None and move.guarded is not None else tuple(Switch)
-        )
-    found = next((switch for switch in Switch if closed[switch] and switch not in expected), None)
-    return () if found is None else (ContactInFreeSpace(found),)
-
-
-def _following(
-    config: Config, last: int, setpoint_rad: Array, motor_rad: Array
-) -> tuple[int, tuple[Evr, ...]]:
-    bounds = config.params.monitors
-    error = np.abs(setpoint_rad - motor_rad)
-    if error.max() <= bounds.following_error_rad:
-        return 0, ()
-    if last + 1 < bounds.following_persistence:
-        return last + 1, ()
-    joint = Joint(int(error.argmax()))
-    return last + 1, (FollowingErrorHigh(joint, float(error[joint]), bounds.following_error_rad),)
-
-
-def _over_current(config: Config, last: int, current_A: Array) -> tuple[int, tuple[Evr, ...]]:
-    bounds = config.params.monitors
-    bound = bounds.over_current_fraction * config.current_limit_A
-    excess = np.abs(current_A) - bound
-    if excess.max() <= 0:
-        return 0, ()
-    if last + 1 < bounds.over_current_persistence:
-        return last + 1, ()
-    joint = Joint(int(excess.argmax()))
-    return last + 1, (OverCurrent(joint, float(current_A[joint]), float(bound[joint])),)
+        evrs += contact(mode, move, sensors.switch_closed)
+    resolver, apart = motors.resolver(config, last.resolver, joints)
+    moving = move is not None and not move.stopped
+    winding, heat = motors.winding(config, last.winding, moving, sensors.winding_C)
+    evrs += apart + heat
+    tilted = following = stalled = drawn = lost = outside = 0
+    if move is not None and planned_gravity_R is not None:
+        evrs += motors.soft_limits(config, move, joints.motor_rad)
+        tilted, turned = tilt(config, last.tilt, planned_gravity_R, joints.imu_R_m_s2)
+        evrs += turned
+        if move.phase is not Phase.RELEASE:
+            error = np.abs(move.hold.motor_rad - joints.motor_rad)
+            if error.max() > min(bounds.stall_error_rad, bounds.following_error_rad):
+                stalled, still = motors.stalled(config, last.stalled, move, error, joints)
+                following, behind = motors.following(config, last.following, error)
+                evrs += still + behind
+            drawn, high = motors.over_current(config, last.over_current, sensors.current_A)
+            evrs += high
+        if moving and move.press is not None and pressing is not None:
+            lost, gone = contact_lost(config, last.contact, pressing, sensors.switch_closed)
+            outside, force = preload_outside(config, last.preload, pressing, move.press.torque_per_N, joints)
+            evrs += gone + force
+    if not (tilted or following or stalled or drawn or winding or resolver or lost or outside):
+        return QUIET, evrs
+    return Counts(following, stalled, drawn, winding, resolver, tilted, lost, outside), evrs

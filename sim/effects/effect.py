@@ -1,12 +1,26 @@
 """An effect: one way in which a built arm differs from the drawing."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
+from fsw.messages import Sensors
+from sim.plant import Plant
+
+
+class Spoilt(Protocol):
+    """Something wrong with a sensor."""
+
+    def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
+        """The readings as they come, of what they would be."""
+
+    def held(self, sensors: Sensors) -> "Spoilt":
+        """The same, knowing what was read when it began."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,9 +43,18 @@ class Hardware:
     """Thermal resistance from winding to ambient."""
     winding_s: Array
     """Thermal time constant."""
-    ambient_C: float
+    ambient_C: Array
+    """Around each motor."""
     power_until_s: float
     """When the bus voltage goes for good; brakes hold without power."""
+    brake_stuck: NDArray[np.bool_]
+    """Brakes that, once on, do not release."""
+    missed_cycles: int
+    """For how many cycles from now on flight software is not called."""
+    spoilt: tuple["Spoilt", ...]
+    """What is wrong with sensors by now."""
+    timed: tuple["Timed", ...]
+    """What is still to happen."""
 
 
 def nominal_hardware() -> Hardware:
@@ -48,8 +71,12 @@ def nominal_hardware() -> Hardware:
         switch_force_N=2.0,
         winding_K_W=np.array([2.0, 2.0, 2.0, 3.0, 3.0]),
         winding_s=np.array([900.0, 900.0, 900.0, 600.0, 600.0]),
-        ambient_C=20.0,
+        ambient_C=np.full(5, 20.0),
         power_until_s=np.inf,
+        brake_stuck=np.zeros(5, bool),
+        missed_cycles=0,
+        spoilt=(),
+        timed=(),
     )
 
 
@@ -70,6 +97,21 @@ class Effect:
     def on_params(self, params: Params) -> Params:
         """The flight parameters that know this effect."""
         return params
+
+
+@dataclass(frozen=True, slots=True)
+class Timed(Effect):
+    """An effect that begins at a moment of the run, with the first cycle that is not before it."""
+
+    at_s: float
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        """It is to come."""
+        return replace(hardware, timed=(*hardware.timed, self))
+
+    def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
+        """Change the running plant; the avionics and sensors from now on."""
+        return hardware
 
 
 def at_index(values: Array, index: int, value: float) -> Array:

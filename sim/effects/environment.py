@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import mujoco
+import numpy as np
 
 from fsw.dictionary.joints import Joint
 from sim.effects.effect import Effect, Hardware
@@ -30,7 +31,7 @@ class Ambient(Effect):
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """Windings begin at this temperature."""
-        return replace(hardware, ambient_C=self.temperature_C)
+        return replace(hardware, ambient_C=np.full(len(Joint), self.temperature_C))
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from fsw.state import State, boot
 from sim.arms import arm_named
 
 MARS_R_m_s2 = np.array([0.0, 0.0, 3.711])
+DITHER = 1e-12
 
 
 @lru_cache
@@ -64,16 +65,21 @@ def frozen(values, dtype=float) -> np.ndarray:
     return array
 
 
+def alive(cycle: int) -> float:
+    """The least noise that tells a live sensor from a frozen one."""
+    return DITHER * (-1) ** cycle
+
+
 def quiet_sensors(encoder_count, cycle: int = 0, **other) -> Sensors:
     """Every reading as it is when nothing happens; arrays that raise if anyone writes to them."""
     sensors = Sensors(
         cycle=cycle,
         encoder_count=frozen(encoder_count, np.int64),
-        resolver_rad=frozen(np.zeros(5)),
-        current_A=frozen(np.zeros(5)),
+        resolver_rad=frozen(np.full(5, alive(cycle))),
+        current_A=frozen(np.full(5, alive(cycle))),
         winding_C=frozen(np.full(5, -40.0)),
         switch_closed=frozen(np.zeros(10), bool),
-        gravity_R_m_s2=frozen(MARS_R_m_s2),
+        gravity_R_m_s2=frozen(MARS_R_m_s2 + alive(cycle)),
     )
     given = {name: frozen(v, getattr(sensors, name).dtype) for name, v in other.items()}
     return replace(sensors, **given)
@@ -101,7 +107,8 @@ class Rig:
 
     def resolver_rad(self) -> np.ndarray:
         """The outputs where flight software takes them to be in their gears."""
-        return self.count * self.config.rad_per_count + self.state.joints.gear_rad[:, LIKELY]
+        where = self.count * self.config.rad_per_count + self.state.joints.gear_rad[:, LIKELY]
+        return where + alive(self.cycles)
 
     def cycle(self, *commands: Command, **readings) -> Outputs:
         self.cycles += 1

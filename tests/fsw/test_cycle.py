@@ -14,7 +14,7 @@ from fsw.dictionary.joints import SWITCHES_OF, Joint, Tool
 from fsw.dictionary.modes import Mode
 from fsw.state import boot, outputs_at_rest
 from sim.params import nominal_params
-from tests.fsw.rig import Rig, config_of, facing, floats, quiet_sensors, with_params
+from tests.fsw.rig import Rig, alive, config_of, facing, floats, quiet_sensors, with_params
 
 CONFIG = config_of()
 START = facing(CONFIG, Tool.APXS)
@@ -67,7 +67,8 @@ def test_same_arguments_same_outputs_bit_for_bit_and_arguments_unchanged():
     for tick in range(700):
         commands = script.get(tick, (Retract(Tool.APXS, 0.003),) if tick == 650 else ())
         bad = {"current_A": [np.nan] * 5} if tick == 600 else {}
-        sensors = quiet_sensors(count, resolver_rad=count * config.rad_per_count, **bad)
+        read = count * config.rad_per_count + alive(tick)
+        sensors = quiet_sensors(count, cycle=tick, resolver_rad=read, **bad)
         seal(state)
         before = content(state)
         first = step(config, state, sensors, commands)

@@ -281,7 +281,7 @@ def test_in_the_cold_every_motor_has_more_friction_and_is_as_cold_as_it_is(
         motor_friction(built(effect)), motor_friction(built()), (COULOMB_COLD, VISCOUS_COLD), strict=True
     ):
         np.testing.assert_allclose(one / warm, cold**share)
-    assert effect.on_hardware(nominal_hardware()).ambient_C == temperature_C
+    assert (effect.on_hardware(nominal_hardware()).ambient_C == temperature_C).all()
     assert known(effect) == PARAMS
 
 

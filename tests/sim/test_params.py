@@ -130,6 +130,18 @@ BAD = {
             "tools.apxs.transform.beta_rad: -1.2 ",
         ],
     ),
+    "a part without a shape": (
+        "[collision.arm.link3]\ncapsules = []\n[collision.rover.mast_head]\nboxes = []\n",
+        ["collision.arm.link3: has neither ", "collision.rover.mast_head: has neither "],
+    ),
+    "a box inside out": (
+        "[[collision.rover.chassis.boxes]]\ncentre_m = [0.0, 0.0, 0.3]\nhalf_m = [0.8, -0.6, 0.3]\n",
+        ["collision.rover.chassis.boxes.0.half_m: (0.8, -0.6, 0.3) must be positive"],
+    ),
+    "a capsule without a radius": (
+        "[[collision.arm.link5.capsules]]\nfrom_m = [0, 0, 0.0]\nto_m = [0, 0, 0.1]\nradius_m = 0.0\n",
+        ["collision.arm.link5.capsules.0.radius_m: 0.0 is outside 0.001 .. 1.0"],
+    ),
     "a tool that there is not": ("[tools.scoop.transform]\na_m = 0.3\n", ["tools.scoop: is not a parameter"]),
     "a link that there is not": ("[links.arm7.transform]\na_m = 0.3\n", ["links.arm7: is not a parameter"]),
     "a number for a tool": ("[tools]\ndrill = 3\n", ["tools.drill: "]),
@@ -271,10 +283,14 @@ def test_any_number_that_is_not_one_is_named(monkeypatch: pytest.MonkeyPatch) ->
             group = group[key]
         group[place[-1]] = float("nan")
         monkeypatch.setattr(loader, "_nominal_table", lambda table=table: table)
-        field = ".".join(key for key in place if isinstance(key, str))
+        field = ".".join(str(key) for key in place[: 1 + _last_name(place)])
         with pytest.raises(BadParams, match=rf"nominal\.toml: {re.escape(field)}\b"):
             nominal_params()
         monkeypatch.undo()
+
+
+def _last_name(place: tuple[str | int, ...]) -> int:
+    return max(k for k, key in enumerate(place) if isinstance(key, str))
 
 
 def numbers_of(table: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:

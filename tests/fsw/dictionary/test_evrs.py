@@ -65,6 +65,19 @@ SENTENCES = {
     faults.ContactInFreeSpace(Switch.DRT_2): "contact on DRT_2 in free space",
     faults.NoContact(0.15): "no contact within 0.1500 m of guarded travel",
     faults.NotSettled(Joint.AZIMUTH, 1e-4): "AZIMUTH not settled: 0.000100 rad from its set-point",
+    faults.MotorStalled(Joint.ELBOW, 0.0, -0.01): (
+        "ELBOW stalled: turns at 0.00000 rad/s, asked for -0.01000 rad/s"
+    ),
+    faults.OverTemperature(Joint.WRIST, 95.04, 90.0): "WRIST: winding at 95.0 degC, bound 90.0 degC",
+    faults.UnderTemperature(Joint.WRIST, -75.0, -70.0): "WRIST: winding at -75.0 degC, bound -70.0 degC",
+    faults.SensorFrozen("current_A", 64): "current_A reads the same for 64 cycles",
+    faults.CyclesMissed(9, 4): "9 cycles missed, at most 4 are tolerated",
+    faults.TiltChanged(0.0123, 0.01): "gravity turned by 0.0123 rad, bound 0.0100 rad",
+    faults.ContactLost(Tool.DRILL): "DRILL lost contact",
+    faults.PreloadOutside(Tool.DRILL, 300.0, -120.04, 100.0): (
+        "force on DRILL off by -120.0 N from 300.0 N, bound 100.0 N"
+    ),
+    evrs.CyclesSkipped(3): "3 cycles missed",
     evrs.FaultResponse("BRAKE_AND_REFUSE"): "response BRAKE_AND_REFUSE",
     evrs.FaultCleared(): "fault cleared",
     evrs.Preloaded(Tool.DRILL, 300.0): "DRILL pressed with 300.0 N",

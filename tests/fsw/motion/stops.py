@@ -5,7 +5,7 @@ import numpy as np
 from fsw.config import Config
 from fsw.dictionary.commands import Command
 from fsw.messages import Outputs
-from tests.fsw.rig import Rig
+from tests.fsw.rig import Rig, alive
 
 FRICTION_NM = 60.0
 """Of motor and gear."""
@@ -36,7 +36,9 @@ class StopRig(Rig):
         return self.count * self.config.rad_per_count - self.zero_error_rad
 
     def resolver_rad(self) -> np.ndarray:
-        return super().resolver_rad() - self.zero_error_rad if self.output_rad is None else self.output_rad
+        if self.output_rad is None:
+            return super().resolver_rad() - self.zero_error_rad
+        return self.output_rad + alive(self.cycles)
 
     def cycle(self, *commands: Command, **readings) -> Outputs:
         before = self.count

@@ -51,9 +51,9 @@ def test_a_force_is_changed_and_released_the_way_it_came():
     rig.run(Preload(Tool.APXS, 80.0), **TOUCHED)
     assert (rig.state.mode, rig.state.pressing.force_N) == (Mode.PRELOAD, 80.0)
     assert CommandCompleted("Preload") in rig.run(Preload(Tool.APXS, 0.0), **TOUCHED)
-    assert (rig.state.mode, rig.state.pressing) == (Mode.GUARDED, None)
+    assert (rig.state.mode, rig.state.pressing.force_N) == (Mode.GUARDED, 0.0)
     rig.cycle(Retract(Tool.APXS, 0.02), **TOUCHED)
-    assert rig.state.mode is Mode.RETRACTING
+    assert (rig.state.mode, rig.state.pressing) == (Mode.RETRACTING, None)
 
 
 def test_every_joint_carries_the_force_times_its_lever():
@@ -124,4 +124,4 @@ def test_a_press_that_ends_early_is_remembered_and_can_be_released(end):
     assert rig.state.mode is Mode.PRELOAD
     assert 95.0 < rig.state.pressing.force_N < 120.0
     rig.run(Preload(Tool.APXS, 0.0), **TOUCHED)
-    assert (rig.state.mode, rig.state.pressing) == (Mode.GUARDED, None)
+    assert (rig.state.mode, rig.state.pressing.force_N) == (Mode.GUARDED, 0.0)

@@ -11,7 +11,7 @@ from fsw.dictionary.faults import GravityImplausible, SensorNotFinite
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
 from fsw.messages import Sensors
-from fsw.protect.monitors import unusable
+from fsw.protect.readings import unusable
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, quiet_sensors
 
 CONFIG = config_of()
@@ -49,7 +49,7 @@ def finite(drive):
 
 def test_every_field_that_can_be_no_number_is_tested_here():
     quiet = quiet_sensors(np.zeros(5))
-    analog = {f.name for f in fields(Sensors) if getattr(quiet, f.name).dtype.kind == "f"}
+    analog = {f.name for f in fields(Sensors) if np.asarray(getattr(quiet, f.name)).dtype.kind == "f"}
     assert analog == set(QUIET)
 
 

@@ -1,0 +1,77 @@
+"""Monitors of what the arm touches: where nothing should be, where something should, and how hard."""
+
+import numpy as np
+
+from fsw.config import Config
+from fsw.dictionary.evrs import Evr
+from fsw.dictionary.faults import ContactInFreeSpace, ContactLost, PreloadOutside
+from fsw.dictionary.joints import SWITCHES_OF, Switch
+from fsw.dictionary.modes import Mode
+from fsw.estimate.gear import LIKELY
+from fsw.estimate.joints import JointEstimate
+from fsw.kinematics.transforms import Array
+from fsw.messages import Flags
+from fsw.motion.move import Move
+from fsw.motion.plan_press import Pressing
+
+MAY_TOUCH = (Mode.GUARDED, Mode.RETRACTING, Mode.PRELOAD, Mode.FAULTED)
+
+
+def contact(mode: Mode, move: Move | None, closed: Flags) -> tuple[Evr, ...]:
+    """A closed switch where nothing was to be touched: any in free space, another tool's when guarded."""
+    expected: tuple[Switch, ...] = ()
+    if mode in MAY_TOUCH:
+        expected = (
+            SWITCHES_OF[move.guarded] if move is not None and move.guarded is not None else tuple(Switch)
+        )
+    found = next((switch for switch in Switch if closed[switch] and switch not in expected), None)
+    return () if found is None else (ContactInFreeSpace(found),)
+
+
+def contact_lost(config: Config, last: int, pressing: Pressing, closed: Flags) -> tuple[int, tuple[Evr, ...]]:
+    """A tool that is to press and has no switch closed: how many cycles it has been so, and what was found.
+
+    One closed switch is enough, so that the other may be dead. With less than the smallest step of a press
+    a switch may well be open.
+    """
+    firm = pressing.force_N > config.params.preload.step_N
+    if not firm or any(closed[switch] for switch in SWITCHES_OF[pressing.tool]):
+        return 0, ()
+    lost = last + 1 >= config.params.monitors.contact_persistence
+    return last + 1, (ContactLost(pressing.tool),) if lost else ()
+
+
+def preload_outside(
+    config: Config, last: int, pressing: Pressing, torque_per_N: Array, joints: JointEstimate
+) -> tuple[int, tuple[Evr, ...]]:
+    """A force on the tool that is not the one that it is believed to press with.
+
+    `torque_per_N` is by how much each joint's load rises with the force, (5,).
+    """
+    bounds, error_N = config.params.monitors, force_error_N(config, torque_per_N, joints)
+    if abs(error_N) <= bounds.preload_error_N:
+        return 0, ()
+    if last + 1 < bounds.preload_persistence:
+        return last + 1, ()
+    outside = PreloadOutside(pressing.tool, pressing.force_N, error_N, bounds.preload_error_N)
+    return last + 1, (outside,)
+
+
+def force_error_N(config: Config, torque_per_N: Array, joints: JointEstimate) -> float:
+    """True less believed force on a tool, as far as the resolvers tell it through the wind-up of the gears.
+
+    An output that is farther along than believed carries more than believed; of what each joint carries too
+    much, the part that a force takes is the least-squares fit. What is not known of a gear angle is taken off
+    first, and joints do not count that a force off by half its bound could take to the other side of their
+    gap: a gap that is crossed early or late is no force.
+    """
+    stiffness, half = config.arm.gear_stiffness_Nm_rad, joints.reference.half_gap_rad
+    beyond = half + 0.5 * config.params.monitors.preload_error_N * np.abs(torque_per_N) / stiffness
+    low, high = joints.bounds.lowest_rad[:, LIKELY], joints.bounds.highest_rad[:, LIKELY]
+    counts = ((low > beyond) | (high < -beyond)) & joints.reference.calibrated
+    if not counts.any():
+        return 0.0
+    error_rad = joints.resolver_error_rad
+    sure_rad = np.maximum(np.abs(error_rad) - joints.uncertainty_rad, 0.0) * np.sign(error_rad)
+    per_N = torque_per_N[counts]
+    return float(per_N @ (stiffness * sure_rad)[counts] / (per_N @ per_N))

@@ -1,0 +1,197 @@
+"""What can break in the middle of a run."""
+
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import numpy as np
+
+from fsw.dictionary.joints import Joint
+from fsw.kinematics.transforms import Array
+from fsw.messages import Sensors
+from sim.effects.effect import Hardware, Timed, at_index
+from sim.effects.environment import PowerLoss
+from sim.frames import FLIP, gravity_in_rover
+from sim.plant import MOTOR_CONSTANT, Plant
+
+SensorName = Literal[
+    "encoder_count", "resolver_rad", "current_A", "winding_C", "switch_closed", "gravity_R_m_s2"
+]
+SensorKind = Literal["frozen", "biased", "noisy", "nan"]
+NO_NAN: Final = ("encoder_count", "switch_closed")
+CLOSED: Final = 0.5
+"""A switch that reads more than this, bias and noise added to 0 or 1, is closed."""
+
+
+@dataclass(frozen=True, slots=True)
+class SensorFault(Timed):
+    """A sensor that keeps its reading, reads too much, is noisy (one sigma), or reads no number.
+
+    `index` is which joint, switch or axis; None is all of them. `size` is in the unit of the sensor, of a
+    contact switch 1 is from open to closed. ValueError for a count or a switch that is to read no number.
+    """
+
+    sensor: SensorName
+    kind: SensorKind
+    index: int | None = None
+    size: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.kind == "nan" and self.sensor in NO_NAN:
+            raise ValueError(f"{self.sensor} cannot read nan; write frozen, biased or noisy")
+
+    def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
+        """From now on."""
+        return replace(hardware, spoilt=(*hardware.spoilt, SpoiltSensor(self)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SpoiltSensor:
+    """A sensor fault that has begun."""
+
+    fault: SensorFault
+    stood: Array | None = None
+    """What it read when it began."""
+
+    def held(self, sensors: Sensors) -> "SpoiltSensor":
+        """The same, knowing what was read when it began."""
+        return self if self.stood is not None else replace(self, stood=self._of(sensors))
+
+    def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
+        """The readings as they come, of what they would be."""
+        true, fault = self._of(sensors), self.fault
+        match fault.kind:
+            case "frozen":
+                wrong = true if self.stood is None else self.stood
+            case "biased":
+                wrong = true + fault.size
+            case "noisy":
+                wrong = true + fault.size * rng.standard_normal(true.size)
+            case "nan":
+                wrong = np.full_like(true, np.nan)
+        if fault.index is not None:
+            wrong = np.where(np.arange(true.size) == fault.index, wrong, true)
+        match fault.sensor:
+            case "encoder_count":
+                return replace(sensors, encoder_count=np.rint(wrong).astype(np.int64))
+            case "switch_closed":
+                return replace(sensors, switch_closed=wrong > CLOSED)
+            case "resolver_rad":
+                return replace(sensors, resolver_rad=wrong)
+            case "current_A":
+                return replace(sensors, current_A=wrong)
+            case "winding_C":
+                return replace(sensors, winding_C=wrong)
+            case "gravity_R_m_s2":
+                return replace(sensors, gravity_R_m_s2=wrong)
+
+    def _of(self, sensors: Sensors) -> Array:
+        values: Array = np.asarray(getattr(sensors, self.fault.sensor), dtype=float)
+        return values
+
+
+@dataclass(frozen=True, slots=True)
+class JointSeized(Timed):
+    """A motor that does not turn any more."""
+
+    joint: Joint
+
+    def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
+        """Locked where it is, whatever its brake is asked."""
+        plant.brake(self.joint, True)
+        return _never_released(hardware, self.joint)
+
+
+@dataclass(frozen=True, slots=True)
+class BrakeStuck(Timed):
+    """A brake that does not release any more; one that is released still falls in when asked."""
+
+    joint: Joint
+
+    def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
+        """From the next time that it is on."""
+        return _never_released(hardware, self.joint)
+
+
+@dataclass(frozen=True, slots=True)
+class WeakMotor(Timed):
+    """A motor that turns a current into less torque; its current is read right."""
+
+    joint: Joint
+    factor: float = 0.5
+
+    def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
+        """Scale the motor constant."""
+        actuator = plant.at.actuators[self.joint]
+        plant.model.actuator_gainprm[actuator, MOTOR_CONSTANT] *= self.factor
+        plant.model.actuator_forcerange[actuator] *= self.factor
+        constant = plant.torque_constant_Nm_A
+        plant.torque_constant_Nm_A = at_index(constant, self.joint, self.factor * constant[self.joint])
+        return hardware
+
+
+@dataclass(frozen=True, slots=True)
+class HotMotor(Timed):
+    """A motor in surroundings of this temperature: its heater does not go off."""
+
+    joint: Joint
+    temperature_C: float
+
+    def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
+        """The winding is that much hotter at once."""
+        return replace(hardware, ambient_C=at_index(hardware.ambient_C, self.joint, self.temperature_C))
+
+
+@dataclass(frozen=True, slots=True)
+class MissedCycles(Timed):
+    """Flight software is not called for some cycles, and the motor controllers hold the last drive."""
+
+    count: int
+
+    def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
+        """With the next cycle."""
+        return replace(hardware, missed_cycles=self.count)
+
+
+@dataclass(frozen=True, slots=True)
+class TiltStep(Timed):
+    """The rover slips into another attitude."""
+
+    roll_rad: float
+    pitch_rad: float
+
+    def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
+        """Gravity turns in the rover's frame."""
+        gravity = plant.model.opt.gravity
+        gravity[:] = FLIP * gravity_in_rover(self.roll_rad, self.pitch_rad, float(np.linalg.norm(gravity)))
+        return hardware
+
+
+@dataclass(frozen=True, slots=True)
+class RockGone(Timed):
+    """The rock crumbles: nothing is touched any more where its face was."""
+
+    def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
+        """Take the face out of the contacts."""
+        face = plant.model.geom("rock_face").id
+        plant.model.geom_contype[face] = plant.model.geom_conaffinity[face] = 0
+        return hardware
+
+
+Fault = (
+    SensorFault
+    | JointSeized
+    | BrakeStuck
+    | WeakMotor
+    | HotMotor
+    | MissedCycles
+    | TiltStep
+    | RockGone
+    | PowerLoss
+)
+"""What can be injected into a run that is under way."""
+
+
+def _never_released(hardware: Hardware, joint: Joint) -> Hardware:
+    stuck = hardware.brake_stuck.copy()
+    stuck[joint] = True
+    return replace(hardware, brake_stuck=stuck)

@@ -1,0 +1,197 @@
+"""Whether a plan's way is clear: how finely it is looked at, how the arm hangs there, and what is refused."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fsw.dictionary.commands import MoveJoints, MoveTool, Retract
+from fsw.dictionary.joints import Joint, Tool
+from fsw.kinematics.chain import forward
+from fsw.kinematics.statics import rest, settle
+from fsw.motion.clear import COARSE_M, STEP_M, SWAY_M, blocked, hanging, samples
+from fsw.motion.compensation import Compensation
+from fsw.motion.paths import joint_path
+from fsw.motion.plan import Plan, plan_poses
+from fsw.motion.plan_line import plan_guarded, plan_retract
+from fsw.motion.plan_tool import plan_tool
+from fsw.protect.collision import clearances, too_close
+from sim.clearance import FAR_M, Space
+from sim.stops import sweep_poses
+from sim.world import World
+from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, in_limits
+
+CONFIG = config_of()
+PARAMS = CONFIG.params
+PADDING_M = PARAMS.collision.padding_m
+RUN_UP_MM = 4.0
+"""How far a tool may pass its place to come to rest on a known side of its gaps."""
+READY = np.array(PARAMS.poses.ready_rad)
+JOINTS = Rig(CONFIG).state.joints
+
+poses = st.integers(0, 2**32 - 1).map(lambda seed: in_limits(CONFIG, np.random.default_rng(seed), 2).T)
+
+
+def points_of_arm(frames):
+    """Tool tips, the far corners of the turret, elbow, wrist: (3, k, n) in RMECH."""
+    tips = np.array([X.p for X in CONFIG.arm.X_FT])
+    corners = np.array([[0.3, 0.3, -0.15], [-0.3, 0.3, -0.15], [0.0, -0.35, -0.15], [0.25, -0.25, 0.0]])
+    p_F = np.concatenate([tips, corners]).T
+    on_turret = np.einsum("ijn,jk->ikn", frames.X_RF.R[:, :, 5], p_F) + frames.X_RF.p[:, 5][:, None]
+    return np.concatenate([on_turret, frames.X_RF.p[:, 1:5]], axis=1)
+
+
+def farthest_step(frames):
+    return np.linalg.norm(np.diff(points_of_arm(frames), axis=2), axis=0).max()
+
+
+@settings(max_examples=10)
+@given(poses)
+def test_no_point_of_the_arm_moves_farther_than_a_step_between_two_samples_of_a_joint_move(pair):
+    path = joint_path(CONFIG, *pair)
+    for step_m in (STEP_M, COARSE_M):
+        motor = samples(CONFIG, (path,), step_m)
+        np.testing.assert_allclose(motor[:, [0, -1]], pair.T, atol=1e-9)
+        assert farthest_step(forward(CONFIG.arm, motor)) <= step_m
+
+
+@settings(max_examples=5)
+@given(poses)
+def test_what_happens_between_two_samples_of_the_first_look_is_within_half_a_step_and_the_sway(pair):
+    """Springs, gears and all: every pose of the way is that close to one that is looked at."""
+    path = joint_path(CONFIG, *pair)
+    seen, finely = (
+        points_of_arm(hanging(CONFIG, JOINTS, samples(CONFIG, (path,), step_m)))
+        for step_m in (COARSE_M, STEP_M)
+    )
+    for pose in np.moveaxis(finely[:, :, ::5], -1, 0):
+        away = np.linalg.norm(seen - pose[:, :, None], axis=0).max(axis=0).min()
+        assert away <= 0.5 * COARSE_M + SWAY_M
+
+
+def test_samples_of_a_straight_move_are_as_close():
+    rig = Rig(CONFIG, start_rad=facing(CONFIG, Tool.APXS))
+    for plan in (
+        plan_guarded(CONFIG, rig.state.joints, rig.touch(Tool.APXS, 0.2)),
+        plan_retract(CONFIG, rig.state.joints, Retract(Tool.APXS, 0.15)),
+    ):
+        assert isinstance(plan, Plan)
+        motor = samples(CONFIG, plan.paths, STEP_M)
+        assert farthest_step(forward(CONFIG.arm, motor)) <= STEP_M
+        assert motor.shape[1] >= 20
+
+
+def test_the_arm_hangs_as_it_settles_with_every_gap_on_the_side_of_its_load():
+    motor = in_limits(CONFIG, np.random.default_rng(51), 100)
+    loads = settle(CONFIG.arm, motor, np.zeros((5, 1)), MARS_R_m_s2).torque_Nm
+    decided = np.abs(loads) > CONFIG.output_friction_Nm[:, None] + 1.0
+    gap = np.where(decided, np.sign(loads), 0.0) * CONFIG.half_gap_rad[:, None]
+    judge = points_of_arm(settle(CONFIG.arm, motor, gap, MARS_R_m_s2).frames)
+    found = points_of_arm(hanging(CONFIG, JOINTS, motor))
+    clear_cut = (decided | (np.abs(loads) < CONFIG.output_friction_Nm[:, None] - 1.0)).all(axis=0)
+    assert clear_cut.sum() > 50
+    assert np.abs(found - judge)[:, :, clear_cut].max() < 0.5e-3
+
+
+def way(*poses_rad):
+    """A plan through these outputs from the first."""
+    start = replace(JOINTS, motor_rad=poses_rad[0] - JOINTS.gear_rad[:, 1])
+    plan = plan_poses(CONFIG, start, [np.array(pose) for pose in poses_rad[1:]], Compensation("off"))
+    assert isinstance(plan, Plan)
+    return plan.paths
+
+
+def test_the_first_look_misses_nothing_that_a_close_look_finds():
+    rng = np.random.default_rng(52)
+    refused = 0
+    for _ in range(40):
+        paths = way(*in_limits(CONFIG, rng, 2).T)
+        frames = hanging(CONFIG, JOINTS, samples(CONFIG, paths, STEP_M))
+        found = blocked(CONFIG, JOINTS, paths, PADDING_M)
+        close = too_close(CONFIG.space, frames, PADDING_M)
+        assert (found is None) == (close is None)
+        refused += found is not None
+        if found is not None:
+            assert found.startswith(f"{close.reason}; ")
+            assert found.endswith(" % of the way are clear")
+    assert 10 < refused < 40
+
+
+def test_a_move_down_into_the_ground_is_refused_in_words():
+    down = READY.copy()
+    down[Joint.ELEVATION] += 0.7
+    said = blocked(CONFIG, JOINTS, way(READY, down), PADDING_M)
+    assert "meets the ground; " in said
+    share = float(said.rsplit("; ", 1)[1].split(" %")[0])
+    assert 10 < share < 95
+
+
+def test_the_share_of_the_way_that_is_clear_is_the_share_that_could_be_gone():
+    down = READY.copy()
+    down[Joint.ELEVATION] += 0.7
+    share = (
+        float(blocked(CONFIG, JOINTS, way(READY, down), PADDING_M).rsplit("; ", 1)[1].split(" %")[0]) / 100
+    )
+    for part, clear in ((share - 0.02, True), (share + 0.02, False)):
+        there = READY + part * (down - READY)
+        assert (blocked(CONFIG, JOINTS, way(READY, there), PADDING_M) is None) is clear
+
+
+def test_from_within_the_padding_the_way_up_is_free_and_the_way_down_is_not():
+    down = READY.copy()
+    down[Joint.ELEVATION] += 0.7
+    paths = way(READY, down)
+    motor = samples(CONFIG, paths, 1e-3)
+    height = clearances(CONFIG.space, hanging(CONFIG, JOINTS, motor), FAR_M)[:, -1].min(axis=0)
+    low = motor[:, np.flatnonzero(height < 0.6 * PADDING_M)[0]]
+    assert blocked(CONFIG, JOINTS, (joint_path(CONFIG, low, READY),), PADDING_M) is None
+    lower = low + np.array([0.0, 0.002, 0.0, 0.0, 0.0])
+    assert blocked(CONFIG, JOINTS, (joint_path(CONFIG, low, lower),), PADDING_M) is not None
+
+
+@pytest.mark.parametrize(("touching", "free"), [(Tool.APXS, True), (Tool.DRILL, False), (None, False)])
+def test_only_the_tool_that_is_to_touch_may_reach_the_ground(touching, free):
+    """The APXS looks straight down and ends 10 mm above the ground."""
+    above = (2.0, 0.0, PARAMS.collision.ground_z_m - 0.01)
+    plan = plan_tool(CONFIG, JOINTS, MoveTool(Tool.APXS, above, (0.0, 0.0, 1.0)), Tool.APXS)
+    assert isinstance(plan, Plan)
+    said = blocked(CONFIG, JOINTS, plan.paths, PADDING_M, touching)
+    assert (said is None) is free
+    if said is not None:
+        assert "at least 15.0 mm are to be kept" in said
+        near_mm = float(said.removeprefix("the APXS comes within ").split(" mm of the ground")[0])
+        assert near_mm == pytest.approx(10.0, abs=RUN_UP_MM)
+
+
+def unstowing():
+    return way(np.array(PARAMS.poses.stowed_rad), *PARAMS.poses.unstow_via_rad, READY)
+
+
+def test_the_way_between_stowed_and_ready_keeps_the_padding_both_ways():
+    there = unstowing()
+    back = way(READY, *PARAMS.poses.unstow_via_rad[::-1], PARAMS.poses.stowed_rad)
+    for paths in (there, back):
+        assert blocked(CONFIG, JOINTS, paths, PARAMS.collision.stow_padding_m) is None
+        assert blocked(CONFIG, JOINTS, paths, PADDING_M) is None
+
+
+def test_all_joints_are_calibrated_on_a_way_that_is_as_clear_as_mujoco_says():
+    poses_rad = sweep_poses(PARAMS, 0.1)
+    space = Space(PARAMS, World())
+    ours = clearances(CONFIG.space, rest(CONFIG.arm, poses_rad, MARS_R_m_s2).frames, FAR_M).min()
+    assert PADDING_M < ours <= space.clearance(poses_rad).outside_m + 1e-6
+
+
+def test_where_the_arm_goes_by_command_is_what_is_looked_at():
+    """The rig's arm follows a plan; no point of it was farther than a step from what was looked at."""
+    rig = Rig(CONFIG)
+    goal = READY + np.array([0.1, 0.05, -0.1, 0.1, 0.2])
+    rig.until_moving(MoveJoints(floats(goal)), cycles=8)
+    seen = points_of_arm(forward(CONFIG.arm, samples(CONFIG, rig.state.move.paths, STEP_M)))
+    while rig.outputs.joint.busy:
+        rig.cycle()
+        motor = rig.state.joints.motor_rad[:, None]
+        here = points_of_arm(forward(CONFIG.arm, motor))
+        assert np.linalg.norm(seen - here, axis=0).max(axis=0).min() <= 0.5 * STEP_M + 1e-4

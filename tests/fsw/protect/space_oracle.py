@@ -1,0 +1,51 @@
+"""MuJoCo's arm and rover beside flight software's shapes of them."""
+
+from functools import lru_cache
+
+import mujoco
+import numpy as np
+
+from fsw.protect.space import OBSTACLES, PARTS
+from sim.plant import Plant
+from sim.world import World, build
+
+NAMES = {
+    "shoulder": "shoulder_bracket",
+    "shoulder_bottom": "shoulder_bracket",
+    "wheels_port": "port_wheels",
+    "wheels_starboard": "starboard_wheels",
+}
+FAR_M = 10.0
+
+
+@lru_cache
+def plant() -> Plant:
+    """Arm, rover and level ground, only what collides."""
+    return Plant(build(World()).compile())
+
+
+def part_of(model: mujoco.MjModel, geom: int) -> str:
+    return model.body(model.geom_bodyid[geom]).name
+
+
+def obstacle_of(model: mujoco.MjModel, geom: int) -> str:
+    name = model.geom(geom).name
+    return NAMES.get(name, name)
+
+
+def mujoco_clearances(output_rad: np.ndarray, strain: np.ndarray) -> np.ndarray:
+    """Distances (PARTS, OBSTACLES, n) of MuJoCo's geoms at poses (5, n) with springs strained (6, 6, n)."""
+    model, data = plant().model, plant().data
+    arm, others = (
+        [geom for geom in range(model.ngeom) if model.geom_contype[geom] == side] for side in (1, 2)
+    )
+    apart = np.full((len(PARTS), len(OBSTACLES), output_rad.shape[1]), np.inf)
+    for k in range(output_rad.shape[1]):
+        plant().show(output_rad[:, k], strain[:, :, k])
+        for a in arm:
+            i = PARTS.index(part_of(model, a))
+            for b in others:
+                j = OBSTACLES.index(obstacle_of(model, b))
+                d = mujoco.mj_geomDistance(model, data, a, b, FAR_M, None)
+                apart[i, j, k] = min(apart[i, j, k], d)
+    return apart

@@ -1,0 +1,202 @@
+"""How close the arm comes to rover and ground, judged by MuJoCo's model of them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Tool
+from fsw.kinematics.chain import forward
+from fsw.kinematics.statics import rest
+from fsw.protect.collision import SPOKEN, clearances, too_close
+from fsw.protect.space import GROUND, OBSTACLES, PARTS
+from tests.fsw.protect.space_oracle import FAR_M, mujoco_clearances, obstacle_of, part_of, plant
+from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits, with_params
+
+CONFIG = config_of()
+SHAPES = CONFIG.params.collision
+PADDING_M = SHAPES.padding_m
+LINKS = ("link2", "link3", "link4")
+PRISM_M = 0.0045
+"""How far the prism that stands for the turret's core is outside of it, at its edges."""
+ROUNDING_M = 2e-6
+READY = np.array(CONFIG.params.poses.ready_rad)
+STOWED = np.array(CONFIG.params.poses.stowed_rad)
+
+
+def collides_only(shapes):
+    """Without the shapes of what only looks in MuJoCo: sieves, percussion, dust cover."""
+    turret = replace(shapes.arm.turret, boxes=shapes.arm.turret.boxes[:-1])
+    drill = replace(shapes.arm.drill, capsules=shapes.arm.drill.capsules[:-1])
+    mahli = replace(shapes.arm.mahli, capsules=shapes.arm.mahli.capsules[:-1])
+    return replace(shapes, arm=replace(shapes.arm, turret=turret, drill=drill, mahli=mahli))
+
+
+def hung(poses_rad):
+    return rest(CONFIG.arm, poses_rad, MARS_R_m_s2)
+
+
+@pytest.fixture(scope="module")
+def compared():
+    """Clearances of random poses over the limits, ours and MuJoCo's, and ours of what collides there."""
+    poses = in_limits(CONFIG, np.random.default_rng(31), 60)
+    at_rest = hung(poses)
+    same = with_params(collision={"arm": collides_only(SHAPES).arm})
+    ours, alike = (clearances(space, at_rest.frames, FAR_M) for space in (CONFIG.space, same.space))
+    return ours, alike, mujoco_clearances(poses, at_rest.strain)
+
+
+def test_the_arm_is_never_closer_in_mujoco_than_flight_software_takes_it_to_be(compared):
+    ours, _, theirs = compared
+    assert np.isfinite(theirs).any(axis=2).sum() == len(OBSTACLES) * (len(PARTS) - 2)
+    assert (ours <= np.maximum(theirs, 0.0) + ROUNDING_M).all()
+
+
+@pytest.mark.parametrize("part", LINKS)
+def test_links_are_as_close_to_everything_as_in_mujoco(compared, part):
+    ours, _, theirs = (apart[PARTS.index(part)] for apart in compared)
+    clear = theirs > 0
+    assert clear.mean() > 0.5
+    np.testing.assert_allclose(ours[clear], theirs[clear], atol=ROUNDING_M)
+
+
+def test_the_turret_is_at_most_half_a_centimetre_closer_to_anything_than_in_mujoco(compared):
+    _, alike, theirs = (apart[PARTS.index("turret")] for apart in compared)
+    clear = theirs > 0
+    assert clear.mean() > 0.5
+    assert (theirs - alike)[clear].max() <= PRISM_M
+
+
+def test_every_geom_that_collides_belongs_to_a_part_or_an_obstacle():
+    model = plant().model
+    of_arm = {part_of(model, geom) for geom in range(model.ngeom) if model.geom_contype[geom] == 1}
+    others = {obstacle_of(model, geom) for geom in range(model.ngeom) if model.geom_contype[geom] == 2}
+    assert of_arm == set(PARTS) - {"link5", "portion"}
+    assert others == set(OBSTACLES)
+
+
+def test_parts_in_the_turret_frame_move_with_the_tools_of_the_parameters():
+    """A drill that is calibrated 3 cm farther out is 3 cm closer to what it looks at."""
+    longer = replace(CONFIG.params.tools.drill.transform, a_m=0.39)
+    other = with_params(tools={"drill": replace(CONFIG.params.tools.drill, transform=longer)})
+    X_FT, X_FT_longer = CONFIG.arm.X_FT[Tool.DRILL], other.arm.X_FT[Tool.DRILL]
+    of_drill = CONFIG.space.arm.part == PARTS.index("drill")
+    shift = (other.space.arm.X_CS.p - CONFIG.space.arm.X_CS.p)[:, of_drill]
+    np.testing.assert_allclose(shift, np.tile((X_FT_longer.p - X_FT.p)[:, None], shift.shape[1]), atol=1e-15)
+
+
+def test_distances_beyond_what_is_asked_for_are_left_out_and_the_others_are_the_same():
+    frames = hung(in_limits(CONFIG, np.random.default_rng(32), 100)).frames
+    everything = clearances(CONFIG.space, frames, FAR_M)
+    near = clearances(CONFIG.space, frames, 0.05)
+    np.testing.assert_array_equal(near, np.where(everything <= 0.05, everything, np.inf))
+
+
+def test_the_height_above_ground_follows_the_parameter():
+    frames = hung(in_limits(CONFIG, np.random.default_rng(33), 20)).frames
+    lower = with_params(collision={"ground_z_m": SHAPES.ground_z_m + 0.2})
+    here, there = (clearances(config.space, frames, FAR_M)[:, GROUND] for config in (CONFIG, lower))
+    np.testing.assert_allclose(there, here + 0.2, atol=1e-12)
+
+
+def lowered_onto_the_ground(steps=60):
+    """The elevation turns down until the turret is in the ground."""
+    poses = np.tile(READY[:, None], steps)
+    poses[1] += np.linspace(0.0, 0.6, steps)
+    return forward(CONFIG.arm, poses)
+
+
+def test_a_way_into_the_ground_is_refused_with_part_obstacle_and_distance():
+    frames = lowered_onto_the_ground()
+    close = too_close(CONFIG.space, frames, PADDING_M)
+    assert close.obstacle == "ground"
+    apart = clearances(CONFIG.space, frames, FAR_M)
+    assert apart[..., : close.first].min() >= PADDING_M
+    assert apart[..., close.first].min() < PADDING_M
+    assert close.distance_m == apart[PARTS.index(close.part), GROUND].min()
+    assert close.reason == f"the {SPOKEN.get(close.part, close.part)} meets the ground"
+
+
+def test_what_does_not_meet_is_refused_by_how_close_it_comes():
+    height = clearances(CONFIG.space, lowered_onto_the_ground(), FAR_M)[:, GROUND].min(axis=0)
+    few = int(np.flatnonzero(height < PADDING_M)[0]) + 1
+    frames = lowered_onto_the_ground()
+    until = type(frames)(frames.X_RL[:, :few], frames.X_LD, frames.X_RF[:, :few])
+    close = too_close(CONFIG.space, until, PADDING_M)
+    assert 0 < close.distance_m < PADDING_M
+    assert close.reason == (
+        f"the {SPOKEN.get(close.part, close.part)} comes within {1e3 * close.distance_m:.1f} mm "
+        "of the ground, at least 15.0 mm are to be kept"
+    )
+
+
+def test_a_tool_that_is_to_touch_may_come_as_close_as_it_likes_and_nothing_else_may():
+    frames = lowered_onto_the_ground()
+    everything = clearances(CONFIG.space, frames, FAR_M)
+    for tool in Tool:
+        apart = clearances(CONFIG.space, frames, FAR_M, touching=tool)
+        exempt = PARTS.index(tool.name.lower())
+        assert np.isinf(apart[exempt]).all()
+        others = np.arange(len(PARTS)) != exempt
+        np.testing.assert_array_equal(apart[others], everything[others])
+
+
+def backwards(frames):
+    return type(frames)(frames.X_RL[:, ::-1], frames.X_LD, frames.X_RF[:, ::-1])
+
+
+def test_the_way_out_of_the_padding_is_free_and_the_way_farther_in_is_not():
+    frames = lowered_onto_the_ground(steps=200)
+    height = clearances(CONFIG.space, frames, FAR_M)[:, GROUND].min(axis=0)
+    inside = np.flatnonzero((height > 0) & (height < PADDING_M))
+    assert inside.size >= 2
+    k = int(inside[0])
+    part_way = type(frames)(frames.X_RL[:, : k + 1], frames.X_LD, frames.X_RF[:, : k + 1])
+    assert too_close(CONFIG.space, backwards(part_way), PADDING_M) is None
+    onward = type(frames)(frames.X_RL[:, k:], frames.X_LD, frames.X_RF[:, k:])
+    close = too_close(CONFIG.space, onward, PADDING_M)
+    assert close.least_m == pytest.approx(height[k], abs=1e-4)
+    assert close.first == 1
+
+
+def test_to_be_close_to_one_thing_gives_no_leave_to_come_close_to_another():
+    """The path begins with a tool in the padding over the ground and ends at the mast."""
+    height = clearances(CONFIG.space, lowered_onto_the_ground(steps=200), FAR_M)[:, GROUND].min(axis=0)
+    k = int(np.flatnonzero((height > 0) & (height < PADDING_M))[0])
+    start = READY + np.array([0.0, 0.6 * k / 199, 0.0, 0.0, 0.0])
+    way = np.column_stack([start, READY, pose_that_meets("mast")])
+    close = too_close(CONFIG.space, forward(CONFIG.arm, way), PADDING_M)
+    assert (close.first, close.obstacle) == (2, "mast")
+
+
+def pose_that_meets(obstacle):
+    """A random pose within the limits that meets this obstacle and nothing else."""
+    poses = in_limits(CONFIG, np.random.default_rng(35), 20_000)
+    for some in np.split(poses, 20, axis=1):
+        met = (clearances(CONFIG.space, forward(CONFIG.arm, some), 0.0) <= 0).any(axis=0)
+        only = met[OBSTACLES.index(obstacle)] & (met.sum(axis=0) == 1)
+        if only.any():
+            return some[:, only.argmax()]
+    raise AssertionError(f"no pose meets the {obstacle} alone")
+
+
+@pytest.mark.parametrize("obstacle", OBSTACLES)
+def test_whatever_the_arm_meets_is_named(obstacle):
+    way = np.column_stack([READY, pose_that_meets(obstacle)])
+    close = too_close(CONFIG.space, forward(CONFIG.arm, way), PADDING_M)
+    assert close.obstacle == obstacle
+    assert close.reason.endswith(f" meets the {obstacle.replace('_', ' ')}")
+
+
+@pytest.mark.parametrize("pose", [READY, STOWED], ids=["ready", "stowed"])
+def test_named_poses_are_clear_by_more_than_the_padding(pose):
+    assert too_close(CONFIG.space, hung(pose[:, None]).frames, PADDING_M) is None
+
+
+def test_no_point_of_the_arm_is_farther_from_a_joint_than_its_lever():
+    frames = hung(in_limits(CONFIG, np.random.default_rng(34), 200)).frames
+    for tool in Tool:
+        tip = np.einsum("ijn,j->in", frames.X_RF.R[:, :, 5], CONFIG.arm.X_FT[tool].p) + frames.X_RF.p[:, 5]
+        for joint in range(5):
+            away = np.linalg.norm(tip - frames.X_RL.p[:, joint + 1], axis=0)
+            assert (away <= CONFIG.space.lever_m[joint]).all()
