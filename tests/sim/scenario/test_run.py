@@ -6,13 +6,15 @@ import pytest
 
 from fsw.dictionary.commands import ClearFault, MoveJoint, Preload, Stop
 from fsw.dictionary.evrs import CommandAccepted, CommandRefused, FaultCleared, FaultResponse
+from fsw.dictionary.faults import SensorNotFinite
 from fsw.dictionary.joints import Joint, Tool
 from sim.arms import arm_named
 from sim.checks import Done, Faulted
 from sim.effects.environment import PowerLoss
+from sim.effects.faults import SensorFault
 from sim.loop import ClosedLoop
 from sim.scenario import Injection, Scenario
-from sim.scenario_run import ScenarioResult, ScenarioRun, faults_of, setup_of
+from sim.scenario_run import ScenarioResult, ScenarioRun, setup_of
 from sim.sequence import Outcome
 from sim.world import World
 from tests.sim import lab
@@ -28,8 +30,7 @@ def scenario(*commands, checks=DONE, faults=()) -> Scenario:
 
 
 def run(made: Scenario) -> ScenarioResult:
-    faults = faults_of(made, NOMINAL, REFERENCE, 1)
-    judged = ScenarioRun(ClosedLoop(setup_of(made, NOMINAL, REFERENCE, 1, faults)), made)
+    judged = ScenarioRun(ClosedLoop(setup_of(made, NOMINAL, REFERENCE, 1)), made)
     ticks = [record.tick for record in judged]
     assert ticks == list(range(len(ticks)))
     return judged.result()
@@ -50,7 +51,7 @@ def test_a_refusal_ends_the_scenario_and_its_command_is_told():
 
 
 def test_without_power_the_arm_is_braked_and_refuses():
-    cut = Injection(PowerLoss(0.0), at_s=1.0, during=2)
+    cut = Injection(PowerLoss(1.0), during=2)
     result = run(scenario(A_LITTLE, BACK, A_LITTLE, checks=(Faulted("FollowingErrorHigh"),), faults=(cut,)))
     assert (result.outcome, result.command) == (Outcome.FAULTED, 2)
     assert [measured.name for measured in result.measured] == ["FollowingErrorHigh", "braked", "refuses"]
@@ -60,25 +61,14 @@ def test_without_power_the_arm_is_braked_and_refuses():
 def test_a_fault_during_a_command_comes_so_long_after_it_began():
     undisturbed = run(scenario(A_LITTLE, BACK))
     begins_s = [time_s for time_s, evr in undisturbed.evrs if evr == CommandAccepted("MoveJoint")][1]
-    made = scenario(
-        A_LITTLE, BACK, faults=(Injection(PowerLoss(0.0), 2.5, 2), Injection(PowerLoss(0.0), 7.0))
-    )
-    assert faults_of(made, NOMINAL, REFERENCE, 1) == (PowerLoss(begins_s + 2.5), PowerLoss(7.0))
-
-
-def test_until_a_fault_comes_the_run_is_the_same_to_the_last_bit():
-    made = scenario(A_LITTLE, BACK)
-    with_fault = setup_of(made, NOMINAL, REFERENCE, 1, (PowerLoss(2.0),))
-    one, other = ClosedLoop(setup_of(made, NOMINAL, REFERENCE, 1)), ClosedLoop(with_fault)
-    for made_of in (one, other):
-        made_of.cycle((A_LITTLE,))
-        for _ in range(120):
-            made_of.cycle()
-    assert (one.plant.data.qpos == other.plant.data.qpos).all()
+    deaf = SensorFault(0.5, "current_A", "nan")
+    result = run(scenario(A_LITTLE, BACK, faults=(Injection(deaf, during=2),)))
+    found_s = next(time_s for time_s, evr in result.evrs if isinstance(evr, SensorNotFinite))
+    assert found_s == pytest.approx(begins_s + 0.5, abs=1.5 / 64)
 
 
 def test_a_sequence_that_clears_its_fault_goes_on():
-    cut = Injection(PowerLoss(0.0), at_s=0.5)
+    cut = Injection(PowerLoss(0.5))
     result = run(scenario(A_LITTLE, ClearFault(), Stop(), faults=(cut,)))
     kinds = [type(evr) for _, evr in result.evrs]
     assert kinds.index(FaultResponse) < kinds.index(FaultCleared)
@@ -86,7 +76,7 @@ def test_a_sequence_that_clears_its_fault_goes_on():
 
 
 def test_a_fault_that_is_not_cleared_ends_the_scenario_before_the_next_command():
-    cut = Injection(PowerLoss(0.0), at_s=0.5)
+    cut = Injection(PowerLoss(0.5))
     result = run(scenario(A_LITTLE, Stop(), faults=(cut,)))
     assert (result.outcome, result.command) == (Outcome.FAULTED, 1)
 
