@@ -53,7 +53,7 @@ from tests.fsw.protect.lab import (
     resolver_off,
     windings,
 )
-from tests.fsw.rig import Rig, alive, floats
+from tests.fsw.rig import Rig, alive, floats, with_params
 
 PAGE = Path(__file__).parents[3] / "docs" / "faults.md"
 FAULTS = {kind for kind in vars(faults).values() if isinstance(kind, type) and issubclass(kind, Fault)} - {
@@ -351,7 +351,8 @@ def test_an_arm_beyond_a_soft_limit_can_be_cleared_and_moved_back(joint, end):
     pose = START.copy()
     limit = getattr(CONFIG.arm, f"soft_{end}_rad")[joint]
     pose[joint] = limit + outward * (BOUNDS.soft_limit_margin_rad + 1e-3)
-    rig = Rig(CONFIG, start_rad=pose)
+    nothing_near = with_params(collision={"rover_boxes": (), "rover_capsules": (), "ground_z_m": 5.0})
+    rig = Rig(nothing_near, start_rad=pose)
     rig.cycle(current_A=[np.nan] * 5)
     rig.cycle(ClearFault())
     assert rig.state.mode is Mode.DEPLOYED
