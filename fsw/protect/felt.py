@@ -1,11 +1,13 @@
 """The force on a guarded tool as the wind-up of the gears tells it, for when no switch does.
 
 Of two switches the one that touches first may be dead, and of a tool that meets a surface askew the other
-closes late. Only the change since the travel began counts: what parameters miss of the arm's own weight
-hardly changes on so short a way.
+closes late. Only what changes quickly counts: what parameters miss of the arm's own weight, and what is
+wrongly believed of a gear, changes slowly on so short a way. Where the tool has little leverage on the joints
+a force is lost in the noise of the resolvers, and only a larger one is felt.
 """
 
 from dataclasses import dataclass
+from math import sqrt
 from typing import Final
 
 import numpy as np
@@ -24,6 +26,10 @@ from fsw.motion.paths import LinePath
 
 FELT_GAIN: Final = 0.125
 """Of the smoothing, per cycle: the force rises by newtons a cycle, and the noise of a reading is as large."""
+REST_GAIN: Final = 1 / 128
+"""Of what is taken for the arm's own, per cycle."""
+NOISE_RAD: Final = 1.7e-4
+"""Six sigma of a resolver's noise, smoothed."""
 UNSURE_RAD: Final = 1e-3
 """A gear whose angle is known no better says nothing."""
 
@@ -34,8 +40,8 @@ class Felt:
 
     rad_per_N: Array
     """By how much the force winds up each gear; 0 for a joint that says nothing, (5,)."""
-    start_rad: Array
-    """How far the resolvers were from the believed outputs when the travel began."""
+    rest_rad: Array
+    """How far the resolvers are from the believed outputs without a force: slowly followed."""
     force_N: float
 
 
@@ -54,12 +60,12 @@ def felt(
     if square == 0.0:
         return last, ()
     believed = joints.motor_rad + joints.gear_rad[:, LIKELY] + joints.reference.resolver_bias_rad
-    wound_rad = sensors.resolver_rad - believed - last.start_rad
+    wound_rad = sensors.resolver_rad - believed - last.rest_rad
     now_N = float(per_N @ wound_rad) / square
     force_N = last.force_N + FELT_GAIN * (now_N - last.force_N)
-    bound_N = config.params.monitors.guarded_force_N
+    bound_N = max(config.params.monitors.guarded_force_N, NOISE_RAD / sqrt(square))
     found = (PreloadOutside(move.guarded, 0.0, force_N, bound_N),) if force_N > bound_N else ()
-    return Felt(per_N, last.start_rad, force_N), found
+    return Felt(per_N, last.rest_rad + REST_GAIN * wound_rad, force_N), found
 
 
 def _wind_up(config: Config, tool: Tool, joints: JointEstimate) -> Array:

@@ -39,10 +39,10 @@ def pushed(rig, tool, force_N, cycles, **readings):
 @pytest.mark.parametrize("tool", PRESSING)
 def test_a_force_on_a_guarded_tool_that_closes_no_switch_stops_the_arm(tool):
     rig = in_guarded_motion(tool)
-    pushed(rig, tool, 1.3 * BOUNDS.guarded_force_N, LATEST)
+    pushed(rig, tool, 1.5 * BOUNDS.guarded_force_N, LATEST)
     (evr,) = found(rig, Fault)
-    assert evr == PreloadOutside(tool, 0.0, evr.error_N, BOUNDS.guarded_force_N)
-    assert evr.error_N > BOUNDS.guarded_force_N
+    assert evr == PreloadOutside(tool, 0.0, evr.error_N, evr.bound_N)
+    assert evr.error_N > evr.bound_N >= BOUNDS.guarded_force_N
     assert REFUSED in rig.evrs
     assert rig.state.mode is Mode.FAULTED
     assert braked(rig)
@@ -71,4 +71,12 @@ def test_with_a_switch_closed_a_force_is_as_it_should_be():
 def test_in_free_space_a_force_is_left_to_the_switches():
     rig = moving()
     pushed(rig, Tool.APXS, 2.0 * BOUNDS.guarded_force_N, LATEST)
+    assert not found(rig, Fault)
+
+
+def test_what_grows_slowly_is_no_touch():
+    rig = in_guarded_motion()
+    wound = wind_up_rad_N(rig, Tool.APXS)
+    for cycle in range(400):
+        rig.cycle(resolver_rad=rig.resolver_rad() + 0.1 * cycle * wound)
     assert not found(rig, Fault)
