@@ -102,10 +102,10 @@ class Docked:
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """At the end of a command a tool presses on the surface with a force."""
+    """At the end of a command the tool of a taught point presses with a force, along its approach."""
 
     after: Number
-    tool: Tool
+    point: str
     force_N: Force
     share: Share = 0.20
 

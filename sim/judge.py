@@ -7,6 +7,7 @@ from typing import assert_never
 
 import numpy as np
 
+from fsw.dictionary.commands import Vector3
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
 from fsw.kinematics.transforms import Array
@@ -67,13 +68,15 @@ def _measured(check: Check, scenario: Scenario, stowed_rad: Array, trace: Trace)
         case Done():
             return (_yes("every command carried out", trace.ending.outcome is Outcome.DONE),)
         case Placed():
-            return _placed(check, _surface(scenario), trace)
+            return _placed(check, scenario, trace)
         case SameSpot():
-            return _same_spot(check, _surface(scenario), trace)
+            return _same_spot(check, _normal(scenario), trace)
         case Preloaded():
-            return _preloaded(check, _surface(scenario), trace)
+            return _preloaded(check, _normal(scenario), trace)
         case Loaded():
-            return (_force(trace, _surface(scenario), check.after, check.tool, check.force_N, check.share),)
+            point = _taught(scenario, check.point)
+            away = -_unit(point.approach_N)
+            return (_force(trace, away, check.after, point.tool, check.force_N, check.share),)
         case GravityHeld():
             return (_gravity_held(check, scenario.world.gravity_N_m_s2, trace),)
         case OverInlet():
@@ -92,16 +95,16 @@ def _measured(check: Check, scenario: Scenario, stowed_rad: Array, trace: Trace)
             assert_never(check)
 
 
-def _placed(check: Placed, surface: Surface, trace: Trace) -> tuple[Measured, ...]:
-    target = p_R_from_N(np.array(surface.p_N_m))
-    lateral = _at(trace, check.after, lambda m: _lateral(m.p_RoTo_R_m[check.tool] - target, surface))
+def _placed(check: Placed, scenario: Scenario, trace: Trace) -> tuple[Measured, ...]:
+    target, normal = p_R_from_N(np.array(_surface(scenario).p_N_m)), _normal(scenario)
+    lateral = _at(trace, check.after, lambda m: _lateral(m.p_RoTo_R_m[check.tool] - target, normal))
     return Measured("lateral", lateral, "m", high=check.lateral_m), _contact(trace, check.after, check.tool)
 
 
-def _same_spot(check: SameSpot, surface: Surface, trace: Trace) -> tuple[Measured, ...]:
+def _same_spot(check: SameSpot, normal: Array, trace: Trace) -> tuple[Measured, ...]:
     first = trace.at_end_of(check.first_after)
     spot = np.full(3, nan) if first is None else first.p_RoTo_R_m[check.first_tool]
-    lateral = _at(trace, check.after, lambda m: _lateral(m.p_RoTo_R_m[check.tool] - spot, surface))
+    lateral = _at(trace, check.after, lambda m: _lateral(m.p_RoTo_R_m[check.tool] - spot, normal))
     return (
         Measured("lateral", lateral, "m", high=check.lateral_m),
         _contact(trace, check.first_after, check.first_tool),
@@ -109,17 +112,17 @@ def _same_spot(check: SameSpot, surface: Surface, trace: Trace) -> tuple[Measure
     )
 
 
-def _preloaded(check: Preloaded, surface: Surface, trace: Trace) -> tuple[Measured, ...]:
+def _preloaded(check: Preloaded, normal: Array, trace: Trace) -> tuple[Measured, ...]:
     """Force at the end of the command; from its beginning on, while pressed, ratio and slip."""
     moments = trace.since(check.after)
-    normals = [_normal(m.force_R_N[check.tool], surface) for m in moments]
+    normals = [float(m.force_R_N[check.tool] @ normal) for m in moments]
     pressed = [(m, f) for m, f in zip(moments, normals, strict=True) if f >= check.pressed_N]
-    ratios = [_lateral(m.force_R_N[check.tool], surface) / f for m, f in pressed]
+    ratios = [_lateral(m.force_R_N[check.tool], normal) / f for m, f in pressed]
     slips = [
-        _lateral(m.p_RoTo_R_m[check.tool] - moments[0].p_RoTo_R_m[check.tool], surface) for m, _ in pressed
+        _lateral(m.p_RoTo_R_m[check.tool] - moments[0].p_RoTo_R_m[check.tool], normal) for m, _ in pressed
     ]
     return (
-        _force(trace, surface, check.after, check.tool, check.force_N, check.share),
+        _force(trace, normal, check.after, check.tool, check.force_N, check.share),
         Measured("most force", _most(normals), "N", high=check.most_N),
         Measured("lateral over normal force", _most(ratios), "", high=check.ratio),
         Measured("slip", _most(slips), "m", high=check.slip_m),
@@ -166,8 +169,9 @@ def _faulted(check: Faulted, trace: Trace) -> tuple[Measured, ...]:
     return _yes(check.evr, said), _yes("braked", trace.ending.braked), _yes("refuses", trace.ending.refuses)
 
 
-def _force(trace: Trace, surface: Surface, after: int, tool: Tool, force_N: float, share: float) -> Measured:
-    force = _at(trace, after, lambda m: _normal(m.force_R_N[tool], surface))
+def _force(trace: Trace, away: Array, after: int, tool: Tool, force_N: float, share: float) -> Measured:
+    """The force along the unit vector `away` of what is pressed on."""
+    force = _at(trace, after, lambda m: float(m.force_R_N[tool] @ away))
     return Measured("force", force, "N", (1 - share) * force_N, (1 + share) * force_N)
 
 
@@ -191,19 +195,18 @@ def _most(values: Sequence[float]) -> float:
     return max(values) if len(values) else nan
 
 
-def _lateral(v: Array, surface: Surface) -> float:
-    """Of a vector, the part along the surface."""
-    n = _unit(surface)
-    return float(np.linalg.norm(v - (v @ n) * n))
+def _lateral(v: Array, normal: Array) -> float:
+    """The length of a vector across a unit vector."""
+    return float(np.linalg.norm(v - (v @ normal) * normal))
 
 
-def _normal(force_N: Array, surface: Surface) -> float:
-    return float(force_N @ _unit(surface))
+def _normal(scenario: Scenario) -> Array:
+    """Of the surface, out of it, of length one."""
+    return _unit(_surface(scenario).normal_N)
 
 
-def _unit(surface: Surface) -> Array:
-    normal = np.array(surface.normal_N)
-    return np.asarray(normal / np.linalg.norm(normal))
+def _unit(v: Vector3) -> Array:
+    return np.array(v) / float(np.linalg.norm(v))
 
 
 def _angle(one: Array, other: Array) -> float:

@@ -14,7 +14,7 @@ from fsw.executive.checks import MoveCommand, malformed
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.transforms import Array
 from fsw.motion.plan_tool import AUTO
-from sim.checks import Check, Loaded, Placed, Preloaded, SameSpot
+from sim.checks import Check, Placed, Preloaded, SameSpot
 from sim.effects.faults import Fault as Injected
 from sim.effects.faults import RockGone
 from sim.frames import p_R_from_N
@@ -150,7 +150,7 @@ def check_of(
     for name in ("after", "first_after", "during"):
         if hasattr(check, name):
             _check_number(name, getattr(check, name), commands, place, findings)
-    if isinstance(check, Placed | Preloaded | Loaded | SameSpot) and not has_surface:
+    if isinstance(check, Placed | Preloaded | SameSpot) and not has_surface:
         findings.say(place, f"{table[TYPE]}: there is nothing to touch; write [world.surface]")
     return check
 

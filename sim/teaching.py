@@ -27,7 +27,9 @@ from sim.sequence import run_sequence
 from sim.world import World
 
 PASSES: Final = 3
-"""Moves to a place, each aimed off by what the one before missed."""
+"""Moves to the front of a place, each aimed off by what the one before missed."""
+AWAY_M: Final = 0.05
+"""How far in front of a place it is surveyed, clear of what is there."""
 NEAR_RAD: Final = 0.01
 """How far from a place every joint begins."""
 REST_S: Final = 1.0
@@ -52,8 +54,8 @@ def taught(
 
 
 def _taught(arm: BuiltArm, reference: Reference, point: Taught, world: World, seed: int) -> TeachPoint:
-    wanted = p_R_from_N(np.array(point.p_N_m))
     axis = np.array(point.approach_N) / np.linalg.norm(point.approach_N)
+    wanted = p_R_from_N(np.array(point.p_N_m)) - AWAY_M * axis
     start = _near(arm, point, wanted, axis, world)
     level = replace(world, surface=None)
     loop = ClosedLoop(Setup(arm, level, joints5(start), seed, reference, (NothingToTouch(),)))
@@ -64,11 +66,12 @@ def _taught(arm: BuiltArm, reference: Reference, point: Taught, world: World, se
         missed = wanted - truth.p_RoTo_R_m[point.tool]
         turned = axis - truth.R_RT[point.tool][:, 0]
         aim, towards = aim + missed, towards + turned
+    approach = believed.R_RT[:, 0] + turned
     return TeachPoint(
         name=point.name,
         tool=point.tool.name.lower(),
-        p_RoTo_R_m=_vector(believed.p_RoTo_R_m + missed),
-        approach_R=_vector(believed.R_RT[:, 0] + turned),
+        p_RoTo_R_m=_vector(believed.p_RoTo_R_m + missed + AWAY_M * approach),
+        approach_R=_vector(approach),
         branch=point.branch,
     )
 

@@ -137,7 +137,7 @@ def test_what_was_not_reached_is_not_a_number_and_has_not_passed():
         Placed(2, Tool.APXS),
         SameSpot(2, Tool.MAHLI, 1, Tool.APXS),
         Preloaded(2, Tool.DRILL, 300.0),
-        Loaded(2, Tool.DRILL, 100.0),
+        Loaded(2, "box", 100.0),
         GravityHeld(2, Tool.DRILL, (1.0, 0.0, 0.0)),
         OverInlet(2, "inlet"),
         Docked(2, "box"),
@@ -199,10 +199,11 @@ def test_preloaded_asks_nothing_of_ratio_and_slip_where_the_tool_hardly_presses(
     assert all(measured.passed for measured in found.values())
 
 
-def test_loaded_is_a_force_against_the_surface():
-    assert verdict(Loaded(2, Tool.DRILL, 100.0), press(119.0))["force"].passed
-    assert not verdict(Loaded(2, Tool.DRILL, 100.0), press(121.0))["force"].passed
-    assert not verdict(Loaded(2, Tool.DRILL, 100.0), press(-100.0))["force"].passed
+def test_loaded_is_a_force_against_the_way_that_the_taught_tool_looks():
+    for force, passed in ((119.0, True), (121.0, False), (79.0, False), (-100.0, False)):
+        pushed_back = at(Tool.DRILL, command=2, force_N=(force, 30.0, -50.0))
+        found = verdict(Loaded(2, "box", 100.0), pushed_back)["force"]
+        assert (found.value, found.passed) == (pytest.approx(force), passed)
 
 
 @pytest.mark.parametrize(("roll", "pitch"), [(0.0, 0.0), (0.2, -0.3)])

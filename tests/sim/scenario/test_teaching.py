@@ -16,25 +16,26 @@ from sim.teaching import NotTaught, taught
 from sim.world import World
 from tests.sim import lab
 
-BOX = Taught("box", Tool.DRILL, (0.94, 0.28, -0.86), (-1.0, 0.0, 0.0), "shoulder-out elbow-up wrist-down")
+AIR = Taught("air", Tool.APXS, (2.0, 0.2, -0.5), (0.3, 0.0, 1.0))
+"""Where nothing is in the way."""
 WORLD = World(tilt_roll_rad=0.1, tilt_pitch_rad=-0.2)
 
 
-def missed_m(name: str, point: Taught = BOX) -> tuple[float, float, float]:
+def missed_m(name: str, point: Taught = AIR) -> tuple[float, float, float]:
     """How far the true tool is from its place [m] and axis [rad], and how far off it is believed [m]."""
     arm = arm_named(name)
     reference = lab.true_reference(arm)
     known = taught(arm, reference, (point,), WORLD)
     setup = Setup(known, WORLD, arm.params.poses.ready_rad, 1, reference, (NothingToTouch(),))
     loop = ClosedLoop(setup)
-    evrs = [evr for record in run_sequence(loop, (MoveTeachPoint("box"),)) for evr in record.outputs.evrs]
+    evrs = [evr for record in run_sequence(loop, (MoveTeachPoint("air"),)) for evr in record.outputs.evrs]
     assert CommandCompleted("MoveTeachPoint") in evrs, evrs[-1].message
     truth, place = loop.plant.truth(), p_R_from_N(np.array(point.p_N_m))
-    believed = next(p for p in known.params.teach if p.name == "box")
+    believed = next(p for p in known.params.teach if p.name == "air")
     axis = truth.R_RT[point.tool][:, 0]
     return (
         float(np.linalg.norm(truth.p_RoTo_R_m[point.tool] - place)),
-        float(np.arccos(np.clip(axis @ point.approach_N, -1, 1))),
+        float(np.arccos(np.clip(axis @ point.approach_N / np.linalg.norm(point.approach_N), -1, 1))),
         float(np.linalg.norm(np.array(believed.p_RoTo_R_m) - place)),
     )
 
@@ -57,7 +58,7 @@ def test_a_built_arm_that_believes_to_be_elsewhere_comes_back_to_the_true_place(
 def test_places_of_the_drawing_stay_and_those_of_the_same_name_are_taught_anew():
     arm = arm_named("nominal")
     names = [point.name for point in arm.params.teach]
-    anew = Taught(names[0], BOX.tool, BOX.p_N_m, BOX.approach_N, BOX.branch)
+    anew = Taught(names[0], AIR.tool, AIR.p_N_m, AIR.approach_N)
     known = taught(arm, lab.true_reference(arm), (anew,), World())
     assert sorted(point.name for point in known.params.teach) == sorted(names)
 
