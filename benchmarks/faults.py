@@ -1,0 +1,244 @@
+"""Random faults at random moments of random scenarios: how each ends, and what the arm does meanwhile.
+
+A run of each scenario is forked at random moments; a fault is injected into each fork, which goes on until it
+is braked, until its scenario is over, or for a minute. Then a move is asked for.
+"""
+
+import json
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from benchmarks.options import parser
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.commands import Command, MoveJoints
+from fsw.dictionary.evrs import CommandRefused, FaultResponse
+from fsw.dictionary.faults import Fault as FaultEvr
+from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.modes import Mode
+from fsw.protect.responses import Response
+from sim.arms import arm_named
+from sim.contact import hull_force_N, tool_forces
+from sim.effects.environment import PowerLoss
+from sim.effects.faults import (
+    BrakeStuck,
+    Fault,
+    HotMotor,
+    JointSeized,
+    MissedCycles,
+    RockGone,
+    SensorFault,
+    TiltStep,
+    WeakMotor,
+)
+from sim.initialisation import initial_reference
+from sim.loop import ClosedLoop
+from sim.record import CycleRecord
+from sim.scenario_file import load, shipped
+from sim.scenario_run import setup_of
+from sim.sequence import run_sequence
+
+GOES_ON_S = 60.0
+TILT_DEG = (6.0, -8.0)
+STILL: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+SENSORS = {"encoder_count": 5, "resolver_rad": 5, "current_A": 5, "winding_C": 5, "switch_closed": 10, "gravity_R_m_s2": 3}
+SIZES = {
+    "encoder_count": (200.0, 200.0),
+    "resolver_rad": (0.02, 0.01),
+    "current_A": (1.0, 0.5),
+    "winding_C": (30.0, 10.0),
+    "switch_closed": (1.0, 0.5),
+    "gravity_R_m_s2": (0.2, 0.1),
+}
+"""Of a bias and of noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Injected:
+    """What came of one fault."""
+
+    scenario: str
+    fault: str
+    mode: str
+    """In which it began."""
+    found: str
+    """The first fault that flight software reported, or none."""
+    end: str
+    """refusing, stopped (braked, not refusing) or tolerated."""
+    braked: bool
+    guarded_N: float
+    """Largest force on a tool while it was guarded, retracted or stopped from that."""
+    free_N: float
+    """Likewise in free space."""
+    pressed_N: float
+    hull_N: float
+    """Largest force of the rover's hull on the arm, bit boxes apart."""
+    beyond_rad: float
+    """How far an output was beyond its soft limits and their margin; negative is inside."""
+
+
+def random_fault(rng: np.random.Generator, at_s: float, has_rock: bool) -> Fault:
+    """Any kind, any joint or sensor, of a size worth the name."""
+    joint = Joint(int(rng.integers(len(Joint))))
+    match int(rng.integers(12 if has_rock else 11)):
+        case 0:
+            return JointSeized(at_s, joint)
+        case 1:
+            return BrakeStuck(at_s, joint)
+        case 2:
+            return WeakMotor(at_s, joint)
+        case 3:
+            return PowerLoss(at_s)
+        case 4:
+            return MissedCycles(at_s, int(rng.integers(1, 33)))
+        case 5:
+            return TiltStep(at_s, *(float(v) for v in np.radians(rng.uniform(-20.0, 20.0, 2))))
+        case 6:
+            return HotMotor(at_s, joint, float(rng.uniform(60.0, 150.0)))
+        case 11:
+            return RockGone(at_s)
+        case _:
+            return _sensor_fault(rng, at_s)
+
+
+def _sensor_fault(rng: np.random.Generator, at_s: float) -> SensorFault:
+    sensor = str(rng.choice(list(SENSORS)))
+    kinds = ["frozen", "biased", "noisy"] + (["nan"] if sensor not in ("encoder_count", "switch_closed") else [])
+    kind = str(rng.choice(kinds))
+    bias, noise = SIZES[sensor]
+    size = float(rng.choice([-1.0, 1.0]) * bias) if kind == "biased" else noise
+    return SensorFault(at_s, sensor, kind, int(rng.integers(SENSORS[sensor])), size)  # type: ignore[arg-type]
+
+
+def campaign(name: str, seed: int, count: int) -> list[Injected]:
+    """So many faults, each in a fork of one run of a scenario."""
+    scenario = load(name).tilted(*(float(v) for v in np.radians(TILT_DEG)))
+    arm = arm_named("nominal")
+    rng = np.random.default_rng([seed, *map(ord, name)])
+    setup = setup_of(scenario, arm, initial_reference(arm), seed)
+    length = sum(1 for _ in run_sequence(ClosedLoop(setup), scenario.commands))
+    ticks = Counter(int(tick) for tick in rng.integers(1, length, count))
+    loop, found, begun = ClosedLoop(setup), [], 0
+    for tick, record in enumerate(run_sequence(loop, scenario.commands)):
+        begun += len(record.commands)
+        for _ in range(ticks[tick]):
+            fault = random_fault(rng, loop.plant.data.time, scenario.world.surface is not None)
+            found.append(_injected(name, loop.fork((fault,)), fault, scenario.commands[begun:]))
+    return found
+
+
+def _injected(name: str, loop: ClosedLoop, fault: Fault, rest: tuple[Command, ...]) -> Injected:
+    began, faults, response = loop.state.mode, [], None
+    forces = dict.fromkeys(("guarded", "free", "pressed", "hull"), 0.0)
+    beyond = -np.inf
+    arm, margin = loop.config.arm, loop.config.params.monitors.soft_limit_margin_rad
+    # what the gap and the wind-up of a gear add to the motor's own limit
+    margin += float(np.max(loop.config.half_gap_rad)) + 0.005
+    last = loop.state.tick + round(GOES_ON_S * CYCLE_HZ)
+    touched = began
+    for record in _carried_on(loop, rest):
+        faults += [evr for evr in record.outputs.evrs if isinstance(evr, FaultEvr)]
+        response = response or next((e.response for e in record.outputs.evrs if isinstance(e, FaultResponse)), None)
+        if loop.state.mode is not Mode.FAULTED:
+            touched = loop.state.mode
+        kind = {Mode.PRELOAD: "pressed", Mode.GUARDED: "guarded", Mode.RETRACTING: "guarded"}.get(touched, "free")
+        # what a press leaves behind when it is stopped is not the guarded move's
+        if loop.state.pressing is not None:
+            kind = "pressed"
+        most = float(np.linalg.norm(tool_forces(loop.plant), axis=1).max())
+        forces[kind] = max(forces[kind], most)
+        forces["hull"] = max(forces["hull"], hull_force_N(loop.plant))
+        output = loop.plant.output_rad()
+        beyond = max(beyond, float(np.maximum(arm.soft_min_rad - output, output - arm.soft_max_rad).max()) - margin)
+        stopped = response is not None and not record.outputs.joint.busy
+        if stopped or (record.tick >= last and not record.outputs.joint.busy) or record.tick >= 2 * last:
+            break
+    for _ in range(round(0.25 * CYCLE_HZ)):
+        loop.cycle()
+    refusing = any(
+        isinstance(evr, CommandRefused) for evr in loop.cycle((MoveJoints(STILL, relative=True),)).outputs.evrs
+    )
+    faulted = loop.state.mode is Mode.FAULTED
+    plant = loop.plant
+    return Injected(
+        scenario=name,
+        fault=_spoken(fault),
+        mode=began.name,
+        found=type(faults[0]).__name__ if faults else "none",
+        end="refusing" if faulted and refusing else "stopped" if response == Response.STOP_AND_BRAKE else "tolerated",
+        braked=bool(plant.data.eq_active[plant.at.brake].all()) and not loop.state.drive.power_on.any(),
+        guarded_N=forces["guarded"],
+        free_N=forces["free"],
+        pressed_N=forces["pressed"],
+        hull_N=forces["hull"],
+        beyond_rad=beyond,
+    )
+
+
+def _carried_on(loop: ClosedLoop, rest: tuple[Command, ...]) -> Iterator[CycleRecord]:
+    """What was under way when the run was forked, and then what is still to come."""
+    record = loop.cycle()
+    yield record
+    while record.outputs.joint.busy:
+        record = loop.cycle()
+        yield record
+    yield from run_sequence(loop, rest)
+
+
+def _spoken(fault: Fault) -> str:
+    if isinstance(fault, SensorFault):
+        return f"{fault.sensor} {fault.kind}"
+    return type(fault).__name__
+
+
+def summary(cases: list[Injected]) -> dict[str, object]:
+    """The table by fault and scenario, and the worst of everything."""
+    table: dict[str, dict[str, dict[str, int]]] = {}
+    for case in cases:
+        cell = table.setdefault(case.fault, {}).setdefault(case.scenario, {})
+        cell[case.end] = cell.get(case.end, 0) + 1
+    return {
+        "count": len(cases),
+        "ends": dict(Counter(case.end for case in cases)),
+        "not_braked_unless_tolerated": [asdict(c) for c in cases if not c.braked and c.end != "tolerated"],
+        "most_guarded_N": max(case.guarded_N for case in cases),
+        "most_free_N": max(case.free_N for case in cases),
+        "most_pressed_N": max(case.pressed_N for case in cases),
+        "most_hull_N": max(case.hull_N for case in cases),
+        "most_beyond_limits_rad": max(case.beyond_rad for case in cases),
+        "found": dict(Counter(case.found for case in cases)),
+        "table": {fault: table[fault] for fault in sorted(table)},
+        "over": [
+            asdict(c) for c in cases if c.guarded_N > 50 or c.free_N > 250 or c.pressed_N > 400 or c.hull_N > 0 or c.beyond_rad > 0
+        ],
+        "tolerated": sorted({(case.fault, case.mode) for case in cases if case.end == "tolerated"}),
+    }
+
+
+def main() -> None:
+    options = parser("faults", __doc__, "example: python -m benchmarks.faults --count 60")
+    options.add_argument("--count", type=int, default=1000, help="faults in all (default %(default)s)")
+    asked = options.parse_args()
+    names = shipped()
+    rng = np.random.default_rng([asked.seed, 60])
+    counts = Counter(str(name) for name in rng.choice(names, asked.count))
+    chunks = [(name, 100 * asked.seed + k, share) for name in names for k, share in enumerate(_shares(counts[name]))]
+    cases: list[Injected] = []
+    with ProcessPoolExecutor(asked.workers) as pool:
+        for found in pool.map(campaign, *zip(*chunks, strict=True)):
+            cases += found
+            print(f"\r{len(cases)} of {asked.count} faults", end="", file=sys.stderr)
+    print(file=sys.stderr)
+    print(json.dumps(summary(cases), indent=2))
+
+
+def _shares(count: int, most: int = 25) -> list[int]:
+    return [most] * (count // most) + ([count % most] if count % most else [])
+
+
+if __name__ == "__main__":
+    main()
