@@ -13,7 +13,7 @@ from sim.initialisation import Initialisation
 from sim.loop import ClosedLoop
 from sim.scenario import Scenario
 from sim.scenario_file import BadScenario, load
-from sim.scenario_run import ScenarioResult, ScenarioRun, faults_of, setup_of
+from sim.scenario_run import ScenarioResult, ScenarioRun, setup_of
 from sim.sequence import Outcome
 from sim.teaching import NotTaught, taught
 
@@ -66,10 +66,8 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
         arm = taught(arm, reference, scenario.taught, scenario.world, request.seed)
     except NotTaught as error:
         raise BadRequest(f"scenario {scenario.name}: {error}") from error
-    faults = faults_of(scenario, arm, reference, request.seed)
-    loop = ClosedLoop(
-        setup_of(scenario, arm, reference, request.seed, faults), with_truth=request.files.log is not None
-    )
+    setup = setup_of(scenario, arm, reference, request.seed)
+    loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     judged = ScenarioRun(loop, scenario)
     log = open_log(request.files.log, arm, request.seed, asdict(request))
     frames, shown, total = Frames(), _shown(scenario), len(scenario.commands)

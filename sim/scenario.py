@@ -6,8 +6,8 @@ from typing import Literal
 from fsw.dictionary.commands import Command, Vector3
 from fsw.dictionary.joints import Tool
 from sim.checks import Check
-from sim.effects.effect import Effect
 from sim.effects.environment import WARM_C
+from sim.effects.faults import Fault
 from sim.world import World
 
 Start = Literal["stowed", "ready"]
@@ -29,11 +29,10 @@ class Taught:
 class Injection:
     """A fault of the hardware and when it comes."""
 
-    effect: Effect
-    at_s: float
-    """Since the scenario began, or since a command did."""
+    fault: Fault
+    """With the time at which it comes; during a command, since that command began."""
     during: int | None = None
-    """The number of that command, from 1."""
+    """The number of that command, from 1; None for a time since the scenario began."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,19 +1,18 @@
 """The faults of the hardware that a scenario may inject."""
 
-from dataclasses import replace
-from typing import Final
+from typing import Final, get_args
 
-from sim.effects.effect import Effect
 from sim.effects.environment import PowerLoss
+from sim.effects.faults import Fault, SensorFault
 
-FAULTS: Final[tuple[type[Effect], ...]] = (PowerLoss,)
+FAULTS: Final[tuple[type[Fault], ...]] = get_args(Fault)
 """Each is a frozen dataclass with a time `at_s`; that and its fields are what a file says of it."""
 
-STOPPING: Final[tuple[type[Effect], ...]] = (PowerLoss,)
-"""Those with which no command that moves can come to its end."""
 
-
-def timed(effect: Effect, at_s: float) -> Effect:
-    """The same fault at another time."""
-    when = {"at_s": at_s}
-    return replace(effect, **when)
+def stops(fault: Fault) -> bool:
+    """Whether no command that moves can come to its end with this fault."""
+    match fault:
+        case PowerLoss() | SensorFault(kind="nan"):
+            return True
+        case _:
+            return False

@@ -15,7 +15,7 @@ from sim.arms import UnknownArm, arm_named
 from sim.checks import Done, Faulted
 from sim.effects.environment import WARM_C
 from sim.scenario import Scenario, Start
-from sim.scenario_faults import STOPPING
+from sim.scenario_faults import stops
 from sim.scenario_modes import refusals
 from sim.scenario_names import did_you_mean
 from sim.scenario_record import Findings, Problem, record_of, table_of
@@ -120,10 +120,11 @@ def _scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario |
     points = tuple(point.name for point in taught if point is not None)
     asked = list(tables(data, "command", findings))
     commands = [command_of(table, place, findings, points) for place, table in asked]
-    faults = [
-        fault_of(table, place, findings, len(asked)) for place, table in tables(data, "fault", findings)
-    ]
     touchable = world is None or world.surface is not None
+    faults = [
+        fault_of(table, place, findings, len(asked), touchable)
+        for place, table in tables(data, "fault", findings)
+    ]
     checks = [
         check_of(table, place, findings, points, len(asked), touchable)
         for place, table in tables(data, "check", findings)
@@ -184,7 +185,7 @@ def _check_tilt(world: World, findings: Findings) -> None:
 
 def _check_sequence(scenario: Scenario, findings: Findings) -> None:
     """Refuse a sequence that flight software would be bound to refuse halfway."""
-    bound = [fault.during for fault in scenario.faults if isinstance(fault.effect, STOPPING)]
+    bound = [fault.during for fault in scenario.faults if stops(fault.fault)]
     faulting = [number for number in bound if number is not None]
     start = Mode.STOWED if scenario.start == "stowed" else Mode.DEPLOYED
     for number, problem in refusals(scenario.commands, start, faulting):

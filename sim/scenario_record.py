@@ -70,7 +70,13 @@ def record_of(
             )
         elif key is None and f.default is MISSING and f.default_factory is MISSING:
             findings.say(place, f"{words[f.name]}: is missing")
-    return kind(**values) if len(findings.problems) == before else None
+    if len(findings.problems) > before:
+        return None
+    try:
+        return kind(**values)
+    except ValueError as error:  # fields that do not go together
+        findings.say(place, str(error))
+        return None
 
 
 def table_of(value: Any, place: Place, findings: Findings) -> dict[str, Any] | None:

@@ -1,22 +1,20 @@
 """A scenario in the closed loop, watched by a judge who knows the truth."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fsw.config import CYCLE_HZ
+from fsw.config import CYCLE_HZ, CYCLE_S
 from fsw.dictionary.commands import Joints5, MoveJoints
 from fsw.dictionary.evrs import CommandRefused, Evr
 from fsw.estimate.reference import Reference
 from sim.arms import BuiltArm
-from sim.effects.effect import Effect
 from sim.effects.environment import Ambient
 from sim.judge import Measured, judged
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.scenario import Scenario
-from sim.scenario_faults import timed
 from sim.sequence import Outcome, run_sequence, watched
 from sim.trace import Ending, Moment, Trace, moment
 
@@ -41,41 +39,13 @@ class ScenarioResult:
         return bool(self.measured) and all(measured.passed for measured in self.measured)
 
 
-def setup_of(
-    scenario: Scenario,
-    arm: BuiltArm,
-    reference: Reference,
-    seed: int,
-    faults: tuple[Effect, ...] = (),
-) -> Setup:
+def setup_of(scenario: Scenario, arm: BuiltArm, reference: Reference, seed: int) -> Setup:
     """How a scenario begins, with an arm whose joints are known and whose places are taught."""
     poses = arm.params.poses
     start = poses.stowed_rad if scenario.start == "stowed" else poses.ready_rad
-    effects = (Ambient(scenario.temperature_C), *faults)
+    timed = (injection.fault for injection in scenario.faults if injection.during is None)
+    effects = (Ambient(scenario.temperature_C), *timed)
     return Setup(arm, scenario.world, start, seed, reference, effects)
-
-
-def faults_of(scenario: Scenario, arm: BuiltArm, reference: Reference, seed: int) -> tuple[Effect, ...]:
-    """The faults of a scenario, each with its time since the beginning.
-
-    When a command begins is found by a rehearsal without faults: until the first of them comes, a run is the
-    same to the last bit.
-    """
-    awaited = [fault.during for fault in scenario.faults if fault.during is not None]
-    begins_s: dict[int, float] = {}
-    if awaited:
-        loop = ClosedLoop(setup_of(scenario, arm, reference, seed))
-        for record in run_sequence(loop, scenario.commands):
-            if record.commands:
-                begins_s[len(begins_s) + 1] = record.tick / CYCLE_HZ
-            if len(begins_s) >= max(awaited):
-                break
-    return tuple(
-        timed(fault.effect, fault.at_s)
-        if fault.during is None
-        else timed(fault.effect, fault.at_s + begins_s.get(fault.during, np.inf))
-        for fault in scenario.faults
-    )
 
 
 class ScenarioRun:
@@ -101,9 +71,19 @@ class ScenarioRun:
             yield record
 
     def _note(self, record: CycleRecord) -> None:
-        self.command += len(record.commands)
+        if record.commands:
+            self.command += 1
+            self._inject()
         self._evrs += [(record.tick / CYCLE_HZ, evr) for evr in record.outputs.evrs]
         self._moments.append(moment(self._loop.plant, record, self.command))
+
+    def _inject(self) -> None:
+        """Let come what is to come during the command that has just begun."""
+        for injection in self._scenario.faults:
+            if injection.during == self.command:
+                begun_s = self._loop.plant.data.time - CYCLE_S
+                fault = replace(injection.fault, at_s=begun_s + injection.fault.at_s)
+                self._loop.avionics.inject(fault)
 
     def result(self) -> ScenarioResult:
         """What came of it; after the last cycle."""

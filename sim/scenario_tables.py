@@ -15,7 +15,8 @@ from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.transforms import Array
 from fsw.motion.plan_tool import AUTO
 from sim.checks import Check, Loaded, Placed, Preloaded, SameSpot
-from sim.effects.effect import Effect
+from sim.effects.faults import Fault as Injected
+from sim.effects.faults import RockGone
 from sim.frames import p_R_from_N
 from sim.scenario import Injection, Taught
 from sim.scenario_faults import FAULTS
@@ -33,7 +34,7 @@ FRAMES: Final = (
 )
 COMMANDS: Final[dict[str, type[Command]]] = {upper_snake(kind): kind for kind in get_args(Command)}
 CHECKS: Final[dict[str, type[Check]]] = {upper_snake(kind).lower(): kind for kind in get_args(Check)}
-EFFECTS: Final[dict[str, type[Effect]]] = {upper_snake(kind): kind for kind in FAULTS}
+EFFECTS: Final[dict[str, type[Injected]]] = {upper_snake(kind): kind for kind in FAULTS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +97,9 @@ def command_of(
     return command
 
 
-def fault_of(table: dict[str, Any], place: Place, findings: Findings, commands: int) -> Injection | None:
+def fault_of(
+    table: dict[str, Any], place: Place, findings: Findings, commands: int, has_surface: bool
+) -> Injection | None:
     """A fault and when it comes, or None and problems; there are so many commands."""
     kind = kind_of(EFFECTS, table, place, findings)
     if kind is None:
@@ -115,12 +118,16 @@ def fault_of(table: dict[str, Any], place: Place, findings: Findings, commands: 
     else:
         findings.say(place, "at_s: is missing; or give during, the number of a command, and after_s")
         return None
-    effect = record_of(kind, {**rest, "at_s": 0.0}, place, findings)
+    fault = record_of(kind, {**rest, "at_s": 0.0}, place, findings)
+    if isinstance(fault, RockGone) and not has_surface:
+        findings.say(place, f"{table[TYPE]}: there is no rock; write [world.surface]")
     if isinstance(at, _During):
         _check_number("during", at.during, commands, place, findings)
-    if effect is None or at is None:
+    if fault is None or at is None:
         return None
-    return Injection(effect, at.after_s, at.during) if isinstance(at, _During) else Injection(effect, at.at_s)
+    if isinstance(at, _During):
+        return Injection(replace(fault, at_s=at.after_s), at.during)
+    return Injection(replace(fault, at_s=at.at_s))
 
 
 def check_of(

@@ -18,6 +18,7 @@ from fsw.motion.plan import Plan, Refusal, over_limits, standing, worst_limit
 from fsw.motion.plan_knots import plan_through
 
 STEPS: Final = 20
+ROUNDING_N: Final = 1e-6
 RAMP_S: Final = 1.0
 """In which the rate of the force builds up."""
 FRICTION_FACTOR: Final = 1.5
@@ -55,8 +56,10 @@ class Press:
 
     def after(self, travelled_N: float) -> Pressing:
         """What is pressed with when so much of the change is done."""
-        sign = 1.0 if self.end_N > self.start.force_N else -1.0
-        return replace(self.start, force_N=self.start.force_N + sign * travelled_N)
+        change_N = self.end_N - self.start.force_N
+        if travelled_N >= abs(change_N) - ROUNDING_N:
+            return replace(self.start, force_N=self.end_N)
+        return replace(self.start, force_N=self.start.force_N + float(np.sign(change_N)) * travelled_N)
 
 
 def touching(config: Config, joints: JointEstimate, tool: Tool) -> Pressing:

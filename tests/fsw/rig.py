@@ -22,22 +22,37 @@ from sim.arms import arm_named
 
 MARS_R_m_s2 = np.array([0.0, 0.0, 3.711])
 DITHER = 1e-12
+FAR_M = 1e3
 
 
 @lru_cache
 def config_of(arm: str = "nominal") -> Config:
-    params = arm_named(arm).params
-    return configure(params)
+    """Flight software of an arm in the open, with nothing to keep clear of."""
+    return in_the_open(configure(arm_named(arm).params))
+
+
+@lru_cache
+def beside_the_rover() -> Config:
+    """The nominal configuration whole."""
+    return configure(arm_named("nominal").params)
+
+
+def in_the_open(config: Config) -> Config:
+    """The rover and the ground are far away."""
+    space = config.space
+    X_CS = Pose(space.rover.X_CS.R, space.rover.X_CS.p + FAR_M)
+    far = replace(space, rover=replace(space.rover, X_CS=X_CS), ground_z_m=FAR_M)
+    return replace(config, space=far)
 
 
 def with_params(**groups) -> Config:
-    """The nominal configuration with other values of some parameters, by group."""
+    """The configuration in the open with other values of some parameters, by group."""
     params = arm_named("nominal").params
     changed = {
         name: replace(getattr(params, name), **values) if isinstance(values, dict) else values
         for name, values in groups.items()
     }
-    return configure(replace(params, **changed))
+    return in_the_open(configure(replace(params, **changed)))
 
 
 def in_limits(config: Config, rng: np.random.Generator, n: int, shrink: float = 0.0) -> np.ndarray:

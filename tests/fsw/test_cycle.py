@@ -96,7 +96,7 @@ def test_two_runs_are_bit_equal():
 def test_the_first_cycle_says_which_parameters_it_runs_on_and_no_later_one_does():
     rig = Rig(CONFIG, start_rad=START, calibrated=False)
     rig.cycle()
-    assert rig.evrs == [Booted(digest(nominal_params()))]
+    assert rig.evrs == [Booted(CONFIG.params_sha256)]
     for _ in range(5):
         rig.cycle()
     assert len(rig.evrs) == 1

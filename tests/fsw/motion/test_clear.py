@@ -21,9 +21,9 @@ from fsw.protect.collision import clearances, too_close
 from sim.clearance import FAR_M, Space
 from sim.stops import sweep_poses
 from sim.world import World
-from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, in_limits
+from tests.fsw.rig import MARS_R_m_s2, Rig, beside_the_rover, config_of, facing, floats, in_limits
 
-CONFIG = config_of()
+CONFIG = beside_the_rover()
 PARAMS = CONFIG.params
 PADDING_M = PARAMS.collision.padding_m
 RUN_UP_MM = 4.0
@@ -155,7 +155,7 @@ def test_from_within_the_padding_the_way_up_is_free_and_the_way_down_is_not():
 def test_only_the_tool_that_is_to_touch_may_reach_the_ground(touching, free):
     """The APXS looks straight down and ends 10 mm above the ground."""
     above = (2.0, 0.0, PARAMS.collision.ground_z_m - 0.01)
-    plan = plan_tool(CONFIG, JOINTS, MoveTool(Tool.APXS, above, (0.0, 0.0, 1.0)), Tool.APXS)
+    plan = plan_tool(config_of(), JOINTS, MoveTool(Tool.APXS, above, (0.0, 0.0, 1.0)), Tool.APXS)
     assert isinstance(plan, Plan)
     said = blocked(CONFIG, JOINTS, plan.paths, PADDING_M, touching)
     assert (said is None) is free

@@ -34,14 +34,15 @@ def pressed_with(force_N: float) -> Rig:
 
 def test_the_force_rises_and_the_tool_ends_where_it_touched():
     rig = guarded_in_contact()
-    start, forces = tool_under_force(rig), []
+    forces = []
     rig.cycle(Preload(Tool.APXS, 300.0), **TOUCHED)
     while rig.outputs.joint.busy:
         rig.cycle(**TOUCHED)
         forces.append(rig.state.pressing.force_N)
     assert np.all(np.diff(forces) > -1e-9)
-    assert np.linalg.norm(tool_under_force(rig).p - start.p) < STAYS_M
-    assert np.abs(tool_under_force(rig).R[:, 0] - start.R[:, 0]).max() < STAYS_M
+    touched, ends = rig.state.pressing, tool_under_force(rig)
+    assert np.linalg.norm(ends.p - touched.p_RoTo_R_m) < STAYS_M
+    assert np.abs(ends.R[:, 0] - touched.axis_R).max() < STAYS_M
     assert Preloaded(Tool.APXS, 300.0) in rig.evrs
     assert rig.state.mode is Mode.PRELOAD
 

@@ -5,15 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fsw.config import configure
 from fsw.dictionary.joints import Tool
 from fsw.kinematics.chain import forward
 from fsw.kinematics.statics import rest
 from fsw.protect.collision import SPOKEN, clearances, too_close
 from fsw.protect.space import GROUND, OBSTACLES, PARTS
 from tests.fsw.protect.space_oracle import FAR_M, mujoco_clearances, obstacle_of, part_of, plant
-from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits, with_params
+from tests.fsw.rig import MARS_R_m_s2, beside_the_rover, in_limits, with_params
 
-CONFIG = config_of()
+CONFIG = beside_the_rover()
 SHAPES = CONFIG.params.collision
 PADDING_M = SHAPES.padding_m
 LINKS = ("link2", "link3", "link4")
@@ -94,7 +95,7 @@ def test_distances_beyond_what_is_asked_for_are_left_out_and_the_others_are_the_
 
 def test_the_height_above_ground_follows_the_parameter():
     frames = hung(in_limits(CONFIG, np.random.default_rng(33), 20)).frames
-    lower = with_params(collision={"ground_z_m": SHAPES.ground_z_m + 0.2})
+    lower = configure(replace(CONFIG.params, collision=replace(SHAPES, ground_z_m=SHAPES.ground_z_m + 0.2)))
     here, there = (clearances(config.space, frames, FAR_M)[:, GROUND] for config in (CONFIG, lower))
     np.testing.assert_allclose(there, here + 0.2, atol=1e-12)
 

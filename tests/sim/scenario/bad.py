@@ -118,7 +118,7 @@ BAD = {
         '"POWER_LOSS"',
         '"POWER_CUT"',
         40,
-        "type: 'POWER_CUT' is not known; did you mean POWER_LOSS?",
+        "type: 'POWER_CUT' is not known; did you mean POWER_LOSS? there are SENSOR_FAULT, JOINT_SEIZED",
     ),
     "a tool that does not exist": (
         'tool = "apxs"\ndistance',
@@ -227,6 +227,24 @@ BAD = {
         "during = 0\nafter_s = 1",
         41,
         "during: there is no command 0; they are numbered 1 to 4",
+    ),
+    "a fault that no hardware has": (
+        'type = "POWER_LOSS"',
+        'type = "SENSOR_FAULT"\nsensor = "switch_closed"\nkind = "nan"',
+        39,
+        "switch_closed cannot read nan; write frozen, biased or noisy",
+    ),
+    "a fault of no sensor": (
+        'type = "POWER_LOSS"',
+        'type = "SENSOR_FAULT"\nsensor = "resolver"\nkind = "nan"',
+        41,
+        "sensor: 'resolver' is not known; did you mean resolver_rad?",
+    ),
+    "a rock that crumbles where none is": (
+        GOOD[GOOD.index("[world.surface]") : GOOD.index("[[teach]]")],
+        '[[fault]]\ntype = "ROCK_GONE"\nat_s = 1\n',
+        7,
+        "ROCK_GONE: there is no rock; write [world.surface]",
     ),
     "a fault without a time": (
         "at_s = 100\n",

@@ -44,6 +44,8 @@ SAMPLES = {
     "point": "inlet",
     "evr": "NoContact",
     "name": "motion.settle_time_s",
+    "sensor": "current_A",
+    "kind": "frozen",
 }
 
 
@@ -236,7 +238,7 @@ evr = "FollowingErrorHigh"
     assert (point.name, point.tool, point.approach_N) == ("box", Tool.DRILL, (-1.0, 0.0, 0.0))
     assert isinstance(point, Taught)
     assert found.commands[2] == Process(Tool.PORTION, (1.0, 0.0, 0.0), 5.0)
-    assert found.faults == (Injection(PowerLoss(0.0), 2.5, 3), Injection(PowerLoss(0.0), 900.0))
+    assert found.faults == (Injection(PowerLoss(2.5), 3), Injection(PowerLoss(900.0)))
     assert found.checks[:2] == (Placed(1, Tool.APXS, 7.0 * 1e-3), Docked(2, "box"))
     assert found.checks[2] == GravityHeld(3, Tool.PORTION, (1.0, 0.0, 0.0), 2.0 * pi / 180)
 

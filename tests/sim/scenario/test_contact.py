@@ -1,0 +1,66 @@
+"""The force on a tool against what MuJoCo's own sensors feel and what it adds up."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from fsw.config import configure
+from fsw.dictionary.joints import SWITCHES_OF, Tool
+from fsw.kinematics.ik import inverse_kinematics
+from sim.arms import arm_named
+from sim.contact import tool_forces
+from sim.frames import FLIP, p_R_from_N
+from sim.plant import Plant
+from sim.world import Surface, World, build
+from tests.sim import lab
+
+DEEP_M = 0.004
+"""How far the motors would bring the tool into the rock."""
+SETTLE_S = 16.0
+
+
+def pressed(tool: Tool, point_N_m: tuple[float, float, float], normal_N: tuple[float, float, float]) -> Plant:
+    """The arm at rest with a tool pressed against a rock."""
+    world = World(surface=Surface(point_N_m, normal_N))
+    normal = np.array(normal_N) / np.linalg.norm(normal_N)
+    config = configure(arm_named("nominal").params)
+    target = p_R_from_N(np.array(point_N_m)) - DEEP_M * normal
+    answers = inverse_kinematics(config.arm, tool, target, -normal, np.zeros(3), lab.READY_RAD)
+    slot = np.flatnonzero(answers.verdict == 0)[0]
+    plant = Plant(build(world).compile())
+    plant.place(answers.output_rad[:, slot], SETTLE_S)
+    return plant
+
+
+@pytest.fixture(scope="module", params=[(Tool.DRILL, (0.0, 0.0, -1.0)), (Tool.APXS, (-0.5, 0.1, -0.85))])
+def contact(request):
+    tool, normal = request.param
+    plant = pressed(tool, (2.05, 0.1, -0.25), normal)
+    return plant, tool, np.array(normal) / np.linalg.norm(normal)
+
+
+def test_a_pressed_tool_is_pushed_out_of_the_rock_and_no_other_is(contact):
+    plant, tool, normal = contact
+    forces = tool_forces(plant)
+    assert forces[tool] @ normal > 10.0
+    assert not np.delete(forces, tool, axis=0).any()
+
+
+def test_the_normal_force_is_what_the_touch_sensors_feel(contact):
+    plant, tool, normal = contact
+    sensors = [plant.model.sensor(switch.name.lower()).id for switch in SWITCHES_OF[tool]]
+    felt = plant.data.sensordata[plant.model.sensor_adr[sensors]].sum()
+    assert tool_forces(plant)[tool] @ normal == pytest.approx(felt, rel=1e-6)
+
+
+def test_the_whole_force_is_what_mujoco_adds_up_on_the_body_of_the_tool(contact):
+    plant, tool, _ = contact
+    mujoco.mj_rnePostConstraint(plant.model, plant.data)
+    external = plant.data.cfrc_ext[plant.model.body(tool.name.lower()).id, 3:]
+    assert tool_forces(plant)[tool] == pytest.approx(FLIP * external, rel=1e-9, abs=1e-9)
+
+
+def test_what_touches_nothing_feels_nothing():
+    plant = lab.plant()
+    plant.place(lab.READY_RAD, 1.0)
+    assert not tool_forces(plant).any()

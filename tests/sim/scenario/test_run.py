@@ -1,0 +1,91 @@
+"""Scenarios in the closed loop: what happens when, and what is made of it."""
+
+from dataclasses import replace
+
+import pytest
+
+from fsw.dictionary.commands import ClearFault, MoveJoint, Preload, Stop
+from fsw.dictionary.evrs import CommandAccepted, CommandRefused, FaultCleared, FaultResponse
+from fsw.dictionary.faults import SensorNotFinite
+from fsw.dictionary.joints import Joint, Tool
+from sim.arms import arm_named
+from sim.checks import Done, Faulted
+from sim.effects.environment import PowerLoss
+from sim.effects.faults import SensorFault
+from sim.loop import ClosedLoop
+from sim.scenario import Injection, Scenario
+from sim.scenario_run import ScenarioResult, ScenarioRun, setup_of
+from sim.sequence import Outcome
+from sim.world import World
+from tests.sim import lab
+
+NOMINAL = arm_named("nominal")
+REFERENCE = lab.true_reference(NOMINAL)
+A_LITTLE, BACK = MoveJoint(Joint.TURRET, 1.6), MoveJoint(Joint.TURRET, 1.5)
+DONE = (Done(),)
+
+
+def scenario(*commands, checks=DONE, faults=()) -> Scenario:
+    return Scenario("test", "T", "S.", World(), commands, checks, "ready", faults=faults)
+
+
+def run(made: Scenario) -> ScenarioResult:
+    judged = ScenarioRun(ClosedLoop(setup_of(made, NOMINAL, REFERENCE, 1)), made)
+    ticks = [record.tick for record in judged]
+    assert ticks == list(range(len(ticks)))
+    return judged.result()
+
+
+def test_commands_follow_each_other_and_are_counted():
+    result = run(scenario(A_LITTLE, BACK))
+    assert (result.outcome, result.command, result.passed) == (Outcome.DONE, 2, True)
+    accepted = [time_s for time_s, evr in result.evrs if evr == CommandAccepted("MoveJoint")]
+    assert accepted[0] == 0.0
+    assert accepted[1] > 3.0
+
+
+def test_a_refusal_ends_the_scenario_and_its_command_is_told():
+    result = run(scenario(A_LITTLE, Preload(Tool.DRILL, 100.0), BACK))
+    assert (result.outcome, result.command, result.passed) == (Outcome.REFUSED, 2, False)
+    assert isinstance(result.evrs[-1][1], CommandRefused)
+
+
+def test_without_power_the_arm_is_braked_and_refuses():
+    cut = Injection(PowerLoss(1.0), during=2)
+    result = run(scenario(A_LITTLE, BACK, A_LITTLE, checks=(Faulted("FollowingErrorHigh"),), faults=(cut,)))
+    assert (result.outcome, result.command) == (Outcome.FAULTED, 2)
+    assert [measured.name for measured in result.measured] == ["FollowingErrorHigh", "braked", "refuses"]
+    assert all(measured.passed for measured in result.measured[1:]), result.evrs
+
+
+def test_a_fault_during_a_command_comes_so_long_after_it_began():
+    undisturbed = run(scenario(A_LITTLE, BACK))
+    begins_s = [time_s for time_s, evr in undisturbed.evrs if evr == CommandAccepted("MoveJoint")][1]
+    deaf = SensorFault(0.5, "current_A", "nan")
+    result = run(scenario(A_LITTLE, BACK, faults=(Injection(deaf, during=2),)))
+    found_s = next(time_s for time_s, evr in result.evrs if isinstance(evr, SensorNotFinite))
+    assert found_s == pytest.approx(begins_s + 0.5, abs=1.5 / 64)
+
+
+def test_a_sequence_that_clears_its_fault_goes_on():
+    cut = Injection(PowerLoss(0.5))
+    result = run(scenario(A_LITTLE, ClearFault(), Stop(), faults=(cut,)))
+    kinds = [type(evr) for _, evr in result.evrs]
+    assert kinds.index(FaultResponse) < kinds.index(FaultCleared)
+    assert (result.outcome, result.command) == (Outcome.DONE, 3)
+
+
+def test_a_fault_that_is_not_cleared_ends_the_scenario_before_the_next_command():
+    cut = Injection(PowerLoss(0.5))
+    result = run(scenario(A_LITTLE, Stop(), faults=(cut,)))
+    assert (result.outcome, result.command) == (Outcome.FAULTED, 1)
+
+
+def test_the_temperature_of_a_scenario_is_that_of_the_windings():
+    cold = replace(scenario(A_LITTLE), temperature_C=-40.0)
+    loop = ClosedLoop(setup_of(cold, NOMINAL, REFERENCE, 1))
+    assert loop.avionics.sense().winding_C == pytest.approx(-40.0)
+
+
+def test_a_scenario_without_a_measurement_has_not_passed():
+    assert not ScenarioResult(Outcome.DONE, 0, 0.0, (), ()).passed

@@ -1,0 +1,69 @@
+"""An arm that is taught a place comes back to it, whatever it believes of itself."""
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.commands import MoveTeachPoint
+from fsw.dictionary.evrs import CommandCompleted
+from fsw.dictionary.joints import Tool
+from sim.arms import arm_named
+from sim.effects.environment import NothingToTouch
+from sim.frames import p_R_from_N
+from sim.loop import ClosedLoop, Setup
+from sim.scenario import Taught
+from sim.sequence import run_sequence
+from sim.teaching import NotTaught, taught
+from sim.world import World
+from tests.sim import lab
+
+BOX = Taught("box", Tool.DRILL, (0.94, 0.28, -0.86), (-1.0, 0.0, 0.0), "shoulder-out elbow-up wrist-down")
+WORLD = World(tilt_roll_rad=0.1, tilt_pitch_rad=-0.2)
+
+
+def missed_m(name: str, point: Taught = BOX) -> tuple[float, float, float]:
+    """How far the true tool is from its place [m] and axis [rad], and how far off it is believed [m]."""
+    arm = arm_named(name)
+    reference = lab.true_reference(arm)
+    known = taught(arm, reference, (point,), WORLD)
+    setup = Setup(known, WORLD, arm.params.poses.ready_rad, 1, reference, (NothingToTouch(),))
+    loop = ClosedLoop(setup)
+    evrs = [evr for record in run_sequence(loop, (MoveTeachPoint("box"),)) for evr in record.outputs.evrs]
+    assert CommandCompleted("MoveTeachPoint") in evrs, evrs[-1].message
+    truth, place = loop.plant.truth(), p_R_from_N(np.array(point.p_N_m))
+    believed = next(p for p in known.params.teach if p.name == "box")
+    axis = truth.R_RT[point.tool][:, 0]
+    return (
+        float(np.linalg.norm(truth.p_RoTo_R_m[point.tool] - place)),
+        float(np.arccos(np.clip(axis @ point.approach_N, -1, 1))),
+        float(np.linalg.norm(np.array(believed.p_RoTo_R_m) - place)),
+    )
+
+
+def test_a_nominal_arm_learns_what_the_drawing_says():
+    off_m, axis_rad, believed_m = missed_m("nominal")
+    assert off_m < 1e-3
+    assert axis_rad < 2e-3
+    assert believed_m < 1e-3
+
+
+@pytest.mark.parametrize("seed", [3, 8])
+def test_a_built_arm_that_believes_to_be_elsewhere_comes_back_to_the_true_place(seed):
+    off_m, axis_rad, believed_m = missed_m(f"as-built:{seed}")
+    assert believed_m > 4e-3
+    assert off_m < 3e-3
+    assert axis_rad < np.radians(1.5)
+
+
+def test_places_of_the_drawing_stay_and_those_of_the_same_name_are_taught_anew():
+    arm = arm_named("nominal")
+    names = [point.name for point in arm.params.teach]
+    anew = Taught(names[0], BOX.tool, BOX.p_N_m, BOX.approach_N, BOX.branch)
+    known = taught(arm, lab.true_reference(arm), (anew,), World())
+    assert sorted(point.name for point in known.params.teach) == sorted(names)
+
+
+def test_a_place_out_of_reach_is_told():
+    arm = arm_named("nominal")
+    far = Taught("far", Tool.DRILL, (9.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    with pytest.raises(NotTaught, match="nominal: far is out of reach of the drill"):
+        taught(arm, lab.true_reference(arm), (far,), World())
