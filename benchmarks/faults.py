@@ -45,7 +45,14 @@ from sim.sequence import run_sequence
 GOES_ON_S = 60.0
 TILT_DEG = (6.0, -8.0)
 STILL: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-SENSORS = {"encoder_count": 5, "resolver_rad": 5, "current_A": 5, "winding_C": 5, "switch_closed": 10, "gravity_R_m_s2": 3}
+SENSORS = {
+    "encoder_count": 5,
+    "resolver_rad": 5,
+    "current_A": 5,
+    "winding_C": 5,
+    "switch_closed": 10,
+    "gravity_R_m_s2": 3,
+}
 SIZES = {
     "encoder_count": (200.0, 200.0),
     "resolver_rad": (0.02, 0.01),
@@ -107,7 +114,9 @@ def random_fault(rng: np.random.Generator, at_s: float, has_rock: bool) -> Fault
 
 def _sensor_fault(rng: np.random.Generator, at_s: float) -> SensorFault:
     sensor = str(rng.choice(list(SENSORS)))
-    kinds = ["frozen", "biased", "noisy"] + (["nan"] if sensor not in ("encoder_count", "switch_closed") else [])
+    kinds = ["frozen", "biased", "noisy"] + (
+        ["nan"] if sensor not in ("encoder_count", "switch_closed") else []
+    )
     kind = str(rng.choice(kinds))
     bias, noise = SIZES[sensor]
     size = float(rng.choice([-1.0, 1.0]) * bias) if kind == "biased" else noise
@@ -142,10 +151,14 @@ def _injected(name: str, loop: ClosedLoop, fault: Fault, rest: tuple[Command, ..
     touched = began
     for record in _carried_on(loop, rest):
         faults += [evr for evr in record.outputs.evrs if isinstance(evr, FaultEvr)]
-        response = response or next((e.response for e in record.outputs.evrs if isinstance(e, FaultResponse)), None)
+        response = response or next(
+            (e.response for e in record.outputs.evrs if isinstance(e, FaultResponse)), None
+        )
         if loop.state.mode is not Mode.FAULTED:
             touched = loop.state.mode
-        kind = {Mode.PRELOAD: "pressed", Mode.GUARDED: "guarded", Mode.RETRACTING: "guarded"}.get(touched, "free")
+        kind = {Mode.PRELOAD: "pressed", Mode.GUARDED: "guarded", Mode.RETRACTING: "guarded"}.get(
+            touched, "free"
+        )
         # what a press leaves behind when it is stopped is not the guarded move's
         if loop.state.pressing is not None:
             kind = "pressed"
@@ -153,14 +166,17 @@ def _injected(name: str, loop: ClosedLoop, fault: Fault, rest: tuple[Command, ..
         forces[kind] = max(forces[kind], most)
         forces["hull"] = max(forces["hull"], hull_force_N(loop.plant))
         output = loop.plant.output_rad()
-        beyond = max(beyond, float(np.maximum(arm.soft_min_rad - output, output - arm.soft_max_rad).max()) - margin)
+        beyond = max(
+            beyond, float(np.maximum(arm.soft_min_rad - output, output - arm.soft_max_rad).max()) - margin
+        )
         stopped = response is not None and not record.outputs.joint.busy
         if stopped or (record.tick >= last and not record.outputs.joint.busy) or record.tick >= 2 * last:
             break
     for _ in range(round(0.25 * CYCLE_HZ)):
         loop.cycle()
     refusing = any(
-        isinstance(evr, CommandRefused) for evr in loop.cycle((MoveJoints(STILL, relative=True),)).outputs.evrs
+        isinstance(evr, CommandRefused)
+        for evr in loop.cycle((MoveJoints(STILL, relative=True),)).outputs.evrs
     )
     faulted = loop.state.mode is Mode.FAULTED
     plant = loop.plant
@@ -169,7 +185,11 @@ def _injected(name: str, loop: ClosedLoop, fault: Fault, rest: tuple[Command, ..
         fault=_spoken(fault),
         mode=began.name,
         found=type(faults[0]).__name__ if faults else "none",
-        end="refusing" if faulted and refusing else "stopped" if response == Response.STOP_AND_BRAKE else "tolerated",
+        end="refusing"
+        if faulted and refusing
+        else "stopped"
+        if response == Response.STOP_AND_BRAKE
+        else "tolerated",
         braked=bool(plant.data.eq_active[plant.at.brake].all()) and not loop.state.drive.power_on.any(),
         guarded_N=forces["guarded"],
         free_N=forces["free"],
@@ -213,7 +233,9 @@ def summary(cases: list[Injected]) -> dict[str, object]:
         "found": dict(Counter(case.found for case in cases)),
         "table": {fault: table[fault] for fault in sorted(table)},
         "over": [
-            asdict(c) for c in cases if c.guarded_N > 50 or c.free_N > 250 or c.pressed_N > 400 or c.hull_N > 0 or c.beyond_rad > 0
+            asdict(c)
+            for c in cases
+            if c.guarded_N > 50 or c.free_N > 250 or c.pressed_N > 400 or c.hull_N > 0 or c.beyond_rad > 0
         ],
         "tolerated": sorted({(case.fault, case.mode) for case in cases if case.end == "tolerated"}),
     }
@@ -226,7 +248,9 @@ def main() -> None:
     names = shipped()
     rng = np.random.default_rng([asked.seed, 60])
     counts = Counter(str(name) for name in rng.choice(names, asked.count))
-    chunks = [(name, 100 * asked.seed + k, share) for name in names for k, share in enumerate(_shares(counts[name]))]
+    chunks = [
+        (name, 100 * asked.seed + k, share) for name in names for k, share in enumerate(_shares(counts[name]))
+    ]
     cases: list[Injected] = []
     with ProcessPoolExecutor(asked.workers) as pool:
         for found in pool.map(campaign, *zip(*chunks, strict=True)):

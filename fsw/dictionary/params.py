@@ -207,6 +207,8 @@ class MotionParams:
     """How close to the stowed pose every joint of a stowed arm is."""
     approach_rad: Annotated[float, Limits(1e-5, 0.05)]
     """An output that its load does not hold is dragged at least this far to the place where it is to rest."""
+    tool_speed_m_s: Annotated[float, Limits(1e-3, 1.0)]
+    """No joint move takes the drill faster: what it hits unforeseen, it hits as hard as it is fast."""
     guarded_speed_m_s: Annotated[float, Limits(1e-4, 0.02)]
     switch_force_N: Annotated[float, Limits(0.1, 50.0)]
     """At which a contact switch closes."""

@@ -1,12 +1,17 @@
 """Paths of motor set-points over time: joint moves, straight tool moves, stops. A path is immutable."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from ruckig import InputParameter, Result, Ruckig, Trajectory
 
 from fsw.config import CYCLE_S, Config
-from fsw.kinematics.transforms import Array
+from fsw.dictionary.joints import Tool
+from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
+from fsw.kinematics.transforms import Array, norm
+
+WAY_SHARES: Final = np.linspace(0.0, 1.0, 9)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,9 +103,23 @@ Path = JointPath | LinePath | StillPath | StopPath
 
 
 def joint_path(config: Config, start_rad: Array, end_rad: Array) -> JointPath:
-    """The fastest jerk-limited move between two poses at rest."""
-    trajectory = _plan(start_rad, end_rad, config.speed_rad_s, config.acceleration_rad_s2, config.jerk_rad_s3)
+    """The fastest jerk-limited move between two poses at rest that neither joints nor tools forbid."""
+    speed_rad_s = config.speed_rad_s * _share_of_speed(config, start_rad, end_rad)
+    trajectory = _plan(start_rad, end_rad, speed_rad_s, config.acceleration_rad_s2, config.jerk_rad_s3)
     return JointPath(trajectory.duration, trajectory)
+
+
+def _share_of_speed(config: Config, start_rad: Array, end_rad: Array) -> float:
+    """At which the drill, which reaches farthest, is no faster than tools may be on an even way there."""
+    way = end_rad - start_rad
+    longest_s = float(np.max(np.abs(way) / config.speed_rad_s))
+    if longest_s < CYCLE_S:
+        return 1.0
+    poses = start_rad[:, None] + way[:, None] * WAY_SHARES
+    frames = forward(config.arm, poses)
+    J = joint_jacobian(frames, tool_pose(config.arm, frames, Tool.DRILL).p)[3:]
+    fastest = float(norm(np.einsum("ijk,j->ik", J, way / longest_s)).max())
+    return min(1.0, config.params.motion.tool_speed_m_s / fastest)
 
 
 def line_path(config: Config, knots_rad: Array, travel: Travel) -> LinePath:

@@ -12,6 +12,7 @@ from fsw.dictionary.joints import Joint
 from fsw.estimate.reference import Reference
 from sim.arms import BuiltArm
 from sim.effects.effect import nominal_hardware
+from sim.loop import ClosedLoop
 from sim.plant import JOINT_NAMES, Plant
 from sim.world import World, build
 
@@ -156,3 +157,26 @@ def tool_distance_mm(a: Plant, b: Plant) -> float:
     """The farthest that any tool of one arm is from the same tool of the other."""
     apart = a.truth().p_RoTo_R_m - b.truth().p_RoTo_R_m
     return 1e3 * float(np.linalg.norm(apart, axis=1).max())
+
+
+def ended(loop: ClosedLoop, cycles: int = 20 * CYCLE_HZ) -> list:
+    """The events until the arm stands, and a little longer."""
+    evrs = []
+    for _ in range(cycles):
+        record = loop.cycle()
+        evrs += record.outputs.evrs
+        if not record.outputs.joint.busy:
+            break
+    else:
+        raise AssertionError("still busy")
+    for _ in range(CYCLE_HZ):
+        evrs += loop.cycle().outputs.evrs
+    return evrs
+
+
+def standing(loop: ClosedLoop) -> bool:
+    """On its brakes, without power, and at rest."""
+    plant = loop.plant
+    on = plant.data.eq_active[plant.at.brake].all()
+    still = np.abs(plant.data.qvel[plant.at.motor]).max() < 1e-5
+    return bool(on and still and not plant.data.actuator_force.any())

@@ -1,0 +1,113 @@
+"""What a tool presses with that meets a rock: looked for, or not."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.commands import GuardedMove, MoveJoints
+from fsw.dictionary.evrs import ContactMade
+from fsw.dictionary.faults import (
+    ContactInFreeSpace,
+    PreloadOutside,
+)
+from fsw.dictionary.joints import SWITCHES_OF, Joint, Tool
+from fsw.kinematics.chain import tool_pose
+from fsw.kinematics.statics import rest
+from sim.arms import arm_named
+from sim.effects.faults import (
+    RockGone,
+    SensorFault,
+)
+from sim.frames import P_NR_M
+from sim.loop import ClosedLoop, Setup, joints5
+from sim.world import Surface, World
+from tests.fsw.rig import MARS_R_m_s2, config_of, facing, floats
+from tests.sim import lab
+from tests.sim.lab import ended, standing
+
+CONFIG = config_of()
+NOW_S = 0.0
+
+
+def facing_rock(tool, motor_rad, effects=(), ahead_m=0.0):
+    """The arm at a pose, and a rock some way ahead of where the tool is in the pose that faces it."""
+    arm, pose = arm_named("nominal"), facing(CONFIG, tool)
+    X_RT = tool_pose(CONFIG.arm, rest(CONFIG.arm, pose, MARS_R_m_s2).frames, tool)
+    p_N = X_RT.p + ahead_m * X_RT.R[:, 0] + P_NR_M
+    world = World(surface=Surface(floats(p_N), floats(-X_RT.R[:, 0])))
+    setup = Setup(arm, world, joints5(motor_rad), reference=lab.true_reference(arm), effects=effects)
+    return ClosedLoop(setup), X_RT
+
+
+def peak_force_N(loop, command) -> tuple[float, list]:
+    """The largest contact force at any step until the arm stands, and the events."""
+    peak, model, data = 0.0, loop.plant.model, loop.plant.data
+
+    def step():
+        nonlocal peak
+        for _ in range(loop.plant.steps_per_cycle):
+            mujoco.mj_step(model, data)
+            peak = max(peak, loop.plant._contact_force())
+
+    loop.plant.step = step
+    loop.cycle((command,))
+    evrs = ended(loop)
+    return peak, evrs
+
+
+TOUCHING = [tool for tool in Tool if SWITCHES_OF[tool]]
+
+
+def guarded_with_dead(tool, switches) -> tuple[float, list]:
+    """A guarded move to a rock with switches that never close: the peak force and the events."""
+    effects = tuple(SensorFault(NOW_S, "switch_closed", "biased", switch, -1.0) for switch in switches)
+    loop, X_RT = facing_rock(tool, facing(CONFIG, tool), effects, ahead_m=0.04)
+    axis = X_RT.R[:, 0]
+    return peak_force_N(loop, GuardedMove(tool, floats(X_RT.p + 0.07 * axis), floats(axis)))
+
+
+@pytest.mark.parametrize(("tool", "dead"), [(tool, s) for tool in TOUCHING for s in SWITCHES_OF[tool]])
+def test_a_guarded_tool_meets_a_rock_with_less_than_50_N_whichever_switch_is_dead(tool, dead):
+    peak, evrs = guarded_with_dead(tool, (dead,))
+    assert any(isinstance(evr, ContactMade | PreloadOutside) for evr in evrs)
+    assert 0.0 < peak < 50.0
+
+
+@pytest.mark.parametrize("tool", TOUCHING)
+def test_a_guarded_tool_whose_switches_are_all_dead_is_felt_before_it_presses_with_100_N(tool):
+    peak, evrs = guarded_with_dead(tool, SWITCHES_OF[tool])
+    assert any(isinstance(evr, PreloadOutside) for evr in evrs)
+    assert 0.0 < peak < 100.0
+
+
+@pytest.mark.parametrize("joint", [Joint.AZIMUTH, Joint.ELEVATION, Joint.ELBOW, Joint.WRIST])
+@pytest.mark.parametrize("tool", [Tool.APXS, Tool.DRILL])
+def test_a_joint_at_full_speed_that_drives_its_tool_into_a_rock_presses_with_less_than_250_N(tool, joint):
+    pose = facing(CONFIG, tool)
+    axis = tool_pose(CONFIG.arm, rest(CONFIG.arm, pose, MARS_R_m_s2).frames, tool).R[:, 0]
+
+    def along_m(step):
+        frames = rest(CONFIG.arm, pose + step, MARS_R_m_s2).frames
+        return tool_pose(CONFIG.arm, frames, tool).p @ axis
+
+    way = 3.0 * CONFIG.speed_rad_s * (np.arange(5) == joint)
+    way = way * np.sign(along_m(1e-3 * way) - along_m(-1e-3 * way))
+    loop, _ = facing_rock(tool, pose - way)
+    peak, evrs = peak_force_N(loop, MoveJoints(joints5(pose + way)))
+    assert any(isinstance(evr, ContactInFreeSpace) for evr in evrs)
+    assert 0.0 < peak < 250.0
+    assert standing(loop)
+
+
+def test_a_rock_that_is_gone_is_not_touched_any_more():
+    loop, X_RT = facing_rock(Tool.APXS, facing(CONFIG, Tool.APXS), ahead_m=0.04)
+    axis = X_RT.R[:, 0]
+    loop.cycle((GuardedMove(Tool.APXS, floats(X_RT.p + 0.07 * axis), floats(axis)),))
+    assert any(isinstance(evr, ContactMade) for evr in ended(loop))
+    gone = loop.fork((RockGone(NOW_S),))
+    for _ in range(CYCLE_HZ):
+        here, there = loop.cycle().sensors, gone.cycle().sensors
+    assert here.switch_closed.any()
+    assert not there.switch_closed.any()
+    assert gone.plant._contact_force() == 0.0
