@@ -18,7 +18,7 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command, MoveJoints
 from fsw.dictionary.evrs import CommandRefused, FaultResponse
 from fsw.dictionary.faults import Fault as FaultEvr
-from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.joints import Joint
 from fsw.dictionary.modes import Mode
 from fsw.protect.responses import Response
 from sim.arms import arm_named

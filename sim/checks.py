@@ -63,7 +63,7 @@ class Preloaded:
     ratio: Annotated[float, Limits(0.0, 10.0)] = 0.35
     """Of lateral to normal force, from then on."""
     slip_m: Length = 1e-3
-    """Of the tool along the surface, from then on."""
+    """Of each contact pad along the surface, while it touches."""
     pressed_N: Force = 20.0
     """The normal force from which on ratio and slip count."""
 

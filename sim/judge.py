@@ -8,7 +8,7 @@ from typing import assert_never
 import numpy as np
 
 from fsw.dictionary.commands import Vector3
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
 from fsw.dictionary.modes import Mode
 from fsw.kinematics.transforms import Array
 from sim.checks import (
@@ -119,7 +119,7 @@ def _preloaded(check: Preloaded, normal: Array, trace: Trace) -> tuple[Measured,
     pressed = [(m, f) for m, f in zip(moments, normals, strict=True) if f >= check.pressed_N]
     ratios = [_lateral(m.force_R_N[check.tool], normal) / f for m, f in pressed]
     slips = [
-        _lateral(m.p_RoTo_R_m[check.tool] - moments[0].p_RoTo_R_m[check.tool], normal) for m, _ in pressed
+        slip for switch in SWITCHES_OF[check.tool] for slip in _slips([m for m, _ in pressed], switch, normal)
     ]
     return (
         _force(trace, normal, check.after, check.tool, check.force_N, check.share),
@@ -127,6 +127,12 @@ def _preloaded(check: Preloaded, normal: Array, trace: Trace) -> tuple[Measured,
         Measured("lateral over normal force", _most(ratios), "", high=check.ratio),
         Measured("slip", _most(slips), "m", high=check.slip_m),
     )
+
+
+def _slips(moments: list[Moment], switch: Switch, normal: Array) -> list[float]:
+    """How far across a pad has come since it has touched: a tool may roll on its pads, or turn about one."""
+    places = [m.pads_R_m[switch] for m in moments if m.closed[switch]]
+    return [_lateral(place - places[0], normal) for place in places]
 
 
 def _gravity_held(check: GravityHeld, gravity_R_m_s2: Array, trace: Trace) -> Measured:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.joints import Joint, Switch, Tool
 from fsw.kinematics.transforms import Array
 from sim.frames import FLIP, P_NR_M
 from sim.truth import Truth
@@ -52,6 +52,8 @@ class Addresses:
     """Of rover and links, from the rover outward; each as its strain is listed, rotation first."""
     tools: NDArray[np.intp]
     """Sites, in the order of Tool."""
+    pads: NDArray[np.intp]
+    """Sites of the contact switches, in the order of Switch."""
 
 
 class Plant:
@@ -74,6 +76,7 @@ class Plant:
             brake=np.array([model.equality(f"{name}_brake").id for name in JOINT_NAMES]),
             springs=np.array([[model.joint(f"{s}_{axis}").qposadr[0] for axis in AXES] for s in SPRINGS]),
             tools=np.array([model.site(tool.name.lower()).id for tool in Tool]),
+            pads=np.array([model.site(switch.name.lower()).id for switch in Switch]),
         )
         self.model.tendon_invweight0[self.at.outputs] *= HARD_FRICTION
         self.torque_constant_Nm_A = model.actuator_gainprm[self.at.actuators, MOTOR_CONSTANT].copy()
@@ -161,6 +164,11 @@ class Plant:
         mujoco.mj_jacSite(self.model, self.data, jacobian, None, self.at.tools[tool])
         shift: Array = FLIP * (jacobian[:, self.at.gear] @ output_rad)
         return shift
+
+    def pads_R_m(self) -> Array:
+        """Where the contact switches are, as of the last look at the truth: (10, 3), in RMECH."""
+        p_R_m: Array = FLIP * self.data.site_xpos[self.at.pads] - P_NR_M
+        return p_R_m
 
     def truth(self) -> Truth:
         """The state as it is, for logs and judges; forward kinematics are brought up to date."""

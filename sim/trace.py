@@ -29,6 +29,8 @@ class Moment:
     """Of the world on each tool, (5, 3)."""
     closed: NDArray[np.bool_]
     """As the cycle read them, in the order of Switch."""
+    pads_R_m: Array
+    """Where they are, (10, 3)."""
     vibrates: bool
 
 
@@ -85,6 +87,7 @@ def moment(plant: Plant, record: CycleRecord, command: int) -> Moment:
         R_RT=truth.R_RT,
         force_R_N=tool_forces(plant),
         closed=record.sensors.switch_closed,
+        pads_R_m=plant.pads_R_m(),
         vibrates=record.outputs.drive.vibrate,
     )
 

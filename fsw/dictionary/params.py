@@ -309,6 +309,9 @@ class PreloadParams:
     rate_N_s: Annotated[float, Limits(0.1, 200.0)]
     step_N: Annotated[float, Limits(0.1, 100.0)]
     """Spacing of the knots of an overdrive."""
+    error_share: Annotated[float, Limits(0.0, 1.0)]
+    """How far the true force may be from the believed one, as a share of it, but at least error_N."""
+    error_N: Annotated[float, Limits(0.0, 100.0)]
     guard_share: Annotated[float, Limits(0.05, 1.0)]
     """How far beyond the torque that a force takes the current limits are set, as a share of it."""
 

@@ -46,9 +46,14 @@ def bounds_under(config: Config, half_gap_rad: Array, load_Nm: Array) -> GearBou
     )
 
 
-def uncertain_loads(config: Config, load_Nm: Array, gravity_R_m_s2: Array) -> Array:
-    """Modelled loads (5) at the least, likely and at the most; (5, 3)."""
-    loads: Array = load_Nm[:, None] + load_error(config, gravity_R_m_s2)[:, None] * SLACK
+def uncertain_loads(
+    config: Config, load_Nm: Array, gravity_R_m_s2: Array, more_Nm: Array | None = None
+) -> Array:
+    """Modelled loads (5) at the least, likely and at the most, `more_Nm` (5) as uncertain on top; (5, 3)."""
+    error = load_error(config, gravity_R_m_s2)
+    if more_Nm is not None:
+        error = error + more_Nm
+    loads: Array = load_Nm[:, None] + error[:, None] * SLACK
     return loads
 
 

@@ -157,9 +157,11 @@ def _first(config: Config, asleep: JointEstimate, sensors: Sensors) -> JointEsti
     )
 
 
-def loaded(config: Config, joints: JointEstimate, load_Nm: Array) -> JointEstimate:
-    """The estimate under newly modelled loads."""
-    loads = uncertain_loads(config, load_Nm, joints.gravity_R_m_s2)
+def loaded(
+    config: Config, joints: JointEstimate, load_Nm: Array, more_Nm: Array | None = None
+) -> JointEstimate:
+    """The estimate under newly modelled loads, and so much (5) more uncertain ones."""
+    loads = uncertain_loads(config, load_Nm, joints.gravity_R_m_s2, more_Nm)
     bounds = bounds_under(config, joints.reference.half_gap_rad, loads)
     gear = gear_after(joints.gear_rad, np.zeros_like(load_Nm), bounds)
     return replace(joints, bounds=bounds, gear_rad=gear)

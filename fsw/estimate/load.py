@@ -8,7 +8,7 @@ from fsw.config import Config
 from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.joints import Tool
 from fsw.estimate.joints import JointEstimate, loaded
-from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.chain import Frames, forward, tool_pose
 from fsw.kinematics.statics import Push, load, rest
 from fsw.kinematics.transforms import Array
 
@@ -36,6 +36,17 @@ def refresh(
     strain = last.strain if last.known else rest(arm, output, joints.gravity_R_m_s2).strain
     frames = forward(arm, output, strain)
     strain, torque = load(arm, frames, joints.gravity_R_m_s2, push)
+    unsure = None if push is None else _unsure(config, frames, joints, torque, push)
     X_RT = tool_pose(arm, frames, tool)
     channels = ToolChannels(tick, tool, X_RT.p, X_RT.R, output, torque)
-    return LoadEstimate(True, strain, torque), loaded(config, joints, torque), channels
+    return LoadEstimate(True, strain, torque), loaded(config, joints, torque, unsure), channels
+
+
+def _unsure(config: Config, frames: Frames, joints: JointEstimate, torque_Nm: Array, push: Push) -> Array:
+    """By how much the loads (5) of a press may be off: no sensor feels the force."""
+    force_N, preload = float(np.linalg.norm(push.force_R_N)), config.params.preload
+    of_push = torque_Nm - load(config.arm, frames, joints.gravity_R_m_s2)[1]
+    unsure: Array = np.abs(of_push) * (
+        max(preload.error_share * force_N, preload.error_N) / max(force_N, 1e-9)
+    )
+    return unsure

@@ -1,5 +1,7 @@
 """Monitors of what the arm touches: where nothing should be, where something should, and how hard."""
 
+from typing import Final
+
 import numpy as np
 
 from fsw.config import Config
@@ -14,6 +16,8 @@ from fsw.messages import Flags
 from fsw.motion.move import Move
 from fsw.motion.plan_press import Pressing
 
+LEAST_LEVER_M: Final = 0.2
+"""With less, all joints that count together, what a resolver does not know is too much of a force."""
 MAY_TOUCH = (Mode.GUARDED, Mode.RETRACTING, Mode.PRELOAD, Mode.FAULTED)
 
 
@@ -74,4 +78,6 @@ def force_error_N(config: Config, torque_per_N: Array, joints: JointEstimate) ->
     error_rad = joints.resolver_error_rad
     sure_rad = np.maximum(np.abs(error_rad) - joints.uncertainty_rad, 0.0) * np.sign(error_rad)
     per_N = torque_per_N[counts]
+    if float(per_N @ per_N) < LEAST_LEVER_M**2:
+        return 0.0
     return float(per_N @ (stiffness * sure_rad)[counts] / (per_N @ per_N))

@@ -45,6 +45,7 @@ REST = Moment(
     R_RT=np.tile(np.eye(3), (5, 1, 1)),
     force_R_N=np.zeros((5, 3)),
     closed=np.zeros(len(Switch), bool),
+    pads_R_m=np.zeros((len(Switch), 3)),
     vibrates=False,
 )
 
@@ -76,7 +77,7 @@ def at(
     if R is not None:
         axes[tool] = R
     closed = np.isin(np.arange(len(Switch)), SWITCHES_OF[tool][:1]) & touching
-    return Moment(command, p, axes, force, closed, vibrates)
+    return Moment(command, p, axes, force, closed, np.tile(p[tool], (len(Switch), 1)), vibrates)
 
 
 def verdict(
