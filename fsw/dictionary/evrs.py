@@ -144,6 +144,16 @@ class Preloaded(Evr):
 
 
 @dataclass(frozen=True, slots=True)
+class ForceFelt(Evr):
+    """How the motors' currents rose with the force of a press; the rest of the way makes up for it."""
+
+    severity = Severity.ACTIVITY_LO
+    text = "{e.tool.name}: {e.share:.3f} N felt for a newton of the model"
+    tool: Tool
+    share: float
+
+
+@dataclass(frozen=True, slots=True)
 class SpotTaken(Evr):
     """A tool change counts from where the touching tool is believed to be."""
 

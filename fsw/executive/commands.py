@@ -60,6 +60,7 @@ from fsw.motion.move import Move
 from fsw.motion.paths import Setpoint, StillPath
 from fsw.motion.plan import Refusal
 from fsw.motion.plan_press import plan_press, press_limit_A, touching
+from fsw.motion.trim import PressFit
 
 _EVENT_OF: Final[dict[type, Event]] = {
     Unstow: Event.UNSTOW,
@@ -228,6 +229,7 @@ def _press(config: Config, now: Situation, command: Preload) -> Situation:
         _at_rest(config, now, command, TRANSITIONS[Mode.PRELOAD, done]),
         paths=plan.paths,
         press=press,
+        fit=PressFit(),
         limit_A=press_limit_A(config, state.joints, press, state.load.torque_Nm),
     )
     state = replace(state, mode=Mode.PRELOAD, move=move, pressing=pressing, planned_gap_rad=plan.gap_rad)

@@ -6,7 +6,7 @@ from enum import IntEnum
 import numpy as np
 
 from fsw.config import CYCLE_S, Config
-from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, Preloaded
+from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, ForceFelt, Preloaded
 from fsw.dictionary.faults import NoContact, NotSettled
 from fsw.dictionary.joints import SWITCHES_OF, Joint, Switch, Tool
 from fsw.dictionary.modes import Mode
@@ -16,8 +16,10 @@ from fsw.kinematics.transforms import Array
 from fsw.messages import Flags, Sensors
 from fsw.motion import seek as seeking
 from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
-from fsw.motion.plan_press import Press, Pressing
+from fsw.motion.plan import Refusal
+from fsw.motion.plan_press import Press, Pressing, plan_press
 from fsw.motion.seek import Seek, limit_A
+from fsw.motion.trim import PressFit, felt, modelled_force
 
 
 class Phase(IntEnum):
@@ -47,6 +49,8 @@ class Move:
     """How far a guarded move had come when a switch closed."""
     seek: Seek | None = None
     press: Press | None = None
+    fit: PressFit | None = None
+    """What the currents tell of a press; None once it has been trimmed by it."""
     vibrate: bool = False
     stopped: bool = False
     """A command or a fault stopped it: the move ends early and is reported as aborted."""
@@ -79,6 +83,8 @@ def advance(config: Config, move: Move, joints: JointEstimate, load_Nm: Array, s
         case Phase.RUN:
             if move.seek is not None:
                 return _seek(config, move, move.seek, joints, load_Nm, sensors)
+            if move.press is not None:
+                return _press(config, move, move.press, joints, load_Nm, sensors)
             return _run(config, move, sensors)
         case Phase.SETTLE:
             return _settle(config, move, joints)
@@ -95,7 +101,7 @@ def advance(config: Config, move: Move, joints: JointEstimate, load_Nm: Array, s
 def _pressed(move: Move) -> tuple[Evr, ...]:
     if move.press is None:
         return ()
-    return (Preloaded(move.press.start.tool, move.press.end_N),)
+    return (Preloaded(move.press.start.tool, move.press.wanted_N),)
 
 
 def _found(move: Move) -> tuple[Joint, Found] | None:
@@ -154,6 +160,36 @@ def _run(config: Config, move: Move, sensors: Sensors) -> Advance:
     if move.guarded is not None and move.contact_at is None:
         return Advance(move, (*evrs, NoContact(_travel(move, time_s))))
     return Advance(_enter(running, Phase.SETTLE), evrs)
+
+
+def _press(
+    config: Config, move: Move, press: Press, joints: JointEstimate, load_Nm: Array, sensors: Sensors
+) -> Advance:
+    """A press runs along its overdrive, and once more by what the currents told on the way."""
+    fit = move.fit
+    if fit is not None and not move.stopped:
+        fit = felt(config, fit, press, press.after(gone(move)), move.hold, joints, load_Nm, sensors)
+    done = _run(config, replace(move, fit=fit), sensors)
+    if done.move is None or done.move.phase is not Phase.SETTLE or fit is None or move.stopped:
+        return done
+    return _trimmed(config, done.move, press, fit, joints) or done
+
+
+def _trimmed(
+    config: Config, move: Move, press: Press, fit: PressFit, joints: JointEstimate
+) -> Advance | None:
+    """The press with another way to go; None if it is near enough, or cannot be."""
+    force_N, slope = modelled_force(press, fit), fit.slope()
+    if force_N is None or slope is None:
+        return None
+    stands = replace(joints, motor_rad=move.hold.motor_rad)
+    planned = plan_press(config, stands, press.after(gone(move)), force_N)
+    if isinstance(planned, Refusal):
+        return None
+    plan, rest = planned
+    rest = replace(rest, wanted_N=press.wanted_N)
+    on = replace(move, phase=Phase.RUN, paths=plan.paths, press=rest, fit=None, ticks=0, travelled=0.0)
+    return Advance(on, (ForceFelt(press.start.tool, slope),))
 
 
 def _felt(move: Move, tool: Tool, sensors: Sensors) -> tuple[Move, tuple[Evr, ...]]:

@@ -51,6 +51,8 @@ class Press:
 
     start: Pressing
     end_N: float
+    """Of the model."""
+    wanted_N: float
     torque_per_N: Array
     """By how much each joint's load rises with the force, (5,)."""
 
@@ -97,7 +99,7 @@ def plan_press(
     travel = Travel(change_N, preload.rate_N_s, preload.rate_N_s / RAMP_S, 2 * preload.rate_N_s / RAMP_S**2)
     plan = plan_through(config, joints, output, load_Nm, Compensation(), travel)
     per_N = (load_Nm[:, -1] - load_Nm[:, 0]) / (force_N - pressing.force_N)
-    return plan, Press(pressing, force_N, per_N)
+    return plan, Press(pressing, force_N, force_N, per_N)
 
 
 def press_limit_A(config: Config, joints: JointEstimate, press: Press, load_Nm: Array) -> Array:
