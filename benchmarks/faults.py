@@ -42,7 +42,7 @@ from sim.scenario_file import load, shipped
 from sim.scenario_run import setup_of
 from sim.sequence import run_sequence
 
-GOES_ON_S = 60.0
+GOES_ON_S = 45.0
 TILT_DEG = (6.0, -8.0)
 STILL: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 SENSORS = {
@@ -174,12 +174,13 @@ def _injected(name: str, loop: ClosedLoop, fault: Fault, rest: tuple[Command, ..
             break
     for _ in range(round(0.25 * CYCLE_HZ)):
         loop.cycle()
+    plant = loop.plant
+    braked = bool(plant.data.eq_active[plant.at.brake].all()) and not loop.state.drive.power_on.any()
     refusing = any(
         isinstance(evr, CommandRefused)
         for evr in loop.cycle((MoveJoints(STILL, relative=True),)).outputs.evrs
     )
     faulted = loop.state.mode is Mode.FAULTED
-    plant = loop.plant
     return Injected(
         scenario=name,
         fault=_spoken(fault),
@@ -190,7 +191,7 @@ def _injected(name: str, loop: ClosedLoop, fault: Fault, rest: tuple[Command, ..
         else "stopped"
         if response == Response.STOP_AND_BRAKE
         else "tolerated",
-        braked=bool(plant.data.eq_active[plant.at.brake].all()) and not loop.state.drive.power_on.any(),
+        braked=braked,
         guarded_N=forces["guarded"],
         free_N=forces["free"],
         pressed_N=forces["pressed"],
@@ -245,7 +246,7 @@ def main() -> None:
     options = parser("faults", __doc__, "example: python -m benchmarks.faults --count 60")
     options.add_argument("--count", type=int, default=1000, help="faults in all (default %(default)s)")
     asked = options.parse_args()
-    names = shipped()
+    names = list(shipped())
     rng = np.random.default_rng([asked.seed, 60])
     counts = Counter(str(name) for name in rng.choice(names, asked.count))
     chunks = [
@@ -260,7 +261,7 @@ def main() -> None:
     print(json.dumps(summary(cases), indent=2))
 
 
-def _shares(count: int, most: int = 25) -> list[int]:
+def _shares(count: int, most: int = 100) -> list[int]:
     return [most] * (count // most) + ([count % most] if count % most else [])
 
 

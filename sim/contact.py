@@ -1,5 +1,7 @@
 """What touches the tools, and with what force."""
 
+from typing import Final
+
 import mujoco
 import numpy as np
 
@@ -7,6 +9,9 @@ from fsw.dictionary.joints import Tool
 from fsw.kinematics.transforms import Array
 from sim.frames import FLIP
 from sim.plant import Plant
+
+HULL: Final = "rover_hull"
+DOCK: Final = "bit_box"
 
 
 def tool_forces(plant: Plant) -> Array:
@@ -24,3 +29,15 @@ def tool_forces(plant: Plant) -> Array:
             force_W = data.contact.frame[k].reshape(3, 3).T @ wrench[:3]  # of the first geom on the second
             total[tool] += FLIP * force_W * (1.0 if of_tool[k, 1] else -1.0)
     return total
+
+
+def hull_force_N(plant: Plant) -> float:
+    """The largest normal force between the arm and any part of the rover but the bit boxes."""
+    model, data = plant.model, plant.data
+    most, wrench = 0.0, np.zeros(6)
+    for k in range(data.ncon):
+        geoms = [model.geom(geom) for geom in data.contact.geom[k]]
+        if any(model.body(geom.bodyid[0]).name == HULL and not geom.name.startswith(DOCK) for geom in geoms):
+            mujoco.mj_contactForce(model, data, k, wrench)
+            most = max(most, float(wrench[0]))
+    return most
