@@ -11,7 +11,7 @@ WORKERS ?= 2
 
 say = echo "marsarm: $(1)" >&2
 
-.PHONY: help setup demo test bench campaign joints oracle lint lock clean
+.PHONY: help setup demo test bench campaign joints jobs oracle lint lock clean
 
 help:
 	@echo "make demo      set up, put the APXS on a rock on Mars, write a picture"
@@ -19,6 +19,7 @@ help:
 	@echo "make bench     print the benchmarks as JSON"
 	@echo "make campaign  try the inverse kinematics on twenty million targets, print what was found as JSON"
 	@echo "make joints    find hardstops and backlash again and again on many arms, print how well as JSON"
+	@echo "make jobs      run every scenario, tool changes and faults on many arms, print how well as JSON"
 	@echo "make oracle    compare the inverse kinematics with EAIK, if it can be installed"
 	@echo "make lint      style, types and the direction of imports"
 	@echo "make lock      choose package versions anew (needs uv)"
@@ -45,6 +46,10 @@ campaign: $(VENV)/ready
 joints: $(VENV)/ready
 	@$(call say,hardstops and backlash in $(WORKERS) processes; this takes the better part of an hour)
 	@$(BIN)/python -m benchmarks.joints --workers $(WORKERS) $(ARGS)
+
+jobs: $(VENV)/ready
+	@$(call say,scenarios, tool changes and faults in $(WORKERS) processes; this takes the better part of two hours)
+	@for what in jobs tool_change faults; do $(BIN)/python -m benchmarks.$$what --workers $(WORKERS) || exit 1; done
 
 # Optional, and not in the lock. Without its dependencies, which are for URDF files and take 240 MB: what is used
 # of EAIK needs numpy alone. Where no wheel fits or no index answers, the tests are skipped and say so.
