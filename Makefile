@@ -48,7 +48,7 @@ joints: $(VENV)/ready
 	@$(BIN)/python -m benchmarks.joints --workers $(WORKERS) $(ARGS)
 
 jobs: $(VENV)/ready
-	@$(call say,scenarios, tool changes and faults in $(WORKERS) processes; this takes the better part of two hours)
+	@$(call say,scenarios and tool changes and faults in $(WORKERS) processes; this takes the better part of two hours)
 	@for what in jobs tool_change faults; do $(BIN)/python -m benchmarks.$$what --workers $(WORKERS) || exit 1; done
 
 # Optional, and not in the lock. Without its dependencies, which are for URDF files and take 240 MB: what is used
