@@ -16,6 +16,7 @@ from benchmarks.options import parser
 from fsw.dictionary.commands import Command, PlaceTool, Retract, ToolChange
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm, arm_named
 from sim.campaign import random_placement
@@ -62,54 +63,57 @@ def unknown_to_flight(seed: int) -> tuple[Effect, ...]:
 
 def one_arm(kind: str, seed: int) -> list[Changed]:
     """The tool changes of one arm; targets of which the arm refuses one are drawn again."""
-    arm = arm_named(f"{kind}:{seed}")
-    reference = initial_reference(arm)
-    effects = unknown_to_flight(seed) if kind == "calibrated" else ()
+    name = f"{kind}:{seed}"
+    reference = initial_reference(arm_named(name))
     found: list[Changed] = []
     draw = 0
     while len(found) < POSES:
         draw += 1
-        world, seen = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
-        start = joints5(seen.standoff_rad)
-        setup = Setup(arm, world, start, draw, reference, effects)
-        target = p_R_from_N(np.array(seen.placement.target_N_m))
-        axis = -np.array(seen.placement.normal_N) / np.linalg.norm(seen.placement.normal_N)
-        changed = _one(arm, setup, target, axis, seen.placement.branch)
-        if changed is not None:
-            found.append(changed)
+        changed = one_target(name, reference, draw)
+        found += [] if changed is None else [changed]
     return found
 
 
-def _one(arm: BuiltArm, setup: Setup, target: Array, axis: Array, branch: str) -> Changed | None:
-    place = PlaceTool(FIRST, _vector(target), _vector(axis), branch=branch)
-    relative = _touched(setup, (place, ToolChange(SECOND)))
-    absolute = _touched(setup, (place, Retract(FIRST, 0.1), replace(place, tool=SECOND, branch="AUTO")))
+def one_target(name: str, reference: Reference, draw: int) -> Changed | None:
+    """The tool change at a target of this arm; None if a command was not carried out."""
+    arm, seed = arm_named(name), int(name.partition(":")[2])
+    world, seen = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
+    effects = unknown_to_flight(seed) if name.startswith("calibrated") else ()
+    loop = ClosedLoop(Setup(arm, world, joints5(seen.standoff_rad), draw, reference, effects))
+    target = p_R_from_N(np.array(seen.placement.target_N_m))
+    axis = -np.array(seen.placement.normal_N) / np.linalg.norm(seen.placement.normal_N)
+    place = PlaceTool(FIRST, _vector(target), _vector(axis), branch=seen.placement.branch)
+    first = _touched(loop, (place,))
+    if first is None:
+        return None
+    again = replace(place, tool=SECOND, branch="AUTO")
+    relative = _touched(loop.fork(), (ToolChange(SECOND),))
+    absolute = _touched(loop.fork(), (Retract(FIRST, place.standoff_m), again))
     if relative is None or absolute is None:
         return None
-    spot, R_1 = relative[FIRST]
-    second, R_2 = relative[SECOND]
+    (spot, R_1), (second, R_2) = first, relative
     frames = R_2 @ _tool_shift(arm, SECOND) - R_1 @ _tool_shift(arm, FIRST)
     return Changed(
         from_spot_mm=_lateral_mm(second - spot, axis),
-        absolute_mm=_lateral_mm(absolute[SECOND][0] - target, axis),
-        twice_absolute_mm=_lateral_mm(absolute[SECOND][0] - absolute[FIRST][0], axis),
+        absolute_mm=_lateral_mm(absolute[0] - target, axis),
+        twice_absolute_mm=_lateral_mm(absolute[0] - spot, axis),
         tool_frames_mm=_lateral_mm(frames, axis),
         rest_mm=_lateral_mm(second - spot - frames, axis),
     )
 
 
-def _touched(setup: Setup, commands: tuple[Command, ...]) -> dict[Tool, tuple[Array, Array]] | None:
-    """True place and attitude of each tool when it touched; None if not every command was done."""
-    loop = ClosedLoop(setup)
-    places = {}
-    done = 0
-    for record in run_sequence(loop, commands):
-        for evr in record.outputs.evrs:
-            if evr == CommandCompleted("GuardedMove"):
-                truth, tool = loop.plant.truth(), loop.state.tool
-                places[tool] = (truth.p_RoTo_R_m[tool], truth.R_RT[tool])
-            done += isinstance(evr, CommandCompleted) and evr.command in ("PlaceTool", "ToolChange")
-    return places if done == 2 and len(places) == 2 else None
+def _touched(loop: ClosedLoop, commands: tuple[Command, ...]) -> tuple[Array, Array] | None:
+    """True place and attitude of the tool that touches at the end; None if not every command was done."""
+    done = [
+        evr.command
+        for record in run_sequence(loop, commands)
+        for evr in record.outputs.evrs
+        if isinstance(evr, CommandCompleted)
+    ]
+    if type(commands[-1]).__name__ not in done:
+        return None
+    truth, tool = loop.plant.truth(), loop.state.tool
+    return truth.p_RoTo_R_m[tool], truth.R_RT[tool]
 
 
 def _tool_shift(arm: BuiltArm, tool: Tool) -> Array:

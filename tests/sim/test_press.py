@@ -1,17 +1,21 @@
 """Pressing in the plant: the force is what was asked for, and the tool does not slip."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
 from fsw.dictionary.commands import PlaceTool, Preload, Retract
 from fsw.dictionary.evrs import FaultResponse
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.faults import ContactLost, PreloadOutside
+from fsw.dictionary.joints import Joint, Tool
 from fsw.dictionary.modes import Mode
 from fsw.kinematics.arm import arm_from
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import Push, rest
 from sim.arms import arm_named
 from sim.contact import tool_forces
+from sim.effects.faults import RockGone, SensorFault
 from sim.frames import FLIP, p_R_from_N
 from sim.loop import ClosedLoop, Setup
 from sim.params import nominal_params
@@ -21,6 +25,7 @@ from tests.sim.lab import load, plant, run, soon_at_rest, tilted, true_reference
 
 POINT_N_M = (2.05, 0.1, -0.25)
 NORMAL = np.array((-0.5, 0.1, -0.85)) / np.linalg.norm((-0.5, 0.1, -0.85))
+PLACE = PlaceTool(Tool.DRILL, tuple(p_R_from_N(np.array(POINT_N_M)).tolist()), tuple((-NORMAL).tolist()))
 
 
 @pytest.mark.parametrize("force_R_N", [(0.0, 0.0, -200.0), (120.0, -80.0, 0.0), (-50.0, 60.0, 90.0)])
@@ -51,13 +56,52 @@ def test_a_push_on_a_tool_moves_it_as_it_does_in_the_plant(force_R_N):
     )
 
 
-def test_the_drill_presses_with_the_force_and_neither_slips_nor_leans():
+@cache
+def half_pressed() -> ClosedLoop:
+    """The drill on its rock, pressed with half of what it is to be; never run on itself."""
+    loop = on_the_rock()
+    for _ in run_sequence(loop, (PLACE, Preload(Tool.DRILL, 300.0))):
+        if loop.state.pressing is not None and loop.state.pressing.force_N > 150.0:
+            return loop
+    raise AssertionError("the press did not come so far")
+
+
+def on_the_rock() -> ClosedLoop:
     arm = arm_named("nominal")
     world = World(surface=Surface(POINT_N_M, tuple(NORMAL)))
-    loop = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, 0, true_reference(arm)))
-    target, axis = p_R_from_N(np.array(POINT_N_M)), -NORMAL
-    place = PlaceTool(Tool.DRILL, tuple(target.tolist()), tuple(axis.tolist()))
-    commands = (place, Preload(Tool.DRILL, 300.0), Preload(Tool.DRILL, 0.0), Retract(Tool.DRILL, 0.1))
+    return ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, 0, true_reference(arm)))
+
+
+def until_at_rest(loop: ClosedLoop) -> list:
+    evrs = []
+    while True:
+        record = loop.cycle()
+        evrs += record.outputs.evrs
+        if not record.outputs.joint.busy:
+            return evrs
+
+
+def test_a_rock_that_gives_way_ends_a_press_without_refusing_what_comes_then():
+    loop = half_pressed()
+    loop = loop.fork((RockGone(loop.plant.data.time),))
+    evrs = until_at_rest(loop)
+    assert ContactLost(Tool.DRILL) in evrs
+    assert FaultResponse("STOP_AND_BRAKE") in evrs
+    assert loop.state.mode is Mode.PRELOAD
+    assert not loop.state.drive.power_on.any()
+
+
+def test_a_force_that_the_resolvers_do_not_believe_in_is_a_fault():
+    loop = half_pressed()
+    biased = SensorFault(loop.plant.data.time, "resolver_rad", "biased", Joint.ELBOW, -0.004)
+    evrs = until_at_rest(loop.fork((biased,)))
+    assert any(isinstance(evr, PreloadOutside) for evr in evrs)
+    assert FaultResponse("BRAKE_AND_REFUSE") in evrs
+
+
+def test_the_drill_presses_with_the_force_and_neither_slips_nor_leans():
+    loop, axis = on_the_rock(), -NORMAL
+    commands = (PLACE, Preload(Tool.DRILL, 300.0), Preload(Tool.DRILL, 0.0), Retract(Tool.DRILL, 0.1))
     forces, places, asked = [], [], []
     cycles = run_sequence(loop, commands)
     for record in cycles:
