@@ -19,7 +19,7 @@ from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
 from fsw.motion.plan import Refusal
 from fsw.motion.plan_press import Press, Pressing, plan_press
 from fsw.motion.seek import Seek, limit_A
-from fsw.motion.trim import PressFit, felt, modelled_force
+from fsw.motion.trim import PressFit, fitted, modelled_force
 
 
 class Phase(IntEnum):
@@ -143,7 +143,7 @@ def _seek(
 def _run(config: Config, move: Move, sensors: Sensors) -> Advance:
     evrs: tuple[Evr, ...] = ()
     if move.guarded is not None:
-        move, evrs = _felt(move, move.guarded, sensors)
+        move, evrs = _touched(move, move.guarded, sensors)
         if (
             move.contact_at is not None
             and gone(move) >= move.contact_at + config.params.motion.contact_firm_m
@@ -168,7 +168,7 @@ def _press(
     """A press runs along its overdrive, and once more by what the currents told on the way."""
     fit = move.fit
     if fit is not None and not move.stopped:
-        fit = felt(config, fit, press, press.after(gone(move)), move.hold, joints, load_Nm, sensors)
+        fit = fitted(config, fit, press, press.after(gone(move)), move.hold, joints, load_Nm, sensors)
     done = _run(config, replace(move, fit=fit), sensors)
     if done.move is None or done.move.phase is not Phase.SETTLE or fit is None or move.stopped:
         return done
@@ -192,7 +192,7 @@ def _trimmed(
     return Advance(on, (ForceFelt(press.start.tool, slope),))
 
 
-def _felt(move: Move, tool: Tool, sensors: Sensors) -> tuple[Move, tuple[Evr, ...]]:
+def _touched(move: Move, tool: Tool, sensors: Sensors) -> tuple[Move, tuple[Evr, ...]]:
     """A guarded move that remembers where its tool made contact."""
     switch = closed_switch(tool, sensors.switch_closed)
     if switch is None or move.contact_at is not None:

@@ -48,7 +48,7 @@ class PressFit:
         return slope if BELIEVABLE[0] < slope < BELIEVABLE[1] else None
 
 
-def felt(
+def fitted(
     config: Config,
     last: PressFit,
     press: Press,
