@@ -80,20 +80,9 @@ def tool_of(point: TeachPoint) -> Tool:
 
 def _place(command: PlaceTool) -> tuple[Step, ...]:
     p, approach = np.array(command.p_RoTo_R_m), _unit(np.array(command.approach_R))
-    modes = (command.backlash, command.deflection)
-    line_m = command.standoff_m + command.overtravel_m
-    to_standoff = MoveTool(
-        command.tool,
-        _vector(p - command.standoff_m * approach),
-        _vector(approach),
-        line_m=line_m,
-        backlash=command.backlash,
-        deflection=command.deflection,
-        branch=command.branch,
-    )
-    return to_standoff, GuardedMove(
-        command.tool, _vector(p + command.overtravel_m * approach), _vector(approach), *modes
-    )
+    end = _vector(p + command.overtravel_m * approach)
+    touch = GuardedMove(command.tool, end, _vector(approach), command.backlash, command.deflection)
+    return _to_standoff(command, p, approach, command.overtravel_m, command.deflection), touch
 
 
 def _tool_change(
@@ -107,29 +96,31 @@ def _tool_change(
     """
     deflection: Deflection = "off" if command.deflection == "off" else "absolute"
     here = from_here(config, joints, touching, Compensation(command.backlash, deflection))
+    beyond_m = -command.hover_m if command.hover_m > 0 else command.overtravel_m
+    end, approach = _vector(here.p_m + beyond_m * here.axis), _vector(here.axis)
     back = Retract(touching, command.standoff_m, command.backlash, deflection)
-    place = PlaceTool(
+    to_standoff = _to_standoff(command, here.p_m, here.axis, beyond_m, deflection)
+    last: Step = GuardedMove(command.tool, end, approach, command.backlash, deflection)
+    if command.hover_m > 0:
+        last = MoveTool(
+            command.tool, end, approach, straight=True, backlash=command.backlash, deflection=deflection
+        )
+    return back, to_standoff, last
+
+
+def _to_standoff(
+    command: PlaceTool | ToolChange, p_m: Array, approach: Array, beyond_m: float, deflection: Deflection
+) -> MoveTool:
+    """To a standoff in front of a place, from where the tool can go straight on to so far beyond it."""
+    return MoveTool(
         command.tool,
-        _vector(here.p_m),
-        _vector(here.axis),
-        command.standoff_m,
-        command.overtravel_m if command.hover_m == 0 else -command.hover_m,
-        command.backlash,
-        deflection,
-        command.branch,
-    )
-    to_standoff, touch = _place(place)
-    if command.hover_m == 0:
-        return back, to_standoff, touch
-    hover = MoveTool(
-        command.tool,
-        _vector(here.p_m - command.hover_m * here.axis),
-        _vector(here.axis),
-        straight=True,
+        _vector(p_m - command.standoff_m * approach),
+        _vector(approach),
+        line_m=command.standoff_m + beyond_m,
         backlash=command.backlash,
         deflection=deflection,
+        branch=command.branch,
     )
-    return back, to_standoff, hover
 
 
 def _to_point(config: Config, joints: JointEstimate, command: MoveTeachPoint) -> tuple[Step, ...] | Refusal:

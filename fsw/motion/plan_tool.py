@@ -52,17 +52,30 @@ def plan_tool(
     wanted = np.array([command.branch in (AUTO, name) for name in names])
     if not np.any(valid & wanted):
         return Refusal(_why_none(config, command.tool, answers, wanted))
-    output = answers.output_rad[..., 0]
-    turns_s = np.abs(output - joints.output_rad[:, None]) / config.speed_rad_s[:, None]
-    duration = np.where(valid & wanted, np.max(turns_s, axis=0), np.inf)
+    output = np.where(valid & wanted, answers.output_rad[..., 0], np.nan)
+    return _first_clear(config, joints, command, compensation, output, names)
+
+
+def _first_clear(
+    config: Config,
+    joints: JointEstimate,
+    command: MoveTool,
+    compensation: Compensation,
+    output_rad: Array,
+    names: list[str],
+) -> Plan | Refusal:
+    """The quickest of the poses (5, slots) to which the way is clear; NaN is none."""
+    turns_s = np.max(np.abs(output_rad - joints.output_rad[:, None]) / config.speed_rad_s[:, None], axis=0)
     met = []
-    for slot in np.argsort(duration)[: np.count_nonzero(valid & wanted)]:
-        load_Nm = rest(config.arm, output[:, slot], joints.gravity_R_m_s2).torque_Nm
-        plan = plan_to(config, joints, standing(joints), output[:, slot], load_Nm, compensation)
-        clear = _if_clear(config, joints, plan)
-        if not isinstance(clear, Refusal):
-            return replace(clear, branch=names[slot])
-        met.append(f"{names[slot]}: {clear.reason}")
+    for slot in np.argsort(turns_s)[: np.count_nonzero(np.isfinite(turns_s))]:
+        pose = output_rad[:, slot]
+        load_Nm = rest(config.arm, pose, joints.gravity_R_m_s2).torque_Nm
+        plan = _if_clear(
+            config, joints, plan_to(config, joints, standing(joints), pose, load_Nm, compensation)
+        )
+        if not isinstance(plan, Refusal):
+            return replace(plan, branch=names[slot])
+        met.append(f"{names[slot]}: {plan.reason}")
     return Refusal(f"{command.tool.name}: {met[0]}")
 
 
