@@ -53,8 +53,14 @@ MoveCommand = (
 )
 
 
+ToolCommand = MoveTool | GuardedMove | PlaceTool | Preload | ToolChange | Process | Retract
+
+
 def malformed(command: MoveCommand) -> str | None:
     """What is wrong with the command's own numbers and words."""
+    no_tool = _malformed_tool(command.tool) if isinstance(command, ToolCommand) else None
+    if no_tool is not None:
+        return no_tool
     match command:
         case Unstow() | Stow():
             return None
@@ -137,6 +143,12 @@ def _malformed_joint(joint: object) -> str | None:
     if isinstance(joint, int) and joint in tuple(Joint):
         return None
     return f"joint {joint!r} is not known; there are {', '.join(joint.name.lower() for joint in Joint)}"
+
+
+def _malformed_tool(tool: object) -> str | None:
+    if isinstance(tool, Tool):
+        return None
+    return f"tool {tool!r} is not known; there are {', '.join(tool.name.lower() for tool in Tool)}"
 
 
 def _malformed_target(p_m: Vector3, approach: Vector3) -> str | None:

@@ -167,7 +167,7 @@ def _calibrate_all(config: Config, now: Situation, command: CalibrateAll) -> Sit
 
 def _calibrate(config: Config, now: Situation, command: Calibrate) -> Situation:
     problem = not_now(now) or malformed(command) or not_in_mode(now, Event.MOVE_FREE)
-    problem = problem or unsafe(config, now.state.joints, command.joint)
+    problem = problem or unsafe(config, now.state.joints, Joint(command.joint))
     if problem is not None:
         return refused(now, command, problem)
     joints, mode = now.state.joints, TRANSITIONS[now.state.mode, Event.MOVE_FREE]
@@ -183,7 +183,7 @@ def _calibrate(config: Config, now: Situation, command: Calibrate) -> Situation:
 
 
 def _begin_move(config: Config, now: Situation, command: PlannedMove) -> Situation:
-    problem = not_now(now) or not_calibrated(now, command) or malformed(command)
+    problem = not_now(now) or malformed(command) or not_calibrated(now, command)
     problem = problem or not_in_mode(now, _EVENT_OF[type(command)])
     if isinstance(command, GuardedMove | Retract):
         problem = problem or _other_tool_touches(now, command.tool)
