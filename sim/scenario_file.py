@@ -19,7 +19,7 @@ from sim.scenario_faults import stops
 from sim.scenario_modes import refusals
 from sim.scenario_names import did_you_mean
 from sim.scenario_record import Findings, Problem, record_of, table_of
-from sim.scenario_tables import check_of, command_of, fault_of, tables, taught_of
+from sim.scenario_tables import check_direction, check_of, command_of, fault_of, tables, taught_of
 from sim.toml_lines import lines_of
 from sim.world import MAX_TILT_RAD, Scene, Surface, World
 
@@ -116,6 +116,8 @@ def _scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario |
     head = _head(data, findings)
     table = table_of(data.get("world", {}), ("world",), findings)
     world = None if table is None else record_of(_World, table, ("world",), findings)
+    if world is not None and world.surface is not None:
+        check_direction("normal", world.surface.normal_N, ("world", "surface"), findings)
     taught = [taught_of(table, place, findings) for place, table in tables(data, "teach", findings)]
     points = tuple(point.name for point in taught if point is not None)
     asked = list(tables(data, "command", findings))
