@@ -166,7 +166,7 @@ def _head(data: dict[str, Any], findings: Findings) -> _Head | None:
         if key not in known:
             findings.say((key,), f"{key}: is not known here; {did_you_mean(key, known)}")
     for what in NEEDED:
-        if what not in data:
+        if not data.get(what):
             findings.say((), f"{what}: is missing; write [[{what}]] and its keys below, once for each")
     head = record_of(_Head, {key: data[key] for key in own if key in data}, (), findings)
     if head is not None:
