@@ -189,6 +189,9 @@ def _check_sequence(scenario: Scenario, findings: Findings) -> None:
     """Refuse a sequence that flight software would be bound to refuse halfway."""
     bound = [fault.during for fault in scenario.faults if stops(fault.fault)]
     faulting = [number for number in bound if number is not None]
+    timed = any(fault.during is None for fault in scenario.faults)
+    during = [fault.during for fault in scenario.faults if fault.during is not None]
+    troubled = range(1, len(scenario.commands) + 1) if timed else during
     start = Mode.STOWED if scenario.start == "stowed" else Mode.DEPLOYED
-    for number, problem in refusals(scenario.commands, start, faulting):
+    for number, problem in refusals(scenario.commands, start, faulting, troubled):
         findings.say(("command", number - 1), f"command {number}: {problem}")
