@@ -1,7 +1,7 @@
 """Random faults at random moments of random scenarios: how each ends, and what the arm does meanwhile.
 
 A run of each scenario is forked at random moments; a fault is injected into each fork, which goes on until it
-is braked, until its scenario is over, or for a minute. Then a move is asked for.
+is braked, until its scenario is over, or for 45 s and until it rests. Then a move is asked for.
 """
 
 import json

@@ -96,10 +96,6 @@ def _run(scenario: Scenario, name: str, seed: int, reference: Reference) -> Ran:
     )
 
 
-def _degrees(angle_rad: float) -> float:
-    return round(float(np.degrees(angle_rad)), 1)
-
-
 def summary(ran: list[Ran]) -> dict[str, object]:
     """By kind of arm and scenario: how many passed, the largest of each measure, and all that failed."""
     table: dict[str, dict[str, object]] = {}

@@ -59,8 +59,8 @@ def _decide(
         return state, ()
     now = Situation(state, usable, touching=bool(sensors.switch_closed.any()))
     for command in commands:
-        now = handle(config, now, command)
-    now = proceed(config, now)
+        now = handle(now.state.changed or config, now, command)
+    now = proceed(now.state.changed or config, now)
     return now.state, now.evrs
 
 

@@ -103,7 +103,7 @@ def _checked(request: RunRequest) -> tuple[Scenario, BuiltArm]:
         scenario = load(request.scenario)
     except BadScenario as error:
         raise BadRequest(str(error)) from error
-    arm = chosen_arm(request.arm or scenario.arm, None)
+    arm = chosen_arm(scenario.arm if request.arm is None else request.arm, None)
     if request.tilt_deg is not None:
         tilted = tilted_world(scenario.world.scene, *request.tilt_deg)
         scenario = scenario.tilted(tilted.tilt_roll_rad, tilted.tilt_pitch_rad)

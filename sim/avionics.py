@@ -137,7 +137,7 @@ class Avionics:
         """Take a drive: set-points at once, brakes after their delay."""
         data, model = self._plant.data, self._plant.model
         if data.time >= self._hardware.power_until_s:
-            drive = replace(drive, power_on=UNPOWERED, brake_release=UNPOWERED)
+            drive = replace(drive, power_on=UNPOWERED, brake_release=UNPOWERED, vibrate=False)
         last, self._drive = self._drive, drive
         data.ctrl[0::2] = (
             drive.setpoint_count * self._hardware.rad_per_count + self._hardware.counter_zero_rad

@@ -19,7 +19,7 @@ from sim.scenario_faults import stops
 from sim.scenario_modes import refusals
 from sim.scenario_names import did_you_mean
 from sim.scenario_record import Findings, Problem, record_of, table_of
-from sim.scenario_tables import check_of, command_of, fault_of, tables, taught_of
+from sim.scenario_tables import check_direction, check_of, command_of, fault_of, tables, taught_of
 from sim.toml_lines import lines_of
 from sim.world import MAX_TILT_RAD, Scene, Surface, World
 
@@ -116,6 +116,8 @@ def _scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario |
     head = _head(data, findings)
     table = table_of(data.get("world", {}), ("world",), findings)
     world = None if table is None else record_of(_World, table, ("world",), findings)
+    if world is not None and world.surface is not None:
+        check_direction("normal", world.surface.normal_N, ("world", "surface"), findings)
     taught = [taught_of(table, place, findings) for place, table in tables(data, "teach", findings)]
     points = tuple(point.name for point in taught if point is not None)
     asked = list(tables(data, "command", findings))
@@ -164,7 +166,7 @@ def _head(data: dict[str, Any], findings: Findings) -> _Head | None:
         if key not in known:
             findings.say((key,), f"{key}: is not known here; {did_you_mean(key, known)}")
     for what in NEEDED:
-        if what not in data:
+        if not data.get(what):
             findings.say((), f"{what}: is missing; write [[{what}]] and its keys below, once for each")
     head = record_of(_Head, {key: data[key] for key in own if key in data}, (), findings)
     if head is not None:
@@ -187,6 +189,9 @@ def _check_sequence(scenario: Scenario, findings: Findings) -> None:
     """Refuse a sequence that flight software would be bound to refuse halfway."""
     bound = [fault.during for fault in scenario.faults if stops(fault.fault)]
     faulting = [number for number in bound if number is not None]
+    timed = any(fault.during is None for fault in scenario.faults)
+    during = [fault.during for fault in scenario.faults if fault.during is not None]
+    troubled = range(1, len(scenario.commands) + 1) if timed else during
     start = Mode.STOWED if scenario.start == "stowed" else Mode.DEPLOYED
-    for number, problem in refusals(scenario.commands, start, faulting):
+    for number, problem in refusals(scenario.commands, start, faulting, troubled):
         findings.say(("command", number - 1), f"command {number}: {problem}")

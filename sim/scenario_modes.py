@@ -82,11 +82,12 @@ class Standing:
 
 
 def refusals(
-    commands: Sequence[Command], start: Mode, faulting: Collection[int] = ()
+    commands: Sequence[Command], start: Mode, faulting: Collection[int] = (), troubled: Collection[int] = ()
 ) -> Iterator[tuple[int, str]]:
     """The number of each command that would be refused, and what would be right.
 
-    `faulting` are the numbers of commands that are bound to end in a fault, if they move at all.
+    `faulting` are the numbers of commands that are bound to end in a fault, if they move at all, `troubled`
+    of those that may.
     """
     standing = Standing(frozenset({start}))
     for number, command in enumerate(commands, 1):
@@ -94,6 +95,8 @@ def refusals(
         if problem is not None:
             yield number, problem
         standing = _after(standing, command, number if number in faulting else None)
+        if number in troubled and moves(command):
+            standing = replace(standing, modes=standing.modes | {Mode.FAULTED})
 
 
 def moves(command: Command) -> bool:
@@ -137,7 +140,8 @@ def _refused(standing: Standing, command: Command) -> str | None:
     if not modes_after(modes, command):
         if isinstance(command, ClearFault):
             return f"{name}: no fault is known to stand; leave it out, or inject a fault during a command"
-        here = " or ".join(mode.name for mode in sorted(modes))
+        # a fault that may have come would have ended the sequence
+        here = " or ".join(mode.name for mode in sorted(modes - {Mode.FAULTED}))
         return f"{name} is refused in mode {here}; before it comes {_ways(modes, command)}"
     wrong_tool = isinstance(command, GuardedMove | Retract | Preload) and command.tool is not standing.tool
     if wrong_tool and standing.tool is not None:

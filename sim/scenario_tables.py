@@ -10,11 +10,11 @@ from fsw.dictionary.commands import ROVER, Command, Vector3
 from fsw.dictionary.faults import Fault
 from fsw.dictionary.joints import Frame, Tool
 from fsw.dictionary.params import Limits
-from fsw.executive.checks import MoveCommand, malformed
+from fsw.executive.checks import MoveCommand, malformed, malformed_direction
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.transforms import Array
 from fsw.motion.plan_tool import AUTO
-from sim.checks import Check, Placed, Preloaded, SameSpot
+from sim.checks import Check, GravityHeld, Placed, Preloaded, SameSpot
 from sim.effects.faults import Fault as Injected
 from sim.effects.faults import RockGone
 from sim.frames import p_R_from_N
@@ -64,7 +64,18 @@ def tables(data: dict[str, Any], what: str, findings: Findings) -> Iterator[tupl
 
 def taught_of(table: dict[str, Any], place: Place, findings: Findings) -> Taught | None:
     """A place that is taught, or None and problems."""
-    return record_of(Taught, table, place, findings, {"branch": (AUTO, *BRANCHES)})
+    point = record_of(Taught, table, place, findings, {"branch": (AUTO, *BRANCHES)})
+    if point is not None:
+        check_direction("approach", point.approach_N, place, findings)
+    return point
+
+
+def check_direction(name: str, direction: Vector3, place: Place, findings: Findings) -> None:
+    """Refuse a direction that is none."""
+    if malformed_direction(name, direction) is not None:
+        findings.say(
+            (*place, name), f"{name}: has no length; write a direction, of any length in 1e-9 .. 1e9"
+        )
 
 
 def command_of(
@@ -143,13 +154,15 @@ def check_of(
     if kind is None:
         return None
     rest = {key: value for key, value in table.items() if key != TYPE}
-    faults = tuple(sorted(fault.__name__ for fault in Fault.__subclasses__()))
+    faults = tuple(sorted({fault.__name__ for fault in Fault.__subclasses__()}))  # slots make two of each
     check = record_of(kind, rest, place, findings, {"point": points, "evr": faults})
     if check is None:
         return None
     for name in ("after", "first_after", "during"):
         if hasattr(check, name):
             _check_number(name, getattr(check, name), commands, place, findings)
+    if isinstance(check, GravityHeld):
+        check_direction("gravity", check.gravity_T, place, findings)
     if isinstance(check, Placed | Preloaded | SameSpot) and not has_surface:
         findings.say(place, f"{table[TYPE]}: there is nothing to touch; write [world.surface]")
     return check

@@ -53,8 +53,14 @@ MoveCommand = (
 )
 
 
+ToolCommand = MoveTool | GuardedMove | PlaceTool | Preload | ToolChange | Process | Retract
+
+
 def malformed(command: MoveCommand) -> str | None:
     """What is wrong with the command's own numbers and words."""
+    no_tool = _malformed_tool(command.tool) if isinstance(command, ToolCommand) else None
+    if no_tool is not None:
+        return no_tool
     match command:
         case Unstow() | Stow():
             return None
@@ -93,7 +99,7 @@ def malformed(command: MoveCommand) -> str | None:
         case Process():
             if not 0 <= command.duration_s <= LONGEST_S:
                 return f"duration_s {command.duration_s} s is outside 0 .. {LONGEST_S:g} s"
-            return _malformed_direction("gravity_T", command.gravity_T) or _malformed_modes(command)
+            return malformed_direction("gravity_T", command.gravity_T) or _malformed_modes(command)
         case Retract(distance_m=d):
             return _malformed_length("distance", d) or _malformed_modes(command)
         case _:
@@ -139,15 +145,22 @@ def _malformed_joint(joint: object) -> str | None:
     return f"joint {joint!r} is not known; there are {', '.join(joint.name.lower() for joint in Joint)}"
 
 
+def _malformed_tool(tool: object) -> str | None:
+    if isinstance(tool, Tool):
+        return None
+    return f"tool {tool!r} is not known; there are {', '.join(tool.name.lower() for tool in Tool)}"
+
+
 def _malformed_target(p_m: Vector3, approach: Vector3) -> str | None:
     if not (np.all(np.isfinite(p_m)) and np.all(np.isfinite(approach))):
         return "position or approach is not finite"
     if max(map(abs, p_m)) > FARTHEST_M:
         return f"the position is farther than {FARTHEST_M:g} m away"
-    return _malformed_direction("the approach", approach)
+    return malformed_direction("the approach", approach)
 
 
-def _malformed_direction(name: str, direction: Vector3) -> str | None:
+def malformed_direction(name: str, direction: Vector3) -> str | None:
+    """What is wrong with the numbers of a direction of this name."""
     if not np.all(np.isfinite(direction)):
         return f"{name} is not finite"
     return None if 1e-9 < max(map(abs, direction)) < 1e9 else f"{name} has no length"

@@ -33,6 +33,7 @@ from fsw.dictionary.evrs import (
     CommandAccepted,
     CommandCompleted,
     Evr,
+    Preloaded,
     SpotTaken,
 )
 from fsw.dictionary.joints import Joint, Tool
@@ -59,7 +60,7 @@ from fsw.motion import seek
 from fsw.motion.move import Move
 from fsw.motion.paths import Setpoint, StillPath
 from fsw.motion.plan import Refusal
-from fsw.motion.plan_press import plan_press, press_limit_A, touching
+from fsw.motion.plan_press import Pressing, plan_press, press_limit_A, touching
 from fsw.motion.trim import PressFit
 
 _EVENT_OF: Final[dict[type, Event]] = {
@@ -167,7 +168,7 @@ def _calibrate_all(config: Config, now: Situation, command: CalibrateAll) -> Sit
 
 def _calibrate(config: Config, now: Situation, command: Calibrate) -> Situation:
     problem = not_now(now) or malformed(command) or not_in_mode(now, Event.MOVE_FREE)
-    problem = problem or unsafe(config, now.state.joints, command.joint)
+    problem = problem or unsafe(config, now.state.joints, Joint(command.joint))
     if problem is not None:
         return refused(now, command, problem)
     joints, mode = now.state.joints, TRANSITIONS[now.state.mode, Event.MOVE_FREE]
@@ -183,7 +184,7 @@ def _calibrate(config: Config, now: Situation, command: Calibrate) -> Situation:
 
 
 def _begin_move(config: Config, now: Situation, command: PlannedMove) -> Situation:
-    problem = not_now(now) or not_calibrated(now, command) or malformed(command)
+    problem = not_now(now) or malformed(command) or not_calibrated(now, command)
     problem = problem or not_in_mode(now, _EVENT_OF[type(command)])
     if isinstance(command, GuardedMove | Retract):
         problem = problem or _other_tool_touches(now, command.tool)
@@ -220,6 +221,12 @@ def _press(config: Config, now: Situation, command: Preload) -> Situation:
     if problem is not None:
         return refused(now, command, problem)
     pressing = state.pressing or touching(config, state.joints, command.tool)
+    if (
+        state.mode is Mode.PRELOAD
+        and command.force_N == 0
+        and pressing.force_N < config.params.preload.step_N
+    ):
+        return _let_go(now, command, pressing)
     planned = plan_press(config, state.joints, pressing, command.force_N)
     if isinstance(planned, Refusal):
         return refused(now, command, planned.reason)
@@ -234,6 +241,14 @@ def _press(config: Config, now: Situation, command: Preload) -> Situation:
     )
     state = replace(state, mode=Mode.PRELOAD, move=move, pressing=pressing, planned_gap_rad=plan.gap_rad)
     return told(replace(now, state=state), CommandAccepted(name_of(command)))
+
+
+def _let_go(now: Situation, command: Preload, pressing: Pressing) -> Situation:
+    """A release that was stopped near its end: what is left of the force is no more than that of a touch."""
+    name, mode = name_of(command), TRANSITIONS[Mode.PRELOAD, Event.DONE_RELEASED]
+    pressed = Preloaded(pressing.tool, pressing.force_N)
+    now = replace(now, state=replace(now.state, mode=mode))
+    return told(now, CommandAccepted(name), pressed, CommandCompleted(name))
 
 
 def _hold(config: Config, now: Situation, command: Hold) -> Situation:

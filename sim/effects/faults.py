@@ -1,11 +1,12 @@
 """What can break in the middle of a run."""
 
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.joints import Joint, Switch
+from fsw.dictionary.params import Limits
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from sim.effects.effect import Hardware, Timed, at_index
@@ -18,6 +19,10 @@ SensorName = Literal[
 ]
 SensorKind = Literal["frozen", "biased", "noisy", "nan"]
 NO_NAN: Final = ("encoder_count", "switch_closed")
+COUNT_OF: Final = {"switch_closed": len(Switch), "gravity_R_m_s2": 3}
+"""Of what is not one for each joint."""
+Lean = Annotated[float, Limits(-0.6, 0.6)]
+"""What a rover stands on without falling over."""
 CLOSED: Final = 0.5
 """A switch that reads more than this, bias and noise added to 0 or 1, is closed."""
 
@@ -27,17 +32,21 @@ class SensorFault(Timed):
     """A sensor that keeps its reading, reads too much, is noisy (one sigma), or reads no number.
 
     `index` is which joint, switch or axis; None is all of them. `size` is in the unit of the sensor, of a
-    contact switch 1 is from open to closed. ValueError for a count or a switch that is to read no number.
+    contact switch 1 is from open to closed. ValueError for a count or a switch that is to read no number, and
+    for an index that there is none of.
     """
 
     sensor: SensorName
     kind: SensorKind
     index: int | None = None
-    size: float = 0.0
+    size: Annotated[float, Limits(-1e6, 1e6)] = 0.0
 
     def __post_init__(self) -> None:
         if self.kind == "nan" and self.sensor in NO_NAN:
             raise ValueError(f"{self.sensor} cannot read nan; write frozen, biased or noisy")
+        last = COUNT_OF.get(self.sensor, len(Joint)) - 1
+        if self.index is not None and not 0 <= self.index <= last:
+            raise ValueError(f"index: {self.index} is outside 0 .. {last}, as there are of {self.sensor}")
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """From now on."""
@@ -117,7 +126,7 @@ class WeakMotor(Timed):
     """A motor that turns a current into less torque; its current is read right."""
 
     joint: Joint
-    factor: float = 0.5
+    factor: Annotated[float, Limits(0.0, 1.0)] = 0.5
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """Scale the motor constant."""
@@ -134,7 +143,7 @@ class HotMotor(Timed):
     """A motor in surroundings of this temperature: its heater does not go off."""
 
     joint: Joint
-    temperature_C: float
+    temperature_C: Annotated[float, Limits(-150.0, 250.0)]
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """The winding is that much hotter at once."""
@@ -145,7 +154,7 @@ class HotMotor(Timed):
 class MissedCycles(Timed):
     """Flight software is not called for some cycles, and the motor controllers hold the last drive."""
 
-    count: int
+    count: Annotated[int, Limits(1, 6400)]
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """With the next cycle."""
@@ -156,8 +165,8 @@ class MissedCycles(Timed):
 class TiltStep(Timed):
     """The rover slips into another attitude."""
 
-    roll_rad: float
-    pitch_rad: float
+    roll_rad: Lean
+    pitch_rad: Lean
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """Gravity turns in the rover's frame."""

@@ -35,6 +35,7 @@ BAD = {
         "wrong.toml:8: angle: has no unit; write angle_rad or angle_deg",
     ),
     "no such arm": (("short.toml", "--arm", "as-built"), "as-built:SEED"),
+    "no arm": (("short.toml", "--arm", ""), "as-built:SEED"),
     "too much tilt": (("short.toml", "--tilt", "25", "25"), "34.8 deg"),
     "NaN tilt": (("short.toml", "--tilt", "nan", "0"), "finite"),
     "negative seed": (("short.toml", "--seed", "-1"), "negative"),

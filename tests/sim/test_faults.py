@@ -326,3 +326,15 @@ def test_the_vibration_motor_pulls_all_around_in_the_plane_of_the_turret_and_sto
     np.testing.assert_allclose(np.cross(pulls[:-1], pulls[1:])[:, 2], VIBRATION_N**2)
     sensors.apply(off)
     assert not plant.data.xfrc_applied.any()
+
+
+def test_without_power_nothing_vibrates():
+    plant = lab.plant()
+    plant.place(lab.READY_RAD, 0.5)
+    sensors = avionics_with(PowerLoss(plant.data.time + 0.5 / CYCLE_HZ), plant=plant)
+    shaking = Drive(sensors.encoder_count(), np.zeros(5), np.full(5, 3.0), NONE, NONE, vibrate=True)
+    sensors.apply(shaking)
+    assert plant.data.xfrc_applied.any()
+    plant.step()
+    sensors.apply(shaking)
+    assert not plant.data.xfrc_applied.any()

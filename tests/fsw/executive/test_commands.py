@@ -13,8 +13,12 @@ from fsw.dictionary.commands import (
     MoveJoint,
     MoveJoints,
     MoveTool,
+    PlaceTool,
+    Preload,
+    Process,
     Retract,
     Stop,
+    ToolChange,
     Unstow,
 )
 from fsw.dictionary.evrs import (
@@ -82,11 +86,23 @@ def test_a_retraction_is_longer_than_nothing_and_at_most_a_metre(distance):
     assert refusal(deployed(), Retract(Tool.APXS, distance)) == f"distance {distance} m is outside 0 .. 1 m"
 
 
-@pytest.mark.parametrize("joint", [-1, 5, 2.5])
+@pytest.mark.parametrize("joint", [-1, 5, 2.5, 2.0])
 def test_a_joint_that_does_not_exist_is_refused_and_the_joints_there_are_are_told(joint):
     reason = f"joint {joint} is not known; there are azimuth, elevation, elbow, wrist, turret"
     assert refusal(deployed(), Calibrate(joint)) == reason
     assert refusal(deployed(), MoveJoint(joint, 0.0)) == reason
+
+
+@pytest.mark.parametrize("tool", [-1, 3, 99, "apxs", None])
+@pytest.mark.parametrize(
+    "kind",
+    [MoveTool, GuardedMove, PlaceTool, Preload, ToolChange, Process, Retract],
+    ids=lambda k: k.__name__,
+)
+def test_what_is_no_tool_is_refused_and_the_tools_there_are_are_told(kind, tool):
+    rig = deployed()
+    command = replace(COMMANDS[kind](rig), tool=tool)
+    assert refusal(rig, command) == f"tool {tool!r} is not known; there are drill, drt, mahli, apxs, portion"
 
 
 def test_a_joint_may_be_given_by_its_number():
@@ -97,6 +113,13 @@ def test_a_joint_may_be_given_by_its_number():
     assert CommandCompleted("MoveJoint") in rig.run(MoveJoint(number, float(START[number]) + 0.01))
     rig.cycle(Calibrate(number))
     assert rig.state.move.seek.joint is Joint.ELBOW
+
+
+def test_a_joint_that_may_not_be_calibrated_where_it_is_may_be_given_by_its_number_too():
+    start = np.array(START)
+    start[Joint.ELBOW] -= 0.9
+    number: int = int(Joint.AZIMUTH)
+    assert "where azimuth may be calibrated" in refusal(Rig(CONFIG, start_rad=start), Calibrate(number))
 
 
 def test_what_cannot_be_planned_is_refused_with_the_plan_s_own_sentence():

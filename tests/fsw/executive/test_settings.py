@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fsw.config import digest
-from fsw.dictionary.commands import MoveJoints, SetParam, SetTilt
+from fsw.dictionary.commands import MoveJoint, MoveJoints, SetParam, SetTilt
 from fsw.dictionary.evrs import CommandCompleted, CommandRefused, ParamSet, TiltSet
 from fsw.dictionary.joints import Joint
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, floats
@@ -49,6 +49,22 @@ def test_two_parameters_may_be_set_one_after_the_other():
     rig.run(SetParam("hardstop.moved_rad", 0.003))
     params = rig.state.changed.params
     assert (params.collision.ground_z_m, params.hardstop.moved_rad) == (1.3, 0.003)
+
+
+def test_two_parameters_may_be_set_in_the_same_cycle_and_neither_is_lost():
+    rig = Rig(CONFIG)
+    rig.cycle(SetParam("collision.ground_z_m", 1.3), SetParam("hardstop.moved_rad", 0.003))
+    params = rig.state.changed.params
+    assert (params.collision.ground_z_m, params.hardstop.moved_rad) == (1.3, 0.003)
+
+
+def test_a_command_in_the_cycle_of_a_new_parameter_is_checked_with_it():
+    rig = Rig(CONFIG)
+    most_rad = 0.5 * (CONFIG.params.poses.ready_rad[Joint.TURRET] + CONFIG.arm.soft_max_rad[Joint.TURRET])
+    rig.evrs.clear()
+    rig.cycle(SetParam("joints.turret.soft_max_rad", most_rad), MoveJoint(Joint.TURRET, most_rad + 0.1))
+    assert isinstance(rig.evrs[-1], CommandRefused)
+    assert "soft limits" in rig.evrs[-1].reason
 
 
 @pytest.mark.parametrize("name", ["gear_ratio", "hardstop_rad", "encoder_counts_per_turn"])

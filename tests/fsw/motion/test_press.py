@@ -126,3 +126,21 @@ def test_a_press_that_ends_early_is_remembered_and_can_be_released(end):
     assert 95.0 < rig.state.pressing.force_N < 120.0
     rig.run(Preload(Tool.APXS, 0.0), **TOUCHED)
     assert (rig.state.mode, rig.state.pressing.force_N) == (Mode.GUARDED, 0.0)
+
+
+@pytest.mark.parametrize("left_N", [6.0, 0.0])
+def test_a_release_that_is_stopped_near_its_end_can_be_ended_and_the_tool_taken_off(left_N):
+    rig = pressed_with(100.0)
+    rig.cycle(Preload(Tool.APXS, 0.0), **TOUCHED)
+    while rig.state.pressing.force_N > left_N:
+        rig.cycle(**TOUCHED)
+    rig.run(Stop(), **TOUCHED)
+    assert rig.state.mode is Mode.PRELOAD
+    stopped = rig.state.pressing.force_N
+    assert stopped <= left_N
+    evrs = rig.run(Preload(Tool.APXS, 0.0), **TOUCHED)
+    assert Preloaded(Tool.APXS, stopped) in evrs
+    assert CommandCompleted("Preload") in evrs
+    assert rig.state.mode is Mode.GUARDED
+    rig.cycle(Retract(Tool.APXS, 0.02), **TOUCHED)
+    assert rig.state.mode is Mode.RETRACTING

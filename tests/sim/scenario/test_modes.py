@@ -157,3 +157,12 @@ def test_where_a_cleared_fault_leaves_the_arm_is_not_guessed():
 
 def test_a_command_that_does_not_move_cannot_fault():
     assert not list(refusals((SetTilt(0.0, 0.0), MOVE), Mode.DEPLOYED, faulting=[1]))
+
+
+def test_a_fault_that_may_end_a_command_may_be_cleared_and_need_not_come():
+    cleared, ignored = (MOVE, ClearFault(), MOVE), (MOVE, MOVE)
+    assert list(refusals(cleared, Mode.DEPLOYED, troubled=(1,))) == []
+    assert list(refusals(ignored, Mode.DEPLOYED, troubled=(1,))) == []
+    ((number, problem),) = refusals((Stop(), ClearFault()), Mode.DEPLOYED, troubled=(1,))
+    assert number == 2
+    assert problem.startswith("CLEAR_FAULT: no fault is known to stand")

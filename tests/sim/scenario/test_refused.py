@@ -46,6 +46,11 @@ def test_a_file_without_commands_and_checks_says_what_is_missing():
     assert [text.split(";")[0] for _, text in found] == ["check: is missing", "command: is missing"]
 
 
+def test_lists_with_nothing_in_them_are_missing_too():
+    found = problems('title = "T"\nsentence = "S."\ncommand = []\ncheck = []\n')
+    assert [text.split(";")[0] for _, text in found] == ["check: is missing", "command: is missing"]
+
+
 def test_an_empty_file_is_told_everything_that_is_missing():
     assert {text.split(":")[0] for _, text in problems("")} == {"title", "sentence", "command", "check"}
 
