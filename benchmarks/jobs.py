@@ -1,8 +1,8 @@
 """The five jobs on many arms: every scenario on the nominal arm, on calibrated and on as-built arms, tilted.
 
 The rover is tilted by what the requirement allows, any way: 30 deg where an instrument is placed, 20 deg
-where samples are taken and moved. Calibrated arms know their places by coordinates, as-built arms are taught
-theirs. A press may be off by twice as much on an as-built arm.
+where samples are taken and moved. Every arm is taught its places. A press may be off by twice as much on an
+as-built arm.
 """
 
 import json
@@ -71,8 +71,7 @@ def _bounds_for(arm: str, scenario: Scenario) -> Scenario:
 
 def _run(scenario: Scenario, name: str, seed: int, reference: Reference) -> Ran:
     arm = arm_named(name)
-    if name.startswith("as-built"):
-        arm = taught(arm, reference, scenario.taught, scenario.world)
+    arm = taught(arm, reference, scenario.taught, scenario.world)
     loop = ClosedLoop(setup_of(scenario, arm, reference, seed))
     run = ScenarioRun(loop, scenario)
     for _ in run:

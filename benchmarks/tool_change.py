@@ -14,7 +14,7 @@ import numpy as np
 
 from benchmarks.options import parser
 from fsw.dictionary.commands import Command, PlaceTool, Retract, ToolChange
-from fsw.dictionary.evrs import CommandCompleted
+from fsw.dictionary.evrs import CommandCompleted, Severity
 from fsw.dictionary.joints import Frame, Joint, Tool
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
@@ -34,6 +34,7 @@ WARMING_K = 50.0
 STIFFNESS = 1.2
 TILT_RAD = float(np.radians(30.0))
 POSES = 5
+MOST_DRAWS = 25
 FIRST, SECOND = Tool.APXS, Tool.MAHLI
 
 
@@ -61,21 +62,25 @@ def unknown_to_flight(seed: int) -> tuple[Effect, ...]:
     return (Warming(WARMING_K * float(warm)), *springs, *(GearStiffness(joint, factor) for joint in Joint))
 
 
-def one_arm(kind: str, seed: int) -> list[Changed]:
-    """The tool changes of one arm; targets of which the arm refuses one are drawn again."""
+def one_arm(kind: str, seed: int) -> tuple[list[Changed], list[str]]:
+    """The tool changes of one arm, and why others were not carried out; those are drawn again."""
     name = f"{kind}:{seed}"
     reference = initial_reference(arm_named(name))
     found: list[Changed] = []
-    draw = 0
-    while len(found) < POSES:
-        draw += 1
+    failed: list[str] = []
+    for draw in range(1, MOST_DRAWS + 1):
         changed = one_target(name, reference, draw)
-        found += [] if changed is None else [changed]
-    return found
+        if isinstance(changed, Changed):
+            found.append(changed)
+        else:
+            failed.append(changed)
+        if len(found) == POSES:
+            break
+    return found, failed
 
 
-def one_target(name: str, reference: Reference, draw: int) -> Changed | None:
-    """The tool change at a target of this arm; None if a command was not carried out."""
+def one_target(name: str, reference: Reference, draw: int) -> Changed | str:
+    """The tool change at a target of this arm, or why a command was not carried out."""
     arm, seed = arm_named(name), int(name.partition(":")[2])
     world, seen = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
     effects = unknown_to_flight(seed) if name.startswith("calibrated") else ()
@@ -84,13 +89,15 @@ def one_target(name: str, reference: Reference, draw: int) -> Changed | None:
     axis = -np.array(seen.placement.normal_N) / np.linalg.norm(seen.placement.normal_N)
     place = PlaceTool(FIRST, _vector(target), _vector(axis), branch=seen.placement.branch)
     first = _touched(loop, (place,))
-    if first is None:
-        return None
+    if isinstance(first, str):
+        return f"{FIRST.name}: {first}"
     again = replace(place, tool=SECOND, branch="AUTO")
     relative = _touched(loop.fork(), (ToolChange(SECOND),))
     absolute = _touched(loop.fork(), (Retract(FIRST, place.standoff_m), again))
-    if relative is None or absolute is None:
-        return None
+    if isinstance(relative, str):
+        return f"ToolChange: {relative}"
+    if isinstance(absolute, str):
+        return f"{SECOND.name} by coordinates: {absolute}"
     (spot, R_1), (second, R_2) = first, relative
     frames = R_2 @ _tool_shift(arm, SECOND) - R_1 @ _tool_shift(arm, FIRST)
     return Changed(
@@ -102,16 +109,11 @@ def one_target(name: str, reference: Reference, draw: int) -> Changed | None:
     )
 
 
-def _touched(loop: ClosedLoop, commands: tuple[Command, ...]) -> tuple[Array, Array] | None:
-    """True place and attitude of the tool that touches at the end; None if not every command was done."""
-    done = [
-        evr.command
-        for record in run_sequence(loop, commands)
-        for evr in record.outputs.evrs
-        if isinstance(evr, CommandCompleted)
-    ]
-    if type(commands[-1]).__name__ not in done:
-        return None
+def _touched(loop: ClosedLoop, commands: tuple[Command, ...]) -> tuple[Array, Array] | str:
+    """True place and attitude of the tool that touches at the end, or the warning that ended it before."""
+    evrs = [evr for record in run_sequence(loop, commands) for evr in record.outputs.evrs]
+    if CommandCompleted(type(commands[-1]).__name__) not in evrs:
+        return next((evr.message for evr in evrs if evr.severity >= Severity.WARNING_LO), "no reason")
     truth, tool = loop.plant.truth(), loop.state.tool
     return truth.p_RoTo_R_m[tool], truth.R_RT[tool]
 
@@ -155,15 +157,18 @@ def main() -> None:
     options.set_defaults(seed=100)
     asked = options.parse_args()
     found: dict[str, list[Changed]] = {}
+    failed: dict[str, list[str]] = {}
     with ProcessPoolExecutor(asked.workers) as pool:
         for kind, count in (("calibrated", asked.calibrated), ("as-built", asked.as_built)):
             seeds = range(asked.seed, asked.seed + count)
-            found[kind] = []
-            for k, changes in enumerate(pool.map(one_arm, [kind] * count, seeds), start=1):
+            found[kind], failed[kind] = [], []
+            for k, (changes, reasons) in enumerate(pool.map(one_arm, [kind] * count, seeds), start=1):
                 found[kind].extend(changes)
+                failed[kind].extend(reasons)
                 print(f"\r{kind}: {k} of {count} arms", end="", file=sys.stderr)
             print(file=sys.stderr)
-    print(json.dumps({kind: summary(changes) for kind, changes in found.items() if changes}, indent=2))
+    measured = {kind: summary(changes) for kind, changes in found.items() if changes}
+    print(json.dumps({**measured, "not_carried_out": failed}, indent=2))
 
 
 if __name__ == "__main__":

@@ -57,7 +57,7 @@ def _decide(
     """Commands change what the arm is about to do."""
     if not commands and state.sequence is None:
         return state, ()
-    now = Situation(state, usable, touching=bool(sensors.switch_closed.any()))
+    now = Situation(state, usable, closed=sensors.switch_closed)
     for command in commands:
         now = handle(now.state.changed or config, now, command)
     now = proceed(now.state.changed or config, now)
@@ -91,7 +91,7 @@ def _protect(
     moved: tuple[Evr, ...],
 ) -> tuple[State, MonitorState, tuple[Evr, ...]]:
     """Monitors say what happened; the response may only reduce or stop."""
-    arm = (state.mode, state.move, sensors, state.joints, state.pressing)
+    arm = (state.mode, state.tool, state.move, sensors, state.joints, state.pressing)
     seen, found = watch(config, state.monitors, *arm, usable=not bad)
     found = bad + found
     if state.move is not None:

@@ -118,9 +118,7 @@ def _preloaded(check: Preloaded, normal: Array, trace: Trace) -> tuple[Measured,
     normals = [float(m.force_R_N[check.tool] @ normal) for m in moments]
     pressed = [(m, f) for m, f in zip(moments, normals, strict=True) if f >= check.pressed_N]
     ratios = [_lateral(m.force_R_N[check.tool], normal) / f for m, f in pressed]
-    slips = [
-        slip for switch in SWITCHES_OF[check.tool] for slip in _slips([m for m, _ in pressed], switch, normal)
-    ]
+    slips = [slip for switch in SWITCHES_OF[check.tool] for slip in _slips(moments, switch, normal, check)]
     return (
         _force(trace, normal, check.after, check.tool, check.force_N, check.share),
         Measured("most force", _most(normals), "N", high=check.most_N),
@@ -129,10 +127,14 @@ def _preloaded(check: Preloaded, normal: Array, trace: Trace) -> tuple[Measured,
     )
 
 
-def _slips(moments: list[Moment], switch: Switch, normal: Array) -> list[float]:
-    """How far across a pad has come since it has touched: a tool may roll on its pads, or turn about one."""
-    places = [m.pads_R_m[switch] for m in moments if m.closed[switch]]
-    return [_lateral(place - places[0], normal) for place in places]
+def _slips(moments: Sequence[Moment], switch: Switch, normal: Array, check: Preloaded) -> list[float]:
+    """How far across a pad has come since it touched: a tool may roll on its pads, or turn about one."""
+    touched = [m for m in moments if m.closed[switch]]
+    return [
+        _lateral(m.pads_R_m[switch] - touched[0].pads_R_m[switch], normal)
+        for m in touched
+        if float(m.force_R_N[check.tool] @ normal) >= check.pressed_N
+    ]
 
 
 def _gravity_held(check: GravityHeld, gravity_R_m_s2: Array, trace: Trace) -> Measured:

@@ -95,6 +95,8 @@ def _led(loop: ClosedLoop, point: Taught, p_R_m: Array, axis: Array) -> ToolChan
     """What flight software believes of the tool, at rest after a move."""
     command = MoveTool(point.tool, _vector(p_R_m), _vector(axis), branch=point.branch)
     evrs = [evr for record in run_sequence(loop, (command,)) for evr in record.outputs.evrs]
+    if loop.failure is not None:
+        raise loop.failure
     if CommandCompleted("MoveTool") not in evrs:
         raise NotTaught(f"{point.name}: {evrs[-1].message}")
     return [tool for tool in _rest(loop) if tool is not None][-1]

@@ -124,7 +124,7 @@ class ToolChange:
     """Put another tool on the spot that the arm touches: back off, turn the turret, touch again.
 
     The spot is where the touching tool is believed to be, so that only what differs between the two poses of
-    deflection, backlash and kinematics enters.
+    deflection, backlash and kinematics enters: absolute compensation comes to the same as relative.
     """
 
     tool: Tool
@@ -152,7 +152,7 @@ class MoveTeachPoint:
 
 @dataclass(frozen=True, slots=True)
 class Dock:
-    """From in front of a taught point straight on, relative to how the arm hangs there, until it touches."""
+    """From in front of a taught point straight on, through it, until the tool touches."""
 
     point: str
     overtravel_m: float = 0.01

@@ -53,6 +53,7 @@ from fsw.executive.situation import (
     not_now,
     refused,
     told,
+    touches,
 )
 from fsw.executive.steps import Hold, Step, Stepped, steps_of
 from fsw.executive.stopping import clear_fault, sequence_over, stop_move
@@ -148,7 +149,9 @@ def _begin_steps(config: Config, now: Situation, command: Stepped) -> Situation:
 def _no_tool_change(now: Situation, command: ToolChange) -> str | None:
     if command.tool is now.state.tool:
         return f"{command.tool.name} is the tool that touches"
-    return None if now.touching else "no contact switch is closed, so there is no spot to go back to"
+    if touches(now, now.state.tool):
+        return None
+    return f"{now.state.tool.name} touches nothing: there is no spot to go back to"
 
 
 def _other_tool_touches(now: Situation, tool: Tool | None) -> str | None:
@@ -216,8 +219,8 @@ def _press(config: Config, now: Situation, command: Preload) -> Situation:
     problem = problem or not_in_mode(now, Event.PRESS) or _other_tool_touches(now, command.tool)
     if not 0 <= command.force_N <= config.params.preload.most_N:
         problem = problem or f"force {command.force_N} N is outside 0 .. {config.params.preload.most_N} N"
-    if command.force_N > 0 and not now.touching:
-        problem = problem or "no contact switch is closed: there is nothing to press on"
+    if problem is None and command.force_N > 0 and not touches(now, command.tool):
+        problem = f"{command.tool.name} touches nothing: there is nothing to press on"
     if problem is not None:
         return refused(now, command, problem)
     pressing = state.pressing or touching(config, state.joints, command.tool)

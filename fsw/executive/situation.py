@@ -4,10 +4,11 @@ from dataclasses import dataclass, replace
 
 from fsw.dictionary.commands import MoveJoint
 from fsw.dictionary.evrs import CommandRefused, Evr
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.joints import SWITCHES_OF, Joint, Tool
 from fsw.dictionary.modes import Mode
 from fsw.executive.modes import Event, after
 from fsw.executive.steps import Step
+from fsw.messages import Flags
 from fsw.state import State
 
 
@@ -18,9 +19,14 @@ class Situation:
     state: State
     usable: bool
     """Whether this cycle's readings are."""
-    touching: bool
-    """Whether any contact switch is closed."""
+    closed: Flags
+    """Which contact switches are."""
     evrs: tuple[Evr, ...] = ()
+
+
+def touches(now: Situation, tool: Tool) -> bool:
+    """Whether a contact switch of a tool is closed."""
+    return any(now.closed[switch] for switch in SWITCHES_OF[tool])
 
 
 def told(now: Situation, *evrs: Evr) -> Situation:

@@ -5,6 +5,7 @@ from dataclasses import replace
 from fsw.config import Config
 from fsw.dictionary.commands import ClearFault, Stop
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, Evr, FaultCleared
+from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
 from fsw.dictionary.modes import Mode
 from fsw.executive.modes import TRANSITIONS, Event, after
 from fsw.executive.situation import Situation, name_of, refused, told
@@ -21,7 +22,8 @@ def clear_fault(config: Config, now: Situation, command: ClearFault) -> Situatio
         return refused(now, command, "the arm is still being stopped")
     if now.state.sequence is not None:
         now = sequence_over(now, CommandAborted(now.state.sequence.command))
-    now = replace(now, state=replace(now.state, mode=mode, fault=None))
+    tool = _touching_tool(now) if mode is Mode.GUARDED else now.state.tool
+    now = replace(now, state=replace(now.state, mode=mode, tool=tool, fault=None))
     return told(now, FaultCleared(), CommandCompleted(name_of(command)))
 
 
@@ -45,6 +47,15 @@ def sequence_over(now: Situation, evr: Evr) -> Situation:
     return told(replace(now, state=replace(now.state, sequence=None)), evr)
 
 
+def _touching_tool(now: Situation) -> Tool:
+    """The tool whose switch is closed, or was when it should not; else the one that was to touch."""
+    switches = [switch for switch in Switch if now.closed[switch]]
+    if now.state.fault is not None:
+        switches += [about for _, about in now.state.fault.reported if isinstance(about, Switch)]
+    touching = (tool for switch in switches for tool in Tool if switch in SWITCHES_OF[tool])
+    return next(touching, now.state.tool)
+
+
 def _clearing(config: Config, now: Situation) -> Event:
     """What is cleared depends on where the arm stands: where it may touch, no free move; stowed, only unstow.
 
@@ -54,6 +65,6 @@ def _clearing(config: Config, now: Situation) -> Event:
     fault = now.state.fault
     if now.state.pressing is not None and now.state.pressing.force_N > 0:
         return Event.CLEAR_PRESSED
-    if now.touching or (fault is not None and fault.may_touch):
+    if now.closed.any() or (fault is not None and fault.may_touch):
         return Event.CLEAR_TOUCHING
     return Event.CLEAR_STOWED if at_stow(config, now.state.joints) else Event.CLEAR

@@ -19,7 +19,7 @@ from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
 from fsw.motion.plan import Refusal
 from fsw.motion.plan_press import Press, Pressing, plan_press
 from fsw.motion.seek import Seek, limit_A
-from fsw.motion.trim import PressFit, fitted, modelled_force
+from fsw.motion.trim import BELIEVABLE, PressFit, fitted, modelled_force
 
 
 class Phase(IntEnum):
@@ -182,6 +182,7 @@ def _trimmed(
     force_N, slope = modelled_force(press, fit), fit.slope()
     if force_N is None or slope is None:
         return None
+    force_N = min(force_N, config.params.preload.most_N / BELIEVABLE[0])
     stands = replace(joints, motor_rad=move.hold.motor_rad)
     planned = plan_press(config, stands, press.after(gone(move)), force_N)
     if isinstance(planned, Refusal):

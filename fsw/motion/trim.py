@@ -23,8 +23,8 @@ MOVING_RAD_S: Final = 5e-5
 """Slower, friction is not what it is in motion."""
 BELIEVABLE: Final = (0.5, 2.0)
 FEWEST: Final = 64
-NARROWEST_N: Final = 50.0
-"""Of the forces that are compared."""
+NARROWEST_N: Final = 150.0
+"""Of the forces that are compared: over less, gaps and gears that are crossed on the way weigh too much."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ import numpy as np
 
 from fsw.config import Config
 from fsw.dictionary.evrs import Evr
+from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.transforms import Array
@@ -61,6 +62,7 @@ def watch(
     config: Config,
     last: MonitorState,
     mode: Mode,
+    tool: Tool,
     move: Move | None,
     sensors: Sensors,
     joints: JointEstimate,
@@ -76,7 +78,7 @@ def watch(
         return replace(last, cycle=sensors.cycle, planned_gravity_R=planned), evrs
     readings = lively(sensors)
     same, dead = frozen(config, last.same, last.readings, readings)
-    counts, found = _watch_arm(config, last.counts, mode, move, sensors, joints, pressing, planned)
+    counts, found = _watch_arm(config, last.counts, mode, tool, move, sensors, joints, pressing, planned)
     touch, force = felt(config, last.felt, move, sensors, joints)
     return MonitorState(counts, sensors.cycle, readings, same, planned, touch), evrs + dead + found + force
 
@@ -85,6 +87,7 @@ def _watch_arm(
     config: Config,
     last: Counts,
     mode: Mode,
+    tool: Tool,
     move: Move | None,
     sensors: Sensors,
     joints: JointEstimate,
@@ -95,7 +98,7 @@ def _watch_arm(
     evrs: tuple[Evr, ...] = ()
     bounds = config.params.monitors
     if sensors.switch_closed.any():
-        evrs += contact(mode, move, sensors.switch_closed)
+        evrs += contact(mode, tool, sensors.switch_closed)
     resolver, apart = motors.resolver(config, last.resolver, joints)
     moving = move is not None and not move.stopped
     winding, heat = motors.winding(config, last.winding, moving, sensors.winding_C)

@@ -1,5 +1,6 @@
 """Monitors of what the arm touches: where nothing should be, where something should, and how hard."""
 
+from math import sqrt
 from typing import Final
 
 import numpy as np
@@ -7,27 +8,29 @@ import numpy as np
 from fsw.config import Config
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import ContactInFreeSpace, ContactLost, PreloadOutside
-from fsw.dictionary.joints import SWITCHES_OF, Switch
+from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
 from fsw.dictionary.modes import Mode
 from fsw.estimate.gear import LIKELY
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.transforms import Array
 from fsw.messages import Flags
-from fsw.motion.move import Move
 from fsw.motion.plan_press import Pressing
 
+FULL_LEVER_M: Final = 1.0
+"""With less, all joints that count together, what a resolver does not know is more of a force."""
 LEAST_LEVER_M: Final = 0.2
-"""With less, all joints that count together, what a resolver does not know is too much of a force."""
+"""And with less than this too much."""
 MAY_TOUCH = (Mode.GUARDED, Mode.RETRACTING, Mode.PRELOAD, Mode.FAULTED)
 
 
-def contact(mode: Mode, move: Move | None, closed: Flags) -> tuple[Evr, ...]:
-    """A closed switch where nothing was to be touched: any in free space, another tool's when guarded."""
+def contact(mode: Mode, tool: Tool, closed: Flags) -> tuple[Evr, ...]:
+    """A closed switch where nothing was to be touched: any in free space, elsewhere another tool's.
+
+    Of an arm that faulted anything may touch; it has been stopped.
+    """
     expected: tuple[Switch, ...] = ()
     if mode in MAY_TOUCH:
-        expected = (
-            SWITCHES_OF[move.guarded] if move is not None and move.guarded is not None else tuple(Switch)
-        )
+        expected = tuple(Switch) if mode is Mode.FAULTED else SWITCHES_OF[tool]
     found = next((switch for switch in Switch if closed[switch] and switch not in expected), None)
     return () if found is None else (ContactInFreeSpace(found),)
 
@@ -52,17 +55,20 @@ def preload_outside(
 
     `torque_per_N` is by how much each joint's load rises with the force, (5,).
     """
-    bounds, error_N = config.params.monitors, force_error_N(config, torque_per_N, joints)
-    if abs(error_N) <= bounds.preload_error_N:
+    bounds = config.params.monitors
+    error_N, lever_m = force_error_N(config, torque_per_N, joints)
+    bound_N = bounds.preload_error_N * max(1.0, FULL_LEVER_M / lever_m)
+    if abs(error_N) <= bound_N:
         return 0, ()
     if last + 1 < bounds.preload_persistence:
         return last + 1, ()
-    outside = PreloadOutside(pressing.tool, pressing.force_N, error_N, bounds.preload_error_N)
-    return last + 1, (outside,)
+    return last + 1, (PreloadOutside(pressing.tool, pressing.force_N, error_N, bound_N),)
 
 
-def force_error_N(config: Config, torque_per_N: Array, joints: JointEstimate) -> float:
+def force_error_N(config: Config, torque_per_N: Array, joints: JointEstimate) -> tuple[float, float]:
     """True less believed force on a tool, as far as the resolvers tell it through the wind-up of the gears.
+
+    And the lever [m] that the joints which tell it have together.
 
     An output that is farther along than believed carries more than believed; of what each joint carries too
     much, the part that a force takes is the least-squares fit. What is not known of a gear angle is taken off
@@ -73,11 +79,10 @@ def force_error_N(config: Config, torque_per_N: Array, joints: JointEstimate) ->
     beyond = half + 0.5 * config.params.monitors.preload_error_N * np.abs(torque_per_N) / stiffness
     low, high = joints.bounds.lowest_rad[:, LIKELY], joints.bounds.highest_rad[:, LIKELY]
     counts = ((low > beyond) | (high < -beyond)) & joints.reference.calibrated
-    if not counts.any():
-        return 0.0
     error_rad = joints.resolver_error_rad
     sure_rad = np.maximum(np.abs(error_rad) - joints.uncertainty_rad, 0.0) * np.sign(error_rad)
     per_N = torque_per_N[counts]
-    if float(per_N @ per_N) < LEAST_LEVER_M**2:
-        return 0.0
-    return float(per_N @ (stiffness * sure_rad)[counts] / (per_N @ per_N))
+    square = float(per_N @ per_N)
+    if square < LEAST_LEVER_M**2:
+        return 0.0, LEAST_LEVER_M
+    return float(per_N @ (stiffness * sure_rad)[counts]) / square, sqrt(square)

@@ -56,7 +56,7 @@ REFUSED = {
     lab.deployed: {
         Unstow: "not allowed in mode DEPLOYED",
         Preload: "not allowed in mode DEPLOYED",
-        ToolChange: "no contact switch is closed, so there is no spot to go back to",
+        ToolChange: "DRILL touches nothing: there is no spot to go back to",
         ClearFault: "no fault stands",
     },
     lab.moving_free: under_way("MoveJoints"),

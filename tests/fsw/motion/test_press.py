@@ -103,7 +103,7 @@ def test_nothing_is_pressed_where_no_switch_is_closed_nor_with_another_tool():
     rig.cycle(Preload(Tool.APXS, 100.0))
     rig.cycle(Preload(Tool.DRILL, 100.0), **TOUCHED)
     assert [evr.reason for evr in rig.evrs] == [
-        "no contact switch is closed: there is nothing to press on",
+        "APXS touches nothing: there is nothing to press on",
         "APXS is the tool that may touch; retract it first",
     ]
 

@@ -15,7 +15,7 @@ from fsw.dictionary.modes import Mode
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import rest
 from fsw.motion.plan_press import Pressing
-from fsw.protect.touch import contact_lost, force_error_N, preload_outside
+from fsw.protect.touch import FULL_LEVER_M, LEAST_LEVER_M, contact_lost, force_error_N, preload_outside
 from tests.fsw.protect.lab import (
     BOUNDS,
     CONFIG,
@@ -165,36 +165,42 @@ def known(error_rad, uncertainty_rad=0.0):
 def test_a_force_that_nobody_believes_in_is_found_from_the_wind_up_of_the_gears(tool, force_N):
     per_N = torque_per_N(tool)
     joints = known(force_N * per_N / CONFIG.arm.gear_stiffness_Nm_rad)
-    assert force_error_N(CONFIG, per_N, joints) == pytest.approx(force_N, rel=1e-9, abs=1e-9)
+    found_N, lever_m = force_error_N(CONFIG, per_N, joints)
+    # what joints with less leverage together would say is not listened to
+    expected_N = force_N if lever_m > LEAST_LEVER_M else 0.0
+    assert found_N == pytest.approx(expected_N, rel=1e-9, abs=1e-9)
+    assert lever_m > LEAST_LEVER_M or tool is not Tool.DRILL
 
 
 def test_a_torque_that_no_force_on_the_tool_takes_is_no_force():
     per_N, stiffness = torque_per_N(Tool.DRILL), CONFIG.arm.gear_stiffness_Nm_rad
     torque = np.random.default_rng(8).uniform(-100.0, 100.0, 5)
-    fitted_N = force_error_N(CONFIG, per_N, known(torque / stiffness))
+    fitted_N, _ = force_error_N(CONFIG, per_N, known(torque / stiffness))
     left = known((torque - fitted_N * per_N) / stiffness)
     assert fitted_N != 0
-    assert force_error_N(CONFIG, per_N, left) == pytest.approx(0.0, abs=1e-9)
+    assert force_error_N(CONFIG, per_N, left)[0] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_what_is_not_known_of_a_gear_is_taken_for_no_force():
     per_N = torque_per_N(Tool.DRILL)
     joints = known(np.full(5, 2e-3), uncertainty_rad=2e-3)
-    assert force_error_N(CONFIG, per_N, joints) == 0.0
+    assert force_error_N(CONFIG, per_N, joints)[0] == 0.0
     unknown = replace(joints.reference, calibrated=np.zeros(5, bool))
-    assert force_error_N(CONFIG, per_N, replace(known(np.ones(5)), reference=unknown)) == 0.0
+    assert force_error_N(CONFIG, per_N, replace(known(np.ones(5)), reference=unknown))[0] == 0.0
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_preload_outside_its_bounds_is_said_after_exactly_its_persistence(sign):
     per_N = torque_per_N(Tool.DRILL)
     for share, said in ((0.99, False), (1.01, True)):
-        error_N, count = sign * share * BOUNDS.preload_error_N, 0
+        _, lever_m = force_error_N(CONFIG, per_N, known(np.zeros(5)))
+        bound_N = BOUNDS.preload_error_N * max(1.0, FULL_LEVER_M / lever_m)
+        error_N, count = sign * share * bound_N, 0
         joints = known(error_N * per_N / CONFIG.arm.gear_stiffness_Nm_rad)
         for cycle in range(1, 2 * BOUNDS.preload_persistence):
             count, evrs = preload_outside(CONFIG, count, pressed(Tool.DRILL), per_N, joints)
             assert bool(evrs) is (said and cycle >= BOUNDS.preload_persistence)
         if said:
             (evr,) = evrs
-            assert evr == PreloadOutside(Tool.DRILL, 300.0, evr.error_N, BOUNDS.preload_error_N)
+            assert evr == PreloadOutside(Tool.DRILL, 300.0, evr.error_N, bound_N)
             assert evr.error_N == pytest.approx(error_N)
