@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.options import parser
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.commands import Command, MoveJoints
+from fsw.dictionary.commands import Command, MoveJoints, Stop
 from fsw.dictionary.evrs import CommandRefused, FaultResponse
 from fsw.dictionary.faults import Fault as FaultEvr
 from fsw.dictionary.joints import Joint
@@ -43,6 +43,8 @@ from sim.scenario_run import setup_of
 from sim.sequence import run_sequence
 
 GOES_ON_S = 45.0
+WIND_UP_RAD = 0.005
+AS_IT_SHOULD_BE = ("refusing", "stopped", "tolerated")
 TILT_DEG = (6.0, -8.0)
 STILL: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 SENSORS = {
@@ -75,7 +77,7 @@ class Injected:
     found: str
     """The first fault that flight software reported, or none."""
     end: str
-    """refusing, stopped (braked, not refusing) or tolerated."""
+    """refusing, stopped (braked, not refusing) or tolerated; anything else is not as it should be."""
     braked: bool
     guarded_N: float
     """Largest force on a tool while it was guarded, retracted or stopped from that."""
@@ -141,63 +143,103 @@ def campaign(name: str, seed: int, count: int) -> list[Injected]:
 
 
 def _injected(name: str, loop: ClosedLoop, fault: Fault, rest: tuple[Command, ...]) -> Injected:
-    began, faults, response = loop.state.mode, [], None
-    forces = dict.fromkeys(("guarded", "free", "pressed", "hull"), 0.0)
-    beyond = -np.inf
-    arm, margin = loop.config.arm, loop.config.params.monitors.soft_limit_margin_rad
-    # what the gap and the wind-up of a gear add to the motor's own limit
-    margin += float(np.max(loop.config.half_gap_rad)) + 0.005
+    began, moving, watched = loop.state.mode, loop.state.move is not None, _Watch(loop)
     last = loop.state.tick + round(GOES_ON_S * CYCLE_HZ)
-    touched = began
     for record in _carried_on(loop, rest):
-        faults += [evr for evr in record.outputs.evrs if isinstance(evr, FaultEvr)]
-        response = response or next(
-            (e.response for e in record.outputs.evrs if isinstance(e, FaultResponse)), None
-        )
-        if loop.state.mode is not Mode.FAULTED:
-            touched = loop.state.mode
-        kind = {Mode.PRELOAD: "pressed", Mode.GUARDED: "guarded", Mode.RETRACTING: "guarded"}.get(
-            touched, "free"
-        )
-        # what a press leaves behind when it is stopped is not the guarded move's
-        if loop.state.pressing is not None:
-            kind = "pressed"
-        most = float(np.linalg.norm(tool_forces(loop.plant), axis=1).max())
-        forces[kind] = max(forces[kind], most)
-        forces["hull"] = max(forces["hull"], hull_force_N(loop.plant))
-        output = loop.plant.output_rad()
-        beyond = max(
-            beyond, float(np.maximum(arm.soft_min_rad - output, output - arm.soft_max_rad).max()) - margin
-        )
-        stopped = response is not None and not record.outputs.joint.busy
-        if stopped or (record.tick >= last and not record.outputs.joint.busy) or record.tick >= 2 * last:
+        watched.note(record)
+        at_rest = not record.outputs.joint.busy
+        if (watched.responses and at_rest) or record.tick >= last:
             break
+    if not watched.responses and loop.state.move is not None:
+        watched.note(loop.cycle((Stop(),)))
+    while loop.state.move is not None:
+        watched.note(loop.cycle())
     for _ in range(round(0.25 * CYCLE_HZ)):
-        loop.cycle()
+        watched.note(loop.cycle())
     plant = loop.plant
     braked = bool(plant.data.eq_active[plant.at.brake].all()) and not loop.state.drive.power_on.any()
-    refusing = any(
-        isinstance(evr, CommandRefused)
-        for evr in loop.cycle((MoveJoints(STILL, relative=True),)).outputs.evrs
-    )
-    faulted = loop.state.mode is Mode.FAULTED
+    asked = loop.cycle((MoveJoints(STILL, relative=True),)).outputs.evrs
+    refusing = any(isinstance(evr, CommandRefused) for evr in asked)
     return Injected(
         scenario=name,
         fault=_spoken(fault),
         mode=began.name,
-        found=type(faults[0]).__name__ if faults else "none",
-        end="refusing"
-        if faulted and refusing
-        else "stopped"
-        if response == Response.STOP_AND_BRAKE
-        else "tolerated",
+        found=watched.found[0] if watched.found else "none",
+        end=_end(loop, watched, braked, refusing, _must_be_found(loop, fault, moving)),
         braked=braked,
-        guarded_N=forces["guarded"],
-        free_N=forces["free"],
-        pressed_N=forces["pressed"],
-        hull_N=forces["hull"],
-        beyond_rad=beyond,
+        guarded_N=watched.most_N["guarded"],
+        free_N=watched.most_N["free"],
+        pressed_N=watched.most_N["pressed"],
+        hull_N=watched.most_N["hull"],
+        beyond_rad=watched.beyond_rad,
     )
+
+
+def _end(loop: ClosedLoop, watched: "_Watch", braked: bool, refusing: bool, must_be_found: bool) -> str:
+    """Only the first three are as they should be."""
+    if loop.failure is not None:
+        return "software error"
+    if not braked:
+        return "not braked"
+    if loop.state.mode is Mode.FAULTED:
+        return "refusing" if refusing else "faulted and not refusing"
+    if watched.responses:
+        return "stopped" if set(watched.responses) == {Response.STOP_AND_BRAKE} else "not refusing"
+    if watched.refused:
+        return "a later command refused"
+    return "overlooked" if must_be_found else "tolerated"
+
+
+def _must_be_found(loop: ClosedLoop, fault: Fault, moving: bool) -> bool:
+    """Whether docs/faults.md tolerates no such fault, whatever the arm was doing then."""
+    bounds = loop.config.params.monitors
+    match fault:
+        case SensorFault(kind="nan"):
+            return True
+        case SensorFault(kind="frozen", sensor="resolver_rad" | "current_A" | "gravity_R_m_s2"):
+            return True
+        case MissedCycles(count=count):
+            return count > bounds.missed_cycles
+        case HotMotor(temperature_C=temperature):
+            return temperature > bounds.winding_max_C
+        case PowerLoss():
+            return moving
+        case _:
+            return False
+
+
+class _Watch:
+    """What is seen of the arm while a fault is in it."""
+
+    def __init__(self, loop: ClosedLoop):
+        self._loop, self._mode = loop, loop.state.mode
+        config = loop.config
+        # what the gap and the wind-up of a gear add to the motor's own limit
+        motor_rad = config.params.monitors.soft_limit_margin_rad
+        self._margin = motor_rad + float(config.half_gap_rad.max()) + WIND_UP_RAD
+        self.found: list[str] = []
+        self.responses: list[str] = []
+        self.refused = False
+        self.most_N = dict.fromkeys(("guarded", "free", "pressed", "hull"), 0.0)
+        self.beyond_rad = -np.inf
+
+    def note(self, record: CycleRecord) -> None:
+        """One cycle."""
+        loop, state, arm = self._loop, self._loop.state, self._loop.config.arm
+        for evr in record.outputs.evrs:
+            self.found += [type(evr).__name__] if isinstance(evr, FaultEvr) else []
+            self.responses += [evr.response] if isinstance(evr, FaultResponse) else []
+            self.refused |= isinstance(evr, CommandRefused)
+        self._mode = self._mode if state.mode is Mode.FAULTED else state.mode
+        presses = state.pressing is not None and state.pressing.force_N > 0
+        guarded = self._mode in (Mode.GUARDED, Mode.RETRACTING)
+        kind = "pressed" if presses else "guarded" if guarded else "free"
+        most_N = float(np.linalg.norm(tool_forces(loop.plant), axis=1).max())
+        self.most_N[kind] = max(self.most_N[kind], most_N)
+        self.most_N["hull"] = max(self.most_N["hull"], hull_force_N(loop.plant))
+        output = loop.plant.output_rad()
+        beyond = np.maximum(arm.soft_min_rad - output, output - arm.soft_max_rad).max() - self._margin
+        self.beyond_rad = max(self.beyond_rad, float(beyond))
 
 
 def _carried_on(loop: ClosedLoop, rest: tuple[Command, ...]) -> Iterator[CycleRecord]:
@@ -225,7 +267,7 @@ def summary(cases: list[Injected]) -> dict[str, object]:
     return {
         "count": len(cases),
         "ends": dict(Counter(case.end for case in cases)),
-        "not_braked_unless_tolerated": [asdict(c) for c in cases if not c.braked and c.end != "tolerated"],
+        "not_as_it_should_be": [asdict(case) for case in cases if case.end not in AS_IT_SHOULD_BE],
         "most_guarded_N": max(case.guarded_N for case in cases),
         "most_free_N": max(case.free_N for case in cases),
         "most_pressed_N": max(case.pressed_N for case in cases),
