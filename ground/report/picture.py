@@ -72,7 +72,10 @@ def save_picture(
         eye.close()
     import PIL.Image
 
-    PIL.Image.fromarray(image).save(file)
+    try:
+        PIL.Image.fromarray(image).save(file)
+    except OSError as error:
+        return _not_saved("picture", file, error)
     return shown
 
 
@@ -106,8 +109,16 @@ def save_movie(
             frames.append(eye.take(data))
     finally:
         eye.close()
-    write_gif(frames, file, frames_per_s)
+    try:
+        write_gif(frames, file, frames_per_s)
+    except OSError as error:
+        return _not_saved("movie", file, error)
     return shown
+
+
+def _not_saved(what: str, file: Path, error: OSError) -> PictureResult:
+    """What was run is told all the same."""
+    return PictureResult(None, "none", f"no {what}: {file} cannot be written ({error.strerror or error})")
 
 
 def write_gif(frames: Iterable[Image], path: str | os.PathLike[str], frames_per_s: float = 16.0) -> None:
