@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from importlib import resources
 from pathlib import Path
@@ -9,11 +10,15 @@ from typing import Annotated, Any, Final, TypeVar
 
 import numpy as np
 
+from fsw.dictionary.commands import Command, Preload, SetParam
 from fsw.dictionary.modes import Mode
 from fsw.dictionary.params import Limits
+from fsw.executive.checks import MoveCommand, malformed
+from fsw.executive.settings import params_with
 from sim.arms import UnknownArm, arm_named
 from sim.checks import Done, Faulted
 from sim.effects.environment import WARM_C
+from sim.params import nominal_params
 from sim.scenario import Scenario, Start
 from sim.scenario_faults import stops
 from sim.scenario_modes import refusals
@@ -195,3 +200,21 @@ def _check_sequence(scenario: Scenario, findings: Findings) -> None:
     start = Mode.STOWED if scenario.start == "stowed" else Mode.DEPLOYED
     for number, problem in refusals(scenario.commands, start, faulting, troubled):
         findings.say(("command", number - 1), f"command {number}: {problem}")
+    for number, problem in _senseless(scenario.commands):
+        findings.say(("command", number - 1), f"command {number}: {problem}")
+
+
+def _senseless(commands: tuple[Command, ...]) -> Iterator[tuple[int, str]]:
+    """Commands, by their number from 1, that flight software refuses for their own numbers and words."""
+    params = nominal_params()
+    for number, command in enumerate(commands, start=1):
+        problem: str | None = None
+        if isinstance(command, SetParam):
+            changed = params_with(params, command)
+            params, problem = (params, changed) if isinstance(changed, str) else (changed, None)
+        elif isinstance(command, Preload) and not 0 <= command.force_N <= params.preload.most_N:
+            problem = f"force {command.force_N:g} N is outside 0 .. {params.preload.most_N:g} N"
+        elif isinstance(command, MoveCommand):
+            problem = malformed(command)
+        if problem is not None:
+            yield number, problem

@@ -45,12 +45,9 @@ def set_param(config: Config, now: Situation, command: SetParam) -> Situation:
     problem = not_now(now)
     if problem is not None:
         return refused(now, command, problem)
-    changed = _with(config.params, command.name.split("."), command)
+    changed = params_with(config.params, command)
     if isinstance(changed, str):
         return refused(now, command, changed)
-    wrong = [*out_of_limits(changed), *not_an_arm(changed)]
-    if wrong:
-        return refused(now, command, wrong[0])
     anew = configure(changed)
     state = replace(now.state, changed=anew)
     group, *middle, leaf = command.name.split(".")
@@ -60,6 +57,14 @@ def set_param(config: Config, now: Situation, command: SetParam) -> Situation:
         state = replace(state, joints=replace(state.joints, reference=known))
     evr = ParamSet(command.name, command.value, anew.params_sha256)
     return _done(replace(now, state=state), command, evr)
+
+
+def params_with(params: Params, command: SetParam) -> Params | str:
+    """The parameters with one of them set, or why it can not be."""
+    changed = _with(params, command.name.split("."), command)
+    if isinstance(changed, str):
+        return changed
+    return next((wrong for wrong in (*out_of_limits(changed), *not_an_arm(changed))), changed)
 
 
 def _done(now: Situation, command: SetTilt | SetParam, evr: ParamSet | TiltSet) -> Situation:

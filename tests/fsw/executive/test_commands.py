@@ -611,3 +611,26 @@ def test_a_fault_on_contact_clears_to_where_the_arm_may_touch_though_the_switch_
     rig.run(at_most=60)
     rig.cycle(ClearFault())
     assert rig.state.mode is Mode.GUARDED
+
+
+def test_after_an_unforeseen_contact_the_tool_that_touched_is_the_one_to_retract():
+    rig = deployed()
+    assert rig.state.tool is not Tool.APXS
+    rig.run(**TOUCHED)
+    assert rig.state.mode is Mode.FAULTED
+    rig.cycle(ClearFault())
+    assert (rig.state.mode, rig.state.tool) == (Mode.GUARDED, Tool.APXS)
+    rig.evrs.clear()
+    rig.cycle(Preload(Tool.DRILL, 100.0), **TOUCHED)
+    rig.cycle(Retract(Tool.APXS, 0.02), **TOUCHED)
+    assert rig.evrs[0] == CommandRefused("Preload", "APXS is the tool that may touch; retract it first")
+    assert CommandAccepted("Retract") in rig.evrs
+
+
+def test_another_tool_s_contact_is_a_fault_while_one_is_retracted():
+    rig = guarded_in_contact()
+    rig.cycle(Retract(Tool.APXS, 0.02), **TOUCHED)
+    for _ in range(30):
+        rig.cycle(**TOUCHED)
+    rig.cycle(switch_closed=np.arange(10) == Switch.MAHLI_1A)
+    assert rig.state.mode is Mode.FAULTED

@@ -53,6 +53,24 @@ tool = "apxs"
 """
 
 BAD = {
+    "a parameter that there is not": (
+        'type = "RETRACT"\ntool = "apxs"\ndistance_mm = 100',
+        'type = "SET_PARAM"\nname = "motion.settle_tim_s"\nvalue = 1.0',
+        29,
+        "'settle_tim_s' is not a parameter",
+    ),
+    "a parameter beyond belief": (
+        'type = "RETRACT"\ntool = "apxs"\ndistance_mm = 100',
+        'type = "SET_PARAM"\nname = "motion.settle_time_s"\nvalue = 1e9',
+        29,
+        "motion.settle_time_s: 1000000000.0 is outside 0.0 .. 10.0",
+    ),
+    "a force that is not pressed with": (
+        'type = "RETRACT"\ntool = "apxs"\ndistance_mm = 100',
+        'type = "PRELOAD"\ntool = "apxs"\nforce_N = 5000',
+        29,
+        "force 5000 N is outside 0 .. 350 N",
+    ),
     "an unknown key": (
         "tilt_roll_deg = 5",
         "tilt_rol_deg = 5",
