@@ -38,8 +38,8 @@ from sim.effects.faults import (
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
-from sim.scenario_file import load, shipped
-from sim.scenario_run import setup_of
+from sim.scenario.file import load, shipped
+from sim.scenario.run import setup_of
 from sim.sequence import run_sequence
 
 GOES_ON_S = 45.0

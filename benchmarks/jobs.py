@@ -16,13 +16,13 @@ from benchmarks.options import parser
 from fsw.dictionary.faults import Fault
 from fsw.estimate.reference import Reference
 from sim.arms import arm_named
-from sim.checks import Check, Preloaded
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop
-from sim.scenario import Scenario
-from sim.scenario_file import load, shipped
-from sim.scenario_run import ScenarioRun, setup_of
-from sim.teaching import taught
+from sim.scenario.checks import Check, Preloaded
+from sim.scenario.data import Scenario
+from sim.scenario.file import load, shipped
+from sim.scenario.run import ScenarioRun, setup_of
+from sim.scenario.teaching import taught
 
 TILT_DEG = {"contact-science": 30.0, "tool-change": 30.0}
 """Of the scenarios that place an instrument; the others have the next."""

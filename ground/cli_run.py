@@ -65,7 +65,7 @@ def scenarios(as_json: JsonOption = False) -> None:
     Example: marsarm scenarios --json
     """
     from ground.report.run_tables import scenarios_json, scenarios_table
-    from sim.scenario_file import load, shipped
+    from sim.scenario.file import load, shipped
 
     found = tuple(load(name) for name in shipped())
     show({"scenarios": scenarios_json(found)}, as_json, lambda: scenarios_table(found))

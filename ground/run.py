@@ -11,11 +11,11 @@ from ground.request import BadRequest, check_seed, chosen_arm, tilted_world
 from sim.arms import BuiltArm
 from sim.initialisation import Initialisation
 from sim.loop import ClosedLoop
-from sim.scenario import Scenario
-from sim.scenario_file import BadScenario, load
-from sim.scenario_run import ScenarioResult, ScenarioRun, setup_of
+from sim.scenario.data import Scenario
+from sim.scenario.file import BadScenario, load
+from sim.scenario.run import ScenarioResult, ScenarioRun, setup_of
+from sim.scenario.teaching import NotTaught, taught
 from sim.sequence import Outcome
-from sim.teaching import NotTaught, taught
 
 
 @dataclass(frozen=True, slots=True)

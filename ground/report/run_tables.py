@@ -9,9 +9,9 @@ from rich.table import Table
 from fsw.dictionary.evrs import Severity
 from ground.report.tables import evr_json, kept_json, kept_table
 from ground.run import RunReport
-from sim.judge import Measured
-from sim.scenario import Scenario
-from sim.scenario_names import upper_snake
+from sim.scenario.data import Scenario
+from sim.scenario.judge import Measured
+from sim.scenario.names import upper_snake
 
 SHOWN: Final = {"m": ("mm", 1e3), "rad": ("deg", degrees(1.0))}
 """The unit that people read, and how many of it a unit of the house is."""

@@ -9,8 +9,8 @@ from benchmarks.jobs import SAMPLING_TILT_DEG, TILT_DEG
 from benchmarks.tool_change import one_target
 from sim.arms import arm_named
 from sim.loop import ClosedLoop
-from sim.scenario_file import load, shipped
-from sim.scenario_run import ScenarioRun, setup_of
+from sim.scenario.file import load, shipped
+from sim.scenario.run import ScenarioRun, setup_of
 from tests.sim.lab import true_reference
 
 

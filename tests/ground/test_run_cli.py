@@ -5,7 +5,7 @@ import json
 import pytest
 
 from ground.telemetry.read import read_log
-from sim.scenario_file import shipped
+from sim.scenario.file import shipped
 from tests.ground.command import marsarm
 
 SHORT = """\

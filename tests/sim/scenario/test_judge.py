@@ -11,7 +11,8 @@ from fsw.dictionary.faults import NoContact
 from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
 from fsw.dictionary.modes import Mode
 from fsw.kinematics.transforms import rotation_x, rotation_y
-from sim.checks import (
+from sim.frames import P_NR_M
+from sim.scenario.checks import (
     Check,
     Docked,
     Done,
@@ -25,11 +26,10 @@ from sim.checks import (
     SameSpot,
     Stowed,
 )
-from sim.frames import P_NR_M
-from sim.judge import Measured, judged
-from sim.scenario import Scenario, Taught
+from sim.scenario.data import Scenario, Taught
+from sim.scenario.judge import Measured, judged
+from sim.scenario.trace import Ending, Moment, Trace
 from sim.sequence import Outcome
-from sim.trace import Ending, Moment, Trace
 from sim.world import Surface, World
 
 STOWED_RAD = np.array([1.5, -0.3, -2.8, 3.1, 0.6])

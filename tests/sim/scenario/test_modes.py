@@ -25,7 +25,7 @@ from fsw.dictionary.commands import (
 )
 from fsw.dictionary.joints import Joint, Tool
 from fsw.dictionary.modes import Mode
-from sim.scenario_modes import EVENTS, modes_after, refusals
+from sim.scenario.modes import EVENTS, modes_after, refusals
 
 UP = (0.0, 0.0, 1.0)
 HERE = (2.0, 0.0, 0.8)

@@ -20,15 +20,15 @@ from fsw.dictionary.commands import (
     Retract,
 )
 from fsw.dictionary.joints import Joint, Tool
-from sim.checks import Check, Docked, GravityHeld, Placed
 from sim.effects.environment import PowerLoss
 from sim.frames import P_NR_M
-from sim.scenario import Injection, Scenario, Taught
-from sim.scenario_faults import FAULTS
-from sim.scenario_file import load, scenario_from, shipped
-from sim.scenario_names import UNITS, upper_snake, words_of
-from sim.scenario_record import Findings, record_of
-from sim.scenario_tables import CHECKS, COMMANDS, EFFECTS, command_of
+from sim.scenario.checks import Check, Docked, GravityHeld, Placed
+from sim.scenario.data import Injection, Scenario, Taught
+from sim.scenario.faults import FAULTS
+from sim.scenario.file import load, scenario_from, shipped
+from sim.scenario.names import UNITS, upper_snake, words_of
+from sim.scenario.record import Findings, record_of
+from sim.scenario.tables import CHECKS, COMMANDS, EFFECTS, command_of
 from sim.world import Surface
 
 HEAD = 'title = "T"\nsentence = "S."\nstart = "ready"\n'

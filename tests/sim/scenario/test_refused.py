@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim.scenario_file import BadScenario, load, scenario_from, shipped
+from sim.scenario.file import BadScenario, load, scenario_from, shipped
 from tests.sim.scenario.bad import BAD, GOOD
 
 

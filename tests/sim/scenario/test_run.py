@@ -9,12 +9,12 @@ from fsw.dictionary.evrs import CommandAccepted, CommandRefused, FaultCleared, F
 from fsw.dictionary.faults import SensorNotFinite
 from fsw.dictionary.joints import Joint, Tool
 from sim.arms import arm_named
-from sim.checks import Done, Faulted
 from sim.effects.environment import PowerLoss
 from sim.effects.faults import SensorFault
 from sim.loop import ClosedLoop
-from sim.scenario import Injection, Scenario
-from sim.scenario_run import ScenarioResult, ScenarioRun, setup_of
+from sim.scenario.checks import Done, Faulted
+from sim.scenario.data import Injection, Scenario
+from sim.scenario.run import ScenarioResult, ScenarioRun, setup_of
 from sim.sequence import Outcome
 from sim.world import World
 from tests.sim import lab

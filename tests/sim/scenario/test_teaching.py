@@ -10,9 +10,9 @@ from sim.arms import arm_named
 from sim.effects.environment import NothingToTouch
 from sim.frames import p_R_from_N
 from sim.loop import ClosedLoop, Setup
-from sim.scenario import Taught
+from sim.scenario.data import Taught
+from sim.scenario.teaching import NotTaught, taught
 from sim.sequence import run_sequence
-from sim.teaching import NotTaught, taught
 from sim.world import World
 from tests.sim import lab
 

@@ -5,8 +5,8 @@ import tomllib
 
 import pytest
 
-from sim.scenario_file import shipped
-from sim.toml_lines import Place, lines_of
+from sim.scenario.file import shipped
+from sim.scenario.toml_lines import Place, lines_of
 
 TEXT = '''\
 # a comment with [brackets] = and "quotes"

@@ -14,15 +14,15 @@ from fsw.executive.checks import MoveCommand, malformed, malformed_direction
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.transforms import Array
 from fsw.motion.plan_tool import AUTO
-from sim.checks import Check, GravityHeld, Placed, Preloaded, SameSpot
 from sim.effects.faults import Fault as Injected
 from sim.effects.faults import RockGone
 from sim.frames import p_R_from_N
-from sim.scenario import Injection, Taught
-from sim.scenario_faults import FAULTS
-from sim.scenario_names import did_you_mean, is_position, upper_snake
-from sim.scenario_record import TYPE, Findings, kind_of, record_of
-from sim.toml_lines import Place
+from sim.scenario.checks import Check, GravityHeld, Placed, Preloaded, SameSpot
+from sim.scenario.data import Injection, Taught
+from sim.scenario.faults import FAULTS
+from sim.scenario.names import did_you_mean, is_position, upper_snake
+from sim.scenario.record import TYPE, Findings, kind_of, record_of
+from sim.scenario.toml_lines import Place
 
 RNAV: Final = "RNAV"
 ROVER_FRAMES: Final = (RNAV, "RMECH")

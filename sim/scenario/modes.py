@@ -29,7 +29,7 @@ from fsw.dictionary.commands import (
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
 from fsw.executive.modes import Event, after
-from sim.scenario_names import upper_snake
+from sim.scenario.names import upper_snake
 
 _FREE: Final = (Event.MOVE_FREE, Event.DONE)
 _GUARDED: Final = (Event.MOVE_GUARDED, Event.DONE)

@@ -8,8 +8,8 @@ from types import UnionType
 from typing import Annotated, Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from fsw.dictionary.params import Limits
-from sim.scenario_names import Words, did_you_mean, one_of, words_of
-from sim.toml_lines import Place
+from sim.scenario.names import Words, did_you_mean, one_of, words_of
+from sim.scenario.toml_lines import Place
 
 T = TypeVar("T")
 Choices = Mapping[str, tuple[str, ...]]

@@ -5,9 +5,9 @@ from typing import Literal
 
 from fsw.dictionary.commands import Command, Vector3
 from fsw.dictionary.joints import Tool
-from sim.checks import Check
 from sim.effects.environment import WARM_C
 from sim.effects.faults import Fault
+from sim.scenario.checks import Check
 from sim.world import World
 
 Start = Literal["stowed", "ready"]

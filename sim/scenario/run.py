@@ -11,12 +11,12 @@ from fsw.dictionary.evrs import CommandRefused, Evr
 from fsw.estimate.reference import Reference
 from sim.arms import BuiltArm
 from sim.effects.environment import Ambient
-from sim.judge import Measured, judged
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
-from sim.scenario import Scenario
+from sim.scenario.data import Scenario
+from sim.scenario.judge import Measured, judged
+from sim.scenario.trace import Ending, Moment, Trace, moment
 from sim.sequence import Outcome, run_sequence, watched
-from sim.trace import Ending, Moment, Trace, moment
 
 NO_STEP: Joints5 = (0.0, 0.0, 0.0, 0.0, 0.0)
 

@@ -11,7 +11,8 @@ from fsw.dictionary.commands import Vector3
 from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
 from fsw.dictionary.modes import Mode
 from fsw.kinematics.transforms import Array
-from sim.checks import (
+from sim.frames import p_R_from_N
+from sim.scenario.checks import (
     SOME_N,
     Check,
     Docked,
@@ -26,11 +27,10 @@ from sim.checks import (
     SameSpot,
     Stowed,
 )
-from sim.frames import p_R_from_N
-from sim.scenario import Scenario, Taught
-from sim.scenario_names import upper_snake
+from sim.scenario.data import Scenario, Taught
+from sim.scenario.names import upper_snake
+from sim.scenario.trace import Moment, Trace, touches
 from sim.sequence import Outcome
-from sim.trace import Moment, Trace, touches
 from sim.world import Surface
 
 

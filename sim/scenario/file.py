@@ -16,16 +16,16 @@ from fsw.dictionary.params import Limits
 from fsw.executive.checks import MoveCommand, malformed
 from fsw.executive.settings import params_with
 from sim.arms import UnknownArm, arm_named
-from sim.checks import Done, Faulted
 from sim.effects.environment import WARM_C
 from sim.params import nominal_params
-from sim.scenario import Scenario, Start
-from sim.scenario_faults import stops
-from sim.scenario_modes import refusals
-from sim.scenario_names import did_you_mean
-from sim.scenario_record import Findings, Problem, record_of, table_of
-from sim.scenario_tables import check_direction, check_of, command_of, fault_of, tables, taught_of
-from sim.toml_lines import lines_of
+from sim.scenario.checks import Done, Faulted
+from sim.scenario.data import Scenario, Start
+from sim.scenario.faults import stops
+from sim.scenario.modes import refusals
+from sim.scenario.names import did_you_mean
+from sim.scenario.record import Findings, Problem, record_of, table_of
+from sim.scenario.tables import check_direction, check_of, command_of, fault_of, tables, taught_of
+from sim.scenario.toml_lines import lines_of
 from sim.world import MAX_TILT_RAD, Scene, Surface, World
 
 T = TypeVar("T")

@@ -22,7 +22,7 @@ from sim.arms import BuiltArm
 from sim.effects.environment import NothingToTouch
 from sim.frames import p_R_from_N
 from sim.loop import ClosedLoop, Setup, joints5
-from sim.scenario import Taught
+from sim.scenario.data import Taught
 from sim.sequence import run_sequence
 from sim.world import World
 
