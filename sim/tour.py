@@ -1,7 +1,7 @@
 """Tours of poses in free air: where the joints come to rest, what flight software believes, what is true."""
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -68,8 +68,9 @@ def tour(
     Raises:
         RuntimeError: a move did not come to its end.
     """
-    setup = Setup(arm, world, arm.params.poses.ready_rad, seed, reference, (NothingToTouch(),))
-    loop = ClosedLoop(setup)
+    free = NothingToTouch()
+    arm = replace(arm, params=free.on_params(arm.params))
+    loop = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, seed, reference, (free,)))
     for _ in range(CYCLE_HZ):
         loop.cycle()
     for goal in goals:

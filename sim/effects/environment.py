@@ -6,6 +6,7 @@ import mujoco
 import numpy as np
 
 from fsw.dictionary.joints import Joint
+from fsw.dictionary.params import Params
 from sim.effects.effect import Effect, Hardware
 
 WARM_C = 20.0
@@ -13,6 +14,7 @@ COLD_C = -55.0
 COULOMB_COLD = 2.5
 """Times the friction when warm, at the cold end."""
 VISCOUS_COLD = 8.0
+FAR_M = 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,3 +66,8 @@ class NothingToTouch(Effect):
         """Take every geom out of the contacts."""
         for geom in spec.geoms:
             geom.contype = geom.conaffinity = 0
+
+    def on_params(self, params: Params) -> Params:
+        """Nothing is to be kept clear of."""
+        nothing = replace(params.collision, padding_m=-FAR_M, stow_padding_m=-FAR_M)
+        return replace(params, collision=nothing)

@@ -100,7 +100,7 @@ def some_event(kind: Any) -> Any:
 
 @pytest.mark.parametrize(
     "kind",
-    [kind for kind in (*Evr.__subclasses__(), *Fault.__subclasses__()) if kind is not Fault],
+    [kind for kind in (*Evr.__subclasses__(), *Fault.__subclasses__()) if hasattr(kind, "text")],
     ids=lambda kind: kind.__name__,
 )
 def test_every_evr_goes_into_a_log(kind: Any) -> None:
