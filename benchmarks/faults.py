@@ -20,6 +20,7 @@ from fsw.dictionary.evrs import CommandRefused, FaultResponse
 from fsw.dictionary.faults import Fault as FaultEvr
 from fsw.dictionary.joints import Joint
 from fsw.dictionary.modes import Mode
+from fsw.motion.move import Phase
 from fsw.protect.responses import Response
 from sim.arms import arm_named
 from sim.contact import hull_force_N, tool_forces
@@ -44,7 +45,7 @@ from sim.sequence import run_sequence
 
 GOES_ON_S = 45.0
 WIND_UP_RAD = 0.005
-AS_IT_SHOULD_BE = ("refusing", "stopped", "tolerated")
+AS_IT_SHOULD_BE = ("refusing", "stopped", "tolerated", "a later command refused")
 TILT_DEG = (6.0, -8.0)
 STILL: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 SENSORS = {
@@ -77,7 +78,7 @@ class Injected:
     found: str
     """The first fault that flight software reported, or none."""
     end: str
-    """refusing, stopped (braked, not refusing) or tolerated; anything else is not as it should be."""
+    """One of AS_IT_SHOULD_BE, or what is not; stopped is braked and not refusing."""
     braked: bool
     guarded_N: float
     """Largest force on a tool while it was guarded, retracted or stopped from that."""
@@ -143,7 +144,8 @@ def campaign(name: str, seed: int, count: int) -> list[Injected]:
 
 
 def _injected(name: str, loop: ClosedLoop, fault: Fault, rest: tuple[Command, ...]) -> Injected:
-    began, moving, watched = loop.state.mode, loop.state.move is not None, _Watch(loop)
+    began, move, watched = loop.state.mode, loop.state.move, _Watch(loop)
+    moving = move is not None and move.phase in (Phase.RELEASE, Phase.RUN)
     last = loop.state.tick + round(GOES_ON_S * CYCLE_HZ)
     for record in _carried_on(loop, rest):
         watched.note(record)
@@ -176,7 +178,7 @@ def _injected(name: str, loop: ClosedLoop, fault: Fault, rest: tuple[Command, ..
 
 
 def _end(loop: ClosedLoop, watched: "_Watch", braked: bool, refusing: bool, must_be_found: bool) -> str:
-    """Only the first three are as they should be."""
+    """How it ended; AS_IT_SHOULD_BE tells which of these are."""
     if loop.failure is not None:
         return "software error"
     if not braked:

@@ -30,9 +30,9 @@ CONFIG = config_of()
 NOW_S = 0.0
 
 
-def facing_rock(tool, motor_rad, effects=(), ahead_m=0.0):
-    """The arm at a pose, and a rock some way ahead of where the tool is in the pose that faces it."""
-    arm, pose = arm_named("nominal"), facing(CONFIG, tool)
+def facing_rock(tool, motor_rad, effects=(), ahead_m=0.0, pose_rad=None):
+    """The arm at a pose, and a rock some way ahead of where the tool is in the one that faces it."""
+    arm, pose = arm_named("nominal"), facing(CONFIG, tool) if pose_rad is None else pose_rad
     X_RT = tool_pose(CONFIG.arm, rest(CONFIG.arm, pose, MARS_R_m_s2).frames, tool)
     p_N = X_RT.p + ahead_m * X_RT.R[:, 0] + P_NR_M
     world = World(surface=Surface(floats(p_N), floats(-X_RT.R[:, 0])))
@@ -81,19 +81,36 @@ def test_a_guarded_tool_whose_switches_are_all_dead_is_felt_before_it_presses_wi
     assert 0.0 < peak < 100.0
 
 
-@pytest.mark.parametrize("joint", [Joint.AZIMUTH, Joint.ELEVATION, Joint.ELBOW, Joint.WRIST])
+STRETCHED_RAD = np.radians([0.0, -45.0, 60.0, 60.0, 0.0])
+
+
+def with_turret_of(pose_rad, turned_rad):
+    """A pose with the turret of another."""
+    return np.where(np.arange(5) == Joint.TURRET, turned_rad, pose_rad)
+
+
+@pytest.mark.parametrize(
+    "joints",
+    [(Joint.AZIMUTH,), (Joint.ELEVATION,), (Joint.ELBOW,), (Joint.WRIST,), tuple(Joint)],
+    ids=["azimuth", "elevation", "elbow", "wrist", "all"],
+)
+@pytest.mark.parametrize("stretched", [False, True], ids=["ready", "stretched"])
 @pytest.mark.parametrize("tool", [Tool.APXS, Tool.DRILL])
-def test_a_joint_at_full_speed_that_drives_its_tool_into_a_rock_presses_with_less_than_250_N(tool, joint):
-    pose = facing(CONFIG, tool)
+def test_joints_at_full_speed_that_drive_a_tool_into_a_rock_press_with_less_than_250_N(
+    tool, stretched, joints
+):
+    turned = facing(CONFIG, tool)
+    pose = with_turret_of(STRETCHED_RAD, turned) if stretched else turned
     axis = tool_pose(CONFIG.arm, rest(CONFIG.arm, pose, MARS_R_m_s2).frames, tool).R[:, 0]
 
     def along_m(step):
         frames = rest(CONFIG.arm, pose + step, MARS_R_m_s2).frames
         return tool_pose(CONFIG.arm, frames, tool).p @ axis
 
-    way = 3.0 * CONFIG.speed_rad_s * (np.arange(5) == joint)
-    way = way * np.sign(along_m(1e-3 * way) - along_m(-1e-3 * way))
-    loop, _ = facing_rock(tool, pose - way)
+    moved = 1e-4 * np.eye(5)
+    towards = np.sign([along_m(step) - along_m(-step) for step in moved])
+    way = 3.0 * CONFIG.speed_rad_s * towards * np.isin(np.arange(5), joints)
+    loop, _ = facing_rock(tool, pose - way, pose_rad=pose)
     peak, evrs = peak_force_N(loop, MoveJoints(joints5(pose + way)))
     assert any(isinstance(evr, ContactInFreeSpace) for evr in evrs)
     assert 0.0 < peak < 250.0
