@@ -39,7 +39,8 @@ class BadScenario(ValueError):
 
     def __init__(self, file: str, problems: list[Problem]):
         self.problems = tuple(sorted(problems))
-        super().__init__("\n".join(f"{file}:{p.line}: {p.text}" for p in self.problems))
+        where = (f"{file}:{p.line}" if p.line else file for p in self.problems)
+        super().__init__("\n".join(f"{at}: {p.text}" for at, p in zip(where, self.problems, strict=True)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,11 +83,13 @@ def load(name: str) -> Scenario:
     path = Path(name)
     if path.suffix != ".toml":
         hint = f"{did_you_mean(name, texts)}, or give the path of a .toml file"
-        raise BadScenario(name, [Problem(1, f"there is no such scenario; {hint}")])
+        raise BadScenario(name, [Problem(0, f"there is no such scenario; {hint}")])
     try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, ValueError) as error:
-        raise BadScenario(name, [Problem(1, f"cannot be read: {error}")]) from error
+        text = path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise BadScenario(name, [Problem(0, f"cannot be read ({error.strerror})")]) from error
+    except ValueError as error:
+        raise BadScenario(name, [Problem(0, f"cannot be read as text ({error})")]) from error
     return scenario_from(text, path.stem, name)
 
 
@@ -200,6 +203,9 @@ def _check_sequence(scenario: Scenario, findings: Findings) -> None:
     start = Mode.STOWED if scenario.start == "stowed" else Mode.DEPLOYED
     for number, problem in refusals(scenario.commands, start, faulting, troubled):
         findings.say(("command", number - 1), f"command {number}: {problem}")
+    for k, point in enumerate(scenario.taught):
+        if not point.name or point.name in [other.name for other in scenario.taught[:k]]:
+            findings.say(("teach", k, "name"), f"name: {point.name!r} is empty or taken; give each its own")
     for number, problem in _senseless(scenario.commands):
         findings.say(("command", number - 1), f"command {number}: {problem}")
 

@@ -25,6 +25,7 @@ class Problem:
     """What is wrong on a line of a file, and what would be right."""
 
     line: int
+    """From 1; 0 is of the whole file."""
     text: str
 
 

@@ -27,8 +27,8 @@ CUT = SHORT + '\n[[fault]]\ntype = "POWER_LOSS"\nduring = 1\nafter_s = 1\n'
 WRONG = SHORT.replace("angle_deg", "angle").replace('"turret"', '"tower"')
 
 BAD = {
-    "no such scenario": (("samplin",), "samplin:1: there is no such scenario; did you mean sampling?"),
-    "no such file": (("none.toml",), "none.toml:1: cannot be read"),
+    "no such scenario": (("samplin",), "samplin: there is no such scenario; did you mean sampling?"),
+    "no such file": (("none.toml",), "none.toml: cannot be read"),
     "a wrong file": (("wrong.toml",), "wrong.toml:7: joint: 'tower' is not known; there are azimuth"),
     "a wrong file, second line": (
         ("wrong.toml",),
