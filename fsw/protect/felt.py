@@ -28,8 +28,8 @@ FELT_GAIN: Final = 0.125
 """Of the smoothing, per cycle: the force rises by newtons a cycle, and the noise of a reading is as large."""
 REST_GAIN: Final = 1 / 128
 """Of what is taken for the arm's own, per cycle."""
-NOISE_RAD: Final = 1.7e-4
-"""Six sigma of a resolver's noise, smoothed."""
+NOISE_RAD: Final = 2.4e-4
+"""Six sigma of a resolver's noise, smoothed, and half as much again for what a built arm adds on the way."""
 UNSURE_RAD: Final = 1e-3
 """A gear whose angle is known no better says nothing."""
 
