@@ -20,7 +20,7 @@ from fsw.estimate.gear import LIKELY
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.transforms import Array
-from fsw.messages import Sensors
+from fsw.messages import Flags, Sensors
 from fsw.motion.move import Move, Phase
 from fsw.motion.paths import LinePath
 
@@ -30,6 +30,8 @@ REST_GAIN: Final = 1 / 128
 """Of what is taken for the arm's own, per cycle."""
 NOISE_RAD: Final = 2.4e-4
 """Six sigma of a resolver's noise, smoothed, and half as much again for what a built arm adds on the way."""
+FIRM: Final = 5.0
+"""Times what a modelled load may be off."""
 UNSURE_RAD: Final = 1e-3
 """A gear whose angle is known no better says nothing."""
 
@@ -73,5 +75,13 @@ def _wind_up(config: Config, tool: Tool, joints: JointEstimate) -> Array:
     frames = forward(config.arm, joints.output_rad)
     X_RT = tool_pose(config.arm, frames, tool)
     torque_Nm_N = -joint_jacobian(frames, X_RT.p)[3:].T @ X_RT.R[:, 0]
-    wind_up: Array = torque_Nm_N / config.arm.gear_stiffness_Nm_rad
+    wind_up: Array = np.where(_firm(config, joints), torque_Nm_N / config.arm.gear_stiffness_Nm_rad, 0.0)
     return wind_up
+
+
+def _firm(config: Config, joints: JointEstimate) -> Flags:
+    """Which outputs their load surely holds on a flank: one that crosses its gap feels like a force."""
+    beyond = joints.reference.half_gap_rad + FIRM * config.load_error_Nm / config.arm.gear_stiffness_Nm_rad
+    low, high = joints.bounds.lowest_rad[:, LIKELY], joints.bounds.highest_rad[:, LIKELY]
+    firm: Flags = (low > beyond) | (high < -beyond)
+    return firm
