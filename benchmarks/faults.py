@@ -158,8 +158,7 @@ def _injected(name: str, loop: ClosedLoop, fault: Fault, rest: tuple[Command, ..
         watched.note(loop.cycle())
     for _ in range(round(0.25 * CYCLE_HZ)):
         watched.note(loop.cycle())
-    plant = loop.plant
-    braked = bool(plant.data.eq_active[plant.at.brake].all()) and not loop.state.drive.power_on.any()
+    braked = loop.braked
     asked = loop.cycle((MoveJoints(STILL, relative=True),)).outputs.evrs
     refusing = any(isinstance(evr, CommandRefused) for evr in asked)
     return Injected(

@@ -16,6 +16,7 @@ from benchmarks.options import parser
 from fsw.dictionary.commands import Command, PlaceTool, Retract, ToolChange
 from fsw.dictionary.evrs import CommandCompleted, Severity
 from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.dictionary.tuples import joints5, vector3
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm, arm_named
@@ -27,7 +28,7 @@ from sim.effects.joints import GearStiffness
 from sim.effects.structure import LinkStiffness
 from sim.frames import p_R_from_N
 from sim.initialisation import initial_reference
-from sim.loop import ClosedLoop, Setup, joints5
+from sim.loop import ClosedLoop, Setup
 from sim.sequence import run_sequence
 
 WARMING_K = 50.0
@@ -87,7 +88,7 @@ def one_target(name: str, reference: Reference, draw: int) -> Changed | str:
     loop = ClosedLoop(Setup(arm, world, joints5(seen.standoff_rad), draw, reference, effects))
     target = p_R_from_N(np.array(seen.placement.target_N_m))
     axis = -np.array(seen.placement.normal_N) / np.linalg.norm(seen.placement.normal_N)
-    place = PlaceTool(FIRST, _vector(target), _vector(axis), branch=seen.placement.branch)
+    place = PlaceTool(FIRST, vector3(target), vector3(axis), branch=seen.placement.branch)
     first = _touched(loop, (place,))
     if isinstance(first, str):
         return f"{FIRST.name}: {first}"
@@ -132,11 +133,6 @@ def _tool_shift(arm: BuiltArm, tool: Tool) -> Array:
 
 def _lateral_mm(apart_m: Array, axis: Array) -> float:
     return 1e3 * float(np.linalg.norm(apart_m - (apart_m @ axis) * axis))
-
-
-def _vector(v: Array) -> tuple[float, float, float]:
-    x, y, z = (float(c) for c in v)
-    return (x, y, z)
 
 
 def summary(changes: list[Changed]) -> dict[str, object]:

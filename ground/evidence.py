@@ -11,12 +11,11 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.config import CYCLE_HZ, digest
+from fsw.config import CYCLE_HZ
 from ground.report.picture import PictureError, PictureResult, check_path, save_movie, save_picture
 from ground.request import BadRequest, check_apart
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.record import Recorder
-from sim.arms import BuiltArm
 from sim.plant import Plant
 from sim.record import CycleRecord
 from sim.world import World, build
@@ -52,6 +51,12 @@ class Kept:
     movie: PictureResult | None
     log_problem: str | None
     """From when on the log could not be written, and why; the run went on."""
+
+
+def nothing_kept(files: Files) -> Kept:
+    """Of a run that never began, its arm not initialised."""
+    why = f"log {files.log}: not recorded (the arm was not initialised)"
+    return Kept(None, None, None if files.log is None else why)
 
 
 def check_files(files: Files, **others: Path | None) -> None:
@@ -124,7 +129,7 @@ class Log:
         self.problem = f"log {self._path}: not recorded {when} ({why}); what was closed before can be read"
 
 
-def open_log(path: Path | None, arm: BuiltArm, seed: int, request: dict[str, Any]) -> Log:
+def open_log(path: Path | None, arm: str, params_sha256: str, seed: int, request: dict[str, Any]) -> Log:
     """A log that begins with what the run is made of; one of nothing without a path.
 
     Raises:
@@ -136,8 +141,8 @@ def open_log(path: Path | None, arm: BuiltArm, seed: int, request: dict[str, Any
         "marsarm": version("marsarm"),
         "mujoco": mujoco.__version__,
         "numpy": np.__version__,
-        "params_sha256": digest(arm.params),
-        "arm": arm.name,
+        "params_sha256": params_sha256,
+        "arm": arm,
         "seed": str(seed),
         "request": json.dumps(request, default=str, sort_keys=True),
     }

@@ -11,6 +11,7 @@ import numpy as np
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Calibrate, CalibrateAll, Joints5
 from fsw.dictionary.joints import STOP_ORDER, Joint
+from fsw.dictionary.tuples import joints5
 from fsw.executive.hardstop_pose import stop_poses
 from ground.outputs import BadOutput, check_output
 from ground.report.hardstop_figure import save_hardstop_figure
@@ -19,7 +20,7 @@ from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.effects.environment import WARM_C, Ambient
 from sim.initialisation import Initialisation, InitialisationRun, stop_run
-from sim.loop import ClosedLoop, Setup, joints5
+from sim.loop import ClosedLoop, Setup
 from sim.sequence import Outcome
 from sim.stops import NoPlan, without_turret
 from sim.trials import varied

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 
 from fsw.config import CYCLE_HZ, digest
 from fsw.dictionary.evrs import CommandCompleted
-from ground.evidence import Files, Frames, Kept, Progress, doing, keep, open_log
+from ground.evidence import Files, Frames, Kept, Progress, doing, keep, nothing_kept, open_log
 from ground.initialise import initialise
 from ground.place_request import PlaceRequest, checked
 from sim.arms import BuiltArm
@@ -39,7 +39,7 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
     setup = Setup(job.arm, job.world, job.arm.params.poses.stowed_rad, request.seed, stops[-1].reference)
     loop = ClosedLoop(setup, with_truth=request.log is not None)
     run = PlacementRun(loop, job.placement)
-    log = open_log(request.log, job.arm, request.seed, asdict(request))
+    log = open_log(request.log, job.arm.name, loop.config.params_sha256, request.seed, asdict(request))
     frames = Frames()
     started = time.perf_counter()
     try:
@@ -69,5 +69,5 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
 def _not_initialised(request: PlaceRequest, arm: BuiltArm, stops: list[Initialisation]) -> PlaceReport:
     failed = stops[-1]
     result = PlacementResult(failed.outcome, None, failed.duration_s, None, None, failed.evrs)
-    no_log = None if request.log is None else f"log {request.log}: not recorded (the arm was not initialised)"
-    return PlaceReport(request, digest(arm.params), result, 0.0, Kept(None, None, no_log))
+    kept = nothing_kept(Files(request.log))
+    return PlaceReport(request, digest(arm.params), result, 0.0, kept)

@@ -5,7 +5,18 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from fsw.config import digest
-from ground.evidence import NO_FILES, Files, Frames, Kept, Progress, check_files, doing, keep, open_log
+from ground.evidence import (
+    NO_FILES,
+    Files,
+    Frames,
+    Kept,
+    Progress,
+    check_files,
+    doing,
+    keep,
+    nothing_kept,
+    open_log,
+)
 from ground.initialise import initialise
 from ground.request import BadRequest, check_seed, chosen_arm, tilted_world
 from sim.arms import BuiltArm
@@ -69,7 +80,7 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
     setup = setup_of(scenario, arm, reference, request.seed)
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     judged = ScenarioRun(loop, scenario)
-    log = open_log(request.files.log, arm, request.seed, asdict(request))
+    log = open_log(request.files.log, arm.name, loop.config.params_sha256, request.seed, asdict(request))
     frames, shown, total = Frames(), _shown(scenario), len(scenario.commands)
     started = time.perf_counter()
     try:
@@ -123,6 +134,5 @@ def _not_initialised(
 ) -> RunReport:
     failed = stops[-1]
     result = ScenarioResult(failed.outcome, 0, failed.duration_s, (), failed.evrs)
-    log = request.files.log
-    no_log = None if log is None else f"log {log}: not recorded (the arm was not initialised)"
-    return RunReport(request, scenario, arm.name, digest(arm.params), result, 0.0, Kept(None, None, no_log))
+    kept = nothing_kept(request.files)
+    return RunReport(request, scenario, arm.name, digest(arm.params), result, 0.0, kept)

@@ -7,9 +7,10 @@ import numpy as np
 
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.joints import Tool
+from fsw.dictionary.tuples import joints5
 from fsw.estimate.reference import Reference
 from sim.arms import BuiltArm
-from sim.loop import ClosedLoop, Setup, joints5
+from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementError, PlacementResult, PlacementRun
 from sim.preview import Preview, preview
 from sim.workspace import random_surface

@@ -10,13 +10,14 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Calibrate, CalibrateAll
 from fsw.dictionary.evrs import Evr, JointCalibrated
 from fsw.dictionary.joints import STOP_ORDER, Joint
+from fsw.dictionary.tuples import joints5
 from fsw.estimate.reference import Reference
 from fsw.executive.hardstop_pose import stop_poses
 from fsw.kinematics.transforms import Array
 from fsw.motion.seek import Stage
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
-from sim.loop import ClosedLoop, Setup, joints5
+from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.sequence import Outcome, run_sequence, watched
 from sim.world import World

@@ -11,7 +11,6 @@ from fsw.dictionary.commands import Command, Joints5
 from fsw.dictionary.evrs import SoftwareError
 from fsw.dictionary.modes import Mode
 from fsw.estimate.reference import Reference
-from fsw.kinematics.transforms import Array
 from fsw.messages import Outputs
 from fsw.state import State, boot, outputs_at_rest
 from sim.arms import BuiltArm
@@ -100,6 +99,12 @@ class ClosedLoop:
             self._drive()
         return CycleRecord(tick, sensors, commands, outputs, truth)
 
+    @property
+    def braked(self) -> bool:
+        """Whether every brake holds and no motor is given power."""
+        brakes = self.plant.data.eq_active[self.plant.at.brake]
+        return bool(brakes.all() and not self._outputs.drive.power_on.any())
+
     def _drive(self) -> None:
         """The plant goes on for a cycle with the last drive."""
         self.avionics.apply(self._outputs.drive)
@@ -113,9 +118,3 @@ def _safe_outputs(last: Outputs, error: Exception) -> Outputs:
     joint = replace(last.joint, busy=False)
     evr = SoftwareError(f"{type(error).__name__}: {error}")
     return replace(last, drive=drive, joint=joint, tool=None, evrs=(evr,))
-
-
-def joints5(angle_rad: Array) -> Joints5:
-    """An array of five angles as a command takes it."""
-    a, b, c, d, e = (float(angle) for angle in angle_rad)
-    return (a, b, c, d, e)

@@ -10,7 +10,8 @@ from fsw.dictionary.commands import Command, GuardedMove, MoveTool, Retract, Uns
 from fsw.dictionary.evrs import BranchChosen, CommandCompleted, ContactMade, Evr
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
-from fsw.kinematics.transforms import Array
+from fsw.dictionary.tuples import vector3
+from fsw.kinematics.transforms import unit
 from sim.frames import p_R_from_N
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
@@ -63,9 +64,9 @@ class PlacementResult:
 
 def placement_moves(placement: Placement) -> tuple[tuple[MoveTool, ...], GuardedMove]:
     """To the standoff, and along the inward normal until it touches or has gone too far."""
-    normal = _unit(placement.normal_N)
+    normal = unit(placement.normal_N)
     target = p_R_from_N(np.array(placement.target_N_m))
-    tool, approach, branch = placement.tool, _vector(-normal), placement.branch
+    tool, approach, branch = placement.tool, vector3(-normal), placement.branch
     travel = placement.standoff_m + placement.overtravel_m
     heights = (
         [placement.standoff_m]
@@ -73,10 +74,10 @@ def placement_moves(placement: Placement) -> tuple[tuple[MoveTool, ...], Guarded
         else [placement.standoff_m + placement.via_m, placement.standoff_m]
     )
     moves = tuple(
-        MoveTool(tool, _vector(target + height * normal), approach, line_m=travel, branch=branch)
+        MoveTool(tool, vector3(target + height * normal), approach, line_m=travel, branch=branch)
         for height in heights
     )
-    return moves, GuardedMove(tool, _vector(target - placement.overtravel_m * normal), approach)
+    return moves, GuardedMove(tool, vector3(target - placement.overtravel_m * normal), approach)
 
 
 def placement_commands(placement: Placement, stowed: bool) -> tuple[Command, ...]:
@@ -114,7 +115,7 @@ class PlacementRun:
 
     def _error(self, record: CycleRecord, height_m: float) -> PlacementError:
         placement, plant = self._placement, self._loop.plant
-        normal = _unit(placement.normal_N)
+        normal = unit(placement.normal_N)
         target = p_R_from_N(np.array(placement.target_N_m)) + height_m * normal
         truth = plant.truth()
         miss = truth.p_RoTo_R_m[placement.tool] - target
@@ -140,12 +141,3 @@ class PlacementRun:
             self._errors.get("standoff"),
             tuple(self._evrs),
         )
-
-
-def _unit(v: Vector3) -> Array:
-    return np.asarray(np.array(v) / np.linalg.norm(v))
-
-
-def _vector(v: Array) -> Vector3:
-    x, y, z = (float(c) for c in v)
-    return (x, y, z)

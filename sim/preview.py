@@ -20,7 +20,7 @@ from fsw.kinematics.statics import Equilibrium, settle
 from fsw.kinematics.transforms import Array
 from fsw.motion.compensation import Compensation
 from fsw.motion.paths import Path
-from fsw.motion.plan import Plan, Refusal, Stand, plan_poses
+from fsw.motion.plan import Plan, Refusal, joints_at, plan_poses
 from fsw.motion.plan_tool import AUTO, plan_tool
 from sim.arms import BuiltArm
 from sim.placement import Placement, placement_moves
@@ -95,11 +95,6 @@ def _joints(config: Config, motor_rad: Array, gravity_R_m_s2: Array) -> JointEst
     return replace(joints, motor_rad=motor_rad, imu_R_m_s2=gravity_R_m_s2)
 
 
-def _at(joints: JointEstimate, stand: Stand) -> JointEstimate:
-    """The joints where a plan ends."""
-    return replace(joints, motor_rad=stand.motor_rad, gear_rad=np.repeat(stand.gear_rad[:, None], 3, axis=1))
-
-
 def _unstow_hit(config: Config, plant: Plant, joints: JointEstimate) -> str | None:
     plan = _unstow(config, joints)
     if isinstance(plan, Refusal):
@@ -121,7 +116,7 @@ def _try(config: Config, plant: Plant, joints: JointEstimate, placement: Placeme
         if hit is not None:
             return _no(placement, f"{plan.branch}: {hit} on the way to the standoff")
         duration += sum(path.duration_s for path in plan.paths)
-        joints = _at(joints, plan.end)
+        joints = joints_at(joints, plan.end)
         placement = replace(placement, branch=plan.branch or AUTO)
     line = plan_for(config, joints, placement.tool, touch)
     if isinstance(line, Refusal):

@@ -15,6 +15,7 @@ from scipy.optimize import least_squares
 from fsw.dictionary.commands import Calibrate, Joints5, MoveJoint
 from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import Params
+from fsw.dictionary.tuples import joints5
 from fsw.executive.hardstop_pose import stop_poses
 from fsw.executive.sequence import calibrate_all
 from fsw.kinematics.arm import arm_from
@@ -23,7 +24,6 @@ from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm
 from sim.clearance import Clearance, Space
 from sim.effects.turret import TurretMass
-from sim.loop import joints5
 from sim.world import World
 
 SPACING_RAD: Final = 0.03

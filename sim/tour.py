@@ -10,6 +10,7 @@ from fsw.config import CYCLE_HZ, Config
 from fsw.dictionary.commands import Backlash, MoveJoints
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.joints import Tool
+from fsw.dictionary.tuples import joints5
 from fsw.estimate.reference import Reference
 from fsw.kinematics.answers import Verdict
 from fsw.kinematics.branches import BRANCHES
@@ -18,7 +19,7 @@ from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm
 from sim.effects.environment import NothingToTouch
 from sim.frames import p_R_from_N
-from sim.loop import ClosedLoop, Setup, joints5
+from sim.loop import ClosedLoop, Setup
 from sim.sequence import run_sequence
 from sim.workspace import approach_from, random_targets
 from sim.world import World

@@ -148,9 +148,10 @@ class ForceFelt(Evr):
     """How the motors' currents rose with the force of a press; the rest of the way makes up for it."""
 
     severity = Severity.ACTIVITY_LO
-    text = "{e.tool.name}: {e.share:.3f} N felt for a newton of the model"
+    text = "{e.tool.name}: a model's newton is felt as {e.along:.3f} N along its axis, {e.across:.3f} N across"
     tool: Tool
-    share: float
+    along: float
+    across: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -292,8 +292,6 @@ class CollisionParams:
     """What the arm is not to meet, and how far it keeps from it."""
 
     padding_m: Annotated[float, Limits(0.0, 0.2)]
-    stow_padding_m: Annotated[float, Limits(0.0, 0.2)]
-    """On the way between the stowed and the ready pose, which is close to the rover and always the same."""
     ground_z_m: Annotated[float, Limits(0.0, 5.0)]
     """Height of level ground in RMECH; z points down."""
     arm: ArmShapes

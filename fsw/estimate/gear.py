@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
-from fsw.kinematics.transforms import Array
+from fsw.kinematics.transforms import Array, Flags
 
 LEAST, LIKELY, MOST = range(3)
 SLACK: Final = np.array([-1.0, 0.0, 1.0])
@@ -83,6 +83,13 @@ def side_of(half_gap_rad: Array, gear_rad: Array) -> Array:
     flank = half_gap_rad - ON_FLANK_RAD
     side: Array = np.subtract(gear_rad[:, LEAST] >= flank, gear_rad[:, MOST] <= -flank, dtype=float)
     return side
+
+
+def held_on_side(half_gap_rad: Array, bounds: GearBounds, room_rad: Array) -> Flags:
+    """Which outputs (5) their likely load holds on a flank, with so much wind-up to spare."""
+    beyond = half_gap_rad + room_rad
+    held: Flags = (bounds.lowest_rad[:, LIKELY] > beyond) | (bounds.highest_rad[:, LIKELY] < -beyond)
+    return held
 
 
 def gap_of(half_gap_rad: Array, gear_rad: Array) -> Array:

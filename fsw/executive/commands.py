@@ -1,7 +1,7 @@
 """What each command does, and when it is refused. A command is checked whole before anything moves."""
 
 from dataclasses import replace
-from typing import Final, assert_never
+from typing import assert_never
 
 import numpy as np
 
@@ -38,10 +38,11 @@ from fsw.dictionary.evrs import (
 )
 from fsw.dictionary.joints import Joint, Tool
 from fsw.dictionary.modes import Mode
+from fsw.dictionary.tuples import vector3
 from fsw.estimate.reference import forgotten
 from fsw.executive.checks import malformed
 from fsw.executive.hardstop_pose import unsafe, unsafe_for_all
-from fsw.executive.modes import TRANSITIONS, Event
+from fsw.executive.modes import EVENT_OF, TRANSITIONS, Event
 from fsw.executive.planning import PlannedMove, ahead, plan_for
 from fsw.executive.sequence import Sequence, calibrate_all
 from fsw.executive.settings import set_param, set_tilt
@@ -55,7 +56,7 @@ from fsw.executive.situation import (
     told,
     touches,
 )
-from fsw.executive.steps import Hold, Step, Stepped, steps_of
+from fsw.executive.steps import Hold, Step, Stepped, spot, steps_of
 from fsw.executive.stopping import clear_fault, sequence_over, stop_move
 from fsw.motion import seek
 from fsw.motion.move import Move
@@ -63,21 +64,6 @@ from fsw.motion.paths import Setpoint, StillPath
 from fsw.motion.plan import Refusal
 from fsw.motion.plan_press import Pressing, plan_press, press_limit_A, touching
 from fsw.motion.trim import PressFit
-
-_EVENT_OF: Final[dict[type, Event]] = {
-    Unstow: Event.UNSTOW,
-    Stow: Event.MOVE_FREE,
-    MoveJoint: Event.MOVE_FREE,
-    MoveJoints: Event.MOVE_FREE,
-    MoveTool: Event.MOVE_FREE,
-    GuardedMove: Event.MOVE_GUARDED,
-    Retract: Event.MOVE_BACK,
-    PlaceTool: Event.MOVE_FREE,
-    ToolChange: Event.MOVE_BACK,
-    MoveTeachPoint: Event.MOVE_FREE,
-    Dock: Event.MOVE_GUARDED,
-    Process: Event.MOVE_FREE,
-}
 
 
 def handle(config: Config, now: Situation, command: Step) -> Situation:
@@ -127,7 +113,7 @@ def _begin_steps(config: Config, now: Situation, command: Stepped) -> Situation:
     """Every step is planned from the end of the one before it, and only then does the first begin."""
     state = now.state
     problem = not_now(now) or not_calibrated(now, command) or malformed(command)
-    problem = problem or not_in_mode(now, _EVENT_OF[type(command)])
+    problem = problem or not_in_mode(now, EVENT_OF[type(command)])
     if isinstance(command, ToolChange):
         problem = problem or _no_tool_change(now, command)
     if isinstance(command, Dock):
@@ -135,13 +121,14 @@ def _begin_steps(config: Config, now: Situation, command: Stepped) -> Situation:
     if problem is not None:
         return refused(now, command, problem)
     steps = steps_of(config, state.joints, state.tool, command)
-    problem = steps.reason if isinstance(steps, Refusal) else ahead(config, state, steps)
-    if isinstance(steps, Refusal) or problem is not None:
-        return refused(now, command, problem or "")
+    if isinstance(steps, Refusal):
+        return refused(now, command, steps.reason)
+    problem = ahead(config, state, steps)
+    if problem is not None:
+        return refused(now, command, problem)
     evrs: tuple[Evr, ...] = (CommandAccepted(name_of(command)),)
     if isinstance(command, ToolChange):
-        x, y, z = (float(c) for c in touching(config, state.joints, state.tool).p_RoTo_R_m)
-        evrs = (*evrs, SpotTaken(state.tool, x, y, z))
+        evrs = (*evrs, SpotTaken(state.tool, *vector3(spot(config, state.joints, state.tool, command).p_m)))
     sequence = Sequence(name_of(command), steps)
     return told(replace(now, state=replace(state, sequence=sequence)), *evrs)
 
@@ -188,7 +175,7 @@ def _calibrate(config: Config, now: Situation, command: Calibrate) -> Situation:
 
 def _begin_move(config: Config, now: Situation, command: PlannedMove) -> Situation:
     problem = not_now(now) or malformed(command) or not_calibrated(now, command)
-    problem = problem or not_in_mode(now, _EVENT_OF[type(command)])
+    problem = problem or not_in_mode(now, EVENT_OF[type(command)])
     if isinstance(command, GuardedMove | Retract):
         problem = problem or _other_tool_touches(now, command.tool)
     if problem is not None:
@@ -196,7 +183,7 @@ def _begin_move(config: Config, now: Situation, command: PlannedMove) -> Situati
     plan = plan_for(config, now.state.joints, now.state.tool, command)
     if isinstance(plan, Refusal):
         return refused(now, command, plan.reason)
-    mode = TRANSITIONS[now.state.mode, _EVENT_OF[type(command)]]
+    mode = TRANSITIONS[now.state.mode, EVENT_OF[type(command)]]
     done = Event.DONE_STOWED if isinstance(command, Stow) else Event.DONE
     tool = command.tool if isinstance(command, MoveTool | GuardedMove | Retract) else now.state.tool
     move = replace(
@@ -239,7 +226,7 @@ def _press(config: Config, now: Situation, command: Preload) -> Situation:
         _at_rest(config, now, command, TRANSITIONS[Mode.PRELOAD, done]),
         paths=plan.paths,
         press=press,
-        fit=PressFit(),
+        fit=PressFit() if press.end_N > press.start.force_N else None,
         limit_A=press_limit_A(config, state.joints, press, state.load.torque_Nm),
     )
     state = replace(state, mode=Mode.PRELOAD, move=move, pressing=pressing, planned_gap_rad=plan.gap_rad)

@@ -3,6 +3,21 @@
 from enum import IntEnum
 from typing import Final
 
+from fsw.dictionary.commands import (
+    Command,
+    Dock,
+    GuardedMove,
+    MoveJoint,
+    MoveJoints,
+    MoveTeachPoint,
+    MoveTool,
+    PlaceTool,
+    Process,
+    Retract,
+    Stow,
+    ToolChange,
+    Unstow,
+)
 from fsw.dictionary.modes import Mode
 
 
@@ -60,6 +75,22 @@ TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
     **{(mode, Event.FAULT): Mode.FAULTED for mode in Mode},
 }
 """A pair that is not here is refused."""
+
+EVENT_OF: Final[dict[type[Command], Event]] = {
+    Unstow: Event.UNSTOW,
+    Stow: Event.MOVE_FREE,
+    MoveJoint: Event.MOVE_FREE,
+    MoveJoints: Event.MOVE_FREE,
+    MoveTool: Event.MOVE_FREE,
+    GuardedMove: Event.MOVE_GUARDED,
+    Retract: Event.MOVE_BACK,
+    PlaceTool: Event.MOVE_FREE,
+    ToolChange: Event.MOVE_BACK,
+    MoveTeachPoint: Event.MOVE_FREE,
+    Dock: Event.MOVE_GUARDED,
+    Process: Event.MOVE_FREE,
+}
+"""What a move begins with."""
 
 
 def after(mode: Mode, event: Event) -> Mode | None:

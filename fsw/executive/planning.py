@@ -1,6 +1,5 @@
 """From a command to the plan of its move, and from several to whether all of them can be."""
 
-from dataclasses import replace
 from typing import assert_never
 
 import numpy as np
@@ -12,7 +11,7 @@ from fsw.estimate.joints import JointEstimate
 from fsw.executive.steps import Step
 from fsw.motion.clear import blocked
 from fsw.motion.compensation import Compensation
-from fsw.motion.plan import Plan, Refusal, plan_joint, plan_poses
+from fsw.motion.plan import Plan, Refusal, joints_at, plan_joint, plan_poses
 from fsw.motion.plan_line import plan_guarded, plan_retract
 from fsw.motion.plan_tool import plan_tool
 from fsw.state import State
@@ -33,10 +32,8 @@ def plan_for(
     plan = _plan(config, joints, tool, command)
     if isinstance(plan, Refusal) or isinstance(command, MoveTool):
         return plan
-    known_way = isinstance(command, Unstow | Stow)
-    padding_m = config.params.collision.stow_padding_m if known_way else config.params.collision.padding_m
     touching = command.tool if isinstance(command, GuardedMove | Retract) else None
-    meeting = blocked(config, joints, plan.paths, padding_m, touching)
+    meeting = blocked(config, joints, plan.paths, config.params.collision.padding_m, touching)
     return plan if meeting is None else Refusal(meeting)
 
 
@@ -75,7 +72,6 @@ def ahead(config: Config, state: State, steps: tuple[Step, ...]) -> str | None:
         plan = plan_for(config, joints, tool, step)
         if isinstance(plan, Refusal):
             return f"{type(step).__name__}: {plan.reason}"
-        gear = np.repeat(plan.end.gear_rad[:, None], joints.gear_rad.shape[1], axis=1)
-        joints = replace(joints, motor_rad=plan.end.motor_rad, gear_rad=gear)
+        joints = joints_at(joints, plan.end)
         tool = step.tool if isinstance(step, MoveTool | GuardedMove | Retract) else tool
     return None

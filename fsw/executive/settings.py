@@ -14,7 +14,7 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.validity import not_an_arm, out_of_limits
 from fsw.estimate.reference import forgotten
 from fsw.executive.situation import Situation, name_of, not_now, refused, told
-from fsw.kinematics.transforms import Array, rotation_x, rotation_y
+from fsw.kinematics.transforms import down_from
 
 COUNTED_FROM: Final = ("gear_ratio", "encoder_counts_per_turn", "hardstop_rad")
 """What an encoder zero rests on: a joint of which one of these changes is to be calibrated again."""
@@ -29,7 +29,7 @@ def set_tilt(config: Config, now: Situation, command: SetTilt) -> Situation:
         problem = problem or f"roll and pitch must be within {FARTHEST_RAD} rad"
     if problem is not None:
         return refused(now, command, problem)
-    down_R, joints, bound = _down(*angles), now.state.joints, config.params.monitors.tilt_rad
+    down_R, joints, bound = down_from(*angles), now.state.joints, config.params.monitors.tilt_rad
     read = joints.imu_R_m_s2 / np.linalg.norm(joints.imu_R_m_s2)
     off = float(np.arctan2(np.linalg.norm(np.cross(read, down_R)), read @ down_R))
     if off > bound:
@@ -69,13 +69,6 @@ def params_with(params: Params, command: SetParam) -> Params | str:
 
 def _done(now: Situation, command: SetTilt | SetParam, evr: ParamSet | TiltSet) -> Situation:
     return told(now, CommandAccepted(name_of(command)), evr, CommandCompleted(name_of(command)))
-
-
-def _down(roll_rad: float, pitch_rad: float) -> Array:
-    """The direction of gravity in RMECH of a rover rolled (right side down) after it is pitched (nose up)."""
-    R_WR = rotation_y(np.array(pitch_rad)) @ rotation_x(np.array(roll_rad))
-    down: Array = R_WR.T @ np.array([0.0, 0.0, 1.0])
-    return down
 
 
 def _with(record: Any, names: list[str], command: SetParam) -> Params | str:

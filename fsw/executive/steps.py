@@ -18,15 +18,15 @@ from fsw.dictionary.commands import (
     Process,
     Retract,
     ToolChange,
-    Vector3,
 )
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.params import TeachPoint
+from fsw.dictionary.tuples import joints5, vector3
 from fsw.estimate.joints import JointEstimate
-from fsw.kinematics.transforms import Array
+from fsw.kinematics.transforms import Array, unit
 from fsw.motion.compensation import Compensation
 from fsw.motion.plan import Refusal
-from fsw.motion.plan_line import from_here
+from fsw.motion.plan_line import Line, from_here
 from fsw.motion.plan_process import gravity_pose
 
 
@@ -59,8 +59,8 @@ def steps_of(
             pose = gravity_pose(config, joints, command)
             if isinstance(pose, Refusal):
                 return pose
-            a, b, c, d, e = (float(angle) for angle in pose)
-            return MoveJoints((a, b, c, d, e), command.backlash), Hold(command.duration_s, command.vibrate)
+            turn = MoveJoints(joints5(pose), command.backlash)
+            return turn, Hold(command.duration_s, command.vibrate)
         case _:
             assert_never(command)
 
@@ -78,10 +78,16 @@ def tool_of(point: TeachPoint) -> Tool:
     return Tool[point.tool.upper()]
 
 
+def spot(config: Config, joints: JointEstimate, touching: Tool, command: ToolChange) -> Line:
+    """Where a tool change takes the touching tool to be: a line that has yet to go anywhere."""
+    deflection: Deflection = "off" if command.deflection == "off" else "absolute"
+    return from_here(config, joints, touching, Compensation(command.backlash, deflection))
+
+
 def _place(command: PlaceTool) -> tuple[Step, ...]:
-    p, approach = np.array(command.p_RoTo_R_m), _unit(np.array(command.approach_R))
-    end = _vector(p + command.overtravel_m * approach)
-    touch = GuardedMove(command.tool, end, _vector(approach), command.backlash, command.deflection)
+    p, approach = np.array(command.p_RoTo_R_m), unit(np.array(command.approach_R))
+    end = vector3(p + command.overtravel_m * approach)
+    touch = GuardedMove(command.tool, end, vector3(approach), command.backlash, command.deflection)
     return _to_standoff(command, p, approach, command.overtravel_m, command.deflection), touch
 
 
@@ -94,10 +100,10 @@ def _tool_change(
     difference of errors is left: relative compensation follows from counting from here. The moves themselves
     are compensated absolutely, or not at all.
     """
-    deflection: Deflection = "off" if command.deflection == "off" else "absolute"
-    here = from_here(config, joints, touching, Compensation(command.backlash, deflection))
+    here = spot(config, joints, touching, command)
+    deflection = here.compensation.deflection
     beyond_m = -command.hover_m if command.hover_m > 0 else command.overtravel_m
-    end, approach = _vector(here.p_m + beyond_m * here.axis), _vector(here.axis)
+    end, approach = vector3(here.p_m + beyond_m * here.axis), vector3(here.axis)
     back = Retract(touching, command.standoff_m, command.backlash, deflection)
     to_standoff = _to_standoff(command, here.p_m, here.axis, beyond_m, deflection)
     last: Step = GuardedMove(command.tool, end, approach, command.backlash, deflection)
@@ -114,8 +120,8 @@ def _to_standoff(
     """To a standoff in front of a place, from where the tool can go straight on to so far beyond it."""
     return MoveTool(
         command.tool,
-        _vector(p_m - command.standoff_m * approach),
-        _vector(approach),
+        vector3(p_m - command.standoff_m * approach),
+        vector3(approach),
         line_m=command.standoff_m + beyond_m,
         backlash=command.backlash,
         deflection=deflection,
@@ -128,12 +134,12 @@ def _to_point(config: Config, joints: JointEstimate, command: MoveTeachPoint) ->
     if isinstance(point, Refusal):
         return point
     gravity = joints.gravity_R_m_s2
-    approach = _unit(gravity if command.along_gravity else np.array(point.approach_R))
+    approach = unit(gravity if command.along_gravity else np.array(point.approach_R))
     p = np.array(point.p_RoTo_R_m) - command.away_m * approach
     move = MoveTool(
         tool_of(point),
-        _vector(p),
-        _vector(approach),
+        vector3(p),
+        vector3(approach),
         straight=command.straight,
         line_m=0.0 if command.straight else command.away_m,
         backlash=command.backlash,
@@ -147,16 +153,6 @@ def _dock(config: Config, command: Dock) -> tuple[Step, ...] | Refusal:
     point = taught(config, command.point)
     if isinstance(point, Refusal):
         return point
-    approach = _unit(np.array(point.approach_R))
+    approach = unit(np.array(point.approach_R))
     end = np.array(point.p_RoTo_R_m) + command.overtravel_m * approach
-    return (GuardedMove(tool_of(point), _vector(end), _vector(approach), command.backlash),)
-
-
-def _unit(v: Array) -> Array:
-    unit: Array = v / np.linalg.norm(v)
-    return unit
-
-
-def _vector(v: Array) -> Vector3:
-    x, y, z = (float(c) for c in v)
-    return (x, y, z)
+    return (GuardedMove(tool_of(point), vector3(end), vector3(approach), command.backlash),)

@@ -80,6 +80,19 @@ def norm(v: Array) -> Array:
     return np.sqrt(dot(v, v))
 
 
+def down_from(roll_rad: float, pitch_rad: float) -> Array:
+    """Gravity's direction (3,) in RMECH of a rover rolled (right side down) after it is pitched (nose up)."""
+    R_WR = rotation_y(np.array(pitch_rad)) @ rotation_x(np.array(roll_rad))
+    down: Array = R_WR.T @ np.array([0.0, 0.0, 1.0])
+    return down
+
+
+def unit(v: Array | tuple[float, float, float]) -> Array:
+    """A vector (3,) of length one in the same direction."""
+    along: Array = np.asarray(v) / np.linalg.norm(v)
+    return along
+
+
 def rotation_x(angle_rad: Array) -> Array:
     """Rotations about x by angles (...), as (3, 3, ...)."""
     return _plane_rotation(angle_rad, 1, 2)

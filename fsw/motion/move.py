@@ -16,10 +16,10 @@ from fsw.kinematics.transforms import Array
 from fsw.messages import Flags, Sensors
 from fsw.motion import seek as seeking
 from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
-from fsw.motion.plan import Refusal
+from fsw.motion.plan import Refusal, joints_at
 from fsw.motion.plan_press import Press, Pressing, plan_press
 from fsw.motion.seek import Seek, limit_A
-from fsw.motion.trim import BELIEVABLE, PressFit, fitted, modelled_force
+from fsw.motion.trim import PressFit, fitted, modelled_force, share_of
 
 
 class Phase(IntEnum):
@@ -168,7 +168,8 @@ def _press(
     """A press runs along its overdrive, and once more by what the currents told on the way."""
     fit = move.fit
     if fit is not None and not move.stopped:
-        fit = fitted(config, fit, press, press.after(gone(move)), move.hold, joints, load_Nm, sensors)
+        pressing, rate_N_s = press.after(gone(move)), _travel_rate(move)
+        fit = fitted(config, fit, press, pressing, rate_N_s, move.hold, joints, load_Nm, sensors)
     done = _run(config, replace(move, fit=fit), sensors)
     if done.move is None or done.move.phase is not Phase.SETTLE or fit is None or move.stopped:
         return done
@@ -179,18 +180,19 @@ def _trimmed(
     config: Config, move: Move, press: Press, fit: PressFit, joints: JointEstimate
 ) -> Advance | None:
     """The press with another way to go; None if it is near enough, or cannot be."""
-    force_N, slope = modelled_force(press, fit), fit.slope()
-    if force_N is None or slope is None:
+    pressing = press.after(gone(move))
+    share = share_of(config, fit, joints, pressing)
+    if share is None:
         return None
-    force_N = min(force_N, config.params.preload.most_N / BELIEVABLE[0])
-    stands = replace(joints, motor_rad=move.hold.motor_rad)
-    planned = plan_press(config, stands, press.after(gone(move)), force_N)
+    # from where the plan left off: a gap by which an estimate differs from it would be crossed to and fro
+    stands = joints_at(joints, press.end)
+    planned = plan_press(config, stands, pressing, modelled_force(press, share.along))
     if isinstance(planned, Refusal):
         return None
     plan, rest = planned
     rest = replace(rest, wanted_N=press.wanted_N)
     on = replace(move, phase=Phase.RUN, paths=plan.paths, press=rest, fit=None, ticks=0, travelled=0.0)
-    return Advance(on, (ForceFelt(press.start.tool, slope),))
+    return Advance(on, (ForceFelt(press.start.tool, share.along, share.across),))
 
 
 def _touched(move: Move, tool: Tool, sensors: Sensors) -> tuple[Move, tuple[Evr, ...]]:
@@ -215,6 +217,11 @@ def pressing_in(move: Move) -> Pressing | None:
 def _travel(move: Move, time_s: float) -> float:
     path = move.paths[0]
     return move.travelled + (path.travel_at(time_s)[0] if isinstance(path, LinePath) else 0.0)
+
+
+def _travel_rate(move: Move) -> float:
+    path = move.paths[0]
+    return path.travel_at(move.ticks * CYCLE_S)[1] if isinstance(path, LinePath) else 0.0
 
 
 def _settle(config: Config, move: Move, joints: JointEstimate) -> Advance:

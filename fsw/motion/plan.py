@@ -1,6 +1,6 @@
 """A plan: the paths of a move, how its outputs come to lie in their gears, or why it cannot be."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Final
 
@@ -55,6 +55,12 @@ class Plan:
 def standing(joints: JointEstimate) -> Stand:
     """Where the joints are now, as far as is known."""
     return Stand(joints.motor_rad, joints.gear_rad[:, LIKELY])
+
+
+def joints_at(joints: JointEstimate, stand: Stand) -> JointEstimate:
+    """The joints where a plan ends, their gears as it has them."""
+    gear = np.repeat(stand.gear_rad[:, None], joints.gear_rad.shape[1], axis=1)
+    return replace(joints, motor_rad=stand.motor_rad, gear_rad=gear)
 
 
 def plan_poses(

@@ -14,7 +14,7 @@ from fsw.kinematics.task import ROOT_TOLERANCE, task_error, task_jacobian
 from fsw.kinematics.transforms import Array
 from fsw.motion.compensation import Compensation
 from fsw.motion.paths import Travel
-from fsw.motion.plan import Plan, Refusal, over_limits, standing, worst_limit
+from fsw.motion.plan import Plan, Refusal, Stand, over_limits, standing, worst_limit
 from fsw.motion.plan_knots import plan_through
 
 STEPS: Final = 20
@@ -55,6 +55,8 @@ class Press:
     wanted_N: float
     torque_per_N: Array
     """By how much each joint's load rises with the force, (5,)."""
+    end: Stand
+    """Of the motors and gears."""
 
     def after(self, travelled_N: float) -> Pressing:
         """What is pressed with when so much of the change is done."""
@@ -99,7 +101,7 @@ def plan_press(
     travel = Travel(change_N, preload.rate_N_s, preload.rate_N_s / RAMP_S, 2 * preload.rate_N_s / RAMP_S**2)
     plan = plan_through(config, joints, output, load_Nm, Compensation(), travel)
     per_N = (load_Nm[:, -1] - load_Nm[:, 0]) / (force_N - pressing.force_N)
-    return plan, Press(pressing, force_N, force_N, per_N)
+    return plan, Press(pressing, force_N, force_N, per_N, plan.end)
 
 
 def press_limit_A(config: Config, joints: JointEstimate, press: Press, load_Nm: Array) -> Array:

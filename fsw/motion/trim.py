@@ -1,88 +1,127 @@
 """What the motors' currents tell of a press, and the change of force that follows from it.
 
-Along the overdrive the load of the joints rises in proportion to the force. How steeply it rises in the
-currents, against how steeply the model has it, is the ratio of true to modelled stiffness; friction, weight
-and bias do not change on the way and drop out.
+Between the first and the last newtons of the overdrive the load of every joint rises by what the rock gives
+back; friction, weight and bias are the same at both ends and drop out. Five loads against a force of three
+components: what is felt along the tool's axis for a newton of the model, and what across.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
 
 from fsw.config import Config
 from fsw.estimate.joints import JointEstimate
+from fsw.kinematics.chain import joint_jacobian, tool_pose
+from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from fsw.motion.paths import Setpoint
 from fsw.motion.plan_press import Press, Pressing
 
-LEVER_SHARE: Final = 0.3
-"""Joints with less of the largest lever say little."""
+END_SHARE: Final = 0.25
+"""Of the change of force, at either end, over which is averaged."""
+BRISK_SHARE: Final = 0.75
+"""Of its highest rate that the force must rise with: slower, friction is not what it is in motion."""
 MOVING_RAD_S: Final = 5e-5
-"""Slower, friction is not what it is in motion."""
+"""Slower, a joint says nothing."""
+READING_NM: Final = 8.0
+"""Noise of a load that one reading of a current tells."""
+FRICTION_NM: Final = 1.0
+"""What changes of friction leave of the rise of a load."""
+LIKELY: Final = np.array([1.0, 0.0, 0.0])
+"""Before anything is felt: for a newton of the model one along the tool's x axis, and none across."""
+SPREAD: Final = np.array([0.25, 0.3, 0.3])
+"""By how much built arms differ from that."""
 BELIEVABLE: Final = (0.5, 2.0)
-FEWEST: Final = 64
-NARROWEST_N: Final = 150.0
-"""Of the forces that are compared: over less, gaps and gears that are crossed on the way weigh too much."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Felt:
+    """Sums over the cycles at one end of a press."""
+
+    n: int = 0
+    force_N: float = 0.0
+    """Of the model."""
+    push_Nm: Array = field(default_factory=lambda: np.zeros(5))
+    """What the push of the rock loads the joints with, as the currents tell."""
+    slowest_rad_s: Array = field(default_factory=lambda: np.full(5, np.inf))
+
+    def after(self, force_N: float, push_Nm: Array, rate_rad_s: Array) -> "Felt":
+        """One cycle more."""
+        slowest = np.minimum(self.slowest_rad_s, np.abs(rate_rad_s))
+        return Felt(self.n + 1, self.force_N + force_N, self.push_Nm + push_Nm, slowest)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PressFit:
+    """Both ends of a press."""
+
+    first: Felt = field(default_factory=Felt)
+    last: Felt = field(default_factory=Felt)
 
 
 @dataclass(frozen=True, slots=True)
-class PressFit:
-    """Sums over the cycles of a press, of modelled force x and felt force y, in newtons."""
+class Share:
+    """What is felt for a newton of the model."""
 
-    n: int = 0
-    x: float = 0.0
-    y: float = 0.0
-    xx: float = 0.0
-    xy: float = 0.0
-    least_N: float = np.inf
-    most_N: float = -np.inf
-
-    def slope(self) -> float | None:
-        """How much force there is for a newton of the model; None if too little was felt."""
-        if self.n < FEWEST or self.most_N - self.least_N < NARROWEST_N:
-            return None
-        spread = self.n * self.xx - self.x**2
-        slope = (self.n * self.xy - self.x * self.y) / spread
-        return slope if BELIEVABLE[0] < slope < BELIEVABLE[1] else None
+    along: float
+    across: float
 
 
 def fitted(
     config: Config,
-    last: PressFit,
+    fit: PressFit,
     press: Press,
     pressing: Pressing,
+    rate_N_s: float,
     hold: Setpoint,
     joints: JointEstimate,
     load_Nm: Array,
     sensors: Sensors,
 ) -> PressFit:
-    """The fit with this cycle's currents, if all joints that have leverage are moving."""
-    lever = np.abs(press.torque_per_N)
-    says = lever >= LEVER_SHARE * lever.max()
-    if not np.all(np.abs(hold.rate_rad_s[says]) > MOVING_RAD_S):
-        return last
-    per_N = press.torque_per_N[says]
-    friction = joints.reference.friction_Nm[says]
-    resisting = np.where(np.isfinite(friction), friction, 0.0) * np.sign(hold.rate_rad_s[says])
-    carried = resisting - (config.torque_constant_Nm_A * sensors.current_A)[says]
-    x = pressing.force_N
-    y = x + float(per_N @ (carried - load_Nm[says]) / (per_N @ per_N))
-    return PressFit(
-        n=last.n + 1,
-        x=last.x + x,
-        y=last.y + y,
-        xx=last.xx + x * x,
-        xy=last.xy + x * y,
-        least_N=min(last.least_N, x),
-        most_N=max(last.most_N, x),
-    )
+    """The fit with this cycle's currents, if the force is near one of the press's ends and rises briskly."""
+    gone = (pressing.force_N - press.start.force_N) / (press.end_N - press.start.force_N)
+    brisk = rate_N_s > BRISK_SHARE * config.params.preload.rate_N_s
+    if not brisk or END_SHARE < gone < 1 - END_SHARE:
+        return fit
+    friction = joints.reference.friction_Nm
+    resisting = np.where(np.isfinite(friction), friction, 0.0) * np.sign(hold.rate_rad_s)
+    carried = resisting - config.torque_constant_Nm_A * sensors.current_A
+    push = carried - load_Nm + press.torque_per_N * pressing.force_N
+    if gone <= END_SHARE:
+        return PressFit(fit.first.after(pressing.force_N, push, hold.rate_rad_s), fit.last)
+    return PressFit(fit.first, fit.last.after(pressing.force_N, push, hold.rate_rad_s))
 
 
-def modelled_force(press: Press, fit: PressFit) -> float | None:
-    """The force of the model at which the true one is as wanted; None where nothing is known of it."""
-    slope = fit.slope()
-    if slope is None or press.end_N <= press.start.force_N:
+def share_of(config: Config, fit: PressFit, joints: JointEstimate, pressing: Pressing) -> Share | None:
+    """What the rock gives back for a newton of the model; None if that cannot be.
+
+    The likeliest of what is likely beforehand and of what the joints that moved tell, by its noise.
+    """
+    first, last = fit.first, fit.last
+    if min(first.n, last.n) == 0:
         return None
-    return press.start.force_N + (press.end_N - press.start.force_N) / slope
+    rise_N = last.force_N / last.n - first.force_N / first.n
+    rise_Nm = last.push_Nm / last.n - first.push_Nm / first.n
+    says = np.minimum(first.slowest_rad_s, last.slowest_rad_s) > MOVING_RAD_S
+    levers = rise_N * _levers(config, joints, pressing)[says]
+    variance_Nm2 = FRICTION_NM**2 + READING_NM**2 * (1 / first.n + 1 / last.n)
+    information = np.diag(SPREAD**-2) + levers.T @ levers / variance_Nm2
+    surprise = levers.T @ (rise_Nm[says] - levers @ LIKELY) / variance_Nm2
+    along, *across = LIKELY + np.linalg.solve(information, surprise)
+    believable = BELIEVABLE[0] < along < BELIEVABLE[1]
+    return Share(float(along), float(np.hypot(*across))) if believable else None
+
+
+def _levers(config: Config, joints: JointEstimate, pressing: Pressing) -> Array:
+    """Loads (5, 3) by a newton against the tool's x axis, and by one along its y and z axes."""
+    frames = rest(config.arm, joints.output_rad, joints.gravity_R_m_s2, pressing.pushed).frames
+    X_RT = tool_pose(config.arm, frames, pressing.tool)
+    levers: Array = joint_jacobian(frames, X_RT.p)[3:].T @ (X_RT.R * np.array([-1.0, 1.0, 1.0]))
+    return levers
+
+
+def modelled_force(press: Press, along: float) -> float:
+    """The force of the model at which the true one is as wanted."""
+    return press.start.force_N + (press.end_N - press.start.force_N) / along

@@ -16,11 +16,11 @@ from fsw.config import Config
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import PreloadOutside
 from fsw.dictionary.joints import Tool
-from fsw.estimate.gear import LIKELY
+from fsw.estimate.gear import LIKELY, held_on_side
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.transforms import Array
-from fsw.messages import Flags, Sensors
+from fsw.messages import Sensors
 from fsw.motion.move import Move, Phase
 from fsw.motion.paths import LinePath
 
@@ -75,13 +75,8 @@ def _wind_up(config: Config, tool: Tool, joints: JointEstimate) -> Array:
     frames = forward(config.arm, joints.output_rad)
     X_RT = tool_pose(config.arm, frames, tool)
     torque_Nm_N = -joint_jacobian(frames, X_RT.p)[3:].T @ X_RT.R[:, 0]
-    wind_up: Array = np.where(_firm(config, joints), torque_Nm_N / config.arm.gear_stiffness_Nm_rad, 0.0)
+    # one that crosses its gap on the way feels like a force
+    stiffness, half = config.arm.gear_stiffness_Nm_rad, joints.reference.half_gap_rad
+    firm = held_on_side(half, joints.bounds, FIRM * config.load_error_Nm / stiffness)
+    wind_up: Array = np.where(firm, torque_Nm_N / stiffness, 0.0)
     return wind_up
-
-
-def _firm(config: Config, joints: JointEstimate) -> Flags:
-    """Which outputs their load surely holds on a flank: one that crosses its gap feels like a force."""
-    beyond = joints.reference.half_gap_rad + FIRM * config.load_error_Nm / config.arm.gear_stiffness_Nm_rad
-    low, high = joints.bounds.lowest_rad[:, LIKELY], joints.bounds.highest_rad[:, LIKELY]
-    firm: Flags = (low > beyond) | (high < -beyond)
-    return firm

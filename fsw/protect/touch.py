@@ -10,7 +10,7 @@ from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import ContactInFreeSpace, ContactLost, PreloadOutside
 from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
 from fsw.dictionary.modes import Mode
-from fsw.estimate.gear import LIKELY
+from fsw.estimate.gear import held_on_side
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.transforms import Array
 from fsw.messages import Flags
@@ -76,9 +76,8 @@ def force_error_N(config: Config, torque_per_N: Array, joints: JointEstimate) ->
     gap: a gap that is crossed early or late is no force.
     """
     stiffness, half = config.arm.gear_stiffness_Nm_rad, joints.reference.half_gap_rad
-    beyond = half + 0.5 * config.params.monitors.preload_error_N * np.abs(torque_per_N) / stiffness
-    low, high = joints.bounds.lowest_rad[:, LIKELY], joints.bounds.highest_rad[:, LIKELY]
-    counts = ((low > beyond) | (high < -beyond)) & joints.reference.calibrated
+    room = 0.5 * config.params.monitors.preload_error_N * np.abs(torque_per_N) / stiffness
+    counts = held_on_side(half, joints.bounds, room) & joints.reference.calibrated
     error_rad = joints.resolver_error_rad
     sure_rad = np.maximum(np.abs(error_rad) - joints.uncertainty_rad, 0.0) * np.sign(error_rad)
     per_N = torque_per_N[counts]

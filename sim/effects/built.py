@@ -6,6 +6,7 @@ import numpy as np
 
 from fsw.dictionary.joints import Frame, Joint, Tool
 from fsw.dictionary.params import Row6
+from fsw.dictionary.tuples import row6
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError
 from sim.effects.joints import (
@@ -69,7 +70,7 @@ def left_by_calibration(seed: int) -> tuple[Effect, ...]:
     for frame, tool in _frames():
         seen = np.isin(np.arange(6), IDENTIFIABLE[frame])
         screw = np.where(seen, _screw(rng, LEFT_FRAME_RAD, LEFT_FRAME_M), 0.0)
-        effects.append(FrameError(frame, _row6(screw), tool))
+        effects.append(FrameError(frame, row6(screw), tool))
     for joint in Joint:
         effects.append(HardstopAngle(joint, -LEFT_ZERO_RAD * rng.standard_normal()))
         effects.append(GearStiffness(joint, _factor(rng, LEFT_STIFFNESS)))
@@ -89,9 +90,4 @@ def _factor(rng: np.random.Generator, sigma: float) -> float:
 
 
 def _screw(rng: np.random.Generator, angle_rad: float, length_m: float) -> Row6:
-    return _row6(rng.standard_normal(6) * np.repeat([angle_rad, length_m], 3))
-
-
-def _row6(values: np.ndarray) -> Row6:
-    a, b, c, d, e, f = (float(v) for v in values)
-    return (a, b, c, d, e, f)
+    return row6(rng.standard_normal(6) * np.repeat([angle_rad, length_m], 3))

@@ -69,5 +69,5 @@ class NothingToTouch(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Nothing is to be kept clear of."""
-        nothing = replace(params.collision, padding_m=-FAR_M, stow_padding_m=-FAR_M)
+        nothing = replace(params.collision, padding_m=-FAR_M)
         return replace(params, collision=nothing)

@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import mujoco
 import numpy as np
 
-from fsw.dictionary.commands import Vector3
 from fsw.dictionary.joints import Frame, Tool
 from fsw.dictionary.params import LinkParams, Lump, Params, Row6, Transform6
+from fsw.dictionary.tuples import row6, vector3
 from fsw.kinematics.arm import transform6, transform6_from
 from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_exp
 from sim.effects.effect import Effect
@@ -59,7 +59,7 @@ class FrameError(Effect):
         far = moved if self.frame in (Frame.ARM1, Frame.ARM6) else back
         return replace(
             new,
-            elastic_centre_m=_vector3(spring.R @ np.array(old.elastic_centre_m) + spring.p),
+            elastic_centre_m=vector3(spring.R @ np.array(old.elastic_centre_m) + spring.p),
             compliance=turned(old.compliance, spring.R),
             near=_placed(old.near, back),
             far=_placed(old.far, far),
@@ -86,24 +86,14 @@ class Warming(Effect):
         """Displace each frame by its growth, in its own axes."""
         params = nominal_params()
         for frame, link in zip(Frame, params.links.in_order(), strict=False):
-            FrameError(frame, _times(link.expansion_1_K, self.warming_K)).on_model(spec)
+            FrameError(frame, row6(self.warming_K * np.array(link.expansion_1_K))).on_model(spec)
         for tool, grown in zip(Tool, params.tools.in_order(), strict=True):
-            screw = _times(grown.expansion_1_K, self.warming_K)
+            screw = row6(self.warming_K * np.array(grown.expansion_1_K))
             FrameError(Frame.TOOL, screw, tool).on_model(spec)
 
 
-def _times(row: Row6, factor: float) -> Row6:
-    a, b, c, d, e, f = (factor * value for value in row)
-    return (a, b, c, d, e, f)
-
-
 def _placed(lump: Lump, X: Pose) -> Lump:
-    return replace(lump, com_m=_vector3(X.R @ np.array(lump.com_m) + X.p))
-
-
-def _vector3(v: Array) -> Vector3:
-    x, y, z = (float(c) for c in v)
-    return (x, y, z)
+    return replace(lump, com_m=vector3(X.R @ np.array(lump.com_m) + X.p))
 
 
 def _rotation(quat: Array) -> Array:

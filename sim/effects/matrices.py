@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from fsw.dictionary.params import Matrix6, Row6
+from fsw.dictionary.params import Matrix6
+from fsw.dictionary.tuples import row6
 from fsw.kinematics.transforms import Array
 
 
@@ -18,10 +19,5 @@ def turned(matrix: Matrix6, R: Array) -> Matrix6:
 
 
 def _matrix6(values: Array) -> Matrix6:
-    a, b, c, d, e, f = (_row6(row) for row in values)
-    return (a, b, c, d, e, f)
-
-
-def _row6(values: Array) -> Row6:
-    a, b, c, d, e, f = (float(v) for v in values)
+    a, b, c, d, e, f = (row6(row) for row in values)
     return (a, b, c, d, e, f)

@@ -7,10 +7,9 @@ from typing import assert_never
 
 import numpy as np
 
-from fsw.dictionary.commands import Vector3
 from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
 from fsw.dictionary.modes import Mode
-from fsw.kinematics.transforms import Array
+from fsw.kinematics.transforms import Array, unit
 from sim.frames import p_R_from_N
 from sim.scenario.checks import (
     SOME_N,
@@ -75,7 +74,7 @@ def _measured(check: Check, scenario: Scenario, stowed_rad: Array, trace: Trace)
             return _preloaded(check, _normal(scenario), trace)
         case Loaded():
             point = _taught(scenario, check.point)
-            away = -_unit(point.approach_N)
+            away = -unit(point.approach_N)
             return (_force(trace, away, check.after, point.tool, check.force_N, check.share),)
         case GravityHeld():
             return (_gravity_held(check, scenario.world.gravity_N_m_s2, trace),)
@@ -210,11 +209,7 @@ def _lateral(v: Array, normal: Array) -> float:
 
 def _normal(scenario: Scenario) -> Array:
     """Of the surface, out of it, of length one."""
-    return _unit(_surface(scenario).normal_N)
-
-
-def _unit(v: Vector3) -> Array:
-    return np.array(v) / float(np.linalg.norm(v))
+    return unit(_surface(scenario).normal_N)
 
 
 def _angle(one: Array, other: Array) -> float:

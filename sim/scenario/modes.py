@@ -9,26 +9,19 @@ from fsw.dictionary.commands import (
     CalibrateAll,
     ClearFault,
     Command,
-    Dock,
     GuardedMove,
-    MoveJoint,
-    MoveJoints,
-    MoveTeachPoint,
-    MoveTool,
     PlaceTool,
     Preload,
-    Process,
     Retract,
     SetParam,
     SetTilt,
     Stop,
     Stow,
     ToolChange,
-    Unstow,
 )
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
-from fsw.executive.modes import Event, after
+from fsw.executive.modes import EVENT_OF, Event, after
 from sim.scenario.names import upper_snake
 
 _FREE: Final = (Event.MOVE_FREE, Event.DONE)
@@ -38,21 +31,13 @@ _PRESS: Final = (Event.PRESS, Event.DONE)
 _RELEASE: Final = (Event.PRESS, Event.DONE_RELEASED)
 
 EVENTS: Final[dict[type[Command], tuple[Event, ...]]] = {
+    **{kind: (event, Event.DONE) for kind, event in EVENT_OF.items()},
     Calibrate: _FREE,
     CalibrateAll: _FREE,
-    Unstow: (Event.UNSTOW, Event.DONE),
     Stow: (Event.MOVE_FREE, Event.DONE_STOWED),
-    MoveJoint: _FREE,
-    MoveJoints: _FREE,
-    MoveTool: _FREE,
-    GuardedMove: _GUARDED,
     PlaceTool: (*_FREE, *_GUARDED),
     Preload: _PRESS,
     ToolChange: (*_BACK, *_FREE, *_GUARDED),
-    MoveTeachPoint: _FREE,
-    Dock: _GUARDED,
-    Process: _FREE,
-    Retract: _BACK,
     SetTilt: (),
     SetParam: (),
     Stop: (),

@@ -92,7 +92,7 @@ class ScenarioRun:
             outcome=self._outcome,
             mode=state.mode,
             output_rad=plant.output_rad(),
-            braked=bool(plant.data.eq_active[plant.at.brake].all() and not state.drive.power_on.any()),
+            braked=self._loop.braked,
             refuses=self._refuses,
             evrs=tuple(self._evrs),
         )

@@ -10,9 +10,9 @@ from fsw.dictionary.commands import ROVER, Command, Vector3
 from fsw.dictionary.faults import Fault
 from fsw.dictionary.joints import Frame, Tool
 from fsw.dictionary.params import Limits
+from fsw.dictionary.tuples import vector3
 from fsw.executive.checks import MoveCommand, malformed, malformed_direction
 from fsw.kinematics.branches import BRANCHES
-from fsw.kinematics.transforms import Array
 from fsw.motion.plan_tool import AUTO
 from sim.effects.faults import Fault as Injected
 from sim.effects.faults import RockGone
@@ -98,7 +98,7 @@ def command_of(
         return None
     changed: dict[str, Any] = {}
     if frame == RNAV:
-        changed = {name: _vector(p_R_from_N(np.array(getattr(command, name)))) for name in positions}
+        changed = {name: vector3(p_R_from_N(np.array(getattr(command, name)))) for name in positions}
     if "frame" in names:
         changed["frame"] = ROVER if frame in ROVER_FRAMES else frame
     command = replace(command, **changed)
@@ -172,8 +172,3 @@ def _check_number(name: str, number: int, commands: int, place: Place, findings:
     if not 1 <= number <= commands:
         text = f"{name}: there is no command {number}; they are numbered 1 to {commands}"
         findings.say((*place, name), text)
-
-
-def _vector(v: Array) -> Vector3:
-    x, y, z = (float(c) for c in v)
-    return (x, y, z)

@@ -8,9 +8,10 @@ import numpy as np
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.channels import ToolChannels
-from fsw.dictionary.commands import MoveTool, Vector3
+from fsw.dictionary.commands import MoveTool
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.params import TeachPoint
+from fsw.dictionary.tuples import joints5, vector3
 from fsw.estimate.reference import Reference
 from fsw.kinematics.answers import Verdict
 from fsw.kinematics.arm import arm_from
@@ -21,7 +22,7 @@ from fsw.motion.plan_tool import AUTO
 from sim.arms import BuiltArm
 from sim.effects.environment import NothingToTouch
 from sim.frames import p_R_from_N
-from sim.loop import ClosedLoop, Setup, joints5
+from sim.loop import ClosedLoop, Setup
 from sim.scenario.data import Taught
 from sim.sequence import run_sequence
 from sim.world import World
@@ -70,8 +71,8 @@ def _taught(arm: BuiltArm, reference: Reference, point: Taught, world: World, se
     return TeachPoint(
         name=point.name,
         tool=point.tool.name.lower(),
-        p_RoTo_R_m=_vector(believed.p_RoTo_R_m + missed + AWAY_M * approach),
-        approach_R=_vector(approach),
+        p_RoTo_R_m=vector3(believed.p_RoTo_R_m + missed + AWAY_M * approach),
+        approach_R=vector3(approach),
         branch=point.branch,
     )
 
@@ -93,7 +94,7 @@ def _near(arm: BuiltArm, point: Taught, p_R_m: Array, axis: Array, world: World)
 
 def _led(loop: ClosedLoop, point: Taught, p_R_m: Array, axis: Array) -> ToolChannels:
     """What flight software believes of the tool, at rest after a move."""
-    command = MoveTool(point.tool, _vector(p_R_m), _vector(axis), branch=point.branch)
+    command = MoveTool(point.tool, vector3(p_R_m), vector3(axis), branch=point.branch)
     evrs = [evr for record in run_sequence(loop, (command,)) for evr in record.outputs.evrs]
     if loop.failure is not None:
         raise loop.failure
@@ -105,8 +106,3 @@ def _led(loop: ClosedLoop, point: Taught, p_R_m: Array, axis: Array) -> ToolChan
 def _rest(loop: ClosedLoop) -> Iterator[ToolChannels | None]:
     for _ in range(round(REST_S * CYCLE_HZ)):
         yield loop.cycle().outputs.tool
-
-
-def _vector(v: Array) -> Vector3:
-    x, y, z = (float(c) for c in v)
-    return (x, y, z)

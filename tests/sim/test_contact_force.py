@@ -12,6 +12,7 @@ from fsw.dictionary.faults import (
     PreloadOutside,
 )
 from fsw.dictionary.joints import SWITCHES_OF, Joint, Tool
+from fsw.dictionary.tuples import joints5
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import rest
 from sim.arms import arm_named
@@ -20,7 +21,7 @@ from sim.effects.faults import (
     SensorFault,
 )
 from sim.frames import P_NR_M
-from sim.loop import ClosedLoop, Setup, joints5
+from sim.loop import ClosedLoop, Setup
 from sim.world import Surface, World
 from tests.fsw.rig import MARS_R_m_s2, config_of, facing, floats
 from tests.sim import lab

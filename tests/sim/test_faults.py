@@ -23,6 +23,7 @@ from fsw.dictionary.faults import (
     UnderTemperature,
 )
 from fsw.dictionary.joints import Joint, Switch
+from fsw.dictionary.tuples import joints5
 from fsw.messages import Drive, Sensors
 from fsw.protect.responses import RESPONSE_TO, Response
 from sim.arms import arm_named
@@ -39,7 +40,7 @@ from sim.effects.faults import (
     WeakMotor,
 )
 from sim.frames import FLIP, gravity_in_rover
-from sim.loop import ClosedLoop, Setup, joints5
+from sim.loop import ClosedLoop, Setup
 from sim.world import World
 from tests.fsw.rig import config_of
 from tests.sim import lab

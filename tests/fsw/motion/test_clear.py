@@ -173,7 +173,6 @@ def test_the_way_between_stowed_and_ready_keeps_the_padding_both_ways():
     there = unstowing()
     back = way(READY, *PARAMS.poses.unstow_via_rad[::-1], PARAMS.poses.stowed_rad)
     for paths in (there, back):
-        assert blocked(CONFIG, JOINTS, paths, PARAMS.collision.stow_padding_m) is None
         assert blocked(CONFIG, JOINTS, paths, PADDING_M) is None
 
 
