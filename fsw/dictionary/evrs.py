@@ -148,7 +148,7 @@ class ForceFelt(Evr):
     """How the motors' currents rose with the force of a press; the rest of the way makes up for it."""
 
     severity = Severity.ACTIVITY_LO
-    text = "{e.tool.name}: a model's newton is felt as {e.along:.3f} N along its axis, {e.across:.3f} N across"
+    text = "{e.tool.name}: a newton of the model is {e.along:.3f} N along its axis, {e.across:.3f} N across"
     tool: Tool
     along: float
     across: float

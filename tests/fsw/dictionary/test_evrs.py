@@ -82,7 +82,7 @@ SENTENCES = {
     evrs.FaultCleared(): "fault cleared",
     evrs.Preloaded(Tool.DRILL, 300.0): "DRILL pressed with 300.0 N",
     evrs.ForceFelt(Tool.DRILL, 0.9123, 0.1): (
-        "DRILL: a model's newton is felt as 0.912 N along its axis, 0.100 N across"
+        "DRILL: a newton of the model is 0.912 N along its axis, 0.100 N across"
     ),
     evrs.SpotTaken(Tool.APXS, 2.0, -0.1, 0.85): "spot of APXS at 2.0000 -0.1000 0.8500 m in RMECH",
     evrs.ParamSet("collision.ground_z_m", 1.25, "ab12"): "collision.ground_z_m is 1.25, parameters ab12",
