@@ -49,7 +49,7 @@ joints: $(VENV)/ready
 
 jobs: $(VENV)/ready
 	@$(call say,scenarios and tool changes and faults in $(WORKERS) processes; this takes the better part of two hours)
-	@for what in jobs tool_change faults; do $(BIN)/python -m benchmarks.$$what --workers $(WORKERS) || exit 1; done
+	@$(BIN)/python -m benchmarks.jobs --workers $(WORKERS) $(ARGS)
 
 # Optional, and not in the lock. Without its dependencies, which are for URDF files and take 240 MB: what is used
 # of EAIK needs numpy alone. Where no wheel fits or no index answers, the tests are skipped and say so.

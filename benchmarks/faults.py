@@ -285,27 +285,31 @@ def summary(cases: list[Injected]) -> dict[str, object]:
     }
 
 
-def main() -> None:
-    options = parser("faults", __doc__, "example: python -m benchmarks.faults --count 60")
-    options.add_argument("--count", type=int, default=1000, help="faults in all (default %(default)s)")
-    asked = options.parse_args()
+def document(count: int, seed: int, workers: int) -> dict[str, object]:
+    """So many faults over all scenarios."""
     names = list(shipped())
-    rng = np.random.default_rng([asked.seed, 60])
-    counts = Counter(str(name) for name in rng.choice(names, asked.count))
+    counts = Counter(str(name) for name in np.random.default_rng([seed, 60]).choice(names, count))
     chunks = [
-        (name, 100 * asked.seed + k, share) for name in names for k, share in enumerate(_shares(counts[name]))
+        (name, 100 * seed + k, share) for name in names for k, share in enumerate(_shares(counts[name]))
     ]
     cases: list[Injected] = []
-    with ProcessPoolExecutor(asked.workers) as pool:
+    with ProcessPoolExecutor(workers) as pool:
         for found in pool.map(campaign, *zip(*chunks, strict=True)):
             cases += found
-            print(f"\r{len(cases)} of {asked.count} faults", end="", file=sys.stderr)
+            print(f"\rfaults: {len(cases)} of {count}", end="", file=sys.stderr)
     print(file=sys.stderr)
-    print(json.dumps(summary(cases), indent=2))
+    return summary(cases)
 
 
 def _shares(count: int, most: int = 100) -> list[int]:
     return [most] * (count // most) + ([count % most] if count % most else [])
+
+
+def main() -> None:
+    options = parser("faults", __doc__, "example: python -m benchmarks.faults --count 60")
+    options.add_argument("--count", type=int, default=1000, help="faults in all (default %(default)s)")
+    asked = options.parse_args()
+    print(json.dumps(document(asked.count, asked.seed, asked.workers), indent=2))
 
 
 if __name__ == "__main__":

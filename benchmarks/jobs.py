@@ -1,135 +1,29 @@
-"""The five jobs on many arms: every scenario on the nominal arm, on calibrated and on as-built arms, tilted.
-
-The rover is tilted by what the requirement allows, any way: 30 deg where an instrument is placed, 20 deg
-where samples are taken and moved. Every arm is taught its places. A press may be off by twice as much on an
-as-built arm.
-"""
+"""The five jobs of the arm in one document: scenarios, tool changes, and what stops them."""
 
 import json
-import sys
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import asdict, dataclass, replace
 
-import numpy as np
-
+from benchmarks import faults, scenarios, tool_change
 from benchmarks.options import parser
-from fsw.dictionary.faults import Fault
-from fsw.estimate.reference import Reference
-from sim.arms import arm_named
-from sim.initialisation import initial_reference
-from sim.loop import ClosedLoop
-from sim.scenario.checks import Check, Preloaded
-from sim.scenario.data import Scenario
-from sim.scenario.file import load, shipped
-from sim.scenario.run import ScenarioRun, setup_of
-from sim.scenario.teaching import taught
 
-TILT_DEG = {"contact-science": 30.0, "tool-change": 30.0}
-"""Of the scenarios that place an instrument; the others have the next."""
-SAMPLING_TILT_DEG = 20.0
-AS_BUILT_SHARE = 0.2
-
-
-@dataclass(frozen=True, slots=True)
-class Ran:
-    """One scenario on one arm."""
-
-    scenario: str
-    arm: str
-    tilt_deg: tuple[float, float]
-    outcome: str
-    passed: bool
-    failed: tuple[str, ...]
-    measured: dict[str, float]
-    faults: tuple[str, ...]
-
-
-def on_arm(name: str, names: tuple[str, ...]) -> list[Ran]:
-    """Every scenario on one arm."""
-    arm = arm_named(name)
-    reference = initial_reference(arm)
-    ran = []
-    for k, scenario_name in enumerate(names):
-        seed = int(name.partition(":")[2] or 0)
-        tilt = np.radians(TILT_DEG.get(scenario_name, SAMPLING_TILT_DEG)) * (1 - 1e-9)
-        heading = float(np.random.default_rng([seed, k, 70]).uniform(-np.pi, np.pi))
-        # of a roll and a pitch that together tilt by so much
-        roll = float(np.arcsin(np.sin(tilt) * np.sin(heading)))
-        pitch = float(np.arctan(np.tan(tilt) * np.cos(heading)))
-        scenario = _bounds_for(name, load(scenario_name).tilted(roll, pitch))
-        ran.append(_run(scenario, name, seed, reference))
-    return ran
-
-
-def _bounds_for(arm: str, scenario: Scenario) -> Scenario:
-    def bound(check: Check) -> Check:
-        wider = isinstance(check, Preloaded) and arm.startswith("as-built")
-        return replace(check, share=AS_BUILT_SHARE) if wider else check  # type: ignore[call-arg]
-
-    return replace(scenario, checks=tuple(bound(check) for check in scenario.checks))
-
-
-def _run(scenario: Scenario, name: str, seed: int, reference: Reference) -> Ran:
-    arm = arm_named(name)
-    arm = taught(arm, reference, scenario.taught, scenario.world)
-    loop = ClosedLoop(setup_of(scenario, arm, reference, seed))
-    run = ScenarioRun(loop, scenario)
-    for _ in run:
-        pass
-    result = run.result()
-    return Ran(
-        scenario=scenario.name,
-        arm=name,
-        tilt_deg=tuple(
-            np.degrees([scenario.world.tilt_roll_rad, scenario.world.tilt_pitch_rad]).round(1).tolist()
-        ),
-        outcome=str(result.outcome),
-        passed=result.passed,
-        failed=tuple(f"{m.check}: {m.name} {m.value:.6g} {m.unit}" for m in result.measured if not m.passed),
-        measured={
-            f"{m.check}: {m.name} [{m.unit}]": m.value
-            for m in result.measured
-            if m.unit or m.name.startswith("lateral over")
-        },
-        faults=tuple(evr.message for _, evr in result.evrs if isinstance(evr, Fault)),
-    )
-
-
-def summary(ran: list[Ran]) -> dict[str, object]:
-    """By kind of arm and scenario: how many passed, the largest of each measure, and all that failed."""
-    table: dict[str, dict[str, object]] = {}
-    for kind in sorted({r.arm.partition(":")[0] for r in ran}):
-        table[kind] = {}
-        for scenario in sorted({r.scenario for r in ran}):
-            cases = [r for r in ran if r.scenario == scenario and r.arm.partition(":")[0] == kind]
-            if not cases:
-                continue
-            names = list(dict.fromkeys(name for case in cases for name in case.measured))
-            values = {name: [c.measured[name] for c in cases if name in c.measured] for name in names}
-            table[kind][scenario] = {
-                "arms": len(cases),
-                "passed": sum(case.passed for case in cases),
-                "least_and_most": {name: [min(v), max(v)] for name, v in values.items()},
-            }
-    return {"table": table, "failed": [asdict(r) for r in ran if not r.passed]}
+EXAMPLE = "example: python -m benchmarks.jobs --arms 2 --changers 2 --faults 60 > jobs.json"
 
 
 def main() -> None:
-    options = parser("jobs", __doc__, "example: python -m benchmarks.jobs --calibrated 2 --as-built 0")
-    options.add_argument("--calibrated", type=int, default=20, help="calibrated arms (default %(default)s)")
-    options.add_argument("--as-built", type=int, default=20, help="as-built arms (default %(default)s)")
+    options = parser("jobs", __doc__, EXAMPLE)
+    options.add_argument(
+        "--arms", type=int, default=20, help="arms of each kind for the scenarios (default 20)"
+    )
+    options.add_argument(
+        "--changers", type=int, default=50, help="calibrated arms for the tool changes (default 50)"
+    )
+    options.add_argument("--faults", type=int, default=1000, help="faults in all (default 1000)")
     asked = options.parse_args()
-    names = tuple(shipped())
-    arms = ["nominal"]
-    arms += [f"calibrated:{asked.seed + k}" for k in range(1, asked.calibrated + 1)]
-    arms += [f"as-built:{asked.seed + k}" for k in range(1, asked.as_built + 1)]
-    ran: list[Ran] = []
-    with ProcessPoolExecutor(asked.workers) as pool:
-        for k, found in enumerate(pool.map(on_arm, arms, [names] * len(arms)), start=1):
-            ran += found
-            print(f"\r{k} of {len(arms)} arms", end="", file=sys.stderr)
-    print(file=sys.stderr)
-    print(json.dumps(summary(ran), indent=2))
+    document = {
+        "scenarios": scenarios.document(asked.arms, asked.arms, asked.seed, asked.workers),
+        "tool_changes": tool_change.document(asked.changers, asked.arms, asked.seed, asked.workers),
+        "faults": faults.document(asked.faults, asked.seed, asked.workers),
+    }
+    print(json.dumps(document, indent=2))
 
 
 if __name__ == "__main__":

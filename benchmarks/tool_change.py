@@ -146,25 +146,29 @@ def summary(changes: list[Changed]) -> dict[str, object]:
     return {"count": len(changes), **named}
 
 
+def document(calibrated: int, as_built: int, seed: int, workers: int) -> dict[str, object]:
+    """The tool changes of so many arms, and which were not carried out."""
+    found: dict[str, list[Changed]] = {}
+    failed: dict[str, list[str]] = {}
+    with ProcessPoolExecutor(workers) as pool:
+        for kind, count in (("calibrated", calibrated), ("as-built", as_built)):
+            found[kind], failed[kind] = [], []
+            arms = pool.map(one_arm, [kind] * count, range(seed, seed + count))
+            for k, (changes, reasons) in enumerate(arms, start=1):
+                found[kind].extend(changes)
+                failed[kind].extend(reasons)
+                print(f"\rtool changes, {kind}: {k} of {count} arms", end="", file=sys.stderr)
+            print(file=sys.stderr)
+    measured = {kind: summary(changes) for kind, changes in found.items() if changes}
+    return {**measured, "not_carried_out": failed}
+
+
 def main() -> None:
     options = parser("tool_change", __doc__, "example: python -m benchmarks.tool_change --as-built 0")
     options.add_argument("--calibrated", type=int, default=50, help="calibrated arms (default %(default)s)")
     options.add_argument("--as-built", type=int, default=20, help="as-built arms (default %(default)s)")
-    options.set_defaults(seed=100)
     asked = options.parse_args()
-    found: dict[str, list[Changed]] = {}
-    failed: dict[str, list[str]] = {}
-    with ProcessPoolExecutor(asked.workers) as pool:
-        for kind, count in (("calibrated", asked.calibrated), ("as-built", asked.as_built)):
-            seeds = range(asked.seed, asked.seed + count)
-            found[kind], failed[kind] = [], []
-            for k, (changes, reasons) in enumerate(pool.map(one_arm, [kind] * count, seeds), start=1):
-                found[kind].extend(changes)
-                failed[kind].extend(reasons)
-                print(f"\r{kind}: {k} of {count} arms", end="", file=sys.stderr)
-            print(file=sys.stderr)
-    measured = {kind: summary(changes) for kind, changes in found.items() if changes}
-    print(json.dumps({**measured, "not_carried_out": failed}, indent=2))
+    print(json.dumps(document(asked.calibrated, asked.as_built, asked.seed, asked.workers), indent=2))
 
 
 if __name__ == "__main__":

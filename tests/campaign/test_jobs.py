@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from benchmarks.jobs import SAMPLING_TILT_DEG, TILT_DEG
+from benchmarks.scenarios import SAMPLING_TILT_DEG, TILT_DEG
 from benchmarks.tool_change import Changed, one_target
 from sim.arms import arm_named
 from sim.loop import ClosedLoop
