@@ -36,6 +36,10 @@ LOAD_STAGES = 320
 """Gravity is brought up in so many stages: a dropped arm rests anywhere in the band of its friction."""
 
 
+# MuJoCo would write its warnings to a file in whatever directory this is; Plant.step looks at their count
+mujoco.set_mju_user_warning(lambda _: None)
+
+
 class PlantDiverged(RuntimeError):
     """MuJoCo counted a warning: it may have reset the state, so nothing after it can be believed."""
 

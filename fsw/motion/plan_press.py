@@ -125,5 +125,6 @@ def _outputs(config: Config, joints: JointEstimate, pressing: Pressing, forces: 
         if np.abs(error).max() < ROOT_TOLERANCE:
             return output
         J = np.moveaxis(task_jacobian(hanging.frames, X_RT, axis), -1, 0)
-        output = output - np.linalg.solve(J, np.moveaxis(error, -1, 0)[..., None])[..., 0].T
+        # the pseudo-inverse has an answer at a singularity too
+        output = output - (np.linalg.pinv(J) @ np.moveaxis(error, -1, 0)[..., None])[..., 0].T
     return None

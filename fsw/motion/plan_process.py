@@ -15,6 +15,7 @@ from fsw.motion.plan import Refusal, over_limits, worst_limit
 
 PASSES = 6
 """Of turning the wanted direction by what the arm bends; each takes off a factor of twenty or more."""
+CLOSE_RAD = 1e-5
 
 
 def gravity_pose(config: Config, joints: JointEstimate, command: Process) -> Array | Refusal:
@@ -52,7 +53,8 @@ def _pose(
         rigid = tool_pose(arm, forward(arm, pose), command.tool).R
         bent = tool_pose(arm, rest(arm, pose, gravity_R_m_s2).frames, command.tool).R
         wanted = rigid @ bent.T @ down_R
-    return pose
+    off_rad = float(np.linalg.norm(bent.T @ down_R - down_T))
+    return pose if off_rad < CLOSE_RAD else Refusal(f"no pose found: gravity would be {off_rad:.6f} rad off")
 
 
 def _wrist_and_turret(

@@ -1,5 +1,7 @@
 """Torque and energy: the plant weighs what the mass table says, and loses only what its dampers take."""
 
+from pathlib import Path
+
 import mujoco
 import numpy as np
 import pytest
@@ -96,12 +98,16 @@ def test_with_damping_a_free_swing_loses_what_the_dampers_take() -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e30])
-def test_a_plant_that_blows_up_is_not_believed(bad: float) -> None:
+def test_a_plant_that_blows_up_is_not_believed_and_leaves_no_file(
+    bad: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     plant = lab.plant()
     plant.place(lab.READY_RAD, 0.1)
     plant.data.qvel[0] = bad
     with pytest.raises(PlantDiverged, match=r"mjWARN_BAD\w+ at \d+\.\d+ s"):
         plant.step()
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_plant_that_blows_up_while_it_is_placed_is_not_believed() -> None:
