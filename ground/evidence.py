@@ -167,7 +167,7 @@ def keep(files: Files, world: World, frames: Frames, last: Pose, log: Log, progr
         data = mujoco.MjData(model)
         data.qpos[:] = last if frames.best is None else frames.best
         mujoco.mj_forward(model, data)
-        camera = "workspace" if world.surface is None else "target"
+        camera = "turret" if world.surface is None else "target"
         picture = save_picture(model, data, camera, files.picture, PICTURE_SIZE)
     if files.movie is not None:
 

@@ -244,7 +244,7 @@ def test_switches_close_on_a_flat_surface_before_anything_else_touches() -> None
     assert closed == {"drill_1", "drill_2"}
 
 
-@pytest.mark.parametrize("camera", ["overview", "workspace", "side"])
+@pytest.mark.parametrize("camera", ["overview", "workspace", "turret", "side"])
 @pytest.mark.parametrize("scene", SCENES)
 def test_the_cameras_are_there_and_pictures_may_be_large(scene: str, camera: str) -> None:
     model = load(scene)
