@@ -217,6 +217,8 @@ def _press(config: Config, now: Situation, command: Preload) -> Situation:
         and pressing.force_N < config.params.preload.step_N
     ):
         return _let_go(now, command, pressing)
+    if abs(command.force_N - pressing.force_N) < config.params.preload.step_N:
+        return refused(now, command, f"{command.tool.name} is pressed with {pressing.force_N:.1f} N as it is")
     planned = plan_press(config, state.joints, pressing, command.force_N)
     if isinstance(planned, Refusal):
         return refused(now, command, planned.reason)
@@ -226,8 +228,8 @@ def _press(config: Config, now: Situation, command: Preload) -> Situation:
         _at_rest(config, now, command, TRANSITIONS[Mode.PRELOAD, done]),
         paths=plan.paths,
         press=press,
-        fit=PressFit() if press.end_N > press.start.force_N else None,
-        limit_A=press_limit_A(config, state.joints, press, state.load.torque_Nm),
+        fit=PressFit() if press.change_N > 0 else None,
+        limit_A=press_limit_A(config, state.joints, press),
     )
     state = replace(state, mode=Mode.PRELOAD, move=move, pressing=pressing, planned_gap_rad=plan.gap_rad)
     return told(replace(now, state=state), CommandAccepted(name_of(command)))

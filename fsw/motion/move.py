@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from typing import Final
 
 import numpy as np
 
@@ -19,7 +20,10 @@ from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
 from fsw.motion.plan import Refusal, joints_at
 from fsw.motion.plan_press import Press, Pressing, plan_press
 from fsw.motion.seek import Seek, limit_A
-from fsw.motion.trim import PressFit, fitted, modelled_force, share_of
+from fsw.motion.trim import PressFit, corrected, felt_share, fitted
+
+NEAR_N: Final = 3.0
+"""A press is not trimmed by less."""
 
 
 class Phase(IntEnum):
@@ -101,7 +105,8 @@ def advance(config: Config, move: Move, joints: JointEstimate, load_Nm: Array, s
 def _pressed(move: Move) -> tuple[Evr, ...]:
     if move.press is None:
         return ()
-    return (Preloaded(move.press.start.tool, move.press.wanted_N),)
+    pressing = move.press.after(gone(move))
+    return (Preloaded(pressing.tool, pressing.force_N),)
 
 
 def _found(move: Move) -> tuple[Joint, Found] | None:
@@ -179,20 +184,22 @@ def _press(
 def _trimmed(
     config: Config, move: Move, press: Press, fit: PressFit, joints: JointEstimate
 ) -> Advance | None:
-    """The press with another way to go; None if it is near enough, or cannot be."""
-    pressing = press.after(gone(move))
-    share = share_of(config, fit, joints, pressing)
-    if share is None:
+    """The press as it was felt, with another way to go if it is not near enough; None if nothing was felt."""
+    felt = felt_share(config, fit, joints, press.after(gone(move)))
+    if felt is None:
         return None
+    pressing = corrected(press, felt)
+    heard = (ForceFelt(press.start.tool, felt.along, felt.across),)
+    settled = replace(press, start=pressing, end_model_N=pressing.model_N)
+    near = abs(press.wanted_N - pressing.force_N) < NEAR_N
     # from where the plan left off: a gap by which an estimate differs from it would be crossed to and fro
     stands = joints_at(joints, press.end)
-    planned = plan_press(config, stands, pressing, modelled_force(press, share.along))
-    if isinstance(planned, Refusal):
-        return None
+    planned = None if near else plan_press(config, stands, pressing, press.wanted_N)
+    if planned is None or isinstance(planned, Refusal):
+        return Advance(replace(move, press=settled, fit=None), heard)
     plan, rest = planned
-    rest = replace(rest, wanted_N=press.wanted_N)
     on = replace(move, phase=Phase.RUN, paths=plan.paths, press=rest, fit=None, ticks=0, travelled=0.0)
-    return Advance(on, (ForceFelt(press.start.tool, share.along, share.across),))
+    return Advance(on, heard)
 
 
 def _touched(move: Move, tool: Tool, sensors: Sensors) -> tuple[Move, tuple[Evr, ...]]:

@@ -12,27 +12,43 @@ from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import Push, rest
 from fsw.kinematics.task import ROOT_TOLERANCE, task_error, task_jacobian
 from fsw.kinematics.transforms import Array
+from fsw.motion.clear import blocked
 from fsw.motion.compensation import Compensation
 from fsw.motion.paths import Travel
-from fsw.motion.plan import Plan, Refusal, Stand, over_limits, standing, worst_limit
+from fsw.motion.plan import TOO_SOFT, Plan, Refusal, Stand, over_limits, standing, worst_limit
 from fsw.motion.plan_knots import plan_through
 
 STEPS: Final = 20
 ROUNDING_N: Final = 1e-6
 RAMP_S: Final = 1.0
 """In which the rate of the force builds up."""
+UNFELT: Final = 0.25
+"""By how much a built arm's stiffness may well differ from the model's."""
 FRICTION_FACTOR: Final = 1.5
 """Friction may have risen by so much since it was felt at the hardstop."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pressing:
-    """A tool that presses: where it touched, how it looked there, and with what it is believed to press."""
+    """A tool that presses: where it touched, how it looked there, and how far the arm is overdriven since.
+
+    The overdrive is counted in newtons of the model: with so many the modelled arm would press. The built arm
+    is stiffer or softer, and presses with a share of them.
+    """
 
     tool: Tool
     p_RoTo_R_m: Array
     axis_R: Array
-    force_N: float
+    model_N: float
+    share: float = 1.0
+    """True over modelled force, as far as it was felt."""
+    share_unsure: float = UNFELT
+    """Standard deviation of what is to be felt next."""
+
+    @property
+    def force_N(self) -> float:
+        """With what it is believed to press."""
+        return self.share * self.model_N
 
     def push(self, force_N: Array | float) -> Push:
         """What comes back of a force or forces (...)."""
@@ -41,7 +57,7 @@ class Pressing:
 
     @property
     def pushed(self) -> Push:
-        """What comes back of the force as it is."""
+        """What comes back of the force as it is believed to be."""
         return self.push(self.force_N)
 
 
@@ -50,20 +66,25 @@ class Press:
     """A change of force under way."""
 
     start: Pressing
-    end_N: float
-    """Of the model."""
+    end_model_N: float
     wanted_N: float
     torque_per_N: Array
     """By how much each joint's load rises with the force, (5,)."""
+    free_Nm: Array
+    """What the joints carry without it, (5,)."""
     end: Stand
     """Of the motors and gears."""
 
+    @property
+    def change_N(self) -> float:
+        """Of the model's force."""
+        return self.end_model_N - self.start.model_N
+
     def after(self, travelled_N: float) -> Pressing:
         """What is pressed with when so much of the change is done."""
-        change_N = self.end_N - self.start.force_N
-        if travelled_N >= abs(change_N) - ROUNDING_N:
-            return replace(self.start, force_N=self.end_N)
-        return replace(self.start, force_N=self.start.force_N + float(np.sign(change_N)) * travelled_N)
+        if travelled_N >= abs(self.change_N) - ROUNDING_N:
+            return replace(self.start, model_N=self.end_model_N)
+        return replace(self.start, model_N=self.start.model_N + float(np.sign(self.change_N)) * travelled_N)
 
 
 def touching(config: Config, joints: JointEstimate, tool: Tool) -> Pressing:
@@ -73,7 +94,7 @@ def touching(config: Config, joints: JointEstimate, tool: Tool) -> Pressing:
     X_RT = tool_pose(arm, rest(arm, output, gravity).frames, tool)
     free = Pressing(tool, X_RT.p, X_RT.R[:, 0], 1.0)
     yields_m = free.axis_R @ (X_RT.p - tool_pose(arm, rest(arm, output, gravity, free.pushed).frames, tool).p)
-    firm = replace(free, force_N=motion.switch_force_N + motion.contact_firm_m / float(yields_m))
+    firm = replace(free, model_N=motion.switch_force_N + motion.contact_firm_m / float(yields_m))
     pushed = tool_pose(arm, rest(arm, output, gravity, firm.pushed).frames, tool)
     return replace(firm, p_RoTo_R_m=pushed.p, axis_R=pushed.R[:, 0])
 
@@ -86,28 +107,35 @@ def plan_press(
     What the arm gives way, sideways and in its angle too, is made up for at every force on the way, so
     nothing is left for friction to hold.
     """
-    preload, change_N = config.params.preload, abs(force_N - pressing.force_N)
-    if change_N < preload.step_N:
-        return Refusal(f"{pressing.tool.name} is pressed with {pressing.force_N:.1f} N as it is")
-    forces = np.linspace(pressing.force_N, force_N, int(np.ceil(change_N / preload.step_N)) + 1)
+    preload = config.params.preload
+    end_N = force_N / pressing.share
+    change_N = abs(end_N - pressing.model_N)
+    forces = np.linspace(pressing.model_N, end_N, int(np.ceil(change_N / preload.step_N)) + 1)
     output = _outputs(config, joints, pressing, forces)
     if output is None:
         return Refusal(f"no overdrive found from {pressing.force_N:.1f} to {force_N:.1f} N")
     over = over_limits(config, output)
     if np.any(over > 0):
         k = int(np.argmax(over > 0))
-        return Refusal(f"at {forces[k]:.1f} N, {worst_limit(config, output[:, k])}")
-    load_Nm = rest(config.arm, output, joints.gravity_R_m_s2, pressing.push(forces)).torque_Nm
+        return Refusal(f"at {pressing.share * forces[k]:.1f} N, {worst_limit(config, output[:, k])}")
+    pushed = rest(config.arm, output, joints.gravity_R_m_s2, pressing.push(forces))
+    if not np.all(pushed.converged):
+        return Refusal(TOO_SOFT)
+    load_Nm = pushed.torque_Nm
     travel = Travel(change_N, preload.rate_N_s, preload.rate_N_s / RAMP_S, 2 * preload.rate_N_s / RAMP_S**2)
     plan = plan_through(config, joints, output, load_Nm, Compensation(), travel)
-    per_N = (load_Nm[:, -1] - load_Nm[:, 0]) / (force_N - pressing.force_N)
-    return plan, Press(pressing, force_N, force_N, per_N, plan.end)
+    meeting = blocked(config, joints, plan.paths, config.params.collision.padding_m, pressing.tool)
+    if meeting is not None:
+        return Refusal(meeting)
+    per_N = (load_Nm[:, -1] - load_Nm[:, 0]) / (end_N - pressing.model_N)
+    free_Nm = load_Nm[:, 0] - per_N * pressing.model_N
+    return plan, Press(pressing, end_N, force_N, per_N, free_Nm, plan.end)
 
 
-def press_limit_A(config: Config, joints: JointEstimate, press: Press, load_Nm: Array) -> Array:
+def press_limit_A(config: Config, joints: JointEstimate, press: Press) -> Array:
     """Current limits (5) that stall the motors before the force is much larger than it ought to be."""
-    most_N = max(press.start.force_N, press.end_N) * (1 + config.params.preload.guard_share)
-    carried = np.abs(load_Nm) + np.abs(press.torque_per_N) * most_N
+    most_N = max(press.start.force_N, press.wanted_N) * (1 + config.params.preload.guard_share)
+    carried = np.abs(press.free_Nm) + np.abs(press.torque_per_N) * most_N
     torque = carried + FRICTION_FACTOR * joints.reference.friction_Nm
     limit: Array = np.minimum(torque / config.torque_constant_Nm_A, config.current_limit_A)
     return limit

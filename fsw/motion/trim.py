@@ -5,7 +5,7 @@ back; friction, weight and bias are the same at both ends and drop out. Five loa
 components: what is felt along the tool's axis for a newton of the model, and what across.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -27,46 +27,46 @@ MOVING_RAD_S: Final = 5e-5
 """Slower, a joint says nothing."""
 READING_NM: Final = 8.0
 """Noise of a load that one reading of a current tells."""
-FRICTION_NM: Final = 1.0
-"""What changes of friction leave of the rise of a load."""
-LIKELY: Final = np.array([1.0, 0.0, 0.0])
-"""Before anything is felt: for a newton of the model one along the tool's x axis, and none across."""
-SPREAD: Final = np.array([0.25, 0.3, 0.3])
-"""By how much built arms differ from that."""
+ACROSS: Final = 0.3
+"""Of a newton of the model, so much may well be felt across."""
+CROSSED_NM: Final = 3.0
+"""What gaps that are crossed earlier or later than believed leave of the rise of a load."""
+SUREST: Final = 0.05
 BELIEVABLE: Final = (0.5, 2.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Felt:
+class PressEnd:
     """Sums over the cycles at one end of a press."""
 
     n: int = 0
-    force_N: float = 0.0
-    """Of the model."""
+    model_N: float = 0.0
     push_Nm: Array = field(default_factory=lambda: np.zeros(5))
     """What the push of the rock loads the joints with, as the currents tell."""
     slowest_rad_s: Array = field(default_factory=lambda: np.full(5, np.inf))
 
-    def after(self, force_N: float, push_Nm: Array, rate_rad_s: Array) -> "Felt":
+    def after(self, model_N: float, push_Nm: Array, rate_rad_s: Array) -> "PressEnd":
         """One cycle more."""
         slowest = np.minimum(self.slowest_rad_s, np.abs(rate_rad_s))
-        return Felt(self.n + 1, self.force_N + force_N, self.push_Nm + push_Nm, slowest)
+        return PressEnd(self.n + 1, self.model_N + model_N, self.push_Nm + push_Nm, slowest)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PressFit:
     """Both ends of a press."""
 
-    first: Felt = field(default_factory=Felt)
-    last: Felt = field(default_factory=Felt)
+    first: PressEnd = field(default_factory=PressEnd)
+    last: PressEnd = field(default_factory=PressEnd)
 
 
 @dataclass(frozen=True, slots=True)
-class Share:
+class FeltShare:
     """What is felt for a newton of the model."""
 
     along: float
     across: float
+    unsure: float
+    """Standard deviation of the first."""
 
 
 def fitted(
@@ -81,7 +81,7 @@ def fitted(
     sensors: Sensors,
 ) -> PressFit:
     """The fit with this cycle's currents, if the force is near one of the press's ends and rises briskly."""
-    gone = (pressing.force_N - press.start.force_N) / (press.end_N - press.start.force_N)
+    gone = (pressing.model_N - press.start.model_N) / press.change_N
     brisk = rate_N_s > BRISK_SHARE * config.params.preload.rate_N_s
     if not brisk or END_SHARE < gone < 1 - END_SHARE:
         return fit
@@ -90,28 +90,31 @@ def fitted(
     carried = resisting - config.torque_constant_Nm_A * sensors.current_A
     push = carried - load_Nm + press.torque_per_N * pressing.force_N
     if gone <= END_SHARE:
-        return PressFit(fit.first.after(pressing.force_N, push, hold.rate_rad_s), fit.last)
-    return PressFit(fit.first, fit.last.after(pressing.force_N, push, hold.rate_rad_s))
+        return PressFit(fit.first.after(pressing.model_N, push, hold.rate_rad_s), fit.last)
+    return PressFit(fit.first, fit.last.after(pressing.model_N, push, hold.rate_rad_s))
 
 
-def share_of(config: Config, fit: PressFit, joints: JointEstimate, pressing: Pressing) -> Share | None:
+def felt_share(config: Config, fit: PressFit, joints: JointEstimate, pressing: Pressing) -> FeltShare | None:
     """What the rock gives back for a newton of the model; None if that cannot be.
 
-    The likeliest of what is likely beforehand and of what the joints that moved tell, by its noise.
+    The likeliest of what was likely beforehand and of what the joints that moved tell, by its noise.
     """
     first, last = fit.first, fit.last
     if min(first.n, last.n) == 0:
         return None
-    rise_N = last.force_N / last.n - first.force_N / first.n
+    rise_N = last.model_N / last.n - first.model_N / first.n
     rise_Nm = last.push_Nm / last.n - first.push_Nm / first.n
     says = np.minimum(first.slowest_rad_s, last.slowest_rad_s) > MOVING_RAD_S
     levers = rise_N * _levers(config, joints, pressing)[says]
-    variance_Nm2 = FRICTION_NM**2 + READING_NM**2 * (1 / first.n + 1 / last.n)
-    information = np.diag(SPREAD**-2) + levers.T @ levers / variance_Nm2
-    surprise = levers.T @ (rise_Nm[says] - levers @ LIKELY) / variance_Nm2
-    along, *across = LIKELY + np.linalg.solve(information, surprise)
+    variance_Nm2 = CROSSED_NM**2 + READING_NM**2 * (1 / first.n + 1 / last.n)
+    likely = np.array([pressing.share, 0.0, 0.0])
+    spread = np.array([pressing.share_unsure, ACROSS, ACROSS])
+    information = np.diag(spread**-2) + levers.T @ levers / variance_Nm2
+    surprise = levers.T @ (rise_Nm[says] - levers @ likely) / variance_Nm2
+    along, *across = likely + np.linalg.solve(information, surprise)
+    unsure = max(float(np.sqrt(np.linalg.inv(information)[0, 0])), SUREST)
     believable = BELIEVABLE[0] < along < BELIEVABLE[1]
-    return Share(float(along), float(np.hypot(*across))) if believable else None
+    return FeltShare(float(along), float(np.hypot(*across)), unsure) if believable else None
 
 
 def _levers(config: Config, joints: JointEstimate, pressing: Pressing) -> Array:
@@ -122,6 +125,8 @@ def _levers(config: Config, joints: JointEstimate, pressing: Pressing) -> Array:
     return levers
 
 
-def modelled_force(press: Press, along: float) -> float:
-    """The force of the model at which the true one is as wanted."""
-    return press.start.force_N + (press.end_N - press.start.force_N) / along
+def corrected(press: Press, felt: FeltShare) -> Pressing:
+    """What is pressed with at the end of a press, by what was felt on the way."""
+    force_N = press.start.force_N + felt.along * press.change_N
+    done = replace(press.start, model_N=press.end_model_N)
+    return replace(done, share=force_N / press.end_model_N, share_unsure=felt.unsure)

@@ -9,9 +9,9 @@ from fsw.dictionary.commands import Preload
 from fsw.dictionary.evrs import ForceFelt, Preloaded
 from fsw.dictionary.joints import Tool
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
-from fsw.motion.move import Phase
+from fsw.motion.move import NEAR_N, Phase
 from fsw.motion.plan_press import touching
-from fsw.motion.trim import PressFit, share_of
+from fsw.motion.trim import PressFit, felt_share
 from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
 
 FRICTION_NM = np.array([170.0, 170.0, 170.0, 39.0, 39.0])
@@ -33,10 +33,18 @@ def pressed(
     joints = rig.state.joints
     reference = replace(joints.reference, friction_Nm=FRICTION_NM)
     rig.state = replace(rig.state, joints=replace(joints, reference=reference))
+    press(rig, force_N, stiffness, friction, offset_Nm, across)
+    return rig
+
+
+def press(rig, force_N: float, stiffness: float, friction=1.0, offset_Nm=0.0, across=(0.0, 0.0)) -> None:
     rig.cycle(Preload(Tool.APXS, force_N), **TOUCHED)
     while rig.outputs.joint.busy:
         rig.cycle(current_A=currents(rig, stiffness, friction, offset_Nm, across), **TOUCHED)
-    return rig
+
+
+def preloads(rig) -> list[float]:
+    return [evr.force_N for evr in rig.evrs if isinstance(evr, Preloaded)]
 
 
 def currents(rig, stiffness: float, friction: float, offset_Nm: float, across) -> np.ndarray:
@@ -44,8 +52,10 @@ def currents(rig, stiffness: float, friction: float, offset_Nm: float, across) -
     move = state.move
     if move.phase is not Phase.RUN:
         return np.full(5, 1e-9 * state.tick)
+    of_model = move.press.torque_per_N * state.pressing.model_N
     per_N = (stiffness - 1.0) * move.press.torque_per_N + levers_across(rig) @ np.array(across)
-    extra = per_N * state.pressing.force_N
+    # the load that flight software believes in holds the believed push already
+    extra = per_N * state.pressing.model_N + (1 - state.pressing.share) * of_model
     resisting = friction * FRICTION_NM * np.sign(move.hold.rate_rad_s)
     torque = resisting - state.load.torque_Nm - extra + offset_Nm
     return torque / config.torque_constant_Nm_A + 1e-9 * state.tick
@@ -65,14 +75,24 @@ def test_the_share_of_the_force_is_felt_and_made_up_for(stiffness, friction, off
     rig = pressed(stiffness, friction, offset_Nm)
     (felt,) = [evr for evr in rig.evrs if isinstance(evr, ForceFelt)]
     assert felt.along == pytest.approx(stiffness, abs=0.03)
-    assert Preloaded(Tool.APXS, 200.0) in rig.evrs
-    assert rig.state.pressing.force_N * stiffness == pytest.approx(200.0, rel=0.04)
+    assert rig.state.pressing.model_N * stiffness == pytest.approx(200.0, rel=0.04)
+    assert preloads(rig) == [pytest.approx(200.0, abs=NEAR_N)]
+
+
+@pytest.mark.parametrize("stiffness", [0.8, 1.15])
+def test_what_was_felt_is_remembered_by_the_presses_that_follow(stiffness):
+    rig = pressed(stiffness, force_N=100.0)
+    for force_N in (200.0, 300.0, 150.0):
+        press(rig, force_N, stiffness)
+        assert rig.state.pressing.model_N * stiffness == pytest.approx(force_N, rel=0.04)
+    assert preloads(rig) == [pytest.approx(force_N, abs=NEAR_N) for force_N in (100.0, 200.0, 300.0, 150.0)]
 
 
 def test_an_arm_as_stiff_as_believed_is_pressed_once():
     rig = pressed(1.0)
-    assert not any(isinstance(evr, ForceFelt) for evr in rig.evrs)
-    assert rig.state.pressing.force_N == 200.0
+    (felt,) = [evr for evr in rig.evrs if isinstance(evr, ForceFelt)]
+    assert felt.along == pytest.approx(1.0, abs=0.01)
+    assert rig.state.pressing.model_N == 200.0
 
 
 @pytest.mark.parametrize("across", [(0.15, 0.0), (0.0, -0.2)])
@@ -93,4 +113,4 @@ def test_what_cannot_be_is_not_acted_upon(stiffness):
 def test_nothing_felt_tells_nothing():
     rig = guarded_in_contact()
     pressing = touching(rig.config, rig.state.joints, Tool.APXS)
-    assert share_of(rig.config, PressFit(), rig.state.joints, pressing) is None
+    assert felt_share(rig.config, PressFit(), rig.state.joints, pressing) is None
