@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ
+from ground.outputs import BadOutput, check_output
 from ground.report.picture import PictureError, PictureResult, check_path, save_movie, save_picture
 from ground.request import BadRequest, check_apart
 from ground.telemetry.errors import LogNotWritable
@@ -66,14 +67,14 @@ def check_files(files: Files, **others: Path | None) -> None:
         BadRequest: they cannot; the log itself is opened before the run and says the rest.
     """
     check_apart({**others, "log": files.log, "picture": files.picture, "movie": files.movie})
-    if files.log is not None and files.log.suffix.lower() != ".mcap":
-        raise BadRequest(f"log {files.log}: its name must end in .mcap")
     try:
+        if files.log is not None:
+            check_output(files.log, (".mcap",), "log")
         if files.picture is not None:
             check_path(files.picture, ".png", "picture")
         if files.movie is not None:
             check_path(files.movie, ".gif", "movie")
-    except PictureError as error:
+    except (PictureError, BadOutput) as error:
         raise BadRequest(str(error)) from error
 
 

@@ -4,8 +4,9 @@ from collections.abc import Callable, Generator, Sequence
 from enum import StrEnum
 from typing import cast
 
-from fsw.dictionary.commands import ClearFault, Command
+from fsw.dictionary.commands import ClearFault, Command, Stop
 from fsw.dictionary.evrs import CommandRefused, FaultResponse
+from fsw.dictionary.modes import Mode
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
 
@@ -35,7 +36,8 @@ def watched(
 def run_sequence(loop: ClosedLoop, commands: Sequence[Command]) -> Generator[CycleRecord, None, Outcome]:
     """Every cycle of the sequence; it ends with the first refusal or, brakes on, with a fault.
 
-    A fault after which the sequence clears it does not end it.
+    A fault after which the sequence clears it does not end it, nor does one that only stopped the arm if the
+    sequence says Stop after it: there is nothing to clear.
 
     Moves end by themselves, by contact, at their end or by a monitor; so a sequence always ends.
     """
@@ -52,7 +54,10 @@ def run_sequence(loop: ClosedLoop, commands: Sequence[Command]) -> Generator[Cyc
             if not record.outputs.joint.busy:
                 break
             record = loop.cycle()
-        clears = number + 1 < len(commands) and isinstance(commands[number + 1], ClearFault)
+        stands = loop.state.mode is Mode.FAULTED
+        clears = number + 1 < len(commands) and isinstance(
+            commands[number + 1], ClearFault if stands else Stop
+        )
         if faulted and not clears:
             return Outcome.FAULTED
         faulted = False

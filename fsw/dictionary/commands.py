@@ -12,6 +12,8 @@ Backlash = Literal["off", "on"]
 """Whether set-points allow for the gap, and moves end with every output on a known side of it."""
 Deflection = Literal["off", "absolute", "relative"]
 """What is done about gravity: nothing, all of it, or only how it differs from where the arm is now."""
+JointDeflection = Literal["off", "absolute"]
+"""The same of a move that goes to angles: there is no tool to count from."""
 ROVER: Final = "ROVER"
 """The name of frame RMECH in a command."""
 
@@ -58,6 +60,8 @@ class MoveJoints:
 
     angle_rad: Joints5
     backlash: Backlash = "on"
+    deflection: JointDeflection = "absolute"
+    """Whether wind-up of the gears is allowed for."""
     relative: bool = False
     """Whether the angles count from where the outputs are."""
 
@@ -169,7 +173,7 @@ class Process:
     duration_s: float
     vibrate: bool = True
     backlash: Backlash = "on"
-    deflection: Deflection = "absolute"
+    deflection: JointDeflection = "absolute"
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from fsw.dictionary.commands import (
     Deflection,
     Dock,
     GuardedMove,
+    JointDeflection,
     MoveJoint,
     MoveJoints,
     MoveTeachPoint,
@@ -20,16 +21,19 @@ from fsw.dictionary.commands import (
     Preload,
     Process,
     Retract,
+    SetTilt,
     Stow,
     ToolChange,
     Unstow,
     Vector3,
 )
 from fsw.dictionary.joints import SWITCHES_OF, Frame, Joint, Tool
+from fsw.dictionary.params import Params
 from fsw.kinematics.branches import BRANCHES
 from fsw.motion.plan_tool import AUTO
 
 FARTHEST_M = 1e6
+FARTHEST_RAD = 1.6
 
 FRAMES = (ROVER, *(frame.name for frame in Frame if frame is not Frame.TOOL), *(tool.name for tool in Tool))
 LONGEST_M = 1.0
@@ -71,7 +75,7 @@ def malformed(command: MoveCommand) -> str | None:
             return finite or _malformed_joint(joint) or _malformed_backlash(command.backlash)
         case MoveJoints(angle_rad=angles):
             finite = None if np.all(np.isfinite(angles)) else "a joint angle is not finite"
-            return finite or _malformed_backlash(command.backlash)
+            return finite or _malformed_modes(command)
         case MoveTool():
             return _malformed_move_tool(command)
         case GuardedMove():
@@ -101,9 +105,22 @@ def malformed(command: MoveCommand) -> str | None:
                 return f"duration_s {command.duration_s} s is outside 0 .. {LONGEST_S:g} s"
             return malformed_direction("gravity_T", command.gravity_T) or _malformed_modes(command)
         case Retract(distance_m=d):
-            return _malformed_length("distance", d) or _malformed_modes(command)
+            return _malformed_length("distance_m", d) or _malformed_modes(command)
         case _:
             assert_never(command)
+
+
+def beyond(params: Params, command: Preload | SetTilt) -> str | None:
+    """What is wrong with a command's numbers by these parameters, or by what a rover can be asked."""
+    match command:
+        case Preload(force_N=force):
+            most_N = params.preload.most_N
+            inside, said = 0 <= force <= most_N, f"force {force:g} N is outside 0 .. {most_N:g} N"
+        case SetTilt():
+            angles = (command.roll_rad, command.pitch_rad)
+            inside = all(abs(angle) <= FARTHEST_RAD for angle in angles)
+            said = f"roll and pitch must be within {FARTHEST_RAD} rad"
+    return None if inside else said
 
 
 def _malformed_move_tool(command: MoveTool) -> str | None:
@@ -128,9 +145,10 @@ def _malformed_lengths(command: PlaceTool | ToolChange) -> str | None:
 def _malformed_length(name: str, length_m: float, least_m: float | None = None) -> str | None:
     """A length is at most a metre, and at least this or above nothing."""
     enough = length_m > 0 if least_m is None else length_m >= least_m
-    return (
-        None if enough and length_m <= LONGEST_M else f"{name} {length_m} m is outside 0 .. {LONGEST_M:g} m"
-    )
+    if enough and length_m <= LONGEST_M:
+        return None
+    least = "more than 0" if least_m is None else f"at least {least_m:g}"
+    return f"{name} {length_m} m must be {least} and at most {LONGEST_M:g} m"
 
 
 def _malformed_branch(branch: str) -> str | None:
@@ -167,11 +185,19 @@ def malformed_direction(name: str, direction: Vector3) -> str | None:
 
 
 def _malformed_modes(
-    command: MoveTool | GuardedMove | PlaceTool | ToolChange | MoveTeachPoint | Process | Retract,
+    command: MoveJoints
+    | MoveTool
+    | GuardedMove
+    | PlaceTool
+    | ToolChange
+    | MoveTeachPoint
+    | Process
+    | Retract,
 ) -> str | None:
-    if command.deflection in get_args(Deflection):
+    known = get_args(JointDeflection if isinstance(command, MoveJoints | Process) else Deflection)
+    if command.deflection in known:
         return _malformed_backlash(command.backlash)
-    return f"deflection {command.deflection!r} is not known; there are {', '.join(get_args(Deflection))}"
+    return f"deflection {command.deflection!r} is not known; there are {', '.join(known)}"
 
 
 def _malformed_backlash(backlash: str) -> str | None:

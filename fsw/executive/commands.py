@@ -40,7 +40,7 @@ from fsw.dictionary.joints import Joint, Tool
 from fsw.dictionary.modes import Mode
 from fsw.dictionary.tuples import vector3
 from fsw.estimate.reference import forgotten
-from fsw.executive.checks import malformed
+from fsw.executive.checks import beyond, malformed
 from fsw.executive.hardstop_pose import unsafe, unsafe_for_all
 from fsw.executive.modes import EVENT_OF, TRANSITIONS, Event
 from fsw.executive.planning import PlannedMove, ahead, plan_for
@@ -204,8 +204,7 @@ def _press(config: Config, now: Situation, command: Preload) -> Situation:
     state = now.state
     problem = not_now(now) or not_calibrated(now, command) or malformed(command)
     problem = problem or not_in_mode(now, Event.PRESS) or _other_tool_touches(now, command.tool)
-    if not 0 <= command.force_N <= config.params.preload.most_N:
-        problem = problem or f"force {command.force_N} N is outside 0 .. {config.params.preload.most_N} N"
+    problem = problem or beyond(config.params, command)
     if problem is None and command.force_N > 0 and not touches(now, command.tool):
         problem = f"{command.tool.name} touches nothing: there is nothing to press on"
     if problem is not None:

@@ -8,6 +8,7 @@ from fsw.config import Config
 from fsw.dictionary.commands import GuardedMove, MoveJoint, MoveJoints, MoveTool, Retract, Stow, Unstow
 from fsw.dictionary.joints import Joint, Tool
 from fsw.estimate.joints import JointEstimate
+from fsw.executive.checks import malformed
 from fsw.executive.steps import Step
 from fsw.motion.clear import blocked
 from fsw.motion.compensation import Compensation
@@ -52,7 +53,7 @@ def _plan(config: Config, joints: JointEstimate, tool: Tool, command: PlannedMov
             return plan_joint(config, joints, Joint(command.joint), command.angle_rad, compensation)
         case MoveJoints():
             pose = np.array(command.angle_rad) + (joints.output_rad if command.relative else 0.0)
-            return plan_poses(config, joints, [pose], Compensation(command.backlash))
+            return plan_poses(config, joints, [pose], Compensation(command.backlash, command.deflection))
         case MoveTool():
             return plan_tool(config, joints, command, tool)
         case GuardedMove():
@@ -69,6 +70,9 @@ def ahead(config: Config, state: State, steps: tuple[Step, ...]) -> str | None:
     for step in steps:
         if not isinstance(step, PlannedMove):
             continue
+        problem = malformed(step)
+        if problem is not None:
+            return f"{type(step).__name__}: {problem}"
         plan = plan_for(config, joints, tool, step)
         if isinstance(plan, Refusal):
             return f"{type(step).__name__}: {plan.reason}"

@@ -13,23 +13,21 @@ from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import not_an_arm, out_of_limits
 from fsw.estimate.reference import forgotten
+from fsw.executive.checks import beyond
 from fsw.executive.situation import Situation, name_of, not_now, refused, told
 from fsw.kinematics.transforms import down_from
 
 COUNTED_FROM: Final = ("gear_ratio", "encoder_counts_per_turn", "hardstop_rad")
 """What an encoder zero rests on: a joint of which one of these changes is to be calibrated again."""
-FARTHEST_RAD: Final = 1.6
 
 
 def set_tilt(config: Config, now: Situation, command: SetTilt) -> Situation:
     """Gravity lies as this attitude says, from now on."""
-    angles = (command.roll_rad, command.pitch_rad)
-    problem = not_now(now)
-    if not all(isfinite(angle) and abs(angle) <= FARTHEST_RAD for angle in angles):
-        problem = problem or f"roll and pitch must be within {FARTHEST_RAD} rad"
+    problem = not_now(now) or beyond(config.params, command)
     if problem is not None:
         return refused(now, command, problem)
-    down_R, joints, bound = down_from(*angles), now.state.joints, config.params.monitors.tilt_rad
+    down_R = down_from(command.roll_rad, command.pitch_rad)
+    joints, bound = now.state.joints, config.params.monitors.tilt_rad
     read = joints.imu_R_m_s2 / np.linalg.norm(joints.imu_R_m_s2)
     off = float(np.arctan2(np.linalg.norm(np.cross(read, down_R)), read @ down_R))
     if off > bound:

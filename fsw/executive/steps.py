@@ -48,7 +48,7 @@ def steps_of(
     """The moves of a command from where the joints are; `tool` is that of the last tool command."""
     match command:
         case PlaceTool():
-            return _place(command)
+            return _place(config, joints, tool, command)
         case ToolChange():
             return _tool_change(config, joints, tool, command)
         case MoveTeachPoint():
@@ -59,7 +59,7 @@ def steps_of(
             pose = gravity_pose(config, joints, command)
             if isinstance(pose, Refusal):
                 return pose
-            turn = MoveJoints(joints5(pose), command.backlash)
+            turn = MoveJoints(joints5(pose), command.backlash, command.deflection)
             return turn, Hold(command.duration_s, command.vibrate)
         case _:
             assert_never(command)
@@ -84,11 +84,16 @@ def spot(config: Config, joints: JointEstimate, touching: Tool, command: ToolCha
     return from_here(config, joints, touching, Compensation(command.backlash, deflection))
 
 
-def _place(command: PlaceTool) -> tuple[Step, ...]:
-    p, approach = np.array(command.p_RoTo_R_m), unit(np.array(command.approach_R))
+def _place(config: Config, joints: JointEstimate, tool: Tool, command: PlaceTool) -> tuple[Step, ...]:
+    """Relative compensation counts from where the arm is now, for both moves: they aim at one place."""
+    compensation = Compensation(command.backlash, command.deflection)
+    p, approach = compensation.target(
+        config, joints, tool, np.array(command.p_RoTo_R_m), unit(np.array(command.approach_R))
+    )
+    deflection: Deflection = "off" if command.deflection == "off" else "absolute"
     end = vector3(p + command.overtravel_m * approach)
-    touch = GuardedMove(command.tool, end, vector3(approach), command.backlash, command.deflection)
-    return _to_standoff(command, p, approach, command.overtravel_m, command.deflection), touch
+    touch = GuardedMove(command.tool, end, vector3(approach), command.backlash, deflection)
+    return _to_standoff(command, p, approach, command.overtravel_m, deflection), touch
 
 
 def _tool_change(

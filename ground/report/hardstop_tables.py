@@ -4,13 +4,13 @@ from math import degrees
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from fsw.dictionary.evrs import JointCalibrated, Severity
 from fsw.dictionary.joints import STOP_ORDER, Joint
 from ground.hardstop import HardstopReport
 from ground.hardstop_plan import StopPlan
+from ground.report.console import plain_console
 from ground.report.tables import evr_json
 from sim.initialisation import Stop
 
@@ -40,7 +40,7 @@ def hardstop_json(report: HardstopReport) -> dict[str, Any]:
 
 def hardstop_table(report: HardstopReport) -> None:
     """Print what was found, and what went wrong."""
-    console = Console(highlight=False)
+    console = plain_console()
     request = report.request
     table = Table(title=f"Hardstops of {request.arm} on {request.scene}: {report.outcome.value}")
     many = request.repeat > 1
@@ -109,7 +109,7 @@ def plan_json(plans: tuple[StopPlan, ...]) -> dict[str, Any]:
 
 def plan_table(plans: tuple[StopPlan, ...]) -> None:
     """Print where each joint meets its hardstop, and with what load."""
-    console = Console(highlight=False)
+    console = plain_console()
     for plan in plans:
         table = Table(title=f"At the hardstops, {plan.place}", title_justify="left")
         for name in ("joint", "load N m", "azimuth", "elevation", "elbow", "wrist", "turret deg"):

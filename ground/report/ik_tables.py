@@ -14,6 +14,7 @@ from ground.ik.names import JOINTS, VERDICTS
 from ground.ik.reach import ReachReport
 from ground.ik.solve import BatchReport, IkReport
 from ground.ik.tally import Tally
+from ground.report.console import plain_console
 
 WIDEST: Final = 240
 """Columns; more than any of the tables has."""
@@ -65,7 +66,7 @@ def batch_json(report: BatchReport) -> dict[str, Any]:
 def batch_table(report: BatchReport) -> None:
     """Print what came of a batch: counts, and where the answers are."""
     _print_tally(f"{report.model.words}: {report.tally.targets} targets", report.tally)
-    Console(highlight=False).print(f"out       {report.request.out}", soft_wrap=True)
+    plain_console().print(f"out       {report.request.out}", soft_wrap=True)
 
 
 def reach_json(report: ReachReport) -> dict[str, Any]:
@@ -87,7 +88,7 @@ def reach_table(report: ReachReport) -> None:
     _print_tally(title, report.tally)
     if report.request.picture is not None:
         said = f"none  ({report.picture_problem})" if report.picture_problem else report.request.picture
-        Console(highlight=False).print(f"picture   {said}", soft_wrap=True)
+        plain_console().print(f"picture   {said}", soft_wrap=True)
 
 
 def _slots(report: IkReport) -> list[int]:
@@ -172,6 +173,6 @@ def _print_tally(title: str, tally: Tally) -> None:
 
 def _print_whole(title: str, table: Table) -> None:
     """However narrow the terminal is: a line that is wrapped can be read, one that is cut off cannot."""
-    console = Console(highlight=False, width=max(Console().width, WIDEST))
+    console = plain_console(max(Console().width, WIDEST))
     console.print(title)
     console.print(table)

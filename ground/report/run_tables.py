@@ -3,10 +3,11 @@
 from math import degrees, isfinite
 from typing import Any, Final
 
-from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from fsw.dictionary.evrs import Severity
+from ground.report.console import WARNED, cell, plain_console
 from ground.report.tables import evr_json, kept_json, kept_table
 from ground.run import RunReport
 from sim.scenario.data import Scenario
@@ -41,7 +42,7 @@ def run_json(report: RunReport) -> dict[str, Any]:
 def run_table(report: RunReport) -> None:
     """Print a run: each check with its bounds, the warnings, and where the files are."""
     result, scenario = report.result, report.scenario
-    console = Console(highlight=False)
+    console = plain_console()
     passed = "passed" if report.passed else "NOT passed"
     table = Table(
         title=f"{scenario.title} on {report.arm} arm: {result.outcome.value}, {passed}", title_justify="left"
@@ -59,7 +60,7 @@ def run_table(report: RunReport) -> None:
     )
     for time_s, evr in result.evrs:
         if evr.severity >= Severity.WARNING_LO:
-            console.print(f"[bold]{time_s:8.2f} s  {evr.severity.name}  {evr.message}[/bold]")
+            console.print(f"{time_s:8.2f} s  {evr.severity.name}  {evr.message}", style=WARNED)
     kept_table(console, report.kept, report.request.files.log)
 
 
@@ -82,7 +83,7 @@ def scenarios_table(scenarios: tuple[Scenario, ...]) -> None:
     """Print a line for each scenario that comes with the house."""
     width = max(len(scenario.name) for scenario in scenarios)
     for scenario in scenarios:
-        Console(highlight=False).print(f"{scenario.name:<{width}}  {scenario.sentence}", soft_wrap=True)
+        plain_console().print(f"{scenario.name:<{width}}  {scenario.sentence}", soft_wrap=True)
 
 
 def _measured_json(measured: Measured) -> dict[str, Any]:
@@ -98,9 +99,9 @@ def _measured_json(measured: Measured) -> dict[str, Any]:
     }
 
 
-def _cells(measured: Measured) -> tuple[str, ...]:
+def _cells(measured: Measured) -> tuple[str | Text, ...]:
     value, low, high, unit = _in_unit(measured)
-    end = "ok" if measured.passed else "[bold]NOT[/bold]"
+    end = cell("ok", "") if measured.passed else cell("NOT", WARNED)
     if low == high == 1.0:
         return measured.check, measured.name, "yes" if value == 1.0 else "no", "yes", end
     said = f"{value:.3g} {unit}".rstrip() if isfinite(value) else "not reached"

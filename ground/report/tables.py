@@ -10,6 +10,7 @@ from rich.table import Table
 from fsw.dictionary.evrs import Evr, Severity
 from ground.evidence import Kept
 from ground.place import PlaceReport
+from ground.report.console import WARNED, plain_console
 from ground.telemetry.events import json_fields
 from sim.placement import PlacementError
 
@@ -43,7 +44,7 @@ def place_json(report: PlaceReport) -> dict[str, Any]:
 def place_table(report: PlaceReport) -> None:
     """Print a placement: a short table, the warnings, and where the files are."""
     result, request = report.result, report.request
-    console = Console(highlight=False)
+    console = plain_console()
     table = Table(
         title=f"{request.tool.upper()} on {request.arm} arm: {result.outcome.value}", title_justify="left"
     )
@@ -60,7 +61,7 @@ def place_table(report: PlaceReport) -> None:
     )
     for time_s, evr in result.evrs:
         if evr.severity >= Severity.WARNING_LO:
-            console.print(f"[bold]{time_s:8.2f} s  {evr.severity.name}  {evr.message}[/bold]")
+            console.print(f"{time_s:8.2f} s  {evr.severity.name}  {evr.message}", style=WARNED)
     kept_table(console, report.kept, request.log)
 
 

@@ -32,8 +32,8 @@ class SensorFault(Timed):
     """A sensor that keeps its reading, reads too much, is noisy (one sigma), or reads no number.
 
     `index` is which joint, switch or axis; None is all of them. `size` is in the unit of the sensor, of a
-    contact switch 1 is from open to closed. ValueError for a count or a switch that is to read no number, and
-    for an index that there is none of.
+    contact switch 1 is from open to closed. ValueError for a count or a switch that is to read no number, for
+    an index that there is none of, and for a size that says nothing.
     """
 
     sensor: SensorName
@@ -47,6 +47,11 @@ class SensorFault(Timed):
         last = COUNT_OF.get(self.sensor, len(Joint)) - 1
         if self.index is not None and not 0 <= self.index <= last:
             raise ValueError(f"index: {self.index} is outside 0 .. {last}, as there are of {self.sensor}")
+        sized = self.kind in ("biased", "noisy")
+        if sized and (self.size == 0 or (self.kind == "noisy" and self.size < 0)):
+            raise ValueError(f"size: {self.size:g} says nothing of a sensor that is {self.kind}")
+        if not sized and self.size != 0:
+            raise ValueError(f"size: a sensor that is {self.kind} has none; leave it out")
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """From now on."""

@@ -127,7 +127,14 @@ class Stowed:
 
 @dataclass(frozen=True, slots=True)
 class Faulted:
-    """A fault of this name stopped the arm: it stands on its brakes and refuses to move."""
+    """A fault of this name ended the sequence: the arm is braked, and refuses if that is the response."""
+
+    evr: str
+
+
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """A fault of this name came, and the sequence went on after it to its end."""
 
     evr: str
 
@@ -144,4 +151,5 @@ Check = (
     | Released
     | Stowed
     | Faulted
+    | Recovered
 )

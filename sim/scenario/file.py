@@ -5,26 +5,27 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from importlib import resources
+from itertools import takewhile
 from pathlib import Path
 from typing import Annotated, Any, Final, TypeVar
 
 import numpy as np
 
-from fsw.dictionary.commands import Command, Preload, SetParam
+from fsw.dictionary.commands import Command, Preload, SetParam, SetTilt
 from fsw.dictionary.modes import Mode
 from fsw.dictionary.params import Limits
-from fsw.executive.checks import MoveCommand, malformed
+from fsw.executive.checks import beyond
 from fsw.executive.settings import params_with
 from sim.arms import UnknownArm, arm_named
 from sim.effects.environment import WARM_C
 from sim.params import nominal_params
-from sim.scenario.checks import Done, Faulted
-from sim.scenario.data import Scenario, Start
+from sim.scenario.checks import Check, Done, Faulted, Recovered
+from sim.scenario.data import Injection, Scenario, Start, Taught
 from sim.scenario.faults import stops
 from sim.scenario.modes import refusals
-from sim.scenario.names import did_you_mean
+from sim.scenario.names import did_you_mean, spoken
 from sim.scenario.record import Findings, Problem, record_of, table_of
-from sim.scenario.tables import check_direction, check_of, command_of, fault_of, tables, taught_of
+from sim.scenario.tables import check_direction, check_near, check_of, command_of, fault_of, tables, taught_of
 from sim.scenario.toml_lines import lines_of
 from sim.world import MAX_TILT_RAD, Scene, Surface, World
 
@@ -32,6 +33,8 @@ T = TypeVar("T")
 
 LISTS: Final = ("teach", "command", "fault", "check")
 NEEDED: Final = ("command", "check")
+MOST_SHOWN: Final = 50
+"""Problems in a message."""
 
 
 class BadScenario(ValueError):
@@ -39,8 +42,11 @@ class BadScenario(ValueError):
 
     def __init__(self, file: str, problems: list[Problem]):
         self.problems = tuple(sorted(problems))
-        where = (f"{file}:{p.line}" if p.line else file for p in self.problems)
-        super().__init__("\n".join(f"{at}: {p.text}" for at, p in zip(where, self.problems, strict=True)))
+        lines = [f"{file}:{p.line}: {p.text}" if p.line else f"{file}: {p.text}" for p in self.problems]
+        more = len(lines) - MOST_SHOWN
+        if more > 0:
+            lines = [*lines[:MOST_SHOWN], f"{file}: and {more} more"]
+        super().__init__("\n".join(lines))
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +69,11 @@ class _World:
     temperature_C: Annotated[float, Limits(-130.0, 50.0)] = WARM_C
     surface: Surface | None = None
 
+    @property
+    def built(self) -> World:
+        """The world of the plant."""
+        return World(self.scene, self.tilt_roll_rad, self.tilt_pitch_rad, self.surface)
+
 
 def shipped() -> dict[str, str]:
     """The text of every scenario that comes with the house, by name."""
@@ -81,9 +92,11 @@ def load(name: str) -> Scenario:
     if name in texts:
         return scenario_from(texts[name], name, f"{name}.toml")
     path = Path(name)
-    if path.suffix != ".toml":
+    if path.suffix.lower() != ".toml":
         hint = f"{did_you_mean(name, texts)}, or give the path of a .toml file"
         raise BadScenario(name, [Problem(0, f"there is no such scenario; {hint}")])
+    if path.exists() and not path.is_file():
+        raise BadScenario(name, [Problem(0, "is no regular file; give the path of a .toml file")])
     try:
         text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -122,12 +135,10 @@ def _torn(text: str, error: str) -> Problem:
 
 def _scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario | None:
     head = _head(data, findings)
-    table = table_of(data.get("world", {}), ("world",), findings)
-    world = None if table is None else record_of(_World, table, ("world",), findings)
-    if world is not None and world.surface is not None:
-        check_direction("normal", world.surface.normal_N, ("world", "surface"), findings)
+    world = _world(data, findings)
     taught = [taught_of(table, place, findings) for place, table in tables(data, "teach", findings)]
-    points = tuple(point.name for point in taught if point is not None)
+    _check_taught(taught, findings)
+    points = {point.name: point for point in taught if point is not None}
     asked = list(tables(data, "command", findings))
     commands = [command_of(table, place, findings, points) for place, table in asked]
     touchable = world is None or world.surface is not None
@@ -136,16 +147,19 @@ def _scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario |
         for place, table in tables(data, "fault", findings)
     ]
     checks = [
-        check_of(table, place, findings, points, len(asked), touchable)
+        check_of(table, place, findings, tuple(points), len(asked), touchable)
         for place, table in tables(data, "check", findings)
     ]
+    _check_ending(checks, findings)
+    if head is not None:
+        _check_sequence(head.start, commands, faults, findings)
     if head is None or world is None or None in (*taught, *commands, *faults, *checks):
         return None
-    scenario = Scenario(
+    return Scenario(
         name=name,
         title=head.title,
         sentence=head.sentence,
-        world=World(world.scene, world.tilt_roll_rad, world.tilt_pitch_rad, world.surface),
+        world=world.built,
         commands=_all(commands),
         checks=_all(checks),
         start=head.start,
@@ -154,13 +168,6 @@ def _scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario |
         taught=_all(taught),
         faults=_all(faults),
     )
-    if checks and not any(isinstance(check, Done | Faulted) for check in scenario.checks):
-        findings.say(
-            ("check", 0), 'check: none says how the scenario ends; add one of type "done" or "faulted"'
-        )
-    _check_tilt(scenario.world, findings)
-    _check_sequence(scenario, findings)
-    return scenario
 
 
 def _all(items: list[T | None]) -> tuple[T, ...]:
@@ -172,12 +179,14 @@ def _head(data: dict[str, Any], findings: Findings) -> _Head | None:
     known = (*own, "world", *LISTS)
     for key in data:
         if key not in known:
-            findings.say((key,), f"{key}: is not known here; {did_you_mean(key, known)}")
+            findings.say((key,), f"{spoken(key)}: is not known here; {did_you_mean(key, known)}")
     for what in NEEDED:
         if not data.get(what):
             findings.say((), f"{what}: is missing; write [[{what}]] and its keys below, once for each")
     head = record_of(_Head, {key: data[key] for key in own if key in data}, (), findings)
     if head is not None:
+        if not head.title.strip():
+            findings.say(("title",), "title: is empty; give the scenario a name for people")
         try:
             arm_named(head.arm)
         except UnknownArm as error:
@@ -185,28 +194,59 @@ def _head(data: dict[str, Any], findings: Findings) -> _Head | None:
     return head
 
 
-def _check_tilt(world: World, findings: Findings) -> None:
-    most = max(abs(world.tilt_roll_rad), abs(world.tilt_pitch_rad), world.tilt_rad)
+def _world(data: dict[str, Any], findings: Findings) -> _World | None:
+    table = table_of(data.get("world", {}), ("world",), findings)
+    world = None if table is None else record_of(_World, table, ("world",), findings)
+    if world is None:
+        return None
+    if world.surface is not None:
+        place = ("world", "surface")
+        check_direction("normal", world.surface.normal_N, place, findings)
+        check_near("position", world.surface.p_N_m, place, findings)
+    most = max(abs(world.tilt_roll_rad), abs(world.tilt_pitch_rad), world.built.tilt_rad)
     if most > MAX_TILT_RAD + 1e-12:
         most_deg, limit_deg = np.degrees(most), np.degrees(MAX_TILT_RAD)
         text = f"world: tilts the rover by {most_deg:.4g} deg; the arm is used up to {limit_deg:g} deg"
         findings.say(("world",), text)
+    return world
 
 
-def _check_sequence(scenario: Scenario, findings: Findings) -> None:
-    """Refuse a sequence that flight software would be bound to refuse halfway."""
-    bound = [fault.during for fault in scenario.faults if stops(fault.fault)]
-    faulting = [number for number in bound if number is not None]
-    timed = any(fault.during is None for fault in scenario.faults)
-    during = [fault.during for fault in scenario.faults if fault.during is not None]
-    troubled = range(1, len(scenario.commands) + 1) if timed else during
-    start = Mode.STOWED if scenario.start == "stowed" else Mode.DEPLOYED
-    for number, problem in refusals(scenario.commands, start, faulting, troubled):
-        findings.say(("command", number - 1), f"command {number}: {problem}")
-    for k, point in enumerate(scenario.taught):
-        if not point.name or point.name in [other.name for other in scenario.taught[:k]]:
+def _check_taught(taught: list[Taught | None], findings: Findings) -> None:
+    names: list[str] = []
+    for k, point in enumerate(taught):
+        if point is None:
+            continue
+        if not point.name or point.name in names:
             findings.say(("teach", k, "name"), f"name: {point.name!r} is empty or taken; give each its own")
-    for number, problem in _senseless(scenario.commands):
+        names.append(point.name)
+
+
+def _check_ending(checks: list[Check | None], findings: Findings) -> None:
+    """A scenario says how it ends, in one way."""
+    if None in checks or not checks:
+        return
+    ends = {type(check) for check in checks} & {Done, Faulted, Recovered}
+    if not ends:
+        text = 'check: none says how the scenario ends; add one of type "done", "faulted" or "recovered"'
+        findings.say(("check", 0), text)
+    elif Done in ends and len(ends) > 1:
+        text = 'check: "done" asks for no fault; write "recovered" for a sequence that goes on after one'
+        findings.say(("check", 0), text)
+
+
+def _check_sequence(
+    start: Start, commands: list[Command | None], faults: list[Injection | None], findings: Findings
+) -> None:
+    """Refuse a sequence that flight software would be bound to refuse halfway, as far as it can be read."""
+    known: tuple[Command, ...] = _all(list(takewhile(lambda command: command is not None, commands)))
+    there = _all(faults)
+    bound = [fault.during for fault in there if stops(fault.fault)]
+    faulting = [number for number in bound if number is not None]
+    timed = any(fault.during is None for fault in there) or None in faults
+    during = [fault.during for fault in there if fault.during is not None]
+    troubled = range(1, len(known) + 1) if timed else during
+    mode = Mode.STOWED if start == "stowed" else Mode.DEPLOYED
+    for number, problem in (*refusals(known, mode, faulting, troubled), *_senseless(known)):
         findings.say(("command", number - 1), f"command {number}: {problem}")
 
 
@@ -218,9 +258,7 @@ def _senseless(commands: tuple[Command, ...]) -> Iterator[tuple[int, str]]:
         if isinstance(command, SetParam):
             changed = params_with(params, command)
             params, problem = (params, changed) if isinstance(changed, str) else (changed, None)
-        elif isinstance(command, Preload) and not 0 <= command.force_N <= params.preload.most_N:
-            problem = f"force {command.force_N:g} N is outside 0 .. {params.preload.most_N:g} N"
-        elif isinstance(command, MoveCommand):
-            problem = malformed(command)
+        elif isinstance(command, Preload | SetTilt):
+            problem = beyond(params, command)
         if problem is not None:
             yield number, problem

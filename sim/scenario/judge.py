@@ -3,13 +3,15 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from math import inf, nan
-from typing import assert_never
+from typing import Final, assert_never
 
 import numpy as np
 
+from fsw.dictionary.evrs import CommandAborted, CommandRefused
 from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
 from fsw.dictionary.modes import Mode
 from fsw.kinematics.transforms import Array, unit
+from fsw.protect.responses import RESPONSE_TO, Response
 from sim.frames import p_R_from_N
 from sim.scenario.checks import (
     SOME_N,
@@ -22,6 +24,7 @@ from sim.scenario.checks import (
     OverInlet,
     Placed,
     Preloaded,
+    Recovered,
     Released,
     SameSpot,
     Stowed,
@@ -31,6 +34,11 @@ from sim.scenario.names import upper_snake
 from sim.scenario.trace import Moment, Trace, touches
 from sim.sequence import Outcome
 from sim.world import Surface
+
+ONLY_STOPPED: Final = {
+    fault.__name__ for fault, response in RESPONSE_TO.items() if response is Response.STOP_AND_BRAKE
+}
+"""Faults after which commands are accepted."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,17 +63,20 @@ class Measured:
 
 def judged(scenario: Scenario, stowed_rad: Array, trace: Trace) -> tuple[Measured, ...]:
     """Every check of a scenario, in its order; `stowed_rad` is the stowed pose."""
-    return tuple(
+    found = [
         replace(measured, check=upper_snake(type(check)).lower())
         for check in scenario.checks
         for measured in _measured(check, scenario, stowed_rad, trace)
-    )
+    ]
+    if scenario.faults:
+        found.append(replace(_yes("every fault came", not trace.ending.to_come), check="fault"))
+    return tuple(found)
 
 
 def _measured(check: Check, scenario: Scenario, stowed_rad: Array, trace: Trace) -> tuple[Measured, ...]:
     match check:
         case Done():
-            return (_yes("every command carried out", trace.ending.outcome is Outcome.DONE),)
+            return (_yes("every command carried out", _all_done(trace)),)
         case Placed():
             return _placed(check, scenario, trace)
         case SameSpot():
@@ -90,6 +101,9 @@ def _measured(check: Check, scenario: Scenario, stowed_rad: Array, trace: Trace)
             return Measured("farthest joint from it", off, "rad", high=check.angle_rad), _yes("known", known)
         case Faulted():
             return _faulted(check, trace)
+        case Recovered():
+            came, done = _said(check.evr, trace), trace.ending.outcome is Outcome.DONE
+            return _yes(check.evr, came), _yes("the sequence went on to its end", done)
         case _:
             assert_never(check)
 
@@ -172,8 +186,18 @@ def _released(check: Released, trace: Trace) -> Measured:
 
 
 def _faulted(check: Faulted, trace: Trace) -> tuple[Measured, ...]:
-    said = any(evr.name == check.evr for _, evr in trace.ending.evrs)
-    return _yes(check.evr, said), _yes("braked", trace.ending.braked), _yes("refuses", trace.ending.refuses)
+    """Refusing is asked for where the response to the fault is to refuse."""
+    refuses = () if check.evr in ONLY_STOPPED else (_yes("refuses", trace.ending.refuses),)
+    return _yes(check.evr, _said(check.evr, trace)), _yes("braked", trace.ending.braked), *refuses
+
+
+def _said(evr_name: str, trace: Trace) -> bool:
+    return any(evr.name == evr_name for _, evr in trace.ending.evrs)
+
+
+def _all_done(trace: Trace) -> bool:
+    ended_early = any(isinstance(evr, CommandAborted | CommandRefused) for _, evr in trace.ending.evrs)
+    return trace.ending.outcome is Outcome.DONE and not ended_early
 
 
 def _force(trace: Trace, away: Array, after: int, tool: Tool, force_N: float, share: float) -> Measured:

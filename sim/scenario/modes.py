@@ -128,6 +128,8 @@ def _refused(standing: Standing, command: Command) -> str | None:
         # a fault that may have come would have ended the sequence
         here = " or ".join(mode.name for mode in sorted(modes - {Mode.FAULTED}))
         return f"{name} is refused in mode {here}; before it comes {_ways(modes, command)}"
+    if isinstance(command, ToolChange) and command.tool is standing.tool:
+        return f"{name}: {command.tool.name.lower()} is the tool that touches already; name another"
     wrong_tool = isinstance(command, GuardedMove | Retract | Preload) and command.tool is not standing.tool
     if wrong_tool and standing.tool is not None:
         touching = standing.tool.name.lower()

@@ -18,6 +18,9 @@ UNITS: Final[dict[str, dict[str, float]]] = {
 }
 """By the suffix of a field: what may stand for it in a file, and how much of the SI unit that is."""
 
+LONGEST: Final = 60
+"""Words of a file in a sentence."""
+
 _POSITION: Final = re.compile(r"p_(?:[A-Z]o[A-Z]o_)?[A-Z]_m$")
 _FRAME: Final = re.compile(r"_[A-Z]$")
 
@@ -49,6 +52,12 @@ def words_of(field: str, kind: Any) -> Words:
 def is_position(field: str) -> bool:
     """Whether a field is the position of a point."""
     return _POSITION.search(field) is not None
+
+
+def spoken(key: str) -> str:
+    """A key of a file, short and legible enough for a sentence."""
+    text = key if key.isprintable() else repr(key)
+    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
 
 
 def upper_snake(kind: type) -> str:

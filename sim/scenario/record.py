@@ -8,7 +8,7 @@ from types import UnionType
 from typing import Annotated, Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from fsw.dictionary.params import Limits
-from sim.scenario.names import Words, did_you_mean, one_of, words_of
+from sim.scenario.names import Words, did_you_mean, one_of, spoken, words_of
 from sim.scenario.toml_lines import Place
 
 T = TypeVar("T")
@@ -109,7 +109,7 @@ def _keys(words: list[Words], table: dict[str, Any], place: Place, findings: Fin
         at = (*place, key)
         meant = next((w for w in words if key in w.factors), None) or _without_unit(key, words)
         if meant is None:
-            findings.say(at, f"{key}: is not known here; {did_you_mean(key, map(str, words))}")
+            findings.say(at, f"{spoken(key)}: is not known here; {did_you_mean(key, map(str, words))}")
         elif meant.field in said:
             findings.say(at, f"{key}: {said[meant.field]} says the same; give one of the two")
         else:
@@ -203,4 +203,4 @@ def _within(limits: Any, value: Any, factor: float) -> None:
 def _shown(value: Any) -> str:
     """A value of the file, short enough for a sentence."""
     text = str(value).lower() if isinstance(value, bool) else f"{value!r}"
-    return text if len(text) <= 60 else f"{text[:57]}..."
+    return spoken(text)

@@ -57,7 +57,7 @@ class ScenarioRun:
         self._moments: list[Moment] = []
         self._evrs: list[tuple[float, Evr]] = []
         self._outcome = Outcome.SOFTWARE_ERROR
-        self._refuses = False
+        self._braked = self._refuses = False
         self.command = 0
         """The number of the command under way, from 1."""
 
@@ -65,6 +65,7 @@ class ScenarioRun:
         """Every cycle, as it happens; after a fault, one more in which a move is asked for."""
         sequence = run_sequence(self._loop, self._scenario.commands)
         self._outcome = yield from watched(sequence, self._note)
+        self._braked = self._loop.braked
         if self._outcome is Outcome.FAULTED:
             record = self._loop.cycle((MoveJoints(NO_STEP, relative=True),))
             self._refuses = any(isinstance(evr, CommandRefused) for evr in record.outputs.evrs)
@@ -76,6 +77,12 @@ class ScenarioRun:
             self._inject()
         self._evrs += [(record.tick / CYCLE_HZ, evr) for evr in record.outputs.evrs]
         self._moments.append(moment(self._loop.plant, record, self.command))
+
+    @property
+    def _came(self) -> int:
+        """How many of the scenario's faults have begun."""
+        begun = [f for f in self._scenario.faults if f.during is None or f.during <= self.command]
+        return len(begun) - len(self._loop.avionics.to_come)
 
     def _inject(self) -> None:
         """Let come what is to come during the command that has just begun."""
@@ -92,8 +99,9 @@ class ScenarioRun:
             outcome=self._outcome,
             mode=state.mode,
             output_rad=plant.output_rad(),
-            braked=self._loop.braked,
+            braked=self._braked,
             refuses=self._refuses,
+            to_come=len(self._scenario.faults) - self._came,
             evrs=tuple(self._evrs),
         )
         stowed = np.array(self._loop.config.params.poses.stowed_rad)

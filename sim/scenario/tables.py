@@ -1,16 +1,17 @@
 """The tables of a scenario file one by one: a command, a fault, a check, a place that is taught."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, Final, get_args
 
 import numpy as np
 
-from fsw.dictionary.commands import ROVER, Command, Vector3
+from fsw.dictionary.commands import ROVER, Command, Dock, Vector3
 from fsw.dictionary.faults import Fault
-from fsw.dictionary.joints import Frame, Tool
+from fsw.dictionary.joints import SWITCHES_OF
 from fsw.dictionary.params import Limits
 from fsw.dictionary.tuples import vector3
+from fsw.executive.checks import FRAMES as COMMAND_FRAMES
 from fsw.executive.checks import MoveCommand, malformed, malformed_direction
 from fsw.kinematics.branches import BRANCHES
 from fsw.motion.plan_tool import AUTO
@@ -27,11 +28,8 @@ from sim.scenario.toml_lines import Place
 RNAV: Final = "RNAV"
 ROVER_FRAMES: Final = (RNAV, "RMECH")
 """The frames of the rover; where nothing is said, positions are in the first."""
-FRAMES: Final = (
-    *ROVER_FRAMES,
-    *(frame.name for frame in Frame if frame is not Frame.TOOL),
-    *(tool.name for tool in Tool),
-)
+FRAMES: Final = (*ROVER_FRAMES, *(frame for frame in COMMAND_FRAMES if frame != ROVER))
+FARTHEST_M: Final = 20.0
 COMMANDS: Final[dict[str, type[Command]]] = {upper_snake(kind): kind for kind in get_args(Command)}
 CHECKS: Final[dict[str, type[Check]]] = {upper_snake(kind).lower(): kind for kind in get_args(Check)}
 EFFECTS: Final[dict[str, type[Injected]]] = {upper_snake(kind): kind for kind in FAULTS}
@@ -67,7 +65,15 @@ def taught_of(table: dict[str, Any], place: Place, findings: Findings) -> Taught
     point = record_of(Taught, table, place, findings, {"branch": (AUTO, *BRANCHES)})
     if point is not None:
         check_direction("approach", point.approach_N, place, findings)
+        check_near("position", point.p_N_m, place, findings)
     return point
+
+
+def check_near(name: str, p_m: Vector3, place: Place, findings: Findings) -> None:
+    """Refuse a point that no arm comes near."""
+    if max(map(abs, p_m)) > FARTHEST_M:
+        text = f"{name}: is more than {FARTHEST_M:g} m away; the workspace is around 2.1, 0, -0.3 in RNAV"
+        findings.say((*place, name), text)
 
 
 def check_direction(name: str, direction: Vector3, place: Place, findings: Findings) -> None:
@@ -79,9 +85,9 @@ def check_direction(name: str, direction: Vector3, place: Place, findings: Findi
 
 
 def command_of(
-    table: dict[str, Any], place: Place, findings: Findings, points: tuple[str, ...]
+    table: dict[str, Any], place: Place, findings: Findings, points: Mapping[str, Taught]
 ) -> Command | None:
-    """A command, its positions in RMECH, or None and problems; `points` are the taught places."""
+    """A command, its positions in RMECH, or None and problems; `points` are the taught places by name."""
     kind = kind_of(COMMANDS, table, place, findings)
     if kind is None:
         return None
@@ -90,7 +96,7 @@ def command_of(
     frames = FRAMES if "frame" in names else ROVER_FRAMES
     rest = {key: value for key, value in table.items() if key != TYPE}
     frame = rest.pop("frame", RNAV) if positions else None
-    command = record_of(kind, rest, place, findings, {"branch": (AUTO, *BRANCHES), "point": points})
+    command = record_of(kind, rest, place, findings, {"branch": (AUTO, *BRANCHES), "point": tuple(points)})
     if frame is not None and frame not in frames:
         findings.say((*place, "frame"), f"frame: {frame!r} is not known; {did_you_mean(str(frame), frames)}")
         return None
@@ -103,6 +109,8 @@ def command_of(
         changed["frame"] = ROVER if frame in ROVER_FRAMES else frame
     command = replace(command, **changed)
     problem = malformed(command) if isinstance(command, MoveCommand) else None
+    if isinstance(command, Dock) and not SWITCHES_OF[points[command.point].tool]:
+        problem = f"the {points[command.point].tool.name.lower()} has no contact switch to dock with"
     if problem is not None:
         findings.say(place, f"{table[TYPE]}: {problem}")
     return command

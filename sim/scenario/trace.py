@@ -49,6 +49,8 @@ class Ending:
     """Whether a move that was asked for after the end was refused."""
     evrs: tuple[tuple[float, Evr], ...]
     """Time [s] and event."""
+    to_come: int = 0
+    """How many of the scenario's faults have not come."""
 
     @property
     def refusal(self) -> CommandRefused | None:

@@ -83,7 +83,8 @@ def test_an_approach_without_length_is_refused(kind):
 
 @pytest.mark.parametrize("distance", [0.0, -0.1, 1.01, NAN, INF])
 def test_a_retraction_is_longer_than_nothing_and_at_most_a_metre(distance):
-    assert refusal(deployed(), Retract(Tool.APXS, distance)) == f"distance {distance} m is outside 0 .. 1 m"
+    words = f"distance_m {distance} m must be more than 0 and at most 1 m"
+    assert refusal(deployed(), Retract(Tool.APXS, distance)) == words
 
 
 @pytest.mark.parametrize("joint", [-1, 5, 2.5, 2.0])
@@ -135,7 +136,8 @@ def test_what_cannot_be_planned_is_refused_with_the_plan_s_own_sentence():
 @pytest.mark.parametrize("line_m", [NAN, INF, -INF, -0.001, 1.001, 1e6])
 def test_a_line_length_is_at_least_nothing_and_at_most_a_metre(line_m):
     rig = deployed()
-    assert refusal(rig, rig.here(Tool.APXS, line_m=line_m)) == f"line_m {line_m} m is outside 0 .. 1 m"
+    words = f"line_m {line_m} m must be at least 0 and at most 1 m"
+    assert refusal(rig, rig.here(Tool.APXS, line_m=line_m)) == words
 
 
 def test_a_branch_that_does_not_exist_is_refused_by_its_name_and_the_names_there_are_are_told():

@@ -219,12 +219,15 @@ def test_a_straight_move_keeps_the_tool_on_its_line():
         ),
         (MoveTool(Tool.APXS, (0, 0, 0), (1, 0, 0), straight=True, branch="b"), "a straight move stays"),
         (PlaceTool(Tool.PORTION, (2, 0, 0), (0, 0, 1)), "PORTION has no contact switch"),
-        (PlaceTool(Tool.APXS, (2, 0, 0), (0, 0, 1), standoff_m=0.0), "standoff_m 0.0 m is outside 0 .. 1 m"),
-        (PlaceTool(Tool.APXS, (2, 0, 0), (0, 0, 1), overtravel_m=2.0), "overtravel_m 2.0 m is outside"),
+        (PlaceTool(Tool.APXS, (2, 0, 0), (0, 0, 1), standoff_m=0.0), "standoff_m 0.0 m must be more than 0"),
+        (
+            PlaceTool(Tool.APXS, (2, 0, 0), (0, 0, 1), overtravel_m=2.0),
+            "overtravel_m 2.0 m must be more than 0",
+        ),
         (Process(Tool.PORTION, (0, 0, 0), 1.0), "gravity_T has no length"),
         (Process(Tool.PORTION, (1, 0, 0), -1.0), "duration_s -1.0 s is outside 0 .. 3600 s"),
-        (Dock("here", 0.0), "overtravel_m 0.0 m is outside"),
-        (MoveTeachPoint("here", -0.1), "away_m -0.1 m is outside"),
+        (Dock("here", 0.0), "overtravel_m 0.0 m must be more than 0"),
+        (MoveTeachPoint("here", -0.1), "away_m -0.1 m must be at least 0"),
     ],
 )
 def test_numbers_and_words_that_make_no_sense_are_refused(command, reason):

@@ -202,7 +202,7 @@ BAD = {
         "distance_mm = 100",
         "distance_mm = 5000",
         29,
-        "RETRACT: distance 5.0 m is outside 0 .. 1 m",
+        "RETRACT: distance_m 5.0 m must be more than 0 and at most 1 m",
     ),
     "a frame that does not exist": (
         'approach = [0.0, 0.0, 1.0]\n\n[[command]]\ntype = "PLACE',
@@ -372,7 +372,7 @@ BAD = {
         'type = "done"',
         'type = "stowed"',
         43,
-        'check: none says how the scenario ends; add one of type "done" or "faulted"',
+        'check: none says how the scenario ends; add one of type "done", "faulted" or "recovered"',
     ),
     "no TOML": ("tilt_roll_deg = 5", "tilt_roll_deg = = 5", 6, "is not TOML: Invalid value"),
     "a table twice": ("[[teach]]", "[world]\n[[teach]]", 11, "is not TOML: Cannot declare ('world',) twice"),

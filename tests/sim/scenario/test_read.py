@@ -38,15 +38,17 @@ SAMPLES = {
     "first_tool": "drill",
     "joint": "elbow",
     "backlash": "off",
-    "deflection": "relative",
+    "deflection": "off",
     "branch": "shoulder-out elbow-up wrist-down",
     "frame": "DRILL",
     "point": "inlet",
     "evr": "NoContact",
     "name": "motion.settle_time_s",
     "sensor": "current_A",
-    "kind": "frozen",
+    "kind": "biased",
 }
+
+INLET = Taught("inlet", Tool.DRILL, (2.0, 0.0, -0.5), (0.0, 0.0, 1.0))
 
 
 def scenario(text: str) -> Scenario:
@@ -55,7 +57,7 @@ def scenario(text: str) -> Scenario:
 
 def command(**table: object) -> Command:
     findings = Findings(NOTHING_FOUND)
-    found = command_of(table, (), findings, ("inlet",))
+    found = command_of(table, (), findings, {"inlet": INLET})
     assert not findings.problems
     assert found is not None
     return found

@@ -10,9 +10,9 @@ from fsw.dictionary.faults import SensorNotFinite
 from fsw.dictionary.joints import Joint, Tool
 from sim.arms import arm_named
 from sim.effects.environment import PowerLoss
-from sim.effects.faults import SensorFault
+from sim.effects.faults import MissedCycles, SensorFault
 from sim.loop import ClosedLoop
-from sim.scenario.checks import Done, Faulted
+from sim.scenario.checks import Done, Faulted, Recovered
 from sim.scenario.data import Injection, Scenario
 from sim.scenario.run import ScenarioResult, ScenarioRun, setup_of
 from sim.sequence import Outcome
@@ -54,7 +54,12 @@ def test_without_power_the_arm_is_braked_and_refuses():
     cut = Injection(PowerLoss(1.0), during=2)
     result = run(scenario(A_LITTLE, BACK, A_LITTLE, checks=(Faulted("FollowingErrorHigh"),), faults=(cut,)))
     assert (result.outcome, result.command) == (Outcome.FAULTED, 2)
-    assert [measured.name for measured in result.measured] == ["FollowingErrorHigh", "braked", "refuses"]
+    assert [measured.name for measured in result.measured] == [
+        "FollowingErrorHigh",
+        "braked",
+        "refuses",
+        "every fault came",
+    ]
     assert all(measured.passed for measured in result.measured[1:]), result.evrs
 
 
@@ -89,3 +94,27 @@ def test_the_temperature_of_a_scenario_is_that_of_the_windings():
 
 def test_a_scenario_without_a_measurement_has_not_passed():
     assert not ScenarioResult(Outcome.DONE, 0, 0.0, (), ()).passed
+
+
+def test_a_command_that_a_fault_ended_was_not_carried_out_even_if_the_sequence_goes_on():
+    cut = Injection(PowerLoss(0.5))
+    checks = (Done(), Recovered("FollowingErrorHigh"))
+    result = run(scenario(A_LITTLE, ClearFault(), Stop(), checks=checks, faults=(cut,)))
+    done, came, went_on, every = result.measured
+    assert not done.passed
+    assert all(measured.passed for measured in (came, went_on, every)), result.measured
+
+
+def test_after_a_fault_that_only_stops_there_is_nothing_to_clear_and_stop_goes_on():
+    missed = Injection(MissedCycles(0.5, 20), during=1)
+    ends = run(scenario(A_LITTLE, checks=(Faulted("CyclesMissed"),), faults=(missed,)))
+    assert ends.outcome is Outcome.FAULTED
+    assert ends.passed, ends.measured
+    goes_on = run(scenario(A_LITTLE, Stop(), A_LITTLE, checks=(Recovered("CyclesMissed"),), faults=(missed,)))
+    assert goes_on.passed, goes_on.measured
+
+
+def test_a_fault_that_never_came_is_told():
+    late = Injection(PowerLoss(1e4))
+    result = run(scenario(A_LITTLE, faults=(late,)))
+    assert [m.name for m in result.measured if not m.passed] == ["every fault came"]
