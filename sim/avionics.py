@@ -13,7 +13,7 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.joints import Joint, Switch
 from fsw.kinematics.transforms import Array
 from fsw.messages import Counts, Drive, Sensors
-from sim.effects.effect import Effect, Hardware, Timed
+from sim.effects.effect import Effect, Hardware
 from sim.frames import FLIP
 from sim.plant import Plant
 
@@ -67,11 +67,6 @@ class Avionics:
         """Let something happen to avionics and plant, now or when it is time."""
         self._hardware = effect.on_hardware(self._hardware)
         self._look_ahead()
-
-    @property
-    def to_come(self) -> tuple[Timed, ...]:
-        """What is still to happen."""
-        return self._hardware.timed
 
     def missed_cycles(self) -> int:
         """For how many cycles flight software is not called now; asked for once, they are over."""

@@ -18,7 +18,7 @@ from fsw.messages import Flags, Sensors
 from fsw.motion import seek as seeking
 from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
 from fsw.motion.plan import Refusal, joints_at
-from fsw.motion.plan_press import Press, Pressing, plan_press
+from fsw.motion.plan_press import SURE, Press, Pressing, plan_press
 from fsw.motion.seek import Seek, limit_A
 from fsw.motion.trim import PressFit, corrected, felt_share, fitted
 
@@ -184,12 +184,15 @@ def _press(
 def _trimmed(
     config: Config, move: Move, press: Press, fit: PressFit, joints: JointEstimate
 ) -> Advance | None:
-    """The press as it was felt, with another way to go if it is not near enough; None if nothing was felt."""
-    felt = felt_share(config, fit, joints, press.after(gone(move)))
-    if felt is None:
+    """The press as it was felt, with another leg to go if it is not near enough; None on the way back."""
+    if press.change_N <= 0:
         return None
-    pressing = corrected(press, felt)
-    heard = (ForceFelt(press.start.tool, felt.along, felt.across),)
+    heard: tuple[Evr, ...] = ()
+    felt = felt_share(config, fit, joints, press.after(gone(move)))
+    pressing = replace(press.after(gone(move)), share_unsure=SURE)
+    if felt is not None:
+        pressing = corrected(press, felt)
+        heard = (ForceFelt(press.start.tool, felt.along, felt.across),)
     settled = replace(press, start=pressing, end_model_N=pressing.model_N)
     near = abs(press.wanted_N - pressing.force_N) < NEAR_N
     # from where the plan left off: a gap by which an estimate differs from it would be crossed to and fro
@@ -198,7 +201,8 @@ def _trimmed(
     if planned is None or isinstance(planned, Refusal):
         return Advance(replace(move, press=settled, fit=None), heard)
     plan, rest = planned
-    on = replace(move, phase=Phase.RUN, paths=plan.paths, press=rest, fit=None, ticks=0, travelled=0.0)
+    again = PressFit(fit.legs - 1) if fit.legs > 0 else None
+    on = replace(move, phase=Phase.RUN, paths=plan.paths, press=rest, fit=again, ticks=0, travelled=0.0)
     return Advance(on, heard)
 
 

@@ -24,6 +24,10 @@ RAMP_S: Final = 1.0
 """In which the rate of the force builds up."""
 UNFELT: Final = 0.25
 """By how much a built arm's stiffness may well differ from the model's."""
+SURE: Final = 0.1
+"""So well is it known once it was felt."""
+WORST: Final = 1.5
+"""Times that the stiffness may well be off."""
 FRICTION_FACTOR: Final = 1.5
 """Friction may have risen by so much since it was felt at the hardstop."""
 
@@ -40,6 +44,8 @@ class Pressing:
     p_RoTo_R_m: Array
     axis_R: Array
     model_N: float
+    rest_rad: Array
+    """How far the resolvers were from the believed outputs when it touched, (5,)."""
     share: float = 1.0
     """True over modelled force, as far as it was felt."""
     share_unsure: float = UNFELT
@@ -63,7 +69,7 @@ class Pressing:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Press:
-    """A change of force under way."""
+    """A change of force under way, to its end or to where it is to be felt first."""
 
     start: Pressing
     end_model_N: float
@@ -92,7 +98,7 @@ def touching(config: Config, joints: JointEstimate, tool: Tool) -> Pressing:
     motion, arm, gravity = config.params.motion, config.arm, joints.gravity_R_m_s2
     output = joints.motor_rad + Compensation().allowance(joints, standing(joints).gear_rad)
     X_RT = tool_pose(arm, rest(arm, output, gravity).frames, tool)
-    free = Pressing(tool, X_RT.p, X_RT.R[:, 0], 1.0)
+    free = Pressing(tool, X_RT.p, X_RT.R[:, 0], 1.0, joints.resolver_error_rad)
     yields_m = free.axis_R @ (X_RT.p - tool_pose(arm, rest(arm, output, gravity, free.pushed).frames, tool).p)
     firm = replace(free, model_N=motion.switch_force_N + motion.contact_firm_m / float(yields_m))
     pushed = tool_pose(arm, rest(arm, output, gravity, firm.pushed).frames, tool)
@@ -108,7 +114,7 @@ def plan_press(
     nothing is left for friction to hold.
     """
     preload = config.params.preload
-    end_N = force_N / pressing.share
+    end_N = _first_aim(pressing, force_N) / pressing.share
     change_N = abs(end_N - pressing.model_N)
     forces = np.linspace(pressing.model_N, end_N, int(np.ceil(change_N / preload.step_N)) + 1)
     output = _outputs(config, joints, pressing, forces)
@@ -130,6 +136,13 @@ def plan_press(
     per_N = (load_Nm[:, -1] - load_Nm[:, 0]) / (end_N - pressing.model_N)
     free_Nm = load_Nm[:, 0] - per_N * pressing.model_N
     return plan, Press(pressing, end_N, force_N, per_N, free_Nm, plan.end)
+
+
+def _first_aim(pressing: Pressing, force_N: float) -> float:
+    """The force to go to: all of it, or, while little is known of the stiffness, what cannot be too much."""
+    if pressing.share_unsure <= SURE or force_N <= pressing.force_N:
+        return force_N
+    return pressing.force_N + (force_N - pressing.force_N) / (1 + WORST * pressing.share_unsure)
 
 
 def press_limit_A(config: Config, joints: JointEstimate, press: Press) -> Array:

@@ -53,8 +53,9 @@ class PressEnd:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PressFit:
-    """Both ends of a press."""
+    """Both ends of a leg of a press, and how many legs may follow."""
 
+    legs: int = 2
     first: PressEnd = field(default_factory=PressEnd)
     last: PressEnd = field(default_factory=PressEnd)
 
@@ -90,8 +91,8 @@ def fitted(
     carried = resisting - config.torque_constant_Nm_A * sensors.current_A
     push = carried - load_Nm + press.torque_per_N * pressing.force_N
     if gone <= END_SHARE:
-        return PressFit(fit.first.after(pressing.model_N, push, hold.rate_rad_s), fit.last)
-    return PressFit(fit.first, fit.last.after(pressing.model_N, push, hold.rate_rad_s))
+        return replace(fit, first=fit.first.after(pressing.model_N, push, hold.rate_rad_s))
+    return replace(fit, last=fit.last.after(pressing.model_N, push, hold.rate_rad_s))
 
 
 def felt_share(config: Config, fit: PressFit, joints: JointEstimate, pressing: Pressing) -> FeltShare | None:

@@ -56,8 +56,9 @@ def preload_outside(
     `torque_per_N` is by how much each joint's load rises with the force, (5,).
     """
     bounds = config.params.monitors
-    error_N, lever_m = force_error_N(config, torque_per_N, joints)
-    bound_N = bounds.preload_error_N * max(1.0, FULL_LEVER_M / lever_m)
+    error_N, lever_m = force_error_N(config, torque_per_N, joints, pressing.rest_rad)
+    known_N = bounds.preload_error_N + config.params.preload.error_share * pressing.force_N
+    bound_N = known_N * max(1.0, FULL_LEVER_M / lever_m)
     if abs(error_N) <= bound_N:
         return 0, ()
     if last + 1 < bounds.preload_persistence:
@@ -65,20 +66,23 @@ def preload_outside(
     return last + 1, (PreloadOutside(pressing.tool, pressing.force_N, error_N, bound_N),)
 
 
-def force_error_N(config: Config, torque_per_N: Array, joints: JointEstimate) -> tuple[float, float]:
+def force_error_N(
+    config: Config, torque_per_N: Array, joints: JointEstimate, rest_rad: Array
+) -> tuple[float, float]:
     """True less believed force on a tool, as far as the resolvers tell it through the wind-up of the gears.
 
     And the lever [m] that the joints which tell it have together.
 
     An output that is farther along than believed carries more than believed; of what each joint carries too
-    much, the part that a force takes is the least-squares fit. What is not known of a gear angle is taken off
-    first, and joints do not count that a force off by half its bound could take to the other side of their
-    gap: a gap that is crossed early or late is no force.
+    much, the part that a force takes is the least-squares fit. What the resolvers were off at the touch, when
+    the gears carried the arm alone, does not count. What is not known of a gear angle is taken off first, and
+    joints do not count that a force off by half its bound could take to the other side of their gap: a gap
+    that is crossed early or late is no force.
     """
     stiffness, half = config.arm.gear_stiffness_Nm_rad, joints.reference.half_gap_rad
     room = 0.5 * config.params.monitors.preload_error_N * np.abs(torque_per_N) / stiffness
     counts = held_on_side(half, joints.bounds, room) & joints.reference.calibrated
-    error_rad = joints.resolver_error_rad
+    error_rad = joints.resolver_error_rad - rest_rad
     sure_rad = np.maximum(np.abs(error_rad) - joints.uncertainty_rad, 0.0) * np.sign(error_rad)
     per_N = torque_per_N[counts]
     square = float(per_N @ per_N)

@@ -58,6 +58,7 @@ class ScenarioRun:
         self._evrs: list[tuple[float, Evr]] = []
         self._outcome = Outcome.SOFTWARE_ERROR
         self._braked = self._refuses = False
+        self._due_s = [fault.fault.at_s for fault in scenario.faults if fault.during is None]
         self.command = 0
         """The number of the command under way, from 1."""
 
@@ -81,8 +82,7 @@ class ScenarioRun:
     @property
     def _came(self) -> int:
         """How many of the scenario's faults have begun."""
-        begun = [f for f in self._scenario.faults if f.during is None or f.during <= self.command]
-        return len(begun) - len(self._loop.avionics.to_come)
+        return sum(due_s <= self._loop.plant.data.time for due_s in self._due_s)
 
     def _inject(self) -> None:
         """Let come what is to come during the command that has just begun."""
@@ -91,6 +91,7 @@ class ScenarioRun:
                 begun_s = self._loop.plant.data.time - CYCLE_S
                 fault = replace(injection.fault, at_s=begun_s + injection.fault.at_s)
                 self._loop.avionics.inject(fault)
+                self._due_s.append(fault.at_s)
 
     def result(self) -> ScenarioResult:
         """What came of it; after the last cycle."""

@@ -29,6 +29,8 @@ from tests.fsw.protect.lab import (
 )
 from tests.fsw.rig import MARS_R_m_s2, Rig
 
+NOT_OFF = np.zeros(5)
+
 
 @pytest.mark.parametrize("switch", Switch)
 def test_a_contact_in_free_space_faults_at_once(switch):
@@ -118,7 +120,7 @@ PRESSING = [tool for tool in Tool if SWITCHES_OF[tool]]
 
 
 def pressed(tool, force_N=300.0):
-    return Pressing(tool, np.zeros(3), np.array([1.0, 0.0, 0.0]), force_N)
+    return Pressing(tool, np.zeros(3), np.array([1.0, 0.0, 0.0]), force_N, NOT_OFF)
 
 
 @pytest.mark.parametrize("tool", PRESSING)
@@ -165,7 +167,7 @@ def known(error_rad, uncertainty_rad=0.0):
 def test_a_force_that_nobody_believes_in_is_found_from_the_wind_up_of_the_gears(tool, force_N):
     per_N = torque_per_N(tool)
     joints = known(force_N * per_N / CONFIG.arm.gear_stiffness_Nm_rad)
-    found_N, lever_m = force_error_N(CONFIG, per_N, joints)
+    found_N, lever_m = force_error_N(CONFIG, per_N, joints, NOT_OFF)
     # what joints with less leverage together would say is not listened to
     expected_N = force_N if lever_m > LEAST_LEVER_M else 0.0
     assert found_N == pytest.approx(expected_N, rel=1e-9, abs=1e-9)
@@ -175,26 +177,27 @@ def test_a_force_that_nobody_believes_in_is_found_from_the_wind_up_of_the_gears(
 def test_a_torque_that_no_force_on_the_tool_takes_is_no_force():
     per_N, stiffness = torque_per_N(Tool.DRILL), CONFIG.arm.gear_stiffness_Nm_rad
     torque = np.random.default_rng(8).uniform(-100.0, 100.0, 5)
-    fitted_N, _ = force_error_N(CONFIG, per_N, known(torque / stiffness))
+    fitted_N, _ = force_error_N(CONFIG, per_N, known(torque / stiffness), NOT_OFF)
     left = known((torque - fitted_N * per_N) / stiffness)
     assert fitted_N != 0
-    assert force_error_N(CONFIG, per_N, left)[0] == pytest.approx(0.0, abs=1e-9)
+    assert force_error_N(CONFIG, per_N, left, NOT_OFF)[0] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_what_is_not_known_of_a_gear_is_taken_for_no_force():
     per_N = torque_per_N(Tool.DRILL)
     joints = known(np.full(5, 2e-3), uncertainty_rad=2e-3)
-    assert force_error_N(CONFIG, per_N, joints)[0] == 0.0
+    assert force_error_N(CONFIG, per_N, joints, NOT_OFF)[0] == 0.0
     unknown = replace(joints.reference, calibrated=np.zeros(5, bool))
-    assert force_error_N(CONFIG, per_N, replace(known(np.ones(5)), reference=unknown))[0] == 0.0
+    assert force_error_N(CONFIG, per_N, replace(known(np.ones(5)), reference=unknown), NOT_OFF)[0] == 0.0
 
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_preload_outside_its_bounds_is_said_after_exactly_its_persistence(sign):
     per_N = torque_per_N(Tool.DRILL)
     for share, said in ((0.99, False), (1.01, True)):
-        _, lever_m = force_error_N(CONFIG, per_N, known(np.zeros(5)))
-        bound_N = BOUNDS.preload_error_N * max(1.0, FULL_LEVER_M / lever_m)
+        _, lever_m = force_error_N(CONFIG, per_N, known(np.zeros(5)), NOT_OFF)
+        known_N = BOUNDS.preload_error_N + CONFIG.params.preload.error_share * 300.0
+        bound_N = known_N * max(1.0, FULL_LEVER_M / lever_m)
         error_N, count = sign * share * bound_N, 0
         joints = known(error_N * per_N / CONFIG.arm.gear_stiffness_Nm_rad)
         for cycle in range(1, 2 * BOUNDS.preload_persistence):
@@ -204,3 +207,10 @@ def test_a_preload_outside_its_bounds_is_said_after_exactly_its_persistence(sign
             (evr,) = evrs
             assert evr == PreloadOutside(Tool.DRILL, 300.0, evr.error_N, bound_N)
             assert evr.error_N == pytest.approx(error_N)
+
+
+def test_what_the_resolvers_were_off_at_the_touch_is_no_force():
+    per_N = np.array([0.0, 0.8, 0.1, 0.2, 0.0])
+    joints = known(np.array([0.0, 8e-4, 1e-4, 0.0, 0.0]))
+    assert force_error_N(CONFIG, per_N, joints, NOT_OFF)[0] > 50.0
+    assert force_error_N(CONFIG, per_N, joints, joints.resolver_error_rad)[0] == 0.0

@@ -98,7 +98,7 @@ def test_a_scenario_without_a_measurement_has_not_passed():
 
 def test_a_command_that_a_fault_ended_was_not_carried_out_even_if_the_sequence_goes_on():
     cut = Injection(PowerLoss(0.5))
-    checks = (Done(), Recovered("FollowingErrorHigh"))
+    checks = (Done(), Recovered("MotorStalled"))
     result = run(scenario(A_LITTLE, ClearFault(), Stop(), checks=checks, faults=(cut,)))
     done, came, went_on, every = result.measured
     assert not done.passed
