@@ -25,14 +25,14 @@ TARGET = Placement(Tool.APXS, (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
 
 
 @cache
-def _reference() -> Reference:
+def reference() -> Reference:
     return initial_reference(arm_named("nominal"))
 
 
 def _loop() -> ClosedLoop:
     arm = arm_named("nominal")
     world = World(surface=Surface(TARGET.target_N_m, TARGET.normal_N))
-    return ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, reference=_reference()))
+    return ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, reference=reference()))
 
 
 def _bare_step_s() -> float:
