@@ -8,7 +8,7 @@ from typing import Final
 TICK_NS: Final = 15_625_000
 """One cycle at 64 Hz; exact."""
 
-CHUNK_S: Final = 0.006
+CHUNK_S: Final = 0.005
 """Wall time after which a chunk is closed; with the time that this takes, what a kill can cost."""
 
 FORMAT: Final = "2"

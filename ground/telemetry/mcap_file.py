@@ -2,7 +2,8 @@
 
 import struct
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, Protocol
 
@@ -25,7 +26,8 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdCompressor
 
-COMPRESSION_LEVEL: Final = 1
+COMPRESSION_LEVEL: Final = -5
+"""A log is an eighth larger than at level 1, and takes half the time."""
 INDEX_HEAD: Final = struct.Struct("<BQHI")
 """Opcode, length of the rest, channel and bytes of entries of a message index."""
 FOOTER_HEAD: Final = struct.Struct("<BQQQ")
@@ -101,18 +103,17 @@ class McapFile:
         self._write(b"".join(out))
         self._write_chunk(b"".join(encoded(one) for one in (*schemas, *channels)), 0, 0, {})
 
-    def add_chunk(self, rows: Iterable[Records]) -> None:
+    def add_chunk(self, rows: Sequence[Records]) -> None:
         """Write these messages, at least one, as one chunk with its message indexes."""
-        parts: list[bytes] = []
-        entries: dict[int, list[int]] = {}
-        first_ns, last_ns, at = 1 << 64, 0, 0
-        for row in rows:
-            parts.append(row.data)
-            first_ns, last_ns = min(first_ns, row.time_ns), max(last_ns, row.time_ns)
-            for channel, length in row.marks:
-                entries.setdefault(channel, []).extend((row.time_ns, at))
+        entries: dict[int, list[int]] = defaultdict(list)
+        at = 0
+        for time_ns, _, marks in rows:
+            for channel, length in marks:
+                entries[channel] += (time_ns, at)
                 at += length
-        self._write_chunk(b"".join(parts), first_ns, last_ns, entries)
+        times_ns = [row.time_ns for row in rows]
+        first_ns, last_ns = min(times_ns), max(times_ns)
+        self._write_chunk(b"".join([row.data for row in rows]), first_ns, last_ns, entries)
         self._totals.add(first_ns, last_ns, {channel: len(one) // 2 for channel, one in entries.items()})
 
     def finish(self) -> None:
