@@ -1,7 +1,7 @@
 """Kill -9 of the whole process group at random moments of a recorded run: what is lost, and is the rest true.
 
 Each run is a fork of this process, in a group of its own. It notes in shared memory when each of its cycles
-was recorded, so that the loss is measured from outside; the same run, unkilled, says what a log ought to hold.
+was recorded, so that the loss is seen from outside; the same run, unkilled, says what a log ought to hold.
 
 Example: python -m benchmarks.killed --kills 200
 """
