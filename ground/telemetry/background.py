@@ -15,6 +15,8 @@ MOST_ROWS: Final = 1024
 MOST_WAITING: Final = 65_536
 """Rows that may wait for a disk that does not keep up, about 100 MB; then the cycles wait for it too."""
 SHORTEST_S: Final = 0.001
+LATE: Final = 1.6
+"""In periods: when the thread has not written for so long, a cycle does."""
 
 Expand = Callable[[Any], Iterable[Records]]
 
@@ -31,6 +33,8 @@ class Background:
         self._period_s = max(chunk_s, SHORTEST_S)
         self._most_rows = MOST_ROWS if chunk_s > 0 else 1
         self._rows: deque[Any] = deque()
+        self._writing = threading.Lock()
+        self._late_s = time.monotonic() + LATE * self._period_s
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="marsarm log", daemon=True)
         self.failure: BaseException | None = None
@@ -47,6 +51,12 @@ class Background:
         if self.failure is not None:
             raise self.failure
         self._rows.append(row)
+        if time.monotonic() > self._late_s and self._writing.acquire(blocking=False):
+            # The machine has not let the thread run: some 200 us now, so that a kill costs no more.
+            try:
+                self._write_waiting()
+            finally:
+                self._writing.release()
 
     def close(self) -> None:
         """Write what waits and end the file; raises what ended the writing."""
@@ -61,21 +71,33 @@ class Background:
 
     def _run(self) -> None:
         try:
-            while not self._closing.wait(self._period_s):
+            due_s = time.monotonic() + self._period_s
+            while not self._closing.wait(max(due_s - time.monotonic(), SHORTEST_S)):
+                due_s = time.monotonic() + self._period_s  # of the next one, whatever this one takes
+                with self._writing:
+                    self._write_waiting()
+            with self._writing:
                 self._write_waiting()
-            self._write_waiting()
-            self._file.finish()
+                self._file.finish()
         except BaseException as error:
             self.failure = error
         finally:
             self._file.close()
 
     def _write_waiting(self) -> None:
-        while self._rows:
-            rows = [self._rows.popleft() for _ in range(min(len(self._rows), self._most_rows))]
-            records = [one for row in rows for one in self._expand(row)]
-            self._file.add_chunk(records)
-            self.written_ns = records[-1].time_ns
+        """Write what waits; whoever calls it holds the lock."""
+        if self.failure is not None:
+            raise self.failure
+        self._late_s = time.monotonic() + LATE * self._period_s
+        try:
+            while self._rows:
+                rows = [self._rows.popleft() for _ in range(min(len(self._rows), self._most_rows))]
+                records = [one for row in rows for one in self._expand(row)]
+                self._file.add_chunk(records)
+                self.written_ns = records[-1].time_ns
+        except BaseException as error:
+            self.failure = error
+            raise
 
     def forget(self) -> None:
         """Have nothing more to do with the log: in a forked process there is no thread to write it."""

@@ -31,10 +31,10 @@ def message_record(channel: int, sequence: int, time_ns: int, data: bytes) -> by
 
 def getter(fields: Sequence[Field]) -> Callable[[Any], tuple[Any, ...]]:
     """Gives these fields of a packet."""
-    names = [f.name for f in fields]
-    if len(names) > 1:
-        return attrgetter(*names)
-    return lambda packet: tuple(getattr(packet, name) for name in names)
+    if not fields:
+        return lambda _: ()
+    get = attrgetter(*[f.name for f in fields])
+    return get if len(fields) > 1 else lambda packet: (get(packet),)
 
 
 def joined(pieces: list[Any]) -> bytes:

@@ -3,7 +3,6 @@
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from io import FileIO
-from operator import itemgetter
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NamedTuple, NoReturn, Self
@@ -128,15 +127,17 @@ class Recorder:
         time_ns = record.tick * TICK_NS
         pieces: list[bytes | NDArray[Any]] = []
         present: list[Packer] = []
+        length = 0
         for packet_of, packer in self._packers:
             packet = packet_of(record)
             if packet is not None:
                 packer.pack(packet, time_ns, pieces)
                 present.append(packer)
+                length += packer.mark[1]
         data = joined(pieces)
-        marks = [packer.mark for packer in present]
-        if len(data) != sum(map(itemgetter(1), marks)):
+        if len(data) != length:
             self._refuse(record)
+        marks = [packer.mark for packer in present]
         if record.commands or record.outputs.evrs:
             data, marks = self._with_events(record, time_ns, data, marks)
         sampled = self._has_standard and record.tick % EVERY == 0

@@ -19,8 +19,8 @@ from fsw.protect.space import PARTS, TURRET_FRAME, Solids
 from ground.telemetry.cdr import STAMP, CdrWriter, stamp
 from sim.record import CycleRecord
 
-EVERY: Final = 4
-"""Cycles from one sample to the next: 16 Hz."""
+EVERY: Final = 8
+"""Cycles from one sample to the next: 8 Hz, in which no joint turns by more than a degree."""
 
 JOINT_STATES: Final = "/joint_states"
 FRAMES: Final = "/tf"
