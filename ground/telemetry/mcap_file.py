@@ -5,13 +5,12 @@ import zlib
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
     Channel,
-    Chunk,
     ChunkIndex,
     DataEnd,
     Footer,
@@ -30,6 +29,8 @@ COMPRESSION_LEVEL: Final = -5
 """A log is an eighth larger than at level 1, and takes half the time."""
 INDEX_HEAD: Final = struct.Struct("<BQHI")
 """Opcode, length of the rest, channel and bytes of entries of a message index."""
+CHUNK_HEAD: Final = struct.Struct("<BQQQQII4sQ")
+"""Opcode, length of the rest, first and last time, size and CRC of what is compressed, how, size after it."""
 FOOTER_HEAD: Final = struct.Struct("<BQQQ")
 
 
@@ -50,13 +51,15 @@ Mark = tuple[int, int]
 """Channel and length of a record."""
 
 
-class Records(NamedTuple):
+class Row(NamedTuple):
     """Message records of one time, back to back."""
 
     time_ns: int
     data: bytes
     marks: Sequence[Mark]
     """Of each."""
+    sample: Any = None
+    """What more records of this time are to be made of; not for the file."""
 
 
 @dataclass(slots=True)
@@ -103,11 +106,11 @@ class McapFile:
         self._write(b"".join(out))
         self._write_chunk(b"".join(encoded(one) for one in (*schemas, *channels)), 0, 0, {})
 
-    def add_chunk(self, rows: Sequence[Records]) -> None:
+    def add_chunk(self, rows: Sequence[Row]) -> None:
         """Write these messages, at least one, as one chunk with its message indexes."""
         entries: dict[int, list[int]] = defaultdict(list)
         at = 0
-        for time_ns, _, marks in rows:
+        for time_ns, _, marks, _ in rows:
             for channel, length in marks:
                 entries[channel] += (time_ns, at)
                 at += length
@@ -159,15 +162,26 @@ class McapFile:
         self, data: bytes, first_ns: int, last_ns: int, entries: Mapping[int, list[int]]
     ) -> None:
         compressed = self._compressor.compress(data)
-        chunk = Chunk("zstd", compressed, last_ns, first_ns, zlib.crc32(data), len(data))
-        record = encoded(chunk)
+        length = CHUNK_HEAD.size - 9 + len(compressed)
+        head = (
+            Opcode.CHUNK,
+            length,
+            first_ns,
+            last_ns,
+            len(data),
+            zlib.crc32(data),
+            4,
+            b"zstd",
+            len(compressed),
+        )
+        record = CHUNK_HEAD.pack(*head) + compressed
         parts, offsets, at = [record], {}, self._size + len(record)
         for channel, numbers in entries.items():
             size = 8 * len(numbers)
             offsets[channel] = at
-            head = INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size)
-            parts += (head, struct.pack(f"<{len(numbers)}Q", *numbers))
-            at += len(head) + size
+            parts.append(INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size))
+            parts.append(struct.pack(f"<{len(numbers)}Q", *numbers))
+            at += INDEX_HEAD.size + size
         index = ChunkIndex(
             chunk_length=len(record),
             chunk_start_offset=self._size,

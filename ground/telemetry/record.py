@@ -1,11 +1,11 @@
 """Writes a run to an MCAP log that survives the death of its writer."""
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from io import FileIO
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, NoReturn, Self
+from typing import Any, NoReturn, Self
 from weakref import finalize
 
 from mcap.records import Metadata
@@ -27,7 +27,7 @@ from ground.telemetry.format import (
     TICK_NS,
     header_crc32,
 )
-from ground.telemetry.mcap_file import Mark, McapFile, Records
+from ground.telemetry.mcap_file import Mark, McapFile, Row
 from ground.telemetry.pack import Packer, joined, message_record
 from ground.telemetry.standard import EVERY, Sample, Standard, sample_of
 from ground.telemetry.topics import PACKET_TOPICS
@@ -47,16 +47,6 @@ def open_to_write(path: Path) -> FileIO:
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise LogNotWritable(path, f"cannot be written ({why}); give a path that you may write") from error
-
-
-class Row(NamedTuple):
-    """The records of a cycle, as Records, while they wait to be written."""
-
-    time_ns: int
-    data: bytes
-    marks: Sequence[Mark]
-    sample: Sample | None
-    """For the standard messages; None in a cycle without them."""
 
 
 class Recorder:
@@ -179,7 +169,7 @@ class Recorder:
 
 
 class Expander:
-    """Makes of a waiting cycle its records and those of the standard messages."""
+    """Adds to waiting cycles the records of the standard messages."""
 
     def __init__(self, config: Config | None, ids: Mapping[str, int]) -> None:
         self._standard = None if config is None else Standard(config)
@@ -187,18 +177,20 @@ class Expander:
         self._counts = dict.fromkeys(ids.values(), 0)
         self._begun = False
 
-    def __call__(self, row: Row) -> Iterator[Records]:
-        """The records, flight and truth first."""
-        time_ns, data, marks, sample = row
-        yield Records(time_ns, data, marks)
-        if self._standard is None or sample is None:
-            return
-        messages = [] if self._begun else list(self._standard.fixed(time_ns))
+    def __call__(self, rows: Sequence[Row]) -> list[Row]:
+        """The same rows, those with a sample followed by what is made of it."""
+        expanded = []
+        for row in rows:
+            expanded.append(row)
+            if self._standard is not None and row.sample is not None:
+                expanded.append(self._derived(self._standard, row.time_ns, row.sample))
+        return expanded
+
+    def _derived(self, standard: Standard, time_ns: int, sample: Sample) -> Row:
+        messages = [] if self._begun else list(standard.fixed(time_ns))
         self._begun = True
-        messages += self._standard.sample(time_ns, sample)
-        yield Records(
-            time_ns, *numbered(self._counts, time_ns, [(self._ids[t], data) for t, data in messages])
-        )
+        messages += standard.sample(time_ns, sample)
+        return Row(time_ns, *numbered(self._counts, time_ns, [(self._ids[t], data) for t, data in messages]))
 
 
 def numbered(
