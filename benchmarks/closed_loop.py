@@ -25,19 +25,20 @@ TARGET = Placement(Tool.APXS, (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
 
 
 @cache
-def _reference() -> Reference:
+def reference() -> Reference:
     return initial_reference(arm_named("nominal"))
 
 
-def _loop() -> ClosedLoop:
+def closed_loop_of_a_placement(with_truth: bool = False) -> ClosedLoop:
+    """The arm at the ready pose in front of the target."""
     arm = arm_named("nominal")
     world = World(surface=Surface(TARGET.target_N_m, TARGET.normal_N))
-    return ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, reference=_reference()))
+    return ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, reference=reference()), with_truth)
 
 
 def _bare_step_s() -> float:
     """Seconds a bare mj_step: the arm held by its motors at the ready pose, brakes off."""
-    plant = _loop().plant
+    plant = closed_loop_of_a_placement().plant
     plant.model.opt.disableactuator = 0
     for joint in Joint:
         plant.brake(joint, False)
@@ -49,7 +50,7 @@ def _bare_step_s() -> float:
 
 def _closed_loop_step_s() -> tuple[float, float]:
     """Seconds a plant step in the closed loop of a placement, and the real-time factor."""
-    loop = _loop()
+    loop = closed_loop_of_a_placement()
     began = time.perf_counter()
     cycles = sum(1 for _ in PlacementRun(loop, TARGET))
     wall_s = time.perf_counter() - began
@@ -70,7 +71,7 @@ def _timed(function: Callable[..., Any], times_s: list[float]) -> Callable[..., 
 def _shares_us() -> dict[str, list[float]]:
     """Microseconds of every cycle of a placement, by part."""
     parts: dict[str, list[float]] = {"fsw_step": [], "sense": [], "apply": [], "plant_step": []}
-    loop = _loop()
+    loop = closed_loop_of_a_placement()
     loop.avionics.sense = _timed(loop.avionics.sense, parts["sense"])  # type: ignore[method-assign]
     loop.avionics.apply = _timed(loop.avionics.apply, parts["apply"])  # type: ignore[method-assign]
     loop.plant.step = _timed(loop.plant.step, parts["plant_step"])  # type: ignore[method-assign]

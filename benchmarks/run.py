@@ -6,6 +6,7 @@ import platform
 from benchmarks.closed_loop import closed_loop
 from benchmarks.kinematics import campaign
 from benchmarks.kinematics_speed import kinematics_speed
+from benchmarks.recording import recording
 
 CAMPAIGN = 20_000
 """Targets, and as many vectors; `make campaign` runs ten million of each."""
@@ -17,6 +18,7 @@ def main() -> None:
     results = {
         "machine": machine,
         "closed_loop": closed_loop(),
+        "recording": recording(),
         "kinematics_speed": kinematics_speed(),
         "kinematics_campaign": campaign(CAMPAIGN, CAMPAIGN),
     }

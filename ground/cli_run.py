@@ -1,7 +1,7 @@
 """The verbs `run` and `scenarios`; thin."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -31,6 +31,10 @@ def run(
     log: Annotated[
         Path | None, typer.Option(help="Write a telemetry log (MCAP).", metavar="FILE.mcap")
     ] = None,
+    when_disk_full: Annotated[
+        Literal["go-on", "stop"],
+        typer.Option(help="What the run does when its log can no longer be written."),
+    ] = "go-on",
     movie: Annotated[Path | None, typer.Option(help="Draw the whole run.", metavar="FILE.gif")] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Draw the arm where it is judged last.", metavar="FILE.png")
@@ -48,7 +52,7 @@ def run(
     from ground.run import RunRequest
     from ground.run import run as carry_out
 
-    request = RunRequest(scenario, arm, tilt, seed, Files(log, picture, movie))
+    request = RunRequest(scenario, arm, tilt, seed, Files(log, picture, movie, when_disk_full))
     try:
         with progress_bar() as progress:
             report = carry_out(request, progress)

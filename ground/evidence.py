@@ -5,13 +5,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.config import CYCLE_HZ
+from fsw.config import CYCLE_HZ, Config
+from fsw.dictionary.evrs import Evr, Severity
 from ground.outputs import BadOutput, check_output
 from ground.report.picture import PictureError, PictureResult, check_path, save_movie, save_picture
 from ground.request import BadRequest, check_apart
@@ -32,6 +33,21 @@ Pose = NDArray[np.float64]
 """Of everything that moves, as MuJoCo lists it."""
 
 
+WhenDiskFull = Literal["go-on", "stop"]
+"""What a run does whose log can no longer be written."""
+
+
+@dataclass(frozen=True, slots=True)
+class LogNotWritten(Evr):
+    """The log of the run could not be written on; said by the ground, not by flight software."""
+
+    severity = Severity.WARNING_HI
+    text = "log {e.path}: not recorded from {e.from_s:.2f} s on ({e.why}); what was closed before can be read"
+    path: str
+    from_s: float
+    why: str
+
+
 @dataclass(frozen=True, slots=True)
 class Files:
     """Where what is kept goes; None for what is not."""
@@ -39,6 +55,7 @@ class Files:
     log: Path | None = None
     picture: Path | None = None
     movie: Path | None = None
+    when_disk_full: WhenDiskFull = "go-on"
 
 
 NO_FILES: Final = Files()
@@ -51,7 +68,9 @@ class Kept:
     picture: PictureResult | None
     movie: PictureResult | None
     log_problem: str | None
-    """From when on the log could not be written, and why; the run went on."""
+    """Why there is no whole log."""
+    events: tuple[tuple[float, Evr], ...] = ()
+    """Time [s] and event of what the ground has to say of it."""
 
 
 def nothing_kept(files: Files) -> Kept:
@@ -99,21 +118,24 @@ class Frames:
 
 
 class Log:
-    """A recorder whose disk may fill up: the run goes on, and the report says what was not recorded."""
+    """A recorder whose disk may fill up: an event says what was not recorded."""
 
     def __init__(self, path: Path | None, recorder: Recorder | None):
         self._path = path
         self._recorder = recorder
-        self.problem: str | None = None
+        self._last_s = 0.0
+        self.events: tuple[tuple[float, LogNotWritten], ...] = ()
+        """Time [s] and event: one, if the log could not be written on."""
 
     def write(self, record: CycleRecord) -> None:
         """Record a cycle if it can be."""
-        if self._recorder is None or self.problem is not None:
+        if self._recorder is None or self.events:
             return
+        self._last_s = record.tick / CYCLE_HZ
         try:
             self._recorder.write(record)
         except OSError as error:
-            self._failed(error, f"from {record.tick / CYCLE_HZ:.2f} s on")
+            self._failed(self._recorder, error)
 
     def close(self) -> None:
         """End the file."""
@@ -122,15 +144,16 @@ class Log:
         try:
             self._recorder.close()
         except OSError as error:
-            if self.problem is None:
-                self._failed(error, "at the end")
+            if not self.events:
+                self._failed(self._recorder, error)
 
-    def _failed(self, error: OSError, when: str) -> None:
-        why = error.strerror or str(error)
-        self.problem = f"log {self._path}: not recorded {when} ({why}); what was closed before can be read"
+    def _failed(self, recorder: Recorder, error: OSError) -> None:
+        from_s = recorder.written_cycles / CYCLE_HZ
+        event = LogNotWritten(str(self._path), from_s, error.strerror or str(error))
+        self.events = ((self._last_s, event),)
 
 
-def open_log(path: Path | None, arm: str, params_sha256: str, seed: int, request: dict[str, Any]) -> Log:
+def open_log(path: Path | None, arm: str, config: Config, seed: int, request: dict[str, Any]) -> Log:
     """A log that begins with what the run is made of; one of nothing without a path.
 
     Raises:
@@ -142,13 +165,13 @@ def open_log(path: Path | None, arm: str, params_sha256: str, seed: int, request
         "marsarm": version("marsarm"),
         "mujoco": mujoco.__version__,
         "numpy": np.__version__,
-        "params_sha256": params_sha256,
+        "params_sha256": config.params_sha256,
         "arm": arm,
         "seed": str(seed),
         "request": json.dumps(request, default=str, sort_keys=True),
     }
     try:
-        return Log(path, Recorder(path, header))
+        return Log(path, Recorder(path, header, config))
     except LogNotWritable as error:
         raise BadRequest(str(error)) from error
 
@@ -160,8 +183,9 @@ def doing(record: CycleRecord) -> str:
 
 def keep(files: Files, world: World, frames: Frames, last: Pose, log: Log, progress: Progress) -> Kept:
     """Draw the picture and the movie of a run, from the model with everything that only looks."""
+    problem = next((event.message for _, event in log.events), None)
     if files.picture is None and files.movie is None:
-        return Kept(None, None, log.problem)
+        return Kept(None, None, problem, log.events)
     model = build(world, for_pictures=True).compile()
     picture = movie = None
     if files.picture is not None:
@@ -179,4 +203,4 @@ def keep(files: Files, world: World, frames: Frames, last: Pose, log: Log, progr
 
         model.vis.quality.shadowsize = MOVIE_SHADOWS
         movie = save_movie(model, drawn(), "overview", files.movie)
-    return Kept(picture, movie, log.problem)
+    return Kept(picture, movie, problem, log.events)

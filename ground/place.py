@@ -39,7 +39,7 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
     setup = Setup(job.arm, job.world, job.arm.params.poses.stowed_rad, request.seed, stops[-1].reference)
     loop = ClosedLoop(setup, with_truth=request.log is not None)
     run = PlacementRun(loop, job.placement)
-    log = open_log(request.log, job.arm.name, loop.config.params_sha256, request.seed, asdict(request))
+    log = open_log(request.log, job.arm.name, loop.config, request.seed, asdict(request))
     frames = Frames()
     started = time.perf_counter()
     try:

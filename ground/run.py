@@ -1,6 +1,7 @@
 """The scenario job: check the request, run it, judge it, keep the evidence."""
 
 import time
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -10,7 +11,9 @@ from ground.evidence import (
     Files,
     Frames,
     Kept,
+    Log,
     Progress,
+    WhenDiskFull,
     check_files,
     doing,
     keep,
@@ -22,6 +25,7 @@ from ground.request import BadRequest, check_seed, chosen_arm, tilted_world
 from sim.arms import BuiltArm
 from sim.initialisation import Initialisation
 from sim.loop import ClosedLoop
+from sim.record import CycleRecord
 from sim.scenario.data import Scenario
 from sim.scenario.file import BadScenario, load
 from sim.scenario.run import ScenarioResult, ScenarioRun, setup_of
@@ -80,12 +84,11 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
     setup = setup_of(scenario, arm, reference, request.seed)
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     judged = ScenarioRun(loop, scenario)
-    log = open_log(request.files.log, arm.name, loop.config.params_sha256, request.seed, asdict(request))
+    log = open_log(request.files.log, arm.name, loop.config, request.seed, asdict(request))
     frames, shown, total = Frames(), _shown(scenario), len(scenario.commands)
     started = time.perf_counter()
     try:
-        for record in judged:
-            log.write(record)
+        for record in _recorded(judged, log, request.files.when_disk_full):
             if frames.note(loop.plant, record):
                 progress(judged.command - 1, total, doing(record))
             if judged.command == shown:
@@ -105,6 +108,16 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
         realtime_factor=result.duration_s / wall_s,
         kept=keep(request.files, scenario.world, frames, loop.plant.data.qpos, log, progress),
     )
+
+
+def _recorded(judged: ScenarioRun, log: Log, when_disk_full: WhenDiskFull) -> Iterator[CycleRecord]:
+    """Every cycle, recorded as far as it can be; a stop where it can not, if so asked."""
+    for record in judged:
+        log.write(record)
+        yield record
+        if log.events and when_disk_full == "stop":
+            yield from judged.stopping()
+            return
 
 
 def _checked(request: RunRequest) -> tuple[Scenario, BuiltArm]:

@@ -19,6 +19,7 @@ from sim.effects.effect import Effect, nominal_hardware
 from sim.effects.faults import Fault
 from sim.plant import Plant
 from sim.record import CycleRecord
+from sim.truth import Truth
 from sim.world import World, build, told_of
 
 SETTLE_S = 16.0
@@ -61,6 +62,7 @@ class ClosedLoop:
         self.state: State = boot(self.config, Mode.STOWED if stowed else Mode.DEPLOYED, setup.reference)
         self.failure: Exception | None = None
         self._outputs = outputs_at_rest(self.state)
+        self._truth: Truth | None = None
 
     def fork(self, faults: tuple[Fault, ...] = ()) -> "ClosedLoop":
         """The same run, to go on by itself: bit by bit as this one, or with faults injected.
@@ -85,7 +87,7 @@ class ClosedLoop:
             self.avionics.sense()
             self._drive()
         sensors = self.avionics.sense()
-        truth = self.plant.truth() if self.with_truth else None
+        truth = self.truth() if self.with_truth else None
         tick = self.state.tick
         try:
             self.state, outputs = step(self.config, self.state, sensors, commands)
@@ -105,8 +107,15 @@ class ClosedLoop:
         brakes = self.plant.data.eq_active[self.plant.at.brake]
         return bool(brakes.all() and not self._outputs.drive.power_on.any())
 
+    def truth(self) -> Truth:
+        """The plant as it is: a judge looks after a cycle, a log before the next one, which is one look."""
+        if self._truth is None:
+            self._truth = self.plant.truth()
+        return self._truth
+
     def _drive(self) -> None:
         """The plant goes on for a cycle with the last drive."""
+        self._truth = None
         self.avionics.apply(self._outputs.drive)
         self.plant.step()
 

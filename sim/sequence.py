@@ -17,6 +17,7 @@ class Outcome(StrEnum):
     DONE = "done"
     REFUSED = "refused"
     FAULTED = "faulted"
+    STOPPED = "stopped"
     SOFTWARE_ERROR = "software error"
 
 
@@ -62,3 +63,15 @@ def run_sequence(loop: ClosedLoop, commands: Sequence[Command]) -> Generator[Cyc
             return Outcome.FAULTED
         faulted = False
     return Outcome.DONE
+
+
+def stop_sequence(loop: ClosedLoop) -> Generator[CycleRecord, None, Outcome]:
+    """Every cycle of a commanded stop, until the arm stands on its brakes."""
+    record = loop.cycle((Stop(),))
+    while True:
+        yield record
+        if loop.failure is not None:
+            return Outcome.SOFTWARE_ERROR
+        if not record.outputs.joint.busy:
+            return Outcome.STOPPED
+        record = loop.cycle()

@@ -33,7 +33,7 @@ def run_json(report: RunReport) -> dict[str, Any]:
         "tilt_deg": {"roll": degrees(world.tilt_roll_rad), "pitch": degrees(world.tilt_pitch_rad)},
         "seed": report.request.seed,
         "params_sha256": report.params_sha256,
-        "evrs": [evr_json(time_s, evr) for time_s, evr in result.evrs],
+        "evrs": [evr_json(time_s, evr) for time_s, evr in (*result.evrs, *report.kept.events)],
         "log": None if report.request.files.log is None else str(report.request.files.log),
         **kept_json(report.kept),
     }

@@ -35,7 +35,7 @@ def place_json(report: PlaceReport) -> dict[str, Any]:
         "tilt_deg": {"roll": request.tilt_roll_deg, "pitch": request.tilt_pitch_deg},
         "seed": request.seed,
         "params_sha256": report.params_sha256,
-        "evrs": [evr_json(time_s, evr) for time_s, evr in result.evrs],
+        "evrs": [evr_json(time_s, evr) for time_s, evr in (*result.evrs, *report.kept.events)],
         "log": None if request.log is None else str(request.log),
         **kept_json(report.kept),
     }

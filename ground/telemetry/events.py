@@ -4,12 +4,24 @@ import json
 import struct
 from dataclasses import dataclass, fields
 from enum import IntEnum
-from typing import Any, Self, get_type_hints
+from typing import Any, Final, Self, get_type_hints
 
 from fsw.dictionary.commands import Command
-from fsw.dictionary.evrs import Evr
+from fsw.dictionary.evrs import Evr, Severity
+from ground.telemetry.cdr import CdrWriter, stamp
 from ground.telemetry.errors import SchemaError
 from ground.telemetry.schema import ENCAPSULATION, aligned
+
+LOG_LEVELS: Final = {
+    Severity.DIAGNOSTIC: 10,
+    Severity.ACTIVITY_LO: 20,
+    Severity.ACTIVITY_HI: 20,
+    Severity.COMMAND: 20,
+    Severity.WARNING_LO: 30,
+    Severity.WARNING_HI: 40,
+    Severity.FATAL: 50,
+}
+"""Levels of rcl_interfaces/Log: debug, info, warning, error, fatal."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,16 +36,14 @@ class Entry:
 
     def encode(self) -> bytes:
         """The entry in CDR: numbers on eight bytes; strings with their length, ended by a zero."""
-        out = bytearray(ENCAPSULATION)
+        out = CdrWriter()
         for field in fields(self):
             value = getattr(self, field.name)
             if isinstance(value, int):
-                out = out.ljust(aligned(len(out), 8), b"\0") + struct.pack("<q", value)
+                out.add("q", value)
             else:
-                # What comes from the operating system may hold bytes that are no text: keep them legible.
-                text = value.encode(errors="backslashreplace") + b"\0"
-                out = out.ljust(aligned(len(out), 4), b"\0") + struct.pack("<I", len(text)) + text
-        return bytes(out)
+                out.text(value)
+        return bytes(out.data)
 
     @classmethod
     def decode(cls, message: bytes) -> Self:
@@ -117,3 +127,9 @@ def evr_entry(tick: int, evr: Evr) -> EvrEntry:
 def command_entry(tick: int, command: Command) -> CommandEntry:
     """A command as it goes into the log."""
     return CommandEntry(tick, type(command).__name__, json.dumps(json_fields(command)))
+
+
+def log_line(time_ns: int, evr: Evr) -> bytes:
+    """An EVR as a rcl_interfaces/Log, for the log panels of others."""
+    out = CdrWriter().add("iI", *stamp(time_ns)).add("B", LOG_LEVELS[evr.severity])
+    return bytes(out.text(evr.name).text(evr.message).text("").text("").add("I", 0).data)

@@ -1,37 +1,41 @@
 """Writes a run to an MCAP log that survives the death of its writer."""
 
 import os
-import time
-from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from io import FileIO
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO, Self
+from typing import Any, NoReturn, Self
+from weakref import finalize
 
-from mcap.writer import Writer
+from mcap.records import Metadata
+from numpy.typing import NDArray
 
+from fsw.config import Config
+from ground.telemetry.background import Background
+from ground.telemetry.catalogue import LOG_LINES, announced, header_text, records_of
 from ground.telemetry.errors import LogNotWritable
-from ground.telemetry.events import CommandEntry, Entry, EvrEntry, command_entry, evr_entry
+from ground.telemetry.events import command_entry, evr_entry, log_line
 from ground.telemetry.format import (
+    CHANNELS_KEY,
     CHUNK_S,
     COMMAND_TOPIC,
     EVR_TOPIC,
     FORMAT,
     FORMAT_RECORD,
     HEADER_RECORD,
-    LAYOUT_KEY,
     TICK_NS,
-    TRUTH_KEY,
     header_crc32,
 )
-from ground.telemetry.schema import Packer, definition, layout_of
-from ground.telemetry.topics import PACKET_TOPICS, Topic
+from ground.telemetry.mcap_file import Mark, McapFile, Row
+from ground.telemetry.pack import Packer, joined, message_record
+from ground.telemetry.standard import EVERY, Sample, Standard, sample_of
+from ground.telemetry.topics import PACKET_TOPICS
 from sim.record import CycleRecord
 
 
-def open_to_write(path: Path) -> BinaryIO:
-    """The open, empty file; LogNotWritable where there can be none."""
+def open_to_write(path: Path) -> FileIO:
+    """The open, empty file, without a buffer; LogNotWritable where there can be none."""
     try:
         if path.is_dir():
             raise LogNotWritable(path, "is a directory; give the path of a file, such as run.mcap in it")
@@ -39,84 +43,97 @@ def open_to_write(path: Path) -> BinaryIO:
             raise LogNotWritable(path, "is not a regular file; give the path of a new file")
         if not path.parent.is_dir():
             raise LogNotWritable(path, f"directory {path.parent} does not exist; make it, or give another")
-        return path.open("wb")
+        return FileIO(path, "wb")
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise LogNotWritable(path, f"cannot be written ({why}); give a path that you may write") from error
 
 
-@dataclass(slots=True)
-class _Channel:
-    id: int
-    count: int = 0
-
-
 class Recorder:
     """A log being written; a context manager, or call `close`.
 
-    Opening it replaces the file at `path` and writes `header` (versions, digests, seed), before any cycle.
-    The messages depend on the records alone; only where a chunk ends depends on the wall clock.
+    Opening it replaces the file at `path` and writes `header` (versions, digests, seed) and all channels. The
+    messages depend on the records alone; only where a chunk ends depends on the wall clock. With the
+    configuration of an arm, the messages that other tools draw it from are there too. A `chunk_s` of 0 is a
+    chunk for every cycle.
 
     Raises:
         LogNotWritable: there can be no file at this path; nothing is left behind.
     """
 
-    def __init__(self, path: Path | str, header: Mapping[str, str], chunk_s: float = CHUNK_S) -> None:
+    def __init__(
+        self,
+        path: Path | str,
+        header: Mapping[str, str],
+        config: Config | None = None,
+        chunk_s: float = CHUNK_S,
+    ) -> None:
         self.path = Path(path)
-        self._chunk_s = chunk_s
         existed = os.path.exists(path)  # unlike Path.exists, False for any bad name
-        self._file = open_to_write(self.path)
-        self._writer = Writer(self._file, enable_data_crcs=True)
-        self._channels: dict[str, _Channel] = {}
-        self._packers: dict[str, Packer] = {}
-        self._chunk_began_s = time.monotonic()
+        file = open_to_write(self.path)
+        channels = announced()
+        ids = {one.topic: one.id for one in channels}
+        self._packers = [
+            (packet_of, Packer(one.topic, one.id, one.layout))
+            for one, (_, packet_of) in zip(channels, PACKET_TOPICS, strict=False)
+            if one.layout is not None
+        ]
+        self._event_ids = ids[COMMAND_TOPIC], ids[EVR_TOPIC], ids[LOG_LINES]
+        self._event_counts = dict.fromkeys(self._event_ids, 0)
+        self._has_standard = config is not None
+        log = McapFile(file)
         try:
-            self._begin(header)
+            header = {**header, CHANNELS_KEY: header_text(channels)}
+            about = {"version": FORMAT, "header_crc32": header_crc32(header)}
+            log.begin(
+                [Metadata(FORMAT_RECORD, about), Metadata(HEADER_RECORD, header)], *records_of(channels)
+            )
         except OSError as error:
-            with suppress(OSError):
-                self._file.close()
+            file.close()
             if not existed:
                 self.path.unlink()
             why = f"cannot be written ({error.strerror}); give a path with room"
             raise LogNotWritable(self.path, why) from error
+        self._background = Background(log, Expander(config, ids), chunk_s)
+        self.close = finalize(self, self._background.close)
+        """Write what waits and the index, and close the file; a second call does nothing.
 
-    def _begin(self, header: Mapping[str, str]) -> None:
-        self._writer.start(profile="", library="marsarm")
-        self._writer.add_metadata(FORMAT_RECORD, {"version": FORMAT, "header_crc32": header_crc32(header)})
-        self._writer.add_metadata(HEADER_RECORD, dict(header))
-        self._writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates only part of itself
-        self._add_entry_channel(EVR_TOPIC, EvrEntry)
-        self._add_entry_channel(COMMAND_TOPIC, CommandEntry)
+        It raises the OSError of a disk that is full or gone. A recorder that is let go closes itself.
+        """
+
+    @property
+    def written_cycles(self) -> int:
+        """The tick after the last cycle that the operating system has; 0 before the first."""
+        last_ns = self._background.written_ns
+        return 0 if last_ns is None else last_ns // TICK_NS + 1
 
     def write(self, record: CycleRecord) -> None:
         """Add one cycle; its messages reach the operating system when the chunk closes.
 
         Raises:
-            SchemaError: a packet is not laid out as in the first cycle, or holds what a log cannot.
+            SchemaError: a packet is not laid out as its schema says, or holds what a log cannot.
             OSError: the disk is full or gone.
         """
-        log_time_ns = record.tick * TICK_NS
-        for command in record.commands:
-            self._add(COMMAND_TOPIC, log_time_ns, command_entry(record.tick, command).encode())
-        for topic, packet_of in PACKET_TOPICS:
+        time_ns = record.tick * TICK_NS
+        pieces: list[bytes | NDArray[Any]] = []
+        present: list[Packer] = []
+        length = 0
+        for packet_of, packer in self._packers:
             packet = packet_of(record)
             if packet is not None:
-                packer = self._packers.get(topic.name) or self._add_packet_channel(topic, packet)
-                self._add(topic.name, log_time_ns, packer.pack(packet))
-        for evr in record.outputs.evrs:
-            self._add(EVR_TOPIC, log_time_ns, evr_entry(record.tick, evr).encode())
-        if time.monotonic() - self._chunk_began_s >= self._chunk_s:
-            self._writer.flush()  # type: ignore[no-untyped-call]
-            self._chunk_began_s = time.monotonic()
-
-    def close(self) -> None:
-        """Write the index and close the file; a second call does nothing."""
-        if self._file.closed:
-            return
-        try:
-            self._writer.finish()  # type: ignore[no-untyped-call]
-        finally:
-            self._file.close()
+                packer.pack(packet, time_ns, pieces)
+                present.append(packer)
+                length += packer.mark[1]
+        data = joined(pieces)
+        if len(data) != length:
+            self._refuse(record)
+        marks = [packer.mark for packer in present]
+        if record.commands or record.outputs.evrs:
+            data, marks = self._with_events(record, time_ns, data, marks)
+        sampled = self._has_standard and record.tick % EVERY == 0
+        self._background.put(Row(time_ns, data, marks, sample_of(record) if sampled else None))
+        for packer in present:
+            packer.count += 1
 
     def __enter__(self) -> Self:
         return self
@@ -126,25 +143,63 @@ class Recorder:
     ) -> None:
         self.close()
 
-    def _add(self, topic: str, log_time_ns: int, message: bytes) -> None:
-        channel = self._channels[topic]
-        # The sequence counts a channel's messages, so that a reader sees when one is missing.
-        self._writer.add_message(channel.id, log_time_ns, message, log_time_ns, channel.count)
-        channel.count += 1
+    def _refuse(self, record: CycleRecord) -> NoReturn:
+        for packet_of, packer in self._packers:
+            packet = packet_of(record)
+            if packet is not None:
+                packer.check(packet)
+        raise AssertionError("a record is longer or shorter than its arrays, each as it should be")
 
-    def _add_packet_channel(self, topic: Topic, packet: Any) -> Packer:
-        layout = layout_of(packet, topic.field_names)
-        metadata = {LAYOUT_KEY: layout.to_json()}
-        if topic.is_truth:
-            metadata[TRUTH_KEY] = "the plant's own state; flight software never sees it"
-        self._add_channel(topic.name, topic.packet, layout.ros_text, metadata)
-        self._packers[topic.name] = Packer(topic.packet.__name__, layout)
-        return self._packers[topic.name]
+    def _with_events(
+        self, record: CycleRecord, time_ns: int, data: bytes, marks: list[Mark]
+    ) -> tuple[bytes, list[Mark]]:
+        """The commands before the packets, the EVRs and their log lines after them."""
+        command_id, evr_id, line_id = self._event_ids
+        before = [(command_id, command_entry(record.tick, one).encode()) for one in record.commands]
+        after = [
+            message
+            for evr in record.outputs.evrs
+            for message in ((evr_id, evr_entry(record.tick, evr).encode()), (line_id, log_line(time_ns, evr)))
+        ]
+        counts = dict(self._event_counts)
+        parts = [numbered(counts, time_ns, messages) for messages in (before, after)]
+        self._event_counts = counts
+        (first, first_marks), (last, last_marks) = parts
+        return first + data + last, [*first_marks, *marks, *last_marks]
 
-    def _add_entry_channel(self, topic: str, entry: type[Entry]) -> None:
-        self._add_channel(topic, entry, entry.ros_text(), {})
 
-    def _add_channel(self, topic: str, kind: type, body: str, metadata: dict[str, str]) -> None:
-        name = f"marsarm/msg/{kind.__name__}"
-        schema_id = self._writer.register_schema(name, "ros2msg", definition(kind.__doc__, body))
-        self._channels[topic] = _Channel(self._writer.register_channel(topic, "cdr", schema_id, metadata))
+class Expander:
+    """Adds to waiting cycles the records of the standard messages."""
+
+    def __init__(self, config: Config | None, ids: Mapping[str, int]) -> None:
+        self._standard = None if config is None else Standard(config)
+        self._ids = ids
+        self._counts = dict.fromkeys(ids.values(), 0)
+        self._begun = False
+
+    def __call__(self, rows: Sequence[Row]) -> list[Row]:
+        """The same rows, those with a sample followed by what is made of it."""
+        expanded = []
+        for row in rows:
+            expanded.append(row)
+            if self._standard is not None and row.sample is not None:
+                expanded.append(self._derived(self._standard, row.time_ns, row.sample))
+        return expanded
+
+    def _derived(self, standard: Standard, time_ns: int, sample: Sample) -> Row:
+        messages = [] if self._begun else list(standard.fixed(time_ns))
+        self._begun = True
+        messages += standard.sample(time_ns, sample)
+        return Row(time_ns, *numbered(self._counts, time_ns, [(self._ids[t], data) for t, data in messages]))
+
+
+def numbered(
+    counts: dict[int, int], time_ns: int, messages: list[tuple[int, bytes]]
+) -> tuple[bytes, list[Mark]]:
+    """The records of messages by channel, and channel and length of each; counts them."""
+    records = []
+    for channel, data in messages:
+        records.append(message_record(channel, counts[channel], time_ns, data))
+        counts[channel] += 1
+    marks = [(channel, len(one)) for (channel, _), one in zip(messages, records, strict=True)]
+    return b"".join(records), marks

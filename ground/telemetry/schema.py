@@ -2,8 +2,7 @@
 
 import json
 import re
-import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from math import prod
@@ -11,13 +10,26 @@ from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from fsw.dictionary.joints import Joint, Switch, Tool
 from ground.telemetry.errors import SchemaError
+from ground.telemetry.notes import docs_of, limits_of, unit_of
 
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 """CDR, XCDR1, little endian. Alignment counts from the byte after it."""
 
 KINDS: Final[dict[type, str]] = {bool: "|b1", int: "<i8", float: "<f8"}
-STRUCTS: Final = {"|b1": struct.Struct("<?"), "<i8": struct.Struct("<q"), "<f8": struct.Struct("<d")}
+
+Shape = tuple[int, ...]
+PER_JOINT: Final = (len(Joint),)
+SHAPES: Final[Mapping[str, Shape]] = {
+    "Sensors.switch_closed": (len(Switch),),
+    "Sensors.gravity_R_m_s2": (3,),
+    "ToolChannels.p_RoTo_R_m": (3,),
+    "ToolChannels.R_RT": (3, 3),
+    "Truth.p_RoTo_R_m": (len(Tool), 3),
+    "Truth.R_RT": (len(Tool), 3, 3),
+}
+"""Shapes of the arrays that do not have one number for each joint."""
 
 # Foxglove and rosidl refuse a whole log for one capital letter or double underscore in a field's name.
 ROS_NAME: Final = re.compile(r"[a-z](_?[a-z0-9]+)*")
@@ -41,16 +53,23 @@ def definition(doc: str | None, body: str) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field of a packet: name, numpy type ("<f8"), shape (None: not an array), a note for people."""
+    """One field of a packet: name, numpy type ("<f8"), shape (None: not an array), notes for people."""
 
     name: str
     kind: str
-    shape: tuple[int, ...] | None
+    shape: Shape | None
     note: str = ""
+    """Unit, limits, names of the values."""
+    doc: str = ""
 
     @property
-    def ros_line(self) -> str:
-        """The field in a ROS 2 message definition, where names are lower case; the comment says the rest."""
+    def size(self) -> int:
+        """Bytes of one number, and what they are aligned to."""
+        return np.dtype(self.kind).itemsize
+
+    @property
+    def ros_lines(self) -> str:
+        """The field in a ROS 2 message definition, where names are lower case; the comments say the rest."""
         count = "" if self.shape is None else f"[{prod(self.shape)}]"
         remarks = [] if self.name.islower() else [self.name]
         if self.shape is not None and len(self.shape) > 1:
@@ -58,7 +77,8 @@ class Field:
         if self.note:
             remarks.append(self.note)
         line = f"{np.dtype(self.kind).name}{count} {self.name.lower()}"
-        return f"{line}  # {'; '.join(remarks)}" if remarks else line
+        line = f"{line}  # {'; '.join(remarks)}" if remarks else line
+        return f"# {self.doc}\n{line}\n" if self.doc else f"{line}\n"
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +101,7 @@ class Layout:
     @property
     def ros_text(self) -> str:
         """The body of the ROS 2 message definition."""
-        return "".join(f"{f.ros_line}\n" for f in self.fields)
+        return "".join(f.ros_lines for f in self.fields)
 
     def to_json(self) -> str:
         """The layout as a log keeps it, so that a reader needs no dataclass."""
@@ -94,76 +114,53 @@ class Layout:
         return cls(tuple(Field(name, kind, shape and tuple(shape)) for name, kind, shape in rows))
 
 
-def field_of(owner: str, name: str, hint: Any, value: Any) -> Field:
-    """The field that an annotation declares; an array's shape is that of `value`.
+def note_of(name: str, hint: Any) -> str:
+    """Unit, limits and names of the values of a field, as far as there are any."""
+    unit, limits, kind = unit_of(name), limits_of(hint), bare(hint)
+    remarks = [] if unit is None else [f"[{unit}]"]
+    if limits is not None:
+        remarks.append(f"{limits.low:g} .. {limits.high:g}")
+    if isinstance(kind, type) and issubclass(kind, IntEnum):
+        remarks.append(f"{kind.__name__}: " + ", ".join(f"{e.value} {e.name}" for e in kind))
+    return "; ".join(remarks)
+
+
+def field_of(owner: type, name: str, hint: Any) -> Field:
+    """The field that an annotation declares.
 
     Raises:
-        SchemaError: the annotation, or the array, has no fixed layout.
+        SchemaError: the annotation has no fixed layout.
     """
-    kind = bare(hint)
+    kind, where = bare(hint), f"{owner.__name__}.{name}"
+    note, doc = note_of(name, hint), docs_of(owner).get(name, "")
     if get_origin(kind) is np.ndarray:
         scalar = np.dtype(get_args(get_args(kind)[1])[0])
         if scalar.kind not in "biuf" or scalar.itemsize > 8:
-            raise SchemaError(f"{owner}.{name}: an array of {scalar} has no ROS 2 type; use numbers or flags")
-        if value.dtype != scalar or value.size == 0 or value.ndim == 0:
-            raise SchemaError(f"{owner}.{name}: {value.dtype}{value.shape} given, a {scalar} array is right")
-        return Field(name, scalar.str, value.shape)
+            raise SchemaError(f"{where}: an array of {scalar} has no ROS 2 type; use numbers or flags")
+        return Field(name, scalar.str, SHAPES.get(where, PER_JOINT), note, doc)
     if isinstance(kind, type) and issubclass(kind, IntEnum):
-        return Field(name, "<i8", None, f"{kind.__name__}: " + ", ".join(f"{e.value} {e.name}" for e in kind))
+        return Field(name, "<i8", None, note, doc)
     if kind in KINDS:
-        return Field(name, KINDS[kind], None)
-    raise SchemaError(f"{owner}.{name}: {kind} has no fixed layout; use bool, int, float, IntEnum, NDArray")
+        return Field(name, KINDS[kind], None, note, doc)
+    raise SchemaError(f"{where}: {kind} has no fixed layout; use bool, int, float, IntEnum, NDArray")
 
 
-def layout_of(packet: Any, names: Iterable[str]) -> Layout:
-    """The layout of these fields of a packet, from its annotations and the shapes of its arrays.
+def layout_of(packet: type, names: Iterable[str]) -> Layout:
+    """The layout of these fields of a packet, from its annotations.
+
+    The largest numbers come first, and of one size those that are no arrays, so that nothing is padded.
 
     Raises:
         SchemaError: a field has no fixed layout, or its name in lower case is not one of its own in ROS 2.
     """
-    owner = type(packet).__name__
-    hints = get_type_hints(type(packet), include_extras=True)
-    fields = tuple(field_of(owner, name, hints[name], getattr(packet, name)) for name in names)
+    hints = get_type_hints(packet, include_extras=True)
+    fields = [field_of(packet, name, hints[name]) for name in names]
     seen: set[str] = set()
     for f in fields:
         name = f.name.lower()
         if name in seen or not ROS_NAME.fullmatch(name):
             raise SchemaError(
-                f"{owner}.{f.name}: taken, or no field name in ROS 2; use words joined by one _"
+                f"{packet.__name__}.{f.name}: taken, or no field name in ROS 2; use words joined by one _"
             )
         seen.add(name)
-    return Layout(fields)
-
-
-class Packer:
-    """Turns packets of one layout into messages; it owns the memory of one message and reuses it."""
-
-    def __init__(self, owner: str, layout: Layout) -> None:
-        self._owner = owner
-        self._message = bytearray(ENCAPSULATION).ljust(layout.dtype.itemsize, b"\0")
-        view = np.frombuffer(self._message, layout.dtype)[0]
-        offsets = {name: value[1] for name, value in (layout.dtype.fields or {}).items()}
-        self._arrays = [(f.name, view[f.name]) for f in layout.fields if f.shape is not None]
-        self._scalars = [(f.name, STRUCTS[f.kind], offsets[f.name]) for f in layout.fields if f.shape is None]
-
-    def pack(self, packet: Any) -> bytes:
-        """The message of a packet.
-
-        Raises:
-            SchemaError: an array's type or shape is not that of the first packet, or a number does not fit.
-        """
-        for name, view in self._arrays:
-            value = getattr(packet, name)
-            if value.shape != view.shape or value.dtype != view.dtype:
-                raise SchemaError(
-                    f"{self._owner}.{name}: {value.dtype}{value.shape} given,"
-                    f" {view.dtype}{view.shape} since the first message"
-                )
-            view[...] = value
-        for name, scalar, offset in self._scalars:
-            value = getattr(packet, name)
-            try:
-                scalar.pack_into(self._message, offset, value)
-            except struct.error as error:
-                raise SchemaError(f"{self._owner}.{name}: {value!r} given, {error}") from error
-        return bytes(self._message)
+    return Layout(tuple(sorted(fields, key=lambda f: (-f.size, f.shape is not None))))

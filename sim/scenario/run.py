@@ -16,7 +16,7 @@ from sim.record import CycleRecord
 from sim.scenario.data import Scenario
 from sim.scenario.judge import Measured, judged
 from sim.scenario.trace import Ending, Moment, Trace, moment
-from sim.sequence import Outcome, run_sequence, watched
+from sim.sequence import Outcome, run_sequence, stop_sequence, watched
 
 NO_STEP: Joints5 = (0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -35,8 +35,9 @@ class ScenarioResult:
 
     @property
     def passed(self) -> bool:
-        """Whether every check is; a run that was not judged has not passed."""
-        return bool(self.measured) and all(measured.passed for measured in self.measured)
+        """Whether every check is; a run that was stopped, or was not judged, has not passed."""
+        judged = self.outcome is not Outcome.STOPPED and bool(self.measured)
+        return judged and all(measured.passed for measured in self.measured)
 
 
 def setup_of(scenario: Scenario, arm: BuiltArm, reference: Reference, seed: int) -> Setup:
@@ -72,12 +73,19 @@ class ScenarioRun:
             self._refuses = any(isinstance(evr, CommandRefused) for evr in record.outputs.evrs)
             yield record
 
+    def stopping(self) -> Iterator[CycleRecord]:
+        """Every cycle of a stop, in place of those that were still to come."""
+        self._outcome = yield from watched(stop_sequence(self._loop), self._watch)
+
     def _note(self, record: CycleRecord) -> None:
         if record.commands:
             self.command += 1
             self._inject()
+        self._watch(record)
+
+    def _watch(self, record: CycleRecord) -> None:
         self._evrs += [(record.tick / CYCLE_HZ, evr) for evr in record.outputs.evrs]
-        self._moments.append(moment(self._loop.plant, record, self.command))
+        self._moments.append(moment(self._loop, record, self.command))
 
     @property
     def _came(self) -> int:

@@ -10,7 +10,7 @@ from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
 from fsw.dictionary.modes import Mode
 from fsw.kinematics.transforms import Array
 from sim.contact import tool_forces
-from sim.plant import Plant
+from sim.loop import ClosedLoop
 from sim.record import CycleRecord
 from sim.sequence import Outcome
 
@@ -80,9 +80,9 @@ class Trace:
         return found[-1] if found else None
 
 
-def moment(plant: Plant, record: CycleRecord, command: int) -> Moment:
+def moment(loop: ClosedLoop, record: CycleRecord, command: int) -> Moment:
     """The plant as it is after a cycle."""
-    truth = plant.truth()
+    plant, truth = loop.plant, loop.truth()
     return Moment(
         command=command,
         p_RoTo_R_m=truth.p_RoTo_R_m,

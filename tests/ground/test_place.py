@@ -2,35 +2,28 @@
 
 import errno
 from dataclasses import replace
-
-import pytest
+from io import FileIO
 
 from fsw.dictionary.faults import StalledEarly
 from fsw.dictionary.joints import Joint
 from ground.place import place
 from ground.place_request import PlaceRequest
 from ground.telemetry.read import read_log
-from ground.telemetry.record import Recorder
 from sim.arms import arm_named
 from sim.effects.joints import HardstopAngle
 from sim.sequence import Outcome
 
 
-@pytest.fixture
-def disk_full_after(monkeypatch):
-    """Let the recorder write some cycles and then find the disk full."""
+class SmallDisk(FileIO):
+    """A file on a disk with room for 500 kB."""
 
-    def limit(cycles):
-        written = Recorder.write
+    room = 500_000
 
-        def write(self, record):
-            if record.tick >= cycles:
-                raise OSError(errno.ENOSPC, "No space left on device")
-            written(self, record)
-
-        monkeypatch.setattr(Recorder, "write", write)
-
-    return limit
+    def write(self, data):
+        if self.tell() + len(data) > self.room:
+            super().write(data[: self.room - self.tell()])
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return super().write(data)
 
 
 def test_an_arm_that_finds_no_hardstop_is_not_placed_and_its_log_is_said_not_to_be(tmp_path, monkeypatch):
@@ -45,11 +38,15 @@ def test_an_arm_that_finds_no_hardstop_is_not_placed_and_its_log_is_said_not_to_
     assert not list(tmp_path.iterdir())
 
 
-def test_a_full_disk_does_not_stop_the_arm_and_is_told(tmp_path, disk_full_after):
-    disk_full_after(cycles=640)
+def test_a_full_disk_does_not_stop_the_arm_and_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr("ground.telemetry.record.FileIO", SmallDisk)
     log = tmp_path / "run.mcap"
     report = place(PlaceRequest(log=log), lambda done, total, what: None)
     assert report.result.outcome is Outcome.DONE
-    assert report.kept.log_problem is not None
-    assert "from 10.00 s on (No space left on device)" in report.kept.log_problem
-    assert len(read_log(log)["/joint"]) == 640
+    kept = read_log(log)
+    ((time_s, event),) = report.kept.events
+    assert kept.truncated
+    assert len(kept["/joint"]) == round(64 * event.from_s) > 100
+    assert event.from_s <= time_s < report.result.duration_s
+    assert report.kept.log_problem == event.message
+    assert f"not recorded from {event.from_s:.2f} s on (No space left on device)" in event.message

@@ -44,6 +44,7 @@ BAD = {
     "movie of another kind": (("short.toml", "--movie", "m.png"), "must end in .gif"),
     "picture in no folder": (("short.toml", "--picture", "nowhere/p.png"), "nowhere"),
     "a log in no folder": (("short.toml", "--log", "nowhere/run.mcap"), "nowhere"),
+    "a wish for a full disk": (("short.toml", "--when-disk-full", "cry"), "'cry' is not one of"),
 }
 
 
@@ -121,6 +122,27 @@ def test_a_run_that_is_refused_faults_or_misses_a_check_ends_with_status_3(folde
     assert f"nominal arm: {outcome}, NOT passed" in words
     assert said in words
     assert [path.name for path in folder.iterdir() if path.suffix != ".toml"] == []
+
+
+@pytest.mark.parametrize(
+    ("wish", "status", "outcome", "passed"), [("go-on", 0, "done", True), ("stop", 3, "stopped", False)]
+)
+def test_a_full_disk_ends_the_run_or_does_not_as_asked_and_an_event_tells(
+    folder, wish, status, outcome, passed
+):
+    words = ("run", "short.toml", "--json", "--log", "run.mcap", "--when-disk-full", wish)
+    limited = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, {2 * (100_000,)})"
+    done = marsarm(folder, *words, before=limited)
+    assert done.returncode == status, done.stderr
+    report = json.loads(done.stdout)
+    assert (report["outcome"], report["passed"]) == (outcome, passed)
+    said = report["evrs"][-1]
+    assert (said["name"], said["severity"]) == ("LogNotWritten", "WARNING_HI")
+    assert "File too large" in said["message"]
+    assert ("MoveJoint aborted" in [evr["message"] for evr in report["evrs"]]) == (wish == "stop")
+    log = read_log(folder / "run.mcap")
+    assert log.truncated
+    assert len(log["/joint"]) == round(64 * said["fields"]["from_s"])
 
 
 def test_the_scenarios_are_listed_with_a_line_each(tmp_path):

@@ -16,11 +16,9 @@ from fsw.dictionary.commands import GuardedMove, Stop
 from fsw.dictionary.evrs import Booted, ContactMade
 from fsw.dictionary.joints import Switch, Tool
 from ground.telemetry.record import Recorder
+from ground.telemetry.schema import PER_JOINT, SHAPES
 from ground.telemetry.topics import required
 from sim.record import CycleRecord
-
-SHAPES = {"switch_closed": (10,), "gravity_R_m_s2": (3,), "R_RT": (3, 3)}
-"""Shapes worth having in a test; any other array gets (5,)."""
 
 EVENTS = {
     "commands": (Stop(), GuardedMove(Tool.APXS, (1.0, 0.25, -0.5), (0.0, 0.0, float("nan")))),
@@ -30,12 +28,12 @@ EVENTS = {
 Bytes = Callable[[int], bytes]
 
 
-def value_of(name: str, hint: Any, some: Bytes) -> Any:
+def value_of(owner: type, name: str, hint: Any, some: Bytes) -> Any:
     """Any value of an annotated type, its bits as `some` gives them."""
     kind = required(hint)
     if get_origin(kind) is np.ndarray:
         scalar = np.dtype(get_args(get_args(kind)[1])[0])
-        shape = SHAPES.get(name, (5,))
+        shape = SHAPES.get(f"{owner.__name__}.{name}", PER_JOINT)
         raw = np.frombuffer(some(scalar.itemsize * int(np.prod(shape))), np.uint8)
         return (raw & 1 if scalar.kind == "b" else raw).view(scalar).reshape(shape)
     if is_dataclass(kind):
@@ -51,7 +49,7 @@ def packet_of(kind: type, some: Bytes, **given: Any) -> Any:
     """A packet, or a whole cycle, of any content but what is given."""
     hints = get_type_hints(kind, include_extras=True)
     made = (f.name for f in fields(kind) if f.name not in given)
-    return kind(**given, **{name: value_of(name, hints[name], some) for name in made})
+    return kind(**given, **{name: value_of(kind, name, hints[name], some) for name in made})
 
 
 def cycle_at(tick: int) -> CycleRecord:

@@ -1,16 +1,20 @@
 """The layout of a message, against CDR decoded by hand."""
 
 import struct
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from fsw.dictionary.params import Limits
+from ground.telemetry import schema
 from ground.telemetry.errors import SchemaError
-from ground.telemetry.schema import Layout, Packer, layout_of
+from ground.telemetry.pack import HEAD, Packer, joined
+from ground.telemetry.schema import Layout, layout_of
 
 
 class Colour(IntEnum):
@@ -20,13 +24,20 @@ class Colour(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Packet:
+    """A packet of every kind.
+
+    More is said here.
+    """
+
     valid: bool
+    """Whether it is,
+    all of it."""
     colour: Colour
     switch: NDArray[np.bool_]
     count: NDArray[np.int16]
-    R_RT: Annotated[NDArray[np.float64], "proper rotation"]
+    R_RT: NDArray[np.float64]
     level: NDArray[np.float32]
-    current_A: float
+    current_A: Annotated[float, Limits(-2.0, 2.5)]
 
 
 NAMES = ("valid", "colour", "switch", "count", "R_RT", "level", "current_A")
@@ -39,69 +50,119 @@ PACKET = Packet(
     level=np.array([0.5], np.float32),
     current_A=-0.25,
 )
-# Little-endian CDR with XCDR1 padding, written out: each value at a multiple of its size after the header.
-BY_HAND = struct.Struct("<4s ?7x q 3? 1x 2h 9d f 4x d")
+# Little-endian CDR, written out: the largest numbers come first, so that nothing is padded.
+BY_HAND = struct.Struct("<4s q d 9d f 2h ? 3?")
 
 
-def packed(packet: Packet) -> bytes:
-    return Packer("Packet", layout_of(PACKET, NAMES)).pack(packet)
+@pytest.fixture(autouse=True)
+def _shapes(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    shapes = {"Packet.switch": (3,), "Packet.count": (2,), "Packet.R_RT": (3, 3), "Packet.level": (1,)}
+    monkeypatch.setattr(schema, "SHAPES", shapes)
+    return
+
+
+def packed(packet: Packet, packer: Packer | None = None) -> bytes:
+    pieces: list[Any] = []
+    (packer or Packer("Packet", 5, layout_of(Packet, NAMES))).pack(packet, 77, pieces)
+    return joined(pieces)
 
 
 def test_a_message_is_cdr_as_decoded_by_hand() -> None:
-    header, valid, colour, *rest = BY_HAND.unpack(packed(PACKET))
-    assert (header, valid, colour) == (b"\x00\x01\x00\x00", True, 7)
-    assert rest[:3] == [True, False, True]
-    assert rest[3:5] == [-32768, 32767]
-    assert rest[5:14] == list(range(9))
-    assert rest[14:] == [0.5, -0.25]
+    message = packed(PACKET)[HEAD.size :]
+    header, colour, current, *rest = BY_HAND.unpack(message)
+    assert (header, colour, current) == (b"\x00\x01\x00\x00", 7, -0.25)
+    assert rest[:9] == list(range(9))
+    assert rest[9:12] == [0.5, -32768, 32767]
+    assert rest[12:] == [True, True, False, True]
+
+
+def test_the_record_is_headed_by_channel_sequence_and_time() -> None:
+    packer = Packer("Packet", 5, layout_of(Packet, NAMES))
+    record = packed(PACKET, packer)
+    assert HEAD.unpack_from(record) == (5, len(record) - 9, 5, 0, 77, 77)
+    assert packer.mark == (5, len(record))
 
 
 def test_numpy_views_a_message_without_a_copy() -> None:
-    message = packed(PACKET)
-    (view,) = np.frombuffer(message, layout_of(PACKET, NAMES).dtype)
+    (view,) = np.frombuffer(packed(PACKET)[HEAD.size :], layout_of(Packet, NAMES).dtype)
     for name in NAMES:
         np.testing.assert_array_equal(view[name], getattr(PACKET, name))
 
 
-def test_the_ros_text_is_legal_for_foxglove_and_keeps_our_names_in_comments() -> None:
-    assert layout_of(PACKET, NAMES).ros_text.splitlines() == [
-        "bool valid",
+def test_the_ros_text_is_legal_for_foxglove_and_keeps_names_units_limits_and_docs_in_comments() -> None:
+    assert layout_of(Packet, NAMES).ros_text.splitlines() == [
         "int64 colour  # Colour: 3 RED, 7 BLUE",
-        "bool[3] switch",
-        "int16[2] count",
+        "float64 current_a  # current_A; [A]; -2 .. 2.5",
         "float64[9] r_rt  # R_RT; row by row, shape (3, 3)",
         "float32[1] level",
-        "float64 current_a  # current_A",
+        "int16[2] count",
+        "# Whether it is, all of it.",
+        "bool valid",
+        "bool[3] switch",
     ]
 
 
+@pytest.mark.parametrize(
+    ("name", "unit"),
+    [
+        ("encoder_count", "counts"),
+        ("gravity_R_m_s2", "m/s^2"),
+        ("p_RoTo_R_m", "m"),
+        ("setpoint_rate_rad_s", "rad/s"),
+        ("kinetic_energy_J", "J"),
+        ("winding_C", "degC"),
+        ("gap_side", None),
+        ("s", None),
+    ],
+)
+def test_a_unit_is_the_suffix_of_a_name(name: str, unit: str | None) -> None:
+    assert schema.unit_of(name) == unit
+
+
 def test_a_layout_survives_its_json() -> None:
-    layout = layout_of(PACKET, NAMES)
+    layout = layout_of(Packet, NAMES)
     assert Layout.from_json(layout.to_json()).dtype == layout.dtype
 
 
 def test_two_packets_in_a_row_do_not_mix() -> None:
-    packer = Packer("Packet", layout_of(PACKET, NAMES))
-    first = packer.pack(PACKET)
-    packer.pack(Packet(False, Colour.RED, ~PACKET.switch, -PACKET.count, -PACKET.R_RT, -PACKET.level, 1.0))
-    assert first == packer.pack(PACKET)
+    packer = Packer("Packet", 5, layout_of(Packet, NAMES))
+    first = packed(PACKET, packer)
+    packed(Packet(False, Colour.RED, ~PACKET.switch, -PACKET.count, -PACKET.R_RT, -PACKET.level, 1.0), packer)
+    assert first == packed(PACKET, packer)
+
+
+def test_an_array_lies_row_by_row_whatever_its_order_in_memory() -> None:
+    turned = replace(
+        PACKET, R_RT=np.asfortranarray(PACKET.R_RT), count=np.array([-32768, 0, 32767, 0], np.int16)[::2]
+    )
+    assert packed(turned) == packed(PACKET)
 
 
 @pytest.mark.parametrize(
     ("name", "value", "what"),
     [
-        ("count", np.zeros(3, np.int16), "since the first message"),
-        ("count", np.zeros(2, np.int64), "since the first message"),
-        ("count", np.zeros((2, 1), np.int16), "since the first message"),
-        ("colour", 1 << 63, "Packet.colour: 9223372036854775808 given"),
-        ("colour", 0.5, "Packet.colour: 0.5 given"),
+        ("count", np.zeros(3, np.int16), r"Packet.count: int16\(3,\) given, int16\(2,\) in the log's schema"),
+        ("count", np.zeros(2, np.int64), "in the log's schema"),
+        ("count", np.zeros((2, 1), np.int16), "in the log's schema"),
     ],
 )
-def test_a_packet_unlike_the_first_is_refused(name: str, value: object, what: str) -> None:
-    packer = Packer("Packet", layout_of(PACKET, NAMES))
-    values = {n: getattr(PACKET, n) for n in NAMES}
+def test_a_packet_unlike_its_layout_is_told_by_its_field(name: str, value: object, what: str) -> None:
+    packer = Packer("Packet", 5, layout_of(Packet, NAMES))
     with pytest.raises(SchemaError, match=what):
-        packer.pack(Packet(**{**values, name: value}))  # type: ignore[arg-type]
+        packer.check(replace(PACKET, **{name: value}))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "what"),
+    [
+        ("count", np.zeros(2, np.int64), "Packet.count"),
+        ("colour", 1 << 63, "9223372036854775808"),
+        ("colour", 0.5, "0.5"),
+    ],
+)
+def test_a_number_of_another_kind_is_refused(name: str, value: object, what: str) -> None:
+    with pytest.raises(SchemaError, match=what):
+        packed(replace(PACKET, **{name: value}))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,16 +172,12 @@ class Odd:
     words: NDArray[np.str_]
     count: NDArray[np.int64]
     Count: NDArray[np.int64]
-    empty: NDArray[np.int64]
     under__score: int
 
 
-ODD = Odd("a", None, np.array(["a"]), np.zeros(2, np.int64), np.zeros(2, np.int64), np.zeros(0, np.int64), 1)
-
-
 @pytest.mark.parametrize(
-    "names", [("text",), ("maybe",), ("words",), ("empty",), ("count", "Count"), ("under__score",)], ids=str
+    "names", [("text",), ("maybe",), ("words",), ("count", "Count"), ("under__score",)], ids=str
 )
 def test_a_field_that_has_no_place_in_a_message_is_refused_by_name(names: tuple[str, ...]) -> None:
     with pytest.raises(SchemaError, match=rf"Odd\.{names[-1]}:"):
-        layout_of(ODD, names)
+        layout_of(Odd, names)

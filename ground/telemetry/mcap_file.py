@@ -1,0 +1,216 @@
+"""The MCAP container as it is written: chunks with their indexes, and a summary at the end."""
+
+import struct
+import zlib
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple, Protocol
+
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.writer import MCAP0_MAGIC
+from zstandard import ZstdCompressor
+
+COMPRESSION_LEVEL: Final = -5
+"""A log is an eighth larger than at level 1, and takes half the time."""
+INDEX_HEAD: Final = struct.Struct("<BQHI")
+"""Opcode, length of the rest, channel and bytes of entries of a message index."""
+CHUNK_HEAD: Final = struct.Struct("<BQQQQII4sQ")
+"""Opcode, length of the rest, first and last time, size and CRC of what is compressed, how, size after it."""
+FOOTER_HEAD: Final = struct.Struct("<BQQQ")
+
+
+class RawFile(Protocol):
+    """What a log is written to: a file without a buffer of its own."""
+
+    def write(self, data: memoryview, /) -> int | None:
+        """Write some of the data and say how much."""
+
+    def truncate(self, size: int, /) -> int:
+        """Cut the file."""
+
+    def close(self) -> None:
+        """End it."""
+
+
+Mark = tuple[int, int]
+"""Channel and length of a record."""
+
+
+class Row(NamedTuple):
+    """Message records of one time, back to back."""
+
+    time_ns: int
+    data: bytes
+    marks: Sequence[Mark]
+    """Of each."""
+    sample: Any = None
+    """What more records of this time are to be made of; not for the file."""
+
+
+@dataclass(slots=True)
+class Totals:
+    """What the summary tells of the messages."""
+
+    first_ns: int = 0
+    last_ns: int = 0
+    by_channel: dict[int, int] = field(default_factory=dict)
+
+    def add(self, first_ns: int, last_ns: int, counts: Mapping[int, int]) -> None:
+        """Count the messages of a chunk."""
+        self.first_ns = min(self.first_ns, first_ns) if self.by_channel else first_ns
+        self.last_ns = max(self.last_ns, last_ns)
+        for channel, count in counts.items():
+            self.by_channel[channel] = self.by_channel.get(channel, 0) + count
+
+
+class McapFile:
+    """A file that grows by whole chunks, each written at once; after any of them it can be read so far."""
+
+    def __init__(self, file: RawFile) -> None:
+        self._file = file
+        self._size = 0
+        self._crc = 0
+        self._compressor = ZstdCompressor(level=COMPRESSION_LEVEL)
+        self._metadata: list[MetadataIndex] = []
+        self._chunks: list[ChunkIndex] = []
+        self._schemas: Sequence[Schema] = ()
+        self._channels: Sequence[Channel] = ()
+        self._totals = Totals()
+
+    def begin(
+        self, metadata: Sequence[Metadata], schemas: Sequence[Schema], channels: Sequence[Channel]
+    ) -> None:
+        """Write what comes before any message; schemas and channels in a chunk, so that they have a CRC."""
+        self._schemas, self._channels = schemas, channels
+        out, at = [MCAP0_MAGIC, encoded(Header("", "marsarm"))], len(MCAP0_MAGIC)
+        at += len(out[-1])
+        for one in metadata:
+            out.append(encoded(one))
+            self._metadata.append(MetadataIndex(length=len(out[-1]), name=one.name, offset=at))
+            at += len(out[-1])
+        self._write(b"".join(out))
+        self._write_chunk(b"".join(encoded(one) for one in (*schemas, *channels)), 0, 0, {})
+
+    def add_chunk(self, rows: Sequence[Row]) -> None:
+        """Write these messages, at least one, as one chunk with its message indexes."""
+        entries: dict[int, list[int]] = defaultdict(list)
+        at = 0
+        for time_ns, _, marks, _ in rows:
+            for channel, length in marks:
+                entries[channel] += (time_ns, at)
+                at += length
+        times_ns = [row.time_ns for row in rows]
+        first_ns, last_ns = min(times_ns), max(times_ns)
+        self._write_chunk(b"".join([row.data for row in rows]), first_ns, last_ns, entries)
+        self._totals.add(first_ns, last_ns, {channel: len(one) // 2 for channel, one in entries.items()})
+
+    def finish(self) -> None:
+        """Write the summary; the file is whole after it."""
+        end = encoded(DataEnd(self._crc))
+        groups: dict[Opcode, Sequence[McapRecord]] = {
+            Opcode.SCHEMA: self._schemas,
+            Opcode.CHANNEL: self._channels,
+            Opcode.STATISTICS: [self._statistics()],
+            Opcode.CHUNK_INDEX: self._chunks,
+            Opcode.METADATA_INDEX: self._metadata,
+        }
+        start = at = self._size + len(end)
+        parts, offsets = [], []
+        for opcode, group in groups.items():
+            part = b"".join(map(encoded, group))
+            offsets.append(SummaryOffset(group_opcode=opcode, group_start=at, group_length=len(part)))
+            parts.append(part)
+            at += len(part)
+        summary = b"".join([*parts, *map(encoded, offsets)])
+        crc = zlib.crc32(FOOTER_HEAD.pack(Opcode.FOOTER, 20, start, at), zlib.crc32(summary))
+        self._write(end + summary + encoded(Footer(start, at, crc)) + MCAP0_MAGIC)
+
+    def close(self) -> None:
+        """End the file as it is."""
+        self._file.close()
+
+    def _statistics(self) -> Statistics:
+        counts = self._totals.by_channel
+        return Statistics(
+            attachment_count=0,
+            channel_count=len(self._channels),
+            channel_message_counts=counts,
+            chunk_count=len(self._chunks),
+            message_count=sum(counts.values()),
+            message_end_time=self._totals.last_ns,
+            message_start_time=self._totals.first_ns,
+            metadata_count=len(self._metadata),
+            schema_count=len(self._schemas),
+        )
+
+    def _write_chunk(
+        self, data: bytes, first_ns: int, last_ns: int, entries: Mapping[int, list[int]]
+    ) -> None:
+        compressed = self._compressor.compress(data)
+        length = CHUNK_HEAD.size - 9 + len(compressed)
+        head = (
+            Opcode.CHUNK,
+            length,
+            first_ns,
+            last_ns,
+            len(data),
+            zlib.crc32(data),
+            4,
+            b"zstd",
+            len(compressed),
+        )
+        record = CHUNK_HEAD.pack(*head) + compressed
+        parts, offsets, at = [record], {}, self._size + len(record)
+        for channel, numbers in entries.items():
+            size = 8 * len(numbers)
+            offsets[channel] = at
+            parts.append(INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + size, channel, size))
+            parts.append(struct.pack(f"<{len(numbers)}Q", *numbers))
+            at += INDEX_HEAD.size + size
+        index = ChunkIndex(
+            chunk_length=len(record),
+            chunk_start_offset=self._size,
+            compression="zstd",
+            compressed_size=len(compressed),
+            message_end_time=last_ns,
+            message_index_length=at - self._size - len(record),
+            message_index_offsets=offsets,
+            message_start_time=first_ns,
+            uncompressed_size=len(data),
+        )
+        self._write(b"".join(parts))
+        self._chunks.append(index)
+
+    def _write(self, data: bytes) -> None:
+        """Write all of it, or leave the file as it was and raise OSError."""
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) or 0 :]
+        except OSError:
+            self._file.truncate(self._size)
+            raise
+        self._crc = zlib.crc32(data, self._crc)
+        self._size += len(data)
+
+
+def encoded(record: McapRecord) -> bytes:
+    """The bytes of a record."""
+    builder = RecordBuilder()
+    record.write(builder)
+    return bytes(builder.end())  # type: ignore[no-untyped-call]  # mcap annotates only part of itself
