@@ -78,7 +78,7 @@ class Differences:
 
 def every_channel(channel: str) -> bool:
     """Choose all."""
-    return bool(channel)
+    return True
 
 
 def channels_of(behaviour: Behaviour) -> list[str]:
@@ -92,34 +92,47 @@ def compare(
     """What is not the same; NaN is the same as NaN.
 
     `tolerance` is relative to numbers beyond 1, absolute below; whole numbers and flags are to be the same.
+    Flight software always says that it is up: without any event, a log is of something else, and what it has
+    not got is not compared.
     """
-    lengths = [_length(topic, recorded, replayed) for topic in _topics(recorded, replayed)]
-    channels, compared, untold = [], 0, []
-    for topic in _topics(recorded, replayed):
+    foreign = not recorded.evrs and recorded.ticks > 0
+    lacking = [topic for topic in replayed.series if topic not in recorded.series] if foreign else []
+    topics = [t for t in dict.fromkeys((*recorded.series, *replayed.series)) if t not in lacking]
+    untold = [
+        f"{topic}: not recorded; not compared" for topic in (*lacking, *([EVR_TOPIC] if foreign else []))
+    ]
+    lengths = [_length(topic, recorded, replayed) for topic in topics]
+    channels, compared = [], 0
+    for topic in topics:
         ours, theirs = recorded.series.get(topic), replayed.series.get(topic)
         if ours is None or theirs is None:
             continue
-        lone = sorted(ours.fields.keys() ^ theirs.fields.keys())
-        untold += [f"{topic}.{name}: only one side has it; not compared" for name in lone]
-        for name in (name for name in ours.fields if name in theirs.fields and chosen(f"{topic}.{name}")):
-            if ours.fields[name].shape[1:] != theirs.fields[name].shape[1:]:
-                untold.append(f"{topic}.{name}: has another shape; not compared")
-            else:
-                compared += 1
-                channels.append(_channel(f"{topic}.{name}", name, ours, theirs, tolerance))
+        comparable, sentences = _comparable(topic, ours, theirs)
+        untold += sentences
+        for name in (name for name in comparable if chosen(f"{topic}.{name}")):
+            compared += 1
+            channels.append(_channel(f"{topic}.{name}", name, ours, theirs, tolerance))
     return Differences(
         tolerance=tolerance,
         ticks=(recorded.ticks, replayed.ticks),
-        lengths=tuple(one for one in (*lengths, _evr_length(recorded, replayed)) if one is not None),
-        evrs=evr_differences(recorded.evrs, replayed.evrs, tolerance),
+        lengths=tuple(
+            one for one in (*lengths, None if foreign else _evr_length(recorded, replayed)) if one is not None
+        ),
+        evrs=() if foreign else evr_differences(recorded.evrs, replayed.evrs, tolerance),
         channels=tuple(one for one in channels if one is not None),
         channels_compared=compared,
         not_compared=tuple(untold),
     )
 
 
-def _topics(recorded: Behaviour, replayed: Behaviour) -> list[str]:
-    return list(dict.fromkeys((*recorded.series, *replayed.series)))
+def _comparable(topic: str, ours: Series, theirs: Series) -> tuple[list[str], list[str]]:
+    """The fields that both sides have, in one shape; and sentences about the others."""
+    lone = sorted(ours.fields.keys() ^ theirs.fields.keys())
+    both = [name for name in ours.fields if name in theirs.fields]
+    fit = [name for name in both if ours.fields[name].shape[1:] == theirs.fields[name].shape[1:]]
+    sentences = [f"{topic}.{name}: only one side has it; not compared" for name in lone]
+    sentences += [f"{topic}.{name}: has another shape; not compared" for name in both if name not in fit]
+    return fit, sentences
 
 
 NO_TICKS: Final = np.zeros(0, np.int64)

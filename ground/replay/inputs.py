@@ -125,6 +125,8 @@ def _whole_ticks(log: Log, notes: list[str]) -> int:
         notes.append(f"the log was cut short: replayed up to tick {end - 2}, the last that is surely whole")
     else:
         return end
+    if end == 1:
+        raise NotReplayable(f"log {log.path}: holds no tick that is surely whole")
     return end - 1
 
 

@@ -16,14 +16,14 @@ from ground.replay.compare import Differences, channels_of, compare
 from ground.replay.inputs import Inputs, NotReplayable, inputs_in
 from ground.request import BadRequest
 from ground.telemetry.errors import LogError
-from ground.telemetry.header import cpu_features
 from ground.telemetry.plain import to_plain
+from ground.telemetry.processor import cpu_features
 from ground.telemetry.read import Log, read_log
 from sim.loop import stepped
 from sim.params import BadParams, params_over
 
 ELSEWHERE: Final = 1e-12
-"""What numbers may differ by on a processor whose instruction sets round sums in another order."""
+"""What numbers may differ by on a processor whose kernels round sums in another order."""
 
 Progress = Callable[[float, float, str], None]
 
@@ -95,7 +95,7 @@ def outputs_for(inputs: Inputs, params: Params, progress: Progress) -> list[Outp
 
 
 def made_here(log: Log) -> bool:
-    """Whether a log was made on a processor with the instruction sets of this one."""
+    """Whether a log was made on a processor with the instruction sets and kernels of this one."""
     return log.header.get("cpu") == json.dumps(cpu_features())
 
 

@@ -1,11 +1,11 @@
 """A replay as a table for people and as a document for programs."""
 
+from collections.abc import Iterator
 from math import isfinite
 from typing import Any, Final
 
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
 
 from fsw.config import CYCLE_HZ
 from ground.replay.compare import ChannelDifference, Differences
@@ -16,7 +16,6 @@ from ground.telemetry.events import EvrEntry
 
 MOST_EVRS: Final = 30
 """Lines for people; the document has all."""
-MOST_WAVEFORMS: Final = 12
 
 
 def replay_json(report: ReplayReport) -> dict[str, Any]:
@@ -105,23 +104,22 @@ def differences_table(console: Console, found: Differences) -> None:
             f"{n.first_tick} on",
             soft_wrap=True,
         )
-    if not found.channels:
-        return
-    table = Table(title="channels that differ", title_justify="left")
-    for name in ("channel", "first tick", "ticks", "greatest", "at tick"):
-        table.add_column(name, justify="left" if name == "channel" else "right", overflow="fold")
-    table.add_column("difference over time", no_wrap=True)
-    for c in found.channels:
-        cells = (_named(c.channel, c.component), c.first_tick, c.ticks, f"{c.greatest:.3g}", c.greatest_tick)
-        table.add_row(*(escape(str(cell)) for cell in cells), size_line(c.profile))
-    console.print(table)
-    for c in sorted(found.channels, key=lambda c: c.first_tick)[:MOST_WAVEFORMS]:
-        name = _named(c.channel, c.first_component)
-        console.print(f"{name} around tick {c.first_tick}:", markup=False, soft_wrap=True)
-        for side, line, value in zip(
-            ("recorded", "replayed"), value_lines(c.recorded, c.replayed), c.at_first, strict=True
-        ):
-            console.print(f"  {side}  {line}  {value!r} there", markup=False, soft_wrap=True)
+    for c in sorted(found.channels, key=lambda c: c.first_tick):
+        for line in _channel_lines(c):
+            console.print(line, soft_wrap=True, markup=False)
+
+
+def _channel_lines(c: ChannelDifference) -> Iterator[str]:
+    """A channel: where it differs, how that goes over time, and the values around the first tick."""
+    yield (
+        f"channel   {_named(c.channel, c.component)}: from tick {c.first_tick} on, at {c.ticks} of "
+        f"{c.compared} ticks, by up to {c.greatest:.3g} at tick {c.greatest_tick}"
+    )
+    yield f"          {'difference over time':<20}  {size_line(c.profile)}"
+    lines = value_lines(c.recorded, c.replayed)
+    where = "" if c.component == c.first_component else f" of {_named(c.channel, c.first_component)}"
+    for side, line, value in zip(("recorded", "replayed"), lines, c.at_first, strict=True):
+        yield f"          {f'{side} at first':<20}  {line}  {value!r} at tick {c.first_tick}{where}"
 
 
 def _evr_line(one: EvrDifference) -> str:

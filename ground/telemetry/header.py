@@ -12,7 +12,6 @@ from typing import Any, Final
 
 import mujoco
 import numpy as np
-from numpy._core._multiarray_umath import __cpu_features__ as NUMPY_FEATURES  # type: ignore[import-not-found]
 
 from fsw.config import digest
 from fsw.dictionary.commands import Command
@@ -20,6 +19,7 @@ from fsw.dictionary.modes import Mode
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
 from ground.telemetry.plain import to_plain
+from ground.telemetry.processor import cpu_features
 from sim.loop import ClosedLoop
 
 ROOT: Final = Path(__file__).resolve().parents[2]
@@ -76,11 +76,6 @@ def asked(commands: Sequence[Command]) -> dict[str, str]:
     """A command sequence and its digest."""
     text = json.dumps([{"type": type(c).__name__, "fields": to_plain(c)} for c in commands])
     return {"commands": text, "commands_sha256": hashlib.sha256(text.encode()).hexdigest()}
-
-
-def cpu_features() -> list[str]:
-    """The machine and those of its instruction sets that numpy makes use of; they decide how sums round."""
-    return [platform.machine(), *sorted(name for name, there in NUMPY_FEATURES.items() if there)]
 
 
 def model_digest(model: mujoco.MjModel) -> str:
