@@ -119,14 +119,12 @@ def _whole_ticks(log: Log, notes: list[str]) -> int:
         )
     gaps = np.flatnonzero(np.diff(ticks) != 1)
     end = len(ticks) if gaps.size == 0 else int(gaps[0]) + 1
-    if end < len(ticks):
-        notes.append(f"tick {end} is missing: replayed up to there, of {len(ticks)} ticks")
-    elif log.truncated:
-        notes.append(f"the log was cut short: replayed up to tick {end - 2}, the last that is surely whole")
-    else:
+    if end == len(ticks) and not log.truncated:
         return end
     if end == 1:
         raise NotReplayable(f"log {log.path}: holds no tick that is surely whole")
+    why = "the log was cut short" if end == len(ticks) else f"tick {end} is missing"
+    notes.append(f"{why}: replayed up to tick {end - 2}, the last that is surely whole")
     return end - 1
 
 
