@@ -80,7 +80,7 @@ def _start(log: Log, notes: list[str]) -> tuple[Params, Mode, Reference | None]:
     if lacking:
         raise NotPlain(
             f"its header has no {', '.join(lacking)}, so nobody knows what flight software began with; "
-            f"record it with this marsarm"
+            f"record it with this marsarm, or import it with a [start]"
         )
     written = json.loads(log.header["params"])
     seen = len(notes)

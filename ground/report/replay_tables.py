@@ -125,7 +125,7 @@ def _channel_lines(c: ChannelDifference) -> Iterator[str]:
 def _evr_line(one: EvrDifference) -> str:
     evr = one.recorded or one.replayed
     assert evr is not None
-    line = f"event     tick {one.tick}  [bold]{one.kind.value}[/bold]  {evr.name}: {escape(evr.message)}"
+    line = f"event     tick {evr.tick}  [bold]{one.kind.value}[/bold]  {evr.name}: {escape(evr.message)}"
     if one.recorded is None or one.replayed is None:
         return line
     later = "" if one.recorded.tick == one.replayed.tick else f"at tick {one.replayed.tick} "

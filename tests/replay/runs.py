@@ -144,7 +144,7 @@ RUNS = (
     ReferenceRun(
         "hardstop",
         TURRET_AT_ITS_STOP,
-        ((Calibrate(Joint.TURRET), LONG),),
+        ((SetParam("hardstop.retreat_rad", 0.008), LONG), (Calibrate(Joint.TURRET), LONG)),
         "JointCalibrated",
         arm="as-built:5",
         known=False,

@@ -17,7 +17,7 @@ from ground.telemetry.read import read_log
 from tests.replay.remake import FOLDER, path_of
 from tests.replay.runs import RUNS
 
-MOST_BYTES = 1_600_000
+MOST_BYTES = 1_500_000
 
 
 def silent(*_) -> None:
