@@ -44,18 +44,38 @@ class EvrDifference:
 def evr_differences(
     recorded: Sequence[EvrEntry], replayed: Sequence[EvrEntry], tolerance: float = 0.0
 ) -> tuple[EvrDifference, ...]:
-    """What differs, by tick: events of one tick and name are pairs, in order; so are those left over."""
+    """What differs, by tick.
+
+    Events of one tick and name are pairs, in their order; of those left over, any of the same words, and then
+    any of the same name: they came at another tick.
+    """
     found: list[EvrDifference] = []
     left: tuple[list[EvrEntry], list[EvrEntry]] = ([], [])
     ours, theirs = _by(recorded, "tick"), _by(replayed, "tick")
     for tick in sorted({*ours, *theirs}):
         found += _at_one_tick(ours.get(tick, []), theirs.get(tick, []), tolerance, left)
-    by_name = (_by(left[0], "name"), _by(left[1], "name"))
-    for name in {*by_name[0], *by_name[1]}:
-        for one, other in zip_longest(by_name[0].get(name, []), by_name[1].get(name, [])):
-            kind = Kind.ADDED if one is None else Kind.MISSING if other is None else Kind.CHANGED
-            found.append(EvrDifference(kind, one, other))
+    for key in ("message", "name"):
+        pairs, left = _pairs(*left, key)
+        found += [EvrDifference(Kind.CHANGED, one, other) for one, other in pairs]
+    found += [EvrDifference(Kind.MISSING, one, None) for one in left[0]]
+    found += [EvrDifference(Kind.ADDED, None, other) for other in left[1]]
     return tuple(sorted(found, key=lambda difference: (difference.tick, difference.name)))
+
+
+def _pairs(
+    ours: list[EvrEntry], theirs: list[EvrEntry], key: str
+) -> tuple[list[tuple[EvrEntry, EvrEntry]], tuple[list[EvrEntry], list[EvrEntry]]]:
+    """Events that have something in common, in order; and those without a partner."""
+    pairs, rest = [], []
+    free = _by(theirs, key)
+    for one in ours:
+        partners = free.get(getattr(one, key))
+        if partners:
+            pairs.append((one, partners.pop(0)))
+        else:
+            rest.append(one)
+    taken = {id(other) for _, other in pairs}
+    return pairs, (rest, [other for other in theirs if id(other) not in taken])
 
 
 def _at_one_tick(

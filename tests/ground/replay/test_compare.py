@@ -148,6 +148,15 @@ def test_an_event_that_comes_later_has_changed():
     assert (one.kind, one.tick, one.recorded.tick, one.replayed.tick) == (Kind.CHANGED, 3, 3, 5)
 
 
+def test_an_event_of_the_same_words_is_its_partner_before_one_of_the_same_name():
+    first, second = evr(3, "Done", of="A"), evr(9, "Done", of="B")
+    found = evr_differences([first, second], [evr(5, "Done", of="B")])
+    assert [(one.kind, one.recorded, one.tick) for one in found] == [
+        (Kind.MISSING, first, 3),
+        (Kind.CHANGED, second, 5),
+    ]
+
+
 def test_one_event_too_many_of_a_name_is_added():
     assert kinds([evr(3, n=1)], [evr(3, n=1), evr(3, n=2)]) == [("added", 3, "Moved")]
 
