@@ -114,7 +114,7 @@ RUNS = (
         APXS_THERE,
         (
             (GuardedMove(Tool.APXS, beyond(0.04), IN), LONG),
-            (Retract(Tool.APXS, 0.003), LONG),
+            (Retract(Tool.APXS, 0.001), LONG),
         ),
         "ContactMade",
         arm="calibrated:7",
@@ -185,7 +185,7 @@ RUNS = (
             (SetTilt(1.0, 0.0), 1),
             (Unstow(), 1),
             (ToolChange(Tool.APXS), 1),
-            (Stow(), 40),
+            (Stow(), 10),
             (MoveJoint(Joint.WRIST, 2.0), 1),
             (SetParam("motion.load_period", 8.0), 1),
             (Stop(), LONG),
@@ -198,7 +198,7 @@ RUNS = (
         (
             (SetParam("joints.wrist.speed_rad_s", 0.02), LONG),
             (SetTilt(0.02, -0.03), LONG),
-            (Process(Tool.PORTION, (1.0, 0.3, 0.0), 0.5), 150),
+            (Process(Tool.PORTION, (1.0, 0.3, 0.0), 0.5), 60),
             (Stop(), LONG),
         ),
         "ParamSet",
