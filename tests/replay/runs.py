@@ -112,10 +112,7 @@ RUNS = (
     ReferenceRun(
         "contact",
         APXS_THERE,
-        (
-            (GuardedMove(Tool.APXS, beyond(0.04), IN), LONG),
-            (Retract(Tool.APXS, 0.001), LONG),
-        ),
+        ((GuardedMove(Tool.APXS, beyond(0.04), IN), LONG),),
         "ContactMade",
         arm="calibrated:7",
         world=World(surface=APXS_ROCK),
@@ -125,7 +122,7 @@ RUNS = (
         DRILL_THERE,
         (
             (GuardedMove(Tool.DRILL, beyond(0.06), IN), LONG),
-            (Preload(Tool.DRILL, 30.0), LONG),
+            (Preload(Tool.DRILL, 24.0), LONG),
         ),
         "Preloaded",
         world=World(surface=DRILL_ROCK),
@@ -144,7 +141,7 @@ RUNS = (
     ReferenceRun(
         "hardstop",
         TURRET_AT_ITS_STOP,
-        ((SetParam("hardstop.retreat_rad", 0.008), LONG), (Calibrate(Joint.TURRET), LONG)),
+        ((SetParam("hardstop.retreat_rad", 0.006), LONG), (Calibrate(Joint.TURRET), LONG)),
         "JointCalibrated",
         arm="as-built:5",
         known=False,
