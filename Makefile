@@ -11,7 +11,7 @@ WORKERS ?= 2
 
 say = echo "marsarm: $(1)" >&2
 
-.PHONY: help setup demo test bench campaign joints jobs killed oracle lint lock clean
+.PHONY: help setup demo test bench campaign joints jobs killed references oracle lint lock clean
 
 help:
 	@echo "make demo      set up, put the APXS on a rock on Mars, write a picture"
@@ -21,6 +21,7 @@ help:
 	@echo "make joints    find hardstops and backlash again and again on many arms, print how well as JSON"
 	@echo "make jobs      run every scenario, tool changes and faults on many arms, print how well as JSON"
 	@echo "make killed    kill recorded runs at random moments, print what their logs lost as JSON"
+	@echo "make references  make the reference runs of tests/replay anew, print what differs"
 	@echo "make oracle    compare the inverse kinematics with EAIK, if it can be installed"
 	@echo "make lint      style, types and the direction of imports"
 	@echo "make lock      choose package versions anew (needs uv)"
@@ -55,6 +56,10 @@ jobs: $(VENV)/ready
 killed: $(VENV)/ready
 	@$(call say,killing recorded runs at random moments; this takes ten minutes)
 	@$(BIN)/python -m benchmarks.killed $(ARGS)
+
+references: $(VENV)/ready
+	@$(call say,making the reference runs anew)
+	@$(BIN)/python -m tests.replay.remake $(ARGS)
 
 # Optional, and not in the lock. Without its dependencies, which are for URDF files and take 240 MB: what is used
 # of EAIK needs numpy alone. Where no wheel fits or no index answers, the tests are skipped and say so.

@@ -28,6 +28,7 @@ from ground.cli_parts import (
     end,
     show,
 )
+from ground.cli_replay import replay
 from ground.cli_run import run, scenarios
 
 if TYPE_CHECKING:
@@ -118,6 +119,7 @@ app.command()(reach)
 app.command()(hardstop)
 app.command()(run)
 app.command()(scenarios)
+app.command()(replay)
 
 
 def _finish(report: "PlaceReport") -> None:

@@ -1,11 +1,9 @@
 """What is kept of a run: its log, a picture and a movie; the run goes on without any of them."""
 
-import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import mujoco
 import numpy as np
@@ -153,7 +151,7 @@ class Log:
         self.events = ((self._last_s, event),)
 
 
-def open_log(path: Path | None, arm: str, config: Config, seed: int, request: dict[str, Any]) -> Log:
+def open_log(path: Path | None, header: Mapping[str, str], config: Config) -> Log:
     """A log that begins with what the run is made of; one of nothing without a path.
 
     Raises:
@@ -161,15 +159,6 @@ def open_log(path: Path | None, arm: str, config: Config, seed: int, request: di
     """
     if path is None:
         return Log(None, None)
-    header = {
-        "marsarm": version("marsarm"),
-        "mujoco": mujoco.__version__,
-        "numpy": np.__version__,
-        "params_sha256": config.params_sha256,
-        "arm": arm,
-        "seed": str(seed),
-        "request": json.dumps(request, default=str, sort_keys=True),
-    }
     try:
         return Log(path, Recorder(path, header, config))
     except LogNotWritable as error:

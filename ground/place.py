@@ -8,6 +8,7 @@ from fsw.dictionary.evrs import CommandCompleted
 from ground.evidence import Files, Frames, Kept, Progress, doing, keep, nothing_kept, open_log
 from ground.initialise import initialise
 from ground.place_request import PlaceRequest, checked
+from ground.telemetry.header import header_of
 from sim.arms import BuiltArm
 from sim.initialisation import Initialisation
 from sim.loop import ClosedLoop, Setup
@@ -39,7 +40,8 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
     setup = Setup(job.arm, job.world, job.arm.params.poses.stowed_rad, request.seed, stops[-1].reference)
     loop = ClosedLoop(setup, with_truth=request.log is not None)
     run = PlacementRun(loop, job.placement)
-    log = open_log(request.log, job.arm.name, loop.config, request.seed, asdict(request))
+    header = header_of(loop, job.arm.name, request.seed, asdict(request), run.commands)
+    log = open_log(request.log, header, loop.config)
     frames = Frames()
     started = time.perf_counter()
     try:

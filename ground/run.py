@@ -22,6 +22,7 @@ from ground.evidence import (
 )
 from ground.initialise import initialise
 from ground.request import BadRequest, check_seed, chosen_arm, tilted_world
+from ground.telemetry.header import header_of
 from sim.arms import BuiltArm
 from sim.initialisation import Initialisation
 from sim.loop import ClosedLoop
@@ -84,7 +85,8 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
     setup = setup_of(scenario, arm, reference, request.seed)
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     judged = ScenarioRun(loop, scenario)
-    log = open_log(request.files.log, arm.name, loop.config, request.seed, asdict(request))
+    header = header_of(loop, arm.name, request.seed, asdict(request), scenario.commands)
+    log = open_log(request.files.log, header, loop.config)
     frames, shown, total = Frames(), _shown(scenario), len(scenario.commands)
     started = time.perf_counter()
     try:

@@ -11,7 +11,7 @@ from fsw.dictionary.commands import Command, Joints5
 from fsw.dictionary.evrs import SoftwareError
 from fsw.dictionary.modes import Mode
 from fsw.estimate.reference import Reference
-from fsw.messages import Outputs
+from fsw.messages import Outputs, Sensors
 from fsw.state import State, boot, outputs_at_rest
 from sim.arms import BuiltArm
 from sim.avionics import Avionics
@@ -89,12 +89,7 @@ class ClosedLoop:
         sensors = self.avionics.sense()
         truth = self.truth() if self.with_truth else None
         tick = self.state.tick
-        try:
-            self.state, outputs = step(self.config, self.state, sensors, commands)
-        except Exception as error:
-            # the one place that catches a software error: brakes on, say so; the run is to end here
-            self.failure = error
-            outputs = _safe_outputs(self._outputs, error)
+        self.state, outputs, self.failure = stepped(self.config, self.state, self._outputs, sensors, commands)
         self._outputs = outputs
         self._drive()
         while self.failure is not None and self.avionics.brakes_move:
@@ -118,6 +113,18 @@ class ClosedLoop:
         self._truth = None
         self.avionics.apply(self._outputs.drive)
         self.plant.step()
+
+
+def stepped(
+    config: Config, state: State, last: Outputs, sensors: Sensors, commands: tuple[Command, ...]
+) -> tuple[State, Outputs, Exception | None]:
+    """One cycle of flight software, whose last outputs these were; and what ended it, if it ended."""
+    try:
+        state, outputs = step(config, state, sensors, commands)
+    except Exception as error:
+        # the one place that catches a software error: brakes on, say so; the run is to end here
+        return state, _safe_outputs(last, error), error
+    return state, outputs, None
 
 
 def _safe_outputs(last: Outputs, error: Exception) -> Outputs:

@@ -3,6 +3,7 @@
 import json
 import tomllib
 from collections.abc import Iterator
+from dataclasses import asdict
 from datetime import date, time
 from importlib import resources
 from pathlib import Path
@@ -29,13 +30,25 @@ def params_over_nominal(path: Path) -> Params:
     Raises:
         BadParams: the file cannot be read, or names or values in it are wrong.
     """
+    return _validated(_merged(_nominal_table(), _read(path)), str(path))
+
+
+def params_over(params: Params, path: Path) -> Params:
+    """These parameters with those of a TOML file in their place; the file may give any part of them.
+
+    Raises:
+        BadParams: the file cannot be read, or names or values in it are wrong.
+    """
+    return _validated(_merged(asdict(params), _read(path)), str(path))
+
+
+def _read(path: Path) -> dict[str, Any]:
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise BadParams(f"{path}: cannot be read: {error}") from error
     except (ValueError, RecursionError) as error:  # torn, or a number or a list without end
         raise BadParams(f"{path}: is not TOML: {error}") from error
-    return _validated(_merged(_nominal_table(), table), str(path))
 
 
 def _nominal_table() -> dict[str, Any]:

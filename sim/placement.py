@@ -94,7 +94,7 @@ class PlacementRun:
         stowed = loop.state.mode is Mode.STOWED
         self._loop = loop
         self._placement = placement
-        self._commands = placement_commands(placement, stowed)
+        self.commands = placement_commands(placement, stowed)
         self._evrs: list[tuple[float, Evr]] = []
         self._errors: dict[str, PlacementError] = {}
         self._outcome = Outcome.SOFTWARE_ERROR
@@ -102,7 +102,7 @@ class PlacementRun:
 
     def __iter__(self) -> Iterator[CycleRecord]:
         """Every cycle, as it happens."""
-        self._outcome = yield from watched(run_sequence(self._loop, self._commands), self._note)
+        self._outcome = yield from watched(run_sequence(self._loop, self.commands), self._note)
 
     def _note(self, record: CycleRecord) -> None:
         for evr in record.outputs.evrs:

@@ -1,0 +1,70 @@
+"""What flight software put out in a run: its packets by topic, and its events."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.messages import Outputs
+from ground.telemetry.events import EvrEntry, evr_entry
+from ground.telemetry.read import Log
+from ground.telemetry.topics import PACKET_TOPICS, Topic
+
+OUTPUTS: Final = "outputs."
+OUTPUT_TOPICS: Final[tuple[Topic, ...]] = tuple(
+    topic for topic, _ in PACKET_TOPICS if topic.path.startswith(OUTPUTS)
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """The packets of one topic."""
+
+    ticks: NDArray[np.int64]
+    """Shape (n,), rising."""
+    fields: Mapping[str, NDArray[Any]]
+    """Shape (n, ...) each."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Behaviour:
+    """All that left flight software; a topic without packets is not there."""
+
+    ticks: int
+    """How many cycles, from tick 0."""
+    series: Mapping[str, Series]
+    evrs: tuple[EvrEntry, ...]
+
+
+def behaviour_in(log: Log, ticks: int) -> Behaviour:
+    """What a log holds of the first so many ticks."""
+    series = {}
+    for topic in OUTPUT_TOPICS:
+        if topic.name in log.packets:
+            end = int(np.searchsorted(log.ticks(topic.name), ticks))
+            packets = log[topic.name][:end]
+            names = [name for name in topic.field_names if name in (packets.dtype.names or ())]
+            series[topic.name] = Series(log.ticks(topic.name)[:end], {name: packets[name] for name in names})
+    return Behaviour(ticks, series, tuple(evr for evr in log.evrs if evr.tick < ticks))
+
+
+def behaviour_of(outputs: Sequence[Outputs]) -> Behaviour:
+    """What a run gave, cycle by cycle from tick 0."""
+    series = {}
+    for topic in OUTPUT_TOPICS:
+        packet_of = attrgetter(topic.path.removeprefix(OUTPUTS))
+        packets = [
+            (tick, packet) for tick, out in enumerate(outputs) if (packet := packet_of(out)) is not None
+        ]
+        if packets:
+            ticks = np.array([tick for tick, _ in packets], np.int64)
+            series[topic.name] = Series(ticks, _columns(topic.field_names, [packet for _, packet in packets]))
+    evrs = tuple(evr_entry(tick, evr) for tick, out in enumerate(outputs) for evr in out.evrs)
+    return Behaviour(len(outputs), series, evrs)
+
+
+def _columns(names: Iterable[str], packets: list[Any]) -> dict[str, NDArray[Any]]:
+    return {name: np.array([getattr(packet, name) for packet in packets]) for name in names}

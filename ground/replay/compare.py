@@ -1,0 +1,203 @@
+"""One behaviour against another: lengths, events and channels, and where they first part."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import zip_longest
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.replay.behaviour import Behaviour, Series
+from ground.replay.evrs import EvrDifference, evr_differences
+from ground.telemetry.format import EVR_TOPIC
+
+BEFORE, AFTER = 8, 24
+"""Ticks of the topic that are kept before and from the first difference on."""
+
+Chosen = Callable[[str], bool]
+
+
+@dataclass(frozen=True, slots=True)
+class LengthDifference:
+    """A topic with more messages on one side."""
+
+    topic: str
+    recorded: int
+    replayed: int
+    first_tick: int
+    """The first tick at which only one side has a message."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelDifference:
+    """A channel with other values; an array is one channel, judged component by component."""
+
+    channel: str
+    first_tick: int
+    first_component: tuple[int, ...]
+    """Of an array: the one that differs most at the first tick."""
+    at_first: tuple[float, float]
+    """Its values there, recorded and replayed."""
+    recorded: NDArray[np.float64]
+    """Its values around there."""
+    replayed: NDArray[np.float64]
+    ticks: int
+    """At how many ticks the channel differs."""
+    compared: int
+    """At how many it was compared."""
+    greatest: float
+    """The greatest difference; infinite where only one side is a number."""
+    greatest_tick: int
+    component: tuple[int, ...]
+    """Of an array: the one with the greatest difference."""
+    profile: NDArray[np.float64]
+    """The greatest difference of any component at each tick compared, shape (compared,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Differences:
+    """What is not the same; nothing of it if all is."""
+
+    tolerance: float
+    ticks: tuple[int, int]
+    """Recorded and replayed."""
+    lengths: tuple[LengthDifference, ...]
+    evrs: tuple[EvrDifference, ...]
+    channels: tuple[ChannelDifference, ...]
+    channels_compared: int
+    not_compared: tuple[str, ...]
+    """Sentences about what only one side can tell."""
+
+    @property
+    def none(self) -> bool:
+        """Whether all that was compared is the same."""
+        same_length = self.ticks[0] == self.ticks[1]
+        return same_length and not (self.lengths or self.evrs or self.channels)
+
+
+def every_channel(channel: str) -> bool:
+    """Choose all."""
+    return True
+
+
+def channels_of(behaviour: Behaviour) -> list[str]:
+    """The names of its channels: topic, dot, field."""
+    return [f"{topic}.{name}" for topic, series in behaviour.series.items() for name in series.fields]
+
+
+def compare(
+    recorded: Behaviour, replayed: Behaviour, tolerance: float = 0.0, chosen: Chosen = every_channel
+) -> Differences:
+    """What is not the same; NaN is the same as NaN.
+
+    `tolerance` is relative to numbers beyond 1, absolute below; whole numbers and flags are to be the same.
+    Flight software always says that it is up: without any event, a log is of something else, and what it has
+    not got is not compared.
+    """
+    foreign = not recorded.evrs and recorded.ticks > 0
+    lacking = [topic for topic in replayed.series if topic not in recorded.series] if foreign else []
+    topics = [t for t in dict.fromkeys((*recorded.series, *replayed.series)) if t not in lacking]
+    untold = [
+        f"{topic}: not recorded; not compared" for topic in (*lacking, *([EVR_TOPIC] if foreign else []))
+    ]
+    lengths = [_length(topic, recorded, replayed) for topic in topics]
+    channels, compared = [], 0
+    for topic in topics:
+        ours, theirs = recorded.series.get(topic), replayed.series.get(topic)
+        if ours is None or theirs is None:
+            continue
+        comparable, sentences = _comparable(topic, ours, theirs)
+        untold += sentences
+        for name in (name for name in comparable if chosen(f"{topic}.{name}")):
+            compared += 1
+            channels.append(_channel(f"{topic}.{name}", name, ours, theirs, tolerance))
+    return Differences(
+        tolerance=tolerance,
+        ticks=(recorded.ticks, replayed.ticks),
+        lengths=tuple(
+            one for one in (*lengths, None if foreign else _evr_length(recorded, replayed)) if one is not None
+        ),
+        evrs=() if foreign else evr_differences(recorded.evrs, replayed.evrs, tolerance),
+        channels=tuple(one for one in channels if one is not None),
+        channels_compared=compared,
+        not_compared=tuple(untold),
+    )
+
+
+def _comparable(topic: str, ours: Series, theirs: Series) -> tuple[list[str], list[str]]:
+    """The fields that both sides have, in one shape; and sentences about the others."""
+    lone = sorted(ours.fields.keys() ^ theirs.fields.keys())
+    both = [name for name in ours.fields if name in theirs.fields]
+    fit = [name for name in both if ours.fields[name].shape[1:] == theirs.fields[name].shape[1:]]
+    sentences = [f"{topic}.{name}: only one side has it; not compared" for name in lone]
+    sentences += [f"{topic}.{name}: has another shape; not compared" for name in both if name not in fit]
+    return fit, sentences
+
+
+NO_TICKS: Final = np.zeros(0, np.int64)
+
+
+def _length(topic: str, recorded: Behaviour, replayed: Behaviour) -> LengthDifference | None:
+    ours, theirs = (
+        side.series[topic].ticks if topic in side.series else NO_TICKS for side in (recorded, replayed)
+    )
+    lone = np.setxor1d(ours, theirs)
+    return LengthDifference(topic, len(ours), len(theirs), int(lone[0])) if lone.size else None
+
+
+def _evr_length(recorded: Behaviour, replayed: Behaviour) -> LengthDifference | None:
+    ours, theirs = recorded.evrs, replayed.evrs
+    if len(ours) == len(theirs):
+        return None
+    first = next(
+        min(e.tick for e in pair if e is not None)
+        for pair in zip_longest(ours, theirs)
+        if None in pair or (pair[0].tick, pair[0].name) != (pair[1].tick, pair[1].name)
+    )
+    return LengthDifference(EVR_TOPIC, len(ours), len(theirs), first)
+
+
+def _channel(
+    channel: str, name: str, ours: Series, theirs: Series, tolerance: float
+) -> ChannelDifference | None:
+    """Where a channel differs at the ticks that both sides have; None where nowhere."""
+    ticks, mine, yours = np.intersect1d(ours.ticks, theirs.ticks, return_indices=True)
+    a, b = ours.fields[name][mine], theirs.fields[name][yours]
+    if np.array_equal(a, b):
+        return None
+    shape, kinds = a.shape[1:], {a.dtype.kind, b.dtype.kind}
+    a, b = (side.reshape(len(ticks), -1).astype(np.float64) for side in (a, b))
+    off = _off(a, b, tolerance if kinds == {"f"} else 0.0)
+    profile = off.max(axis=1)
+    if not profile.any():
+        return None
+    first, worst = int(np.flatnonzero(profile)[0]), int(profile.argmax())
+    k, window = int(off[first].argmax()), slice(max(0, first - BEFORE), first + AFTER)
+    return ChannelDifference(
+        channel=channel,
+        first_tick=int(ticks[first]),
+        first_component=_index(k, shape),
+        at_first=(float(a[first, k]), float(b[first, k])),
+        recorded=a[window, k],
+        replayed=b[window, k],
+        ticks=int(np.count_nonzero(profile)),
+        compared=len(ticks),
+        greatest=float(profile[worst]),
+        greatest_tick=int(ticks[worst]),
+        component=_index(int(off[worst].argmax()), shape),
+        profile=profile,
+    )
+
+
+def _index(k: int, shape: tuple[int, ...]) -> tuple[int, ...]:
+    return tuple(int(i) for i in np.unravel_index(k, shape))
+
+
+def _off(a: NDArray[Any], b: NDArray[Any], tolerance: float) -> NDArray[np.float64]:
+    """How far apart, 0 where they are the same; infinite where only one is a number."""
+    same = (a == b) | (np.isnan(a) & np.isnan(b))
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = np.abs(a - b)
+        same |= off <= tolerance * np.maximum(1.0, np.abs(a))
+    return np.where(same, 0.0, np.where(np.isnan(off), np.inf, off))

@@ -1,0 +1,126 @@
+"""Events of one run against those of another: missing, added, changed."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import zip_longest
+from math import isnan
+from typing import Any
+
+from ground.telemetry.events import EvrEntry
+
+
+class Kind(StrEnum):
+    """How an event differs."""
+
+    MISSING = "missing"
+    """It was recorded and did not come."""
+    ADDED = "added"
+    """It came and was not recorded."""
+    CHANGED = "changed"
+    """It came at another tick, or with other fields, or after another one of its tick."""
+
+
+@dataclass(frozen=True, slots=True)
+class EvrDifference:
+    """An event that differs; one of the two sides may be None."""
+
+    kind: Kind
+    recorded: EvrEntry | None
+    replayed: EvrEntry | None
+
+    @property
+    def name(self) -> str:
+        """Of the event."""
+        return next(one.name for one in (self.recorded, self.replayed) if one is not None)
+
+    @property
+    def tick(self) -> int:
+        """The earlier of its ticks."""
+        return min(one.tick for one in (self.recorded, self.replayed) if one is not None)
+
+
+def evr_differences(
+    recorded: Sequence[EvrEntry], replayed: Sequence[EvrEntry], tolerance: float = 0.0
+) -> tuple[EvrDifference, ...]:
+    """What differs, by tick.
+
+    Events of one tick and name are pairs, in their order; of those left over, any of the same words, and then
+    any of the same name: they came at another tick.
+    """
+    found: list[EvrDifference] = []
+    left: tuple[list[EvrEntry], list[EvrEntry]] = ([], [])
+    ours, theirs = _by(recorded, "tick"), _by(replayed, "tick")
+    for tick in sorted({*ours, *theirs}):
+        found += _at_one_tick(ours.get(tick, []), theirs.get(tick, []), tolerance, left)
+    for key in ("message", "name"):
+        pairs, left = _pairs(*left, key)
+        found += [EvrDifference(Kind.CHANGED, one, other) for one, other in pairs]
+    found += [EvrDifference(Kind.MISSING, one, None) for one in left[0]]
+    found += [EvrDifference(Kind.ADDED, None, other) for other in left[1]]
+    return tuple(sorted(found, key=lambda difference: (difference.tick, difference.name)))
+
+
+def _pairs(
+    ours: list[EvrEntry], theirs: list[EvrEntry], key: str
+) -> tuple[list[tuple[EvrEntry, EvrEntry]], tuple[list[EvrEntry], list[EvrEntry]]]:
+    """Events that have something in common, in order; and those without a partner."""
+    pairs, rest = [], []
+    free = _by(theirs, key)
+    for one in ours:
+        partners = free.get(getattr(one, key))
+        if partners:
+            pairs.append((one, partners.pop(0)))
+        else:
+            rest.append(one)
+    taken = {id(other) for _, other in pairs}
+    return pairs, (rest, [other for other in theirs if id(other) not in taken])
+
+
+def _at_one_tick(
+    ours: list[EvrEntry],
+    theirs: list[EvrEntry],
+    tolerance: float,
+    left: tuple[list[EvrEntry], list[EvrEntry]],
+) -> list[EvrDifference]:
+    """Pairs of one name that differ; `left` gets those without a partner."""
+    found = []
+    mine, yours = _by(ours, "name"), _by(theirs, "name")
+    for name in dict.fromkeys((*mine, *yours)):
+        for one, other in zip_longest(mine.get(name, []), yours.get(name, [])):
+            if one is None:
+                left[1].append(other)
+            elif other is None:
+                left[0].append(one)
+            elif not _same(one, other, tolerance):
+                found.append(EvrDifference(Kind.CHANGED, one, other))
+    names = [[evr.name for evr in side] for side in (ours, theirs)]
+    if names[0] != names[1] and sorted(names[0]) == sorted(names[1]):
+        one, other = next((a, b) for a, b in zip(ours, theirs, strict=True) if a.name != b.name)
+        found.append(EvrDifference(Kind.CHANGED, one, other))
+    return found
+
+
+def _by(evrs: Sequence[EvrEntry], key: str) -> dict[Any, list[EvrEntry]]:
+    groups: dict[Any, list[EvrEntry]] = defaultdict(list)
+    for evr in evrs:
+        groups[getattr(evr, key)].append(evr)
+    return groups
+
+
+def _same(one: EvrEntry, other: EvrEntry, tolerance: float) -> bool:
+    if tolerance == 0.0:
+        return one == other
+    # The words round the numbers; within a tolerance they may round them to either side.
+    return one.severity == other.severity and _close(one.fields, other.fields, tolerance)
+
+
+def _close(a: Any, b: Any, tolerance: float) -> bool:
+    if isinstance(a, dict) and isinstance(b, dict):
+        return a.keys() == b.keys() and all(_close(a[k], b[k], tolerance) for k in a)
+    if isinstance(a, list) and isinstance(b, list):
+        return len(a) == len(b) and all(_close(x, y, tolerance) for x, y in zip(a, b, strict=True))
+    if isinstance(a, float) and isinstance(b, float):
+        return a == b or (isnan(a) and isnan(b)) or abs(a - b) <= tolerance * max(1.0, abs(a))
+    return bool(a == b)

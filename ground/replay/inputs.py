@@ -1,0 +1,149 @@
+"""What a log holds of what went into flight software: what it began with, its sensors and its commands."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Final, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.config import digest
+from fsw.dictionary.commands import Command
+from fsw.dictionary.joints import Joint, Switch
+from fsw.dictionary.modes import Mode
+from fsw.dictionary.params import Params
+from fsw.dictionary.validity import not_an_arm, out_of_limits
+from fsw.estimate.reference import Reference
+from fsw.messages import Sensors
+from ground.telemetry.plain import NotPlain, command_from, from_plain
+from ground.telemetry.read import Log
+from ground.telemetry.schema import KINDS
+from sim.params import nominal_params
+
+SENSOR_TOPIC: Final = "/sensors"
+SHAPES: Final = {"cycle": (), "switch_closed": (len(Switch),), "gravity_R_m_s2": (3,)}
+"""Of one sensor reading, where it is not one a joint."""
+PER_JOINT: Final = (len(Joint),)
+NEEDED: Final = ("params", "params_sha256", "boot")
+
+
+class NotReplayable(ValueError):
+    """A log that cannot be replayed; the message says why."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Inputs:
+    """All that flight software was given, from its first cycle on."""
+
+    params: Params
+    mode: Mode
+    reference: Reference | None
+    sensors: Mapping[str, NDArray[Any]]
+    """By field of Sensors, a row a tick."""
+    commands: Mapping[int, tuple[Command, ...]]
+    """By tick."""
+    ticks: int
+    notes: tuple[str, ...]
+    """Sentences about what is not as it was."""
+
+    def sensors_at(self, tick: int) -> Sensors:
+        """The readings of one cycle, arrays of its own."""
+        row: dict[str, Any] = {name: values[tick] for name, values in self.sensors.items()}
+        row = {n: v.copy() if isinstance(v, np.ndarray) else v.item() for n, v in row.items()}
+        return Sensors(**row)
+
+
+def inputs_in(log: Log) -> Inputs:
+    """What a log holds of what went into flight software.
+
+    A log cut short, or with a gap, is good up to the last tick that is surely whole.
+
+    Raises:
+        NotReplayable: it lacks something, or something in it is unknown to today's flight software.
+    """
+    notes: list[str] = []
+    try:
+        params, mode, reference = _start(log, notes)
+        commands: dict[int, tuple[Command, ...]] = {}
+        for entry in log.commands:
+            command = command_from(entry.name, entry.fields, notes)
+            commands[entry.tick] = (*commands.get(entry.tick, ()), command)
+    except (NotPlain, ValueError, RecursionError) as error:
+        raise NotReplayable(f"log {log.path}: {error}") from error
+    ticks = _whole_ticks(log, notes)
+    return Inputs(params, mode, reference, _sensors(log), commands, ticks, tuple(notes))
+
+
+def _start(log: Log, notes: list[str]) -> tuple[Params, Mode, Reference | None]:
+    lacking = [name for name in NEEDED if name not in log.header]
+    if lacking:
+        raise NotPlain(
+            f"its header has no {', '.join(lacking)}, so nobody knows what flight software began with; "
+            f"record it with this marsarm, or import it with a [start]"
+        )
+    written = json.loads(log.header["params"])
+    seen = len(notes)
+    params: Params = from_plain(Params, written, "params", notes, nominal_params())
+    if len(notes) == seen and digest(params) != log.header["params_sha256"]:
+        raise NotPlain("its parameters do not match their own digest")
+    wrong = [*out_of_limits(params), *not_an_arm(params)]
+    if wrong:
+        raise NotPlain(f"params: {wrong[0]}")
+    boot = json.loads(log.header["boot"])
+    if not isinstance(boot, dict) or not {"mode", "reference"} <= boot.keys():
+        raise NotPlain("boot: must be mode and reference")
+    mode: Mode = from_plain(Mode, boot["mode"], "boot.mode", notes)
+    return params, mode, _reference(boot["reference"], notes)
+
+
+def _reference(value: Any, notes: list[str]) -> Reference | None:
+    if value is None:
+        return None
+    reference: Reference = from_plain(Reference, value, "boot.reference", notes)
+    for field in fields(reference):
+        shape = getattr(reference, field.name).shape
+        if shape != PER_JOINT:
+            raise NotPlain(f"boot.reference.{field.name}: has shape {shape}, {PER_JOINT} would be right")
+    return reference
+
+
+def _whole_ticks(log: Log, notes: list[str]) -> int:
+    """How many ticks from 0 on are surely all there."""
+    if SENSOR_TOPIC not in log.packets:
+        raise NotReplayable(f"log {log.path}: has no {SENSOR_TOPIC}; there is nothing to replay")
+    ticks = log.ticks(SENSOR_TOPIC)
+    if ticks[0] != 0:
+        raise NotReplayable(
+            f"log {log.path}: begins at tick {ticks[0]}; what flight software knew by then is unknown"
+        )
+    gaps = np.flatnonzero(np.diff(ticks) != 1)
+    end = len(ticks) if gaps.size == 0 else int(gaps[0]) + 1
+    if end == len(ticks) and not log.truncated:
+        return end
+    if end == 1:
+        raise NotReplayable(f"log {log.path}: holds no tick that is surely whole")
+    why = "the log was cut short" if end == len(ticks) else f"tick {end} is missing"
+    notes.append(f"{why}: replayed up to tick {end - 2}, the last that is surely whole")
+    return end - 1
+
+
+def _sensors(log: Log) -> dict[str, NDArray[Any]]:
+    """The columns of the sensor packets, each of the type and shape that flight software takes."""
+    packets = log[SENSOR_TOPIC]
+    hints = get_type_hints(Sensors, include_extras=True)
+    columns = {}
+    for field in fields(Sensors):
+        where = f"log {log.path}: {SENSOR_TOPIC}.{field.name}"
+        if field.name not in (packets.dtype.names or ()):
+            raise NotReplayable(f"{where} is missing; today's flight software reads it")
+        column = np.ascontiguousarray(packets[field.name])
+        shape = SHAPES.get(field.name, PER_JOINT)
+        dtype = np.dtype(
+            KINDS[int] if hints[field.name] is int else hints[field.name].__args__[1].__args__[0]
+        )
+        if column.dtype != dtype or column.shape[1:] != shape:
+            found = f"{column.dtype}{column.shape[1:]}"
+            raise NotReplayable(f"{where} is {found}; flight software reads {dtype}{shape}")
+        columns[field.name] = column
+    return columns

@@ -1,0 +1,112 @@
+"""Recorded sensors and commands through today's flight software, and what came of it."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, Final
+
+from fsw.config import CYCLE_HZ, configure
+from fsw.dictionary.params import Params
+from fsw.messages import Outputs
+from fsw.state import boot, outputs_at_rest
+from ground.replay.behaviour import Behaviour, behaviour_in, behaviour_of
+from ground.replay.compare import Differences, channels_of, compare
+from ground.replay.inputs import Inputs, NotReplayable, inputs_in
+from ground.request import BadRequest
+from ground.telemetry.errors import LogError
+from ground.telemetry.plain import to_plain
+from ground.telemetry.processor import cpu_features
+from ground.telemetry.read import Log, read_log
+from sim.loop import stepped
+from sim.params import BadParams, params_over
+
+ELSEWHERE: Final = 1e-12
+"""What numbers may differ by on a processor whose kernels round sums in another order."""
+
+Progress = Callable[[float, float, str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayRequest:
+    """What is asked."""
+
+    log: Path
+    channel: str = "*"
+    """Which channels to compare, as in `/joint.*`; lengths and events are compared in any case."""
+    params: Path | None = None
+    """Parameters in place of those of the log."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReplayReport:
+    """What came of it."""
+
+    request: ReplayRequest
+    header: dict[str, str]
+    differences: Differences
+    changed_params: tuple[str, ...]
+    """Sentences: which parameter has another value than in the log."""
+    notes: tuple[str, ...]
+    same_processor: bool
+
+
+def replay(request: ReplayRequest, progress: Progress) -> ReplayReport:
+    """Replay a log and compare.
+
+    Raises:
+        BadRequest: the log or the parameters cannot be read or flown.
+    """
+    try:
+        log = read_log(request.log)
+        inputs = inputs_in(log)
+        params = inputs.params if request.params is None else params_over(inputs.params, request.params)
+    except (LogError, NotReplayable, BadParams) as error:
+        raise BadRequest(str(error)) from error
+    recorded = behaviour_in(log, inputs.ticks)
+    _check_channel(request.channel, recorded)
+    same = made_here(log)
+    differences = compare(
+        recorded,
+        behaviour_of(outputs_for(inputs, params, progress)),
+        tolerance=0.0 if same else ELSEWHERE,
+        chosen=lambda channel: fnmatchcase(channel, request.channel),
+    )
+    changed = tuple(_changed(to_plain(inputs.params), to_plain(params), ""))
+    return ReplayReport(request, dict(log.header), differences, changed, inputs.notes, same)
+
+
+def outputs_for(inputs: Inputs, params: Params, progress: Progress) -> list[Outputs]:
+    """What today's flight software makes of these inputs, cycle by cycle; it ends with a software error."""
+    config = configure(params)
+    state = boot(config, inputs.mode, inputs.reference)
+    last = outputs_at_rest(state)
+    given: list[Outputs] = []
+    for tick in range(inputs.ticks):
+        sensors, commands = inputs.sensors_at(tick), inputs.commands.get(tick, ())
+        state, last, failure = stepped(config, state, last, sensors, commands)
+        given.append(last)
+        if failure is not None:
+            break
+        if tick % CYCLE_HZ == 0:
+            progress(tick, inputs.ticks, "replaying")
+    return given
+
+
+def made_here(log: Log) -> bool:
+    """Whether a log was made on a processor with the instruction sets and kernels of this one."""
+    return log.header.get("cpu") == json.dumps(cpu_features())
+
+
+def _check_channel(pattern: str, recorded: Behaviour) -> None:
+    names = channels_of(recorded)
+    if names and not any(fnmatchcase(name, pattern) for name in names):
+        raise BadRequest(f"channel: {pattern!r} is none of {', '.join(names)}")
+
+
+def _changed(before: Any, after: Any, place: str) -> list[str]:
+    """A sentence for each value that differs between two records in JSON's words."""
+    if isinstance(before, dict) and isinstance(after, dict):
+        return [line for k in before for line in _changed(before[k], after[k], f"{place}.{k}".lstrip("."))]
+    return [] if before == after else [f"{place}: {before!r:.80} is {after!r:.80} now"]

@@ -1,0 +1,173 @@
+"""Two behaviours against each other: what differs is named, and nothing else is."""
+
+import json
+
+import numpy as np
+import pytest
+
+from ground.replay.behaviour import Behaviour, Series
+from ground.replay.compare import compare
+from ground.replay.evrs import Kind, evr_differences
+from ground.telemetry.events import EvrEntry
+
+TICKS = 6
+
+
+def evr(tick: int, name: str = "Moved", **fields: object) -> EvrEntry:
+    return EvrEntry(tick, 1, name, f"{name} {fields}", json.dumps(fields))
+
+
+BOOTED = evr(0, "Booted")
+
+
+def behaviour(ticks: int = TICKS, evrs: tuple[EvrEntry, ...] = (BOOTED,), **fields: object) -> Behaviour:
+    columns = {name: np.array(values) for name, values in fields.items()}
+    return Behaviour(ticks, {"/joint": Series(np.arange(ticks), columns)}, evrs)
+
+
+def angles(**changed: float) -> np.ndarray:
+    values = np.arange(12.0).reshape(TICKS, 2) / 7
+    for place, value in changed.items():
+        tick, component = (int(digit) for digit in place.removeprefix("at_").split("_"))
+        values[tick, component] = value
+    return values
+
+
+def test_the_same_is_the_same_and_nan_is_nan():
+    values = angles(at_2_0=np.nan, at_3_1=np.inf)
+    found = compare(behaviour(rad=values), behaviour(rad=values.copy()))
+    assert found.none
+    assert (found.channels_compared, found.channels) == (1, ())
+
+
+def test_one_bit_is_a_difference_with_its_channel_component_and_tick():
+    after = angles(at_3_1=np.nextafter(7 / 7, 2.0))
+    (one,) = compare(behaviour(rad=angles()), behaviour(rad=after)).channels
+    assert (one.channel, one.first_tick, one.first_component) == ("/joint.rad", 3, (1,))
+    assert (one.ticks, one.compared, one.greatest_tick) == (1, TICKS, 3)
+    assert one.greatest == 2**-52
+    assert one.at_first == (1.0, 1.0 + 2**-52)
+
+
+def test_the_first_the_greatest_and_the_count_are_told_apart():
+    after = angles(at_1_0=9.0, at_4_1=-90.0, at_5_0=0.0)
+    (one,) = compare(behaviour(rad=angles()), behaviour(rad=after)).channels
+    assert (one.first_tick, one.first_component) == (1, (0,))
+    assert (one.greatest_tick, one.component) == (4, (1,))
+    assert one.ticks == 3
+    assert one.profile.tolist() == [0.0, *(abs(angles() - after).max(axis=1)[1:])]
+
+
+@pytest.mark.parametrize(("was", "now"), [(np.nan, 1.0), (1.0, np.nan), (1.0, np.inf), (-np.inf, np.inf)])
+def test_a_number_against_none_is_as_far_as_can_be(was, now):
+    (one,) = compare(behaviour(rad=angles(at_2_0=was)), behaviour(rad=angles(at_2_0=now))).channels
+    assert one.greatest == np.inf
+
+
+def test_a_tolerance_is_relative_to_large_numbers_and_not_for_whole_ones():
+    far = 1e-12
+    assert compare(behaviour(rad=angles()), behaviour(rad=angles() + 0.9 * far), far).none
+    assert not compare(behaviour(rad=angles()), behaviour(rad=angles() + 2.5 * far), far).none
+    assert compare(behaviour(Nm=angles() * 1e6), behaviour(Nm=angles() * 1e6 + 1e-9), 1e-9).none
+    assert not compare(behaviour(n=np.arange(TICKS)), behaviour(n=np.arange(TICKS) + 1), 2.0).none
+
+
+def test_flags_and_counts_are_compared():
+    flags = np.zeros((TICKS, 2), bool)
+    other = flags.copy()
+    other[4, 1] = True
+    (one,) = compare(behaviour(on=flags), behaviour(on=other)).channels
+    assert (one.first_tick, one.greatest, one.at_first) == (4, 1.0, (0.0, 1.0))
+
+
+def test_a_run_that_ends_early_is_a_difference_of_length():
+    found = compare(behaviour(rad=angles()), behaviour(4, rad=angles()[:4]))
+    assert not found.none
+    assert found.ticks == (6, 4)
+    (length,) = found.lengths
+    assert (length.topic, length.recorded, length.replayed, length.first_tick) == ("/joint", 6, 4, 4)
+    assert found.channels == ()
+
+
+def test_a_packet_at_another_tick_is_a_difference_of_length():
+    was = Behaviour(9, {"/tool": Series(np.array([0, 4, 8]), {"m": np.zeros(3)})}, (BOOTED,))
+    now = Behaviour(9, {"/tool": Series(np.array([0, 5, 8]), {"m": np.zeros(3)})}, (BOOTED,))
+    (length,) = compare(was, now).lengths
+    assert (length.topic, length.recorded, length.replayed, length.first_tick) == ("/tool", 3, 3, 4)
+
+
+def test_a_topic_that_is_gone_is_a_difference():
+    (length,) = compare(behaviour(rad=angles()), Behaviour(TICKS, {}, (BOOTED,))).lengths
+    assert (length.topic, length.replayed) == ("/joint", 0)
+
+
+def test_only_chosen_channels_are_compared_but_events_always():
+    found = compare(
+        behaviour(a=angles(), b=angles()),
+        behaviour(a=angles() + 1, b=angles() + 1, evrs=()),
+        chosen=lambda name: name.endswith(".b"),
+    )
+    assert [one.channel for one in found.channels] == ["/joint.b"]
+    assert [one.kind for one in found.evrs] == [Kind.MISSING]
+
+
+def test_what_only_one_side_has_is_told():
+    found = compare(behaviour(a=angles(), c=np.zeros(TICKS)), behaviour(b=angles(), c=np.zeros((TICKS, 2))))
+    assert found.not_compared == (
+        "/joint.a: only one side has it; not compared",
+        "/joint.b: only one side has it; not compared",
+        "/joint.c: has another shape; not compared",
+    )
+
+
+def test_of_someone_elses_log_what_is_there_is_compared():
+    was = behaviour(rad=angles(), evrs=())
+    now = Behaviour(
+        TICKS,
+        {"/tool": Series(np.arange(2), {"m": np.zeros(2)}), **behaviour(rad=angles()).series},
+        (BOOTED,),
+    )
+    found = compare(was, now)
+    assert found.none
+    assert found.not_compared == ("/tool: not recorded; not compared", "/evr: not recorded; not compared")
+    assert not compare(behaviour(rad=angles() + 1, evrs=()), now).none
+
+
+def kinds(was: list[EvrEntry], now: list[EvrEntry], tolerance: float = 0.0) -> list[tuple]:
+    return [(one.kind.value, one.tick, one.name) for one in evr_differences(was, now, tolerance)]
+
+
+def test_events_are_missing_added_or_changed():
+    was = [BOOTED, evr(3, "Moved", rad=1.0), evr(4, "Stopped")]
+    now = [BOOTED, evr(3, "Moved", rad=2.0), evr(5, "Stalled")]
+    assert kinds(was, now) == [("changed", 3, "Moved"), ("missing", 4, "Stopped"), ("added", 5, "Stalled")]
+
+
+def test_an_event_that_comes_later_has_changed():
+    (one,) = evr_differences([evr(3)], [evr(5)])
+    assert (one.kind, one.tick, one.recorded.tick, one.replayed.tick) == (Kind.CHANGED, 3, 3, 5)
+
+
+def test_an_event_of_the_same_words_is_its_partner_before_one_of_the_same_name():
+    first, second = evr(3, "Done", of="A"), evr(9, "Done", of="B")
+    found = evr_differences([first, second], [evr(5, "Done", of="B")])
+    assert [(one.kind, one.recorded, one.tick) for one in found] == [
+        (Kind.MISSING, first, 3),
+        (Kind.CHANGED, second, 5),
+    ]
+
+
+def test_one_event_too_many_of_a_name_is_added():
+    assert kinds([evr(3, n=1)], [evr(3, n=1), evr(3, n=2)]) == [("added", 3, "Moved")]
+
+
+def test_the_order_within_a_tick_counts():
+    assert kinds([evr(3, "A"), evr(3, "B")], [evr(3, "B"), evr(3, "A")]) == [("changed", 3, "A")]
+
+
+def test_within_a_tolerance_fields_are_compared_and_words_are_not():
+    was, now = evr(3, rad=[1.0, float("nan")]), evr(3, rad=[1.0 + 1e-13, float("nan")])
+    assert was.message != now.message
+    assert kinds([was], [now], 1e-12) == []
+    assert kinds([was], [now]) == [("changed", 3, "Moved")]
+    assert kinds([was], [evr(3, rad=[1.1, float("nan")])], 1e-12) == [("changed", 3, "Moved")]

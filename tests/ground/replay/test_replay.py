@@ -1,0 +1,171 @@
+"""A log through today's flight software: what is changed in it is seen."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import sim.loop
+from fsw.cycle import step
+from ground.evidence import Files
+from ground.replay.replay import ReplayRequest, replay
+from ground.report.replay_tables import replay_json, replay_table
+from ground.request import BadRequest
+from ground.run import RunRequest, run
+from ground.telemetry.header import header_of
+from ground.telemetry.read import read_log
+from ground.telemetry.record import Recorder
+from tests.replay.remake import FOLDER
+from tests.replay.runs import RUNS
+
+LOG = FOLDER / "joints.mcap"
+
+
+def silent(*_) -> None:
+    """No progress bar."""
+
+
+def replayed(tmp_path, toml: str = "", **asked):
+    path = tmp_path / "other.toml"
+    path.write_text(toml)
+    return replay(ReplayRequest(asked.pop("log", LOG), params=path if toml else None, **asked), silent)
+
+
+def test_what_would_it_have_done_with_another_parameter(tmp_path):
+    report = replayed(tmp_path, "[joints.turret]\nspeed_rad_s = 0.02\n")
+    assert report.changed_params == ("joints.turret.speed_rad_s: 0.03490658503988659 is 0.02 now",)
+    channels = {one.channel: one for one in report.differences.channels}
+    assert channels["/drive.setpoint_rate_rad_s"].first_tick > 190
+    assert report.differences.evrs[0].name == "Booted"
+    document = replay_json(report)
+    assert document["identical"] is False
+    assert document["channels"][0]["waveform"]
+
+
+def test_the_parameters_of_the_log_stay_where_the_file_says_nothing(tmp_path):
+    report = replayed(tmp_path, "[joints.turret]\nspeed_rad_s = 0.03490658503988659\n")
+    assert report.changed_params == ()
+    assert report.differences.none
+
+
+@pytest.mark.parametrize(
+    ("toml", "said"),
+    [
+        ("[joints.turret]\nspeed = 1\n", "joints.turret.speed: is not a parameter"),
+        ("[joints.turret]\nspeed_rad_s = 9.0\n", "joints.turret.speed_rad_s: 9.0 is outside"),
+        ("[joints", "is not TOML"),
+    ],
+)
+def test_parameters_that_cannot_be_flown_are_refused(tmp_path, toml, said):
+    with pytest.raises(BadRequest, match=said.replace(".", r"\.")):
+        replayed(tmp_path, toml)
+
+
+def test_a_channel_that_nobody_has_is_refused(tmp_path):
+    with pytest.raises(BadRequest, match=r"channel: 'motor' is none of /drive\.setpoint_count"):
+        replayed(tmp_path, channel="motor")
+
+
+def test_only_channels_that_match_are_compared(tmp_path):
+    assert replayed(tmp_path, channel="/joint.gap*").differences.channels_compared == 3
+
+
+@pytest.mark.parametrize(
+    ("content", "said"), [(b"", "an empty file"), (b"hello", "not an MCAP file"), (None, "cannot be read")]
+)
+def test_a_file_that_is_no_log_is_refused(tmp_path, content, said):
+    path = tmp_path / "run.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(BadRequest, match=said):
+        replayed(tmp_path, log=path)
+
+
+def test_a_software_error_in_the_replay_is_a_difference(tmp_path, monkeypatch):
+    def broken(config, state, sensors, commands):
+        if state.tick == 100:
+            raise KeyError("nobody thought of that")
+        return step(config, state, sensors, commands)
+
+    monkeypatch.setattr(sim.loop, "step", broken)
+    report = replayed(tmp_path)
+    added = [one for one in report.differences.evrs if one.recorded is None]
+    assert [(one.tick, one.name) for one in added] == [(100, "SoftwareError")]
+    assert "nobody thought of that" in added[0].replayed.message
+    assert report.differences.ticks == (307, 101)
+    changed = {one.channel: one.first_tick for one in report.differences.channels}
+    assert changed["/drive.power_on"] == changed["/drive.brake_release"] == 100
+    assert min(changed.values()) == 100
+    replay_table(report)
+
+
+def test_a_change_of_flight_software_is_named_by_channel_and_tick(tmp_path, monkeypatch):
+    def changed(config, state, sensors, commands):
+        state, outputs = step(config, state, sensors, commands)
+        if state.tick == 51:
+            motor_rad = outputs.joint.motor_rad.copy()
+            motor_rad[2] = np.nextafter(motor_rad[2], 9.0)
+            outputs = replace(outputs, joint=replace(outputs.joint, motor_rad=motor_rad))
+        return state, outputs
+
+    monkeypatch.setattr(sim.loop, "step", changed)
+    found = replayed(tmp_path, channel="/joint.motor_rad").differences
+    (one,) = found.channels
+    assert (one.channel, one.first_component, one.first_tick) == ("/joint.motor_rad", (2,), 50)
+
+
+SHORT = """\
+title = "A short move"
+sentence = "Turn the turret a little."
+start = "ready"
+
+[[command]]
+type = "MOVE_JOINT"
+joint = "turret"
+angle_deg = 91
+
+[[fault]]
+type = "MISSED_CYCLES"
+during = 1
+after_s = 1
+count = 2
+
+[[check]]
+type = "done"
+"""
+
+
+@pytest.mark.slow
+def test_a_scenario_with_a_calibrated_arm_and_missed_cycles_replays_bit_for_bit(tmp_path):
+    scenario = tmp_path / "short.toml"
+    scenario.write_text(SHORT)
+    log = tmp_path / "run.mcap"
+    run(RunRequest(str(scenario), "calibrated:7", (5.0, -3.0), 4, Files(log)), silent)
+    found = replayed(tmp_path, log=log).differences
+    assert found.none
+    assert found.tolerance == 0.0
+    assert "CyclesSkipped" in [evr.name for evr in read_log(log).evrs]
+
+
+@pytest.mark.slow
+def test_a_scenario_of_the_house_replays_bit_for_bit(tmp_path):
+    log = tmp_path / "run.mcap"
+    run(RunRequest("bit-exchange", files=Files(log)), silent)
+    found = replayed(tmp_path, log=log).differences
+    assert found.none
+    assert found.tolerance == 0.0
+    assert found.ticks[0] > 7000
+
+
+def test_a_log_cut_short_replays_as_far_as_it_goes(tmp_path):
+    (no_number,) = (one for one in RUNS if one.name == "no-number")
+    loop, log = no_number.loop(), tmp_path / "run.mcap"
+    with Recorder(log, header_of(loop, "nominal", 0, {}, ()), chunk_s=0.0) as recorder:
+        for record in no_number.cycles(loop):
+            recorder.write(record)
+    written = log.read_bytes()
+    log.write_bytes(written[: len(written) // 2])
+    report = replayed(tmp_path, log=log)
+    assert report.differences.none
+    assert 10 < report.differences.ticks[0] < 80
+    assert report.notes[0].startswith("the log was cut short: replayed up to tick")

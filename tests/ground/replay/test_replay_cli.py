@@ -1,0 +1,64 @@
+"""`marsarm replay` as a user meets it."""
+
+import json
+
+import pytest
+
+from tests.ground.command import marsarm
+from tests.replay.remake import FOLDER
+
+LOG = str(FOLDER / "fault.mcap")
+SLOWER = "[joints.turret]\nspeed_rad_s = 0.02\n"
+
+BAD = {
+    "no such file": (("none.mcap",), "none.mcap: cannot be read"),
+    "no log": (("other.toml",), "other.toml: not an MCAP file"),
+    "no such channel": ((LOG, "--channel", "/motor*"), "channel: '/motor*' is none of /drive.setpoint_count"),
+    "no such parameters": ((LOG, "--params", "none.toml"), "none.toml: cannot be read"),
+    "parameters of another kind": ((LOG, "--params", "wrong.toml"), "speed: is not a parameter"),
+}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "other.toml").write_text(SLOWER)
+    (tmp_path / "wrong.toml").write_text("[joints.turret]\nspeed = 1\n")
+    return tmp_path
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_a_sentence_and_status_2(folder, case):
+    words, said = BAD[case]
+    done = marsarm(folder, "replay", *words)
+    assert done.returncode == 2
+    assert said in " ".join(done.stderr.split())
+    assert (done.stdout, "Traceback" in done.stderr) == ("", False)
+
+
+def test_bad_input_with_json_is_still_one_document(folder):
+    done = marsarm(folder, "replay", "other.toml", "--json")
+    assert done.returncode == 2
+    assert "not an MCAP file" in json.loads(done.stdout)["error"]
+
+
+def test_the_same_is_status_0(folder):
+    done = marsarm(folder, "replay", LOG)
+    assert done.returncode == 0, done.stderr
+    assert "117 ticks, 1.8 s, 25 channels" in done.stdout
+    assert done.stderr == ""
+
+
+def test_a_difference_is_status_3_and_events_come_first(folder):
+    done = marsarm(folder, "replay", LOG, "--params", "other.toml", "--channel", "/drive.*")
+    assert done.returncode == 3
+    said = [line.split()[0] for line in done.stdout.splitlines()]
+    assert said.index("parameter") < said.index("event") < said.index("channel")
+    assert "/drive.setpoint_rate_rad_s[4]: from tick" in done.stdout
+
+
+def test_a_difference_as_a_document(folder):
+    done = marsarm(folder, "replay", LOG, "--params", "other.toml", "--json")
+    assert done.returncode == 3
+    document = json.loads(done.stdout)
+    assert document["evrs"][0]["recorded"]["name"] == "Booted"
+    assert {"channel", "first_tick", "ticks", "greatest", "waveform"} <= document["channels"][0].keys()

@@ -1,0 +1,133 @@
+"""Commands, parameters and references come back from JSON as they were, or a sentence says what is wrong."""
+
+import json
+from dataclasses import fields, is_dataclass, replace
+from enum import IntEnum
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fsw.config import configure, digest
+from fsw.dictionary.commands import Command, MoveJoint, SetParam
+from fsw.dictionary.joints import Joint
+from fsw.dictionary.params import Params
+from fsw.estimate.reference import Reference, no_reference
+from ground.telemetry.events import CommandEntry, command_entry
+from ground.telemetry.plain import NotPlain, command_from, from_plain, to_plain
+from ground.telemetry.topics import required
+from sim.arms import arm_named
+
+
+def any_of(hint: Any) -> st.SearchStrategy:
+    """Every value of an annotated type."""
+    kind = required(hint)
+    if get_origin(kind) is Literal:
+        return st.sampled_from(get_args(kind))
+    if get_origin(kind) is tuple:
+        return st.tuples(*map(any_of, get_args(kind)))
+    if issubclass(kind, IntEnum):
+        return st.sampled_from(kind)
+    return {float: st.floats(), int: st.integers(), bool: st.booleans(), str: st.text()}[kind]
+
+
+def any_command() -> st.SearchStrategy:
+    """Every command, with every value of its fields."""
+    kinds = get_args(Command)
+    hints = {kind: get_type_hints(kind, include_extras=True) for kind in kinds}
+    return st.one_of(st.builds(k, **{f.name: any_of(hints[k][f.name]) for f in fields(k)}) for k in kinds)
+
+
+def written(value: Any) -> Any:
+    """The value with floats by their bits, so that NaN is NaN and -0.0 is not 0.0."""
+    if is_dataclass(value):
+        return (type(value), *(written(getattr(value, f.name)) for f in fields(value)))
+    if isinstance(value, tuple):
+        return tuple(map(written, value))
+    return (type(value), value.hex() if isinstance(value, float) else value)
+
+
+@given(any_command())
+def test_every_command_comes_back_from_the_log_as_it_was(command):
+    entry = CommandEntry.decode(command_entry(7, command).encode())
+    notes = []
+    back = command_from(entry.name, entry.fields, notes)
+    assert written(back) == written(command)
+    assert notes == []
+
+
+@pytest.mark.parametrize("name", ["nominal", "calibrated:7", "as-built:3"])
+def test_parameters_come_back_bit_for_bit(name):
+    params = arm_named(name).params
+    notes = []
+    back = from_plain(Params, json.loads(json.dumps(to_plain(params))), "params", notes)
+    assert back == params
+    assert digest(back) == digest(params)
+    assert notes == []
+
+
+def test_a_reference_comes_back_bit_for_bit_with_what_is_no_number():
+    params = arm_named("nominal").params
+    reference = replace(
+        no_reference(configure(params)), zero_rad=np.array([0.1, -0.0, np.nan, 1e-320, np.pi])
+    )
+    back = from_plain(Reference, json.loads(json.dumps(to_plain(reference))), "boot", [])
+    for field in fields(Reference):
+        was, now = getattr(reference, field.name), getattr(back, field.name)
+        assert (was.dtype, was.tobytes()) == (now.dtype, now.tobytes())
+
+
+def test_what_another_version_wrote_is_told():
+    notes = []
+    old = {"joint": "WRIST", "angle_rad": 1.0, "haste": 3}
+    assert command_from("MoveJoint", old, notes) == MoveJoint(Joint.WRIST, 1.0)
+    assert notes == [
+        "MoveJoint.haste is not known today: left out",
+        "MoveJoint.backlash was not known then: today's 'on' is taken",
+    ]
+
+
+def test_a_parameter_that_was_not_known_then_is_todays():
+    params = arm_named("nominal").params
+    table = to_plain(params)
+    del table["motion"]["settle_time_s"]
+    notes = []
+    assert from_plain(Params, table, "params", notes, params) == params
+    assert notes == ["params.motion.settle_time_s was not known then: today's 0.25 is taken"]
+
+
+WRONG = {
+    "no such command": ("Jump", {}, "command: 'Jump' is not known; there are Calibrate, "),
+    "no such joint": (
+        "MoveJoint",
+        {"joint": "KNEE", "angle_rad": 0.0},
+        "MoveJoint.joint: 'KNEE' is not known",
+    ),
+    "no such word": (
+        "MoveJoint",
+        {"joint": "WRIST", "angle_rad": 0.0, "backlash": "maybe"},
+        "MoveJoint.backlash: 'maybe' is not known; there are off, on",
+    ),
+    "a flag for a number": ("SetParam", {"name": "a", "value": True}, "SetParam.value: True is no float"),
+    "text for a number": ("SetParam", {"name": "a", "value": "1"}, "SetParam.value: '1' is no float"),
+    "a number for text": ("SetParam", {"name": 1, "value": 1.0}, "SetParam.name: 1 is no str"),
+    "nothing": ("SetParam", {"name": "a"}, "SetParam.value is missing"),
+    "too few": ("MoveJoints", {"angle_rad": [1.0, 2.0]}, "has 2 items, 5 would be right"),
+    "no list": ("MoveJoints", {"angle_rad": 1.0}, "MoveJoints.angle_rad: 1.0 is no list"),
+    "no fields": ("Stop", [], "Stop: [] is not the fields of a Stop"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_what_is_no_command_is_a_sentence(case):
+    name, arguments, said = WRONG[case]
+    with pytest.raises(NotPlain) as caught:
+        command_from(name, arguments, [])
+    assert said in str(caught.value)
+
+
+def test_a_whole_number_where_a_float_may_be_stays_what_it_is():
+    assert isinstance(command_from("SetParam", {"name": "a", "value": 3}, []).value, int)
+    assert command_from("SetParam", {"name": "a", "value": 3}, []) == SetParam("a", 3)

@@ -1,0 +1,94 @@
+"""Makes the reference runs anew: `python -m tests.replay.remake [NAME ...]`.
+
+What would change is printed before it replaces anything; a file whose run is the same stays as it is.
+"""
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from rich.console import Console
+
+from ground.replay.behaviour import behaviour_in
+from ground.replay.compare import Differences, compare
+from ground.replay.inputs import SENSOR_TOPIC
+from ground.report.replay_tables import differences_table, verdict
+from ground.telemetry.errors import LogError
+from ground.telemetry.header import header_of
+from ground.telemetry.read import read_log
+from ground.telemetry.record import Recorder
+from tests.replay.runs import RUNS, ReferenceRun
+
+FOLDER = Path(__file__).parent
+ONE_CHUNK_S = 1e9
+STARTS_WITH = ("params", "boot", "commands", "mjcf_sha256", "cpu")
+
+
+def path_of(run: ReferenceRun, folder: Path = FOLDER) -> Path:
+    return folder / f"{run.name}.mcap"
+
+
+def make(run: ReferenceRun, folder: Path) -> Path:
+    """The log of a run."""
+    loop, path = run.loop(), path_of(run, folder)
+    header = header_of(loop, run.arm, run.seed, {"reference": run.name}, [command for command, _ in run.asks])
+    with Recorder(path, header, chunk_s=ONE_CHUNK_S) as recorder:
+        for record in run.cycles(loop):
+            recorder.write(record)
+    return path
+
+
+def between(old: Path, new: Path) -> Differences:
+    """What a run gave then against what it gives now."""
+    was, now = read_log(old), read_log(new)
+    sides = [behaviour_in(log, len(log[SENSOR_TOPIC])) for log in (was, now)]
+    return compare(*sides)
+
+
+def stale(old: Path, new: Path) -> list[str]:
+    """What the headers say differently of what goes into a run, or of the processor."""
+    was, now = read_log(old).header, read_log(new).header
+    return [key for key in STARTS_WITH if was.get(key) != now.get(key)]
+
+
+def remake(run: ReferenceRun, console: Console) -> None:
+    """Make one anew, say what differs from what is there, and replace that if anything does."""
+    old = path_of(run)
+    with TemporaryDirectory(dir=FOLDER) as folder:
+        new = make(run, Path(folder))
+        try:
+            differs = not old.exists() or tell(run, old, new, console)
+        except LogError as error:
+            console.print(f"{run.name}: cannot be read any more: {error}", markup=False, soft_wrap=True)
+            differs = True
+        if differs:
+            new.replace(old)
+            console.print(f"{run.name}: made, {old.stat().st_size} bytes")
+
+
+def tell(run: ReferenceRun, old: Path, new: Path, console: Console) -> bool:
+    """Print what differs; whether anything does."""
+    found, headers = between(old, new), stale(old, new)
+    console.print(f"{run.name}: {verdict(found)}", soft_wrap=True)
+    if not found.none:
+        console.print("recorded is what the file held, replayed the run made anew")
+        differences_table(console, found)
+    if headers:
+        console.print(f"header    has another {', '.join(headers)}")
+    return bool(headers) or not found.none
+
+
+def main(names: Sequence[str]) -> None:
+    known = [run.name for run in RUNS]
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        sys.exit(f"{', '.join(unknown)}: no such run; there are {', '.join(known)}")
+    console = Console(highlight=False)
+    for run in RUNS:
+        if not names or run.name in names:
+            remake(run, console)
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

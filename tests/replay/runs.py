@@ -1,0 +1,204 @@
+"""The reference runs: short pieces of what the arm does, each on its own arm in its own world."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from fsw.dictionary.commands import (
+    Calibrate,
+    ClearFault,
+    Command,
+    GuardedMove,
+    MoveJoint,
+    MoveJoints,
+    MoveTeachPoint,
+    MoveTool,
+    PlaceTool,
+    Preload,
+    Process,
+    Retract,
+    SetParam,
+    SetTilt,
+    Stop,
+    Stow,
+    ToolChange,
+    Unstow,
+)
+from fsw.dictionary.joints import Joint, Tool
+from sim.arms import BuiltArm, arm_named
+from sim.effects.effect import Effect
+from sim.effects.faults import MissedCycles, SensorFault
+from sim.loop import ClosedLoop, Setup
+from sim.record import CycleRecord
+from sim.world import Surface, World
+from tests.sim.lab import true_reference
+
+LEVEL = World()
+LONG = 4000
+"""Cycles in which every command here comes to its end."""
+REST = 8
+
+ROCK = Surface((2.05, 0.1, -0.25), (-0.50443327, 0.10088665, -0.85753656))
+IN = (0.50443327, -0.10088665, 0.85753656)
+FRONT_OF_ROCK = (1.9539268, 0.10121064, 0.86020956)
+"""Of its face, 12 mm in front of it; RMECH."""
+APXS_THERE = (29.631, -12.689, 120.225, -42.279, 113.491)
+APXS_ROCK = Surface((2.046, 0.1008, -0.2568), ROCK.normal_N)
+"""Closer by 8 mm, as far as the arm bends under its weight."""
+DRILL_ROCK = Surface((2.048, 0.1004, -0.2534), ROCK.normal_N)
+TURRET_AT_ITS_STOP = (-87.7, -153.4, -157.8, -184.2, -21.627)
+DRILL_THERE = (31.006, -51.53, 114.065, 183.206, 200.107)
+
+
+def beyond(distance_m: float) -> tuple[float, float, float]:
+    """A point farther along the way into the rock."""
+    x, y, z = np.array(FRONT_OF_ROCK) + distance_m * np.array(IN)
+    return (float(x), float(y), float(z))
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceRun:
+    """Commands, each with the cycles after which the next one comes at the latest."""
+
+    name: str
+    start_deg: tuple[float, ...] | None
+    """None for the ready pose."""
+    asks: tuple[tuple[Command, int], ...]
+    ends_with: str
+    """The event that shows that it came to what it is there for."""
+    arm: str = "nominal"
+    world: World = LEVEL
+    known: bool = True
+    """Whether the joints have found their hardstops."""
+    effects: tuple[Effect, ...] = ()
+    seed: int = 0
+
+    def loop(self) -> ClosedLoop:
+        """The run before its first cycle."""
+        arm: BuiltArm = arm_named(self.arm)
+        start = (
+            arm.params.poses.ready_rad
+            if self.start_deg is None
+            else tuple(np.radians(self.start_deg).tolist())
+        )
+        reference = true_reference(arm) if self.known else None
+        return ClosedLoop(Setup(arm, self.world, start, self.seed, reference, self.effects))
+
+    def cycles(self, loop: ClosedLoop) -> Iterator[CycleRecord]:
+        """Every cycle, and a few at rest."""
+        for command, most in self.asks:
+            for k in range(most):
+                record = loop.cycle((command,) if k == 0 else ())
+                yield record
+                if not record.outputs.joint.busy:
+                    break
+        for _ in range(REST):
+            yield loop.cycle()
+
+
+RUNS = (
+    ReferenceRun(
+        "joints",
+        None,
+        (
+            (MoveJoint(Joint.TURRET, np.radians(90.7).item()), LONG),
+            (MoveJoints((0.1, 0.0, -0.1, 0.0, 0.2), backlash="off", relative=True), 60),
+            (Stop(), LONG),
+        ),
+        "CommandCompleted",
+        arm="as-built:3",
+    ),
+    ReferenceRun(
+        "contact",
+        APXS_THERE,
+        ((GuardedMove(Tool.APXS, beyond(0.04), IN), LONG),),
+        "ContactMade",
+        arm="calibrated:7",
+        world=World(surface=APXS_ROCK),
+    ),
+    ReferenceRun(
+        "press",
+        DRILL_THERE,
+        (
+            (GuardedMove(Tool.DRILL, beyond(0.06), IN), LONG),
+            (Preload(Tool.DRILL, 24.0), LONG),
+        ),
+        "Preloaded",
+        world=World(surface=DRILL_ROCK),
+    ),
+    ReferenceRun(
+        "tool-change",
+        APXS_THERE,
+        (
+            (GuardedMove(Tool.APXS, beyond(0.04), IN), LONG),
+            (ToolChange(Tool.DRT, standoff_m=0.005, overtravel_m=0.01), 320),
+            (Stop(), LONG),
+        ),
+        "SpotTaken",
+        world=World("mars", 0.1, -0.05, APXS_ROCK),
+    ),
+    ReferenceRun(
+        "hardstop",
+        TURRET_AT_ITS_STOP,
+        ((SetParam("hardstop.retreat_rad", 0.006), LONG), (Calibrate(Joint.TURRET), LONG)),
+        "JointCalibrated",
+        arm="as-built:5",
+        known=False,
+    ),
+    ReferenceRun(
+        "fault",
+        None,
+        (
+            (MoveJoints((0.05, 0.0, -0.05, 0.0, 0.1), relative=True), LONG),
+            (MoveJoint(Joint.TURRET, 1.6), LONG),
+            (ClearFault(), LONG),
+            (MoveJoint(Joint.WRIST, 2.25), LONG),
+        ),
+        "FaultCleared",
+        effects=(SensorFault(1.0, "resolver_rad", "biased", int(Joint.ELBOW), 0.02), MissedCycles(0.5, 2)),
+    ),
+    ReferenceRun(
+        "no-number",
+        None,
+        ((MoveJoints((0.05, 0.0, -0.05, 0.0, 0.1), relative=True), LONG),),
+        "FaultResponse",
+        effects=(SensorFault(1.0, "current_A", "nan", int(Joint.WRIST)),),
+    ),
+    ReferenceRun(
+        "refused",
+        None,
+        (
+            (MoveJoint(Joint.TURRET, 7.0), 1),
+            (MoveJoints((float("nan"), 0.0, 0.0, 0.0, 0.0)), 1),
+            (MoveTool(Tool.APXS, (9.0, 0.0, 0.0), (0.0, 0.0, 1.0)), 1),
+            (MoveTool(Tool.APXS, (1.5, 0.0, 0.5), (0.0, 0.0, 1.0), branch="upside-down"), 1),
+            (PlaceTool(Tool.DRILL, (0.1, 0.0, -2.0), (0.0, 0.0, 1.0)), 1),
+            (Preload(Tool.DRILL, 100.0), 1),
+            (MoveTeachPoint("nowhere"), 1),
+            (Retract(Tool.APXS, float("inf")), 1),
+            (SetParam("joints.turret.speed", 1.0), 1),
+            (SetParam("joints.turret.speed_rad_s", 9.0), 1),
+            (SetTilt(1.0, 0.0), 1),
+            (Unstow(), 1),
+            (ToolChange(Tool.APXS), 1),
+            (Stow(), 10),
+            (MoveJoint(Joint.WRIST, 2.0), 1),
+            (SetParam("motion.load_period", 8.0), 1),
+            (Stop(), LONG),
+        ),
+        "CommandRefused",
+    ),
+    ReferenceRun(
+        "settings",
+        None,
+        (
+            (SetParam("joints.wrist.speed_rad_s", 0.02), LONG),
+            (SetTilt(0.02, -0.03), LONG),
+            (Process(Tool.PORTION, (1.0, 0.3, 0.0), 0.5), 60),
+            (Stop(), LONG),
+        ),
+        "ParamSet",
+        world=World("mars", 0.02, -0.03),
+    ),
+)

@@ -1,0 +1,80 @@
+"""Today's flight software does in every reference run what it did when the run was recorded, bit for bit."""
+
+import json
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ground.replay.behaviour import behaviour_of
+from ground.replay.compare import compare
+from ground.replay.inputs import inputs_in
+from ground.replay.replay import ELSEWHERE, ReplayRequest, outputs_for, replay
+from ground.report.replay_tables import verdict
+from ground.telemetry.processor import cpu_features
+from ground.telemetry.read import read_log
+from tests.replay.remake import FOLDER, path_of
+from tests.replay.runs import RUNS
+
+MOST_BYTES = 1_500_000
+
+
+def silent(*_) -> None:
+    """No progress bar."""
+
+
+@pytest.mark.filterwarnings("always:.*is compared to")
+@pytest.mark.parametrize("run", RUNS, ids=lambda run: run.name)
+def test_a_reference_run_replays_without_a_difference(run):
+    report = replay(ReplayRequest(path_of(run)), silent)
+    if not report.same_processor:
+        made_by = json.loads(report.header["cpu"])
+        odd = sorted({*made_by} ^ {*cpu_features()})
+        warnings.warn(f"{run.name} is compared to {ELSEWHERE:g}: made without or with {odd}", stacklevel=1)
+    assert report.differences.none, verdict(report.differences)
+    assert report.notes == ()
+
+
+@pytest.mark.parametrize("run", RUNS, ids=lambda run: run.name)
+def test_a_reference_run_came_to_what_it_is_there_for(run):
+    log = read_log(path_of(run))
+    assert run.ends_with in [evr.name for evr in log.evrs]
+    assert not log.truncated
+
+
+def test_the_reference_runs_are_few_and_small_and_all_known():
+    files = sorted(FOLDER.glob("*.mcap"))
+    assert files == sorted(path_of(run) for run in RUNS)
+    assert len(files) <= 10
+    assert sum(file.stat().st_size for file in files) < MOST_BYTES
+
+
+def test_one_bit_of_a_gain_is_seen_in_its_channel_from_the_tick_on_which_it_matters():
+    inputs = inputs_in(read_log(FOLDER / "contact.mcap"))
+    before = outputs_for(inputs, inputs.params, silent)
+    elevation = inputs.params.joints.elevation
+    gain = np.nextafter(elevation.gear_stiffness_Nm_rad, np.inf).item()
+    joints = replace(inputs.params.joints, elevation=replace(elevation, gear_stiffness_Nm_rad=gain))
+    after = outputs_for(inputs, replace(inputs.params, joints=joints), silent)
+    found = compare(behaviour_of(before), behaviour_of(after))
+    changed = {one.channel: one for one in found.channels}
+    assert [evr.name for evr in found.evrs] == ["Booted"]
+    assert found.lengths == ()
+    seen = changed["/joint.gap_uncertainty_rad"]
+    assert seen.first_component == (1,)
+    assert 0 < seen.greatest < 1e-15
+    apart = [
+        tick
+        for tick, (was, now) in enumerate(zip(before, after, strict=True))
+        if was.joint.gap_uncertainty_rad[1] != now.joint.gap_uncertainty_rad[1]
+    ]
+    assert (seen.first_tick, seen.ticks) == (apart[0], len(apart))
+
+
+def test_a_log_made_elsewhere_is_said_to_be_compared_within_a_tolerance(tmp_path, monkeypatch):
+    monkeypatch.setattr("ground.replay.replay.cpu_features", lambda: ("another",))
+    report = replay(ReplayRequest(FOLDER / "fault.mcap"), silent)
+    assert not report.same_processor
+    assert report.differences.tolerance == ELSEWHERE
+    assert verdict(report.differences).startswith("the same to 1e-12")
