@@ -1,23 +1,46 @@
 """Reads a log into numpy arrays; what it gives was written, or it says what is wrong."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Channel
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from ground.telemetry.container import NOT_AS_WRITTEN, ChannelMessages, read_records
-from ground.telemetry.errors import LogCorrupt, LogNotReadable
+from ground.telemetry.chunks import Messages, messages_of
+from ground.telemetry.container import (
+    NOT_AS_WRITTEN,
+    ChunkPlace,
+    Content,
+    NotAsWritten,
+    channel_of,
+    read_records,
+    summary_of,
+)
+from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.events import CommandEntry, EvrEntry
-from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, HEADER_RECORD, LAYOUT_KEY, TICK_NS
-from ground.telemetry.schema import Layout
+from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, HEADER_RECORD, TICK_NS
+from ground.telemetry.loss import LogDamaged, Lost
+from ground.telemetry.messages import (
+    bodies_of,
+    check_complete,
+    check_order,
+    chosen_of,
+    heads_of,
+    layouts_of,
+    packets_of,
+    rows_of,
+)
+from ground.telemetry.salvage import RECOVERED_RECORD, has_chunk, lost_of, salvage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Log:
-    """What a log holds; packets are read-only views of its messages.
+    """What a log holds; packets are read-only.
 
     `log["/sensors"]["encoder_count"]` has one row a message, shape (n, 5). A topic that got no message is not
     there. A log cut short by the death of its writer is `truncated`: it holds all chunks that were complete.
@@ -31,6 +54,10 @@ class Log:
     """Log time of each message, shape (n,), by topic; EVRs and commands included."""
     evrs: tuple[EvrEntry, ...]
     commands: tuple[CommandEntry, ...]
+    metadata: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """What the writer says of each topic: whether it is the truth of the plant, for one."""
+    lost: tuple[Lost, ...] = ()
+    """In a log that was recovered from a damaged one: what could not be saved."""
 
     def __getitem__(self, topic: str) -> NDArray[np.void]:
         if topic not in self.packets:
@@ -42,50 +69,144 @@ class Log:
         return (self.time_ns[topic] // TICK_NS).astype(np.int64)
 
 
-def times_ns(messages: ChannelMessages) -> NDArray[np.uint64]:
-    """Log times, shape (n,); ValueError when a message is missing or out of order."""
-    heads = np.array(messages.heads, dtype=np.uint64)
-    if not np.array_equal(heads[:, 1], np.arange(len(heads))):
-        raise ValueError(f"messages of {messages.channel.topic} are missing or out of order")
-    return heads[:, 2].copy()
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What is asked of a log: topics, None for all; log times from `start_ns` to before `end_ns`."""
+
+    topics: frozenset[str] | None
+    start_ns: int
+    end_ns: int | None
+
+    def has_topic(self, topic: str) -> bool:
+        """Whether a topic is asked for."""
+        return self.topics is None or topic in self.topics
+
+    def touches(self, chunk: ChunkPlace) -> bool:
+        """Whether a chunk may hold something from the time asked for."""
+        return chunk.last_ns >= self.start_ns and (self.end_ns is None or chunk.first_ns < self.end_ns)
+
+    def is_at(self, time_ns: NDArray[np.uint64]) -> NDArray[np.bool_]:
+        """Which messages are of the time asked for, shape (n,)."""
+        begun = time_ns >= self.start_ns
+        return begun if self.end_ns is None else begun & (time_ns < self.end_ns)
 
 
-def packets(messages: ChannelMessages) -> NDArray[np.void]:
-    """The messages as one structured array, shape (n,); ValueError when one has not the channel's length."""
-    dtype = Layout.from_json(messages.channel.metadata[LAYOUT_KEY]).dtype
-    if any(len(body) != dtype.itemsize for body in messages.bodies):
-        raise ValueError(f"a message of {messages.channel.topic} is not {dtype.itemsize} bytes long")
-    return np.frombuffer(b"".join(messages.bodies), dtype)
+def read_log(
+    path: Path | str,
+    topics: Collection[str] | None = None,
+    start_ns: int | None = None,
+    end_ns: int | None = None,
+) -> Log:
+    """Read a log, whole or cut short; all of it, or these topics from `start_ns` to before `end_ns`.
 
-
-def read_log(path: Path | str) -> Log:
-    """Read a log, whole or cut short.
+    EVRs and commands are topics too: /evr and /command.
 
     Raises:
         LogNotReadable: there is no such file, or it is not a log of ours.
-        LogCorrupt: a CRC, a length or a sequence shows that bytes are not as written.
+        LogDamaged: a CRC, a length or a sequence shows that bytes are not as written; it says what is lost.
     """
     path = Path(path)
+    wanted = Wanted(None if topics is None else frozenset(topics), max(start_ns or 0, 0), end_ns)
+    return log_from(path, bytes_of(path), wanted)
+
+
+def bytes_of(path: Path) -> bytes:
+    """A file's content; LogNotReadable where there is none."""
     try:
-        data = path.read_bytes()
+        return path.read_bytes()
     except (OSError, ValueError) as error:
         raise LogNotReadable(path, f"cannot be read ({error}); give the path of a log") from error
+
+
+ALL = Wanted(None, 0, None)
+
+
+def log_from(path: Path, data: bytes, wanted: Wanted = ALL) -> Log:
+    """Read a log from a file's content; errors as of `read_log`."""
     if not data.startswith(MCAP0_MAGIC):
         raise LogNotReadable(path, "not an MCAP file" if data else "an empty file; nothing was written to it")
-    found = read_records(path, data)
-    topics = {one.channel.topic: one for one in found.channels.values() if one.heads}
-    arrays = {name: one for name, one in topics.items() if LAYOUT_KEY in one.channel.metadata}
-    evrs = topics[EVR_TOPIC].bodies if EVR_TOPIC in topics else []
-    commands = topics[COMMAND_TOPIC].bodies if COMMAND_TOPIC in topics else []
     try:
-        return Log(
-            path=path,
-            header=found.metadata[HEADER_RECORD],
-            truncated=not found.closed,
-            packets={name: packets(one) for name, one in arrays.items()},
-            time_ns={name: times_ns(one) for name, one in topics.items()},
-            evrs=tuple(map(EvrEntry.decode, evrs)),
-            commands=tuple(map(CommandEntry.decode, commands)),
-        )
+        return _log(path, data, wanted)
+    except NotAsWritten as error:
+        raise LogDamaged(path, error.why, error.offset, salvage(data).lost) from error
+
+
+def _log(path: Path, data: bytes, wanted: Wanted) -> Log:
+    found = read_records(path, data)
+    if not found.complete and has_chunk(data, found.data_end):
+        raise NotAsWritten("a record is broken", found.data_end)
+    chosen, channels = _chosen(data, found, wanted)
+    batches = messages_of(data, [found.chunks[k] for k in chosen], [found.indexes[k] for k in chosen])
+    if not found.crc_holds:  # said after the chunks, which say better where
+        raise NotAsWritten("the data does not match its CRC", found.data_end)
+    for batch in batches:
+        channels |= batch.channels
+    try:
+        return _arrays(path, found, batches, channels, wanted, not chosen or chosen[0] == 0)
     except NOT_AS_WRITTEN as error:
-        raise LogCorrupt(path, str(error), len(data)) from error
+        raise NotAsWritten(str(error), found.data_end) from error
+
+
+def _chosen(data: bytes, found: Content, wanted: Wanted) -> tuple[list[int], dict[int, Channel]]:
+    """The chunks to unpack, and the channels that are declared elsewhere.
+
+    What says when a chunk begins and ends is covered by the CRC of a closed log alone: another is read whole.
+    """
+    touched = [k for k, chunk in enumerate(found.chunks) if wanted.touches(chunk)]
+    if not found.closed or len(touched) == len(found.chunks):
+        return list(range(len(found.chunks))), {}
+    declared = [channel_of(body) for opcode, body in summary_of(data) if opcode == Opcode.CHANNEL]
+    if not declared:
+        return list(range(len(found.chunks))), {}
+    return touched, {channel.id: channel for channel in declared}
+
+
+def _arrays(
+    path: Path,
+    found: Content,
+    batches: Sequence[Messages],
+    channels: Mapping[int, Channel],
+    wanted: Wanted,
+    from_start: bool,
+) -> Log:
+    """All topics that are asked for; one of NOT_AS_WRITTEN when a message is not as it should be."""
+    header = found.metadata[HEADER_RECORD]
+    _check_declared(batches, channels)
+    packets, times, said, bodies = {}, {}, {}, dict[str, list[bytes]]()
+    layouts = layouts_of(header, channels)
+    for number, channel in channels.items():
+        topic = channel.topic
+        if topic not in layouts or not wanted.has_topic(topic):
+            continue
+        layout, rows = layouts[topic], rows_of(batches, number)
+        heads = heads_of(batches, rows)
+        check_complete(topic, heads, from_start)
+        check_order(topic, heads["time_ns"], layout is not None)
+        is_asked = wanted.is_at(heads["time_ns"])
+        if not is_asked.any():
+            continue
+        if not is_asked.all():
+            rows = chosen_of(rows, is_asked)
+        times[topic] = heads["time_ns"][is_asked]
+        said[topic] = dict(channel.metadata)
+        if layout is None:
+            bodies[topic] = bodies_of(batches, rows)
+        else:
+            packets[topic] = packets_of(batches, rows, topic, layout)
+    return Log(
+        path=path,
+        header=header,
+        truncated=not found.closed,
+        packets=packets,
+        time_ns=times,
+        evrs=tuple(map(EvrEntry.decode, bodies.get(EVR_TOPIC, []))),
+        commands=tuple(map(CommandEntry.decode, bodies.get(COMMAND_TOPIC, []))),
+        metadata=said,
+        lost=lost_of(json.loads(found.metadata.get(RECOVERED_RECORD, {}).get("lost", "[]"))),
+    )
+
+
+def _check_declared(batches: Sequence[Messages], channels: Mapping[int, Channel]) -> None:
+    used = set().union(*(np.unique(batch.heads["channel"]).tolist() for batch in batches))
+    if not used <= set(channels):
+        raise ValueError(f"messages of channels {sorted(used - set(channels))}, which were never declared")
