@@ -3,7 +3,6 @@
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -18,6 +17,7 @@ from ground.telemetry.container import (
     RECORD_HEAD,
     ChunkPlace,
     NotAsWritten,
+    Span,
     channel_of,
     records,
 )
@@ -69,7 +69,7 @@ def unpacked(data: bytes, place: ChunkPlace, decompressor: zstandard.ZstdDecompr
 
 
 def messages_of(
-    data: bytes, places: Sequence[ChunkPlace], indexes: Sequence[Sequence[memoryview]]
+    data: bytes, places: Sequence[ChunkPlace], indexes: Sequence[Sequence[Span]]
 ) -> list[Messages]:
     """Unpack chunks, some at a time; the `indexes` of their messages are tried and not trusted.
 
@@ -88,7 +88,7 @@ def messages_of(
 def batch_of(
     data: bytes,
     places: Sequence[ChunkPlace],
-    indexes: Sequence[Sequence[memoryview]],
+    indexes: Sequence[Sequence[Span]],
     decompressor: zstandard.ZstdDecompressor,
 ) -> Messages:
     """The messages of some chunks; errors as of `messages_of`."""
@@ -99,7 +99,7 @@ def batch_of(
             plain.append(unpacked(data, place, decompressor))
         begins = np.cumsum([0, *map(len, plain)])
         buffer = np.frombuffer(b"".join(plain), np.uint8)
-        starts, heads, is_tiled = indexed(buffer, begins, indexes)
+        starts, heads, is_tiled = indexed(data, indexes, buffer, begins)
         walked = []
         for k in np.flatnonzero(~is_tiled):
             at = places[k].at
@@ -142,7 +142,7 @@ def walk(plain: bytes, channels: dict[int, Channel]) -> list[int]:
 
 
 def indexed(
-    buffer: NDArray[np.uint8], begins: Offsets, indexes: Sequence[Sequence[memoryview]]
+    data: bytes, indexes: Sequence[Sequence[Span]], buffer: NDArray[np.uint8], begins: Offsets
 ) -> tuple[Offsets, NDArray[np.void], NDArray[np.bool_]]:
     """Where messages begin by the indexes, in order, their heads, and which chunks they tile without a gap.
 
@@ -150,9 +150,12 @@ def indexed(
     message and begins where the one before it ends: then its index is right, whatever happened to the file.
     Of the other chunks nothing is said.
     """
-    whole = [of_chunk if all(len(one) % 16 == 0 for one in of_chunk) else [] for of_chunk in indexes]
-    chunk = np.repeat(np.arange(len(whole)), [sum(map(len, of_chunk)) // 16 for of_chunk in whole])
-    offset = np.frombuffer(b"".join(chain.from_iterable(whole)), "<u8")[1::2]
+    sizes = [[end - begin for begin, end in of_chunk] for of_chunk in indexes]
+    whole = [k for k, of_chunk in enumerate(sizes) if not any(size % 16 for size in of_chunk)]
+    view = memoryview(data)
+    pairs = b"".join(view[begin:end] for k in whole for begin, end in indexes[k])
+    chunk = np.repeat(whole, [sum(sizes[k]) // 16 for k in whole]).astype(np.int64)
+    offset = np.frombuffer(pairs, "<u8")[1::2]
     is_tiled = np.diff(begins) > HEAD.itemsize
     room = np.diff(begins) - HEAD.itemsize
     is_tiled[chunk[offset > room.clip(0)[chunk].astype(np.uint64)]] = False
@@ -167,6 +170,6 @@ def indexed(
     fits = (heads["opcode"] == Opcode.MESSAGE) & (heads["length"] >= MESSAGE_HEAD) & (ends == due)
     fits &= ~is_first | (starts == begins[chunk])
     is_tiled[chunk[~fits]] = False
-    is_tiled[np.bincount(chunk, minlength=len(whole)) == 0] = False
+    is_tiled[np.bincount(chunk, minlength=len(indexes)) == 0] = False
     sure = is_tiled[chunk]
     return (starts, heads, is_tiled) if sure.all() else (starts[sure], heads[sure], is_tiled)

@@ -27,7 +27,7 @@ FOOTER_SIZE: Final = RECORD_HEAD.size + 8 + 8 + 4
 MESSAGE_INDEX: Final = int(Opcode.MESSAGE_INDEX)
 """As a plain number: most records of a log are such, and an enum takes its time."""
 
-DATA_END: Final = int(Opcode.DATA_END)
+ENTRIES_SIZE: Final = struct.Struct("<I")
 
 CHUNK_LIMIT: Final = 1 << 26
 """Bytes that a chunk may claim to unpack to; ours have a million at most."""
@@ -43,6 +43,10 @@ NOT_AS_WRITTEN: Final = (
     AttributeError,
 )
 """What broken bytes raise in what takes them apart; ValueError covers CRC, Unicode and JSON."""
+
+
+Span = tuple[int, int]
+"""Where something begins and ends in the file."""
 
 
 class NotAsWritten(Exception):
@@ -73,8 +77,8 @@ class Content:
 
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     chunks: list[ChunkPlace] = field(default_factory=list)
-    indexes: list[list[memoryview]] = field(default_factory=list)
-    """For each chunk, by channel: log time and offset of each message, eight bytes each."""
+    indexes: list[list[Span]] = field(default_factory=list)
+    """For each chunk, by channel: where log time and offset of each message stand, eight bytes each."""
     complete: bool = False
     """The CRC of all that the run wrote holds."""
     closed: bool = False
@@ -109,17 +113,22 @@ def chunk_at(data: bytes, at: int, length: int) -> ChunkPlace:
 
 def take(found: Content, data: bytes, at: int, opcode: int, body: memoryview) -> None:
     """Add one record; ValueError for one that a log of ours does not have at its top level."""
-    if opcode == MESSAGE_INDEX and found.chunks and len(body) == 6 + int.from_bytes(body[2:6], "little"):
-        # The length tells an index from a chunk whose opcode lost a bit.
-        found.indexes[-1].append(body[6:])
-    elif opcode == Opcode.CHUNK:
-        found.chunks.append(chunk_at(data, at, len(body)))
-        found.indexes.append([])
-    elif opcode == Opcode.METADATA:
-        record = Metadata.read(ReadDataStream(BytesIO(body)))
-        found.metadata[record.name] = record.metadata
-    elif opcode != Opcode.HEADER or at != len(MCAP0_MAGIC):
-        raise ValueError(f"a record with opcode {opcode} and {len(body)} bytes has no place here")
+    match opcode:
+        case Opcode.CHUNK:
+            found.chunks.append(chunk_at(data, at, len(body)))
+            found.indexes.append([])
+        case Opcode.METADATA:
+            record = Metadata.read(ReadDataStream(BytesIO(body)))
+            found.metadata[record.name] = record.metadata
+        case Opcode.HEADER if at == len(MCAP0_MAGIC):
+            pass
+        case Opcode.DATA_END:
+            # A CRC of zero is MCAP's word for none, but ours always have one.
+            crc32 = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
+            found.crc_holds = found.complete = crc32 == crc32_of(data, 0, at)
+            found.closed = found.complete and data.endswith(MCAP0_MAGIC)
+        case _:
+            raise ValueError(f"a record with opcode {opcode} and {len(body)} bytes has no place here")
 
 
 def check_header(path: Path, found: Content) -> None:
@@ -142,23 +151,24 @@ def read_records(path: Path, data: bytes) -> Content:
         LogNotReadable: it is not a log of ours.
         NotAsWritten: a record is not as written.
     """
-    found, headed = Content(data_end=len(MCAP0_MAGIC)), False
-    for at, opcode, body in records(data, len(MCAP0_MAGIC)):
-        if not headed and opcode not in (Opcode.HEADER, Opcode.METADATA):
-            check_header(path, found)
-            headed = True
-        try:
-            if opcode == DATA_END:
-                # A CRC of zero is MCAP's word for none, but ours always have one.
-                crc32 = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
-                found.crc_holds = found.complete = crc32 == crc32_of(data, 0, at)
-                found.closed = found.complete and data.endswith(MCAP0_MAGIC)
+    found, headed, at = Content(data_end=len(MCAP0_MAGIC)), False, 0
+    try:
+        for at, opcode, body in records(data, len(MCAP0_MAGIC)):
+            # Most records are such, so they come first; the length tells one from a chunk that lost a bit.
+            if opcode == MESSAGE_INDEX and headed and len(body) == 6 + ENTRIES_SIZE.unpack_from(body, 2)[0]:
+                begin = at + RECORD_HEAD.size
+                found.indexes[-1].append((begin + 6, begin + len(body)))
+                continue
+            if not headed and opcode not in (Opcode.HEADER, Opcode.METADATA):
+                check_header(path, found)
+                headed = True
+            take(found, data, at, opcode, body)
+            if opcode == Opcode.DATA_END:
                 found.data_end = at
                 return found
-            take(found, data, at, opcode, body)
-        except NOT_AS_WRITTEN as error:
-            raise NotAsWritten(str(error) or type(error).__name__, at) from error
-        found.data_end = at + RECORD_HEAD.size + len(body)
+            found.data_end = at + RECORD_HEAD.size + len(body)
+    except NOT_AS_WRITTEN as error:
+        raise NotAsWritten(str(error) or type(error).__name__, at) from error
     check_header(path, found)
     if data.endswith(MCAP0_MAGIC) and len(data) > len(MCAP0_MAGIC):
         raise NotAsWritten("it was closed, but a record runs past its end", found.data_end)
