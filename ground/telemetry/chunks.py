@@ -101,7 +101,7 @@ def batch_of(
         buffer = np.frombuffer(b"".join(plain), np.uint8)
         starts, heads, is_tiled = indexed(data, indexes, buffer, begins)
         walked = []
-        for k in np.flatnonzero(~is_tiled):
+        for k in np.flatnonzero(~is_tiled).tolist():
             at = places[k].at
             walked += [int(begins[k]) + start for start in walk(plain[k], channels)]
     except NOT_AS_WRITTEN as error:

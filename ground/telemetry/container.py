@@ -198,4 +198,5 @@ def summary_of(data: bytes) -> list[tuple[int, bytes]]:
 
 def channel_of(body: bytes | memoryview) -> Channel:
     """A channel record; one of NOT_AS_WRITTEN where it is none."""
-    return Channel.read(ReadDataStream(BytesIO(body)))
+    channel: Channel = Channel.read(ReadDataStream(BytesIO(body)))
+    return channel

@@ -1,10 +1,18 @@
 """What a damaged log has lost, and the error that tells it."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Final
 
 from ground.telemetry.errors import LogCorrupt
+from ground.telemetry.format import header_crc32
+
+RECOVERED_RECORD: Final = "marsarm.recovered"
+"""Metadata of a recovered log: what could not be saved."""
+SPANS: Final = 3
+"""So many spans of time are named in a sentence."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,16 +54,31 @@ def span_text(after_ns: int | None, before_ns: int | None) -> str:
 
 
 def outline(lost: Sequence[Lost]) -> str:
-    """All that was lost in one clause: how much of how many topics, and the span around it."""
+    """All that was lost in one clause: how much of which topics, and when."""
     if not lost:
         return "no message was lost"
-    after = None if any(one.after_ns is None for one in lost) else min(one.after_ns or 0 for one in lost)
-    before = None if any(one.before_ns is None for one in lost) else max(one.before_ns or 0 for one in lost)
     known = sum(one.count or 0 for one in lost)
     count = f"{known} messages" if all(one.count is not None for one in lost) else f"{known} or more messages"
     topics = sorted({one.topic for one in lost if one.topic is not None})
     of = f" of {', '.join(topics)}" if topics else ""
-    return f"{count}{of} lost, {span_text(after, before)}"
+    spans = list(dict.fromkeys(one.when for one in lost))
+    more = "" if len(spans) <= SPANS else f" and in {len(spans) - SPANS} more spans"
+    return f"{count}{of} lost, {', '.join(spans[:SPANS])}{more}"
+
+
+def recovered_record(lost: Sequence[Lost]) -> dict[str, str]:
+    """The metadata that says in a recovered log what was lost, with its CRC."""
+    said = {"lost": json.dumps([asdict(one) for one in lost])}
+    return said | {"crc32": header_crc32(said)}
+
+
+def lost_in(record: Mapping[str, str]) -> tuple[Lost, ...]:
+    """What `recovered_record` said, nothing for an empty record; ValueError or TypeError for any other."""
+    if not record:
+        return ()
+    if record.get("crc32") != header_crc32({"lost": record.get("lost", "")}):
+        raise ValueError("what the log says of a recovery does not match its CRC")
+    return tuple(Lost(**one) for one in json.loads(record["lost"]))
 
 
 class LogDamaged(LogCorrupt):  # says what is so

@@ -1,6 +1,5 @@
 """Reads a log into numpy arrays; what it gives was written, or it says what is wrong."""
 
-import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -24,7 +23,7 @@ from ground.telemetry.container import (
 from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.events import CommandEntry, EvrEntry
 from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, HEADER_RECORD, TICK_NS
-from ground.telemetry.loss import LogDamaged, Lost
+from ground.telemetry.loss import RECOVERED_RECORD, LogDamaged, Lost, lost_in
 from ground.telemetry.messages import (
     bodies_of,
     check_complete,
@@ -35,7 +34,7 @@ from ground.telemetry.messages import (
     packets_of,
     rows_of,
 )
-from ground.telemetry.salvage import RECOVERED_RECORD, has_chunk, lost_of, salvage
+from ground.telemetry.salvage import has_chunk, salvage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,7 +201,7 @@ def _arrays(
         evrs=tuple(map(EvrEntry.decode, bodies.get(EVR_TOPIC, []))),
         commands=tuple(map(CommandEntry.decode, bodies.get(COMMAND_TOPIC, []))),
         metadata=said,
-        lost=lost_of(json.loads(found.metadata.get(RECOVERED_RECORD, {}).get("lost", "[]"))),
+        lost=lost_in(found.metadata.get(RECOVERED_RECORD, {})),
     )
 
 

@@ -4,7 +4,7 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import zstandard
@@ -25,11 +25,9 @@ from ground.telemetry.container import (
     summary_of,
 )
 from ground.telemetry.format import FORMAT_RECORD, HEADER_RECORD, header_crc32
-from ground.telemetry.loss import Lost
+from ground.telemetry.loss import RECOVERED_RECORD, Lost, lost_in
 
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
-RECOVERED_RECORD: Final = "marsarm.recovered"
-"""Metadata of a recovered log: what could not be saved."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,19 +49,8 @@ class Salvage:
     channels: Mapping[int, Channel]
     schemas: Mapping[int, Schema]
     lost: tuple[Lost, ...]
-
-
-def lost_json(lost: Sequence[Lost]) -> list[dict[str, Any]]:
-    """What was lost as a JSON document."""
-    return [
-        {"topic": one.topic, "count": one.count, "after_ns": one.after_ns, "before_ns": one.before_ns}
-        for one in lost
-    ]
-
-
-def lost_of(document: Sequence[Mapping[str, Any]]) -> tuple[Lost, ...]:
-    """What `lost_json` gave; KeyError or TypeError for anything else."""
-    return tuple(Lost(one["topic"], one["count"], one["after_ns"], one["before_ns"]) for one in document)
+    lost_before: tuple[Lost, ...]
+    """In recoveries before this one."""
 
 
 def good_chunks(data: bytes, at: int) -> Iterator[bytes]:
@@ -107,14 +94,19 @@ def salvage(data: bytes) -> Salvage:
             continue
         heads = heads_at(np.frombuffer(plain, np.uint8), np.array(starts, np.int64))
         chunks.append(Saved(plain, starts, heads))
+    metadata = _metadata(data)
+    try:
+        lost_before = lost_in(metadata.pop(RECOVERED_RECORD, {}))
+    except NOT_AS_WRITTEN:
+        lost_before = (Lost(None, None, None, None),)
     lost = _lost(chunks, channels, totals, data)
-    return Salvage(_metadata(data), tuple(chunks), channels, schemas, lost)
+    return Salvage(metadata, tuple(chunks), channels, schemas, lost, lost_before)
 
 
 def _summary(data: bytes) -> tuple[dict[int, Channel], dict[int, Schema], dict[int, int] | None]:
     """Channels, schemas and how many messages each channel had, if the log's summary is as written."""
     channels, schemas, totals = dict[int, Channel](), dict[int, Schema](), None
-    for opcode, body in summary_of(data):
+    for opcode, body in summary_of(data):  # its CRC holds
         if opcode == Opcode.CHANNEL:
             channel = channel_of(body)
             channels[channel.id] = channel
