@@ -15,6 +15,7 @@ import typer
 
 from ground.cli_hardstop import hardstop
 from ground.cli_ik import ik, reach
+from ground.cli_log import log_app
 from ground.cli_parts import (
     ARM_SAFE,
     BAD_INPUT,
@@ -118,6 +119,7 @@ app.command()(reach)
 app.command()(hardstop)
 app.command()(run)
 app.command()(scenarios)
+app.add_typer(log_app, name="log")
 
 
 def _finish(report: "PlaceReport") -> None:
