@@ -7,10 +7,12 @@ from typing import Any, Final
 import numpy as np
 
 from fsw.dictionary.evrs import Severity
+from fsw.dictionary.joints import Joint
 from ground.report.figures import save_figure
 from ground.telemetry.events import EvrEntry
 from ground.telemetry.format import TICK_NS
 from ground.telemetry.inspect import Channel
+from ground.telemetry.topics import PACKET_TOPICS
 
 MOST: Final = 12
 """Panels in a picture; more cannot be read."""
@@ -50,20 +52,27 @@ def save_log_figure(channels: Sequence[Channel], evrs: Sequence[EvrEntry], path:
 def _draw(axes: Any, channel: Channel) -> None:
     time_s = channel.time_ns / 1e9
     flat = channel.values.reshape(len(time_s), -1).astype(float)
-    places = list(np.ndindex(*channel.values.shape[1:]))
+    names = _names(channel)
     steps = "steps-post" if channel.values.dtype.kind in "biu" else "default"
     # A channel that speaks once has no line.
     marker = "." if len(time_s) < 2 else None
-    for k, place in enumerate(places):
-        name = ", ".join(map(str, place)) if place else None
+    for k, name in enumerate(names):
         axes.plot(time_s, flat[:, k], drawstyle=steps, marker=marker, linewidth=1.0, label=name)
     axes.set_title(f"{channel.name}{' (truth)' if channel.is_truth else ''}", loc="left", fontsize=9)
     axes.set_ylabel(channel.unit or "")
     axes.ticklabel_format(axis="y", useOffset=False)
     axes.grid(alpha=0.3)
     axes.margins(x=0.01)
-    if 1 < len(places) <= LEGEND:
+    if 1 < len(names) <= LEGEND:
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, frameon=False)
+
+
+def _names(channel: Channel) -> list[str | None]:
+    """What the lines of a channel are called: joints where flight software lists joints, else numbers."""
+    shape = channel.values.shape[1:]
+    if shape == (len(Joint),) and channel.topic in {topic.name for topic, _ in PACKET_TOPICS}:
+        return [joint.name.lower() for joint in Joint]
+    return [", ".join(map(str, place)) or None for place in np.ndindex(*shape)]
 
 
 def _name_evrs(axes: Any, evrs: Sequence[EvrEntry]) -> None:
@@ -72,7 +81,7 @@ def _name_evrs(axes: Any, evrs: Sequence[EvrEntry]) -> None:
     named: list[float] = []
     for evr in sorted(evrs, key=lambda evr: (-evr.severity, evr.tick)):
         at = _time_s(evr)
-        if len(named) < SHOWN and all(abs(at - other) > 0.018 * (high - low) for other in named):
+        if len(named) < SHOWN and all(abs(at - other) > 0.03 * (high - low) for other in named):
             named.append(at)
             axes.annotate(
                 evr.name,
