@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ground.outputs import BadOutput, check_output, written_whole
 from ground.telemetry.events import CommandEntry, EvrEntry
-from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, TICK_NS, TRUTH_KEY
+from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, TICK_NS
 from ground.telemetry.inspect import NoSuchChannel, severity_name
 from ground.telemetry.notes import unit_of
 from ground.telemetry.read import Log
@@ -62,7 +62,7 @@ def table_of(log: Log, topic: str) -> Table:
                 columns[name] = np.ascontiguousarray(numbers[:, k])
                 if unit is not None:
                     units[name] = unit
-    return Table(topic, columns, units, TRUTH_KEY in log.metadata.get(topic, {}))
+    return Table(topic, columns, units, topic in log.truth)
 
 
 def _evr_columns(evrs: Sequence[EvrEntry]) -> dict[str, Column]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.evrs import Severity
-from ground.telemetry.format import TICK_NS, TRUTH_KEY
+from ground.telemetry.format import TICK_NS
 from ground.telemetry.notes import unit_of
 from ground.telemetry.read import Log
 
@@ -86,7 +86,7 @@ def info_of(log: Log) -> LogInfo:
     cycles = np.unique(np.concatenate(times)) if times else np.zeros(0, np.uint64)
     duration_s = (int(cycles[-1]) - int(cycles[0]) + TICK_NS) / 1e9 if len(cycles) else 0.0
     topics = (
-        TopicInfo(name, len(time_ns), len(time_ns) / duration_s, TRUTH_KEY in log.metadata.get(name, {}))
+        TopicInfo(name, len(time_ns), len(time_ns) / duration_s, name in log.truth)
         for name, time_ns in sorted(log.time_ns.items())
     )
     counts = Counter(evr.severity for evr in log.evrs)
@@ -120,7 +120,7 @@ def channels_of(log: Log, globs: Sequence[str] = ()) -> tuple[Channel, ...]:
         NoSuchChannel: a pattern fits none.
     """
     every = [
-        Channel(topic, name, log.time_ns[topic], packets[name], TRUTH_KEY in log.metadata.get(topic, {}))
+        Channel(topic, name, log.time_ns[topic], packets[name], topic in log.truth)
         for topic, packets in sorted(log.packets.items())
         for name in packets.dtype.names or ()
     ]

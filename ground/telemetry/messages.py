@@ -2,7 +2,8 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 from mcap.records import Channel
@@ -10,35 +11,58 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ground.telemetry.chunks import HEAD, MESSAGE_HEAD, Messages
-from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, LAYOUT_KEY
+from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, LAYOUT_KEY, TRUTH_KEY
 from ground.telemetry.schema import Layout
 
-CHANNELS_KEY = "channels"
-"""In a log's header: what its topics hold, as JSON."""
-DERIVED_KEY = "derived"
-"""In a channel's metadata: its messages repeat, in another form, what other channels hold."""
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A channel of ours; the layout is None for EVRs and commands, which have no fixed one."""
+
+    topic: str
+    layout: Layout | None
+    is_truth: bool
 
 
-def told(header: Mapping[str, str]) -> dict[str, Any]:
-    """What a header says of its topics; empty where it says nothing. ValueError when it is no such list."""
+def announced(header: Mapping[str, str]) -> dict[int, dict[str, Any]]:
+    """What a header says of its channels, by number, the topic with it; empty where it says nothing.
+
+    KeyError, TypeError, AttributeError or ValueError when it says something else.
+    """
     topics = json.loads(header.get(CHANNELS_KEY, "{}"))
-    if not isinstance(topics, dict):
-        raise ValueError("the header's list of channels is none")
-    return topics
+    return {int(said["id"]): {**said, "topic": topic} for topic, said in topics.items()}
 
 
-def layouts_of(header: Mapping[str, str], channels: Mapping[int, Channel]) -> dict[str, Layout | None]:
-    """What each topic of ours holds, None for EVRs and commands; topics that are nobody's are left out."""
-    topics, found = told(header), dict[str, Layout | None]()
-    for channel in channels.values():
-        said = topics.get(channel.topic, {} if topics else channel.metadata).get(LAYOUT_KEY)
-        if channel.topic in (EVR_TOPIC, COMMAND_TOPIC):
-            found[channel.topic] = None
-        elif said is not None and DERIVED_KEY not in channel.metadata:
-            found[channel.topic] = Layout.from_json(said)
-    return found
+def known_channels(header: Mapping[str, str], records: Mapping[int, Channel]) -> dict[int, Known]:
+    """The channels of ours: as the header announces them, or, where it does not, as their records say.
+
+    Channels of others, and those that repeat ours in the form of other tools, are left out.
+    """
+    said = announced(header) or {number: _said(channel) for number, channel in records.items()}
+    return {
+        number: Known(one["topic"], _layout(one["layout"]), bool(one["truth"]))
+        for number, one in said.items()
+        if one["topic"] in (EVR_TOPIC, COMMAND_TOPIC) or (one["layout"] is not None and not one["derived"])
+    }
 
 
+def _said(channel: Channel) -> dict[str, Any]:
+    """What a channel's record says, in the words of a header."""
+    layout = channel.metadata.get(LAYOUT_KEY)
+    return {
+        "topic": channel.topic,
+        "layout": None if layout is None else json.loads(layout),
+        "truth": TRUTH_KEY in channel.metadata,
+        "derived": DERIVED_KEY in channel.metadata,
+    }
+
+
+def _layout(rows: Any) -> Layout | None:
+    return None if rows is None else Layout.from_json(json.dumps(rows))
+
+
+CHANNELS_KEY: Final = "channels"
+DERIVED_KEY: Final = "derived"
 Rows = Sequence[NDArray[np.int64]]
 """Which messages of each batch, shapes (n,)."""
 

@@ -1,11 +1,10 @@
 """Reads a log into numpy arrays; what it gives was written, or it says what is wrong."""
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from mcap.opcode import Opcode
 from mcap.records import Channel
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
@@ -16,21 +15,21 @@ from ground.telemetry.container import (
     ChunkPlace,
     Content,
     NotAsWritten,
-    channel_of,
     read_records,
-    summary_of,
 )
 from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.events import CommandEntry, EvrEntry
 from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, HEADER_RECORD, TICK_NS
 from ground.telemetry.loss import RECOVERED_RECORD, LogDamaged, Lost, lost_in
 from ground.telemetry.messages import (
+    CHANNELS_KEY,
+    Known,
     bodies_of,
     check_complete,
     check_order,
     chosen_of,
     heads_of,
-    layouts_of,
+    known_channels,
     packets_of,
     rows_of,
 )
@@ -53,8 +52,8 @@ class Log:
     """Log time of each message, shape (n,), by topic; EVRs and commands included."""
     evrs: tuple[EvrEntry, ...]
     commands: tuple[CommandEntry, ...]
-    metadata: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    """What the writer says of each topic: whether it is the truth of the plant, for one."""
+    truth: frozenset[str] = frozenset()
+    """Topics of the plant's own state, which flight software never saw."""
     lost: tuple[Lost, ...] = ()
     """In a log that was recovered from a damaged one: what could not be saved."""
 
@@ -134,50 +133,36 @@ def _log(path: Path, data: bytes, wanted: Wanted) -> Log:
     found = read_records(path, data)
     if not found.complete and has_chunk(data, found.data_end):
         raise NotAsWritten("a record is broken", found.data_end)
-    chosen, channels = _chosen(data, found, wanted)
+    chosen = _chosen(found, wanted)
     batches = messages_of(data, [found.chunks[k] for k in chosen], [found.indexes[k] for k in chosen])
     if not found.crc_holds:  # said after the chunks, which say better where
         raise NotAsWritten("the data does not match its CRC", found.data_end)
-    for batch in batches:
-        channels |= batch.channels
     try:
-        return _arrays(path, found, batches, channels, wanted, not chosen or chosen[0] == 0)
+        return _arrays(path, found, batches, wanted, not chosen or chosen[0] == 0)
     except NOT_AS_WRITTEN as error:
         raise NotAsWritten(str(error), found.data_end) from error
 
 
-def _chosen(data: bytes, found: Content, wanted: Wanted) -> tuple[list[int], dict[int, Channel]]:
-    """The chunks to unpack, and the channels that are declared elsewhere.
+def _chosen(found: Content, wanted: Wanted) -> list[int]:
+    """The chunks to unpack.
 
-    What says when a chunk begins and ends is covered by the CRC of a closed log alone: another is read whole.
+    What a chunk says of its times is covered by the CRC of a closed log alone, and its channels may be
+    declared in a chunk that is not unpacked: where this cannot be told, all chunks are.
     """
-    touched = [k for k, chunk in enumerate(found.chunks) if wanted.touches(chunk)]
-    if not found.closed or len(touched) == len(found.chunks):
-        return list(range(len(found.chunks))), {}
-    declared = [channel_of(body) for opcode, body in summary_of(data) if opcode == Opcode.CHANNEL]
-    if not declared:
-        return list(range(len(found.chunks))), {}
-    return touched, {channel.id: channel for channel in declared}
+    can_skip = found.closed and CHANNELS_KEY in found.metadata[HEADER_RECORD]
+    return [k for k, chunk in enumerate(found.chunks) if not can_skip or wanted.touches(chunk)]
 
 
-def _arrays(
-    path: Path,
-    found: Content,
-    batches: Sequence[Messages],
-    channels: Mapping[int, Channel],
-    wanted: Wanted,
-    from_start: bool,
-) -> Log:
+def _arrays(path: Path, found: Content, batches: Sequence[Messages], wanted: Wanted, from_start: bool) -> Log:
     """All topics that are asked for; one of NOT_AS_WRITTEN when a message is not as it should be."""
     header = found.metadata[HEADER_RECORD]
-    _check_declared(batches, channels)
-    packets, times, said, bodies = {}, {}, {}, dict[str, list[bytes]]()
-    layouts = layouts_of(header, channels)
+    channels = _channels(header, batches)
+    packets, times, bodies = {}, {}, dict[str, list[bytes]]()
     for number, channel in channels.items():
-        topic = channel.topic
-        if topic not in layouts or not wanted.has_topic(topic):
+        topic, layout = channel.topic, channel.layout
+        if not wanted.has_topic(topic):
             continue
-        layout, rows = layouts[topic], rows_of(batches, number)
+        rows = rows_of(batches, number)
         heads = heads_of(batches, rows)
         check_complete(topic, heads, from_start)
         check_order(topic, heads["time_ns"], layout is not None)
@@ -187,7 +172,6 @@ def _arrays(
         if not is_asked.all():
             rows = chosen_of(rows, is_asked)
         times[topic] = heads["time_ns"][is_asked]
-        said[topic] = dict(channel.metadata)
         if layout is None:
             bodies[topic] = bodies_of(batches, rows)
         else:
@@ -200,12 +184,17 @@ def _arrays(
         time_ns=times,
         evrs=tuple(map(EvrEntry.decode, bodies.get(EVR_TOPIC, []))),
         commands=tuple(map(CommandEntry.decode, bodies.get(COMMAND_TOPIC, []))),
-        metadata=said,
+        truth=frozenset(channel.topic for channel in channels.values() if channel.is_truth),
         lost=lost_in(found.metadata.get(RECOVERED_RECORD, {})),
     )
 
 
-def _check_declared(batches: Sequence[Messages], channels: Mapping[int, Channel]) -> None:
+def _channels(header: Mapping[str, str], batches: Sequence[Messages]) -> dict[int, Known]:
+    """The channels of ours; ValueError where a message's channel is nowhere declared."""
+    records: dict[int, Channel] = {}
+    for batch in batches:
+        records |= batch.channels
     used = set().union(*(np.unique(batch.heads["channel"]).tolist() for batch in batches))
-    if not used <= set(channels):
-        raise ValueError(f"messages of channels {sorted(used - set(channels))}, which were never declared")
+    if CHANNELS_KEY not in header and not used <= set(records):
+        raise ValueError(f"messages of channels {sorted(used - set(records))}, which were never declared")
+    return known_channels(header, records)

@@ -1,22 +1,21 @@
 """Writes what can be saved of a damaged log into a whole one."""
 
+import json
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from mcap.records import Channel
 from mcap.writer import Writer
 
 from ground.outputs import BadOutput, check_output, written_whole
-from ground.telemetry.chunks import HEAD, MESSAGE_HEAD
 from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
 from ground.telemetry.loss import RECOVERED_RECORD, Lost, recovered_record
-from ground.telemetry.messages import layouts_of
+from ground.telemetry.messages import CHANNELS_KEY, announced, known_channels
 from ground.telemetry.read import bytes_of, log_from
-from ground.telemetry.salvage import Salvage, Saved, salvage
+from ground.telemetry.salvage import Salvage, salvage
 
 Progress = Callable[[float, float, str], None]
 
@@ -68,67 +67,54 @@ def _check_ours(bad: Path, found: Salvage) -> None:
         raise LogNotReadable(bad, f"log format {version}; this marsarm reads format {FORMAT}")
     if not found.chunks and HEADER_RECORD not in found.metadata:
         raise LogNotReadable(bad, "holds no undamaged part of a marsarm log; nothing can be saved")
-    if found.chunks and not set(layouts_of(found.metadata.get(HEADER_RECORD, {}), found.channels)):
+    if found.chunks and not known_channels(found.metadata.get(HEADER_RECORD, {}), found.channels):
         raise LogNotReadable(bad, "nothing in it says what its messages mean; nothing can be saved")
 
 
 def _write(file: BinaryIO, found: Salvage, lost: tuple[Lost, ...], progress: Progress) -> dict[str, int]:
     """Write all that was found; messages by topic."""
-    header = dict(found.metadata.get(HEADER_RECORD, {}))
+    numbers = {old: new for new, old in enumerate(sorted(found.channels), 1)}
+    header = _renumbered(found.metadata.get(HEADER_RECORD, {}), numbers)
     writer = Writer(file, chunk_size=1 << 30, enable_data_crcs=True)
     writer.start(profile="", library="marsarm")
     writer.add_metadata(FORMAT_RECORD, {"version": FORMAT, "header_crc32": header_crc32(header)})
     writer.add_metadata(HEADER_RECORD, header)
     writer.add_metadata(RECOVERED_RECORD, recovered_record(lost))
-    copy = _Copy(writer, found)
+    _declare(writer, found)
+    counts: dict[int, int] = {}
+    seen: dict[int, int] = {}
     for k, chunk in enumerate(found.chunks):
-        copy.chunk(chunk)
+        for number, sequence, time_ns, publish_ns, message in chunk.messages():
+            # A message that was there before is from a piece of the file that was written twice.
+            if number in numbers and sequence > seen.get(number, -1):
+                writer.add_message(numbers[number], time_ns, message, publish_ns, counts.get(number, 0))
+                counts[number], seen[number] = counts.get(number, 0) + 1, sequence
+        writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates only part of itself
         progress(k, len(found.chunks), "writing")
-    writer.finish()  # type: ignore[no-untyped-call]  # mcap annotates only part of itself
-    return {found.channels[number].topic: count for number, count in copy.counts.items()}
+    writer.finish()  # type: ignore[no-untyped-call]
+    return {found.channels[number].topic: count for number, count in counts.items()}
 
 
-class _Copy:
-    """Puts chunks into a new file; it declares a channel before its first message."""
+def _renumbered(header: Mapping[str, str], numbers: Mapping[int, int]) -> dict[str, str]:
+    """The header, with the numbers that the channels have in the new file."""
+    if CHANNELS_KEY not in header:
+        return dict(header)
+    said = announced(header)
+    kept = {
+        one["topic"]: {**{name: value for name, value in one.items() if name != "topic"}, "id": numbers[old]}
+        for old, one in said.items()
+        if old in numbers
+    }
+    return {**header, CHANNELS_KEY: json.dumps(kept)}
 
-    def __init__(self, writer: Writer, found: Salvage) -> None:
-        self._writer = writer
-        self._found = found
-        self._schemas: dict[int, int] = {}
-        self._channels: dict[int, int] = {}
-        self._next: dict[int, int] = {}
-        self.counts: dict[int, int] = {}
 
-    def chunk(self, chunk: Saved) -> None:
-        """Add the messages of known channels, in a chunk of their own."""
-        for start, head in zip(chunk.starts, chunk.heads.tolist(), strict=True):
-            _, length, number, sequence, time_ns, publish_ns = head
-            # A message that was there before is a piece of the file that was written twice.
-            if number not in self._found.channels or sequence < self._next.get(number, 0):
-                continue
-            begin = start + HEAD.itemsize
-            message = chunk.plain[begin : begin + length - MESSAGE_HEAD]
-            count = self.counts.get(number, 0)
-            self._writer.add_message(self._channel(number), time_ns, message, publish_ns, count)
-            self.counts[number], self._next[number] = count + 1, sequence + 1
-        self._writer.flush()  # type: ignore[no-untyped-call]
-
-    def _channel(self, number: int) -> int:
-        if number not in self._channels:
-            channel: Channel = self._found.channels[number]
-            schema = self._schema(channel.schema_id)
-            self._channels[number] = self._writer.register_channel(
-                channel.topic, channel.message_encoding, schema, channel.metadata
-            )
-        return self._channels[number]
-
-    def _schema(self, number: int) -> int:
-        """The schema in the new file; 0, MCAP's word for none, where it is lost."""
-        if number not in self._schemas:
-            schema = self._found.schemas.get(number)
-            self._schemas[number] = (
-                0
-                if schema is None
-                else self._writer.register_schema(schema.name, schema.encoding, schema.data)
-            )
-        return self._schemas[number]
+def _declare(writer: Writer, found: Salvage) -> None:
+    """Write schemas and channels, numbered from 1 in their order; a schema that is lost is 0, MCAP's none."""
+    schemas = {
+        number: writer.register_schema(schema.name, schema.encoding, schema.data)
+        for number, schema in found.schemas.items()
+    }
+    for _, channel in sorted(found.channels.items()):
+        writer.register_channel(
+            channel.topic, channel.message_encoding, schemas.get(channel.schema_id, 0), channel.metadata
+        )

@@ -1,19 +1,18 @@
 """What is undamaged in a damaged log, and what is missing between."""
 
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from io import BytesIO
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema, Statistics
-from numpy.typing import NDArray
 
-from ground.telemetry.chunks import HEAD, heads_at, walk
+from ground.telemetry.chunks import heads_at, walk
 from ground.telemetry.container import (
     CHUNK_HEAD,
     CHUNK_LIMIT,
@@ -24,19 +23,22 @@ from ground.telemetry.container import (
     records,
     summary_of,
 )
-from ground.telemetry.format import FORMAT_RECORD, HEADER_RECORD, header_crc32
+from ground.telemetry.events import CommandEntry, Entry, EvrEntry
+from ground.telemetry.format import (
+    COMMAND_TOPIC,
+    EVR_TOPIC,
+    FORMAT_RECORD,
+    HEADER_RECORD,
+    LAYOUT_KEY,
+    TRUTH_KEY,
+    header_crc32,
+)
+from ground.telemetry.gaps import Saved, lost_between
 from ground.telemetry.loss import RECOVERED_RECORD, Lost, lost_in
+from ground.telemetry.messages import announced, known_channels
+from ground.telemetry.schema import definition
 
 ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Saved:
-    """A chunk whose CRC holds: its records, and the heads of its messages, type HEAD, shape (n,)."""
-
-    plain: bytes
-    starts: list[int]
-    heads: NDArray[np.void]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +86,7 @@ def has_chunk(data: bytes, at: int) -> bool:
 
 def salvage(data: bytes) -> Salvage:
     """Look for everything in a file that its checks still vouch for."""
+    metadata = _metadata(data)
     channels, schemas, totals = _summary(data)
     chunks = []
     for plain in good_chunks(data, 0):
@@ -94,13 +97,47 @@ def salvage(data: bytes) -> Salvage:
             continue
         heads = heads_at(np.frombuffer(plain, np.uint8), np.array(starts, np.int64))
         chunks.append(Saved(plain, starts, heads))
-    metadata = _metadata(data)
+    header = metadata.get(HEADER_RECORD, {})
+    _declare(header, channels, schemas)
     try:
         lost_before = lost_in(metadata.pop(RECOVERED_RECORD, {}))
     except NOT_AS_WRITTEN:
         lost_before = (Lost(None, None, None, None),)
-    lost = _lost(chunks, channels, totals, data)
+    names = {number: said["topic"] for number, said in _said(header).items()}
+    names |= {number: channel.topic for number, channel in channels.items()}
+    lost = lost_between(chunks, names, set(channels), totals, totals is not None or _is_complete(data))
     return Salvage(metadata, tuple(chunks), channels, schemas, lost, lost_before)
+
+
+def _said(header: Mapping[str, str]) -> dict[int, dict[str, Any]]:
+    """What a header says of its channels; nothing where it is another's."""
+    try:
+        return announced(header)
+    except NOT_AS_WRITTEN:
+        return {}
+
+
+def _declare(header: Mapping[str, str], channels: dict[int, Channel], schemas: dict[int, Schema]) -> None:
+    """Add the channels that only the header knows any more; those that were derived from them stay away."""
+    said = _said(header)
+    try:
+        known = known_channels(header, {})
+    except NOT_AS_WRITTEN:
+        return
+    entries: dict[str, type[Entry]] = {EVR_TOPIC: EvrEntry, COMMAND_TOPIC: CommandEntry}
+    for number in sorted(set(known) - set(channels)):
+        one = known[number]
+        text = one.layout.ros_text if one.layout is not None else entries[one.topic].ros_text()
+        schema_id = max(schemas, default=0) + 1
+        schemas[schema_id] = Schema(
+            id=schema_id, name=said[number]["schema"], encoding="ros2msg", data=definition(None, text)
+        )
+        metadata = {} if one.layout is None else {LAYOUT_KEY: one.layout.to_json()}
+        if one.is_truth:
+            metadata[TRUTH_KEY] = "the plant's own state; flight software never sees it"
+        channels[number] = Channel(
+            id=number, topic=one.topic, message_encoding="cdr", metadata=metadata, schema_id=schema_id
+        )
 
 
 def _summary(data: bytes) -> tuple[dict[int, Channel], dict[int, Schema], dict[int, int] | None]:
@@ -141,71 +178,6 @@ def _metadata(data: bytes) -> dict[str, dict[str, str]]:
     if HEADER_RECORD in found and header_crc32(found[HEADER_RECORD]) != due:
         del found[HEADER_RECORD]
     return found
-
-
-@dataclass(frozen=True, slots=True)
-class _Gap:
-    """Messages missing of a channel: they stood behind chunk `after` and before chunk `before`."""
-
-    channel: int
-    count: int
-    after: int
-    before: int
-    after_ns: int | None
-    before_ns: int | None
-
-
-def _gaps(chunks: Sequence[Saved], channels: Mapping[int, Channel], totals: dict[int, int]) -> list[_Gap]:
-    """Where sequences break off, by channel; `totals` tell what is missing at the end."""
-    heads = np.concatenate([np.zeros(0, HEAD), *(chunk.heads for chunk in chunks)])
-    of_chunk = np.repeat(np.arange(len(chunks)), [len(chunk.heads) for chunk in chunks])
-    gaps = []
-    for number in sorted({*channels, *heads["channel"].tolist()}):
-        rows = np.flatnonzero(heads["channel"] == number)
-        counted = heads["sequence"][rows].astype(np.int64)
-        before = np.append(-1, counted)
-        for k in np.flatnonzero(np.diff(before) > 1):
-            gaps.append(
-                _Gap(
-                    channel=number,
-                    count=int(counted[k] - before[k] - 1),
-                    after=-1 if k == 0 else int(of_chunk[rows[k - 1]]),
-                    before=int(of_chunk[rows[k]]),
-                    after_ns=None if k == 0 else int(heads["time_ns"][rows[k - 1]]),
-                    before_ns=int(heads["time_ns"][rows[k]]),
-                )
-            )
-        missing = totals.get(number, 0) - int(before[-1]) - 1
-        if missing > 0:
-            behind = int(of_chunk[rows[-1]]) if len(rows) else -1
-            last_ns = int(heads["time_ns"][rows[-1]]) if len(rows) else None
-            gaps.append(_Gap(number, missing, behind, len(chunks), last_ns, None))
-    return gaps
-
-
-def _lost(
-    chunks: Sequence[Saved], channels: Mapping[int, Channel], totals: dict[int, int] | None, data: bytes
-) -> tuple[Lost, ...]:
-    gaps = _gaps(chunks, channels, totals or {})
-    # A channel that speaks in every chunk shows at which seam something is missing; a rare one does not.
-    seams = sorted({gap.after for gap in gaps if gap.before == gap.after + 1})
-    ends = [int(chunk.heads["time_ns"].max()) if len(chunk.heads) else None for chunk in chunks]
-    begins = [int(chunk.heads["time_ns"].min()) if len(chunk.heads) else None for chunk in chunks]
-    lost = []
-    for gap in gaps:
-        inside = [seam for seam in seams if gap.after <= seam < gap.before] or [gap.after, gap.before - 1]
-        channel = channels.get(gap.channel)
-        topic = f"channel {gap.channel}" if channel is None else channel.topic
-        after_ns = ends[inside[0]] if inside[0] >= 0 else gap.after_ns
-        before_ns = begins[inside[-1] + 1] if inside[-1] + 1 < len(chunks) else gap.before_ns
-        lost.append(Lost(topic, gap.count, after_ns, before_ns))
-    for number in sorted({n for chunk in chunks for n in chunk.heads["channel"].tolist()} - set(channels)):
-        count = sum(int((chunk.heads["channel"] == number).sum()) for chunk in chunks)
-        lost.append(Lost(f"channel {number}", count, None, None))
-    if totals is None and not _is_complete(data):
-        known = [end for end in ends if end is not None]
-        lost.append(Lost(None, None, max(known, default=None), None))
-    return tuple(lost)
 
 
 def _is_complete(data: bytes) -> bool:
