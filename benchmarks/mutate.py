@@ -12,7 +12,7 @@ from mcap.records import Metadata
 from mcap.writer import MCAP0_MAGIC
 
 from ground.telemetry.container import CHUNK_HEAD, RECORD_HEAD, ChunkPlace, chunk_at, records
-from ground.telemetry.format import FORMAT_RECORD, HEADER_RECORD, header_crc32
+from ground.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
 
 Random = np.random.Generator
 NUMBERS: Final = (
@@ -129,7 +129,7 @@ def with_header(random: Random, data: bytes, metadata: dict[str, tuple[int, int]
     old = text.partition(name)[2][4:]
     header = {name: changed(random, old.encode()).decode("latin-1")}
     builder = RecordBuilder()
-    Metadata(name=FORMAT_RECORD, metadata={"version": "2", "header_crc32": header_crc32(header)}).write(
+    Metadata(name=FORMAT_RECORD, metadata={"version": FORMAT, "header_crc32": header_crc32(header)}).write(
         builder
     )
     Metadata(name=HEADER_RECORD, metadata=header).write(builder)

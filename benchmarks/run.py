@@ -6,6 +6,7 @@ import platform
 from benchmarks.closed_loop import closed_loop
 from benchmarks.kinematics import campaign
 from benchmarks.kinematics_speed import kinematics_speed
+from benchmarks.log_reading import log_reading
 
 CAMPAIGN = 20_000
 """Targets, and as many vectors; `make campaign` runs ten million of each."""
@@ -18,6 +19,7 @@ def main() -> None:
         "machine": machine,
         "closed_loop": closed_loop(),
         "kinematics_speed": kinematics_speed(),
+        "log_reading": log_reading(),
         "kinematics_campaign": campaign(CAMPAIGN, CAMPAIGN),
     }
     print(json.dumps(results, indent=2))

@@ -110,16 +110,17 @@ def check_order(topic: str, time_ns: NDArray[np.uint64], one_a_cycle: bool) -> N
 def packets_of(batches: Sequence[Messages], rows: Rows, topic: str, layout: Layout) -> NDArray[np.void]:
     """The messages as one read-only array, shape (n,); ValueError when one has not the layout's length."""
     dtype = layout.dtype
-    packets = np.empty(sum(map(len, rows)), dtype)
+    # Seen to before memory is reserved for a layout that may be nonsense.
+    lengths = np.concatenate([batch.heads["length"][one] for batch, one in zip(batches, rows, strict=True)])
+    if (lengths != MESSAGE_HEAD + dtype.itemsize).any():
+        raise ValueError(f"a message of {topic} is not {dtype.itemsize} bytes long")
+    packets = np.empty(len(lengths), dtype)
     raw, done = packets.view(np.uint8).reshape(len(packets), dtype.itemsize), 0
-    for batch, of_batch in zip(batches, rows, strict=True):
-        if not len(of_batch):
-            continue
-        if (batch.heads["length"][of_batch] != MESSAGE_HEAD + dtype.itemsize).any():
-            raise ValueError(f"a message of {topic} is not {dtype.itemsize} bytes long")
-        windows = sliding_window_view(batch.data, dtype.itemsize)
-        raw[done : done + len(of_batch)] = windows[batch.starts[of_batch] + HEAD.itemsize]
-        done += len(of_batch)
+    for batch, one in zip(batches, rows, strict=True):
+        if len(one):
+            windows = sliding_window_view(batch.data, dtype.itemsize)
+            raw[done : done + len(one)] = windows[batch.starts[one] + HEAD.itemsize]
+            done += len(one)
     packets.flags.writeable = False
     return packets
 
