@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from mcap.writer import Writer
+from mcap.writer import IndexType, Writer
 
 from ground.outputs import BadOutput, check_output, written_whole
 from ground.telemetry.errors import LogNotReadable
@@ -75,7 +75,9 @@ def _write(file: BinaryIO, found: Salvage, lost: tuple[Lost, ...], progress: Pro
     """Write all that was found; messages by topic."""
     numbers = {old: new for new, old in enumerate(sorted(found.channels), 1)}
     header = _renumbered(found.metadata.get(HEADER_RECORD, {}), numbers)
-    writer = Writer(file, chunk_size=1 << 30, enable_data_crcs=True)
+    # With an index of attachments, of which there are none, the summary would point to nothing.
+    indexes = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA
+    writer = Writer(file, chunk_size=1 << 30, index_types=indexes, enable_data_crcs=True)
     writer.start(profile="", library="marsarm")
     writer.add_metadata(FORMAT_RECORD, {"version": FORMAT, "header_crc32": header_crc32(header)})
     writer.add_metadata(HEADER_RECORD, header)
