@@ -35,6 +35,8 @@ MEMORY_BYTES: Final = 4 << 30
 SLOWEST_S: Final = 10.0
 """For one input; the longest that the mutator makes takes a tenth of it."""
 SEED_CYCLES: Final = 24
+POOL: Final = 64
+"""Inputs that are changed, the seeds and those that were accepted."""
 
 
 class TooSlow(Exception):
@@ -98,12 +100,15 @@ def bounded(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def fuzz(target: Target, seconds: float, seed: int) -> dict[str, Any]:
-    """Change the seeds blindly until time is over or a bug is found; accepted inputs are changed again."""
+def fuzz(target: Target, seed: int, seconds: float, most: int | None = None) -> dict[str, Any]:
+    """Change the seeds blindly until time is over, or `most` are tried, or a bug is found.
+
+    Inputs that are accepted are changed again.
+    """
     random = np.random.default_rng(seed)
     pool, accepted, tries, slowest_s = target.seeds(), 0, 0, 0.0
     end_s = time.monotonic() + seconds
-    while time.monotonic() < end_s:
+    while time.monotonic() < end_s and tries != most:
         data = target.mutate(random, pool[int(random.integers(len(pool)))])
         began_s = time.monotonic()
         try:
@@ -114,7 +119,7 @@ def fuzz(target: Target, seconds: float, seed: int) -> dict[str, Any]:
         slowest_s = max(slowest_s, time.monotonic() - began_s)
         tries += 1
         accepted += is_accepted
-        if is_accepted and len(pool) < 64:
+        if is_accepted and len(pool) < POOL:
             pool.append(data)
     return {"guided": False, "tries": tries, "accepted": accepted, "slowest_s": slowest_s, "failed": None}
 
@@ -126,7 +131,7 @@ def kept(target: Target, data: bytes) -> str:
     return str(path)
 
 
-def guided(target: Target, seconds: float, seed: int) -> dict[str, Any]:
+def guided(target: Target, seed: int, seconds: float) -> dict[str, Any]:
     """Let atheris change the seeds, in a process of its own, which ends with it."""
     with TemporaryDirectory() as folder:
         for k, data in enumerate(target.seeds()):
@@ -193,7 +198,7 @@ def main() -> None:
     if not has_atheris:
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     found = {
-        one.name: (guided if has_atheris else fuzz)(one, asked.seconds / len(chosen), asked.seed)
+        one.name: (guided if has_atheris else fuzz)(one, asked.seed, asked.seconds / len(chosen))
         for one in chosen
     }
     print(json.dumps({"atheris": has_atheris, "targets": found}, indent=2))

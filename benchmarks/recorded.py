@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
-from itertools import cycle
+from itertools import cycle, islice
 from pathlib import Path
 
 from benchmarks.closed_loop import TARGET
@@ -16,17 +16,17 @@ from sim.world import Surface, World
 
 
 @cache
-def placement() -> tuple[CycleRecord, ...]:
-    """The cycles of a placement, the truth of the plant with them."""
+def placement(most: int) -> tuple[CycleRecord, ...]:
+    """The first cycles of a placement, so many at most, the truth of the plant with them."""
     arm = arm_named("nominal")
     world = World(surface=Surface(TARGET.target_N_m, TARGET.normal_N))
     setup = Setup(arm, world, arm.params.poses.ready_rad, reference=initial_reference(arm))
-    return tuple(PlacementRun(ClosedLoop(setup, with_truth=True), TARGET))
+    return tuple(islice(PlacementRun(ClosedLoop(setup, with_truth=True), TARGET), most))
 
 
 def recorded(path: Path, cycles: int, chunk_s: float) -> Path:
     """A closed log of so many cycles."""
     with Recorder(path, {"seed": "0", "arm": "nominal"}, chunk_s=chunk_s) as recorder:
-        for tick, record in zip(range(cycles), cycle(placement())):
+        for tick, record in zip(range(cycles), cycle(placement(max(cycles, 1)))):
             recorder.write(replace(record, tick=tick))
     return path
