@@ -175,7 +175,7 @@ def truncated(made: Original, every: int, folder: Path) -> dict[str, Any]:
     return {"read": dict(reads), "recovered": dict(saves), "wrong": wrong}
 
 
-def campaign(cycles: int, tries: int, seed: int, chunk_s: float = 0.001) -> dict[str, Any]:
+def campaign(cycles: int, tries: int, seed: int, chunk_s: float = 0.0) -> dict[str, Any]:
     """A closed log and one cut short, damaged in every way."""
     with TemporaryDirectory() as name:
         folder = Path(name)

@@ -34,8 +34,6 @@ class Gap:
     count: int
     after: int
     before: int
-    after_ns: int | None
-    before_ns: int | None
 
 
 def gaps_in(chunks: Sequence[Saved], numbers: Set[int], totals: Mapping[int, int]) -> list[Gap]:
@@ -54,15 +52,12 @@ def gaps_in(chunks: Sequence[Saved], numbers: Set[int], totals: Mapping[int, int
                     count=int(counted[k] - before[k] - 1),
                     after=-1 if k == 0 else int(of_chunk[rows[k - 1]]),
                     before=int(of_chunk[rows[k]]),
-                    after_ns=None if k == 0 else int(heads["time_ns"][rows[k - 1]]),
-                    before_ns=int(heads["time_ns"][rows[k]]),
                 )
             )
         missing = totals.get(number, 0) - int(before[-1]) - 1
         if missing > 0:
             behind = int(of_chunk[rows[-1]]) if len(rows) else -1
-            last_ns = int(heads["time_ns"][rows[-1]]) if len(rows) else None
-            gaps.append(Gap(number, missing, behind, len(chunks), last_ns, None))
+            gaps.append(Gap(number, missing, behind, len(chunks)))
     return gaps
 
 
@@ -78,21 +73,33 @@ def lost_between(
     Messages of channels that are not `known` cannot be told from noise, and are lost as well. Unless the log
     `is_complete`, nobody knows what came after its end.
     """
+    chunks = [chunk for chunk in chunks if len(chunk.heads)]
+    heads = np.concatenate([np.zeros(0, HEAD), *(chunk.heads for chunk in chunks)])
     gaps = gaps_in(chunks, known, totals or {})
     # A channel that speaks in every chunk shows at which seam something is missing; a rare one does not.
     seams = sorted({gap.after for gap in gaps if gap.before == gap.after + 1})
-    ends = [int(chunk.heads["time_ns"].max()) if len(chunk.heads) else None for chunk in chunks]
-    begins = [int(chunk.heads["time_ns"].min()) if len(chunk.heads) else None for chunk in chunks]
+    ends = [int(chunk.heads["time_ns"].max()) for chunk in chunks]
+    begins = [int(chunk.heads["time_ns"].min()) for chunk in chunks]
+
+    def lost_at(number: int, count: int | None, first: int, last: int) -> Lost:
+        """Messages lost from behind one chunk to before the one behind another."""
+        after_ns = ends[first] if first >= 0 else None
+        before_ns = begins[last + 1] if last + 1 < len(chunks) else None
+        return Lost(names.get(number, f"channel {number}"), count, after_ns, before_ns)
+
     lost = []
     for gap in gaps:
         inside = [seam for seam in seams if gap.after <= seam < gap.before] or [gap.after, gap.before - 1]
-        after_ns = ends[inside[0]] if inside[0] >= 0 else gap.after_ns
-        before_ns = begins[inside[-1] + 1] if inside[-1] + 1 < len(chunks) else gap.before_ns
-        lost.append(Lost(names.get(gap.channel, f"channel {gap.channel}"), gap.count, after_ns, before_ns))
-    heads = np.concatenate([np.zeros(0, HEAD), *(chunk.heads for chunk in chunks)])
+        lost.append(lost_at(gap.channel, gap.count, inside[0], inside[-1]))
+    for number in sorted(known) if totals is None else ():
+        # Of a channel that is silent afterwards, nothing tells whether it spoke at a seam.
+        speaks = [k for k, chunk in enumerate(chunks) if (chunk.heads["channel"] == number).any()]
+        behind = [seam for seam in seams if seam >= max(speaks, default=-1)]
+        if behind:
+            lost.append(lost_at(number, None, behind[0], behind[-1]))
     for number in sorted(set(heads["channel"].tolist()) - known):
         count = int((heads["channel"] == number).sum())
         lost.append(Lost(names.get(number, f"channel {number}"), count, None, None))
     if not is_complete:
-        lost.append(Lost(None, None, max((end for end in ends if end is not None), default=None), None))
+        lost.append(Lost(None, None, max(ends, default=None), None))
     return tuple(lost)

@@ -23,9 +23,9 @@ class Lost:
     """None: of all topics."""
     count: int | None
     after_ns: int | None
-    """Log time of the last message before them; None: they are from the beginning."""
+    """Log time of the last message in front of the damage; None: it is at the beginning."""
     before_ns: int | None
-    """Log time of the first message behind them; None: nothing follows."""
+    """Log time of the first message behind the damage; None: nothing follows."""
 
     @property
     def sentence(self) -> str:
