@@ -41,7 +41,7 @@ def save_log_figure(channels: Sequence[Channel], evrs: Sequence[EvrEntry], path:
         panels = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]
         for axes, channel in zip(panels, channels, strict=True):
             _draw(axes, channel)
-            for evr in evrs:
+            for evr in sorted(evrs, key=lambda evr: evr.severity):  # the graver cover the others
                 axes.axvline(_time_s(evr), color=COLOURS[_kind(evr)], linewidth=0.8, zorder=0)
         _name_evrs(panels[0], evrs)
         panels[-1].set_xlabel("log time [s]")

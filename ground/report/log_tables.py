@@ -8,6 +8,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
+from ground.telemetry.format import FORMAT
 from ground.telemetry.inspect import Channel, LogInfo, Range, info_of, range_of
 from ground.telemetry.loss import Lost, span_text
 from ground.telemetry.read import Log
@@ -26,6 +27,7 @@ def info_json(log: Log) -> dict[str, Any]:
     info = info_of(log)
     return {
         "log": str(log.path),
+        "format": FORMAT,
         "closed": not log.truncated,
         "header": {name: _parsed(name, text) for name, text in log.header.items() if name not in BULKY},
         "first_s": info.first_s,
@@ -67,6 +69,7 @@ def info_table(log: Log) -> None:
     for name, text in sorted(log.header.items()):
         if name not in BULKY:
             console.print(f"{name:<16}  {text}", markup=False, soft_wrap=True)
+    console.print(f"{'format':<16}  {FORMAT}")
     console.print(f"{'duration':<16}  {_duration(info)}")
     state = "cut short: its writer did not close it" if log.truncated else "closed"
     console.print(f"{'end':<16}  {state}")
