@@ -55,7 +55,7 @@ jobs: $(VENV)/ready
 	@$(BIN)/python -m benchmarks.jobs --workers $(WORKERS) $(ARGS)
 
 damage: $(VENV)/ready
-	@$(call say,flipping two thousand bits of logs; this takes ten minutes)
+	@$(call say,flipping two thousand bits of logs; this takes five minutes)
 	@$(BIN)/python -m benchmarks.damage $(ARGS)
 
 # Optional, and not in the lock: atheris lets coverage guide the changes; without it they are made blindly.

@@ -26,7 +26,7 @@ from ground.telemetry.read import Log, log_from
 from ground.telemetry.recover import recover
 
 CUT_EVERY: Final = 4096
-CYCLES: Final = 640
+CYCLES: Final = 320
 HERE: Final = Path("damaged.mcap")
 
 
