@@ -11,7 +11,7 @@ WORKERS ?= 2
 
 say = echo "marsarm: $(1)" >&2
 
-.PHONY: help setup demo test bench campaign joints jobs killed references oracle lint lock clean
+.PHONY: help setup demo test bench campaign joints jobs killed damage fuzz references oracle viewers lint lock clean
 
 help:
 	@echo "make demo      set up, put the APXS on a rock on Mars, write a picture"
@@ -22,7 +22,10 @@ help:
 	@echo "make jobs      run every scenario, tool changes and faults on many arms, print how well as JSON"
 	@echo "make killed    kill recorded runs at random moments, print what their logs lost as JSON"
 	@echo "make references  make the reference runs of tests/replay anew, print what differs"
+	@echo "make damage    flip bits of logs and cut them, see what reading and recovery make of it, print it as JSON"
+	@echo "make fuzz      feed the readers of files with broken ones for a minute, print what came of it as JSON"
 	@echo "make oracle    compare the inverse kinematics with EAIK, if it can be installed"
+	@echo "make viewers   open a log in pymcap-cli and Rerun, if they can be installed"
 	@echo "make lint      style, types and the direction of imports"
 	@echo "make lock      choose package versions anew (needs uv)"
 	@echo "make clean     remove what the other targets made"
@@ -61,6 +64,16 @@ references: $(VENV)/ready
 	@$(call say,making the reference runs anew)
 	@$(BIN)/python -m tests.replay.remake $(ARGS)
 
+damage: $(VENV)/ready
+	@$(call say,flipping two thousand bits of logs; this takes five minutes)
+	@$(BIN)/python -m benchmarks.damage $(ARGS)
+
+# Optional, and not in the lock: atheris lets coverage guide the changes; without it they are made blindly.
+fuzz: $(VENV)/ready
+	@$(INSTALL) --only-binary :all: "atheris>=3" || $(call say,atheris was not installed; pip says why above)
+	@$(call say,a minute of broken files)
+	@$(BIN)/python -m benchmarks.fuzz $(ARGS)
+
 # Optional, and not in the lock. Without its dependencies, which are for URDF files and take 240 MB: what is used
 # of EAIK needs numpy alone. Where no wheel fits or no index answers, the tests are skipped and say so.
 oracle: $(VENV)/ready
@@ -70,6 +83,13 @@ oracle: $(VENV)/ready
 	  $(BIN)/python -m pytest -q tests/fsw/kinematics/test_eaik.py >&2 && \
 	  $(BIN)/python -m benchmarks.oracle --targets 100000 $(ARGS); \
 	else $(call say,there is no EAIK for this Python: nothing was compared); fi
+
+# Optional, and not in the lock. Where no wheel fits or no index answers, the tests are skipped and say so.
+viewers: $(VENV)/ready
+	@$(call say,installing pymcap-cli and rerun-sdk from the package index; without them their tests are skipped)
+	@$(INSTALL) --only-binary :all: "pymcap-cli>=0.34" "rerun-sdk>=0.41" || \
+	  $(call say,they were not installed; pip says why above)
+	@$(BIN)/python -m pytest -q tests/ground/telemetry/test_viewers.py $(ARGS)
 
 # All three speak before any of them stops the target.
 lint: $(VENV)/ready

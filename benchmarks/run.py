@@ -6,6 +6,7 @@ import platform
 from benchmarks.closed_loop import closed_loop
 from benchmarks.kinematics import campaign
 from benchmarks.kinematics_speed import kinematics_speed
+from benchmarks.log_reading import log_reading
 from benchmarks.recording import recording
 
 CAMPAIGN = 20_000
@@ -20,6 +21,7 @@ def main() -> None:
         "closed_loop": closed_loop(),
         "recording": recording(),
         "kinematics_speed": kinematics_speed(),
+        "log_reading": log_reading(),
         "kinematics_campaign": campaign(CAMPAIGN, CAMPAIGN),
     }
     print(json.dumps(results, indent=2))

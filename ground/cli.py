@@ -15,6 +15,7 @@ import typer
 
 from ground.cli_hardstop import hardstop
 from ground.cli_ik import ik, reach
+from ground.cli_log import log_app
 from ground.cli_parts import (
     ARM_SAFE,
     BAD_INPUT,
@@ -120,6 +121,7 @@ app.command()(hardstop)
 app.command()(run)
 app.command()(scenarios)
 app.command()(replay)
+app.add_typer(log_app, name="log")
 
 
 def _finish(report: "PlaceReport") -> None:

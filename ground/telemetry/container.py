@@ -1,4 +1,4 @@
-"""The container: takes an MCAP log of ours apart and sees that every byte it hands on is as written."""
+"""The container: takes an MCAP log of ours apart and sees that its records are as written."""
 
 import struct
 import zlib
@@ -12,18 +12,25 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, DataEnd, Metadata
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.records import Channel, DataEnd, Footer, Metadata
 from mcap.writer import MCAP0_MAGIC
 
-from ground.telemetry.errors import LogCorrupt, LogNotReadable
+from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
 
 RECORD_HEAD: Final = struct.Struct("<BQ")
-MESSAGE_HEAD: Final = struct.Struct("<HIQQ")
+CHUNK_HEAD: Final = struct.Struct("<QQQII4sQ")
+"""First and last log time, size and CRC unpacked, length and name of the compression, length of the data."""
 
-CHUNK_LIMIT: Final = 1 << 28
-"""Bytes that a chunk may claim to unpack to; ours have a few hundred thousand at most."""
+FOOTER_SIZE: Final = RECORD_HEAD.size + 8 + 8 + 4
+
+MESSAGE_INDEX: Final = int(Opcode.MESSAGE_INDEX)
+"""As a plain number: most records of a log are such, and an enum takes its time."""
+
+ENTRIES_SIZE: Final = struct.Struct("<I")
+
+CHUNK_LIMIT: Final = 1 << 26
+"""Bytes that a chunk may claim to unpack to; ours have a million at most."""
 
 NOT_AS_WRITTEN: Final = (
     McapError,
@@ -33,71 +40,93 @@ NOT_AS_WRITTEN: Final = (
     OverflowError,
     KeyError,
     TypeError,
+    AttributeError,
 )
 """What broken bytes raise in what takes them apart; ValueError covers CRC, Unicode and JSON."""
 
 
-@dataclass(slots=True)
-class ChannelMessages:
-    """The messages of one channel; heads are channel id, sequence, log time, publish time."""
+Span = tuple[int, int]
+"""Where something begins and ends in the file."""
 
-    channel: Channel
-    heads: list[tuple[int, ...]] = field(default_factory=list)
-    bodies: list[bytes] = field(default_factory=list)
+
+class NotAsWritten(Exception):
+    """The bytes at `offset` are not those that were written."""
+
+    def __init__(self, why: str, offset: int) -> None:
+        super().__init__(why)
+        self.why = why
+        self.offset = offset
+
+
+@dataclass(frozen=True, slots=True)
+class ChunkPlace:
+    """A chunk in the file: its record begins at `at`, its compressed data is `begin` to `end`."""
+
+    at: int
+    begin: int
+    end: int
+    first_ns: int
+    last_ns: int
+    size: int
+    crc32: int
 
 
 @dataclass(slots=True)
 class Content:
-    """What was found in a log so far: metadata by name, channels by id, whether it was closed."""
+    """What a log consists of: metadata by name, chunks and the entries of their message indexes."""
 
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    channels: dict[int, ChannelMessages] = field(default_factory=dict)
+    chunks: list[ChunkPlace] = field(default_factory=list)
+    indexes: list[list[Span]] = field(default_factory=list)
+    """For each chunk, by channel: where log time and offset of each message stand, eight bytes each."""
+    complete: bool = False
+    """The CRC of all that the run wrote holds."""
     closed: bool = False
+    """Complete, and ended as MCAP files end."""
+    data_end: int = 0
+    """Where the records of the run end; a closed log has its summary there."""
+    crc_holds: bool = True
+    """False where the run ends with another CRC than its bytes have."""
 
 
-def records(data: bytes, at: int) -> Iterator[tuple[int, int, bytes]]:
+def records(data: bytes, at: int) -> Iterator[tuple[int, int, memoryview]]:
     """Offset, opcode and content of the complete MCAP records in `data` from byte `at`."""
-    while at + RECORD_HEAD.size <= len(data):
+    view, size = memoryview(data), len(data)
+    while at + RECORD_HEAD.size <= size:
         opcode, length = RECORD_HEAD.unpack_from(data, at)
         begin = at + RECORD_HEAD.size
-        if begin + length > len(data):
+        if begin + length > size:
             return
-        yield at, opcode, data[begin : begin + length]
+        yield at, opcode, view[begin : begin + length]
         at = begin + length
 
 
-def take_chunk(found: Content, body: bytes) -> None:
-    """Add a chunk's channels and messages; one of NOT_AS_WRITTEN when its CRC or form is wrong."""
-    chunk = Chunk.read(ReadDataStream(BytesIO(body)))
-    size = chunk.uncompressed_size
-    # Checked before memory is reserved for it.
-    if chunk.compression != "zstd" or size > CHUNK_LIMIT or zstandard.frame_content_size(chunk.data) != size:
-        raise ValueError(f"a chunk claims {size} bytes, compressed by {chunk.compression!r}")
-    stream, _ = get_chunk_data_stream(chunk, validate_crc=True)
-    for _, opcode, inner in records(stream.read(size), 0):
-        if opcode == Opcode.MESSAGE:
-            head = MESSAGE_HEAD.unpack_from(inner)
-            messages = found.channels[head[0]]
-            messages.heads.append(head)
-            messages.bodies.append(inner[MESSAGE_HEAD.size :])
-        elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(ReadDataStream(BytesIO(inner)))
-            found.channels[channel.id] = ChannelMessages(channel)
+def chunk_at(data: bytes, at: int, length: int) -> ChunkPlace:
+    """The chunk whose record begins at `at`; ValueError for what no chunk of ours says of itself."""
+    head = at + RECORD_HEAD.size
+    first_ns, last_ns, size, crc32, name_length, name, packed = CHUNK_HEAD.unpack_from(data, head)
+    if name_length != 4 or name != b"zstd" or size > CHUNK_LIMIT or packed != length - CHUNK_HEAD.size:
+        raise ValueError(f"a chunk claims {size} bytes, in {packed} of {length}, compressed by {name!r}")
+    begin = head + CHUNK_HEAD.size
+    return ChunkPlace(at, begin, begin + packed, first_ns, last_ns, size, crc32)
 
 
-def take(found: Content, opcode: int, body: bytes) -> None:
+def take(found: Content, data: bytes, at: int, opcode: int, body: memoryview) -> None:
     """Add one record; ValueError for one that a log of ours does not have at its top level."""
     match opcode:
+        case Opcode.CHUNK:
+            found.chunks.append(chunk_at(data, at, len(body)))
+            found.indexes.append([])
         case Opcode.METADATA:
             record = Metadata.read(ReadDataStream(BytesIO(body)))
             found.metadata[record.name] = record.metadata
-        case Opcode.CHUNK:
-            take_chunk(found, body)
-        case Opcode.HEADER:
+        case Opcode.HEADER if at == len(MCAP0_MAGIC):
             pass
-        # The length tells an index from a chunk whose opcode lost a bit.
-        case Opcode.MESSAGE_INDEX if len(body) == 6 + int.from_bytes(body[2:6], "little"):
-            pass
+        case Opcode.DATA_END:
+            # A CRC of zero is MCAP's word for none, but ours always have one.
+            crc32 = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
+            found.crc_holds = found.complete = crc32 == crc32_of(data, 0, at)
+            found.closed = found.complete and data.endswith(MCAP0_MAGIC)
         case _:
             raise ValueError(f"a record with opcode {opcode} and {len(body)} bytes has no place here")
 
@@ -112,32 +141,62 @@ def check_header(path: Path, found: Content) -> None:
     if HEADER_RECORD not in found.metadata:
         raise LogNotReadable(path, "cut short before the end of its header; it holds no cycle")
     if header_crc32(found.metadata[HEADER_RECORD]) != ours.get("header_crc32"):
-        raise LogCorrupt(path, "the header does not match its CRC", len(MCAP0_MAGIC))
+        raise NotAsWritten("the header does not match its CRC", len(MCAP0_MAGIC))
 
 
 def read_records(path: Path, data: bytes) -> Content:
-    """Read all complete records of a file that begins with MCAP's magic.
+    """Take apart a file that begins with MCAP's magic; chunks are found, not yet unpacked.
 
     Raises:
         LogNotReadable: it is not a log of ours.
-        LogCorrupt: a record is not as written.
+        NotAsWritten: a record is not as written.
     """
-    found, offset, headed = Content(), 0, False
+    found, headed, at = Content(data_end=len(MCAP0_MAGIC)), False, 0
     try:
         for at, opcode, body in records(data, len(MCAP0_MAGIC)):
-            offset = at
+            # Most records are such, so they come first; the length tells one from a chunk that lost a bit.
+            if opcode == MESSAGE_INDEX and headed and len(body) == 6 + ENTRIES_SIZE.unpack_from(body, 2)[0]:
+                begin = at + RECORD_HEAD.size
+                found.indexes[-1].append((begin + 6, begin + len(body)))
+                continue
             if not headed and opcode not in (Opcode.HEADER, Opcode.METADATA):
                 check_header(path, found)
                 headed = True
+            take(found, data, at, opcode, body)
             if opcode == Opcode.DATA_END:
-                if DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc != zlib.crc32(data[:at]):
-                    raise ValueError("the data does not match its CRC")
-                found.closed = data.endswith(MCAP0_MAGIC)
+                found.data_end = at
                 return found
-            take(found, opcode, body)
+            found.data_end = at + RECORD_HEAD.size + len(body)
     except NOT_AS_WRITTEN as error:
-        raise LogCorrupt(path, str(error) or type(error).__name__, offset) from error
+        raise NotAsWritten(str(error) or type(error).__name__, at) from error
     check_header(path, found)
-    if data.endswith(MCAP0_MAGIC):
-        raise LogCorrupt(path, "it was closed, but a record runs past its end", offset)
+    if data.endswith(MCAP0_MAGIC) and len(data) > len(MCAP0_MAGIC):
+        raise NotAsWritten("it was closed, but a record runs past its end", found.data_end)
     return found
+
+
+def crc32_of(data: bytes, begin: int, end: int) -> int:
+    """The CRC of a part, without a copy."""
+    return zlib.crc32(memoryview(data)[begin:end])
+
+
+def summary_of(data: bytes) -> list[tuple[int, bytes]]:
+    """Opcode and content of the records in a closed log's summary; nothing where its CRC does not hold."""
+    at = len(data) - len(MCAP0_MAGIC) - FOOTER_SIZE
+    try:
+        opcode, length = RECORD_HEAD.unpack_from(data, at)
+        footer = Footer.read(ReadDataStream(BytesIO(data[at + RECORD_HEAD.size :])))
+    except NOT_AS_WRITTEN:
+        return []
+    begin = footer.summary_start
+    whole = opcode == Opcode.FOOTER and length == FOOTER_SIZE - RECORD_HEAD.size and 0 < begin <= at
+    # The footer's own CRC is its last field.
+    if not whole or footer.summary_crc != crc32_of(data, begin, at + FOOTER_SIZE - 4):
+        return []
+    return [(code, bytes(body)) for _, code, body in records(data[:at], begin)]
+
+
+def channel_of(body: bytes | memoryview) -> Channel:
+    """A channel record; one of NOT_AS_WRITTEN where it is none."""
+    channel: Channel = Channel.read(ReadDataStream(BytesIO(body)))
+    return channel

@@ -1,23 +1,44 @@
 """Reads a log into numpy arrays; what it gives was written, or it says what is wrong."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from mcap.records import Channel
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
-from ground.telemetry.container import NOT_AS_WRITTEN, ChannelMessages, read_records
-from ground.telemetry.errors import LogCorrupt, LogNotReadable
+from ground.telemetry.chunks import Messages, messages_of
+from ground.telemetry.container import (
+    NOT_AS_WRITTEN,
+    ChunkPlace,
+    Content,
+    NotAsWritten,
+    read_records,
+)
+from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.events import CommandEntry, EvrEntry
-from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, HEADER_RECORD, LAYOUT_KEY, TICK_NS
-from ground.telemetry.schema import Layout
+from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, HEADER_RECORD, TICK_NS
+from ground.telemetry.loss import RECOVERED_RECORD, LogDamaged, Lost, lost_in
+from ground.telemetry.messages import (
+    CHANNELS_KEY,
+    Known,
+    bodies_of,
+    check_complete,
+    check_order,
+    chosen_of,
+    heads_of,
+    known_channels,
+    packets_of,
+    rows_of,
+)
+from ground.telemetry.salvage import has_chunk, salvage
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Log:
-    """What a log holds; packets are read-only views of its messages.
+    """What a log holds; packets are read-only.
 
     `log["/sensors"]["encoder_count"]` has one row a message, shape (n, 5). A topic that got no message is not
     there. A log cut short by the death of its writer is `truncated`: it holds all chunks that were complete.
@@ -31,6 +52,10 @@ class Log:
     """Log time of each message, shape (n,), by topic; EVRs and commands included."""
     evrs: tuple[EvrEntry, ...]
     commands: tuple[CommandEntry, ...]
+    truth: frozenset[str] = frozenset()
+    """Topics of the plant's own state, which flight software never saw."""
+    lost: tuple[Lost, ...] = ()
+    """In a log that was recovered from a damaged one: what could not be saved."""
 
     def __getitem__(self, topic: str) -> NDArray[np.void]:
         if topic not in self.packets:
@@ -42,50 +67,134 @@ class Log:
         return (self.time_ns[topic] // TICK_NS).astype(np.int64)
 
 
-def times_ns(messages: ChannelMessages) -> NDArray[np.uint64]:
-    """Log times, shape (n,); ValueError when a message is missing or out of order."""
-    heads = np.array(messages.heads, dtype=np.uint64)
-    if not np.array_equal(heads[:, 1], np.arange(len(heads))):
-        raise ValueError(f"messages of {messages.channel.topic} are missing or out of order")
-    return heads[:, 2].copy()
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What is asked of a log: topics, None for all; log times from `start_ns` to before `end_ns`."""
+
+    topics: frozenset[str] | None
+    start_ns: int
+    end_ns: int | None
+
+    def has_topic(self, topic: str) -> bool:
+        """Whether a topic is asked for."""
+        return self.topics is None or topic in self.topics
+
+    def touches(self, chunk: ChunkPlace) -> bool:
+        """Whether a chunk may hold something from the time asked for."""
+        return chunk.last_ns >= self.start_ns and (self.end_ns is None or chunk.first_ns < self.end_ns)
+
+    def is_at(self, time_ns: NDArray[np.uint64]) -> NDArray[np.bool_]:
+        """Which messages are of the time asked for, shape (n,)."""
+        begun = time_ns >= self.start_ns
+        return begun if self.end_ns is None else begun & (time_ns < self.end_ns)
 
 
-def packets(messages: ChannelMessages) -> NDArray[np.void]:
-    """The messages as one structured array, shape (n,); ValueError when one has not the channel's length."""
-    dtype = Layout.from_json(messages.channel.metadata[LAYOUT_KEY]).dtype
-    if any(len(body) != dtype.itemsize for body in messages.bodies):
-        raise ValueError(f"a message of {messages.channel.topic} is not {dtype.itemsize} bytes long")
-    return np.frombuffer(b"".join(messages.bodies), dtype)
+def read_log(
+    path: Path | str,
+    topics: Collection[str] | None = None,
+    start_ns: int | None = None,
+    end_ns: int | None = None,
+) -> Log:
+    """Read a log, whole or cut short; all of it, or these topics from `start_ns` to before `end_ns`.
 
-
-def read_log(path: Path | str) -> Log:
-    """Read a log, whole or cut short.
+    EVRs and commands are topics too: /evr and /command.
 
     Raises:
         LogNotReadable: there is no such file, or it is not a log of ours.
-        LogCorrupt: a CRC, a length or a sequence shows that bytes are not as written.
+        LogDamaged: a CRC, a length or a sequence shows that bytes are not as written; it says what is lost.
     """
     path = Path(path)
+    wanted = Wanted(None if topics is None else frozenset(topics), max(start_ns or 0, 0), end_ns)
+    return log_from(path, bytes_of(path), wanted)
+
+
+def bytes_of(path: Path) -> bytes:
+    """A file's content; LogNotReadable where there is none."""
     try:
-        data = path.read_bytes()
+        return path.read_bytes()
     except (OSError, ValueError) as error:
         raise LogNotReadable(path, f"cannot be read ({error}); give the path of a log") from error
+
+
+ALL = Wanted(None, 0, None)
+
+
+def log_from(path: Path, data: bytes, wanted: Wanted = ALL) -> Log:
+    """Read a log from a file's content; errors as of `read_log`."""
     if not data.startswith(MCAP0_MAGIC):
         raise LogNotReadable(path, "not an MCAP file" if data else "an empty file; nothing was written to it")
-    found = read_records(path, data)
-    topics = {one.channel.topic: one for one in found.channels.values() if one.heads}
-    arrays = {name: one for name, one in topics.items() if LAYOUT_KEY in one.channel.metadata}
-    evrs = topics[EVR_TOPIC].bodies if EVR_TOPIC in topics else []
-    commands = topics[COMMAND_TOPIC].bodies if COMMAND_TOPIC in topics else []
     try:
-        return Log(
-            path=path,
-            header=found.metadata[HEADER_RECORD],
-            truncated=not found.closed,
-            packets={name: packets(one) for name, one in arrays.items()},
-            time_ns={name: times_ns(one) for name, one in topics.items()},
-            evrs=tuple(map(EvrEntry.decode, evrs)),
-            commands=tuple(map(CommandEntry.decode, commands)),
-        )
+        return _log(path, data, wanted)
+    except NotAsWritten as error:
+        raise LogDamaged(path, error.why, error.offset, salvage(data).lost) from error
+
+
+def _log(path: Path, data: bytes, wanted: Wanted) -> Log:
+    found = read_records(path, data)
+    if not found.complete and has_chunk(data, found.data_end):
+        raise NotAsWritten("a record is broken", found.data_end)
+    chosen = _chosen(found, wanted)
+    batches = messages_of(data, [found.chunks[k] for k in chosen], [found.indexes[k] for k in chosen])
+    if not found.crc_holds:  # said after the chunks, which say better where
+        raise NotAsWritten("the data does not match its CRC", found.data_end)
+    try:
+        return _arrays(path, found, batches, wanted, not chosen or chosen[0] == 0)
     except NOT_AS_WRITTEN as error:
-        raise LogCorrupt(path, str(error), len(data)) from error
+        raise NotAsWritten(str(error), found.data_end) from error
+
+
+def _chosen(found: Content, wanted: Wanted) -> list[int]:
+    """The chunks to unpack.
+
+    What a chunk says of its times is covered by the CRC of a closed log alone, and its channels may be
+    declared in a chunk that is not unpacked: where this cannot be told, all chunks are.
+    """
+    can_skip = found.closed and CHANNELS_KEY in found.metadata[HEADER_RECORD]
+    return [k for k, chunk in enumerate(found.chunks) if not can_skip or wanted.touches(chunk)]
+
+
+def _arrays(path: Path, found: Content, batches: Sequence[Messages], wanted: Wanted, from_start: bool) -> Log:
+    """All topics that are asked for; one of NOT_AS_WRITTEN when a message is not as it should be."""
+    header = found.metadata[HEADER_RECORD]
+    channels = _channels(header, batches)
+    packets, times, bodies = {}, {}, dict[str, list[bytes]]()
+    for number, channel in channels.items():
+        topic, layout = channel.topic, channel.layout
+        if not wanted.has_topic(topic):
+            continue
+        rows = rows_of(batches, number)
+        heads = heads_of(batches, rows)
+        check_complete(topic, heads, from_start)
+        check_order(topic, heads["time_ns"], layout is not None)
+        is_asked = wanted.is_at(heads["time_ns"])
+        if not is_asked.any():
+            continue
+        if not is_asked.all():
+            rows = chosen_of(rows, is_asked)
+        times[topic] = heads["time_ns"][is_asked]
+        if layout is None:
+            bodies[topic] = bodies_of(batches, rows)
+        else:
+            packets[topic] = packets_of(batches, rows, topic, layout)
+    return Log(
+        path=path,
+        header=header,
+        truncated=not found.closed,
+        packets=packets,
+        time_ns=times,
+        evrs=tuple(map(EvrEntry.decode, bodies.get(EVR_TOPIC, []))),
+        commands=tuple(map(CommandEntry.decode, bodies.get(COMMAND_TOPIC, []))),
+        truth=frozenset(channel.topic for channel in channels.values() if channel.is_truth),
+        lost=lost_in(found.metadata.get(RECOVERED_RECORD, {})),
+    )
+
+
+def _channels(header: Mapping[str, str], batches: Sequence[Messages]) -> dict[int, Known]:
+    """The channels of ours; ValueError where a message's channel is nowhere declared."""
+    records: dict[int, Channel] = {}
+    for batch in batches:
+        records |= batch.channels
+    used = set().union(*(np.unique(batch.heads["channel"]).tolist() for batch in batches))
+    if CHANNELS_KEY not in header and not used <= set(records):
+        raise ValueError(f"messages of channels {sorted(used - set(records))}, which were never declared")
+    return known_channels(header, records)

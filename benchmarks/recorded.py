@@ -1,0 +1,33 @@
+"""Logs to measure with: an arm finds its hardstops, again and again until the log is long enough."""
+
+from dataclasses import replace
+from functools import cache
+from itertools import cycle
+from pathlib import Path
+from typing import Final
+
+from fsw.dictionary.commands import CalibrateAll
+from ground.telemetry.record import Recorder
+from sim.arms import arm_named
+from sim.loop import ClosedLoop, Setup
+from sim.record import CycleRecord
+from sim.world import World
+
+PERIOD: Final = 8192
+"""Cycles after which it begins again."""
+
+
+@cache
+def hardstops(cycles: int) -> tuple[CycleRecord, ...]:
+    """The first cycles of a hardstop initialisation, the truth of the plant with them."""
+    arm = arm_named("nominal")
+    loop = ClosedLoop(Setup(arm, World(), arm.params.poses.ready_rad), with_truth=True)
+    return tuple(loop.cycle((CalibrateAll(),) if tick == 0 else ()) for tick in range(cycles))
+
+
+def recorded(path: Path, cycles: int, chunk_s: float) -> Path:
+    """A closed log of so many cycles."""
+    with Recorder(path, {"seed": "0", "arm": "nominal"}, chunk_s=chunk_s) as recorder:
+        for tick, record in zip(range(cycles), cycle(hardstops(min(max(cycles, 1), PERIOD)))):
+            recorder.write(replace(record, tick=tick))
+    return path

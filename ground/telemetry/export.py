@@ -1,0 +1,173 @@
+"""A log as tables for other programs: Parquet or CSV, one table for each topic."""
+
+import csv
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from io import TextIOWrapper
+from math import prod
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from ground.outputs import BadOutput, check_output, written_whole
+from ground.telemetry.events import CommandEntry, EvrEntry
+from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, TICK_NS
+from ground.telemetry.inspect import NoSuchChannel, severity_name
+from ground.telemetry.notes import unit_of
+from ground.telemetry.read import Log
+
+Progress = Callable[[float, float, str], None]
+Column = NDArray[np.generic] | Sequence[str]
+SUFFIXES: Final = (".parquet", ".csv")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """A topic as columns of one length: time_ns, tick, and each number of each field."""
+
+    topic: str
+    columns: Mapping[str, Column]
+    units: Mapping[str, str]
+    is_truth: bool
+
+
+def ends(shape: tuple[int, ...]) -> list[str]:
+    """How the columns of a field of this shape are told apart: [2], [0,1]; in the order of its numbers."""
+    return [f"[{','.join(map(str, place))}]" if place else "" for place in np.ndindex(*shape)]
+
+
+def table_of(log: Log, topic: str) -> Table:
+    """A topic of a log as a table."""
+    columns: dict[str, Column] = {"time_ns": log.time_ns[topic], "tick": log.time_ns[topic] // TICK_NS}
+    units = {"time_ns": "ns"}
+    if topic == EVR_TOPIC:
+        columns |= _evr_columns(log.evrs)
+    elif topic == COMMAND_TOPIC:
+        columns |= _command_columns(log.commands)
+    else:
+        packets = log[topic]
+        for field in packets.dtype.names or ():
+            values, unit = packets[field], unit_of(field)
+            numbers = values.reshape(len(values), prod(values.shape[1:]))
+            for k, end in enumerate(ends(values.shape[1:])):
+                # A packet has a tick of its own as well; both are kept.
+                name = f"{field}{end}" if field not in columns else f"packet.{field}{end}"
+                columns[name] = np.ascontiguousarray(numbers[:, k])
+                if unit is not None:
+                    units[name] = unit
+    return Table(topic, columns, units, topic in log.truth)
+
+
+def _evr_columns(evrs: Sequence[EvrEntry]) -> dict[str, Column]:
+    return {
+        "severity": [severity_name(evr.severity) for evr in evrs],
+        "name": [evr.name for evr in evrs],
+        "message": [evr.message for evr in evrs],
+        "fields_json": [evr.fields_json for evr in evrs],
+    }
+
+
+def _command_columns(commands: Sequence[CommandEntry]) -> dict[str, Column]:
+    return {
+        "name": [command.name for command in commands],
+        "fields_json": [command.fields_json for command in commands],
+    }
+
+
+def export(
+    log: Log, out: Path, topics: Sequence[str], progress: Progress, kind: str = ".parquet"
+) -> dict[str, Path]:
+    """Write these topics, or all without one, to a file or, one file each, into a folder; files by topic.
+
+    All files appear together, when each of them is whole. `kind` is the suffix of files in a folder.
+
+    Raises:
+        NoSuchChannel: the log has no such topic.
+        BadOutput: a file cannot be written, or is asked to hold several tables.
+    """
+    chosen = _chosen(log, topics)
+    files = _files(out, chosen, kind)
+    header = json.dumps(dict(log.header))
+    made = not out.exists() and out.suffix not in SUFFIXES
+    try:
+        if made:
+            out.mkdir()
+        with ExitStack() as all_whole:
+            for k, (topic, path) in enumerate(files.items()):
+                progress(k, len(files), topic)
+                file = all_whole.enter_context(written_whole(path, "out"))
+                write = write_csv if path.suffix == ".csv" else write_parquet
+                write(table_of(log, topic), header, file)
+    except BaseException:
+        if made:
+            out.rmdir()
+        raise
+    return files
+
+
+def _chosen(log: Log, topics: Sequence[str]) -> list[str]:
+    missing = [topic for topic in topics if topic not in log.time_ns]
+    if missing:
+        has = ", ".join(sorted(log.time_ns))
+        raise NoSuchChannel(f"log {log.path} has no topic {missing[0]}; it has {has}")
+    return list(dict.fromkeys(topics)) or sorted(log.time_ns)
+
+
+def _files(out: Path, topics: Sequence[str], kind: str) -> dict[str, Path]:
+    """Where each topic goes, after every check that can be made before anything is written."""
+    if out.suffix in SUFFIXES and not out.is_dir():
+        if len(topics) != 1:
+            raise BadOutput(
+                f"out {out}: one file holds one table, and {len(topics)} topics are asked for; "
+                f"name one with --topic, or give a folder"
+            )
+        return {topics[0]: check_output(out, SUFFIXES, "out")}
+    if out.exists() and not out.is_dir():
+        raise BadOutput(f"out {out}: must end in .parquet or .csv, or be a folder")
+    if not os.path.isdir(out.parent):
+        raise BadOutput(f"out {out}: there is no folder {out.parent}")
+    files = {topic: out / (topic.strip("/").replace("/", "_") + kind) for topic in topics}
+    if out.is_dir():
+        for path in files.values():
+            check_output(path, SUFFIXES, "out")
+    return files
+
+
+def write_parquet(table: Table, header: str, file: BinaryIO) -> None:
+    """Write a table whose metadata has the log's header and the units; every bit of a number is kept."""
+    fields, arrays = [], []
+    for name, column in table.columns.items():
+        # Not from pandas' point of view: a NaN is a number here, not a missing one.
+        array = pa.array(column, from_pandas=False)
+        unit = table.units.get(name)
+        fields.append(pa.field(name, array.type, metadata=None if unit is None else {"unit": unit}))
+        arrays.append(array)
+    metadata = {"marsarm.header": header, "marsarm.topic": table.topic}
+    if table.is_truth:
+        metadata["marsarm.truth"] = "the plant's own state; flight software never sees it"
+    pq.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata)), file)
+
+
+def write_csv(table: Table, header: str, file: BinaryIO) -> None:
+    """Write a table with a line of names; a number reads back exactly. The header has no place in it."""
+    text = TextIOWrapper(file, "utf-8", newline="")
+    out = csv.writer(text, lineterminator="\n")
+    out.writerow(table.columns)
+    out.writerows(zip(*map(_words, table.columns.values()), strict=True))
+    text.flush()
+    text.detach()
+
+
+def _words(column: Column) -> Sequence[Any]:
+    """Floats in the fewest digits that read back exactly, which `csv` asks `repr` for; flags as 0 and 1."""
+    if isinstance(column, np.ndarray):
+        words: list[Any] = (column.astype(np.int8) if column.dtype.kind == "b" else column).tolist()
+        return words
+    return column

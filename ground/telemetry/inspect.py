@@ -1,0 +1,148 @@
+"""What a log holds, in numbers: its run as a whole, and each of its channels."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.dictionary.evrs import Severity
+from ground.telemetry.format import TICK_NS
+from ground.telemetry.notes import unit_of
+from ground.telemetry.read import Log
+
+MOST_S: Final = 9e9
+"""No log is as long; its nanoseconds still have room in eight bytes."""
+
+
+class NoSuchChannel(ValueError):
+    """A log has no channel, or no topic, that this name fits."""
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """One topic of a log; `rate_hz` is over the whole log."""
+
+    name: str
+    messages: int
+    rate_hz: float
+    is_truth: bool
+
+
+@dataclass(frozen=True, slots=True)
+class LogInfo:
+    """A log as a whole; `cycles` counts those in which anything was written."""
+
+    first_s: float | None
+    duration_s: float
+    cycles: int
+    topics: tuple[TopicInfo, ...]
+    evrs: dict[str, int]
+    """How many of each severity there are, the gravest first."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Channel:
+    """A field of a packet over the whole log: values of shape (n, ...), one for each of `time_ns`."""
+
+    topic: str
+    field: str
+    time_ns: NDArray[np.uint64]
+    values: NDArray[np.generic]
+    is_truth: bool
+
+    @property
+    def name(self) -> str:
+        """What people and patterns call it: /joint/motor_rad."""
+        return f"{self.topic}/{self.field}"
+
+    @property
+    def unit(self) -> str | None:
+        """From the suffix of the name; None for a pure number."""
+        return unit_of(self.field)
+
+    @property
+    def type_name(self) -> str:
+        """Kind of number and shape: float64[5]."""
+        shape = "".join(f"[{n}]" for n in self.values.shape[1:])
+        return f"{self.values.dtype.base.name}{shape}"
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """The finite values of a channel; None where there are none."""
+
+    low: float | int | None
+    high: float | int | None
+    not_finite: int
+
+
+def info_of(log: Log) -> LogInfo:
+    """The log in a few numbers."""
+    times = [time_ns for time_ns in log.time_ns.values() if len(time_ns)]
+    cycles = np.unique(np.concatenate(times)) if times else np.zeros(0, np.uint64)
+    duration_s = (int(cycles[-1]) - int(cycles[0]) + TICK_NS) / 1e9 if len(cycles) else 0.0
+    topics = (
+        TopicInfo(name, len(time_ns), len(time_ns) / duration_s, name in log.truth)
+        for name, time_ns in sorted(log.time_ns.items())
+    )
+    counts = Counter(evr.severity for evr in log.evrs)
+    return LogInfo(
+        first_s=int(cycles[0]) / 1e9 if len(cycles) else None,
+        duration_s=duration_s,
+        cycles=len(cycles),
+        topics=tuple(topics),
+        evrs={severity_name(grade): counts[grade] for grade in sorted(counts, reverse=True)},
+    )
+
+
+def bound_ns(option: str, time_s: float | None) -> int | None:
+    """A bound of log time; NoSuchChannel where it is no time that a log can have."""
+    if time_s is None:
+        return None
+    if not 0.0 <= time_s < MOST_S:
+        raise NoSuchChannel(f"{option}: {time_s} s is no log time; give seconds from 0 on")
+    return round(time_s * 1e9)
+
+
+def severity_name(grade: int) -> str:
+    """A severity by name; its number where this dictionary has none."""
+    return Severity(grade).name if grade in list(Severity) else str(grade)
+
+
+def channels_of(log: Log, globs: Sequence[str] = ()) -> tuple[Channel, ...]:
+    """The channels that any of these patterns fits, in the order of the patterns; all without one.
+
+    Raises:
+        NoSuchChannel: a pattern fits none.
+    """
+    every = [
+        Channel(topic, name, log.time_ns[topic], packets[name], topic in log.truth)
+        for topic, packets in sorted(log.packets.items())
+        for name in packets.dtype.names or ()
+    ]
+    found: dict[str, Channel] = {}
+    for glob in globs or ("*",):
+        fitting = {one.name: one for one in every if fnmatchcase(one.name, glob)}
+        if not fitting and globs:
+            raise NoSuchChannel(
+                f"log {log.path} has no channel {glob}; `marsarm log channels {log.path}` lists them, "
+                "and a pattern is written as '/joint/motor_rad*'"
+            )
+        found |= fitting
+    return tuple(found.values())
+
+
+def range_of(channel: Channel) -> Range:
+    """The least and the greatest value, and how many are NaN or infinite."""
+    values = channel.values
+    if values.dtype.kind == "b":
+        values = values.astype(np.int8)
+    finite = values[np.isfinite(values)]
+    if not finite.size:
+        return Range(None, None, values.size)
+    low, high = finite.min().item(), finite.max().item()
+    return Range(low, high, values.size - finite.size)

@@ -1,0 +1,135 @@
+"""From messages to numpy arrays by topic, checked for length, order and completeness."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from mcap.records import Channel
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from ground.telemetry.chunks import HEAD, MESSAGE_HEAD, Messages
+from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, LAYOUT_KEY, TRUTH_KEY
+from ground.telemetry.schema import Layout
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A channel of ours; the layout is None for EVRs and commands, which have no fixed one."""
+
+    topic: str
+    layout: Layout | None
+    is_truth: bool
+
+
+def announced(header: Mapping[str, str]) -> dict[int, dict[str, Any]]:
+    """What a header says of its channels, by number, the topic with it; empty where it says nothing.
+
+    KeyError, TypeError, AttributeError or ValueError when it says something else.
+    """
+    topics = json.loads(header.get(CHANNELS_KEY, "{}"))
+    return {int(said["id"]): {**said, "topic": topic} for topic, said in topics.items()}
+
+
+def known_channels(header: Mapping[str, str], records: Mapping[int, Channel]) -> dict[int, Known]:
+    """The channels of ours: as the header announces them, or, where it does not, as their records say.
+
+    Channels of others, and those that repeat ours in the form of other tools, are left out.
+    """
+    said = announced(header) or {number: _said(channel) for number, channel in records.items()}
+    return {
+        number: Known(one["topic"], _layout(one["layout"]), bool(one["truth"]))
+        for number, one in said.items()
+        if one["topic"] in (EVR_TOPIC, COMMAND_TOPIC) or (one["layout"] is not None and not one["derived"])
+    }
+
+
+def _said(channel: Channel) -> dict[str, Any]:
+    """What a channel's record says, in the words of a header."""
+    layout = channel.metadata.get(LAYOUT_KEY)
+    return {
+        "topic": channel.topic,
+        "layout": None if layout is None else json.loads(layout),
+        "truth": TRUTH_KEY in channel.metadata,
+        "derived": DERIVED_KEY in channel.metadata,
+    }
+
+
+def _layout(rows: Any) -> Layout | None:
+    return None if rows is None else Layout.from_json(json.dumps(rows))
+
+
+CHANNELS_KEY: Final = "channels"
+DERIVED_KEY: Final = "derived"
+Rows = Sequence[NDArray[np.int64]]
+"""Which messages of each batch, shapes (n,)."""
+
+
+def rows_of(batches: Sequence[Messages], channel_id: int) -> Rows:
+    """The messages of a channel."""
+    return [np.flatnonzero(batch.heads["channel"] == channel_id) for batch in batches]
+
+
+def heads_of(batches: Sequence[Messages], rows: Rows) -> NDArray[np.void]:
+    """Their heads, type HEAD, shape (n,)."""
+    found = [batch.heads[of_batch] for batch, of_batch in zip(batches, rows, strict=True)]
+    return np.concatenate([np.zeros(0, HEAD), *found])
+
+
+def chosen_of(rows: Rows, is_chosen: NDArray[np.bool_]) -> Rows:
+    """Those of the messages that are chosen; `is_chosen` has shape (n,) over all batches."""
+    of_batch = np.split(is_chosen, np.cumsum([len(one) for one in rows])[:-1])
+    return [one[chosen] for one, chosen in zip(rows, of_batch, strict=True)]
+
+
+def check_complete(topic: str, heads: NDArray[np.void], from_start: bool) -> None:
+    """See that no message is missing from the first, or from the start, to the last; ValueError else."""
+    counted = heads["sequence"].astype(np.int64)
+    first = 0 if from_start or not len(counted) else int(counted[0])
+    if not np.array_equal(counted, np.arange(first, first + len(counted))):
+        raise ValueError(f"messages of {topic} are missing or out of order")
+
+
+def check_order(topic: str, time_ns: NDArray[np.uint64], one_a_cycle: bool) -> None:
+    """See that time goes forward, and, of packets, that there is one at a time; ValueError else."""
+    for k in np.flatnonzero(time_ns[1:] <= time_ns[:-1]) + 1:
+        if time_ns[k] < time_ns[k - 1]:
+            raise ValueError(
+                f"message {k} of {topic}, at {time_ns[k] / 1e9:.6f} s, comes after one of "
+                f"{time_ns[k - 1] / 1e9:.6f} s; times must not go back"
+            )
+        if one_a_cycle:
+            raise ValueError(
+                f"messages {k - 1} and {k} of {topic} are both of {time_ns[k] / 1e9:.6f} s; "
+                "a cycle has one of each"
+            )
+
+
+def packets_of(batches: Sequence[Messages], rows: Rows, topic: str, layout: Layout) -> NDArray[np.void]:
+    """The messages as one read-only array, shape (n,); ValueError when one has not the layout's length."""
+    dtype = layout.dtype
+    # Seen to before memory is reserved for a layout that may be nonsense.
+    lengths = np.concatenate([batch.heads["length"][one] for batch, one in zip(batches, rows, strict=True)])
+    if (lengths != MESSAGE_HEAD + dtype.itemsize).any():
+        raise ValueError(f"a message of {topic} is not {dtype.itemsize} bytes long")
+    packets = np.empty(len(lengths), dtype)
+    raw, done = packets.view(np.uint8).reshape(len(packets), dtype.itemsize), 0
+    for batch, one in zip(batches, rows, strict=True):
+        if len(one):
+            windows = sliding_window_view(batch.data, dtype.itemsize)
+            raw[done : done + len(one)] = windows[batch.starts[one] + HEAD.itemsize]
+            done += len(one)
+    packets.flags.writeable = False
+    return packets
+
+
+def bodies_of(batches: Sequence[Messages], rows: Rows) -> list[bytes]:
+    """The messages one by one."""
+    bodies = []
+    for batch, of_batch in zip(batches, rows, strict=True):
+        begins = batch.starts[of_batch] + HEAD.itemsize
+        ends = begins + (batch.heads["length"][of_batch].astype(np.int64) - MESSAGE_HEAD)
+        bodies += [batch.data[b:e].tobytes() for b, e in zip(begins, ends, strict=True)]
+    return bodies

@@ -1,0 +1,122 @@
+"""Writes what can be saved of a damaged log into a whole one."""
+
+import json
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+from mcap.writer import IndexType, Writer
+
+from ground.outputs import BadOutput, check_output, written_whole
+from ground.telemetry.errors import LogNotReadable
+from ground.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
+from ground.telemetry.loss import RECOVERED_RECORD, Lost, recovered_record
+from ground.telemetry.messages import CHANNELS_KEY, announced, known_channels
+from ground.telemetry.read import bytes_of, log_from
+from ground.telemetry.salvage import Salvage, salvage
+
+Progress = Callable[[float, float, str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Recovered:
+    """What came of a recovery."""
+
+    saved: Mapping[str, int]
+    """Messages by topic."""
+    lost: tuple[Lost, ...]
+    """Of this recovery and of those before it."""
+    header_lost: bool
+    """Whether versions, parameters and commands of the run are gone."""
+
+
+def recover(bad: Path, good: Path, progress: Progress) -> Recovered:
+    """Read what is undamaged in `bad` and write it to `good` as a whole log.
+
+    Messages are counted anew, so that the new log is complete in itself; a record of its own says what was
+    lost. `good` appears only when it is whole and reads back.
+
+    Raises:
+        LogNotReadable: `bad` cannot be read, or holds nothing of a marsarm log.
+        LogDamaged: what is undamaged does not make a log.
+        BadOutput: `good` cannot be written.
+    """
+    data = bytes_of(bad)
+    _check_apart(bad, check_output(good, (".mcap",), "GOOD"))
+    progress(0, 1, "searching")
+    found = salvage(data)
+    _check_ours(bad, found)
+    lost = (*found.lost_before, *found.lost)
+    with written_whole(good, "GOOD") as file:
+        saved = _write(file, found, lost, progress)
+        file.flush()
+        log_from(bad, Path(file.name).read_bytes())
+    return Recovered(saved, lost, HEADER_RECORD not in found.metadata)
+
+
+def _check_apart(bad: Path, good: Path) -> None:
+    if good.exists() and os.path.samefile(bad, good):
+        raise BadOutput(f"GOOD {good}: is the damaged log itself; give the path of a new file")
+
+
+def _check_ours(bad: Path, found: Salvage) -> None:
+    version = found.metadata.get(FORMAT_RECORD, {}).get("version", FORMAT)
+    if version != FORMAT:
+        raise LogNotReadable(bad, f"log format {version}; this marsarm reads format {FORMAT}")
+    if not found.chunks and HEADER_RECORD not in found.metadata:
+        raise LogNotReadable(bad, "holds no undamaged part of a marsarm log; nothing can be saved")
+    if found.chunks and not known_channels(found.metadata.get(HEADER_RECORD, {}), found.channels):
+        raise LogNotReadable(bad, "nothing in it says what its messages mean; nothing can be saved")
+
+
+def _write(file: BinaryIO, found: Salvage, lost: tuple[Lost, ...], progress: Progress) -> dict[str, int]:
+    """Write all that was found; messages by topic."""
+    numbers = {old: new for new, old in enumerate(sorted(found.channels), 1)}
+    header = _renumbered(found.metadata.get(HEADER_RECORD, {}), numbers)
+    # With an index of attachments, of which there are none, the summary would point to nothing.
+    indexes = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA
+    writer = Writer(file, chunk_size=1 << 30, index_types=indexes, enable_data_crcs=True)
+    writer.start(profile="", library="marsarm")
+    writer.add_metadata(FORMAT_RECORD, {"version": FORMAT, "header_crc32": header_crc32(header)})
+    writer.add_metadata(HEADER_RECORD, header)
+    writer.add_metadata(RECOVERED_RECORD, recovered_record(lost))
+    _declare(writer, found)
+    counts: dict[int, int] = {}
+    seen: dict[int, int] = {}
+    for k, chunk in enumerate(found.chunks):
+        for number, sequence, time_ns, publish_ns, message in chunk.messages():
+            # A message that was there before is from a piece of the file that was written twice.
+            if number in numbers and sequence > seen.get(number, -1):
+                writer.add_message(numbers[number], time_ns, message, publish_ns, counts.get(number, 0))
+                counts[number], seen[number] = counts.get(number, 0) + 1, sequence
+        writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates only part of itself
+        progress(k, len(found.chunks), "writing")
+    writer.finish()  # type: ignore[no-untyped-call]
+    return {found.channels[number].topic: count for number, count in counts.items()}
+
+
+def _renumbered(header: Mapping[str, str], numbers: Mapping[int, int]) -> dict[str, str]:
+    """The header, with the numbers that the channels have in the new file."""
+    if CHANNELS_KEY not in header:
+        return dict(header)
+    said = announced(header)
+    kept = {
+        one["topic"]: {**{name: value for name, value in one.items() if name != "topic"}, "id": numbers[old]}
+        for old, one in said.items()
+        if old in numbers
+    }
+    return {**header, CHANNELS_KEY: json.dumps(kept)}
+
+
+def _declare(writer: Writer, found: Salvage) -> None:
+    """Write schemas and channels, numbered from 1 in their order; a schema that is lost is 0, MCAP's none."""
+    schemas = {
+        number: writer.register_schema(schema.name, schema.encoding, schema.data)
+        for number, schema in found.schemas.items()
+    }
+    for _, channel in sorted(found.channels.items()):
+        writer.register_channel(
+            channel.topic, channel.message_encoding, schemas.get(channel.schema_id, 0), channel.metadata
+        )

@@ -1,0 +1,144 @@
+"""What is undamaged is saved bit for bit; what is not is told."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.damage import CUT_EVERY, flipped, is_part, original, truncated
+from ground.outputs import BadOutput
+from ground.telemetry.errors import LogCorrupt, LogNotReadable
+from ground.telemetry.format import TICK_NS
+from ground.telemetry.loss import Lost
+from ground.telemetry.read import read_log
+from ground.telemetry.recover import Recovered, recover
+
+N_CYCLES = 12
+PACKETS = ["/sensors", "/drive", "/joint", "/tool", "/truth"]
+
+
+@pytest.fixture(scope="module")
+def data(make: Any, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    folder = tmp_path_factory.mktemp("log")
+    path = make.record(folder / "run.mcap", map(make.cycle_at, range(N_CYCLES)), chunk_s=0.0)
+    return path.read_bytes()
+
+
+def chunk_of(data: bytes, tick: int) -> int:
+    """Where the chunk with the messages of a tick begins."""
+    found = original(data).chunks
+    return next(one.at for one in found if one.first_ns <= tick * TICK_NS <= one.last_ns)
+
+
+def saved(folder: Path, data: bytes) -> Recovered:
+    (folder / "bad.mcap").write_bytes(data)
+    return recover(folder / "bad.mcap", folder / "good.mcap", lambda *_: None)
+
+
+def broken(data: bytes, *places: int) -> bytes:
+    changed = bytearray(data)
+    for at in places:
+        changed[at] ^= 1
+    return bytes(changed)
+
+
+def test_what_a_broken_chunk_held_is_told_by_topic_and_time(tmp_path: Path, data: bytes) -> None:
+    recovered = saved(tmp_path, broken(data, chunk_of(data, 5) + 200))
+    due = {topic: Lost(topic, 1, 4 * TICK_NS, 6 * TICK_NS) for topic in PACKETS}
+    lost = {one.topic: one for one in recovered.lost}
+    assert {topic: lost[topic] for topic in PACKETS} == due
+    assert (lost["/evr"].count, lost["/command"].count) == (2, 2)
+    log = read_log(tmp_path / "good.mcap")
+    assert log.lost == recovered.lost
+    assert log.ticks("/joint").tolist() == [0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11]
+    assert not log.truncated
+
+
+def test_the_strict_reader_tells_the_same_span(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "bad.mcap").write_bytes(broken(data, chunk_of(data, 5) + 200))
+    with pytest.raises(LogCorrupt, match=r"lost, between 0\.062500 s and 0\.093750 s \(byte"):
+        read_log(tmp_path / "bad.mcap")
+
+
+def test_the_end_of_a_closed_log_is_told_by_its_counts(tmp_path: Path, data: bytes) -> None:
+    recovered = saved(tmp_path, broken(data, chunk_of(data, N_CYCLES - 1) + 200))
+    assert Lost("/joint", 1, (N_CYCLES - 2) * TICK_NS, None) in recovered.lost
+    assert all(one.count is not None for one in recovered.lost)
+
+
+def test_the_beginning_is_told(tmp_path: Path, data: bytes) -> None:
+    recovered = saved(tmp_path, broken(data, chunk_of(data, 0) + 200))
+    assert Lost("/joint", 1, None, TICK_NS) in recovered.lost
+
+
+def test_of_a_log_cut_short_nobody_knows_what_followed(tmp_path: Path, data: bytes) -> None:
+    recovered = saved(tmp_path, data[: chunk_of(data, 8) + 100])
+    assert recovered.lost == (Lost(None, None, 7 * TICK_NS, None),)
+    assert recovered.lost[0].sentence == "an unknown number of messages of all topics lost, after 0.109375 s"
+
+
+def test_an_undamaged_log_loses_nothing(tmp_path: Path, data: bytes) -> None:
+    assert saved(tmp_path, data).lost == ()
+    assert is_part(read_log(tmp_path / "good.mcap"), read_log(tmp_path / "bad.mcap"))
+
+
+def test_a_lost_header_is_told_and_the_values_are_saved(tmp_path: Path, data: bytes) -> None:
+    at = data.index(b"nominal")
+    recovered = saved(tmp_path, broken(data, at))
+    assert recovered.header_lost
+    log = read_log(tmp_path / "good.mcap")
+    assert (len(log["/joint"]), dict(log.header)) == (N_CYCLES, {})
+
+
+def test_a_recovered_log_that_is_damaged_keeps_what_was_told_before(tmp_path: Path, data: bytes) -> None:
+    first = saved(tmp_path, broken(data, chunk_of(data, 5) + 200))
+    again = (tmp_path / "good.mcap").read_bytes()
+    second = saved(tmp_path, broken(again, chunk_of(again, 9) + 200))
+    assert second.lost[: len(first.lost)] == first.lost
+    assert len(second.lost) == 2 * len(first.lost)
+
+
+def test_recovering_twice_gives_the_same_values(tmp_path: Path, data: bytes) -> None:
+    saved(tmp_path, broken(data, chunk_of(data, 5) + 200))
+    once = read_log(tmp_path / "good.mcap")
+    saved(tmp_path, (tmp_path / "good.mcap").read_bytes())
+    twice = read_log(tmp_path / "good.mcap")
+    assert all(packets.tobytes() == twice[topic].tobytes() for topic, packets in once.packets.items())
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [(b"", "nothing can be saved"), (b"tick,angle_rad\n0,0.5\n", "nothing can be saved")],
+    ids=["empty", "foreign"],
+)
+def test_what_is_no_log_cannot_be_recovered(tmp_path: Path, content: bytes, why: str) -> None:
+    with pytest.raises(LogNotReadable, match=why):
+        saved(tmp_path, content)
+    assert not (tmp_path / "good.mcap").exists()
+
+
+def test_a_later_format_cannot_be_recovered(tmp_path: Path, data: bytes) -> None:
+    later = bytearray(data)
+    later[data.index(b"version") + len(b"version") + 4] = ord("9")
+    with pytest.raises(LogNotReadable, match="log format 9"):
+        saved(tmp_path, bytes(later))
+
+
+def test_a_log_is_not_recovered_into_itself(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "run.mcap").write_bytes(data)
+    with pytest.raises(BadOutput, match="is the damaged log itself"):
+        recover(tmp_path / "run.mcap", tmp_path / "run.mcap", lambda *_: None)
+    assert (tmp_path / "run.mcap").read_bytes() == data
+
+
+@pytest.mark.parametrize("kept", [1.0, 0.6], ids=["closed", "cut short"])
+def test_bits_flipped_anywhere(tmp_path: Path, data: bytes, kept: float) -> None:
+    found = flipped(original(data[: int(kept * len(data))]), 60, 6, tmp_path)
+    assert found["wrong"] == []
+    assert found["read"]["detected"] > 20
+
+
+def test_files_cut_anywhere(tmp_path: Path, data: bytes) -> None:
+    found = truncated(original(data), CUT_EVERY // 4, tmp_path)
+    assert found["wrong"] == []
+    assert found["read"]["cut"] > 5
