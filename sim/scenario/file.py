@@ -11,8 +11,8 @@ from typing import Annotated, Any, Final, TypeVar
 import numpy as np
 
 from fsw.dictionary.commands import Command, Preload, SetParam
+from fsw.dictionary.limits import Limits
 from fsw.dictionary.modes import Mode
-from fsw.dictionary.params import Limits
 from fsw.executive.checks import MoveCommand, malformed
 from fsw.executive.settings import params_with
 from sim.arms import UnknownArm, arm_named

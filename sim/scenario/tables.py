@@ -9,7 +9,7 @@ import numpy as np
 from fsw.dictionary.commands import ROVER, Command, Vector3
 from fsw.dictionary.faults import Fault
 from fsw.dictionary.joints import Frame, Tool
-from fsw.dictionary.params import Limits
+from fsw.dictionary.limits import Limits
 from fsw.dictionary.tuples import vector3
 from fsw.executive.checks import MoveCommand, malformed, malformed_direction
 from fsw.kinematics.branches import BRANCHES
