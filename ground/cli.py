@@ -16,6 +16,7 @@ import typer
 from ground.cli_dictionary import dictionary
 from ground.cli_hardstop import hardstop
 from ground.cli_ik import ik, reach
+from ground.cli_import import import_log
 from ground.cli_parts import (
     ARM_SAFE,
     BAD_INPUT,
@@ -120,6 +121,10 @@ app.command()(hardstop)
 app.command()(run)
 app.command()(scenarios)
 app.command()(dictionary)
+
+log = typer.Typer(help="Telemetry logs.", no_args_is_help=True)
+log.command("import")(import_log)
+app.add_typer(log, name="log")
 
 
 def _finish(report: "PlaceReport") -> None:

@@ -1,0 +1,103 @@
+"""What a log's header says of its run: what made it, and all that flight software began with."""
+
+import hashlib
+import json
+import platform
+import subprocess
+from collections.abc import Sequence
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Final
+
+import mujoco
+import numpy as np
+from numpy._core._multiarray_umath import __cpu_features__ as NUMPY_FEATURES  # type: ignore[import-not-found]
+
+from fsw.config import digest
+from fsw.dictionary.commands import Command
+from fsw.dictionary.modes import Mode
+from fsw.dictionary.params import Params
+from fsw.estimate.reference import Reference
+from ground.telemetry.plain import to_plain
+from sim.loop import ClosedLoop
+
+ROOT: Final = Path(__file__).resolve().parents[2]
+GIT_TIMEOUT_S: Final = 5.0
+
+
+def header_of(
+    loop: ClosedLoop, arm: str, seed: int, request: dict[str, Any], commands: Sequence[Command]
+) -> dict[str, str]:
+    """The header of a run that has not begun; `commands` is what it is going to be asked.
+
+    Raises:
+        ValueError: the run has begun; what flight software began with is gone.
+    """
+    if loop.state.tick != 0:
+        raise ValueError(f"the run is at tick {loop.state.tick}; a log begins with flight software's first")
+    return {
+        **made_by(),
+        **begins_with(loop.config.params, loop.state.mode, loop.state.joints.reference),
+        **asked(commands),
+        "arm": arm,
+        "seed": str(seed),
+        "request": json.dumps(request, default=str, sort_keys=True),
+        "mjcf_sha256": model_digest(loop.plant.model),
+    }
+
+
+def made_by() -> dict[str, str]:
+    """The software and the processor that make a log."""
+    return {
+        "marsarm": version("marsarm"),
+        "mujoco": mujoco.__version__,
+        "numpy": np.__version__,
+        "python": platform.python_version(),
+        "cpu": json.dumps(cpu_features()),
+        "git": git_revision(),
+    }
+
+
+def begins_with(params: Params, mode: Mode, reference: Reference | None) -> dict[str, str]:
+    """All that flight software begins with: what replay needs beside sensors and commands.
+
+    `reference` is what is remembered of the joints, None for nothing.
+    """
+    boot = {"mode": mode.name, "reference": None if reference is None else to_plain(reference)}
+    return {
+        "params": json.dumps(to_plain(params)),
+        "params_sha256": digest(params),
+        "boot": json.dumps(boot),
+    }
+
+
+def asked(commands: Sequence[Command]) -> dict[str, str]:
+    """A command sequence and its digest."""
+    text = json.dumps([{"type": type(c).__name__, "fields": to_plain(c)} for c in commands])
+    return {"commands": text, "commands_sha256": hashlib.sha256(text.encode()).hexdigest()}
+
+
+def cpu_features() -> list[str]:
+    """The machine and those of its instruction sets that numpy makes use of; they decide how sums round."""
+    return [platform.machine(), *sorted(name for name, there in NUMPY_FEATURES.items() if there)]
+
+
+def model_digest(model: mujoco.MjModel) -> str:
+    """SHA-256 of the compiled plant: the files of models/mjcf, the world, and what effects made of them."""
+    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return hashlib.sha256(content.data).hexdigest()
+
+
+@cache
+def git_revision() -> str:
+    """The commit of this tree, "-dirty" appended if files of it are changed; "unknown" outside of git."""
+    if not (ROOT / ".git").exists():
+        return "unknown"
+    command = ["git", "-C", str(ROOT), "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=GIT_TIMEOUT_S, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return done.stdout.strip()
