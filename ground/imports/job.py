@@ -16,6 +16,7 @@ from ground.imports.mapping import Mapping
 from ground.imports.mapping_file import mapping_from
 from ground.imports.packets import Lacking, lacking, series_of
 from ground.imports.table import MOST_CELLS, read_table
+from ground.imports.times import in_order
 from ground.outputs import BadOutput, check_output, written_whole
 from ground.request import BadRequest, check_apart
 from ground.telemetry.format import TICK_NS
@@ -55,6 +56,8 @@ class ImportReport:
 
     request: ImportRequest
     rows: int
+    rows_moved: int
+    """In how many places the file was not in order of time."""
     topics: tuple[TopicReport, ...]
     commands: int
     lacking: tuple[Lacking, ...]
@@ -67,6 +70,7 @@ class Imported:
 
     mapping: Mapping
     rows: int
+    rows_moved: int
     series: tuple[Series, ...]
     header: dict[str, str]
 
@@ -118,7 +122,7 @@ def imported(
         raise BadImport(
             [f"{mapping_file}: channel: none has columns; there is nothing to take from the table"]
         )
-    read = read_table(table, table_file, tuple(names), said.csv, cells)
+    read = in_order(read_table(table, table_file, tuple(names), said.csv, cells), said.time)
     series = series_of(read, said)
     if said.start is not None:
         _check_replayable(mapping_file, said, series)
@@ -128,7 +132,7 @@ def imported(
         "mapping": mapping_file,
         "mapping_sha256": hashlib.sha256(mapping).hexdigest(),
     }
-    return Imported(said, read.rows, series, _header(said, about))
+    return Imported(said, read.rows, read.rows_moved, series, _header(said, about))
 
 
 def _bytes(path: Path) -> bytes:
@@ -190,7 +194,9 @@ def _report(request: ImportRequest, made: Imported) -> ImportReport:
     )
     start = made.mapping.start
     commands = 0 if start is None else len(start.commands)
-    return ImportReport(request, made.rows, topics, commands, lacking(made.mapping), start is not None)
+    return ImportReport(
+        request, made.rows, made.rows_moved, topics, commands, lacking(made.mapping), start is not None
+    )
 
 
 def duration_s(topic: TopicReport) -> float:

@@ -35,6 +35,8 @@ class Time:
     """With grid exact: how far a row may be from its cycle, as a share of a cycle."""
     gap_s: Annotated[float, Limits(1e-3, 60.0)] = 1.0
     """With grids hold and linear: how long there may be no row."""
+    sort: bool = False
+    """Whether to put rows in the order of their times, which else is an error."""
     first_tick: int = 0
     """The cycle of the first row."""
 

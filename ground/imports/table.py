@@ -3,7 +3,7 @@
 import io
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -56,12 +56,29 @@ class Table:
     _arrays: dict[str, Any]
     _decimal: str
     _is_text: bool
+    _order: NDArray[np.int64] | None = None
+    """Where each row was in the file; None for the same order."""
 
     def wrong(self, what: str, row: int | None = None, column: str | None = None) -> BadImport:
         """The error that says where in this table something is wrong; the first row below the header is 1."""
-        places = [] if row is None else [f"row {row + 1}"]
+        places = [] if row is None else [f"row {self.row_number(row)}"]
         places += [] if column is None else [f"column {column!r}"]
         return BadImport([": ".join([self.file, *([", ".join(places)] if places else []), what])])
+
+    def row_number(self, row: int) -> int:
+        """What a row of ours is called in the file."""
+        return int(row if self._order is None else self._order[row]) + 1
+
+    def in_order_of(self, keys: NDArray[Any]) -> "Table":
+        """The table with its rows in the order of these keys, one a row."""
+        order = np.argsort(keys, kind="stable")
+        arrays = {name: array.take(pa.array(order)) for name, array in self._arrays.items()}
+        return replace(self, _arrays=arrays, _order=order)
+
+    @property
+    def rows_moved(self) -> int:
+        """How often the rows, in order of time, do not go on with the next row of the file."""
+        return 0 if self._order is None else int(np.count_nonzero(np.diff(self._order) != 1))
 
     def numbers(self, name: str) -> Column:
         """A column of numbers or flags; BadImport where it is neither."""
@@ -142,9 +159,10 @@ def read_table(data: bytes, file: str, names: Sequence[str], form: Csv, cells: i
     if not data:
         raise BadImport([f"{file}: is an empty file"])
     is_text = suffix in TEXT
-    if is_text == data.startswith(PARQUET_MAGIC):
-        right = "Parquet; name it .parquet" if is_text else "not Parquet, or cut short"
-        raise BadImport([f"{file}: is {_foreign(data) or right}"])
+    if is_text and data.startswith(PARQUET_MAGIC):
+        raise BadImport([f"{file}: is Parquet; name it .parquet"])
+    if not is_text and not data.startswith(PARQUET_MAGIC):
+        raise BadImport([f"{file}: is {_foreign(data) or 'text'}, not Parquet"])
     if is_text and (said := _foreign(data)) is not None:
         raise BadImport([f"{file}: is {said}; give a table as text in UTF-8, or as Parquet"])
     try:
@@ -185,6 +203,8 @@ def _from_text(data: bytes, file: str, names: Sequence[str], form: Csv, cells: i
     _check_size(file, text.count(b"\n"), len(names), cells)
     there = _header(head, form.separator)
     _check_names(file, names, there, f"; its separator is {form.separator!r}" if len(there) == 1 else "")
+    if not text[len(head) :].strip():
+        return {}
     table = csv.read_csv(
         io.BytesIO(text),
         csv.ReadOptions(use_threads=False),

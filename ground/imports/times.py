@@ -34,6 +34,15 @@ class Picked:
     """None where no value lies between two rows."""
 
 
+def in_order(table: Table, time: Time) -> Table:
+    """The table with its rows in order of time, where the mapping asks for that."""
+    if not time.sort or time.column is None:
+        return table
+    column, _ = _column(table, time, time.column)
+    _check_given(table, column)
+    return table.in_order_of(column.values)
+
+
 def cycles_of(table: Table, time: Time) -> Cycles:
     """When each row was, in cycles since the first one, (n,); it only grows.
 
@@ -44,7 +53,8 @@ def cycles_of(table: Table, time: Time) -> Cycles:
         assert time.rate_Hz is not None
         return np.arange(table.rows, dtype=np.float64) * (CYCLE_HZ / time.rate_Hz)
     column, unit_ns = _column(table, time, time.column)
-    _check_times(table, column)
+    _check_given(table, column)
+    _check_growing(table, column, is_moment=time.unit is None)
     values = column.values
     if values.dtype == np.int64:
         if float(values[-1]) - float(values[0]) >= 2.0**62:
@@ -54,7 +64,9 @@ def cycles_of(table: Table, time: Time) -> Cycles:
         since = values - values[0]
     cycles: Cycles = since * unit_ns / TICK_NS
     if not cycles[-1] < LAST_TICK:
-        raise table.wrong(f"the times span {since[-1]:g} {time.unit}; is the unit right?", column=column.name)
+        raise table.wrong(
+            f"the times span {cycles[-1] / CYCLE_HZ:.3g} s; is the unit right?", column=column.name
+        )
     return cycles
 
 
@@ -73,8 +85,8 @@ def _column(table: Table, time: Time, name: str) -> tuple[Column, int]:
     return column, UNIT_NS[time.unit]
 
 
-def _check_times(table: Table, column: Column) -> None:
-    """Refuse rows without a time, and a time that does not grow."""
+def _check_given(table: Table, column: Column) -> None:
+    """Refuse rows without a time."""
     values = column.values
     lacking = np.flatnonzero(~column.given)
     if lacking.size:
@@ -83,17 +95,22 @@ def _check_times(table: Table, column: Column) -> None:
     if odd.size:
         row = int(odd[0])
         raise table.wrong(f"the time is {values[row]}; every row needs one", row, column.name)
+
+
+def _check_growing(table: Table, column: Column, is_moment: bool) -> None:
+    """Refuse a time that is not after that of the row before."""
+    values = column.values
     late = np.flatnonzero(values[1:] <= values[:-1])
-    if late.size:
-        row = int(late[0]) + 1
-        now, before = values[row], values[row - 1]
-        if now == before:
-            what = (
-                f"time {now} is that of row {row} too; give each row its own, or rate_Hz instead of a column"
-            )
-        else:
-            what = f"time {now} is before {before} in row {row}; sort the table by its time"
-        raise table.wrong(what, row, column.name)
+    if not late.size:
+        return
+    row = int(late[0]) + 1
+    now, before = (np.datetime64(int(v), "ns") if is_moment else v for v in (values[row], values[row - 1]))
+    other = table.row_number(row - 1)
+    if now == before:
+        what = f"time {now} is that of row {other} too; give each row its own, or rate_Hz instead of a column"
+    else:
+        what = f"time {now} is before {before} in row {other}; sort the table, or write sort = true in [time]"
+    raise table.wrong(what, row, column.name)
 
 
 def check_grid(table: Table, time: Time, cycles: Cycles) -> None:
@@ -153,8 +170,9 @@ def picked(table: Table, time: Time, cycles: Cycles, rows: NDArray[np.int64]) ->
         twice = np.flatnonzero(np.diff(ticks) == 0)
         if twice.size:
             k = int(twice[0])
+            before = table.row_number(int(rows[k]))
             what = (
-                f"is in the same cycle as row {rows[k] + 1}; a channel has one message a cycle: under [time] "
+                f"is in the same cycle as row {before}; a channel has one message a cycle: under [time] "
                 'write grid = "hold" or "linear"'
             )
             raise table.wrong(what, int(rows[k + 1]), time.column)

@@ -130,9 +130,9 @@ def _named(
     numbers = {name: member.value for name, member in members.__members__.items()}
     numbers |= {str(number): number for number in numbers.values()}
     said, where = np.unique(values.astype(str), return_inverse=True)
-    for k, word in enumerate(said):
+    for k, word in enumerate(map(str, said)):
         if word not in numbers:
             row = int(rows[np.flatnonzero(where == k)[0]])
             hint = did_you_mean(word[:60], list(members.__members__))
             raise table.wrong(f"{word!r:.60} is not known; {hint}", row, column.name)
-    return np.array([numbers[word] for word in said], np.int64)[where]
+    return np.array([numbers[str(word)] for word in said], np.int64)[where]

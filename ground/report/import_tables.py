@@ -14,6 +14,7 @@ def import_json(report: ImportReport) -> dict[str, Any]:
     return {
         "log": str(report.request.log),
         "rows": report.rows,
+        "rows_moved": report.rows_moved,
         "topics": [{**asdict(topic), "duration_s": duration_s(topic)} for topic in report.topics],
         "commands": report.commands,
         "incomplete": [asdict(one) for one in report.lacking],
@@ -31,10 +32,12 @@ def import_tables(report: ImportReport) -> None:
         numbers = (topic.messages, topic.first_tick, topic.last_tick, topic.missing_ticks)
         table.add_row(topic.topic, *map(str, numbers))
     console.print(table)
+    if report.rows_moved:
+        console.print(f"sorted    in {report.rows_moved} places the file was not in order of time")
     for one in report.lacking:
         lacks = ", ".join(one.fields)
         console.print(f"{one.topic} is not whole, so it is kept as {one.kept_as}; it lacks {lacks}")
     if report.replayable:
         console.print(f"replay    {report.commands} commands; `marsarm replay {report.request.log}`")
     else:
-        console.print("replay    no: the mapping has no [start]")
+        console.print("replay    no: the mapping does not say what flight software began with")

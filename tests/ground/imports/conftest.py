@@ -41,7 +41,7 @@ def recorded(path: Path) -> Log:
 
 
 def exported(log: Log) -> dict[str, Any]:
-    """A column for each number of the log, and the time; a topic without a message in a row has none there."""
+    """A column for each number of the log, and the time; nothing where a topic has no message."""
     n = N_CYCLES
     columns: dict[str, Any] = {"t": pa.array(np.arange(n) / 64)}
     for name, target in targets().items():
