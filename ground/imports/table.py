@@ -39,12 +39,14 @@ WORDS: Final = {"true": True, "false": False, "1": True, "0": False}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Column:
-    """One column: numbers, flags or text, and in which rows it has a value."""
+    """One column: numbers, flags or names, and in which rows it has a value."""
 
     name: str
     values: NDArray[Any]
-    """(n,): float64, int64, bool, or object where it is text; anything where there is no value."""
+    """(n,): float64, int64 or bool, of names their index; anything where there is no value."""
     given: NDArray[np.bool_]
+    words: tuple[str, ...] = ()
+    """Of names: each that there is, once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,14 +96,16 @@ class Table:
                 continue
         return Column(name, self._words(name, text), given)
 
-    def text(self, name: str) -> Column:
-        """A column of names; BadImport where it is none."""
+    def names(self, name: str) -> Column:
+        """A column of names; of numbers, these as words."""
         array = self._arrays[name]
-        if types.is_dictionary(array.type):
-            array = array.cast(pa.string())
-        if not types.is_string(array.type) and not types.is_large_string(array.type):
-            return self.numbers(name)
-        return Column(name, array.to_numpy(zero_copy_only=False), _given(array))
+        if types.is_integer(array.type) or types.is_floating(array.type) or types.is_boolean(array.type):
+            column = self.numbers(name)
+            said, where = np.unique(column.values, return_inverse=True)
+            return Column(name, where, column.given, tuple(str(word) for word in said.tolist()))
+        coded = array if types.is_dictionary(array.type) else array.dictionary_encode()
+        words = tuple(str(word).strip() for word in coded.dictionary.to_pylist())
+        return Column(name, _filled(coded.indices), _given(array), words or ("",))
 
     def is_time(self, name: str) -> bool:
         """Whether a column holds times, which know their unit."""
@@ -112,6 +116,8 @@ class Table:
         array = self._arrays[name]
         given = _given(array)
         try:
+            if types.is_dictionary(array.type):
+                array = array.dictionary_decode()
             if form is not None:
                 read = pc.strptime(pc.utf8_trim_whitespace(array), form, "us", error_is_null=True)
                 bad = np.flatnonzero(given & ~_given(read))
@@ -131,7 +137,8 @@ class Table:
         if types.is_boolean(kind):
             return _filled(array)
         if not types.is_integer(kind) and not types.is_floating(kind):
-            raise self.wrong(f"holds {kind}, not numbers or flags", column=name)
+            held = "text" if types.is_dictionary(kind) else kind
+            raise self.wrong(f"holds {held}, not numbers or flags", column=name)
         try:
             return _filled(pc.cast(array, pa.int64() if types.is_integer(kind) else pa.float64()))
         except pa.ArrowInvalid as error:
@@ -181,15 +188,18 @@ def read_table(data: bytes, file: str, names: Sequence[str], form: Csv, cells: i
 
 
 def _from_parquet(data: bytes, file: str, names: Sequence[str], _: Csv, cells: int) -> dict[str, Any]:
-    with parquet.ParquetFile(io.BytesIO(data), page_checksum_verification=True) as source:
-        _check_names(file, names, source.schema_arrow.names)
-        rows = source.metadata.num_rows
-        _check_size(file, rows, len(names), cells)
-        nested = [name for name in names if types.is_nested(source.schema_arrow.field(name).type)]
-        if nested:
-            raise BadImport(
-                [f"{file}: column {nested[0]!r} holds lists; give each number a column of its own"]
-            )
+    with parquet.ParquetFile(io.BytesIO(data)) as source:
+        schema, rows = source.schema_arrow, source.metadata.num_rows
+    _check_names(file, names, schema.names)
+    _check_size(file, rows, len(names), cells)
+    kinds = {name: schema.field(name).type for name in names}
+    nested = [name for name, kind in kinds.items() if types.is_nested(kind)]
+    if nested:
+        raise BadImport([f"{file}: column {nested[0]!r} holds lists; give each number a column of its own"])
+    # A name that a small file says once may stand in a hundred million rows: keep it as a number.
+    words = [name for name, kind in kinds.items() if types.is_string(kind) or types.is_large_string(kind)]
+    source = parquet.ParquetFile(io.BytesIO(data), read_dictionary=words, page_checksum_verification=True)
+    with source:
         table = source.read(columns=list(names), use_threads=False)
     if len(table) != rows:
         raise BadImport([f"{file}: says that it has {rows} rows, and has {len(table)}"])

@@ -17,7 +17,7 @@ EXACT: Final = 1 << 53
 
 def columns_of(table: Table, channel: Channel) -> list[Column]:
     """The columns of a channel; BadImport where one holds what the channel cannot."""
-    read = table.numbers if channel.target.members is None else table.text
+    read = table.numbers if channel.target.members is None else table.names
     return [read(name) for name in channel.columns]
 
 
@@ -129,10 +129,11 @@ def _named(
     assert members is not None
     numbers = {name: member.value for name, member in members.__members__.items()}
     numbers |= {str(number): number for number in numbers.values()}
-    said, where = np.unique(values.astype(str), return_inverse=True)
-    for k, word in enumerate(map(str, said)):
-        if word not in numbers:
-            row = int(rows[np.flatnonzero(where == k)[0]])
-            hint = did_you_mean(word[:60], list(members.__members__))
-            raise table.wrong(f"{word!r:.60} is not known; {hint}", row, column.name)
-    return np.array([numbers[str(word)] for word in said], np.int64)[where]
+    codes = np.array([numbers.get(word, -1) for word in column.words], np.int64)
+    found: NDArray[np.int64] = codes[values]
+    unknown = np.flatnonzero(found < 0)
+    if unknown.size:
+        word = column.words[values[unknown[0]]]
+        hint = did_you_mean(word[:60], list(members.__members__))
+        raise table.wrong(f"{word!r:.60} is not known; {hint}", int(rows[unknown[0]]), column.name)
+    return found

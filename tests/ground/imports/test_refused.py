@@ -147,7 +147,7 @@ TABLES = {
     "NaN time": (table(t=(0.0, np.nan, 1.0)), "row 2, column 't': the time is nan"),
     "infinite time": (table(t=(0.0, 1 / 64, np.inf)), "row 3, column 't': the time is inf"),
     "no time": (table(t=(0.0, None, 1.0)), "row 2, column 't': has no time"),
-    "text as time": (table(t=("0", "1", "2")), "column 't': holds string, not numbers"),
+    "text as time": (table(t=("0", "1", "2")), "column 't': holds text, not numbers"),
     "flags as time": (table(t=(False, True, True)), "holds flags, not times"),
     "milliseconds": (
         table(t=(0.0, 15.625, 31.25)),
@@ -163,7 +163,7 @@ TABLES = {
     ),
     "an age": (table(t=(0.0, 1 / 64, 1e12)), "is the unit right?"),
     "empty": (table(t=[], **{k: pa.array([], pa.float64()) for k in "abcde"}), "has no row"),
-    "text as current": (table(b=["x", "y", "z"]), "column 'b': holds string, not numbers or flags"),
+    "text as current": (table(b=["x", "y", "z"]), "column 'b': holds text, not numbers or flags"),
     "a list": (table(b=[[1.0], [2.0], [3.0]]), "column 'b' holds lists"),
     "half a message": (
         table(b=[1.0, None, 1.0]),
