@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from fsw.dictionary.modes import Mode
 from fsw.messages import Sensors
 from fsw.state import boot
 from ground.imports.job import ImportRequest, import_table
+from ground.imports.targets import targets
 from ground.telemetry.read import Log, read_log
 from sim.params import nominal_params
 
@@ -92,3 +94,16 @@ def test_the_first_row_may_be_any_cycle(as_parquet: bytes, make: Any, tmp_path: 
     mapping = make.TIME + f"first_tick = {tick}\n" + make.channels("/sensors.current_A")
     log = import_into(tmp_path, as_parquet, mapping)
     assert log.ticks("/imported/sensors")[[0, -1]].tolist() == [tick, tick + make.N_CYCLES - 1]
+
+
+def test_the_start_that_the_page_shows_is_understood(as_parquet: bytes, make: Any, tmp_path: Path) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "import.md").read_text()
+    shown = next(text for text in re.findall(r"```toml\n(.*?)```", page, re.DOTALL) if "[start]" in text)
+    (tmp_path / "arm.toml").write_text("[monitors]\ntilt_rad = 0.02\n")
+    sensors = [name for name in targets() if name.startswith("/sensors.")]
+    log = import_into(tmp_path, as_parquet, make.TIME + make.channels(*sensors) + shown)
+    assert json.loads(log.header["params"])["monitors"]["tilt_rad"] == 0.02
+    began = json.loads(log.header["boot"])
+    assert (began["mode"], began["reference"]["zero_rad"][0]) == ("DEPLOYED", 0.1)
+    assert [(entry.tick, entry.name) for entry in log.commands] == [(8, "MoveJoints")]
+    assert list(log.packets) == ["/sensors"]
