@@ -123,7 +123,10 @@ def imported(
             [f"{mapping_file}: channel: none has columns; there is nothing to take from the table"]
         )
     read = in_order(read_table(table, table_file, tuple(names), said.csv, cells), said.time)
-    series = series_of(read, said)
+    with np.errstate(
+        over="ignore", invalid="ignore"
+    ):  # of numbers beyond belief, which are shown as they are
+        series = series_of(read, said)
     if said.start is not None:
         _check_replayable(mapping_file, said, series)
     about = {

@@ -65,15 +65,14 @@ def _converted(
 def _in_units(channel: Channel, values: NDArray[np.float64], k: int | slice) -> NDArray[np.float64]:
     """SI values; what is not changed keeps every bit, the sign of zero and the kind of NaN included."""
     gain, offset, unit = channel.gain[k], channel.offset[k], channel.conversion
-    with np.errstate(over="ignore", invalid="ignore"):  # what is beyond all numbers is shown as it is
-        if np.any(gain != 1.0):
-            values = values * gain
-        if np.any(offset != 0.0):
-            values = values + offset
-        if unit.factor != 1.0:
-            values = values * unit.factor
-        if unit.offset != 0.0:
-            values = values + unit.offset
+    if np.any(gain != 1.0):
+        values = values * gain
+    if np.any(offset != 0.0):
+        values = values + offset
+    if unit.factor != 1.0:
+        values = values * unit.factor
+    if unit.offset != 0.0:
+        values = values + unit.offset
     return values
 
 
