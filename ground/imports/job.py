@@ -126,7 +126,7 @@ def imported(
     with np.errstate(
         over="ignore", invalid="ignore"
     ):  # of numbers beyond belief, which are shown as they are
-        series = series_of(read, said)
+        series = series_of(read, said, cells)
     if said.start is not None:
         _check_replayable(mapping_file, said, series)
     about = {

@@ -38,8 +38,8 @@ def lacking(mapping: Mapping) -> tuple[Lacking, ...]:
     return tuple(found)
 
 
-def series_of(table: Table, mapping: Mapping) -> tuple[Series, ...]:
-    """Every topic with its messages.
+def series_of(table: Table, mapping: Mapping, cells: int) -> tuple[Series, ...]:
+    """Every topic with its messages, none with more numbers than `cells`.
 
     Raises:
         BadImport: something in the table is not as the mapping says.
@@ -48,7 +48,7 @@ def series_of(table: Table, mapping: Mapping) -> tuple[Series, ...]:
     check_grid(table, mapping.time, cycles)
     incomplete = {one.topic: one.kept_as for one in lacking(mapping)}
     return tuple(
-        _series(table, mapping, cycles, topic, incomplete.get(topic, topic), channels)
+        _series(table, mapping, cycles, topic, incomplete.get(topic, topic), channels, cells)
         for topic, channels in _by_topic(mapping)
     )
 
@@ -60,11 +60,12 @@ def _by_topic(mapping: Mapping) -> Iterator[tuple[str, list[Channel]]]:
 
 
 def _series(
-    table: Table, mapping: Mapping, cycles: Cycles, topic: str, name: str, channels: list[Channel]
+    table: Table, mapping: Mapping, cycles: Cycles, topic: str, name: str, channels: list[Channel], cells: int
 ) -> Series:
     columns = [columns_of(table, channel) for channel in channels]
     rows = _given_rows(table, topic, [column for each in columns for column in each])
-    chosen = picked(table, mapping.time, cycles, rows)
+    most = cells // sum(channel.target.size for channel in channels)
+    chosen = picked(table, mapping.time, cycles, rows, most)
     if name == topic and topic in TOPICS:
         layout = layout_of_topic(topic)
     else:

@@ -13,8 +13,6 @@ from ground.telemetry.format import TICK_NS
 
 Cycles = NDArray[np.float64]
 Ticks = NDArray[np.int64]
-MOST_TICKS: Final = 20_000_000
-"""That resampling may make: 86 hours."""
 LAST_TICK: Final = 1 << 39
 """Beyond it a time in nanoseconds no longer fits a log: 272 years."""
 ROUNDING: Final = 1e-9
@@ -158,11 +156,11 @@ def _rate_words(time: Time, step: float) -> str:
     )
 
 
-def picked(table: Table, time: Time, cycles: Cycles, rows: NDArray[np.int64]) -> Picked:
-    """The messages of a topic that has values in these rows, (k,), k > 0.
+def picked(table: Table, time: Time, cycles: Cycles, rows: NDArray[np.int64], most: int) -> Picked:
+    """The messages, at most so many, of a topic that has values in these rows, (k,), k > 0.
 
     Raises:
-        BadImport: two rows are in one cycle, or two are too far apart.
+        BadImport: two rows are in one cycle, or two are too far apart, or there would be too many.
     """
     at = cycles[rows]
     if time.grid in ("exact", "nearest"):
@@ -177,10 +175,10 @@ def picked(table: Table, time: Time, cycles: Cycles, rows: NDArray[np.int64]) ->
             )
             raise table.wrong(what, int(rows[k + 1]), time.column)
         return Picked(ticks + time.first_tick, np.arange(rows.size), None)
-    return _resampled(table, time, at, rows)
+    return _resampled(table, time, at, rows, most)
 
 
-def _resampled(table: Table, time: Time, at: Cycles, rows: NDArray[np.int64]) -> Picked:
+def _resampled(table: Table, time: Time, at: Cycles, rows: NDArray[np.int64], most: int) -> Picked:
     """A message in each cycle from the first row to the last."""
     wide = np.flatnonzero(np.diff(at) > time.gap_s * CYCLE_HZ * (1 + ROUNDING))
     if wide.size:
@@ -191,8 +189,8 @@ def _resampled(table: Table, time: Time, at: Cycles, rows: NDArray[np.int64]) ->
         )
         raise table.wrong(what, int(rows[k + 1]), time.column)
     first, last = np.ceil(at[0] - ROUNDING), np.floor(at[-1] + ROUNDING)
-    if last - first >= MOST_TICKS:
-        raise table.wrong(f"spans {last - first:.0f} cycles, more than {MOST_TICKS}; give it in parts")
+    if last - first >= most:
+        raise table.wrong(f"spans {last - first + 1:.0f} cycles, more than {most}; give it in parts")
     if last < first:
         raise table.wrong("no cycle is between the first row and the last; give more rows")
     ticks = np.arange(int(first), int(last) + 1)

@@ -261,6 +261,12 @@ def test_a_table_of_more_numbers_than_fit_is_refused() -> None:
         imported(table(), "t.parquet", (TIME + CURRENT).encode(), "m.toml", cells=10)
 
 
+def test_more_cycles_between_the_rows_than_fit_are_refused() -> None:
+    mapping = (TIME + 'grid = "hold"\ngap_s = 60\n' + CURRENT).encode()
+    with pytest.raises(BadImport, match="spans 2561 cycles, more than 20; give it in parts"):
+        imported(table(t=(0.0, 20.0, 40.0)), "t.parquet", mapping, "m.toml", cells=100)
+
+
 def test_the_command_line_refuses_with_status_2_and_writes_nothing(tmp_path: Path) -> None:
     (tmp_path / "t.parquet").write_bytes(table(t=(0.0, 0.5, 0.25)))
     (tmp_path / "m.toml").write_text(TIME + CURRENT)
