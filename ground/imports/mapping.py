@@ -17,6 +17,8 @@ from ground.imports.units import Conversion
 Grid = Literal["exact", "nearest", "hold", "linear"]
 TICK: Final = "tick"
 """The value that is the number of the cycle."""
+LAST_TICK: Final = 1 << 39
+"""A table may begin here and span as much: more ticks, in nanoseconds, do not fit a log. 272 years."""
 UNIT_NS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 
 
@@ -50,8 +52,8 @@ class Time:
             raise ValueError("time: unit and format are of a column; with rate_Hz leave them out")
         if self.unit is not None and self.format is not None:
             raise ValueError("time: unit is of numbers, format of text; give one of the two")
-        if not 0 <= self.first_tick < 1 << 40:
-            raise ValueError(f"time: first_tick {self.first_tick} must not be negative, nor beyond {1 << 40}")
+        if not 0 <= self.first_tick < LAST_TICK:
+            raise ValueError(f"time: first_tick {self.first_tick} is outside 0 .. {LAST_TICK}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,14 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ
-from ground.imports.mapping import UNIT_NS, Time
+from ground.imports.mapping import LAST_TICK, UNIT_NS, Time
 from ground.imports.table import Column, Table
 from ground.telemetry.format import TICK_NS
 
 Cycles = NDArray[np.float64]
 Ticks = NDArray[np.int64]
-LAST_TICK: Final = 1 << 39
-"""Beyond it a time in nanoseconds no longer fits a log: 272 years."""
 ROUNDING: Final = 1e-9
 """Relative to a cycle: a row this little beside a cycle is in it."""
 NEAR: Final = 0.02

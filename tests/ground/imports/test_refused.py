@@ -52,6 +52,7 @@ MAPPINGS = {
         "m.toml:3: unit: 'sec' is not known; there are s, ms, us, ns",
     ),
     "grid": (TIME + 'grid = "nearst"\n' + CURRENT, "did you mean nearest?"),
+    "first tick": (TIME + "first_tick = -1\n" + CURRENT, "first_tick -1 is outside 0 .. 549755813888"),
     "no channel": (TIME, "channel: is missing; write [[channel]]"),
     "unknown channel": (
         TIME + CURRENT.replace("current_A", "curent_A"),

@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 from ground.imports.job import Imported, imported
+from ground.imports.mapping import LAST_TICK
 from ground.imports.units import UNITS
+from ground.telemetry.format import TICK_NS
 
 GRID_S = np.arange(4) / 64
 
@@ -173,3 +175,7 @@ def test_a_channel_of_a_lower_rate_has_messages_where_it_has_values() -> None:
         "/imported/arm": [0, 1, 2, 3],
         "/imported/slow": [0, 2],
     }
+
+
+def test_the_last_tick_of_the_last_table_fits_a_log() -> None:
+    assert (2 * LAST_TICK) * TICK_NS < 2**64
