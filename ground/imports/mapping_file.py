@@ -1,8 +1,6 @@
 """Mappings from TOML, strictly: every problem at once, each with its line and with what would be right."""
 
 import math
-import re
-import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -17,7 +15,7 @@ from ground.imports.units import Conversion, known_units
 from sim.scenario.names import did_you_mean
 from sim.scenario.record import Findings, record_of, table_of
 from sim.scenario.tables import tables
-from sim.scenario.toml_lines import Place, lines_of
+from sim.scenario.toml_lines import NotToml, Place, parsed
 
 T = TypeVar("T")
 
@@ -54,24 +52,14 @@ def mapping_from(text: str, file: str, folder: Path) -> Mapping:
     if len(text) > MOST_BYTES:
         raise BadImport([f"{file}: has {len(text)} characters; a mapping has at most {MOST_BYTES}"])
     try:
-        data = tomllib.loads(text)
-        findings = Findings(lines_of(text))
-    except tomllib.TOMLDecodeError as error:
-        raise BadImport([_torn(file, text, str(error))]) from error
-    except (ValueError, RecursionError) as error:  # a number or a list without end
-        raise BadImport([f"{file}:1: is not TOML: {error}"]) from error
+        data, lines = parsed(text)
+    except NotToml as error:
+        raise BadImport([f"{file}:{error.line}: {error}"]) from error
+    findings = Findings(lines)
     mapping = _mapping(data, file, folder, findings)
     if mapping is None or findings.problems:
         raise BadImport(f"{file}:{p.line}: {p.text}" for p in sorted(findings.problems))
     return mapping
-
-
-def _torn(file: str, text: str, error: str) -> str:
-    """What Python's parser says, on the line that it says."""
-    said = re.fullmatch(r"(.*) \(at (?:line (\d+), column \d+|end of document)\)", error, re.DOTALL)
-    if said is None:
-        return f"{file}:1: is not TOML: {error}"
-    return f"{file}:{said[2] or text.count(chr(10)) + 1}: is not TOML: {said[1]}"
 
 
 def _mapping(data: dict[str, Any], file: str, folder: Path, findings: Findings) -> Mapping | None:
@@ -109,7 +97,7 @@ def _channel(table: dict[str, Any], place: Place, findings: Findings) -> Channel
     target = _target(said, table, place, findings)
     if target is None:
         return None
-    conversion = _conversion(said, target, constant is not None, place, findings)
+    conversion = _conversion(said, target, place, findings)
     gain, offset = (
         _per_column(name, getattr(said, name), target, place, findings) for name in ("gain", "offset")
     )
@@ -151,9 +139,7 @@ def _near(name: str) -> str:
     )
 
 
-def _conversion(
-    said: _Channel, target: Target, is_constant: bool, place: Place, findings: Findings
-) -> Conversion:
+def _conversion(said: _Channel, target: Target, place: Place, findings: Findings) -> Conversion:
     at = (*place, "unit")
     if target.members is not None:
         if said.unit is not None:
