@@ -23,6 +23,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from benchmarks.fuzz_import import import_once, import_seeds, mutate_import
 from benchmarks.mutate import Random, changed, changed_inside
 from benchmarks.recorded import recorded
 from ground.telemetry.errors import LogError
@@ -81,7 +82,10 @@ def mutate_log(random: Random, data: bytes) -> bytes:
     return (changed_inside if random.random() < 0.6 else changed)(random, data)
 
 
-TARGETS: Final = (Target("reader", fuzz_reader, log_seeds, mutate_log),)
+TARGETS: Final = (
+    Target("reader", fuzz_reader, log_seeds, mutate_log),
+    Target("importer", import_once, import_seeds, mutate_import),
+)
 
 
 @contextmanager

@@ -6,6 +6,7 @@ from itertools import cycle
 from pathlib import Path
 from typing import Final
 
+from fsw.config import configure
 from fsw.dictionary.commands import CalibrateAll
 from ground.telemetry.record import Recorder
 from sim.arms import arm_named
@@ -27,7 +28,8 @@ def hardstops(cycles: int) -> tuple[CycleRecord, ...]:
 
 def recorded(path: Path, cycles: int, chunk_s: float) -> Path:
     """A closed log of so many cycles."""
-    with Recorder(path, {"seed": "0", "arm": "nominal"}, chunk_s=chunk_s) as recorder:
+    config = configure(arm_named("nominal").params)
+    with Recorder(path, {"seed": "0", "arm": "nominal"}, config, chunk_s=chunk_s) as recorder:
         for tick, record in zip(range(cycles), cycle(hardstops(min(max(cycles, 1), PERIOD)))):
             recorder.write(replace(record, tick=tick))
     return path

@@ -20,10 +20,15 @@ class Sensors:
     cycle: int
     """The avionics' own count of cycles, from any number on: a step of more than one is a cycle missed."""
     encoder_count: Counts
+    """Of the motors, counted from anywhere."""
     resolver_rad: Floats
+    """Output angles."""
     current_A: Floats
+    """Of the motors, driving forward if positive."""
     winding_C: Floats
+    """Temperature of the motors' windings."""
     switch_closed: Flags
+    """Which contact switches touch."""
     gravity_R_m_s2: Floats
     """Gravity (downward pull) in the rover frame RMECH, from the rover's IMU."""
 
@@ -33,11 +38,15 @@ class Drive:
     """What flight software asks of the motor controllers and brakes; arrays in the order of Joint."""
 
     setpoint_count: Counts
+    """Where the motors are to be, in counts of their encoders."""
     setpoint_rate_rad_s: Floats
     """Output side, motor angle over gear ratio."""
     current_limit_A: Floats
+    """Most that each motor may draw."""
     power_on: Flags
+    """Which motor controllers have power."""
     brake_release: Flags
+    """Which brakes are to let go."""
     vibrate: bool
     """Whether the turret's vibration motor runs."""
 

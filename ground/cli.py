@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ground.cli_dictionary import dictionary
 from ground.cli_hardstop import hardstop
 from ground.cli_ik import ik, reach
+from ground.cli_import import import_log
 from ground.cli_log import log_app
 from ground.cli_parts import (
     ARM_SAFE,
@@ -121,6 +123,8 @@ app.command()(hardstop)
 app.command()(run)
 app.command()(scenarios)
 app.command()(replay)
+app.command()(dictionary)
+log_app.command("import")(import_log)
 app.add_typer(log_app, name="log")
 
 

@@ -11,10 +11,13 @@ class Truth:
     """The state of the plant at the start of a cycle; joint arrays in the order of Joint."""
 
     time_s: float
+    """Of the plant, since it was built."""
     motor_rad: NDArray[np.float64]
+    """Motor angle over gear ratio, zero at the true joint zero."""
     output_rad: NDArray[np.float64]
     """Motor angle + backlash + wind-up."""
     motor_torque_Nm: NDArray[np.float64]
+    """Of the motors, at the output."""
     p_RoTo_R_m: NDArray[np.float64]
     """Every tool's origin, in the order of Tool, shape (5, 3), in the rover frame RMECH."""
     R_RT: NDArray[np.float64]

@@ -41,6 +41,7 @@ class MoveJoint:
 
     joint: Joint
     angle_rad: float
+    """Of the output."""
     backlash: Backlash = "on"
 
 
@@ -59,6 +60,7 @@ class MoveJoints:
     """Move all joints to these output angles, synchronised and jerk-limited."""
 
     angle_rad: Joints5
+    """Of the outputs, order of Joint."""
     backlash: Backlash = "on"
     deflection: JointDeflection = "absolute"
     """Whether wind-up of the gears is allowed for."""
@@ -76,7 +78,9 @@ class MoveTool:
 
     tool: Tool
     p_FoTo_F_m: Vector3
+    """Where the tool's origin is to be."""
     approach_F: Vector3
+    """Direction that the tool's x axis is to have, of any length."""
     frame: str = ROVER
     """Frame F of position and approach: ROVER, or an arm frame or a tool as it is believed to stand."""
     straight: bool = False
@@ -95,7 +99,9 @@ class GuardedMove:
 
     tool: Tool
     end_p_RoTo_R_m: Vector3
+    """Where the tool stops at the latest."""
     approach_R: Vector3
+    """Direction of the tool's x axis, of any length."""
     backlash: Backlash = "on"
     deflection: Deflection = "absolute"
 
@@ -106,13 +112,17 @@ class PlaceTool:
 
     tool: Tool
     p_RoTo_R_m: Vector3
+    """The place."""
     approach_R: Vector3
+    """Direction of the tool's x axis, of any length."""
     standoff_m: float = 0.10
+    """How far before the place the guarded move begins."""
     overtravel_m: float = 0.05
     """How far beyond the place contact may be looked for."""
     backlash: Backlash = "on"
     deflection: Deflection = "absolute"
     branch: str = "AUTO"
+    """AUTO, or one of the names in kinematics.branches.BRANCHES."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +131,7 @@ class Preload:
 
     tool: Tool
     force_N: float
+    """Along the tool's axis."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,12 +144,15 @@ class ToolChange:
 
     tool: Tool
     standoff_m: float = 0.10
+    """How far the tools back off."""
     overtravel_m: float = 0.03
+    """How far beyond the spot contact may be looked for."""
     hover_m: float = 0.0
     """Distance at which to stop in front of the spot; 0 is to touch."""
     backlash: Backlash = "on"
     deflection: Deflection = "relative"
     branch: str = "AUTO"
+    """AUTO, or one of the names in kinematics.branches.BRANCHES."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,10 +160,13 @@ class MoveTeachPoint:
     """Move a tool to a point that was taught on this arm, or to a distance in front of it."""
 
     point: str
+    """Its name in the parameters."""
     away_m: float = 0.0
+    """Distance in front of the point."""
     along_gravity: bool = False
     """Whether the tool looks along gravity, and stands off against it, whatever way it looked when taught."""
     straight: bool = False
+    """Whether the tool moves in a straight line, turning evenly, or the joints move evenly."""
     backlash: Backlash = "on"
     deflection: Deflection = "absolute"
 
@@ -159,7 +176,9 @@ class Dock:
     """From in front of a taught point straight on, through it, until the tool touches."""
 
     point: str
+    """Its name in the parameters."""
     overtravel_m: float = 0.01
+    """How far beyond the point contact may be looked for."""
     backlash: Backlash = "on"
 
 
@@ -171,7 +190,9 @@ class Process:
     gravity_T: Vector3
     """Direction, in the tool's axes."""
     duration_s: float
+    """How long it is held."""
     vibrate: bool = True
+    """Whether the turret's vibration motor runs meanwhile."""
     backlash: Backlash = "on"
     deflection: JointDeflection = "absolute"
 
@@ -182,6 +203,7 @@ class Retract:
 
     tool: Tool
     distance_m: float
+    """How far."""
     backlash: Backlash = "on"
     deflection: Deflection = "absolute"
 
@@ -201,7 +223,9 @@ class SetParam:
     """Give one number of the parameters, by its dotted name, another value until boot."""
 
     name: str
+    """Such as monitors.tilt_rad."""
     value: float
+    """In the unit of the parameter."""
 
 
 @dataclass(frozen=True, slots=True)

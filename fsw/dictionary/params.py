@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from typing import Annotated
 
 from fsw.dictionary.commands import Joints5, Vector3
+from fsw.dictionary.limits import Angle, Length, Limits
+from fsw.dictionary.shapes import CollisionParams
 
 Row6 = tuple[float, float, float, float, float, float]
 Matrix6 = tuple[Row6, Row6, Row6, Row6, Row6, Row6]
@@ -17,27 +19,21 @@ RIGID: Matrix6 = (_NO_ROW, _NO_ROW, _NO_ROW, _NO_ROW, _NO_ROW, _NO_ROW)
 
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """The closed range in which a number is believable."""
-
-    low: float
-    high: float
-
-
-Length = Annotated[float, Limits(-5.0, 5.0)]
-Angle = Annotated[float, Limits(-6.5, 6.5)]
-
-
-@dataclass(frozen=True, slots=True)
 class Transform6:
     """The general link transform D = Rz(theta) Tz(d) Ry(beta) Ty(b) Rx(alpha) Tx(a), paper equation 1."""
 
     theta_rad: Angle = 0.0
+    """Turn about z; the angle of the link's joint is added to it."""
     d_m: Length = 0.0
+    """Way along z, after theta."""
     beta_rad: Angle = 0.0
+    """Turn about y, after d."""
     b_m: Length = 0.0
+    """Way along y, after beta."""
     alpha_rad: Angle = 0.0
+    """Turn about x, after b."""
     a_m: Length = 0.0
+    """Way along x, after alpha."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +41,9 @@ class Lump:
     """A point mass; its position is in the link frame, which turns with the link's joint."""
 
     mass_kg: Annotated[float, Limits(0.0, 200.0)] = 0.0
+    """Its mass."""
     com_m: Vector3 = (0.0, 0.0, 0.0)
+    """Where it is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +57,9 @@ class LinkParams:
 
     transform: Transform6
     elastic_centre_m: Vector3 = (0.0, 0.0, 0.0)
+    """Where the spring sits."""
     compliance: Matrix6 = RIGID
+    """What the spring gives, moment first; no units of one kind: rad/(N m), rad/N, m/(N m), m/N."""
     near: Lump = Lump()
     far: Lump = Lump()
     expansion_1_K: Row6 = _NO_ROW
@@ -111,10 +111,15 @@ class JointParams:
     """One joint and its actuator; angles, speeds and torques are those of the output."""
 
     gear_ratio: Annotated[float, Limits(1.0, 1e5)]
+    """Turns of the motor for one of the output."""
     encoder_counts_per_turn: Annotated[int, Limits(1, 65536)]
+    """Of the motor."""
     backlash_rad: Annotated[float, Limits(0.0, 0.02)]
+    """Full width of the gap, as drawn."""
     gear_stiffness_Nm_rad: Annotated[float, Limits(1e3, 1e8)]
+    """Of the wind-up between motor and output."""
     output_friction_Nm: Annotated[float, Limits(0.0, 200.0)]
+    """Torque that the output resists with before it turns."""
     load_error_Nm: Annotated[float, Limits(0.0, 100.0)]
     """How far the modelled load, less the friction of the output, may be from the true one on Mars."""
     torque_constant_Nm_A: Annotated[float, Limits(1.0, 1e4)]
@@ -122,16 +127,23 @@ class JointParams:
     hardstop_rad: Angle
     """Where the output meets its negative hardstop."""
     hardstop_stiffness_Nm_rad: Annotated[float, Limits(1e3, 1e8)]
+    """Of the hardstop itself, gear apart."""
     hardstop_press_Nm: Annotated[float, Limits(1.0, 2000.0)]
     """Torque beyond that of running at which a joint on its hardstop is to stall."""
     hardstop_rated_Nm: Annotated[float, Limits(1.0, 5000.0)]
     """Torque that the hardstop is made for."""
     soft_min_rad: Angle
+    """Lowest output angle that a move may ask for."""
     soft_max_rad: Angle
+    """Highest output angle that a move may ask for."""
     speed_rad_s: Annotated[float, Limits(1e-3, 0.1)]
+    """Highest speed of a move."""
     acceleration_rad_s2: Annotated[float, Limits(1e-3, 1.0)]
+    """Highest acceleration of a move."""
     jerk_rad_s3: Annotated[float, Limits(1e-3, 10.0)]
+    """Highest jerk of a move."""
     current_limit_A: Annotated[float, Limits(0.1, 20.0)]
+    """Most that the motor may draw in a move."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +184,7 @@ class HardstopParams:
     lead_rad: Annotated[float, Limits(1e-4, 2e-3)]
     """How far the set-point may be ahead of a motor that is held up."""
     stall_speed_share: Annotated[float, Limits(0.001, 0.5)]
+    """Of the speed that it seeks with; a motor that is slower may have stalled."""
     stall_time_s: Annotated[float, Limits(0.05, 10.0)]
     """A motor slower than this share of its speed for this long, at its current limit, has stalled."""
     window_rad: Annotated[float, Limits(1e-3, 0.1)]
@@ -187,8 +200,11 @@ class PoseParams:
     """Named arm poses and the way between them."""
 
     stowed_rad: Joints5
+    """The arm folded away; outputs."""
     unstow_via_rad: tuple[Joints5, ...]
+    """Outputs on the way from there to the ready pose, in order."""
     ready_rad: Joints5
+    """Where work begins and ends; outputs."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,9 +214,13 @@ class MotionParams:
     brake_delay_s: Annotated[float, Limits(0.02, 1.0)]
     """Time a brake takes to hold or let go, at most."""
     settle_error_rad: Annotated[float, Limits(1e-6, 1e-2)]
+    """How far from its set-point a motor at rest may be."""
     settle_rate_rad_s: Annotated[float, Limits(1e-7, 1e-2)]
+    """How fast a motor at rest may still turn."""
     settle_time_s: Annotated[float, Limits(0.0, 10.0)]
+    """How long both must hold."""
     settle_timeout_s: Annotated[float, Limits(0.1, 60.0)]
+    """How long it may take until they do."""
     stop_factor: Annotated[float, Limits(1.0, 100.0)]
     """A commanded stop may use this many times the acceleration of a move."""
     stowed_rad: Annotated[float, Limits(0.0, 0.2)]
@@ -210,13 +230,17 @@ class MotionParams:
     tool_speed_m_s: Annotated[float, Limits(1e-3, 1.0)]
     """No joint move takes the drill faster: what it hits unforeseen, it hits as hard as it is fast."""
     guarded_speed_m_s: Annotated[float, Limits(1e-4, 0.02)]
+    """Of the tool, while it looks for contact."""
     switch_force_N: Annotated[float, Limits(0.1, 50.0)]
     """At which a contact switch closes."""
     contact_firm_m: Annotated[float, Limits(0.0, 0.01)]
     """How far a guarded move goes on once a switch has closed, so that the tool stays in contact."""
     retract_speed_m_s: Annotated[float, Limits(1e-4, 0.05)]
+    """Of the tool, in straight moves that look for nothing."""
     line_acceleration_m_s2: Annotated[float, Limits(1e-4, 0.1)]
+    """Of the tool, in straight moves."""
     line_jerk_m_s3: Annotated[float, Limits(1e-4, 1.0)]
+    """Of the tool, in straight moves."""
     line_step_m: Annotated[float, Limits(1e-3, 0.1)]
     """Spacing of the inverse-kinematics knots of a straight move."""
     line_max_m: Annotated[float, Limits(0.01, 2.0)]
@@ -228,88 +252,19 @@ class MotionParams:
 
 
 @dataclass(frozen=True, slots=True)
-class Capsule:
-    """All points within a radius of a segment; from one end to the other."""
-
-    from_m: Vector3
-    to_m: Vector3
-    radius_m: Annotated[float, Limits(0.001, 1.0)]
-
-
-@dataclass(frozen=True, slots=True)
-class Box:
-    """A box along the axes of its frame, turned about z."""
-
-    centre_m: Vector3
-    half_m: Vector3
-    turn_rad: Angle = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class Shapes:
-    """What a part is inside of."""
-
-    capsules: tuple[Capsule, ...] = ()
-    boxes: tuple[Box, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
-class ArmShapes:
-    """The parts of the arm: links in their frames before their springs, the turret in Arm6, tools in theirs.
-
-    The housing of azimuth and elevation is not among them: it turns between the plates of its bracket.
-    """
-
-    link2: Shapes
-    link3: Shapes
-    link4: Shapes
-    link5: Shapes
-    turret: Shapes
-    drill: Shapes
-    drt: Shapes
-    mahli: Shapes
-    apxs: Shapes
-    portion: Shapes
-
-
-@dataclass(frozen=True, slots=True)
-class RoverShapes:
-    """The parts of the rover, in RMECH."""
-
-    chassis: Shapes
-    shoulder_bracket: Shapes
-    bit_box_1: Shapes
-    bit_box_2: Shapes
-    port_wheels: Shapes
-    starboard_wheels: Shapes
-    mast: Shapes
-    mast_head: Shapes
-    antenna: Shapes
-
-
-@dataclass(frozen=True, slots=True)
-class CollisionParams:
-    """What the arm is not to meet, and how far it keeps from it."""
-
-    padding_m: Annotated[float, Limits(0.0, 0.2)]
-    ground_z_m: Annotated[float, Limits(0.0, 5.0)]
-    """Height of level ground in RMECH; z points down."""
-    arm: ArmShapes
-    rover: RoverShapes
-
-
-@dataclass(frozen=True, slots=True)
 class PreloadParams:
     """How a tool is pressed on what it touches."""
 
     most_N: Annotated[float, Limits(1.0, 1000.0)]
     """The largest force that may be commanded."""
     rate_N_s: Annotated[float, Limits(0.1, 200.0)]
+    """How fast the force grows."""
     step_N: Annotated[float, Limits(0.1, 100.0)]
     """Spacing of the knots of an overdrive."""
     error_share: Annotated[float, Limits(0.0, 1.0)]
     """How far the true force may be from the believed one, as a share of it, but at least error_N."""
     error_N: Annotated[float, Limits(0.0, 100.0)]
+    """The least that the true force is taken to be off by."""
     guard_share: Annotated[float, Limits(0.05, 1.0)]
     """How far beyond the torque that a force takes the current limits are set, as a share of it."""
 
@@ -319,10 +274,15 @@ class TeachPoint:
     """A tool's place in RMECH as flight software believed it when the true tool was where it should be."""
 
     name: str
+    """What commands call it."""
     tool: str
+    """Which tool was taught, by its name in Tool."""
     p_RoTo_R_m: Vector3
+    """Where it was believed to be."""
     approach_R: Vector3
+    """Where it looked, as it was believed."""
     branch: str = "AUTO"
+    """Of the inverse kinematics; AUTO, or one of the names in kinematics.branches.BRANCHES."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -330,39 +290,51 @@ class MonitorParams:
     """Bounds of the monitors; a persistence is the number of cycles a bound must be passed in a row."""
 
     gravity_min_m_s2: Annotated[float, Limits(0.0, 10.0)]
+    """The least; a smaller reading is no gravity."""
     gravity_max_m_s2: Annotated[float, Limits(1.0, 30.0)]
     """Outside these a gravity reading is no gravity."""
     setpoint_step_factor: Annotated[float, Limits(1.0, 3.0)]
     """Largest change of a set-point in a cycle, in units of the joint's speed times the cycle."""
     following_error_rad: Annotated[float, Limits(1e-5, 0.1)]
+    """How far a motor may be from its set-point."""
     following_persistence: Annotated[int, Limits(1, 640)]
+    """For how long it must be farther."""
     soft_limit_margin_rad: Annotated[float, Limits(0.0, 0.03)]
     """Room beyond the soft limits of the output for wind-up and backlash of the motor angle."""
     over_current_fraction: Annotated[float, Limits(0.1, 1.0)]
     """Share of the joint's current limit."""
     over_current_persistence: Annotated[int, Limits(1, 640)]
+    """For how long a motor must draw more."""
     resolver_error_rad: Annotated[float, Limits(1e-4, 0.1)]
     """How far a resolver may be from the believed output, its bias and the unknown share of the gap apart."""
     resolver_persistence: Annotated[int, Limits(1, 640)]
+    """For how long a resolver must be off by more."""
     stall_share: Annotated[float, Limits(0.001, 0.9)]
     """A motor slower than this share of the speed that is asked for has stalled."""
     stall_error_rad: Annotated[float, Limits(1e-5, 0.1)]
     """A motor that is closer to its set-point is held up by friction, if at all."""
     stall_persistence: Annotated[int, Limits(1, 640)]
+    """For how long a motor must be slower."""
     winding_min_C: Annotated[float, Limits(-150.0, 50.0)]
+    """The coldest winding that may be moved."""
     winding_max_C: Annotated[float, Limits(0.0, 250.0)]
+    """The hottest winding that is tolerated."""
     winding_persistence: Annotated[int, Limits(1, 640)]
+    """For how long a winding must be outside these."""
     frozen_persistence: Annotated[int, Limits(2, 6400)]
+    """For how long a reading must stay the same to the last bit."""
     missed_cycles: Annotated[int, Limits(0, 64)]
     """Missed cycles in a row that are tolerated."""
     tilt_rad: Annotated[float, Limits(1e-3, 0.5)]
     """How far gravity may turn during a move, and be from what the ground set."""
     tilt_persistence: Annotated[int, Limits(1, 640)]
+    """For how long gravity must be turned by more."""
     contact_persistence: Annotated[int, Limits(1, 640)]
     """Cycles for which a tool that presses may have no switch closed."""
     preload_error_N: Annotated[float, Limits(1.0, 500.0)]
     """How far the force that the joints' wind-up tells may be from the one that is pressed with."""
     preload_persistence: Annotated[int, Limits(1, 640)]
+    """For how long the force must be off by more."""
     guarded_force_N: Annotated[float, Limits(1.0, 500.0)]
     """Force on a guarded tool, as the joints' wind-up tells it, while no switch of it is closed."""
 
@@ -372,6 +344,7 @@ class Params:
     """All parameters of flight software."""
 
     arm_name: str
+    """Whose parameters these are."""
     links: Links
     tools: Tools
     joints: Joints

@@ -7,7 +7,9 @@ from typing import Any, Final, get_type_hints
 
 import numpy as np
 
-from fsw.dictionary.params import CollisionParams, Limits, Matrix6, Params, Tools, Transform6
+from fsw.dictionary.limits import Limits
+from fsw.dictionary.params import Matrix6, Params, Tools, Transform6
+from fsw.dictionary.shapes import CollisionParams
 
 OF_COMPONENTS: Final = {"_m": Limits(-5.0, 5.0), "_1_K": Limits(-1e-4, 1e-4)}
 """For the components of every vector, by the unit in its name."""

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.joints import Tool
-from fsw.dictionary.params import ArmShapes, Box, Capsule, Params, RoverShapes, Shapes
+from fsw.dictionary.params import Params
+from fsw.dictionary.shapes import ArmShapes, Box, Capsule, RoverShapes, Shapes
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import IDENTITY, Array, Flags, Pose, cross, norm, rotation_z
 

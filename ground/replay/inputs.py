@@ -16,6 +16,8 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.validity import not_an_arm, out_of_limits
 from fsw.estimate.reference import Reference
 from fsw.messages import Sensors
+from ground.telemetry.format import COMMAND_TOPIC, TICK_NS
+from ground.telemetry.loss import Lost
 from ground.telemetry.plain import NotPlain, command_from, from_plain
 from ground.telemetry.read import Log
 from ground.telemetry.schema import KINDS
@@ -25,6 +27,8 @@ SENSOR_TOPIC: Final = "/sensors"
 SHAPES: Final = {"cycle": (), "switch_closed": (len(Switch),), "gravity_R_m_s2": (3,)}
 """Of one sensor reading, where it is not one a joint."""
 PER_JOINT: Final = (len(Joint),)
+GIVEN: Final = (None, SENSOR_TOPIC, COMMAND_TOPIC)
+"""Topics without which a replay ends; what is lost of the others is a difference of length."""
 NEEDED: Final = ("params", "params_sha256", "boot")
 
 
@@ -119,13 +123,20 @@ def _whole_ticks(log: Log, notes: list[str]) -> int:
         )
     gaps = np.flatnonzero(np.diff(ticks) != 1)
     end = len(ticks) if gaps.size == 0 else int(gaps[0]) + 1
+    notes += [f"recovered: {one.sentence}" for one in log.lost]
+    end = min(end, *(_last_before(one) + 1 for one in log.lost if one.topic in GIVEN), len(ticks))
     if end == len(ticks) and not log.truncated:
         return end
     if end == 1:
         raise NotReplayable(f"log {log.path}: holds no tick that is surely whole")
-    why = "the log was cut short" if end == len(ticks) else f"tick {end} is missing"
+    why = "the log was cut short" if end == len(ticks) else f"something after tick {end - 1} is missing"
     notes.append(f"{why}: replayed up to tick {end - 2}, the last that is surely whole")
     return end - 1
+
+
+def _last_before(lost: Lost) -> int:
+    """The tick of the last message of its topic before what was lost; with none, the first tick."""
+    return 0 if lost.after_ns is None else lost.after_ns // TICK_NS
 
 
 def _sensors(log: Log) -> dict[str, NDArray[Any]]:

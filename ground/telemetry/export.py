@@ -16,11 +16,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from ground.dictionary.units import unit_of
 from ground.outputs import BadOutput, check_output, written_whole
 from ground.telemetry.events import CommandEntry, EvrEntry
 from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, TICK_NS
 from ground.telemetry.inspect import NoSuchChannel, severity_name
-from ground.telemetry.notes import unit_of
 from ground.telemetry.read import Log
 
 Progress = Callable[[float, float, str], None]

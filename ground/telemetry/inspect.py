@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.evrs import Severity
+from ground.dictionary.units import unit_of
 from ground.telemetry.format import TICK_NS
-from ground.telemetry.notes import unit_of
 from ground.telemetry.read import Log
 
 MOST_S: Final = 9e9

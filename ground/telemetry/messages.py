@@ -3,7 +3,7 @@
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from mcap.records import Channel
@@ -11,7 +11,14 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from ground.telemetry.chunks import HEAD, MESSAGE_HEAD, Messages
-from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, LAYOUT_KEY, TRUTH_KEY
+from ground.telemetry.format import (
+    CHANNELS_KEY,
+    COMMAND_TOPIC,
+    DERIVED_KEY,
+    EVR_TOPIC,
+    LAYOUT_KEY,
+    TRUTH_KEY,
+)
 from ground.telemetry.schema import Layout
 
 
@@ -61,8 +68,6 @@ def _layout(rows: Any) -> Layout | None:
     return None if rows is None else Layout.from_json(json.dumps(rows))
 
 
-CHANNELS_KEY: Final = "channels"
-DERIVED_KEY: Final = "derived"
 Rows = Sequence[NDArray[np.int64]]
 """Which messages of each batch, shapes (n,)."""
 

@@ -19,10 +19,9 @@ from ground.telemetry.container import (
 )
 from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.events import CommandEntry, EvrEntry
-from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, HEADER_RECORD, TICK_NS
+from ground.telemetry.format import CHANNELS_KEY, COMMAND_TOPIC, EVR_TOPIC, HEADER_RECORD, TICK_NS
 from ground.telemetry.loss import RECOVERED_RECORD, LogDamaged, Lost, lost_in
 from ground.telemetry.messages import (
-    CHANNELS_KEY,
     Known,
     bodies_of,
     check_complete,

@@ -11,9 +11,9 @@ from mcap.writer import IndexType, Writer
 
 from ground.outputs import BadOutput, check_output, written_whole
 from ground.telemetry.errors import LogNotReadable
-from ground.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
+from ground.telemetry.format import CHANNELS_KEY, FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
 from ground.telemetry.loss import RECOVERED_RECORD, Lost, recovered_record
-from ground.telemetry.messages import CHANNELS_KEY, announced, known_channels
+from ground.telemetry.messages import announced, known_channels
 from ground.telemetry.read import bytes_of, log_from
 from ground.telemetry.salvage import Salvage, salvage
 

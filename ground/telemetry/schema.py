@@ -11,8 +11,10 @@ from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
 import numpy as np
 
 from fsw.dictionary.joints import Joint, Switch, Tool
+from fsw.dictionary.limits import Limits
+from ground.dictionary.source import field_texts
+from ground.dictionary.units import unit_of
 from ground.telemetry.errors import SchemaError
-from ground.telemetry.notes import docs_of, limits_of, unit_of
 
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 """CDR, XCDR1, little endian. Alignment counts from the byte after it."""
@@ -125,6 +127,16 @@ def note_of(name: str, hint: Any) -> str:
     return "; ".join(remarks)
 
 
+def shape_of(owner: type, name: str) -> Shape:
+    """The shape of an array field of a packet."""
+    return SHAPES.get(f"{owner.__name__}.{name}", PER_JOINT)
+
+
+def limits_of(hint: Any) -> Limits | None:
+    """The limits of an annotation; None if it has none."""
+    return next((one for one in get_args(hint)[1:] if isinstance(one, Limits)), None)
+
+
 def field_of(owner: type, name: str, hint: Any) -> Field:
     """The field that an annotation declares.
 
@@ -132,12 +144,12 @@ def field_of(owner: type, name: str, hint: Any) -> Field:
         SchemaError: the annotation has no fixed layout.
     """
     kind, where = bare(hint), f"{owner.__name__}.{name}"
-    note, doc = note_of(name, hint), docs_of(owner).get(name, "")
+    note, doc = note_of(name, hint), field_texts(owner).get(name, "")
     if get_origin(kind) is np.ndarray:
         scalar = np.dtype(get_args(get_args(kind)[1])[0])
         if scalar.kind not in "biuf" or scalar.itemsize > 8:
             raise SchemaError(f"{where}: an array of {scalar} has no ROS 2 type; use numbers or flags")
-        return Field(name, scalar.str, SHAPES.get(where, PER_JOINT), note, doc)
+        return Field(name, scalar.str, shape_of(owner, name), note, doc)
     if isinstance(kind, type) and issubclass(kind, IntEnum):
         return Field(name, "<i8", None, note, doc)
     if kind in KINDS:

@@ -9,7 +9,7 @@ from typing import Annotated, Final
 
 from fsw.dictionary.commands import Vector3
 from fsw.dictionary.joints import Tool
-from fsw.dictionary.params import Limits
+from fsw.dictionary.limits import Limits
 
 Number = Annotated[int, Limits(1, 1000)]
 """Of a command."""

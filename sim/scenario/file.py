@@ -1,7 +1,5 @@
 """Scenarios from TOML, strictly: every problem at once, each with its line and with what would be right."""
 
-import re
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from importlib import resources
@@ -12,8 +10,8 @@ from typing import Annotated, Any, Final, TypeVar
 import numpy as np
 
 from fsw.dictionary.commands import Command, Preload, SetParam, SetTilt
+from fsw.dictionary.limits import Limits
 from fsw.dictionary.modes import Mode
-from fsw.dictionary.params import Limits
 from fsw.executive.checks import beyond
 from fsw.executive.settings import params_with
 from sim.arms import UnknownArm, arm_named
@@ -26,7 +24,7 @@ from sim.scenario.modes import refusals
 from sim.scenario.names import did_you_mean, spoken
 from sim.scenario.record import Findings, Problem, record_of, table_of
 from sim.scenario.tables import check_direction, check_near, check_of, command_of, fault_of, tables, taught_of
-from sim.scenario.toml_lines import lines_of
+from sim.scenario.toml_lines import NotToml, parsed
 from sim.world import MAX_TILT_RAD, Scene, Surface, World
 
 T = TypeVar("T")
@@ -113,24 +111,14 @@ def scenario_from(text: str, name: str, file: str) -> Scenario:
         BadScenario: something in it is wrong; the message has every problem, by line.
     """
     try:
-        data = tomllib.loads(text)
-        findings = Findings(lines_of(text))
-    except tomllib.TOMLDecodeError as error:
-        raise BadScenario(file, [_torn(text, str(error))]) from error
-    except (ValueError, RecursionError) as error:  # a number or a list without end
-        raise BadScenario(file, [Problem(1, f"is not TOML: {error}")]) from error
+        data, lines = parsed(text)
+    except NotToml as error:
+        raise BadScenario(file, [Problem(error.line, str(error))]) from error
+    findings = Findings(lines)
     scenario = _scenario(data, name, findings)
     if scenario is None or findings.problems:
         raise BadScenario(file, findings.problems)
     return scenario
-
-
-def _torn(text: str, error: str) -> Problem:
-    """What Python's parser says, on the line that it says."""
-    said = re.fullmatch(r"(.*) \(at (?:line (\d+), column \d+|end of document)\)", error, re.DOTALL)
-    if said is None:
-        return Problem(1, f"is not TOML: {error}")
-    return Problem(int(said[2]) if said[2] else text.count("\n") + 1, f"is not TOML: {said[1]}")
 
 
 def _scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario | None:
@@ -138,7 +126,7 @@ def _scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario |
     world = _world(data, findings)
     taught = [taught_of(table, place, findings) for place, table in tables(data, "teach", findings)]
     _check_taught(taught, findings)
-    points = {point.name: point for point in taught if point is not None}
+    points = {point.name: point.tool for point in taught if point is not None}
     asked = list(tables(data, "command", findings))
     commands = [command_of(table, place, findings, points) for place, table in asked]
     touchable = world is None or world.surface is not None

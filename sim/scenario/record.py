@@ -5,9 +5,9 @@ from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from enum import IntEnum
 from types import UnionType
-from typing import Annotated, Any, Final, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from fsw.dictionary.params import Limits
+from fsw.dictionary.limits import Limits
 from sim.scenario.names import Words, did_you_mean, one_of, spoken, words_of
 from sim.scenario.toml_lines import Place
 
@@ -156,16 +156,26 @@ def _read(kind: Any, value: Any, factor: float, choices: tuple[str, ...] | None)
     if isinstance(kind, type) and issubclass(kind, IntEnum):
         return kind[_chosen(tuple(member.name.lower() for member in kind), value).upper()]
     if get_origin(kind) is tuple:
-        count = len(get_args(kind))
-        if not isinstance(value, list) or len(value) != count:
-            raise _Wrong(f"{_shown(value)} is not {count} numbers in brackets")
-        return tuple(_number(item, factor) for item in value)
+        return _items(get_args(kind), value, factor)
     raise TypeError(f"a scenario file has no words for {kind}")
+
+
+def _items(kinds: tuple[Any, ...], value: Any, factor: float) -> tuple[Any, ...]:
+    """So many values, or one and more where the type ends in three dots."""
+    if kinds[-1] is Ellipsis:
+        if not isinstance(value, list) or not value:
+            raise _Wrong(f"{_shown(value)} is not one value or more in brackets")
+        kinds = kinds[:1] * len(value)
+    elif not isinstance(value, list) or len(value) != len(kinds):
+        raise _Wrong(
+            f"{_shown(value)} is not {len(kinds)} {'flags' if kinds[0] is bool else 'numbers'} in brackets"
+        )
+    return tuple(_read(kind, item, factor, None) for kind, item in zip(kinds, value, strict=True))
 
 
 def _plain(kind: Any) -> Any:
     """The type without its limits, and without None: what is left out has its default."""
-    while get_origin(kind) in (Annotated, UnionType):
+    while get_origin(kind) in (Annotated, UnionType, Union):
         kind = get_args(kind)[0]
     return kind
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from fsw.dictionary.commands import ROVER, Command, Dock, Vector3
 from fsw.dictionary.faults import Fault
-from fsw.dictionary.joints import SWITCHES_OF
-from fsw.dictionary.params import Limits
+from fsw.dictionary.joints import SWITCHES_OF, Tool
+from fsw.dictionary.limits import Limits
 from fsw.dictionary.tuples import vector3
 from fsw.executive.checks import FRAMES as COMMAND_FRAMES
 from fsw.executive.checks import MoveCommand, malformed, malformed_direction
@@ -85,9 +85,9 @@ def check_direction(name: str, direction: Vector3, place: Place, findings: Findi
 
 
 def command_of(
-    table: dict[str, Any], place: Place, findings: Findings, points: Mapping[str, Taught]
+    table: dict[str, Any], place: Place, findings: Findings, points: Mapping[str, Tool]
 ) -> Command | None:
-    """A command, its positions in RMECH, or None and problems; `points` are the taught places by name."""
+    """A command, its positions in RMECH, or None and problems; `points` are the taught places' tools."""
     kind = kind_of(COMMANDS, table, place, findings)
     if kind is None:
         return None
@@ -109,8 +109,8 @@ def command_of(
         changed["frame"] = ROVER if frame in ROVER_FRAMES else frame
     command = replace(command, **changed)
     problem = malformed(command) if isinstance(command, MoveCommand) else None
-    if isinstance(command, Dock) and not SWITCHES_OF[points[command.point].tool]:
-        problem = f"the {points[command.point].tool.name.lower()} has no contact switch to dock with"
+    if isinstance(command, Dock) and not SWITCHES_OF[points[command.point]]:
+        problem = f"the {points[command.point].name.lower()} has no contact switch to dock with"
     if problem is not None:
         findings.say(place, f"{table[TYPE]}: {problem}")
     return command

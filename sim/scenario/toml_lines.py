@@ -1,8 +1,8 @@
-"""On which line of a TOML file a value stands: what Python's parser knows and does not tell."""
+"""TOML with the line of every value: what Python's parser knows and does not tell."""
 
 import re
 import tomllib
-from typing import Final
+from typing import Any, Final
 
 Place = tuple[str | int, ...]
 """The keys and indices that lead to a value."""
@@ -15,6 +15,31 @@ _STRING: Final = re.compile(
     re.DOTALL,
 )
 _OTHER: Final = re.compile(r"[^,\]\}\n#]*")
+
+
+class NotToml(ValueError):
+    """A text that is no TOML; `line` is where, from 1."""
+
+    def __init__(self, line: int, why: str):
+        super().__init__(f"is not TOML: {why}")
+        self.line = line
+
+
+def parsed(text: str) -> tuple[dict[str, Any], dict[Place, int]]:
+    """What a text says, and the line of every key, table and element of it.
+
+    Raises:
+        NotToml: Python's parser does not take it.
+    """
+    try:
+        return tomllib.loads(text), lines_of(text)
+    except tomllib.TOMLDecodeError as error:
+        said = re.fullmatch(r"(.*) \(at (?:line (\d+), column \d+|end of document)\)", str(error), re.DOTALL)
+        if said is None:
+            raise NotToml(1, str(error)) from error
+        raise NotToml(int(said[2]) if said[2] else text.count("\n") + 1, said[1]) from error
+    except (ValueError, RecursionError) as error:  # a number or a list without end
+        raise NotToml(1, str(error)) from error
 
 
 def lines_of(text: str) -> dict[Place, int]:

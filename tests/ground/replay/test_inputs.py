@@ -10,6 +10,7 @@ from fsw.dictionary.joints import Joint
 from ground.replay.inputs import NotReplayable, inputs_in
 from ground.telemetry.events import CommandEntry
 from ground.telemetry.format import TICK_NS
+from ground.telemetry.loss import Lost
 from ground.telemetry.read import Log, read_log
 from tests.replay.remake import FOLDER
 
@@ -109,7 +110,31 @@ def test_a_log_cut_short_is_replayed_to_the_last_tick_that_is_surely_whole():
 def test_a_gap_ends_the_replay():
     inputs = inputs_in(with_sensor_ticks(np.concatenate([np.arange(20), np.arange(30, 50)])))
     assert inputs.ticks == 19
-    assert inputs.notes == ("tick 20 is missing: replayed up to tick 18, the last that is surely whole",)
+    assert inputs.notes == (
+        "something after tick 19 is missing: replayed up to tick 18, the last that is surely whole",
+    )
+
+
+@pytest.mark.parametrize(
+    ("topic", "after_tick", "ticks"),
+    [
+        ("/command", None, None),
+        ("/command", 40, 40),
+        (None, 30, 30),
+        ("/sensors", 20, 20),
+        ("/evr", 5, TICKS),
+    ],
+)
+def test_a_recovered_log_is_replayed_up_to_what_was_lost_of_what_went_in(topic, after_tick, ticks):
+    lost = Lost(topic, 1, None if after_tick is None else after_tick * TICK_NS, None)
+    recovered = replace(LOG, lost=(lost,))
+    if ticks is None:
+        with pytest.raises(NotReplayable, match="no tick that is surely whole"):
+            inputs_in(recovered)
+    else:
+        inputs = inputs_in(recovered)
+        assert inputs.ticks == ticks
+        assert inputs.notes[0] == f"recovered: {lost.sentence}"
 
 
 def test_parameters_that_were_not_known_then_are_todays_and_told():

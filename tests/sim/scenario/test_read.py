@@ -48,8 +48,6 @@ SAMPLES = {
     "kind": "biased",
 }
 
-INLET = Taught("inlet", Tool.DRILL, (2.0, 0.0, -0.5), (0.0, 0.0, 1.0))
-
 
 def scenario(text: str) -> Scenario:
     return scenario_from(HEAD + text, "test", "test.toml")
@@ -57,7 +55,7 @@ def scenario(text: str) -> Scenario:
 
 def command(**table: object) -> Command:
     findings = Findings(NOTHING_FOUND)
-    found = command_of(table, (), findings, {"inlet": INLET})
+    found = command_of(table, (), findings, {"inlet": Tool.DRILL})
     assert not findings.problems
     assert found is not None
     return found

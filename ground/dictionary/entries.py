@@ -1,0 +1,218 @@
+"""The dictionary: every command, EVR, channel and parameter, read from the classes of flight software."""
+
+from collections.abc import Iterator
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from enum import IntEnum
+from types import NoneType, UnionType
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from fsw.dictionary import commands, evrs, faults
+from fsw.dictionary.commands import Command
+from fsw.dictionary.evrs import Evr
+from fsw.dictionary.faults import Fault
+from fsw.dictionary.limits import Limits
+from fsw.dictionary.params import Params
+from fsw.dictionary.validity import OF_COMPONENTS
+from fsw.protect.responses import RESPONSE_TO
+from ground.dictionary.source import alias_texts, class_text, field_texts
+from ground.dictionary.units import unit_of
+from ground.telemetry.events import as_json
+from ground.telemetry.schema import shape_of
+from ground.telemetry.topics import PACKET_TOPICS, Topic
+from sim.params import nominal_params
+from sim.scenario.names import upper_snake
+
+
+@dataclass(frozen=True, slots=True)
+class FieldEntry:
+    """One number, flag, name or array of them."""
+
+    name: str
+    type: str
+    unit: str | None
+    """None for what has none: a flag, a name, text."""
+    low: float | None
+    high: float | None
+    text: str
+    default: Any = None
+    """Of an argument, its default; of a parameter, its nominal value; None where there is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A command, an EVR or a packet of channels, with its fields."""
+
+    name: str
+    text: str
+    fields: tuple[FieldEntry, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class CommandEntry(Entry):
+    """A command has another name in scenario files."""
+
+    scenario_name: str
+
+
+@dataclass(frozen=True, slots=True)
+class EvrEntry(Entry):
+    """An EVR also says how much it matters."""
+
+    severity: str
+    message: str
+    response: str | None
+    """What is done about it, if it is a fault."""
+
+
+@dataclass(frozen=True, slots=True)
+class PacketEntry(Entry):
+    """A packet is a topic of a log; truth is the plant's own, which flight software never sees."""
+
+    is_truth: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Dictionary:
+    """All words that flight and ground share."""
+
+    commands: tuple[CommandEntry, ...]
+    evrs: tuple[EvrEntry, ...]
+    packets: tuple[PacketEntry, ...]
+    parameters: tuple[FieldEntry, ...]
+
+
+def dictionary() -> Dictionary:
+    """The dictionary of this version."""
+    return Dictionary(
+        commands=tuple(_command(kind) for kind in get_args(Command)),
+        evrs=tuple(_evr(kind) for kind in _events()),
+        packets=tuple(_packet(topic) for topic, _ in PACKET_TOPICS),
+        parameters=tuple(_parameters(Params, nominal_params(), "")),
+    )
+
+
+def _command(kind: type) -> CommandEntry:
+    return CommandEntry(kind.__name__, class_text(kind), tuple(_fields(kind)), upper_snake(kind))
+
+
+def _events() -> Iterator[type[Evr]]:
+    """Every event, in the order of the source."""
+    for module in (evrs, faults):
+        for kind in vars(module).values():
+            is_event = isinstance(kind, type) and issubclass(kind, Evr) and kind not in (Evr, Fault)
+            if is_event and kind.__module__ == module.__name__:
+                yield kind
+
+
+def _evr(kind: type[Evr]) -> EvrEntry:
+    response = RESPONSE_TO.get(kind) if issubclass(kind, Fault) else None
+    return EvrEntry(
+        name=kind.__name__,
+        text=class_text(kind),
+        fields=tuple(_fields(kind)),
+        severity=kind.severity.name,
+        message=kind.text,
+        response=None if response is None else response.value,
+    )
+
+
+def _packet(topic: Topic) -> PacketEntry:
+    told = tuple(one for one in _fields(topic.packet) if one.name in topic.field_names)
+    return PacketEntry(topic.name, class_text(topic.packet), told, topic.is_truth)
+
+
+def _fields(kind: type) -> Iterator[FieldEntry]:
+    """The fields of a command, an EVR or a packet."""
+    hints = get_type_hints(kind, include_extras=True)
+    for field in fields(kind):
+        default = None if field.default is MISSING else as_json(field.default)
+        yield _field(kind, field.name, hints[field.name], field.name, default)
+
+
+def _parameters(kind: type, nominal: Any, place: str) -> Iterator[FieldEntry]:
+    """The numbers and names below a parameter group, by dotted name; * is any element of a list."""
+    hints = get_type_hints(kind, include_extras=True)
+    for field in fields(kind):
+        name, hint = f"{place}{field.name}", hints[field.name]
+        value = None if nominal is None else getattr(nominal, field.name)
+        if is_dataclass(hint) and isinstance(hint, type):
+            yield from _parameters(hint, value, f"{name}.")
+        elif get_origin(hint) is tuple and is_dataclass(get_args(hint)[0]):
+            yield from _parameters(get_args(hint)[0], None, f"{name}.*.")
+        else:
+            yield _field(kind, field.name, hint, name, None if value is None else as_json(value))
+
+
+def _field(kind: type, own: str, hint: Any, name: str, default: Any) -> FieldEntry:
+    unit = unit_of(own) if is_number(hint) else None
+    limits = _limits(kind, own, hint)
+    text = field_texts(kind).get(own) or _text_of_type(kind, own)
+    low, high = (None, None) if limits is None else (limits.low, limits.high)
+    return FieldEntry(name, type_name(kind, own, hint), unit, low, high, text, default)
+
+
+def _limits(kind: type, name: str, hint: Any) -> Limits | None:
+    """The limits of a number, or those of each component of a parameter's vector."""
+    own = (one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Limits))
+    of_vector = (limits for unit, limits in OF_COMPONENTS.items() if name.endswith(unit))
+    is_vector = get_origin(hint) is tuple and kind.__module__ != commands.__name__
+    return next(own, None) or (next(of_vector, None) if is_vector else None)
+
+
+def _text_of_type(kind: type, name: str) -> str:
+    """What is said of the type: of an enumeration, or of a name such as Backlash."""
+    hint = get_type_hints(kind)[name]
+    if isinstance(hint, type) and issubclass(hint, IntEnum):
+        return class_text(hint)
+    return alias_texts(commands.__name__).get(str(_alias(kind, name)), "")
+
+
+def _alias(kind: type, name: str) -> str | None:
+    """The name of the command argument's type, where commands.py has given it one."""
+    values = {value: alias for alias, value in vars(commands).items() if get_origin(value) is Literal}
+    return values.get(get_type_hints(kind)[name])
+
+
+def is_number(hint: Any) -> bool:
+    """Whether an annotation is of numbers that a unit could be of."""
+    kind = _bare(hint)
+    if get_origin(kind) is np.ndarray:
+        return get_args(get_args(kind)[1])[0] is not np.bool_
+    if get_origin(kind) is tuple:
+        return is_number(get_args(kind)[0])
+    return kind in (int, float)
+
+
+def type_name(owner: type, name: str, hint: Any) -> str:
+    """A type in words that say how many there are of what."""
+    kind = _bare(hint)
+    if get_origin(kind) is np.ndarray:
+        shape = ", ".join(map(str, shape_of(owner, name)))
+        return f"{np.dtype(get_args(get_args(kind)[1])[0]).name}[{shape}]"
+    if get_origin(kind) is tuple:
+        return _tuple_name(kind)
+    if get_origin(kind) is Literal:
+        return " | ".join(map(str, get_args(kind)))
+    if isinstance(kind, type) and issubclass(kind, IntEnum):
+        return " | ".join(member.name for member in kind)
+    return {str: "text", bool: "flag", int: "int", float: "float"}[kind]
+
+
+def _tuple_name(kind: Any) -> str:
+    """float[3] of three numbers, float[6, 6] of six by six, with ... for any number."""
+    sizes = []
+    while get_origin(kind) is tuple:
+        arguments = get_args(kind)
+        sizes.append("..." if arguments[-1] is Ellipsis else str(len(arguments)))
+        kind = arguments[0]
+    return f"{kind.__name__}[{', '.join(sizes)}]"
+
+
+def _bare(hint: Any) -> Any:
+    while get_origin(hint) is Annotated:
+        hint = get_args(hint)[0]
+    if get_origin(hint) is UnionType:
+        return next(one for one in get_args(hint) if one is not NoneType)
+    return hint

@@ -1,0 +1,120 @@
+"""The dictionary as tables for people, as a document for programs, and as Markdown."""
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict
+from typing import Any, Final
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from ground.dictionary.entries import Dictionary, Entry, EvrEntry, FieldEntry, PacketEntry
+
+COLUMNS: Final = ("name", "type", "unit", "limits", "default", "text")
+FIELD: Final = re.compile(r"\{e\.(\w+)[^}]*\}")
+"""Of an EVR's text: what is filled in, and how it is written."""
+
+
+def dictionary_json(whole: Dictionary) -> dict[str, Any]:
+    """The dictionary as a JSON document."""
+    return asdict(whole)
+
+
+def dictionary_tables(whole: Dictionary) -> None:
+    """Print the dictionary section by section: a heading and a sentence for each entry, then its fields."""
+    console = Console(highlight=False)
+    for title, entries in _sections(whole):
+        console.rule(title, align="left")
+        for entry in entries:
+            console.print(f"\n[bold]{escape(_heading(entry))}[/bold]  {escape(_sentence(entry))}")
+            if entry.fields:
+                console.print(_table(entry.fields))
+    if whole.parameters:
+        console.rule("parameters", align="left")
+        console.print(_table(whole.parameters))
+
+
+def dictionary_markdown(whole: Dictionary) -> str:
+    """The dictionary as a Markdown page."""
+    return "\n".join(_markdown(whole)) + "\n"
+
+
+def _markdown(whole: Dictionary) -> Iterator[str]:
+    yield "# Dictionary"
+    for title, entries in _sections(whole):
+        yield f"\n## {title.capitalize()}"
+        for entry in entries:
+            yield f"\n### {_heading(entry)}\n{_sentence(entry)}"
+            if entry.fields:
+                yield from _markdown_table(entry.fields)
+    if whole.parameters:
+        yield "\n## Parameters"
+        yield from _markdown_table(whole.parameters)
+
+
+def _markdown_table(fields: Iterable[FieldEntry]) -> Iterator[str]:
+    yield f"\n| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}"
+    for one in fields:
+        yield "| " + " | ".join(cell.replace("|", "\\|").replace("*", "\\*") for cell in _cells(one)) + " |"
+
+
+def _sections(whole: Dictionary) -> Iterator[tuple[str, tuple[Entry, ...]]]:
+    sections: dict[str, tuple[Entry, ...]] = {
+        "commands": whole.commands,
+        "event reports": whole.evrs,
+        "channels": whole.packets,
+    }
+    yield from ((title, entries) for title, entries in sections.items() if entries)
+
+
+def _heading(entry: Entry) -> str:
+    match entry:
+        case EvrEntry():
+            return f"{entry.name} ({entry.severity})"
+        case PacketEntry(is_truth=True):
+            return f"{entry.name} (truth: the plant's own; flight software never sees it)"
+        case _:
+            return entry.name
+
+
+def _sentence(entry: Entry) -> str:
+    text = " ".join(entry.text.split())
+    if not isinstance(entry, EvrEntry):
+        return text
+    done = "" if entry.response is None else f" Response: {entry.response}."
+    message = FIELD.sub(r"{\1}", entry.message)
+    return f'{text} "{message}"{done}'
+
+
+def _table(fields: Iterable[FieldEntry]) -> Table:
+    table = Table(show_edge=False, pad_edge=False)
+    rows = [_cells(one) for one in fields]
+    used = [k for k in range(len(COLUMNS)) if any(row[k] for row in rows)]
+    for k in used:
+        table.add_column(COLUMNS[k], overflow="fold")
+    for row in rows:
+        table.add_row(*(escape(row[k]) for k in used))
+    return table
+
+
+def _cells(one: FieldEntry) -> tuple[str, ...]:
+    limits = "" if one.low is None or one.high is None else f"{one.low:g} .. {one.high:g}"
+    return one.name, one.type, one.unit or "", limits, _shown(one.default), " ".join(one.text.split())
+
+
+def _shown(default: Any) -> str:
+    """A default, unless it is too long for a table."""
+    match default:
+        case None:
+            return ""
+        case bool():
+            return "yes" if default else "no"
+        case float():
+            return f"{default:.6g}"
+        case list() if len(default) > 6 or any(isinstance(item, list) for item in default):
+            return "..."
+        case list():
+            return " ".join(_shown(item) for item in default)
+        case _:
+            return str(default)
