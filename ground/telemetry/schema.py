@@ -119,7 +119,7 @@ class Layout:
 def note_of(name: str, hint: Any) -> str:
     """Unit, limits and names of the values of a field, as far as there are any."""
     unit, limits, kind = unit_of(name), limits_of(hint), bare(hint)
-    remarks = [] if unit is None else [f"[{unit}]"]
+    remarks = [] if unit in (None, "1") else [f"[{unit}]"]
     if limits is not None:
         remarks.append(f"{limits.low:g} .. {limits.high:g}")
     if isinstance(kind, type) and issubclass(kind, IntEnum):
@@ -144,7 +144,7 @@ def field_of(owner: type, name: str, hint: Any) -> Field:
         SchemaError: the annotation has no fixed layout.
     """
     kind, where = bare(hint), f"{owner.__name__}.{name}"
-    note, doc = note_of(name, hint), field_texts(owner).get(name, "")
+    note, doc = note_of(name, hint), " ".join(field_texts(owner).get(name, "").split())
     if get_origin(kind) is np.ndarray:
         scalar = np.dtype(get_args(get_args(kind)[1])[0])
         if scalar.kind not in "biuf" or scalar.itemsize > 8:

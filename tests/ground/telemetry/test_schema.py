@@ -95,28 +95,11 @@ def test_the_ros_text_is_legal_for_foxglove_and_keeps_names_units_limits_and_doc
         "float64 current_a  # current_A; [A]; -2 .. 2.5",
         "float64[9] r_rt  # R_RT; row by row, shape (3, 3)",
         "float32[1] level",
-        "int16[2] count",
+        "int16[2] count  # [count]",
         "# Whether it is, all of it.",
         "bool valid",
         "bool[3] switch",
     ]
-
-
-@pytest.mark.parametrize(
-    ("name", "unit"),
-    [
-        ("encoder_count", "counts"),
-        ("gravity_R_m_s2", "m/s^2"),
-        ("p_RoTo_R_m", "m"),
-        ("setpoint_rate_rad_s", "rad/s"),
-        ("kinetic_energy_J", "J"),
-        ("winding_C", "degC"),
-        ("gap_side", None),
-        ("s", None),
-    ],
-)
-def test_a_unit_is_the_suffix_of_a_name(name: str, unit: str | None) -> None:
-    assert schema.unit_of(name) == unit
 
 
 def test_a_layout_survives_its_json() -> None:
