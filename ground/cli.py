@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ground.cli_budget import budget
 from ground.cli_hardstop import hardstop
 from ground.cli_ik import ik, reach
 from ground.cli_parts import (
@@ -118,6 +119,7 @@ app.command()(reach)
 app.command()(hardstop)
 app.command()(run)
 app.command()(scenarios)
+app.command()(budget)
 
 
 def _finish(report: "PlaceReport") -> None:
