@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ground.cli_budget import budget
 from ground.cli_dictionary import dictionary
 from ground.cli_hardstop import hardstop
 from ground.cli_ik import ik, reach
@@ -126,6 +127,7 @@ app.command()(replay)
 app.command()(dictionary)
 log_app.command("import")(import_log)
 app.add_typer(log_app, name="log")
+app.command()(budget)
 
 
 def _finish(report: "PlaceReport") -> None:

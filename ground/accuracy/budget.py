@@ -1,0 +1,104 @@
+"""The error budget: what every source, at every frame, makes of the tool's error over the workspace."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import Final
+
+import numpy as np
+
+from fsw.dictionary.joints import Tool
+from fsw.kinematics.arm import Arm
+from fsw.kinematics.transforms import Array, Flags
+from ground.accuracy.combine import (
+    Bounds,
+    bounds,
+    covariance_rule,
+    paper_rule,
+    root_sum_square,
+    shares,
+    worst_case,
+)
+from ground.accuracy.poses import Poses, workspace_poses
+from ground.accuracy.propagate import Sensitivity, sensitivity
+from ground.accuracy.sources import Case, ErrorModel
+
+COVERAGE: Final = 0.9973
+"""Three sigma of a normal error; and the share of the poses whose bound is within what is reported."""
+
+Progress = Callable[[float, float, str], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ToolBudget:
+    """What the errors of one tool stay within, pose by pose."""
+
+    poses: Poses
+    by_rule: Mapping[str, Bounds]
+    """paper (equation 13), worst case (10), root sum square (11), covariance (ours)."""
+    share_m: Array
+    """Of every source at every frame in the total by the paper's rule, mean over the poses, (sources, 7)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Budget:
+    """The budget of a case."""
+
+    name: str
+    case: Case
+    tools: Mapping[Tool, ToolBudget]
+
+    def estimate(self, rule: str, component: str) -> float:
+        """What 99.73 % of all poses stay within, in metres or radians."""
+        values = [getattr(tool.by_rule[rule], component) for tool in self.tools.values()]
+        return float(np.quantile(np.concatenate(values), COVERAGE))
+
+    @property
+    def share_m(self) -> Array:
+        """Over all poses of all tools, (sources, 7)."""
+        counts = [tool.poses.output_rad.shape[1] for tool in self.tools.values()]
+        return np.asarray(np.average([tool.share_m for tool in self.tools.values()], axis=0, weights=counts))
+
+
+def budget(
+    model: ErrorModel,
+    names: tuple[str, ...],
+    arm: Arm,
+    gravity_R_m_s2: Array,
+    tools: tuple[Tool, ...],
+    count: int,
+    seed: int,
+    progress: Progress,
+) -> dict[str, Budget]:
+    """The budgets of some cases, at so many poses in all, shared evenly by the tools."""
+    found: dict[str, dict[Tool, ToolBudget]] = {name: {} for name in names}
+    for k, tool in enumerate(tools):
+        progress(k, len(tools), tool.name.lower())
+        poses = workspace_poses(arm, tool, gravity_R_m_s2, -(-count // len(tools)), seed)
+        moved = sensitivity(arm, poses, gravity_R_m_s2)
+        for name in names:
+            found[name][tool] = _tool_budget(model, model.case[name], poses, moved)
+    return {name: Budget(name, model.case[name], found[name]) for name in names}
+
+
+def _tool_budget(model: ErrorModel, case: Case, poses: Poses, moved: Sensitivity) -> ToolBudget:
+    u, at_limit = by_source(model, case, moved)
+    covariance = sum(
+        (factor**2 * moved.covariance(model.source[name]) for name, factor in case.sources.items()),
+        np.zeros((6, 6, u.shape[-1])),
+    )
+    rules = {
+        "paper": bounds(paper_rule(u, at_limit)),
+        "worst case": bounds(worst_case(u)),
+        "root sum square": bounds(root_sum_square(u)),
+        "covariance": covariance_rule(covariance, COVERAGE),
+    }
+    return ToolBudget(poses, rules, shares(u, at_limit).mean(axis=-1))
+
+
+def by_source(model: ErrorModel, case: Case, moved: Sensitivity) -> tuple[Array, Flags]:
+    """Errors (sources, 6, 7, n) of a case, and which sources are at their limits."""
+    u = [factor * moved.by_frame(model.source[name]) for name, factor in case.sources.items()]
+    return np.array(u), np.array([model.source[name].at_limit for name in case.sources])
+
+
+COMPONENTS: Final = tuple(field.name for field in fields(Bounds))

@@ -1,0 +1,94 @@
+"""The error budget as it is asked for on the command line."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from fsw.config import digest
+from fsw.dictionary.joints import Tool
+from fsw.kinematics.arm import arm_from
+from ground.accuracy.budget import Budget, Progress, budget
+from ground.accuracy.paper import TABLE_3, TABLE_4, Row
+from ground.accuracy.reproduce import Reproduced, reproduce
+from ground.accuracy.sources import ErrorModel, error_model
+from ground.outputs import BadOutput, check_output
+from ground.request import BadRequest, check_apart, check_seed, chosen_arm, tilted_world
+
+ALL: Final = "all"
+POSES: Final = (100, 200_000)
+"""At least, at most."""
+
+
+@dataclass(frozen=True, slots=True)
+class BudgetRequest:
+    """What is asked."""
+
+    case: str = ALL
+    tool: str = ALL
+    poses: int = 15_000
+    seed: int = 0
+    params: Path | None = None
+    gravity: str = "mars"
+    report: Path | None = None
+    reproduce: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BudgetReport:
+    """What came of it."""
+
+    request: BudgetRequest
+    model: ErrorModel
+    budgets: Mapping[str, Budget]
+    rows: tuple[tuple[Row, float], ...]
+    """The paper's rows of the cases that were asked for, and ours."""
+    reproduced: tuple[Reproduced, ...]
+    """Tables 3 and 4, if that was asked for."""
+    params_sha256: str
+
+
+def budget_report(request: BudgetRequest, progress: Progress) -> BudgetReport:
+    """The budgets of one case or of all.
+
+    Raises:
+        BadRequest: the request is wrong; nothing was written.
+    """
+    model = error_model()
+    names = tuple(model.case) if request.case == ALL else (request.case,)
+    if request.case not in (ALL, *model.case):
+        raise BadRequest(f"case: {request.case!r} is not known; there are {', '.join(model.case)} and {ALL}")
+    tools = _tools(request.tool)
+    check_seed(request.seed)
+    least, most = POSES
+    if not least <= request.poses <= most:
+        raise BadRequest(f"poses: {request.poses} is not within {least} .. {most}")
+    gravity = tilted_world(request.gravity, 0.0, 0.0, "gravity").gravity_N_m_s2
+    check_apart({"params": request.params, "report": request.report})
+    try:
+        if request.report is not None:
+            check_output(request.report, (".html",), "report")
+    except BadOutput as error:
+        raise BadRequest(str(error)) from error
+    params = chosen_arm("nominal", request.params).params
+    arm = arm_from(params)
+    budgets = budget(model, names, arm, gravity, tools, request.poses, request.seed, progress)
+    rows = [
+        (row, budgets[row.case].estimate("paper", row.component))
+        for row in (*TABLE_3, *TABLE_4)
+        if row.case in budgets
+    ]
+    reproduced: list[Reproduced] = []
+    for table in (TABLE_3, TABLE_4) if request.reproduce else ():
+        progress(len(reproduced), 2, "reproducing")
+        reproduced.append(reproduce(model, table, arm, gravity, request.seed))
+    return BudgetReport(request, model, budgets, tuple(rows), tuple(reproduced), digest(params))
+
+
+def _tools(name: str) -> tuple[Tool, ...]:
+    known = {tool.name.lower(): tool for tool in Tool}
+    if name.lower() == ALL:
+        return tuple(Tool)
+    if name.lower() not in known:
+        raise BadRequest(f"tool: {name!r} is not known; there are {', '.join(known)} and {ALL}")
+    return (known[name.lower()],)

@@ -1,0 +1,96 @@
+"""`marsarm budget`: the paper's rows beside ours; bad input is named and nothing is written."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from ground.accuracy.budget_request import BudgetReport, BudgetRequest, budget_report
+from ground.accuracy.paper import TABLE_3, TABLE_4
+from ground.report.budget_page import save_budget_page
+from ground.report.budget_tables import budget_json
+from ground.request import BadRequest
+from tests.ground.command import marsarm
+
+
+def quiet(*_) -> None:
+    """Progress that nobody sees."""
+
+
+@pytest.fixture(scope="module")
+def report() -> BudgetReport:
+    return budget_report(BudgetRequest(poses=1500, reproduce=True), quiet)
+
+
+def test_every_row_of_the_papers_tables_is_there(report):
+    assert [row for row, _ in report.rows] == [*TABLE_3, *TABLE_4]
+
+
+def test_before_calibration_the_arm_misses_what_is_required_and_after_it_does_not(report):
+    missed = {row.name for row, value in report.rows if value > row.required}
+    assert missed == {"total position accuracy", "lateral position accuracy"}
+    assert all(value <= row.required for row, value in report.rows if row.case.startswith("mars"))
+
+
+def test_our_assumed_magnitudes_come_near_the_papers_accuracy(report):
+    ours = {row.name: value / row.estimated for row, value in report.rows if row.case == "accuracy"}
+    assert min(ours.values()) > 0.8
+    assert max(ours.values()) < 1.1
+
+
+def test_other_magnitudes_reproduce_the_paper(report):
+    for found in report.reproduced:
+        assert all(value == pytest.approx(row.estimated, rel=0.12) for row, value in found.rows)
+    assert all(value == pytest.approx(row.estimated, rel=0.04) for row, value in report.reproduced[1].rows)
+
+
+def test_sourced_magnitudes_are_not_changed_to_reproduce_it(report):
+    changed = {source for found in report.reproduced for source, _ in found.factor}
+    assert all(report.model.source[name].label != "S" for name in changed)
+
+
+def test_the_document_holds_shares_that_add_up_to_the_mean_total(report):
+    document = budget_json(report)
+    for case in document["cases"].values():
+        total = sum(sum(frames.values()) for frames in case["share_m"].values())
+        assert 0 < total < case["estimates"]["paper"]["total_m"]
+
+
+def test_the_page_is_one_file_with_its_pictures_in_it(report, tmp_path):
+    page = tmp_path / "budget.html"
+    save_budget_page(report, page)
+    text = page.read_text()
+    assert text.count("data:image/png;base64,") == len(report.budgets)
+    assert "http" not in text.replace("http-equiv", "")
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"case": "venus"}, "case: 'venus' is not known; there are accuracy, repeatability, mars"),
+        ({"tool": "spoon"}, "tool: 'spoon' is not known; there are drill"),
+        ({"poses": 3}, "poses: 3 is not within 100 .. 200000"),
+        ({"seed": -1}, "seed: -1 must not be negative"),
+        ({"gravity": "moon"}, "gravity: 'moon' is not known"),
+        ({"report": Path("page.txt")}, "its name must end in .html"),
+        ({"params": Path("none.toml")}, "none.toml: cannot be read"),
+    ],
+)
+def test_bad_input_is_named(wrong, words):
+    with pytest.raises(BadRequest, match=words.replace("(", r"\(")):
+        budget_report(BudgetRequest(**wrong), quiet)
+
+
+def test_the_command_prints_one_document_and_writes_a_page(tmp_path):
+    words = ("budget", "--case", "accuracy", "--tool", "apxs", "--poses", "300", "--json")
+    done = marsarm(tmp_path, *words, "--report", "page.html")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["cases"]["accuracy"]["tools"] == ["apxs"]
+    assert [path.name for path in tmp_path.iterdir()] == ["page.html"]
+
+
+def test_the_command_refuses_and_writes_nothing(tmp_path):
+    done = marsarm(tmp_path, "budget", "--case", "x", "--report", "page.html", "--json")
+    assert done.returncode == 2
+    assert "case: 'x'" in json.loads(done.stdout)["error"]
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,65 @@
+"""The sources of error are those of the paper, and each says where its magnitude comes from."""
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Frame
+from ground.accuracy.sources import SIGMA_OF, error_model
+
+MODEL = error_model()
+TABLE_2 = {
+    "assembly": "systematic",
+    "backlash": "random",
+    "deflection": "systematic",
+    "distortion_bulk": "systematic",
+    "distortion_gradient": "systematic",
+    "encoder": "random",
+    "slop": "random",
+    "windup": "random",
+    "wobble": "random",
+    "zero_offset": "random",
+}
+NOT_ON_THE_SAME_DAY = {"assembly", "backlash", "deflection", "windup", "zero_offset"}
+
+
+def test_the_accuracy_case_has_the_ten_sources_of_table_2():
+    assert {name: MODEL.source[name].kind for name in MODEL.case["accuracy"].sources} == TABLE_2
+
+
+def test_the_repeatability_case_leaves_out_what_the_paper_does():
+    assert set(MODEL.case["repeatability"].sources) == set(TABLE_2) - NOT_ON_THE_SAME_DAY
+    assert MODEL.case["repeatability"].sources["distortion_bulk"] < 1
+
+
+def test_the_mars_case_adds_what_the_paper_adds():
+    added = {"tool_orientation", "isolator_hysteresis", "motor_controller"}
+    assert added <= set(MODEL.case["mars"].sources)
+    assert added.isdisjoint(MODEL.case["accuracy"].sources)
+
+
+def test_three_sources_lie_at_their_limits():
+    at_limit = {name for name, source in MODEL.source.items() if source.at_limit}
+    assert at_limit == {"backlash", "deflection", "distortion_bulk"}
+
+
+@pytest.mark.parametrize("name", MODEL.source)
+def test_a_source_has_a_magnitude_a_basis_and_a_spread(name):
+    source = MODEL.source[name]
+    assert (source.theta.any()) == (source.of == "frames")
+    assert (source.share > 0) == (source.of != "frames")
+    assert source.basis
+    assert source.text
+    assert SIGMA_OF[source.spread] > 0
+
+
+@pytest.mark.parametrize("name", MODEL.case)
+def test_a_case_names_sources_that_there_are(name):
+    assert set(MODEL.case[name].sources) <= set(MODEL.source)
+
+
+def test_errors_of_joints_are_turns_about_z_of_the_frames_at_the_joints():
+    for name in ("backlash", "encoder", "windup", "zero_offset", "motor_controller"):
+        theta = MODEL.source[name].theta
+        assert np.all(theta[2, : Frame.ARM6] > 0)
+        theta[2, : Frame.ARM6] = 0
+        assert not theta.any()
