@@ -1,12 +1,14 @@
 """What crosses the boundary of flight software in each cycle."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.channels import JointChannels, ToolChannels
 from fsw.dictionary.evrs import Evr
+from fsw.dictionary.limits import Limits
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -21,15 +23,15 @@ class Sensors:
     """The avionics' own count of cycles, from any number on: a step of more than one is a cycle missed."""
     encoder_count: Counts
     """Of the motors, counted from anywhere."""
-    resolver_rad: Floats
+    resolver_rad: Annotated[Floats, Limits(-6.5, 6.5)]
     """Output angles."""
-    current_A: Floats
+    current_A: Annotated[Floats, Limits(-20.0, 20.0)]
     """Of the motors, driving forward if positive."""
-    winding_C: Floats
+    winding_C: Annotated[Floats, Limits(-130.0, 150.0)]
     """Temperature of the motors' windings."""
     switch_closed: Flags
     """Which contact switches touch."""
-    gravity_R_m_s2: Floats
+    gravity_R_m_s2: Annotated[Floats, Limits(-20.0, 20.0)]
     """Gravity (downward pull) in the rover frame RMECH, from the rover's IMU."""
 
 
@@ -39,9 +41,9 @@ class Drive:
 
     setpoint_count: Counts
     """Where the motors are to be, in counts of their encoders."""
-    setpoint_rate_rad_s: Floats
+    setpoint_rate_rad_s: Annotated[Floats, Limits(-0.1, 0.1)]
     """Output side, motor angle over gear ratio."""
-    current_limit_A: Floats
+    current_limit_A: Annotated[Floats, Limits(0.0, 20.0)]
     """Most that each motor may draw."""
     power_on: Flags
     """Which motor controllers have power."""

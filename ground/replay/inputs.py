@@ -3,14 +3,14 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Final, get_type_hints
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsw.config import digest
 from fsw.dictionary.commands import Command
-from fsw.dictionary.joints import Joint, Switch
+from fsw.dictionary.joints import Joint
 from fsw.dictionary.modes import Mode
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import not_an_arm, out_of_limits
@@ -20,12 +20,10 @@ from ground.telemetry.format import COMMAND_TOPIC, TICK_NS
 from ground.telemetry.loss import Lost
 from ground.telemetry.plain import NotPlain, command_from, from_plain
 from ground.telemetry.read import Log
-from ground.telemetry.schema import KINDS
+from ground.telemetry.schema import layout_of
 from sim.params import nominal_params
 
 SENSOR_TOPIC: Final = "/sensors"
-SHAPES: Final = {"cycle": (), "switch_closed": (len(Switch),), "gravity_R_m_s2": (3,)}
-"""Of one sensor reading, where it is not one a joint."""
 PER_JOINT: Final = (len(Joint),)
 GIVEN: Final = (None, SENSOR_TOPIC, COMMAND_TOPIC)
 """Topics without which a replay ends; what is lost of the others is a difference of length."""
@@ -142,17 +140,13 @@ def _last_before(lost: Lost) -> int:
 def _sensors(log: Log) -> dict[str, NDArray[Any]]:
     """The columns of the sensor packets, each of the type and shape that flight software takes."""
     packets = log[SENSOR_TOPIC]
-    hints = get_type_hints(Sensors, include_extras=True)
     columns = {}
-    for field in fields(Sensors):
+    for field in layout_of(Sensors, [field.name for field in fields(Sensors)]).fields:
         where = f"log {log.path}: {SENSOR_TOPIC}.{field.name}"
         if field.name not in (packets.dtype.names or ()):
             raise NotReplayable(f"{where} is missing; today's flight software reads it")
         column = np.ascontiguousarray(packets[field.name])
-        shape = SHAPES.get(field.name, PER_JOINT)
-        dtype = np.dtype(
-            KINDS[int] if hints[field.name] is int else hints[field.name].__args__[1].__args__[0]
-        )
+        shape, dtype = field.shape or (), np.dtype(field.kind)
         if column.dtype != dtype or column.shape[1:] != shape:
             found = f"{column.dtype}{column.shape[1:]}"
             raise NotReplayable(f"{where} is {found}; flight software reads {dtype}{shape}")
