@@ -23,6 +23,7 @@ from fsw.dictionary.commands import (
 )
 from fsw.dictionary.evrs import CommandAccepted, CommandCompleted, CommandRefused
 from fsw.dictionary.modes import Mode
+from fsw.executive.modes import EVENT_OF, after
 from tests.fsw.executive import lab
 from tests.fsw.executive.lab import COMMANDS, SITUATIONS, TOUCHED, TOUCHING
 
@@ -97,6 +98,10 @@ def test_every_command_in_every_situation(situation, kind):
         assert CommandAccepted(name) not in rig.evrs
         assert (rig.state.move is None) is (before.move is None)
         assert rig.state.joints.reference is before.joints.reference
+        kept = ("sequence", "fault", "changed", "tool")
+        assert all(getattr(rig.state, field) is getattr(before, field) for field in kept)
     else:
         assert not refused
         assert CommandAccepted(name) in rig.evrs or CommandCompleted(name) in rig.evrs
+        if kind in EVENT_OF:
+            assert rig.state.mode is after(before.mode, EVENT_OF[kind])
