@@ -3,6 +3,7 @@
 import ast
 import typing
 from dataclasses import fields
+from functools import cache
 from pathlib import Path
 
 import pytest
