@@ -215,10 +215,12 @@ def _from_text(data: bytes, file: str, names: Sequence[str], form: Csv, cells: i
     _check_names(file, names, there, f"; its separator is {form.separator!r}" if len(there) == 1 else "")
     if not text[len(head) :].strip():
         return {}
+    if text.endswith((b"\n\n", b"\n\r\n")):
+        text = text.rstrip(b"\r\n")  # only blank lines within a table are rows without a value
     table = csv.read_csv(
         io.BytesIO(text),
         csv.ReadOptions(use_threads=False),
-        csv.ParseOptions(delimiter=form.separator, newlines_in_values=False),
+        csv.ParseOptions(delimiter=form.separator, newlines_in_values=False, ignore_empty_lines=False),
         csv.ConvertOptions(
             column_types=dict.fromkeys(names, pa.string()),
             include_columns=list(names),

@@ -197,6 +197,7 @@ TEXTS = {
     "ragged": (text(HEAD, "0,1,2,3,4,5", "1,2,3"), "cannot be read as text in columns"),
     "a name twice": (text("t,a,b,c,d,e,a", "0,1,2,3,4,5,6"), "there are 2 columns 'a'"),
     "header only": (text(HEAD), "has no row"),
+    "a blank line": (text(HEAD, "0,1,2,3,4,5", "", "1,1,2,3,4,5"), "row 2, column 't': has no time"),
     "zeros": (b"t,a\0\0\n0,1\n", "there are bytes of zero in it"),
     "UTF-16": ("t,a\n".encode("utf-16"), "is text in UTF-16"),
     "Parquet": (table(), "is Parquet; name it .parquet"),

@@ -134,6 +134,16 @@ def test_rows_at_a_rate_need_no_time() -> None:
     assert made.series[0].ticks.tolist() == [0, 2, 4]
 
 
+@pytest.mark.parametrize("line", ["\n", "\r\n"])
+def test_a_blank_line_is_a_row_without_a_value_except_at_the_end(line: str) -> None:
+    mapping = "[time]\nrate_Hz = 64\n" + one("/imported/arm.x_m", 'columns = "a"\nunit = "m"')
+    data = line.join(["a", "1", "", "3", "", ""]).encode()
+    made = imported(data, "t.csv", mapping.encode(), "m.toml")
+    assert made.rows == 3
+    assert made.series[0].ticks.tolist() == [0, 2]
+    assert values(made).tolist() == [1.0, 3.0]
+
+
 def test_rows_may_be_put_in_order_and_the_report_can_say_so() -> None:
     mapping = one("/imported/arm.x_m", 'columns = "a"\nunit = "m"')
     made = mapped(mapping, 'unit = "s"\nsort = true', GRID_S[[0, 2, 1, 3]], a=[0.0, 2.0, 1.0, 3.0])
