@@ -123,9 +123,7 @@ def imported(
             [f"{mapping_file}: channel: none has columns; there is nothing to take from the table"]
         )
     read = in_order(read_table(table, table_file, tuple(names), said.csv, cells), said.time)
-    with np.errstate(
-        over="ignore", invalid="ignore"
-    ):  # of numbers beyond belief, which are shown as they are
+    with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is looked for and refused
         series = series_of(read, said, cells)
     if said.start is not None:
         _check_replayable(mapping_file, said, series)

@@ -12,6 +12,7 @@ from ground.imports.mapping import TICK, Channel, Csv, Mapping, Time
 from ground.imports.start import start_of
 from ground.imports.targets import IMPORTED, Target, conversions, free_target, targets
 from ground.imports.units import Conversion, known_units
+from ground.imports.values import in_units
 from sim.scenario.names import did_you_mean
 from sim.scenario.record import Findings, record_of, table_of
 from sim.scenario.tables import tables
@@ -109,7 +110,19 @@ def _channel(table: dict[str, Any], place: Place, findings: Findings) -> Channel
     if len(findings.problems) > before:
         return None
     line = findings.lines[place]
-    return Channel(target, said.columns or (), kept, conversion, gain, offset, line)
+    channel = Channel(target, said.columns or (), kept, conversion, gain, offset, line)
+    _check_finite(channel, (*place, "value"), findings)
+    return channel
+
+
+def _check_finite(channel: Channel, at: Place, findings: Findings) -> None:
+    """Refuse a constant that its gain, offset or unit makes infinite."""
+    if not isinstance(channel.constant, np.ndarray) or channel.target.field.kind != "<f8":
+        return
+    with np.errstate(over="ignore", invalid="ignore"):
+        is_finite = np.isfinite(in_units(channel, channel.constant, slice(None))).all()
+    if not is_finite:
+        findings.say(at, "value: is too large for its gain, offset and unit; are they right?")
 
 
 def _target(said: _Channel, table: dict[str, Any], place: Place, findings: Findings) -> Target | None:

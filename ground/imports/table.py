@@ -91,9 +91,11 @@ class Table:
         text = self._decimal_point(pc.utf8_trim_whitespace(array))
         for kind in (pa.int64(), pa.float64()):
             try:
-                return Column(name, _filled(pc.cast(text, kind)), given)
+                values = _filled(pc.cast(text, kind))
             except pa.ArrowInvalid:
                 continue
+            self._check_finite(name, values, text)
+            return Column(name, values, given)
         return Column(name, self._words(name, text), given)
 
     def names(self, name: str) -> Column:
@@ -128,6 +130,13 @@ class Table:
             return Column(name, _filled(pc.cast(pc.cast(array, pa.timestamp("ns")), pa.int64())), given)
         except pa.ArrowException as error:
             raise self.wrong(f"is no time ({_short(error)})", column=name) from error
+
+    def _check_finite(self, name: str, values: NDArray[Any], text: Any) -> None:
+        """Refuse digits that are read as an infinity."""
+        for row in np.flatnonzero(np.isinf(values)):
+            word = text[int(row)].as_py()
+            if any(letter.isdigit() for letter in word):
+                raise self.wrong(f"{word!r:.60} is too large to be a number", int(row), name)
 
     def _decimal_point(self, text: Any) -> Any:
         return pc.replace_substring(text, self._decimal, ".") if self._decimal != "." else text
