@@ -10,9 +10,10 @@ from typing import Final
 
 import numpy as np
 
+from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command
 from ground.imports.errors import BadImport
-from ground.imports.mapping import Mapping
+from ground.imports.mapping import Mapping, Start
 from ground.imports.mapping_file import mapping_from
 from ground.imports.packets import Lacking, lacking, series_of
 from ground.imports.table import MOST_CELLS, read_table
@@ -77,7 +78,8 @@ class Imported:
     @property
     def commands(self) -> tuple[tuple[int, Command], ...] | None:
         """With their ticks; None where the mapping has no start, and so no word about commands."""
-        return None if self.mapping.start is None else self.mapping.start.commands
+        start = self.mapping.start
+        return None if start is None else tuple((one.tick, one.command) for one in start.commands)
 
 
 def import_table(request: ImportRequest, progress: Progress) -> ImportReport:
@@ -126,7 +128,7 @@ def imported(
     with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is looked for and refused
         series = series_of(read, said, cells)
     if said.start is not None:
-        _check_replayable(mapping_file, said, series)
+        _check_replayable(mapping_file, said, said.start, series)
     about = {
         "table": table_file,
         "table_sha256": hashlib.sha256(table).hexdigest(),
@@ -145,8 +147,8 @@ def _bytes(path: Path) -> bytes:
         raise BadImport([f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})"]) from error
 
 
-def _check_replayable(file: str, mapping: Mapping, series: tuple[Series, ...]) -> None:
-    """Refuse a start where flight software would not have its readings in every cycle."""
+def _check_replayable(file: str, mapping: Mapping, start: Start, series: tuple[Series, ...]) -> None:
+    """Refuse a start without readings in every cycle, and commands in a cycle that is not there."""
     sensors = next((one for one in series if one.topic == SENSORS), None)
     if sensors is None:
         said = next((one.fields for one in lacking(mapping) if one.topic == SENSORS), ())
@@ -164,12 +166,20 @@ def _check_replayable(file: str, mapping: Mapping, series: tuple[Series, ...]) -
         raise BadImport(
             [f"{file}: start: replay needs {SENSORS} in every tick from 0 on, {where}; leave out [start]"]
         )
+    last = int(sensors.ticks[-1])
+    never = [one for one in start.commands if one.tick > last]
+    if never:
+        raise BadImport(
+            f"{file}:{one.line}: command: at_s is {one.tick / CYCLE_HZ:g}, the table ends at "
+            f"{last / CYCLE_HZ:g}; it would never be given: leave it out"
+            for one in never
+        )
 
 
 def _header(mapping: Mapping, about: dict[str, str]) -> dict[str, str]:
     start = mapping.start
     begins = {} if start is None else begins_with(start.params, start.mode, start.reference)
-    commands = [] if start is None else [command for _, command in start.commands]
+    commands = [] if start is None else [one.command for one in start.commands]
     return {
         **made_by(),
         **begins,
