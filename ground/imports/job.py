@@ -14,7 +14,7 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command
 from ground.imports.errors import BadImport
 from ground.imports.mapping import Mapping, Start
-from ground.imports.mapping_file import mapping_from
+from ground.imports.mapping_file import MOST_MAPPING_BYTES, mapping_from
 from ground.imports.packets import Lacking, lacking, series_of
 from ground.imports.table import MOST_CELLS, read_table
 from ground.imports.times import in_order
@@ -25,6 +25,7 @@ from ground.telemetry.header import asked, begins_with, made_by
 from ground.telemetry.table_log import Series, write_table_log
 
 SENSORS: Final = "/sensors"
+MOST_TABLE_BYTES: Final = 1 << 32
 UNKNOWN_CPU: Final = "[]"
 """Nobody knows what the table's numbers were computed on."""
 Progress = Callable[[float, float, str], None]
@@ -92,14 +93,18 @@ def import_table(request: ImportRequest, progress: Progress) -> ImportReport:
     try:
         check_output(request.log, (".mcap",), "log")
         progress(0, 3, "reading the mapping")
-        text = _bytes(request.mapping)
+        text = _bytes(request.mapping, MOST_MAPPING_BYTES)
         progress(1, 3, "reading the table")
-        made = imported(_bytes(request.table), str(request.table), text, str(request.mapping))
+        made = imported(
+            _bytes(request.table, MOST_TABLE_BYTES), str(request.table), text, str(request.mapping)
+        )
         progress(2, 3, "writing the log")
         with written_whole(request.log, "log") as file:
             write_table_log(file, made.header, made.series, made.commands)
     except (BadImport, BadOutput) as error:
         raise BadRequest(str(error)) from error
+    except MemoryError as error:
+        raise BadRequest(f"{request.table}: is too large for the memory; give it in parts") from error
     return _report(request, made)
 
 
@@ -138,10 +143,13 @@ def imported(
     return Imported(said, read.rows, read.rows_moved, series, _header(said, about))
 
 
-def _bytes(path: Path) -> bytes:
+def _bytes(path: Path, most: int) -> bytes:
     if os.path.exists(path) and not os.path.isfile(path):  # a pipe, say, which would never end
-        raise BadImport([f"{path}: is not a regular file"])
+        raise BadImport([f"{path}: is not a regular file; give the path of one"])
     try:
+        size = path.stat().st_size
+        if size > most:
+            raise BadImport([f"{path}: has {size} bytes, more than {most}; is it the right file?"])
         return path.read_bytes()
     except (OSError, ValueError) as error:
         raise BadImport([f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})"]) from error
@@ -170,8 +178,8 @@ def _check_replayable(file: str, mapping: Mapping, start: Start, series: tuple[S
     never = [one for one in start.commands if one.tick > last]
     if never:
         raise BadImport(
-            f"{file}:{one.line}: command: at_s is {one.tick / CYCLE_HZ:g}, the table ends at "
-            f"{last / CYCLE_HZ:g}; it would never be given: leave it out"
+            f"{file}:{one.line}: command: at_s is {one.tick / CYCLE_HZ:.15g}, the table ends at "
+            f"{last / CYCLE_HZ:.15g}; it would never be given: leave it out"
             for one in never
         )
 

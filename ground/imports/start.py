@@ -66,6 +66,8 @@ def start_of(data: dict[str, Any], folder: Path, findings: Findings) -> Start | 
     if table is None:
         return None
     own = {key: value for key, value in table.items() if key != "reference"}
+    if isinstance(own.get("mode"), str):
+        own["mode"] = own["mode"].lower()  # as names in columns, in capitals or not
     start = record_of(_Start, own, ("start",), findings)
     params = None if start is None else _params(start.params, folder, findings)
     if start is None or params is None:

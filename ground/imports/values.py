@@ -167,9 +167,9 @@ def _named(
     """Members by name or number."""
     members = channel.target.members
     assert members is not None
-    numbers = {name: member.value for name, member in members.__members__.items()}
-    numbers |= {str(number): number for number in numbers.values()}
-    codes = np.array([numbers.get(word, -1) for word in column.words], np.int64)
+    by_number = {str(member.value): member.value for member in members}
+    known = [by_number.get(word, channel.target.member(word)) for word in column.words]
+    codes = np.array([-1 if number is None else number for number in known], np.int64)
     found: NDArray[np.int64] = codes[values]
     unknown = np.flatnonzero(found < 0)
     if unknown.size:

@@ -11,6 +11,7 @@ from pyarrow import parquet
 from typer.testing import CliRunner
 
 from ground.cli import app
+from ground.imports import job
 from ground.imports.errors import BadImport
 from ground.imports.job import imported
 
@@ -308,6 +309,34 @@ def test_the_command_line_refuses_with_status_2_and_writes_nothing(tmp_path: Pat
     assert "row 3" in result.output
     assert out.read_bytes() == b"before"
     assert len(list(tmp_path.iterdir())) == 3
+
+
+@pytest.mark.parametrize("name", ["t.parquet", "m.toml"])
+def test_a_file_of_more_bytes_than_any_is_refused_unread(tmp_path: Path, name: str) -> None:
+    (tmp_path / "t.parquet").write_bytes(table())
+    (tmp_path / "m.toml").write_text(TIME + CURRENT)
+    with (tmp_path / name).open("wb") as sparse:
+        sparse.truncate(30 << 30)
+    words = ["log", "import", *(str(tmp_path / each) for each in ("t.parquet", "m.toml", "o.mcap"))]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 2
+    assert f"{name}: has 32212254720 bytes, more than" in " ".join(result.output.split())
+    assert not (tmp_path / "o.mcap").exists()
+
+
+def test_a_table_that_does_not_fit_the_memory_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any) -> None:
+        raise MemoryError
+
+    (tmp_path / "t.parquet").write_bytes(table())
+    (tmp_path / "m.toml").write_text(TIME + CURRENT)
+    monkeypatch.setattr(job, "series_of", full)
+    words = ["log", "import", *(str(tmp_path / each) for each in ("t.parquet", "m.toml", "o.mcap"))]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 2
+    assert "t.parquet: is too large for the memory; give it in parts" in " ".join(result.output.split())
 
 
 @pytest.mark.parametrize(

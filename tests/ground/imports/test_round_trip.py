@@ -72,6 +72,13 @@ def test_it_replays_as_it_ran(run: Log, as_parquet: bytes, make: Any, tmp_path: 
         assert np.array_equal(run["/drive"][tick]["setpoint_count"], outputs.drive.setpoint_count), tick
 
 
+def test_the_first_mode_is_a_name_in_capitals_or_not(as_parquet: bytes, make: Any, tmp_path: Path) -> None:
+    sensors = [name for name in targets() if name.startswith("/sensors.")]
+    start = make.start().replace('"deployed"', '"DEPLOYED"')
+    log = import_into(tmp_path, as_parquet, make.TIME + make.channels(*sensors) + start)
+    assert json.loads(log.header["boot"])["mode"] == "DEPLOYED"
+
+
 def test_a_command_behind_the_table_is_refused_with_its_line(
     as_parquet: bytes, make: Any, tmp_path: Path
 ) -> None:
@@ -84,7 +91,7 @@ def test_a_command_behind_the_table_is_refused_with_its_line(
     with pytest.raises(BadRequest) as caught:
         import_into(tmp_path, as_parquet, mapping + last + last.replace(str(ends_s), "100"))
     line = len((mapping + last).splitlines()) + 1
-    said = f"map.toml:{line}: command: at_s is 100, the table ends at {ends_s:g}; it would never be given"
+    said = f"map.toml:{line}: command: at_s is 100, the table ends at {ends_s}; it would never be given"
     assert said in str(caught.value)
 
 

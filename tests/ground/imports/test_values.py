@@ -121,9 +121,17 @@ def test_flags_may_be_numbers_and_may_be_turned_round() -> None:
     assert values(mapped(turned, a=[True, False, True, True])).tolist() == [False, True, False, False]
 
 
-@pytest.mark.parametrize("modes", [["STOWED", "GUARDED"] * 2, [0, 3] * 2])
+@pytest.mark.parametrize("modes", [["STOWED", "GUARDED"] * 2, ["stowed", "Guarded"] * 2, [0, 3] * 2])
 def test_modes_are_names_or_numbers(modes: list[Any]) -> None:
     assert values(mapped(one("/joint.mode", 'columns = "a"'), a=modes)).tolist() == [0, 3, 0, 3]
+
+
+@pytest.mark.parametrize("mode", ["GUARDED", "guarded"])
+def test_a_constant_mode_is_a_name_in_capitals_or_not(mode: str) -> None:
+    made = mapped(
+        one("/joint.mode", f'value = "{mode}"') + one("/joint.tick", 'columns = "a"'), a=[0, 1, 2, 3]
+    )
+    assert made.series[0].data["mode"].tolist() == [3] * 4
 
 
 def test_a_constant_stands_in_every_message_and_the_cycle_counts() -> None:
