@@ -147,7 +147,7 @@ class Table:
             return _filled(array)
         if not types.is_integer(kind) and not types.is_floating(kind):
             held = "text" if types.is_dictionary(kind) else kind
-            raise self.wrong(f"holds {held}, not numbers or flags", column=name)
+            raise self.wrong(f"holds {held}, not numbers or flags; map another column", column=name)
         try:
             return _filled(pc.cast(array, pa.int64() if types.is_integer(kind) else pa.float64()))
         except pa.ArrowInvalid as error:
@@ -173,7 +173,7 @@ def read_table(data: bytes, file: str, names: Sequence[str], form: Csv, cells: i
         kinds = " or ".join((*PARQUET[:1], *TEXT))
         raise BadImport([f"{file}: is no table that is known by its name; it must end in {kinds}"])
     if not data:
-        raise BadImport([f"{file}: is an empty file"])
+        raise BadImport([f"{file}: is an empty file; give a table with names over its columns"])
     is_text = suffix in TEXT
     if is_text and data.startswith(PARQUET_MAGIC):
         raise BadImport([f"{file}: is Parquet; name it .parquet"])
@@ -192,7 +192,7 @@ def read_table(data: bytes, file: str, names: Sequence[str], form: Csv, cells: i
         raise BadImport([f"{file}: cannot be read as {kind}: {_short(error)}"]) from error
     rows = len(next(iter(arrays.values()))) if arrays else 0
     if rows == 0:
-        raise BadImport([f"{file}: has no row; a table needs at least one"])
+        raise BadImport([f"{file}: has no row; give a table with at least one"])
     return Table(file, rows, arrays, form.decimal, is_text)
 
 

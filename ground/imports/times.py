@@ -77,7 +77,7 @@ def _column(table: Table, time: Time, name: str) -> tuple[Column, int]:
         )
     column = table.numbers(name)
     if column.values.dtype == np.bool_:
-        raise table.wrong("holds flags, not times", column=name)
+        raise table.wrong("holds flags, not times; under [time] name the column that has them", column=name)
     return column, UNIT_NS[time.unit]
 
 

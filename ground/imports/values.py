@@ -107,7 +107,10 @@ def _whole(
     """Counts: whole as they are, or rounded where they come out of a gain or an offset."""
     gain, offset = float(channel.gain[k]), float(channel.offset[k])
     if values.dtype == np.bool_:
-        raise table.wrong(f"holds flags; {channel.target.name} is counted", column=column.name)
+        raise table.wrong(
+            f"holds flags; {channel.target.name} is counted; map a column of whole numbers",
+            column=column.name,
+        )
     if values.dtype == np.int64 and _is_exact(gain) and _is_exact(offset):
         return _whole_of_whole(table, column, values, (int(gain), int(offset)), rows)
     _check_exact(table, column, values, rows)
