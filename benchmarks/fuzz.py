@@ -4,6 +4,7 @@ With atheris installed, coverage guides the changes; without it a seeded mutator
 """
 
 import argparse
+import faulthandler
 import hashlib
 import importlib.util
 import json
@@ -35,13 +36,15 @@ MEMORY_BYTES: Final = 4 << 30
 """Of address space, the libraries and their threads included."""
 SLOWEST_S: Final = 10.0
 """For one input; the longest that the mutator makes takes a tenth of it."""
+MOST_BYTES: Final = 1 << 30
+"""By which the memory of the process may grow for one input."""
 SEED_CYCLES: Final = 24
 POOL: Final = 64
 """Inputs that are changed, the seeds and those that were accepted."""
 
 
-class TooSlow(Exception):
-    """An input took longer than any may."""
+class TooSlow(BaseException):
+    """An input took longer than any may; not an Exception, which a target may catch for a broken file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,16 +93,18 @@ TARGETS: Final = (
 
 @contextmanager
 def bounded(seconds: float) -> Iterator[None]:
-    """Raise TooSlow when the block takes longer."""
+    """Raise TooSlow when the block takes longer; end the process where that cannot be, within a library."""
 
     def stop(*_: Any) -> None:
         raise TooSlow(f"longer than {seconds} s")
 
     before = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, seconds)
+    faulthandler.dump_traceback_later(3 * seconds, exit=True, file=sys.__stderr__ or sys.stderr)
     try:
         yield
     finally:
+        faulthandler.cancel_dump_traceback_later()
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
 
@@ -107,32 +112,56 @@ def bounded(seconds: float) -> Iterator[None]:
 def fuzz(target: Target, seed: int, seconds: float, most: int | None = None) -> dict[str, Any]:
     """Change the seeds blindly until time is over, or `most` are tried, or a bug is found.
 
-    Inputs that are accepted are changed again.
+    Inputs that are accepted are changed again. Time and memory are measured out here, whatever a target says.
     """
     random = np.random.default_rng(seed)
-    pool, accepted, tries, slowest_s = target.seeds(), 0, 0, 0.0
+    pool, accepted, tries, slowest_s, largest_bytes = target.seeds(), 0, 0, 0.0, 0
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s and tries != most:
         data = target.mutate(random, pool[int(random.integers(len(pool)))])
-        began_s = time.monotonic()
+        file = kept(target, data)  # before it is tried: some bugs end the process
+        began_s, bytes_before = time.monotonic(), peak_bytes()
         try:
             with bounded(SLOWEST_S):
                 is_accepted = target.run(data)
-        except Exception:
-            return {"tries": tries, "failed": kept(target, data), "why": traceback.format_exc()}
-        slowest_s = max(slowest_s, time.monotonic() - began_s)
+            took_s, grown_bytes = time.monotonic() - began_s, peak_bytes() - bytes_before
+            check_cost(took_s, grown_bytes)
+        except (Exception, TooSlow):
+            return {"tries": tries, "failed": str(file), "why": traceback.format_exc()}
+        file.unlink()
+        slowest_s, largest_bytes = max(slowest_s, took_s), max(largest_bytes, grown_bytes)
         tries += 1
         accepted += is_accepted
         if is_accepted and len(pool) < POOL:
             pool.append(data)
-    return {"guided": False, "tries": tries, "accepted": accepted, "slowest_s": slowest_s, "failed": None}
+    return {
+        "guided": False,
+        "tries": tries,
+        "accepted": accepted,
+        "slowest_s": slowest_s,
+        "largest_bytes": largest_bytes,
+        "failed": None,
+    }
 
 
-def kept(target: Target, data: bytes) -> str:
-    """Where the input that broke a target was written."""
+def peak_bytes() -> int:
+    """The most memory that this process has had."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10  # KiB on Linux
+
+
+def check_cost(took_s: float, grown_bytes: int) -> None:
+    """Raise TooSlow or MemoryError where an input cost more than any may."""
+    if took_s > SLOWEST_S:
+        raise TooSlow(f"took {took_s:.1f} s, longer than {SLOWEST_S} s")
+    if grown_bytes > MOST_BYTES:
+        raise MemoryError(f"the process grew by {grown_bytes} bytes, by more than {MOST_BYTES}")
+
+
+def kept(target: Target, data: bytes) -> Path:
+    """Where the input was written that a target is given."""
     path = Path(f"fuzz-{target.name}-{hashlib.sha256(data).hexdigest()[:12]}.bin")
     path.write_bytes(data)
-    return str(path)
+    return path
 
 
 def guided(target: Target, seed: int, seconds: float) -> dict[str, Any]:

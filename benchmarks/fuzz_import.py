@@ -27,7 +27,9 @@ def import_once(data: bytes) -> bool:
     name = "t.parquet" if table.startswith(b"PAR1") else "t.csv"
     try:
         made = imported(table, name, mapping, NOWHERE, cells=CELLS)
-    except BadImport:
+    except BadImport as error:
+        if isinstance(error.__cause__, MemoryError):
+            raise MemoryError(str(error)) from error  # a small table asked for all of it
         return False
     file = io.BytesIO()
     write_table_log(file, made.header, made.series, made.commands)

@@ -10,10 +10,11 @@ from typing import Final
 
 import numpy as np
 
+from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command
 from ground.imports.errors import BadImport
-from ground.imports.mapping import Mapping
-from ground.imports.mapping_file import mapping_from
+from ground.imports.mapping import Mapping, Start
+from ground.imports.mapping_file import MOST_MAPPING_BYTES, mapping_from
 from ground.imports.packets import Lacking, lacking, series_of
 from ground.imports.table import MOST_CELLS, read_table
 from ground.imports.times import in_order
@@ -24,6 +25,7 @@ from ground.telemetry.header import asked, begins_with, made_by
 from ground.telemetry.table_log import Series, write_table_log
 
 SENSORS: Final = "/sensors"
+MOST_TABLE_BYTES: Final = 1 << 32
 UNKNOWN_CPU: Final = "[]"
 """Nobody knows what the table's numbers were computed on."""
 Progress = Callable[[float, float, str], None]
@@ -77,7 +79,8 @@ class Imported:
     @property
     def commands(self) -> tuple[tuple[int, Command], ...] | None:
         """With their ticks; None where the mapping has no start, and so no word about commands."""
-        return None if self.mapping.start is None else self.mapping.start.commands
+        start = self.mapping.start
+        return None if start is None else tuple((one.tick, one.command) for one in start.commands)
 
 
 def import_table(request: ImportRequest, progress: Progress) -> ImportReport:
@@ -90,14 +93,18 @@ def import_table(request: ImportRequest, progress: Progress) -> ImportReport:
     try:
         check_output(request.log, (".mcap",), "log")
         progress(0, 3, "reading the mapping")
-        text = _bytes(request.mapping)
+        text = _bytes(request.mapping, MOST_MAPPING_BYTES)
         progress(1, 3, "reading the table")
-        made = imported(_bytes(request.table), str(request.table), text, str(request.mapping))
+        made = imported(
+            _bytes(request.table, MOST_TABLE_BYTES), str(request.table), text, str(request.mapping)
+        )
         progress(2, 3, "writing the log")
         with written_whole(request.log, "log") as file:
             write_table_log(file, made.header, made.series, made.commands)
     except (BadImport, BadOutput) as error:
         raise BadRequest(str(error)) from error
+    except MemoryError as error:
+        raise BadRequest(f"{request.table}: is too large for the memory; give it in parts") from error
     return _report(request, made)
 
 
@@ -123,12 +130,10 @@ def imported(
             [f"{mapping_file}: channel: none has columns; there is nothing to take from the table"]
         )
     read = in_order(read_table(table, table_file, tuple(names), said.csv, cells), said.time)
-    with np.errstate(
-        over="ignore", invalid="ignore"
-    ):  # of numbers beyond belief, which are shown as they are
+    with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is looked for and refused
         series = series_of(read, said, cells)
     if said.start is not None:
-        _check_replayable(mapping_file, said, series)
+        _check_replayable(mapping_file, said, said.start, series)
     about = {
         "table": table_file,
         "table_sha256": hashlib.sha256(table).hexdigest(),
@@ -138,17 +143,20 @@ def imported(
     return Imported(said, read.rows, read.rows_moved, series, _header(said, about))
 
 
-def _bytes(path: Path) -> bytes:
+def _bytes(path: Path, most: int) -> bytes:
     if os.path.exists(path) and not os.path.isfile(path):  # a pipe, say, which would never end
-        raise BadImport([f"{path}: is not a regular file"])
+        raise BadImport([f"{path}: is not a regular file; give the path of one"])
     try:
+        size = path.stat().st_size
+        if size > most:
+            raise BadImport([f"{path}: has {size} bytes, more than {most}; is it the right file?"])
         return path.read_bytes()
     except (OSError, ValueError) as error:
         raise BadImport([f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})"]) from error
 
 
-def _check_replayable(file: str, mapping: Mapping, series: tuple[Series, ...]) -> None:
-    """Refuse a start where flight software would not have its readings in every cycle."""
+def _check_replayable(file: str, mapping: Mapping, start: Start, series: tuple[Series, ...]) -> None:
+    """Refuse a start without readings in every cycle, and commands in a cycle that is not there."""
     sensors = next((one for one in series if one.topic == SENSORS), None)
     if sensors is None:
         said = next((one.fields for one in lacking(mapping) if one.topic == SENSORS), ())
@@ -166,12 +174,20 @@ def _check_replayable(file: str, mapping: Mapping, series: tuple[Series, ...]) -
         raise BadImport(
             [f"{file}: start: replay needs {SENSORS} in every tick from 0 on, {where}; leave out [start]"]
         )
+    last = int(sensors.ticks[-1])
+    never = [one for one in start.commands if one.tick > last]
+    if never:
+        raise BadImport(
+            f"{file}:{one.line}: command: at_s is {one.tick / CYCLE_HZ:.15g}, the table ends at "
+            f"{last / CYCLE_HZ:.15g}; it would never be given: leave it out"
+            for one in never
+        )
 
 
 def _header(mapping: Mapping, about: dict[str, str]) -> dict[str, str]:
     start = mapping.start
     begins = {} if start is None else begins_with(start.params, start.mode, start.reference)
-    commands = [] if start is None else [command for _, command in start.commands]
+    commands = [] if start is None else [one.command for one in start.commands]
     return {
         **made_by(),
         **begins,

@@ -79,12 +79,22 @@ class Channel:
 
     target: Target
     columns: tuple[str, ...]
-    """None if it is a constant."""
+    """Empty if it is a constant."""
     constant: NDArray[Any] | str | None
     """As it goes into the log, or TICK."""
     conversion: Conversion
     gain: NDArray[np.float64]
     offset: NDArray[np.float64]
+    line: int
+    """Of the mapping."""
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """A command, and the first cycle that sees it."""
+
+    tick: int
+    command: Command
     line: int
     """Of the mapping."""
 
@@ -96,8 +106,8 @@ class Start:
     params: Params
     mode: Mode
     reference: Reference | None
-    commands: tuple[tuple[int, Command], ...]
-    """With their ticks, in order."""
+    commands: tuple[Asked, ...]
+    """In order of their ticks."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

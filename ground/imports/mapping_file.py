@@ -12,6 +12,7 @@ from ground.imports.mapping import TICK, Channel, Csv, Mapping, Time
 from ground.imports.start import start_of
 from ground.imports.targets import IMPORTED, Target, conversions, free_target, targets
 from ground.imports.units import Conversion, known_units
+from ground.imports.values import in_units
 from sim.scenario.names import did_you_mean
 from sim.scenario.record import Findings, record_of, table_of
 from sim.scenario.tables import tables
@@ -22,7 +23,7 @@ T = TypeVar("T")
 KNOWN: Final = ("arm", "time", "csv", "channel", "start", "command")
 LISTED: Final = ("columns", "gain", "offset")
 """Keys of a channel that may be one value, too."""
-MOST_BYTES: Final = 1 << 20
+MOST_MAPPING_BYTES: Final = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +50,8 @@ def mapping_from(text: str, file: str, folder: Path) -> Mapping:
     Raises:
         BadImport: something in it is wrong; the message has every problem, by line.
     """
-    if len(text) > MOST_BYTES:
-        raise BadImport([f"{file}: has {len(text)} characters; a mapping has at most {MOST_BYTES}"])
+    if len(text) > MOST_MAPPING_BYTES:
+        raise BadImport([f"{file}: has {len(text)} characters; a mapping has at most {MOST_MAPPING_BYTES}"])
     try:
         data, lines = parsed(text)
     except NotToml as error:
@@ -109,7 +110,19 @@ def _channel(table: dict[str, Any], place: Place, findings: Findings) -> Channel
     if len(findings.problems) > before:
         return None
     line = findings.lines[place]
-    return Channel(target, said.columns or (), kept, conversion, gain, offset, line)
+    channel = Channel(target, said.columns or (), kept, conversion, gain, offset, line)
+    _check_finite(channel, (*place, "value"), findings)
+    return channel
+
+
+def _check_finite(channel: Channel, at: Place, findings: Findings) -> None:
+    """Refuse a constant that its gain, offset or unit makes infinite."""
+    if not isinstance(channel.constant, np.ndarray) or channel.target.field.kind != "<f8":
+        return
+    with np.errstate(over="ignore", invalid="ignore"):
+        is_finite = np.isfinite(in_units(channel, channel.constant, slice(None))).all()
+    if not is_finite:
+        findings.say(at, "value: is too large for its gain, offset and unit; are they right?")
 
 
 def _target(said: _Channel, table: dict[str, Any], place: Place, findings: Findings) -> Target | None:
@@ -193,17 +206,17 @@ def _constant(value: Any, target: Target, place: Place, findings: Findings) -> A
         findings.say(at, f"value: {problem}")
         return None
     if target.members is not None:
-        items = [target.members[item].value for item in items]
+        items = [target.member(item) for item in items]
     return np.array(items, np.dtype(target.field.kind) if target.field.kind != "<f8" else np.float64)
 
 
 def _not_a_value(item: Any, target: Target) -> str | None:
     match target.field.kind:
         case _ if target.members is not None:
-            known = list(target.members.__members__)
-            return (
-                None if item in known else f"{item!r:.60} is not known; {did_you_mean(str(item)[:60], known)}"
-            )
+            if isinstance(item, str) and target.member(item) is not None:
+                return None
+            hint = did_you_mean(str(item)[:60], list(target.members.__members__))
+            return f"{item!r:.60} is not known; {hint}"
         case "|b1":
             return None if isinstance(item, bool) else f"{item!r:.60} is not true or false"
         case "<i8" if type(item) is int and abs(item) < 1 << 63:

@@ -9,14 +9,14 @@ from typing import Annotated, Any, Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ, configure
-from fsw.dictionary.commands import Command, Joints5
+from fsw.dictionary.commands import Joints5
 from fsw.dictionary.joints import Joint, Tool
 from fsw.dictionary.limits import Limits
 from fsw.dictionary.modes import Mode
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
 from fsw.executive.steps import tool_of
-from ground.imports.mapping import Start
+from ground.imports.mapping import Asked, Start
 from sim.params import BadParams, nominal_params, params_over_nominal
 from sim.scenario.record import Findings, record_of, table_of
 from sim.scenario.tables import command_of, tables
@@ -66,6 +66,8 @@ def start_of(data: dict[str, Any], folder: Path, findings: Findings) -> Start | 
     if table is None:
         return None
     own = {key: value for key, value in table.items() if key != "reference"}
+    if isinstance(own.get("mode"), str):
+        own["mode"] = own["mode"].lower()  # as names in columns, in capitals or not
     start = record_of(_Start, own, ("start",), findings)
     params = None if start is None else _params(start.params, folder, findings)
     if start is None or params is None:
@@ -73,7 +75,7 @@ def start_of(data: dict[str, Any], folder: Path, findings: Findings) -> Start | 
     reference = _reference(table, params, findings)
     points = {point.name: tool_of(point) for point in params.teach}
     commands = [_command(table, place, findings, points) for place, table in asked]
-    in_order = sorted((one for one in commands if one is not None), key=lambda one: one[0])
+    in_order = sorted((one for one in commands if one is not None), key=lambda one: one.tick)
     return Start(params, start.mode, reference, tuple(in_order))
 
 
@@ -115,11 +117,10 @@ def _reference(table: dict[str, Any], params: Params, findings: Findings) -> Ref
 
 def _command(
     table: dict[str, Any], place: Place, findings: Findings, points: Mapping[str, Tool]
-) -> tuple[int, Command] | None:
-    """A command and the first cycle that sees it."""
+) -> Asked | None:
     at = record_of(_At, {"at_s": table["at_s"]} if "at_s" in table else {}, place, findings)
     rest = {key: value for key, value in table.items() if key != "at_s"}
     command = command_of(rest, place, findings, points)
     if at is None or command is None:
         return None
-    return math.ceil(at.at_s * CYCLE_HZ - ROUNDING), command
+    return Asked(math.ceil(at.at_s * CYCLE_HZ - ROUNDING), command, findings.lines[place])

@@ -91,9 +91,11 @@ class Table:
         text = self._decimal_point(pc.utf8_trim_whitespace(array))
         for kind in (pa.int64(), pa.float64()):
             try:
-                return Column(name, _filled(pc.cast(text, kind)), given)
+                values = _filled(pc.cast(text, kind))
             except pa.ArrowInvalid:
                 continue
+            self._check_finite(name, values, text)
+            return Column(name, values, given)
         return Column(name, self._words(name, text), given)
 
     def names(self, name: str) -> Column:
@@ -129,6 +131,13 @@ class Table:
         except pa.ArrowException as error:
             raise self.wrong(f"is no time ({_short(error)})", column=name) from error
 
+    def _check_finite(self, name: str, values: NDArray[Any], text: Any) -> None:
+        """Refuse digits that are read as an infinity."""
+        for row in np.flatnonzero(np.isinf(values)):
+            word = text[int(row)].as_py()
+            if any(letter.isdigit() for letter in word):
+                raise self.wrong(f"{word!r:.60} is too large to be a number", int(row), name)
+
     def _decimal_point(self, text: Any) -> Any:
         return pc.replace_substring(text, self._decimal, ".") if self._decimal != "." else text
 
@@ -138,7 +147,7 @@ class Table:
             return _filled(array)
         if not types.is_integer(kind) and not types.is_floating(kind):
             held = "text" if types.is_dictionary(kind) else kind
-            raise self.wrong(f"holds {held}, not numbers or flags", column=name)
+            raise self.wrong(f"holds {held}, not numbers or flags; map another column", column=name)
         try:
             return _filled(pc.cast(array, pa.int64() if types.is_integer(kind) else pa.float64()))
         except pa.ArrowInvalid as error:
@@ -164,7 +173,7 @@ def read_table(data: bytes, file: str, names: Sequence[str], form: Csv, cells: i
         kinds = " or ".join((*PARQUET[:1], *TEXT))
         raise BadImport([f"{file}: is no table that is known by its name; it must end in {kinds}"])
     if not data:
-        raise BadImport([f"{file}: is an empty file"])
+        raise BadImport([f"{file}: is an empty file; give a table with names over its columns"])
     is_text = suffix in TEXT
     if is_text and data.startswith(PARQUET_MAGIC):
         raise BadImport([f"{file}: is Parquet; name it .parquet"])
@@ -183,7 +192,7 @@ def read_table(data: bytes, file: str, names: Sequence[str], form: Csv, cells: i
         raise BadImport([f"{file}: cannot be read as {kind}: {_short(error)}"]) from error
     rows = len(next(iter(arrays.values()))) if arrays else 0
     if rows == 0:
-        raise BadImport([f"{file}: has no row; a table needs at least one"])
+        raise BadImport([f"{file}: has no row; give a table with at least one"])
     return Table(file, rows, arrays, form.decimal, is_text)
 
 
@@ -215,10 +224,12 @@ def _from_text(data: bytes, file: str, names: Sequence[str], form: Csv, cells: i
     _check_names(file, names, there, f"; its separator is {form.separator!r}" if len(there) == 1 else "")
     if not text[len(head) :].strip():
         return {}
+    if text.endswith((b"\n\n", b"\n\r\n")):
+        text = text.rstrip(b"\r\n")  # only blank lines within a table are rows without a value
     table = csv.read_csv(
         io.BytesIO(text),
         csv.ReadOptions(use_threads=False),
-        csv.ParseOptions(delimiter=form.separator, newlines_in_values=False),
+        csv.ParseOptions(delimiter=form.separator, newlines_in_values=False, ignore_empty_lines=False),
         csv.ConvertOptions(
             column_types=dict.fromkeys(names, pa.string()),
             include_columns=list(names),

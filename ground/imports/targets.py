@@ -36,6 +36,11 @@ class Target:
         """As a mapping names it."""
         return f"{self.topic}.{self.field.name}"
 
+    def member(self, word: str) -> int | None:
+        """The number of the member of this name, in capitals or not; None if there is none."""
+        known = {} if self.members is None else self.members.__members__
+        return known[word.upper()].value if word.upper() in known else None
+
     @property
     def size(self) -> int:
         """How many columns it takes."""

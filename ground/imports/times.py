@@ -77,7 +77,7 @@ def _column(table: Table, time: Time, name: str) -> tuple[Column, int]:
         )
     column = table.numbers(name)
     if column.values.dtype == np.bool_:
-        raise table.wrong("holds flags, not times", column=name)
+        raise table.wrong("holds flags, not times; under [time] name the column that has them", column=name)
     return column, UNIT_NS[time.unit]
 
 
@@ -210,7 +210,24 @@ def between(values: NDArray[Any], chosen: Picked) -> NDArray[Any]:
     inside = np.flatnonzero(chosen.share)
     rows = chosen.rows[inside]
     share = chosen.share[inside].reshape(-1, *(1,) * (values.ndim - 1))
+    mix = _counts_between if values.dtype == np.int64 else _numbers_between
     made = low.copy()
-    step = share * (values[rows + 1].astype(np.float64) - values[rows])
-    made[inside] = low[inside] + (np.rint(step).astype(np.int64) if values.dtype == np.int64 else step)
+    made[inside] = mix(values[rows], values[rows + 1], share)
+    return made
+
+
+def _numbers_between(low: NDArray[Any], high: NDArray[Any], share: Cycles) -> NDArray[Any]:
+    difference = high - low
+    # A difference may be infinite though both are finite; their shares are not.
+    stepped, shared = low + share * difference, (1 - share) * low + share * high
+    made: NDArray[np.float64] = np.where(np.isfinite(difference), stepped, shared)
+    return made
+
+
+def _counts_between(low: NDArray[Any], high: NDArray[Any], share: Cycles) -> NDArray[Any]:
+    """Rounded; modulo 2**64, where the distance of any two counts is exact."""
+    is_up = high >= low
+    a, b = low.view(np.uint64), high.view(np.uint64)
+    step = np.rint(share * np.where(is_up, b - a, a - b).astype(np.float64)).astype(np.uint64)
+    made: NDArray[np.int64] = np.where(is_up, a + step, a - step).view(np.int64)
     return made

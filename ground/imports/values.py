@@ -9,7 +9,6 @@ from ground.imports.mapping import TICK, Channel
 from ground.imports.table import Column, Table
 from sim.scenario.names import did_you_mean
 
-SMALLEST: Final = -(2.0**63)
 BEYOND: Final = 2.0**63
 EXACT: Final = 1 << 53
 """Whole numbers beyond it are not all floats."""
@@ -42,7 +41,7 @@ def _constant(channel: Channel, count: int) -> NDArray[Any]:
         return np.zeros((count, 1), kind)
     value = channel.constant
     if kind.kind == "f":
-        value = _in_units(channel, np.asarray(value, np.float64), slice(None))
+        value = in_units(channel, np.asarray(value, np.float64), slice(None))
     return np.broadcast_to(np.asarray(value, kind), (count, channel.target.size))
 
 
@@ -55,14 +54,14 @@ def _converted(
     match channel.target.field.kind:
         case "<f8":
             _check_exact(table, column, values, rows)
-            return _in_units(channel, values.astype(np.float64), k)
+            return _finite(table, channel, column, values.astype(np.float64), k, rows)
         case "<i8":
             return _whole(table, channel, column, values, k, rows)
         case _:
             return _flags(table, channel, column, values, k, rows)
 
 
-def _in_units(channel: Channel, values: NDArray[np.float64], k: int | slice) -> NDArray[np.float64]:
+def in_units(channel: Channel, values: NDArray[np.float64], k: int | slice) -> NDArray[np.float64]:
     """SI values; what is not changed keeps every bit, the sign of zero and the kind of NaN included."""
     gain, offset, unit = channel.gain[k], channel.offset[k], channel.conversion
     if np.any(gain != 1.0):
@@ -74,6 +73,23 @@ def _in_units(channel: Channel, values: NDArray[np.float64], k: int | slice) -> 
     if unit.offset != 0.0:
         values = values + unit.offset
     return values
+
+
+def _finite(
+    table: Table,
+    channel: Channel,
+    column: Column,
+    values: NDArray[np.float64],
+    k: int,
+    rows: NDArray[np.int64],
+) -> NDArray[np.float64]:
+    """SI values; refuses those that become infinite or no number on the way."""
+    made = in_units(channel, values, k)
+    beyond = np.flatnonzero(np.isfinite(values) & ~np.isfinite(made))
+    if beyond.size:
+        what = f"{values[beyond[0]]} is too large for its gain, offset and unit; are they right?"
+        raise table.wrong(what, int(rows[beyond[0]]), column.name)
+    return made
 
 
 def _check_exact(table: Table, column: Column, values: NDArray[Any], rows: NDArray[np.int64]) -> None:
@@ -89,20 +105,47 @@ def _whole(
     table: Table, channel: Channel, column: Column, values: NDArray[Any], k: int, rows: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """Counts: whole as they are, or rounded where they come out of a gain or an offset."""
-    is_scaled = channel.gain[k] != 1.0 or channel.offset[k] != 0.0
-    if not is_scaled and values.dtype == np.int64:
-        return values
+    gain, offset = float(channel.gain[k]), float(channel.offset[k])
     if values.dtype == np.bool_:
-        raise table.wrong(f"holds flags; {channel.target.name} is counted", column=column.name)
-    numbers = _in_units(channel, values.astype(np.float64), k)
-    good = (numbers >= SMALLEST) & (numbers < BEYOND)
-    if not is_scaled:
+        raise table.wrong(
+            f"holds flags; {channel.target.name} is counted; map a column of whole numbers",
+            column=column.name,
+        )
+    if values.dtype == np.int64 and _is_exact(gain) and _is_exact(offset):
+        return _whole_of_whole(table, column, values, (int(gain), int(offset)), rows)
+    _check_exact(table, column, values, rows)
+    numbers = in_units(channel, values.astype(np.float64), k)
+    good = np.isfinite(numbers)
+    if (gain, offset) == (1.0, 0.0):
         good &= numbers == np.rint(numbers)
     if not good.all():
         row = int(np.flatnonzero(~good)[0])
         what = f"{numbers[row]} is no whole number, which {channel.target.name} takes"
         raise table.wrong(what, int(rows[row]), column.name)
+    large = np.flatnonzero(np.abs(numbers) > EXACT)
+    if large.size:
+        row = int(large[0])
+        what = f"{numbers[row]:.17g} is too large to be counted without loss; give whole numbers, and no gain"
+        raise table.wrong(what, int(rows[row]), column.name)
     return np.rint(numbers).astype(np.int64)
+
+
+def _is_exact(number: float) -> bool:
+    return number.is_integer() and abs(number) <= EXACT
+
+
+def _whole_of_whole(
+    table: Table, column: Column, values: NDArray[np.int64], line: tuple[int, int], rows: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Gain * value + offset without a float between; what leaves 64 bits comes back far off."""
+    gain, offset = line
+    made = values * np.int64(gain) + np.int64(offset)
+    about = values.astype(np.float64) * gain + offset
+    beyond = np.flatnonzero(np.abs(made.astype(np.float64) - about) > BEYOND / 2)
+    if beyond.size:
+        what = f"{values[beyond[0]]} with its gain and offset has more than 64 bits; are they right?"
+        raise table.wrong(what, int(rows[beyond[0]]), column.name)
+    return made
 
 
 def _flags(
@@ -112,7 +155,8 @@ def _flags(
     is_scaled = channel.gain[k] != 1.0 or channel.offset[k] != 0.0
     if values.dtype == np.bool_ and not is_scaled:
         return values
-    numbers: NDArray[np.float64] = _in_units(channel, values.astype(np.float64), k)
+    _check_exact(table, column, values, rows)
+    numbers: NDArray[np.float64] = in_units(channel, values.astype(np.float64), k)
     odd = np.flatnonzero((numbers != 0.0) & (numbers != 1.0))
     if odd.size:
         what = f"{numbers[odd[0]]} is neither true nor false, 1 nor 0, which {channel.target.name} takes"
@@ -126,9 +170,9 @@ def _named(
     """Members by name or number."""
     members = channel.target.members
     assert members is not None
-    numbers = {name: member.value for name, member in members.__members__.items()}
-    numbers |= {str(number): number for number in numbers.values()}
-    codes = np.array([numbers.get(word, -1) for word in column.words], np.int64)
+    by_number = {str(member.value): member.value for member in members}
+    known = [by_number.get(word, channel.target.member(word)) for word in column.words]
+    codes = np.array([-1 if number is None else number for number in known], np.int64)
     found: NDArray[np.int64] = codes[values]
     unknown = np.flatnonzero(found < 0)
     if unknown.size:

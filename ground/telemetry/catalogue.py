@@ -8,7 +8,7 @@ from typing import Final
 from mcap.records import Channel, Schema
 
 from ground.telemetry.events import CommandEntry, Entry, EvrEntry
-from ground.telemetry.format import COMMAND_TOPIC, DERIVED_KEY, EVR_TOPIC, LAYOUT_KEY, TRUTH_KEY
+from ground.telemetry.format import COMMAND_TOPIC, DERIVED_KEY, EVR_TOPIC, LAYOUT_KEY, TRUTH_KEY, TRUTH_TEXT
 from ground.telemetry.ros_text import full_text
 from ground.telemetry.schema import Layout, definition, layout_of
 from ground.telemetry.standard import FIXED_FRAMES, FRAMES, JOINT_STATES, SHAPES
@@ -51,12 +51,12 @@ def announced() -> tuple[Announced, ...]:
     for topic, kind, layout, is_truth in packets:
         metadata = {LAYOUT_KEY: layout.to_json()}
         if is_truth:
-            metadata[TRUTH_KEY] = "the plant's own state; flight software never sees it"
+            metadata[TRUTH_KEY] = TRUTH_TEXT
         text = definition(kind.__doc__, layout.ros_text)
-        found.append(Announced(len(found) + 1, topic, _own(kind), text, metadata, layout))
+        found.append(Announced(len(found) + 1, topic, own_schema(kind.__name__), text, metadata, layout))
     for topic, entry in lines:
         text = definition(entry.__doc__, entry.ros_text())
-        found.append(Announced(len(found) + 1, topic, _own(entry), text, {}))
+        found.append(Announced(len(found) + 1, topic, own_schema(entry.__name__), text, {}))
     for topic, (schema, source) in STANDARD.items():
         found.append(
             Announced(len(found) + 1, topic, schema, full_text(schema), {DERIVED_KEY: f"from {source}"})
@@ -97,5 +97,6 @@ def records_of(channels: tuple[Announced, ...]) -> tuple[list[Schema], list[Chan
     ]
 
 
-def _own(kind: type) -> str:
-    return f"marsarm/msg/{kind.__name__}"
+def own_schema(name: str) -> str:
+    """What a schema of ours is called in a log."""
+    return f"marsarm/msg/{name}"

@@ -21,6 +21,7 @@ CHANNELS_KEY: Final = "channels"
 
 LAYOUT_KEY: Final = "layout"
 TRUTH_KEY: Final = "truth"
+TRUTH_TEXT: Final = "the plant's own state; flight software never sees it"
 DERIVED_KEY: Final = "derived"
 """Of a channel's metadata: it was computed from other channels, for the tools of others."""
 EVR_TOPIC: Final = "/evr"

@@ -1,6 +1,5 @@
 """Writes a log whose messages are known beforehand: those of a table that was imported."""
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO, Final
@@ -10,6 +9,7 @@ from mcap.writer import Writer
 from numpy.typing import NDArray
 
 from fsw.dictionary.commands import Command
+from ground.telemetry.catalogue import Announced, header_text, own_schema
 from ground.telemetry.events import CommandEntry, command_entry
 from ground.telemetry.format import (
     CHANNELS_KEY,
@@ -20,12 +20,12 @@ from ground.telemetry.format import (
     LAYOUT_KEY,
     TICK_NS,
     TRUTH_KEY,
+    TRUTH_TEXT,
     header_crc32,
 )
 from ground.telemetry.schema import Layout, definition
 
 CHUNK_BYTES: Final = 1 << 18
-TRUTH: Final = "the plant's own state; flight software never sees it"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,16 +54,16 @@ def write_table_log(
         OSError: the disk is full or gone.
     """
     writer = Writer(file, chunk_size=CHUNK_BYTES, enable_data_crcs=True)
-    header = {**header, CHANNELS_KEY: json.dumps(_channels(series, commands is not None))}
+    channels = _announced(series, commands is not None)
+    header = {**header, CHANNELS_KEY: header_text(channels)}
     writer.start(profile="", library="marsarm")
     writer.add_metadata(FORMAT_RECORD, {"version": FORMAT, "header_crc32": header_crc32(header)})
     writer.add_metadata(HEADER_RECORD, header)
     entries = [(tick, command_entry(tick, command).encode()) for tick, command in commands or ()]
     bodies: list[Any] = [[body for _, body in entries]] if commands is not None else []
     ticks: list[Any] = [[tick for tick, _ in entries]] if commands is not None else []
-    ids = [_command_channel(writer)] if commands is not None else []
+    ids = [_register(writer, channel) for channel in channels]
     for one in series:
-        ids.append(_packet_channel(writer, one))
         bodies.append(np.ascontiguousarray(one.data))
         ticks.append(one.ticks)
     for which, sequence, tick in _in_order(ticks):
@@ -81,30 +81,20 @@ def _in_order(ticks: Sequence[Any]) -> Any:
     return zip(which[order].tolist(), sequence[order].tolist(), tick[order].tolist(), strict=True)
 
 
-def _channels(series: Sequence[Series], has_commands: bool) -> dict[str, Any]:
-    """What the header says of each topic, so that a reader needs no schema record."""
-    names = ([COMMAND_TOPIC] if has_commands else []) + [one.topic for one in series]
-    told = [(_name(CommandEntry.__name__), None, False)] if has_commands else []
-    told += [(_name(one.schema), json.loads(one.layout.to_json()), one.is_truth) for one in series]
-    return {
-        topic: {"id": k + 1, "schema": schema, "layout": layout, "truth": truth, "derived": False}
-        for k, (topic, (schema, layout, truth)) in enumerate(zip(names, told, strict=True))
-    }
+def _announced(series: Sequence[Series], has_commands: bool) -> tuple[Announced, ...]:
+    """The channels, commands first."""
+    found = []
+    if has_commands:
+        text = definition(CommandEntry.__doc__, CommandEntry.ros_text())
+        found.append(Announced(1, COMMAND_TOPIC, own_schema(CommandEntry.__name__), text, {}))
+    for one in series:
+        metadata = {LAYOUT_KEY: one.layout.to_json()} | ({TRUTH_KEY: TRUTH_TEXT} if one.is_truth else {})
+        text = definition(one.doc, one.layout.ros_text)
+        schema = own_schema(one.schema)
+        found.append(Announced(len(found) + 1, one.topic, schema, text, metadata, one.layout))
+    return tuple(found)
 
 
-def _command_channel(writer: Writer) -> int:
-    text = definition(CommandEntry.__doc__, CommandEntry.ros_text())
-    schema = writer.register_schema(_name(CommandEntry.__name__), "ros2msg", text)
-    return writer.register_channel(COMMAND_TOPIC, "cdr", schema, {})
-
-
-def _packet_channel(writer: Writer, one: Series) -> int:
-    metadata = {LAYOUT_KEY: one.layout.to_json()} | ({TRUTH_KEY: TRUTH} if one.is_truth else {})
-    text = definition(one.doc, one.layout.ros_text)
-    return writer.register_channel(
-        one.topic, "cdr", writer.register_schema(_name(one.schema), "ros2msg", text), metadata
-    )
-
-
-def _name(schema: str) -> str:
-    return f"marsarm/msg/{schema}"
+def _register(writer: Writer, channel: Announced) -> int:
+    schema = writer.register_schema(channel.schema, "ros2msg", channel.text)
+    return writer.register_channel(channel.topic, "cdr", schema, dict(channel.metadata))

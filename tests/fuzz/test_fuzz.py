@@ -1,10 +1,15 @@
 """A few broken files for each thing that reads files of others; `make fuzz` tries many more."""
 
+import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+import benchmarks.fuzz
+from benchmarks import fuzz_import
 from benchmarks.fuzz import TARGETS, Target, fuzz
+from ground.imports import table
 
 TRIES = 400
 
@@ -23,3 +28,45 @@ def test_broken_files_are_refused_with_an_error_that_says_so(
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
 def test_the_seeds_are_accepted(target: Target) -> None:
     assert all(target.run(seed) for seed in target.seeds())
+
+
+def hides_all(work: Any) -> Target:
+    """A target that takes whatever goes wrong for a broken file, as decoders do."""
+
+    def run(_: bytes) -> bool:
+        try:
+            work()
+        except Exception:
+            return False
+        return True
+
+    return Target("hides", run, lambda: [b"seed"])
+
+
+def test_a_hang_is_seen_though_the_target_catches_every_exception(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(benchmarks.fuzz, "SLOWEST_S", 0.05)
+    found = fuzz(hides_all(lambda: time.sleep(60)), 6, seconds=300.0, most=1)
+    assert "TooSlow" in found["why"]
+    assert Path(found["failed"]).exists()
+
+
+def test_memory_that_grows_is_seen_though_the_target_gives_it_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    had = iter([0, 2 << 30])
+    monkeypatch.setattr(benchmarks.fuzz, "peak_bytes", lambda: next(had))
+    found = fuzz(hides_all(lambda: None), 6, seconds=300.0, most=1)
+    assert "MemoryError: the process grew by 2147483648 bytes" in found["why"]
+
+
+def test_a_table_that_asks_for_all_of_the_memory_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    def bomb(*_: Any) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(table, "_from_text", bomb)
+    with pytest.raises(MemoryError):
+        fuzz_import.import_once(fuzz_import.import_seeds()[0])

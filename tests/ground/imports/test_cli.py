@@ -11,6 +11,7 @@ from pyarrow import parquet
 from typer.testing import CliRunner
 
 from ground.cli import app
+from ground.imports.targets import Target, targets
 from ground.telemetry.read import read_log
 
 MAPPING = """[time]
@@ -20,6 +21,12 @@ name = "/sensors.current_A"
 columns = ["a", "b", "c", "d", "e"]
 unit = "mA"
 """
+
+
+def channel(target: Target) -> str:
+    """The part of a mapping that takes a channel of ours from columns of its name."""
+    columns = [f"{target.name}.{k}" for k in range(target.size)]
+    return f'[[channel]]\nname = "{target.name}"\ncolumns = {json.dumps(columns)}\nunit = "{target.unit}"\n'
 
 
 @pytest.fixture
@@ -48,6 +55,20 @@ def test_people_read_why_a_packet_is_not_whole(words: list[str]) -> None:
     assert result.exit_code == 0
     said = " ".join(result.output.split())
     assert "/sensors is not whole, so it is kept as /imported/sensors; it lacks cycle" in said
+
+
+def test_one_is_counted_as_one(words: list[str], tmp_path: Path) -> None:
+    sensors = [one for name, one in targets().items() if name.startswith("/sensors.")]
+    (tmp_path / "m.toml").write_text(
+        "[time]\nrate_Hz = 64\n"
+        + "".join(map(channel, sensors))
+        + '[start]\nmode = "stowed"\n[[command]]\ntype = "STOP"\nat_s = 0\n'
+    )
+    table = pa.table({f"{one.name}.{k}": [0.0] for one in sensors for k in range(one.size)})
+    parquet.write_table(table, tmp_path / "t.parquet")
+    said = " ".join(CliRunner().invoke(app, words).output.split())
+    assert "cap: 1 row ┏" in said
+    assert "replay 1 command; `marsarm replay" in said
 
 
 def test_what_is_wrong_is_in_the_document(words: list[str], tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from pyarrow import parquet
 from typer.testing import CliRunner
 
 from ground.cli import app
+from ground.imports import job
 from ground.imports.errors import BadImport
 from ground.imports.job import imported
 
@@ -93,6 +94,12 @@ MAPPINGS = {
     "constant count": (
         TIME + CURRENT + '[[channel]]\nname = "/sensors.cycle"\nvalue = 1.5\n',
         'is not a whole number of 64 bits, or "tick"',
+    ),
+    "constant without end": (
+        TIME
+        + CURRENT
+        + '[[channel]]\nname = "/sensors.winding_C"\nvalue = 1e200\nunit = "K"\ngain = 1e200\n',
+        "m.toml:10: value: is too large for its gain, offset and unit",
     ),
     "only constants": (
         TIME.replace('column = "t"\nunit = "s"', "rate_Hz = 64")
@@ -192,11 +199,13 @@ def test_a_table_is_refused(case: str) -> None:
 HEAD = "t,a,b,c,d,e"
 TEXTS = {
     "a word": (text(HEAD, "0,1,2,3,4,x"), "row 1, column 'e': 'x' is no number"),
+    "an infinity in digits": (text(HEAD, "0,1,2,3,4,-1e400"), "row 1, column 'e': '-1e400' is too large"),
     "decimal comma": (text(HEAD, '0,1,2,3,4,"5,5"'), "'5,5' is no number; write decimal = \",\" under [csv]"),
     "separator": (text(HEAD.replace(",", ";"), "0;1;2;3;4;5"), "its separator is ','"),
     "ragged": (text(HEAD, "0,1,2,3,4,5", "1,2,3"), "cannot be read as text in columns"),
     "a name twice": (text("t,a,b,c,d,e,a", "0,1,2,3,4,5,6"), "there are 2 columns 'a'"),
     "header only": (text(HEAD), "has no row"),
+    "a blank line": (text(HEAD, "0,1,2,3,4,5", "", "1,1,2,3,4,5"), "row 2, column 't': has no time"),
     "zeros": (b"t,a\0\0\n0,1\n", "there are bytes of zero in it"),
     "UTF-16": ("t,a\n".encode("utf-16"), "is text in UTF-16"),
     "Parquet": (table(), "is Parquet; name it .parquet"),
@@ -234,6 +243,27 @@ def test_a_value_is_refused(case: str) -> None:
     name, values, unit, words = VALUES[case]
     mapping = f'{TIME}[[channel]]\nname = "{name}"\ncolumns = "a"\n' + (f'unit = "{unit}"\n' if unit else "")
     assert words in refusal(mapping, table(a=values))
+
+
+def test_a_number_that_its_gain_makes_infinite_is_refused() -> None:
+    said = refusal(TIME + CURRENT + "gain = 1e300\n", table(b=[1.0, 2.0, 1e300]))
+    assert "row 3, column 'b': 1e+300 is too large for its gain, offset and unit" in said
+
+
+LOSSES = {
+    "a gain": ([1, 2, (1 << 53) + 1], "gain = 0.5", "row 3, column 'a': 9007199254740993 is too large to be"),
+    "64 bits": ([1, -(1 << 63), 2], "gain = -1", "row 2, column 'a': -9223372036854775808 with its gain"),
+    "a large gain": ([1, 2048, 2], f"gain = {1 << 53}", "row 2, column 'a': 2048 with its gain"),
+    "floats": ([1.0, 2.0**53 + 2, 2.0], "", "row 2, column 'a': 9007199254740994 is too large to be counted"),
+    "a fine gain": ([1, 2, 3], "gain = 1e16", "row 1, column 'a': 10000000000000000 is too large to be"),
+}
+
+
+@pytest.mark.parametrize("case", LOSSES)
+def test_a_count_that_would_lose_bits_is_refused(case: str) -> None:
+    counts, scale, words = LOSSES[case]
+    mapping = '[[channel]]\nname = "/imported/arm.n_count"\ncolumns = "a"\nunit = "count"\n'
+    assert words in refusal(TIME + mapping + scale, table(a=counts))
 
 
 def test_two_rows_in_one_cycle_are_refused() -> None:
@@ -279,6 +309,34 @@ def test_the_command_line_refuses_with_status_2_and_writes_nothing(tmp_path: Pat
     assert "row 3" in result.output
     assert out.read_bytes() == b"before"
     assert len(list(tmp_path.iterdir())) == 3
+
+
+@pytest.mark.parametrize("name", ["t.parquet", "m.toml"])
+def test_a_file_of_more_bytes_than_any_is_refused_unread(tmp_path: Path, name: str) -> None:
+    (tmp_path / "t.parquet").write_bytes(table())
+    (tmp_path / "m.toml").write_text(TIME + CURRENT)
+    with (tmp_path / name).open("wb") as sparse:
+        sparse.truncate(30 << 30)
+    words = ["log", "import", *(str(tmp_path / each) for each in ("t.parquet", "m.toml", "o.mcap"))]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 2
+    assert f"{name}: has 32212254720 bytes, more than" in " ".join(result.output.split())
+    assert not (tmp_path / "o.mcap").exists()
+
+
+def test_a_table_that_does_not_fit_the_memory_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any) -> None:
+        raise MemoryError
+
+    (tmp_path / "t.parquet").write_bytes(table())
+    (tmp_path / "m.toml").write_text(TIME + CURRENT)
+    monkeypatch.setattr(job, "series_of", full)
+    words = ["log", "import", *(str(tmp_path / each) for each in ("t.parquet", "m.toml", "o.mcap"))]
+    result = CliRunner().invoke(app, words)
+    assert result.exit_code == 2
+    assert "t.parquet: is too large for the memory; give it in parts" in " ".join(result.output.split())
 
 
 @pytest.mark.parametrize(

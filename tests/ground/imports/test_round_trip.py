@@ -18,6 +18,7 @@ from fsw.messages import Sensors
 from fsw.state import boot
 from ground.imports.job import ImportRequest, import_table
 from ground.imports.targets import targets
+from ground.request import BadRequest
 from ground.telemetry.read import Log, read_log
 from sim.params import nominal_params
 
@@ -69,6 +70,29 @@ def test_it_replays_as_it_ran(run: Log, as_parquet: bytes, make: Any, tmp_path: 
         for name in recorded.dtype.names or ():
             assert np.array_equal(recorded[name], getattr(outputs.joint, name), equal_nan=False), (tick, name)
         assert np.array_equal(run["/drive"][tick]["setpoint_count"], outputs.drive.setpoint_count), tick
+
+
+def test_the_first_mode_is_a_name_in_capitals_or_not(as_parquet: bytes, make: Any, tmp_path: Path) -> None:
+    sensors = [name for name in targets() if name.startswith("/sensors.")]
+    start = make.start().replace('"deployed"', '"DEPLOYED"')
+    log = import_into(tmp_path, as_parquet, make.TIME + make.channels(*sensors) + start)
+    assert json.loads(log.header["boot"])["mode"] == "DEPLOYED"
+
+
+def test_a_command_behind_the_table_is_refused_with_its_line(
+    as_parquet: bytes, make: Any, tmp_path: Path
+) -> None:
+    sensors = [name for name in targets() if name.startswith("/sensors.")]
+    mapping = make.TIME + make.channels(*sensors) + make.start()
+    ends_s = (make.N_CYCLES - 1) / 64
+    last = f'[[command]]\ntype = "STOP"\nat_s = {ends_s}\n'
+    log = import_into(tmp_path, as_parquet, mapping + last)
+    assert log.commands[-1].tick == make.N_CYCLES - 1
+    with pytest.raises(BadRequest) as caught:
+        import_into(tmp_path, as_parquet, mapping + last + last.replace(str(ends_s), "100"))
+    line = len((mapping + last).splitlines()) + 1
+    said = f"map.toml:{line}: command: at_s is 100, the table ends at {ends_s}; it would never be given"
+    assert said in str(caught.value)
 
 
 def test_the_header_says_where_it_comes_from(as_parquet: bytes, make: Any, tmp_path: Path) -> None:

@@ -79,6 +79,41 @@ def test_counts_stay_whole_and_are_rounded_only_where_a_gain_asks_for_it() -> No
     assert values(mapped(exact + "gain = 0.4\n", a=[0, 1, 2, 4])).tolist() == [0, 0, 1, 2]
 
 
+@pytest.mark.parametrize(
+    ("scale", "counts", "kept"),
+    [
+        ("gain = -1", [(1 << 60) + 1, -(1 << 60) - 1], [-(1 << 60) - 1, (1 << 60) + 1]),
+        ("offset = 1", [(1 << 60) + 1, (1 << 63) - 2], [(1 << 60) + 2, (1 << 63) - 1]),
+        ("gain = 3\noffset = -5", [(1 << 60) + 1, -7], [3 * (1 << 60) - 2, -26]),
+    ],
+)
+def test_whole_gains_and_offsets_keep_every_bit_of_a_count(
+    scale: str, counts: list[int], kept: list[int]
+) -> None:
+    mapping = one("/imported/arm.x_count", f'columns = "a"\nunit = "count"\n{scale}')
+    assert values(mapped(mapping, t=GRID_S[:2], a=counts)).tolist() == kept
+
+
+def test_linear_counts_lie_between_the_rows_however_large_and_far_apart() -> None:
+    n = [-(1 << 63), (1 << 63) - 1, (1 << 60) + 1, (1 << 60) + 5]
+    made = mapped(STEPS, 'unit = "s"\ngrid = "linear"', 2 * GRID_S, n=n)
+    assert values(made).tolist()[::2] == n
+    first, second, third = values(made).tolist()[1::2]
+    assert (first, third) == (0, (1 << 60) + 3)
+    assert second == pytest.approx((n[1] + n[2]) / 2, rel=1e-15)
+
+
+def test_linear_numbers_between_finite_ones_are_finite() -> None:
+    made = mapped(SPEED, 'unit = "s"\ngrid = "linear"', 2 * GRID_S[:2], a=[-1.5e308, 1.5e308])
+    assert values(made).tolist() == [-1.5e308, 0.0, 1.5e308]
+
+
+def test_infinities_of_the_table_stay() -> None:
+    mapping = "[time]\nrate_Hz = 64\n" + one("/imported/arm.x_m", 'columns = "a"\nunit = "mm"')
+    made = imported(b"a\ninf\n-Infinity\nnan\n", "t.csv", mapping.encode(), "m.toml")
+    assert np.array_equal(values(made), [np.inf, -np.inf, np.nan], equal_nan=True)
+
+
 def test_flags_may_be_numbers_and_may_be_turned_round() -> None:
     braked = one("/imported/arm.braked", 'columns = "a"\nunit = "bool"')
     assert values(mapped(braked, a=[0, 1, 1, 0])).tolist() == [False, True, True, False]
@@ -86,9 +121,17 @@ def test_flags_may_be_numbers_and_may_be_turned_round() -> None:
     assert values(mapped(turned, a=[True, False, True, True])).tolist() == [False, True, False, False]
 
 
-@pytest.mark.parametrize("modes", [["STOWED", "GUARDED"] * 2, [0, 3] * 2])
+@pytest.mark.parametrize("modes", [["STOWED", "GUARDED"] * 2, ["stowed", "Guarded"] * 2, [0, 3] * 2])
 def test_modes_are_names_or_numbers(modes: list[Any]) -> None:
     assert values(mapped(one("/joint.mode", 'columns = "a"'), a=modes)).tolist() == [0, 3, 0, 3]
+
+
+@pytest.mark.parametrize("mode", ["GUARDED", "guarded"])
+def test_a_constant_mode_is_a_name_in_capitals_or_not(mode: str) -> None:
+    made = mapped(
+        one("/joint.mode", f'value = "{mode}"') + one("/joint.tick", 'columns = "a"'), a=[0, 1, 2, 3]
+    )
+    assert made.series[0].data["mode"].tolist() == [3] * 4
 
 
 def test_a_constant_stands_in_every_message_and_the_cycle_counts() -> None:
@@ -132,6 +175,16 @@ def test_rows_at_a_rate_need_no_time() -> None:
     )
     made = imported(sink.getvalue(), "t.parquet", mapping.encode(), "m.toml")
     assert made.series[0].ticks.tolist() == [0, 2, 4]
+
+
+@pytest.mark.parametrize("line", ["\n", "\r\n"])
+def test_a_blank_line_is_a_row_without_a_value_except_at_the_end(line: str) -> None:
+    mapping = "[time]\nrate_Hz = 64\n" + one("/imported/arm.x_m", 'columns = "a"\nunit = "m"')
+    data = line.join(["a", "1", "", "3", "", ""]).encode()
+    made = imported(data, "t.csv", mapping.encode(), "m.toml")
+    assert made.rows == 3
+    assert made.series[0].ticks.tolist() == [0, 2]
+    assert values(made).tolist() == [1.0, 3.0]
 
 
 def test_rows_may_be_put_in_order_and_the_report_can_say_so() -> None:
