@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.replay.apart import apart
 from ground.replay.behaviour import Behaviour, Series
 from ground.replay.evrs import EvrDifference, evr_differences
 from ground.telemetry.format import EVR_TOPIC
@@ -16,6 +17,7 @@ BEFORE, AFTER = 8, 24
 """Ticks of the topic that are kept before and from the first difference on."""
 
 Chosen = Callable[[str], bool]
+Number = float | int | bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,17 +39,17 @@ class ChannelDifference:
     first_tick: int
     first_component: tuple[int, ...]
     """Of an array: the one that differs most at the first tick."""
-    at_first: tuple[float, float]
+    at_first: tuple[Number, Number]
     """Its values there, recorded and replayed."""
-    recorded: NDArray[np.float64]
+    recorded: NDArray[Any]
     """Its values around there."""
-    replayed: NDArray[np.float64]
+    replayed: NDArray[Any]
     ticks: int
     """At how many ticks the channel differs."""
     compared: int
     """At how many it was compared."""
     greatest: float
-    """The greatest difference; infinite where only one side is a number."""
+    """The greatest difference; as of `apart`."""
     greatest_tick: int
     component: tuple[int, ...]
     """Of an array: the one with the greatest difference."""
@@ -91,7 +93,8 @@ def compare(
 ) -> Differences:
     """What is not the same; NaN is the same as NaN.
 
-    `tolerance` is relative to numbers beyond 1, absolute below; whole numbers and flags are to be the same.
+    `tolerance` is relative to numbers beyond 1, absolute below; 0 is bit for bit. Whole numbers and flags
+    are to be the same at any tolerance.
     Flight software always says that it is up: without any event, a log is of something else, and what it has
     not got is not compared.
     """
@@ -164,11 +167,11 @@ def _channel(
     """Where a channel differs at the ticks that both sides have; None where nowhere."""
     ticks, mine, yours = np.intersect1d(ours.ticks, theirs.ticks, return_indices=True)
     a, b = ours.fields[name][mine], theirs.fields[name][yours]
-    if np.array_equal(a, b):
+    if not a.size:
         return None
-    shape, kinds = a.shape[1:], {a.dtype.kind, b.dtype.kind}
-    a, b = (side.reshape(len(ticks), -1).astype(np.float64) for side in (a, b))
-    off = _off(a, b, tolerance if kinds == {"f"} else 0.0)
+    shape = a.shape[1:]
+    a, b = (side.reshape(len(ticks), -1) for side in (a, b))
+    off = apart(a, b, tolerance)
     profile = off.max(axis=1)
     if not profile.any():
         return None
@@ -178,7 +181,7 @@ def _channel(
         channel=channel,
         first_tick=int(ticks[first]),
         first_component=_index(k, shape),
-        at_first=(float(a[first, k]), float(b[first, k])),
+        at_first=(a[first, k].item(), b[first, k].item()),
         recorded=a[window, k],
         replayed=b[window, k],
         ticks=int(np.count_nonzero(profile)),
@@ -192,12 +195,3 @@ def _channel(
 
 def _index(k: int, shape: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(int(i) for i in np.unravel_index(k, shape))
-
-
-def _off(a: NDArray[Any], b: NDArray[Any], tolerance: float) -> NDArray[np.float64]:
-    """How far apart, 0 where they are the same; infinite where only one is a number."""
-    same = (a == b) | (np.isnan(a) & np.isnan(b))
-    with np.errstate(invalid="ignore", over="ignore"):
-        off = np.abs(a - b)
-        same |= off <= tolerance * np.maximum(1.0, np.abs(a))
-    return np.where(same, 0.0, np.where(np.isnan(off), np.inf, off))

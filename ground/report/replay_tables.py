@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from math import isfinite
 from typing import Any, Final
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
@@ -116,7 +117,7 @@ def _channel_lines(c: ChannelDifference) -> Iterator[str]:
         f"{c.compared} ticks, by up to {c.greatest:.3g} at tick {c.greatest_tick}"
     )
     yield f"          {'difference over time':<20}  {size_line(c.profile)}"
-    lines = value_lines(c.recorded, c.replayed)
+    lines = value_lines(c.recorded.astype(np.float64), c.replayed.astype(np.float64))
     where = "" if c.component == c.first_component else f" of {_named(c.channel, c.first_component)}"
     for side, line, value in zip(("recorded", "replayed"), lines, c.at_first, strict=True):
         yield f"          {f'{side} at first':<20}  {line}  {value!r} at tick {c.first_tick}{where}"
