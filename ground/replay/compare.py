@@ -11,12 +11,14 @@ from numpy.typing import NDArray
 from ground.replay.apart import apart
 from ground.replay.behaviour import Behaviour, Series
 from ground.replay.evrs import EvrDifference, evr_differences
+from ground.telemetry.channel_name import channel_name
 from ground.telemetry.format import EVR_TOPIC
 
 BEFORE, AFTER = 8, 24
 """Ticks of the topic that are kept before and from the first difference on."""
 
-Chosen = Callable[[str], bool]
+Chosen = Callable[[str, str], bool]
+"""Whether to compare a field of a topic."""
 Number = float | int | bool
 
 
@@ -68,6 +70,7 @@ class Differences:
     evrs: tuple[EvrDifference, ...]
     channels: tuple[ChannelDifference, ...]
     channels_compared: int
+    evrs_compared: bool
     not_compared: tuple[str, ...]
     """Sentences about what only one side can tell."""
 
@@ -77,15 +80,15 @@ class Differences:
         same_length = self.ticks[0] == self.ticks[1]
         return same_length and not (self.lengths or self.evrs or self.channels)
 
+    @property
+    def nothing_compared(self) -> bool:
+        """Whether there was nothing on both sides that could have differed."""
+        return not (self.channels_compared or self.evrs_compared)
 
-def every_channel(channel: str) -> bool:
+
+def every_channel(topic: str, field: str) -> bool:
     """Choose all."""
     return True
-
-
-def channels_of(behaviour: Behaviour) -> list[str]:
-    """The names of its channels: topic, dot, field."""
-    return [f"{topic}.{name}" for topic, series in behaviour.series.items() for name in series.fields]
 
 
 def compare(
@@ -112,9 +115,9 @@ def compare(
             continue
         comparable, sentences = _comparable(topic, ours, theirs)
         untold += sentences
-        for name in (name for name in comparable if chosen(f"{topic}.{name}")):
+        for name in (name for name in comparable if chosen(topic, name)):
             compared += 1
-            channels.append(_channel(f"{topic}.{name}", name, ours, theirs, tolerance))
+            channels.append(_channel(channel_name(topic, name), name, ours, theirs, tolerance))
     return Differences(
         tolerance=tolerance,
         ticks=(recorded.ticks, replayed.ticks),
@@ -124,6 +127,7 @@ def compare(
         evrs=() if foreign else evr_differences(recorded.evrs, replayed.evrs, tolerance),
         channels=tuple(one for one in channels if one is not None),
         channels_compared=compared,
+        evrs_compared=not foreign,
         not_compared=tuple(untold),
     )
 
@@ -133,8 +137,10 @@ def _comparable(topic: str, ours: Series, theirs: Series) -> tuple[list[str], li
     lone = sorted(ours.fields.keys() ^ theirs.fields.keys())
     both = [name for name in ours.fields if name in theirs.fields]
     fit = [name for name in both if ours.fields[name].shape[1:] == theirs.fields[name].shape[1:]]
-    sentences = [f"{topic}.{name}: only one side has it; not compared" for name in lone]
-    sentences += [f"{topic}.{name}: has another shape; not compared" for name in both if name not in fit]
+    sentences = [f"{channel_name(topic, name)}: only one side has it; not compared" for name in lone]
+    sentences += [
+        f"{channel_name(topic, name)}: has another shape; not compared" for name in both if name not in fit
+    ]
     return fit, sentences
 
 
