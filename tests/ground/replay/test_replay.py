@@ -9,7 +9,7 @@ import sim.loop
 from fsw.cycle import step
 from ground.evidence import Files
 from ground.replay.replay import ReplayRequest, replay
-from ground.report.replay_tables import replay_json, replay_table
+from ground.report.replay_tables import replay_json, replay_table, verdict
 from ground.request import BadRequest
 from ground.run import RunRequest, run
 from ground.telemetry.header import header_of
@@ -137,6 +137,7 @@ def test_a_change_of_flight_software_is_named_by_channel_and_tick(tmp_path, monk
     found = replayed(tmp_path, channel="/joint.motor_rad").differences
     (one,) = found.channels
     assert (one.channel, one.first_component, one.first_tick) == ("/joint.motor_rad", (2,), 50)
+    assert verdict(found).startswith("DIFFERENT: 0 events, 0 lengths, 1 of 1 channel; 307 ticks")
 
 
 SHORT = """\
