@@ -77,6 +77,7 @@ def plot(
     """
     from ground.outputs import check_output
     from ground.report.log_figure import save_log_figure
+    from ground.report.words import counted
     from ground.telemetry.inspect import channels_of
 
     with _bad_input(as_json):
@@ -87,7 +88,7 @@ def plot(
     if missing is not None:
         end(f"out {out}: not drawn, {missing}", BAD_INPUT, as_json)
     document = {"log": str(log), "picture": str(out), "channels": [one.name for one in found]}
-    show(document, as_json, lambda: print(f"{len(found)} channels in {out}"))
+    show(document, as_json, lambda: print(f"{counted(len(found), 'channel')} in {out}"))
 
 
 @log_app.command()

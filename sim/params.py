@@ -1,18 +1,22 @@
 """Flight parameters from TOML, strictly: every error at once, each with its place, and one digest."""
 
 import json
+import os
 import tomllib
 from collections.abc import Iterator
 from dataclasses import asdict
 from datetime import date, time
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import TypeAdapter, ValidationError
 
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import not_an_arm, out_of_limits
+
+MOST_BYTES: Final = 1_000_000
+"""Seventy times what all parameters need."""
 
 
 class BadParams(ValueError):
@@ -43,7 +47,11 @@ def params_over(params: Params, path: Path) -> Params:
 
 
 def _read(path: Path) -> dict[str, Any]:
+    if os.path.exists(path) and not os.path.isfile(path):  # a pipe would be waited for, a device has no end
+        raise BadParams(f"{path}: cannot be read: it is not a regular file; give the path of a TOML file")
     try:
+        if path.stat().st_size > MOST_BYTES:
+            raise BadParams(f"{path}: is too large for parameters; {MOST_BYTES} bytes are the most")
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise BadParams(f"{path}: cannot be read: {error}") from error

@@ -7,6 +7,7 @@ from typing import TypeVar
 
 from ground.dictionary.entries import CommandEntry, Dictionary, Entry
 from ground.request import BadRequest
+from ground.telemetry.channel_name import channel_name, is_channel_meant
 from sim.scenario.names import did_you_mean
 
 E = TypeVar("E", bound=Entry)
@@ -15,7 +16,7 @@ E = TypeVar("E", bound=Entry)
 def narrowed(whole: Dictionary, pattern: str) -> Dictionary:
     """The entries whose names match, whole, and of the others the fields that do; capitals do not count.
 
-    A field is called by its own name or after its entry's, as /sensors.current_A.
+    A field is called by its own name or after its entry's, as /sensors.current_A or /sensors/current_A.
 
     Raises:
         BadRequest: nothing matches.
@@ -43,7 +44,7 @@ def _kept(entries: Iterable[E], pattern: str) -> Iterator[E]:
 
 
 def _is_meant(entry: Entry, field: str, pattern: str) -> bool:
-    return _matches(field, pattern) or _matches(f"{entry.name}.{field}", pattern)
+    return _matches(field, pattern) or is_channel_meant(entry.name.lower(), field.lower(), pattern.lower())
 
 
 def _matches(name: str, pattern: str) -> bool:
@@ -51,8 +52,12 @@ def _matches(name: str, pattern: str) -> bool:
 
 
 def _hint(whole: Dictionary, pattern: str) -> str:
-    """What was probably meant; all names would be a page."""
+    """What was probably meant, and how to find it; all names would be a page."""
     entries: list[Entry] = [*whole.commands, *whole.evrs, *whole.packets]
     names = [entry.name for entry in entries] + [one.name for one in whole.parameters]
+    names += [channel_name(packet.name, one.name) for packet in whole.packets for one in packet.fields]
     meant, _, _ = did_you_mean(pattern, names).rpartition("there are ")
-    return f"{meant}* stands for any letters, as in '*tilt*'"
+    return (
+        f"{meant}`marsarm dictionary` lists all there is, "
+        "and a pattern is written as '*tilt*', where * stands for any letters"
+    )

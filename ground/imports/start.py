@@ -84,8 +84,6 @@ def _params(name: str | None, folder: Path, findings: Findings) -> Params | None
         return nominal_params()
     path = folder / name
     try:
-        if path.exists() and not path.is_file():
-            raise BadParams(f"{path}: is not a regular file")
         return params_over_nominal(path)
     except (BadParams, OSError, ValueError) as error:
         for line in str(error).splitlines():

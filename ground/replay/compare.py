@@ -8,14 +8,18 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.replay.apart import apart
 from ground.replay.behaviour import Behaviour, Series
 from ground.replay.evrs import EvrDifference, evr_differences
+from ground.telemetry.channel_name import channel_name
 from ground.telemetry.format import EVR_TOPIC
 
 BEFORE, AFTER = 8, 24
 """Ticks of the topic that are kept before and from the first difference on."""
 
-Chosen = Callable[[str], bool]
+Chosen = Callable[[str, str], bool]
+"""Whether to compare a field of a topic."""
+Number = float | int | bool
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,17 +41,17 @@ class ChannelDifference:
     first_tick: int
     first_component: tuple[int, ...]
     """Of an array: the one that differs most at the first tick."""
-    at_first: tuple[float, float]
+    at_first: tuple[Number, Number]
     """Its values there, recorded and replayed."""
-    recorded: NDArray[np.float64]
+    recorded: NDArray[Any]
     """Its values around there."""
-    replayed: NDArray[np.float64]
+    replayed: NDArray[Any]
     ticks: int
     """At how many ticks the channel differs."""
     compared: int
     """At how many it was compared."""
     greatest: float
-    """The greatest difference; infinite where only one side is a number."""
+    """The greatest difference; as of `apart`."""
     greatest_tick: int
     component: tuple[int, ...]
     """Of an array: the one with the greatest difference."""
@@ -66,6 +70,7 @@ class Differences:
     evrs: tuple[EvrDifference, ...]
     channels: tuple[ChannelDifference, ...]
     channels_compared: int
+    evrs_compared: bool
     not_compared: tuple[str, ...]
     """Sentences about what only one side can tell."""
 
@@ -75,15 +80,15 @@ class Differences:
         same_length = self.ticks[0] == self.ticks[1]
         return same_length and not (self.lengths or self.evrs or self.channels)
 
+    @property
+    def nothing_compared(self) -> bool:
+        """Whether there was nothing on both sides that could have differed."""
+        return not (self.channels_compared or self.evrs_compared)
 
-def every_channel(channel: str) -> bool:
+
+def every_channel(topic: str, field: str) -> bool:
     """Choose all."""
     return True
-
-
-def channels_of(behaviour: Behaviour) -> list[str]:
-    """The names of its channels: topic, dot, field."""
-    return [f"{topic}.{name}" for topic, series in behaviour.series.items() for name in series.fields]
 
 
 def compare(
@@ -91,7 +96,8 @@ def compare(
 ) -> Differences:
     """What is not the same; NaN is the same as NaN.
 
-    `tolerance` is relative to numbers beyond 1, absolute below; whole numbers and flags are to be the same.
+    `tolerance` is relative to numbers beyond 1, absolute below; 0 is bit for bit. Whole numbers and flags
+    are to be the same at any tolerance.
     Flight software always says that it is up: without any event, a log is of something else, and what it has
     not got is not compared.
     """
@@ -109,9 +115,9 @@ def compare(
             continue
         comparable, sentences = _comparable(topic, ours, theirs)
         untold += sentences
-        for name in (name for name in comparable if chosen(f"{topic}.{name}")):
+        for name in (name for name in comparable if chosen(topic, name)):
             compared += 1
-            channels.append(_channel(f"{topic}.{name}", name, ours, theirs, tolerance))
+            channels.append(_channel(channel_name(topic, name), name, ours, theirs, tolerance))
     return Differences(
         tolerance=tolerance,
         ticks=(recorded.ticks, replayed.ticks),
@@ -121,6 +127,7 @@ def compare(
         evrs=() if foreign else evr_differences(recorded.evrs, replayed.evrs, tolerance),
         channels=tuple(one for one in channels if one is not None),
         channels_compared=compared,
+        evrs_compared=not foreign,
         not_compared=tuple(untold),
     )
 
@@ -130,8 +137,10 @@ def _comparable(topic: str, ours: Series, theirs: Series) -> tuple[list[str], li
     lone = sorted(ours.fields.keys() ^ theirs.fields.keys())
     both = [name for name in ours.fields if name in theirs.fields]
     fit = [name for name in both if ours.fields[name].shape[1:] == theirs.fields[name].shape[1:]]
-    sentences = [f"{topic}.{name}: only one side has it; not compared" for name in lone]
-    sentences += [f"{topic}.{name}: has another shape; not compared" for name in both if name not in fit]
+    sentences = [f"{channel_name(topic, name)}: only one side has it; not compared" for name in lone]
+    sentences += [
+        f"{channel_name(topic, name)}: has another shape; not compared" for name in both if name not in fit
+    ]
     return fit, sentences
 
 
@@ -164,11 +173,11 @@ def _channel(
     """Where a channel differs at the ticks that both sides have; None where nowhere."""
     ticks, mine, yours = np.intersect1d(ours.ticks, theirs.ticks, return_indices=True)
     a, b = ours.fields[name][mine], theirs.fields[name][yours]
-    if np.array_equal(a, b):
+    if not a.size:
         return None
-    shape, kinds = a.shape[1:], {a.dtype.kind, b.dtype.kind}
-    a, b = (side.reshape(len(ticks), -1).astype(np.float64) for side in (a, b))
-    off = _off(a, b, tolerance if kinds == {"f"} else 0.0)
+    shape = a.shape[1:]
+    a, b = (side.reshape(len(ticks), -1) for side in (a, b))
+    off = apart(a, b, tolerance)
     profile = off.max(axis=1)
     if not profile.any():
         return None
@@ -178,7 +187,7 @@ def _channel(
         channel=channel,
         first_tick=int(ticks[first]),
         first_component=_index(k, shape),
-        at_first=(float(a[first, k]), float(b[first, k])),
+        at_first=(a[first, k].item(), b[first, k].item()),
         recorded=a[window, k],
         replayed=b[window, k],
         ticks=int(np.count_nonzero(profile)),
@@ -192,12 +201,3 @@ def _channel(
 
 def _index(k: int, shape: tuple[int, ...]) -> tuple[int, ...]:
     return tuple(int(i) for i in np.unravel_index(k, shape))
-
-
-def _off(a: NDArray[Any], b: NDArray[Any], tolerance: float) -> NDArray[np.float64]:
-    """How far apart, 0 where they are the same; infinite where only one is a number."""
-    same = (a == b) | (np.isnan(a) & np.isnan(b))
-    with np.errstate(invalid="ignore", over="ignore"):
-        off = np.abs(a - b)
-        same |= off <= tolerance * np.maximum(1.0, np.abs(a))
-    return np.where(same, 0.0, np.where(np.isnan(off), np.inf, off))

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import zip_longest
-from math import isnan
+from math import isfinite, isnan
 from typing import Any
 
 from ground.telemetry.events import EvrEntry
@@ -122,5 +122,6 @@ def _close(a: Any, b: Any, tolerance: float) -> bool:
     if isinstance(a, list) and isinstance(b, list):
         return len(a) == len(b) and all(_close(x, y, tolerance) for x, y in zip(a, b, strict=True))
     if isinstance(a, float) and isinstance(b, float):
-        return a == b or (isnan(a) and isnan(b)) or abs(a - b) <= tolerance * max(1.0, abs(a))
+        near = isfinite(a - b) and abs(a - b) <= tolerance * max(1.0, abs(a))
+        return near or a == b or (isnan(a) and isnan(b))
     return bool(a == b)

@@ -84,19 +84,29 @@ def _start(log: Log, notes: list[str]) -> tuple[Params, Mode, Reference | None]:
             f"its header has no {', '.join(lacking)}, so nobody knows what flight software began with; "
             f"record it with this marsarm, or import it with a [start]"
         )
-    written = json.loads(log.header["params"])
+    written = _document(log, "params")
     seen = len(notes)
     params: Params = from_plain(Params, written, "params", notes, nominal_params())
     if len(notes) == seen and digest(params) != log.header["params_sha256"]:
-        raise NotPlain("its parameters do not match their own digest")
+        raise NotPlain(
+            "its parameters do not match their own digest: the header was changed; "
+            "give the log as it was written"
+        )
     wrong = [*out_of_limits(params), *not_an_arm(params)]
     if wrong:
         raise NotPlain(f"params: {wrong[0]}")
-    boot = json.loads(log.header["boot"])
+    boot = _document(log, "boot")
     if not isinstance(boot, dict) or not {"mode", "reference"} <= boot.keys():
         raise NotPlain("boot: must be mode and reference")
     mode: Mode = from_plain(Mode, boot["mode"], "boot.mode", notes)
     return params, mode, _reference(boot["reference"], notes)
+
+
+def _document(log: Log, name: str) -> Any:
+    try:
+        return json.loads(log.header[name])
+    except ValueError as error:
+        raise NotPlain(f"{name}: is not JSON ({error}); give the log as it was written") from error
 
 
 def _reference(value: Any, notes: list[str]) -> Reference | None:
@@ -113,11 +123,14 @@ def _reference(value: Any, notes: list[str]) -> Reference | None:
 def _whole_ticks(log: Log, notes: list[str]) -> int:
     """How many ticks from 0 on are surely all there."""
     if SENSOR_TOPIC not in log.packets:
-        raise NotReplayable(f"log {log.path}: has no {SENSOR_TOPIC}; there is nothing to replay")
+        raise NotReplayable(
+            f"log {log.path}: has no {SENSOR_TOPIC}, so there is nothing to replay; give the log of a run"
+        )
     ticks = log.ticks(SENSOR_TOPIC)
     if ticks[0] != 0:
         raise NotReplayable(
-            f"log {log.path}: begins at tick {ticks[0]}; what flight software knew by then is unknown"
+            f"log {log.path}: begins at tick {ticks[0]}; what flight software knew by then is unknown; "
+            "give a log that begins at tick 0"
         )
     gaps = np.flatnonzero(np.diff(ticks) != 1)
     end = len(ticks) if gaps.size == 0 else int(gaps[0]) + 1
@@ -126,7 +139,7 @@ def _whole_ticks(log: Log, notes: list[str]) -> int:
     if end == len(ticks) and not log.truncated:
         return end
     if end == 1:
-        raise NotReplayable(f"log {log.path}: holds no tick that is surely whole")
+        raise NotReplayable(f"log {log.path}: holds no tick that is surely whole; give a longer log")
     why = "the log was cut short" if end == len(ticks) else f"something after tick {end - 1} is missing"
     notes.append(f"{why}: replayed up to tick {end - 2}, the last that is surely whole")
     return end - 1
@@ -144,7 +157,10 @@ def _sensors(log: Log) -> dict[str, NDArray[Any]]:
     for field in layout_of(Sensors, [field.name for field in fields(Sensors)]).fields:
         where = f"log {log.path}: {SENSOR_TOPIC}.{field.name}"
         if field.name not in (packets.dtype.names or ()):
-            raise NotReplayable(f"{where} is missing; today's flight software reads it")
+            raise NotReplayable(
+                f"{where} is missing; today's flight software reads it; "
+                f"give a log that has all of {SENSOR_TOPIC}"
+            )
         column = np.ascontiguousarray(packets[field.name])
         shape, dtype = field.shape or (), np.dtype(field.kind)
         if column.dtype != dtype or column.shape[1:] != shape:

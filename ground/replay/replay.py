@@ -3,7 +3,7 @@
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,16 +11,18 @@ from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.params import Params
 from fsw.messages import Outputs
 from fsw.state import boot, outputs_at_rest
-from ground.replay.behaviour import Behaviour, behaviour_in, behaviour_of
-from ground.replay.compare import Differences, channels_of, compare
+from ground.replay.behaviour import OUTPUT_TOPICS, Behaviour, behaviour_in, behaviour_of
+from ground.replay.compare import Differences, compare
 from ground.replay.inputs import Inputs, NotReplayable, inputs_in
 from ground.request import BadRequest
+from ground.telemetry.channel_name import channel_name, is_channel_meant
 from ground.telemetry.errors import LogError
 from ground.telemetry.plain import to_plain
 from ground.telemetry.processor import cpu_features
 from ground.telemetry.read import Log, read_log
 from sim.loop import stepped
 from sim.params import BadParams, params_over
+from sim.scenario.names import did_you_mean
 
 ELSEWHERE: Final = 1e-12
 """What numbers may differ by on a processor whose kernels round sums in another order."""
@@ -34,7 +36,7 @@ class ReplayRequest:
 
     log: Path
     channel: str = "*"
-    """Which channels to compare, as in `/joint.*`; lengths and events are compared in any case."""
+    """Which channels to compare, as in `/joint.*` or `/joint/*`; lengths and events are in any case."""
     params: Path | None = None
     """Parameters in place of those of the log."""
 
@@ -56,7 +58,7 @@ def replay(request: ReplayRequest, progress: Progress) -> ReplayReport:
     """Replay a log and compare.
 
     Raises:
-        BadRequest: the log or the parameters cannot be read or flown.
+        BadRequest: the log or the parameters cannot be read or flown, or there is nothing to compare.
     """
     try:
         log = read_log(request.log)
@@ -71,8 +73,13 @@ def replay(request: ReplayRequest, progress: Progress) -> ReplayReport:
         recorded,
         behaviour_of(outputs_for(inputs, params, progress)),
         tolerance=0.0 if same else ELSEWHERE,
-        chosen=lambda channel: fnmatchcase(channel, request.channel),
+        chosen=partial(is_channel_meant, pattern=request.channel),
     )
+    if differences.none and differences.nothing_compared:
+        raise BadRequest(
+            f"log {request.log}: nothing to compare: flight software ran through its sensors, but the log "
+            f"holds no event and no channel of {', '.join(t.name for t in OUTPUT_TOPICS)} to compare with"
+        )
     changed = tuple(_changed(to_plain(inputs.params), to_plain(params), ""))
     return ReplayReport(request, dict(log.header), differences, changed, inputs.notes, same)
 
@@ -100,9 +107,12 @@ def made_here(log: Log) -> bool:
 
 
 def _check_channel(pattern: str, recorded: Behaviour) -> None:
-    names = channels_of(recorded)
-    if names and not any(fnmatchcase(name, pattern) for name in names):
-        raise BadRequest(f"channel: {pattern!r} is none of {', '.join(names)}")
+    """A pattern must fit a channel that is recorded; if none is, one that flight software puts out."""
+    channels = [(topic, name) for topic, series in recorded.series.items() for name in series.fields]
+    channels = channels or [(topic.name, name) for topic in OUTPUT_TOPICS for name in topic.field_names]
+    if not any(is_channel_meant(topic, name, pattern) for topic, name in channels):
+        names = [channel_name(topic, name) for topic, name in channels]
+        raise BadRequest(f"channel: nothing is called {pattern!r}; {did_you_mean(pattern, names)}")
 
 
 def _changed(before: Any, after: Any, place: str) -> list[str]:

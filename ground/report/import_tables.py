@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.table import Table
 
 from ground.imports.job import ImportReport, duration_s
+from ground.report.words import counted
 
 
 def import_json(report: ImportReport) -> dict[str, Any]:
@@ -25,7 +26,7 @@ def import_json(report: ImportReport) -> dict[str, Any]:
 def import_tables(report: ImportReport) -> None:
     """Print an import: a row for each topic, and what keeps packets from being whole."""
     console = Console(highlight=False)
-    table = Table(title=f"{report.request.log}: {_counted(report.rows, 'row')}", title_justify="left")
+    table = Table(title=f"{report.request.log}: {counted(report.rows, 'row')}", title_justify="left")
     for name in ("topic", "messages", "first tick", "last tick", "ticks without"):
         table.add_column(name, justify="left" if name == "topic" else "right")
     for topic in report.topics:
@@ -33,19 +34,13 @@ def import_tables(report: ImportReport) -> None:
         table.add_row(topic.topic, *map(str, numbers))
     console.print(table)
     if report.rows_moved:
-        console.print(
-            f"sorted    in {_counted(report.rows_moved, 'place')} the file was not in order of time"
-        )
+        console.print(f"sorted    in {counted(report.rows_moved, 'place')} the file was not in order of time")
     for one in report.lacking:
         lacks = ", ".join(one.fields)
         console.print(f"{one.topic} is not whole, so it is kept as {one.kept_as}; it lacks {lacks}")
     if report.replayable:
         console.print(
-            f"replay    {_counted(report.commands, 'command')}; `marsarm replay {report.request.log}`"
+            f"replay    {counted(report.commands, 'command')}; `marsarm replay {report.request.log}`"
         )
     else:
         console.print("replay    no: the mapping does not say what flight software began with")
-
-
-def _counted(number: int, thing: str) -> str:
-    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"

@@ -8,6 +8,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
+from ground.report.words import counted
 from ground.telemetry.format import FORMAT
 from ground.telemetry.inspect import Channel, LogInfo, Range, info_of, range_of
 from ground.telemetry.loss import Lost, span_text
@@ -181,5 +182,5 @@ def exported_table(log: Log, files: dict[str, Path]) -> None:
     """Print which files were written."""
     for topic, path in files.items():
         Console(highlight=False).print(
-            f"{topic:<16} {len(log.time_ns[topic])} rows in {path}", soft_wrap=True
+            f"{topic:<16} {counted(len(log.time_ns[topic]), 'row')} in {path}", soft_wrap=True
         )

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from math import isfinite
 from typing import Any, Final
 
+import numpy as np
 from rich.console import Console
 from rich.markup import escape
 
@@ -12,6 +13,7 @@ from ground.replay.compare import ChannelDifference, Differences
 from ground.replay.evrs import EvrDifference
 from ground.replay.replay import ReplayReport
 from ground.report.waveform import size_line, value_lines
+from ground.report.words import counted
 from ground.telemetry.events import EvrEntry
 
 MOST_EVRS: Final = 30
@@ -80,13 +82,14 @@ def replay_table(report: ReplayReport) -> None:
 
 def verdict(found: Differences) -> str:
     """One line that says whether two runs are the same."""
-    ticks = f"{found.ticks[0]} ticks, {found.ticks[0] / CYCLE_HZ:.1f} s"
+    ticks = f"{counted(found.ticks[0], 'tick')}, {found.ticks[0] / CYCLE_HZ:.1f} s"
     if found.none:
         same = "identical" if found.tolerance == 0 else f"the same to {found.tolerance:g}"
-        return f"{same}: {ticks}, {found.channels_compared} channels"
+        return f"{same}: {ticks}, {counted(found.channels_compared, 'channel')}"
     return (
-        f"DIFFERENT: {len(found.evrs)} events, {len(found.lengths)} lengths, {len(found.channels)} of "
-        f"{found.channels_compared} channels; {ticks}, {found.ticks[1]} replayed"
+        f"DIFFERENT: {counted(len(found.evrs), 'event')}, {counted(len(found.lengths), 'length')}, "
+        f"{len(found.channels)} of {counted(found.channels_compared, 'channel')}; "
+        f"{ticks}, {found.ticks[1]} replayed"
     )
 
 
@@ -116,7 +119,7 @@ def _channel_lines(c: ChannelDifference) -> Iterator[str]:
         f"{c.compared} ticks, by up to {c.greatest:.3g} at tick {c.greatest_tick}"
     )
     yield f"          {'difference over time':<20}  {size_line(c.profile)}"
-    lines = value_lines(c.recorded, c.replayed)
+    lines = value_lines(c.recorded.astype(np.float64), c.replayed.astype(np.float64))
     where = "" if c.component == c.first_component else f" of {_named(c.channel, c.first_component)}"
     for side, line, value in zip(("recorded", "replayed"), lines, c.at_first, strict=True):
         yield f"          {f'{side} at first':<20}  {line}  {value!r} at tick {c.first_tick}{where}"

@@ -1,5 +1,6 @@
 """Flight parameters load strictly: every error at once, each with its place."""
 
+import os
 import re
 from collections.abc import Iterator
 from dataclasses import asdict, replace
@@ -331,6 +332,21 @@ def test_a_file_that_is_not_toml_is_refused(tmp_path: Path, content: bytes, said
 def test_a_file_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(BadParams, match=r"nothing\.toml: cannot be read"):
         params_over_nominal(tmp_path / "nothing.toml")
+
+
+def test_a_pipe_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.toml"
+    os.mkfifo(pipe)
+    with pytest.raises(BadParams, match=r"pipe\.toml: cannot be read: it is not a regular file"):
+        params_over_nominal(pipe)
+
+
+def test_a_file_larger_than_memory_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "large.toml"
+    with path.open("wb") as file:
+        file.truncate(1 << 40)
+    with pytest.raises(BadParams, match=r"large\.toml: is too large for parameters"):
+        params_over_nominal(path)
 
 
 def test_the_digest_is_of_the_values_and_not_of_their_order(tmp_path: Path) -> None:

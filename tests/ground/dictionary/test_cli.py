@@ -58,6 +58,22 @@ def test_the_markdown_has_a_row_for_every_parameter() -> None:
 
 def test_a_pattern_that_matches_nothing_is_refused_with_what_was_meant() -> None:
     assert "did you mean OverCurrent?" in out("OverCurent", status=2)
+    assert "did you mean /joint.motor_rad?" in out("/joint/moter_rad", status=2)
+
+
+def test_where_nothing_is_meant_the_way_to_all_names_is_told() -> None:
+    said = " ".join(out("nosuch", status=2).split())
+    assert said == (
+        "dictionary: nothing is called 'nosuch'; `marsarm dictionary` lists all there is, "
+        "and a pattern is written as '*tilt*', where * stands for any letters"
+    )
+
+
+@pytest.mark.parametrize("pattern", ["/joint.motor_rad", "/joint/motor_rad", "/JOINT/motor_*d"])
+def test_a_channel_is_found_in_either_spelling(pattern: str) -> None:
+    (packet,) = json.loads(out(pattern, "--json"))["packets"]
+    assert packet["name"] == "/joint"
+    assert "motor_rad" in [one["name"] for one in packet["fields"]]
 
 
 def test_json_and_markdown_exclude_each_other() -> None:

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from ground.replay.apart import LEAST
 from ground.replay.behaviour import Behaviour, Series
 from ground.replay.compare import compare
 from ground.replay.evrs import Kind, evr_differences
@@ -80,6 +81,55 @@ def test_flags_and_counts_are_compared():
     assert (one.first_tick, one.greatest, one.at_first) == (4, 1.0, (0.0, 1.0))
 
 
+LARGE = 2**60
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 1e-12])
+@pytest.mark.parametrize(
+    ("was", "now", "apart"),
+    [
+        (np.int64(LARGE), np.int64(LARGE + 1), 1.0),
+        (np.int64(-(2**63)), np.int64(2**63 - 1), 2.0**64),
+        (np.int64(-LARGE), np.int64(-LARGE - 1), 1.0),
+        (np.uint64(2**64 - 1), np.uint64(2**64 - 2), 1.0),
+        (np.int8(-1), np.uint8(255), 256.0),
+        (np.float64(LARGE), np.int64(LARGE + 1), LEAST),
+    ],
+)
+def test_whole_numbers_are_compared_as_whole_numbers(was, now, apart, tolerance):
+    (one,) = compare(behaviour(n=[was] * TICKS), behaviour(n=[now] * TICKS), tolerance).channels
+    assert (one.ticks, one.greatest) == (TICKS, apart)
+    assert one.at_first == (was.item(), now.item())
+    assert compare(behaviour(n=[was] * TICKS), behaviour(n=[was] * TICKS), tolerance).none
+
+
+def test_the_sign_of_zero_is_a_difference_bit_for_bit_and_none_within_a_tolerance():
+    was, now = behaviour(rad=angles(at_2_0=0.0)), behaviour(rad=angles(at_2_0=-0.0))
+    (one,) = compare(was, now).channels
+    assert (one.first_tick, one.ticks, one.greatest) == (2, 1, LEAST)
+    assert str(one.at_first) == "(0.0, -0.0)"
+    assert compare(was, now, 1e-12).none
+
+
+def test_every_nan_is_the_same():
+    odd = np.array([0x7FF8000000000123], np.uint64).view(np.float64)[0]
+    assert compare(behaviour(rad=angles(at_2_0=np.nan)), behaviour(rad=angles(at_2_0=odd))).none
+
+
+@pytest.mark.parametrize(("was", "now"), [(np.inf, 1.0), (1.0, np.inf), (np.inf, -np.inf), (1e308, -1e308)])
+def test_no_tolerance_reaches_from_a_number_to_an_infinity(was, now):
+    found = compare(behaviour(rad=angles(at_2_0=was)), behaviour(rad=angles(at_2_0=now)), 1e-12)
+    assert found.channels[0].greatest == np.inf
+    assert kinds([evr(3, rad=was)], [evr(3, rad=now)], 1e-12) == [("changed", 3, "Moved")]
+
+
+def test_ticks_that_are_never_the_same_leave_nothing_to_compare():
+    was = Behaviour(2, {"/tool": Series(np.array([0]), {"m": np.zeros((1, 3))})}, (BOOTED,))
+    now = Behaviour(2, {"/tool": Series(np.array([1]), {"m": np.zeros((1, 3))})}, (BOOTED,))
+    found = compare(was, now)
+    assert (found.channels, len(found.lengths)) == ((), 1)
+
+
 def test_a_run_that_ends_early_is_a_difference_of_length():
     found = compare(behaviour(rad=angles()), behaviour(4, rad=angles()[:4]))
     assert not found.none
@@ -105,7 +155,7 @@ def test_only_chosen_channels_are_compared_but_events_always():
     found = compare(
         behaviour(a=angles(), b=angles()),
         behaviour(a=angles() + 1, b=angles() + 1, evrs=()),
-        chosen=lambda name: name.endswith(".b"),
+        chosen=lambda topic, name: (topic, name) == ("/joint", "b"),
     )
     assert [one.channel for one in found.channels] == ["/joint.b"]
     assert [one.kind for one in found.evrs] == [Kind.MISSING]

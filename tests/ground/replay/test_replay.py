@@ -9,7 +9,7 @@ import sim.loop
 from fsw.cycle import step
 from ground.evidence import Files
 from ground.replay.replay import ReplayRequest, replay
-from ground.report.replay_tables import replay_json, replay_table
+from ground.report.replay_tables import replay_json, replay_table, verdict
 from ground.request import BadRequest
 from ground.run import RunRequest, run
 from ground.telemetry.header import header_of
@@ -62,12 +62,37 @@ def test_parameters_that_cannot_be_flown_are_refused(tmp_path, toml, said):
 
 
 def test_a_channel_that_nobody_has_is_refused(tmp_path):
-    with pytest.raises(BadRequest, match=r"channel: 'motor' is none of /drive\.setpoint_count"):
+    with pytest.raises(BadRequest, match=r"channel: nothing is called 'motor'; .*there are /drive\.setpoint"):
         replayed(tmp_path, channel="motor")
+    with pytest.raises(BadRequest, match=r"did you mean /joint\.motor_rad\?"):
+        replayed(tmp_path, channel="/joint.moter_rad")
 
 
-def test_only_channels_that_match_are_compared(tmp_path):
-    assert replayed(tmp_path, channel="/joint.gap*").differences.channels_compared == 3
+@pytest.mark.parametrize("pattern", ["/joint.gap*", "/joint/gap*"])
+def test_only_channels_that_match_in_either_spelling_are_compared(tmp_path, pattern):
+    assert replayed(tmp_path, channel=pattern).differences.channels_compared == 3
+
+
+def of_sensors_alone(path):
+    return replace(read_log(path), packets={"/sensors": read_log(path)["/sensors"]}, evrs=())
+
+
+def test_without_outputs_there_is_nothing_to_compare(tmp_path, monkeypatch):
+    monkeypatch.setattr("ground.replay.replay.read_log", of_sensors_alone)
+    with pytest.raises(BadRequest, match=r"nothing to compare: .* no event and no channel of /drive"):
+        replayed(tmp_path)
+    with pytest.raises(BadRequest, match="channel: nothing is called 'nonsense'"):
+        replayed(tmp_path, channel="nonsense")
+
+
+def test_a_software_error_is_told_even_with_nothing_to_compare(tmp_path, monkeypatch):
+    def broken(config, state, sensors, commands):
+        raise KeyError("nobody thought of that")
+
+    monkeypatch.setattr("ground.replay.replay.read_log", of_sensors_alone)
+    monkeypatch.setattr(sim.loop, "step", broken)
+    found = replayed(tmp_path).differences
+    assert (found.none, found.nothing_compared, found.ticks) == (False, True, (307, 1))
 
 
 @pytest.mark.parametrize(
@@ -112,6 +137,7 @@ def test_a_change_of_flight_software_is_named_by_channel_and_tick(tmp_path, monk
     found = replayed(tmp_path, channel="/joint.motor_rad").differences
     (one,) = found.channels
     assert (one.channel, one.first_component, one.first_tick) == ("/joint.motor_rad", (2,), 50)
+    assert verdict(found).startswith("DIFFERENT: 0 events, 0 lengths, 1 of 1 channel; 307 ticks")
 
 
 SHORT = """\

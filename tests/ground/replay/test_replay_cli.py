@@ -13,7 +13,7 @@ SLOWER = "[joints.turret]\nspeed_rad_s = 0.02\n"
 BAD = {
     "no such file": (("none.mcap",), "none.mcap: cannot be read"),
     "no log": (("other.toml",), "other.toml: not an MCAP file"),
-    "no such channel": ((LOG, "--channel", "/motor*"), "channel: '/motor*' is none of /drive.setpoint_count"),
+    "no such channel": ((LOG, "--channel", "/motor*"), "channel: nothing is called '/motor*'"),
     "no such parameters": ((LOG, "--params", "none.toml"), "none.toml: cannot be read"),
     "parameters of another kind": ((LOG, "--params", "wrong.toml"), "speed: is not a parameter"),
 }

@@ -1,0 +1,38 @@
+"""What the benchmark of replays makes of runs that could not be replayed."""
+
+import json
+import sys
+
+import pytest
+
+from benchmarks import replays
+from ground.request import BadRequest
+
+
+def refused(*_: object) -> None:
+    raise BadRequest("no such arm")
+
+
+def same(scenario: str, arm: str) -> replays.Replayed:
+    return replays.Replayed(scenario, arm, "done", "identical", True, 10, 100, 1.0, 1.0)
+
+
+def test_a_run_that_is_refused_is_counted_as_not_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(replays, "run", refused)
+    one = replays.one("contact", "nominal")
+    assert (one.outcome, one.verdict, one.identical) == (replays.NOT_REPLAYED, "no such arm", False)
+    found = replays.summed([same("press", "nominal"), one])
+    assert (found["asked"], found["replayed"], found["identical"]) == (2, 1, 1)
+
+
+@pytest.mark.parametrize(("outcome", "status"), [("done", 0), (replays.NOT_REPLAYED, 1)])
+def test_the_exit_status_tells_whether_all_that_was_asked_is_the_same(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], outcome: str, status: int
+) -> None:
+    lone = replays.Replayed("contact", "nominal", outcome, "", outcome == "done", 10, 100, 1.0, 1.0)
+    monkeypatch.setattr(replays, "document", lambda *_: replays.summed([lone]))
+    monkeypatch.setattr(sys, "argv", ["replays"])
+    with pytest.raises(SystemExit) as ended:
+        replays.main()
+    assert ended.value.code == status
+    assert json.loads(capsys.readouterr().out)["asked"] == 1
