@@ -93,7 +93,7 @@ recorder.close()
 def test_a_full_disk_is_told_by_the_next_cycle_and_by_the_end(
     make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ground.telemetry.record.FileIO", SmallDisk)
+    monkeypatch.setattr("ground.telemetry.opening.FileIO", SmallDisk)
     path = tmp_path / "run.mcap"
     recorder = Recorder(path, {})
     with pytest.raises(OSError, match="No space left"):
@@ -112,7 +112,7 @@ def test_a_disk_that_is_full_at_the_end_is_told_by_close(
     make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = make.record(tmp_path / "whole.mcap", [make.cycle_at(0)]).stat().st_size
-    monkeypatch.setattr("ground.telemetry.record.FileIO", SmallDisk)
+    monkeypatch.setattr("ground.telemetry.opening.FileIO", SmallDisk)
     monkeypatch.setattr(SmallDisk, "room", whole - 10)
     recorder = Recorder(tmp_path / "run.mcap", {"seed": "1", "arm": "nominal"})
     recorder.write(make.cycle_at(0))
