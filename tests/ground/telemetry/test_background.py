@@ -69,6 +69,15 @@ def test_a_recorder_that_is_let_go_closes_itself(make: Any, tmp_path: Path) -> N
     assert not read_log(tmp_path / "run.mcap").truncated
 
 
+def test_a_cycle_after_the_end_of_the_log_is_refused(make: Any, tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run.mcap", {})
+    recorder.write(make.cycle_at(0))
+    recorder.close()
+    with pytest.raises(ValueError, match="the log is closed"):
+        recorder.write(make.cycle_at(1))
+    assert len(read_log(tmp_path / "run.mcap")["/joint"]) == 1
+
+
 @pytest.mark.parametrize("ending", ["sys.exit()", "os._exit(0)", "recorder.close(); os._exit(0)"])
 def test_a_forked_process_leaves_the_log_alone(tmp_path: Path, ending: str) -> None:
     program = f"""{BEGIN}
