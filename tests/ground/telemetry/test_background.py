@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import warnings
 from collections import deque
 from io import FileIO
 from itertools import count
@@ -17,6 +18,8 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC, IndexType, Writer
 
+from benchmarks import killed
+from benchmarks.killed import Kill
 from ground.telemetry.container import records
 from ground.telemetry.read import read_log
 from ground.telemetry.record import Recorder
@@ -170,8 +173,27 @@ def test_the_container_is_that_of_the_stock_writer(make: Any, tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_killed_process_groups_leave_nothing_wrong() -> None:
-    done = python("from benchmarks.killed import main; main()", "--kills", "5", "--seed", "3")
+    done = python("import json; from benchmarks.killed import killed; print(json.dumps(killed(5, 3)))")
     assert done.returncode == 0, done.stderr
-    outcomes = json.loads(done.stdout)["outcomes"]
-    assert outcomes["wrong"] == 0
-    assert outcomes["cut short"] > 0
+    found = json.loads(done.stdout)
+    assert (found["kills"], found["outcomes"]["cut short"], found["wrong"]) == (5, 5, [])
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "status"),
+    [
+        ([Kill("cut short", 0.019), Kill("closed"), Kill("cut short", 0.001)], 0),
+        ([Kill("cut short", 0.021), Kill("cut short", 0.001)], 1),
+        ([Kill("wrong: not what the run was"), Kill("cut short", 0.001)], 1),
+        ([Kill("closed"), Kill("cut short", 0.001)], 1),
+    ],
+    ids=["all is well", "too much is lost", "a log is wrong", "too few logs were open"],
+)
+def test_a_campaign_of_kills_ends_with_its_verdict(
+    outcomes: list[Kill], status: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(killed, "kills", lambda number, seed: outcomes)
+    monkeypatch.setattr(sys, "argv", ["killed", "--kills", "2"])
+    with pytest.raises(SystemExit) as ended, warnings.catch_warnings():
+        killed.main()
+    assert ended.value.code == status
