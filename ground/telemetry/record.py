@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fsw.config import Config
 from ground.telemetry.background import Background
-from ground.telemetry.catalogue import LOG_LINES, announced
+from ground.telemetry.catalogue import LOG_LINES, all_channels
 from ground.telemetry.events import command_entry, evr_entry, log_line
 from ground.telemetry.format import CHUNK_S, COMMAND_TOPIC, EVR_TOPIC, TICK_NS
 from ground.telemetry.mcap_file import Mark, Row
@@ -41,7 +41,7 @@ class Recorder:
         chunk_s: float = CHUNK_S,
     ) -> None:
         self.path = Path(path)
-        channels = announced()
+        channels = all_channels()
         ids = {one.topic: one.id for one in channels}
         self._packers = [
             (packet_of, Packer(one.topic, one.id, one.layout))
