@@ -2,6 +2,8 @@
 
 import json
 import platform
+import sys
+from typing import Any
 
 from benchmarks.closed_loop import closed_loop
 from benchmarks.kinematics import campaign
@@ -14,9 +16,9 @@ CAMPAIGN = 20_000
 
 
 def main() -> None:
-    """Measure and print."""
+    """Measure and print; exit status 1 if something is out of the bounds that it has."""
     machine = {"python": platform.python_version(), "machine": platform.machine()}
-    results = {
+    results: dict[str, dict[str, Any]] = {
         "machine": machine,
         "closed_loop": closed_loop(),
         "recording": recording(),
@@ -25,6 +27,9 @@ def main() -> None:
         "kinematics_campaign": campaign(CAMPAIGN, CAMPAIGN),
     }
     print(json.dumps(results, indent=2))
+    out = [name for name, found in results.items() if not found.get("in_bounds", True)]
+    if out:
+        sys.exit(f"out of bounds: {', '.join(out)}")
 
 
 if __name__ == "__main__":

@@ -43,15 +43,18 @@ class Background:
         """What ended the writing; every later `put` and `close` raises it."""
         self.written_ns: int | None = None
         """Time of the last row that the operating system has; None before the first."""
+        self._is_closed = False
         _open.add(self)
         self._thread.start()
 
     def put(self, row: Row) -> None:
-        """Take a row; raises what ended the writing."""
+        """Take a row; raises what ended the writing, or ValueError once the log is closed."""
         while len(self._rows) > MOST_WAITING and self.failure is None:
             time.sleep(SHORTEST_S)
         if self.failure is not None:
             raise self.failure
+        if self._is_closed:
+            raise ValueError("the log is closed; open another to record more")
         self._rows.append(row)
         if time.monotonic() > self._late_s and self._writing.acquire(blocking=False):
             # The machine has not let the thread run: some 200 us now, so that a kill costs no more.
@@ -65,6 +68,7 @@ class Background:
         if self not in _open:
             return  # in a process that was forked while the log was open: it is the other's to close
         _open.discard(self)
+        self._is_closed = True
         self._open.release()
         if self._thread is not threading.current_thread():  # where garbage is collected is not ours to say
             self._thread.join()

@@ -40,7 +40,7 @@ class Announced:
     layout: Layout | None = None
 
 
-def announced() -> tuple[Announced, ...]:
+def all_channels() -> tuple[Announced, ...]:
     """All channels, flight first."""
     packets = [
         (topic.name, topic.packet, layout_of(topic.packet, topic.field_names), topic.is_truth)

@@ -25,12 +25,12 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdCompressor
 
+from ground.telemetry.container import CHUNK_HEAD, RECORD_HEAD
+
 COMPRESSION_LEVEL: Final = -5
 """A log is an eighth larger than at level 1, and takes half the time."""
 INDEX_HEAD: Final = struct.Struct("<BQHI")
 """Opcode, length of the rest, channel and bytes of entries of a message index."""
-CHUNK_HEAD: Final = struct.Struct("<BQQQQII4sQ")
-"""Opcode, length of the rest, first and last time, size and CRC of what is compressed, how, size after it."""
 FOOTER_HEAD: Final = struct.Struct("<BQQQ")
 
 
@@ -162,19 +162,8 @@ class McapFile:
         self, data: bytes, first_ns: int, last_ns: int, entries: Mapping[int, list[int]]
     ) -> None:
         compressed = self._compressor.compress(data)
-        length = CHUNK_HEAD.size - 9 + len(compressed)
-        head = (
-            Opcode.CHUNK,
-            length,
-            first_ns,
-            last_ns,
-            len(data),
-            zlib.crc32(data),
-            4,
-            b"zstd",
-            len(compressed),
-        )
-        record = CHUNK_HEAD.pack(*head) + compressed
+        head = CHUNK_HEAD.pack(first_ns, last_ns, len(data), zlib.crc32(data), 4, b"zstd", len(compressed))
+        record = RECORD_HEAD.pack(Opcode.CHUNK, len(head) + len(compressed)) + head + compressed
         parts, offsets, at = [record], {}, self._size + len(record)
         for channel, numbers in entries.items():
             size = 8 * len(numbers)

@@ -1,64 +1,36 @@
 """Writes a run to an MCAP log that survives the death of its writer."""
 
-import os
 from collections.abc import Mapping, Sequence
-from io import FileIO
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn, Self
 from weakref import finalize
 
-from mcap.records import Metadata
 from numpy.typing import NDArray
 
 from fsw.config import Config
 from ground.telemetry.background import Background
-from ground.telemetry.catalogue import LOG_LINES, announced, header_text, records_of
-from ground.telemetry.errors import LogNotWritable
+from ground.telemetry.catalogue import LOG_LINES, all_channels
 from ground.telemetry.events import command_entry, evr_entry, log_line
-from ground.telemetry.format import (
-    CHANNELS_KEY,
-    CHUNK_S,
-    COMMAND_TOPIC,
-    EVR_TOPIC,
-    FORMAT,
-    FORMAT_RECORD,
-    HEADER_RECORD,
-    TICK_NS,
-    header_crc32,
-)
-from ground.telemetry.mcap_file import Mark, McapFile, Row
+from ground.telemetry.format import CHUNK_S, COMMAND_TOPIC, EVR_TOPIC, TICK_NS
+from ground.telemetry.mcap_file import Mark, Row
+from ground.telemetry.opening import begun
 from ground.telemetry.pack import Packer, joined, message_record
 from ground.telemetry.standard import EVERY, Sample, Standard, sample_of
 from ground.telemetry.topics import PACKET_TOPICS
 from sim.record import CycleRecord
 
 
-def open_to_write(path: Path) -> FileIO:
-    """The open, empty file, without a buffer; LogNotWritable where there can be none."""
-    try:
-        if path.is_dir():
-            raise LogNotWritable(path, "is a directory; give the path of a file, such as run.mcap in it")
-        if path.exists() and not path.is_file():
-            raise LogNotWritable(path, "is not a regular file; give the path of a new file")
-        if not path.parent.is_dir():
-            raise LogNotWritable(path, f"directory {path.parent} does not exist; make it, or give another")
-        return FileIO(path, "wb")
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or str(error)
-        raise LogNotWritable(path, f"cannot be written ({why}); give a path that you may write") from error
-
-
 class Recorder:
     """A log being written; a context manager, or call `close`.
 
-    Opening it replaces the file at `path` and writes `header` (versions, digests, seed) and all channels. The
-    messages depend on the records alone; only where a chunk ends depends on the wall clock. With the
-    configuration of an arm, the messages that other tools draw it from are there too. A `chunk_s` of 0 is a
-    chunk for every cycle.
+    Opening it replaces the file at `path` by `header` (versions, digests, seed) and all channels, once they
+    are written. The messages depend on the records alone; only where a chunk ends depends on the wall clock.
+    With the configuration of an arm, the messages that other tools draw it from are there too. A `chunk_s` of
+    0 is a chunk for every cycle.
 
     Raises:
-        LogNotWritable: there can be no file at this path; nothing is left behind.
+        LogNotWritable: there can be no file at this path; what was there is still there.
     """
 
     def __init__(
@@ -69,9 +41,7 @@ class Recorder:
         chunk_s: float = CHUNK_S,
     ) -> None:
         self.path = Path(path)
-        existed = os.path.exists(path)  # unlike Path.exists, False for any bad name
-        file = open_to_write(self.path)
-        channels = announced()
+        channels = all_channels()
         ids = {one.topic: one.id for one in channels}
         self._packers = [
             (packet_of, Packer(one.topic, one.id, one.layout))
@@ -81,19 +51,7 @@ class Recorder:
         self._event_ids = ids[COMMAND_TOPIC], ids[EVR_TOPIC], ids[LOG_LINES]
         self._event_counts = dict.fromkeys(self._event_ids, 0)
         self._has_standard = config is not None
-        log = McapFile(file)
-        try:
-            header = {**header, CHANNELS_KEY: header_text(channels)}
-            about = {"version": FORMAT, "header_crc32": header_crc32(header)}
-            log.begin(
-                [Metadata(FORMAT_RECORD, about), Metadata(HEADER_RECORD, header)], *records_of(channels)
-            )
-        except OSError as error:
-            file.close()
-            if not existed:
-                self.path.unlink()
-            why = f"cannot be written ({error.strerror}); give a path with room"
-            raise LogNotWritable(self.path, why) from error
+        log = begun(self.path, header, channels)
         self._background = Background(log, Expander(config, ids), chunk_s)
         self.close = finalize(self, self._background.close)
         """Write what waits and the index, and close the file; a second call does nothing.
@@ -113,6 +71,7 @@ class Recorder:
         Raises:
             SchemaError: a packet is not laid out as its schema says, or holds what a log cannot.
             OSError: the disk is full or gone.
+            ValueError: the log is closed.
         """
         time_ns = record.tick * TICK_NS
         pieces: list[bytes | NDArray[Any]] = []

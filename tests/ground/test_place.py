@@ -39,7 +39,7 @@ def test_an_arm_that_finds_no_hardstop_is_not_placed_and_its_log_is_said_not_to_
 
 
 def test_a_full_disk_does_not_stop_the_arm_and_is_told(tmp_path, monkeypatch):
-    monkeypatch.setattr("ground.telemetry.record.FileIO", SmallDisk)
+    monkeypatch.setattr("ground.telemetry.opening.FileIO", SmallDisk)
     log = tmp_path / "run.mcap"
     report = place(PlaceRequest(log=log), lambda done, total, what: None)
     assert report.result.outcome is Outcome.DONE

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+import warnings
 from collections import deque
 from io import FileIO
 from itertools import count
@@ -17,6 +18,8 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC, IndexType, Writer
 
+from benchmarks import killed
+from benchmarks.killed import Kill
 from ground.telemetry.container import records
 from ground.telemetry.read import read_log
 from ground.telemetry.record import Recorder
@@ -69,6 +72,15 @@ def test_a_recorder_that_is_let_go_closes_itself(make: Any, tmp_path: Path) -> N
     assert not read_log(tmp_path / "run.mcap").truncated
 
 
+def test_a_cycle_after_the_end_of_the_log_is_refused(make: Any, tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run.mcap", {})
+    recorder.write(make.cycle_at(0))
+    recorder.close()
+    with pytest.raises(ValueError, match="the log is closed"):
+        recorder.write(make.cycle_at(1))
+    assert len(read_log(tmp_path / "run.mcap")["/joint"]) == 1
+
+
 @pytest.mark.parametrize("ending", ["sys.exit()", "os._exit(0)", "recorder.close(); os._exit(0)"])
 def test_a_forked_process_leaves_the_log_alone(tmp_path: Path, ending: str) -> None:
     program = f"""{BEGIN}
@@ -93,7 +105,7 @@ recorder.close()
 def test_a_full_disk_is_told_by_the_next_cycle_and_by_the_end(
     make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ground.telemetry.record.FileIO", SmallDisk)
+    monkeypatch.setattr("ground.telemetry.opening.FileIO", SmallDisk)
     path = tmp_path / "run.mcap"
     recorder = Recorder(path, {})
     with pytest.raises(OSError, match="No space left"):
@@ -112,7 +124,7 @@ def test_a_disk_that_is_full_at_the_end_is_told_by_close(
     make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = make.record(tmp_path / "whole.mcap", [make.cycle_at(0)]).stat().st_size
-    monkeypatch.setattr("ground.telemetry.record.FileIO", SmallDisk)
+    monkeypatch.setattr("ground.telemetry.opening.FileIO", SmallDisk)
     monkeypatch.setattr(SmallDisk, "room", whole - 10)
     recorder = Recorder(tmp_path / "run.mcap", {"seed": "1", "arm": "nominal"})
     recorder.write(make.cycle_at(0))
@@ -161,8 +173,27 @@ def test_the_container_is_that_of_the_stock_writer(make: Any, tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_killed_process_groups_leave_nothing_wrong() -> None:
-    done = python("from benchmarks.killed import main; main()", "--kills", "5", "--seed", "3")
+    done = python("import json; from benchmarks.killed import killed; print(json.dumps(killed(5, 3)))")
     assert done.returncode == 0, done.stderr
-    outcomes = json.loads(done.stdout)["outcomes"]
-    assert outcomes["wrong"] == 0
-    assert outcomes["cut short"] > 0
+    found = json.loads(done.stdout)
+    assert (found["kills"], found["outcomes"]["cut short"], found["wrong"]) == (5, 5, [])
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "status"),
+    [
+        ([Kill("cut short", 0.019), Kill("closed"), Kill("cut short", 0.001)], 0),
+        ([Kill("cut short", 0.021), Kill("cut short", 0.001)], 1),
+        ([Kill("wrong: not what the run was"), Kill("cut short", 0.001)], 1),
+        ([Kill("closed"), Kill("cut short", 0.001)], 1),
+    ],
+    ids=["all is well", "too much is lost", "a log is wrong", "too few logs were open"],
+)
+def test_a_campaign_of_kills_ends_with_its_verdict(
+    outcomes: list[Kill], status: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(killed, "kills", lambda number, seed: outcomes)
+    monkeypatch.setattr(sys, "argv", ["killed", "--kills", "2"])
+    with pytest.raises(SystemExit) as ended, warnings.catch_warnings():
+        killed.main()
+    assert ended.value.code == status

@@ -51,7 +51,12 @@ def test_a_directory_without_permission_is_refused(tmp_path: Path) -> None:
         Recorder(tmp_path / "run.mcap", {})
 
 
-def test_a_disk_without_room_is_refused_and_nothing_is_left(tmp_path: Path) -> None:
+@pytest.mark.parametrize("before", [{}, {"run.mcap": b"of a good day"}], ids=["new", "over another"])
+def test_a_disk_without_room_is_refused_and_leaves_what_was_there(
+    tmp_path: Path, before: dict[str, bytes]
+) -> None:
+    for name, data in before.items():
+        (tmp_path / name).write_bytes(data)
     program = (
         "import resource, sys\n"
         "from ground.telemetry.errors import LogNotWritable\n"
@@ -67,13 +72,20 @@ def test_a_disk_without_room_is_refused_and_nothing_is_left(tmp_path: Path) -> N
     )  # fmt: skip
     assert "File too large" in ran.stdout
     assert ran.stderr == ""
-    assert not list(tmp_path.iterdir())
+    assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == before
 
 
 def test_a_log_replaces_the_one_before_it(make: Any, tmp_path: Path) -> None:
     path = make.record(tmp_path / "run.mcap", map(make.cycle_at, range(50)))
     make.record(path, [make.cycle_at(0)])
     assert len(read_log(path)["/sensors"]) == 1
+
+
+def test_a_log_is_written_where_a_link_points_to(make: Any, tmp_path: Path) -> None:
+    (tmp_path / "last.mcap").symlink_to("run.mcap")
+    make.record(tmp_path / "last.mcap", [make.cycle_at(0)])
+    assert (tmp_path / "last.mcap").is_symlink()
+    assert len(read_log(tmp_path / "run.mcap")["/sensors"]) == 1
 
 
 def test_closing_twice_is_closing_once(tmp_path: Path) -> None:

@@ -1,0 +1,65 @@
+"""How a log comes to be at its path: with its beginning, or not at all."""
+
+import os
+import secrets
+from collections.abc import Mapping
+from contextlib import suppress
+from io import FileIO
+from pathlib import Path
+
+from mcap.records import Metadata
+
+from ground.telemetry.catalogue import Announced, header_text, records_of
+from ground.telemetry.errors import LogNotWritable
+from ground.telemetry.format import CHANNELS_KEY, FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
+from ground.telemetry.mcap_file import McapFile
+
+
+def begun(path: Path, header: Mapping[str, str], channels: tuple[Announced, ...]) -> McapFile:
+    """A log that holds what comes before any message, in the place of what was at this path.
+
+    Raises:
+        LogNotWritable: there can be no file, or there is no room; what was there is still there.
+    """
+    place = _place(path)
+    part = place.with_name(f".marsarm-{secrets.token_hex(8)}.part")
+    try:
+        file = FileIO(part, "xb")
+        try:
+            log = _with_beginning(file, header, channels)
+            os.replace(part, place)
+        except BaseException:
+            file.close()
+            with suppress(OSError):
+                part.unlink()
+            raise
+    except OSError as error:
+        why = f"cannot be written ({error.strerror}); give a path with room that you may write"
+        raise LogNotWritable(path, why) from error
+    return log
+
+
+def _place(path: Path) -> Path:
+    """Where the file goes, links followed."""
+    try:
+        if path.is_dir():
+            raise LogNotWritable(path, "is a directory; give the path of a file, such as run.mcap in it")
+        exists = path.exists()
+        if exists and not path.is_file():
+            raise LogNotWritable(path, "is not a regular file; give the path of a new file")
+        if not path.parent.is_dir():
+            raise LogNotWritable(path, f"directory {path.parent} does not exist; make it, or give another")
+        if exists and not os.access(path, os.W_OK):
+            raise LogNotWritable(path, "is there and you may not write it; give the path of a new file")
+        return Path(os.path.realpath(path))
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise LogNotWritable(path, f"cannot be written ({why}); give a path that you may write") from error
+
+
+def _with_beginning(file: FileIO, header: Mapping[str, str], channels: tuple[Announced, ...]) -> McapFile:
+    log = McapFile(file)
+    header = {**header, CHANNELS_KEY: header_text(channels)}
+    about = {"version": FORMAT, "header_crc32": header_crc32(header)}
+    log.begin([Metadata(FORMAT_RECORD, about), Metadata(HEADER_RECORD, header)], *records_of(channels))
+    return log

@@ -1,0 +1,31 @@
+"""What recording costs is judged, not only printed."""
+
+import json
+from typing import Any
+
+import pytest
+
+from benchmarks import recording, run
+
+
+@pytest.mark.parametrize(
+    ("rate_ratio", "beside_us", "in_bounds"),
+    [(0.95, 900.0, True), (0.89, 900.0, False), (0.95, 1600.0, False)],
+    ids=["cheap", "a slower loop", "late cycles"],
+)
+def test_recording_that_costs_too_much_is_out_of_bounds(
+    rate_ratio: float, beside_us: float, in_bounds: bool
+) -> None:
+    assert recording.judged(rate_ratio, 500.0, beside_us)["in_bounds"] is in_bounds
+
+
+def test_a_benchmark_out_of_its_bounds_fails_them_all_and_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    measured: dict[str, Any] = {"in_bounds": False}
+    for name in ("closed_loop", "recording", "kinematics_speed", "log_reading"):
+        monkeypatch.setattr(run, name, lambda name=name: measured if name == "recording" else {})
+    monkeypatch.setattr(run, "campaign", lambda targets, vectors: {})
+    with pytest.raises(SystemExit, match=r"out of bounds: recording$"):
+        run.main()
+    assert json.loads(capsys.readouterr().out)["recording"] == measured
