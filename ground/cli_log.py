@@ -1,5 +1,6 @@
 """The verbs `log ...`; thin."""
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -77,10 +78,11 @@ def plot(
     """
     from ground.outputs import check_output
     from ground.report.log_figure import save_log_figure
+    from ground.request import check_apart
     from ground.telemetry.inspect import channels_of
 
     with _bad_input(as_json):
-        check_output(out, (".png",), "out")
+        check_apart({"LOG": log, "out": check_output(out, (".png",), "out")})
         read = _read(log, start, stop)
         found = channels_of(read, channel)
         missing = save_log_figure(found, read.evrs, out)
@@ -143,21 +145,25 @@ def _bad_input(as_json: bool) -> Iterator[None]:
     """End with a sentence where a file or a request is wrong."""
     from ground.outputs import BadOutput
     from ground.report.log_figure import TooMuch
+    from ground.request import BadRequest
     from ground.telemetry.errors import LogError
     from ground.telemetry.inspect import NoSuchChannel
 
     try:
         yield
-    except (LogError, NoSuchChannel, BadOutput, TooMuch) as error:
+    except (LogError, NoSuchChannel, BadOutput, BadRequest, TooMuch) as error:
         end(str(error), BAD_INPUT, as_json)
 
 
 def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) -> "Log":
     """The log between two times; NoSuchChannel where there is nothing."""
     from ground.telemetry.inspect import NoSuchChannel, bound_ns
+    from ground.telemetry.loss import behind_text
     from ground.telemetry.read import read_log
 
     read = read_log(log, None, bound_ns("from", start_s), bound_ns("to", stop_s))
     if not read.time_ns and (start_s, stop_s) != (None, None):
         raise NoSuchChannel(f"log {log} has nothing in the time from {start_s} s to {stop_s} s")
+    if read.behind:
+        print(f"log {log}: {behind_text(read.behind)}", file=sys.stderr)
     return read

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ground.dictionary.units import unit_of
 from ground.outputs import BadOutput, check_output, written_whole
+from ground.request import check_apart
 from ground.telemetry.events import CommandEntry, EvrEntry
 from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, TICK_NS
 from ground.telemetry.inspect import NoSuchChannel, severity_name
@@ -91,9 +92,12 @@ def export(
     Raises:
         NoSuchChannel: the log has no such topic.
         BadOutput: a file cannot be written, or is asked to hold several tables.
+        BadRequest: a file is that of the log.
     """
     chosen = _chosen(log, topics)
     files = _files(out, chosen, kind)
+    for topic, path in files.items():
+        check_apart({"LOG": log.path, f"out ({topic})": path})
     header = json.dumps(dict(log.header))
     made = not out.exists() and out.suffix not in SUFFIXES
     try:

@@ -55,6 +55,8 @@ class Log:
     """Topics of the plant's own state, which flight software never saw."""
     lost: tuple[Lost, ...] = ()
     """In a log that was recovered from a damaged one: what could not be saved."""
+    behind: int = 0
+    """Bytes in the file behind the end of the log, which were not read."""
 
     def __getitem__(self, topic: str) -> NDArray[np.void]:
         if topic not in self.packets:
@@ -125,7 +127,9 @@ def log_from(path: Path, data: bytes, wanted: Wanted = ALL) -> Log:
     try:
         return _log(path, data, wanted)
     except NotAsWritten as error:
-        raise LogDamaged(path, error.why, error.offset, salvage(data).lost) from error
+        found = salvage(data)
+        why = "; ".join((error.why, *found.notes))
+        raise LogDamaged(path, why, error.offset, found.lost) from error
 
 
 def _log(path: Path, data: bytes, wanted: Wanted) -> Log:
@@ -185,6 +189,7 @@ def _arrays(path: Path, found: Content, batches: Sequence[Messages], wanted: Wan
         commands=tuple(map(CommandEntry.decode, bodies.get(COMMAND_TOPIC, []))),
         truth=frozenset(channel.topic for channel in channels.values() if channel.is_truth),
         lost=lost_in(found.metadata.get(RECOVERED_RECORD, {})),
+        behind=found.behind if found.closed else 0,
     )
 
 

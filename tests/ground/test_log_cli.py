@@ -98,6 +98,24 @@ def test_recover_saves_what_is_undamaged_and_says_what_is_lost(folder):
     assert "recovered from a damaged one" in marsarm(folder, "log", "info", "good.mcap").stdout
 
 
+def test_what_stands_behind_a_log_is_said_by_every_verb(folder, written):
+    (folder / "two.mcap").write_bytes(written + written)
+    found = asked(folder, "info", "two.mcap")
+    assert (found["closed"], found["bytes_behind"], found["cycles"]) == (True, len(written), CYCLES)
+    for words in (("export", "two.mcap", "tables"), ("channels", "two.mcap")):
+        assert "behind the end of the log" in marsarm(folder, "log", *words).stderr
+    assert "behind the end of the log" in asked(folder, "recover", "two.mcap", "g.mcap")["notes"][0]
+
+
+@pytest.mark.parametrize("verb", [["export", "--topic", "/joint"], ["plot", "/joint/mode", "--out"]])
+def test_a_log_is_never_replaced_by_what_is_made_of_it(folder, written, verb):
+    for name in ("j.parquet", "j.csv", "j.png"):
+        (folder / name).write_bytes(written)
+        ran = marsarm(folder, "log", verb[0], name, *verb[1:], name)
+        assert ran.returncode == 2
+        assert (folder / name).read_bytes() == written
+
+
 BAD = {
     "no file": (("info", "none.mcap"), "none.mcap: cannot be read"),
     "empty": (("info", "empty.mcap"), "an empty file; nothing was written to it"),
