@@ -1,6 +1,7 @@
 """Writes a run to an MCAP log that survives the death of its writer."""
 
 import os
+import secrets
 from collections.abc import Mapping, Sequence
 from io import FileIO
 from pathlib import Path
@@ -34,8 +35,14 @@ from ground.telemetry.topics import PACKET_TOPICS
 from sim.record import CycleRecord
 
 
-def open_to_write(path: Path) -> FileIO:
-    """The open, empty file, without a buffer; LogNotWritable where there can be none."""
+def open_to_write(path: Path) -> tuple[FileIO, Path]:
+    """An open, empty file beside `path`, without a buffer, and its name.
+
+    It is to take the place of `path` when it has the beginning of a log: what is there stays until then.
+
+    Raises:
+        LogNotWritable: there can be no file at this path.
+    """
     try:
         if path.is_dir():
             raise LogNotWritable(path, "is a directory; give the path of a file, such as run.mcap in it")
@@ -43,7 +50,13 @@ def open_to_write(path: Path) -> FileIO:
             raise LogNotWritable(path, "is not a regular file; give the path of a new file")
         if not path.parent.is_dir():
             raise LogNotWritable(path, f"directory {path.parent} does not exist; make it, or give another")
-        return FileIO(path, "wb")
+        place = Path(os.path.realpath(path))  # a link stays a link
+        if place.exists() and not os.access(place, os.W_OK):
+            raise LogNotWritable(
+                path, "cannot be written (Permission denied); give a path that you may write"
+            )
+        part = place.with_name(f".marsarm-{secrets.token_hex(8)}.part")
+        return FileIO(part, "xb"), part
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise LogNotWritable(path, f"cannot be written ({why}); give a path that you may write") from error
@@ -58,7 +71,7 @@ class Recorder:
     chunk for every cycle.
 
     Raises:
-        LogNotWritable: there can be no file at this path; nothing is left behind.
+        LogNotWritable: there can be no file at this path; what was there is still there.
     """
 
     def __init__(
@@ -69,8 +82,7 @@ class Recorder:
         chunk_s: float = CHUNK_S,
     ) -> None:
         self.path = Path(path)
-        existed = os.path.exists(path)  # unlike Path.exists, False for any bad name
-        file = open_to_write(self.path)
+        file, part = open_to_write(self.path)
         channels = announced()
         ids = {one.topic: one.id for one in channels}
         self._packers = [
@@ -88,11 +100,11 @@ class Recorder:
             log.begin(
                 [Metadata(FORMAT_RECORD, about), Metadata(HEADER_RECORD, header)], *records_of(channels)
             )
+            os.replace(part, os.path.realpath(self.path))
         except OSError as error:
             file.close()
-            if not existed:
-                self.path.unlink()
-            why = f"cannot be written ({error.strerror}); give a path with room"
+            part.unlink()
+            why = f"cannot be written ({error.strerror}); give another path, with room"
             raise LogNotWritable(self.path, why) from error
         self._background = Background(log, Expander(config, ids), chunk_s)
         self.close = finalize(self, self._background.close)

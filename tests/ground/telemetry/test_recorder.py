@@ -51,23 +51,31 @@ def test_a_directory_without_permission_is_refused(tmp_path: Path) -> None:
         Recorder(tmp_path / "run.mcap", {})
 
 
-def test_a_disk_without_room_is_refused_and_nothing_is_left(tmp_path: Path) -> None:
+@pytest.mark.parametrize("before", [None, b"the log of yesterday"])
+@pytest.mark.parametrize("room", [0, 5_000])
+def test_a_disk_without_room_is_refused_and_leaves_what_was_there(
+    tmp_path: Path, before: bytes | None, room: int
+) -> None:
+    if before is not None:
+        (tmp_path / "run.mcap").write_bytes(before)
     program = (
         "import resource, sys\n"
         "from ground.telemetry.errors import LogNotWritable\n"
         "from ground.telemetry.record import Recorder\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)\n"
         "try:\n    Recorder(sys.argv[1], {})\n"
         "except LogNotWritable as error:\n    print(error)\n"
     )
     env = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONDONTWRITEBYTECODE": "1"}
     ran = subprocess.run(
-        [sys.executable, "-W", "error", "-c", program, str(tmp_path / "run.mcap")],
+        [sys.executable, "-W", "error", "-c", program, str(tmp_path / "run.mcap"), str(room)],
         env=env, capture_output=True, text=True, check=True,
     )  # fmt: skip
     assert "File too large" in ran.stdout
     assert ran.stderr == ""
-    assert not list(tmp_path.iterdir())
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == (
+        {} if before is None else {"run.mcap": before}
+    )
 
 
 def test_a_log_replaces_the_one_before_it(make: Any, tmp_path: Path) -> None:
