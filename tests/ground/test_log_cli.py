@@ -134,6 +134,16 @@ BAD = {
     "another picture": (("plot", "run.mcap", "/joint/mode", "--out", "p.pdf"), "must end in .png"),
     "no such topic": (("export", "run.mcap", "out", "--topic", "/jiont"), "has no topic /jiont"),
     "several in one": (("export", "run.mcap", "out.csv"), "one file holds one table"),
+    "csv into parquet": (
+        ("export", "run.mcap", "a.parquet", "--topic", "/joint", "--csv"),
+        "with --csv its name must end in .csv",
+    ),
+    "another kind of table": (
+        ("export", "run.mcap", "out.tsv"),
+        "must end in .parquet or .csv, or be a folder",
+    ),
+    "a long name": (("export", "run.mcap", "a" * 300), "cannot be made (File name too long)"),
+    "a folder nowhere": (("export", "run.mcap", "/proc/tables"), "this folder cannot be made"),
     "time from nan": (("channels", "run.mcap", "--from", "nan"), "is no log time"),
     "time to minus": (("channels", "run.mcap", "--to", "-1"), "is no log time"),
     "time after the end": (("channels", "run.mcap", "--from", "99"), "nothing in the time"),
