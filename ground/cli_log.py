@@ -42,7 +42,7 @@ def info(log: LogArgument, as_json: JsonOption = False) -> None:
 def channels(
     log: LogArgument,
     glob: Annotated[
-        list[str] | None, typer.Argument(help="Patterns such as '/joint/*'.", metavar="[GLOB]...")
+        list[str] | None, typer.Argument(help="Patterns such as '/joint.*'.", metavar="[GLOB]...")
     ] = None,
     start: FromOption = None,
     stop: ToOption = None,
@@ -50,7 +50,7 @@ def channels(
 ) -> None:
     """Each channel with its type, unit, count and range.
 
-    Example: marsarm log channels run.mcap '/joint/*_rad'
+    Example: marsarm log channels run.mcap '/joint.*_rad'
     """
     from ground.report.log_tables import channels_json, channels_table
     from ground.telemetry.inspect import channels_of
@@ -65,7 +65,10 @@ def channels(
 def plot(
     log: LogArgument,
     channel: Annotated[
-        list[str], typer.Argument(help="Patterns such as '/joint/motor_rad*'.", metavar="CHANNEL...")
+        list[str],
+        typer.Argument(
+            help="Such as '/joint.motor_rad', '/joint.motor_rad[2]', '/joint.*'.", metavar="CHANNEL..."
+        ),
     ],
     out: Annotated[Path, typer.Option(help="The picture.", metavar="FILE.png")],
     start: FromOption = None,
@@ -74,7 +77,7 @@ def plot(
 ) -> None:
     """Draw channels over time, with the events as marks.
 
-    Example: marsarm log plot run.mcap '/joint/motor_rad*' /drive/current_limit_A --out joints.png
+    Example: marsarm log plot run.mcap '/joint.motor_rad[2]' /drive.current_limit_A --out joints.png
     """
     from ground.outputs import check_output
     from ground.report.log_figure import save_log_figure

@@ -21,7 +21,7 @@ from ground.outputs import BadOutput, check_output, written_whole
 from ground.request import check_apart
 from ground.telemetry.events import CommandEntry, EvrEntry
 from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, TICK_NS
-from ground.telemetry.inspect import NoSuchChannel, severity_name
+from ground.telemetry.inspect import NoSuchChannel, place_text, severity_name
 from ground.telemetry.read import Log
 
 Progress = Callable[[float, float, str], None]
@@ -41,7 +41,7 @@ class Table:
 
 def ends(shape: tuple[int, ...]) -> list[str]:
     """How the columns of a field of this shape are told apart: [2], [0,1]; in the order of its numbers."""
-    return [f"[{','.join(map(str, place))}]" if place else "" for place in np.ndindex(*shape)]
+    return [place_text(place) for place in np.ndindex(*shape)]
 
 
 def table_of(log: Log, topic: str) -> Table:

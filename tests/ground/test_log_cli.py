@@ -62,7 +62,7 @@ def test_a_log_cut_short_is_said_to_be(folder):
 def test_channels_lists_types_units_and_ranges(folder):
     (found,) = asked(folder, "channels", "run.mcap", "/joint/motor_rad*")["channels"]
     values = read_log(folder / "run.mcap")["/joint"]["motor_rad"]
-    assert (found["channel"], found["type"], found["unit"]) == ("/joint/motor_rad", "float64[5]", "rad")
+    assert (found["channel"], found["type"], found["unit"]) == ("/joint.motor_rad", "float64[5]", "rad")
     assert (found["messages"], found["min"], found["max"]) == (CYCLES, values.min(), values.max())
 
 
@@ -71,11 +71,19 @@ def test_channels_of_a_part(folder):
     assert [(one["messages"], one["min"], one["max"]) for one in found] == [(32, 32, 63)]
 
 
+def test_one_number_is_a_channel_and_both_spellings_are_taken(folder):
+    values = read_log(folder / "run.mcap")["/joint"]["motor_rad"][:, 2]
+    for pattern in ("/joint.motor_rad[2]", "/joint/motor_rad[2]"):
+        (found,) = asked(folder, "channels", "run.mcap", pattern)["channels"]
+        assert (found["channel"], found["type"]) == ("/joint.motor_rad[2]", "float64")
+        assert (found["min"], found["max"]) == (values.min(), values.max())
+
+
 def test_plot_draws_a_picture(folder):
     found = asked(
         folder, "plot", "run.mcap", "/joint/motor_rad*", "/joint/mode", "/truth/R_RT", "--out", "p.png"
     )
-    assert found["channels"] == ["/joint/motor_rad", "/joint/mode", "/truth/R_RT"]
+    assert found["channels"] == ["/joint.motor_rad", "/joint.mode", "/truth.R_RT"]
     assert (folder / "p.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -130,6 +138,7 @@ BAD = {
         ("plot", "run.mcap", "/joint/moter", "--out", "p.png"),
         "has no channel /joint/moter",
     ),
+    "no such number": (("channels", "run.mcap", "/joint.motor_rad[5]"), "has no channel /joint.motor_rad[5]"),
     "too many channels": (("plot", "run.mcap", "*", "--out", "p.png"), "a picture has room for 12"),
     "another picture": (("plot", "run.mcap", "/joint/mode", "--out", "p.pdf"), "must end in .png"),
     "no such topic": (("export", "run.mcap", "out", "--topic", "/jiont"), "has no topic /jiont"),
