@@ -21,7 +21,10 @@ ToOption = Annotated[
     float | None, typer.Option("--to", help="Seconds of log time to end before.", metavar="S")
 ]
 
-log_app = typer.Typer(help="Look into telemetry logs, export and recover them.", no_args_is_help=True)
+log_app = typer.Typer(
+    help="Look into telemetry logs, export and recover them.\n\nExample: marsarm log info run.mcap",
+    no_args_is_help=True,
+)
 
 
 @log_app.command()
@@ -92,7 +95,8 @@ def plot(
     if missing is not None:
         end(f"out {out}: not drawn, {missing}", BAD_INPUT, as_json)
     document = {"log": str(log), "picture": str(out), "channels": [one.name for one in found]}
-    show(document, as_json, lambda: print(f"{len(found)} channels in {out}"))
+    count = f"{len(found)} channel{'s' if len(found) > 1 else ''}"
+    show(document, as_json, lambda: print(f"{count} in {out}"))
 
 
 @log_app.command()

@@ -35,7 +35,10 @@ def save_log_figure(channels: Sequence[Channel], evrs: Sequence[EvrEntry], path:
         BadOutput: the file cannot be written.
     """
     if len(channels) > MOST:
-        raise TooMuch(f"{len(channels)} channels are asked for; a picture has room for {MOST}")
+        raise TooMuch(
+            f"{len(channels)} channels are asked for; a picture has room for {MOST}; "
+            f"name fewer, as in '{channels[0].topic}.*', or draw several"
+        )
 
     def draw(figure: Any) -> None:
         panels = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]

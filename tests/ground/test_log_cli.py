@@ -169,6 +169,15 @@ def test_bad_input_is_said_and_nothing_is_written(folder, words, why):
     assert {path.name for path in folder.iterdir()} == before
 
 
+def test_one_channel_is_one(folder):
+    ran = marsarm(folder, "log", "plot", "run.mcap", "/joint.mode", "--out", "p.png")
+    assert ran.stdout == "1 channel in p.png\n"
+
+
+def test_the_group_of_verbs_has_an_example(folder):
+    assert "Example: marsarm log info run.mcap" in marsarm(folder, "log", "--help").stdout
+
+
 @pytest.mark.parametrize("verb", ["info", "channels", "plot", "export", "recover"])
 def test_every_verb_has_help_with_an_example(folder, verb):
     ran = marsarm(folder, "log", verb, "--help")
