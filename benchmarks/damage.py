@@ -8,7 +8,7 @@ import argparse
 import json
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,12 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.recorded import recorded
+from ground.telemetry.chunks import HEAD
 from ground.telemetry.container import ChunkPlace, read_records
 from ground.telemetry.errors import LogError, LogNotReadable
 from ground.telemetry.loss import LogDamaged, Lost
 from ground.telemetry.messages import CHANNELS_KEY
 from ground.telemetry.read import Log, log_from
 from ground.telemetry.recover import recover
+from ground.telemetry.salvage import salvage
 
 CUT_EVERY: Final = 4096
 CYCLES: Final = 320
@@ -72,10 +74,17 @@ def is_part(log: Log, written: Log) -> bool:
     return set(log.evrs) <= set(written.evrs) and set(log.commands) <= set(written.commands)
 
 
-def is_told(log: Log, written: Log, lost: tuple[Lost, ...]) -> bool:
-    """Whether what is missing from a log is all within the spans that are told."""
+def times_in(damaged: bytes) -> dict[str, NDArray[np.uint64]]:
+    """Log times of all messages that are undamaged, by topic."""
+    found = salvage(damaged)
+    heads = np.concatenate([np.zeros(0, HEAD), *(chunk.heads for chunk in found.chunks)])
+    return {one.topic: heads["time_ns"][heads["channel"] == number] for number, one in found.channels.items()}
+
+
+def is_told(here_ns: Mapping[str, NDArray[np.uint64]], written: Log, lost: tuple[Lost, ...]) -> bool:
+    """Whether what was written and is not here, times by topic, is all within the spans that are told."""
     for topic, times in written.time_ns.items():
-        here = log.time_ns.get(topic, np.zeros(0, np.uint64))
+        here = here_ns.get(topic, np.zeros(0, np.uint64))
         spans = [one for one in lost if one.topic in (topic, None)]
         for time_ns in np.setdiff1d(times, here).tolist():
             # Several EVRs may be of one cycle, so that the ends of a span belong to it.
@@ -96,7 +105,8 @@ def judged(made: Original, damaged: bytes, cut_ns: int | None = None) -> str:
     try:
         log = log_from(HERE, damaged)
     except LogDamaged as error:
-        return "detected" if str(error) else "WRONG: no sentence"
+        told = is_told(times_in(damaged), made.log, error.lost)
+        return "detected" if told else f"WRONG: its span is not told: {error}"
     except LogNotReadable:
         return "refused"
     except LogError as error:
@@ -133,7 +143,7 @@ def saved(made: Original, damaged: bytes, is_hit: list[bool], folder: Path) -> s
     )
     if missed > due:
         return f"WRONG: {missed} messages missing, {due} were damaged"
-    return "saved" if is_told(log, made.log, recovered.lost) else "WRONG: a loss is not told"
+    return "saved" if is_told(log.time_ns, made.log, recovered.lost) else "WRONG: a loss is not told"
 
 
 def flips(made: Original, tries: int, seed: int) -> Iterator[tuple[int, int]]:

@@ -9,7 +9,7 @@ import signal
 import sys
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
@@ -19,6 +19,7 @@ from ground.cli_hardstop import hardstop
 from ground.cli_ik import ik, reach
 from ground.cli_import import import_log
 from ground.cli_log import log_app
+from ground.cli_output import checked_stdout
 from ground.cli_parts import (
     ARM_SAFE,
     BAD_INPUT,
@@ -140,6 +141,11 @@ def main() -> None:
     _free_of_gl_settings()
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(KILLED))  # so that half-written files go
     warnings.simplefilter("ignore", RuntimeWarning)  # numpy's are for developers; users get sentences
+    with checked_stdout():
+        _run()
+
+
+def _run() -> NoReturn:
     if "--json" not in sys.argv:
         app()
     try:

@@ -1,5 +1,6 @@
 """The verbs `log ...`; thin."""
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,7 +21,10 @@ ToOption = Annotated[
     float | None, typer.Option("--to", help="Seconds of log time to end before.", metavar="S")
 ]
 
-log_app = typer.Typer(help="Look into telemetry logs, export and recover them.", no_args_is_help=True)
+log_app = typer.Typer(
+    help="Look into telemetry logs, export and recover them.\n\nExample: marsarm log info run.mcap",
+    no_args_is_help=True,
+)
 
 
 @log_app.command()
@@ -41,7 +45,7 @@ def info(log: LogArgument, as_json: JsonOption = False) -> None:
 def channels(
     log: LogArgument,
     glob: Annotated[
-        list[str] | None, typer.Argument(help="Patterns such as '/joint/*'.", metavar="[GLOB]...")
+        list[str] | None, typer.Argument(help="Patterns such as '/joint.*'.", metavar="[GLOB]...")
     ] = None,
     start: FromOption = None,
     stop: ToOption = None,
@@ -49,7 +53,7 @@ def channels(
 ) -> None:
     """Each channel with its type, unit, count and range.
 
-    Example: marsarm log channels run.mcap '/joint/*_rad'
+    Example: marsarm log channels run.mcap '/joint.*_rad'
     """
     from ground.report.log_tables import channels_json, channels_table
     from ground.telemetry.inspect import channels_of
@@ -64,7 +68,10 @@ def channels(
 def plot(
     log: LogArgument,
     channel: Annotated[
-        list[str], typer.Argument(help="Patterns such as '/joint/motor_rad*'.", metavar="CHANNEL...")
+        list[str],
+        typer.Argument(
+            help="Such as '/joint.motor_rad', '/joint.motor_rad[2]', '/joint.*'.", metavar="CHANNEL..."
+        ),
     ],
     out: Annotated[Path, typer.Option(help="The picture.", metavar="FILE.png")],
     start: FromOption = None,
@@ -73,15 +80,16 @@ def plot(
 ) -> None:
     """Draw channels over time, with the events as marks.
 
-    Example: marsarm log plot run.mcap '/joint/motor_rad*' /drive/current_limit_A --out joints.png
+    Example: marsarm log plot run.mcap '/joint.motor_rad[2]' /drive.current_limit_A --out joints.png
     """
     from ground.outputs import check_output
     from ground.report.log_figure import save_log_figure
     from ground.report.words import counted
+    from ground.request import check_apart
     from ground.telemetry.inspect import channels_of
 
     with _bad_input(as_json):
-        check_output(out, (".png",), "out")
+        check_apart({"LOG": log, "out": check_output(out, (".png",), "out")})
         read = _read(log, start, stop)
         found = channels_of(read, channel)
         missing = save_log_figure(found, read.evrs, out)
@@ -144,21 +152,25 @@ def _bad_input(as_json: bool) -> Iterator[None]:
     """End with a sentence where a file or a request is wrong."""
     from ground.outputs import BadOutput
     from ground.report.log_figure import TooMuch
+    from ground.request import BadRequest
     from ground.telemetry.errors import LogError
     from ground.telemetry.inspect import NoSuchChannel
 
     try:
         yield
-    except (LogError, NoSuchChannel, BadOutput, TooMuch) as error:
+    except (LogError, NoSuchChannel, BadOutput, BadRequest, TooMuch) as error:
         end(str(error), BAD_INPUT, as_json)
 
 
 def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) -> "Log":
     """The log between two times; NoSuchChannel where there is nothing."""
     from ground.telemetry.inspect import NoSuchChannel, bound_ns
+    from ground.telemetry.loss import behind_text
     from ground.telemetry.read import read_log
 
     read = read_log(log, None, bound_ns("from", start_s), bound_ns("to", stop_s))
     if not read.time_ns and (start_s, stop_s) != (None, None):
         raise NoSuchChannel(f"log {log} has nothing in the time from {start_s} s to {stop_s} s")
+    if read.behind:
+        print(f"log {log}: {behind_text(read.behind)}", file=sys.stderr)
     return read

@@ -17,7 +17,7 @@ from fsw.dictionary.validity import not_an_arm, out_of_limits
 from fsw.estimate.reference import Reference
 from fsw.messages import Sensors
 from ground.telemetry.format import COMMAND_TOPIC, TICK_NS
-from ground.telemetry.loss import Lost
+from ground.telemetry.loss import Lost, behind_text
 from ground.telemetry.plain import NotPlain, command_from, from_plain
 from ground.telemetry.read import Log
 from ground.telemetry.schema import layout_of
@@ -64,7 +64,7 @@ def inputs_in(log: Log) -> Inputs:
     Raises:
         NotReplayable: it lacks something, or something in it is unknown to today's flight software.
     """
-    notes: list[str] = []
+    notes: list[str] = [] if not log.behind else [behind_text(log.behind)]
     try:
         params, mode, reference = _start(log, notes)
         commands: dict[int, tuple[Command, ...]] = {}

@@ -1,8 +1,9 @@
 """Channels of a log over time, one above the other, with the event reports as marks."""
 
 from collections.abc import Sequence
+from enum import IntEnum
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_type_hints
 
 import numpy as np
 
@@ -11,12 +12,12 @@ from fsw.dictionary.joints import Joint
 from ground.report.figures import save_figure
 from ground.telemetry.events import EvrEntry
 from ground.telemetry.format import TICK_NS
-from ground.telemetry.inspect import Channel
+from ground.telemetry.inspect import Channel, place_text
 from ground.telemetry.topics import PACKET_TOPICS
 
 MOST: Final = 12
 """Panels in a picture; more cannot be read."""
-LEGEND: Final = 6
+LEGEND: Final = 9
 """Lines in a panel that are named."""
 SHOWN: Final = 12
 """Event reports whose names fit above the panels."""
@@ -35,7 +36,10 @@ def save_log_figure(channels: Sequence[Channel], evrs: Sequence[EvrEntry], path:
         BadOutput: the file cannot be written.
     """
     if len(channels) > MOST:
-        raise TooMuch(f"{len(channels)} channels are asked for; a picture has room for {MOST}")
+        raise TooMuch(
+            f"{len(channels)} channels are asked for; a picture has room for {MOST}; "
+            f"name fewer, as in '{channels[0].topic}.*', or draw several"
+        )
 
     def draw(figure: Any) -> None:
         panels = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]
@@ -58,13 +62,35 @@ def _draw(axes: Any, channel: Channel) -> None:
     marker = "." if len(time_s) < 2 else None
     for k, name in enumerate(names):
         axes.plot(time_s, flat[:, k], drawstyle=steps, marker=marker, linewidth=1.0, label=name)
-    axes.set_title(f"{channel.name}{' (truth)' if channel.is_truth else ''}", loc="left", fontsize=9)
+    axes.set_title(_title(channel, names), loc="left", fontsize=9)
     axes.set_ylabel(channel.unit or "")
-    axes.ticklabel_format(axis="y", useOffset=False)
+    words = _words(channel)
+    if words is None:
+        axes.ticklabel_format(axis="y", useOffset=False)
+    else:
+        here = [value for value in words if (flat == value).any()]
+        axes.set_yticks(here, [value.name for value in here], fontsize=7)
     axes.grid(alpha=0.3)
     axes.margins(x=0.01)
     if 1 < len(names) <= LEGEND:
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, frameon=False)
+
+
+def _title(channel: Channel, names: Sequence[str | None]) -> str:
+    title = f"{channel.name}{' (truth)' if channel.is_truth else ''}"
+    if len(names) <= LEGEND:
+        return title
+    one = f"{channel.name}{place_text((0,) * (channel.values.ndim - 1))}"
+    return f"{title}: {len(names)} lines are too many to name; {one} is one of them"
+
+
+def _words(channel: Channel) -> type[IntEnum] | None:
+    """What the numbers of a channel mean, where they are words in flight software."""
+    for topic, _ in PACKET_TOPICS:
+        if topic.name == channel.topic and channel.field in topic.field_names:
+            kind = get_type_hints(topic.packet)[channel.field]
+            return kind if isinstance(kind, type) and issubclass(kind, IntEnum) else None
+    return None
 
 
 def _names(channel: Channel) -> list[str | None]:
@@ -76,7 +102,10 @@ def _names(channel: Channel) -> list[str | None]:
 
 
 def _name_evrs(axes: Any, evrs: Sequence[EvrEntry]) -> None:
-    """Names above the uppermost panel, the graver ones first, where they do not cover each other."""
+    """Names above the uppermost panel, the graver ones first, where they do not cover each other.
+
+    How many have no room is said.
+    """
     low, high = axes.get_xlim()
     named: list[float] = []
     for evr in sorted(evrs, key=lambda evr: (-evr.severity, evr.tick)):
@@ -94,6 +123,10 @@ def _name_evrs(axes: Any, evrs: Sequence[EvrEntry]) -> None:
                 color=COLOURS[_kind(evr)] if _kind(evr) != "other" else "0.4",
                 annotation_clip=False,
             )
+    if len(named) < len(evrs):
+        axes.set_title(
+            f"{len(evrs) - len(named)} more events, not named", loc="right", fontsize=7, color="0.4"
+        )
 
 
 def _time_s(evr: EvrEntry) -> float:

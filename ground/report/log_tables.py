@@ -11,7 +11,7 @@ from rich.table import Table
 from ground.report.words import counted
 from ground.telemetry.format import FORMAT
 from ground.telemetry.inspect import Channel, LogInfo, Range, info_of, range_of
-from ground.telemetry.loss import Lost, span_text
+from ground.telemetry.loss import Lost, behind_text, span_text
 from ground.telemetry.read import Log
 from ground.telemetry.recover import Recovered
 
@@ -30,6 +30,7 @@ def info_json(log: Log) -> dict[str, Any]:
         "log": str(log.path),
         "format": FORMAT,
         "closed": not log.truncated,
+        "bytes_behind": log.behind,
         "header": {name: _parsed(name, text) for name, text in log.header.items() if name not in BULKY},
         "first_s": info.first_s,
         "duration_s": info.duration_s,
@@ -73,7 +74,9 @@ def info_table(log: Log) -> None:
     console.print(f"{'format':<16}  {FORMAT}")
     console.print(f"{'duration':<16}  {_duration(info)}")
     state = "cut short: its writer did not close it" if log.truncated else "closed"
-    console.print(f"{'end':<16}  {state}")
+    if log.behind:
+        state += f"; {behind_text(log.behind)}"
+    console.print(f"{'end':<16}  {state}", soft_wrap=True)
     table = Table()
     for name in ("topic", "messages", "rate Hz", ""):
         table.add_column(name, justify="left" if name in ("topic", "") else "right")
@@ -143,6 +146,7 @@ def recovered_json(bad: Path, good: Path, recovered: Recovered) -> dict[str, Any
         "header_lost": recovered.header_lost,
         "saved": dict(recovered.saved),
         "lost": lost_json(recovered.lost),
+        "notes": list(recovered.notes),
     }
 
 
@@ -152,6 +156,8 @@ def recovered_table(good: Path, recovered: Recovered) -> None:
     console.print(f"{sum(recovered.saved.values())} messages saved in {good}", soft_wrap=True)
     if recovered.header_lost:
         console.print("The header is lost: versions, parameters and commands of the run.")
+    for note in recovered.notes:
+        console.print(f"{note[0].upper()}{note[1:]}.", soft_wrap=True)
     if recovered.lost:
         _lost_table(console, recovered.lost)
     else:

@@ -85,6 +85,8 @@ class Content:
     """Complete, and ended as MCAP files end."""
     data_end: int = 0
     """Where the records of the run end; a closed log has its summary there."""
+    behind: int = 0
+    """Bytes behind the end of a closed log, which are no part of it."""
     crc_holds: bool = True
     """False where the run ends with another CRC than its bytes have."""
 
@@ -126,7 +128,9 @@ def take(found: Content, data: bytes, at: int, opcode: int, body: memoryview) ->
             # A CRC of zero is MCAP's word for none, but ours always have one.
             crc32 = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
             found.crc_holds = found.complete = crc32 == crc32_of(data, 0, at)
-            found.closed = found.complete and data.endswith(MCAP0_MAGIC)
+            end = end_of(data, at)
+            found.closed = found.complete and end is not None
+            found.behind = 0 if end is None else len(data) - end
         case _:
             raise ValueError(f"a record with opcode {opcode} and {len(body)} bytes has no place here")
 
@@ -173,6 +177,12 @@ def read_records(path: Path, data: bytes) -> Content:
     if data.endswith(MCAP0_MAGIC) and len(data) > len(MCAP0_MAGIC):
         raise NotAsWritten("it was closed, but a record runs past its end", found.data_end)
     return found
+
+
+def end_of(data: bytes, begin: int) -> int | None:
+    """Where the log ends that `begin` is in: behind the next magic; None where there is none."""
+    found = data.find(MCAP0_MAGIC, begin)
+    return None if found < 0 else found + len(MCAP0_MAGIC)
 
 
 def crc32_of(data: bytes, begin: int, end: int) -> int:

@@ -18,9 +18,10 @@ from numpy.typing import NDArray
 
 from ground.dictionary.units import unit_of
 from ground.outputs import BadOutput, check_output, written_whole
+from ground.request import check_apart
 from ground.telemetry.events import CommandEntry, EvrEntry
 from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, TICK_NS
-from ground.telemetry.inspect import NoSuchChannel, severity_name
+from ground.telemetry.inspect import NoSuchChannel, place_text, severity_name
 from ground.telemetry.read import Log
 
 Progress = Callable[[float, float, str], None]
@@ -40,7 +41,7 @@ class Table:
 
 def ends(shape: tuple[int, ...]) -> list[str]:
     """How the columns of a field of this shape are told apart: [2], [0,1]; in the order of its numbers."""
-    return [f"[{','.join(map(str, place))}]" if place else "" for place in np.ndindex(*shape)]
+    return [place_text(place) for place in np.ndindex(*shape)]
 
 
 def table_of(log: Log, topic: str) -> Table:
@@ -91,14 +92,15 @@ def export(
     Raises:
         NoSuchChannel: the log has no such topic.
         BadOutput: a file cannot be written, or is asked to hold several tables.
+        BadRequest: a file is that of the log.
     """
     chosen = _chosen(log, topics)
     files = _files(out, chosen, kind)
+    for topic, path in files.items():
+        check_apart({"LOG": log.path, f"out ({topic})": path})
     header = json.dumps(dict(log.header))
-    made = not out.exists() and out.suffix not in SUFFIXES
+    made = _made_folder(out)
     try:
-        if made:
-            out.mkdir()
         with ExitStack() as all_whole:
             for k, (topic, path) in enumerate(files.items()):
                 progress(k, len(files), topic)
@@ -112,6 +114,18 @@ def export(
     return files
 
 
+def _made_folder(out: Path) -> bool:
+    """Make the folder if there is none, and whether it was made; BadOutput where it cannot be."""
+    if out.suffix in SUFFIXES or os.path.isdir(out):
+        return False
+    try:
+        out.mkdir()
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or error
+        raise BadOutput(f"out {out}: this folder cannot be made ({why}); give another") from error
+    return True
+
+
 def _chosen(log: Log, topics: Sequence[str]) -> list[str]:
     missing = [topic for topic in topics if topic not in log.time_ns]
     if missing:
@@ -122,19 +136,23 @@ def _chosen(log: Log, topics: Sequence[str]) -> list[str]:
 
 def _files(out: Path, topics: Sequence[str], kind: str) -> dict[str, Path]:
     """Where each topic goes, after every check that can be made before anything is written."""
-    if out.suffix in SUFFIXES and not out.is_dir():
+    if out.suffix in SUFFIXES and not os.path.isdir(out):  # unlike Path.is_dir, False for any bad name
+        if kind == ".csv" != out.suffix:
+            raise BadOutput(f"out {out}: with --csv its name must end in .csv, or be that of a folder")
         if len(topics) != 1:
             raise BadOutput(
                 f"out {out}: one file holds one table, and {len(topics)} topics are asked for; "
                 f"name one with --topic, or give a folder"
             )
         return {topics[0]: check_output(out, SUFFIXES, "out")}
-    if out.exists() and not out.is_dir():
-        raise BadOutput(f"out {out}: must end in .parquet or .csv, or be a folder")
+    if not os.path.isdir(out) and (os.path.exists(out) or out.suffix):
+        raise BadOutput(
+            f"out {out}: must end in .parquet or .csv, or be a folder; the name of a new one has no dot"
+        )
     if not os.path.isdir(out.parent):
         raise BadOutput(f"out {out}: there is no folder {out.parent}")
     files = {topic: out / (topic.strip("/").replace("/", "_") + kind) for topic in topics}
-    if out.is_dir():
+    if os.path.isdir(out):
         for path in files.values():
             check_output(path, SUFFIXES, "out")
     return files

@@ -1,8 +1,9 @@
 """What a log holds, in numbers: its run as a whole, and each of its channels."""
 
+import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Final
 
@@ -13,9 +14,12 @@ from fsw.dictionary.evrs import Severity
 from ground.dictionary.units import unit_of
 from ground.telemetry.format import TICK_NS
 from ground.telemetry.read import Log
+from sim.scenario.names import did_you_mean
 
 MOST_S: Final = 9e9
 """No log is as long; its nanoseconds still have room in eight bytes."""
+PLACE: Final = re.compile(r"(.*)\[([0-9]{1,9}(?:,[0-9]{1,9})*)\]")
+"""A pattern with the place of one number behind it."""
 
 
 class NoSuchChannel(ValueError):
@@ -46,22 +50,27 @@ class LogInfo:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Channel:
-    """A field of a packet over the whole log: values of shape (n, ...), one for each of `time_ns`."""
+    """A field of a packet, or one number of it, over the whole log.
+
+    `values` has shape (n, ...), one for each of `time_ns`.
+    """
 
     topic: str
     field: str
     time_ns: NDArray[np.uint64]
     values: NDArray[np.generic]
     is_truth: bool
+    place: tuple[int, ...] = ()
+    """Which number of the field it is; () for the whole field."""
 
     @property
     def name(self) -> str:
-        """What people and patterns call it: /joint/motor_rad."""
-        return f"{self.topic}/{self.field}"
+        """What it is called everywhere: /joint.motor_rad, /joint.motor_rad[2]."""
+        return f"{self.topic}.{self.field}{place_text(self.place)}"
 
     @property
     def unit(self) -> str | None:
-        """From the suffix of the name; None for a pure number."""
+        """From the suffix of the name, "1" for a pure number; None where the name tells none."""
         return unit_of(self.field)
 
     @property
@@ -78,6 +87,11 @@ class Range:
     low: float | int | None
     high: float | int | None
     not_finite: int
+
+
+def place_text(place: tuple[int, ...]) -> str:
+    """How one number of a field is told from the others, as in tables: [2], [0,1]; nothing for ()."""
+    return f"[{','.join(map(str, place))}]" if place else ""
 
 
 def info_of(log: Log) -> LogInfo:
@@ -116,6 +130,8 @@ def severity_name(grade: int) -> str:
 def channels_of(log: Log, globs: Sequence[str] = ()) -> tuple[Channel, ...]:
     """The channels that any of these patterns fits, in the order of the patterns; all without one.
 
+    A pattern is as /joint.motor_rad, or /joint/motor_rad, * being any letters; [2] behind it is one number.
+
     Raises:
         NoSuchChannel: a pattern fits none.
     """
@@ -126,14 +142,38 @@ def channels_of(log: Log, globs: Sequence[str] = ()) -> tuple[Channel, ...]:
     ]
     found: dict[str, Channel] = {}
     for glob in globs or ("*",):
-        fitting = {one.name: one for one in every if fnmatchcase(one.name, glob)}
+        fitting = _fitting(every, glob)
         if not fitting and globs:
+            hint, _, _ = did_you_mean(glob, [one.name for one in every]).rpartition("there are ")
             raise NoSuchChannel(
-                f"log {log.path} has no channel {glob}; `marsarm log channels {log.path}` lists them, "
-                "and a pattern is written as '/joint/motor_rad*'"
+                f"log {log.path} has no channel {glob}; {hint}`marsarm log channels {log.path}` lists them, "
+                "and a pattern is written as '/joint.motor_rad*' or '/joint.motor_rad[2]'"
             )
-        found |= fitting
+        found |= {one.name: one for one in fitting}
     return tuple(found.values())
+
+
+def _fitting(every: Sequence[Channel], glob: str) -> list[Channel]:
+    """The channels, or numbers of them, that a pattern fits."""
+    numbered = PLACE.fullmatch(glob)
+    if numbered is not None:
+        base, place = numbered[1], tuple(map(int, numbered[2].split(",")))
+        return [_number_of(one, place) for one in every if _fits(one, base) and _has(one, place)]
+    return [one for one in every if _fits(one, glob)]
+
+
+def _fits(channel: Channel, glob: str) -> bool:
+    return any(fnmatchcase(f"{channel.topic}{mark}{channel.field}", glob) for mark in "./")
+
+
+def _has(channel: Channel, place: tuple[int, ...]) -> bool:
+    shape = channel.values.shape[1:]
+    return len(shape) == len(place) and all(k < size for k, size in zip(place, shape, strict=True))
+
+
+def _number_of(channel: Channel, place: tuple[int, ...]) -> Channel:
+    index: tuple[slice | int, ...] = (slice(None), *place)
+    return replace(channel, values=channel.values[index], place=place)
 
 
 def range_of(channel: Channel) -> Range:

@@ -53,6 +53,11 @@ def span_text(after_ns: int | None, before_ns: int | None) -> str:
             return f"between {(after_ns or 0) / 1e9:.6f} s and {(before_ns or 0) / 1e9:.6f} s"
 
 
+def behind_text(size: int) -> str:
+    """What is said of a file that goes on behind the end of its log."""
+    return f"{size} bytes behind the end of the log are left out; a file holds one log"
+
+
 def outline(lost: Sequence[Lost]) -> str:
     """All that was lost in one clause: how much of which topics, and when."""
     if not lost:

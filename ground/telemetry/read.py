@@ -3,6 +3,8 @@
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from stat import S_ISREG
+from typing import Final
 
 import numpy as np
 from mcap.records import Channel
@@ -34,6 +36,13 @@ from ground.telemetry.messages import (
 )
 from ground.telemetry.salvage import has_chunk, salvage
 
+NO_MCAP: Final = (
+    "not an MCAP file; `marsarm run --log run.mcap` writes one, `marsarm log import` makes one of a table"
+)
+
+MOST_BYTES: Final = 1 << 32
+"""Of a file that is read at all: 1,000 times a log of ten minutes."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Log:
@@ -55,6 +64,8 @@ class Log:
     """Topics of the plant's own state, which flight software never saw."""
     lost: tuple[Lost, ...] = ()
     """In a log that was recovered from a damaged one: what could not be saved."""
+    behind: int = 0
+    """Bytes in the file behind the end of the log, which were not read."""
 
     def __getitem__(self, topic: str) -> NDArray[np.void]:
         if topic not in self.packets:
@@ -108,11 +119,19 @@ def read_log(
 
 
 def bytes_of(path: Path) -> bytes:
-    """A file's content; LogNotReadable where there is none."""
+    """A file's content; LogNotReadable where there is none, or more than any log has."""
     try:
+        about = path.stat()
+        # A pipe would be waited for, and a device may have no end.
+        if not S_ISREG(about.st_mode):
+            raise LogNotReadable(path, "is not a regular file; give the path of a log, such as run.mcap")
+        if about.st_size > MOST_BYTES:
+            raise LogNotReadable(path, f"has {about.st_size} bytes; a log has at most {MOST_BYTES}")
         return path.read_bytes()
     except (OSError, ValueError) as error:
         raise LogNotReadable(path, f"cannot be read ({error}); give the path of a log") from error
+    except MemoryError as error:
+        raise LogNotReadable(path, f"its {about.st_size} bytes do not fit into memory") from error
 
 
 ALL = Wanted(None, 0, None)
@@ -121,11 +140,13 @@ ALL = Wanted(None, 0, None)
 def log_from(path: Path, data: bytes, wanted: Wanted = ALL) -> Log:
     """Read a log from a file's content; errors as of `read_log`."""
     if not data.startswith(MCAP0_MAGIC):
-        raise LogNotReadable(path, "not an MCAP file" if data else "an empty file; nothing was written to it")
+        raise LogNotReadable(path, NO_MCAP if data else "an empty file; nothing was written to it")
     try:
         return _log(path, data, wanted)
     except NotAsWritten as error:
-        raise LogDamaged(path, error.why, error.offset, salvage(data).lost) from error
+        found = salvage(data)
+        why = "; ".join((error.why, *found.notes))
+        raise LogDamaged(path, why, error.offset, found.lost) from error
 
 
 def _log(path: Path, data: bytes, wanted: Wanted) -> Log:
@@ -185,6 +206,7 @@ def _arrays(path: Path, found: Content, batches: Sequence[Messages], wanted: Wan
         commands=tuple(map(CommandEntry.decode, bodies.get(COMMAND_TOPIC, []))),
         truth=frozenset(channel.topic for channel in channels.values() if channel.is_truth),
         lost=lost_in(found.metadata.get(RECOVERED_RECORD, {})),
+        behind=found.behind if found.closed else 0,
     )
 
 

@@ -1,7 +1,6 @@
 """Writes what can be saved of a damaged log into a whole one."""
 
 import json
-import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +8,8 @@ from typing import BinaryIO
 
 from mcap.writer import IndexType, Writer
 
-from ground.outputs import BadOutput, check_output, written_whole
+from ground.outputs import check_output, written_whole
+from ground.request import check_apart
 from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.format import CHANNELS_KEY, FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
 from ground.telemetry.loss import RECOVERED_RECORD, Lost, recovered_record
@@ -30,6 +30,8 @@ class Recovered:
     """Of this recovery and of those before it."""
     header_lost: bool
     """Whether versions, parameters and commands of the run are gone."""
+    notes: tuple[str, ...] = ()
+    """Sentences about what was left out because it is not of this log, or was put in its place."""
 
 
 def recover(bad: Path, good: Path, progress: Progress) -> Recovered:
@@ -42,23 +44,22 @@ def recover(bad: Path, good: Path, progress: Progress) -> Recovered:
         LogNotReadable: `bad` cannot be read, or holds nothing of a marsarm log.
         LogDamaged: what is undamaged does not make a log.
         BadOutput: `good` cannot be written.
+        BadRequest: `good` is the file of `bad`.
     """
     data = bytes_of(bad)
-    _check_apart(bad, check_output(good, (".mcap",), "GOOD"))
+    check_apart({"BAD": bad, "GOOD": check_output(good, (".mcap",), "GOOD")})
     progress(0, 1, "searching")
     found = salvage(data)
     _check_ours(bad, found)
     lost = (*found.lost_before, *found.lost)
     with written_whole(good, "GOOD") as file:
-        saved = _write(file, found, lost, progress)
+        saved, doubled = _write(file, found, lost, progress)
         file.flush()
         log_from(bad, Path(file.name).read_bytes())
-    return Recovered(saved, lost, HEADER_RECORD not in found.metadata)
-
-
-def _check_apart(bad: Path, good: Path) -> None:
-    if good.exists() and os.path.samefile(bad, good):
-        raise BadOutput(f"GOOD {good}: is the damaged log itself; give the path of a new file")
+    notes = (
+        found.notes if not doubled else (*found.notes, f"{doubled} messages that were there twice left out")
+    )
+    return Recovered(saved, lost, HEADER_RECORD not in found.metadata, notes)
 
 
 def _check_ours(bad: Path, found: Salvage) -> None:
@@ -71,8 +72,10 @@ def _check_ours(bad: Path, found: Salvage) -> None:
         raise LogNotReadable(bad, "nothing in it says what its messages mean; nothing can be saved")
 
 
-def _write(file: BinaryIO, found: Salvage, lost: tuple[Lost, ...], progress: Progress) -> dict[str, int]:
-    """Write all that was found; messages by topic."""
+def _write(
+    file: BinaryIO, found: Salvage, lost: tuple[Lost, ...], progress: Progress
+) -> tuple[dict[str, int], int]:
+    """Write all that was found; messages by topic, and how many were not written as they were there twice."""
     numbers = {old: new for new, old in enumerate(sorted(found.channels), 1)}
     header = _renumbered(found.metadata.get(HEADER_RECORD, {}), numbers)
     # With an index of attachments, of which there are none, the summary would point to nothing.
@@ -85,16 +88,20 @@ def _write(file: BinaryIO, found: Salvage, lost: tuple[Lost, ...], progress: Pro
     _declare(writer, found)
     counts: dict[int, int] = {}
     seen: dict[int, int] = {}
+    doubled = 0
     for k, chunk in enumerate(found.chunks):
         for number, sequence, time_ns, publish_ns, message in chunk.messages():
-            # A message that was there before is from a piece of the file that was written twice.
-            if number in numbers and sequence > seen.get(number, -1):
+            if number not in numbers:
+                continue
+            if sequence <= seen.get(number, -1):
+                doubled += 1
+            else:
                 writer.add_message(numbers[number], time_ns, message, publish_ns, counts.get(number, 0))
                 counts[number], seen[number] = counts.get(number, 0) + 1, sequence
         writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates only part of itself
         progress(k, len(found.chunks), "writing")
     writer.finish()  # type: ignore[no-untyped-call]
-    return {found.channels[number].topic: count for number, count in counts.items()}
+    return {found.channels[number].topic: count for number, count in counts.items()}, doubled
 
 
 def _renumbered(header: Mapping[str, str], numbers: Mapping[int, int]) -> dict[str, str]:

@@ -1,7 +1,7 @@
 """What is undamaged in a damaged log, and what is missing between."""
 
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from typing import Any, Final
@@ -11,6 +11,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Metadata, Schema, Statistics
+from mcap.writer import MCAP0_MAGIC
 
 from ground.telemetry.chunks import heads_at, walk
 from ground.telemetry.container import (
@@ -20,6 +21,7 @@ from ground.telemetry.container import (
     RECORD_HEAD,
     channel_of,
     crc32_of,
+    end_of,
     records,
     summary_of,
 )
@@ -34,7 +36,7 @@ from ground.telemetry.format import (
     header_crc32,
 )
 from ground.telemetry.gaps import Saved, lost_between
-from ground.telemetry.loss import RECOVERED_RECORD, Lost, lost_in
+from ground.telemetry.loss import RECOVERED_RECORD, Lost, behind_text, lost_in
 from ground.telemetry.messages import announced, known_channels
 from ground.telemetry.schema import definition
 
@@ -53,6 +55,8 @@ class Salvage:
     lost: tuple[Lost, ...]
     lost_before: tuple[Lost, ...]
     """In recoveries before this one."""
+    notes: tuple[str, ...]
+    """Sentences about what in the file is not of this log, or not in its place."""
 
 
 def good_chunks(data: bytes, at: int) -> Iterator[bytes]:
@@ -85,7 +89,8 @@ def has_chunk(data: bytes, at: int) -> bool:
 
 
 def salvage(data: bytes) -> Salvage:
-    """Look for everything in a file that its checks still vouch for."""
+    """Look for everything in a file that its checks still vouch for; of several logs, in the first."""
+    data, notes = first_log(data)
     metadata = _metadata(data)
     channels, schemas, totals = _summary(data)
     chunks = []
@@ -97,6 +102,7 @@ def salvage(data: bytes) -> Salvage:
             continue
         heads = heads_at(np.frombuffer(plain, np.uint8), np.array(starts, np.int64))
         chunks.append(Saved(plain, starts, heads))
+    chunks = in_order(chunks, notes)
     header = metadata.get(HEADER_RECORD, {})
     _declare(header, channels, schemas)
     try:
@@ -106,7 +112,38 @@ def salvage(data: bytes) -> Salvage:
     names = {number: said["topic"] for number, said in _said(header).items()}
     names |= {number: channel.topic for number, channel in channels.items()}
     lost = lost_between(chunks, names, set(channels), totals, totals is not None or _is_complete(data))
-    return Salvage(metadata, tuple(chunks), channels, schemas, lost, lost_before)
+    return Salvage(metadata, tuple(chunks), channels, schemas, lost, lost_before, tuple(notes))
+
+
+def first_log(data: bytes) -> tuple[bytes, list[str]]:
+    """The first log in a file, to behind the magic that ends it or begins another; what is left out.
+
+    Every run counts its messages from 0, so chunks of two runs would make one false log.
+    """
+    end = end_of(data, len(MCAP0_MAGIC))
+    if end is None or end == len(data):
+        return data, []
+    return data[:end], [behind_text(len(data) - end)]
+
+
+def in_order(chunks: Sequence[Saved], notes: list[str]) -> list[Saved]:
+    """Each chunk once, in the order in which they were written."""
+    once = list({chunk.plain: chunk for chunk in chunks}.values())
+    if len(once) < len(chunks):
+        count = len(chunks) - len(once)
+        notes.append("1 chunk stands in it twice" if count == 1 else f"{count} chunks stand in it twice")
+    ordered = sorted(once, key=_begin)
+    if ordered != once:
+        notes.append("its chunks are out of order")
+    return ordered
+
+
+def _begin(chunk: Saved) -> tuple[int, ...]:
+    """Time of a chunk's first message, its channel and number; a chunk of declarations comes first."""
+    if not len(chunk.heads):
+        return ()
+    first = chunk.heads[0]
+    return int(chunk.heads["time_ns"].min()), int(first["channel"]), int(first["sequence"])
 
 
 def _said(header: Mapping[str, str]) -> dict[int, dict[str, Any]]:

@@ -62,7 +62,7 @@ def test_a_log_cut_short_is_said_to_be(folder):
 def test_channels_lists_types_units_and_ranges(folder):
     (found,) = asked(folder, "channels", "run.mcap", "/joint/motor_rad*")["channels"]
     values = read_log(folder / "run.mcap")["/joint"]["motor_rad"]
-    assert (found["channel"], found["type"], found["unit"]) == ("/joint/motor_rad", "float64[5]", "rad")
+    assert (found["channel"], found["type"], found["unit"]) == ("/joint.motor_rad", "float64[5]", "rad")
     assert (found["messages"], found["min"], found["max"]) == (CYCLES, values.min(), values.max())
 
 
@@ -71,11 +71,19 @@ def test_channels_of_a_part(folder):
     assert [(one["messages"], one["min"], one["max"]) for one in found] == [(32, 32, 63)]
 
 
+def test_one_number_is_a_channel_and_both_spellings_are_taken(folder):
+    values = read_log(folder / "run.mcap")["/joint"]["motor_rad"][:, 2]
+    for pattern in ("/joint.motor_rad[2]", "/joint/motor_rad[2]"):
+        (found,) = asked(folder, "channels", "run.mcap", pattern)["channels"]
+        assert (found["channel"], found["type"]) == ("/joint.motor_rad[2]", "float64")
+        assert (found["min"], found["max"]) == (values.min(), values.max())
+
+
 def test_plot_draws_a_picture(folder):
     found = asked(
         folder, "plot", "run.mcap", "/joint/motor_rad*", "/joint/mode", "/truth/R_RT", "--out", "p.png"
     )
-    assert found["channels"] == ["/joint/motor_rad", "/joint/mode", "/truth/R_RT"]
+    assert found["channels"] == ["/joint.motor_rad", "/joint.mode", "/truth.R_RT"]
     assert (folder / "p.png").read_bytes().startswith(b"\x89PNG")
 
 
@@ -98,6 +106,24 @@ def test_recover_saves_what_is_undamaged_and_says_what_is_lost(folder):
     assert "recovered from a damaged one" in marsarm(folder, "log", "info", "good.mcap").stdout
 
 
+def test_what_stands_behind_a_log_is_said_by_every_verb(folder, written):
+    (folder / "two.mcap").write_bytes(written + written)
+    found = asked(folder, "info", "two.mcap")
+    assert (found["closed"], found["bytes_behind"], found["cycles"]) == (True, len(written), CYCLES)
+    for words in (("export", "two.mcap", "tables"), ("channels", "two.mcap")):
+        assert "behind the end of the log" in marsarm(folder, "log", *words).stderr
+    assert "behind the end of the log" in asked(folder, "recover", "two.mcap", "g.mcap")["notes"][0]
+
+
+@pytest.mark.parametrize("verb", [["export", "--topic", "/joint"], ["plot", "/joint/mode", "--out"]])
+def test_a_log_is_never_replaced_by_what_is_made_of_it(folder, written, verb):
+    for name in ("j.parquet", "j.csv", "j.png"):
+        (folder / name).write_bytes(written)
+        ran = marsarm(folder, "log", verb[0], name, *verb[1:], name)
+        assert ran.returncode == 2
+        assert (folder / name).read_bytes() == written
+
+
 BAD = {
     "no file": (("info", "none.mcap"), "none.mcap: cannot be read"),
     "empty": (("info", "empty.mcap"), "an empty file; nothing was written to it"),
@@ -112,10 +138,21 @@ BAD = {
         ("plot", "run.mcap", "/joint/moter", "--out", "p.png"),
         "has no channel /joint/moter",
     ),
+    "no such number": (("channels", "run.mcap", "/joint.motor_rad[5]"), "has no channel /joint.motor_rad[5]"),
     "too many channels": (("plot", "run.mcap", "*", "--out", "p.png"), "a picture has room for 12"),
     "another picture": (("plot", "run.mcap", "/joint/mode", "--out", "p.pdf"), "must end in .png"),
     "no such topic": (("export", "run.mcap", "out", "--topic", "/jiont"), "has no topic /jiont"),
     "several in one": (("export", "run.mcap", "out.csv"), "one file holds one table"),
+    "csv into parquet": (
+        ("export", "run.mcap", "a.parquet", "--topic", "/joint", "--csv"),
+        "with --csv its name must end in .csv",
+    ),
+    "another kind of table": (
+        ("export", "run.mcap", "out.tsv"),
+        "must end in .parquet or .csv, or be a folder",
+    ),
+    "a long name": (("export", "run.mcap", "a" * 300), "cannot be made (File name too long)"),
+    "a folder nowhere": (("export", "run.mcap", "/proc/tables"), "this folder cannot be made"),
     "time from nan": (("channels", "run.mcap", "--from", "nan"), "is no log time"),
     "time to minus": (("channels", "run.mcap", "--to", "-1"), "is no log time"),
     "time after the end": (("channels", "run.mcap", "--from", "99"), "nothing in the time"),
@@ -130,6 +167,15 @@ def test_bad_input_is_said_and_nothing_is_written(folder, words, why):
     assert why in json.loads(ran.stdout)["error"]
     assert len(ran.stderr.splitlines()) == 1
     assert {path.name for path in folder.iterdir()} == before
+
+
+def test_one_channel_is_one(folder):
+    ran = marsarm(folder, "log", "plot", "run.mcap", "/joint.mode", "--out", "p.png")
+    assert ran.stdout == "1 channel in p.png\n"
+
+
+def test_the_group_of_verbs_has_an_example(folder):
+    assert "Example: marsarm log info run.mcap" in marsarm(folder, "log", "--help").stdout
 
 
 @pytest.mark.parametrize("verb", ["info", "channels", "plot", "export", "recover"])

@@ -145,7 +145,22 @@ def test_a_log_of_a_later_format_is_refused_by_number(tmp_path: Path) -> None:
         read_log(path)
 
 
-@pytest.mark.parametrize("name", ["missing.mcap", ".", "nul\0.mcap"])
+@pytest.mark.parametrize("name", ["pipe", ".", "/dev/zero"])
+def test_only_a_regular_file_is_read(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(LogNotReadable, match="is not a regular file"):
+        read_log(tmp_path / name)
+
+
+def test_a_file_larger_than_any_log_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "sparse.mcap"
+    path.touch()
+    os.truncate(path, 30 << 30)
+    with pytest.raises(LogNotReadable, match="has 32212254720 bytes; a log has at most 4294967296"):
+        read_log(path)
+
+
+@pytest.mark.parametrize("name", ["missing.mcap", "nul\0.mcap"])
 def test_a_file_that_cannot_be_read_is_said(tmp_path: Path, name: str) -> None:
     with pytest.raises(LogNotReadable, match="cannot be read"):
         read_log(f"{tmp_path}/{name}")

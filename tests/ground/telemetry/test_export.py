@@ -119,7 +119,7 @@ def test_a_log_in_numbers(log: Log) -> None:
 
 def test_channels_by_pattern_with_their_ranges(log: Log) -> None:
     rad, flags = channels_of(log, ["/joint/motor_rad*", "/sensors/switch_closed"])
-    assert (rad.name, rad.type_name, rad.unit) == ("/joint/motor_rad", "float64[5]", "rad")
+    assert (rad.name, rad.type_name, rad.unit) == ("/joint.motor_rad", "float64[5]", "rad")
     finite = log["/joint"]["motor_rad"][np.isfinite(log["/joint"]["motor_rad"])]
     assert (range_of(rad).low, range_of(rad).high) == (finite.min(), finite.max())
     assert range_of(rad).not_finite >= 5
@@ -128,5 +128,7 @@ def test_channels_by_pattern_with_their_ranges(log: Log) -> None:
 
 
 def test_a_pattern_that_fits_nothing_is_said(log: Log) -> None:
-    with pytest.raises(NoSuchChannel, match=r"has no channel /joint/moter; `marsarm log channels"):
+    with pytest.raises(
+        NoSuchChannel, match=r"has no channel /joint/moter; did you mean /joint.mode\? `marsarm log channels"
+    ):
         channels_of(log, ["/joint/mode", "/joint/moter"])

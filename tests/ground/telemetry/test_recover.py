@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from benchmarks.damage import CUT_EVERY, flipped, is_part, original, truncated
-from ground.outputs import BadOutput
+from ground.request import BadRequest
 from ground.telemetry.errors import LogCorrupt, LogNotReadable
 from ground.telemetry.format import TICK_NS
 from ground.telemetry.loss import Lost
@@ -15,6 +15,14 @@ from ground.telemetry.recover import Recovered, recover
 
 N_CYCLES = 12
 PACKETS = ["/sensors", "/drive", "/joint", "/tool", "/truth"]
+
+
+@pytest.fixture(scope="module")
+def other(make: Any, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """Another run, longer than the first."""
+    folder = tmp_path_factory.mktemp("other")
+    cycles = map(make.cycle_at, range(2 * N_CYCLES))
+    return bytes(make.record(folder / "run.mcap", cycles, chunk_s=0.0).read_bytes())
 
 
 @pytest.fixture(scope="module")
@@ -82,6 +90,45 @@ def test_an_undamaged_log_loses_nothing(tmp_path: Path, data: bytes) -> None:
     assert is_part(read_log(tmp_path / "good.mcap"), read_log(tmp_path / "bad.mcap"))
 
 
+@pytest.mark.parametrize("end", ["closed", "killed"])
+def test_two_runs_in_one_file_do_not_become_one_log(
+    tmp_path: Path, data: bytes, other: bytes, end: str
+) -> None:
+    first = data if end == "closed" else data[: chunk_of(data, 8)]
+    recovered = saved(tmp_path, first + other)
+    (tmp_path / "first.mcap").write_bytes(first)
+    assert is_part(read_log(tmp_path / "good.mcap"), read_log(tmp_path / "first.mcap"))
+    assert recovered.saved["/joint"] == (N_CYCLES if end == "closed" else 8)
+    assert "behind the end of the log are left out" in recovered.notes[0]
+
+
+@pytest.mark.parametrize("behind", [b"garbage", b"\0" * 4096])
+def test_what_stands_behind_a_log_is_told_and_shortens_nothing(
+    tmp_path: Path, data: bytes, other: bytes, behind: bytes
+) -> None:
+    for rest in (behind, other):
+        (tmp_path / "run.mcap").write_bytes(data + rest)
+        log = read_log(tmp_path / "run.mcap")
+        assert (log.truncated, log.behind, len(log["/joint"])) == (False, len(rest), N_CYCLES)
+
+
+def test_chunks_out_of_order_are_put_in_order(tmp_path: Path, data: bytes) -> None:
+    a, b, c = (chunk_of(data, tick) for tick in (4, 5, 6))
+    shuffled = data[:a] + data[b:c] + data[a:b] + data[c:]
+    recovered = saved(tmp_path, shuffled)
+    assert (recovered.lost, recovered.notes) == ((), ("its chunks are out of order",))
+    assert read_log(tmp_path / "good.mcap").ticks("/joint").tolist() == list(range(N_CYCLES))
+    with pytest.raises(LogCorrupt, match="its chunks are out of order, no message was lost"):
+        read_log(tmp_path / "bad.mcap")
+
+
+def test_a_piece_that_is_there_twice_is_saved_once(tmp_path: Path, data: bytes) -> None:
+    a, b = (chunk_of(data, tick) for tick in (4, 5))
+    recovered = saved(tmp_path, data[:b] + data[a:b] + data[b:])
+    assert recovered.notes == ("1 chunk stands in it twice",)
+    assert read_log(tmp_path / "good.mcap").ticks("/joint").tolist() == list(range(N_CYCLES))
+
+
 def test_a_lost_header_is_told_and_the_values_are_saved(tmp_path: Path, data: bytes) -> None:
     at = data.index(b"nominal")
     recovered = saved(tmp_path, broken(data, at))
@@ -126,7 +173,7 @@ def test_a_later_format_cannot_be_recovered(tmp_path: Path, data: bytes) -> None
 
 def test_a_log_is_not_recovered_into_itself(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "run.mcap").write_bytes(data)
-    with pytest.raises(BadOutput, match="is the damaged log itself"):
+    with pytest.raises(BadRequest, match="is the file of BAD too"):
         recover(tmp_path / "run.mcap", tmp_path / "run.mcap", lambda *_: None)
     assert (tmp_path / "run.mcap").read_bytes() == data
 
