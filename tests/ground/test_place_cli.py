@@ -40,7 +40,7 @@ BAD = {
     "no such arm": (("--arm", "as-built"), "as-built:SEED"),
     "negative seed": (("--seed", "-1"), "negative"),
     "log in no folder": (("--log", "nowhere/run.mcap"), "nowhere"),
-    "log is a folder": (("--log", "folder.mcap"), "directory"),
+    "log is a folder": (("--log", "folder.mcap"), "this is a folder"),
     "log of another kind": (("--log", "run.png"), "must end in .mcap"),
     "log over params": (("--params", "good.toml", "--log", "./good.toml"), "the file of params"),
     "log over linked params": (("--params", "link.mcap", "--log", "good.toml"), "the file of params"),
