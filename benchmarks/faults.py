@@ -122,8 +122,8 @@ def _sensor_fault(rng: np.random.Generator, at_s: float) -> SensorFault:
     )
     kind = str(rng.choice(kinds))
     bias, noise = SIZES[sensor]
-    size = float(rng.choice([-1.0, 1.0]) * bias) if kind == "biased" else noise
-    return SensorFault(at_s, sensor, kind, int(rng.integers(SENSORS[sensor])), size)  # type: ignore[arg-type]
+    sizes = {"biased": float(rng.choice([-1.0, 1.0]) * bias), "noisy": noise}
+    return SensorFault(at_s, sensor, kind, int(rng.integers(SENSORS[sensor])), sizes.get(kind, 0.0))  # type: ignore[arg-type]
 
 
 def campaign(name: str, seed: int, count: int) -> list[Injected]:

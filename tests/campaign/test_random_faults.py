@@ -1,0 +1,15 @@
+"""The campaign of faults draws every kind of fault there is, each one that can be."""
+
+import numpy as np
+
+from benchmarks.faults import random_fault
+from sim.effects.faults import SensorFault
+from sim.scenario.faults import FAULTS
+
+
+def test_every_kind_of_fault_is_drawn():
+    rng = np.random.default_rng(0)
+    drawn = [random_fault(rng, 1.0, has_rock=True) for _ in range(500)]
+    assert {type(fault).__name__ for fault in drawn} == {kind.__name__ for kind in FAULTS}
+    kinds = {fault.kind for fault in drawn if isinstance(fault, SensorFault)}
+    assert kinds == {"frozen", "biased", "noisy", "nan"}
