@@ -1,6 +1,6 @@
 """What is kept of a run: its log, a picture and a movie; the run goes on without any of them."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, Literal
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fsw.config import CYCLE_HZ, Config
 from fsw.dictionary.evrs import Evr, Severity
 from ground.outputs import BadOutput, check_output
+from ground.progress import Progress
 from ground.report.picture import PictureError, PictureResult, check_path, save_movie, save_picture
 from ground.request import BadRequest, check_apart
 from ground.telemetry.errors import LogNotWritable
@@ -25,8 +26,6 @@ PICTURE_SIZE = (1280, 720)
 MOVIE_SHADOWS = 1024
 """Pixels across a shadow map: coarser than for a picture, and several times faster."""
 
-Progress = Callable[[float, float, str], None]
-"""Told what is done, what is to be done, and what it is."""
 Pose = NDArray[np.float64]
 """Of everything that moves, as MuJoCo lists it."""
 

@@ -1,6 +1,6 @@
 """The hardstop job: one joint or all against their negative hardstops, once or many times."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from math import degrees
 from pathlib import Path
@@ -14,6 +14,7 @@ from fsw.dictionary.joints import STOP_ORDER, Joint
 from fsw.dictionary.tuples import joints5
 from fsw.executive.hardstop_pose import stop_poses
 from ground.outputs import BadOutput, check_output
+from ground.progress import Progress
 from ground.report.hardstop_figure import save_hardstop_figure
 from ground.request import BadRequest, check_apart, check_seed, chosen_arm, tilted_world
 from sim.arms import BuiltArm
@@ -30,8 +31,6 @@ MOST_REPEATS: Final = 1000
 COLDEST_C, WARMEST_C = -130.0, 50.0
 EXPECTED_S: Final = 1500.0
 """Of calibrating all joints, about; for the progress bar."""
-
-Progress = Callable[[float, float, str], None]
 
 
 @dataclass(frozen=True, slots=True)

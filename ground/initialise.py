@@ -1,7 +1,7 @@
 """What comes before an arm is stowed: every joint has been at its hardstop."""
 
 from fsw.dictionary.joints import STOP_ORDER
-from ground.evidence import Progress
+from ground.progress import Progress
 from sim.arms import BuiltArm
 from sim.initialisation import Initialisation, initialised
 

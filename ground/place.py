@@ -5,9 +5,10 @@ from dataclasses import asdict, dataclass
 
 from fsw.config import CYCLE_HZ, digest
 from fsw.dictionary.evrs import CommandCompleted
-from ground.evidence import Files, Frames, Kept, Progress, doing, keep, nothing_kept, open_log
+from ground.evidence import Files, Frames, Kept, doing, keep, nothing_kept, open_log
 from ground.initialise import initialise
 from ground.place_request import PlaceRequest, checked
+from ground.progress import Progress
 from ground.telemetry.header import header_of
 from sim.arms import BuiltArm
 from sim.initialisation import Initialisation

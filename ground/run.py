@@ -12,7 +12,6 @@ from ground.evidence import (
     Frames,
     Kept,
     Log,
-    Progress,
     WhenDiskFull,
     check_files,
     doing,
@@ -21,6 +20,7 @@ from ground.evidence import (
     open_log,
 )
 from ground.initialise import initialise
+from ground.progress import Progress
 from ground.request import BadRequest, check_seed, chosen_arm, tilted_world
 from ground.telemetry.header import header_of
 from sim.arms import BuiltArm

@@ -1,6 +1,6 @@
 """The error budget: what every source, at every frame, makes of the tool's error over the workspace."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Final
 
@@ -21,11 +21,10 @@ from ground.accuracy.combine import (
 from ground.accuracy.poses import Poses, workspace_poses
 from ground.accuracy.propagate import Sensitivity, sensitivity
 from ground.accuracy.sources import Case, ErrorModel
+from ground.progress import Progress
 
 COVERAGE: Final = 0.9973
 """Three sigma of a normal error; and the share of the poses whose bound is within what is reported."""
-
-Progress = Callable[[float, float, str], None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

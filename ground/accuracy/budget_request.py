@@ -8,11 +8,12 @@ from typing import Final
 from fsw.config import digest
 from fsw.dictionary.joints import Tool
 from fsw.kinematics.arm import arm_from
-from ground.accuracy.budget import Budget, Progress, budget
+from ground.accuracy.budget import Budget, budget
 from ground.accuracy.paper import TABLE_3, TABLE_4, Row
 from ground.accuracy.reproduce import Reproduced, reproduce
 from ground.accuracy.sources import ErrorModel, error_model
 from ground.outputs import BadOutput, check_output
+from ground.progress import Progress
 from ground.request import BadRequest, check_apart, check_seed, chosen_arm, tilted_world
 
 ALL: Final = "all"

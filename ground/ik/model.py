@@ -1,7 +1,7 @@
 """The arm whose inverse kinematics is asked for: which one, with which tool, and how it hangs."""
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -13,6 +13,7 @@ from fsw.kinematics.arm import Arm, arm_from, warmed
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.transforms import Array
 from ground.ik.targets import Targets
+from ground.progress import Progress
 from ground.request import BadRequest, chosen_arm, tilted_world
 
 COMPENSATIONS: Final = ("absolute", "off")
@@ -22,9 +23,6 @@ MOST_WARMING_K: Final = 200.0
 
 PART: Final = 8192
 """Targets at a time: about a second."""
-
-Progress = Callable[[float, float, str], None]
-"""Told what is done, what is to be done, and what it is."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,10 +4,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from ground.ik.model import ArmModel, ModelRequest, Progress, checked_model
+from ground.ik.model import ArmModel, ModelRequest, checked_model
 from ground.ik.samples import sample
 from ground.ik.tally import Tally
 from ground.outputs import BadOutput, check_output
+from ground.progress import Progress
 from ground.report.reach_figure import save_reach_figure
 from ground.request import BadRequest, check_apart, check_seed
 

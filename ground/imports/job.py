@@ -3,7 +3,6 @@
 import hashlib
 import json
 import os
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -19,6 +18,7 @@ from ground.imports.packets import Lacking, lacking, series_of
 from ground.imports.table import MOST_CELLS, read_table
 from ground.imports.times import in_order
 from ground.outputs import BadOutput, check_output, written_whole
+from ground.progress import Progress
 from ground.request import BadRequest, check_apart
 from ground.telemetry.format import TICK_NS
 from ground.telemetry.header import asked, begins_with, made_by
@@ -28,7 +28,6 @@ SENSORS: Final = "/sensors"
 MOST_TABLE_BYTES: Final = 1 << 32
 UNKNOWN_CPU: Final = "[]"
 """Nobody knows what the table's numbers were computed on."""
-Progress = Callable[[float, float, str], None]
 
 
 @dataclass(frozen=True, slots=True)

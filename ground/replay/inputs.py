@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from fsw.config import digest
 from fsw.dictionary.commands import Command
-from fsw.dictionary.joints import Joint
 from fsw.dictionary.modes import Mode
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import not_an_arm, out_of_limits
@@ -20,11 +19,10 @@ from ground.telemetry.format import COMMAND_TOPIC, TICK_NS
 from ground.telemetry.loss import Lost, behind_text
 from ground.telemetry.plain import NotPlain, command_from, from_plain
 from ground.telemetry.read import Log
-from ground.telemetry.schema import layout_of
+from ground.telemetry.schema import PER_JOINT, layout_of
 from sim.params import nominal_params
 
 SENSOR_TOPIC: Final = "/sensors"
-PER_JOINT: Final = (len(Joint),)
 GIVEN: Final = (None, SENSOR_TOPIC, COMMAND_TOPIC)
 """Topics without which a replay ends; what is lost of the others is a difference of length."""
 NEEDED: Final = ("params", "params_sha256", "boot")

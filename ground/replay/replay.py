@@ -1,7 +1,6 @@
 """Recorded sensors and commands through today's flight software, and what came of it."""
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -11,6 +10,7 @@ from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.params import Params
 from fsw.messages import Outputs
 from fsw.state import boot, outputs_at_rest
+from ground.progress import Progress
 from ground.replay.behaviour import OUTPUT_TOPICS, Behaviour, behaviour_in, behaviour_of
 from ground.replay.compare import Differences, compare
 from ground.replay.inputs import Inputs, NotReplayable, inputs_in
@@ -26,8 +26,6 @@ from sim.scenario.names import did_you_mean
 
 ELSEWHERE: Final = 1e-12
 """What numbers may differ by on a processor whose kernels round sums in another order."""
-
-Progress = Callable[[float, float, str], None]
 
 
 @dataclass(frozen=True, slots=True)

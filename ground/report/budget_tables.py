@@ -3,13 +3,13 @@
 from math import degrees
 from typing import Any, Final
 
-from rich.console import Console
 from rich.table import Table
 
 from fsw.dictionary.joints import Frame
 from ground.accuracy.budget import COMPONENTS, Budget
 from ground.accuracy.budget_request import BudgetReport
 from ground.accuracy.reproduce import Reproduced
+from ground.report.console import plain_console
 
 RULES: Final = ("paper", "covariance", "root sum square", "worst case")
 
@@ -86,7 +86,7 @@ def shown(component: str, value: float) -> str:
 
 def budget_table(report: BudgetReport) -> None:
     """Print the paper's rows beside ours, what makes up the error, and other rules."""
-    console = Console(highlight=False)
+    console = plain_console()
     console.print(_rows(report))
     for budget in report.budgets.values():
         console.print(_shares(report, budget))

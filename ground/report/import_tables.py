@@ -3,10 +3,10 @@
 from dataclasses import asdict
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from ground.imports.job import ImportReport, duration_s
+from ground.report.console import plain_console
 from ground.report.words import counted
 
 
@@ -25,7 +25,7 @@ def import_json(report: ImportReport) -> dict[str, Any]:
 
 def import_tables(report: ImportReport) -> None:
     """Print an import: a row for each topic, and what keeps packets from being whole."""
-    console = Console(highlight=False)
+    console = plain_console()
     table = Table(title=f"{report.request.log}: {counted(report.rows, 'row')}", title_justify="left")
     for name in ("topic", "messages", "first tick", "last tick", "ticks without"):
         table.add_column(name, justify="left" if name == "topic" else "right")

@@ -8,6 +8,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
+from ground.report.console import plain_console
 from ground.report.words import counted
 from ground.telemetry.format import FORMAT
 from ground.telemetry.inspect import Channel, LogInfo, Range, info_of, range_of
@@ -67,7 +68,7 @@ def lost_json(lost: Sequence[Lost]) -> list[dict[str, Any]]:
 
 def info_table(log: Log) -> None:
     """Print a log: its header, how long it is, its topics and event reports."""
-    console, info = Console(highlight=False), info_of(log)
+    console, info = plain_console(), info_of(log)
     for name, text in sorted(log.header.items()):
         if name not in BULKY:
             console.print(f"{name:<16}  {text}", markup=False, soft_wrap=True)
@@ -131,7 +132,7 @@ def channels_table(channels: Sequence[Channel]) -> None:
             _number(values.high),
             str(values.not_finite or ""),
         )
-    Console(highlight=False, width=None if Console().is_terminal else WIDE).print(table)
+    plain_console(None if Console().is_terminal else WIDE).print(table)
 
 
 def _number(value: float | int | None) -> str:
@@ -152,7 +153,7 @@ def recovered_json(bad: Path, good: Path, recovered: Recovered) -> dict[str, Any
 
 def recovered_table(good: Path, recovered: Recovered) -> None:
     """Print what was saved and what was lost."""
-    console = Console(highlight=False)
+    console = plain_console()
     console.print(f"{sum(recovered.saved.values())} messages saved in {good}", soft_wrap=True)
     if recovered.header_lost:
         console.print("The header is lost: versions, parameters and commands of the run.")
@@ -187,6 +188,6 @@ def exported_json(log: Log, files: dict[str, Path]) -> dict[str, Any]:
 def exported_table(log: Log, files: dict[str, Path]) -> None:
     """Print which files were written."""
     for topic, path in files.items():
-        Console(highlight=False).print(
+        plain_console().print(
             f"{topic:<16} {counted(len(log.time_ns[topic]), 'row')} in {path}", soft_wrap=True
         )

@@ -3,7 +3,7 @@
 import csv
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from io import TextIOWrapper
@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from ground.dictionary.units import unit_of
 from ground.outputs import BadOutput, check_output, written_whole
+from ground.progress import Progress
 from ground.request import check_apart
 from ground.telemetry.events import CommandEntry, EvrEntry
-from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, TICK_NS
+from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, TICK_NS, TRUTH_TEXT
 from ground.telemetry.inspect import NoSuchChannel, place_text, severity_name
 from ground.telemetry.read import Log
 
-Progress = Callable[[float, float, str], None]
 Column = NDArray[np.generic] | Sequence[str]
 SUFFIXES: Final = (".parquet", ".csv")
 
@@ -169,7 +169,7 @@ def write_parquet(table: Table, header: str, file: BinaryIO) -> None:
         arrays.append(array)
     metadata = {"marsarm.header": header, "marsarm.topic": table.topic}
     if table.is_truth:
-        metadata["marsarm.truth"] = "the plant's own state; flight software never sees it"
+        metadata["marsarm.truth"] = TRUTH_TEXT
     pq.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata)), file)
 
 

@@ -1,7 +1,7 @@
 """Writes what can be saved of a damaged log into a whole one."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -9,6 +9,7 @@ from typing import BinaryIO
 from mcap.writer import IndexType, Writer
 
 from ground.outputs import check_output, written_whole
+from ground.progress import Progress
 from ground.request import check_apart
 from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.format import CHANNELS_KEY, FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
@@ -16,8 +17,6 @@ from ground.telemetry.loss import RECOVERED_RECORD, Lost, recovered_record
 from ground.telemetry.messages import announced, known_channels
 from ground.telemetry.read import bytes_of, log_from
 from ground.telemetry.salvage import Salvage, salvage
-
-Progress = Callable[[float, float, str], None]
 
 
 @dataclass(frozen=True, slots=True)

@@ -33,6 +33,7 @@ from ground.telemetry.format import (
     HEADER_RECORD,
     LAYOUT_KEY,
     TRUTH_KEY,
+    TRUTH_TEXT,
     header_crc32,
 )
 from ground.telemetry.gaps import Saved, lost_between
@@ -171,7 +172,7 @@ def _declare(header: Mapping[str, str], channels: dict[int, Channel], schemas: d
         )
         metadata = {} if one.layout is None else {LAYOUT_KEY: one.layout.to_json()}
         if one.is_truth:
-            metadata[TRUTH_KEY] = "the plant's own state; flight software never sees it"
+            metadata[TRUTH_KEY] = TRUTH_TEXT
         channels[number] = Channel(
             id=number, topic=one.topic, message_encoding="cdr", metadata=metadata, schema_id=schema_id
         )

@@ -91,7 +91,9 @@ def test_the_page_says_of_every_fault_what_is_done_about_it():
 def test_the_page_names_every_parameter_of_the_monitors_and_no_other():
     names = set(re.findall(r"`([a-zA-Z0-9_.]+)`", str(rows("Monitors"))))
     groups = {
-        f"{group}.{f.name}" for group in ("motion", "hardstop") for f in fields(getattr(CONFIG.params, group))
+        f"{group}.{f.name}"
+        for group in ("motion", "hardstop", "preload")
+        for f in fields(getattr(CONFIG.params, group))
     }
     assert {name for name in names if "." not in name} == {field.name for field in fields(MonitorParams)}
     assert {name for name in names if "." in name} <= groups
