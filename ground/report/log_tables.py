@@ -125,7 +125,7 @@ def channels_table(channels: Sequence[Channel]) -> None:
         values = range_of(one)
         table.add_row(
             one.name,
-            one.type_name.replace("[", r"\["),
+            one.type_name,
             one.unit or "",
             str(len(one.time_ns)),
             _number(values.low),

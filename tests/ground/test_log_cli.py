@@ -183,3 +183,11 @@ def test_every_verb_has_help_with_an_example(folder, verb):
     ran = marsarm(folder, "log", verb, "--help")
     assert ran.returncode == 0
     assert f"Example: marsarm log {verb}" in " ".join(ran.stdout.split())
+
+
+def test_brackets_are_printed_as_they_are(folder):
+    (folder / "run.mcap").rename(folder / "run[bold].mcap")
+    found = marsarm(folder, "log", "channels", "run[bold].mcap", "/joint.motor_rad")
+    assert "float64[5]" in found.stdout
+    drawn = marsarm(folder, "log", "plot", "run[bold].mcap", "/joint.motor_rad", "--out", "a[bold].png")
+    assert "a[bold].png" in drawn.stdout
