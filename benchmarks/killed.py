@@ -37,6 +37,7 @@ from sim.placement import PlacementRun
 
 CYCLES = 4000
 BOUND_S = 0.020
+STILL_S = 0.02
 MOST_RUNS = 3
 """For each kill that is to count: some kills come before the log is open or after it is closed."""
 
@@ -105,12 +106,21 @@ def kill_at(child: int, at_s: float) -> float:
     return killed_s
 
 
+def wait_until_still(path: Path) -> None:
+    """Wait until nobody writes to a file: the writer is not a child of this process, to be waited for."""
+    sizes = [-1, -2]
+    while sizes[-1] != sizes[-2]:
+        time.sleep(STILL_S)
+        sizes.append(path.stat().st_size if path.exists() else 0)
+
+
 def one_kill(loop: ClosedLoop, path: Path, stamps_s: Any, after_s: float, whole: Log) -> Kill:
     """Kill a run so long after its fork, and look at its log."""
     stamps_s[:] = 0.0
     path.unlink(missing_ok=True)
     forked_s = time.monotonic()
     killed_s = kill_at(start(loop, path, stamps_s), forked_s + after_s)
+    wait_until_still(path)
     noted = int(np.count_nonzero(stamps_s))
     if noted == 0 and not path.exists():
         return Kill("not begun")

@@ -24,6 +24,7 @@ from ground.cli_parts import (
     ARM_SAFE,
     BAD_INPUT,
     ArmOption,
+    DiskOption,
     JsonOption,
     ParamsOption,
     PitchOption,
@@ -77,6 +78,7 @@ def place(
     log: Annotated[
         Path | None, typer.Option(help="Write a telemetry log (MCAP).", metavar="FILE.mcap")
     ] = None,
+    when_disk_full: DiskOption = "go-on",
     picture: Annotated[Path, typer.Option(help="Draw the arm in contact.", metavar="FILE.png")] = Path(
         "place.png"
     ),
@@ -90,6 +92,7 @@ def place(
 
     Example: marsarm place --tool mahli --target 2.1 0 -0.2 --normal -0.4 0 -1 --tilt-pitch 10
     """
+    from ground.evidence import Files
     from ground.place import place as carry_out
     from ground.place_request import PlaceRequest
     from ground.report.progress import progress_bar
@@ -106,9 +109,7 @@ def place(
         seed=seed,
         params=params,
         has_surface=surface,
-        log=log,
-        picture=None if no_picture else picture,
-        movie=movie,
+        files=Files(log, None if no_picture else picture, movie, when_disk_full),
     )
     try:
         with progress_bar() as progress:

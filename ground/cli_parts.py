@@ -4,7 +4,7 @@ import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
@@ -20,6 +20,9 @@ SeedOption = Annotated[int, typer.Option(help="Of everything random that is not 
 ParamsOption = Annotated[
     Path | None,
     typer.Option(help="TOML with flight parameters that replace nominal ones.", metavar="FILE.toml"),
+]
+DiskOption = Annotated[
+    Literal["go-on", "stop"], typer.Option(help="What the run does when its log can no longer be written.")
 ]
 
 

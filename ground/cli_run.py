@@ -1,11 +1,11 @@
 """The verbs `run` and `scenarios`; thin."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
-from ground.cli_parts import ARM_SAFE, BAD_INPUT, JsonOption, SeedOption, end, show
+from ground.cli_parts import ARM_SAFE, BAD_INPUT, DiskOption, JsonOption, SeedOption, end, show
 
 
 def run(
@@ -31,10 +31,7 @@ def run(
     log: Annotated[
         Path | None, typer.Option(help="Write a telemetry log (MCAP).", metavar="FILE.mcap")
     ] = None,
-    when_disk_full: Annotated[
-        Literal["go-on", "stop"],
-        typer.Option(help="What the run does when its log can no longer be written."),
-    ] = "go-on",
+    when_disk_full: DiskOption = "go-on",
     movie: Annotated[Path | None, typer.Option(help="Draw the whole run.", metavar="FILE.gif")] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Draw the arm where it is judged last.", metavar="FILE.png")

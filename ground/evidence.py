@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, Protocol
 
 import mujoco
 import numpy as np
@@ -162,6 +162,26 @@ def open_log(path: Path | None, header: Mapping[str, str], config: Config) -> Lo
         return Log(path, Recorder(path, header, config))
     except LogNotWritable as error:
         raise BadRequest(str(error)) from error
+
+
+class Stoppable(Protocol):
+    """A run that can be stopped before its end."""
+
+    def __iter__(self) -> Iterator[CycleRecord]:
+        """Every cycle, as it happens."""
+
+    def stopping(self) -> Iterator[CycleRecord]:
+        """Every cycle of a stop, in place of those that were still to come."""
+
+
+def recorded(run: Stoppable, log: Log, when_disk_full: WhenDiskFull) -> Iterator[CycleRecord]:
+    """Every cycle, recorded as far as it can be; a stop where it can not, if so asked."""
+    for record in run:
+        log.write(record)
+        yield record
+        if log.events and when_disk_full == "stop":
+            yield from run.stopping()
+            return
 
 
 def doing(record: CycleRecord) -> str:

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 
 from fsw.config import CYCLE_HZ, digest
 from fsw.dictionary.evrs import CommandCompleted
-from ground.evidence import Files, Frames, Kept, doing, keep, nothing_kept, open_log
+from ground.evidence import Frames, Kept, doing, keep, nothing_kept, open_log, recorded
 from ground.initialise import initialise
 from ground.place_request import PlaceRequest, checked
 from ground.progress import Progress
@@ -39,15 +39,14 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
     if stops[-1].outcome is not Outcome.DONE:
         return _not_initialised(request, job.arm, stops)
     setup = Setup(job.arm, job.world, job.arm.params.poses.stowed_rad, request.seed, stops[-1].reference)
-    loop = ClosedLoop(setup, with_truth=request.log is not None)
+    loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     run = PlacementRun(loop, job.placement)
     header = header_of(loop, job.arm.name, request.seed, asdict(request), run.commands)
-    log = open_log(request.log, header, loop.config)
+    log = open_log(request.files.log, header, loop.config)
     frames = Frames()
     started = time.perf_counter()
     try:
-        for record in run:
-            log.write(record)
+        for record in recorded(run, log, request.files.when_disk_full):
             if frames.note(loop.plant, record):
                 progress(record.tick / CYCLE_HZ, job.expected_s, doing(record))
             if CommandCompleted("GuardedMove") in record.outputs.evrs:
@@ -58,8 +57,7 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
     if loop.failure is not None:
         raise loop.failure
     result = run.result()
-    files = Files(request.log, request.picture, request.movie)
-    kept = keep(files, job.world, frames, loop.plant.data.qpos, log, progress)
+    kept = keep(request.files, job.world, frames, loop.plant.data.qpos, log, progress)
     return PlaceReport(
         request=request,
         params_sha256=loop.config.params_sha256,
@@ -72,5 +70,5 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
 def _not_initialised(request: PlaceRequest, arm: BuiltArm, stops: list[Initialisation]) -> PlaceReport:
     failed = stops[-1]
     result = PlacementResult(failed.outcome, None, failed.duration_s, None, None, failed.evrs)
-    kept = nothing_kept(Files(request.log))
+    kept = nothing_kept(request.files)
     return PlaceReport(request, digest(arm.params), result, 0.0, kept)

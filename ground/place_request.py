@@ -6,7 +6,7 @@ from typing import Literal
 
 from fsw.dictionary.commands import Vector3
 from fsw.dictionary.joints import SWITCHES_OF, Tool
-from ground.evidence import Files, check_files
+from ground.evidence import NO_FILES, Files, check_files
 from ground.request import (
     WORKSPACE,
     BadRequest,
@@ -38,9 +38,7 @@ class PlaceRequest:
     seed: int = 0
     params: Path | None = None
     has_surface: bool = True
-    log: Path | None = None
-    picture: Path | None = None
-    movie: Path | None = None
+    files: Files = NO_FILES
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +64,7 @@ def checked(request: PlaceRequest) -> PlaceJob:
     world = replace(level, surface=Surface(request.target_m, normal))
     if inside_rover(request.target_m):
         raise BadRequest(f"target: {numbers(request.target_m)} m is inside the rover; {WORKSPACE}")
-    check_files(Files(request.log, request.picture, request.movie), params=request.params)
+    check_files(request.files, params=request.params)
     seen = preview(arm, world, Placement(tool, request.target_m, normal), stowed=True)
     if seen.problem is not None:
         raise BadRequest(f"target: {numbers(request.target_m)} m cannot be reached: {seen.problem}")

@@ -1,7 +1,6 @@
 """The scenario job: check the request, run it, judge it, keep the evidence."""
 
 import time
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -11,13 +10,12 @@ from ground.evidence import (
     Files,
     Frames,
     Kept,
-    Log,
-    WhenDiskFull,
     check_files,
     doing,
     keep,
     nothing_kept,
     open_log,
+    recorded,
 )
 from ground.initialise import initialise
 from ground.progress import Progress
@@ -26,7 +24,6 @@ from ground.telemetry.header import header_of
 from sim.arms import BuiltArm
 from sim.initialisation import Initialisation
 from sim.loop import ClosedLoop
-from sim.record import CycleRecord
 from sim.scenario.data import Scenario
 from sim.scenario.file import BadScenario, load
 from sim.scenario.run import ScenarioResult, ScenarioRun, setup_of
@@ -90,7 +87,7 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
     frames, shown, total = Frames(), _shown(scenario), len(scenario.commands)
     started = time.perf_counter()
     try:
-        for record in _recorded(judged, log, request.files.when_disk_full):
+        for record in recorded(judged, log, request.files.when_disk_full):
             if frames.note(loop.plant, record):
                 progress(judged.command - 1, total, doing(record))
             if judged.command == shown:
@@ -110,16 +107,6 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
         realtime_factor=result.duration_s / wall_s,
         kept=keep(request.files, scenario.world, frames, loop.plant.data.qpos, log, progress),
     )
-
-
-def _recorded(judged: ScenarioRun, log: Log, when_disk_full: WhenDiskFull) -> Iterator[CycleRecord]:
-    """Every cycle, recorded as far as it can be; a stop where it can not, if so asked."""
-    for record in judged:
-        log.write(record)
-        yield record
-        if log.events and when_disk_full == "stop":
-            yield from judged.stopping()
-            return
 
 
 def _checked(request: RunRequest) -> tuple[Scenario, BuiltArm]:

@@ -36,7 +36,7 @@ def place_json(report: PlaceReport) -> dict[str, Any]:
         "seed": request.seed,
         "params_sha256": report.params_sha256,
         "evrs": [evr_json(time_s, evr) for time_s, evr in (*result.evrs, *report.kept.events)],
-        "log": None if request.log is None else str(request.log),
+        "log": None if request.files.log is None else str(request.files.log),
         **kept_json(report.kept),
     }
 
@@ -62,7 +62,7 @@ def place_table(report: PlaceReport) -> None:
     for time_s, evr in result.evrs:
         if evr.severity >= Severity.WARNING_LO:
             console.print(f"{time_s:8.2f} s  {evr.severity.name}  {evr.message}", style=WARNED)
-    kept_table(console, report.kept, request.log)
+    kept_table(console, report.kept, request.files.log)
 
 
 def kept_json(kept: Kept) -> dict[str, Any]:

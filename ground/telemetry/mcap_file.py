@@ -3,9 +3,9 @@
 import struct
 import zlib
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -32,6 +32,8 @@ COMPRESSION_LEVEL: Final = -5
 INDEX_HEAD: Final = struct.Struct("<BQHI")
 """Opcode, length of the rest, channel and bytes of entries of a message index."""
 FOOTER_HEAD: Final = struct.Struct("<BQQQ")
+MESSAGE_START: Final = struct.Struct("<BQH")
+"""Opcode, length of the rest, and channel of a message record."""
 
 
 class RawFile(Protocol):
@@ -47,61 +49,54 @@ class RawFile(Protocol):
         """End it."""
 
 
-Mark = tuple[int, int]
-"""Channel and length of a record."""
-
-
 class Row(NamedTuple):
     """Message records of one time, back to back."""
 
     time_ns: int
     data: bytes
-    marks: Sequence[Mark]
-    """Of each."""
-    sample: Any = None
-    """What more records of this time are to be made of; not for the file."""
 
 
 @dataclass(slots=True)
-class Totals:
-    """What the summary tells of the messages."""
+class Written:
+    """What a file holds so far, as far as its growth and its summary need to know."""
 
+    size: int = 0
+    crc: int = 0
+    metadata: list[MetadataIndex] = field(default_factory=list)
+    schemas: Sequence[Schema] = ()
+    channels: Sequence[Channel] = ()
+    chunks: list[ChunkIndex] = field(default_factory=list)
     first_ns: int = 0
     last_ns: int = 0
     by_channel: dict[int, int] = field(default_factory=dict)
+    """Messages of each."""
 
-    def add(self, first_ns: int, last_ns: int, counts: Mapping[int, int]) -> None:
-        """Count the messages of a chunk."""
+    def count(self, first_ns: int, last_ns: int, entries: Mapping[int, list[int]]) -> None:
+        """Count the messages of a chunk, a time and a place each."""
         self.first_ns = min(self.first_ns, first_ns) if self.by_channel else first_ns
         self.last_ns = max(self.last_ns, last_ns)
-        for channel, count in counts.items():
-            self.by_channel[channel] = self.by_channel.get(channel, 0) + count
+        for channel, numbers in entries.items():
+            self.by_channel[channel] = self.by_channel.get(channel, 0) + len(numbers) // 2
 
 
 class McapFile:
     """A file that grows by whole chunks, each written at once; after any of them it can be read so far."""
 
-    def __init__(self, file: RawFile) -> None:
+    def __init__(self, file: RawFile, written: Written | None = None) -> None:
         self._file = file
-        self._size = 0
-        self._crc = 0
+        self.written = written or Written()
         self._compressor = ZstdCompressor(level=COMPRESSION_LEVEL)
-        self._metadata: list[MetadataIndex] = []
-        self._chunks: list[ChunkIndex] = []
-        self._schemas: Sequence[Schema] = ()
-        self._channels: Sequence[Channel] = ()
-        self._totals = Totals()
 
     def begin(
         self, metadata: Sequence[Metadata], schemas: Sequence[Schema], channels: Sequence[Channel]
     ) -> None:
         """Write what comes before any message; schemas and channels in a chunk, so that they have a CRC."""
-        self._schemas, self._channels = schemas, channels
+        self.written.schemas, self.written.channels = schemas, channels
         out, at = [MCAP0_MAGIC, encoded(Header("", "marsarm"))], len(MCAP0_MAGIC)
         at += len(out[-1])
         for one in metadata:
             out.append(encoded(one))
-            self._metadata.append(MetadataIndex(length=len(out[-1]), name=one.name, offset=at))
+            self.written.metadata.append(MetadataIndex(length=len(out[-1]), name=one.name, offset=at))
             at += len(out[-1])
         self._write(b"".join(out))
         self._write_chunk(b"".join(encoded(one) for one in (*schemas, *channels)), 0, 0, {})
@@ -110,26 +105,26 @@ class McapFile:
         """Write these messages, at least one, as one chunk with its message indexes."""
         entries: dict[int, list[int]] = defaultdict(list)
         at = 0
-        for time_ns, _, marks, _ in rows:
-            for channel, length in marks:
-                entries[channel] += (time_ns, at)
-                at += length
+        for time_ns, data in rows:
+            for channel, begin in messages_of(data):
+                entries[channel] += (time_ns, at + begin)
+            at += len(data)
         times_ns = [row.time_ns for row in rows]
         first_ns, last_ns = min(times_ns), max(times_ns)
         self._write_chunk(b"".join([row.data for row in rows]), first_ns, last_ns, entries)
-        self._totals.add(first_ns, last_ns, {channel: len(one) // 2 for channel, one in entries.items()})
+        self.written.count(first_ns, last_ns, entries)
 
     def finish(self) -> None:
         """Write the summary; the file is whole after it."""
-        end = encoded(DataEnd(self._crc))
+        end = encoded(DataEnd(self.written.crc))
         groups: dict[Opcode, Sequence[McapRecord]] = {
-            Opcode.SCHEMA: self._schemas,
-            Opcode.CHANNEL: self._channels,
+            Opcode.SCHEMA: self.written.schemas,
+            Opcode.CHANNEL: self.written.channels,
             Opcode.STATISTICS: [self._statistics()],
-            Opcode.CHUNK_INDEX: self._chunks,
-            Opcode.METADATA_INDEX: self._metadata,
+            Opcode.CHUNK_INDEX: self.written.chunks,
+            Opcode.METADATA_INDEX: self.written.metadata,
         }
-        start = at = self._size + len(end)
+        start = at = self.written.size + len(end)
         parts, offsets = [], []
         for opcode, group in groups.items():
             part = b"".join(map(encoded, group))
@@ -145,17 +140,17 @@ class McapFile:
         self._file.close()
 
     def _statistics(self) -> Statistics:
-        counts = self._totals.by_channel
+        written = self.written
         return Statistics(
             attachment_count=0,
-            channel_count=len(self._channels),
-            channel_message_counts=counts,
-            chunk_count=len(self._chunks),
-            message_count=sum(counts.values()),
-            message_end_time=self._totals.last_ns,
-            message_start_time=self._totals.first_ns,
-            metadata_count=len(self._metadata),
-            schema_count=len(self._schemas),
+            channel_count=len(written.channels),
+            channel_message_counts=written.by_channel,
+            chunk_count=len(written.chunks),
+            message_count=sum(written.by_channel.values()),
+            message_end_time=written.last_ns,
+            message_start_time=written.first_ns,
+            metadata_count=len(written.metadata),
+            schema_count=len(written.schemas),
         )
 
     def _write_chunk(
@@ -164,7 +159,7 @@ class McapFile:
         compressed = self._compressor.compress(data)
         head = CHUNK_HEAD.pack(first_ns, last_ns, len(data), zlib.crc32(data), 4, b"zstd", len(compressed))
         record = RECORD_HEAD.pack(Opcode.CHUNK, len(head) + len(compressed)) + head + compressed
-        parts, offsets, at = [record], {}, self._size + len(record)
+        parts, offsets, at = [record], {}, self.written.size + len(record)
         for channel, numbers in entries.items():
             size = 8 * len(numbers)
             offsets[channel] = at
@@ -173,17 +168,17 @@ class McapFile:
             at += INDEX_HEAD.size + size
         index = ChunkIndex(
             chunk_length=len(record),
-            chunk_start_offset=self._size,
+            chunk_start_offset=self.written.size,
             compression="zstd",
             compressed_size=len(compressed),
             message_end_time=last_ns,
-            message_index_length=at - self._size - len(record),
+            message_index_length=at - self.written.size - len(record),
             message_index_offsets=offsets,
             message_start_time=first_ns,
             uncompressed_size=len(data),
         )
         self._write(b"".join(parts))
-        self._chunks.append(index)
+        self.written.chunks.append(index)
 
     def _write(self, data: bytes) -> None:
         """Write all of it, or leave the file as it was and raise OSError."""
@@ -192,10 +187,19 @@ class McapFile:
             while rest:
                 rest = rest[self._file.write(rest) or 0 :]
         except OSError:
-            self._file.truncate(self._size)
+            self._file.truncate(self.written.size)
             raise
-        self._crc = zlib.crc32(data, self._crc)
-        self._size += len(data)
+        self.written.crc = zlib.crc32(data, self.written.crc)
+        self.written.size += len(data)
+
+
+def messages_of(data: bytes) -> Iterator[tuple[int, int]]:
+    """Channel and beginning of each of these message records."""
+    at = 0
+    while at < len(data):
+        _, length, channel = MESSAGE_START.unpack_from(data, at)
+        yield channel, at
+        at += RECORD_HEAD.size + length
 
 
 def encoded(record: McapRecord) -> bytes:

@@ -12,10 +12,10 @@ from mcap.records import Metadata
 from ground.telemetry.catalogue import Announced, header_text, records_of
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.format import CHANNELS_KEY, FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
-from ground.telemetry.mcap_file import McapFile
+from ground.telemetry.mcap_file import McapFile, Written
 
 
-def begun(path: Path, header: Mapping[str, str], channels: tuple[Announced, ...]) -> McapFile:
+def begun(path: Path, header: Mapping[str, str], channels: tuple[Announced, ...]) -> tuple[FileIO, Written]:
     """A log that holds what comes before any message, in the place of what was at this path.
 
     Raises:
@@ -26,7 +26,7 @@ def begun(path: Path, header: Mapping[str, str], channels: tuple[Announced, ...]
     try:
         file = FileIO(part, "xb")
         try:
-            log = _with_beginning(file, header, channels)
+            written = _beginning(file, header, channels)
             os.replace(part, place)
         except BaseException:
             file.close()
@@ -36,7 +36,7 @@ def begun(path: Path, header: Mapping[str, str], channels: tuple[Announced, ...]
     except OSError as error:
         why = f"cannot be written ({error.strerror}); give a path with room that you may write"
         raise LogNotWritable(path, why) from error
-    return log
+    return file, written
 
 
 def _place(path: Path) -> Path:
@@ -57,9 +57,9 @@ def _place(path: Path) -> Path:
         raise LogNotWritable(path, f"cannot be written ({why}); give a path that you may write") from error
 
 
-def _with_beginning(file: FileIO, header: Mapping[str, str], channels: tuple[Announced, ...]) -> McapFile:
+def _beginning(file: FileIO, header: Mapping[str, str], channels: tuple[Announced, ...]) -> Written:
     log = McapFile(file)
     header = {**header, CHANNELS_KEY: header_text(channels)}
     about = {"version": FORMAT, "header_crc32": header_crc32(header)}
     log.begin([Metadata(FORMAT_RECORD, about), Metadata(HEADER_RECORD, header)], *records_of(channels))
-    return log
+    return log.written

@@ -29,6 +29,15 @@ def message_record(channel: int, sequence: int, time_ns: int, data: bytes) -> by
     return head + data
 
 
+def numbered(counts: dict[int, int], time_ns: int, messages: Sequence[tuple[int, bytes]]) -> bytes:
+    """The records of messages by channel, back to back; counts them."""
+    records = []
+    for channel, data in messages:
+        records.append(message_record(channel, counts[channel], time_ns, data))
+        counts[channel] += 1
+    return b"".join(records)
+
+
 def getter(fields: Sequence[Field]) -> Callable[[Any], tuple[Any, ...]]:
     """Gives these fields of a packet."""
     if not fields:
@@ -63,8 +72,8 @@ class Packer:
         self._middle = Struct("<" + "".join(CODES[f.kind] for f in flags)) if flags else None
         size = layout.dtype.itemsize
         self._constant = (Opcode.MESSAGE.value, AFTER_LENGTH + size, channel)
-        self.mark = (channel, HEAD.size + size)
-        """Channel and length of its records."""
+        self.size = HEAD.size + size
+        """Of each of its records."""
         self.count = 0
         """Messages so far; the sequence number of the next."""
 

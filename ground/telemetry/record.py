@@ -1,6 +1,6 @@
 """Writes a run to an MCAP log that survives the death of its writer."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, NoReturn, Self
@@ -9,14 +9,14 @@ from weakref import finalize
 from numpy.typing import NDArray
 
 from fsw.config import Config
-from ground.telemetry.background import Background
 from ground.telemetry.catalogue import LOG_LINES, all_channels
+from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.events import command_entry, evr_entry, log_line
 from ground.telemetry.format import CHUNK_S, COMMAND_TOPIC, EVR_TOPIC, TICK_NS
-from ground.telemetry.mcap_file import Mark, Row
+from ground.telemetry.handover import Handover
 from ground.telemetry.opening import begun
-from ground.telemetry.pack import Packer, joined, message_record
-from ground.telemetry.standard import EVERY, Sample, Standard, sample_of
+from ground.telemetry.pack import Packer, joined, numbered
+from ground.telemetry.standard import EVERY, sample_of
 from ground.telemetry.topics import PACKET_TOPICS
 from sim.record import CycleRecord
 
@@ -51,18 +51,27 @@ class Recorder:
         self._event_ids = ids[COMMAND_TOPIC], ids[EVR_TOPIC], ids[LOG_LINES]
         self._event_counts = dict.fromkeys(self._event_ids, 0)
         self._has_standard = config is not None
-        log = begun(self.path, header, channels)
-        self._background = Background(log, Expander(config, ids), chunk_s)
-        self.close = finalize(self, self._background.close)
+        file, written = begun(self.path, header, channels)
+        try:
+            self._handover = Handover(file, written, ids, config, chunk_s)
+        except OSError as error:
+            why = f"has no process to write it ({error.strerror}); end some others"
+            raise LogNotWritable(self.path, why) from error
+        self.close = finalize(self, self._handover.close)
         """Write what waits and the index, and close the file; a second call does nothing.
 
         It raises the OSError of a disk that is full or gone. A recorder that is let go closes itself.
         """
 
     @property
+    def writer_process(self) -> int:
+        """Number of the process that writes the log."""
+        return self._handover.process
+
+    @property
     def written_cycles(self) -> int:
-        """The tick after the last cycle that the operating system has; 0 before the first."""
-        last_ns = self._background.written_ns
+        """The tick after the last cycle in the log, once it is closed or has failed; 0 if there is none."""
+        last_ns = self._handover.written_ns
         return 0 if last_ns is None else last_ns // TICK_NS + 1
 
     def write(self, record: CycleRecord) -> None:
@@ -82,15 +91,14 @@ class Recorder:
             if packet is not None:
                 packer.pack(packet, time_ns, pieces)
                 present.append(packer)
-                length += packer.mark[1]
+                length += packer.size
         data = joined(pieces)
         if len(data) != length:
             self._refuse(record)
-        marks = [packer.mark for packer in present]
         if record.commands or record.outputs.evrs:
-            data, marks = self._with_events(record, time_ns, data, marks)
+            data = self._with_events(record, time_ns, data)
         sampled = self._has_standard and record.tick % EVERY == 0
-        self._background.put(Row(time_ns, data, marks, sample_of(record) if sampled else None))
+        self._handover.put(time_ns, data, sample_of(record) if sampled else None)
         for packer in present:
             packer.count += 1
 
@@ -109,9 +117,7 @@ class Recorder:
                 packer.check(packet)
         raise AssertionError("a record is longer or shorter than its arrays, each as it should be")
 
-    def _with_events(
-        self, record: CycleRecord, time_ns: int, data: bytes, marks: list[Mark]
-    ) -> tuple[bytes, list[Mark]]:
+    def _with_events(self, record: CycleRecord, time_ns: int, data: bytes) -> bytes:
         """The commands before the packets, the EVRs and their log lines after them."""
         command_id, evr_id, line_id = self._event_ids
         before = [(command_id, command_entry(record.tick, one).encode()) for one in record.commands]
@@ -121,44 +127,6 @@ class Recorder:
             for message in ((evr_id, evr_entry(record.tick, evr).encode()), (line_id, log_line(time_ns, evr)))
         ]
         counts = dict(self._event_counts)
-        parts = [numbered(counts, time_ns, messages) for messages in (before, after)]
+        first, last = (numbered(counts, time_ns, messages) for messages in (before, after))
         self._event_counts = counts
-        (first, first_marks), (last, last_marks) = parts
-        return first + data + last, [*first_marks, *marks, *last_marks]
-
-
-class Expander:
-    """Adds to waiting cycles the records of the standard messages."""
-
-    def __init__(self, config: Config | None, ids: Mapping[str, int]) -> None:
-        self._standard = None if config is None else Standard(config)
-        self._ids = ids
-        self._counts = dict.fromkeys(ids.values(), 0)
-        self._begun = False
-
-    def __call__(self, rows: Sequence[Row]) -> list[Row]:
-        """The same rows, those with a sample followed by what is made of it."""
-        expanded = []
-        for row in rows:
-            expanded.append(row)
-            if self._standard is not None and row.sample is not None:
-                expanded.append(self._derived(self._standard, row.time_ns, row.sample))
-        return expanded
-
-    def _derived(self, standard: Standard, time_ns: int, sample: Sample) -> Row:
-        messages = [] if self._begun else list(standard.fixed(time_ns))
-        self._begun = True
-        messages += standard.sample(time_ns, sample)
-        return Row(time_ns, *numbered(self._counts, time_ns, [(self._ids[t], data) for t, data in messages]))
-
-
-def numbered(
-    counts: dict[int, int], time_ns: int, messages: list[tuple[int, bytes]]
-) -> tuple[bytes, list[Mark]]:
-    """The records of messages by channel, and channel and length of each; counts them."""
-    records = []
-    for channel, data in messages:
-        records.append(message_record(channel, counts[channel], time_ns, data))
-        counts[channel] += 1
-    marks = [(channel, len(one)) for (channel, _), one in zip(messages, records, strict=True)]
-    return b"".join(records), marks
+        return first + data + last

@@ -147,6 +147,21 @@ def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on(tmp_path)
     assert not log["/drive"]["power_on"][-1].any()
 
 
+@pytest.mark.parametrize(("wish", "status", "outcome"), [("go-on", 0, "done"), ("stop", 3, "stopped")])
+def test_a_full_disk_stops_the_arm_or_does_not_as_asked_and_is_told(tmp_path, wish, status, outcome):
+    limited = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, {2 * (500_000,)})"
+    words = ("place", "--json", "--no-picture", "--log", "run.mcap", "--when-disk-full", wish)
+    done = marsarm(tmp_path, *words, before=limited)
+    assert done.returncode == status, done.stderr
+    report = json.loads(done.stdout)
+    assert report["outcome"] == outcome
+    kept = read_log(tmp_path / "run.mcap")
+    seconds = len(kept["/joint"]) / 64
+    assert kept.truncated
+    assert seconds > 2
+    assert f"not recorded from {seconds:.2f} s on (File too large)" in report["log_problem"]
+
+
 def test_a_setting_of_opengl_that_is_not_there_does_not_stop_a_run(tmp_path):
     done = marsarm(tmp_path, "place", "--no-surface", "--json", MUJOCO_GL="osmesa")
     assert done.returncode == 3, done.stderr

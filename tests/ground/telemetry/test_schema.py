@@ -80,7 +80,7 @@ def test_the_record_is_headed_by_channel_sequence_and_time() -> None:
     packer = Packer("Packet", 5, layout_of(Packet, NAMES))
     record = packed(PACKET, packer)
     assert HEAD.unpack_from(record) == (5, len(record) - 9, 5, 0, 77, 77)
-    assert packer.mark == (5, len(record))
+    assert packer.size == len(record)
 
 
 def test_numpy_views_a_message_without_a_copy() -> None:

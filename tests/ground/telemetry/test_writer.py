@@ -1,19 +1,22 @@
-"""The thread that writes: nothing that it took is lost, and nothing that happens to it goes untold."""
+"""The process that writes: nothing that it took is lost, and nothing that happens to it goes untold."""
 
-import errno
 import gc
 import json
 import os
+import signal
 import subprocess
 import sys
 import warnings
 from collections import deque
-from io import FileIO
-from itertools import count
+from collections.abc import Sequence
+from io import BytesIO
+from itertools import count, cycle
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC, IndexType, Writer
@@ -21,21 +24,24 @@ from mcap.writer import MCAP0_MAGIC, IndexType, Writer
 from benchmarks import killed
 from benchmarks.killed import Kill
 from ground.telemetry.container import records
+from ground.telemetry.handover import as_sent
+from ground.telemetry.mcap_file import Row
 from ground.telemetry.read import read_log
 from ground.telemetry.record import Recorder
+from ground.telemetry.standard import Sample
+from ground.telemetry.writer import END, Stream
 
 ROOT = Path(__file__).parents[3]
 
 
-class SmallDisk(FileIO):
-    """A file on a disk with room for 20 kB more than what a log begins with, which writes in small bites."""
+class Pieces:
+    """A pipe out of which some bytes come in pieces of these sizes, again and again."""
 
-    room = 30_000
+    def __init__(self, data: bytes, sizes: Sequence[int]) -> None:
+        self._data, self._sizes = BytesIO(data), cycle(sizes)
 
-    def write(self, data: Any) -> int:
-        if self.tell() >= self.room:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        return super().write(data[: min(3000, self.room - self.tell())])
+    def read1(self, most: int, /) -> bytes:
+        return self._data.read(min(most, next(self._sizes)))
 
 
 def python(program: str, *words: str) -> subprocess.CompletedProcess[str]:
@@ -102,36 +108,89 @@ recorder.close()
     assert (len(log["/joint"]), log.truncated) == (41, False)
 
 
-def test_a_full_disk_is_told_by_the_next_cycle_and_by_the_end(
-    make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("ground.telemetry.opening.FileIO", SmallDisk)
-    path = tmp_path / "run.mcap"
-    recorder = Recorder(path, {})
-    with pytest.raises(OSError, match="No space left"):
-        deque(map(recorder.write, map(make.cycle_at, count())), maxlen=0)
-    with pytest.raises(OSError, match="No space left"):
-        recorder.close()
+SMALL_DISK = """\
+import resource, sys
+from ground.telemetry.record import Recorder
+from tests.ground.telemetry.conftest import cycle_at
+resource.setrlimit(resource.RLIMIT_FSIZE, 2 * (int(sys.argv[2]),))
+recorder = Recorder(sys.argv[1], {"seed": "1", "arm": "nominal"})
+try:
+    for tick in range(int(sys.argv[3])):
+        recorder.write(cycle_at(tick))
+except OSError as error:
+    print("cycle:", error.strerror)
+try:
     recorder.close()
+except OSError as error:
+    print("end:", error.strerror)
+recorder.close()
+print(recorder.written_cycles)
+"""
+"""Arguments: path, bytes that fit on the disk, cycles to record."""
+
+
+def test_a_full_disk_is_told_by_a_later_cycle_and_by_the_end(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    done = python(SMALL_DISK, str(path), "30000", "100000")
+    assert (done.returncode, done.stderr) == (0, "")
+    *told, written = done.stdout.splitlines()
+    assert told == ["cycle: File too large", "end: File too large"]
     log = read_log(path)
     assert log.truncated
-    assert len(log["/joint"]) == recorder.written_cycles > 0
+    assert len(log["/joint"]) == int(written) > 0
     ends = [at + 9 + len(body) for at, _, body in records(path.read_bytes(), len(MCAP0_MAGIC))]
     assert ends[-1] == path.stat().st_size, "half a record is left"
 
 
-def test_a_disk_that_is_full_at_the_end_is_told_by_close(
-    make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_is_full_at_the_end_is_told_by_close(make: Any, tmp_path: Path) -> None:
     whole = make.record(tmp_path / "whole.mcap", [make.cycle_at(0)]).stat().st_size
-    monkeypatch.setattr("ground.telemetry.opening.FileIO", SmallDisk)
-    monkeypatch.setattr(SmallDisk, "room", whole - 10)
-    recorder = Recorder(tmp_path / "run.mcap", {"seed": "1", "arm": "nominal"})
-    recorder.write(make.cycle_at(0))
-    with pytest.raises(OSError, match="No space left"):
-        recorder.close()
+    done = python(SMALL_DISK, str(tmp_path / "run.mcap"), str(whole - 10), "1")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines() == ["end: File too large", "1"]
     log = read_log(tmp_path / "run.mcap")
-    assert (len(log["/joint"]), recorder.written_cycles, log.truncated) == (1, 1, True)
+    assert (len(log["/joint"]), log.truncated) == (1, True)
+
+
+@pytest.mark.parametrize("ending", ["os.kill(os.getpid(), 9)", "os._exit(0)"])
+def test_what_was_handed_over_outlives_the_run(tmp_path: Path, ending: str) -> None:
+    """All of it; the log is cut short, for nobody has ended it."""
+    python(f"{BEGIN}{ending}\n", str(tmp_path / "run.mcap"))
+    log = read_log(tmp_path / "run.mcap")
+    assert (len(log["/joint"]), log.truncated) == (40, True)
+
+
+def test_an_interrupt_of_the_whole_group_ends_the_log_as_it_should(tmp_path: Path) -> None:
+    ending = "import signal\ntry:\n    os.killpg(os.getpid(), signal.SIGINT)\n    time.sleep(9)\n"
+    program = f"import os\nos.setsid()\n{BEGIN}{ending}except KeyboardInterrupt:\n    pass\n"
+    done = python(program, str(tmp_path / "run.mcap"))
+    assert (done.returncode, done.stderr) == (0, "")
+    log = read_log(tmp_path / "run.mcap")
+    assert (len(log["/joint"]), log.truncated) == (40, False)
+
+
+def test_a_writer_that_is_killed_is_told_like_a_disk_that_is_gone(make: Any, tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "run.mcap", {})
+    os.kill(recorder.writer_process, signal.SIGKILL)
+    with pytest.raises(OSError, match="the process that wrote it was killed by signal 9"):
+        deque(map(recorder.write, map(make.cycle_at, count())), maxlen=0)
+    with pytest.raises(OSError, match="killed by signal 9"):
+        recorder.close()
+    assert read_log(tmp_path / "run.mcap").truncated
+
+
+@given(st.lists(st.integers(1, 3000), min_size=1), st.booleans())
+def test_rows_are_the_same_in_whatever_pieces_they_come(sizes: list[int], complete: bool) -> None:
+    rows = [Row(tick, bytes([tick]) * (tick + 1)) for tick in range(30)]
+    sample = Sample([0.0], [1.0], [2.0])
+    sent = b"".join(as_sent(*row, sample if row.time_ns % 8 == 0 else None) for row in rows)
+    sent += END if complete else sent[:10]
+    stream, taken, goes_on = Stream(Pieces(sent, sizes)), [], True
+    while goes_on:
+        some, goes_on = stream.take()
+        taken += some
+    assert [row for row, _ in taken] == rows
+    assert [one for _, one in taken] == [sample if row.time_ns % 8 == 0 else None for row in rows]
+    assert stream.is_complete == complete
 
 
 def test_the_container_is_that_of_the_stock_writer(make: Any, tmp_path: Path) -> None:

@@ -1,0 +1,129 @@
+"""The process that writes a log: takes rows from standard input and writes them, chunk by chunk.
+
+It goes on for as long as rows may come. A run that ends without closing its log, whatever ended it, loses
+nothing that it has handed over; its log is cut short.
+"""
+
+import json
+import os
+import pickle
+import signal
+import struct
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from io import BufferedReader, FileIO
+from typing import Final, Protocol
+
+from fsw.config import Config
+from ground.telemetry.expand import Expander
+from ground.telemetry.mcap_file import McapFile, Row, Written
+from ground.telemetry.standard import Sample
+
+ROW_HEAD: Final = struct.Struct("<QII")
+"""Before each row: time [ns], length of its records, length of its pickled sample or 0."""
+READY: Final = b"."
+"""What it says when it can take rows."""
+END: Final = ROW_HEAD.pack(0, 0, 0)
+"""A row of nothing: the log is complete."""
+PIPE_BYTES: Final = 1 << 20
+"""What may wait: seconds of a run that keeps pace with the clock."""
+MOST_ROWS: Final = 1024
+"""In one chunk; it has about 20 when the disk keeps up."""
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """What is to be written where."""
+
+    file_descriptor: int
+    """Of a log that has been begun."""
+    written: Written
+    ids: Mapping[str, int]
+    """Of the channels, by topic."""
+    config: Config | None
+    chunk_s: float
+
+
+@dataclass(slots=True)
+class Ended:
+    """How far a log was written, and why no further."""
+
+    written_ns: int | None = None
+    """Time of the last row that the operating system has; None before the first."""
+    error_number: int = 0
+    """As of an OSError; 0 where there was none."""
+    why: str = ""
+
+
+class Inlet(Protocol):
+    """Where rows come from."""
+
+    def read1(self, most: int, /) -> bytes:
+        """What is there, waiting for the first of it; nothing at the end."""
+
+
+class Stream:
+    """Rows as they come out of a pipe, in whatever pieces."""
+
+    def __init__(self, inlet: Inlet) -> None:
+        self._inlet = inlet
+        self._bytes = b""
+        self.is_complete = False
+        """Whether the end of the log has come."""
+
+    def take(self) -> tuple[list[tuple[Row, Sample | None]], bool]:
+        """All rows that are there, waiting for the first piece, and whether there may be more to come."""
+        piece = self._inlet.read1(PIPE_BYTES)
+        self._bytes += piece
+        rows, at = [], 0
+        while not self.is_complete and len(self._bytes) - at >= ROW_HEAD.size:
+            time_ns, length, extra = ROW_HEAD.unpack_from(self._bytes, at)
+            middle = at + ROW_HEAD.size + length
+            if middle + extra > len(self._bytes):
+                break
+            self.is_complete = length == 0
+            if length:
+                row = Row(time_ns, self._bytes[at + ROW_HEAD.size : middle])
+                rows.append((row, pickle.loads(self._bytes[middle : middle + extra]) if extra else None))
+            at = middle + extra
+        self._bytes = self._bytes[at:]
+        return rows, bool(piece) and not self.is_complete
+
+
+def write_rows(stream: Stream, log: McapFile, expand: Expander, chunk_s: float, ended: Ended) -> None:
+    """Write all that comes, and the summary if the log is complete; OSError if the disk is full or gone."""
+    most_rows = MOST_ROWS if chunk_s > 0 else 1
+    goes_on = True
+    while goes_on:
+        rows, goes_on = stream.take()
+        due_s = time.monotonic() + chunk_s
+        for k in range(0, len(rows), most_rows):
+            log.add_chunk(expand(rows[k : k + most_rows]))
+            ended.written_ns = rows[min(k + most_rows, len(rows)) - 1][0].time_ns
+        if goes_on and sum(len(row.data) for row, _ in rows) < PIPE_BYTES // 4:  # there is room to wait
+            time.sleep(max(due_s - time.monotonic(), 0.0))
+    if stream.is_complete:
+        log.finish()
+
+
+def main() -> None:
+    """Do the job that comes first on standard input; say on standard output how it ended."""
+    for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # they are for the run, which ends its log
+        signal.signal(one, signal.SIG_IGN)
+    ended = Ended()
+    with FileIO(sys.stdin.fileno(), closefd=False) as raw, BufferedReader(raw) as inlet:
+        job: Job = pickle.load(inlet)
+        with FileIO(job.file_descriptor, "wb") as file:
+            log, expand = McapFile(file, job.written), Expander(job.config, job.ids)
+            os.write(sys.stdout.fileno(), READY)
+            try:
+                write_rows(Stream(inlet), log, expand, job.chunk_s, ended)
+            except OSError as error:
+                ended.error_number, ended.why = error.errno or 0, error.strerror or str(error)
+    os.write(sys.stdout.fileno(), json.dumps(asdict(ended)).encode())
+
+
+if __name__ == "__main__":
+    main()
