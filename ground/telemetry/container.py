@@ -32,6 +32,9 @@ ENTRIES_SIZE: Final = struct.Struct("<I")
 CHUNK_LIMIT: Final = 1 << 26
 """Bytes that a chunk may claim to unpack to; ours have a million at most."""
 
+MOST_UNPACKED: Final = 1 << 33
+"""Bytes that are unpacked at once: a day of telemetry. Zeros pack so well that a file claims any number."""
+
 NOT_AS_WRITTEN: Final = (
     McapError,
     zstandard.ZstdError,

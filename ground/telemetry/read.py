@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ground.telemetry.chunks import Messages, messages_of
 from ground.telemetry.container import (
+    MOST_UNPACKED,
     NOT_AS_WRITTEN,
     ChunkPlace,
     Content,
@@ -154,6 +155,7 @@ def _log(path: Path, data: bytes, wanted: Wanted) -> Log:
     if not found.complete and has_chunk(data, found.data_end):
         raise NotAsWritten("a record is broken", found.data_end)
     chosen = _chosen(found, wanted)
+    _check_room(path, sum(found.chunks[k].size for k in chosen))
     batches = messages_of(data, [found.chunks[k] for k in chosen], [found.indexes[k] for k in chosen])
     if not found.crc_holds:  # said after the chunks, which say better where
         raise NotAsWritten("the data does not match its CRC", found.data_end)
@@ -161,6 +163,12 @@ def _log(path: Path, data: bytes, wanted: Wanted) -> Log:
         return _arrays(path, found, batches, wanted, not chosen or chosen[0] == 0)
     except NOT_AS_WRITTEN as error:
         raise NotAsWritten(str(error), found.data_end) from error
+
+
+def _check_room(path: Path, size: int) -> None:
+    if size > MOST_UNPACKED:
+        why = f"unpacks to {size / 1e9:.1f} GB, {MOST_UNPACKED / 1e9:.1f} GB at most are read at once"
+        raise LogNotReadable(path, f"{why}; ask for a part, from one time to another")
 
 
 def _chosen(found: Content, wanted: Wanted) -> list[int]:

@@ -17,6 +17,7 @@ from ground.telemetry.chunks import heads_at, walk
 from ground.telemetry.container import (
     CHUNK_HEAD,
     CHUNK_LIMIT,
+    MOST_UNPACKED,
     NOT_AS_WRITTEN,
     RECORD_HEAD,
     channel_of,
@@ -94,8 +95,12 @@ def salvage(data: bytes) -> Salvage:
     data, notes = first_log(data)
     metadata = _metadata(data)
     channels, schemas, totals = _summary(data)
-    chunks = []
+    chunks, size = [], 0
     for plain in good_chunks(data, 0):
+        size += len(plain)
+        if size > MOST_UNPACKED:
+            notes.append(f"it unpacks to more than {MOST_UNPACKED / 1e9:.1f} GB; the rest was left out")
+            break
         try:
             starts = walk(plain, channels)
             schemas |= {schema.id: schema for schema in _schemas(plain)}

@@ -14,9 +14,10 @@ from mcap.writer import MCAP0_MAGIC, Writer
 
 from ground.telemetry import chunks
 from ground.telemetry.container import records
-from ground.telemetry.errors import LogCorrupt
+from ground.telemetry.errors import LogCorrupt, LogNotReadable
 from ground.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, TICK_NS, header_crc32
 from ground.telemetry.read import read_log
+from ground.telemetry.salvage import salvage
 from ground.telemetry.schema import Layout
 
 N_CYCLES = 30
@@ -66,6 +67,17 @@ def test_a_part_of_a_closed_log_unpacks_no_other_chunks(path: Path, monkeypatch:
     monkeypatch.setattr(chunks, "unpacked", lambda *given: unpacked.append(given[1]) or real(*given))
     read_log(path, start_ns=4 * TICK_NS, end_ns=6 * TICK_NS)
     assert 1 <= len(unpacked) <= 3
+
+
+def test_what_unpacks_to_more_than_is_read_at_once_is_read_in_parts(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ground.telemetry.read.MOST_UNPACKED", 50_000)
+    with pytest.raises(LogNotReadable, match="ask for a part, from one time to another"):
+        read_log(path)
+    assert len(read_log(path, start_ns=2 * TICK_NS, end_ns=5 * TICK_NS)["/joint"]) == 3
+    monkeypatch.setattr("ground.telemetry.salvage.MOST_UNPACKED", 20_000)
+    assert any("the rest was left out" in note for note in salvage(path.read_bytes()).notes)
 
 
 def test_a_broken_message_index_of_a_log_cut_short_does_not_matter(path: Path, tmp_path: Path) -> None:
