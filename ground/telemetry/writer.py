@@ -18,6 +18,7 @@ from typing import Final, Protocol
 
 from fsw.config import Config
 from ground.telemetry.expand import Expander
+from ground.telemetry.format import CHUNK_S
 from ground.telemetry.mcap_file import McapFile, Row, Written
 from ground.telemetry.standard import Sample
 
@@ -95,15 +96,21 @@ class Stream:
 def write_rows(stream: Stream, log: McapFile, expand: Expander, chunk_s: float, ended: Ended) -> None:
     """Write all that comes, and the summary if the log is complete; OSError if the disk is full or gone."""
     most_rows = MOST_ROWS if chunk_s > 0 else 1
-    goes_on = True
+    waiting: list[tuple[Row, Sample | None]] = []
+    due_s, goes_on = time.monotonic() + chunk_s, True
     while goes_on:
         rows, goes_on = stream.take()
-        due_s = time.monotonic() + chunk_s
-        for k in range(0, len(rows), most_rows):
-            log.add_chunk(expand(rows[k : k + most_rows]))
-            ended.written_ns = rows[min(k + most_rows, len(rows)) - 1][0].time_ns
+        began_s = time.monotonic()
+        waiting += rows
+        if began_s >= due_s or not goes_on or len(waiting) >= most_rows:
+            due_s = began_s + chunk_s
+            for k in range(0, len(waiting), most_rows):
+                log.add_chunk(expand(waiting[k : k + most_rows]))
+                ended.written_ns = waiting[min(k + most_rows, len(waiting)) - 1][0].time_ns
+            waiting = []
         if goes_on and sum(len(row.data) for row, _ in rows) < PIPE_BYTES // 4:  # there is room to wait
-            time.sleep(max(due_s - time.monotonic(), 0.0))
+            pause_s = began_s + min(chunk_s, CHUNK_S) - time.monotonic()
+            time.sleep(max(pause_s, 0.0))
     if stream.is_complete:
         log.finish()
 
