@@ -9,10 +9,11 @@ import fcntl
 import json
 import os
 import pickle
+import signal
 import subprocess
 import sys
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from io import FileIO
 from typing import Final
 
@@ -22,7 +23,10 @@ from ground.telemetry.standard import Sample
 from ground.telemetry.writer import END, PIPE_BYTES, READY, ROW_HEAD, Ended, Job
 
 WRITER: Final = "import sys; sys.path[:] = {}; from ground.telemetry.writer import main; main()"
-"""Finds the code where this process found it."""
+PATH: Final = [os.path.abspath(folder) for folder in sys.path]
+"""Where this process found the code, whatever folder it works in later."""
+FOR_THE_RUN: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""What is sent to a whole group of processes and is for the run, which ends its log."""
 
 
 class Handover:
@@ -31,11 +35,11 @@ class Handover:
     def __init__(
         self, file: FileIO, written: Written, ids: Mapping[str, int], config: Config | None, chunk_s: float
     ) -> None:
-        """Take the file of a log that has been begun; OSError if there can be no process to write it."""
-        with file:
-            job = pickle.dumps(Job(file.fileno(), written, ids, config, chunk_s))
+        """Share the file of a log that has been begun; OSError if there can be no process to write it."""
+        job = pickle.dumps(Job(file.fileno(), written, ids, config, chunk_s))
+        with _kept_from_new_processes(FOR_THE_RUN):
             self._writer = subprocess.Popen(
-                [sys.executable, "-c", WRITER.format(sys.path)],
+                [sys.executable, "-c", WRITER.format(PATH)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 bufsize=0,
@@ -50,8 +54,13 @@ class Handover:
         if hasattr(fcntl, "F_SETPIPE_SZ"):
             with suppress(OSError):  # beyond what this user may have, it holds what it holds
                 fcntl.fcntl(self._inlet, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
-        self._send(job)
-        if self._outlet.read(len(READY)) != READY:
+        try:
+            self._send(job)
+            is_ready = READY in iter(self._outlet.readline, b"")
+        except BaseException:
+            self._end()
+            raise
+        if not is_ready:
             self._end()
             self._raise()
 
@@ -70,13 +79,15 @@ class Handover:
 
         Raises:
             OSError: what ended the writer.
-            ValueError: the log is closed.
+            ValueError: the log is closed, or what was put before was interrupted on its way.
         """
         if os.getpid() != self._process:
             raise RuntimeError("a log is written by the process that opened it; open another here")
         if self._ended is not None:
             self._raise()
             raise ValueError("the log is closed; open another to record more")
+        if self._is_torn:
+            raise ValueError("a cycle was interrupted on its way into the log, and none can follow; close it")
         self._send(as_sent(time_ns, data, sample))
 
     def close(self) -> None:
@@ -117,6 +128,16 @@ class Handover:
     def _raise(self) -> None:
         if self._ended is not None and self._ended.error_number:
             raise OSError(self._ended.error_number, self._ended.why)
+
+
+@contextmanager
+def _kept_from_new_processes(signals: tuple[signal.Signals, ...]) -> Iterator[None]:
+    """Processes that are started in the block never get these signals."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def as_sent(time_ns: int, data: bytes, sample: Sample | None) -> bytes:

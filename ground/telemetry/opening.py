@@ -2,8 +2,9 @@
 
 import os
 import secrets
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from fcntl import F_DUPFD_CLOEXEC, fcntl
 from io import FileIO
 from pathlib import Path
 
@@ -15,8 +16,13 @@ from ground.telemetry.format import CHANNELS_KEY, FORMAT, FORMAT_RECORD, HEADER_
 from ground.telemetry.mcap_file import McapFile, Written
 
 
-def begun(path: Path, header: Mapping[str, str], channels: tuple[Announced, ...]) -> tuple[FileIO, Written]:
-    """A log that holds what comes before any message, in the place of what was at this path.
+@contextmanager
+def begun(
+    path: Path, header: Mapping[str, str], channels: tuple[Announced, ...]
+) -> Iterator[tuple[FileIO, Written]]:
+    """A log that holds what comes before any message; open for the block.
+
+    When the block ends well, it takes the place of what was at this path, and else it goes.
 
     Raises:
         LogNotWritable: there can be no file, or there is no room; what was there is still there.
@@ -24,19 +30,30 @@ def begun(path: Path, header: Mapping[str, str], channels: tuple[Announced, ...]
     place = _place(path)
     part = place.with_name(f".marsarm-{secrets.token_hex(8)}.part")
     try:
-        file = FileIO(part, "xb")
-        try:
-            written = _beginning(file, header, channels)
+        with FileIO(part, "xb", opener=_opened) as file:
+            yield file, _beginning(file, header, channels)
             os.replace(part, place)
-        except BaseException:
-            file.close()
-            with suppress(OSError):
-                part.unlink()
-            raise
     except OSError as error:
+        _remove(part)
         why = f"cannot be written ({error.strerror}); give a path with room that you may write"
         raise LogNotWritable(path, why) from error
-    return file, written
+    except BaseException:
+        _remove(part)
+        raise
+
+
+def _opened(path: str, flags: int) -> int:
+    """A file, not in the place of a standard stream that is closed: a new process takes those for its own."""
+    found = os.open(path, flags, 0o666)
+    try:
+        return fcntl(found, F_DUPFD_CLOEXEC, 3)
+    finally:
+        os.close(found)
+
+
+def _remove(part: Path) -> None:
+    with suppress(OSError):
+        part.unlink()
 
 
 def _place(path: Path) -> Path:

@@ -1,5 +1,6 @@
 """Writes a run to an MCAP log that survives the death of its writer."""
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
@@ -51,17 +52,17 @@ class Recorder:
         self._event_ids = ids[COMMAND_TOPIC], ids[EVR_TOPIC], ids[LOG_LINES]
         self._event_counts = dict.fromkeys(self._event_ids, 0)
         self._has_standard = config is not None
-        file, written = begun(self.path, header, channels)
-        try:
-            self._handover = Handover(file, written, ids, config, chunk_s)
-        except OSError as error:
-            why = f"has no process to write it ({error.strerror}); end some others"
-            raise LogNotWritable(self.path, why) from error
-        self.close = finalize(self, self._handover.close)
-        """Write what waits and the index, and close the file; a second call does nothing.
+        with begun(self.path, header, channels) as (file, written):
+            try:
+                self._handover = Handover(file, written, ids, config, chunk_s)
+            except OSError as error:
+                why = f"has no process to write it ({error.strerror}); see that {sys.executable} starts"
+                raise LogNotWritable(self.path, why) from error
+            self.close = finalize(self, self._handover.close)
+            """Write what waits and the index, and close the file; a second call does nothing.
 
-        It raises the OSError of a disk that is full or gone. A recorder that is let go closes itself.
-        """
+            It raises the OSError of a disk that is full or gone. A recorder that is let go closes itself.
+            """
 
     @property
     def writer_process(self) -> int:
@@ -80,7 +81,7 @@ class Recorder:
         Raises:
             SchemaError: a packet is not laid out as its schema says, or holds what a log cannot.
             OSError: the disk is full or gone.
-            ValueError: the log is closed.
+            ValueError: the log is closed, or a cycle before this one was interrupted on its way.
         """
         time_ns = record.tick * TICK_NS
         pieces: list[bytes | NDArray[Any]] = []

@@ -1,17 +1,18 @@
 """The process that writes a log: takes rows from standard input and writes them, chunk by chunk.
 
 It goes on for as long as rows may come. A run that ends without closing its log, whatever ended it, loses
-nothing that it has handed over; its log is cut short.
+nothing that it has handed over; its log is cut short. Interrupts are for the run; they are kept from here.
 """
 
+import errno
 import json
 import os
 import pickle
-import signal
 import struct
 import sys
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from io import BufferedReader, FileIO
 from typing import Final, Protocol
@@ -24,8 +25,8 @@ from ground.telemetry.standard import Sample
 
 ROW_HEAD: Final = struct.Struct("<QII")
 """Before each row: time [ns], length of its records, length of its pickled sample or 0."""
-READY: Final = b"."
-"""What it says when it can take rows."""
+READY: Final = b"ready for rows\n"
+"""The line that it says when it can take them."""
 END: Final = ROW_HEAD.pack(0, 0, 0)
 """A row of nothing: the log is complete."""
 PIPE_BYTES: Final = 1 << 20
@@ -117,20 +118,20 @@ def write_rows(stream: Stream, log: McapFile, expand: Expander, chunk_s: float, 
 
 def main() -> None:
     """Do the job that comes first on standard input; say on standard output how it ended."""
-    for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # they are for the run, which ends its log
-        signal.signal(one, signal.SIG_IGN)
+    sys.stdout.flush()  # what this Python says of itself when it starts
     ended = Ended()
     with FileIO(sys.stdin.fileno(), closefd=False) as raw, BufferedReader(raw) as inlet:
         job: Job = pickle.load(inlet)
         with FileIO(job.file_descriptor, "wb") as file:
             log, expand = McapFile(file, job.written), Expander(job.config, job.ids)
-            os.write(sys.stdout.fileno(), READY)
+            _say(b"\n" + READY)
             try:
                 write_rows(Stream(inlet), log, expand, job.chunk_s, ended)
             except OSError as error:
-                ended.error_number, ended.why = error.errno or 0, error.strerror or str(error)
-    os.write(sys.stdout.fileno(), json.dumps(asdict(ended)).encode())
+                ended.error_number, ended.why = error.errno or errno.EIO, error.strerror or str(error)
+    _say(json.dumps(asdict(ended)).encode())
 
 
-if __name__ == "__main__":
-    main()
+def _say(text: bytes) -> None:
+    with suppress(BrokenPipeError):  # the run has gone
+        os.write(sys.stdout.fileno(), text)

@@ -9,6 +9,7 @@ import sys
 import warnings
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import replace
 from io import BytesIO
 from itertools import count, cycle
 from pathlib import Path
@@ -24,6 +25,7 @@ from mcap.writer import MCAP0_MAGIC, IndexType, Writer
 from benchmarks import killed
 from benchmarks.killed import Kill
 from ground.telemetry.container import records
+from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.handover import as_sent
 from ground.telemetry.mcap_file import Row
 from ground.telemetry.read import read_log
@@ -153,8 +155,9 @@ def test_a_disk_that_is_full_at_the_end_is_told_by_close(make: Any, tmp_path: Pa
 
 @pytest.mark.parametrize("ending", ["os.kill(os.getpid(), 9)", "os._exit(0)"])
 def test_what_was_handed_over_outlives_the_run(tmp_path: Path, ending: str) -> None:
-    """All of it; the log is cut short, for nobody has ended it."""
-    python(f"{BEGIN}{ending}\n", str(tmp_path / "run.mcap"))
+    """All of it, without a word; the log is cut short, for nobody has ended it."""
+    done = python(f"{BEGIN}{ending}\n", str(tmp_path / "run.mcap"))
+    assert done.stderr == ""
     log = read_log(tmp_path / "run.mcap")
     assert (len(log["/joint"]), log.truncated) == (40, True)
 
@@ -166,6 +169,73 @@ def test_an_interrupt_of_the_whole_group_ends_the_log_as_it_should(tmp_path: Pat
     assert (done.returncode, done.stderr) == (0, "")
     log = read_log(tmp_path / "run.mcap")
     assert (len(log["/joint"]), log.truncated) == (40, False)
+
+
+@pytest.mark.parametrize("closed", [(0,), (1,), (0, 1), (0, 1, 2)], ids=str)
+def test_a_run_whose_standard_streams_are_closed_has_its_log(tmp_path: Path, closed: Sequence[int]) -> None:
+    """The first file that such a run opens has the number of a standard stream."""
+    closing = "".join(f"os.close({one})\n" for one in closed)
+    imports, rest = BEGIN.split("recorder =")
+    python(f"{imports}{closing}recorder ={rest}recorder.close()\nos._exit(0)\n", str(tmp_path / "run.mcap"))
+    log = read_log(tmp_path / "run.mcap")
+    assert (len(log["/joint"]), log.truncated) == (40, False)
+
+
+def test_the_writer_is_of_the_code_of_the_run_wherever_that_works(tmp_path: Path) -> None:
+    """A run that was started in the folder of the code and went to one that has another `ground`."""
+    (tmp_path / "ground").mkdir()
+    (tmp_path / "ground" / "__init__.py").write_text("raise SystemExit('not this one')")
+    done = subprocess.run(
+        [sys.executable, "-c", f"{BEGIN.replace('recorder =', 'os.chdir(sys.argv[2]); recorder =')}"
+         "recorder.close()", str(tmp_path / "run.mcap"), str(tmp_path)],
+        cwd=ROOT, env={name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
+        capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    assert len(read_log(tmp_path / "run.mcap")["/joint"]) == 40
+
+
+def test_a_python_that_says_something_when_it_starts_writes_logs(
+    make: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sitecustomize.py").write_text("print('hello', end='')")
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=os.pathsep)
+    make.record(tmp_path / "run.mcap", [make.cycle_at(0)])
+    assert len(read_log(tmp_path / "run.mcap")["/joint"]) == 1
+
+
+@pytest.mark.parametrize("python_of_the_run", ["/nowhere/python", "/bin/false"])
+def test_without_a_process_to_write_it_the_log_that_was_there_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, python_of_the_run: str
+) -> None:
+    (tmp_path / "run.mcap").write_text("of a good day")
+    monkeypatch.setattr(sys, "executable", python_of_the_run)
+    with pytest.raises(LogNotWritable, match="no process to write it"):
+        Recorder(tmp_path / "run.mcap", {})
+    assert [(one.name, one.read_text()) for one in tmp_path.iterdir()] == [("run.mcap", "of a good day")]
+
+
+def test_no_cycle_follows_one_that_was_interrupted_on_its_way(make: Any, tmp_path: Path) -> None:
+    def interrupt(*_: object) -> None:
+        raise InterruptedError
+
+    some, recorder = make.cycle_at(0), Recorder(tmp_path / "run.mcap", {})
+    before = signal.signal(signal.SIGALRM, interrupt)
+    os.kill(recorder.writer_process, signal.SIGSTOP)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, 1.0)  # when the pipe is full
+        with pytest.raises(InterruptedError):
+            deque((recorder.write(replace(some, tick=tick)) for tick in count()), maxlen=0)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+        os.kill(recorder.writer_process, signal.SIGCONT)
+    with pytest.raises(ValueError, match="interrupted on its way"):
+        recorder.write(make.cycle_at(0))
+    recorder.close()
+    log = read_log(tmp_path / "run.mcap")
+    assert log.truncated
+    assert len(log["/joint"]) > 10
 
 
 def test_a_writer_that_is_killed_is_told_like_a_disk_that_is_gone(make: Any, tmp_path: Path) -> None:
