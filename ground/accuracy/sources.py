@@ -19,8 +19,12 @@ from fsw.kinematics.transforms import Array
 
 Spread = Literal["normal", "uniform", "either side"]
 
-SIGMA_OF: Final[dict[Spread, float]] = {"normal": 1 / 3, "uniform": 1 / np.sqrt(3), "either side": 1.0}
-"""Standard deviation over magnitude: three sigma, anywhere within, at one end or the other."""
+CUMULANTS_OF: Final[dict[Spread, tuple[float, float, float]]] = {
+    "normal": (1 / 9, 0.0, 0.0),
+    "uniform": (1 / 3, -2 / 15, 16 / 63),
+    "either side": (1.0, -2.0, 16.0),
+}
+"""Second, fourth and sixth, of magnitude 1: three sigma, anywhere within, at one end or the other."""
 
 EffectName = Literal[
     "frame error", "frame play", "servo error", "windup", "hardstop angle", "backlash", "stiffness", "warming"

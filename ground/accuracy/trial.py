@@ -20,19 +20,22 @@ from fsw.kinematics.transforms import Array, Pose
 from ground.accuracy.drawn import drawn_effects, is_compensated
 from ground.accuracy.poses import workspace_poses
 from ground.accuracy.sources import Case, ErrorModel
-from sim.arms import BuiltArm
+from sim.arms import BuiltArm, arm_named
 from sim.avionics import move_rng
 from sim.effects.effect import EachMove, drawn_scatter
-from sim.effects.environment import NothingToTouch
-from sim.initialisation import true_reference
+from sim.effects.environment import Ambient, NothingToTouch
+from sim.initialisation import initial_reference, true_reference
 from sim.loop import ClosedLoop, Setup, hardware_rng
 from sim.sequence import run_sequence
 from sim.settled import settled_move
+from sim.trials import TEMPERATURE_C
 from sim.world import World
 
 How = Literal["closed-loop", "statics"]
 AWAY_RAD: Final = 0.05
 """From where a move to a place begins, each joint to one side or the other: farther than any gap is wide."""
+OF_THE_ARM: Final = ("assembly", "calibration", "deflection", "zero_offset", "backlash")
+"""Sources that an arm has which was built, calibrated and initialised."""
 INSIDE_RAD: Final = 0.01
 """How far from the soft limits."""
 REST_S: Final = 2.0
@@ -84,6 +87,34 @@ def drawn_trial(
     arm = BuiltArm("drawn", effects, params)
     moved = by_statics(arm, backlash) if how == "statics" else by_closed_loop(arm, _believed(arm), backlash)
     return measured(moved, random_places(params, tool, places, own))
+
+
+def built_trial(
+    model: ErrorModel,
+    case: Case,
+    name: str,
+    params: Params,
+    places: int,
+    how: How,
+    seed: np.random.SeedSequence,
+) -> list[Measured]:
+    """An arm with errors of its own, initialised at its hardstops, in the cold, with what the case adds.
+
+    Raises:
+        RuntimeError: it was not initialised, or a move in the closed loop did not come to its end.
+    """
+    draw, own = seed.spawn(2)
+    rng = np.random.default_rng(draw)
+    tool = Tool(int(rng.integers(len(Tool))))
+    added = {name: factor for name, factor in case.sources.items() if name not in OF_THE_ARM}
+    cold = Ambient(float(rng.uniform(*TEMPERATURE_C)))
+    arm = arm_named(name, params)
+    effects = (cold, *drawn_effects(model, replace(case, sources=added), tool, rng))
+    there = replace(arm, effects=(*arm.effects, *effects))
+    moved = (
+        by_statics(there, "on") if how == "statics" else by_closed_loop(there, initial_reference(arm), "on")
+    )
+    return measured(moved, random_places(arm.params, tool, places, own))
 
 
 def measured(moved: Moved, places: list[Place]) -> list[Measured]:
