@@ -38,6 +38,8 @@ OF_THE_ARM: Final = ("assembly", "calibration", "deflection", "zero_offset", "ba
 """Sources that an arm has which was built, calibrated and initialised."""
 INSIDE_RAD: Final = 0.01
 """How far from the soft limits."""
+ENOUGH: Final = 20
+"""Times as many poses as places, of which places are picked at random."""
 REST_S: Final = 2.0
 """On the brakes, before anything is looked at."""
 
@@ -130,13 +132,15 @@ def random_places(params: Params, tool: Tool, count: int, seed: np.random.SeedSe
     """Poses over workspace and branches, as flight software believes the arm to hang on Mars."""
     arm, gravity = arm_from(params), World().gravity_N_m_s2
     rng = np.random.default_rng(seed)
-    poses = workspace_poses(arm, tool, gravity, count, int(rng.integers(2**31)))
-    X_RT = tool_pose(arm, rest(arm, poses.output_rad, gravity).frames, tool)
-    away = AWAY_RAD * rng.choice([-1.0, 1.0], poses.output_rad.shape)
+    poses = workspace_poses(arm, tool, gravity, ENOUGH * count, int(rng.integers(2**31)))
+    # neighbours are branches of one target
+    output = poses.output_rad[:, rng.choice(ENOUGH * count, count, replace=False)]
+    X_RT = tool_pose(arm, rest(arm, output, gravity).frames, tool)
+    away = AWAY_RAD * rng.choice([-1.0, 1.0], output.shape)
     low, high = (limit[:, None] for limit in (arm.soft_min_rad + INSIDE_RAD, arm.soft_max_rad - INSIDE_RAD))
-    start = np.clip(poses.output_rad + away, low, high)
+    start = np.clip(output + away, low, high)
     seeds = rng.integers(2**31, size=count)
-    return [Place(tool, start[:, k], poses.output_rad[:, k], X_RT[k], int(seeds[k])) for k in range(count)]
+    return [Place(tool, start[:, k], output[:, k], X_RT[k], int(seeds[k])) for k in range(count)]
 
 
 def by_closed_loop(arm: BuiltArm, reference: Reference, backlash: Backlash) -> Moved:
