@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
+from fsw.config import Config
 from fsw.dictionary.joints import Tool
-from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import Array, Flags
 from ground.accuracy.combine import (
     PARTS,
@@ -22,7 +22,7 @@ from ground.accuracy.combine import (
 from ground.accuracy.moments import SquaredLength, pooled_quantile, squared_length
 from ground.accuracy.poses import Poses, workspace_poses
 from ground.accuracy.propagate import Sensitivity, sensitivity
-from ground.accuracy.sources import Case, ErrorModel
+from ground.accuracy.sources import Case, ErrorModel, is_compensated
 from ground.progress import Progress
 
 OURS: Final = "moments"
@@ -69,7 +69,7 @@ class Budget:
 def budget(
     model: ErrorModel,
     names: tuple[str, ...],
-    arm: Arm,
+    config: Config,
     gravity_R_m_s2: Array,
     tools: tuple[Tool, ...],
     count: int,
@@ -80,8 +80,8 @@ def budget(
     found: dict[str, dict[Tool, ToolBudget]] = {name: {} for name in names}
     for k, tool in enumerate(tools):
         progress(k, len(tools), tool.name.lower())
-        poses = workspace_poses(arm, tool, gravity_R_m_s2, -(-count // len(tools)), seed)
-        moved = sensitivity(arm, poses, gravity_R_m_s2)
+        poses = workspace_poses(config.arm, tool, gravity_R_m_s2, -(-count // len(tools)), seed)
+        moved = sensitivity(config, poses, gravity_R_m_s2)
         for name in names:
             found[name][tool] = tool_budget(model, model.case[name], poses, moved)
     return {name: Budget(name, model.case[name], found[name]) for name in names}
@@ -102,11 +102,16 @@ def tool_budget(model: ErrorModel, case: Case, poses: Poses, moved: Sensitivity)
 
 
 def _lengths(model: ErrorModel, case: Case, moved: Sensitivity) -> tuple[SquaredLength, ...]:
-    errors = [
-        (factor * moved.of(model.source[name]), model.source[name].spread)
-        for name, factor in case.sources.items()
-    ]
-    return tuple(squared_length([(u[part], spread) for u, spread in errors]) for part in PARTS)
+    """Of the errors of a case; where gravity holds an output on a flank, backlash is known and not drawn."""
+    errors, known = [], np.zeros((6, moved.side.shape[1]))
+    for name, factor in case.sources.items():
+        source = model.source[name]
+        u = factor * moved.of(source)
+        if source.effect == "backlash" and not is_compensated(factor):
+            known += np.einsum("ikn,kn->in", u, moved.side)
+            u = u * (moved.side == 0)
+        errors.append((u, source.spread))
+    return tuple(squared_length([(u[part], spread) for u, spread in errors], known[part]) for part in PARTS)
 
 
 def by_source(model: ErrorModel, case: Case, moved: Sensitivity) -> tuple[Array, Flags]:

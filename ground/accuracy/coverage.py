@@ -20,9 +20,9 @@ class Coverage:
     share: float
     """Of the errors that are within their bounds."""
     share_interval: Interval
-    ratio: float
+    width: float
     """Bound over the error that the wanted share stays within: 1 is just right, more is too wide."""
-    ratio_interval: Interval
+    width_interval: Interval
 
     def holds(self, wanted: float) -> bool:
         """Whether so much coverage is within the sampling interval, or below it."""

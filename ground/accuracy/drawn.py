@@ -7,7 +7,7 @@ import numpy as np
 from fsw.dictionary.joints import Frame, Joint, Tool
 from fsw.dictionary.tuples import row6
 from fsw.kinematics.transforms import Array
-from ground.accuracy.sources import Case, ErrorModel, Source, Spread
+from ground.accuracy.sources import Case, ErrorModel, Source, Spread, is_compensated
 from sim.effects.effect import EachMove, Effect
 from sim.effects.geometry import FrameError, LinkWarming
 from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle
@@ -58,11 +58,6 @@ def effects_of(source: Source, factor: float, tool: Tool, rng: np.random.Generat
         case "warming":
             warming_K = share * source.warming_K * drawn(source.spread, len(Frame), rng)
             yield from (LinkWarming(frame, float(warming_K[frame]), _at(frame, tool)) for frame in Frame)
-
-
-def is_compensated(backlash: float) -> bool:
-    """Whether flight software allows for backlash, of which so much is left."""
-    return backlash < 1
 
 
 def drawn(spread: Spread, count: int, rng: np.random.Generator) -> Array:

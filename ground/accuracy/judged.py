@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fsw.config import Config
 from fsw.dictionary.joints import Tool
-from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import Array
 from ground.accuracy.at_limit import AtLimit, at_limit, backlash_sum
 from ground.accuracy.budget import COMPONENTS, COVERAGE, Budget, tool_budget
@@ -45,12 +45,12 @@ class Judged:
 
 
 def judged(
-    model: ErrorModel, case: str, arm: Arm, gravity_R_m_s2: Array, trials: Sequence[Sequence[Measured]]
+    model: ErrorModel, case: str, config: Config, gravity_R_m_s2: Array, trials: Sequence[Sequence[Measured]]
 ) -> Judged:
     """The judgement over all trials, one of each arm."""
     by_tool = {tool: [m for trial in trials for m in trial if m.tool == tool] for tool in Tool}
     by_tool = {tool: found for tool, found in by_tool.items() if found}
-    moved = {tool: _moved(arm, gravity_R_m_s2, tool, found) for tool, found in by_tool.items()}
+    moved = {tool: _moved(config, gravity_R_m_s2, tool, found) for tool, found in by_tool.items()}
     budgets = {
         tool: tool_budget(model, model.case[case], _poses(tool, found), moved[tool])
         for tool, found in by_tool.items()
@@ -86,8 +86,8 @@ def _poses(tool: Tool, found: Sequence[Measured]) -> Poses:
     return Poses(tool, output, np.full((3, len(found)), np.nan))
 
 
-def _moved(arm: Arm, gravity_R_m_s2: Array, tool: Tool, found: Sequence[Measured]) -> Sensitivity:
-    return sensitivity(arm, _poses(tool, found), gravity_R_m_s2)
+def _moved(config: Config, gravity_R_m_s2: Array, tool: Tool, found: Sequence[Measured]) -> Sensitivity:
+    return sensitivity(config, _poses(tool, found), gravity_R_m_s2)
 
 
 def _bound(budgets: Mapping[Tool, object], rule: str, name: str) -> Array:

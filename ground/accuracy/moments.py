@@ -1,11 +1,13 @@
 """How long a sum of independent errors is, from the moments of each: our own rule.
 
-The squared length Q of u = sum of u_k e_k, with errors e_k of cumulants k2, k4, k6 and no odd ones, has with
-S = sum of k2 u_k u_k' the cumulants
+The squared length Q of u = c + sum of u_k e_k, with a known c and errors e_k of cumulants k2, k4, k6 and no
+odd ones, has with S = sum of k2 u_k u_k' the cumulants
 
-    tr S,    2 tr S^2 + sum k4 |u_k|^4,    8 tr S^3 + 12 sum k4 |u_k|^2 u_k' S u_k + sum k6 |u_k|^6
+    c'c + tr S
+    4 c'Sc + 2 tr S^2 + sum k4 |u_k|^4
+    24 c'S^2c + 8 tr S^3 + 12 sum k4 |u_k|^2 (u_k'S u_k + (c'u_k)^2) + sum k6 |u_k|^6
 
-For normal errors only the first terms are left. A scaled and shifted chi-square with the same three gives
+For normal errors the sums over k are nought. A scaled and shifted chi-square with the same three gives
 quantiles (Hall, Buckley and Eagleson; Buckley and Eagleson 1988).
 """
 
@@ -54,22 +56,23 @@ class SquaredLength:
         return np.asarray(chi2.cdf(freedom + np.sqrt(2 * freedom) * normed, freedom))
 
 
-def squared_length(errors: Sequence[tuple[Array, Spread]]) -> SquaredLength:
-    """Of the sum of independent errors (m, k, n) at their magnitudes, k of a spread at a time."""
+def squared_length(errors: Sequence[tuple[Array, Spread]], known: Array | None = None) -> SquaredLength:
+    """Of a known error (m, n) and independent ones (m, k, n) at their magnitudes, k of a spread at a time."""
     m, _, n = errors[0][0].shape
+    c = np.zeros((m, n)) if known is None else known
     S = np.zeros((m, m, n))
     for u, spread in errors:
         S += CUMULANTS_OF[spread][0] * np.einsum("ikn,jkn->ijn", u, u)
     S2 = np.einsum("ijn,jkn->ikn", S, S)
-    mean = np.einsum("iin->n", S)
-    variance = 2 * np.einsum("iin->n", S2)
-    third = 8 * np.einsum("ijn,jin->n", S2, S)
+    mean = np.einsum("iin->n", S) + np.einsum("in,in->n", c, c)
+    variance = 2 * np.einsum("iin->n", S2) + 4 * np.einsum("in,ijn,jn->n", c, S, c)
+    third = 8 * np.einsum("ijn,jin->n", S2, S) + 24 * np.einsum("in,ijn,jn->n", c, S2, c)
     for u, spread in errors:
         _, k4, k6 = CUMULANTS_OF[spread]
         if k4:
             square = np.einsum("ikn,ikn->kn", u, u)
             variance += k4 * np.einsum("kn,kn->n", square, square)
-            along = np.einsum("ikn,ijn,jkn->kn", u, S, u)
+            along = np.einsum("ikn,ijn,jkn->kn", u, S, u) + np.einsum("in,ikn->kn", c, u) ** 2
             third += 12 * k4 * np.einsum("kn,kn->n", square, along) + k6 * (square**3).sum(axis=0)
     return SquaredLength(mean, np.maximum(variance, 0.0), third)
 

@@ -10,9 +10,8 @@ from typing import Any, Final, cast, get_args
 
 import numpy as np
 
-from fsw.config import digest
+from fsw.config import configure, digest
 from fsw.dictionary.params import Params
-from fsw.kinematics.arm import arm_from
 from ground.accuracy.budget import COMPONENTS
 from ground.accuracy.combine import PARTS
 from ground.accuracy.judged import Judged, judged
@@ -83,7 +82,7 @@ def monte_carlo_report(request: MonteCarloRequest, progress: Progress) -> MonteC
     failed = {record["arm"]: record["failed"] for record in records if "failed" in record}
     trials = tuple(tuple(measured_in(record)) for record in records if "failed" not in record)
     gravity = World().gravity_N_m_s2
-    found = judged(model, request.case, arm_from(jobs[0].params), gravity, trials) if trials else None
+    found = judged(model, request.case, configure(jobs[0].params), gravity, trials) if trials else None
     return MonteCarloReport(request, model, trials, failed, found, _spreads(trials))
 
 

@@ -89,6 +89,11 @@ class ErrorModel:
     case: Mapping[str, Case]
 
 
+def is_compensated(backlash: float) -> bool:
+    """Whether flight software allows for backlash, of which so much is left."""
+    return backlash < 1
+
+
 def error_model() -> ErrorModel:
     """The sources and cases of the house."""
     text = resources.files("ground.accuracy").joinpath("sources.toml").read_text(encoding="utf-8")

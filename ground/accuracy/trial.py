@@ -17,15 +17,16 @@ from fsw.kinematics.arm import arm_from
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array, Pose
-from ground.accuracy.drawn import drawn_effects, is_compensated
+from ground.accuracy.drawn import drawn_effects
 from ground.accuracy.poses import workspace_poses
-from ground.accuracy.sources import Case, ErrorModel
+from ground.accuracy.sources import Case, ErrorModel, is_compensated
 from sim.arms import BuiltArm, arm_named
 from sim.avionics import move_rng
 from sim.effects.effect import EachMove, drawn_scatter
 from sim.effects.environment import Ambient, NothingToTouch
 from sim.initialisation import initial_reference, true_reference
 from sim.loop import ClosedLoop, Setup, hardware_rng
+from sim.params import nominal_params
 from sim.sequence import run_sequence
 from sim.settled import settled_move
 from sim.trials import TEMPERATURE_C
@@ -168,7 +169,7 @@ def by_closed_loop(arm: BuiltArm, reference: Reference, backlash: Backlash) -> M
 
 def by_statics(arm: BuiltArm, backlash: Backlash) -> Moved:
     """The equilibrium of the arm, its gears as the move leaves them."""
-    known = arm.params
+    known = nominal_params()
     for effect in arm.effects:
         known = effect.on_params(known)
     believed, true = configure(arm.params), configure(known)

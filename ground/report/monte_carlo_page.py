@@ -45,8 +45,8 @@ def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
             paragraph(percentiles(found)),
             image(picture, "errors and bounds"),
             paragraph(
-                "Over percentile: the bound of a rule, pose by pose, over what 99.73 % of the errors stay "
-                "within. The 95 % intervals count arms."
+                "Width: the bound of a rule, pose by pose, over what 99.73 % of errors stay within there. "
+                "The 95 % intervals count arms."
             ),
             table(RULE_HEAD, rule_rows(found)),
             heading("What equation 13 takes for granted"),
@@ -70,5 +70,5 @@ def _draw(figure: Any, found: Judged) -> None:
         )
         for rule, value in estimates.items():
             axes.axvline(value, color=COLOURS[rule], label=rule)
-        axes.set(title=name.rsplit("_", 1)[0], xlabel=unit, xlim=(0, top), ylabel="moves")
+        axes.set(title=name.rsplit("_", 1)[0], xlabel=unit, xlim=(0, top), ylabel="moves", ylim=(0.7, None))
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=9)

@@ -47,8 +47,8 @@ def _judged_json(found: Judged) -> dict[str, Any]:
                 name: {
                     "coverage": c.share,
                     "coverage_interval": _ends(c.share_interval),
-                    "over_percentile": c.ratio,
-                    "over_percentile_interval": _ends(c.ratio_interval),
+                    "width": c.width,
+                    "width_interval": _ends(c.width_interval),
                     "estimate": found.budget.estimate(rule, name),
                 }
                 for name, c in by_component.items()
@@ -99,7 +99,7 @@ def _print_rest(console: Console, report: MonteCarloReport) -> None:
 
 
 def rule_rows(found: Judged) -> list[tuple[str, ...]]:
-    """Rule, component, what it says, coverage with its interval, and bound over percentile with its own."""
+    """Rule, component, what it says, coverage with its interval, and its width with that."""
     rows: list[tuple[str, ...]] = []
     for rule in RULES:
         for name in COMPONENTS:
@@ -112,14 +112,14 @@ def rule_rows(found: Judged) -> list[tuple[str, ...]]:
                     shown(name, found.budget.estimate(rule, name)),
                     f"{100 * c.share:.2f} %",
                     f"{100 * low:.2f} .. {100 * high:.2f} %",
-                    f"{c.ratio:.2f}",
-                    f"{c.ratio_interval[0]:.2f} .. {c.ratio_interval[1]:.2f}",
+                    f"{c.width:.2f}",
+                    f"{c.width_interval[0]:.2f} .. {c.width_interval[1]:.2f}",
                 )
             )
     return rows
 
 
-RULE_HEAD: Final = ("rule", "", "estimate", "covers", "95 %", "over percentile", "95 %")
+RULE_HEAD: Final = ("rule", "", "estimate", "covers", "95 %", "width", "95 %")
 
 
 def percentiles(found: Judged) -> str:
