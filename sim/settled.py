@@ -22,6 +22,17 @@ from sim.scatter import Scatter, body_index
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class StaticArm:
+    """An arm and what flight software believes of it."""
+
+    believed: Config
+    true: Config
+    reference: Reference
+    off_rad: Array
+    """By how much motors stand beyond where they are believed to, (5,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SettledMove:
     """The arm at rest after a move."""
 
@@ -31,10 +42,7 @@ class SettledMove:
 
 
 def settled_move(
-    believed: Config,
-    true: Config,
-    reference: Reference,
-    zero_error_rad: Array,
+    arm: StaticArm,
     start_rad: Array,
     goal_rad: Array,
     tool: Tool,
@@ -44,9 +52,9 @@ def settled_move(
 ) -> SettledMove:
     """The move from outputs (5) to outputs (5), as flight software believes them to be.
 
-    `true` are the parameters that the arm has; `zero_error_rad` (5) is by how much motors are beyond where
-    they are believed to be. Displaced frames move the tool in proportion: they are small.
+    Displaced frames move the tool in proportion: they are small.
     """
+    believed, true, reference = arm.believed, arm.true, arm.reference
     hanging = rest(believed.arm, goal_rad, gravity_R_m_s2)
     loads = uncertain_loads(believed, hanging.torque_Nm, gravity_R_m_s2)
     lying = bounds_under(believed, reference.half_gap_rad, loads)
@@ -55,7 +63,7 @@ def settled_move(
         asleep(believed, reference), awake=True, motor_rad=start.motor_rad, imu_R_m_s2=gravity_R_m_s2
     )
     plan = plan_to(believed, joints, start, goal_rad, hanging.torque_Nm, Compensation(backlash))
-    off_rad = zero_error_rad + scatter.motor_rad
+    off_rad = arm.off_rad + scatter.motor_rad
     motor = start.motor_rad + off_rad
     torque = rest(true.arm, goal_rad, gravity_R_m_s2).torque_Nm
     gear = start.gear_rad

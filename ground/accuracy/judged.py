@@ -12,10 +12,10 @@ from ground.accuracy.at_limit import AtLimit, at_limit, backlash_sum
 from ground.accuracy.budget import COMPONENTS, COVERAGE, Budget, tool_budget
 from ground.accuracy.combine import bounds
 from ground.accuracy.coverage import Coverage, Interval, coverage, quantile_interval
+from ground.accuracy.places import Measured
 from ground.accuracy.poses import Poses
 from ground.accuracy.propagate import Sensitivity, sensitivity
 from ground.accuracy.sources import ErrorModel
-from ground.accuracy.trial import Measured
 
 ON_FLANK = 0.999
 """Of half a gap."""

@@ -8,8 +8,9 @@ import numpy as np
 
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.params import Params
+from ground.accuracy.places import Measured
 from ground.accuracy.sources import error_model
-from ground.accuracy.trial import How, Measured, built_trial, drawn_trial
+from ground.accuracy.trial import How, built_trial, drawn_trial
 from ground.pool import Runner
 from ground.progress import Progress
 from ground.results_file import ResultsFile

@@ -16,8 +16,9 @@ from ground.accuracy.budget import COMPONENTS
 from ground.accuracy.combine import PARTS
 from ground.accuracy.judged import Judged, judged
 from ground.accuracy.monte_carlo import ArmJob, Built, measured_in, run_jobs
+from ground.accuracy.places import Measured
 from ground.accuracy.sources import ErrorModel, error_model
-from ground.accuracy.trial import How, Measured
+from ground.accuracy.trial import How
 from ground.accuracy.variance import Spreads, spreads
 from ground.outputs import BadOutput, check_output
 from ground.pool import on_cluster, on_this_machine

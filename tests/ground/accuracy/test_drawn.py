@@ -9,10 +9,11 @@ from fsw.config import configure
 from fsw.dictionary.joints import Frame, Joint, Tool
 from fsw.kinematics.transforms import Array, Pose
 from ground.accuracy.drawn import Z_TURN, drawn_effects, effects_of
+from ground.accuracy.places import error_in_tool, random_places
 from ground.accuracy.poses import Poses
 from ground.accuracy.propagate import Sensitivity, sensitivity
 from ground.accuracy.sources import error_model
-from ground.accuracy.trial import by_closed_loop, by_statics, error_in_tool, random_places
+from ground.accuracy.ways import by_closed_loop, by_statics
 from sim.arms import BuiltArm, arm_named
 from sim.avionics import move_rng
 from sim.effects.effect import EachMove, Effect, drawn_scatter
