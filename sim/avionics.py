@@ -164,8 +164,10 @@ class Avionics:
             self._shake(drive.vibrate)
 
     def _begin_move(self) -> None:
-        """Another draw of all that a move leaves to chance."""
-        self._plant.scattered(drawn_scatter(self._hardware.each_move, self._move_rng))
+        """Another draw of all that a move leaves to chance; what presses on something stays where it is."""
+        drawn = drawn_scatter(self._hardware.each_move, self._move_rng)
+        if not self._plant.data.ncon:
+            self._plant.scattered(drawn)
 
     def _shake(self, on: bool) -> None:
         """The unbalance of the vibration motor, a quarter of a turn farther; nothing once it is off."""

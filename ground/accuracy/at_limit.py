@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsw.dictionary.joints import Joint
-from fsw.kinematics.transforms import Array
-from ground.accuracy.combine import TOTAL
+from fsw.kinematics.transforms import Array, Flags
+from ground.accuracy.combine import TOTAL, paper_rule
 from ground.accuracy.moments import pooled_quantile, squared_length
 from ground.accuracy.propagate import Sensitivity
 from ground.accuracy.sources import Case, ErrorModel
@@ -57,3 +57,15 @@ def backlash_sum(model: ErrorModel, moved: Sensitivity, gap: Array) -> Array:
     there = np.einsum("ikn,kn->in", by_joint, gap)
     most = np.linalg.norm(np.abs(by_joint).sum(axis=1), axis=0)
     return np.asarray(np.linalg.norm(there, axis=0) / most)
+
+
+def without_adding(u: Array, at_limit: Flags) -> dict[str, Array]:
+    """What the paper's rule says of errors (sources, 6, 7, n), were less of it adding: components (6, n)."""
+    rooted = np.sqrt((u**2).sum(axis=2, keepdims=True))
+    no_source = np.zeros_like(at_limit)
+    return {
+        "paper": paper_rule(u, at_limit),
+        "paper, no source added": paper_rule(u, no_source),
+        "paper, no frames added": paper_rule(rooted, at_limit),
+        "paper, neither added": paper_rule(rooted, no_source),
+    }

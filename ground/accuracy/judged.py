@@ -1,6 +1,6 @@
 """Measured errors against the budget at their own poses: how often its bounds hold, and how wide they are."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,8 +8,8 @@ import numpy as np
 from fsw.config import Config
 from fsw.dictionary.joints import Tool
 from fsw.kinematics.transforms import Array
-from ground.accuracy.at_limit import AtLimit, at_limit, backlash_sum
-from ground.accuracy.budget import COMPONENTS, COVERAGE, Budget, tool_budget
+from ground.accuracy.at_limit import AtLimit, at_limit, backlash_sum, without_adding
+from ground.accuracy.budget import COMPONENTS, COVERAGE, Budget, by_source, tool_budget
 from ground.accuracy.combine import bounds
 from ground.accuracy.coverage import Coverage, Interval, coverage, quantile_interval
 from ground.accuracy.places import Measured
@@ -42,6 +42,8 @@ class Judged:
     backlash: tuple[float, float, float]
     """How far backlash moved the tool over the sum of what it can at each joint: median, 95 %, most."""
     at_limit: tuple[AtLimit, ...]
+    without_adding_m: Mapping[str, float]
+    """The total by the paper's rule, and with less of it added: what 99.73 % of the poses stay within."""
 
 
 def judged(
@@ -78,7 +80,16 @@ def judged(
         side=gap.mean(axis=0),
         backlash=(float(np.median(sums)), float(np.quantile(sums, 0.95)), float(sums.max())),
         at_limit=at_limit(model, model.case[case], list(moved.values())),
+        without_adding_m=_without_adding(model, case, moved.values()),
     )
+
+
+def _without_adding(model: ErrorModel, case: str, moved: Iterable[Sensitivity]) -> dict[str, float]:
+    by_tool = [without_adding(*by_source(model, model.case[case], one)) for one in moved]
+    return {
+        name: float(np.quantile(np.concatenate([bounds(u[name]).total_m for u in by_tool]), COVERAGE))
+        for name in by_tool[0]
+    }
 
 
 def _poses(tool: Tool, found: Sequence[Measured]) -> Poses:

@@ -14,6 +14,7 @@ from ground.report.monte_carlo_tables import (
     LIMIT_HEAD,
     RULE_HEAD,
     SIGMA_HEAD,
+    adding_sentence,
     gap_sentence,
     limit_row,
     percentiles,
@@ -52,6 +53,7 @@ def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
             heading("What equation 13 takes for granted"),
             table(LIMIT_HEAD, [limit_row(one) for one in found.at_limit]),
             paragraph(gap_sentence(found)),
+            paragraph(adding_sentence(found)),
         ]
     if report.spreads is not None:
         parts += [heading("Between arms and within them"), table(SIGMA_HEAD, sigma_rows(report))]

@@ -61,6 +61,7 @@ def _judged_json(found: Judged) -> dict[str, Any]:
             "shift_over_sum": dict(zip(("median", "p95", "most"), found.backlash, strict=True)),
         },
         "at_limit": [asdict(one) for one in found.at_limit],
+        "without_adding_m": dict(found.without_adding_m),
     }
 
 
@@ -84,6 +85,7 @@ def monte_carlo_table(report: MonteCarloReport) -> None:
         console.print(_rules(report, found))
         console.print(_at_limit(found))
         console.print(gap_sentence(found))
+        console.print(adding_sentence(found))
     if report.spreads is not None:
         console.print(_three_sigma(report))
     _print_rest(console, report)
@@ -168,6 +170,12 @@ def gap_sentence(found: Judged) -> str:
         f"{side}. At the tool the five gaps make {100 * median:.0f} % of their sum (median; 95 % stay "
         f"within {100 * often:.0f} %, most {100 * most:.0f} %)."
     )
+
+
+def adding_sentence(found: Judged) -> str:
+    """What of the paper's rule makes it wide."""
+    values = "; ".join(f"{name} {1e3 * value:.1f} mm" for name, value in found.without_adding_m.items())
+    return f"Total by the rule and with less of it added: {values}."
 
 
 SIGMA_HEAD: Final = ("three sigma", "of any arm", "at most", "of one arm", "at most")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import MoveJoints
+from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.joints import Frame, Joint, Tool
 from fsw.dictionary.tuples import joints5
 from fsw.kinematics.arm import arm_from
@@ -14,8 +15,9 @@ from sim.arms import arm_named
 from sim.effects.moves import FramePlay, ServoError, Windup
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
+from sim.placement import Placement, PlacementRun
 from sim.scatter import BODIES, body_index, no_scatter
-from sim.world import World
+from sim.world import Surface, World
 from tests.sim import lab
 
 NOMINAL = arm_named("nominal")
@@ -89,6 +91,21 @@ def test_flight_software_does_not_see_where_its_encoders_are_wrong():
     assert (true - believed)[Joint.WRIST] == pytest.approx(
         loop.plant.scatter.motor_rad[Joint.WRIST], abs=1e-5
     )
+
+
+def test_what_presses_on_something_stays_where_it_is():
+    point, normal = (2.1, 0.2, -0.3), (-0.3, 0.0, -1.0)
+    world = World(surface=Surface(point, normal))
+    loop = ClosedLoop(
+        Setup(NOMINAL, world, NOMINAL.params.poses.ready_rad, 1, true_reference(NOMINAL), BY_CHANCE)
+    )
+    at_end = {}
+    for record in PlacementRun(loop, Placement(Tool.APXS, point, normal)):
+        for evr in record.outputs.evrs:
+            if isinstance(evr, CommandCompleted):
+                at_end[evr.command] = drawn(loop)
+    assert np.array_equal(at_end["GuardedMove"], at_end["Retract"])
+    assert not np.array_equal(at_end["MoveTool"], at_end["GuardedMove"])
 
 
 def test_a_displaced_frame_moves_what_it_carries_and_the_next_draw_begins_where_it_was_built():

@@ -32,7 +32,6 @@ PLACE = random_places(NOMINAL.params, TOOL, 1, np.random.SeedSequence(4))[0]
 LARGER = {"slop": 20.0, "wobble": 10.0, "encoder": 10.0, "distortion_gradient": 5.0, "motor_controller": 5.0}
 """Errors of hundredths of a millimetre would be lost in what the plant does by itself."""
 CLOSE_M, CLOSE_RAD, CLOSE_SHARE = 3e-5, 4e-5, 0.02
-
 LOAD_MOVES_SHARE = 0.08
 """A softer arm changes its load, which the paper's equation 9 leaves out."""
 

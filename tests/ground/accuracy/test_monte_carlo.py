@@ -52,6 +52,13 @@ def test_outputs_lie_on_flanks_but_their_gaps_do_not_add_up(report):
     assert most <= 1.0
 
 
+def test_what_makes_the_papers_rule_wide_is_adding_sources_and_adding_frames(report):
+    whole, no_source, no_frames, neither = report.judged.without_adding_m.values()
+    assert neither < no_source < 0.7 * whole
+    assert neither < no_frames < 0.7 * whole
+    assert whole == pytest.approx(report.judged.budget.estimate("paper", "total_m"))
+
+
 def test_errors_are_of_the_same_size_in_every_component_as_their_bounds(report):
     for name in COMPONENTS:
         within = report.judged.budget.estimate(OURS, name)
