@@ -67,9 +67,8 @@ def _draw(figure: Any, found: Judged) -> None:
         error = scale * found.error[name]
         top = 1.05 * max(*estimates.values(), error.max())
         axes.hist(error, np.linspace(0.0, top, BINS), color="#8fb3d9", log=True)
-        axes.axvline(
-            scale * found.percentile[name], color="black", linestyle=":", label="99.73 % of the errors"
-        )
+        within = scale * found.percentile[name]
+        axes.axvline(within, color="black", linestyle=":", zorder=5, label="99.73 % of the errors")
         for rule, value in estimates.items():
             axes.axvline(value, color=COLOURS[rule], label=rule)
         axes.set(title=name.rsplit("_", 1)[0], xlabel=unit, xlim=(0, top), ylabel="moves", ylim=(0.7, None))

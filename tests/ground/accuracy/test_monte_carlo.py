@@ -1,6 +1,7 @@
 """`marsarm monte-carlo`: arms against the budget; resumed, re-run alone, refused."""
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -94,6 +95,13 @@ def test_results_of_another_case_are_refused(tmp_path):
     monte_carlo_report(replace(STATICS, arms=1, results=path), quiet)
     with pytest.raises(BadRequest, match="case accuracy there, mars now"):
         monte_carlo_report(replace(STATICS, case="mars", results=path), quiet)
+
+
+def test_without_ray_a_cluster_is_refused_and_nothing_is_written(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(BadRequest, match="ray is not installed"):
+        monte_carlo_report(replace(STATICS, cluster=True, results=tmp_path / "r.jsonl"), quiet)
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_closed_loop_measures_what_statics_do():
