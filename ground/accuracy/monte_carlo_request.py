@@ -11,7 +11,6 @@ from typing import Any, Final, cast, get_args
 import numpy as np
 
 from fsw.config import configure, digest
-from fsw.dictionary.params import Params
 from ground.accuracy.budget import COMPONENTS
 from ground.accuracy.combine import PARTS
 from ground.accuracy.judged import Judged, judged
@@ -75,7 +74,7 @@ def monte_carlo_report(request: MonteCarloRequest, progress: Progress) -> MonteC
     """
     model = error_model()
     _check(request, model)
-    jobs = [_job(request, k) for k in ([request.only] if request.only is not None else range(request.arms))]
+    jobs = _jobs(request)
     runner = on_cluster() if request.cluster else on_this_machine(request.workers)
     file = None if request.results is None else ResultsFile(request.results, _told(request, jobs))
     with nullcontext() if file is None else file:
@@ -106,33 +105,32 @@ def _check(request: MonteCarloRequest, model: ErrorModel) -> None:
         raise BadRequest(str(error)) from error
 
 
-def _job(request: MonteCarloRequest, arm: int) -> ArmJob:
-    return ArmJob(
-        request.case,
-        cast(Built, request.built),
-        request.places,
-        cast(How, request.how),
-        request.seed,
-        arm,
-        _params(request, arm),
-    )
+def _jobs(request: MonteCarloRequest) -> list[ArmJob]:
+    arms = range(request.arms) if request.only is None else [request.only]
+    built, how = cast(Built, request.built), cast(How, request.how)
+    if _are_of_arms(request.params):
+        names = [Path(str(request.params).replace(SEED, str(request.seed + arm))) for arm in arms]
+        params = [chosen_arm("nominal", name).params for name in names]
+    else:
+        params = [chosen_arm("nominal", request.params).params] * len(arms)
+    return [
+        ArmJob(request.case, built, request.places, how, request.seed, arm, own)
+        for arm, own in zip(arms, params, strict=True)
+    ]
 
 
-def _params(request: MonteCarloRequest, arm: int) -> Params:
-    """Those of this arm, if the name of the file has the arm's seed in it."""
-    if request.params is None:
-        return chosen_arm("nominal", None).params
-    return chosen_arm("nominal", Path(str(request.params).replace(SEED, str(request.seed + arm)))).params
+def _are_of_arms(params: Path | None) -> bool:
+    """Whether every arm has a file of its own."""
+    return params is not None and SEED in str(params)
 
 
 def _told(request: MonteCarloRequest, jobs: list[ArmJob]) -> dict[str, Any]:
     """What results depend on, but for how many arms there are: more can be added."""
     sources = resources.files("ground.accuracy").joinpath("sources.toml").read_bytes()
     same = ("case", "built", "places", "how", "seed")
-    params = str(request.params) if request.params is not None and SEED in str(request.params) else None
     return {
         **{name: value for name, value in asdict(request).items() if name in same},
-        "params": params or digest(jobs[0].params),
+        "params": str(request.params) if _are_of_arms(request.params) else digest(jobs[0].params),
         "sources": sha256(sources).hexdigest(),
     }
 

@@ -1,6 +1,7 @@
 """Two ways to move an arm to a place: plant and flight software, or where statics leave it."""
 
 from dataclasses import replace
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.commands import Backlash, MoveTool
 from fsw.dictionary.evrs import CommandCompleted
+from fsw.dictionary.params import Params
 from fsw.dictionary.tuples import joints5, vector3
 from fsw.estimate.reference import Reference, no_reference
 from fsw.kinematics.transforms import Array, Pose
@@ -56,7 +58,7 @@ def by_closed_loop(arm: BuiltArm, reference: Reference, backlash: Backlash) -> M
 
 def by_statics(arm: BuiltArm, backlash: Backlash) -> Moved:
     """The equilibrium of the arm, its gears as the move leaves them; initialised without any error."""
-    known = nominal_params()
+    known = _drawing()
     for effect in arm.effects:
         known = effect.on_params(known)
     believed, true = configure(arm.params), configure(known)
@@ -75,6 +77,11 @@ def by_statics(arm: BuiltArm, backlash: Backlash) -> Moved:
         return settled.X_RT, settled.gap_rad / true.half_gap_rad
 
     return moved
+
+
+@cache
+def _drawing() -> Params:
+    return nominal_params()
 
 
 def _rest(loop: ClosedLoop, duration_s: float) -> None:

@@ -1,6 +1,7 @@
 """Frames that do not stand where the drawing has them."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import mujoco
 import numpy as np
@@ -89,10 +90,7 @@ class LinkWarming(Effect):
         return self._grown().on_params(params)
 
     def _grown(self) -> FrameError:
-        params = nominal_params()
-        links = [link.expansion_1_K for link in params.links.in_order()]
-        tools = [tool.expansion_1_K for tool in params.tools.in_order()]
-        expansion_1_K = (*links, *tools)[body_index(self.frame, self.tool)]
+        expansion_1_K = _expansions_1_K()[body_index(self.frame, self.tool)]
         return FrameError(self.frame, row6(self.warming_K * np.array(expansion_1_K)), self.tool)
 
 
@@ -116,6 +114,14 @@ class Warming(Effect):
     def _parts(self) -> list[LinkWarming]:
         inner = [LinkWarming(frame, self.warming_K) for frame in Frame if frame is not Frame.TOOL]
         return inner + [LinkWarming(Frame.TOOL, self.warming_K, tool) for tool in Tool]
+
+
+@cache
+def _expansions_1_K() -> tuple[Row6, ...]:
+    """Of all that ends in one of BODIES, on the drawing."""
+    params = nominal_params()
+    links = [link.expansion_1_K for link in params.links.in_order()]
+    return (*links, *(tool.expansion_1_K for tool in params.tools.in_order()))
 
 
 def _placed(lump: Lump, X: Pose) -> Lump:
