@@ -11,13 +11,14 @@ WORKERS ?= 2
 
 say = echo "marsarm: $(1)" >&2
 
-.PHONY: help setup demo test bench campaign joints jobs killed damage fuzz references oracle viewers lint lock clean
+.PHONY: help setup demo test bench campaign accuracy joints jobs killed damage fuzz references oracle viewers lint lock clean
 
 help:
 	@echo "make demo      set up, put the APXS on a rock on Mars, write a picture"
 	@echo "make test      set up, run the tests"
 	@echo "make bench     print the benchmarks as JSON"
 	@echo "make campaign  try the inverse kinematics on twenty million targets, print what was found as JSON"
+	@echo "make accuracy  hold the error budget against ten thousand arms, print how well it holds as JSON"
 	@echo "make joints    find hardstops and backlash again and again on many arms, print how well as JSON"
 	@echo "make jobs      run every scenario, tool changes and faults on many arms, print how well as JSON"
 	@echo "make killed    kill recorded runs at random moments, print what their logs lost as JSON"
@@ -47,6 +48,10 @@ bench: $(VENV)/ready
 campaign: $(VENV)/ready
 	@$(call say,twenty million targets in $(WORKERS) processes; this takes the better part of an hour)
 	@$(BIN)/python -m benchmarks.kinematics --targets 10000000 --vectors 10000000 --workers $(WORKERS) $(ARGS)
+
+accuracy: $(VENV)/ready
+	@$(call say,arms against the error budget in $(WORKERS) processes; this takes the better part of an hour)
+	@$(BIN)/python -m benchmarks.monte_carlo --workers $(WORKERS) $(ARGS)
 
 joints: $(VENV)/ready
 	@$(call say,hardstops and backlash in $(WORKERS) processes; this takes the better part of an hour)

@@ -5,6 +5,7 @@ import platform
 import sys
 from typing import Any
 
+from benchmarks.budget import budget_speed
 from benchmarks.closed_loop import closed_loop
 from benchmarks.kinematics import campaign
 from benchmarks.kinematics_speed import kinematics_speed
@@ -24,6 +25,7 @@ def main() -> None:
         "recording": recording(),
         "kinematics_speed": kinematics_speed(),
         "log_reading": log_reading(),
+        "budget": budget_speed(),
         "kinematics_campaign": campaign(CAMPAIGN, CAMPAIGN),
     }
     print(json.dumps(results, indent=2))

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from fsw.config import digest
+from fsw.config import configure, digest
 from fsw.dictionary.joints import Tool
-from fsw.kinematics.arm import arm_from
 from ground.accuracy.budget import Budget, budget
 from ground.accuracy.paper import TABLE_3, TABLE_4, Row
 from ground.accuracy.reproduce import Reproduced, reproduce
@@ -72,8 +71,8 @@ def budget_report(request: BudgetRequest, progress: Progress) -> BudgetReport:
     except BadOutput as error:
         raise BadRequest(str(error)) from error
     params = chosen_arm("nominal", request.params).params
-    arm = arm_from(params)
-    budgets = budget(model, names, arm, gravity, tools, request.poses, request.seed, progress)
+    config = configure(params)
+    budgets = budget(model, names, config, gravity, tools, request.poses, request.seed, progress)
     rows = [
         (row, budgets[row.case].estimate("paper", row.component))
         for row in (*TABLE_3, *TABLE_4)
@@ -82,7 +81,7 @@ def budget_report(request: BudgetRequest, progress: Progress) -> BudgetReport:
     reproduced: list[Reproduced] = []
     for table in (TABLE_3, TABLE_4) if request.reproduce else ():
         progress(len(reproduced), 2, "reproducing")
-        reproduced.append(reproduce(model, table, arm, gravity, request.seed))
+        reproduced.append(reproduce(model, table, config, gravity, request.seed))
     return BudgetReport(request, model, budgets, tuple(rows), tuple(reproduced), digest(params))
 
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fsw.config import Config
 from fsw.dictionary.joints import Frame
-from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import Frames, frame_jacobian, tool_pose
 from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array, Pose, adjoint, rotate
 from ground.accuracy.poses import Poses
-from ground.accuracy.sources import SIGMA_OF, Source
+from ground.accuracy.sources import Source
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,6 +27,8 @@ class Sensitivity:
     """What each link and gear yields under the load, (6, 7, n): the deflection whole, not a share of it."""
     growth_1_K: Array
     """What each link grows by, a kelvin, (6, 7, n)."""
+    side: Array
+    """On which flank of its gap its load holds each output, +1 or -1; 0 where friction may; (5, n)."""
 
     def of(self, source: Source) -> Array:
         """The errors (6, k, n) of a source at its magnitude: of independent kinds, with their signs."""
@@ -46,14 +48,10 @@ class Sensitivity:
             return np.asarray(np.einsum("ikjn,kj->ijn", np.abs(self.J), source.theta))
         return np.abs(self.of(source))
 
-    def covariance(self, source: Source) -> Array:
-        """Of the errors of a source, (6, 6, n): all that it is made of varies independently."""
-        u = self.of(source) * SIGMA_OF[source.spread]
-        return np.asarray(np.einsum("ikn,jkn->ijn", u, u))
 
-
-def sensitivity(arm: Arm, poses: Poses, gravity_R_m_s2: Array) -> Sensitivity:
+def sensitivity(config: Config, poses: Poses, gravity_R_m_s2: Array) -> Sensitivity:
     """What moves the tool of the hanging arm at these poses."""
+    arm = config.arm
     hanging = rest(arm, poses.output_rad, gravity_R_m_s2)
     X_RT = tool_pose(arm, hanging.frames, poses.tool)
     J = frame_jacobian(hanging.frames, X_RT)
@@ -64,8 +62,12 @@ def sensitivity(arm: Arm, poses: Poses, gravity_R_m_s2: Array) -> Sensitivity:
     # the joint that moves link j + 1 turns about the z axis of frame j
     sag[:, :5] += J[:, 2, :5] * (hanging.torque_Nm / arm.gear_stiffness_Nm_rad[:, None])
     turn = X_RT.R.swapaxes(0, 1)
+    held = np.abs(hanging.torque_Nm) > config.output_friction_Nm[:, None]
     return Sensitivity(
-        _turned(turn[:, :, None, None], J), _turned(turn[:, :, None], sag), _turned(turn[:, :, None], growth)
+        _turned(turn[:, :, None, None], J),
+        _turned(turn[:, :, None], sag),
+        _turned(turn[:, :, None], growth),
+        np.sign(hanging.torque_Nm) * held,
     )
 
 

@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 from scipy.optimize import least_squares
 
+from fsw.config import Config
 from fsw.dictionary.commands import Vector3
 from fsw.dictionary.joints import Frame, Tool
 from fsw.dictionary.tuples import vector3
-from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import Array
 from ground.accuracy.budget import COVERAGE
 from ground.accuracy.combine import bounds, paper_rule
@@ -55,11 +55,13 @@ class _Terms:
 
 
 def reproduce(
-    model: ErrorModel, rows: tuple[Row, ...], arm: Arm, gravity_R_m_s2: Array, seed: int
+    model: ErrorModel, rows: tuple[Row, ...], config: Config, gravity_R_m_s2: Array, seed: int
 ) -> Reproduced:
     """The change of magnitudes that meets these rows; sourced magnitudes stay."""
     moved = [
-        sensitivity(arm, workspace_poses(arm, tool, gravity_R_m_s2, POSES_A_TOOL, seed), gravity_R_m_s2)
+        sensitivity(
+            config, workspace_poses(config.arm, tool, gravity_R_m_s2, POSES_A_TOOL, seed), gravity_R_m_s2
+        )
         for tool in Tool
     ]
     terms = {name: _terms(model, name, moved) for name in {row.case for row in rows}}

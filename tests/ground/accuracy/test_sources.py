@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.joints import Frame
-from ground.accuracy.sources import SIGMA_OF, error_model
+from ground.accuracy.sources import CUMULANTS_OF, error_model
 
 MODEL = error_model()
 TABLE_2 = {
@@ -49,7 +49,7 @@ def test_a_source_has_a_magnitude_a_basis_and_a_spread(name):
     assert (source.share > 0) == (source.of != "frames")
     assert source.basis
     assert source.text
-    assert SIGMA_OF[source.spread] > 0
+    assert CUMULANTS_OF[source.spread][0] > 0
 
 
 @pytest.mark.parametrize("name", MODEL.case)

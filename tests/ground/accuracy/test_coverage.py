@@ -1,0 +1,53 @@
+"""How often bounds hold, with exact intervals."""
+
+import numpy as np
+import pytest
+
+from ground.accuracy.coverage import binomial_interval, coverage, quantile_interval
+
+
+@pytest.mark.parametrize(
+    ("hits", "count", "low", "high"),
+    [
+        (0, 10, 0.0, 0.3085),
+        (10, 10, 0.6915, 1.0),
+        (5, 10, 0.1871, 0.8129),
+        (27, 10_000, 0.0017801, 0.0039263),
+    ],
+)
+def test_an_interval_of_a_share_is_the_exact_one(hits, count, low, high):
+    assert binomial_interval(hits / count, count) == pytest.approx((low, high), abs=5e-5)
+
+
+def test_a_quantile_lies_in_its_interval_as_often_as_it_says():
+    rng = np.random.default_rng(1)
+    inside = 0
+    for _ in range(400):
+        low, high = quantile_interval(rng.random(2000), 0.99, 2000)
+        inside += low <= 0.99 <= high
+    assert inside >= 0.93 * 400
+
+
+def test_too_few_arms_do_not_tell_how_wide_a_bound_must_be():
+    assert quantile_interval(np.arange(100.0), 0.9973, 100)[1] == np.inf
+
+
+def test_a_bound_that_is_twice_as_wide_as_needed_says_so():
+    error = np.random.default_rng(2).random(20_000)
+    found = coverage(error, np.full(20_000, 2.0), 0.9973, 20_000)
+    assert (found.share, found.width) == (1.0, pytest.approx(2.0, rel=0.01))
+    assert found.width_interval[0] <= found.width <= found.width_interval[1]
+    assert found.holds(0.9973)
+
+
+def test_a_bound_that_is_too_narrow_does_not_hold():
+    assert not coverage(np.random.default_rng(2).random(5000), np.full(5000, 0.99), 0.9973, 5000).holds(
+        0.9973
+    )
+
+
+def test_many_errors_of_few_arms_count_as_few():
+    error = np.random.default_rng(2).random(5000)
+    few, many = (coverage(error, np.full(5000, 0.99), 0.9973, arms).share_interval for arms in (50, 5000))
+    assert few[0] < many[0]
+    assert few[1] > many[1]

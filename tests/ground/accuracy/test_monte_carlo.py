@@ -1,0 +1,170 @@
+"""`marsarm monte-carlo`: arms against the budget; resumed, re-run alone, refused."""
+
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ground.accuracy.budget import COMPONENTS, OURS
+from ground.accuracy.monte_carlo_request import MonteCarloReport, MonteCarloRequest, monte_carlo_report
+from ground.report.monte_carlo_page import save_monte_carlo_page
+from ground.report.monte_carlo_tables import monte_carlo_json
+from ground.request import BadRequest
+from tests.ground.command import marsarm
+
+STATICS = MonteCarloRequest(arms=150, how="statics", seed=3)
+
+
+def quiet(*_) -> None:
+    """Progress that nobody sees."""
+
+
+@pytest.fixture(scope="module")
+def report() -> MonteCarloReport:
+    return monte_carlo_report(STATICS, quiet)
+
+
+def test_the_papers_rule_and_the_worst_case_cover_everything_and_are_twice_as_wide(report):
+    for rule in ("paper", "worst case"):
+        for name in ("total_m", "lateral_m", "normal_m"):
+            found = report.judged.coverage[rule][name]
+            assert found.share == 1.0
+            assert found.width > 2.0
+
+
+def test_ours_covers_what_it_should_and_is_hardly_wider(report):
+    for name in COMPONENTS:
+        found = report.judged.coverage[OURS][name]
+        assert found.holds(0.9973)
+        assert 0.85 < found.width < 1.3
+
+
+def test_the_best_case_does_not_cover(report):
+    assert not any(c.holds(0.9973) for c in report.judged.coverage["root sum square"].values())
+
+
+def test_outputs_lie_on_flanks_but_their_gaps_do_not_add_up(report):
+    assert np.all(report.judged.on_flank > 0.99)
+    median, _, most = report.judged.backlash
+    assert 0.4 < median < 0.9
+    assert most <= 1.0
+
+
+def test_what_makes_the_papers_rule_wide_is_adding_sources_and_adding_frames(report):
+    whole, no_source, no_frames, neither = report.judged.without_adding_m.values()
+    assert neither < no_source < 0.7 * whole
+    assert neither < no_frames < 0.7 * whole
+    assert whole == pytest.approx(report.judged.budget.estimate("paper", "total_m"))
+
+
+def test_errors_are_of_the_same_size_in_every_component_as_their_bounds(report):
+    for name in COMPONENTS:
+        within = report.judged.budget.estimate(OURS, name)
+        assert 0.2 * within < np.sqrt(np.mean(report.judged.error[name] ** 2)) < 0.7 * within
+
+
+def test_an_arm_alone_is_what_it_is_among_others(report):
+    alone = monte_carlo_report(replace(STATICS, only=7), quiet)
+    assert np.array_equal(alone.trials[0][0].error, report.trials[7][0].error)
+
+
+def test_two_processes_measure_what_one_does(report):
+    two = monte_carlo_report(replace(STATICS, arms=6, workers=2), quiet)
+    for trial, same in zip(two.trials, report.trials[:6], strict=True):
+        assert np.array_equal(trial[0].error, same[0].error)
+
+
+def test_a_run_that_was_killed_goes_on_where_it_was(report, tmp_path):
+    path = tmp_path / "r.jsonl"
+    monte_carlo_report(replace(STATICS, arms=4, results=path), quiet)
+    path.write_bytes(path.read_bytes()[:-30])
+    done = []
+    more = monte_carlo_report(
+        replace(STATICS, arms=8, results=path), lambda done_now, *_: done.append(done_now)
+    )
+    assert done[0] == 3
+    for trial, same in zip(more.trials, report.trials[:8], strict=True):
+        assert np.array_equal(trial[0].error, same[0].error)
+
+
+def test_results_of_another_case_are_refused(tmp_path):
+    path = tmp_path / "r.jsonl"
+    monte_carlo_report(replace(STATICS, arms=1, results=path), quiet)
+    with pytest.raises(BadRequest, match="case accuracy there, mars now"):
+        monte_carlo_report(replace(STATICS, case="mars", results=path), quiet)
+
+
+def test_without_ray_a_cluster_is_refused_and_nothing_is_written(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(BadRequest, match="ray is not installed"):
+        monte_carlo_report(replace(STATICS, cluster=True, results=tmp_path / "r.jsonl"), quiet)
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_closed_loop_measures_what_statics_do():
+    loop = monte_carlo_report(MonteCarloRequest("mars", arms=2, how="closed-loop", seed=5), quiet)
+    statics = monte_carlo_report(MonteCarloRequest("mars", arms=2, how="statics", seed=5), quiet)
+    for a, b in zip(loop.trials, statics.trials, strict=True):
+        assert np.linalg.norm((a[0].error - b[0].error)[3:]) < 1e-4
+
+
+def test_an_arm_of_its_own_has_what_the_case_adds():
+    found = monte_carlo_report(
+        MonteCarloRequest("mars", "calibrated", arms=3, places=3, how="statics", seed=1), quiet
+    )
+    assert 1e-4 < found.judged.percentile["total_m"] < 1e-2
+    assert found.spreads["total_m"].accuracy.upper > found.spreads["total_m"].accuracy.estimate > 0
+
+
+def test_the_page_holds_its_picture(report, tmp_path):
+    page = tmp_path / "mc.html"
+    save_monte_carlo_page(report, page)
+    text = page.read_text()
+    assert text.count("data:image/png;base64,") == 1
+    assert "equation 13" in text
+
+
+def test_an_interval_without_an_end_is_null_in_the_document(report):
+    document = monte_carlo_json(report)
+    assert document["judged"]["percentile_interval"]["total_m"][1] is None
+    json.dumps(document, allow_nan=False)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"case": "venus"}, "case: 'venus' is not known; there are accuracy"),
+        ({"built": "borrowed"}, "built: 'borrowed' is not known; there are drawn, calibrated, as-built"),
+        ({"how": "guess"}, "how: 'guess' is not known; there are closed-loop, statics"),
+        ({"arms": 0}, "arms: 0 is not within 1 .. 1000000"),
+        ({"places": 0}, "places: 0 is not within"),
+        ({"workers": 0}, "workers: 0 is not within"),
+        ({"only": 150}, "only: 150 is not within 0 .. 149"),
+        ({"seed": -1}, "seed: -1 must not be negative"),
+        ({"params": Path("none.toml")}, "none.toml: cannot be read"),
+        ({"report": Path("page.txt")}, "its name must end in .html"),
+        ({"results": Path("results.csv")}, "its name must end in .jsonl"),
+        ({"results": Path("a.jsonl"), "report": Path("a.jsonl")}, "this is the file of"),
+    ],
+)
+def test_bad_input_is_named(wrong, words):
+    with pytest.raises(BadRequest, match=words):
+        monte_carlo_report(replace(STATICS, **wrong), quiet)
+
+
+def test_the_command_prints_one_document(tmp_path):
+    words = ("monte-carlo", "--arms", "3", "--how", "statics", "--workers", "1", "--json")
+    done = marsarm(tmp_path, *words, "--report", "page.html", "--results", "r.jsonl")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["arms"] == 3
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["page.html", "r.jsonl"]
+
+
+def test_the_command_refuses_and_writes_nothing(tmp_path):
+    done = marsarm(tmp_path, "monte-carlo", "--case", "x", "--results", "r.jsonl", "--json")
+    assert done.returncode == 2
+    assert "case: 'x'" in json.loads(done.stdout)["error"]
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,142 @@
+"""What a move leaves to chance is drawn when it begins, from the seed of the run, and from nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.commands import MoveJoints
+from fsw.dictionary.evrs import CommandCompleted
+from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.dictionary.tuples import joints5
+from fsw.kinematics.arm import arm_from
+from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
+from sim.arms import arm_named
+from sim.effects.moves import FramePlay, ServoError, Windup
+from sim.initialisation import true_reference
+from sim.loop import ClosedLoop, Setup
+from sim.placement import Placement, PlacementRun
+from sim.scatter import BODIES, body_index, no_scatter
+from sim.world import Surface, World
+from tests.sim import lab
+
+NOMINAL = arm_named("nominal")
+PLAY = (1e-4, 1e-4, 1e-4, 1e-4, 1e-4, 1e-4)
+BY_CHANCE = (
+    FramePlay(Frame.ARM3, PLAY),
+    FramePlay(Frame.TOOL, PLAY, Tool.DRILL),
+    Windup(Joint.ELBOW, 2e-4),
+    ServoError(Joint.WRIST, 6e-5),
+)
+
+
+def begun(seed: int = 0, effects: tuple = BY_CHANCE) -> ClosedLoop:
+    setup = Setup(NOMINAL, World(), joints5(lab.READY_RAD), seed, true_reference(NOMINAL), effects)
+    return ClosedLoop(setup)
+
+
+def move(loop: ClosedLoop, by_rad: float) -> list:
+    loop.cycle((MoveJoints(joints5(lab.READY_RAD + by_rad)),))
+    return lab.ended(loop)
+
+
+def drawn(loop: ClosedLoop) -> np.ndarray:
+    scatter = loop.plant.scatter
+    return np.concatenate([scatter.screw.ravel(), scatter.gear_rad, scatter.motor_rad])
+
+
+def test_before_the_first_move_everything_stands_as_it_was_built():
+    assert not drawn(begun()).any()
+
+
+def test_every_move_draws_anew_and_stays_with_it_to_its_end():
+    loop = begun()
+    loop.cycle((MoveJoints(joints5(lab.READY_RAD + 0.01)),))
+    first = drawn(loop)
+    lab.ended(loop)
+    assert np.array_equal(drawn(loop), first)
+    move(loop, 0.02)
+    assert np.count_nonzero(first) == 14
+    assert not np.any((drawn(loop) == first) & (first != 0))
+
+
+def test_the_same_seed_draws_the_same_and_another_something_else():
+    loops = [begun(seed) for seed in (3, 3, 4)]
+    for loop in loops:
+        move(loop, 0.01)
+    one, same, other = (drawn(loop) for loop in loops)
+    assert np.array_equal(one, same)
+    assert not np.array_equal(one, other)
+
+
+def test_a_fork_draws_what_the_run_itself_would_have():
+    loop = begun()
+    move(loop, 0.01)
+    fork = loop.fork()
+    for one in (loop, fork):
+        move(one, 0.02)
+    assert np.array_equal(drawn(loop), drawn(fork))
+    assert np.array_equal(loop.plant.data.qpos, fork.plant.data.qpos)
+
+
+def test_the_noise_of_sensors_is_the_same_with_and_without_draws():
+    readings = [begun(effects=effects).cycle().sensors.resolver_rad for effects in ((), BY_CHANCE)]
+    assert np.array_equal(*readings)
+
+
+def test_flight_software_does_not_see_where_its_encoders_are_wrong():
+    loop = begun()
+    assert not [evr for evr in move(loop, 0.01) if evr.severity.name.startswith(("WARNING", "FATAL"))]
+    believed, true = loop.state.joints.motor_rad, loop.plant.motor_rad()
+    assert (true - believed)[Joint.WRIST] == pytest.approx(
+        loop.plant.scatter.motor_rad[Joint.WRIST], abs=1e-5
+    )
+
+
+def test_what_presses_on_something_stays_where_it_is():
+    point, normal = (2.1, 0.2, -0.3), (-0.3, 0.0, -1.0)
+    world = World(surface=Surface(point, normal))
+    loop = ClosedLoop(
+        Setup(NOMINAL, world, NOMINAL.params.poses.ready_rad, 1, true_reference(NOMINAL), BY_CHANCE)
+    )
+    at_end = {}
+    for record in PlacementRun(loop, Placement(Tool.APXS, point, normal)):
+        for evr in record.outputs.evrs:
+            if isinstance(evr, CommandCompleted):
+                at_end[evr.command] = drawn(loop)
+    assert np.array_equal(at_end["GuardedMove"], at_end["Retract"])
+    assert not np.array_equal(at_end["MoveTool"], at_end["GuardedMove"])
+
+
+def test_a_displaced_frame_moves_what_it_carries_and_the_next_draw_begins_where_it_was_built():
+    plant = lab.plant()
+    plant.show(lab.READY_RAD, np.zeros((6, 6)))
+    before = plant.truth().p_RoTo_R_m[Tool.APXS]
+    scatter = no_scatter()
+    scatter.screw[:, body_index(Frame.ARM4, None)] = (1e-4, -2e-4, 3e-4, 1e-4, 2e-4, -1e-4)
+    for _ in range(2):
+        plant.scattered(scatter)
+    plant.show(lab.READY_RAD, np.zeros((6, 6)))
+    moved = plant.truth().p_RoTo_R_m[Tool.APXS] - before
+    arm = arm_from(NOMINAL.params)
+    frames = forward(arm, lab.READY_RAD)
+    J = frame_jacobian(frames, tool_pose(arm, frames, Tool.APXS))
+    assert np.allclose(moved, (J[:, :, Frame.ARM4] @ scatter.screw[:, Frame.ARM4])[3:], atol=3e-7)
+    plant.scattered(no_scatter())
+    plant.show(lab.READY_RAD, np.zeros((6, 6)))
+    assert np.allclose(plant.truth().p_RoTo_R_m[Tool.APXS], before, atol=1e-12)
+
+
+def test_a_shifted_gear_is_not_taken_for_a_gap():
+    plant = lab.plant()
+    plant.scattered(replace(no_scatter(), gear_rad=np.full(5, 3e-4)))
+    assert np.allclose(plant.half_gap_rad, lab.HALF_GAP_RAD)
+    plant.data.qpos[plant.at.gear] = lab.HALF_GAP_RAD + 3e-4
+    assert np.allclose(plant.gap_rad(), lab.HALF_GAP_RAD)
+
+
+def test_bodies_are_those_of_the_frames():
+    assert len(BODIES) == 11
+    assert [body_index(frame, None) for frame in list(Frame)[:6]] == list(range(6))
+    with pytest.raises(ValueError, match="names its tool"):
+        body_index(Frame.TOOL, None)
