@@ -97,21 +97,21 @@ class Stream:
 def write_rows(stream: Stream, log: McapFile, expand: Expander, chunk_s: float, ended: Ended) -> None:
     """Write all that comes, and the summary if the log is complete; OSError if the disk is full or gone."""
     most_rows = MOST_ROWS if chunk_s > 0 else 1
+    pause_s = min(chunk_s, CHUNK_S)  # between two looks: the end of the log may come in a long chunk
     waiting: list[tuple[Row, Sample | None]] = []
-    due_s, goes_on = time.monotonic() + chunk_s, True
+    due_s, goes_on = 0.0, True
     while goes_on:
         rows, goes_on = stream.take()
         began_s = time.monotonic()
         waiting += rows
         if began_s >= due_s or not goes_on or len(waiting) >= most_rows:
-            due_s = began_s + chunk_s
+            due_s = began_s + chunk_s - pause_s
             for k in range(0, len(waiting), most_rows):
                 log.add_chunk(expand(waiting[k : k + most_rows]))
                 ended.written_ns = waiting[min(k + most_rows, len(waiting)) - 1][0].time_ns
             waiting = []
         if goes_on and sum(len(row.data) for row, _ in rows) < PIPE_BYTES // 4:  # there is room to wait
-            pause_s = began_s + min(chunk_s, CHUNK_S) - time.monotonic()
-            time.sleep(max(pause_s, 0.0))
+            time.sleep(max(began_s + pause_s - time.monotonic(), 0.0))
     if stream.is_complete:
         log.finish()
 

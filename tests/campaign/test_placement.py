@@ -8,13 +8,12 @@ import pytest
 from fsw.dictionary.joints import Tool
 from fsw.estimate.reference import Reference
 from sim.arms import arm_named
-from sim.campaign import random_placement, run_placement, standoff_error
+from sim.campaign import random_placement, run_placement
 from sim.initialisation import initialised
 from sim.sequence import Outcome
-from tests.sim import lab
 
 MAX_TILT_RAD = np.radians(20.0)
-TARGETS = range(20)
+TARGETS = range(5)
 
 
 @cache
@@ -44,13 +43,3 @@ def test_an_as_built_arm_touches_too_and_its_error_is_told(seed):
     assert result.outcome is Outcome.DONE
     assert result.contact is not None
     assert 0 < result.contact.total_m < 0.06
-
-
-def test_as_built_arms_are_10_to_20_mm_off():
-    """In free space, at the standoff, 100 arms with a pose each: nobody passes by drawing good arms."""
-    arms = [arm_named(f"as-built:{seed}") for seed in range(100)]
-    errors = [
-        standoff_error(arm, lab.true_reference(arm), seed, MAX_TILT_RAD) for seed, arm in enumerate(arms)
-    ]
-    rms_m = np.sqrt(np.mean([error.total_m**2 for error in errors]))
-    assert 10e-3 < rms_m < 20e-3

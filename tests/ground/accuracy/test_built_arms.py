@@ -1,0 +1,30 @@
+"""How far a built arm is from its drawing, before any calibration."""
+
+import numpy as np
+from numpy.random import SeedSequence
+
+from fsw.dictionary.joints import Tool
+from ground.accuracy.places import measured, random_places
+from ground.accuracy.ways import by_closed_loop, by_statics
+from sim.arms import arm_named
+from sim.initialisation import true_reference
+
+
+def errors_m(name, how, seed, count):
+    """Total error of the APXS at places of the workspace, (count,)."""
+    arm = arm_named(name)
+    moved = by_statics(arm, "on") if how == "statics" else by_closed_loop(arm, true_reference(arm), "on")
+    found = measured(moved, random_places(arm.params, Tool.APXS, count, SeedSequence(seed)))
+    return np.array([np.linalg.norm(one.error[3:]) for one in found])
+
+
+def test_as_built_arms_are_10_to_20_mm_off():
+    """100 arms at two places each: nobody passes by drawing good arms."""
+    errors = np.concatenate([errors_m(f"as-built:{seed}", "statics", seed, 2) for seed in range(100)])
+    assert 10e-3 < np.sqrt(np.mean(errors**2)) < 20e-3
+
+
+def test_the_closed_loop_is_as_far_off_as_statics_say():
+    for seed in range(3):
+        pair = [errors_m(f"as-built:{seed}", how, seed, 1) for how in ("statics", "closed loop")]
+        assert abs(pair[0] - pair[1]) < 0.5e-3
