@@ -70,7 +70,7 @@ def plot(
     channel: Annotated[
         list[str],
         typer.Argument(
-            help="Such as '/joint.motor_rad', '/joint.motor_rad[2]', '/joint.*'.", metavar="CHANNEL..."
+            help="Such as '/joint.motor_rad', '/joint.motor_rad[2]', '/joint.gap*'.", metavar="CHANNEL..."
         ),
     ],
     out: Annotated[Path, typer.Option(help="The picture.", metavar="FILE.png")],

@@ -62,7 +62,6 @@ def unit_of(name: str) -> str | None:
     if suffix:
         top, *below = suffix
         return top if not below else f"{top}/{below[0] if ' ' not in below[0] else f'({below[0]})'}"
-    words = name.split("_")
     if words[-1] in NUMBERS:
         return NUMBERS[words[-1]]
     return "1" if words[0] in DIRECTIONS else FREE.get(name)

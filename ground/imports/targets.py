@@ -9,7 +9,7 @@ from typing import Final, get_type_hints
 import numpy as np
 
 from fsw.dictionary.joints import Joint, Switch
-from ground.dictionary.units import unit_of
+from ground.dictionary.units import SYMBOLS, unit_of
 from ground.imports.units import UNITS, Conversion
 from ground.telemetry.schema import ROS_NAME, Field, Layout, bare, layout_of
 from ground.telemetry.topics import PACKET_TOPICS, Topic
@@ -104,6 +104,10 @@ def conversions(house: str) -> dict[str, Conversion]:
 
 
 def _suffixed(field: str, unit: str) -> str:
+    """The field with the suffix of this unit, in the place of another."""
+    words = field.split("_")
+    while len(words) > 1 and words[-1] in SYMBOLS:
+        words.pop()
     house = next(house for house, known in UNITS.items() if unit in known)
     suffix = {"degC": "C", "N m": "Nm", "1": "share", "cycle": "cycles"}.get(house, house)
-    return f"{field}_{suffix.replace('/', '_')}"
+    return "_".join([*words, suffix.replace("/", "_")])

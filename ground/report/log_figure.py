@@ -38,7 +38,7 @@ def save_log_figure(channels: Sequence[Channel], evrs: Sequence[EvrEntry], path:
     if len(channels) > MOST:
         raise TooMuch(
             f"{len(channels)} channels are asked for; a picture has room for {MOST}; "
-            f"name fewer, as in '{channels[0].topic}.*', or draw several"
+            f"name fewer, such as {channels[0].name}, or draw several"
         )
 
     def draw(figure: Any) -> None:

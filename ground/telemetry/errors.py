@@ -24,7 +24,10 @@ class LogCorrupt(LogError):  # says what is so
     """The bytes of a log are not those that were written; `offset` is where in the file it shows."""
 
     def __init__(self, path: Path, why: str, offset: int) -> None:
-        super().__init__(path, f"{why} (byte {offset}); the file was changed after it was written")
+        advice = (
+            "the file was changed after it was written, and `marsarm log recover` saves what is undamaged"
+        )
+        super().__init__(path, f"{why} (byte {offset}); {advice}")
         self.offset = offset
 
 

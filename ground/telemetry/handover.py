@@ -13,7 +13,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from io import FileIO
 from typing import Final
 
@@ -37,32 +37,27 @@ class Handover:
     ) -> None:
         """Share the file of a log that has been begun; OSError if there can be no process to write it."""
         job = pickle.dumps(Job(file.fileno(), written, ids, config, chunk_s))
-        with _kept_from_new_processes(FOR_THE_RUN):
-            self._writer = subprocess.Popen(
-                [sys.executable, "-c", WRITER.format(PATH)],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                bufsize=0,
-                pass_fds=(file.fileno(),),
-            )
         self._process = os.getpid()
         self._ended: Ended | None = None
         self._is_torn = False
-        assert self._writer.stdin is not None
-        assert self._writer.stdout is not None
-        self._inlet, self._outlet = self._writer.stdin, self._writer.stdout
-        if hasattr(fcntl, "F_SETPIPE_SZ"):
-            with suppress(OSError):  # beyond what this user may have, it holds what it holds
-                fcntl.fcntl(self._inlet, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
-        try:
-            self._send(job)
-            is_ready = READY in iter(self._outlet.readline, b"")
-        except BaseException:
-            self._end()
-            raise
-        if not is_ready:
-            self._end()
-            self._raise()
+        with ExitStack() as on_failure:
+            with _kept_from_new_processes(FOR_THE_RUN):
+                self._writer = subprocess.Popen(
+                    [sys.executable, "-c", WRITER.format(PATH)],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    bufsize=0,
+                    pass_fds=(file.fileno(),),
+                )
+                assert self._writer.stdin is not None
+                assert self._writer.stdout is not None
+                self._inlet, self._outlet = self._writer.stdin, self._writer.stdout
+                on_failure.callback(self._end)
+                self._widen()
+                self._send(job)
+            if READY in iter(self._outlet.readline, b""):
+                on_failure.pop_all()
+        self._raise()
 
     @property
     def process(self) -> int:
@@ -103,6 +98,11 @@ class Handover:
         self._end()
         self._raise()
 
+    def _widen(self) -> None:
+        if hasattr(fcntl, "F_SETPIPE_SZ"):
+            with suppress(OSError):  # beyond what this user may have, it holds what it holds
+                fcntl.fcntl(self._inlet, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
+
     def _send(self, data: bytes) -> None:
         self._is_torn = True  # until all is sent: what comes after half a row would not be understood
         rest = memoryview(data)
@@ -121,7 +121,7 @@ class Handover:
             return
         self._inlet.close()
         with self._outlet:
-            said = self._outlet.read()
+            said = self._outlet.read().rpartition(b"\n")[2]  # behind what was not waited for
         status = self._writer.wait()
         self._ended = Ended(**json.loads(said)) if said else Ended(None, errno.EPIPE, _why(status))
 

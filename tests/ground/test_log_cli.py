@@ -139,7 +139,7 @@ BAD = {
         "has no channel /joint/moter",
     ),
     "no such number": (("channels", "run.mcap", "/joint.motor_rad[5]"), "has no channel /joint.motor_rad[5]"),
-    "too many channels": (("plot", "run.mcap", "*", "--out", "p.png"), "a picture has room for 12"),
+    "too many channels": (("plot", "run.mcap", "*", "--out", "p.png"), "room for 12; name fewer, such as /"),
     "another picture": (("plot", "run.mcap", "/joint/mode", "--out", "p.pdf"), "must end in .png"),
     "no such topic": (("export", "run.mcap", "out", "--topic", "/jiont"), "has no topic /jiont"),
     "several in one": (("export", "run.mcap", "out.csv"), "one file holds one table"),

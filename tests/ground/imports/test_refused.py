@@ -67,7 +67,10 @@ MAPPINGS = {
     "wrong unit": (TIME + CURRENT.replace('"A"', '"rad"'), "unit: 'rad' does not fit; there are A, mA, uA"),
     "free unit": (TIME + FREE.replace('"m/s"', '"mph"'), "unit: 'mph' does not fit; "),
     "free suffix": (TIME + FREE.replace("speed_m_s", "speed"), "write speed_m_s"),
-    "free other suffix": (TIME + FREE.replace("speed_m_s", "speed_rad"), "ends in rad"),
+    "free other suffix": (
+        TIME + FREE.replace("speed_m_s", "speed_rad"),
+        "ends in rad, not in what m/s is kept in; write speed_m_s",
+    ),
     "free name": (TIME + FREE.replace("/arm", "/Arm__x"), "words of a-z and 0-9 joined by one _"),
     "taken name": (TIME + FREE.replace("/arm", "/sensors"), "is for what there is of an incomplete /sensors"),
     "too few columns": (

@@ -102,7 +102,8 @@ def test_a_flipped_bit_in_a_chunk_is_reported_with_its_place(tmp_path: Path, log
     at = len(log_bytes) // 3
     flipped[at] ^= 1
     with pytest.raises(
-        LogCorrupt, match=r"\(byte \d+\); the file was changed after it was written"
+        LogCorrupt,
+        match=r"\(byte \d+\); the file was changed after it was written, and `marsarm log recover`",
     ) as caught:
         read_back(tmp_path / "flipped.mcap", bytes(flipped))
     assert 0 < caught.value.offset <= at

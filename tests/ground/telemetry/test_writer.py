@@ -238,6 +238,20 @@ def test_no_cycle_follows_one_that_was_interrupted_on_its_way(make: Any, tmp_pat
     assert len(log["/joint"]) > 10
 
 
+def test_an_interrupt_while_the_log_is_opened_leaves_nothing_and_is_told_once(tmp_path: Path) -> None:
+    imports, rest = BEGIN.split("recorder =")
+    program = f"""{imports}
+import signal
+os.setsid()
+signal.signal(signal.SIGALRM, lambda *_: os.killpg(os.getpid(), signal.SIGINT))
+signal.setitimer(signal.ITIMER_REAL, 0.03)  # the writer takes ten times as long to start
+recorder ={rest}"""
+    done = python(program, str(tmp_path / "run.mcap"))
+    assert done.stderr.count("Traceback") == 1
+    assert done.stderr.endswith("KeyboardInterrupt\n")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_writer_that_is_killed_is_told_like_a_disk_that_is_gone(make: Any, tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run.mcap", {})
     os.kill(recorder.writer_process, signal.SIGKILL)
