@@ -41,7 +41,6 @@ from ground.cli_run import run, scenarios
 if TYPE_CHECKING:
     from ground.place import PlaceReport
 
-KILLED = 128 + signal.SIGTERM
 GL_OFF = ("disable", "disabled", "off", "false", "0")
 """The values of MUJOCO_GL that mujoco takes for no OpenGL."""
 
@@ -142,7 +141,9 @@ def _finish(report: "PlaceReport") -> None:
 def main() -> None:
     """The entry point of the command `marsarm`."""
     _free_of_gl_settings()
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(KILLED))  # so that half-written files go
+    for ended in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(ended) is not signal.SIG_IGN:  # as nohup has it
+            signal.signal(ended, lambda number, _: sys.exit(128 + number))  # so that half-written files go
     warnings.simplefilter("ignore", RuntimeWarning)  # numpy's are for developers; users get sentences
     with checked_stdout():
         _run()

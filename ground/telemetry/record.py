@@ -52,6 +52,7 @@ class Recorder:
         self._event_ids = ids[COMMAND_TOPIC], ids[EVR_TOPIC], ids[LOG_LINES]
         self._event_counts = dict.fromkeys(self._event_ids, 0)
         self._has_standard = config is not None
+        self._last_tick = -1
         with begun(self.path, header, channels) as (file, written):
             try:
                 self._handover = Handover(file, written, ids, config, chunk_s)
@@ -81,8 +82,10 @@ class Recorder:
         Raises:
             SchemaError: a packet is not laid out as its schema says, or holds what a log cannot.
             OSError: the disk is full or gone.
-            ValueError: the log is closed, or a cycle before this one was interrupted on its way.
+            ValueError: the log is closed, or goes back, or a cycle before was interrupted on its way.
         """
+        if record.tick <= self._last_tick:
+            raise ValueError(f"cycle {record.tick} after cycle {self._last_tick}: a log goes forward")
         time_ns = record.tick * TICK_NS
         pieces: list[bytes | NDArray[Any]] = []
         present: list[Packer] = []
@@ -100,6 +103,7 @@ class Recorder:
             data = self._with_events(record, time_ns, data)
         sampled = self._has_standard and record.tick % EVERY == 0
         self._handover.put(time_ns, data, sample_of(record) if sampled else None)
+        self._last_tick = record.tick
         for packer in present:
             packer.count += 1
 
