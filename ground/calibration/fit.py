@@ -90,7 +90,7 @@ def fit(
         step, at = _improved(model, x, at, keep, scale, prior)
         x = x + step
         converged = bool(np.all(np.abs(step) <= STEP * scale))
-    _, s, Vt = _decomposed(at, keep, scale, prior)
+    _, s, Vt = _decomposed(at, keep, scale, prior, x)
     told = s > UNSEEN
     root = scale[:, None] * Vt[told].T / s[told]
     free = np.sqrt(np.maximum(0.0, 1.0 - np.sum(Vt[told] ** 2, axis=0)))
@@ -106,8 +106,7 @@ def _improved(
     model: Model, x: Array, at: Linearised, used: Flags, scale: Array, prior: Array
 ) -> tuple[Array, Linearised]:
     """A step that does not make the sum larger, and the model there: damped only if the full one does."""
-    U, s, Vt = _decomposed(at, used, scale, prior)
-    along = U.T @ np.concatenate([at.residual[used].ravel(), x * prior])
+    along, s, Vt = _decomposed(at, used, scale, prior, x)
     told = s > UNSEEN
     before, damping = cost(at, used, x, prior), 0.0
     while damping <= MAX_DAMPING:
@@ -120,11 +119,19 @@ def _improved(
     return np.zeros_like(x), at
 
 
-def _decomposed(at: Linearised, used: Flags, scale: Array, prior: Array) -> tuple[Array, Array, Array]:
-    """Singular values of all rows, those of the prior last, with parameters in units of their scale."""
+def _decomposed(
+    at: Linearised, used: Flags, scale: Array, prior: Array, x: Array
+) -> tuple[Array, Array, Array]:
+    """What is left along each singular direction of all rows, those of the prior last; values; directions.
+
+    Parameters in units of their scale. Rows are reduced to a triangle first: there may be many thousands.
+    """
     rows = np.concatenate([_flat(at.jacobian[used]) * scale, np.diag(prior * scale)])
-    U, s, Vt = np.linalg.svd(rows, full_matrices=False)
-    return U, s, Vt
+    left = np.concatenate([at.residual[used].ravel(), x * prior])
+    triangle = np.asarray(np.linalg.qr(np.column_stack([rows, left]), mode="r"))
+    p = scale.size
+    U, s, Vt = np.linalg.svd(triangle[:p, :p])
+    return U.T @ triangle[:p, p], s, Vt
 
 
 def _flat(jacobian: Array) -> Array:

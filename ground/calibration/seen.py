@@ -79,7 +79,8 @@ def seen(parameters: Sequence[Parameter], at: Linearised, used: Flags | None = N
 
 
 def _tall(J: Array) -> tuple[Array, Array, Array]:
-    U, s, Vt = np.linalg.svd(J, full_matrices=False)
+    # a triangle has the same singular values and directions, and there may be many thousands of rows
+    U, s, Vt = np.linalg.svd(np.linalg.qr(J, mode="r"))
     return U, s, Vt
 
 
