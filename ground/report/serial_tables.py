@@ -167,10 +167,13 @@ def _joints(report: SerialReport) -> Table:
 def temperature_words(test: TemperatureTest) -> str:
     """What the air's temperature explains."""
     moved = f"the air's temperature, which moves by {test.range_K:.2f} K"
-    fell = f"the cross-validated error falls by {test.gain_m * 1e3:.4f} +- {test.gain_sigma_m * 1e3:.4f} mm"
+    gain_um, sigma_um, placebo_um = (
+        length * 1e6 for length in (test.gain_m, test.gain_sigma_m, test.placebo_gain_m)
+    )
+    fell = f"the validated error falls by {gain_um:.1f} +- {sigma_um:.1f} um"
     if test.explains:
         return f"{moved}, explains something: {fell}, more than by any curve that is not the temperature"
     if test.range_K == 0.0:
         return f"{moved}, explains nothing"
-    best = f"by {test.placebo_gain_m * 1e3:.4f} mm with a curve that is not the temperature ({test.placebo})"
+    best = f"by {placebo_um:.1f} um with a curve that is not the temperature ({test.placebo})"
     return f"{moved}, explains nothing: {fell}; {best}"

@@ -65,17 +65,6 @@ def batch(X: Pose, n: int) -> Pose:
     return Pose(np.repeat(X.R[:, :, None], n, axis=2), np.repeat(X.p[:, None], n, axis=1))
 
 
-def six_of(X: Pose) -> Six:
-    """The link transform that a pose (not batched) is; beta is within a quarter turn."""
-    R = X.R
-    beta = float(np.arcsin(-R[2, 0]))
-    theta, alpha = np.arctan2(R[1, 0], R[0, 0]), np.arctan2(R[2, 1], R[2, 2])
-    c, s = np.cos(theta), np.sin(theta)
-    ahead, aside = c * X.p[0] + s * X.p[1], c * X.p[1] - s * X.p[0]
-    a = ahead / np.cos(beta)
-    return np.array([theta, X.p[2] + a * np.sin(beta), beta, aside, alpha, a])
-
-
 def load_torque_Nm(
     ends: list[Pose], axes: list[Axes], masses_kg: Array, p_EoCo_E_m: Array, gravity: Array
 ) -> Array:

@@ -21,10 +21,6 @@ APPROACH: Final = "approach"
 TERMS: Final = (GEOMETRY, COMPLIANCE, WAVES, APPROACH)
 """What may be found of an arm; where its base and its target are is always found."""
 
-FAR_M: Final = 0.1
-FAR_RAD: Final = 0.1
-"""The scales of what is not known beforehand: base and target."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setup:
@@ -53,10 +49,11 @@ class SerialModel:
     def parameters(self) -> list[Parameter]:
         """In the order of the values: base, target, links, coefficients of the joints."""
         sure = self.arm.uncertain
-        found = [_one(place, name, FAR_RAD, FAR_M) for place in ("base", "target") for name in SIX]
+        sizes = (sure.angle_rad, sure.length_m)
+        found = [_one(place, name, *sizes) for place in ("base", "target") for name in SIX]
         if GEOMETRY in self.terms:
             links = ((one.name, name) for one in self.arm.links for name in SIX)
-            found += [_believed(_one(*which, sure.angle_rad, sure.length_m)) for which in links]
+            found += [_believed(_one(*which, *sizes)) for which in links]
         alone = [sure.compliance_rad_per_Nm, sure.approach_rad]
         sigmas = np.array([*alone, *[sure.wave_rad] * (2 * self.orders)])
         said = names(self.orders)

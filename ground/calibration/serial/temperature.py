@@ -7,11 +7,14 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.transforms import Array
+from ground.calibration.serial.arm import SIX
 from ground.calibration.serial.calibrate import Calibrated
 from ground.calibration.serial.held_out import CrossValidation, gain_m
+from ground.calibration.serial.model import GEOMETRY, serial_model
 
 SHIFTS: Final = 19
 """Placebos that are the temperature of another time; chance beats them and two more once in 22 times."""
+LENGTHS: Final = ("d", "b", "a")
 EXPANSION_PER_K: Final = 2.3e-5
 """Of aluminium."""
 MOVES_M_PER_K: Final = 1e-4
@@ -66,14 +69,12 @@ def temperature_test(found: Calibrated, validation: CrossValidation) -> Temperat
 
 def _columns(found: Calibrated) -> Array:
     """What a kelvin moves, in what is expected of it: base (six) and growth of the arm, (n, 6, 7)."""
-    J = found.fit.at.jacobian[found.fit.used]
-    expected = [MOVES_RAD_PER_K, MOVES_M_PER_K] * 3
-    base = J[:, :, :6] * np.array(expected)
-    growth = np.zeros(J.shape[:2])
-    for one in found.model.arm.links:
-        for name, length in (("d", one.d_m), ("b", one.b_m), ("a", one.a_m)):
-            if length:
-                growth += J[:, :, found.fit.index(f"{one.name}.{name}")] * length * EXPANSION_PER_K
+    arm = found.arm
+    model = serial_model(arm, found.setup, found.model.series.at(found.fit.used), (GEOMETRY,))
+    J = model(np.zeros(len(model.parameters))).jacobian
+    base = J[:, :, :6] * np.tile([MOVES_RAD_PER_K, MOVES_M_PER_K], 3)
+    lengths = np.where([name in LENGTHS for name in SIX], arm.sixes, 0.0)
+    growth = J[:, :, 12:] @ (EXPANSION_PER_K * lengths.ravel())
     return np.concatenate([base, growth[:, :, None]], axis=2)
 
 
