@@ -8,7 +8,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from benchmarks.options import parser
+from fsw.kinematics.transforms import Array, Numbers
+from ground.calibration.serial.amounts import wave_rad
 from ground.calibration.serial.request import SerialReport, SerialRequest, calibrate_serial
 from ground.report.serial_tables import serial_json
 
@@ -17,6 +21,9 @@ FILES = Path(__file__).parents[1] / "models" / "ur10"
 TABLES = {"a": "series_a_grid.csv", "c": "series_c_random_poses.csv"}
 BOUNDS_MM = {"a": 0.50, "c": 0.52, "a_to_c": 0.60}
 """Root mean square of the position error of poses that were held out."""
+JOINTS = 6
+LEAST_VISITS = 3
+LEAST_DEGREES = 8
 KEPT = ("steps", "moves_target_m", "joints", "temperature")
 
 
@@ -48,6 +55,7 @@ def document(folder: Path) -> dict[str, Any]:
         "passed": all(one["passed"] for one in checks.values()) and set(temperature.values()) == {"nothing"},
         "held_out_position_rms": checks,
         "temperature_explains": temperature,
+        "waves_in_common": [_in_common(reports["a"], reports["c"], k) for k in range(JOINTS)],
         **{name: _short(report) for name, report in reports.items()},
     }
 
@@ -67,6 +75,39 @@ def _check(report: SerialReport, bound_mm: float) -> dict[str, Any]:
         "poses": fresh.position_m.size,
         "passed": rms_mm <= bound_mm,
     }
+
+
+def _in_common(one: SerialReport, other: SerialReport, joint: int) -> dict[str, Any]:
+    """The waves of a joint as two series found them, at whole degrees that both stood near; slopes taken out."""
+    at_rad = np.radians(np.arange(-179.5, 180.0))
+    visits = [_visits(report, joint) for report in (one, other)]
+    at_rad = at_rad[np.all(np.array(visits) >= LEAST_VISITS, axis=0)]
+    name = one.arm.links[joint].name
+    if at_rad.size < LEAST_DEGREES:
+        return {"name": name, "degrees": at_rad.size}
+    line = np.stack([np.ones(at_rad.size), at_rad], axis=1)
+    curves = np.array([_waves_rad(report, joint, at_rad) for report in (one, other)]).T
+    curves -= line @ np.linalg.lstsq(line, curves, rcond=None)[0]
+    return {
+        "name": name,
+        "degrees": at_rad.size,
+        "rms_rad": np.std(curves, axis=0).tolist(),
+        "rms_of_difference_rad": float(np.std(curves[:, 0] - curves[:, 1])),
+        "correlation": float(np.corrcoef(curves.T)[0, 1]),
+    }
+
+
+def _visits(report: SerialReport, joint: int) -> Numbers:
+    """How many poses of the fit are within each degree."""
+    degrees = np.degrees(report.part.joint_rad[joint])
+    return np.bincount(np.floor(np.mod(degrees + 180, 360)).astype(int), minlength=360)
+
+
+def _waves_rad(report: SerialReport, joint: int, at_rad: Array) -> Array:
+    arm = report.steps[-1].found.arm
+    phase = at_rad[:, None] * np.arange(1, arm.orders + 1)
+    amplitudes = arm.links[joint].waves_rad(arm.orders)
+    return wave_rad(np.concatenate([np.cos(phase), np.sin(phase)], axis=1), amplitudes)
 
 
 def _short(report: SerialReport) -> dict[str, Any]:

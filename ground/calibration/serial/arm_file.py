@@ -94,7 +94,7 @@ def _shown(value: Any) -> str:
         return '"' + "".join(_escaped(letter) for letter in value) + '"'
     if isinstance(value, tuple):
         return f"[{', '.join(_shown(item) for item in value)}]"
-    return repr(value)
+    return repr(value if isinstance(value, int) else float(value))
 
 
 def _escaped(letter: str) -> str:
