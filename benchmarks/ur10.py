@@ -78,7 +78,7 @@ def _check(report: SerialReport, bound_mm: float) -> dict[str, Any]:
 
 
 def _in_common(one: SerialReport, other: SerialReport, joint: int) -> dict[str, Any]:
-    """The waves of a joint as two series found them, at whole degrees that both stood near; slopes taken out."""
+    """The waves of a joint as two series found them, at degrees that both stood at; slopes taken out."""
     at_rad = np.radians(np.arange(-179.5, 180.0))
     visits = [_visits(report, joint) for report in (one, other)]
     at_rad = at_rad[np.all(np.array(visits) >= LEAST_VISITS, axis=0)]

@@ -5,17 +5,21 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array, Flags, norm
 from ground.calibration.fit import Fit, fit
 from ground.calibration.judge import judged
-from ground.calibration.outliers import cleaned_fit
+from ground.calibration.outliers import FALSE_ALARM, MOST, NoAgreement, leave_out_distance
 from ground.calibration.serial.arm import SerialArm
-from ground.calibration.serial.model import GEOMETRY, SerialModel, Setup, serial_model
+from ground.calibration.serial.model import SerialModel, Setup, serial_model
 from ground.calibration.serial.series import Series
 
-GROSS: Final = 4.0
-"""Times the limit of squared distances: what a rigid arm finds so far off no better model will bring back."""
+COMPONENTS: Final = 6
+"""Of a pose."""
+TOGETHER: Final = 4.0
+"""Squared distances within this factor of the worst are left out at once."""
+MOST_ROUNDS: Final = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,24 +68,42 @@ class Verdict:
 def calibrate(arm: SerialArm, setup: Setup, series: Series, terms: Sequence[str]) -> Calibrated:
     """Fit to all poses of a series but those that do not belong to the others.
 
-    The grossest are found by the rigid arm, whose fit is quick; the others by the whole.
+    The worst go first, all at once that are within a factor of each other, for there may be thousands; those
+    that the next fit agrees with come back.
 
     Raises:
         NoAgreement: too many poses do not agree.
     """
-    rigid = serial_model(arm, setup, series, (GEOMETRY,) if GEOMETRY in terms else ())
-    coarse = cleaned_fit(rigid.parameters, rigid)
-    model = serial_model(arm, setup, series, terms)
-    fine = cleaned_fit(model.parameters, model, used=coarse.distance <= GROSS * coarse.limit)
-    return Calibrated(model, fine.fit)
+    used = np.ones(series.count, bool)
+    found = calibrate_to(arm, setup, series, terms, used)
+    for _ in range(MOST_ROUNDS):
+        distance = leave_out_distance(found.fit)
+        typical = max(1.0, float(np.median(distance[used])) / chi2.median(COMPONENTS))
+        limit = typical * chi2.isf(FALSE_ALARM / series.count, COMPONENTS)
+        agree = distance <= max(limit, float(distance[used].max()) / TOGETHER)
+        if np.array_equal(agree, used):
+            break
+        if np.count_nonzero(~agree) > MOST * series.count:
+            raise NoAgreement(
+                f"more than {MOST:.0%} of {series.count} poses do not agree with the rest: see that this is "
+                "the arm of the file, and that the tracker kept its target"
+            )
+        used = agree
+        found = calibrate_to(arm, setup, series, terms, used, found.fit.values)
+    return found
 
 
 def calibrate_to(
-    arm: SerialArm, setup: Setup, series: Series, terms: Sequence[str], used: Flags
+    arm: SerialArm,
+    setup: Setup,
+    series: Series,
+    terms: Sequence[str],
+    used: Flags,
+    start: Array | None = None,
 ) -> Calibrated:
-    """Fit to these poses (n,) of a series."""
+    """Fit to these poses (n,) of a series, from starting values if there are any."""
     model = serial_model(arm, setup, series, terms)
-    return Calibrated(model, fit(model.parameters, model, used=used))
+    return Calibrated(model, fit(model.parameters, model, start, used))
 
 
 def verdict(arm: SerialArm, setup: Setup, series: Series) -> Verdict:
