@@ -1,18 +1,16 @@
 """A serial arm from TOML, strictly, and as TOML: every problem at once, each with its line."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields
-from typing import Any, Final, TypeVar
+from dataclasses import dataclass, field, fields
+from typing import Any, Final
 
 from ground.calibration.serial.arm import Link, Repeats, SerialArm, Uncertain
 from sim.scenario.names import did_you_mean
-from sim.scenario.record import Findings, record_of, table_of
+from sim.scenario.record import Findings, record_of
 from sim.scenario.tables import tables
 from sim.scenario.toml_lines import NotToml, parsed
 
-T = TypeVar("T")
-
-TABLES: Final = ("link", "uncertain", "repeats")
+LINKS: Final = "link"
 MOST_LINKS: Final = 20
 
 
@@ -22,10 +20,12 @@ class BadArmFile(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class _Head:
-    """What a file says before its first table."""
+    """What a file says beside its links."""
 
     name: str
     gravity_B_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
+    uncertain: Uncertain = field(default_factory=Uncertain)
+    repeats: Repeats = field(default_factory=Repeats)
 
 
 def arm_from_toml(text: str, file: str) -> SerialArm:
@@ -39,15 +39,13 @@ def arm_from_toml(text: str, file: str) -> SerialArm:
     except NotToml as error:
         raise BadArmFile(f"{file}:{error.line}: {error}") from error
     findings = Findings(lines)
-    head = record_of(_Head, {k: v for k, v in data.items() if k not in TABLES}, (), findings)
-    links = [record_of(Link, table, place, findings) for place, table in tables(data, "link", findings)]
-    uncertain = _record(Uncertain, data, "uncertain", findings)
-    repeats = _record(Repeats, data, "repeats", findings)
-    _check_links([one for one in links if one is not None], bool(data.get("link")), findings)
-    if head is None or uncertain is None or repeats is None or findings.problems:
+    head = record_of(_Head, {k: v for k, v in data.items() if k != LINKS}, (), findings)
+    links = [record_of(Link, table, place, findings) for place, table in tables(data, LINKS, findings)]
+    _check_links([one for one in links if one is not None], bool(data.get(LINKS)), findings)
+    if head is None or findings.problems:
         raise BadArmFile("\n".join(f"{file}:{p.line}: {p.text}" for p in sorted(findings.problems)))
     found = tuple(one for one in links if one is not None)
-    return SerialArm(head.name, found, head.gravity_B_m_s2, uncertain, repeats)
+    return SerialArm(head.name, found, head.gravity_B_m_s2, head.uncertain, head.repeats)
 
 
 def arm_to_toml(arm: SerialArm, about: Iterable[str]) -> str:
@@ -59,11 +57,6 @@ def arm_to_toml(arm: SerialArm, about: Iterable[str]) -> str:
     for name, record in (("uncertain", arm.uncertain), ("repeats", arm.repeats)):
         lines += [f"[{name}]", *_fields(record), ""]
     return "\n".join(lines)
-
-
-def _record(kind: type[T], data: dict[str, Any], name: str, findings: Findings) -> T | None:
-    table = table_of(data.get(name, {}), (name,), findings)
-    return None if table is None else record_of(kind, table, (name,), findings)
 
 
 def _check_links(links: list[Link], is_given: bool, findings: Findings) -> None:

@@ -1,8 +1,8 @@
 """Poses that a tracker measured, from a table and a mapping that says which columns are what."""
 
 import hashlib
-from dataclasses import dataclass
-from typing import Any, Final, Literal, TypeVar
+from dataclasses import dataclass, field
+from typing import Final, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -15,12 +15,9 @@ from ground.imports.table import Table, read_table
 from ground.imports.times import in_order
 from ground.imports.units import UNITS
 from sim.scenario.names import did_you_mean
-from sim.scenario.record import Findings, record_of, table_of
+from sim.scenario.record import Findings, record_of
 from sim.scenario.toml_lines import NotToml, parsed
 
-T = TypeVar("T")
-
-TABLES: Final = ("csv", "time", "joints", "position", "rotation", "air")
 STUCK: Final = 3
 """So many poses in a row, exactly alike though the arm moved: the tracker had lost its target."""
 
@@ -44,23 +41,16 @@ class RotationColumns:
 
 @dataclass(frozen=True, slots=True)
 class TrackerMapping:
-    """What a mapping says, once it has been checked."""
+    """What a mapping says."""
 
-    arm: str
-    csv: Csv
-    time: Time | None
-    """None where the rows are in the order of time."""
     joints: Columns
     position: Columns
     rotation: RotationColumns
-    air: Columns | None
-
-
-@dataclass(frozen=True, slots=True)
-class _Head:
-    """What a mapping says before its first table."""
-
     arm: str = "unknown"
+    csv: Csv = field(default_factory=Csv)
+    time: Time | None = None
+    """None where the rows are in the order of time."""
+    air: Columns | None = None
 
 
 def mapping_from_toml(text: str, file: str) -> TrackerMapping:
@@ -74,26 +64,30 @@ def mapping_from_toml(text: str, file: str) -> TrackerMapping:
     except NotToml as error:
         raise BadImport([f"{file}:{error.line}: {error}"]) from error
     findings = Findings(lines)
-    head = record_of(_Head, {k: v for k, v in data.items() if k not in TABLES}, (), findings)
-    csv = _record(Csv, data, "csv", findings)
-    time = _record(Time, data, "time", findings) if "time" in data else None
-    joints = _wanted(Columns, data, "joints", findings)
-    position = _wanted(Columns, data, "position", findings)
-    rotation = _wanted(RotationColumns, data, "rotation", findings)
-    air = _record(Columns, data, "air", findings) if "air" in data else None
-    units = (("joints", joints, "rad"), ("position", position, "m"), ("rotation", rotation, "rad"))
-    for name, said, kind in (*units, ("air", air, "degC")):
-        if said is not None and said.unit not in UNITS[kind]:
-            findings.say(
-                (name, "unit"), f"unit: {said.unit!r} does not fit; {did_you_mean(said.unit, UNITS[kind])}"
-            )
-    for name, one, count in (("position", position, 3), ("air", air, 1)):
-        if one is not None and len(one.columns) != count:
-            findings.say((name, "columns"), f"columns: {len(one.columns)} given; {name} takes {count}")
-    if findings.problems or None in (head, csv, joints, position, rotation):
+    said = record_of(TrackerMapping, data, (), findings)
+    if said is not None:
+        _check_quantities(said, findings)
+    if said is None or findings.problems:
         raise BadImport(f"{file}:{p.line}: {p.text}" for p in sorted(findings.problems))
-    assert head and csv and joints and position and rotation  # noqa: PT018
-    return TrackerMapping(head.arm, csv, time, joints, position, rotation, air)
+    return said
+
+
+def _check_quantities(said: TrackerMapping, findings: Findings) -> None:
+    """Refuse a unit that is of another quantity, and columns that are too few or too many."""
+    quantities = (
+        ("joints", said.joints, "rad", None),
+        ("position", said.position, "m", 3),
+        ("rotation", said.rotation, "rad", 3),
+        ("air", said.air, "degC", 1),
+    )
+    for name, one, kind, count in quantities:
+        if one is None:
+            continue
+        if one.unit not in UNITS[kind]:
+            known = did_you_mean(one.unit, UNITS[kind])
+            findings.say((name, "unit"), f"unit: {one.unit!r} does not fit; {known}")
+        if count is not None and len(one.columns) != count:
+            findings.say((name, "columns"), f"columns: {len(one.columns)} given; {name} takes {count}")
 
 
 def series_from_table(data: bytes, file: str, mapping: TrackerMapping) -> Series:
@@ -121,18 +115,6 @@ def series_from_table(data: bytes, file: str, mapping: TrackerMapping) -> Series
 def sha256(data: bytes) -> str:
     """Digest of a file."""
     return hashlib.sha256(data).hexdigest()
-
-
-def _record(kind: type[T], data: dict[str, Any], name: str, findings: Findings) -> T | None:
-    table = table_of(data.get(name, {}), (name,), findings)
-    return None if table is None else record_of(kind, table, (name,), findings)
-
-
-def _wanted(kind: type[T], data: dict[str, Any], name: str, findings: Findings) -> T | None:
-    if name not in data:
-        findings.say((), f"{name}: is missing; write [{name}], its columns and their unit")
-        return None
-    return _record(kind, data, name, findings)
 
 
 def _values(table: Table, said: Columns | RotationColumns, kind: str) -> Array:

@@ -65,7 +65,7 @@ def test_an_arm_without_links_is_none():
         (('["x", "y", "z"]', '["x", "y"]'), "columns: 2 given; position takes 3"),
         (('order = "XYZ"', 'order = "RPY"'), "order: 'RPY' is not known"),
         (("[position]", "[place]"), "place: is not known here"),
-        (("[position]", "[place]"), "position: is missing; write [position], its columns and their unit"),
+        (("[position]", "[place]"), "position: is missing"),
     ],
 )
 def test_what_is_wrong_with_a_mapping_is_named(change, line):
