@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from fsw.kinematics.transforms import Array, Flags
 from ground.calibration.problem import Linearised, Model, Parameter
 
-STEP: Final = 1e-9
+STEP: Final = 1e-7
 """A pass that moves no parameter by more than this share of its scale is the last."""
 MAX_PASSES: Final = 50
 DAMPING: Final = 1e-3
