@@ -6,7 +6,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from fsw.kinematics.transforms import Array, Flags, Pose, rotation_z, screw_exp
+from fsw.kinematics.transforms import IDENTITY, Array, Flags, Pose, rotation_z, screw_exp
 from sim.frames import FLIP, P_NR_M
 from sim.plant import Plant
 
@@ -45,6 +45,9 @@ class Tracker:
     def noise_m(self, distance_m: Array) -> Array:
         """One sigma at distances (...)."""
         return self.sigma_m + self.sigma_per_m * distance_m
+
+
+TYPICAL: Final = Tracker()
 
 
 def _targets(*nests: tuple[float, float, float, float, float, float]) -> Targets:
@@ -107,7 +110,7 @@ class Shots:
     @property
     def seen(self) -> Flags:
         """(k,)."""
-        return np.isfinite(self.p_WoQ_W_m[0])
+        return np.asarray(np.isfinite(self.p_WoQ_W_m[0]))
 
 
 def rover_pose(roll_rad: float, sway: Array) -> Pose:
@@ -124,16 +127,21 @@ def turret_pose(plant: Plant) -> Pose:
     return Pose(FLIP[:, None] * plant.data.xmat[body].reshape(3, 3), p_N - P_NR_M)
 
 
-def shots(tracker: Tracker, plant: Plant, X_GN: Pose, rng: np.random.Generator) -> tuple[Shots, Shots, Shots]:
+def shots(
+    tracker: Tracker, plant: Plant, X_GN: Pose, X_RF: Pose, rng: np.random.Generator
+) -> tuple[Shots, Shots, Shots]:
     """Every target on ground, rover and turret that can be seen, measured once.
+
+    The turret's interface is at X_RF; the plant is asked what is in the way.
 
     Noise is drawn for hidden targets too, so that what is hidden changes no other reading.
     """
-    X_NF = Pose(np.eye(3), P_NR_M) @ turret_pose(plant)
-    X_GF = X_GN @ X_NF
-    ground = Pose(np.eye(3), np.zeros(3))
-    bodies = ((GROUND, ground), (ROVER, X_GN), (TURRET, X_GF))
-    return tuple(_shot(tracker, plant, X_GN, targets, X_GB, rng) for targets, X_GB in bodies)  # type: ignore[return-value]
+    X_GF = X_GN @ Pose(np.eye(3), P_NR_M) @ X_RF
+    return (
+        _shot(tracker, plant, X_GN, GROUND, IDENTITY, rng),
+        _shot(tracker, plant, X_GN, ROVER, X_GN, rng),
+        _shot(tracker, plant, X_GN, TURRET, X_GF, rng),
+    )
 
 
 def _shot(
@@ -173,4 +181,4 @@ def _see_through(plant: Plant, geom: int) -> bool:
     body, turret = int(model.geom_bodyid[geom]), model.body("turret").id
     while body not in (0, turret):
         body = int(model.body_parentid[body])
-    return body == turret or model.geom(geom).name == "ground"
+    return body == turret or bool(model.geom(geom).name == "ground")

@@ -1,4 +1,4 @@
-"""The residuals of our arm's poses and their derivatives, for the engine: the hanging arm against the tracker."""
+"""The residuals of our arm's poses and their derivatives: the hanging arm against the tracker."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -8,9 +8,8 @@ import numpy as np
 from fsw.dictionary.joints import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm, arm_from
-from fsw.kinematics.chain import joint_jacobian
 from fsw.kinematics.statics import Equilibrium, settle
-from fsw.kinematics.transforms import Array, Pose, rotate, rotation_z, screw_exp, skew
+from fsw.kinematics.transforms import Array, Flags, Numbers, Pose, rotation_z, screw_exp, skew
 from ground.calibration.arm_numbers import (
     CENTRES,
     FRAMES,
@@ -23,14 +22,15 @@ from ground.calibration.arm_numbers import (
     arm_with,
 )
 from ground.calibration.data import Believed, Campaign
-from ground.calibration.hanging import SCREW, STRAIN, Hanging, hanging, motion
+from ground.calibration.fit import Fit
+from ground.calibration.gaps import agreeing
+from ground.calibration.hanging import JOINTS, SCREW, STRAIN, Hanging, hanging, motion
+from ground.calibration.noise import whitener_of
 from ground.calibration.problem import Linearised
-from ground.calibration.screws import Measured, linearised
+from ground.calibration.screws import Measured, error_screw, linearised
 from sim.effects.built import SPRINGS
 from sim.effects.turret import TurretMass
 
-REST_RAD: Final = 6e-6
-"""What is left of friction and encoder in a joint's believed angle at rest, one sigma: from the closed loop."""
 COUNT: Final = len(arm_parameters())
 
 
@@ -42,46 +42,58 @@ class ArmModel:
     """What the numbers are differences from."""
     believed: Believed
     measured: Measured
+    whitener: Array
+    """(n, 6, 6)."""
+    unknown: Flags
+    """Outputs whose place in their gap nobody knows, (5, n)."""
 
     def __call__(self, x: Array) -> Linearised:
-        """Whitened error screws (n, 6) and their derivatives."""
-        n = self.believed.motor_rad.shape[1]
-        X = Pose(np.empty((3, 3, n)), np.empty((3, n)))
-        moved = np.empty((6, n, COUNT))
-        drawn = arm_from(self.nominal)
-        for turret_kg, where in turrets(self.believed):
-            X_RT, moved[:, where] = _moved(self.nominal, drawn, x, turret_kg, self.believed.at(where))
-            X.R[:, :, where], X.p[:, where] = X_RT.R, X_RT.p
-        return linearised(X, moved, self.measured)
+        """Whitened error screws (n, 6) and their derivatives.
 
-    def poses(self, x: Array) -> Pose:
-        """The modelled poses of the turret frame alone, batch (n,)."""
-        return modelled(self.nominal, x, self.believed)
+        Exact, but for a share of 1e-4 in turns of Arm1: its spring's axes turn with it, in what order they
+        yield is neglected.
+        """
+        X, moved = _moved(self.nominal, x, self.believed)
+        return linearised(X, moved, self.measured, self.whitener)
+
+    def errors(self, x: Array) -> Array:
+        """Error screws (6, n) from the modelled poses to the measured ones."""
+        return error_screw(modelled(self.nominal, x, self.believed), self.measured)
 
 
-def arm_model(nominal: Params, campaign: Campaign, with_backlash: bool = True) -> ArmModel:
-    """The model of a campaign; without backlash state, every output is taken to lie mid-gap."""
-    believed = campaign.believed
+def arm_model(
+    nominal: Params, campaign: Campaign, near: Fit | None = None, with_backlash: bool = True
+) -> ArmModel:
+    """The model of a campaign; given a fit near the right one, with what it tells about unsure gaps.
+
+    Without backlash state every output is taken to lie always on the side on which it mostly lies, surely.
+    """
+    believed, unknown = campaign.believed, campaign.believed.side == 0
     if not with_backlash:
-        believed = replace(believed, gap_rad=np.zeros_like(believed.gap_rad))
-    return ArmModel(nominal, believed, with_rest_noise(nominal, campaign))
+        believed, unknown = _on_one_side(believed), np.zeros_like(unknown)
+    x = np.zeros(COUNT) if near is None else near.values
+    by_joints = moved_by_joints(nominal, x, believed)
+    if near is not None:
+        error = error_screw(modelled(nominal, x, believed), campaign.measured)
+        width = near.sigma[GAPS, None] * np.abs(believed.gap_rad)
+        unknown = unknown & ~agreeing(campaign.measured, by_joints, error, unknown, width)
+    return ArmModel(
+        nominal, believed, campaign.measured, whitener_of(campaign.measured, by_joints, unknown), unknown
+    )
 
 
-def with_rest_noise(nominal: Params, campaign: Campaign) -> Measured:
-    """The measured poses with what the joints are not known by added to the tracker's covariance."""
-    measured, believed = campaign.measured, campaign.believed
-    rest = settle(arm_from(nominal), believed.motor_rad, believed.gap_rad, believed.gravity_R_m_s2)
-    J_R = joint_jacobian(rest.frames, measured.X_RT.p)
-    back = measured.X_RT.R.swapaxes(0, 1)[:, :, None]
-    J = np.moveaxis(np.concatenate([rotate(back, J_R[:3]), rotate(back, J_R[3:])]), -1, 0)
-    return replace(measured, covariance=measured.covariance + REST_RAD**2 * J @ J.swapaxes(1, 2))
+def _on_one_side(believed: Believed) -> Believed:
+    """Every output in one place of its gap: which one makes no difference to a fit, zeros take it up."""
+    half = np.abs(believed.gap_rad).max(axis=1, keepdims=True)
+    side = np.where(believed.gap_rad.sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
+    return replace(believed, gap_rad=np.broadcast_to(side * half, believed.gap_rad.shape))
 
 
-def turrets(believed: Believed) -> list[tuple[float | None, Array]]:
+def turrets(believed: Believed) -> list[tuple[float | None, Numbers]]:
     """The turrets in use, None for the arm's own, each with its poses."""
     kinds = np.unique(believed.turret_kg)
     own = np.isnan(believed.turret_kg)
-    found: list[tuple[float | None, Array]] = [
+    found: list[tuple[float | None, Numbers]] = [
         (float(kg), np.flatnonzero(believed.turret_kg == kg)) for kg in kinds if np.isfinite(kg)
     ]
     return [*found, *([(None, np.flatnonzero(own))] if own.any() else [])]
@@ -119,18 +131,37 @@ def _screw(x: Array, frame: Frame) -> Array:
     return x[6 * frame : 6 * frame + 6]
 
 
-def _moved(
-    nominal: Params, drawn: Arm, x: Array, turret_kg: float | None, at: Believed
-) -> tuple[Pose, Array]:
-    """The turret frame's pose, and the screw by which it moves per unit of each number."""
-    arm, rest = _at_rest(nominal, x, turret_kg, at)
-    hang = hanging(arm, rest, at.gravity_R_m_s2, screw_exp(_screw(x, Frame.TOOL)))
+def moved_by_joints(nominal: Params, x: Array, believed: Believed) -> Array:
+    """The screw by which the turret frame moves, in its own axes, per turn of each output, (6, n, joints)."""
+    moved = np.empty((6, believed.motor_rad.shape[1], JOINTS))
+    for turret_kg, where in turrets(believed):
+        hang = _hanging(nominal, x, turret_kg, believed.at(where))
+        turns = np.zeros((SCREW, where.size, JOINTS))
+        turns[range(JOINTS), :, range(JOINTS)] = 1.0
+        moved[:, where] = motion(hang, np.zeros_like(turns), turns, np.zeros((6 * len(Frame), JOINTS)))
+    return moved
+
+
+def _moved(nominal: Params, x: Array, believed: Believed) -> tuple[Pose, Array]:
+    """The turret frame's poses, and the screws by which they move per unit of each number, (6, n, COUNT)."""
+    n = believed.motor_rad.shape[1]
+    X, moved = Pose(np.empty((3, 3, n)), np.empty((3, n))), np.empty((6, n, COUNT))
+    drawn = arm_from(nominal)
     screws = np.zeros((6 * len(Frame), COUNT))
     for frame in Frame:
         rows = slice(6 * frame, 6 * frame + 6)
         screws[rows, FRAMES][:, rows] = _right_jacobian(_screw(x, frame))
-    dQ, direct = _by_loads(drawn, hang, turret_kg), _by_springs(hang, x, at)
-    return hang.X_RT, motion(hang, dQ, direct, screws)
+    for turret_kg, where in turrets(believed):
+        at = believed.at(where)
+        hang = _hanging(nominal, x, turret_kg, at)
+        moved[:, where] = motion(hang, _by_loads(drawn, hang, turret_kg), _by_springs(hang, x, at), screws)
+        X.R[:, :, where], X.p[:, where] = hang.X_RT.R, hang.X_RT.p
+    return X, moved
+
+
+def _hanging(nominal: Params, x: Array, turret_kg: float | None, at: Believed) -> Hanging:
+    arm, rest = _at_rest(nominal, x, turret_kg, at)
+    return hanging(arm, rest, at.gravity_R_m_s2, screw_exp(_screw(x, Frame.TOOL)))
 
 
 def _by_loads(drawn: Arm, hang: Hanging, turret_kg: float | None) -> Array:

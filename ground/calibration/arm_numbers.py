@@ -1,4 +1,4 @@
-"""The numbers that our arm is calibrated for: what they are called, how large they may be, what they change."""
+"""The numbers that our arm is calibrated for: their names, how large they may be, what they change."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -21,7 +21,7 @@ from sim.effects.structure import LinkMass, LinkStiffness
 AXES: Final = ("rx", "ry", "rz", "tx", "ty", "tz")
 MASSES: Final = (Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5, Frame.ARM6)
 FIXTURE_RAD, FIXTURE_M = 1e-4, 5e-5
-"""How well the measured frame is known on the interface that its targets are mounted on, one sigma; assumed."""
+"""How well the measured frame is known on the interface that its targets are on, one sigma; assumed."""
 ZEROS: Final = tuple(6 * frame + 2 for frame in Frame if frame < len(Joint))
 """The turns of frames Arm1 to Arm5 about z: the next joint's axis, so that they are encoder zeros too."""
 
@@ -35,19 +35,13 @@ CENTRES: Final = slice(62, 77)
 
 def arm_parameters() -> tuple[Parameter, ...]:
     """All of them; sigmas are those that arms are built with. Factors are natural logarithms."""
-    return tuple(
-        [
-            *_frame_screws(),
-            *(Parameter(f"gear.{j.name.lower()}", "ln", STIFFNESS, STIFFNESS) for j in Joint),
-            *(Parameter(f"spring.{f.name.lower()}", "ln", STIFFNESS, STIFFNESS) for f in SPRINGS),
-            *(Parameter(f"backlash.{j.name.lower()}", "ln", BACKLASH, BACKLASH) for j in Joint),
-            *(Parameter(f"mass.{f.name.lower()}", "ln", MASS, MASS) for f in MASSES),
-            *(
-                Parameter(f"centre.{f.name.lower()}.{axis}", "m", COM_M, COM_M)
-                for f in MASSES
-                for axis in "xyz"
-            ),
-        ]
+    return (
+        *_frame_screws(),
+        *(Parameter(f"gear.{j.name.lower()}", "ln", STIFFNESS, STIFFNESS) for j in Joint),
+        *(Parameter(f"spring.{f.name.lower()}", "ln", STIFFNESS, STIFFNESS) for f in SPRINGS),
+        *(Parameter(f"backlash.{j.name.lower()}", "ln", BACKLASH, BACKLASH) for j in Joint),
+        *(Parameter(f"mass.{f.name.lower()}", "ln", MASS, MASS) for f in MASSES),
+        *(Parameter(f"centre.{f.name.lower()}.{axis}", "m", COM_M, COM_M) for f in MASSES for axis in "xyz"),
     )
 
 

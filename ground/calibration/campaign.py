@@ -1,4 +1,4 @@
-"""The campaign in the closed loop: hardstops first, then every pose reached by flight software and measured."""
+"""The campaign in the closed loop: hardstops first, then flight software goes to every pose."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ from sim.loop import ClosedLoop, Setup
 from sim.sequence import Outcome, run_sequence
 from sim.stops import without_turret
 from sim.tour import REST_S
-from sim.tracker import Tracker
+from sim.tracker import TYPICAL, Tracker, turret_pose
 from sim.world import World
 
 
@@ -38,7 +38,7 @@ class CampaignPlan:
     """What is done, and with what."""
 
     groups: tuple[Group, ...] = PAPER_GROUPS
-    tracker: Tracker = Tracker()
+    tracker: Tracker = TYPICAL
     seed: int = 0
 
 
@@ -98,7 +98,7 @@ def group_rows(arm: BuiltArm, reference: Reference, plan: CampaignPlan, k: int) 
 
 def _row(loop: ClosedLoop, group: Group, k: int, tracker: Tracker, rng: np.random.Generator) -> Row:
     loop.plant.truth()  # brings the kinematics up to date
-    seen = surveyed(tracker, loop.plant, group.roll_rad, rng)
+    seen = surveyed(tracker, loop.plant, group.roll_rad, turret_pose(loop.plant), rng)
     joints, arm = loop.state.joints, loop.config.arm
     gear = joints.gear_rad[:, LIKELY]
     gap = gap_of(joints.reference.half_gap_rad, gear)

@@ -7,7 +7,7 @@ import numpy as np
 
 from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import Params
-from fsw.kinematics.transforms import Array, Flags, Pose, inverse
+from fsw.kinematics.transforms import Flags, Numbers, Pose, inverse
 from ground.calibration.arm_model import modelled
 from ground.calibration.arm_numbers import arm_parameters
 from ground.calibration.calibrate import Calibration
@@ -61,7 +61,7 @@ def check_fit(found: Calibration) -> None:
     Raises:
         BadData: with everything that is wrong.
     """
-    _refuse(_about_fit(found.fit, found.frames_seen, found.judged))
+    _refuse(_about_fit(found.best, found.frames_seen, found.judged))
 
 
 def _refuse(reasons: Iterator[str]) -> None:
@@ -72,7 +72,7 @@ def _refuse(reasons: Iterator[str]) -> None:
 
 def _about_poses(campaign: Campaign) -> Iterator[str]:
     if campaign.count < LEAST_POSES:
-        yield f"poses: {campaign.count} are too few; {LEAST_POSES} at least, over the workspace (the paper took 160)"
+        yield f"poses: {campaign.count} are too few; {LEAST_POSES} at least (the paper took 160)"
     span = np.ptp(campaign.believed.motor_rad, axis=1) if campaign.count else np.zeros(len(Joint))
     for joint in Joint:
         if span[joint] < LEAST_SPAN_RAD:
@@ -93,13 +93,13 @@ def _about_units(campaign: Campaign) -> Iterator[str]:
     gravity = np.linalg.norm(believed.gravity_R_m_s2, axis=0)
     low, high = GRAVITY_M_S2
     if gravity.min() < low or gravity.max() > high:
-        yield f"gravity_*_m_s2: {gravity.min():.4g} .. {gravity.max():.4g}; {low:g} .. {high:g} m/s2 is gravity: 9.81 on Earth"
+        yield f"gravity_*_m_s2: {gravity.min():.4g} .. {gravity.max():.4g} long; give m/s2, 9.81 on Earth"
     if np.abs(believed.gap_rad).max() > 0.02:
         yield f"gap_*_rad: up to {np.abs(believed.gap_rad).max():.4g}; half a backlash is 0.002 rad"
     sigma = np.sqrt(np.diagonal(measured.covariance, axis1=1, axis2=2))
     if sigma.min() < 1e-7 or sigma.max() > 0.01:
         yield (
-            f"cov_*: one sigma of {sigma.min():.2g} .. {sigma.max():.2g}; a tracker has 1e-5 .. 1e-3 (rad, m): "
+            f"cov_*: one sigma of {sigma.min():.2g} .. {sigma.max():.2g}; a tracker has 1e-5 .. 1e-3: "
             "give variances in rad2, rad m, m2"
         )
 
@@ -108,22 +108,28 @@ def _about_tracker(campaign: Campaign) -> Iterator[str]:
     for row, name in enumerate(("ground", "rover", "turret")):
         few = np.flatnonzero(campaign.targets_seen[row] < FEWEST)
         if few.size:
-            yield f"targets_{name}: {_poses(few)} with fewer than {FEWEST}: its frame cannot be built; measure again"
+            yield (
+                f"targets_{name}: {_poses(few)} with fewer than {FEWEST}: no frame can be built of them; "
+                "measure again or leave out"
+            )
     lost = np.flatnonzero(campaign.misfit_m > MISFIT_M)
     if lost.size:
         yield (
-            f"misfit_m: {_poses(lost)} with targets up to {1e3 * campaign.misfit_m.max():.2f} mm from where the "
+            f"misfit_m: {_poses(lost)} with targets up to {1e3 * campaign.misfit_m.max():.2f} mm from where "
             "rigid bodies have them: the tracker lost its lock or took another target; measure again"
         )
     moved = np.flatnonzero(campaign.tracker_moved_m > MOVED_M)
     if moved.size:
         yield (
-            f"tracker_moved_m: {_poses(moved)} with the ground up to {1e3 * campaign.tracker_moved_m.max():.1f} mm "
+            f"tracker_moved_m: {_poses(moved)}, ground up to {1e3 * campaign.tracker_moved_m.max():.1f} mm "
             "from where it was: the tracker lost its lock or was moved; measure again"
         )
     stale = np.flatnonzero(_stale(campaign)) + 1
     if stale.size:
-        yield f"p_*_m: {_poses(stale)} exactly where the pose before was, though joints moved: the tracker stood still"
+        yield (
+            f"p_*_m: {_poses(stale)} exactly where the pose before was, though joints moved: the tracker "
+            "lost its lock; measure again"
+        )
 
 
 def _stale(campaign: Campaign) -> Flags:
@@ -148,7 +154,7 @@ def _about_frames(nominal: Params, campaign: Campaign) -> Iterator[str]:
         else "none of the usual mix-ups explains it"
     )
     yield (
-        f"measured poses: {1e3 * as_given:.0f} mm from the drawing's, root mean square; a built arm is within "
+        f"measured poses: {1e3 * as_given:.0f} mm from the drawing's (median); a built arm is within "
         f"{1e3 * BUILT_M:.0f} mm. {hint[0].upper()}{hint[1:]}"
     )
 
@@ -178,7 +184,10 @@ def _about_fit(found: Fit, frames: Seen, verdict: Judged) -> Iterator[str]:
         yield "fit: did not converge"
     if frames.rank < FULL_RANK:
         unseen = "; ".join(f"{', '.join(g.names)} as {g.seen}" for g in frames.confused())
-        yield f"rank: the frames show {frames.rank} of {FULL_RANK} combinations ({unseen}); more and other poses tell more"
+        yield (
+            f"rank: the frames show {frames.rank} of {FULL_RANK} combinations ({unseen}); "
+            "more poses, and others, tell more"
+        )
     if found.sigma0 > NOISIER:
         yield (
             f"residuals: {found.sigma0:.2f} times the noise, p = {found.p_value:.1e}; {NOISIER} at most: "
@@ -187,7 +196,7 @@ def _about_fit(found: Fit, frames: Seen, verdict: Judged) -> Iterator[str]:
     if found.sigma0 < QUIETER:
         yield f"residuals: {found.sigma0:.2f} of the noise, {QUIETER} at least: the covariances are too large"
     if verdict.ratio > WORSE:
-        yield f"held-out poses: {verdict.ratio:.2f} times what noise and covariance let expect; {WORSE} at most"
+        yield f"held-out poses: {verdict.ratio:.2f} times what noise and covariance allow; {WORSE} at most"
     prior = np.array([parameter.prior_sigma for parameter in found.parameters])
     for k in np.flatnonzero(np.abs(found.values) > FAR * prior):
         yield (
@@ -196,6 +205,6 @@ def _about_fit(found: Fit, frames: Seen, verdict: Judged) -> Iterator[str]:
         )
 
 
-def _poses(which: Array) -> str:
+def _poses(which: Numbers) -> str:
     named = ", ".join(str(int(k)) for k in which[:6])
     return f"pose {named}" if which.size == 1 else f"poses {named}{' ...' if which.size > 6 else ''}"

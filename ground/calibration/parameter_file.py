@@ -25,7 +25,7 @@ def calibrated_params(found: Calibration, tools: dict[Tool, Pose] | None = None)
 
     Tools (X_FT in Arm6) that were registered on the turret take the place of the drawing's.
     """
-    _, params = with_zeros_as_hardstops(found.nominal, found.fit.values)
+    _, params = with_zeros_as_hardstops(found.nominal, found.best.values)
     for tool, X_FT in (tools or {}).items():
         name = tool.name.lower()
         changed = replace(getattr(params.tools, name), transform=transform6_from(X_FT))
@@ -55,19 +55,20 @@ def data_sha256(campaign: Campaign) -> str:
 
 def provenance(found: Calibration) -> tuple[str, ...]:
     """Where the numbers come from, a sentence a line; no date, so that the same data give the same file."""
-    campaign, fit = found.campaign, found.fit
-    held = found.held_out_error
+    campaign, best = found.campaign, found.best
+    left_out = ", ".join(map(str, found.cleaned.outliers)) or "none"
+    groups, held = np.unique(campaign.group).size, found.held_out_error
     return (
         f"Flight parameters of {campaign.arm_name}, calibrated; those that are not here are nominal.",
         f"Over nominal parameters of digest {digest(found.nominal)}.",
         f"Data of digest {data_sha256(campaign)}:",
-        f"{campaign.count} poses in {len(np.unique(campaign.group))} groups, "
-        f"{len(found.cleaned.outliers)} left out ({', '.join(map(str, found.cleaned.outliers)) or 'none'}).",
-        f"Position error {1e3 * rms_m(found.before):.3f} mm before, {1e3 * rms_m(found.after[:, fit.used]):.3f} mm "
-        f"after, {1e3 * rms_m(held):.3f} mm on {held.shape[1]} held-out poses (root mean square).",
-        f"Residuals {fit.sigma0:.3f} of the noise, p = {fit.p_value:.3f}; held out {found.judged.ratio:.3f} of what "
-        "is expected.",
-        f"Rank {found.frames_seen.rank} of 42 frame numbers, {found.seen.rank} of {len(fit.parameters)} in all.",
+        f"{campaign.count} poses in {groups} groups; left out as outliers: {left_out}.",
+        f"Position error, root mean square: {1e3 * rms_m(found.before):.3f} mm before, "
+        f"{1e3 * rms_m(found.after[:, best.used]):.3f} mm after,",
+        f"{1e3 * rms_m(held):.3f} mm on {held.shape[1]} held-out poses.",
+        f"Residuals {best.sigma0:.3f} of the noise, p = {best.p_value:.3f}; "
+        f"held out {found.judged.ratio:.3f} of what is expected.",
+        f"Rank {found.frames_seen.rank} of 42 frame numbers, {found.seen.rank} of {best.values.size} in all.",
         "Encoder zeros are in the hardstop angles: find every hardstop anew with this file loaded.",
     )
 
@@ -92,10 +93,7 @@ def _changed(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
     """What is another value, tables of numbers whole."""
     found: dict[str, Any] = {}
     for key, value in new.items():
-        if not isinstance(value, dict):
-            if value != old[key]:
-                found[key] = value
-        elif _is_leaf(value):
+        if not isinstance(value, dict) or _is_leaf(value):
             if value != old[key]:
                 found[key] = value
         elif inner := _changed(old[key], value):

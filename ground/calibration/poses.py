@@ -1,4 +1,4 @@
-"""The poses of a campaign: random over the workspace, clear of everything, three in ten shoulder-in, near ones in a row."""
+"""The poses of a campaign: random over the workspace, clear of everything, three in ten shoulder-in."""
 
 from dataclasses import dataclass
 from typing import Final

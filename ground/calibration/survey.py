@@ -50,14 +50,16 @@ class Surveyed:
     X_WG: Pose
 
 
-def surveyed(tracker: Tracker, plant: Plant, roll_rad: float, rng: np.random.Generator) -> Surveyed:
-    """One look at the settled arm; the rover stands a little otherwise every time.
+def surveyed(
+    tracker: Tracker, plant: Plant, roll_rad: float, X_RF: Pose, rng: np.random.Generator
+) -> Surveyed:
+    """One look at the settled arm, its turret's interface at X_RF; the rover sways from look to look.
 
     Raises:
         FewTargets: too few targets on a body are in sight.
     """
     sway = rng.standard_normal(6) * np.repeat([SWAY_RAD, SWAY_M], 3)
-    of_bodies = shots(tracker, plant, rover_pose(roll_rad, sway), rng)
+    of_bodies = shots(tracker, plant, rover_pose(roll_rad, sway), X_RF, rng)
     named = zip((GROUND, ROVER, TURRET), of_bodies, ("ground", "rover", "turret"), strict=True)
     ground, rover, turret = (built_frame(targets, shot, name) for targets, shot, name in named)
     X_RT, covariance = seen_from(rover, turret, X_NR)
@@ -82,7 +84,8 @@ def campaign_from(arm_name: str, rows: Sequence[Row]) -> Campaign:
         return np.stack([getattr(row, name) for row in rows], axis=-1)
 
     names = ("motor_rad", "gap_rad", "held_Nm", "side", "gravity_R_m_s2")
-    believed = Believed(*(stacked(name) for name in names), np.array([row.turret_kg for row in rows]))
+    motor, gap, held, side, gravity = (stacked(name) for name in names)
+    believed = Believed(motor, gap, held, side, gravity, np.array([row.turret_kg for row in rows]))
     X = Pose(np.stack([row.X_RT.R for row in rows], -1), np.stack([row.X_RT.p for row in rows], -1))
     ground = np.stack([row.X_WG.p for row in rows], -1)
     return Campaign(

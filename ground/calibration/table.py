@@ -103,7 +103,10 @@ def _problems(table: pa.Table) -> Iterator[str]:
             continue
         bad = ~np.isfinite(table[name].to_numpy().astype(float))
         if name not in MAY_BE_EMPTY and bad.any():
-            yield f"column {name}: no number in row {int(np.argmax(bad))} and {int(bad.sum()) - 1} others; leave such poses out"
+            yield (
+                f"column {name}: no number in {int(bad.sum())} rows, the first is {int(np.argmax(bad))}; "
+                "leave such poses out"
+            )
     if set(table["branch"].to_pylist()) - set(BRANCHES):
         yield f"column branch: only {', '.join(BRANCHES)}"
     if len(set(table["arm"].to_pylist())) > 1:
@@ -136,7 +139,10 @@ def _campaign(column: dict[str, Array]) -> Campaign:
         else np.zeros((3, 3, 0))
     )
     believed = Believed(
-        *(of_joints(name) for name in ("motor_{}_rad", "gap_{}_rad", "held_{}_Nm", "side_{}")),
+        of_joints("motor_{}_rad"),
+        of_joints("gap_{}_rad"),
+        of_joints("held_{}_Nm"),
+        of_joints("side_{}"),
         rows(*(f"gravity_{axis}_m_s2" for axis in "xyz")),
         column["turret_kg"].astype(float),
     )
