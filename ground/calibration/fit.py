@@ -14,13 +14,13 @@ from scipy.stats import chi2
 from fsw.kinematics.transforms import Array, Flags
 from ground.calibration.problem import Linearised, Model, Parameter
 
-STEP: Final = 1e-9
+STEP: Final = 1e-7
 """A pass that moves no parameter by more than this share of its scale is the last."""
 MAX_PASSES: Final = 50
-DAMPING: Final = 1e-3
-"""Where a full step makes the sum larger: the first damping, relative to the largest singular value."""
+DAMPING: Final = 1e-6
+"""Where a full step makes the sum larger: the first damping, as a share of the largest information."""
 HARDER: Final = 10.0
-MAX_DAMPING: Final = 1e6
+MAX_DAMPING: Final = 1e3
 UNSEEN: Final = 1e-2
 """A combination that, moved by its scale, shows less than this share of the noise stays where it was."""
 FREE: Final = 1e-6
@@ -59,7 +59,7 @@ class Fit:
     def freedom(self) -> float:
         """What that sum is expected to be: numbers measured less numbers learnt from them."""
         J = _flat(self.at.jacobian[self.used])
-        return self.at.residual[self.used].size - float(np.sum((J @ self.covariance) * J))
+        return int(self.at.counted[self.used].sum()) - float(np.sum((J @ self.covariance) * J))
 
     @property
     def sigma0(self) -> float:
@@ -90,10 +90,11 @@ def fit(
         step, at = _improved(model, x, at, keep, scale, prior)
         x = x + step
         converged = bool(np.all(np.abs(step) <= STEP * scale))
-    _, s, Vt = _decomposed(at, keep, scale, prior, x)
-    told = s > UNSEEN
-    root = scale[:, None] * Vt[told].T / s[told]
-    free = np.sqrt(np.maximum(0.0, 1.0 - np.sum(Vt[told] ** 2, axis=0)))
+    information, _ = _normal(at, x, keep, scale, prior)
+    s2, V = np.linalg.eigh(information)
+    told = s2 > UNSEEN**2
+    root = scale[:, None] * V[:, told] / np.sqrt(s2[told])
+    free = np.sqrt(np.maximum(0.0, 1.0 - np.sum(V[:, told] ** 2, axis=1)))
     return Fit(tuple(parameters), x, root @ root.T, free, at, keep, converged, passes)
 
 
@@ -106,12 +107,13 @@ def _improved(
     model: Model, x: Array, at: Linearised, used: Flags, scale: Array, prior: Array
 ) -> tuple[Array, Linearised]:
     """A step that does not make the sum larger, and the model there: damped only if the full one does."""
-    along, s, Vt = _decomposed(at, used, scale, prior, x)
-    told = s > UNSEEN
+    information, gradient = _normal(at, x, used, scale, prior)
+    s2, V = np.linalg.eigh(information)
+    told = s2 > UNSEEN**2
+    along = V.T @ gradient
     before, damping = cost(at, used, x, prior), 0.0
     while damping <= MAX_DAMPING:
-        share = np.where(told, s / (s**2 + (damping * s[0]) ** 2 + ~told), 0.0)
-        step = -scale * (Vt.T @ (share * along))
+        step = -scale * (V @ np.where(told, along / (s2 + damping * s2[-1] + ~told), 0.0))
         there = model(x + step)
         if cost(there, used, x + step, prior) <= before * (1 + STEP):
             return step, there
@@ -119,19 +121,11 @@ def _improved(
     return np.zeros_like(x), at
 
 
-def _decomposed(
-    at: Linearised, used: Flags, scale: Array, prior: Array, x: Array
-) -> tuple[Array, Array, Array]:
-    """What is left along each singular direction of all rows, those of the prior last; values; directions.
-
-    Parameters in units of their scale. Rows are reduced to a triangle first: there may be many thousands.
-    """
-    rows = np.concatenate([_flat(at.jacobian[used]) * scale, np.diag(prior * scale)])
-    left = np.concatenate([at.residual[used].ravel(), x * prior])
-    triangle = np.asarray(np.linalg.qr(np.column_stack([rows, left]), mode="r"))
-    p = scale.size
-    U, s, Vt = np.linalg.svd(triangle[:p, :p])
-    return U.T @ triangle[:p, p], s, Vt
+def _normal(at: Linearised, x: Array, used: Flags, scale: Array, prior: Array) -> tuple[Array, Array]:
+    """Information (p, p) and gradient (p,), prior included, with parameters in units of their scale."""
+    J = _flat(at.jacobian[used]) * scale
+    gradient: Array = J.T @ at.residual[used].ravel() + scale * prior**2 * x
+    return J.T @ J + np.diag((prior * scale) ** 2), gradient
 
 
 def _flat(jacobian: Array) -> Array:

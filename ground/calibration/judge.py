@@ -11,7 +11,10 @@ from ground.calibration.problem import Linearised
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Judged:
-    """What fresh poses were off by, and what noise and the fit's covariance let expect; whitened."""
+    """What fresh poses were off by, and what noise and the fit's covariance let expect; whitened.
+
+    Components that measure nothing are 0 in both.
+    """
 
     residual: Array
     """(poses, components)."""
@@ -21,11 +24,11 @@ class Judged:
     @property
     def ratio(self) -> float:
         """Root mean square over what was expected."""
-        return float(np.sqrt(np.mean(self.residual**2) / np.mean(self.variance)))
+        return float(np.sqrt(np.sum(self.residual**2) / np.sum(self.variance)))
 
 
 def judged(fitted: Fit, fresh: Linearised) -> Judged:
     """Judge by poses linearised at the fit's values."""
     J = fresh.jacobian
     learnt = np.einsum("nij,jk,nik->ni", J, fitted.covariance, J, optimize=True)
-    return Judged(fresh.residual, 1.0 + learnt)
+    return Judged(fresh.residual, fresh.counted + learnt)

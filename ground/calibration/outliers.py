@@ -28,8 +28,8 @@ class Cleaned:
     fit: Fit
     distance: Array
     """Of each pose from what the others predict, squared, in units of its variance, (n,)."""
-    limit: float
-    """Of that distance."""
+    limit: Array
+    """Of that distance, (n,)."""
 
     @property
     def outliers(self) -> tuple[int, ...]:
@@ -56,22 +56,20 @@ def cleaned_fit(
     asked = found.used
     count = int(np.count_nonzero(asked))
     while True:
-        distance = leave_out_distance(found)
-        limit = _limit(distance[found.used], found.at.residual.shape[1], false_alarm, count)
-        worst = int(np.argmax(np.where(found.used, distance, -np.inf)))
-        if distance[worst] <= limit:
+        share, limit = _share_of_limit(found, false_alarm / count)
+        worst = int(np.argmax(np.where(found.used, share, -np.inf)))
+        if share[worst] <= 1.0:
             break
-        keep = found.used & (np.arange(distance.size) != worst)
+        keep = found.used & (np.arange(share.size) != worst)
         if np.count_nonzero(asked & ~keep) > MOST * count:
             raise NoAgreement(
                 f"more than {MOST:.0%} of {count} poses do not agree with the rest: no arm explains them all"
             )
         found = fit(parameters, model, found.values, keep)
-    back = asked & ~found.used & (distance <= limit)
+    back = asked & ~found.used & (share <= 1.0)
     if back.any():
         found = fit(parameters, model, found.values, found.used | back)
-        distance = leave_out_distance(found)
-    return Cleaned(found, distance, limit)
+    return Cleaned(found, leave_out_distance(found), limit)
 
 
 def leave_out_distance(fitted: Fit) -> Array:
@@ -87,6 +85,10 @@ def leave_out_distance(fitted: Fit) -> Array:
     return np.asarray(np.einsum("ni,ni->n", r, np.linalg.solve(variance, r[..., None])[..., 0]))
 
 
-def _limit(distance: Array, components: int, false_alarm: float, count: int) -> float:
-    typical = float(np.median(distance) / chi2.median(components))
-    return float(chi2.isf(false_alarm / count, components)) * max(1.0, typical)
+def _share_of_limit(fitted: Fit, false_alarm: float) -> tuple[Array, Array]:
+    """How far each pose is as a share of its limit, and the limit; poses that tell less have a lower one."""
+    components = np.maximum(fitted.at.counted.sum(axis=1), 1)
+    distance = leave_out_distance(fitted)
+    typical = float(np.median((distance / chi2.median(components))[fitted.used]))
+    limit = chi2.isf(false_alarm, components) * max(1.0, typical)
+    return distance / limit, limit

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array
+from fsw.kinematics.transforms import Array, Flags
 
 UNKNOWN: Final = np.inf
 """The prior sigma of what nothing is known about beforehand."""
@@ -38,6 +38,15 @@ class Linearised:
     """(poses, components)."""
     jacobian: Array
     """Exact derivatives of the residuals, (poses, components, parameters)."""
+
+    @property
+    def counted(self) -> Flags:
+        """Components that measure anything, (poses, components): what depends on nothing does not."""
+        return np.asarray(np.any(self.jacobian != 0.0, axis=-1))
+
+    def at(self, poses: Flags) -> "Linearised":
+        """Some of the poses."""
+        return Linearised(self.residual[poses], self.jacobian[poses])
 
 
 Model = Callable[[Array], Linearised]

@@ -42,15 +42,16 @@ def error_screw(X_RM: Pose, measured: Measured) -> Array:
     return screw_log(inverse(X_RM) @ measured.X_RT)
 
 
-def linearised(X_RM: Pose, moved: Array, measured: Measured) -> Linearised:
+def linearised(X_RM: Pose, moved: Array, measured: Measured, whitener: Array | None = None) -> Linearised:
     """Whitened error screws of modelled poses, and their derivatives.
 
     `moved` (6, n, p): the screw by which a modelled pose moves, in its own axes, per unit of each parameter.
+    The whitener (n, 6, 6) is that of the measurement unless another is given; rows of it may be 0.
     """
     T = error_screw(X_RM, measured)
-    whitener = measured.whitener
+    W = measured.whitener if whitener is None else whitener
     turned = -np.einsum("ijn,jnp->nip", _inverse_left_jacobian(T), moved)
-    return Linearised(np.einsum("nij,jn->ni", whitener, T), whitener @ turned)
+    return Linearised(np.einsum("nij,jn->ni", W, T), W @ turned)
 
 
 def _inverse_left_jacobian(T: Array) -> Array:
