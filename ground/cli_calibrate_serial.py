@@ -40,8 +40,8 @@ def calibrate_serial(
 ) -> None:
     """Find what a serial arm is, and how its joints err, from poses that a laser tracker measured.
 
-    docs/ur10.md says how the files are written, and what came of a real arm. Poses that took no part judge
-    what was found. An arm that was found is a file like the first, and can be judged by another table.
+    docs/ur10.md says how the files are written, and what came of a real arm. Poses that took no part judge.
+    An arm that was found is a file like the first, and can be judged by another table.
 
     Example: marsarm calibrate-serial models/ur10/arm.toml poses.csv models/ur10/series_a.toml
     """

@@ -1,6 +1,6 @@
 """A calibrated serial arm as tables for people and as a document for programs."""
 
-from typing import Any
+from typing import Any, Final
 
 from rich.table import Table
 
@@ -11,6 +11,9 @@ from ground.calibration.serial.model import GEOMETRY
 from ground.calibration.serial.request import SerialReport
 from ground.calibration.serial.temperature import TemperatureTest
 from ground.report.console import plain_console
+
+MISSING: Final = 1.5
+"""Times the noise that the file says: more is not noise."""
 
 
 def serial_json(report: SerialReport, picture_lacks: str | None) -> dict[str, Any]:
@@ -114,13 +117,13 @@ def serial_table(report: SerialReport, picture_lacks: str | None) -> None:
     """Print what each term explains, what the joints err by, and what is left."""
     console = plain_console()
     console.print(_steps(report))
-    if report.steps[-1].terms:
-        console.print(_joints(report))
     last = report.steps[-1]
+    if set(last.terms) - {GEOMETRY}:
+        console.print(_joints(report))
     fit = last.found.fit
     console.print(
         f"{len(fit.parameters)} parameters; the poses tell {report.seen.rank} combinations of them; "
-        f"noise is {fit.sigma0:.2f} of what the file says"
+        f"{_noise_words(fit.sigma0)}"
     )
     rows = ", ".join(map(str, last.found.outliers))
     console.print(f"left out, for they agree with no other: {f'rows {rows}' if rows else 'no pose'}")
@@ -130,6 +133,11 @@ def serial_table(report: SerialReport, picture_lacks: str | None) -> None:
         console.print(f"arm  {report.request.out}")
     if report.request.picture is not None:
         console.print(f"picture  {picture_lacks or report.request.picture}")
+
+
+def _noise_words(sigma0: float) -> str:
+    said = f"noise is {sigma0:.2f} of what the file says"
+    return said if sigma0 < MISSING else f"{said}: the arm has errors that none of these terms explains"
 
 
 def _steps(report: SerialReport) -> Table:
