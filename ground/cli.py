@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from ground.cli_budget import budget
+from ground.cli_calibrate import calibrate
 from ground.cli_calibrate_serial import calibrate_serial
 from ground.cli_dictionary import dictionary
 from ground.cli_hardstop import hardstop
@@ -130,6 +131,7 @@ app.command()(dictionary)
 log_app.command("import")(import_log)
 app.add_typer(log_app, name="log")
 app.command()(budget)
+app.command()(calibrate)
 app.command("calibrate-serial")(calibrate_serial)
 
 

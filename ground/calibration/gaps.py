@@ -1,7 +1,7 @@
 """Outputs of which flight software does not surely know on which side of their gaps they lie.
 
 What it believes is mostly right. A campaign tells: where the tracker sees most such outputs of a joint off by
-one and the same angle, that angle is the joint's zero, and those that agree with it lie where they are believed
+one and the same angle, that angle is its zero, and those that agree with it lie where they are believed
 to. The others lie somewhere in their gaps, and their poses tell nothing about that joint.
 """
 

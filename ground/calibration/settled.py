@@ -26,7 +26,6 @@ from sim.effects.joints import HardstopAngle
 from sim.plant import Plant
 from sim.world import World
 
-
 MOSTLY: Final = 0.8
 """How often an output that is not surely known lies where it is believed to; about as in the closed loop."""
 

@@ -2,6 +2,7 @@
 
 import base64
 import html
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -42,10 +43,10 @@ def _page(report: BudgetReport) -> str:
         "<!doctype html><meta charset='utf-8'><title>Error budget</title>",
         f"<style>{STYLE}</style><h1>Error budget of the arm</h1>",
         f"<p>{html.escape(_poses(report))} Plus or minus, what 99.73 % of the poses stay within.</p>",
-        _table(("", "case", "required", "paper", "ours"), rows),
+        html_table(("", "case", "required", "paper", "ours"), rows),
         *(_case(budget) for budget in report.budgets.values()),
         "<h2>Sources</h2>",
-        _table(
+        html_table(
             ("source", "", "kind", "basis"),
             [(s.text, s.label, s.kind, s.basis) for s in report.model.source.values()],
         ),
@@ -69,7 +70,7 @@ def _case(budget: Budget) -> str:
     ]
     picture = base64.b64encode(drawn((12, 4.6), 110, lambda figure: _draw(figure, budget))).decode()
     image = f"<img alt='shares and map' src='data:image/png;base64,{picture}'>"
-    return f"<h2>{html.escape(budget.name)}</h2><p>{html.escape(budget.case.text)}</p>{image}" + _table(
+    return f"<h2>{html.escape(budget.name)}</h2><p>{html.escape(budget.case.text)}</p>{image}" + html_table(
         ("rule", "total", "lateral", "normal", "axial"), rules
     )
 
@@ -103,7 +104,8 @@ def _map(figure: Any, axes: Any, budget: Budget) -> None:
     figure.colorbar(shading, ax=axes, label="mm")
 
 
-def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+def html_table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
+    """A table of texts."""
     cells = "".join(f"<th>{html.escape(name)}</th>" for name in head)
     lines = "".join(
         "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
