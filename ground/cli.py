@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from ground.cli_budget import budget
+from ground.cli_calibrate import calibrate
+from ground.cli_calibrate_serial import calibrate_serial
 from ground.cli_dictionary import dictionary
 from ground.cli_hardstop import hardstop
 from ground.cli_ik import ik, reach
@@ -131,6 +133,8 @@ log_app.command("import")(import_log)
 app.add_typer(log_app, name="log")
 app.command()(budget)
 app.command("monte-carlo")(monte_carlo)
+app.command()(calibrate)
+app.command("calibrate-serial")(calibrate_serial)
 
 
 def _finish(report: "PlaceReport") -> None:

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -12,6 +11,7 @@ import numpy as np
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command
 from ground.imports.errors import BadImport
+from ground.imports.files import MOST_TABLE_BYTES, file_bytes
 from ground.imports.mapping import Mapping, Start
 from ground.imports.mapping_file import MOST_MAPPING_BYTES, mapping_from
 from ground.imports.packets import Lacking, lacking, series_of
@@ -25,7 +25,6 @@ from ground.telemetry.header import asked, begins_with, made_by
 from ground.telemetry.table_log import Series, write_table_log
 
 SENSORS: Final = "/sensors"
-MOST_TABLE_BYTES: Final = 1 << 32
 UNKNOWN_CPU: Final = "[]"
 """Nobody knows what the table's numbers were computed on."""
 
@@ -92,10 +91,10 @@ def import_table(request: ImportRequest, progress: Progress) -> ImportReport:
     try:
         check_output(request.log, (".mcap",), "log")
         progress(0, 3, "reading the mapping")
-        text = _bytes(request.mapping, MOST_MAPPING_BYTES)
+        text = file_bytes(request.mapping, MOST_MAPPING_BYTES)
         progress(1, 3, "reading the table")
         made = imported(
-            _bytes(request.table, MOST_TABLE_BYTES), str(request.table), text, str(request.mapping)
+            file_bytes(request.table, MOST_TABLE_BYTES), str(request.table), text, str(request.mapping)
         )
         progress(2, 3, "writing the log")
         with written_whole(request.log, "log") as file:
@@ -140,18 +139,6 @@ def imported(
         "mapping_sha256": hashlib.sha256(mapping).hexdigest(),
     }
     return Imported(said, read.rows, read.rows_moved, series, _header(said, about))
-
-
-def _bytes(path: Path, most: int) -> bytes:
-    if os.path.exists(path) and not os.path.isfile(path):  # a pipe, say, which would never end
-        raise BadImport([f"{path}: is not a regular file; give the path of one"])
-    try:
-        size = path.stat().st_size
-        if size > most:
-            raise BadImport([f"{path}: has {size} bytes, more than {most}; is it the right file?"])
-        return path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise BadImport([f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})"]) from error
 
 
 def _check_replayable(file: str, mapping: Mapping, start: Start, series: tuple[Series, ...]) -> None:

@@ -1,0 +1,113 @@
+"""The numbers that our arm is calibrated for: their names, how large they may be, what they change."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from fsw.dictionary.joints import Frame, Joint
+from fsw.dictionary.params import LinkParams, Params
+from fsw.dictionary.tuples import row6, vector3
+from fsw.kinematics.arm import transform6, transform6_from
+from fsw.kinematics.transforms import Array, Pose, rotation_z
+from ground.calibration.problem import Parameter
+from sim.effects.built import BACKLASH, COM_M, FRAME_M, FRAME_RAD, MASS, SPRINGS, STIFFNESS, ZERO_RAD
+from sim.effects.geometry import FrameError
+from sim.effects.joints import BacklashWidth, GearStiffness
+from sim.effects.matrices import turned
+from sim.effects.structure import LinkMass, LinkStiffness
+
+AXES: Final = ("rx", "ry", "rz", "tx", "ty", "tz")
+MASSES: Final = (Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5, Frame.ARM6)
+FIXTURE_RAD, FIXTURE_M = 1e-4, 5e-5
+"""How well the measured frame is known on the interface that its targets are on, one sigma; assumed."""
+ZEROS: Final = tuple(6 * frame + 2 for frame in Frame if frame < len(Joint))
+"""The turns of frames Arm1 to Arm5 about z: the next joint's axis, so that they are encoder zeros too."""
+
+FRAMES: Final = slice(0, 42)
+GEARS: Final = slice(42, 47)
+LINKS: Final = slice(47, 52)
+GAPS: Final = slice(52, 57)
+MASS_OF: Final = slice(57, 62)
+CENTRES: Final = slice(62, 77)
+
+
+def arm_parameters() -> tuple[Parameter, ...]:
+    """All of them; sigmas are those that arms are built with. Factors are natural logarithms."""
+    return (
+        *_frame_screws(),
+        *(Parameter(f"gear.{j.name.lower()}", "ln", STIFFNESS, STIFFNESS) for j in Joint),
+        *(Parameter(f"spring.{f.name.lower()}", "ln", STIFFNESS, STIFFNESS) for f in SPRINGS),
+        *(Parameter(f"backlash.{j.name.lower()}", "ln", BACKLASH, BACKLASH) for j in Joint),
+        *(Parameter(f"mass.{f.name.lower()}", "ln", MASS, MASS) for f in MASSES),
+        *(Parameter(f"centre.{f.name.lower()}.{axis}", "m", COM_M, COM_M) for f in MASSES for axis in "xyz"),
+    )
+
+
+def _frame_screws() -> Iterator[Parameter]:
+    for frame in Frame:
+        for k, axis in enumerate(AXES):
+            scale = FRAME_RAD if k < 3 else FRAME_M
+            sigma = scale
+            if frame is Frame.TOOL:
+                sigma = FIXTURE_RAD if k < 3 else FIXTURE_M
+            elif 6 * frame + k in ZEROS:
+                sigma = float(np.hypot(FRAME_RAD, ZERO_RAD))
+            yield Parameter(f"{frame.name.lower()}.{axis}", "rad" if k < 3 else "m", scale, sigma)
+
+
+def arm_with(params: Params, x: Array) -> Params:
+    """The flight parameters of the arm with these numbers, differences from `params`; but for frame Tool.
+
+    Factors of backlash go into the widths. The measured frame is no part of the arm.
+    """
+    factor = np.exp(x)
+    for joint in Joint:
+        params = GearStiffness(joint, float(factor[GEARS][joint])).on_params(params)
+        params = BacklashWidth(joint, float(factor[GAPS][joint])).on_params(params)
+    for k, frame in enumerate(SPRINGS):
+        params = LinkStiffness(frame, float(factor[LINKS][k])).on_params(params)
+    for k, frame in enumerate(MASSES):
+        shift = vector3(x[CENTRES][3 * k : 3 * k + 3])
+        params = LinkMass(frame, float(factor[MASS_OF][k]), shift).on_params(params)
+    for frame in Frame:  # last: a frame's screw carries the turret's mass where it is
+        if frame is not Frame.TOOL:
+            params = FrameError(frame, row6(x[6 * frame : 6 * frame + 6])).on_params(params)
+    return params
+
+
+def with_zeros_as_hardstops(params: Params, x: Array) -> tuple[Array, Params]:
+    """The encoder zeros (5) in these numbers, and the arm with them in its hardstop angles.
+
+    A turn of a frame about z is a turn of the next joint. Taken out of the frame it is added to every angle
+    of that joint, so to that of its hardstop too; it holds once the joint has been at its hardstop anew.
+    """
+    zero = x[list(ZEROS)].copy()
+    arm = arm_with(params, x)
+    for joint in Joint:
+        link, name = f"arm{joint + 1}", joint.name.lower()
+        turned_back = _end_turned(getattr(arm.links, link), -float(zero[joint]))
+        of_joint = getattr(arm.joints, name)
+        moved = replace(of_joint, hardstop_rad=float(of_joint.hardstop_rad + zero[joint]))
+        arm = replace(
+            arm,
+            links=replace(arm.links, **{link: turned_back}),
+            joints=replace(arm.joints, **{name: moved}),
+        )
+    return zero, arm
+
+
+def _end_turned(link: LinkParams, angle_rad: float) -> LinkParams:
+    """A link whose end frame is turned about z; its spring and its masses stay where they are."""
+    end = transform6(link.transform) @ Pose(rotation_z(np.array(angle_rad)), np.zeros(3))
+    transform = transform6_from(end)
+    back = rotation_z(np.array(link.transform.theta_rad - transform.theta_rad))
+    return replace(
+        link,
+        transform=transform,
+        elastic_centre_m=vector3(back @ np.array(link.elastic_centre_m)),
+        compliance=turned(link.compliance, back),
+        near=replace(link.near, com_m=vector3(back @ np.array(link.near.com_m))),
+        far=replace(link.far, com_m=vector3(back @ np.array(link.far.com_m))),
+    )

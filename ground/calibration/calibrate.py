@@ -1,0 +1,96 @@
+"""From a campaign to the arm's numbers, with every doubt about them said."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from fsw.dictionary.params import Params
+from fsw.kinematics.transforms import Array, Flags, Numbers
+from ground.calibration.arm_model import arm_model
+from ground.calibration.arm_numbers import FRAMES, arm_parameters
+from ground.calibration.data import Campaign
+from ground.calibration.fit import Fit, fit
+from ground.calibration.judge import Judged, judged
+from ground.calibration.outliers import Cleaned, cleaned_fit
+from ground.calibration.problem import Linearised
+from ground.calibration.seen import Seen, seen
+
+HELD_OUT: Final = 5
+"""Every fifth pose of a group takes no part in the first fit and judges it."""
+
+
+LOOKS: Final = 2
+"""At gaps of unknown state: once their widths are known, what agrees is seen more sharply."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """What was found."""
+
+    nominal: Params
+    campaign: Campaign
+    cleaned: Cleaned
+    """The fit to all poses, without outliers."""
+    judged: Judged
+    """The fit to four fifths of them, by the last fifth."""
+    judged_poses: Flags
+    """Which these are, (n,)."""
+    held_out_error: Array
+    """Their error screws, (6, k)."""
+    seen: Seen
+    frames_seen: Seen
+    """Of the frames' numbers alone: what the paper counts."""
+    before: Array
+    """Error screws of all poses by the nominal numbers, in axes of the modelled frame, (6, n)."""
+    after: Array
+    """By the calibrated ones."""
+
+    @property
+    def best(self) -> Fit:
+        """The fit."""
+        return self.cleaned.fit
+
+
+def calibrate(nominal: Params, campaign: Campaign, with_backlash: bool = True) -> Calibration:
+    """Fit, leave out outliers, judge by held-out poses; check_fit says whether it is to be believed.
+
+    Raises:
+        NoAgreement: no arm explains the poses.
+    """
+    parameters = arm_parameters()
+    model, near = arm_model(nominal, campaign, None, with_backlash), None
+    for _ in range(LOOKS):
+        near = fit(parameters, model, None if near is None else near.values)
+        model = arm_model(nominal, campaign, near, with_backlash)
+    cleaned = cleaned_fit(parameters, model, None if near is None else near.values)
+    fresh = held_out(campaign.group)
+    part = fit(parameters, model, cleaned.fit.values, cleaned.fit.used & ~fresh)
+    judges = fresh & cleaned.fit.used
+    at = cleaned.fit.at
+    frames = Linearised(at.residual, at.jacobian[:, :, FRAMES])
+    return Calibration(
+        nominal=nominal,
+        campaign=campaign,
+        cleaned=cleaned,
+        judged=judged(part, part.at.at(judges)),
+        judged_poses=judges,
+        held_out_error=model.errors(part.values)[:, judges],
+        seen=seen(parameters, at, cleaned.fit.used),
+        frames_seen=seen(parameters[FRAMES], frames, cleaned.fit.used),
+        before=model.errors(np.zeros(len(parameters))),
+        after=model.errors(cleaned.fit.values),
+    )
+
+
+def held_out(group: Numbers) -> Flags:
+    """Every fifth pose of each group, (n,)."""
+    held = np.zeros(group.size, bool)
+    for name in np.unique(group):
+        held[np.flatnonzero(group == name)[HELD_OUT // 2 :: HELD_OUT]] = True
+    return held
+
+
+def rms_m(error: Array) -> float:
+    """Root mean square position error of screws (6, n)."""
+    return float(np.sqrt(np.mean(np.sum(error[3:] ** 2, axis=0))))

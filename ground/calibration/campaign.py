@@ -1,0 +1,119 @@
+"""The campaign in the closed loop: hardstops first, then flight software goes to every pose."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.commands import MoveJoints
+from fsw.dictionary.evrs import CommandCompleted
+from fsw.dictionary.joints import STOP_ORDER
+from fsw.dictionary.tuples import joints5
+from fsw.estimate.gear import LIKELY, gap_of
+from fsw.estimate.reference import Reference
+from ground.calibration.data import Campaign
+from ground.calibration.frames import FewTargets
+from ground.calibration.poses import PAPER_GROUPS, Group, branch_name, group_poses
+from ground.calibration.survey import Row, campaign_from, surveyed
+from ground.progress import Progress
+from sim.arms import BuiltArm
+from sim.effects.environment import NothingToTouch
+from sim.effects.turret import TurretMass
+from sim.initialisation import initialised
+from sim.loop import ClosedLoop, Setup
+from sim.sequence import Outcome, run_sequence
+from sim.stops import without_turret
+from sim.tour import REST_S
+from sim.tracker import TYPICAL, Tracker, turret_pose
+from sim.world import World
+
+
+class CampaignFailed(RuntimeError):
+    """The arm could not be initialised, or a move did not come to its end."""
+
+
+@dataclass(frozen=True, slots=True)
+class CampaignPlan:
+    """What is done, and with what."""
+
+    groups: tuple[Group, ...] = PAPER_GROUPS
+    tracker: Tracker = TYPICAL
+    seed: int = 0
+
+
+def earth_reference(arm: BuiltArm, progress: Progress) -> Reference:
+    """Every joint at its hardstop, without a turret on Earth, under the torques that it has on Mars with it.
+
+    Raises:
+        CampaignFailed: a hardstop was not found.
+    """
+    runs = []
+    for run in initialised(without_turret(arm, on_earth=True), World("earth")):
+        runs.append(run)
+        progress(len(runs), len(STOP_ORDER), "hardstops")
+    if runs[-1].outcome is not Outcome.DONE:
+        raise CampaignFailed(f"{arm.name} was not initialised: {runs[-1].evrs[-1][1].message}")
+    return runs[-1].reference
+
+
+def run_campaign(arm: BuiltArm, reference: Reference, plan: CampaignPlan, progress: Progress) -> Campaign:
+    """Every pose of the plan.
+
+    Raises:
+        CampaignFailed: a move did not come to its end.
+    """
+    total, rows = sum(group.count for group in plan.groups), []
+    for k in range(len(plan.groups)):
+        for row in group_rows(arm, reference, plan, k):
+            rows.append(row)
+            progress(len(rows), total, "poses")
+    return campaign_from(arm.name, rows)
+
+
+def group_rows(arm: BuiltArm, reference: Reference, plan: CampaignPlan, k: int) -> Iterator[Row]:
+    """The poses of one group, one after the other; those that the tracker cannot see are not among them."""
+    group = plan.groups[k]
+    world = World("earth", tilt_roll_rad=group.roll_rad)
+    goals = group_poses(arm.params, group, World("earth"), np.random.default_rng([plan.seed, k, 0]))
+    rng = np.random.default_rng([plan.seed, k, 1])
+    free = NothingToTouch()  # the way between two poses was cleared by people
+    effects = (free,) if group.turret_kg is None else (TurretMass(group.turret_kg), free)
+    known = replace(arm, params=free.on_params(group.params(arm.params)))
+    loop = ClosedLoop(Setup(known, world, known.params.poses.ready_rad, plan.seed, reference, effects))
+    for _ in range(CYCLE_HZ):
+        loop.cycle()
+    for goal in goals:
+        command = MoveJoints(joints5(goal), "on")
+        evrs = [evr for record in run_sequence(loop, (command,)) for evr in record.outputs.evrs]
+        if CommandCompleted("MoveJoints") not in evrs:
+            raise CampaignFailed(f"{arm.name}: no way to {np.degrees(goal)} deg: {evrs[-1].message}")
+        for _ in range(round(REST_S * CYCLE_HZ)):
+            loop.cycle()
+        try:
+            yield _row(loop, group, k, plan.tracker, rng)
+        except FewTargets:
+            continue
+
+
+def _row(loop: ClosedLoop, group: Group, k: int, tracker: Tracker, rng: np.random.Generator) -> Row:
+    loop.plant.truth()  # brings the kinematics up to date
+    seen = surveyed(tracker, loop.plant, group.roll_rad, turret_pose(loop.plant), rng)
+    joints, arm = loop.state.joints, loop.config.arm
+    gear = joints.gear_rad[:, LIKELY]
+    gap = gap_of(joints.reference.half_gap_rad, gear)
+    return Row(
+        group=k,
+        branch=branch_name(loop.config, joints.output_rad),
+        motor_rad=joints.motor_rad,
+        gap_rad=gap,
+        held_Nm=loop.state.load.torque_Nm - arm.gear_stiffness_Nm_rad * (gear - gap),
+        side=joints.side,
+        gravity_R_m_s2=joints.gravity_R_m_s2,
+        turret_kg=np.nan if group.turret_kg is None else group.turret_kg,
+        X_RT=seen.X_RT,
+        covariance=seen.covariance,
+        targets_seen=seen.targets_seen,
+        misfit_m=seen.misfit_m,
+        X_WG=seen.X_WG,
+    )

@@ -1,0 +1,210 @@
+"""Data that are not what they say, and fits that only look good: each named, with what would be right."""
+
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from fsw.dictionary.joints import Joint
+from fsw.dictionary.params import Params
+from fsw.kinematics.transforms import Flags, Numbers, Pose, inverse
+from ground.calibration.arm_model import modelled
+from ground.calibration.arm_numbers import arm_parameters
+from ground.calibration.calibrate import Calibration
+from ground.calibration.data import Campaign
+from ground.calibration.fit import Fit
+from ground.calibration.frames import FEWEST
+from ground.calibration.judge import Judged
+from ground.calibration.screws import Measured, error_screw
+from ground.calibration.seen import Seen
+from sim.frames import P_NR_M
+
+LEAST_POSES: Final = 24
+"""Three times what the worst-conditioned combination needs; the paper took 160."""
+LEAST_SPAN_RAD: Final = 0.5
+FULL_RANK: Final = 26
+"""Of the frames: what an arm of five joints, three of them parallel, can tell; the paper's count too."""
+BUILT_M: Final = 0.06
+"""An arm that is built is not this far from its drawing, root mean square."""
+MISFIT_M: Final = 3e-4
+MOVED_M: Final = 1e-3
+GRAVITY_M_S2: Final = (1.0, 12.0)
+FARTHEST_M: Final = 4.0
+NOISIER: Final = 1.5
+"""A fit whose residuals are larger than the noise by more has missed something."""
+QUIETER: Final = 0.6
+WORSE: Final = 1.3
+"""Held-out poses over what noise and covariance let expect."""
+FAR: Final = 5.0
+"""Prior sigmas from the drawing that no number of a built arm is."""
+
+
+class BadData(ValueError):
+    """Data or a fit that are not to be believed; a line for each reason."""
+
+
+def check_data(nominal: Params, campaign: Campaign) -> None:
+    """Refuse what can be seen before anything is fitted.
+
+    Raises:
+        BadData: with everything that is wrong.
+    """
+    _refuse(_about_poses(campaign))
+    _refuse(_about_units(campaign))
+    _refuse(_about_tracker(campaign))
+    _refuse(_about_frames(nominal, campaign))
+
+
+def check_fit(found: Calibration) -> None:
+    """Refuse a fit that explains the poses badly, too well, or by an arm that nobody builds.
+
+    Raises:
+        BadData: with everything that is wrong.
+    """
+    _refuse(_about_fit(found.best, found.frames_seen, found.judged))
+
+
+def _refuse(reasons: Iterator[str]) -> None:
+    lines = list(reasons)
+    if lines:
+        raise BadData("\n".join(lines))
+
+
+def _about_poses(campaign: Campaign) -> Iterator[str]:
+    if campaign.count < LEAST_POSES:
+        yield f"poses: {campaign.count} are too few; {LEAST_POSES} at least (the paper took 160)"
+    span = np.ptp(campaign.believed.motor_rad, axis=1) if campaign.count else np.zeros(len(Joint))
+    for joint in Joint:
+        if span[joint] < LEAST_SPAN_RAD:
+            yield (
+                f"joint {joint.name.lower()}: moves over {np.degrees(span[joint]):.1f} deg in all poses; "
+                f"poses must differ by {np.degrees(LEAST_SPAN_RAD):.0f} deg at least to tell its frames apart"
+            )
+
+
+def _about_units(campaign: Campaign) -> Iterator[str]:
+    believed, measured = campaign.believed, campaign.measured
+    turn = np.abs(believed.motor_rad).max()
+    if turn > 3 * np.pi:
+        yield f"motor_*_rad: up to {turn:.4g}; no joint turns so far: are these degrees? give radians"
+    far = np.abs(measured.X_RT.p).max()
+    if far > FARTHEST_M:
+        yield f"p_*_m: up to {far:.4g} m from the rover's origin; are these millimetres? give metres"
+    gravity = np.linalg.norm(believed.gravity_R_m_s2, axis=0)
+    low, high = GRAVITY_M_S2
+    if gravity.min() < low or gravity.max() > high:
+        yield f"gravity_*_m_s2: {gravity.min():.4g} .. {gravity.max():.4g} long; give m/s2, 9.81 on Earth"
+    if np.abs(believed.gap_rad).max() > 0.02:
+        yield f"gap_*_rad: up to {np.abs(believed.gap_rad).max():.4g}; half a backlash is 0.002 rad"
+    sigma = np.sqrt(np.diagonal(measured.covariance, axis1=1, axis2=2))
+    if sigma.min() < 1e-7 or sigma.max() > 0.01:
+        yield (
+            f"cov_*: one sigma of {sigma.min():.2g} .. {sigma.max():.2g}; a tracker has 1e-5 .. 1e-3: "
+            "give variances in rad2, rad m, m2"
+        )
+
+
+def _about_tracker(campaign: Campaign) -> Iterator[str]:
+    for row, name in enumerate(("ground", "rover", "turret")):
+        few = np.flatnonzero(campaign.targets_seen[row] < FEWEST)
+        if few.size:
+            yield (
+                f"targets_{name}: {_poses(few)} with fewer than {FEWEST}: no frame can be built of them; "
+                "measure again or leave out"
+            )
+    lost = np.flatnonzero(campaign.misfit_m > MISFIT_M)
+    if lost.size:
+        yield (
+            f"misfit_m: {_poses(lost)} with targets up to {1e3 * campaign.misfit_m.max():.2f} mm from where "
+            "rigid bodies have them: the tracker lost its lock or took another target; measure again"
+        )
+    moved = np.flatnonzero(campaign.tracker_moved_m > MOVED_M)
+    if moved.size:
+        yield (
+            f"tracker_moved_m: {_poses(moved)}, ground up to {1e3 * campaign.tracker_moved_m.max():.1f} mm "
+            "from where it was: the tracker lost its lock or was moved; measure again"
+        )
+    stale = np.flatnonzero(_stale(campaign)) + 1
+    if stale.size:
+        yield (
+            f"p_*_m: {_poses(stale)} exactly where the pose before was, though joints moved: the tracker "
+            "lost its lock; measure again"
+        )
+
+
+def _stale(campaign: Campaign) -> Flags:
+    same = np.all(np.diff(campaign.measured.X_RT.p, axis=1) == 0, axis=0)
+    moved = np.abs(np.diff(campaign.believed.motor_rad, axis=1)).max(axis=0) > 1e-3
+    stale: Flags = same & moved
+    return stale
+
+
+def _about_frames(nominal: Params, campaign: Campaign) -> Iterator[str]:
+    """The drawing must be near; if it is not, try what people mix up."""
+    x = np.zeros(len(arm_parameters()))
+    X = modelled(nominal, x, campaign.believed)
+    as_given = _off_m(X, campaign.measured.X_RT)
+    if as_given < BUILT_M:
+        return
+    found = {what: _off_m(X, other) for what, other in _mixed_up(campaign.measured.X_RT).items()}
+    best = min(found, key=lambda what: found[what])
+    hint = (
+        f"{best} ({1e3 * found[best]:.0f} mm)"
+        if found[best] < BUILT_M
+        else "none of the usual mix-ups explains it"
+    )
+    yield (
+        f"measured poses: {1e3 * as_given:.0f} mm from the drawing's (median); a built arm is within "
+        f"{1e3 * BUILT_M:.0f} mm. {hint[0].upper()}{hint[1:]}"
+    )
+
+
+def _mixed_up(X: Pose) -> dict[str, Pose]:
+    flip = np.diag([1.0, -1.0, -1.0])
+    return {
+        "the frames are swapped: this is the rover in the turret": inverse(X),
+        "positions are in RNAV: give them in RMECH": Pose(X.R, X.p - P_NR_M[:, None]),
+        "axes are z up: give x forward, y right, z down": Pose(
+            np.einsum("ij,jkn->ikn", flip, X.R), flip @ X.p
+        ),
+        "quaternions are conjugated: give turret to rover": Pose(X.R.swapaxes(0, 1), X.p),
+        "poses stand one row too high": Pose(np.roll(X.R, 1, axis=2), np.roll(X.p, 1, axis=1)),
+        "poses stand one row too low": Pose(np.roll(X.R, -1, axis=2), np.roll(X.p, -1, axis=1)),
+    }
+
+
+def _off_m(X: Pose, measured: Pose) -> float:
+    """How far poses are off, a metre away from their origin; by the median, which outliers do not move."""
+    T = error_screw(X, Measured(measured, np.zeros((X.p.shape[1], 6, 6))))
+    return float(np.median(np.sqrt(np.sum(T**2, axis=0))))
+
+
+def _about_fit(found: Fit, frames: Seen, verdict: Judged) -> Iterator[str]:
+    if not found.converged:
+        yield "fit: did not converge"
+    if frames.rank < FULL_RANK:
+        unseen = "; ".join(f"{', '.join(g.names)} as {g.seen}" for g in frames.confused())
+        yield (
+            f"rank: the frames show {frames.rank} of {FULL_RANK} combinations ({unseen}); "
+            "more poses, and others, tell more"
+        )
+    if found.sigma0 > NOISIER:
+        yield (
+            f"residuals: {found.sigma0:.2f} times the noise, p = {found.p_value:.1e}; {NOISIER} at most: "
+            "something acts that neither the arm nor the tracker has in its model"
+        )
+    if found.sigma0 < QUIETER:
+        yield f"residuals: {found.sigma0:.2f} of the noise, {QUIETER} at least: the covariances are too large"
+    if verdict.ratio > WORSE:
+        yield f"held-out poses: {verdict.ratio:.2f} times what noise and covariance allow; {WORSE} at most"
+    prior = np.array([parameter.prior_sigma for parameter in found.parameters])
+    for k in np.flatnonzero(np.abs(found.values) > FAR * prior):
+        yield (
+            f"{found.parameters[k].name}: {found.values[k]:.3g} {found.parameters[k].unit} from the drawing, "
+            f"{abs(found.values[k]) / prior[k]:.0f} times what arms are built to"
+        )
+
+
+def _poses(which: Numbers) -> str:
+    named = ", ".join(str(int(k)) for k in which[:6])
+    return f"pose {named}" if which.size == 1 else f"poses {named}{' ...' if which.size > 6 else ''}"

@@ -1,0 +1,129 @@
+"""The calibrated arm as a parameter file that flight software loads, with where it comes from."""
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from fsw.config import digest
+from fsw.dictionary.joints import Tool
+from fsw.dictionary.params import Params
+from fsw.kinematics.arm import transform6_from
+from fsw.kinematics.transforms import Pose
+from ground.calibration.arm_numbers import with_zeros_as_hardstops
+from ground.calibration.calibrate import Calibration, rms_m
+from ground.calibration.data import Campaign
+from ground.outputs import written_whole
+
+
+def calibrated_params(found: Calibration, tools: dict[Tool, Pose] | None = None) -> Params:
+    """The flight parameters of the arm as it was found, encoder zeros in its hardstops.
+
+    Tools (X_FT in Arm6) that were registered on the turret take the place of the drawing's.
+    """
+    _, params = with_zeros_as_hardstops(found.nominal, found.best.values)
+    for tool, X_FT in (tools or {}).items():
+        name = tool.name.lower()
+        changed = replace(getattr(params.tools, name), transform=transform6_from(X_FT))
+        params = replace(params, tools=replace(params.tools, **{name: changed}))
+    return replace(params, arm_name=found.campaign.arm_name)
+
+
+def data_sha256(campaign: Campaign) -> str:
+    """A digest of everything that the campaign measured, the same however it was written."""
+    b, m = campaign.believed, campaign.measured
+    numbers = (
+        b.motor_rad,
+        b.gap_rad,
+        b.held_Nm,
+        b.gravity_R_m_s2,
+        b.turret_kg,
+        m.X_RT.R,
+        m.X_RT.p,
+        m.covariance,
+    )
+    written = BytesIO()
+    for values in numbers:
+        # a table keeps quaternions, so that rotations come back with other last digits
+        np.save(written, np.round(np.asarray(values, np.float64), 12) + 0.0)
+    return hashlib.sha256(campaign.arm_name.encode() + written.getvalue()).hexdigest()
+
+
+def provenance(found: Calibration) -> tuple[str, ...]:
+    """Where the numbers come from, a sentence a line; no date, so that the same data give the same file."""
+    campaign, best = found.campaign, found.best
+    left_out = ", ".join(map(str, found.cleaned.outliers)) or "none"
+    groups, held = np.unique(campaign.group).size, found.held_out_error
+    return (
+        f"Flight parameters of {campaign.arm_name}, calibrated; those that are not here are nominal.",
+        f"Over nominal parameters of digest {digest(found.nominal)}.",
+        f"Data of digest {data_sha256(campaign)}:",
+        f"{campaign.count} poses in {groups} groups; left out as outliers: {left_out}.",
+        f"Position error, root mean square: {1e3 * rms_m(found.before):.3f} mm before, "
+        f"{1e3 * rms_m(found.after[:, best.used]):.3f} mm after,",
+        f"{1e3 * rms_m(held):.3f} mm on {held.shape[1]} held-out poses.",
+        f"Residuals {best.sigma0:.3f} of the noise, p = {best.p_value:.3f}; "
+        f"held out {found.judged.ratio:.3f} of what is expected.",
+        f"Rank {found.frames_seen.rank} of 42 frame numbers, {found.seen.rank} of {best.values.size} in all.",
+        "Encoder zeros are in the hardstop angles: find every hardstop anew with this file loaded.",
+    )
+
+
+def save_parameter_file(found: Calibration, params: Params, path: Path) -> None:
+    """Write the file.
+
+    Raises:
+        BadOutput: it cannot be written.
+    """
+    with written_whole(path, "out") as file:
+        file.write(parameter_text(found, params).encode())
+
+
+def parameter_text(found: Calibration, params: Params) -> str:
+    """Every parameter that is not nominal, as TOML."""
+    changed = _changed(asdict(found.nominal), asdict(params))
+    return "\n".join([*(f"# {line}" for line in provenance(found)), "", *_lines(changed, ()), ""])
+
+
+def _changed(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
+    """What is another value, tables of numbers whole."""
+    found: dict[str, Any] = {}
+    for key, value in new.items():
+        if not isinstance(value, dict) or _is_leaf(value):
+            if value != old[key]:
+                found[key] = value
+        elif inner := _changed(old[key], value):
+            found[key] = inner
+    return found
+
+
+def _is_leaf(table: dict[str, Any]) -> bool:
+    """Lumps and transforms: no table within, and small."""
+    return set(table) in ({"mass_kg", "com_m"}, {"theta_rad", "d_m", "beta_rad", "b_m", "alpha_rad", "a_m"})
+
+
+def _lines(table: dict[str, Any], path: tuple[str, ...]) -> Iterator[str]:
+    tables = {key: value for key, value in table.items() if isinstance(value, dict) and not _is_leaf(value)}
+    values = {key: value for key, value in table.items() if key not in tables}
+    if values and path:
+        yield f"[{'.'.join(path)}]"
+    for key, value in values.items():
+        yield f"{key} = {_toml(value)}"
+    if values:
+        yield ""
+    for key, inner in tables.items():
+        yield from _lines(inner, (*path, key))
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value.items()) + " }"
+    if isinstance(value, tuple):
+        if value and isinstance(value[0], tuple):
+            return "[\n" + "".join(f"    {_toml(row)},\n" for row in value) + "]"
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    return repr(value) if isinstance(value, float) else f'"{value}"'

@@ -1,0 +1,139 @@
+"""The calibration as it is asked for on the command line."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from fsw.dictionary.params import Params
+from ground.calibration.calibrate import Calibration, calibrate
+from ground.calibration.campaign import CampaignPlan, earth_reference, run_campaign
+from ground.calibration.checks import LEAST_POSES, BadData, check_data, check_fit
+from ground.calibration.data import Campaign
+from ground.calibration.outliers import NoAgreement
+from ground.calibration.parameter_file import calibrated_params, save_parameter_file
+from ground.calibration.poses import PAPER_GROUPS, resized
+from ground.calibration.table import read_campaign, save_campaign
+from ground.calibration.tools import registered_tools
+from ground.calibration.verify import Verification, verified
+from ground.outputs import BadOutput, check_output
+from ground.progress import Progress
+from ground.request import BadRequest, check_apart, check_seed, chosen_arm
+from sim.arms import BuiltArm
+from sim.params import BadParams, nominal_params, params_over_nominal
+from sim.tracker import Tracker
+
+MOST_POSES: Final = 1000
+MICRO: Final = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrateRequest:
+    """What is asked."""
+
+    arm: str | None = None
+    """To be measured in simulation; or else `data`."""
+    data: Path | None = None
+    poses: int = 160
+    seed: int = 0
+    tracker_um: tuple[float, float] = (15.0, 6.0)
+    """Noise of the tracker, one sigma: micrometres, and micrometres per metre."""
+    params: Path | None = None
+    verify: int = 0
+    """So many fresh poses on Earth, and as many on Mars, with the parameters that were found."""
+    save_data: Path | None = None
+    out: Path | None = None
+    report: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrateReport:
+    """What came of it."""
+
+    request: CalibrateRequest
+    found: Calibration
+    params: Params
+    """Calibrated."""
+    verification: Verification | None
+
+
+def calibrate_report(request: CalibrateRequest, progress: Progress) -> CalibrateReport:
+    """Measure or read, fit, check, verify, and write the parameter file if that was asked for.
+
+    Raises:
+        BadRequest: the request or the data are wrong, or the fit is not to be believed; nothing was written.
+    """
+    arm, base = _checked(request)
+    try:
+        if arm is None:
+            campaign = read_campaign(_given(request.data))
+            _same_arm(base, campaign)
+        else:
+            campaign = _measured(request, arm, progress)
+        check_data(base, campaign)
+        progress(0, 1, "fitting")
+        found = calibrate(base, campaign)
+        check_fit(found)
+        tools = None if arm is None else registered_tools(arm, request.seed)
+        params = calibrated_params(found, tools)
+        verification = None
+        if arm is not None and request.verify:
+            verification = verified(arm, params, request.verify, request.seed, progress)
+        if request.save_data is not None:
+            save_campaign(campaign, request.save_data)
+        if request.out is not None:
+            save_parameter_file(found, params, request.out)
+    except (BadData, NoAgreement, BadOutput, BadParams) as error:
+        raise BadRequest(str(error)) from error
+    return CalibrateReport(request, found, params, verification)
+
+
+def _checked(request: CalibrateRequest) -> tuple[BuiltArm | None, Params]:
+    """Everything that can be checked before anything moves or is written."""
+    if (request.arm is None) == (request.data is None):
+        raise BadRequest(
+            "calibrate: give --arm ARM to measure one in simulation, or --data TABLE of a real one"
+        )
+    check_seed(request.seed)
+    if request.data is not None and (request.verify or request.save_data is not None):
+        raise BadRequest("calibrate: --verify and --save-data are for an arm in simulation; give no --data")
+    if not LEAST_POSES <= request.poses <= MOST_POSES:
+        raise BadRequest(f"poses: {request.poses} is not within {LEAST_POSES} .. {MOST_POSES}")
+    if not 0 <= request.verify <= MOST_POSES:
+        raise BadRequest(f"verify: {request.verify} is not within 0 .. {MOST_POSES}")
+    if not all(0 <= um < 1e4 for um in request.tracker_um) or request.tracker_um[0] == 0:
+        raise BadRequest("tracker: its noise is not within 0 .. 10000 micrometres, the first above 0")
+    files = {name: getattr(request, name) for name in ("params", "data", "out", "report", "save_data")}
+    check_apart(files)
+    try:
+        for name, suffixes in (
+            ("out", (".toml",)),
+            ("report", (".html",)),
+            ("save_data", (".parquet", ".csv")),
+        ):
+            if files[name] is not None:
+                check_output(files[name], suffixes, name.replace("_", "-"))
+        base = nominal_params() if request.params is None else params_over_nominal(request.params)
+    except (BadOutput, BadParams) as error:
+        raise BadRequest(str(error)) from error
+    return (None if request.arm is None else chosen_arm(request.arm, request.params)), base
+
+
+def _given(path: Path | None) -> Path:
+    if path is None:
+        raise BadRequest("data: give a table")
+    return path
+
+
+def _same_arm(base: Params, campaign: Campaign) -> None:
+    if base.arm_name not in ("nominal", campaign.arm_name):
+        raise BadData(
+            f"params: these are of the arm {base.arm_name}, the data of {campaign.arm_name}; give the "
+            "nominal ones or its own"
+        )
+
+
+def _measured(request: CalibrateRequest, arm: BuiltArm, progress: Progress) -> Campaign:
+    um, um_per_m = request.tracker_um
+    tracker = Tracker(sigma_m=um * MICRO, sigma_per_m=um_per_m * MICRO)
+    plan = CampaignPlan(resized(PAPER_GROUPS, request.poses), tracker, request.seed)
+    return run_campaign(arm, earth_reference(arm, progress), plan, progress)

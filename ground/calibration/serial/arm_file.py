@@ -1,0 +1,96 @@
+"""A serial arm from TOML, strictly, and as TOML: every problem at once, each with its line."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, fields
+from typing import Any, Final
+
+from ground.calibration.serial.arm import Link, Repeats, SerialArm, Uncertain
+from sim.scenario.names import did_you_mean
+from sim.scenario.record import Findings, record_of
+from sim.scenario.tables import tables
+from sim.scenario.toml_lines import NotToml, parsed
+
+LINKS: Final = "link"
+MOST_LINKS: Final = 20
+
+
+class BadArmFile(ValueError):
+    """A file that describes no arm; a line of the message for each problem."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Head:
+    """What a file says beside its links."""
+
+    name: str
+    gravity_B_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
+    uncertain: Uncertain = field(default_factory=Uncertain)
+    repeats: Repeats = field(default_factory=Repeats)
+
+
+def arm_from_toml(text: str, file: str) -> SerialArm:
+    """The arm that a TOML text describes; `file` is how messages call it.
+
+    Raises:
+        BadArmFile: something in it is wrong; the message has every problem, by line.
+    """
+    try:
+        data, lines = parsed(text)
+    except NotToml as error:
+        raise BadArmFile(f"{file}:{error.line}: {error}") from error
+    findings = Findings(lines)
+    head = record_of(_Head, {k: v for k, v in data.items() if k != LINKS}, (), findings)
+    links = [record_of(Link, table, place, findings) for place, table in tables(data, LINKS, findings)]
+    _check_links([one for one in links if one is not None], bool(data.get(LINKS)), findings)
+    if head is None or findings.problems:
+        raise BadArmFile("\n".join(f"{file}:{p.line}: {p.text}" for p in sorted(findings.problems)))
+    found = tuple(one for one in links if one is not None)
+    return SerialArm(head.name, found, head.gravity_B_m_s2, head.uncertain, head.repeats)
+
+
+def arm_to_toml(arm: SerialArm, about: Iterable[str]) -> str:
+    """The arm as a file that comes back bit by bit; `about` is what its first lines say."""
+    lines = [f"# {line}".rstrip() for line in about]
+    lines += ["", f"name = {_shown(arm.name)}", f"gravity_B_m_s2 = {_shown(arm.gravity_B_m_s2)}", ""]
+    for one in arm.links:
+        lines += ["[[link]]", *_fields(one), ""]
+    for name, record in (("uncertain", arm.uncertain), ("repeats", arm.repeats)):
+        lines += [f"[{name}]", *_fields(record), ""]
+    return "\n".join(lines)
+
+
+def _check_links(links: list[Link], is_given: bool, findings: Findings) -> None:
+    if not is_given:
+        findings.say((), "link: is missing; write [[link]] and its keys below, once for each from the base")
+    if len(links) > MOST_LINKS:
+        findings.say(("link",), f"link: there are {len(links)}; an arm has at most {MOST_LINKS} here")
+    names = [one.name for one in links]
+    for k, name in enumerate(names):
+        if name in names[:k] or name in ("base", "target"):
+            findings.say(("link", k), f"name: {name!r} is taken already; give each link its own")
+
+
+def unknown_words(said: Iterable[str], known: Iterable[str], what: str) -> str | None:
+    """The sentence about the first word that is not known; None if all are."""
+    names = tuple(known)
+    wrong = next((word for word in said if word not in names), None)
+    return None if wrong is None else f"{what}: {wrong!r:.60} is not known; {did_you_mean(wrong, names)}"
+
+
+def _fields(record: Any) -> list[str]:
+    values = ((f.name, getattr(record, f.name)) for f in fields(record))
+    return [f"{name} = {_shown(value)}" for name, value in values if value is not None]
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, str):
+        return '"' + "".join(_escaped(letter) for letter in value) + '"'
+    if isinstance(value, tuple):
+        return f"[{', '.join(_shown(item) for item in value)}]"
+    return repr(value if isinstance(value, int) else float(value))
+
+
+def _escaped(letter: str) -> str:
+    if letter in '"\\':
+        return f"\\{letter}"
+    return letter if letter.isprintable() else f"\\U{ord(letter):08x}"

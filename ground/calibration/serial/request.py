@@ -1,0 +1,171 @@
+"""The calibration of a serial arm as it is asked for on the command line."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from ground.calibration.outliers import NoAgreement
+from ground.calibration.seen import Seen, seen
+from ground.calibration.serial.arm import SerialArm
+from ground.calibration.serial.arm_file import BadArmFile, arm_from_toml, arm_to_toml, unknown_words
+from ground.calibration.serial.calibrate import misfit_ratio
+from ground.calibration.serial.ladder import Step, ladder
+from ground.calibration.serial.model import TERMS
+from ground.calibration.serial.place import CannotPlace, first_setup
+from ground.calibration.serial.series import Series
+from ground.calibration.serial.table import mapping_from_toml, series_from_table, sha256
+from ground.calibration.serial.temperature import TemperatureTest, temperature_test
+from ground.imports.errors import BadImport
+from ground.imports.files import MOST_TABLE_BYTES, file_bytes
+from ground.imports.mapping_file import MOST_MAPPING_BYTES
+from ground.outputs import BadOutput, check_output, written_whole
+from ground.progress import Progress
+from ground.request import BadRequest, check_apart
+
+ALL: Final = "all"
+NONE: Final = "none"
+LEAST_SHARE: Final = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class SerialRequest:
+    """What is asked."""
+
+    arm: Path
+    table: Path
+    mapping: Path
+    terms: str = ALL
+    share: float = 0.5
+    """Of the poses, from the first in time: these are fitted, the others judge."""
+    ladder: bool = False
+    """Whether to fit term by term."""
+    out: Path | None = None
+    picture: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SerialReport:
+    """What came of it."""
+
+    request: SerialRequest
+    arm: SerialArm
+    """As the file has it."""
+    poses: int
+    part: Series
+    fresh: Series | None
+    steps: tuple[Step, ...]
+    """The last one has all terms that were asked for, the first none."""
+    seen: Seen
+    ratio: float | None
+    """Held-out misfit over what noise and covariance let expect."""
+    temperature: TemperatureTest | None
+    digests: dict[str, str]
+    """SHA-256 of the files that were read."""
+
+
+def calibrate_serial(request: SerialRequest, progress: Progress) -> SerialReport:
+    """Fit the arm of a file to one part of a table of measured poses, and judge it by the other.
+
+    Raises:
+        BadRequest: a file is wrong, or its poses do not tell what is asked; nothing was written.
+    """
+    files = {name: getattr(request, name) for name in ("arm", "table", "mapping", "out", "picture")}
+    check_apart(files)
+    terms = _terms(request.terms)
+    if not LEAST_SHARE <= request.share <= 1.0:
+        raise BadRequest(f"share: {request.share:g} is not within {LEAST_SHARE:g} .. 1")
+    try:
+        for name, suffix in (("out", ".toml"), ("picture", ".png")):
+            if files[name] is not None:
+                check_output(files[name], (suffix,), name)
+        arm, series, digests = _read(request)
+        count = round(request.share * series.count)
+        is_part = np.arange(series.count) < count
+        part, fresh = series.at(is_part), series.at(~is_part) if count < series.count else None
+        steps = ladder(arm, first_setup(arm, part), part, fresh, _steps(terms, request.ladder), progress)
+        report = _judged(request, arm, series, part, fresh, steps, digests)
+        if request.out is not None:
+            text = arm_to_toml(steps[-1].found.arm, _about(report))
+            with written_whole(request.out, "out") as file:
+                file.write(text.encode())
+    except (BadImport, BadArmFile, CannotPlace, NoAgreement, BadOutput) as error:
+        raise BadRequest(str(error)) from error
+    return report
+
+
+def _judged(
+    request: SerialRequest,
+    arm: SerialArm,
+    series: Series,
+    part: Series,
+    fresh: Series | None,
+    steps: tuple[Step, ...],
+    digests: dict[str, str],
+) -> SerialReport:
+    last = steps[-1]
+    fit = last.found.fit
+    told = seen(fit.parameters, fit.at, fit.used)
+    ratio = None if fresh is None else misfit_ratio(last.found, fresh)
+    air = temperature_test(last.found, last.validation)
+    return SerialReport(request, arm, series.count, part, fresh, steps, told, ratio, air, digests)
+
+
+def _read(request: SerialRequest) -> tuple[SerialArm, Series, dict[str, str]]:
+    data = {
+        "arm": file_bytes(request.arm, MOST_MAPPING_BYTES),
+        "mapping": file_bytes(request.mapping, MOST_MAPPING_BYTES),
+        "table": file_bytes(request.table, MOST_TABLE_BYTES),
+    }
+    arm = arm_from_toml(_text(data["arm"], request.arm), str(request.arm))
+    mapping = mapping_from_toml(_text(data["mapping"], request.mapping), str(request.mapping))
+    said, joints = len(mapping.joints.columns), len(arm.links)
+    if said != joints:
+        raise BadRequest(f"{request.mapping}: joints: {said} columns; the arm {arm.name} has {joints} joints")
+    if mapping.arm != arm.name:
+        raise BadRequest(
+            f"{request.mapping}: its table is of the arm {mapping.arm!r}, {request.arm} describes "
+            f"{arm.name!r}; give the files of one arm"
+        )
+    series = series_from_table(data["table"], str(request.table), mapping)
+    return arm, series, {name: sha256(one) for name, one in data.items()}
+
+
+def _text(data: bytes, file: Path) -> str:
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadRequest(f"{file}: is no text in UTF-8 ({error.reason}, byte {error.start})") from error
+
+
+def _terms(said: str) -> tuple[str, ...]:
+    if said in (ALL, NONE):
+        return TERMS if said == ALL else ()
+    words = [word.strip() for word in said.split(",")]
+    wrong = unknown_words(words, (*TERMS, ALL, NONE), "terms")
+    if wrong is not None or ALL in words or NONE in words:
+        raise BadRequest(wrong or f"terms: {said!r}: {ALL} and {NONE} stand alone")
+    return tuple(term for term in TERMS if term in words)
+
+
+def _steps(terms: tuple[str, ...], is_ladder: bool) -> Sequence[tuple[str, ...]]:
+    every = [terms[:k] for k in range(len(terms) + 1)]
+    return every if is_ladder else list(dict.fromkeys((every[0], *every[1:2], every[-1])))
+
+
+def _about(report: SerialReport) -> list[str]:
+    """What a file that was found says of where it comes from."""
+    last = report.steps[-1]
+    judged = (
+        ""
+        if last.fresh is None
+        else f" {last.fresh.position_m.size} others: {last.fresh.rms_m * 1e3:.3f} mm."
+    )
+    return [
+        f"{report.arm.name}, as calibrated by {report.part.count} of {report.poses} measured poses.",
+        f"Position error, root mean square: {last.fitted.rms_m * 1e3:.3f} mm.{judged}",
+        f"Terms: {', '.join(last.terms) or 'none'}.",
+        *(f"{name} sha256 {digest}" for name, digest in report.digests.items()),
+    ]

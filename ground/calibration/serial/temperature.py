@@ -1,0 +1,88 @@
+"""Whether the air's temperature explains anything: it must predict better than curves that are not it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from fsw.kinematics.transforms import Array
+from ground.calibration.serial.arm import SIX
+from ground.calibration.serial.calibrate import Calibrated
+from ground.calibration.serial.held_out import CrossValidation, gain_m
+from ground.calibration.serial.model import GEOMETRY, serial_model
+
+SHIFTS: Final = 19
+"""Placebos that are the temperature of another time; chance beats them and two more once in 22 times."""
+LENGTHS: Final = ("d", "b", "a")
+EXPANSION_PER_K: Final = 2.3e-5
+"""Of aluminium."""
+MOVES_M_PER_K: Final = 1e-4
+MOVES_RAD_PER_K: Final = 1e-4
+"""What a stand or a tracker may move, one sigma."""
+
+
+@dataclass(frozen=True, slots=True)
+class TemperatureTest:
+    """Held-out errors in cross-validation, with and without the air's temperature."""
+
+    range_K: float
+    without_m: float
+    with_m: float
+    gain_m: float
+    """By how much the error falls, mean over blocks of time."""
+    gain_sigma_m: float
+    placebo: str
+    """The curve that is not the temperature and explains most."""
+    placebo_gain_m: float
+
+    @property
+    def explains(self) -> bool:
+        """Whether it falls by more than a standard error, and by more than with every placebo."""
+        return self.gain_m > self.gain_sigma_m and self.gain_m > self.placebo_gain_m
+
+
+def temperature_test(found: Calibrated, validation: CrossValidation) -> TemperatureTest | None:
+    """Let base and links follow the temperature, then curves in its place; None if the air's is not known.
+
+    The base may shift and turn in proportion to it, and all lengths of the arm grow together. A drift in time
+    has no thermometer: as a placebo serve the clock, the temperature backwards, and that of other times.
+    """
+    series = found.model.series
+    if series.air_C is None:
+        return None
+    air = series.air_C[found.fit.used]
+    columns = _columns(found)
+    before = validation.held_out()
+    spread = float(np.std(air))
+    if spread == 0.0:
+        return TemperatureTest(0.0, before.rms_m, before.rms_m, 0.0, 0.0, "none", 0.0)
+    after = validation.held_out(columns * (air - air.mean())[:, None, None])
+    gain, sigma = gain_m(before, after)
+    best, most = "none", -np.inf
+    for name, curve in _placebos(air):
+        fell, _ = gain_m(before, validation.held_out(columns * curve[:, None, None]))
+        if fell > most:
+            best, most = name, fell
+    return TemperatureTest(float(np.ptp(air)), before.rms_m, after.rms_m, gain, sigma, best, most)
+
+
+def _columns(found: Calibrated) -> Array:
+    """What a kelvin moves, in what is expected of it: base (six) and growth of the arm, (n, 6, 7)."""
+    arm = found.arm
+    model = serial_model(arm, found.setup, found.model.series.at(found.fit.used), (GEOMETRY,))
+    J = model(np.zeros(len(model.parameters))).jacobian
+    base = J[:, :, :6] * np.tile([MOVES_RAD_PER_K, MOVES_M_PER_K], 3)
+    lengths = np.where([name in LENGTHS for name in SIX], arm.sixes, 0.0)
+    growth = J[:, :, 12:] @ (EXPANSION_PER_K * lengths.ravel())
+    return np.concatenate([base, growth[:, :, None]], axis=2)
+
+
+def _placebos(air: Array) -> Iterator[tuple[str, Array]]:
+    """Curves as large as the temperature's."""
+    mean, spread = air.mean(), air.std()
+    clock = np.linspace(-1.0, 1.0, air.size)
+    yield "clock", clock / clock.std() * spread
+    yield "reversed", air[::-1] - mean
+    for k in range(1, SHIFTS + 1):
+        yield f"shifted by {k / (SHIFTS + 1):.0%}", np.roll(air, k * air.size // (SHIFTS + 1)) - mean

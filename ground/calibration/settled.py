@@ -1,0 +1,96 @@
+"""A campaign without the closed loop: arms that came to rest by the equations, in seconds.
+
+For tests and trials. What flight software would believe is drawn: outputs were dragged to their places from
+either side, and where the load does not decide it, they may lie anywhere in their gaps.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from fsw.config import configure
+from fsw.dictionary.joints import Joint
+from fsw.dictionary.params import Params
+from fsw.estimate.gear import load_error
+from fsw.kinematics.arm import arm_from
+from fsw.kinematics.statics import rest, settle
+from fsw.kinematics.transforms import Array, Pose
+from ground.calibration.campaign import CampaignPlan
+from ground.calibration.data import Campaign
+from ground.calibration.frames import FewTargets
+from ground.calibration.poses import branch_name, group_poses
+from ground.calibration.survey import Row, campaign_from, surveyed
+from sim.arms import BuiltArm
+from sim.clearance import Space
+from sim.effects.joints import HardstopAngle
+from sim.plant import Plant
+from sim.world import World
+
+MOSTLY: Final = 0.8
+"""How often an output that is not surely known lies where it is believed to; about as in the closed loop."""
+
+
+def settled_campaign(arm: BuiltArm, plan: CampaignPlan) -> Campaign:
+    """Every pose of the plan that the tracker can see."""
+    rows = []
+    for k, group in enumerate(plan.groups):
+        rng = np.random.default_rng([plan.seed, k, 2])
+        goals = group_poses(arm.params, group, World("earth"), rng)
+        plant = Space(group.params(arm.params), World("earth")).plant
+        rows += [row for goal in goals if (row := _settled(arm, plan, k, plant, goal, rng)) is not None]
+    return campaign_from(arm.name, rows)
+
+
+def _settled(
+    arm: BuiltArm, plan: CampaignPlan, k: int, plant: Plant, goal: Array, rng: np.random.Generator
+) -> Row | None:
+    group = plan.groups[k]
+    gravity = World("earth", tilt_roll_rad=group.roll_rad).gravity_N_m_s2
+    known, truth = configure(group.params(arm.params)), arm_from(group.params(true_params(arm)))
+    load = rest(known.arm, goal, gravity).torque_Nm
+    held = known.output_friction_Nm * rng.choice([-1.0, 1.0], len(Joint))
+    sure = np.abs(np.abs(load) - known.output_friction_Nm) > load_error(known, gravity)
+    side = np.where(load > held, 1.0, -1.0)
+    right = sure | (rng.random(len(Joint)) < MOSTLY)
+    lies = np.where(right, side, rng.uniform(-1.0, 1.0, len(Joint)))
+    half = np.array([0.5 * joint.backlash_rad for joint in true_params(arm).joints.in_order()])
+    pulled = held / truth.gear_stiffness_Nm_rad
+    found = settle(truth, goal, lies * half - pulled, gravity)
+    X_RF = Pose(found.frames.X_RF.R[:, :, 5], found.frames.X_RF.p[:, 5])
+    plant.show(found.output_rad, found.strain)
+    try:
+        seen = surveyed(plan.tracker, plant, group.roll_rad, X_RF, rng)
+    except FewTargets:
+        return None
+    return Row(
+        group=k,
+        branch=branch_name(known, found.output_rad),
+        motor_rad=goal - _stops_off(arm),
+        gap_rad=side * known.half_gap_rad,
+        held_Nm=held,
+        side=np.where(sure, side, 0.0),
+        gravity_R_m_s2=gravity,
+        turret_kg=np.nan if group.turret_kg is None else group.turret_kg,
+        X_RT=seen.X_RT,
+        covariance=seen.covariance,
+        targets_seen=seen.targets_seen,
+        misfit_m=seen.misfit_m,
+        X_WG=seen.X_WG,
+    )
+
+
+def true_params(arm: BuiltArm) -> Params:
+    """The flight parameters that know every effect of the arm; not for flight software."""
+    params = arm.params
+    for effect in arm.effects:
+        params = effect.on_params(params)
+    return params
+
+
+def _stops_off(arm: BuiltArm) -> Array:
+    """How far the arm's hardstops are from where they are drawn: its encoders read so much too little."""
+    off = np.zeros(len(Joint))
+    for effect in arm.effects:
+        if isinstance(effect, HardstopAngle):
+            off[effect.joint] += effect.shift_rad
+    return off

@@ -1,0 +1,158 @@
+"""A campaign as a table, Parquet or CSV: one row a pose. docs/calibration.md lists the columns."""
+
+from collections.abc import Iterator
+from io import BytesIO
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import csv, parquet
+from scipy.spatial.transform import Rotation
+
+from fsw.dictionary.joints import Joint
+from fsw.kinematics.branches import BRANCHES
+from fsw.kinematics.transforms import Array, Pose
+from ground.calibration.checks import BadData
+from ground.calibration.data import Believed, Campaign
+from ground.calibration.screws import Measured
+from ground.outputs import written_whole
+
+JOINTS: Final = tuple(joint.name.lower() for joint in Joint)
+PAIRS: Final = tuple((i, j) for i in range(6) for j in range(i, 6))
+TEXTS: Final = ("arm", "branch")
+COUNTS: Final = ("group", "targets_ground", "targets_rover", "targets_turret")
+NUMBERS: Final = (
+    *(f"motor_{joint}_rad" for joint in JOINTS),
+    *(f"gap_{joint}_rad" for joint in JOINTS),
+    *(f"held_{joint}_Nm" for joint in JOINTS),
+    *(f"side_{joint}" for joint in JOINTS),
+    *(f"gravity_{axis}_m_s2" for axis in "xyz"),
+    "turret_kg",
+    *(f"p_{axis}_m" for axis in "xyz"),
+    *(f"q_{part}" for part in "wxyz"),
+    *(f"cov_{i}{j}" for i, j in PAIRS),
+    "misfit_m",
+    "tracker_moved_m",
+)
+MAY_BE_EMPTY: Final = ("turret_kg",)
+UNIT: Final = 1e-3
+"""How far a quaternion's length may be from 1."""
+MOST_ROWS: Final = 100_000
+
+
+def save_campaign(campaign: Campaign, path: Path) -> None:
+    """Write the table, as its name ends: .parquet or .csv.
+
+    Raises:
+        BadOutput: the file cannot be written.
+    """
+    table = pa.table(dict(_columns(campaign)))
+    with written_whole(path, "data") as file:
+        if path.suffix.lower() == ".csv":
+            csv.write_csv(table, file)
+        else:
+            parquet.write_table(table, file)
+
+
+def read_campaign(path: Path) -> Campaign:
+    """Read a table.
+
+    Raises:
+        BadData: it cannot be read, or columns or values are not what they should be.
+    """
+    try:
+        data = BytesIO(path.read_bytes())
+        table = csv.read_csv(data) if path.suffix.lower() == ".csv" else parquet.read_table(data)
+    except (OSError, pa.ArrowException) as error:
+        raise BadData(f"{path}: cannot be read as a table: {error}") from error
+    problems = [f"{path}: {problem}" for problem in _problems(table)]
+    if problems:
+        raise BadData("\n".join(problems))
+    return _campaign({name: table[name].to_numpy() for name in (*TEXTS, *COUNTS, *NUMBERS)})
+
+
+def _columns(campaign: Campaign) -> Iterator[tuple[str, Any]]:
+    b, X = campaign.believed, campaign.measured.X_RT
+    yield "arm", [campaign.arm_name] * campaign.count
+    yield "branch", list(campaign.branch)
+    yield "group", campaign.group
+    yield from zip(COUNTS[1:], campaign.targets_seen, strict=True)
+    of_joints = np.concatenate([b.motor_rad, b.gap_rad, b.held_Nm, b.side, b.gravity_R_m_s2])
+    quat = Rotation.from_matrix(np.moveaxis(X.R, -1, 0)).as_quat(canonical=True, scalar_first=True).T
+    cov = np.array([campaign.measured.covariance[:, i, j] for i, j in PAIRS])
+    last = np.stack([campaign.misfit_m, campaign.tracker_moved_m])
+    rows = np.concatenate([of_joints, b.turret_kg[None], X.p, quat, cov, last])
+    for name, row in zip(NUMBERS, rows, strict=True):
+        yield name, pa.array(row, from_pandas=name in MAY_BE_EMPTY)
+
+
+def _problems(table: pa.Table) -> Iterator[str]:
+    names = (*TEXTS, *COUNTS, *NUMBERS)
+    missing = [name for name in names if name not in table.column_names]
+    if missing:
+        yield f"columns missing: {', '.join(missing)}; docs/calibration.md lists them all"
+        return
+    if table.num_rows > MOST_ROWS:
+        yield f"{table.num_rows} rows; {MOST_ROWS} poses are the most"
+        return
+    for name in (*COUNTS, *NUMBERS):
+        kind = table.schema.field(name).type
+        if not (pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_null(kind)):
+            yield f"column {name}: holds {kind}; numbers are wanted"
+            continue
+        bad = ~np.isfinite(table[name].to_numpy().astype(float))
+        if name not in MAY_BE_EMPTY and bad.any():
+            yield (
+                f"column {name}: no number in {int(bad.sum())} rows, the first is {int(np.argmax(bad))}; "
+                "leave such poses out"
+            )
+    if set(table["branch"].to_pylist()) - set(BRANCHES):
+        yield f"column branch: only {', '.join(BRANCHES)}"
+    if len(set(table["arm"].to_pylist())) > 1:
+        yield "column arm: poses of several arms; calibrate one at a time"
+
+
+def _campaign(column: dict[str, Array]) -> Campaign:
+    def rows(*names: str) -> Array:
+        return np.array([column[name].astype(float) for name in names])
+
+    def of_joints(name: str) -> Array:
+        return rows(*(name.format(joint) for joint in JOINTS))
+
+    quat = rows(*(f"q_{part}" for part in "wxyz"))
+    length = np.linalg.norm(quat, axis=0)
+    if np.any(np.abs(length - 1) > UNIT):
+        row = int(np.argmax(np.abs(length - 1)))
+        raise BadData(f"columns q_*: row {row} has length {length[row]:.4g}; a quaternion w, x, y, z has 1")
+    covariance = np.zeros((quat.shape[1], 6, 6))
+    for i, j in PAIRS:
+        covariance[:, i, j] = covariance[:, j, i] = column[f"cov_{i}{j}"]
+    lowest = np.linalg.eigvalsh(covariance)[:, 0] if covariance.size else np.ones(0)
+    if np.any(lowest <= 0):
+        raise BadData(
+            f"columns cov_*: row {int(np.argmin(lowest))} is no covariance: it is not positive definite"
+        )
+    R = (
+        np.moveaxis(Rotation.from_quat(quat.T, scalar_first=True).as_matrix(), 0, -1)
+        if quat.size
+        else np.zeros((3, 3, 0))
+    )
+    believed = Believed(
+        of_joints("motor_{}_rad"),
+        of_joints("gap_{}_rad"),
+        of_joints("held_{}_Nm"),
+        of_joints("side_{}"),
+        rows(*(f"gravity_{axis}_m_s2" for axis in "xyz")),
+        column["turret_kg"].astype(float),
+    )
+    return Campaign(
+        arm_name=str(column["arm"][0]) if column["arm"].size else "",
+        group=column["group"].astype(np.int64),
+        branch=tuple(str(name) for name in column["branch"]),
+        believed=believed,
+        measured=Measured(Pose(R, rows(*(f"p_{axis}_m" for axis in "xyz"))), covariance),
+        targets_seen=rows(*COUNTS[1:]).astype(np.int64),
+        misfit_m=column["misfit_m"].astype(float),
+        tracker_moved_m=column["tracker_moved_m"].astype(float),
+    )

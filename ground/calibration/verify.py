@@ -1,0 +1,120 @@
+"""The calibrated arm proves itself: hardstops anew, full turret, fresh targets; on Earth, then on Mars."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.commands import MoveTool
+from fsw.dictionary.evrs import CommandCompleted
+from fsw.dictionary.joints import Tool
+from fsw.dictionary.params import Params
+from fsw.dictionary.tuples import vector3
+from fsw.estimate.reference import Reference
+from fsw.kinematics.transforms import Array
+from ground.calibration.campaign import CampaignFailed, earth_reference
+from ground.progress import Progress
+from sim.arms import BuiltArm
+from sim.effects.effect import Effect
+from sim.effects.environment import Ambient, NothingToTouch
+from sim.effects.geometry import Warming
+from sim.frames import p_R_from_N
+from sim.loop import ClosedLoop, Setup
+from sim.sequence import run_sequence
+from sim.tour import REST_S
+from sim.workspace import approach_from, random_targets
+from sim.world import World
+
+COLD_C: Final = -35.0
+"""Of the actuators and the arm on Mars: the coldest that flight saw."""
+CALIBRATED_C: Final = 20.0
+MOST_TRIES: Final = 20
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """How well tools came to targets in one place; (n,) each."""
+
+    name: str
+    tool: tuple[Tool, ...]
+    total_m: Array
+    lateral_m: Array
+    normal_m: Array
+    axis_rad: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Verification:
+    """What the new parameters are good for."""
+
+    zero_rad: Array
+    """Encoder zeros of the hardstops found anew, less those found with the old parameters, (5,)."""
+    expected_rad: Array
+    """By how much the hardstop angles were changed, (5,)."""
+    places: tuple[Place, ...]
+
+
+def verified(arm: BuiltArm, params: Params, targets: int, seed: int, progress: Progress) -> Verification:
+    """So many targets on Earth, on Mars, and on cold Mars, where the arm has shrunk too.
+
+    Raises:
+        CampaignFailed: a hardstop was not found, or a move did not come to its end.
+    """
+    known = replace(arm, params=params)
+    before, reference = (earth_reference(which, progress) for which in (arm, known))
+    old, new = ([j.hardstop_rad for j in p.joints.in_order()] for p in (arm.params, params))
+    cold = (Ambient(COLD_C), Warming(COLD_C - CALIBRATED_C))
+    where = (("earth", World("earth"), ()), ("mars", World(), ()), ("cold mars", World(), cold))
+    places = []
+    for k, (name, world, effects) in enumerate(where):
+        run = Run(known, reference, world, effects, seed)
+        found = []
+        for one in run.misses(targets):
+            found.append(one)
+            progress(k * targets + len(found), len(where) * targets, name)
+        tools, errors = zip(*found, strict=True)
+        places.append(Place(name, tools, *np.array(errors).T))
+    return Verification(reference.zero_rad - before.zero_rad, np.array(new) - np.array(old), tuple(places))
+
+
+class Run:
+    """One place: the arm with its full turret goes from target to target."""
+
+    def __init__(
+        self, arm: BuiltArm, reference: Reference, world: World, effects: tuple[Effect, ...], seed: int
+    ):
+        free = NothingToTouch()
+        known = replace(arm, params=free.on_params(arm.params))
+        ready = known.params.poses.ready_rad
+        self._loop = ClosedLoop(Setup(known, world, ready, seed, reference, (*effects, free)))
+        self._rng = np.random.default_rng([seed, 4])
+
+    def misses(self, targets: int) -> Iterator[tuple[Tool, Array]]:
+        """The tool, and by how much it missed: in all, across, along the approach [m], and its axis [rad]."""
+        for _ in range(CYCLE_HZ):
+            self._loop.cycle()
+        for k in range(targets):
+            tool = Tool(k % len(Tool))
+            yield tool, self._miss(tool)
+
+    def _miss(self, tool: Tool) -> Array:
+        for _ in range(MOST_TRIES):
+            p_N_m, angles = random_targets(self._rng, 1)
+            target, approach = p_R_from_N(p_N_m[:, 0]), approach_from(angles)[:, 0]
+            command = MoveTool(tool, vector3(target), vector3(approach))
+            evrs = [evr for record in run_sequence(self._loop, (command,)) for evr in record.outputs.evrs]
+            if CommandCompleted("MoveTool") in evrs:
+                return self._looked_at(tool, target, approach)
+        raise CampaignFailed(f"no target in {MOST_TRIES} could be reached: {evrs[-1].message}")
+
+    def _looked_at(self, tool: Tool, target: Array, approach: Array) -> Array:
+        for _ in range(round(REST_S * CYCLE_HZ)):
+            self._loop.cycle()
+        truth = self._loop.plant.truth()
+        miss, axis = truth.p_RoTo_R_m[tool] - target, truth.R_RT[tool][:, 0]
+        along = float(miss @ approach)
+        lateral = float(np.linalg.norm(miss - along * approach))
+        turned = float(np.arctan2(np.linalg.norm(np.cross(axis, approach)), axis @ approach))
+        return np.array([np.linalg.norm(miss), lateral, along, turned])

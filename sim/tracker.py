@@ -1,0 +1,184 @@
+"""A laser tracker and the targets that it is pointed at: what it sees, and how well."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from fsw.kinematics.transforms import IDENTITY, Array, Flags, Pose, rotation_z, screw_exp
+from sim.frames import FLIP, P_NR_M
+from sim.plant import Plant
+
+CONE_RAD: Final = float(np.radians(75.0))
+"""How far from its axis a nest lets its ball be seen; assumed."""
+OFF_M: Final = 0.02
+"""Balls stand off what their nests are glued on."""
+FIXED_M: Final = 0.05
+"""Rays that meet nothing so close to the tracker are free."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets:
+    """Nests on one body B, whose places in it are known."""
+
+    p_BoQ_B_m: Array
+    """(3, k)."""
+    axis_B: Array
+    """Out of the surface, unit vectors (3, k)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Tracker:
+    """Where it stands, in the ground frame, and its noise in each coordinate, one sigma; typical."""
+
+    p_GoWo_G_m: tuple[float, float, float] = (4.6, -1.6, -1.7)
+    yaw_rad: float = 2.6
+    sigma_m: float = 15e-6
+    sigma_per_m: float = 6e-6
+
+    @property
+    def X_GW(self) -> Pose:
+        """The tracker's own frame W, in which it gives coordinates, in the ground's."""
+        return Pose(rotation_z(np.array(self.yaw_rad)), np.array(self.p_GoWo_G_m))
+
+    def noise_m(self, distance_m: Array) -> Array:
+        """One sigma at distances (...)."""
+        return self.sigma_m + self.sigma_per_m * distance_m
+
+
+TYPICAL: Final = Tracker()
+
+
+def _targets(*nests: tuple[float, float, float, float, float, float]) -> Targets:
+    table = np.array(nests).T
+    axis = table[3:] / np.linalg.norm(table[3:], axis=0)
+    return Targets(table[:3] + OFF_M * axis, axis)
+
+
+GROUND: Final = _targets(
+    (3.4, -2.6, 0.0, 0.3, 0.3, -1.0),
+    (3.6, 1.6, 0.0, 0.3, -0.6, -1.0),
+    (0.6, -2.4, 0.0, 1.0, 0.3, -0.6),
+    (2.2, 2.2, 0.0, 0.5, -1.0, -0.7),
+    (4.2, 0.4, 0.0, 0.2, -0.8, -1.0),
+    (1.4, -2.8, -0.5, 1.0, 0.5, -0.4),
+)
+"""In the ground frame, which is RNAV of a level rover at rest."""
+ROVER: Final = _targets(
+    (0.87, -0.58, -1.28, 1.0, -0.2, -0.3),
+    (0.87, 0.58, -1.28, 1.0, -0.2, -0.3),
+    (0.60, -0.62, -1.45, 1.0, -0.5, -0.3),
+    (0.87, 0.10, -1.35, 1.0, -0.2, -0.3),
+    (0.30, 0.55, -1.55, 1.0, -0.5, -0.3),
+    (1.10, -1.00, -0.60, 1.0, -0.4, -0.3),
+    (1.10, 1.00, -0.60, 1.0, -0.6, -0.3),
+    (0.20, -1.00, -1.05, 1.0, -0.6, -0.3),
+)
+"""In RNAV, on masts where the arm is seldom in the way."""
+
+
+def _around_turret() -> Targets:
+    """Rings of nests about the turret's axis, in Arm6; the farthest looks away from the arm."""
+    nests = []
+    for height_m, radius_m, first, up in (
+        (-0.30, 0.16, 0.0, -2.0),
+        (-0.20, 0.26, 0.5, -0.5),
+        (-0.05, 0.28, 0.0, 0.0),
+        (0.02, 0.22, 0.5, 1.0),
+    ):
+        for k in range(6):
+            angle = 2 * np.pi * (k + first) / 6
+            x, y = np.cos(angle), np.sin(angle)
+            nests.append((radius_m * x, radius_m * y, height_m, x, y, up))
+    return _targets(*nests)
+
+
+TURRET: Final = _around_turret()
+"""On the stand-in turret, an open frame: what hides them is the arm, not the turret."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shots:
+    """What the tracker measured of the targets on one body."""
+
+    p_WoQ_W_m: Array
+    """(3, k); NaN for what was not seen."""
+    sigma_m: Array
+    """(k,)."""
+
+    @property
+    def seen(self) -> Flags:
+        """(k,)."""
+        return np.asarray(np.isfinite(self.p_WoQ_W_m[0]))
+
+
+def rover_pose(roll_rad: float, sway: Array) -> Pose:
+    """X_GN: the rover's RNAV in the ground frame, rolled (right side down), swayed by a small screw (6,)."""
+    c, s = np.cos(roll_rad), np.sin(roll_rad)
+    tilted = Pose(np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]]), np.zeros(3))
+    return tilted @ screw_exp(sway)
+
+
+def turret_pose(plant: Plant) -> Pose:
+    """X_RF of frame Arm6, the turret's interface, in RMECH; the plant's kinematics are up to date."""
+    body = plant.model.body("turret").id
+    p_N = FLIP * plant.data.xpos[body]
+    return Pose(FLIP[:, None] * plant.data.xmat[body].reshape(3, 3), p_N - P_NR_M)
+
+
+def shots(
+    tracker: Tracker, plant: Plant, X_GN: Pose, X_RF: Pose, rng: np.random.Generator
+) -> tuple[Shots, Shots, Shots]:
+    """Every target on ground, rover and turret that can be seen, measured once.
+
+    The turret's interface is at X_RF; the plant is asked what is in the way.
+
+    Noise is drawn for hidden targets too, so that what is hidden changes no other reading.
+    """
+    X_GF = X_GN @ Pose(np.eye(3), P_NR_M) @ X_RF
+    return (
+        _shot(tracker, plant, X_GN, GROUND, IDENTITY, rng),
+        _shot(tracker, plant, X_GN, ROVER, X_GN, rng),
+        _shot(tracker, plant, X_GN, TURRET, X_GF, rng),
+    )
+
+
+def _shot(
+    tracker: Tracker, plant: Plant, X_GN: Pose, targets: Targets, X_GB: Pose, rng: np.random.Generator
+) -> Shots:
+    p_G = X_GB.R @ targets.p_BoQ_B_m + X_GB.p[:, None]
+    way = np.array(tracker.p_GoWo_G_m)[:, None] - p_G
+    distance = np.linalg.norm(way, axis=0)
+    facing = np.einsum("ik,ik->k", X_GB.R @ targets.axis_B, way / distance) > np.cos(CONE_RAD)
+    clear = np.array([_clear(plant, X_GN, p, w) for p, w in zip(p_G.T, way.T, strict=True)])
+    sigma = tracker.noise_m(distance)
+    noisy = p_G + sigma * rng.standard_normal(p_G.shape)
+    X_GW = tracker.X_GW
+    p_W = X_GW.R.T @ (noisy - X_GW.p[:, None])
+    return Shots(np.where(facing & clear, p_W, np.nan), sigma)
+
+
+def _clear(plant: Plant, X_GN: Pose, p_G: Array, way_G: Array) -> bool:
+    """Whether nothing but the turret and the floor stands on the way (3,) from a point to the tracker."""
+    model, data = plant.model, plant.data
+    start = FLIP * (X_GN.R.T @ (p_G - X_GN.p))
+    along = FLIP * (X_GN.R.T @ way_G)
+    length = float(np.linalg.norm(along))
+    along, travelled, hit = along / length, 0.0, np.zeros(1, np.int32)
+    while True:
+        step = mujoco.mj_ray(model, data, start + travelled * along, along, None, 1, -1, hit)
+        if step < 0 or travelled + step > length - FIXED_M:
+            return True
+        if not _see_through(plant, int(hit[0])):
+            return False
+        travelled += step + 1e-3
+
+
+def _see_through(plant: Plant, geom: int) -> bool:
+    """The stand-in is a frame; the floor is where the rover stands, not where this model has it."""
+    model = plant.model
+    body, turret = int(model.geom_bodyid[geom]), model.body("turret").id
+    while body not in (0, turret):
+        body = int(model.body_parentid[body])
+    return body == turret or bool(model.geom(geom).name == "ground")

@@ -1,0 +1,182 @@
+"""The engine, on a planar arm of as many joints as the test likes: nothing in it is about our arm."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.stats import binom, kstest
+
+from ground.calibration.fit import fit
+from ground.calibration.judge import judged
+from ground.calibration.outliers import NoAgreement, cleaned_fit, leave_out_distance
+from ground.calibration.problem import Linearised, Parameter
+from ground.calibration.seen import seen
+
+NOISE_M = 1e-4
+
+
+class Planar:
+    """A planar chain: unknown lengths and joint zeros, tip measured in the plane."""
+
+    def __init__(self, rng, joints=3, poses=60, lengths=None, angles=None):
+        self.angles = rng.uniform(-2, 2, (joints, poses)) if angles is None else angles
+        self.lengths = np.full(joints, 0.5)
+        truth = np.zeros(2 * joints) if lengths is None else lengths
+        self.tip = self.position(truth) + NOISE_M * rng.standard_normal((2, poses))
+
+    def position(self, x):
+        return self._sum(x)[0]
+
+    def _sum(self, x):
+        n = len(self.lengths)
+        heading = np.cumsum(self.angles + x[n:, None], axis=0)
+        along = np.array([np.cos(heading), np.sin(heading)])
+        return np.sum((self.lengths + x[:n])[:, None] * along, axis=1), along
+
+    def __call__(self, x):
+        n = len(self.lengths)
+        p, along = self._sum(x)
+        links = (self.lengths + x[:n])[:, None] * along
+        beyond = np.cumsum(links[:, ::-1], axis=1)[:, ::-1]
+        turned = np.array([-beyond[1], beyond[0]])
+        J = np.concatenate([along, turned], axis=1)
+        return Linearised(((p - self.tip) / NOISE_M).T, np.moveaxis(J, 2, 0) / NOISE_M)
+
+
+def parameters(joints, prior=np.inf):
+    lengths = [Parameter(f"length{k}", "m", 1e-3, prior) for k in range(joints)]
+    return lengths + [Parameter(f"zero{k}", "rad", 1e-3, prior) for k in range(joints)]
+
+
+def test_the_jacobian_of_the_planar_chain_is_right():
+    model = Planar(np.random.default_rng(0), joints=4)
+    x = 0.01 * np.random.default_rng(1).standard_normal(8)
+    steps = 1e-6 * np.eye(8)
+    numeric = np.stack([(model(x + h).residual - model(x - h).residual) / 2e-6 for h in steps], -1)
+    np.testing.assert_allclose(model(x).jacobian, numeric, rtol=1e-6, atol=1e-3)
+
+
+@pytest.mark.parametrize("joints", [1, 3, 6])
+@pytest.mark.parametrize("prior", [np.inf, 2e-3])
+def test_the_optimum_is_that_of_least_squares(joints, prior):
+    rng = np.random.default_rng(joints)
+    model = Planar(rng, joints, lengths=3e-3 * rng.standard_normal(2 * joints))
+    asked = parameters(joints, prior)
+
+    def residual(x):
+        return np.concatenate([model(x).residual.ravel(), x / prior])
+
+    found = fit(asked, model)
+    other = least_squares(residual, np.zeros(2 * joints), x_scale=1e-3, xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    assert found.converged
+    np.testing.assert_allclose(found.values, other.x, atol=1e-3 * found.sigma.min())
+
+
+def test_far_from_the_optimum_damping_finds_the_way():
+    rng = np.random.default_rng(3)
+    model = Planar(rng, 3, lengths=np.array([0.1, -0.1, 0.2, 1.2, -0.9, 0.7]))
+    found = fit(parameters(3), model)
+    assert found.converged
+    assert 0.7 < found.sigma0 < 1.3
+
+
+def test_intervals_cover_the_truth_as_often_as_they_say():
+    rng = np.random.default_rng(4)
+    inside = []
+    for _ in range(100):
+        truth = 2e-3 * rng.standard_normal(6)
+        found = fit(parameters(3, 2e-3), Planar(rng, 3, 20, truth))
+        inside.append(np.abs(found.values - truth) < 1.645 * found.sigma)
+    low, high = binom.interval(0.999, 100, 0.9)
+    assert np.all((np.sum(inside, axis=0) >= low) & (np.sum(inside, axis=0) <= high))
+
+
+def test_the_p_value_is_uniform_where_the_noise_is_what_was_said():
+    rng = np.random.default_rng(5)
+    found = [fit(parameters(3), Planar(rng)).p_value for _ in range(200)]
+    assert kstest(found, "uniform").pvalue > 0.01
+
+
+def test_noise_that_is_larger_than_said_is_told():
+    model = Planar(np.random.default_rng(6))
+    quiet = fit(parameters(3), lambda x: Linearised(2 * model(x).residual, 2 * model(x).jacobian))
+    assert quiet.sigma0 == pytest.approx(2, rel=0.2)
+    assert quiet.p_value < 1e-6
+
+
+def test_joints_that_never_move_are_one_with_what_they_cannot_be_told_from():
+    """With the second joint locked, two links are one: of lengths and zeros only combinations are seen."""
+    rng = np.random.default_rng(7)
+    angles = rng.uniform(-2, 2, (3, 60))
+    angles[1] = 0.3
+    model = Planar(rng, 3, angles=angles)
+    found = seen(parameters(3), model(np.zeros(6)))
+    assert found.rank == 4
+    (confused,) = found.confused()
+    assert set(confused.names) == {"length0", "length1", "zero0", "zero1", "zero2"}
+    assert confused.seen == 3
+
+
+def test_what_neither_data_nor_prior_tell_stays_and_has_no_sigma():
+    rng = np.random.default_rng(8)
+    angles = rng.uniform(-2, 2, (2, 60))
+    angles[1] = 0.0
+    found = fit(parameters(2), Planar(rng, 2, angles=angles, lengths=np.array([1e-3, 1e-3, 0, 0])))
+    assert found.converged
+    assert np.isinf(found.sigma[[0, 1, 3]]).all()
+    assert np.isfinite(found.sigma[2]) or found.free[2] > 0
+    assert found.values[0] + found.values[1] == pytest.approx(2e-3, abs=1e-4)
+
+
+def test_outliers_are_found_named_and_left_out():
+    rng = np.random.default_rng(9)
+    truth = 2e-3 * rng.standard_normal(6)
+    model = Planar(rng, lengths=truth)
+    clean = cleaned_fit(parameters(3), model)
+    assert clean.outliers == ()
+    for pose, off_m in ((7, 2e-3), (8, -2e-3), (30, 1.0), (44, 8e-4)):
+        model.tip[:, pose] += off_m
+    found = cleaned_fit(parameters(3), model)
+    assert found.outliers == (7, 8, 30, 44)
+    assert np.all(np.abs(found.fit.values - truth) < 4 * found.fit.sigma)
+
+
+def test_a_campaign_without_outliers_is_seldom_said_to_have_one():
+    rng = np.random.default_rng(10)
+    alarms = sum(bool(cleaned_fit(parameters(3), Planar(rng), false_alarm=0.1).outliers) for _ in range(100))
+    assert alarms <= binom.ppf(0.999, 100, 0.1)
+
+
+def test_too_many_outliers_are_none():
+    model = Planar(np.random.default_rng(11))
+    model.tip[:, ::3] += 0.05 * np.random.default_rng(12).standard_normal((2, 20))
+    with pytest.raises(NoAgreement, match="60 poses do not agree"):
+        cleaned_fit(parameters(3), model)
+
+
+def test_the_distance_of_a_pose_is_that_from_a_fit_without_it():
+    rng = np.random.default_rng(13)
+    model = Planar(rng, poses=12)
+    found = fit(parameters(3), model)
+    used = np.arange(12) != 5
+    others = fit(parameters(3), model, used=used)
+    assert leave_out_distance(found)[5] == pytest.approx(leave_out_distance(others)[5], rel=1e-2)
+
+
+def test_fresh_poses_are_off_by_what_noise_and_covariance_let_expect():
+    rng = np.random.default_rng(14)
+    ratios = []
+    for _ in range(30):
+        truth = 2e-3 * rng.standard_normal(6)
+        model, fresh = (Planar(rng, 3, poses, truth) for poses in (10, 200))
+        found = fit(parameters(3), model)
+        ratios.append(judged(found, fresh(found.values)).ratio)
+    assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_fit_is_the_same_to_the_last_bit_every_time():
+    model = Planar(np.random.default_rng(15))
+    one, other = fit(parameters(3), model), fit(parameters(3), model)
+    assert np.array_equal(one.values, other.values)
+    assert replace(one, values=other.values).sigma0 == other.sigma0
