@@ -27,8 +27,8 @@ def save_calibration_page(report: CalibrateReport, path: Path) -> None:
         table(("", ""), summary_rows(found)),
         heading("Pose by pose"),
         paragraph(
-            "Shaded: shoulder-in poses. Grey: calibrated numbers, but every output always on one side of its gap, "
-            "as if the backlash state were not known."
+            "Shaded: shoulder-in poses. Grey: calibrated numbers, but every output always on one side of its "
+            "gap, as if the backlash state were not known."
         ),
         image(drawn((12, 7), 110, lambda figure: _draw_errors(figure, found)), "errors before and after"),
         heading("Encoder zeros"),
