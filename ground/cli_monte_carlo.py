@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from ground.cli_parts import ARM_SAFE, BAD_INPUT, JsonOption, SeedOption, end, show
+from ground.cli_parts import ARM_SAFE, BAD_INPUT, JsonOption, end, show
 
 
 def monte_carlo(
@@ -31,7 +31,9 @@ def monte_carlo(
             metavar="closed-loop|statics",
         ),
     ] = "closed-loop",
-    seed: SeedOption = 0,
+    seed: Annotated[
+        int, typer.Option(help="Of arms, places and moves; calibrated arm K is calibrated:SEED+K.")
+    ] = 0,
     only: Annotated[
         int | None, typer.Option(help="Run arm number K alone, as it is among the others.", metavar="K")
     ] = None,
@@ -60,8 +62,8 @@ def monte_carlo(
 ) -> None:
     """Arms drawn by the error budget, moved by flight software, measured: does the budget hold?
 
-    Every arm has errors of its own; every move leaves some to chance. What the tool misses its place by is
-    held against the bounds of the budget at that pose. Arm K is the same whichever others there are.
+    Every arm has errors of its own; every move leaves some to chance. By how much the tool misses its place
+    is held against the bounds of the budget there. Arm K is the same whichever others there are.
 
     Example: marsarm monte-carlo --case mars --arms 200 --results mars.jsonl --report mars.html
     """

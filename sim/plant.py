@@ -91,7 +91,7 @@ class Plant:
             bodies=np.array([model.body(name).id for name in BODIES]),
         )
         self._built = Pose(
-            _rotations(model.body_quat[self.at.bodies]), model.body_pos[self.at.bodies].T.copy()
+            rotations(model.body_quat[self.at.bodies]), model.body_pos[self.at.bodies].T.copy()
         )
         self._bands_rad = model.tendon_lengthspring[self.at.gaps].copy()
         self.scatter = no_scatter()
@@ -228,7 +228,8 @@ class Plant:
         return 0.5 * float(moment @ self.data.qvel)
 
 
-def _rotations(quat: Array) -> Array:
+def rotations(quat: Array) -> Array:
+    """Of MuJoCo's quaternions (n, 4), as (3, 3, n)."""
     R = np.zeros((len(quat), 9))
     for row, q in zip(R, quat, strict=True):
         mujoco.mju_quat2Mat(row, q)

@@ -7,12 +7,11 @@ import numpy as np
 
 from fsw.dictionary.joints import Joint
 from fsw.kinematics.transforms import Array, Flags
+from ground.accuracy.budget import COVERAGE
 from ground.accuracy.combine import TOTAL, paper_rule
 from ground.accuracy.moments import pooled_quantile, squared_length
 from ground.accuracy.propagate import Sensitivity
 from ground.accuracy.sources import Case, ErrorModel
-
-COVERAGE = 0.9973
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from fsw.dictionary.joints import Frame, Joint, Tool
 from fsw.dictionary.tuples import row6
 from fsw.kinematics.transforms import Array
 from ground.accuracy.sources import Case, ErrorModel, Source, Spread, is_compensated
-from sim.effects.effect import EachMove, Effect
+from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError, LinkWarming
 from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle
 from sim.effects.moves import FramePlay, ServoError, Windup
@@ -41,9 +41,10 @@ def effects_of(source: Source, factor: float, tool: Tool, rng: np.random.Generat
         case "frame play":
             for frame in _frames(theta):
                 yield FramePlay(frame, row6(theta[:, frame]), _at(frame, tool))
-        case "servo error" | "windup":
-            effect: type[EachMove] = ServoError if source.effect == "servo error" else Windup
-            yield from (effect(joint, float(theta[Z_TURN, joint])) for joint in Joint)  # type: ignore[call-arg]
+        case "servo error":
+            yield from (ServoError(joint, float(theta[Z_TURN, joint])) for joint in Joint)
+        case "windup":
+            yield from (Windup(joint, float(theta[Z_TURN, joint])) for joint in Joint)
         case "hardstop angle":
             shift = theta[Z_TURN, : len(Joint)] * drawn(source.spread, len(Joint), rng)
             yield from (HardstopAngle(joint, float(shift[joint])) for joint in Joint)

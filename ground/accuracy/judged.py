@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from fsw.config import Config
 from fsw.dictionary.joints import Tool
 from fsw.kinematics.transforms import Array
 from ground.accuracy.at_limit import AtLimit, at_limit, backlash_sum, without_adding
-from ground.accuracy.budget import COMPONENTS, COVERAGE, Budget, by_source, tool_budget
+from ground.accuracy.budget import COMPONENTS, COVERAGE, Budget, ToolBudget, by_source, tool_budget
 from ground.accuracy.combine import bounds
 from ground.accuracy.coverage import Coverage, Interval, coverage, quantile_interval
 from ground.accuracy.places import Measured
@@ -17,7 +18,7 @@ from ground.accuracy.poses import Poses
 from ground.accuracy.propagate import Sensitivity, sensitivity
 from ground.accuracy.sources import ErrorModel
 
-ON_FLANK = 0.999
+ON_FLANK: Final = 0.999
 """Of half a gap."""
 
 
@@ -101,5 +102,5 @@ def _moved(config: Config, gravity_R_m_s2: Array, tool: Tool, found: Sequence[Me
     return sensitivity(config, _poses(tool, found), gravity_R_m_s2)
 
 
-def _bound(budgets: Mapping[Tool, object], rule: str, name: str) -> Array:
-    return np.concatenate([getattr(one.by_rule[rule], name) for one in budgets.values()])  # type: ignore[attr-defined]
+def _bound(budgets: Mapping[Tool, ToolBudget], rule: str, name: str) -> Array:
+    return np.concatenate([getattr(one.by_rule[rule], name) for one in budgets.values()])

@@ -10,10 +10,11 @@ from fsw.dictionary.joints import Frame, Tool
 from fsw.dictionary.params import LinkParams, Lump, Params, Row6, Transform6
 from fsw.dictionary.tuples import row6, vector3
 from fsw.kinematics.arm import transform6, transform6_from
-from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_exp
+from fsw.kinematics.transforms import Pose, inverse, rotation_z, screw_exp
 from sim.effects.effect import Effect
 from sim.effects.matrices import turned
 from sim.params import nominal_params
+from sim.plant import rotations
 from sim.scatter import BODIES, body_index
 
 
@@ -29,7 +30,7 @@ class FrameError(Effect):
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Displace the body that stands for the frame."""
         body = spec.body(self._body())
-        X = Pose(_rotation(body.quat), body.pos) @ screw_exp(np.array(self.screw))
+        X = Pose(rotations(body.quat[None])[:, :, 0], body.pos) @ screw_exp(np.array(self.screw))
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, X.R.ravel())
         body.pos, body.quat = X.p, quat
@@ -126,9 +127,3 @@ def _expansions_1_K() -> tuple[Row6, ...]:
 
 def _placed(lump: Lump, X: Pose) -> Lump:
     return replace(lump, com_m=vector3(X.R @ np.array(lump.com_m) + X.p))
-
-
-def _rotation(quat: Array) -> Array:
-    R = np.zeros(9)
-    mujoco.mju_quat2Mat(R, quat)
-    return R.reshape(3, 3)

@@ -52,6 +52,15 @@ def test_a_source_has_a_magnitude_a_basis_and_a_spread(name):
     assert CUMULANTS_OF[source.spread][0] > 0
 
 
+@pytest.mark.parametrize("name", MODEL.source)
+def test_what_is_drawn_with_every_move_is_random_and_lies_anywhere_within(name):
+    source = MODEL.source[name]
+    if source.effect in ("frame play", "servo error", "windup"):
+        assert (source.kind, source.spread) == ("random", "uniform")
+    if source.kind == "systematic":
+        assert source.effect in ("frame error", "stiffness", "warming")
+
+
 @pytest.mark.parametrize("name", MODEL.case)
 def test_a_case_names_sources_that_there_are(name):
     assert set(MODEL.case[name].sources) <= set(MODEL.source)
