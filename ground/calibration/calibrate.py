@@ -41,6 +41,8 @@ class Calibration:
     seen: Seen
     frames_seen: Seen
     """Of the frames' numbers alone: what the paper counts."""
+    unknown: Flags
+    """Outputs of which nobody knows where in their gaps they lie, (5, n)."""
     before: Array
     """Error screws of all poses by the nominal numbers, in axes of the modelled frame, (6, n)."""
     after: Array
@@ -78,6 +80,7 @@ def calibrate(nominal: Params, campaign: Campaign, with_backlash: bool = True) -
         held_out_error=model.errors(part.values)[:, judges],
         seen=seen(parameters, at, cleaned.fit.used),
         frames_seen=seen(parameters[FRAMES], frames, cleaned.fit.used),
+        unknown=model.unknown,
         before=model.errors(np.zeros(len(parameters))),
         after=model.errors(cleaned.fit.values),
     )
