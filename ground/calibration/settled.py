@@ -1,7 +1,7 @@
 """A campaign without the closed loop: arms that came to rest by the equations, in seconds.
 
-For tests and trials. What flight software would believe is drawn: outputs were dragged to their places from
-either side; where friction just holds the load, they may lie anywhere in their gaps.
+For tests and trials. What flight software would believe is drawn: outputs were dragged to their places as
+its moves end, or from either side; where friction just holds the load, they may lie anywhere in their gaps.
 """
 
 from typing import Final
@@ -15,6 +15,7 @@ from fsw.estimate.gear import load_error
 from fsw.kinematics.arm import arm_from
 from fsw.kinematics.statics import rest, settle
 from fsw.kinematics.transforms import Array, Pose
+from fsw.motion.compensation import last_motion
 from ground.calibration.campaign import CampaignPlan
 from ground.calibration.data import Campaign
 from ground.calibration.frames import FewTargets
@@ -48,7 +49,8 @@ def _settled(
     gravity = World("earth", tilt_roll_rad=group.roll_rad).gravity_N_m_s2
     known, truth = configure(group.params(arm.params)), arm_from(group.params(true_params(arm)))
     load = rest(known.arm, goal, gravity).torque_Nm
-    held = known.output_friction_Nm * rng.choice([-1.0, 1.0], len(Joint))
+    dragged = last_motion(known, load, gravity)
+    held = known.output_friction_Nm * np.where(dragged == 0, rng.choice([-1.0, 1.0], len(Joint)), dragged)
     sure = np.abs(np.abs(load) - known.output_friction_Nm) > load_error(known, gravity)
     side = np.where(load > held, 1.0, -1.0)
     slips = ~sure & (np.abs(np.abs(load) / known.output_friction_Nm - 1.0) < SLIPS)
