@@ -73,11 +73,7 @@ def _settled(
         side=np.where(sure, side, 0.0),
         gravity_R_m_s2=gravity,
         turret_kg=np.nan if group.turret_kg is None else group.turret_kg,
-        X_RT=seen.X_RT,
-        covariance=seen.covariance,
-        targets_seen=seen.targets_seen,
-        misfit_m=seen.misfit_m,
-        X_WG=seen.X_WG,
+        seen=seen,
     )
 
 

@@ -1,6 +1,7 @@
 """What a calibration says beside what is true: for judging simulated campaigns only."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
@@ -14,6 +15,9 @@ from ground.calibration.screws import Measured
 from ground.calibration.settled import stops_off, true_params
 from sim.arms import BuiltArm
 from sim.effects.turret import TurretMass
+
+TOLD: Final = 0.5
+"""Of what is known of a combination, the data tell more than this share, the prior the rest."""
 
 
 def true_poses(arm: BuiltArm, believed: Believed) -> Pose:
@@ -32,16 +36,24 @@ def true_poses(arm: BuiltArm, believed: Believed) -> Pose:
     return X
 
 
-def truth_beside(arm: BuiltArm, found: Calibration) -> tuple[Array, Array]:
-    """Error screws (6, n) from the calibrated poses to those of the true arm, and their covariance (6n, 6n).
+@dataclass(frozen=True, slots=True, eq=False)
+class Beside:
+    """How far the calibrated arm is from the true one."""
 
-    Rows of the covariance are pose by pose. The frame Tool, of the targets alone, is in truth as drawn.
-    """
-    n = found.campaign.count
-    plain = np.tile(np.eye(6), (n, 1, 1))
-    truth = Measured(true_poses(arm, found.campaign.believed), plain)
-    model = replace(arm_model(found.nominal, found.campaign), measured=truth, whitener=plain)
+    error: Array
+    """Screws from the calibrated poses to the true ones, in the gaps where they are believed, (6, n)."""
+    sigmas: Array
+    """The same along each combination of which the data tell more than the prior, over its stated sigma."""
+
+
+def truth_beside(arm: BuiltArm, found: Calibration) -> Beside:
+    """The calibrated arm beside the true one; the frame Tool, of the targets alone, is in truth as drawn."""
+    fitted = arm_model(found.nominal, found.campaign, found.near)
+    truth = Measured(true_poses(arm, found.campaign.believed), found.campaign.measured.covariance)
+    model = replace(fitted, measured=truth)
     at_best = model(found.best.values)
-    J = at_best.jacobian.reshape(6 * n, -1)
-    covariance: Array = J @ found.best.covariance @ J.T
-    return at_best.residual.T, covariance
+    J = at_best.jacobian[found.best.used].reshape(-1, found.best.values.size)
+    share, along = np.linalg.eigh(J @ found.best.covariance @ J.T)
+    told = share > TOLD
+    off = along[:, told].T @ at_best.residual[found.best.used].ravel()
+    return Beside(model.errors(found.best.values), off / np.sqrt(share[told]))
