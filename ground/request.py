@@ -15,6 +15,8 @@ from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World
 
 FARTHEST_M: Final = 100.0
 """A target beyond this is a slip of the pen, and its square need not be a number."""
+NO_ARM: Final = "nominal"
+"""Parameters of this name are of the drawing: any arm may be flown with them."""
 SHORTEST: Final = 1e-6
 """The largest component of a vector that still has a direction."""
 WORKSPACE: Final = "the workspace is around 2.1 0 -0.3 in RNAV"
@@ -50,7 +52,13 @@ def scaled(name: str, vector: Vector3, what: str) -> Vector3:
 def chosen_arm(name: str, params: Path | None) -> BuiltArm:
     """The arm of this name, its flight parameters over those of a TOML file if there is one."""
     try:
-        return arm_named(name, None if params is None else params_over_nominal(params))
+        believed = None if params is None else params_over_nominal(params)
+        if believed is not None and believed.arm_name not in (NO_ARM, name):
+            raise BadRequest(
+                f"params {params}: these are of the arm {believed.arm_name}, not of {name}; give its own, or "
+                "leave arm_name out"
+            )
+        return arm_named(name, believed)
     except (UnknownArm, BadParams) as error:
         raise BadRequest(str(error)) from error
 

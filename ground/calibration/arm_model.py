@@ -9,7 +9,7 @@ from fsw.dictionary.joints import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm, arm_from
 from fsw.kinematics.statics import Equilibrium, settle
-from fsw.kinematics.transforms import Array, Flags, Numbers, Pose, rotation_z, screw_exp, skew
+from fsw.kinematics.transforms import Array, Flags, Numbers, Pose, screw_exp, skew
 from ground.calibration.arm_numbers import (
     CENTRES,
     FRAMES,
@@ -19,12 +19,13 @@ from ground.calibration.arm_numbers import (
     MASS_OF,
     MASSES,
     arm_parameters,
-    arm_with,
+    numbered_arm,
+    turret_turn,
 )
 from ground.calibration.data import Believed, Campaign
 from ground.calibration.fit import Fit
 from ground.calibration.gaps import agreeing
-from ground.calibration.hanging import JOINTS, SCREW, STRAIN, Hanging, hanging, motion
+from ground.calibration.hanging import JOINTS, SCREW, STRAIN, Hanging, hanging, motion, with_batch
 from ground.calibration.noise import whitener_of
 from ground.calibration.problem import Linearised
 from ground.calibration.screws import Measured, error_screw, linearised
@@ -48,11 +49,7 @@ class ArmModel:
     """Outputs whose place in their gap nobody knows, (5, n)."""
 
     def __call__(self, x: Array) -> Linearised:
-        """Whitened error screws (n, 6) and their derivatives.
-
-        Exact, but for a share of 1e-4 in turns of Arm1: its spring's axes turn with it, in what order they
-        yield is neglected.
-        """
+        """Whitened error screws (n, 6) and their derivatives."""
         X, moved = _moved(self.nominal, x, self.believed)
         return linearised(X, moved, self.measured, self.whitener)
 
@@ -104,27 +101,36 @@ def modelled(nominal: Params, x: Array, believed: Believed) -> Pose:
     n = believed.motor_rad.shape[1]
     X = Pose(np.empty((3, 3, n)), np.empty((3, n)))
     for turret_kg, where in turrets(believed):
-        _, rest = _at_rest(nominal, x, turret_kg, believed.at(where))
-        X_RT = _last(rest, x)
+        X_RT = _held(nominal, x, turret_kg, believed.at(where)).X_RT
         X.R[:, :, where], X.p[:, where] = X_RT.R, X_RT.p
     return X
 
 
-def arm_of(nominal: Params, x: Array, turret_kg: float | None) -> Arm:
-    """The arm with these numbers and this turret."""
-    params = arm_with(nominal, x)
-    return arm_from(params if turret_kg is None else TurretMass(turret_kg).on_params(params))
+@dataclass(frozen=True, slots=True, eq=False)
+class Held:
+    """The arm with some numbers at rest, in the frame D in which it is mounted: the rover turned by Arm1."""
+
+    arm: Arm
+    X_RD: Pose
+    X_FT: Pose
+    gravity_D_m_s2: Array
+    rest: Equilibrium
+
+    @property
+    def X_RT(self) -> Pose:
+        """The turret frame, batch (n,)."""
+        X_DF = self.rest.frames.X_RF
+        X_DT = Pose(X_DF.R[:, :, 5], X_DF.p[:, 5]) @ with_batch(self.X_FT)
+        return with_batch(self.X_RD) @ X_DT
 
 
-def _at_rest(nominal: Params, x: Array, turret_kg: float | None, at: Believed) -> tuple[Arm, Equilibrium]:
-    arm = arm_of(nominal, x, turret_kg)
+def _held(nominal: Params, x: Array, turret_kg: float | None, at: Believed) -> Held:
+    drawn = nominal if turret_kg is None else TurretMass(turret_kg).on_params(nominal)
+    arm, X_RD = numbered_arm(arm_from(drawn), x, turret_kg is not None)
     gap = at.gap_rad * np.exp(x[GAPS])[:, None] - at.held_Nm / arm.gear_stiffness_Nm_rad[:, None]
-    return arm, settle(arm, at.motor_rad, gap, at.gravity_R_m_s2)
-
-
-def _last(rest: Equilibrium, x: Array) -> Pose:
-    X_RF, X_FT = rest.frames.X_RF, screw_exp(_screw(x, Frame.TOOL))
-    return Pose(X_RF.R[:, :, 5], X_RF.p[:, 5]) @ Pose(X_FT.R[:, :, None], X_FT.p[:, None])
+    gravity_D = X_RD.R.T @ at.gravity_R_m_s2
+    rest = settle(arm, at.motor_rad, gap, gravity_D)
+    return Held(arm, X_RD, screw_exp(_screw(x, Frame.TOOL)), gravity_D, rest)
 
 
 def _screw(x: Array, frame: Frame) -> Array:
@@ -135,7 +141,7 @@ def moved_by_joints(nominal: Params, x: Array, believed: Believed) -> Array:
     """The screw by which the turret frame moves, in its own axes, per turn of each output, (6, n, joints)."""
     moved = np.empty((6, believed.motor_rad.shape[1], JOINTS))
     for turret_kg, where in turrets(believed):
-        hang = _hanging(nominal, x, turret_kg, believed.at(where))
+        hang = _hanging(_held(nominal, x, turret_kg, believed.at(where)))
         turns = np.zeros((SCREW, where.size, JOINTS))
         turns[range(JOINTS), :, range(JOINTS)] = 1.0
         moved[:, where] = motion(hang, np.zeros_like(turns), turns, np.zeros((6 * len(Frame), JOINTS)))
@@ -146,48 +152,37 @@ def _moved(nominal: Params, x: Array, believed: Believed) -> tuple[Pose, Array]:
     """The turret frame's poses, and the screws by which they move per unit of each number, (6, n, COUNT)."""
     n = believed.motor_rad.shape[1]
     X, moved = Pose(np.empty((3, 3, n)), np.empty((3, n))), np.empty((6, n, COUNT))
-    drawn = arm_from(nominal)
     screws = np.zeros((6 * len(Frame), COUNT))
     for frame in Frame:
         rows = slice(6 * frame, 6 * frame + 6)
         screws[rows, FRAMES][:, rows] = _right_jacobian(_screw(x, frame))
     for turret_kg, where in turrets(believed):
         at = believed.at(where)
-        hang = _hanging(nominal, x, turret_kg, at)
-        moved[:, where] = motion(hang, _by_loads(drawn, hang, turret_kg), _by_springs(hang, x, at), screws)
-        X.R[:, :, where], X.p[:, where] = hang.X_RT.R, hang.X_RT.p
+        held = _held(nominal, x, turret_kg, at)
+        hang, X_RT = _hanging(held), held.X_RT
+        dQ = _by_loads(hang, x, turret_kg is not None)
+        moved[:, where] = motion(hang, dQ, _by_springs(hang, x, at), screws)
+        X.R[:, :, where], X.p[:, where] = X_RT.R, X_RT.p
     return X, moved
 
 
-def _hanging(nominal: Params, x: Array, turret_kg: float | None, at: Believed) -> Hanging:
-    arm, rest = _at_rest(nominal, x, turret_kg, at)
-    return hanging(arm, rest, at.gravity_R_m_s2, screw_exp(_screw(x, Frame.TOOL)))
+def _hanging(held: Held) -> Hanging:
+    return hanging(held.arm, held.rest, held.gravity_D_m_s2, held.X_FT)
 
 
-def _by_loads(drawn: Arm, hang: Hanging, turret_kg: float | None) -> Array:
+def _by_loads(hang: Hanging, x: Array, stand_in: bool) -> Array:
     """What masses and centres do to the loads, (SCREW, n, COUNT)."""
     n = hang.rest.output_rad.shape[1]
     dQ = np.zeros((SCREW, n, COUNT))
     for k, frame in enumerate(MASSES):
-        sides = slice(0, 1 if frame is Frame.ARM6 and turret_kg is not None else 2)  # a stand-in is weighed
+        sides = slice(0, 1 if frame is Frame.ARM6 and stand_in else 2)  # a stand-in is weighed
         dQ[:, :, MASS_OF.start + k] = hang.lump_Q[:, sides, frame].sum(axis=1)
-        of_centre = np.einsum("csin,sij->cjn", hang.lump_dQ[:, :, frame], _turns(drawn, hang.arm, frame))
+        near, far = np.moveaxis(hang.lump_dQ[:, :, frame], 1, 0)
+        if frame is Frame.ARM6:  # the turret's own mass turns with the frame
+            far = np.einsum("cin,ij->cjn", far, turret_turn(hang.arm, x).R)
         start = CENTRES.start + 3 * k
-        dQ[:, :, start : start + 3] = np.moveaxis(of_centre, 1, 2)
+        dQ[:, :, start : start + 3] = np.moveaxis(near + far, 1, 2)
     return dQ
-
-
-def _turns(drawn: Arm, arm: Arm, frame: Frame) -> Array:
-    """How the axes in which a link's centres are shifted lie in its own axes, (2, 3, 3): near lump, far lump.
-
-    A screw of the frame turns the link's axes about z; the turret's own mass it takes along.
-    """
-    turned = drawn.theta_rad[frame] - arm.theta_rad[frame]
-    near = rotation_z(np.array(turned))
-    if frame is not Frame.ARM6:
-        return np.stack([near, near])
-    to, back = rotation_z(np.array(drawn.theta_rad[frame])), drawn.X_CF.R[:, :, frame]
-    return np.stack([near, to @ arm.X_CF.R[:, :, frame] @ back.T @ to.T])
 
 
 def _by_springs(hang: Hanging, x: Array, at: Believed) -> Array:

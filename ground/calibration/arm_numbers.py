@@ -9,8 +9,8 @@ import numpy as np
 from fsw.dictionary.joints import Frame, Joint
 from fsw.dictionary.params import LinkParams, Params
 from fsw.dictionary.tuples import row6, vector3
-from fsw.kinematics.arm import transform6, transform6_from
-from fsw.kinematics.transforms import Array, Pose, rotation_z
+from fsw.kinematics.arm import Arm, transform6, transform6_from
+from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_exp
 from ground.calibration.problem import Parameter
 from sim.effects.built import BACKLASH, COM_M, FRAME_M, FRAME_RAD, MASS, SPRINGS, STIFFNESS, ZERO_RAD
 from sim.effects.geometry import FrameError
@@ -75,6 +75,53 @@ def arm_with(params: Params, x: Array) -> Params:
         if frame is not Frame.TOOL:
             params = FrameError(frame, row6(x[6 * frame : 6 * frame + 6])).on_params(params)
     return params
+
+
+def numbered_arm(drawn: Arm, x: Array, stand_in: bool) -> tuple[Arm, Pose]:
+    """The arm as arrays with these numbers, and the frame X_RD in which it is mounted, which Arm1 displaces.
+
+    The same arm as that of `arm_with`, but for the axes in which springs yield: here they stay with the
+    springs, as in the plant. It makes less than a micrometre. A stand-in turret is weighed: its mass stays.
+    """
+    factor = np.exp(x)
+    near_kg, far_kg = drawn.near_kg.copy(), drawn.far_kg.copy()
+    near, far, compliance = drawn.near_p_L_m.copy(), drawn.far_p_C_m.copy(), drawn.compliance.copy()
+    for k, frame in enumerate(MASSES):
+        near_kg[frame] *= factor[MASS_OF][k]
+        far_kg[frame] *= 1.0 if frame is Frame.ARM6 and stand_in else factor[MASS_OF][k]
+        near[:, frame] += x[CENTRES][3 * k : 3 * k + 3]
+        far[:, frame] += x[CENTRES][3 * k : 3 * k + 3]
+    for k, frame in enumerate(SPRINGS):
+        compliance[:, :, frame] /= factor[LINKS][k]
+    turn = turret_turn(drawn, x)
+    far[:, Frame.ARM6] = turn.R @ far[:, Frame.ARM6] + turn.p
+    RP_CF = drawn.RP_CF.copy()
+    for frame in tuple(Frame)[1:6]:
+        X_CF = drawn.X_CF[frame] @ screw_exp(x[6 * frame : 6 * frame + 6])
+        RP_CF[:, :3, frame], RP_CF[:, 3, frame] = X_CF.R, X_CF.p
+    X_RF = (
+        Pose(rotation_z(drawn.theta_rad[0]), np.zeros(3))
+        @ Pose(np.eye(3), drawn.p_LC_m[:, 0])
+        @ drawn.X_CF[0]
+    )
+    arm = replace(
+        drawn,
+        RP_CF=RP_CF,
+        compliance=compliance,
+        near_kg=near_kg,
+        far_kg=far_kg,
+        carried_kg=np.cumsum((near_kg + far_kg)[::-1])[::-1],
+        near_p_L_m=near,
+        far_p_C_m=far,
+        gear_stiffness_Nm_rad=drawn.gear_stiffness_Nm_rad * factor[GEARS],
+    )
+    return arm, X_RF @ screw_exp(x[:6]) @ inverse(X_RF)
+
+
+def turret_turn(drawn: Arm, x: Array) -> Pose:
+    """What the screw of Arm6 does to the turret's own mass, in the axes of its link."""
+    R_CF = Pose(drawn.X_CF.R[:, :, 5], drawn.X_CF.p[:, 5])
+    return R_CF @ screw_exp(x[6 * Frame.ARM6 : 6 * Frame.ARM6 + 6]) @ inverse(R_CF)
 
 
 def with_zeros_as_hardstops(params: Params, x: Array) -> tuple[Array, Params]:

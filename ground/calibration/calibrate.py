@@ -20,10 +20,6 @@ HELD_OUT: Final = 5
 """Every fifth pose of a group takes no part in the first fit and judges it."""
 
 
-LOOKS: Final = 2
-"""At gaps of unknown state: once their widths are known, what agrees is seen more sharply."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
     """What was found."""
@@ -41,6 +37,10 @@ class Calibration:
     seen: Seen
     frames_seen: Seen
     """Of the frames' numbers alone: what the paper counts."""
+    near: Fit
+    """What unsure gaps were judged by."""
+    unknown: Flags
+    """Outputs of which nobody knows where in their gaps they lie, (5, n)."""
     before: Array
     """Error screws of all poses by the nominal numbers, in axes of the modelled frame, (6, n)."""
     after: Array
@@ -59,11 +59,11 @@ def calibrate(nominal: Params, campaign: Campaign, with_backlash: bool = True) -
         NoAgreement: no arm explains the poses.
     """
     parameters = arm_parameters()
-    model, near = arm_model(nominal, campaign, None, with_backlash), None
-    for _ in range(LOOKS):
-        near = fit(parameters, model, None if near is None else near.values)
-        model = arm_model(nominal, campaign, near, with_backlash)
-    cleaned = cleaned_fit(parameters, model, None if near is None else near.values)
+    near = fit(parameters, arm_model(nominal, campaign, None, with_backlash))
+    # once more: when widths of gaps are known, what agrees is seen more sharply
+    near = fit(parameters, arm_model(nominal, campaign, near, with_backlash), near.values)
+    model = arm_model(nominal, campaign, near, with_backlash)
+    cleaned = cleaned_fit(parameters, model, near.values)
     fresh = held_out(campaign.group)
     part = fit(parameters, model, cleaned.fit.values, cleaned.fit.used & ~fresh)
     judges = fresh & cleaned.fit.used
@@ -78,6 +78,8 @@ def calibrate(nominal: Params, campaign: Campaign, with_backlash: bool = True) -
         held_out_error=model.errors(part.values)[:, judges],
         seen=seen(parameters, at, cleaned.fit.used),
         frames_seen=seen(parameters[FRAMES], frames, cleaned.fit.used),
+        near=near,
+        unknown=model.unknown,
         before=model.errors(np.zeros(len(parameters))),
         after=model.errors(cleaned.fit.values),
     )

@@ -111,9 +111,5 @@ def _row(loop: ClosedLoop, group: Group, k: int, tracker: Tracker, rng: np.rando
         side=joints.side,
         gravity_R_m_s2=joints.gravity_R_m_s2,
         turret_kg=np.nan if group.turret_kg is None else group.turret_kg,
-        X_RT=seen.X_RT,
-        covariance=seen.covariance,
-        targets_seen=seen.targets_seen,
-        misfit_m=seen.misfit_m,
-        X_WG=seen.X_WG,
+        seen=seen,
     )

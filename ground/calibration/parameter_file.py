@@ -36,20 +36,14 @@ def calibrated_params(found: Calibration, tools: dict[Tool, Pose] | None = None)
 def data_sha256(campaign: Campaign) -> str:
     """A digest of everything that the campaign measured, the same however it was written."""
     b, m = campaign.believed, campaign.measured
-    numbers = (
-        b.motor_rad,
-        b.gap_rad,
-        b.held_Nm,
-        b.gravity_R_m_s2,
-        b.turret_kg,
-        m.X_RT.R,
-        m.X_RT.p,
-        m.covariance,
-    )
+    # a table keeps quaternions and half of the covariances: the rest comes back with other last digits
+    R = np.round(m.X_RT.R, 8) + 0.0
+    upper = m.covariance[:, *np.triu_indices(6)]
     written = BytesIO()
-    for values in numbers:
-        # a table keeps quaternions, so that rotations come back with other last digits
-        np.save(written, np.round(np.asarray(values, np.float64), 12) + 0.0)
+    for values in (b.motor_rad, b.gap_rad, b.held_Nm, b.side, b.gravity_R_m_s2, b.turret_kg):
+        np.save(written, np.ascontiguousarray(values))
+    for values in (R, m.X_RT.p, upper):
+        np.save(written, np.ascontiguousarray(values))
     return hashlib.sha256(campaign.arm_name.encode() + written.getvalue()).hexdigest()
 
 

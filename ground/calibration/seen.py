@@ -9,7 +9,7 @@ import numpy as np
 from fsw.kinematics.transforms import Array, Flags, Numbers
 from ground.calibration.problem import Linearised, Parameter
 
-SEEN: Final = 3.0
+SEEN: Final = 10.0
 """A combination is seen if, moved by its scale, it shows so many sigma in all poses together."""
 PART: Final = 0.02
 """A parameter is part of the unseen if that share of it, squared, is."""

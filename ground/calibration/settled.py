@@ -1,7 +1,7 @@
 """A campaign without the closed loop: arms that came to rest by the equations, in seconds.
 
-For tests and trials. What flight software would believe is drawn: outputs were dragged to their places from
-either side, and where the load does not decide it, they may lie anywhere in their gaps.
+For tests and trials. What flight software would believe is drawn: outputs were dragged to their places as
+its moves end, or from either side; where friction just holds the load, they may lie anywhere in their gaps.
 """
 
 from typing import Final
@@ -15,6 +15,7 @@ from fsw.estimate.gear import load_error
 from fsw.kinematics.arm import arm_from
 from fsw.kinematics.statics import rest, settle
 from fsw.kinematics.transforms import Array, Pose
+from fsw.motion.compensation import last_motion
 from ground.calibration.campaign import CampaignPlan
 from ground.calibration.data import Campaign
 from ground.calibration.frames import FewTargets
@@ -26,8 +27,8 @@ from sim.effects.joints import HardstopAngle
 from sim.plant import Plant
 from sim.world import World
 
-MOSTLY: Final = 0.8
-"""How often an output that is not surely known lies where it is believed to; about as in the closed loop."""
+SLIPS: Final = 0.4
+"""A load that is so near the friction, as a share, lets an output slip from where it was dragged to."""
 
 
 def settled_campaign(arm: BuiltArm, plan: CampaignPlan) -> Campaign:
@@ -48,11 +49,12 @@ def _settled(
     gravity = World("earth", tilt_roll_rad=group.roll_rad).gravity_N_m_s2
     known, truth = configure(group.params(arm.params)), arm_from(group.params(true_params(arm)))
     load = rest(known.arm, goal, gravity).torque_Nm
-    held = known.output_friction_Nm * rng.choice([-1.0, 1.0], len(Joint))
+    dragged = last_motion(known, load, gravity)
+    held = known.output_friction_Nm * np.where(dragged == 0, rng.choice([-1.0, 1.0], len(Joint)), dragged)
     sure = np.abs(np.abs(load) - known.output_friction_Nm) > load_error(known, gravity)
     side = np.where(load > held, 1.0, -1.0)
-    right = sure | (rng.random(len(Joint)) < MOSTLY)
-    lies = np.where(right, side, rng.uniform(-1.0, 1.0, len(Joint)))
+    slips = ~sure & (np.abs(np.abs(load) / known.output_friction_Nm - 1.0) < SLIPS)
+    lies = np.where(~slips, side, rng.uniform(-1.0, 1.0, len(Joint)))
     half = np.array([0.5 * joint.backlash_rad for joint in true_params(arm).joints.in_order()])
     pulled = held / truth.gear_stiffness_Nm_rad
     found = settle(truth, goal, lies * half - pulled, gravity)
@@ -65,17 +67,13 @@ def _settled(
     return Row(
         group=k,
         branch=branch_name(known, found.output_rad),
-        motor_rad=goal - _stops_off(arm),
+        motor_rad=goal - stops_off(arm),
         gap_rad=side * known.half_gap_rad,
         held_Nm=held,
         side=np.where(sure, side, 0.0),
         gravity_R_m_s2=gravity,
         turret_kg=np.nan if group.turret_kg is None else group.turret_kg,
-        X_RT=seen.X_RT,
-        covariance=seen.covariance,
-        targets_seen=seen.targets_seen,
-        misfit_m=seen.misfit_m,
-        X_WG=seen.X_WG,
+        seen=seen,
     )
 
 
@@ -87,7 +85,7 @@ def true_params(arm: BuiltArm) -> Params:
     return params
 
 
-def _stops_off(arm: BuiltArm) -> Array:
+def stops_off(arm: BuiltArm) -> Array:
     """How far the arm's hardstops are from where they are drawn: its encoders read so much too little."""
     off = np.zeros(len(Joint))
     for effect in arm.effects:

@@ -20,6 +20,18 @@ SWAY_RAD, SWAY_M = 2e-4, 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Surveyed:
+    """The turret in the rover, and how well the tracker saw."""
+
+    X_RT: Pose
+    covariance: Array
+    targets_seen: tuple[int, int, int]
+    misfit_m: float
+    X_WG: Pose
+    """The ground."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Row:
     """One pose, as flight software knows it (arrays (5,), (3,)) and as it was measured."""
 
@@ -31,23 +43,7 @@ class Row:
     side: Array
     gravity_R_m_s2: Array
     turret_kg: float
-    X_RT: Pose
-    covariance: Array
-    targets_seen: tuple[int, int, int]
-    misfit_m: float
-    X_WG: Pose
-    """The ground as the tracker saw it."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Surveyed:
-    """The turret in the rover, and how well the tracker saw."""
-
-    X_RT: Pose
-    covariance: Array
-    targets_seen: tuple[int, int, int]
-    misfit_m: float
-    X_WG: Pose
+    seen: Surveyed
 
 
 def surveyed(
@@ -86,15 +82,15 @@ def campaign_from(arm_name: str, rows: Sequence[Row]) -> Campaign:
     names = ("motor_rad", "gap_rad", "held_Nm", "side", "gravity_R_m_s2")
     motor, gap, held, side, gravity = (stacked(name) for name in names)
     believed = Believed(motor, gap, held, side, gravity, np.array([row.turret_kg for row in rows]))
-    X = Pose(np.stack([row.X_RT.R for row in rows], -1), np.stack([row.X_RT.p for row in rows], -1))
-    ground = np.stack([row.X_WG.p for row in rows], -1)
+    X = Pose(np.stack([row.seen.X_RT.R for row in rows], -1), np.stack([row.seen.X_RT.p for row in rows], -1))
+    ground = np.stack([row.seen.X_WG.p for row in rows], -1)
     return Campaign(
         arm_name=arm_name,
         group=np.array([row.group for row in rows]),
         branch=tuple(row.branch for row in rows),
         believed=believed,
-        measured=Measured(X, np.stack([row.covariance for row in rows])),
-        targets_seen=np.array([row.targets_seen for row in rows]).T,
-        misfit_m=np.array([row.misfit_m for row in rows]),
+        measured=Measured(X, np.stack([row.seen.covariance for row in rows])),
+        targets_seen=np.array([row.seen.targets_seen for row in rows]).T,
+        misfit_m=np.array([row.seen.misfit_m for row in rows]),
         tracker_moved_m=np.linalg.norm(ground - ground[:, :1], axis=0),
     )

@@ -67,11 +67,15 @@ def _draw_errors(figure: Any, found: Calibration) -> None:
             axes.plot(size, marker, color=colour, label=name, markersize=4)
         _shade(axes, found)
         axes.set(ylabel=label, ylim=(0, None))
+        unknown = np.flatnonzero(found.unknown.any(axis=0))
+        off = 1e3 * np.linalg.norm(found.after[part][:, unknown], axis=0)
+        name = "calibrated, a side of a gap unknown"
+        axes.plot(unknown, off, "o", color="tab:blue", fillstyle="none", label=name, markersize=6)
     out = np.flatnonzero(~found.best.used)
     if out.size:
         left_out = 1e3 * np.linalg.norm(found.after[3:, out], axis=0)
         of_position.plot(out, left_out, "ko", fillstyle="none", label="outlier")
-    of_position.legend(fontsize=8, ncols=4, loc="upper left")
+    of_position.legend(fontsize=8, ncols=3, loc="upper left")
     of_turn.set(xlabel="pose, in the order in which they were taken")
 
 
@@ -79,8 +83,8 @@ def _shade(axes: Any, found: Calibration) -> None:
     for k, branch in enumerate(found.campaign.branch):
         if branch.startswith("shoulder-in"):
             axes.axvspan(k - 0.5, k + 0.5, color="0.92", linewidth=0)
-    for k in np.flatnonzero(np.diff(found.campaign.group)):
-        axes.axvline(k + 0.5, color="0.7", linewidth=0.8)
+    for last in np.flatnonzero(np.diff(found.campaign.group)):
+        axes.axvline(last + 0.5, color="0.7", linewidth=0.8)
 
 
 def _draw_seen(figure: Any, found: Calibration) -> None:

@@ -1,0 +1,59 @@
+"""What a calibration says beside what is true: for judging simulated campaigns only."""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from fsw.kinematics.arm import arm_from
+from fsw.kinematics.statics import settle
+from fsw.kinematics.transforms import Array, Pose
+from ground.calibration.arm_model import arm_model, turrets
+from ground.calibration.calibrate import Calibration
+from ground.calibration.data import Believed
+from ground.calibration.screws import Measured
+from ground.calibration.settled import stops_off, true_params
+from sim.arms import BuiltArm
+from sim.effects.turret import TurretMass
+
+TOLD: Final = 0.5
+"""Of what is known of a combination, the data tell more than this share, the prior the rest."""
+
+
+def true_poses(arm: BuiltArm, believed: Believed) -> Pose:
+    """Where the true arm's turret frame is at these motor angles, in the gaps where it is believed, (n,)."""
+    params = true_params(arm)
+    half = np.array([0.5 * joint.backlash_rad for joint in params.joints.in_order()])[:, None]
+    n = believed.motor_rad.shape[1]
+    X = Pose(np.empty((3, 3, n)), np.empty((3, n)))
+    motor = believed.motor_rad + stops_off(arm)[:, None]
+    for turret_kg, where in turrets(believed):
+        truth = arm_from(params if turret_kg is None else TurretMass(turret_kg).on_params(params))
+        at = believed.at(where)
+        gap = np.sign(at.gap_rad) * half - at.held_Nm / truth.gear_stiffness_Nm_rad[:, None]
+        X_RF = settle(truth, motor[:, where], gap, at.gravity_R_m_s2).frames.X_RF
+        X.R[:, :, where], X.p[:, where] = X_RF.R[:, :, 5], X_RF.p[:, 5]
+    return X
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beside:
+    """How far the calibrated arm is from the true one."""
+
+    error: Array
+    """Screws from the calibrated poses to the true ones, in the gaps where they are believed, (6, n)."""
+    sigmas: Array
+    """The same along each combination of which the data tell more than the prior, over its stated sigma."""
+
+
+def truth_beside(arm: BuiltArm, found: Calibration) -> Beside:
+    """The calibrated arm beside the true one; the frame Tool, of the targets alone, is in truth as drawn."""
+    fitted = arm_model(found.nominal, found.campaign, found.near)
+    truth = Measured(true_poses(arm, found.campaign.believed), found.campaign.measured.covariance)
+    model = replace(fitted, measured=truth)
+    at_best = model(found.best.values)
+    J = at_best.jacobian[found.best.used].reshape(-1, found.best.values.size)
+    share, along = np.linalg.eigh(J @ found.best.covariance @ J.T)
+    told = share > TOLD
+    off = along[:, told].T @ at_best.residual[found.best.used].ravel()
+    return Beside(model.errors(found.best.values), off / np.sqrt(share[told]))

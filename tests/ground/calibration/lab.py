@@ -1,0 +1,38 @@
+"""Campaigns for tests: settled by the equations, each made once."""
+
+from functools import cache
+
+import numpy as np
+
+from fsw.kinematics.arm import arm_from
+from fsw.kinematics.transforms import Pose
+from ground.calibration.calibrate import Calibration, calibrate
+from ground.calibration.campaign import CampaignPlan
+from ground.calibration.data import Campaign
+from ground.calibration.settled import settled_campaign, true_params
+from sim.arms import arm_named
+from sim.params import nominal_params
+
+NOMINAL = nominal_params()
+
+
+@cache
+def campaign(seed: int = 1) -> Campaign:
+    return settled_campaign(arm_named(f"as-built:{seed}"), CampaignPlan(seed=seed))
+
+
+@cache
+def calibration(seed: int = 1) -> Calibration:
+    return calibrate(NOMINAL, campaign(seed))
+
+
+def truth(seed: int):
+    return arm_from(true_params(arm_named(f"as-built:{seed}")))
+
+
+def quiet(*_) -> None:
+    """Progress that nobody sees."""
+
+
+def moved(X: Pose, by: np.ndarray) -> Pose:
+    return Pose(X.R, X.p + by)

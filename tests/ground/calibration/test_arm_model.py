@@ -1,0 +1,105 @@
+"""The hanging arm as the engine sees it: exact derivatives, and parameters that are the same arm."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Joint
+from fsw.kinematics.arm import arm_from
+from fsw.kinematics.statics import settle
+from fsw.kinematics.transforms import down_from
+from ground.calibration.arm_model import arm_model, modelled, moved_by_joints
+from ground.calibration.arm_numbers import GAPS, ZEROS, arm_parameters, arm_with, with_zeros_as_hardstops
+from ground.calibration.data import Believed
+from ground.calibration.screws import Measured, error_screw
+from sim.effects.turret import TurretMass
+from tests.ground.calibration.lab import NOMINAL, campaign
+
+PARAMETERS = arm_parameters()
+SCALE = np.array([parameter.scale for parameter in PARAMETERS])
+
+ROUNDING = 1e-6
+"""Of whitened residuals: the equilibrium is found to 1e-11, the noise is 1e-5."""
+
+
+def some_numbers(seed: int):
+    return SCALE * np.random.default_rng(seed).standard_normal(SCALE.size)
+
+
+@pytest.fixture(scope="module")
+def model():
+    poses = campaign().at(np.arange(0, 160, 8))
+    return arm_model(NOMINAL, poses)
+
+
+def test_derivatives_are_those_of_finite_differences(model):
+    x = some_numbers(0)
+    exact = model(x).jacobian
+    for k, parameter in enumerate(PARAMETERS):
+        step = np.zeros(SCALE.size)
+        step[k] = 1e-3 * SCALE[k]
+        numeric = (model(x + step).residual - model(x - step).residual) / (2 * step[k])
+        off, size = np.abs(numeric - exact[..., k]).max(), np.abs(numeric).max()
+        assert off < 2e-6 * size + ROUNDING / step[k], parameter.name
+
+
+def test_turns_of_the_outputs_move_the_turret_as_other_motor_angles_do(model):
+    x, believed = some_numbers(1), model.believed
+    by_joints = moved_by_joints(NOMINAL, x, believed)
+    step = 1e-5
+    for joint in Joint:
+        turn = step * (np.arange(5) == joint)[:, None]
+        X, Y = (
+            modelled(NOMINAL, x, replace(believed, motor_rad=believed.motor_rad + s * turn)) for s in (-1, 1)
+        )
+        numeric = error_screw(X, Measured(Y, np.zeros((0, 6, 6)))) / (2 * step)
+        np.testing.assert_allclose(by_joints[:, :, joint], numeric, atol=1e-5)
+
+
+def test_the_arm_of_the_model_is_the_arm_of_the_parameter_file(model):
+    x, believed = some_numbers(4), model.believed
+    x[36:42] = 0.0
+    X = modelled(NOMINAL, x, believed)
+    for kg in (8.0, 19.0):
+        where = np.flatnonzero(believed.turret_kg == kg)
+        arm = arm_from(TurretMass(kg).on_params(arm_with(NOMINAL, x)))
+        at = believed.at(where)
+        gap = at.gap_rad * np.exp(x[GAPS])[:, None] - at.held_Nm / arm.gear_stiffness_Nm_rad[:, None]
+        frames = settle(arm, at.motor_rad, gap, at.gravity_R_m_s2).frames
+        np.testing.assert_allclose(frames.X_RF.p[:, 5], X.p[:, where], atol=2e-6)
+        np.testing.assert_allclose(frames.X_RF.R[:, :, 5], X.R[:, :, where], atol=2e-6)
+
+
+def test_without_any_difference_the_arm_is_the_drawing():
+    assert arm_with(NOMINAL, np.zeros(SCALE.size)) == NOMINAL or np.allclose(
+        arm_from(arm_with(NOMINAL, np.zeros(SCALE.size))).RP_CF, arm_from(NOMINAL).RP_CF, atol=1e-15
+    )
+
+
+def test_zeros_in_the_hardstops_are_the_same_arm_at_angles_that_are_so_much_larger():
+    x = some_numbers(2)
+    zero, shifted = with_zeros_as_hardstops(NOMINAL, x)
+    np.testing.assert_array_equal(zero, x[list(ZEROS)])
+    motor = np.random.default_rng(3).uniform(-1, 1, (5, 40))
+    gravity, gap = 9.81 * down_from(0.3, 0.1), 1e-3 * np.ones((5, 1))
+    one = settle(arm_from(arm_with(NOMINAL, x)), motor, gap, gravity).frames.X_RF
+    other = settle(arm_from(shifted), motor + zero[:, None], gap, gravity).frames.X_RF
+    np.testing.assert_allclose(one.p[:, 5], other.p[:, 5], atol=1e-6)
+    np.testing.assert_allclose(one.R[:, :, 5], other.R[:, :, 5], atol=1e-6)
+    for joint, new, old in zip(Joint, shifted.joints.in_order(), NOMINAL.joints.in_order(), strict=True):
+        assert new.hardstop_rad - old.hardstop_rad == pytest.approx(zero[joint])
+
+
+def test_a_pose_whose_gap_nobody_knows_tells_nothing_along_that_joint(model):
+    unknown = campaign().believed.side[:, ::8] == 0
+    counted = model(np.zeros(SCALE.size)).counted
+    np.testing.assert_array_equal(6 - counted.sum(axis=1), unknown.sum(axis=0))
+    shifted = replace(model, believed=_elsewhere(model.believed, unknown))
+    off = shifted(np.zeros(SCALE.size)).residual - model(np.zeros(SCALE.size)).residual
+    # a gap of 4 mrad would show as 40 sigma; what is left is of second order
+    assert np.abs(off).max() < 1.0
+
+
+def _elsewhere(believed: Believed, unknown) -> Believed:
+    return replace(believed, gap_rad=np.where(unknown, -believed.gap_rad, believed.gap_rad))

@@ -1,0 +1,89 @@
+"""`marsarm calibrate`: a file that flight software loads, a document, a page; bad input writes nothing."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from fsw.kinematics.arm import arm_from
+from ground.calibration.parameter_file import calibrated_params, parameter_text
+from ground.calibration.request import CalibrateRequest, calibrate_report
+from ground.calibration.table import save_campaign
+from ground.report.calibration_page import save_calibration_page
+from ground.report.calibration_tables import calibration_json
+from ground.request import BadRequest, chosen_arm
+from sim.params import params_over_nominal
+from tests.ground.calibration.lab import calibration, campaign, quiet
+from tests.ground.command import marsarm
+
+
+@pytest.fixture(scope="module")
+def table(tmp_path_factory):
+    path = tmp_path_factory.mktemp("data") / "poses.parquet"
+    save_campaign(campaign(), path)
+    return path
+
+
+def test_the_command_writes_parameters_that_flight_software_loads(table, tmp_path):
+    out = marsarm(tmp_path, "calibrate", "--data", str(table), "--out", "arm.toml", "--json")
+    assert out.returncode == 0, out.stderr
+    document = json.loads(out.stdout)
+    assert document["arm"] == "as-built:1"
+    assert document["rank"]["frames"] == 26
+    loaded = params_over_nominal(tmp_path / "arm.toml")
+    ours = arm_from(calibrated_params(calibration()))
+    np.testing.assert_allclose(arm_from(loaded).RP_CF, ours.RP_CF, atol=1e-9)
+    assert loaded.arm_name == "as-built:1"
+
+
+def test_the_parameter_file_says_where_it_comes_from_and_is_always_the_same(table):
+    text = parameter_text(calibration(), calibrated_params(calibration()))
+    assert text == parameter_text(calibration(), calibrated_params(calibration()))
+    for words in ("as-built:1", "Data of digest", "160 poses", "Rank 26 of 42", "held-out poses"):
+        assert words in text
+
+
+def test_the_page_is_one_file_with_its_pictures_in_it(table, tmp_path):
+    report = calibrate_report(CalibrateRequest(data=table), quiet)
+    save_calibration_page(report, tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert page.count("data:image/png;base64") == 2
+    assert "arm2.tz, arm3.tz, arm4.tz, arm5.ty" in page
+    json.dumps(calibration_json(report), allow_nan=False)
+
+
+def test_parameters_of_another_arm_are_refused(table, tmp_path):
+    other = tmp_path / "other.toml"
+    other.write_text('arm_name = "as-built:9"\n')
+    with pytest.raises(BadRequest, match="of the arm as-built:9, the data of as-built:1"):
+        calibrate_report(CalibrateRequest(data=table, params=other), quiet)
+    with pytest.raises(BadRequest, match="of the arm as-built:9, not of as-built:3"):
+        chosen_arm("as-built:3", other)
+
+
+WRONG = [
+    (CalibrateRequest(), "give --arm ARM"),
+    (CalibrateRequest(arm="as-built:1", poses=3), "poses: 3 is not within 24"),
+    (CalibrateRequest(arm="as-new:1"), "not known"),
+    (CalibrateRequest(arm="nominal", seed=-1), "must not be negative"),
+    (CalibrateRequest(arm="nominal", tracker_um=(0.0, 0.0)), "tracker: its noise"),
+]
+
+
+@pytest.mark.parametrize(("request_", "words"), WRONG)
+def test_wrong_requests_are_refused_before_anything_moves(request_, words):
+    with pytest.raises(BadRequest, match=words):
+        calibrate_report(request_, quiet)
+
+
+def test_a_wrong_table_ends_with_2_and_writes_nothing(tmp_path):
+    few = campaign().at(campaign().group == 0)
+    save_campaign(replace(few.at(few.group * 0 == 1), arm_name="x"), tmp_path / "none.csv")
+    out = marsarm(tmp_path, "calibrate", "--data", "none.csv", "--out", "arm.toml")
+    assert out.returncode == 2
+    assert not (tmp_path / "arm.toml").exists()
+
+
+def test_the_command_tells_how_it_is_used(tmp_path):
+    assert "Example: marsarm calibrate" in marsarm(tmp_path, "calibrate", "--help").stdout

@@ -1,0 +1,45 @@
+"""The campaign in the closed loop: what is measured is the true arm, where flight software has brought it."""
+
+import numpy as np
+import pytest
+
+from ground.calibration.campaign import CampaignPlan, earth_reference, run_campaign
+from ground.calibration.parameter_file import data_sha256
+from ground.calibration.poses import PAPER_GROUPS, resized
+from ground.calibration.screws import error_screw
+from ground.calibration.settled import settled_campaign
+from ground.calibration.truth import true_poses
+from sim.arms import arm_named
+from tests.ground.calibration.lab import campaign, quiet
+
+ZERO_RAD = 3e-4
+"""Within which a hardstop tells a zero; at two metres that is 0.6 mm."""
+
+
+def test_the_papers_campaign_is_planned():
+    assert [(g.turret_kg, round(np.degrees(g.roll_rad)), g.count) for g in PAPER_GROUPS] == [
+        (8.0, 0, 40),
+        (19.0, 0, 40),
+        (8.0, 20, 40),
+        (19.0, 20, 40),
+    ]
+    inside = sum(branch.startswith("shoulder-in") for branch in campaign().branch)
+    assert inside == pytest.approx(0.3 * 160, abs=2)
+
+
+def test_the_same_seed_gives_the_same_campaign():
+    plan = CampaignPlan(resized(PAPER_GROUPS, 8), seed=3)
+    one, other = (data_sha256(settled_campaign(arm_named("as-built:3"), plan)) for _ in range(2))
+    assert one == other
+
+
+@pytest.mark.slow
+def test_in_the_closed_loop_the_true_arm_is_measured():
+    arm = arm_named("as-built:5")
+    reference = earth_reference(arm, quiet)
+    found = run_campaign(arm, reference, CampaignPlan(resized(PAPER_GROUPS, 4)), quiet)
+    assert found.count == 4
+    assert np.all(found.targets_seen >= 3)
+    assert np.all(found.misfit_m < 1.5e-4)
+    off = error_screw(true_poses(arm, found.believed), found.measured)[3:]
+    assert np.linalg.norm(off, axis=0).max() < 2 * ZERO_RAD * 2.5

@@ -1,0 +1,117 @@
+"""A campaign as a table: what is written is read again; what is wrong is named, with what would be right."""
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from fsw.kinematics.transforms import Pose, inverse
+from ground.calibration.checks import BadData, check_data
+from ground.calibration.parameter_file import data_sha256
+from ground.calibration.screws import Measured
+from ground.calibration.table import read_campaign, save_campaign
+from sim.frames import P_NR_M
+from tests.ground.calibration.lab import NOMINAL, campaign
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".csv"])
+def test_a_table_is_read_as_it_was_written(tmp_path, suffix):
+    path = tmp_path / f"poses{suffix}"
+    save_campaign(campaign(), path)
+    read = read_campaign(path)
+    assert data_sha256(read) == data_sha256(campaign())
+    assert read.branch == campaign().branch
+    np.testing.assert_allclose(read.measured.covariance, campaign().measured.covariance, rtol=1e-12)
+
+
+def table(tmp_path, change):
+    path = tmp_path / "poses.parquet"
+    save_campaign(campaign(), path)
+    parquet.write_table(change(parquet.read_table(path)), path)
+    return path
+
+
+def test_a_missing_column_is_named(tmp_path):
+    path = table(tmp_path, lambda t: t.drop_columns(["motor_elbow_rad", "cov_35"]))
+    with pytest.raises(BadData, match="columns missing: motor_elbow_rad, cov_35"):
+        read_campaign(path)
+
+
+def test_a_column_of_texts_and_one_with_gaps_are_named(tmp_path):
+    def spoilt(t):
+        t = t.set_column(t.column_names.index("p_x_m"), "p_x_m", pa.array(["one"] * t.num_rows))
+        holes = [None, *t["p_y_m"].to_pylist()[1:]]
+        return t.set_column(t.column_names.index("p_y_m"), "p_y_m", pa.array(holes))
+
+    with pytest.raises(BadData, match=r"p_x_m: holds string.*\n.*p_y_m: no number in 1 rows, the first is 0"):
+        read_campaign(table(tmp_path, spoilt))
+
+
+def test_a_file_that_is_no_table_is_refused(tmp_path):
+    path = tmp_path / "poses.parquet"
+    path.write_text("poses")
+    with pytest.raises(BadData, match="cannot be read as a table"):
+        read_campaign(path)
+
+
+def with_poses(X: Pose):
+    return replace(campaign(), measured=Measured(X, campaign().measured.covariance))
+
+
+X = campaign().measured.X_RT
+B = campaign().believed
+SEEN = campaign().targets_seen
+
+
+def seen_once(row, pose, count):
+    changed = SEEN.copy()
+    changed[row, pose] = count
+    return changed
+
+
+BAD = {
+    "few": (campaign().at(np.arange(10)), "10 are too few; 24 at least"),
+    "alike": (
+        replace(campaign(), believed=replace(B, motor_rad=B.motor_rad[:, :1] + 0.01 * B.motor_rad)),
+        "joint elbow: moves over",
+    ),
+    "degrees": (replace(campaign(), believed=replace(B, motor_rad=np.degrees(B.motor_rad))), "give radians"),
+    "millimetres": (with_poses(Pose(X.R, 1e3 * X.p)), "give metres"),
+    "gravity in g": (
+        replace(campaign(), believed=replace(B, gravity_R_m_s2=B.gravity_R_m_s2 / 98.1)),
+        "give m/s2",
+    ),
+    "covariance in mm2": (
+        replace(campaign(), measured=Measured(X, 1e6 * campaign().measured.covariance)),
+        "rad2, rad m, m2",
+    ),
+    "missing marker": (replace(campaign(), targets_seen=seen_once(2, 7, 2)), "targets_turret: pose 7"),
+    "lock lost": (
+        replace(campaign(), tracker_moved_m=np.where(np.arange(160) > 99, 0.01, 0.0)),
+        "the tracker lost its lock or was moved",
+    ),
+    "another target": (
+        replace(campaign(), misfit_m=np.where(np.arange(160) == 5, 2e-3, 4e-5)),
+        "misfit_m: pose 5",
+    ),
+    "swapped": (with_poses(inverse(X)), "The frames are swapped"),
+    "rnav": (with_poses(Pose(X.R, X.p + P_NR_M[:, None])), "Positions are in RNAV"),
+    "quaternion": (with_poses(Pose(X.R.swapaxes(0, 1), X.p)), "Quaternions are conjugated"),
+    "one row off": (with_poses(Pose(np.roll(X.R, 1, 2), np.roll(X.p, 1, 1))), "one row too low"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_data_that_are_not_what_they_say_are_named(case):
+    data, words = BAD[case]
+    with pytest.raises(BadData, match=words):
+        check_data(NOMINAL, data)
+
+
+def test_a_tracker_that_stands_still_is_noticed():
+    p = X.p.copy()
+    p[:, 50] = p[:, 49]
+    with pytest.raises(BadData, match=r"p_.*: pose 50 exactly where the pose before was"):
+        check_data(NOMINAL, with_poses(Pose(X.R, p)))
