@@ -71,9 +71,12 @@ def arm_model(
     x = np.zeros(COUNT) if near is None else near.values
     by_joints = moved_by_joints(nominal, x, believed)
     if near is not None:
-        error = error_screw(modelled(nominal, x, believed), campaign.measured)
-        width = near.sigma[GAPS, None] * np.abs(believed.gap_rad)
-        unknown = unknown & ~agreeing(campaign.measured, by_joints, error, unknown, width)
+        X, moved = _moved(nominal, x, believed)
+        error = error_screw(X, campaign.measured)
+        agree = agreeing(
+            campaign.measured, by_joints, error, moved, near.covariance, unknown, believed.gap_rad
+        )
+        unknown = unknown & ~agree
     return ArmModel(
         nominal, believed, campaign.measured, whitener_of(campaign.measured, by_joints, unknown), unknown
     )

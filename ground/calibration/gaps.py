@@ -1,10 +1,12 @@
 """Outputs of which flight software does not surely know on which side of their gaps they lie.
 
-What it believes is mostly right. A campaign tells: where the tracker sees most such outputs of a joint off by
-one and the same angle, that angle is its zero, and those that agree with it lie where they are believed
-to. The others lie somewhere in their gaps, and their poses tell nothing about that joint.
+What it believes is mostly right. A campaign tells: where the tracker sees most such outputs of a joint,
+dragged to one side, off by one and the same angle, that angle is its zero or the width of its gap, and those
+that agree with it lie where they are believed to. The others lie somewhere in their gaps, and their poses
+tell nothing about that joint.
 """
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -16,39 +18,76 @@ from ground.calibration.screws import Measured
 AGREE: Final = 3.0
 """Sigmas within which two outputs are off by the same angle."""
 FEWEST: Final = 5
-"""Outputs that must agree, and at least half of all."""
+"""Outputs that must agree, and at least half of all on that side."""
+KNOWN: Final = 2.0
+"""Where an output is to be is known, whatever others do, if its sigma is at most this many of its noise's."""
 
 
-def agreeing(measured: Measured, by_joints: Array, error: Array, unsure: Flags, width_rad: Array) -> Flags:
-    """Which of the unsure outputs (joints, n) lie where they are believed to.
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """Some outputs of a joint as the tracker sees them."""
+
+    off_rad: Array
+    """Beyond where they are modelled to be, (k,)."""
+    noise_rad: Array
+    """One sigma of each by itself, (k,)."""
+    shared_rad2: Array
+    """Covariance by what is unsure of the model, (k, k)."""
+
+
+def agreeing(
+    measured: Measured,
+    by_joints: Array,
+    error: Array,
+    moved: Array,
+    covariance: Array,
+    unsure: Flags,
+    gap_rad: Array,
+) -> Flags:
+    """Which of the unsure outputs (joints, n) lie where they are believed to, in their gaps.
 
     `error` (6, n): screws from the poses modelled with what is believed to the measured ones; `by_joints`
-    (6, n, joints): screws of the measured frame per turn of an output; `width_rad` (joints, n): how well the
-    places in the gaps are known where the side is, one sigma.
+    (6, n, joints) and `moved` (6, n, p): screws of the measured frame per turn of an output and per unit of
+    the model's numbers, whose `covariance` is (p, p).
     """
-    off, sigma = np.full(unsure.shape, np.nan), np.full(unsure.shape, np.nan)
+    joints, n = unsure.shape
+    off, noise = np.full((joints, n), np.nan), np.full((joints, n), np.nan)
+    by_numbers = np.zeros((joints, n, covariance.shape[0]))
     W, A = joint_rows(measured, by_joints)
     for pose in np.flatnonzero(unsure.any(axis=0)):
-        joints = unsure[:, pose]
-        a = A[pose][:, joints]
-        covariance = np.linalg.inv(a.T @ a)
-        off[joints, pose] = covariance @ a.T @ W[pose] @ error[:, pose]
-        sigma[joints, pose] = np.hypot(np.sqrt(np.diag(covariance)), width_rad[joints, pose])
+        which = unsure[:, pose]
+        a = A[pose][:, which]
+        inverse = np.linalg.inv(a.T @ a)
+        turns = inverse @ a.T @ W[pose]
+        off[which, pose] = turns @ error[:, pose]
+        noise[which, pose] = np.sqrt(np.diag(inverse))
+        by_numbers[which, pose] = turns @ moved[:, pose]
     found = np.zeros_like(unsure)
-    for joint in range(len(unsure)):
-        where = np.flatnonzero(unsure[joint])
-        found[joint, where] = _majority(off[joint, where], sigma[joint, where])
+    for joint in range(joints):
+        for side in (gap_rad[joint] < 0, gap_rad[joint] >= 0):
+            where = np.flatnonzero(unsure[joint] & side)
+            B = by_numbers[joint, where]
+            seen = Seen(off[joint, where], noise[joint, where], B @ covariance @ B.T)
+            found[joint, where] = together(seen)
     return found
 
 
-def _majority(off: Array, sigma: Array) -> Flags:
-    """Those that agree with the one that most agree with; none if they are too few."""
-    if off.size == 0:
+def together(seen: Seen) -> Flags:
+    """Those that are where the model has them, and where most others are that were dragged to the same side.
+
+    What is unsure of the model moves them alike: only their own noise keeps them apart.
+    """
+    if seen.off_rad.size == 0:
         return np.zeros(0, bool)
-    together = np.hypot(sigma, sigma[:, None])
-    same = np.abs(off - off[:, None]) < AGREE * together
-    best = same[int(np.argmax(same.sum(axis=1)))]
-    # once more about their mean: the one is off by its own noise too
-    middle = np.average(off[best], weights=sigma[best] ** -2)
-    agree: Flags = np.abs(off - middle) < AGREE * sigma
-    return agree if agree.sum() >= max(FEWEST, 0.5 * off.size) else np.zeros_like(agree)
+    shared = np.diag(seen.shared_rad2)
+    total = np.sqrt(seen.noise_rad**2 + shared)
+    apart = np.sqrt(np.maximum(total**2 + total[:, None] ** 2 - 2 * seen.shared_rad2, 0.0))
+    same = np.abs(seen.off_rad - seen.off_rad[:, None]) <= AGREE * apart
+    most = same[int(np.argmax(same.sum(axis=1)))]
+    # once more by all of them: the one that most agree with is off by its own noise too
+    most = same[:, most].mean(axis=1) >= 0.5
+    enough = most.sum() >= max(FEWEST, 0.5 * most.size)
+    agree: Flags = (np.abs(seen.off_rad) < AGREE * total) & (
+        (most & enough) | (total <= KNOWN * seen.noise_rad)
+    )
+    return agree

@@ -56,7 +56,8 @@ def python(program: str, *words: str) -> subprocess.CompletedProcess[str]:
 
 
 BEGIN = """\
-import os, sys, time
+import os, signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it for what runs behind it
 from ground.telemetry.record import Recorder
 from tests.ground.telemetry.conftest import cycle_at
 recorder = Recorder(sys.argv[1], {})
@@ -173,7 +174,7 @@ def test_what_was_handed_over_outlives_the_run(tmp_path: Path, ending: str) -> N
 
 
 def test_an_interrupt_of_the_whole_group_ends_the_log_as_it_should(tmp_path: Path) -> None:
-    ending = "import signal\ntry:\n    os.killpg(os.getpid(), signal.SIGINT)\n    time.sleep(9)\n"
+    ending = "try:\n    os.killpg(os.getpid(), signal.SIGINT)\n    time.sleep(9)\n"
     program = f"import os\nos.setsid()\n{BEGIN}{ending}except KeyboardInterrupt:\n    pass\n"
     done = python(program, str(tmp_path / "run.mcap"))
     assert (done.returncode, done.stderr) == (0, "")
