@@ -46,6 +46,12 @@ def params_over(params: Params, path: Path) -> Params:
     return _validated(_merged(asdict(params), _read(path)), str(path))
 
 
+def check_params(params: Params, name: str) -> None:
+    """See that flight software would take these parameters; BadParams names every one at fault."""
+    _refuse(name, out_of_limits(params))
+    _refuse(name, not_an_arm(params))
+
+
 def _read(path: Path) -> dict[str, Any]:
     if os.path.exists(path) and not os.path.isfile(path):  # a pipe would be waited for, a device has no end
         raise BadParams(f"{path}: cannot be read: it is not a regular file; give the path of a TOML file")
@@ -80,8 +86,7 @@ def _validated(table: dict[str, Any], name: str) -> Params:
     except ValidationError as error:
         lines = [f"{name}: {'.'.join(str(p) for p in e['loc'])}: {_said(e)}" for e in error.errors()]
         raise BadParams("\n".join(lines)) from error
-    _refuse(name, out_of_limits(params))
-    _refuse(name, not_an_arm(params))
+    check_params(params, name)
     return params
 
 

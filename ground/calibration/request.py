@@ -19,7 +19,7 @@ from ground.outputs import BadOutput, check_output
 from ground.progress import Progress
 from ground.request import BadRequest, check_apart, check_seed, chosen_arm
 from sim.arms import BuiltArm
-from sim.params import BadParams, nominal_params, params_over_nominal
+from sim.params import BadParams, check_params, nominal_params, params_over_nominal
 from sim.tracker import Tracker
 
 MOST_POSES: Final = 1000
@@ -75,6 +75,7 @@ def calibrate_report(request: CalibrateRequest, progress: Progress) -> Calibrate
         check_fit(found)
         tools = None if arm is None else registered_tools(arm, request.seed)
         params = calibrated_params(found, tools)
+        check_params(params, "the calibrated arm")
         verification = None
         if arm is not None and request.verify:
             verification = verified(arm, params, request.verify, request.seed, progress)
