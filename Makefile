@@ -11,7 +11,7 @@ WORKERS ?= 2
 
 say = echo "marsarm: $(1)" >&2
 
-.PHONY: help setup demo test bench campaign accuracy joints jobs killed damage fuzz references oracle viewers lint lock clean
+.PHONY: help setup demo test bench campaign accuracy calibration ur10 joints jobs killed damage fuzz references oracle viewers lint lock clean
 
 help:
 	@echo "make demo      set up, put the APXS on a rock on Mars, write a picture"
@@ -19,6 +19,8 @@ help:
 	@echo "make bench     print the benchmarks as JSON"
 	@echo "make campaign  try the inverse kinematics on twenty million targets, print what was found as JSON"
 	@echo "make accuracy  hold the error budget against ten thousand arms, print how well it holds as JSON"
+	@echo "make calibration  calibrate twenty arms, print how well as JSON"
+	@echo "make ur10      calibrate the real arm whose data MARSARM_DATA names, print how well as JSON"
 	@echo "make joints    find hardstops and backlash again and again on many arms, print how well as JSON"
 	@echo "make jobs      run every scenario, tool changes and faults on many arms, print how well as JSON"
 	@echo "make killed    kill recorded runs at random moments, print what their logs lost as JSON"
@@ -52,6 +54,14 @@ campaign: $(VENV)/ready
 accuracy: $(VENV)/ready
 	@$(call say,arms against the error budget in $(WORKERS) processes; this takes the better part of an hour)
 	@$(BIN)/python -m benchmarks.monte_carlo --workers $(WORKERS) $(ARGS)
+
+calibration: $(VENV)/ready
+	@$(call say,calibrating twenty arms in $(WORKERS) processes; with ARGS=--closed-loop this takes half an hour)
+	@$(BIN)/python -m benchmarks.calibration --workers $(WORKERS) $(ARGS)
+
+ur10: $(VENV)/ready
+	@$(call say,calibrating the UR10; this takes a minute)
+	@$(BIN)/python -m benchmarks.ur10 $(ARGS)
 
 joints: $(VENV)/ready
 	@$(call say,hardstops and backlash in $(WORKERS) processes; this takes the better part of an hour)
