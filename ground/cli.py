@@ -19,6 +19,7 @@ from ground.cli_hardstop import hardstop
 from ground.cli_ik import ik, reach
 from ground.cli_import import import_log
 from ground.cli_log import log_app
+from ground.cli_monte_carlo import monte_carlo
 from ground.cli_output import checked_stdout
 from ground.cli_parts import (
     ARM_SAFE,
@@ -130,6 +131,7 @@ app.command()(dictionary)
 log_app.command("import")(import_log)
 app.add_typer(log_app, name="log")
 app.command()(budget)
+app.command("monte-carlo")(monte_carlo)
 
 
 def _finish(report: "PlaceReport") -> None:

@@ -13,7 +13,7 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.joints import Joint, Switch
 from fsw.kinematics.transforms import Array
 from fsw.messages import Counts, Drive, Sensors
-from sim.effects.effect import Effect, Hardware
+from sim.effects.effect import Effect, Hardware, drawn_scatter
 from sim.frames import FLIP
 from sim.plant import Plant
 
@@ -38,6 +38,7 @@ class Avionics:
         self._plant = plant
         self._hardware = hardware
         self._rng = rng
+        self._move_rng = move_rng(rng)
         self._motors = motors
         self._integral = model.actuator_actadr[motors]
         self._resistance_Ohm = model.actuator_gainprm[motors, _RESISTANCE].copy()
@@ -60,7 +61,8 @@ class Avionics:
     def on(self, plant: Plant) -> "Avionics":
         """The same avionics with a copy of their plant."""
         other = copy(self)
-        other._plant, other._rng, other._pending = plant, deepcopy(self._rng), dict(self._pending)
+        other._plant, other._pending = plant, dict(self._pending)
+        other._rng, other._move_rng = deepcopy(self._rng), deepcopy(self._move_rng)
         return other
 
     def inject(self, effect: Effect) -> None:
@@ -120,9 +122,13 @@ class Avionics:
 
     def encoder_count(self) -> Counts:
         """What the encoders read; asking changes nothing."""
-        hardware = self._hardware
-        angle = self._plant.motor_rad() - hardware.counter_zero_rad
-        return np.rint(angle / hardware.rad_per_count).astype(np.int64)
+        angle = self._plant.motor_rad() - self._zero_rad()
+        return np.rint(angle / self._hardware.rad_per_count).astype(np.int64)
+
+    def _zero_rad(self) -> Array:
+        """Where the motors stand when their counters read 0."""
+        zero: Array = self._hardware.counter_zero_rad + self._plant.scatter.motor_rad
+        return zero
 
     def _heated(self, current_A: Array) -> Array:
         """Rise of the windings by now: MuJoCo's own heats with the unlimited current and never cools."""
@@ -139,9 +145,9 @@ class Avionics:
         if data.time >= self._hardware.power_until_s:
             drive = replace(drive, power_on=UNPOWERED, brake_release=UNPOWERED, vibrate=False)
         last, self._drive = self._drive, drive
-        data.ctrl[0::2] = (
-            drive.setpoint_count * self._hardware.rad_per_count + self._hardware.counter_zero_rad
-        )
+        if self._hardware.each_move and drive.power_on.any() and not (last and last.power_on.any()):
+            self._begin_move()
+        data.ctrl[0::2] = drive.setpoint_count * self._hardware.rad_per_count + self._zero_rad()
         data.ctrl[1::2] = drive.setpoint_rate_rad_s
         if last is None or drive.current_limit_A is not last.current_limit_A:
             limit = drive.current_limit_A * self._plant.torque_constant_Nm_A
@@ -156,6 +162,10 @@ class Avionics:
             self._move_brakes()
         if drive.vibrate or self._shaken:
             self._shake(drive.vibrate)
+
+    def _begin_move(self) -> None:
+        """Another draw of all that a move leaves to chance."""
+        self._plant.scattered(drawn_scatter(self._hardware.each_move, self._move_rng))
 
     def _shake(self, on: bool) -> None:
         """The unbalance of the vibration motor, a quarter of a turn farther; nothing once it is off."""
@@ -179,3 +189,8 @@ class Avionics:
             else:
                 waiting[joint] = (cycles - 1, on)
         self._pending = waiting
+
+
+def move_rng(rng: np.random.Generator) -> np.random.Generator:
+    """What moves leave to chance is drawn from this, and takes nothing from the noise of sensors."""
+    return rng.spawn(1)[0]

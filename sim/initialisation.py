@@ -16,11 +16,12 @@ from fsw.executive.hardstop_pose import stop_poses
 from fsw.kinematics.transforms import Array
 from fsw.motion.seek import Stage
 from sim.arms import BuiltArm
-from sim.effects.effect import Effect
+from sim.effects.effect import Effect, nominal_hardware
 from sim.loop import ClosedLoop, Setup
+from sim.plant import JOINT_NAMES, Plant
 from sim.record import CycleRecord
 from sim.sequence import Outcome, run_sequence, watched
-from sim.world import World
+from sim.world import World, build
 
 BEFORE_STOP_RAD: Final = 0.05
 """Where a joint begins that is only to be measured: the long way to its hardstop tells nothing."""
@@ -191,3 +192,21 @@ def initial_reference(arm: BuiltArm, seed: int = 0) -> Reference:
     if last.outcome is not Outcome.DONE:
         raise RuntimeError(f"{arm.name} was not initialised: {last.evrs[-1][1].message}")
     return last.reference
+
+
+def true_reference(arm: BuiltArm) -> Reference:
+    """What an initialisation without any error would leave; the hardstops' own errors of place stay."""
+    spec, hardware = build(World()), nominal_hardware()
+    for effect in arm.effects:
+        effect.on_model(spec)
+        hardware = effect.on_hardware(hardware)
+    plant = Plant(spec.compile())
+    off_place = np.array([joint.hardstop_rad for joint in arm.params.joints.in_order()]) - plant.stop_rad()
+    return Reference(
+        calibrated=np.ones(len(Joint), bool),
+        known=np.ones(len(Joint), bool),
+        zero_rad=hardware.counter_zero_rad + off_place,
+        half_gap_rad=plant.half_gap_rad,
+        resolver_bias_rad=hardware.resolver_bias_rad - off_place,
+        friction_Nm=np.array([spec.joint(f"{name}_motor").frictionloss for name in JOINT_NAMES]),
+    )

@@ -55,7 +55,7 @@ class ClosedLoop:
             hardware = effect.on_hardware(hardware)
         self.config: Config = configure(told_of(setup.world, setup.arm.params))
         self.plant = Plant(spec.compile())
-        self.avionics = Avionics(self.plant, hardware, np.random.default_rng([setup.seed, 2]))
+        self.avionics = Avionics(self.plant, hardware, hardware_rng(setup.seed))
         self.with_truth = with_truth
         self.plant.place(np.array(setup.start_rad), SETTLE_S)
         stowed = setup.start_rad == setup.arm.params.poses.stowed_rad
@@ -113,6 +113,11 @@ class ClosedLoop:
         self._truth = None
         self.avionics.apply(self._outputs.drive)
         self.plant.step()
+
+
+def hardware_rng(seed: int) -> np.random.Generator:
+    """Of all that the avionics of a run leave to chance."""
+    return np.random.default_rng([seed, 2])
 
 
 def stepped(

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.joints import Joint, Switch, Tool
-from fsw.kinematics.transforms import Array
+from fsw.kinematics.transforms import Array, Pose, screw_exp
 from sim.frames import FLIP, P_NR_M
+from sim.scatter import BODIES, Scatter, no_scatter
 from sim.truth import Truth
 
 JOINT_NAMES = tuple(joint.name.lower() for joint in Joint)
@@ -62,6 +63,8 @@ class Addresses:
     """Sites, in the order of Tool."""
     pads: NDArray[np.intp]
     """Sites of the contact switches, in the order of Switch."""
+    bodies: NDArray[np.intp]
+    """In the order of BODIES."""
 
 
 class Plant:
@@ -85,7 +88,13 @@ class Plant:
             springs=np.array([[model.joint(f"{s}_{axis}").qposadr[0] for axis in AXES] for s in SPRINGS]),
             tools=np.array([model.site(tool.name.lower()).id for tool in Tool]),
             pads=np.array([model.site(switch.name.lower()).id for switch in Switch]),
+            bodies=np.array([model.body(name).id for name in BODIES]),
         )
+        self._built = Pose(
+            _rotations(model.body_quat[self.at.bodies]), model.body_pos[self.at.bodies].T.copy()
+        )
+        self._bands_rad = model.tendon_lengthspring[self.at.gaps].copy()
+        self.scatter = no_scatter()
         self.model.tendon_invweight0[self.at.outputs] *= HARD_FRICTION
         self.torque_constant_Nm_A = model.actuator_gainprm[self.at.actuators, MOTOR_CONSTANT].copy()
 
@@ -98,7 +107,17 @@ class Plant:
     @property
     def half_gap_rad(self) -> Array:
         """Half the width of each joint's backlash."""
-        return np.asarray(self.model.tendon_lengthspring[self.at.gaps, 1])
+        low, high = self.model.tendon_lengthspring[self.at.gaps].T
+        return np.asarray((high - low) / 2)
+
+    def scattered(self, scatter: Scatter) -> None:
+        """Let frames and gears stand that far off where they were built."""
+        X = self._built @ screw_exp(scatter.screw)
+        self.model.body_pos[self.at.bodies] = X.p.T
+        for k, body in enumerate(self.at.bodies):
+            mujoco.mju_mat2Quat(self.model.body_quat[body], X.R[:, :, k].ravel())
+        self.model.tendon_lengthspring[self.at.gaps] = self._bands_rad + scatter.gear_rad[:, None]
+        self.scatter = scatter
 
     def place(self, motor_rad: Array, settle_s: float) -> None:
         """Put the motors at these angles with the brakes on, and let the arm come to rest under gravity."""
@@ -149,7 +168,7 @@ class Plant:
 
     def gap_rad(self) -> Array:
         """True position in the backlash, wind-up taken off: half the width where a joint rests on a flank."""
-        gear = self.data.qpos[self.at.gear]
+        gear = self.data.qpos[self.at.gear] - self.scatter.gear_rad
         return np.asarray(np.clip(gear, -self.half_gap_rad, self.half_gap_rad))
 
     def stop_rad(self) -> Array:
@@ -207,3 +226,10 @@ class Plant:
         moment = np.zeros(self.model.nv)
         mujoco.mj_mulM(self.model, self.data, moment, self.data.qvel)
         return 0.5 * float(moment @ self.data.qvel)
+
+
+def _rotations(quat: Array) -> Array:
+    R = np.zeros((len(quat), 9))
+    for row, q in zip(R, quat, strict=True):
+        mujoco.mju_quat2Mat(row, q)
+    return np.moveaxis(R.reshape(-1, 3, 3), 0, -1)

@@ -10,19 +10,22 @@ from fsw.dictionary.joints import Tool
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import Array, Flags
 from ground.accuracy.combine import (
+    PARTS,
     Bounds,
     bounds,
-    covariance_rule,
+    moments_rule,
     paper_rule,
     root_sum_square,
     shares,
     worst_case,
 )
+from ground.accuracy.moments import SquaredLength, pooled_quantile, squared_length
 from ground.accuracy.poses import Poses, workspace_poses
 from ground.accuracy.propagate import Sensitivity, sensitivity
 from ground.accuracy.sources import Case, ErrorModel
 from ground.progress import Progress
 
+OURS: Final = "moments"
 COVERAGE: Final = 0.9973
 """Three sigma of a normal error; and the share of the poses whose bound is within what is reported."""
 
@@ -33,7 +36,9 @@ class ToolBudget:
 
     poses: Poses
     by_rule: Mapping[str, Bounds]
-    """paper (equation 13), worst case (10), root sum square (11), covariance (ours)."""
+    """paper (equation 13), worst case (10), root sum square (11), moments (ours)."""
+    lengths: tuple[SquaredLength, ...]
+    """Of what each of COMPONENTS is the length of, as ours has them."""
     share_m: Array
     """Of every source at every frame in the total by the paper's rule, mean over the poses, (sources, 7)."""
 
@@ -47,7 +52,10 @@ class Budget:
     tools: Mapping[Tool, ToolBudget]
 
     def estimate(self, rule: str, component: str) -> float:
-        """What 99.73 % of all poses stay within, in metres or radians."""
+        """The bound [m, rad] that 99.73 % of the poses stay within; by ours, what so many errors do."""
+        if rule == OURS:
+            k = COMPONENTS.index(component)
+            return pooled_quantile([tool.lengths[k] for tool in self.tools.values()], COVERAGE)
         values = [getattr(tool.by_rule[rule], component) for tool in self.tools.values()]
         return float(np.quantile(np.concatenate(values), COVERAGE))
 
@@ -75,23 +83,30 @@ def budget(
         poses = workspace_poses(arm, tool, gravity_R_m_s2, -(-count // len(tools)), seed)
         moved = sensitivity(arm, poses, gravity_R_m_s2)
         for name in names:
-            found[name][tool] = _tool_budget(model, model.case[name], poses, moved)
+            found[name][tool] = tool_budget(model, model.case[name], poses, moved)
     return {name: Budget(name, model.case[name], found[name]) for name in names}
 
 
-def _tool_budget(model: ErrorModel, case: Case, poses: Poses, moved: Sensitivity) -> ToolBudget:
+def tool_budget(model: ErrorModel, case: Case, poses: Poses, moved: Sensitivity) -> ToolBudget:
+    """What the errors of a case stay within at these poses."""
     u, at_limit = by_source(model, case, moved)
-    covariance = sum(
-        (factor**2 * moved.covariance(model.source[name]) for name, factor in case.sources.items()),
-        np.zeros((6, 6, u.shape[-1])),
-    )
+    lengths = _lengths(model, case, moved)
+    worst = bounds(worst_case(u))
     rules = {
         "paper": bounds(paper_rule(u, at_limit)),
-        "worst case": bounds(worst_case(u)),
+        "worst case": worst,
         "root sum square": bounds(root_sum_square(u)),
-        "covariance": covariance_rule(covariance, COVERAGE),
+        OURS: moments_rule(lengths, worst, COVERAGE),
     }
-    return ToolBudget(poses, rules, shares(u, at_limit).mean(axis=-1))
+    return ToolBudget(poses, rules, lengths, shares(u, at_limit).mean(axis=-1))
+
+
+def _lengths(model: ErrorModel, case: Case, moved: Sensitivity) -> tuple[SquaredLength, ...]:
+    errors = [
+        (factor * moved.of(model.source[name]), model.source[name].spread)
+        for name, factor in case.sources.items()
+    ]
+    return tuple(squared_length([(u[part], spread) for u, spread in errors]) for part in PARTS)
 
 
 def by_source(model: ErrorModel, case: Case, moved: Sensitivity) -> tuple[Array, Flags]:

@@ -1,20 +1,18 @@
-"""Many errors as one bound: the paper's combinations, equations 10 to 13, and one from their covariances."""
+"""Many errors as one bound: the paper's combinations, equations 10 to 13, and one from their moments."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array, Flags
+from ground.accuracy.moments import SquaredLength
 
 TOTAL, LATERAL, NORMAL, AXIAL = [3, 4, 5], [4, 5], [3], [1, 2]
 """Which components of a screw in tool axes make up the error: of position, across and along the approach, and
 of the direction of the approach."""
 PARTS: Final = (TOTAL, LATERAL, NORMAL, AXIAL)
-
-MOST_SKEWED: Final = np.sqrt(8.0)
-"""A sum of squares of normals is, if it is one square."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,34 +64,13 @@ def shares(u: Array, at_limit: Flags) -> Array:
     return np.asarray(np.einsum("cn,sc...n,scn->s...n", along, u[:, TOTAL], weight[:, TOTAL]))
 
 
-def covariance_rule(covariance: Array, coverage: float) -> Bounds:
-    """What errors of a covariance (6, 6, n) stay within, with this probability."""
-    return Bounds(*(norm_quantile(covariance[np.ix_(part, part)], coverage) for part in PARTS))
-
-
-def norm_quantile(covariance: Array, coverage: float) -> Array:
-    """The length (n,) that a normal vector of this covariance (k, k, n) stays within, with this probability.
-
-    Its square is a sum of squares of normals; a scaled and shifted chi-square has the same mean, variance and
-    skewness (Hall, Buckley and Eagleson; Buckley and Eagleson 1988). Off by less than one percent at 99.7 %.
-    """
-    c1, c2, c3 = _cumulants(covariance)
-    skewness = np.where(c2 > 0, _over(c3, c2**1.5), MOST_SKEWED)
-    freedom = 8 / skewness**2
-    quantile = (chi2.ppf(coverage, freedom) - freedom) / np.sqrt(2 * freedom)
-    return np.asarray(np.sqrt(np.maximum(c1 + quantile * np.sqrt(c2), 0.0)))
+def moments_rule(lengths: Sequence[SquaredLength], worst: Bounds, coverage: float) -> Bounds:
+    """What the errors stay within, with this probability: PARTS in order, at most the worst case."""
+    within = [length.quantile(coverage) for length in lengths]
+    most = (getattr(worst, field.name) for field in fields(Bounds))
+    return Bounds(*(np.minimum(a, b) for a, b in zip(within, most, strict=True)))
 
 
 def _over(a: Array, b: Array) -> Array:
     """A / b, or nothing where b is nothing."""
     return np.divide(a, b, out=np.zeros(np.broadcast_shapes(a.shape, b.shape)), where=b > 0)
-
-
-def _cumulants(covariance: Array) -> tuple[Array, Array, Array]:
-    """Mean, variance and third cumulant (n,) of the squared length."""
-    square = np.einsum("ijn,jkn->ikn", covariance, covariance)
-    return (
-        np.einsum("iin->n", covariance),
-        2 * np.einsum("iin->n", square),
-        8 * np.einsum("ijn,jin->n", square, covariance),
-    )

@@ -14,7 +14,7 @@ from fsw.kinematics.chain import Frames, frame_jacobian, tool_pose
 from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array, Pose, adjoint, rotate
 from ground.accuracy.poses import Poses
-from ground.accuracy.sources import SIGMA_OF, Source
+from ground.accuracy.sources import CUMULANTS_OF, Source
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,8 +48,8 @@ class Sensitivity:
 
     def covariance(self, source: Source) -> Array:
         """Of the errors of a source, (6, 6, n): all that it is made of varies independently."""
-        u = self.of(source) * SIGMA_OF[source.spread]
-        return np.asarray(np.einsum("ikn,jkn->ijn", u, u))
+        u = self.of(source)
+        return np.asarray(CUMULANTS_OF[source.spread][0] * np.einsum("ikn,jkn->ijn", u, u))
 
 
 def sensitivity(arm: Arm, poses: Poses, gravity_R_m_s2: Array) -> Sensitivity:

@@ -19,8 +19,16 @@ from fsw.kinematics.transforms import Array
 
 Spread = Literal["normal", "uniform", "either side"]
 
-SIGMA_OF: Final[dict[Spread, float]] = {"normal": 1 / 3, "uniform": 1 / np.sqrt(3), "either side": 1.0}
-"""Standard deviation over magnitude: three sigma, anywhere within, at one end or the other."""
+CUMULANTS_OF: Final[dict[Spread, tuple[float, float, float]]] = {
+    "normal": (1 / 9, 0.0, 0.0),
+    "uniform": (1 / 3, -2 / 15, 16 / 63),
+    "either side": (1.0, -2.0, 16.0),
+}
+"""Second, fourth and sixth, of magnitude 1: three sigma, anywhere within, at one end or the other."""
+
+EffectName = Literal[
+    "frame error", "frame play", "servo error", "windup", "hardstop angle", "backlash", "stiffness", "warming"
+]
 
 FrameName = Literal["arm1", "arm2", "arm3", "arm4", "arm5", "arm6", "tool"]
 
@@ -44,6 +52,8 @@ class Source:
     """Where the magnitude comes from: a public document, inferred, assumed."""
     basis: str
     spread: Spread
+    effect: EffectName
+    """How it acts in the plant."""
     at_limit: bool = False
     """Whether it may well lie at the end of its range: added, not root-sum-squared (paper equation 13)."""
     of: Literal["frames", "load", "temperature"] = "frames"

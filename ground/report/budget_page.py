@@ -1,24 +1,17 @@
 """The error budget as a page: the paper's rows beside ours, what makes up the error, where it is large."""
 
-import base64
-import html
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from fsw.dictionary.joints import Frame
-from ground.accuracy.budget import Budget
+from ground.accuracy.budget import COMPONENTS, Budget
 from ground.accuracy.budget_request import BudgetReport
-from ground.outputs import written_whole
 from ground.report.budget_tables import RULES, shown
 from ground.report.figures import drawn
+from ground.report.page import heading, image, paragraph, save_page, table
 
-STYLE: Final = (
-    "body{font:15px/1.5 sans-serif;max-width:62em;margin:2em auto;padding:0 1em;color:#222}"
-    "table{border-collapse:collapse;margin:1em 0}td,th{padding:.25em .8em;border-bottom:1px solid #ccc;"
-    "text-align:right}td:first-child,th:first-child{text-align:left}img{max-width:100%}"
-)
 CELLS: Final = 14
 """Of the map, along a side."""
 
@@ -29,29 +22,20 @@ def save_budget_page(report: BudgetReport, path: Path) -> None:
     Raises:
         BadOutput: the file cannot be written.
     """
-    with written_whole(path, "report") as file:
-        file.write(_page(report).encode())
-
-
-def _page(report: BudgetReport) -> str:
     rows = [
         (row.name, row.case, *(shown(row.component, v) for v in (row.required, row.estimated, value)))
         for row, value in report.rows
     ]
+    sources = [(s.text, s.label, s.kind, s.basis) for s in report.model.source.values()]
     parts = [
-        "<!doctype html><meta charset='utf-8'><title>Error budget</title>",
-        f"<style>{STYLE}</style><h1>Error budget of the arm</h1>",
-        f"<p>{html.escape(_poses(report))} Plus or minus, what 99.73 % of the poses stay within.</p>",
-        _table(("", "case", "required", "paper", "ours"), rows),
-        *(_case(budget) for budget in report.budgets.values()),
-        "<h2>Sources</h2>",
-        _table(
-            ("source", "", "kind", "basis"),
-            [(s.text, s.label, s.kind, s.basis) for s in report.model.source.values()],
-        ),
-        "<p>S from a public document, I inferred, A assumed.</p>",
+        paragraph(f"{_poses(report)} Plus or minus, what 99.73 % of the poses stay within."),
+        table(("", "case", "required", "paper", "ours"), rows),
+        *(part for budget in report.budgets.values() for part in _case(budget)),
+        heading("Sources"),
+        table(("source", "", "kind", "basis"), sources),
+        paragraph("S from a public document, I inferred, A assumed."),
     ]
-    return "\n".join(parts)
+    save_page("Error budget of the arm", parts, path)
 
 
 def _poses(report: BudgetReport) -> str:
@@ -59,19 +43,15 @@ def _poses(report: BudgetReport) -> str:
     return f"{asked.poses} poses over the workspace, tool {asked.tool}, gravity of {asked.gravity.title()}."
 
 
-def _case(budget: Budget) -> str:
-    rules = [
-        (
-            rule,
-            *(shown(c, budget.estimate(rule, c)) for c in ("total_m", "lateral_m", "normal_m", "axial_rad")),
-        )
-        for rule in RULES
+def _case(budget: Budget) -> list[str]:
+    rules = [(rule, *(shown(c, budget.estimate(rule, c)) for c in COMPONENTS)) for rule in RULES]
+    picture = drawn((12, 4.6), 110, lambda figure: _draw(figure, budget))
+    return [
+        heading(budget.name),
+        paragraph(budget.case.text),
+        image(picture, "shares and map"),
+        table(("rule", *(name.rsplit("_", 1)[0] for name in COMPONENTS)), rules),
     ]
-    picture = base64.b64encode(drawn((12, 4.6), 110, lambda figure: _draw(figure, budget))).decode()
-    image = f"<img alt='shares and map' src='data:image/png;base64,{picture}'>"
-    return f"<h2>{html.escape(budget.name)}</h2><p>{html.escape(budget.case.text)}</p>{image}" + _table(
-        ("rule", "total", "lateral", "normal", "axial"), rules
-    )
 
 
 def _draw(figure: Any, budget: Budget) -> None:
@@ -101,11 +81,3 @@ def _map(figure: Any, axes: Any, budget: Budget) -> None:
         title="Total, mean over y and approaches", xlabel="x forward [m]", ylabel="z down [m]", aspect="equal"
     )
     figure.colorbar(shading, ax=axes, label="mm")
-
-
-def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
-    cells = "".join(f"<th>{html.escape(name)}</th>" for name in head)
-    lines = "".join(
-        "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows
-    )
-    return f"<table><tr>{cells}</tr>{lines}</table>"

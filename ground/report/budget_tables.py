@@ -11,7 +11,7 @@ from ground.accuracy.budget_request import BudgetReport
 from ground.accuracy.reproduce import Reproduced
 from ground.report.console import plain_console
 
-RULES: Final = ("paper", "covariance", "root sum square", "worst case")
+RULES: Final = ("paper", "moments", "root sum square", "worst case")
 
 
 def budget_json(report: BudgetReport) -> dict[str, Any]:

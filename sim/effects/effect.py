@@ -1,5 +1,6 @@
 """An effect: one way in which a built arm differs from the drawing."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -11,6 +12,7 @@ from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from sim.plant import Plant
+from sim.scatter import Scatter, no_scatter
 
 
 class Spoilt(Protocol):
@@ -55,6 +57,8 @@ class Hardware:
     """What is wrong with sensors by now."""
     timed: tuple["Timed", ...]
     """What is still to happen."""
+    each_move: tuple["EachMove", ...]
+    """What is drawn anew for every move."""
 
 
 def nominal_hardware() -> Hardware:
@@ -77,6 +81,7 @@ def nominal_hardware() -> Hardware:
         missed_cycles=0,
         spoilt=(),
         timed=(),
+        each_move=(),
     )
 
 
@@ -112,6 +117,24 @@ class Timed(Effect):
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """Change the running plant; the avionics and sensors from now on."""
         return hardware
+
+
+@dataclass(frozen=True, slots=True)
+class EachMove(Effect):
+    """An effect that is drawn anew whenever a move begins: a motor gets power after all were without."""
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        """It is to be drawn."""
+        return replace(hardware, each_move=(*hardware.each_move, self))
+
+    def scatter(self, rng: np.random.Generator) -> Scatter:
+        """How far off the arm comes to stand this time."""
+        raise NotImplementedError
+
+
+def drawn_scatter(effects: Iterable[EachMove], rng: np.random.Generator) -> Scatter:
+    """What one move leaves to chance, by all of these effects."""
+    return sum((effect.scatter(rng) for effect in effects), no_scatter())
 
 
 def at_index(values: Array, index: int, value: float) -> Array:

@@ -13,8 +13,7 @@ from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_ex
 from sim.effects.effect import Effect
 from sim.effects.matrices import turned
 from sim.params import nominal_params
-
-_BODY_OF = ("arm1", "link2", "link3", "link4", "link5", "turret")
+from sim.scatter import BODIES, body_index
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,27 +68,54 @@ class FrameError(Effect):
         return transform6_from(transform6(transform) @ screw_exp(np.array(self.screw)))
 
     def _body(self) -> str:
-        if self.frame is not Frame.TOOL:
-            return _BODY_OF[self.frame]
-        if self.tool is None:
-            raise ValueError("a FrameError at TOOL names its tool")
-        return self.tool.name.lower()
+        return BODIES[body_index(self.frame, self.tool)]
+
+
+@dataclass(frozen=True, slots=True)
+class LinkWarming(Effect):
+    """What ends in a frame grown as the drawing's materials do, without flight software being told."""
+
+    frame: Frame
+    warming_K: float
+    tool: Tool | None = None
+    """Which tool, for the frame TOOL."""
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """Displace the frame by the growth, in its own axes."""
+        self._grown().on_model(spec)
+
+    def on_params(self, params: Params) -> Params:
+        """The numbers of the grown link."""
+        return self._grown().on_params(params)
+
+    def _grown(self) -> FrameError:
+        params = nominal_params()
+        links = [link.expansion_1_K for link in params.links.in_order()]
+        tools = [tool.expansion_1_K for tool in params.tools.in_order()]
+        expansion_1_K = (*links, *tools)[body_index(self.frame, self.tool)]
+        return FrameError(self.frame, row6(self.warming_K * np.array(expansion_1_K)), self.tool)
 
 
 @dataclass(frozen=True, slots=True)
 class Warming(Effect):
-    """Every link and tool grown as the drawing's materials do, without flight software being told."""
+    """Every link and tool grown by the same warming."""
 
     warming_K: float
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Displace each frame by its growth, in its own axes."""
-        params = nominal_params()
-        for frame, link in zip(Frame, params.links.in_order(), strict=False):
-            FrameError(frame, row6(self.warming_K * np.array(link.expansion_1_K))).on_model(spec)
-        for tool, grown in zip(Tool, params.tools.in_order(), strict=True):
-            screw = row6(self.warming_K * np.array(grown.expansion_1_K))
-            FrameError(Frame.TOOL, screw, tool).on_model(spec)
+        """One after the other."""
+        for part in self._parts():
+            part.on_model(spec)
+
+    def on_params(self, params: Params) -> Params:
+        """Likewise."""
+        for part in self._parts():
+            params = part.on_params(params)
+        return params
+
+    def _parts(self) -> list[LinkWarming]:
+        inner = [LinkWarming(frame, self.warming_K) for frame in Frame if frame is not Frame.TOOL]
+        return inner + [LinkWarming(Frame.TOOL, self.warming_K, tool) for tool in Tool]
 
 
 def _placed(lump: Lump, X: Pose) -> Lump:

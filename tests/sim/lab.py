@@ -9,9 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.joints import Joint
-from fsw.estimate.reference import Reference
-from sim.arms import BuiltArm
-from sim.effects.effect import nominal_hardware
+from sim.initialisation import true_reference as true_reference
 from sim.loop import ClosedLoop
 from sim.plant import JOINT_NAMES, Plant
 from sim.world import World, build
@@ -122,24 +120,6 @@ def hold_by_motors(plant: Plant) -> None:
     plant.model.opt.disableactuator = 0
     for joint in Joint:
         plant.brake(joint, False)
-
-
-def true_reference(arm: BuiltArm) -> Reference:
-    """What an initialisation without any error would leave; the hardstops' own errors of place stay."""
-    spec, hardware = build(World()), nominal_hardware()
-    for effect in arm.effects:
-        effect.on_model(spec)
-        hardware = effect.on_hardware(hardware)
-    plant = Plant(spec.compile())
-    off_place = np.array([joint.hardstop_rad for joint in arm.params.joints.in_order()]) - plant.stop_rad()
-    return Reference(
-        calibrated=np.ones(len(Joint), bool),
-        known=np.ones(len(Joint), bool),
-        zero_rad=hardware.counter_zero_rad + off_place,
-        half_gap_rad=plant.half_gap_rad,
-        resolver_bias_rad=hardware.resolver_bias_rad - off_place,
-        friction_Nm=np.array([spec.joint(f"{name}_motor").frictionloss for name in JOINT_NAMES]),
-    )
 
 
 def gear_rad(plant: Plant) -> Array:

@@ -1,0 +1,64 @@
+"""How often bounds hold, and by how much they are too wide, with the intervals that sampling leaves."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.stats import beta, binom
+
+from fsw.kinematics.transforms import Array
+
+CONFIDENCE: Final = 0.95
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Coverage:
+    """A bound, pose by pose, against the errors that were measured there."""
+
+    share: float
+    """Of the errors that are within their bounds."""
+    share_interval: Interval
+    ratio: float
+    """Bound over the error that the wanted share stays within: 1 is just right, more is too wide."""
+    ratio_interval: Interval
+
+    def holds(self, wanted: float) -> bool:
+        """Whether so much coverage is within the sampling interval, or below it."""
+        return self.share_interval[1] >= wanted
+
+
+def coverage(error: Array, bound: Array, wanted: float, arms: int) -> Coverage:
+    """Of errors and their bounds, (n,) each, from so many arms: errors of one arm are not independent.
+
+    Intervals count arms, not errors: exact for one error an arm, too wide for more.
+    """
+    normed = error / bound
+    share = float(np.mean(normed <= 1))
+    low, wide = quantile_interval(normed, wanted, arms)
+    return Coverage(
+        share,
+        binomial_interval(share, arms),
+        1 / float(np.quantile(normed, wanted)),
+        (1 / wide, 1 / low),
+    )
+
+
+def binomial_interval(share: float, count: int) -> Interval:
+    """Clopper and Pearson's exact interval of a share that was seen in so many trials."""
+    hits, tail = share * count, (1 - CONFIDENCE) / 2
+    low = 0.0 if hits == 0 else float(beta.ppf(tail, hits, count - hits + 1))
+    high = 1.0 if hits == count else float(beta.ppf(1 - tail, hits + 1, count - hits))
+    return low, high
+
+
+def quantile_interval(values: Array, share: float, count: int) -> Interval:
+    """Between which values the quantile of this share lies, by the ranks of `count` independent ones.
+
+    Infinity where there are too few to say.
+    """
+    tail = (1 - CONFIDENCE) / 2
+    low, high = (float(binom.ppf(p, count, share)) / count for p in (tail, 1 - tail))
+    most = float(np.quantile(values, high)) if high < 1 else np.inf
+    return float(np.quantile(values, low)), most

@@ -1,0 +1,72 @@
+"""A move as statics have it: where motors, gears and springs come to rest, without a step of dynamics.
+
+Flight software plans the move; motors follow it, and the outputs are dragged along in their gears.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fsw.config import Config
+from fsw.dictionary.commands import Backlash
+from fsw.dictionary.joints import Frame, Tool
+from fsw.estimate.gear import LIKELY, bounds_under, gap_of, uncertain_loads
+from fsw.estimate.joints import asleep
+from fsw.estimate.reference import Reference
+from fsw.kinematics.chain import frame_jacobian, tool_pose
+from fsw.kinematics.statics import rest
+from fsw.kinematics.transforms import Array, Pose, screw_exp
+from fsw.motion.compensation import Compensation
+from fsw.motion.plan import Stand, plan_to
+from sim.scatter import Scatter, body_index
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SettledMove:
+    """The arm at rest after a move."""
+
+    X_RT: Pose
+    gap_rad: Array
+    """Where the outputs lie in their gaps, (5,)."""
+
+
+def settled_move(
+    believed: Config,
+    true: Config,
+    reference: Reference,
+    zero_error_rad: Array,
+    start_rad: Array,
+    goal_rad: Array,
+    tool: Tool,
+    gravity_R_m_s2: Array,
+    backlash: Backlash,
+    scatter: Scatter,
+) -> SettledMove:
+    """The move from outputs (5) to outputs (5), as flight software believes them to be.
+
+    `true` are the parameters that the arm has; `zero_error_rad` (5) is by how much motors are beyond where
+    they are believed to be. Displaced frames move the tool in proportion: they are small.
+    """
+    hanging = rest(believed.arm, goal_rad, gravity_R_m_s2)
+    loads = uncertain_loads(believed, hanging.torque_Nm, gravity_R_m_s2)
+    lying = bounds_under(believed, reference.half_gap_rad, loads)
+    start = Stand(start_rad - lying.lowest_rad[:, LIKELY], lying.lowest_rad[:, LIKELY])
+    joints = replace(
+        asleep(believed, reference), awake=True, motor_rad=start.motor_rad, imu_R_m_s2=gravity_R_m_s2
+    )
+    plan = plan_to(believed, joints, start, goal_rad, hanging.torque_Nm, Compensation(backlash))
+    off_rad = zero_error_rad + scatter.motor_rad
+    motor = start.motor_rad + off_rad
+    torque = rest(true.arm, goal_rad, gravity_R_m_s2).torque_Nm
+    gear = start.gear_rad
+    bounds = bounds_under(true, true.half_gap_rad, torque)
+    for knot in (*(path.at(path.duration_s).motor_rad for path in plan.paths), plan.end.motor_rad):
+        gear = np.clip(gear - (knot + off_rad - motor), bounds.lowest_rad, bounds.highest_rad)
+        motor = knot + off_rad
+    frames = rest(true.arm, motor + gear + scatter.gear_rad, gravity_R_m_s2).frames
+    X_RT = tool_pose(true.arm, frames, tool)
+    bodies = [body_index(frame, tool) for frame in Frame]
+    J = frame_jacobian(frames, X_RT)
+    shift = np.einsum("ikj,kj->i", J, scatter.screw[:, bodies])
+    moved = screw_exp(np.concatenate([shift[:3], np.zeros(3)]))
+    return SettledMove(Pose(moved.R @ X_RT.R, X_RT.p + shift[3:]), gap_of(true.half_gap_rad, gear))
