@@ -1,6 +1,7 @@
 """Frames that do not stand where the drawing has them."""
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import mujoco
 import numpy as np
@@ -12,6 +13,7 @@ from fsw.kinematics.arm import transform6, transform6_from
 from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_exp
 from sim.effects.effect import Effect
 from sim.effects.matrices import turned
+from sim.effects.size import Size, Warmth
 from sim.params import nominal_params
 from sim.scatter import BODIES, body_index
 
@@ -21,12 +23,17 @@ class FrameError(Effect):
     """A frame displaced by a small screw in its own axes: rx, ry, rz [rad], tx, ty, tz [m]."""
 
     frame: Frame
-    screw: Row6
+    screw: Annotated[Row6, Size(-0.1, 0.1, unit="rad, m", typical=2e-3, neutral=0.0)]
     tool: Tool | None = None
     """Which tool, for the frame TOOL."""
 
+    def __post_init__(self) -> None:
+        check_tool(self.frame, self.tool)
+
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Displace the body that stands for the frame."""
+        if not any(self.screw):
+            return
         body = spec.body(self._body())
         X = Pose(_rotation(body.quat), body.pos) @ screw_exp(np.array(self.screw))
         quat = np.zeros(4)
@@ -35,6 +42,8 @@ class FrameError(Effect):
 
     def on_params(self, params: Params) -> Params:
         """The six numbers of the displaced link transform."""
+        if not any(self.screw):
+            return params
         if self.frame is Frame.TOOL:
             name = self._body()
             tool = getattr(params.tools, name)
@@ -76,9 +85,12 @@ class LinkWarming(Effect):
     """What ends in a frame grown as the drawing's materials do, without flight software being told."""
 
     frame: Frame
-    warming_K: float
+    warming_K: Warmth
     tool: Tool | None = None
     """Which tool, for the frame TOOL."""
+
+    def __post_init__(self) -> None:
+        check_tool(self.frame, self.tool)
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Displace the frame by the growth, in its own axes."""
@@ -100,7 +112,7 @@ class LinkWarming(Effect):
 class Warming(Effect):
     """Every link and tool grown by the same warming."""
 
-    warming_K: float
+    warming_K: Warmth
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """One after the other."""
@@ -116,6 +128,15 @@ class Warming(Effect):
     def _parts(self) -> list[LinkWarming]:
         inner = [LinkWarming(frame, self.warming_K) for frame in Frame if frame is not Frame.TOOL]
         return inner + [LinkWarming(Frame.TOOL, self.warming_K, tool) for tool in Tool]
+
+
+def check_tool(frame: Frame, tool: Tool | None) -> None:
+    """Refuse, as a ValueError, the frame TOOL without a tool and another one with a tool."""
+    if frame is Frame.TOOL and tool is None:
+        known = ", ".join(tool.name.lower() for tool in Tool)
+        raise ValueError(f"tool: an effect at frame tool names its tool; there are {known}")
+    if frame is not Frame.TOOL and tool is not None:
+        raise ValueError(f"tool: frame {frame.name.lower()} has none; leave it out")
 
 
 def _placed(lump: Lump, X: Pose) -> Lump:
