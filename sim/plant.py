@@ -226,11 +226,6 @@ class Plant:
         """Coulomb friction [N m] and damping [N m s/rad] of motors and gears as built, output side."""
         return self._friction_Nm, self._damping_Nms_rad
 
-    def powered(self) -> NDArray[np.bool_]:
-        """Which motors have power."""
-        groups = 2 << np.arange(len(Joint))
-        return np.asarray(self.model.opt.disableactuator & groups == 0)
-
     def motor_current_A(self) -> Array:
         """True motor currents."""
         current: Array = self.data.actuator_force[self.at.actuators] / self.torque_constant_Nm_A

@@ -42,8 +42,6 @@ class FrameError(Effect):
 
     def on_params(self, params: Params) -> Params:
         """The six numbers of the displaced link transform."""
-        if not any(self.screw):
-            return params
         if self.frame is Frame.TOOL:
             name = self._body()
             tool = getattr(params.tools, name)
@@ -98,7 +96,7 @@ class LinkWarming(Effect):
 
     def on_params(self, params: Params) -> Params:
         """The numbers of the grown link."""
-        return self._grown().on_params(params)
+        return self._grown().on_params(params) if self.warming_K else params
 
     def _grown(self) -> FrameError:
         params = nominal_params()

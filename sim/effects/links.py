@@ -35,7 +35,8 @@ class _OneFrame(Effect):
 
     def on_params(self, params: Params) -> Params:
         """The numbers of the displaced link."""
-        return self.error().on_params(params)
+        error = self.error()
+        return error.on_params(params) if any(error.screw) else params
 
     def error(self) -> FrameError:
         """The same as a screw."""

@@ -13,7 +13,7 @@ from sim.effects.effect import EachCycle, Effect, Hardware
 from sim.effects.size import Factor, Size
 from sim.effects.told import joint_of, with_joint
 from sim.influence import Influence
-from sim.plant import GAINS, MOTOR_CONSTANT, RESISTANCE, Plant
+from sim.plant import GAINS, MOTOR_CONSTANT, Plant
 
 BUS_V: Final = 28.0
 Setpoints = tuple[tuple[float, float], ...]
@@ -87,10 +87,7 @@ class CommandDelay(EachCycle):
 
 @dataclass(frozen=True, slots=True)
 class BusSag(EachCycle):
-    """The bus sags under the currents of all motors: controllers that chop it bring about that much less.
-
-    A share s of the voltage makes a share s of the torque, and brakes by 1 - s of what the motor induces.
-    """
+    """The bus sags under the currents of all motors, and the gains of every controller with its voltage."""
 
     resistance_Ohm: Annotated[float, Size(0.0, 5.0, unit="Ohm", typical=0.5, neutral=0.0)]
 
@@ -98,9 +95,4 @@ class BusSag(EachCycle):
         """By the currents of this moment."""
         total_A = float(np.abs(plant.motor_current_A()).sum())
         lost = min(self.resistance_Ohm * total_A / BUS_V, 1.0)
-        resistance_Ohm = plant.model.actuator_gainprm[plant.at.actuators, RESISTANCE]
-        powered = plant.powered()
-        return None, Influence(
-            servo=np.full(len(Joint), -lost),
-            damping_Nms_rad=lost * powered * plant.torque_constant_Nm_A**2 / resistance_Ohm,
-        )
+        return None, Influence(servo=np.full(len(Joint), -lost))

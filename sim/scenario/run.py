@@ -41,7 +41,7 @@ class ScenarioResult:
 
 
 def setup_of(scenario: Scenario, arm: BuiltArm, reference: Reference, seed: int) -> Setup:
-    """How a scenario begins, with an arm fitted for it, whose joints are known and whose places are taught."""
+    """How a scenario begins, with an arm fitted for it, its joints known and its places taught."""
     poses = arm.params.poses
     start = poses.stowed_rad if scenario.start == "stowed" else poses.ready_rad
     timed = (injection.fault for injection in scenario.faults if injection.during is None)
