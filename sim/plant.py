@@ -208,10 +208,6 @@ class Plant:
         gear: Array = self.data.qpos[self.at.gear] - self.scatter.gear_rad - self.influence.gear_rad
         return gear
 
-    def motor_speed_rad_s(self) -> Array:
-        """True speeds of the motors, output side."""
-        return np.asarray(self.data.qvel[self.at.motor])
-
     def stop_rad(self) -> Array:
         """Output angles of the negative hardstops."""
         return np.asarray(self.model.tendon_lengthspring[self.at.outputs, 0])

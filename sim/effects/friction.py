@@ -10,6 +10,7 @@ from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import Params
 from sim.effects.effect import EachCycle, Effect, Hardware
 from sim.effects.environment import COLD_C, WARM_C
+from sim.effects.pace import Pace, pace_now, speed_rad_s
 from sim.effects.size import Size
 from sim.effects.told import joint_of, with_joint
 from sim.influence import Influence, at_joint
@@ -50,10 +51,15 @@ class StribeckFriction(EachCycle):
     torque_Nm: Annotated[float, Size(-100.0, 200.0, unit="N m", typical=20.0, neutral=0.0)]
     speed_rad_s: Annotated[float, Size(1e-4, 0.1, unit="rad/s", typical=2e-3)] = 2e-3
 
-    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Influence]:
-        """At the speed that the motor has by now."""
-        slow = np.exp(-((plant.motor_speed_rad_s()[self.joint] / self.speed_rad_s) ** 2))
-        return None, Influence(friction_Nm=at_joint(self.joint, self.torque_Nm * float(slow)))
+    def begin(self, plant: Plant, hardware: Hardware) -> Pace:
+        """From where the motor stands."""
+        return pace_now(plant, self.joint)
+
+    def cycle(self, plant: Plant, hardware: Hardware, state: Pace) -> tuple[Pace, Influence]:
+        """At the speed of the cycle that has passed."""
+        now = pace_now(plant, self.joint)
+        slow = float(np.exp(-((speed_rad_s(state, now) / self.speed_rad_s) ** 2)))
+        return now, Influence(friction_Nm=at_joint(self.joint, self.torque_Nm * slow))
 
 
 @dataclass(frozen=True, slots=True)

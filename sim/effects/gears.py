@@ -9,6 +9,7 @@ import numpy as np
 from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import Params
 from sim.effects.effect import EachCycle, Effect, Hardware
+from sim.effects.pace import Pace, pace_now, speed_rad_s
 from sim.effects.size import Size
 from sim.effects.told import joint_of, with_joint
 from sim.influence import Influence, at_joint
@@ -47,12 +48,16 @@ class GearEfficiency(EachCycle):
     joint: Joint
     factor: Annotated[float, Size(0.3, 1.2, unit="1", typical=-0.1, neutral=1.0)]
 
-    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Influence]:
+    def begin(self, plant: Plant, hardware: Hardware) -> Pace:
+        """From where the motor stands."""
+        return pace_now(plant, self.joint)
+
+    def cycle(self, plant: Plant, hardware: Hardware, state: Pace) -> tuple[Pace, Influence]:
         """Load over efficiency where the motor drives it, load times efficiency where it drives the motor."""
-        load_Nm = float(plant.gear_torque_Nm()[self.joint])
-        drives = load_Nm * float(plant.motor_speed_rad_s()[self.joint]) < 0
+        load_Nm, now = float(plant.gear_torque_Nm()[self.joint]), pace_now(plant, self.joint)
+        drives = load_Nm * speed_rad_s(state, now) < 0
         lost = 1.0 / self.factor - 1.0 if drives else 1.0 - self.factor
-        return None, Influence(friction_Nm=at_joint(self.joint, lost * abs(load_Nm)))
+        return now, Influence(friction_Nm=at_joint(self.joint, lost * abs(load_Nm)))
 
 
 @dataclass(frozen=True, slots=True)

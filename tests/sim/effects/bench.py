@@ -1,6 +1,6 @@
 """A joint on a bench: the arm with effects, one joint turned as its controller is told, nothing else moving."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import mujoco
@@ -43,8 +43,6 @@ def built(*effects: Effect, world: World | None = None, calm: bool = False) -> t
 def avionics(plant: Plant, hardware: Hardware) -> Avionics:
     """Without noise of the sensors."""
     quiet = {"resolver_noise_rad": 0.0, "current_noise_A": 0.0, "gravity_noise_m_s2": 0.0}
-    from dataclasses import replace
-
     return Avionics(plant, replace(hardware, **quiet), np.random.default_rng(1))
 
 
@@ -93,21 +91,19 @@ def turned(
     plant.place(start_rad, 4.0, look)
     plant.model.opt.disableactuator = ALL_ACTUATORS & ~(2 << joint)
     plant.brake(joint, False)
-    rows, angle, dt = [], start_rad[joint], plant.model.opt.timestep
-    full = speed * SPEED_RAD_S[joint]
-    legs = [full, -full] if back else [full]
-    rate = 0.0
-    for goal in legs:
+    rows, angle, rate = [], start_rad[joint], 0.0
+    full, dt = speed * SPEED_RAD_S[joint], plant.model.opt.timestep
+    for goal in [full, -full] if back else [full]:
         first = rate
         for step in range(round(seconds / dt)):
             rate = first + (goal - first) * lab.gentle(min(step * dt, 1.0))
             if step % STEPS == 0:
-                given = (angle, rate)
-                plant.data.ctrl[2 * joint : 2 * joint + 2] = given
+                plant.data.ctrl[2 * joint : 2 * joint + 2] = angle, rate
             if step % every == 0:
                 look()
             mujoco.mj_step(plant.model, plant.data)
             angle += rate * dt
             if step % STEPS == STEPS - 1:
-                rows.append((plant.motor_current_A()[joint], plant.motor_rad()[joint], plant.output_rad()[joint]))
+                found = (plant.motor_current_A(), plant.motor_rad(), plant.output_rad())
+                rows.append([one[joint] for one in found])
     return Turned(*np.array(rows).T)
