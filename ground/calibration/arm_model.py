@@ -30,7 +30,7 @@ from ground.calibration.noise import whitener_of
 from ground.calibration.problem import Linearised
 from ground.calibration.screws import Measured, error_screw, linearised
 from sim.effects.built import SPRINGS
-from sim.effects.turret import TurretMass
+from sim.effects.turret import StandInTurret
 
 COUNT: Final = len(arm_parameters())
 
@@ -128,7 +128,7 @@ class Held:
 
 
 def _held(nominal: Params, x: Array, turret_kg: float | None, at: Believed) -> Held:
-    drawn = nominal if turret_kg is None else TurretMass(turret_kg).on_params(nominal)
+    drawn = nominal if turret_kg is None else StandInTurret(turret_kg).on_params(nominal)
     arm, X_RD = numbered_arm(arm_from(drawn), x, turret_kg is not None)
     gap = at.gap_rad * np.exp(x[GAPS])[:, None] - at.held_Nm / arm.gear_stiffness_Nm_rad[:, None]
     gravity_D = X_RD.R.T @ at.gravity_R_m_s2

@@ -19,7 +19,7 @@ from ground.calibration.survey import Row, campaign_from, surveyed
 from ground.progress import Progress
 from sim.arms import BuiltArm
 from sim.effects.environment import NothingToTouch
-from sim.effects.turret import TurretMass
+from sim.effects.turret import StandInTurret
 from sim.initialisation import initialised
 from sim.loop import ClosedLoop, Setup
 from sim.sequence import Outcome, run_sequence
@@ -78,7 +78,7 @@ def group_rows(arm: BuiltArm, reference: Reference, plan: CampaignPlan, k: int) 
     goals = group_poses(arm.params, group, World("earth"), np.random.default_rng([plan.seed, k, 0]))
     rng = np.random.default_rng([plan.seed, k, 1])
     free = NothingToTouch()  # the way between two poses was cleared by people
-    effects = (free,) if group.turret_kg is None else (TurretMass(group.turret_kg), free)
+    effects = (free,) if group.turret_kg is None else (StandInTurret(group.turret_kg), free)
     known = replace(arm, params=free.on_params(group.params(arm.params)))
     loop = ClosedLoop(Setup(known, world, known.params.poses.ready_rad, plan.seed, reference, effects))
     for _ in range(CYCLE_HZ):

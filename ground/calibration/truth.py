@@ -14,7 +14,7 @@ from ground.calibration.data import Believed
 from ground.calibration.screws import Measured
 from ground.calibration.settled import stops_off, true_params
 from sim.arms import BuiltArm
-from sim.effects.turret import TurretMass
+from sim.effects.turret import StandInTurret
 
 TOLD: Final = 0.5
 """Of what is known of a combination, the data tell more than this share, the prior the rest."""
@@ -28,7 +28,7 @@ def true_poses(arm: BuiltArm, believed: Believed) -> Pose:
     X = Pose(np.empty((3, 3, n)), np.empty((3, n)))
     motor = believed.motor_rad + stops_off(arm)[:, None]
     for turret_kg, where in turrets(believed):
-        truth = arm_from(params if turret_kg is None else TurretMass(turret_kg).on_params(params))
+        truth = arm_from(params if turret_kg is None else StandInTurret(turret_kg).on_params(params))
         at = believed.at(where)
         gap = np.sign(at.gap_rad) * half - at.held_Nm / truth.gear_stiffness_Nm_rad[:, None]
         X_RF = settle(truth, motor[:, where], gap, at.gravity_R_m_s2).frames.X_RF

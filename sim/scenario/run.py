@@ -10,7 +10,7 @@ from fsw.dictionary.commands import Joints5, MoveJoints
 from fsw.dictionary.evrs import CommandRefused, Evr
 from fsw.estimate.reference import Reference
 from sim.arms import BuiltArm
-from sim.effects.environment import Ambient
+from sim.effects.environment import surroundings
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.scenario.data import Scenario
@@ -41,11 +41,12 @@ class ScenarioResult:
 
 
 def setup_of(scenario: Scenario, arm: BuiltArm, reference: Reference, seed: int) -> Setup:
-    """How a scenario begins, with an arm whose joints are known and whose places are taught."""
+    """How a scenario begins, with an arm fitted for it, its joints known and its places taught."""
     poses = arm.params.poses
     start = poses.stowed_rad if scenario.start == "stowed" else poses.ready_rad
     timed = (injection.fault for injection in scenario.faults if injection.during is None)
-    effects = (Ambient(scenario.temperature_C), *timed)
+    later = (effect for effect in scenario.effects if not effect.of_the_arm)
+    effects = (*surroundings(arm.effects, scenario.temperature_C), *timed, *later)
     return Setup(arm, scenario.world, start, seed, reference, effects)
 
 

@@ -13,7 +13,7 @@ from ground.calibration.arm_model import arm_model, modelled, moved_by_joints
 from ground.calibration.arm_numbers import GAPS, ZEROS, arm_parameters, arm_with, with_zeros_as_hardstops
 from ground.calibration.data import Believed
 from ground.calibration.screws import Measured, error_screw
-from sim.effects.turret import TurretMass
+from sim.effects.turret import StandInTurret
 from tests.ground.calibration.lab import NOMINAL, campaign
 
 PARAMETERS = arm_parameters()
@@ -63,7 +63,7 @@ def test_the_arm_of_the_model_is_the_arm_of_the_parameter_file(model):
     X = modelled(NOMINAL, x, believed)
     for kg in (8.0, 19.0):
         where = np.flatnonzero(believed.turret_kg == kg)
-        arm = arm_from(TurretMass(kg).on_params(arm_with(NOMINAL, x)))
+        arm = arm_from(StandInTurret(kg).on_params(arm_with(NOMINAL, x)))
         at = believed.at(where)
         gap = at.gap_rad * np.exp(x[GAPS])[:, None] - at.held_Nm / arm.gear_stiffness_Nm_rad[:, None]
         frames = settle(arm, at.motor_rad, gap, at.gravity_R_m_s2).frames
