@@ -17,6 +17,7 @@ from scipy.optimize import least_squares
 from scipy.stats import beta
 
 from benchmarks.options import parser
+from fsw.kinematics.transforms import Array
 from ground.calibration.arm_model import arm_model
 from ground.calibration.arm_numbers import arm_parameters
 from ground.calibration.calibrate import calibrate, rms_m
@@ -24,8 +25,8 @@ from ground.calibration.campaign import CampaignPlan, earth_reference, run_campa
 from ground.calibration.checks import BadData, check_data, check_fit
 from ground.calibration.data import Campaign
 from ground.calibration.fit import fit
-from ground.calibration.settled import settled_campaign
-from ground.calibration.truth import truth_beside
+from ground.calibration.settled import settled_campaign, stops_off
+from ground.calibration.truth import truth_beside, zeros_off
 from sim.arms import arm_named
 from sim.params import nominal_params
 
@@ -50,16 +51,18 @@ class Trial:
     closed_loop: bool
 
 
-def measured(trial: Trial) -> Campaign:
+def measured(trial: Trial) -> tuple[Campaign, Array]:
+    """The campaign, and by how much motors stand beyond where they are believed to."""
     arm, plan = arm_named(f"as-built:{trial.seed}"), CampaignPlan(seed=trial.seed)
     if not trial.closed_loop:
-        return settled_campaign(arm, plan)
-    return run_campaign(arm, earth_reference(arm, _quiet), plan, _quiet)
+        return settled_campaign(arm, plan), stops_off(arm)
+    reference = earth_reference(arm, _quiet)
+    return run_campaign(arm, reference, plan, _quiet), zeros_off(arm, reference)
 
 
 def run(trial: Trial) -> dict[str, Any]:
     """Measure, fit, and hold it against the truth."""
-    campaign, nominal = measured(trial), nominal_params()
+    (campaign, off_rad), nominal = measured(trial), nominal_params()
     check_data(nominal, campaign)
     found = calibrate(nominal, campaign)
     refused = ""
@@ -68,7 +71,7 @@ def run(trial: Trial) -> dict[str, Any]:
     except BadData as error:
         refused = str(error)
     before, held = found.before[:, found.judged_poses], found.held_out_error
-    beside = truth_beside(arm_named(f"as-built:{trial.seed}"), found)
+    beside = truth_beside(arm_named(f"as-built:{trial.seed}"), found, off_rad)
     state = arm_model(nominal, campaign, with_backlash=False).errors(found.best.values)
     inside = np.array([branch.startswith("shoulder-in") for branch in campaign.branch])
     length = np.linalg.norm(state[3:], axis=0)

@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 
+from fsw.estimate.reference import Reference
 from fsw.kinematics.arm import arm_from
 from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import Array, Pose
@@ -15,18 +16,28 @@ from ground.calibration.screws import Measured
 from ground.calibration.settled import stops_off, true_params
 from sim.arms import BuiltArm
 from sim.effects.turret import StandInTurret
+from sim.initialisation import true_reference
 
 TOLD: Final = 0.5
 """Of what is known of a combination, the data tell more than this share, the prior the rest."""
 
 
-def true_poses(arm: BuiltArm, believed: Believed) -> Pose:
-    """Where the true arm's turret frame is at these motor angles, in the gaps where it is believed, (n,)."""
+def zeros_off(arm: BuiltArm, reference: Reference) -> Array:
+    """By how much motors stand beyond where an initialisation has them, (5,)."""
+    off_rad: Array = true_reference(arm).zero_rad + stops_off(arm) - reference.zero_rad
+    return off_rad
+
+
+def true_poses(arm: BuiltArm, believed: Believed, off_rad: Array) -> Pose:
+    """Where the true arm's turret frame is at these motor angles, in the gaps where it is believed, (n,).
+
+    `off_rad` (5,): by how much motors stand beyond where they are believed to.
+    """
     params = true_params(arm)
     half = np.array([0.5 * joint.backlash_rad for joint in params.joints.in_order()])[:, None]
     n = believed.motor_rad.shape[1]
     X = Pose(np.empty((3, 3, n)), np.empty((3, n)))
-    motor = believed.motor_rad + stops_off(arm)[:, None]
+    motor = believed.motor_rad + off_rad[:, None]
     for turret_kg, where in turrets(believed):
         truth = arm_from(params if turret_kg is None else StandInTurret(turret_kg).on_params(params))
         at = believed.at(where)
@@ -46,10 +57,13 @@ class Beside:
     """The same along each combination of which the data tell more than the prior, over its stated sigma."""
 
 
-def truth_beside(arm: BuiltArm, found: Calibration) -> Beside:
-    """The calibrated arm beside the true one; the frame Tool, of the targets alone, is in truth as drawn."""
+def truth_beside(arm: BuiltArm, found: Calibration, off_rad: Array) -> Beside:
+    """The calibrated arm beside the true one, motors `off_rad` (5,) beyond where they are believed.
+
+    The frame Tool, of the targets alone, is in truth as drawn.
+    """
     fitted = arm_model(found.nominal, found.campaign, found.near)
-    truth = Measured(true_poses(arm, found.campaign.believed), found.campaign.measured.covariance)
+    truth = Measured(true_poses(arm, found.campaign.believed, off_rad), found.campaign.measured.covariance)
     model = replace(fitted, measured=truth)
     at_best = model(found.best.values)
     J = at_best.jacobian[found.best.used].reshape(-1, found.best.values.size)

@@ -8,7 +8,7 @@ from ground.calibration.parameter_file import data_sha256
 from ground.calibration.poses import PAPER_GROUPS, resized
 from ground.calibration.screws import error_screw
 from ground.calibration.settled import settled_campaign
-from ground.calibration.truth import true_poses
+from ground.calibration.truth import true_poses, zeros_off
 from sim.arms import arm_named
 from tests.ground.calibration.lab import campaign, quiet
 
@@ -41,5 +41,6 @@ def test_in_the_closed_loop_the_true_arm_is_measured():
     assert found.count == 4
     assert np.all(found.targets_seen >= 3)
     assert np.all(found.misfit_m < 1.5e-4)
-    off = error_screw(true_poses(arm, found.believed), found.measured)[3:]
-    assert np.linalg.norm(off, axis=0).max() < 2 * ZERO_RAD * 2.5
+    truth = true_poses(arm, found.believed, zeros_off(arm, reference))
+    off = error_screw(truth, found.measured)[3:]
+    assert np.linalg.norm(off, axis=0).max() < 0.3e-3
