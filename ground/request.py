@@ -9,6 +9,7 @@ from typing import Final, Literal, cast
 import numpy as np
 
 from fsw.dictionary.commands import Vector3
+from fsw.dictionary.params import Params
 from sim.arms import BuiltArm, UnknownArm, arm_named
 from sim.effects.effect import Effect
 from sim.params import BadParams, params_over_nominal
@@ -54,15 +55,23 @@ def scaled(name: str, vector: Vector3, what: str) -> Vector3:
 def chosen_arm(name: str, params: Path | None) -> BuiltArm:
     """The arm of this name, its flight parameters over those of a TOML file if there is one."""
     try:
-        believed = None if params is None else params_over_nominal(params)
-        if believed is not None and believed.arm_name not in (NO_ARM, name):
-            raise BadRequest(
-                f"params {params}: these are of the arm {believed.arm_name}, not of {name}; give its own, or "
-                "leave arm_name out"
-            )
-        return arm_named(name, believed)
-    except (UnknownArm, BadParams) as error:
+        return arm_named(name, None if params is None else params_for(name, params))
+    except UnknownArm as error:
         raise BadRequest(str(error)) from error
+
+
+def params_for(name: str, path: Path) -> Params:
+    """The nominal flight parameters with those of a TOML file in their place, unless of another arm."""
+    try:
+        params = params_over_nominal(path)
+    except BadParams as error:
+        raise BadRequest(str(error)) from error
+    if params.arm_name not in (NO_ARM, name):
+        raise BadRequest(
+            f"params {path}: these are of the arm {params.arm_name}, not of {name}; give its own, or leave "
+            "arm_name out"
+        )
+    return params
 
 
 def chosen_effects(texts: tuple[str, ...]) -> tuple[Effect, ...]:

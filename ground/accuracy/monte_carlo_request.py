@@ -22,7 +22,7 @@ from ground.accuracy.variance import Spreads, spreads
 from ground.outputs import BadOutput, check_output
 from ground.pool import on_cluster, on_this_machine
 from ground.progress import Progress
-from ground.request import BadRequest, check_apart, check_seed, chosen_arm
+from ground.request import BadRequest, check_apart, check_seed, chosen_arm, params_for
 from ground.results_file import ResultsFile
 from sim.world import World
 
@@ -109,8 +109,10 @@ def _jobs(request: MonteCarloRequest) -> list[ArmJob]:
     arms = range(request.arms) if request.only is None else [request.only]
     built, how = cast(Built, request.built), cast(How, request.how)
     if _are_of_arms(request.params):
-        names = [Path(str(request.params).replace(SEED, str(request.seed + arm))) for arm in arms]
-        params = [chosen_arm("nominal", name).params for name in names]
+        numbers = [request.seed + arm for arm in arms]
+        names = ["nominal" if request.built == "drawn" else f"{request.built}:{number}" for number in numbers]
+        paths = [Path(str(request.params).replace(SEED, str(number))) for number in numbers]
+        params = [params_for(name, path) for name, path in zip(names, paths, strict=True)]
     else:
         params = [chosen_arm("nominal", request.params).params] * len(arms)
     return [

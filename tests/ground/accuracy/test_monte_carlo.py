@@ -155,6 +155,18 @@ def test_bad_input_is_named(wrong, words):
         monte_carlo_report(replace(STATICS, **wrong), quiet)
 
 
+def test_every_built_arm_has_the_parameters_of_a_file_of_its_own(tmp_path):
+    for seed in (7, 8):
+        (tmp_path / f"{seed}.toml").write_text(f'arm_name = "as-built:{seed}"\n')
+    asked = replace(
+        STATICS, case="mars", built="as-built", arms=2, places=2, seed=7, params=tmp_path / "{seed}.toml"
+    )
+    assert len(monte_carlo_report(asked, quiet).trials) == 2
+    (tmp_path / "8.toml").write_text('arm_name = "as-built:7"\n')
+    with pytest.raises(BadRequest, match="these are of the arm as-built:7, not of as-built:8"):
+        monte_carlo_report(asked, quiet)
+
+
 def test_the_command_prints_one_document(tmp_path):
     words = ("monte-carlo", "--arms", "3", "--how", "statics", "--workers", "1", "--json")
     done = marsarm(tmp_path, *words, "--report", "page.html", "--results", "r.jsonl")
