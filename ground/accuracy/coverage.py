@@ -53,6 +53,11 @@ def binomial_interval(share: float, count: int) -> Interval:
     return low, high
 
 
+def enough_for(share: float) -> int:
+    """How many independent values say, with confidence, what the quantile of this share is at most."""
+    return int(np.ceil(np.log((1 - CONFIDENCE) / 2) / np.log(share)))
+
+
 def quantile_interval(values: Array, share: float, count: int) -> Interval:
     """Between which values the quantile of this share lies, by the ranks of `count` independent ones.
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ground.accuracy.coverage import binomial_interval, coverage, quantile_interval
+from ground.accuracy.coverage import binomial_interval, coverage, enough_for, quantile_interval
 
 
 @pytest.mark.parametrize(
@@ -37,6 +37,12 @@ def test_near_the_end_of_the_values_an_interval_is_no_rank_too_short():
 
 def test_too_few_arms_do_not_tell_how_wide_a_bound_must_be():
     assert quantile_interval(np.arange(100.0), 0.9973, 100)[1] == np.inf
+
+
+def test_as_many_arms_as_are_said_to_be_enough_just_are():
+    enough = enough_for(0.9973)
+    assert np.isfinite(quantile_interval(np.arange(float(enough)), 0.9973, enough)[1])
+    assert quantile_interval(np.arange(enough - 1.0), 0.9973, enough - 1)[1] == np.inf
 
 
 def test_a_bound_that_is_twice_as_wide_as_needed_says_so():
