@@ -53,12 +53,19 @@ def binomial_interval(share: float, count: int) -> Interval:
     return low, high
 
 
+def enough_for(share: float) -> int:
+    """How many independent values say, with confidence, what the quantile of this share is at most."""
+    return int(np.ceil(np.log((1 - CONFIDENCE) / 2) / np.log(share)))
+
+
 def quantile_interval(values: Array, share: float, count: int) -> Interval:
     """Between which values the quantile of this share lies, by the ranks of `count` independent ones.
 
     Infinity where there are too few to say.
     """
     tail = (1 - CONFIDENCE) / 2
-    low, high = (float(binom.ppf(p, count, share)) / count for p in (tail, 1 - tail))
-    most = float(np.quantile(values, high)) if high < 1 else np.inf
-    return float(np.quantile(values, low)), most
+    below, most = (int(binom.ppf(p, count, share)) for p in (tail, 1 - tail))
+    # so many values lie below it, at least and at most: of those in order the next one lies above it
+    low = float(np.quantile(values, (below - 1) / max(count - 1, 1))) if below > 0 else -np.inf
+    high = float(np.quantile(values, most / (count - 1))) if most < count else np.inf
+    return low, high

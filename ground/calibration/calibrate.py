@@ -17,7 +17,10 @@ from ground.calibration.problem import Linearised
 from ground.calibration.seen import Seen, seen
 
 HELD_OUT: Final = 5
-"""Every fifth pose of a group takes no part in the first fit and judges it."""
+"""Every fifth pose of a group is in no equation of the fit that it judges.
+
+But what is an outlier, and which unsure gaps are as believed, was found with it.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

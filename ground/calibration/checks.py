@@ -7,7 +7,7 @@ import numpy as np
 
 from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import Params
-from fsw.kinematics.transforms import Flags, Numbers, Pose, inverse
+from fsw.kinematics.transforms import Array, Flags, Numbers, Pose, inverse
 from ground.calibration.arm_model import modelled
 from ground.calibration.arm_numbers import arm_parameters
 from ground.calibration.calibrate import Calibration
@@ -25,11 +25,15 @@ LEAST_SPAN_RAD: Final = 0.5
 FULL_RANK: Final = 26
 """Of the frames: what an arm of five joints, three of them parallel, can tell; the paper's count too."""
 BUILT_M: Final = 0.06
-"""An arm that is built is not this far from its drawing, root mean square."""
+"""Half of an arm's poses are not this far from the drawing's, a metre from the turret."""
+STRAY_M: Final = 0.15
+"""Nor is any single one so far, if the others are near."""
 MISFIT_M: Final = 3e-4
 MOVED_M: Final = 1e-3
 GRAVITY_M_S2: Final = (1.0, 12.0)
 FARTHEST_M: Final = 4.0
+TURRET_KG: Final = (1.0, 100.0)
+MOST_HELD_NM: Final = 1000.0
 NOISIER: Final = 1.5
 """A fit whose residuals are larger than the noise by more has missed something."""
 QUIETER: Final = 0.6
@@ -96,6 +100,19 @@ def _about_units(campaign: Campaign) -> Iterator[str]:
         yield f"gravity_*_m_s2: {gravity.min():.4g} .. {gravity.max():.4g} long; give m/s2, 9.81 on Earth"
     if np.abs(believed.gap_rad).max() > 0.02:
         yield f"gap_*_rad: up to {np.abs(believed.gap_rad).max():.4g}; half a backlash is 0.002 rad"
+    held = np.abs(believed.held_Nm).max()
+    if held > MOST_HELD_NM:
+        yield f"held_*_Nm: up to {held:.4g}; friction holds less than {MOST_HELD_NM:.0f}: give newton metres"
+    sides = np.setdiff1d(believed.side, (-1.0, 0.0, 1.0))
+    if sides.size:
+        yield f"side_*: {sides[0]:.4g} is no side; give +1 or -1 where it is sure, else 0"
+    kg = believed.turret_kg[~np.isnan(believed.turret_kg)]
+    low_kg, high_kg = TURRET_KG
+    if np.any((kg < low_kg) | (kg > high_kg)):
+        yield (
+            f"turret_kg: {kg.min():.4g} .. {kg.max():.4g}; a turret weighs {low_kg:.0f} .. {high_kg:.0f}: "
+            "give kilograms, and leave it empty for the arm's own turret"
+        )
     sigma = np.sqrt(np.diagonal(measured.covariance, axis1=1, axis2=2))
     if sigma.min() < 1e-7 or sigma.max() > 0.01:
         yield (
@@ -130,6 +147,20 @@ def _about_tracker(campaign: Campaign) -> Iterator[str]:
             f"p_*_m: {_poses(stale)} exactly where the pose before was, though joints moved: the tracker "
             "lost its lock; measure again"
         )
+    again = np.setdiff1d(_measured_again(campaign), stale)
+    if again.size:
+        yield (
+            f"p_*_m, q_*: {_poses(again)} to the last digit as a pose before, which no tracker measures; "
+            "leave out rows that were copied"
+        )
+
+
+def _measured_again(campaign: Campaign) -> Numbers:
+    """Poses whose measurement is that of an earlier one, to the last digit."""
+    X = campaign.measured.X_RT
+    numbers = np.concatenate([X.p, X.R.reshape(9, -1)])
+    _, first = np.unique(numbers, axis=1, return_index=True)
+    return np.setdiff1d(np.arange(campaign.count), first)
 
 
 def _stale(campaign: Campaign) -> Flags:
@@ -143,10 +174,13 @@ def _about_frames(nominal: Params, campaign: Campaign) -> Iterator[str]:
     """The drawing must be near; if it is not, try what people mix up."""
     x = np.zeros(len(arm_parameters()))
     X = modelled(nominal, x, campaign.believed)
-    as_given = _off_m(X, campaign.measured.X_RT)
+    off_m = _off_m(X, campaign.measured.X_RT)
+    as_given = float(np.median(off_m))
     if as_given < BUILT_M:
+        yield from _about_stray_poses(off_m)
         return
-    found = {what: _off_m(X, other) for what, other in _mixed_up(campaign.measured.X_RT).items()}
+    others = _mixed_up(campaign.measured.X_RT)
+    found = {what: float(np.median(_off_m(X, other))) for what, other in others.items()}
     best = min(found, key=lambda what: found[what])
     hint = (
         f"{best} ({1e3 * found[best]:.0f} mm)"
@@ -157,6 +191,17 @@ def _about_frames(nominal: Params, campaign: Campaign) -> Iterator[str]:
         f"measured poses: {1e3 * as_given:.0f} mm from the drawing's (median); a built arm is within "
         f"{1e3 * BUILT_M:.0f} mm. {hint[0].upper()}{hint[1:]}"
     )
+
+
+def _about_stray_poses(off_m: Array) -> Iterator[str]:
+    """One by one they would lead the fit astray before it could tell them from the others."""
+    stray = np.flatnonzero(off_m > STRAY_M)
+    if stray.size:
+        yield (
+            f"measured poses: {_poses(stray)} up to {1e3 * off_m.max():.0f} mm from the drawing's, the "
+            f"others {1e3 * float(np.median(off_m)):.0f} mm (median): the tracker lost its lock or took "
+            "another target; measure again or leave out"
+        )
 
 
 def _mixed_up(X: Pose) -> dict[str, Pose]:
@@ -173,10 +218,10 @@ def _mixed_up(X: Pose) -> dict[str, Pose]:
     }
 
 
-def _off_m(X: Pose, measured: Pose) -> float:
-    """How far poses are off, a metre away from their origin; by the median, which outliers do not move."""
+def _off_m(X: Pose, measured: Pose) -> Array:
+    """How far each pose is off, a metre away from its origin, (n,)."""
     T = error_screw(X, Measured(measured, np.zeros((X.p.shape[1], 6, 6))))
-    return float(np.median(np.sqrt(np.sum(T**2, axis=0))))
+    return np.asarray(np.sqrt(np.sum(T**2, axis=0)))
 
 
 def _about_fit(found: Fit, frames: Seen, verdict: Judged) -> Iterator[str]:

@@ -39,7 +39,7 @@ class CalibrateRequest:
     """Noise of the tracker, one sigma: micrometres, and micrometres per metre."""
     params: Path | None = None
     verify: int = 0
-    """So many fresh poses on Earth, and as many on Mars, with the parameters that were found."""
+    """So many fresh targets each on Earth, Mars and cold Mars, with the parameters that were found."""
     save_data: Path | None = None
     out: Path | None = None
     report: Path | None = None

@@ -111,6 +111,8 @@ def _problems(table: pa.Table) -> Iterator[str]:
         yield f"column branch: only {', '.join(BRANCHES)}"
     if len(set(table["arm"].to_pylist())) > 1:
         yield "column arm: poses of several arms; calibrate one at a time"
+    if not all(table["arm"].to_pylist()):
+        yield "column arm: is empty; give the arm's name in every row"
 
 
 def _campaign(column: dict[str, Array]) -> Campaign:

@@ -28,7 +28,10 @@ def save_budget_page(report: BudgetReport, path: Path) -> None:
     ]
     sources = [(s.text, s.label, s.kind, s.basis) for s in report.model.source.values()]
     parts = [
-        paragraph(f"{_poses(report)} Plus or minus, what 99.73 % of the poses stay within."),
+        paragraph(
+            f"{_poses(report)} Plus or minus, what the bounds of 99.73 % of the poses stay within; ours are "
+            "our magnitudes by the paper's rule."
+        ),
         table(("", "case", "required", "paper", "ours"), rows),
         *(part for budget in report.budgets.values() for part in _case(budget)),
         heading("Sources"),
@@ -78,6 +81,9 @@ def _map(figure: Any, axes: Any, budget: Budget) -> None:
     axes.invert_yaxis()
     axes.axhline(0.0, color="white", linestyle="--")
     axes.set(
-        title="Total, mean over y and approaches", xlabel="x forward [m]", ylabel="z down [m]", aspect="equal"
+        title="Total by the paper's rule, mean over y and approaches",
+        xlabel="x forward [m]",
+        ylabel="z down [m]",
+        aspect="equal",
     )
     figure.colorbar(shading, ax=axes, label="mm")

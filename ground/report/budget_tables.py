@@ -98,8 +98,9 @@ def budget_table(report: BudgetReport) -> None:
 
 
 def _rows(report: BudgetReport) -> Table:
-    poses = f"{report.request.poses} poses of {report.request.tool}"
-    table = Table(title=f"Error budget, three sigma, {poses}", title_justify="left")
+    asked = report.request
+    title = f"Error budget by the paper's rule, {asked.poses} poses, tool {asked.tool}"
+    table = Table(title=title, title_justify="left")
     for name in ("", "case", "required", "paper", "ours"):
         table.add_column(name, justify="left" if name in ("", "case") else "right")
     for row, value in report.rows:

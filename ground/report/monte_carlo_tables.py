@@ -10,7 +10,7 @@ from rich.table import Table
 from fsw.dictionary.joints import Joint
 from ground.accuracy.at_limit import AtLimit
 from ground.accuracy.budget import COMPONENTS, COVERAGE
-from ground.accuracy.coverage import Interval
+from ground.accuracy.coverage import Interval, enough_for
 from ground.accuracy.judged import Judged
 from ground.accuracy.monte_carlo_request import MonteCarloReport
 from ground.report.budget_tables import RULES, shown
@@ -129,7 +129,10 @@ def percentiles(found: Judged) -> str:
     values = ", ".join(
         f"{name.rsplit('_', 1)[0]} {shown(name, found.percentile[name])}" for name in COMPONENTS
     )
-    return f"{100 * COVERAGE:.2f} % of the errors stay within {values}."
+    said = f"{100 * COVERAGE:.2f} % of the errors stay within {values}."
+    if found.arms >= enough_for(COVERAGE):
+        return said
+    return f"{said} So few arms cannot be sure of it; {enough_for(COVERAGE)} can."
 
 
 def _rules(report: MonteCarloReport, found: Judged) -> Table:

@@ -96,6 +96,17 @@ BAD = {
         replace(campaign(), misfit_m=np.where(np.arange(160) == 5, 2e-3, 4e-5)),
         "misfit_m: pose 5",
     ),
+    "grams": (replace(campaign(), believed=replace(B, turret_kg=1e3 * B.turret_kg)), "give kilograms"),
+    "endless turret": (
+        replace(campaign(), believed=replace(B, turret_kg=np.where(np.arange(160) < 3, np.inf, B.turret_kg))),
+        "turret_kg: 8 .. inf",
+    ),
+    "no side": (replace(campaign(), believed=replace(B, side=0.5 * B.side)), "is no side; give"),
+    "millinewton metres": (
+        replace(campaign(), believed=replace(B, held_Nm=1e3 * B.held_Nm)),
+        "newton metres",
+    ),
+    "copied rows": (campaign().at(np.tile(np.arange(40), 4)), r"poses 40, 41, .* rows that were copied"),
     "swapped": (with_poses(inverse(X)), "The frames are swapped"),
     "rnav": (with_poses(Pose(X.R, X.p + P_NR_M[:, None])), "Positions are in RNAV"),
     "quaternion": (with_poses(Pose(X.R.swapaxes(0, 1), X.p)), "Quaternions are conjugated"),
@@ -108,6 +119,20 @@ def test_data_that_are_not_what_they_say_are_named(case):
     data, words = BAD[case]
     with pytest.raises(BadData, match=words):
         check_data(NOMINAL, data)
+
+
+def test_poses_measured_while_the_lock_was_lost_are_named_even_if_noise_makes_them_differ():
+    p = X.p.copy()
+    p[:, 50:55] = p[:, 49:50] + 1e-5 * np.random.default_rng(0).standard_normal((3, 5))
+    with pytest.raises(BadData, match=r"poses 5[0-4], .* the tracker lost its lock"):
+        check_data(NOMINAL, with_poses(Pose(X.R, p)))
+
+
+def test_an_arm_without_a_name_is_refused(tmp_path):
+    path = tmp_path / "poses.csv"
+    save_campaign(replace(campaign(), arm_name=""), path)
+    with pytest.raises(BadData, match="column arm: is empty"):
+        read_campaign(path)
 
 
 def test_a_tracker_that_stands_still_is_noticed():
