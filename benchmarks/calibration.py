@@ -144,7 +144,7 @@ def campaign(arms: int, seed: int, workers: int, closed_loop: bool) -> dict[str,
         for done, result in enumerate(pool.map(run, trials), 1):
             results.append(result)
             print(f"marsarm: {done} of {arms} arms", file=sys.stderr)
-    fast = speed(measured(Trial(seed, False)))
+    fast = speed(measured(Trial(seed, False))[0])
     inside, of = np.sum([result["intervals_hold"] for result in results], axis=0)
     low, high = _interval(int(inside), int(of))
     checks = {

@@ -59,11 +59,16 @@ class ArmModel:
 
 
 def arm_model(
-    nominal: Params, campaign: Campaign, near: Fit | None = None, with_backlash: bool = True
+    nominal: Params,
+    campaign: Campaign,
+    near: Fit | None = None,
+    with_backlash: bool = True,
+    blind: Flags | None = None,
 ) -> ArmModel:
     """The model of a campaign; given a fit near the right one, with what it tells about unsure gaps.
 
-    Without backlash state every output is taken to lie always on the side on which it mostly lies, surely.
+    Of `blind` poses (n,) no unsure gap is looked at: they are to judge. Without backlash state every output
+    is taken to lie always on the side on which it mostly lies, surely.
     """
     believed, unknown = campaign.believed, campaign.believed.side == 0
     if not with_backlash:
@@ -73,9 +78,8 @@ def arm_model(
     if near is not None:
         X, moved = _moved(nominal, x, believed)
         error = error_screw(X, campaign.measured)
-        agree = agreeing(
-            campaign.measured, by_joints, error, moved, near.covariance, unknown, believed.gap_rad
-        )
+        asked = unknown if blind is None else unknown & ~blind
+        agree = agreeing(campaign.measured, by_joints, error, moved, near.covariance, asked, believed.gap_rad)
         unknown = unknown & ~agree
     return ArmModel(
         nominal, believed, campaign.measured, whitener_of(campaign.measured, by_joints, unknown), unknown

@@ -62,13 +62,14 @@ def calibrate(nominal: Params, campaign: Campaign, with_backlash: bool = True) -
         NoAgreement: no arm explains the poses.
     """
     parameters = arm_parameters()
-    near = fit(parameters, arm_model(nominal, campaign, None, with_backlash))
-    # once more: when widths of gaps are known, what agrees is seen more sharply
-    near = fit(parameters, arm_model(nominal, campaign, near, with_backlash), near.values)
+    everything = np.ones(campaign.count, bool)
+    near = _near(nominal, campaign, everything, with_backlash)
     model = arm_model(nominal, campaign, near, with_backlash)
     cleaned = cleaned_fit(parameters, model, near.values)
     fresh = held_out(campaign.group)
-    part = fit(parameters, model, cleaned.fit.values, cleaned.fit.used & ~fresh)
+    near_part = _near(nominal, campaign, ~fresh, with_backlash)
+    part_model = arm_model(nominal, campaign, near_part, with_backlash, fresh)
+    part = cleaned_fit(parameters, part_model, near_part.values, ~fresh).fit
     judges = fresh & cleaned.fit.used
     at = cleaned.fit.at
     frames = Linearised(at.residual, at.jacobian[:, :, FRAMES])
@@ -78,7 +79,7 @@ def calibrate(nominal: Params, campaign: Campaign, with_backlash: bool = True) -
         cleaned=cleaned,
         judged=judged(part, part.at.at(judges)),
         judged_poses=judges,
-        held_out_error=model.errors(part.values)[:, judges],
+        held_out_error=part_model.errors(part.values)[:, judges],
         seen=seen(parameters, at, cleaned.fit.used),
         frames_seen=seen(parameters[FRAMES], frames, cleaned.fit.used),
         near=near,
@@ -86,6 +87,14 @@ def calibrate(nominal: Params, campaign: Campaign, with_backlash: bool = True) -
         before=model.errors(np.zeros(len(parameters))),
         after=model.errors(cleaned.fit.values),
     )
+
+
+def _near(nominal: Params, campaign: Campaign, used: Flags, with_backlash: bool) -> Fit:
+    """A fit to the poses used that unsure gaps can be judged by; of the others none is looked at."""
+    parameters = arm_parameters()
+    near = fit(parameters, arm_model(nominal, campaign, None, with_backlash), None, used)
+    # once more: when widths of gaps are known, what agrees is seen more sharply
+    return fit(parameters, arm_model(nominal, campaign, near, with_backlash, ~used), near.values, used)
 
 
 def held_out(group: Numbers) -> Flags:
