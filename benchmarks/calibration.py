@@ -10,6 +10,7 @@ import time
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -20,12 +21,14 @@ from benchmarks.options import parser
 from fsw.kinematics.transforms import Array
 from ground.calibration.arm_model import arm_model
 from ground.calibration.arm_numbers import arm_parameters
-from ground.calibration.calibrate import calibrate, rms_m
+from ground.calibration.calibrate import Calibration, calibrate, rms_m
 from ground.calibration.campaign import CampaignPlan, earth_reference, run_campaign
 from ground.calibration.checks import BadData, check_data, check_fit
 from ground.calibration.data import Campaign
 from ground.calibration.fit import fit
+from ground.calibration.parameter_file import calibrated_params, save_parameter_file
 from ground.calibration.settled import settled_campaign, stops_off
+from ground.calibration.tools import registered_tools
 from ground.calibration.truth import truth_beside, zeros_off
 from sim.arms import arm_named
 from sim.params import nominal_params
@@ -49,6 +52,8 @@ class Trial:
 
     seed: int
     closed_loop: bool
+    files: Path | None = None
+    """Where its parameter file goes."""
 
 
 def measured(trial: Trial) -> tuple[Campaign, Array]:
@@ -70,6 +75,8 @@ def run(trial: Trial) -> dict[str, Any]:
         check_fit(found)
     except BadData as error:
         refused = str(error)
+    if trial.files is not None:
+        _save(found, trial)
     before, held = found.before[:, found.judged_poses], found.held_out_error
     beside = truth_beside(arm_named(f"as-built:{trial.seed}"), found, off_rad)
     state = arm_model(nominal, campaign, with_backlash=False).errors(found.best.values)
@@ -136,9 +143,11 @@ def _timed(work: Any) -> tuple[float, Any]:
     return min(spent), result
 
 
-def campaign(arms: int, seed: int, workers: int, closed_loop: bool) -> dict[str, Any]:
+def campaign(
+    arms: int, seed: int, workers: int, closed_loop: bool, files: Path | None = None
+) -> dict[str, Any]:
     """All arms, and the checks."""
-    trials = [Trial(seed + k, closed_loop) for k in range(arms)]
+    trials = [Trial(seed + k, closed_loop, files) for k in range(arms)]
     results = []
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         for done, result in enumerate(pool.map(run, trials), 1):
@@ -178,6 +187,12 @@ def _interval(inside: int, of: int) -> tuple[float, float]:
     return low, float(beta.ppf(0.975, inside + 1, of - inside)) if inside < of else 1.0
 
 
+def _save(found: Calibration, trial: Trial) -> None:
+    tools = registered_tools(arm_named(f"as-built:{trial.seed}"), trial.seed)
+    assert trial.files is not None
+    save_parameter_file(found, calibrated_params(found, tools), trial.files / f"{trial.seed}.toml")
+
+
 def _quiet(*_: Any) -> None:
     """Progress that nobody sees."""
 
@@ -187,10 +202,13 @@ def main() -> int:
     options = parser("calibration", __doc__, EXAMPLE)
     options.add_argument("--arms", type=int, default=20, help="as-built arms (default 20)")
     options.add_argument("--closed-loop", action="store_true", help="three minutes an arm, not ten seconds")
+    options.add_argument("--files", type=Path, help="folder for the arms' parameter files, SEED.toml each")
     asked = options.parse_args()
     if min(asked.arms, asked.workers) < 1 or asked.seed < 0:
         options.error("arms and workers are 1 or more, the seed is not negative")
-    result = campaign(asked.arms, asked.seed, asked.workers, asked.closed_loop)
+    if asked.files is not None:
+        asked.files.mkdir(exist_ok=True)
+    result = campaign(asked.arms, asked.seed, asked.workers, asked.closed_loop, asked.files)
     print(json.dumps(result, indent=2))
     return 0 if result["in_bounds"] else 1
 
