@@ -6,7 +6,7 @@ refused.
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, Final
 
@@ -22,8 +22,12 @@ class ResultsFile:
         BadRequest: the file cannot be read or written, is none of these, or answers another request.
     """
 
-    def __init__(self, path: Path, request: Mapping[str, Any]):
+    def __init__(
+        self, path: Path, request: Mapping[str, Any], read: Callable[[dict[str, Any]], object] = dict
+    ):
+        """`read` raises KeyError, TypeError or ValueError for what is no result."""
         self._path = path
+        self._read_one = read
         self._request = json.loads(json.dumps(request))
         self.done: list[dict[str, Any]] = []
         """What the file holds already."""
@@ -67,6 +71,8 @@ class ResultsFile:
         if REQUEST not in lines[0]:
             raise BadRequest(f"results {self._path}: holds something else; give the path of a new file")
         self._check(lines[0][REQUEST])
+        for number, line in enumerate(lines[1:], start=2):
+            self._see(number, line)
         self.done = lines[1:]
         return whole
 
@@ -80,6 +86,14 @@ class ResultsFile:
         if not isinstance(found, dict):
             raise BadRequest(f"results {self._path}: line {number} is no result; give the path of a new file")
         return found
+
+    def _see(self, number: int, line: dict[str, Any]) -> None:
+        try:
+            self._read_one(line)
+        except (KeyError, TypeError, ValueError) as error:
+            raise BadRequest(
+                f"results {self._path}: line {number} is no result; give the path of a new file"
+            ) from error
 
     def _check(self, was: Any) -> None:
         if was == self._request:

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from fsw.config import digest
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.params import Params
 from ground.accuracy.places import Measured
@@ -13,6 +14,7 @@ from ground.accuracy.sources import error_model
 from ground.accuracy.trial import How, built_trial, drawn_trial
 from ground.pool import Runner
 from ground.progress import Progress
+from ground.request import BadRequest
 from ground.results_file import ResultsFile
 
 Built = Literal["drawn", "calibrated", "as-built"]
@@ -45,16 +47,30 @@ def run_job(job: ArmJob) -> dict[str, Any]:
             name = f"{job.built}:{job.seed + job.arm}"
             found = built_trial(model, case, name, job.params, job.places, job.how, seed)
     except RuntimeError as error:
-        return {"arm": job.arm, "failed": str(error)}
-    return {"arm": job.arm, "tool": found[0].tool.name.lower(), "places": [_as_record(m) for m in found]}
+        return {**_of(job), "failed": str(error)}
+    return {**_of(job), "tool": found[0].tool.name.lower(), "places": [_as_record(m) for m in found]}
+
+
+def _of(job: ArmJob) -> dict[str, Any]:
+    return {"arm": job.arm, "params_sha256": digest(job.params)}
 
 
 def run_jobs(
     jobs: Sequence[ArmJob], runner: Runner, results: ResultsFile | None, progress: Progress
 ) -> list[dict[str, Any]]:
-    """The records of all jobs in their order; those that the file has already are not done again."""
-    wanted = {job.arm for job in jobs}
+    """The records of all jobs in their order; those that the file has already are not done again.
+
+    Raises:
+        BadRequest: an arm had other parameters when it was done.
+    """
+    wanted = {job.arm: digest(job.params) for job in jobs}
     known = [] if results is None else [record for record in results.done if record["arm"] in wanted]
+    for record in known:
+        if record["params_sha256"] != wanted[record["arm"]]:
+            raise BadRequest(
+                f"results: arm {record['arm']} in it was run with other parameters; give the path of a new "
+                "file"
+            )
     records = {record["arm"]: record for record in known}
     missing = [job for job in jobs if job.arm not in records]
     progress(len(records), len(jobs), "arms")
@@ -64,6 +80,13 @@ def run_jobs(
             results.add(record)
         progress(len(records), len(jobs), "arms")
     return [records[job.arm] for job in jobs]
+
+
+def check_record(record: dict[str, Any]) -> None:
+    """See that it is of an arm; KeyError, TypeError or ValueError if it is not."""
+    if not isinstance(record["arm"], int) or not isinstance(record["params_sha256"], str):
+        raise TypeError("arm and params_sha256 are a number and a digest")
+    list(measured_in(record))
 
 
 def measured_in(record: dict[str, Any]) -> Iterator[Measured]:

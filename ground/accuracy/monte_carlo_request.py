@@ -14,7 +14,7 @@ from fsw.config import configure, digest
 from ground.accuracy.budget import COMPONENTS
 from ground.accuracy.combine import PARTS
 from ground.accuracy.judged import Judged, judged
-from ground.accuracy.monte_carlo import ArmJob, Built, measured_in, run_jobs
+from ground.accuracy.monte_carlo import ArmJob, Built, check_record, measured_in, run_jobs
 from ground.accuracy.places import Measured
 from ground.accuracy.sources import ErrorModel, error_model
 from ground.accuracy.trial import How
@@ -76,7 +76,9 @@ def monte_carlo_report(request: MonteCarloRequest, progress: Progress) -> MonteC
     _check(request, model)
     jobs = _jobs(request)
     runner = on_cluster() if request.cluster else on_this_machine(request.workers)
-    file = None if request.results is None else ResultsFile(request.results, _told(request, jobs))
+    file = (
+        None if request.results is None else ResultsFile(request.results, _told(request, jobs), check_record)
+    )
     with nullcontext() if file is None else file:
         records = run_jobs(jobs, runner, file, progress)
     failed = {record["arm"]: record["failed"] for record in records if "failed" in record}

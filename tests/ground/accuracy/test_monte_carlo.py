@@ -167,6 +167,33 @@ def test_every_built_arm_has_the_parameters_of_a_file_of_its_own(tmp_path):
         monte_carlo_report(asked, quiet)
 
 
+@pytest.mark.parametrize("line", ['{"x": 1}', '{"arm": 0, "params_sha256": "0", "places": [{}]}', "[]"])
+def test_a_line_that_is_no_result_is_named(tmp_path, line):
+    asked = replace(STATICS, arms=1, results=tmp_path / "r.jsonl")
+    monte_carlo_report(asked, quiet)
+    with asked.results.open("a") as file:
+        file.write(f"{line}\n")
+    with pytest.raises(BadRequest, match="line 3 is no result"):
+        monte_carlo_report(asked, quiet)
+
+
+def test_results_of_other_parameter_files_are_not_mixed_in(tmp_path):
+    own = tmp_path / "7.toml"
+    own.write_text('arm_name = "as-built:7"\n')
+    asked = replace(
+        STATICS,
+        built="as-built",
+        arms=1,
+        seed=7,
+        params=tmp_path / "{seed}.toml",
+        results=tmp_path / "r.jsonl",
+    )
+    monte_carlo_report(asked, quiet)
+    own.write_text('arm_name = "as-built:7"\n[joints.elbow]\nspeed_rad_s = 0.01\n')
+    with pytest.raises(BadRequest, match="arm 0 in it was run with other parameters"):
+        monte_carlo_report(asked, quiet)
+
+
 def test_the_command_prints_one_document(tmp_path):
     words = ("monte-carlo", "--arms", "3", "--how", "statics", "--workers", "1", "--json")
     done = marsarm(tmp_path, *words, "--report", "page.html", "--results", "r.jsonl")
