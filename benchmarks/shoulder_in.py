@@ -25,7 +25,7 @@ from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import rest, settle
 from ground.report.figures import save_figure
 from sim.arms import BuiltArm, arm_named
-from sim.effects.turret import TurretMass
+from sim.effects.turret import StandInTurret
 from sim.initialisation import initial_reference
 from sim.tour import Settled, pose_in_workspace, tour
 from sim.world import World
@@ -57,7 +57,7 @@ class Predicted:
 
 def standing_in(mass_kg: float) -> BuiltArm:
     """The nominal arm with a stand-in turret, which flight software knows."""
-    turret, nominal = TurretMass(mass_kg), arm_named("nominal")
+    turret, nominal = StandInTurret(mass_kg), arm_named("nominal")
     return replace(nominal, effects=(*nominal.effects, turret), params=turret.on_params(nominal.params))
 
 

@@ -17,6 +17,7 @@ from ground.cli_budget import budget
 from ground.cli_calibrate import calibrate
 from ground.cli_calibrate_serial import calibrate_serial
 from ground.cli_dictionary import dictionary
+from ground.cli_effects import effects
 from ground.cli_hardstop import hardstop
 from ground.cli_ik import ik, reach
 from ground.cli_import import import_log
@@ -28,6 +29,7 @@ from ground.cli_parts import (
     BAD_INPUT,
     ArmOption,
     DiskOption,
+    EffectOption,
     JsonOption,
     ParamsOption,
     PitchOption,
@@ -74,6 +76,7 @@ def place(
     arm: ArmOption = "nominal",
     seed: SeedOption = 0,
     params: ParamsOption = None,
+    effect: EffectOption = None,
     surface: Annotated[
         bool, typer.Option("--surface/--no-surface", help="Whether the rock is there at all.")
     ] = True,
@@ -110,6 +113,7 @@ def place(
         arm=arm,
         seed=seed,
         params=params,
+        effects=tuple(effect or ()),
         has_surface=surface,
         files=Files(log, None if no_picture else picture, movie, when_disk_full),
     )
@@ -129,6 +133,7 @@ app.command()(run)
 app.command()(scenarios)
 app.command()(replay)
 app.command()(dictionary)
+app.command()(effects)
 log_app.command("import")(import_log)
 app.add_typer(log_app, name="log")
 app.command()(budget)

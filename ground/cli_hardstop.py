@@ -9,6 +9,7 @@ from ground.cli_parts import (
     ARM_SAFE,
     BAD_INPUT,
     ArmOption,
+    EffectOption,
     JsonOption,
     ParamsOption,
     PitchOption,
@@ -63,6 +64,7 @@ def hardstop(
     ] = None,
     seed: SeedOption = 0,
     params: ParamsOption = None,
+    effect: EffectOption = None,
     picture: Annotated[
         Path | None, typer.Option(help="Draw current, speed and angle.", metavar="FILE.png")
     ] = None,
@@ -100,6 +102,7 @@ def hardstop(
         temperature_C=temperature,
         seed=seed,
         params=params,
+        effects=tuple(effect or ()),
         picture=picture,
     )
     try:

@@ -21,6 +21,14 @@ ParamsOption = Annotated[
     Path | None,
     typer.Option(help="TOML with flight parameters that replace nominal ones.", metavar="FILE.toml"),
 ]
+EffectOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Switch an effect on, one from `marsarm effects` or FILE.py:CLASS for its name; as often "
+        "as you like.",
+        metavar="NAME:PLACE:PARAMETER=VALUE,...",
+    ),
+]
 DiskOption = Annotated[
     Literal["go-on", "stop"], typer.Option(help="What the run does when its log can no longer be written.")
 ]

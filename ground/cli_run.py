@@ -5,7 +5,16 @@ from typing import Annotated
 
 import typer
 
-from ground.cli_parts import ARM_SAFE, BAD_INPUT, DiskOption, JsonOption, SeedOption, end, show
+from ground.cli_parts import (
+    ARM_SAFE,
+    BAD_INPUT,
+    DiskOption,
+    EffectOption,
+    JsonOption,
+    SeedOption,
+    end,
+    show,
+)
 
 
 def run(
@@ -28,6 +37,7 @@ def run(
         ),
     ] = None,
     seed: SeedOption = 0,
+    effect: EffectOption = None,
     log: Annotated[
         Path | None, typer.Option(help="Write a telemetry log (MCAP).", metavar="FILE.mcap")
     ] = None,
@@ -49,7 +59,8 @@ def run(
     from ground.run import RunRequest
     from ground.run import run as carry_out
 
-    request = RunRequest(scenario, arm, tilt, seed, Files(log, picture, movie, when_disk_full))
+    files = Files(log, picture, movie, when_disk_full)
+    request = RunRequest(scenario, arm, tilt, seed, tuple(effect or ()), files)
     try:
         with progress_bar() as progress:
             report = carry_out(request, progress)

@@ -16,7 +16,7 @@ from fsw.executive.hardstop_pose import stop_poses
 from ground.outputs import BadOutput, check_output
 from ground.progress import Progress
 from ground.report.hardstop_figure import save_hardstop_figure
-from ground.request import BadRequest, check_apart, check_seed, chosen_arm, tilted_world
+from ground.request import BadRequest, check_apart, check_seed, chosen_arm, chosen_effects, tilted_world
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.effects.environment import WARM_C, Ambient
@@ -51,6 +51,8 @@ class HardstopRequest:
     """None for a warm day, or for another one every time if there are several."""
     seed: int = 0
     params: Path | None = None
+    effects: tuple[str, ...] = ()
+    """As the command line writes them."""
     picture: Path | None = None
 
 
@@ -120,13 +122,14 @@ def checked(request: HardstopRequest) -> HardstopJob:
     if request.start_deg is not None and (request.joint is None or request.repeat > 1):
         raise BadRequest("start: is for one joint, once; give --joint and no --repeat")
     world = tilted_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)
-    arm = chosen_arm(request.arm, request.params)
+    effects = chosen_effects(request.effects)
+    arm = chosen_arm(request.arm, request.params).with_effects(effects)
     return HardstopJob(
         joints=STOP_ORDER if request.joint is None else (_joint(request.joint),),
         arm=arm if request.turret else _bare(arm, request),
         world=world,
         start_rad=None if request.start_deg is None else _start(arm, request.start_deg),
-        effects=(Ambient(temperature_C),),
+        effects=(Ambient(temperature_C), *(effect for effect in effects if not effect.of_the_arm)),
     )
 
 

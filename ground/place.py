@@ -38,10 +38,12 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
     stops = initialise(job.arm, request.seed, progress)
     if stops[-1].outcome is not Outcome.DONE:
         return _not_initialised(request, job.arm, stops)
-    setup = Setup(job.arm, job.world, job.arm.params.poses.stowed_rad, request.seed, stops[-1].reference)
+    later = tuple(effect for effect in job.effects if not effect.of_the_arm)
+    stowed_rad = job.arm.params.poses.stowed_rad
+    setup = Setup(job.arm, job.world, stowed_rad, request.seed, stops[-1].reference, later)
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     run = PlacementRun(loop, job.placement)
-    header = header_of(loop, job.arm.name, request.seed, asdict(request), run.commands)
+    header = header_of(loop, job.arm.name, request.seed, asdict(request), run.commands, job.effects)
     log = open_log(request.files.log, header, loop.config)
     frames = Frames()
     started = time.perf_counter()

@@ -14,11 +14,13 @@ from ground.request import (
     check_near,
     check_seed,
     chosen_arm,
+    chosen_effects,
     numbers,
     scaled,
     tilted_world,
 )
 from sim.arms import BuiltArm
+from sim.effects.effect import Effect
 from sim.placement import Placement
 from sim.preview import preview, unstow_s
 from sim.world import Surface, World, inside_rover
@@ -37,6 +39,8 @@ class PlaceRequest:
     scene: Literal["mars", "earth"] = "mars"
     seed: int = 0
     params: Path | None = None
+    effects: tuple[str, ...] = ()
+    """As the command line writes them."""
     has_surface: bool = True
     files: Files = NO_FILES
 
@@ -49,6 +53,8 @@ class PlaceJob:
     world: World
     placement: Placement
     expected_s: float
+    effects: tuple[Effect, ...]
+    """Those that were asked for."""
 
 
 def checked(request: PlaceRequest) -> PlaceJob:
@@ -59,7 +65,8 @@ def checked(request: PlaceRequest) -> PlaceJob:
     check_near("target", request.target_m)
     normal = scaled("normal", request.normal, "the direction out of the surface, such as 0 0 -1 for up")
     check_seed(request.seed)
-    arm = chosen_arm(request.arm, request.params)
+    effects = chosen_effects(request.effects)
+    arm = chosen_arm(request.arm, request.params).with_effects(effects)
     level = tilted_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)
     world = replace(level, surface=Surface(request.target_m, normal))
     if inside_rover(request.target_m):
@@ -70,7 +77,7 @@ def checked(request: PlaceRequest) -> PlaceJob:
         raise BadRequest(f"target: {numbers(request.target_m)} m cannot be reached: {seen.problem}")
     if not request.has_surface:
         world = level
-    return PlaceJob(arm, world, seen.placement, seen.duration_s + unstow_s(arm))
+    return PlaceJob(arm, world, seen.placement, seen.duration_s + unstow_s(arm), effects)
 
 
 def _tool(name: str) -> Tool:

@@ -10,7 +10,9 @@ import numpy as np
 
 from fsw.dictionary.commands import Vector3
 from sim.arms import BuiltArm, UnknownArm, arm_named
+from sim.effects.effect import Effect
 from sim.params import BadParams, params_over_nominal
+from sim.scenario.effects import BadEffect, effect_from
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World
 
 FARTHEST_M: Final = 100.0
@@ -53,6 +55,19 @@ def chosen_arm(name: str, params: Path | None) -> BuiltArm:
         return arm_named(name, None if params is None else params_over_nominal(params))
     except (UnknownArm, BadParams) as error:
         raise BadRequest(str(error)) from error
+
+
+def chosen_effects(texts: tuple[str, ...]) -> tuple[Effect, ...]:
+    """The effects that these texts say."""
+    effects, problems = [], []
+    for text in texts:
+        try:
+            effects.append(effect_from(text))
+        except BadEffect as error:
+            problems.append(str(error))
+    if problems:
+        raise BadRequest("\n".join(problems))
+    return tuple(effects)
 
 
 def tilted_world(scene: str, roll_deg: float, pitch_deg: float, scene_option: str = "scene") -> World:

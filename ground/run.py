@@ -1,7 +1,7 @@
 """The scenario job: check the request, run it, judge it, keep the evidence."""
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from fsw.config import digest
@@ -19,7 +19,7 @@ from ground.evidence import (
 )
 from ground.initialise import initialise
 from ground.progress import Progress
-from ground.request import BadRequest, check_seed, chosen_arm, tilted_world
+from ground.request import BadRequest, check_seed, chosen_arm, chosen_effects, tilted_world
 from ground.telemetry.header import header_of
 from sim.arms import BuiltArm
 from sim.initialisation import Initialisation
@@ -41,6 +41,8 @@ class RunRequest:
     tilt_deg: tuple[float, float] | None = None
     """Roll and pitch."""
     seed: int = 0
+    effects: tuple[str, ...] = ()
+    """Besides those of the scenario, as the command line writes them."""
     files: Files = NO_FILES
 
 
@@ -50,7 +52,7 @@ class RunReport:
 
     request: RunRequest
     scenario: Scenario
-    """With the tilt of the request."""
+    """With the tilt and the effects of the request."""
     arm: str
     params_sha256: str
     result: ScenarioResult
@@ -82,7 +84,7 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
     setup = setup_of(scenario, arm, reference, request.seed)
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     judged = ScenarioRun(loop, scenario)
-    header = header_of(loop, arm.name, request.seed, asdict(request), scenario.commands)
+    header = header_of(loop, arm.name, request.seed, asdict(request), scenario.commands, scenario.effects)
     log = open_log(request.files.log, header, loop.config)
     frames, shown, total = Frames(), _shown(scenario), len(scenario.commands)
     started = time.perf_counter()
@@ -120,9 +122,10 @@ def _checked(request: RunRequest) -> tuple[Scenario, BuiltArm]:
     if request.tilt_deg is not None:
         tilted = tilted_world(scenario.world.scene, *request.tilt_deg)
         scenario = scenario.tilted(tilted.tilt_roll_rad, tilted.tilt_pitch_rad)
+    scenario = replace(scenario, effects=(*scenario.effects, *chosen_effects(request.effects)))
     read = Path(request.scenario)
     check_files(request.files, scenario=read if read.suffix == ".toml" else None)
-    return scenario, arm
+    return scenario, scenario.fitted(arm)
 
 
 def _shown(scenario: Scenario) -> int:

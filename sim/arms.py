@@ -1,6 +1,7 @@
 """The arms that can be simulated, by name: what they are made of and what flight software believes."""
 
 import re
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from fsw.dictionary.params import Params
@@ -20,6 +21,10 @@ class BuiltArm:
     name: str
     effects: tuple[Effect, ...]
     params: Params
+
+    def with_effects(self, effects: Iterable[Effect]) -> "BuiltArm":
+        """The same arm with more effects, as far as it has them when its joints look for their hardstops."""
+        return replace(self, effects=(*self.effects, *(effect for effect in effects if effect.of_the_arm)))
 
 
 def arm_named(name: str, params: Params | None = None) -> BuiltArm:

@@ -13,9 +13,9 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.joints import Joint, Switch
 from fsw.kinematics.transforms import Array
 from fsw.messages import Counts, Drive, Sensors
-from sim.effects.effect import Effect, Hardware, drawn_scatter
+from sim.effects.effect import Effect, Hardware, drawn_scatter, gone_on
 from sim.frames import FLIP
-from sim.plant import Plant
+from sim.plant import RESISTANCE, Plant
 
 RESOLVER_BITS: Final = 16
 RESOLVER_LSB_RAD: Final = 2 * np.pi / 2**RESOLVER_BITS
@@ -23,9 +23,6 @@ UNPOWERED: Final = np.zeros(len(Joint), bool)
 VIBRATION_N: Final = 10.0
 VIBRATION_TURN: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """In turret axes, one a cycle: 16 Hz about the turret's axis."""
-
-# places in MuJoCo's gain parameters of a dcmotor
-_RESISTANCE: Final = 0
 
 
 class Avionics:
@@ -41,7 +38,7 @@ class Avionics:
         self._move_rng = move_rng(rng)
         self._motors = motors
         self._integral = model.actuator_actadr[motors]
-        self._resistance_Ohm = model.actuator_gainprm[motors, _RESISTANCE].copy()
+        self._resistance_Ohm = model.actuator_gainprm[motors, RESISTANCE].copy()
         self._winding_rise_K = np.zeros(len(motors))
         self._winding_time_s = plant.data.time
         self._touch = model.sensor_adr[switches]
@@ -94,6 +91,8 @@ class Avionics:
         noise = self._rng.standard_normal(13)
         current = plant.motor_current_A()
         resolver = plant.output_rad() + hardware.resolver_bias_rad + hardware.resolver_noise_rad * noise[:5]
+        for warped in hardware.warped:
+            resolver += warped.error_rad(plant.output_rad())
         self._cycle += 1
         sensors = Sensors(
             cycle=self._cycle,
@@ -162,6 +161,12 @@ class Avionics:
             self._move_brakes()
         if drive.vibrate or self._shaken:
             self._shake(drive.vibrate)
+        if self._hardware.each_cycle:
+            self.act()
+
+    def act(self) -> None:
+        """Let the effects that act in every cycle do so."""
+        self._hardware = gone_on(self._plant, self._hardware)
 
     def _begin_move(self) -> None:
         """Another draw of all that a move leaves to chance; what presses on something stays where it is."""

@@ -57,7 +57,8 @@ class ClosedLoop:
         self.plant = Plant(spec.compile())
         self.avionics = Avionics(self.plant, hardware, hardware_rng(setup.seed))
         self.with_truth = with_truth
-        self.plant.place(np.array(setup.start_rad), SETTLE_S)
+        begin = self.avionics.act if hardware.each_cycle else None
+        self.plant.place(np.array(setup.start_rad), SETTLE_S, begin)
         stowed = setup.start_rad == setup.arm.params.poses.stowed_rad
         self.state: State = boot(self.config, Mode.STOWED if stowed else Mode.DEPLOYED, setup.reference)
         self.failure: Exception | None = None

@@ -1,5 +1,6 @@
 """The plant: the MuJoCo model of arm and world, its state, and its stepping."""
 
+from collections.abc import Callable
 from copy import copy
 from dataclasses import dataclass
 
@@ -11,6 +12,7 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.joints import Joint, Switch, Tool
 from fsw.kinematics.transforms import Array, Pose, screw_exp
 from sim.frames import FLIP, P_NR_M
+from sim.influence import NO_INFLUENCE, Influence
 from sim.scatter import BODIES, Scatter, no_scatter
 from sim.truth import Truth
 
@@ -30,8 +32,8 @@ would creep along by a millimetre a minute under a hundredth of what friction ho
 ALL_ACTUATORS = 0b111110
 """The motors' actuator groups 1 to 5, one bit each: set means without power."""
 
-MOTOR_CONSTANT = 1
-"""Its place in MuJoCo's gain parameters of a dcmotor."""
+RESISTANCE, MOTOR_CONSTANT, GAINS = 0, 1, slice(4, 7)
+"""Their places in MuJoCo's gain parameters of a dcmotor; the gains are position's, integral's and rate's."""
 
 LOAD_STAGES = 320
 """Gravity is brought up in so many stages: a dropped arm rests anywhere in the band of its friction."""
@@ -50,6 +52,7 @@ class Addresses:
     """Where the arm is in MuJoCo's arrays; joint arrays in the order of Joint."""
 
     motor: NDArray[np.intp]
+    """Hinges, as all joints of the arm have one degree of freedom: in positions and in speeds alike."""
     gear: NDArray[np.intp]
     gaps: NDArray[np.intp]
     """Tendons of the gears."""
@@ -90,12 +93,15 @@ class Plant:
             pads=np.array([model.site(switch.name.lower()).id for switch in Switch]),
             bodies=np.array([model.body(name).id for name in BODIES]),
         )
-        self._built = Pose(
-            _rotations(model.body_quat[self.at.bodies]), model.body_pos[self.at.bodies].T.copy()
-        )
+        self._built_quat = model.body_quat[self.at.bodies]
+        self._built = Pose(_rotations(self._built_quat), model.body_pos[self.at.bodies].T.copy())
         self._bands_rad = model.tendon_lengthspring[self.at.gaps].copy()
+        self._friction_Nm = model.dof_frictionloss[self.at.motor].copy()
+        self._damping_Nms_rad = model.dof_damping[self.at.motor].copy()
+        self._gains = model.actuator_gainprm[self.at.actuators, GAINS].copy()
         self.scatter = no_scatter()
-        self.model.tendon_invweight0[self.at.outputs] *= HARD_FRICTION
+        self.influence = NO_INFLUENCE
+        self.model.tendon_invweight0[[*self.at.outputs, *self.at.gaps]] *= HARD_FRICTION
         self.torque_constant_Nm_A = model.actuator_gainprm[self.at.actuators, MOTOR_CONSTANT].copy()
 
     def copied(self) -> "Plant":
@@ -113,20 +119,41 @@ class Plant:
     def scattered(self, scatter: Scatter) -> None:
         """Let frames and gears stand that far off where they were built."""
         X = self._built @ screw_exp(scatter.screw)
+        quat = self._built_quat.copy()
+        for k in np.flatnonzero(scatter.screw.any(axis=0)):
+            mujoco.mju_mat2Quat(quat[k], X.R[:, :, k].ravel())
         self.model.body_pos[self.at.bodies] = X.p.T
-        for k, body in enumerate(self.at.bodies):
-            mujoco.mju_mat2Quat(self.model.body_quat[body], X.R[:, :, k].ravel())
-        self.model.tendon_lengthspring[self.at.gaps] = self._bands_rad + scatter.gear_rad[:, None]
+        self.model.body_quat[self.at.bodies] = quat
         self.scatter = scatter
+        self._shift_gears()
 
-    def place(self, motor_rad: Array, settle_s: float) -> None:
-        """Put the motors at these angles with the brakes on, and let the arm come to rest under gravity."""
+    def influenced(self, influence: Influence) -> None:
+        """Let joints, from now on, be by that much other than they were built."""
+        model, at = self.model, self.at
+        model.dof_frictionloss[at.motor] = np.maximum(self._friction_Nm + influence.friction_Nm, 0.0)
+        model.dof_damping[at.motor] = np.maximum(self._damping_Nms_rad + influence.damping_Nms_rad, 0.0)
+        model.actuator_gainprm[at.actuators, GAINS] = self._gains * (1.0 + influence.servo[:, None])
+        self.data.qfrc_applied[at.motor] = self.data.qfrc_applied[at.gear] = influence.output_Nm
+        self.influence = influence
+        self._shift_gears()
+
+    def _shift_gears(self) -> None:
+        shift_rad = self.scatter.gear_rad + self.influence.gear_rad
+        self.model.tendon_lengthspring[self.at.gaps] = self._bands_rad + shift_rad[:, None]
+
+    def place(self, motor_rad: Array, settle_s: float, begin: Callable[[], None] | None = None) -> None:
+        """Put the motors at these angles with the brakes on, and let the arm come to rest under gravity.
+
+        What is to begin before gravity does is called then.
+        """
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self.at.motor] = motor_rad
         self.data.ctrl[0::2] = motor_rad
         self.model.opt.disableactuator = ALL_ACTUATORS
         for joint in Joint:
             self.brake(joint, True)
+        if begin is not None:
+            begin()
         gravity, steps = self.model.opt.gravity.copy(), round(settle_s / self.model.opt.timestep)
         for share in (np.arange(LOAD_STAGES) + 1) / LOAD_STAGES:
             self.model.opt.gravity[:] = gravity * share * share * (3 - 2 * share)
@@ -168,8 +195,18 @@ class Plant:
 
     def gap_rad(self) -> Array:
         """True position in the backlash, wind-up taken off: half the width where a joint rests on a flank."""
-        gear = self.data.qpos[self.at.gear] - self.scatter.gear_rad
+        gear = self._gear_rad()
         return np.asarray(np.clip(gear, -self.half_gap_rad, self.half_gap_rad))
+
+    def gear_torque_Nm(self) -> Array:
+        """What the gears' springs carry: positive where the load pulls an output to positive angles."""
+        torque: Array = self.model.tendon_stiffness[self.at.gaps] * (self._gear_rad() - self.gap_rad())
+        return torque
+
+    def _gear_rad(self) -> Array:
+        """Outputs beyond motors, less what shifts their gears."""
+        gear: Array = self.data.qpos[self.at.gear] - self.scatter.gear_rad - self.influence.gear_rad
+        return gear
 
     def stop_rad(self) -> Array:
         """Output angles of the negative hardstops."""
@@ -180,6 +217,10 @@ class Plant:
         pressed = self.stop_rad() - self.output_rad()
         torque: Array = self.model.tendon_stiffness[self.at.outputs] * np.maximum(pressed, 0.0)
         return torque
+
+    def built_friction(self) -> tuple[Array, Array]:
+        """Coulomb friction [N m] and damping [N m s/rad] of motors and gears as built, output side."""
+        return self._friction_Nm, self._damping_Nms_rad
 
     def motor_current_A(self) -> Array:
         """True motor currents."""

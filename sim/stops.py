@@ -23,7 +23,7 @@ from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm
 from sim.clearance import Clearance, Space
-from sim.effects.turret import TurretMass
+from sim.effects.turret import StandInTurret
 from sim.world import World
 
 SPACING_RAD: Final = 0.03
@@ -143,7 +143,7 @@ def without_turret(arm: BuiltArm, on_earth: bool) -> BuiltArm:
 
     There the torques are those that the whole arm has in its own poses on Mars.
     """
-    turret = TurretMass(0.0)
+    turret = StandInTurret(0.0)
     bare = replace(arm, effects=(*arm.effects, turret), params=turret.on_params(arm.params))
     if not on_earth:
         return bare

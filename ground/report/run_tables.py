@@ -11,6 +11,7 @@ from ground.report.console import WARNED, cell, plain_console
 from ground.report.tables import evr_json, kept_json, kept_table
 from ground.run import RunReport
 from sim.scenario.data import Scenario
+from sim.scenario.effects import spec_of
 from sim.scenario.judge import Measured
 from sim.scenario.names import upper_snake
 
@@ -32,6 +33,7 @@ def run_json(report: RunReport) -> dict[str, Any]:
         "realtime_factor": report.realtime_factor,
         "tilt_deg": {"roll": degrees(world.tilt_roll_rad), "pitch": degrees(world.tilt_pitch_rad)},
         "seed": report.request.seed,
+        "effects": [spec_of(effect) for effect in report.scenario.effects],
         "params_sha256": report.params_sha256,
         "evrs": [evr_json(time_s, evr) for time_s, evr in (*result.evrs, *report.kept.events)],
         "log": None if report.request.files.log is None else str(report.request.files.log),

@@ -20,19 +20,44 @@ from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
 from ground.telemetry.plain import to_plain
 from ground.telemetry.processor import cpu_features
+from sim.effects.effect import Effect
 from sim.loop import ClosedLoop
+from sim.scenario.effects import spec_of
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 GIT_TIMEOUT_S: Final = 5.0
 
 
 def header_of(
-    loop: ClosedLoop, arm: str, seed: int, request: dict[str, Any], commands: Sequence[Command]
+    loop: ClosedLoop,
+    arm: str,
+    seed: int,
+    request: dict[str, Any],
+    commands: Sequence[Command],
+    effects: Sequence[Effect] = (),
 ) -> dict[str, str]:
     """The header of a run that has not begun; `commands` is what it is going to be asked.
 
+    `effects` are those that were switched on beyond what the arm's name says.
+
     Raises:
         ValueError: the run has begun; what flight software began with is gone.
+    """
+    return {
+        **flown_header(loop, commands),
+        "arm": arm,
+        "seed": str(seed),
+        "request": json.dumps(request, default=str, sort_keys=True),
+        "effects": json.dumps([spec_of(effect) for effect in effects]),
+        "mjcf_sha256": model_digest(loop.plant.model),
+    }
+
+
+def flown_header(loop: ClosedLoop, commands: Sequence[Command]) -> dict[str, str]:
+    """The part of it that tells nothing of the plant: all that flight software began with and is asked.
+
+    Raises:
+        ValueError: the run has begun.
     """
     if loop.state.tick != 0:
         raise ValueError(f"the run is at tick {loop.state.tick}; a log begins with flight software's first")
@@ -40,10 +65,6 @@ def header_of(
         **made_by(),
         **begins_with(loop.config.params, loop.state.mode, loop.state.joints.reference),
         **asked(commands),
-        "arm": arm,
-        "seed": str(seed),
-        "request": json.dumps(request, default=str, sort_keys=True),
-        "mjcf_sha256": model_digest(loop.plant.model),
     }
 
 

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Any, ClassVar, Protocol
 
 import mujoco
 import numpy as np
@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
+from sim.effects.size import When
+from sim.influence import Influence
 from sim.plant import Plant
 from sim.scatter import Scatter, no_scatter
 
@@ -23,6 +25,22 @@ class Spoilt(Protocol):
 
     def held(self, sensors: Sensors) -> "Spoilt":
         """The same, knowing what was read when it began."""
+
+
+class Warped(Protocol):
+    """Something wrong with a resolver that depends on how its joint stands."""
+
+    def error_rad(self, output_rad: Array) -> Array:
+        """What each resolver (5) reads too much at these outputs (5)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Running:
+    """An effect that acts in every cycle, and what it remembers."""
+
+    effect: "EachCycle"
+    state: Any = None
+    begun: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,6 +77,10 @@ class Hardware:
     """What is still to happen."""
     each_move: tuple["EachMove", ...]
     """What is drawn anew for every move."""
+    warped: tuple["Warped", ...]
+    """What is wrong with resolvers, beyond a bias."""
+    each_cycle: tuple["Running", ...]
+    """What acts on the plant in every cycle."""
 
 
 def nominal_hardware() -> Hardware:
@@ -82,6 +104,8 @@ def nominal_hardware() -> Hardware:
         spoilt=(),
         timed=(),
         each_move=(),
+        warped=(),
+        each_cycle=(),
     )
 
 
@@ -89,8 +113,13 @@ def nominal_hardware() -> Hardware:
 class Effect:
     """Base of all effects: a subclass names its place and parameters and overrides what it changes.
 
-    An effect that flight software has a word for also says what a perfect calibration would write.
+    A field of the type of a joint, a frame, a tool or a literal says where it sits; the others are its
+    parameters, with a Size. An effect that flight software has a word for also says what a perfect
+    calibration would write.
     """
+
+    of_the_arm: ClassVar[bool] = True
+    """Whether the arm has it when its joints look for their hardstops, or only once a run begins."""
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Change the MuJoCo model."""
@@ -108,7 +137,8 @@ class Effect:
 class Timed(Effect):
     """An effect that begins at a moment of the run, with the first cycle that is not before it."""
 
-    at_s: float
+    of_the_arm: ClassVar[bool] = False
+    at_s: When
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """It is to come."""
@@ -130,6 +160,41 @@ class EachMove(Effect):
     def scatter(self, rng: np.random.Generator) -> Scatter:
         """How far off the arm comes to stand this time."""
         raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True)
+class EachCycle(Effect):
+    """An effect that depends on the state of the plant: it is looked at once a control cycle.
+
+    What it remembers is a value that is never changed, so that a run can be forked.
+    """
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        """It is to act."""
+        return replace(hardware, each_cycle=(*hardware.each_cycle, Running(self)))
+
+    def begin(self, plant: Plant, hardware: Hardware) -> Any:
+        """What it remembers at first; nothing unless overridden."""
+        return None
+
+    def cycle(self, plant: Plant, hardware: Hardware, state: Any) -> tuple[Any, Influence]:
+        """What it remembers from now on, and what it does to the plant in this cycle.
+
+        What it changes of the plant itself it must set anew in every cycle.
+        """
+        raise NotImplementedError
+
+
+def gone_on(plant: Plant, hardware: Hardware) -> Hardware:
+    """Let what acts in every cycle act on the plant in this one; the avionics and sensors after it."""
+    total, running = Influence(), []
+    for one in hardware.each_cycle:
+        before = one.state if one.begun else one.effect.begin(plant, hardware)
+        state, influence = one.effect.cycle(plant, hardware, before)
+        total += influence
+        running.append(Running(one.effect, state, True))
+    plant.influenced(total)
+    return replace(hardware, each_cycle=tuple(running))
 
 
 def drawn_scatter(effects: Iterable[EachMove], rng: np.random.Generator) -> Scatter:

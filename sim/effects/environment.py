@@ -1,6 +1,7 @@
 """What cold does to the actuators, and what noise does to their currents."""
 
 from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar
 
 import mujoco
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import Params
 from sim.effects.effect import Effect, Hardware
+from sim.effects.size import Size, When
 
 WARM_C = 20.0
 COLD_C = -55.0
@@ -21,7 +23,7 @@ FAR_M = 1e3
 class Ambient(Effect):
     """The temperature of the actuators: their grease stiffens in the cold, exponentially."""
 
-    temperature_C: float
+    temperature_C: Annotated[float, Size(-130.0, 50.0, unit="degC", typical=-30.0, neutral=WARM_C)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Scale Coulomb and viscous friction of motors and gears."""
@@ -40,7 +42,7 @@ class Ambient(Effect):
 class CurrentNoise(Effect):
     """White noise of the current sensors, one sigma."""
 
-    current_A: float
+    current_A: Annotated[float, Size(0.0, 1.0, unit="A", typical=0.02)]
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """In place of what the sensors have."""
@@ -51,7 +53,8 @@ class CurrentNoise(Effect):
 class PowerLoss(Effect):
     """The motors lose their power, and the brakes fall in."""
 
-    at_s: float
+    of_the_arm: ClassVar[bool] = False
+    at_s: When
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """From then on, for good."""

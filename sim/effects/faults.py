@@ -6,11 +6,11 @@ from typing import Annotated, Final, Literal
 import numpy as np
 
 from fsw.dictionary.joints import Joint, Switch
-from fsw.dictionary.limits import Limits
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from sim.effects.effect import Hardware, Timed, at_index
 from sim.effects.environment import PowerLoss
+from sim.effects.size import Size
 from sim.frames import FLIP, gravity_in_rover
 from sim.plant import MOTOR_CONSTANT, Plant
 
@@ -21,7 +21,7 @@ SensorKind = Literal["frozen", "biased", "noisy", "nan"]
 NO_NAN: Final = ("encoder_count", "switch_closed")
 COUNT_OF: Final = {"switch_closed": len(Switch), "gravity_R_m_s2": 3}
 """Of what is not one for each joint."""
-Lean = Annotated[float, Limits(-0.6, 0.6)]
+Lean = Annotated[float, Size(-0.6, 0.6, unit="rad", typical=0.05)]
 """What a rover stands on without falling over."""
 CLOSED: Final = 0.5
 """A switch that reads more than this, bias and noise added to 0 or 1, is closed."""
@@ -39,7 +39,7 @@ class SensorFault(Timed):
     sensor: SensorName
     kind: SensorKind
     index: int | None = None
-    size: Annotated[float, Limits(-1e6, 1e6)] = 0.0
+    size: Annotated[float, Size(-1e6, 1e6, unit="of the sensor", typical=1.0)] = 0.0
 
     def __post_init__(self) -> None:
         if self.kind == "nan" and self.sensor in NO_NAN:
@@ -131,7 +131,7 @@ class WeakMotor(Timed):
     """A motor that turns a current into less torque; its current is read right."""
 
     joint: Joint
-    factor: Annotated[float, Limits(0.0, 1.0)] = 0.5
+    factor: Annotated[float, Size(0.0, 1.0, unit="1", typical=-0.5, neutral=1.0)] = 0.5
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """Scale the motor constant."""
@@ -148,7 +148,7 @@ class HotMotor(Timed):
     """A motor in surroundings of this temperature: its heater does not go off."""
 
     joint: Joint
-    temperature_C: Annotated[float, Limits(-150.0, 250.0)]
+    temperature_C: Annotated[float, Size(-150.0, 250.0, unit="degC", typical=100.0)]
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """The winding is that much hotter at once."""
@@ -159,7 +159,7 @@ class HotMotor(Timed):
 class MissedCycles(Timed):
     """Flight software is not called for some cycles, and the motor controllers hold the last drive."""
 
-    count: Annotated[int, Limits(1, 6400)]
+    count: Annotated[int, Size(1, 6400, unit="cycle", typical=8)]
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """With the next cycle."""

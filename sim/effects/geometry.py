@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cache
+from typing import Annotated
 
 import mujoco
 import numpy as np
@@ -13,6 +14,7 @@ from fsw.kinematics.arm import transform6, transform6_from
 from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_exp
 from sim.effects.effect import Effect
 from sim.effects.matrices import turned
+from sim.effects.size import Size, Warmth
 from sim.params import nominal_params
 from sim.scatter import BODIES, body_index
 
@@ -22,12 +24,17 @@ class FrameError(Effect):
     """A frame displaced by a small screw in its own axes: rx, ry, rz [rad], tx, ty, tz [m]."""
 
     frame: Frame
-    screw: Row6
+    screw: Annotated[Row6, Size(-0.1, 0.1, unit="rad, m", typical=2e-3, neutral=0.0)]
     tool: Tool | None = None
     """Which tool, for the frame TOOL."""
 
+    def __post_init__(self) -> None:
+        check_tool(self.frame, self.tool)
+
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Displace the body that stands for the frame."""
+        if not any(self.screw):
+            return
         body = spec.body(self._body())
         X = Pose(_rotation(body.quat), body.pos) @ screw_exp(np.array(self.screw))
         quat = np.zeros(4)
@@ -77,9 +84,12 @@ class LinkWarming(Effect):
     """What ends in a frame grown as the drawing's materials do, without flight software being told."""
 
     frame: Frame
-    warming_K: float
+    warming_K: Warmth
     tool: Tool | None = None
     """Which tool, for the frame TOOL."""
+
+    def __post_init__(self) -> None:
+        check_tool(self.frame, self.tool)
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Displace the frame by the growth, in its own axes."""
@@ -87,7 +97,7 @@ class LinkWarming(Effect):
 
     def on_params(self, params: Params) -> Params:
         """The numbers of the grown link."""
-        return self._grown().on_params(params)
+        return self._grown().on_params(params) if self.warming_K else params
 
     def _grown(self) -> FrameError:
         expansion_1_K = _expansions_1_K()[body_index(self.frame, self.tool)]
@@ -98,7 +108,7 @@ class LinkWarming(Effect):
 class Warming(Effect):
     """Every link and tool grown by the same warming."""
 
-    warming_K: float
+    warming_K: Warmth
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """One after the other."""
@@ -122,6 +132,15 @@ def _expansions_1_K() -> tuple[Row6, ...]:
     params = nominal_params()
     links = [link.expansion_1_K for link in params.links.in_order()]
     return (*links, *(tool.expansion_1_K for tool in params.tools.in_order()))
+
+
+def check_tool(frame: Frame, tool: Tool | None) -> None:
+    """Refuse, as a ValueError, the frame TOOL without a tool and another one with a tool."""
+    if frame is Frame.TOOL and tool is None:
+        known = ", ".join(tool.name.lower() for tool in Tool)
+        raise ValueError(f"tool: an effect at frame tool names its tool; there are {known}")
+    if frame is not Frame.TOOL and tool is not None:
+        raise ValueError(f"tool: frame {frame.name.lower()} has none; leave it out")
 
 
 def _placed(lump: Lump, X: Pose) -> Lump:

@@ -1,13 +1,17 @@
 """Actuators and their sensors that differ from the drawing."""
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import mujoco
 import numpy as np
 
 from fsw.dictionary.joints import Joint
-from fsw.dictionary.params import JointParams, Params
-from sim.effects.effect import Effect, Hardware, at_index
+from fsw.dictionary.params import Params
+from sim.effects.effect import Effect, Hardware
+from sim.effects.size import Factor, Size, SmallAngle
+from sim.effects.told import joint_of, with_joint
+from sim.influence import at_joint
 
 
 @dataclass(frozen=True, slots=True)
@@ -15,7 +19,7 @@ class HardstopAngle(Effect):
     """The negative hardstop is off its place by an angle; so is the encoder zero that is found from it."""
 
     joint: Joint
-    shift_rad: float
+    shift_rad: SmallAngle
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Shift the lower end of the output's travel."""
@@ -24,8 +28,8 @@ class HardstopAngle(Effect):
 
     def on_params(self, params: Params) -> Params:
         """The true place of the hardstop."""
-        joint = _joint(params, self.joint)
-        return _with_joint(
+        joint = joint_of(params, self.joint)
+        return with_joint(
             params, self.joint, replace(joint, hardstop_rad=joint.hardstop_rad + self.shift_rad)
         )
 
@@ -35,7 +39,7 @@ class HardstopStiffness(Effect):
     """The stiffness of the hardstops of a joint, times a factor."""
 
     joint: Joint
-    factor: float
+    factor: Factor
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Scale the spring at both ends of the output's travel."""
@@ -44,9 +48,9 @@ class HardstopStiffness(Effect):
 
     def on_params(self, params: Params) -> Params:
         """The true stiffness."""
-        joint = _joint(params, self.joint)
+        joint = joint_of(params, self.joint)
         stiffness = joint.hardstop_stiffness_Nm_rad * self.factor
-        return _with_joint(params, self.joint, replace(joint, hardstop_stiffness_Nm_rad=stiffness))
+        return with_joint(params, self.joint, replace(joint, hardstop_stiffness_Nm_rad=stiffness))
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,13 +58,12 @@ class ResolverBias(Effect):
     """A resolver reads too much by an angle."""
 
     joint: Joint
-    bias_rad: float
+    bias_rad: SmallAngle
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """Bias of the reading."""
-        return replace(
-            hardware, resolver_bias_rad=at_index(hardware.resolver_bias_rad, self.joint, self.bias_rad)
-        )
+        bias_rad = hardware.resolver_bias_rad + at_joint(self.joint, self.bias_rad)
+        return replace(hardware, resolver_bias_rad=bias_rad)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +71,7 @@ class BacklashWidth(Effect):
     """The dead band of a gear, times a factor."""
 
     joint: Joint
-    factor: float
+    factor: Annotated[float, Size(0.0, 5.0, unit="1", typical=0.1, neutral=1.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Scale the dead band of the gear tendon."""
@@ -77,8 +80,8 @@ class BacklashWidth(Effect):
 
     def on_params(self, params: Params) -> Params:
         """The true width."""
-        joint = _joint(params, self.joint)
-        return _with_joint(params, self.joint, replace(joint, backlash_rad=joint.backlash_rad * self.factor))
+        joint = joint_of(params, self.joint)
+        return with_joint(params, self.joint, replace(joint, backlash_rad=joint.backlash_rad * self.factor))
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +89,7 @@ class GearStiffness(Effect):
     """The torsional stiffness of a gear, times a factor."""
 
     joint: Joint
-    factor: float
+    factor: Factor
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Scale spring and damper of the gear tendon."""
@@ -96,9 +99,9 @@ class GearStiffness(Effect):
 
     def on_params(self, params: Params) -> Params:
         """The true stiffness."""
-        joint = _joint(params, self.joint)
+        joint = joint_of(params, self.joint)
         stiffness = joint.gear_stiffness_Nm_rad * self.factor
-        return _with_joint(params, self.joint, replace(joint, gear_stiffness_Nm_rad=stiffness))
+        return with_joint(params, self.joint, replace(joint, gear_stiffness_Nm_rad=stiffness))
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,19 +109,10 @@ class GearFriction(Effect):
     """Coulomb and viscous friction of motor and gear, times a factor."""
 
     joint: Joint
-    factor: float
+    factor: Factor
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Scale the friction of the motor hinge."""
         motor = spec.joint(f"{self.joint.name.lower()}_motor")
         motor.frictionloss *= self.factor
         motor.damping *= self.factor
-
-
-def _joint(params: Params, joint: Joint) -> JointParams:
-    found: JointParams = getattr(params.joints, joint.name.lower())
-    return found
-
-
-def _with_joint(params: Params, joint: Joint, changed: JointParams) -> Params:
-    return replace(params, joints=replace(params.joints, **{joint.name.lower(): changed}))

@@ -18,6 +18,13 @@ def turned(matrix: Matrix6, R: Array) -> Matrix6:
     return _matrix6(both @ np.array(matrix) @ both.T)
 
 
+def softened(matrix: Matrix6, axis: int, more: float) -> Matrix6:
+    """More on one place of the diagonal."""
+    values = np.array(matrix)
+    values[axis, axis] += more
+    return _matrix6(values)
+
+
 def _matrix6(values: Array) -> Matrix6:
     a, b, c, d, e, f = (row6(row) for row in values)
     return (a, b, c, d, e, f)

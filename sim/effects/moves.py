@@ -1,6 +1,7 @@
 """What a move leaves to chance: drawn anew whenever one begins, evenly within bounds."""
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -8,6 +9,8 @@ from fsw.dictionary.joints import Frame, Joint, Tool
 from fsw.dictionary.params import Row6
 from fsw.kinematics.transforms import Array
 from sim.effects.effect import EachMove
+from sim.effects.geometry import check_tool
+from sim.effects.size import Size
 from sim.scatter import Scatter, body_index, no_scatter
 
 
@@ -19,9 +22,12 @@ class FramePlay(EachMove):
     """
 
     frame: Frame
-    within: Row6
+    within: Annotated[Row6, Size(0.0, 0.1, unit="rad, m", typical=3e-5, neutral=0.0)]
     tool: Tool | None = None
     """Which tool, for the frame TOOL."""
+
+    def __post_init__(self) -> None:
+        check_tool(self.frame, self.tool)
 
     def scatter(self, rng: np.random.Generator) -> Scatter:
         """Every axis by itself."""
@@ -35,7 +41,7 @@ class Windup(EachMove):
     """Friction inside a gear leaves it twisted, one way or the other."""
 
     joint: Joint
-    within_rad: float
+    within_rad: Annotated[float, Size(0.0, 0.1, unit="rad", typical=1e-4, neutral=0.0)]
 
     def scatter(self, rng: np.random.Generator) -> Scatter:
         """The dead band of the gear shifted."""
@@ -49,7 +55,7 @@ class ServoError(EachMove):
     """A motor comes to rest beside where its encoder says: lost counts, an ill-tuned controller."""
 
     joint: Joint
-    within_rad: float
+    within_rad: Annotated[float, Size(0.0, 0.1, unit="rad", typical=1e-4, neutral=0.0)]
 
     def scatter(self, rng: np.random.Generator) -> Scatter:
         """Set-points and readings off by the same angle."""

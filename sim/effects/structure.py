@@ -1,17 +1,21 @@
-"""Links that are stiffer or heavier than the drawing says."""
+"""Links and the rover's body that are softer, stiffer or heavier than the drawing says."""
 
 from dataclasses import dataclass, replace
+from typing import Annotated, Literal
 
 import mujoco
 import numpy as np
 
 from fsw.dictionary.commands import Vector3
 from fsw.dictionary.joints import Frame
-from fsw.dictionary.params import LinkParams, Lump, Params
+from fsw.dictionary.params import Lump, Params
 from sim.effects.effect import Effect
-from sim.effects.matrices import scaled
+from sim.effects.matrices import scaled, softened
+from sim.effects.size import Compliance, Factor, Size
+from sim.effects.told import link_of, with_link
+from sim.plant import AXES as SPRING_AXES
+from sim.plant import SPRINGS
 
-_SPRING_OF = ("rover", "link1", "link2", "link3", "link4")
 _LUMPS_OF = (
     ("arm1",),
     ("link1", "link1_far"),
@@ -27,21 +31,93 @@ class LinkStiffness(Effect):
     """The spring of the link that ends in a frame, all six stiffnesses times a factor."""
 
     frame: Frame
-    factor: float
+    factor: Factor
+
+    def __post_init__(self) -> None:
+        _refuse_rigid(self.frame)
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Scale the six joint springs and their damping."""
-        for axis in ("tx", "ty", "tz", "rx", "ry", "rz"):
-            joint = spec.joint(f"{_SPRING_OF[self.frame]}_{axis}")
+        for axis in SPRING_AXES:
+            joint = spec.joint(f"{SPRINGS[self.frame]}_{axis}")
             joint.stiffness *= self.factor
             joint.damping *= self.factor
 
     def on_params(self, params: Params) -> Params:
         """Compliance divided by the factor."""
-        link = _link(params, self.frame)
-        return _with_link(
+        link = link_of(params, self.frame)
+        return with_link(
             params, self.frame, replace(link, compliance=scaled(link.compliance, 1 / self.factor))
         )
+
+
+@dataclass(frozen=True, slots=True)
+class _Softer(Effect):
+    """An effect that is compliance about one axis of one spring, on top of what it has."""
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """In series with the spring that is there."""
+        frame, axis, compliance_rad_Nm = self.where()
+        joint = spec.joint(f"{SPRINGS[frame]}_{SPRING_AXES[axis]}")
+        softer = 1.0 / (1.0 + compliance_rad_Nm * joint.stiffness[0])
+        joint.stiffness *= softer
+        joint.damping *= softer
+
+    def on_params(self, params: Params) -> Params:
+        """An element of the compliance."""
+        frame, axis, compliance_rad_Nm = self.where()
+        link = link_of(params, frame)
+        changed = replace(link, compliance=softened(link.compliance, axis, compliance_rad_Nm))
+        return with_link(params, frame, changed)
+
+    def where(self) -> tuple[Frame, int, float]:
+        """Which spring, about which of its axes, by how much."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True)
+class LinkTorsion(_Softer):
+    """The link that ends in a frame twists more, about the x axis of its spring."""
+
+    frame: Frame
+    compliance_rad_Nm: Compliance
+
+    def __post_init__(self) -> None:
+        _refuse_rigid(self.frame)
+        _refuse_rover(self.frame)
+
+    def where(self) -> tuple[Frame, int, float]:
+        """About x."""
+        return self.frame, 0, self.compliance_rad_Nm
+
+
+@dataclass(frozen=True, slots=True)
+class LinkBending(_Softer):
+    """The link that ends in a frame bends more, about an axis of its spring: in link 1 y is pitch, else z."""
+
+    frame: Frame
+    axis: Literal["y", "z"]
+    compliance_rad_Nm: Compliance
+
+    def __post_init__(self) -> None:
+        _refuse_rigid(self.frame)
+        _refuse_rover(self.frame)
+
+    def where(self) -> tuple[Frame, int, float]:
+        """About that axis."""
+        return self.frame, "xyz".index(self.axis), self.compliance_rad_Nm
+
+
+@dataclass(frozen=True, slots=True)
+class RoverCompliance(_Softer):
+    """The rover's body under the arm gives way more, about an axis of RMECH."""
+
+    axis: Literal["x", "y", "z"]
+    compliance_rad_Nm: Compliance
+
+    def where(self) -> tuple[Frame, int, float]:
+        """The first spring."""
+        return Frame.ARM1, "xyz".index(self.axis), self.compliance_rad_Nm
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +125,12 @@ class LinkMass(Effect):
     """The mass of the link that ends in a frame, times a factor, its centre shifted in link axes."""
 
     frame: Frame
-    factor: float
-    shift_m: Vector3 = (0.0, 0.0, 0.0)
+    factor: Annotated[float, Size(0.1, 10.0, unit="1", typical=0.05, neutral=1.0)]
+    shift_m: Annotated[Vector3, Size(-0.1, 0.1, unit="m", typical=5e-3, neutral=0.0)] = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.frame is Frame.TOOL:
+            raise ValueError("frame: tool is no link; the mass of the tools is the turret's, arm6")
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Scale masses and inertias and shift both halves."""
@@ -62,19 +142,21 @@ class LinkMass(Effect):
 
     def on_params(self, params: Params) -> Params:
         """The lumps scaled and shifted likewise."""
-        link = _link(params, self.frame)
+        link = link_of(params, self.frame)
         changed = replace(link, near=self._lump(link.near), far=self._lump(link.far))
-        return _with_link(params, self.frame, changed)
+        return with_link(params, self.frame, changed)
 
     def _lump(self, lump: Lump) -> Lump:
         x, y, z = (c + s for c, s in zip(lump.com_m, self.shift_m, strict=True))
         return Lump(lump.mass_kg * self.factor, (x, y, z))
 
 
-def _link(params: Params, frame: Frame) -> LinkParams:
-    link: LinkParams = getattr(params.links, frame.name.lower())
-    return link
+def _refuse_rigid(frame: Frame) -> None:
+    if frame >= len(SPRINGS):
+        known = ", ".join(Frame(k).name.lower() for k in range(len(SPRINGS)))
+        raise ValueError(f"frame: {frame.name.lower()} has no spring; there are {known}")
 
 
-def _with_link(params: Params, frame: Frame, link: LinkParams) -> Params:
-    return replace(params, links=replace(params.links, **{frame.name.lower(): link}))
+def _refuse_rover(frame: Frame) -> None:
+    if frame is Frame.ARM1:
+        raise ValueError("frame: the spring of arm1 is the rover's; take rover-compliance")

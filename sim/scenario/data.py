@@ -5,6 +5,8 @@ from typing import Literal
 
 from fsw.dictionary.commands import Command, Vector3
 from fsw.dictionary.joints import Tool
+from sim.arms import BuiltArm
+from sim.effects.effect import Effect
 from sim.effects.environment import WARM_C
 from sim.effects.faults import Fault
 from sim.scenario.checks import Check
@@ -50,7 +52,13 @@ class Scenario:
     temperature_C: float = WARM_C
     taught: tuple[Taught, ...] = ()
     faults: tuple[Injection, ...] = ()
+    effects: tuple[Effect, ...] = ()
+    """What is not as the arm's name says."""
 
     def tilted(self, roll_rad: float, pitch_rad: float) -> "Scenario":
         """The same on a rover that stands otherwise; places in RNAV stay what they are."""
         return replace(self, world=replace(self.world, tilt_roll_rad=roll_rad, tilt_pitch_rad=pitch_rad))
+
+    def fitted(self, arm: BuiltArm) -> BuiltArm:
+        """The arm with those effects that it has when its joints look for their hardstops."""
+        return arm.with_effects(self.effects)

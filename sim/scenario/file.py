@@ -23,13 +23,22 @@ from sim.scenario.faults import stops
 from sim.scenario.modes import refusals
 from sim.scenario.names import did_you_mean, spoken
 from sim.scenario.record import Findings, Problem, record_of, table_of
-from sim.scenario.tables import check_direction, check_near, check_of, command_of, fault_of, tables, taught_of
+from sim.scenario.tables import (
+    check_direction,
+    check_near,
+    check_of,
+    command_of,
+    effect_of,
+    fault_of,
+    tables,
+    taught_of,
+)
 from sim.scenario.toml_lines import NotToml, parsed
 from sim.world import MAX_TILT_RAD, Scene, Surface, World
 
 T = TypeVar("T")
 
-LISTS: Final = ("teach", "command", "fault", "check")
+LISTS: Final = ("teach", "command", "fault", "effect", "check")
 NEEDED: Final = ("command", "check")
 MOST_SHOWN: Final = 50
 """Problems in a message."""
@@ -134,6 +143,7 @@ def _scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario |
         fault_of(table, place, findings, len(asked), touchable)
         for place, table in tables(data, "fault", findings)
     ]
+    effects = [effect_of(table, place, findings) for place, table in tables(data, "effect", findings)]
     checks = [
         check_of(table, place, findings, tuple(points), len(asked), touchable)
         for place, table in tables(data, "check", findings)
@@ -141,7 +151,7 @@ def _scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario |
     _check_ending(checks, findings)
     if head is not None:
         _check_sequence(head.start, commands, faults, findings)
-    if head is None or world is None or None in (*taught, *commands, *faults, *checks):
+    if head is None or world is None or None in (*taught, *commands, *faults, *effects, *checks):
         return None
     return Scenario(
         name=name,
@@ -155,6 +165,7 @@ def _scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario |
         temperature_C=world.temperature_C,
         taught=_all(taught),
         faults=_all(faults),
+        effects=_all(effects),
     )
 
 

@@ -22,6 +22,7 @@ LONGEST: Final = 60
 """Words of a file in a sentence."""
 
 _POSITION: Final = re.compile(r"p_(?:[A-Z]o[A-Z]o_)?[A-Z]_m$")
+_PER: Final = re.compile(r"_(?:rad|m|s|A|N|Nm|Nms|K)$")
 _FRAME: Final = re.compile(r"_[A-Z]$")
 
 
@@ -44,7 +45,7 @@ def words_of(field: str, kind: Any) -> Words:
     if kind is not float:  # of a number, a capital at the end is a unit
         name = _FRAME.sub("", name)
     stem, _, unit = name.rpartition("_")
-    if not stem or unit not in UNITS:
+    if not stem or unit not in UNITS or _PER.search(stem):  # a unit over another is written in one way
         return Words(field, name, {name: 1.0})
     return Words(field, stem, {f"{stem}_{said}": factor for said, factor in UNITS[unit].items()})
 

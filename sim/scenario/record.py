@@ -205,9 +205,12 @@ def _chosen(known: tuple[str, ...], value: Any) -> str:
 
 
 def _within(limits: Any, value: Any, factor: float) -> None:
-    if isinstance(limits, Limits) and not limits.low <= value <= limits.high:
-        low, high = limits.low / factor, limits.high / factor
-        raise _Wrong(f"{value / factor:g} is outside {low:g} .. {high:g}")
+    if not isinstance(limits, Limits):
+        return
+    for one in value if isinstance(value, tuple) else (value,):
+        if not limits.low <= one <= limits.high:
+            low, high = limits.low / factor, limits.high / factor
+            raise _Wrong(f"{one / factor:g} is outside {low:g} .. {high:g}")
 
 
 def _shown(value: Any) -> str:

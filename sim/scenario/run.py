@@ -41,11 +41,14 @@ class ScenarioResult:
 
 
 def setup_of(scenario: Scenario, arm: BuiltArm, reference: Reference, seed: int) -> Setup:
-    """How a scenario begins, with an arm whose joints are known and whose places are taught."""
+    """How a scenario begins, with an arm fitted for it, its joints known and its places taught."""
     poses = arm.params.poses
     start = poses.stowed_rad if scenario.start == "stowed" else poses.ready_rad
     timed = (injection.fault for injection in scenario.faults if injection.during is None)
-    effects = (Ambient(scenario.temperature_C), *timed)
+    later = (effect for effect in scenario.effects if not effect.of_the_arm)
+    is_elsewhere = any(isinstance(effect, Ambient) for effect in arm.effects)
+    ambient = () if is_elsewhere else (Ambient(scenario.temperature_C),)
+    effects = (*ambient, *timed, *later)
     return Setup(arm, scenario.world, start, seed, reference, effects)
 
 

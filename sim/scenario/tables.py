@@ -15,11 +15,14 @@ from fsw.executive.checks import FRAMES as COMMAND_FRAMES
 from fsw.executive.checks import MoveCommand, malformed, malformed_direction
 from fsw.kinematics.branches import BRANCHES
 from fsw.motion.plan_tool import AUTO
+from sim.effects.effect import Effect, Timed
+from sim.effects.environment import PowerLoss
 from sim.effects.faults import Fault as Injected
 from sim.effects.faults import RockGone
 from sim.frames import p_R_from_N
 from sim.scenario.checks import Check, GravityHeld, Placed, Preloaded, SameSpot
 from sim.scenario.data import Injection, Taught
+from sim.scenario.effects import BadEffect, kind_named
 from sim.scenario.faults import FAULTS
 from sim.scenario.names import did_you_mean, is_position, upper_snake
 from sim.scenario.record import TYPE, Findings, kind_of, record_of
@@ -32,7 +35,7 @@ FRAMES: Final = (*ROVER_FRAMES, *(frame for frame in COMMAND_FRAMES if frame != 
 FARTHEST_M: Final = 20.0
 COMMANDS: Final[dict[str, type[Command]]] = {upper_snake(kind): kind for kind in get_args(Command)}
 CHECKS: Final[dict[str, type[Check]]] = {upper_snake(kind).lower(): kind for kind in get_args(Check)}
-EFFECTS: Final[dict[str, type[Injected]]] = {upper_snake(kind): kind for kind in FAULTS}
+INJECTED: Final[dict[str, type[Injected]]] = {upper_snake(kind): kind for kind in FAULTS}
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,7 +123,7 @@ def fault_of(
     table: dict[str, Any], place: Place, findings: Findings, commands: int, has_surface: bool
 ) -> Injection | None:
     """A fault and when it comes, or None and problems; there are so many commands."""
-    kind = kind_of(EFFECTS, table, place, findings)
+    kind = kind_of(INJECTED, table, place, findings)
     if kind is None:
         return None
     rest = {key: value for key, value in table.items() if key != TYPE}
@@ -147,6 +150,23 @@ def fault_of(
     if isinstance(at, _During):
         return Injection(replace(fault, at_s=at.after_s), at.during)
     return Injection(replace(fault, at_s=at.at_s))
+
+
+def effect_of(table: dict[str, Any], place: Place, findings: Findings) -> Effect | None:
+    """An effect that is there from the beginning, or None and problems."""
+    if not isinstance(table.get(TYPE), str):
+        findings.say(place, f'{TYPE}: is missing; write the name of an effect, such as "coulomb-friction"')
+        return None
+    try:
+        kind = kind_named(table[TYPE])
+    except BadEffect as error:
+        findings.say((*place, TYPE), f"{TYPE}: {error}")
+        return None
+    if issubclass(kind, Timed | PowerLoss):
+        findings.say((*place, TYPE), f"{TYPE}: {table[TYPE]} comes at a moment; write it as [[fault]]")
+        return None
+    rest = {key: value for key, value in table.items() if key != TYPE}
+    return record_of(kind, rest, place, findings)
 
 
 def check_of(

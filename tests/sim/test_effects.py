@@ -30,7 +30,7 @@ from sim.effects.joints import (
     ResolverBias,
 )
 from sim.effects.structure import LinkMass, LinkStiffness
-from sim.effects.turret import TurretMass
+from sim.effects.turret import StandInTurret
 from sim.params import nominal_params
 from sim.plant import Plant
 from sim.world import World
@@ -210,7 +210,7 @@ def test_a_link_of_other_mass_sags_otherwise_as_flight_software_then_says(frame:
 
 @pytest.mark.parametrize("mass_kg", [0.0, 8.0, 19.0])
 def test_an_arm_with_another_turret_sags_as_flight_software_then_says(mass_kg: float) -> None:
-    effect = TurretMass(mass_kg)
+    effect = StandInTurret(mass_kg)
     plant = built(effect, world=TILTED_EARTH)
     nominal = lab.plant()
     lighter_kg = nominal.model.body_mass.sum() - plant.model.body_mass.sum()

@@ -9,13 +9,15 @@ import pytest
 from fsw.dictionary.commands import MoveJoint, Stop
 from fsw.dictionary.joints import Joint
 from fsw.dictionary.modes import Mode
-from ground.telemetry.header import asked, begins_with, header_of, model_digest
+from ground.telemetry.header import asked, begins_with, flown_header, header_of, model_digest
 from sim.arms import arm_named
+from sim.effects.friction import CoulombFriction
+from sim.effects.geometry import Warming
 from sim.loop import ClosedLoop, Setup
 from sim.world import World
 
 KEYS = {
-    *("marsarm", "mujoco", "numpy", "python", "cpu", "git", "arm", "seed", "request"),
+    *("marsarm", "mujoco", "numpy", "python", "cpu", "git", "arm", "seed", "request", "effects"),
     *("params", "params_sha256", "mjcf_sha256", "commands", "commands_sha256", "boot"),
 }
 
@@ -39,6 +41,21 @@ def test_a_header_holds_everything_as_text():
     assert header["params_sha256"] == nominal().config.params_sha256
     assert json.loads(header["cpu"])[-1].startswith("OpenBLAS ")
     assert (header["seed"], json.loads(header["request"])) == ("3", {"tool": "apxs"})
+
+
+def test_a_header_names_the_effects_that_were_switched_on():
+    effects = (CoulombFriction(Joint.ELBOW, 25.0), Warming(10.0))
+    header = header_of(nominal(), "nominal", 3, {}, (), effects)
+    assert json.loads(header["effects"]) == [
+        "coulomb-friction:elbow:torque_Nm=25.0",
+        "warming:warming_K=10.0",
+    ]
+
+
+def test_what_is_flown_tells_nothing_of_the_plant():
+    """A log without truth can be made of it: no arm, seed, request, effects or digest of the model."""
+    flown = flown_header(nominal(), (Stop(),))
+    assert KEYS - flown.keys() == {"arm", "seed", "request", "effects", "mjcf_sha256"}
 
 
 def test_two_headers_of_one_run_are_the_same():

@@ -28,7 +28,7 @@ from sim.scenario.faults import FAULTS
 from sim.scenario.file import load, scenario_from, shipped
 from sim.scenario.names import UNITS, upper_snake, words_of
 from sim.scenario.record import Findings, record_of
-from sim.scenario.tables import CHECKS, COMMANDS, EFFECTS, command_of
+from sim.scenario.tables import CHECKS, COMMANDS, INJECTED, command_of
 from sim.world import Surface
 
 HEAD = 'title = "T"\nsentence = "S."\nstart = "ready"\n'
@@ -116,7 +116,7 @@ def test_a_command_that_says_what_it_must_has_the_defaults_of_its_dataclass(kind
 def test_every_command_check_and_fault_has_a_name_in_the_file():
     assert set(COMMANDS.values()) == set(get_args(Command))
     assert set(CHECKS.values()) == set(get_args(Check))
-    assert set(EFFECTS.values()) == set(FAULTS)
+    assert set(INJECTED.values()) == set(FAULTS)
     assert {"MOVE_TOOL", "CALIBRATE_ALL", "MOVE_TEACH_POINT"} <= set(COMMANDS)
     assert {"same_spot", "over_inlet"} <= set(CHECKS)
 

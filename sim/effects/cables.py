@@ -1,0 +1,41 @@
+"""Cables across the joints."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+
+from fsw.dictionary.joints import Joint
+from sim.effects.effect import EachCycle, Hardware
+from sim.effects.size import Size
+from sim.influence import Influence, at_joint
+from sim.plant import Plant
+
+
+@dataclass(frozen=True, slots=True)
+class FlexCable(EachCycle):
+    """A cable holds an output back towards where it was laid, and drags behind whichever way it is bent.
+
+    The drag takes `give_rad` of motion to turn round, as e to its share (Dahl).
+    """
+
+    joint: Joint
+    stiffness_Nm_rad: Annotated[float, Size(0.0, 50.0, unit="N m/rad", typical=3.0, neutral=0.0)]
+    drag_Nm: Annotated[float, Size(0.0, 30.0, unit="N m", typical=3.0, neutral=0.0)]
+    laid_rad: Annotated[float, Size(-6.5, 6.5, unit="rad", typical=0.0)] = 0.0
+    give_rad: Annotated[float, Size(1e-2, 1.0, unit="rad", typical=0.05)] = 0.05
+
+    def begin(self, plant: Plant, hardware: Hardware) -> tuple[float, float]:
+        """Output angle, and the share of the drag: none after a long rest."""
+        return float(plant.output_rad()[self.joint]), 0.0
+
+    def cycle(
+        self, plant: Plant, hardware: Hardware, state: tuple[float, float]
+    ) -> tuple[tuple[float, float], Influence]:
+        """The drag by how far the output has turned since, whatever its speed."""
+        (before_rad, share), now_rad = state, float(plant.output_rad()[self.joint])
+        moved_rad = now_rad - before_rad
+        way = float(np.sign(moved_rad))
+        share = way + (share - way) * float(np.exp(-abs(moved_rad) / self.give_rad)) if way else share
+        torque_Nm = -self.stiffness_Nm_rad * (now_rad - self.laid_rad) - self.drag_Nm * share
+        return (now_rad, share), Influence(output_Nm=at_joint(self.joint, torque_Nm))

@@ -1,0 +1,149 @@
+"""Links and tools of another length or angle along one axis, and links that are warmer on one side."""
+
+from dataclasses import dataclass
+from typing import Annotated, Final, Literal
+
+import mujoco
+import numpy as np
+
+from fsw.dictionary.joints import Frame, Tool
+from fsw.dictionary.params import Params
+from fsw.dictionary.tuples import row6
+from fsw.kinematics.arm import transform6
+from fsw.kinematics.transforms import Array
+from sim.effects.effect import Effect
+from sim.effects.geometry import FrameError
+from sim.effects.size import Size, SmallAngle, SmallLength
+from sim.effects.told import link_of
+from sim.params import nominal_params
+
+Axis = Literal["x", "y", "z"]
+AXES: Final = ("x", "y", "z")
+WIDTH_M: Final = 0.1
+"""Of a link, between the side that is warm and the one that is cold; assumed."""
+ALONG: Final = 0.9
+"""Cosine from which on a link is taken to lie along an axis."""
+
+
+@dataclass(frozen=True, slots=True)
+class _OneFrame(Effect):
+    """An effect that is an error of one frame."""
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """Displace the frame."""
+        self.error().on_model(spec)
+
+    def on_params(self, params: Params) -> Params:
+        """The numbers of the displaced link."""
+        error = self.error()
+        return error.on_params(params) if any(error.screw) else params
+
+    def error(self) -> FrameError:
+        """The same as a screw."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, slots=True)
+class LinkLength(_OneFrame):
+    """The link that ends in a frame is longer along an axis of that frame."""
+
+    frame: Frame
+    axis: Axis
+    length_m: SmallLength
+
+    def __post_init__(self) -> None:
+        _refuse_tool(self.frame, "tool-offset")
+
+    def error(self) -> FrameError:
+        """A shift."""
+        return FrameError(self.frame, row6(self.length_m * _shift(self.axis)))
+
+
+@dataclass(frozen=True, slots=True)
+class LinkAngle(_OneFrame):
+    """The link that ends in a frame is turned about an axis of that frame."""
+
+    frame: Frame
+    axis: Axis
+    angle_rad: SmallAngle
+
+    def __post_init__(self) -> None:
+        _refuse_tool(self.frame, "tool-turn")
+
+    def error(self) -> FrameError:
+        """A turn."""
+        return FrameError(self.frame, row6(self.angle_rad * _turn(self.axis)))
+
+
+@dataclass(frozen=True, slots=True)
+class ToolOffset(_OneFrame):
+    """A tool sits farther along an axis of its own."""
+
+    tool: Tool
+    axis: Axis
+    offset_m: SmallLength
+
+    def error(self) -> FrameError:
+        """A shift."""
+        return FrameError(Frame.TOOL, row6(self.offset_m * _shift(self.axis)), self.tool)
+
+
+@dataclass(frozen=True, slots=True)
+class ToolTurn(_OneFrame):
+    """A tool is turned about an axis of its own."""
+
+    tool: Tool
+    axis: Axis
+    angle_rad: SmallAngle
+
+    def error(self) -> FrameError:
+        """A turn."""
+        return FrameError(Frame.TOOL, row6(self.angle_rad * _turn(self.axis)), self.tool)
+
+
+@dataclass(frozen=True, slots=True)
+class ThermalGradient(_OneFrame):
+    """The link that ends in a frame is warmer on one side, and bends about an axis of that frame.
+
+    It bends to an arc of its growth over its width, so that its end is turned by that and shifted by half of
+    it times the length. ValueError for an axis that the link lies along.
+    """
+
+    frame: Frame
+    axis: Axis
+    gradient_K: Annotated[float, Size(-50.0, 50.0, unit="K", typical=5.0, neutral=0.0)]
+
+    def __post_init__(self) -> None:
+        _refuse_tool(self.frame, "tool-turn")
+        p, axis = self._along()[0], AXES.index(self.axis)
+        if abs(p[axis]) > ALONG * np.linalg.norm(p):
+            others = " and ".join(other for other in AXES if other != self.axis)
+            raise ValueError(
+                f"axis: {self.frame.name.lower()} lies along {self.axis}; it bends about {others}"
+            )
+
+    def error(self) -> FrameError:
+        """A turn, and the shift of the end."""
+        p, growth_K = self._along()
+        axis = np.array([self.axis == other for other in AXES], float)
+        turn = self.gradient_K / WIDTH_M * float(np.linalg.norm(np.cross(axis, growth_K))) * axis
+        return FrameError(self.frame, row6(np.concatenate([turn, 0.5 * np.cross(turn, p)])))
+
+    def _along(self) -> tuple[Array, Array]:
+        """The link from start to end [m], and its growth [m/K], in axes of its end."""
+        link = link_of(nominal_params(), self.frame)
+        X = transform6(link.transform)
+        return X.R.T @ X.p, np.array(link.expansion_1_K[3:])
+
+
+def _shift(axis: Axis) -> Array:
+    return np.array([0.0, 0.0, 0.0, *(axis == other for other in AXES)])
+
+
+def _turn(axis: Axis) -> Array:
+    return np.array([*(axis == other for other in AXES), 0.0, 0.0, 0.0])
+
+
+def _refuse_tool(frame: Frame, instead: str) -> None:
+    if frame is Frame.TOOL:
+        raise ValueError(f"frame: tool is no link; take {instead}, which names the tool")

@@ -1,0 +1,98 @@
+"""Motors and their controllers that are not the drawing's."""
+
+from dataclasses import dataclass, replace
+from typing import Annotated, Final
+
+import mujoco
+import numpy as np
+
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.joints import Joint
+from fsw.dictionary.params import Params
+from sim.effects.effect import EachCycle, Effect, Hardware
+from sim.effects.size import Factor, Size
+from sim.effects.told import joint_of, with_joint
+from sim.influence import Influence
+from sim.plant import GAINS, MOTOR_CONSTANT, Plant
+
+BUS_V: Final = 28.0
+Setpoints = tuple[tuple[float, float], ...]
+"""Angle and rate of some cycles, the newest first."""
+
+
+@dataclass(frozen=True, slots=True)
+class MotorConstant(Effect):
+    """The torque that a motor makes of a current, times a factor; its controller commands currents."""
+
+    joint: Joint
+    factor: Factor
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """Scale the constant, and the gains and the limit, which are in torque."""
+        motor = spec.actuator(self.joint.name.lower())
+        gain = motor.gainprm.copy()
+        gain[MOTOR_CONSTANT] *= self.factor
+        gain[GAINS] *= self.factor
+        motor.gainprm = gain
+        motor.forcerange = motor.forcerange * self.factor
+
+    def on_params(self, params: Params) -> Params:
+        """The true constant."""
+        joint = joint_of(params, self.joint)
+        constant = joint.torque_constant_Nm_A * self.factor
+        return with_joint(params, self.joint, replace(joint, torque_constant_Nm_A=constant))
+
+
+@dataclass(frozen=True, slots=True)
+class ServoGain(Effect):
+    """The gains of a motor controller, all times a factor."""
+
+    joint: Joint
+    factor: Annotated[float, Size(0.1, 3.0, unit="1", typical=0.2, neutral=1.0)]
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """Scale those of position, integral and rate."""
+        motor = spec.actuator(self.joint.name.lower())
+        gain = motor.gainprm.copy()
+        gain[GAINS] *= self.factor
+        motor.gainprm = gain
+
+
+@dataclass(frozen=True, slots=True)
+class CommandDelay(EachCycle):
+    """Set-points come to a motor controller late; between two of them it has what lies between."""
+
+    joint: Joint
+    delay_s: Annotated[float, Size(0.0, 0.5, unit="s", typical=0.03, neutral=0.0)]
+
+    def begin(self, plant: Plant, hardware: Hardware) -> Setpoints:
+        """The arm stands: what there is has been there for long."""
+        return (self._given(plant),) * (int(self.delay_s * CYCLE_HZ) + 2)
+
+    def cycle(self, plant: Plant, hardware: Hardware, state: Setpoints) -> tuple[Setpoints, Influence]:
+        """The newest goes in, and one of before goes out."""
+        state = (self._given(plant), *state[:-1])
+        whole, part = divmod(self.delay_s * CYCLE_HZ, 1.0)
+        newer, older = (np.array(state[int(whole) + k]) for k in (0, 1))
+        plant.data.ctrl[self._inputs()] = (1.0 - part) * newer + part * older
+        return state, Influence()
+
+    def _given(self, plant: Plant) -> tuple[float, float]:
+        angle_rad, rate_rad_s = plant.data.ctrl[self._inputs()]
+        return float(angle_rad), float(rate_rad_s)
+
+    def _inputs(self) -> slice:
+        return slice(2 * self.joint, 2 * self.joint + 2)
+
+
+@dataclass(frozen=True, slots=True)
+class BusSag(EachCycle):
+    """The bus sags under the currents of all motors, and the gains of every controller with its voltage."""
+
+    resistance_Ohm: Annotated[float, Size(0.0, 5.0, unit="Ohm", typical=0.5, neutral=0.0)]
+
+    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Influence]:
+        """By the currents of this moment."""
+        total_A = float(np.abs(plant.motor_current_A()).sum())
+        lost = min(self.resistance_Ohm * total_A / BUS_V, 1.0)
+        return None, Influence(servo=np.full(len(Joint), -lost))

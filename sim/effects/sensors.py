@@ -1,0 +1,116 @@
+"""Sensors that read something else than what is."""
+
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, Final, Literal
+
+import numpy as np
+
+from fsw.dictionary.joints import Frame, Joint
+from fsw.dictionary.params import Params
+from fsw.kinematics.transforms import Array, rotation_x, rotation_y
+from fsw.messages import Sensors
+from sim.effects.effect import Effect, Hardware
+from sim.effects.gears import Wave
+from sim.effects.size import Factor, Size, SmallAngle
+from sim.effects.told import link_of, with_link
+from sim.influence import at_joint
+
+_TURN: Final = {"x": rotation_x, "y": rotation_y}
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading(Effect):
+    """An effect on what is read, noise and all."""
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        """From the beginning."""
+        return replace(hardware, spoilt=(*hardware.spoilt, self))
+
+    def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
+        """The readings as they come, of what they would be."""
+        raise NotImplementedError
+
+    def held(self, sensors: Sensors) -> "_Reading":
+        """The same: nothing is remembered."""
+        return self
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentGain(_Reading):
+    """A current sensor reads so many times the current."""
+
+    joint: Joint
+    factor: Factor
+
+    def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
+        """Scaled."""
+        factor = 1.0 + at_joint(self.joint, self.factor - 1.0)
+        return replace(sensors, current_A=sensors.current_A * factor)
+
+
+@dataclass(frozen=True, slots=True)
+class CurrentBias(_Reading):
+    """A current sensor reads too much by a current."""
+
+    joint: Joint
+    current_A: Annotated[float, Size(-2.0, 2.0, unit="A", typical=0.05, neutral=0.0)]
+
+    def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
+        """Shifted."""
+        return replace(sensors, current_A=sensors.current_A + at_joint(self.joint, self.current_A))
+
+
+@dataclass(frozen=True, slots=True)
+class EncoderZero(Effect):
+    """An encoder lost count since its joint was at its hardstop: it reads too much, by an angle."""
+
+    of_the_arm: ClassVar[bool] = False
+    joint: Joint
+    offset_rad: SmallAngle
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        """The counter reads 0 at another angle."""
+        return replace(
+            hardware, counter_zero_rad=hardware.counter_zero_rad - at_joint(self.joint, self.offset_rad)
+        )
+
+    def on_params(self, params: Params) -> Params:
+        """The link turned back by as much: a zero offset is a turn of the link about its joint."""
+        if not self.offset_rad:
+            return params
+        frame = Frame(self.joint + 1)
+        link = link_of(params, frame)
+        turned = replace(link.transform, theta_rad=link.transform.theta_rad - self.offset_rad)
+        return with_link(params, frame, replace(link, transform=turned))
+
+
+@dataclass(frozen=True, slots=True)
+class ResolverEccentricity(Effect):
+    """A resolver is off its axis: it reads too much by a wave, once a turn of the output."""
+
+    joint: Joint
+    cosine_rad: Wave
+    sine_rad: Wave
+    """With the cosine it makes any amplitude and phase."""
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        """From the beginning."""
+        return replace(hardware, warped=(*hardware.warped, self))
+
+    def error_rad(self, output_rad: Array) -> Array:
+        """What each resolver (5) reads too much at these outputs (5)."""
+        angle = float(output_rad[self.joint])
+        return at_joint(self.joint, float(self.cosine_rad * np.cos(angle) + self.sine_rad * np.sin(angle)))
+
+
+@dataclass(frozen=True, slots=True)
+class GravityDirection(_Reading):
+    """The rover's IMU is mounted askew: it sees gravity turned about an axis of the rover."""
+
+    axis: Literal["x", "y"]
+    angle_rad: Annotated[float, Size(-0.1, 0.1, unit="rad", typical=5e-3, neutral=0.0)]
+
+    def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
+        """Turned."""
+        R = _TURN[self.axis](np.array(self.angle_rad))
+        return replace(sensors, gravity_R_m_s2=R @ sensors.gravity_R_m_s2)

@@ -1,0 +1,109 @@
+"""A joint on a bench: the arm with effects, one joint turned as its controller is told, nothing else moving."""
+
+from dataclasses import dataclass, replace
+from functools import cache
+
+import mujoco
+import numpy as np
+
+from fsw.dictionary.joints import Joint
+from sim.avionics import Avionics
+from sim.effects.effect import Effect, Hardware, gone_on, nominal_hardware
+from sim.plant import ALL_ACTUATORS, Plant
+from sim.world import World, build
+from tests.sim import lab
+
+Array = lab.Array
+STEPS = 8
+"""Of physics in a control cycle."""
+SPEED_RAD_S = np.array([1.0, 1.0, 1.0, 2.0, 2.0]) * np.pi / 180
+TORQUE_CONSTANT_NM_A = np.array([228.6, 228.6, 228.6, 86.33, 86.33])
+
+
+@cache
+def _nominal(world: World) -> mujoco.MjSpec:
+    return build(world)
+
+
+def built(*effects: Effect, world: World | None = None, calm: bool = False) -> tuple[Plant, Hardware]:
+    """The arm with these effects, without rover and ground; calm: soon at rest, see tests.sim.lab."""
+    spec = _nominal(world or World()).copy()
+    if world is None or world.surface is None:
+        for geom in spec.geoms:
+            geom.contype = geom.conaffinity = 0
+    if calm:
+        lab.soon_at_rest(spec)
+    hardware = nominal_hardware()
+    for effect in effects:
+        effect.on_model(spec)
+        hardware = effect.on_hardware(hardware)
+    return Plant(spec.compile()), hardware
+
+
+def avionics(plant: Plant, hardware: Hardware) -> Avionics:
+    """Without noise of the sensors."""
+    quiet = {"resolver_noise_rad": 0.0, "current_noise_A": 0.0, "gravity_noise_m_s2": 0.0}
+    return Avionics(plant, replace(hardware, **quiet), np.random.default_rng(1))
+
+
+def at(plant: Plant, motor_rad: Array) -> Plant:
+    """The motors at these angles, everything undeflected; nothing moves."""
+    mujoco.mj_resetData(plant.model, plant.data)
+    plant.data.qpos[plant.at.motor] = motor_rad
+    mujoco.mj_forward(plant.model, plant.data)
+    return plant
+
+
+@dataclass(frozen=True)
+class Turned:
+    """A joint that was turned; one row a control cycle."""
+
+    current_A: Array
+    motor_rad: Array
+    output_rad: Array
+
+    def mean_A(self, cycles: int = 64) -> float:
+        """Of the last cycles."""
+        return float(self.current_A[-cycles:].mean())
+
+
+def turned(
+    joint: Joint,
+    *effects: Effect,
+    seconds: float = 2.5,
+    speed: float = 1.0,
+    every: int = STEPS,
+    start_rad: Array = lab.READY_RAD,
+    back: bool = False,
+    world: World | None = None,
+) -> Turned:
+    """One joint brought to a share of its speed within a second, and kept there; back: and then back again.
+
+    `every` so many steps of physics the effects are looked at.
+    """
+    plant, hardware = built(*effects, world=world)
+    state = [hardware]
+
+    def look() -> None:
+        if state[0].each_cycle:
+            state[0] = gone_on(plant, state[0])
+
+    plant.place(start_rad, 4.0, look)
+    plant.model.opt.disableactuator = ALL_ACTUATORS & ~(2 << joint)
+    plant.brake(joint, False)
+    rows, angle, rate = [], start_rad[joint], 0.0
+    full, dt = speed * SPEED_RAD_S[joint], plant.model.opt.timestep
+    for goal in [full, -full] if back else [full]:
+        first = rate
+        for step in range(round(seconds / dt)):
+            rate = first + (goal - first) * lab.gentle(min(step * dt, 1.0))
+            if step % STEPS == 0:
+                plant.data.ctrl[2 * joint : 2 * joint + 2] = angle, rate
+            if step % every == 0:
+                look()
+            mujoco.mj_step(plant.model, plant.data)
+            angle += rate * dt
+            if step % STEPS == STEPS - 1:
+                found = (plant.motor_current_A(), plant.motor_rad(), plant.output_rad())
+                rows.append([one[joint] for one in found])
+    return Turned(*np.array(rows).T)

@@ -1,0 +1,198 @@
+"""What friction, gears, motors and cables do to a joint that is turned at a steady speed, by the formulas."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Joint
+from sim.effects.cables import FlexCable
+from sim.effects.effect import Effect
+from sim.effects.environment import COLD_C, Ambient
+from sim.effects.friction import (
+    ColdFriction,
+    CoulombFriction,
+    LoadFriction,
+    OutputFriction,
+    StribeckFriction,
+    ViscousFriction,
+)
+from sim.effects.gears import GearEfficiency, GearHysteresis, TransmissionError
+from sim.effects.joints import GearStiffness
+from sim.effects.motors import BUS_V, BusSag, CommandDelay, MotorConstant, ServoGain
+from sim.plant import GAINS
+from tests.sim import lab
+from tests.sim.effects import bench
+
+TIMES = pytest.mark.parametrize("times", [0.5, 1.0, 2.0])
+JOINTS = pytest.mark.parametrize("joint", [Joint.AZIMUTH, Joint.TURRET])
+
+
+@cache
+def as_drawn(joint: Joint, speed: float = 1.0) -> bench.Turned:
+    return bench.turned(joint, speed=speed)
+
+
+def more_Nm(joint: Joint, *effects: Effect, speed: float = 1.0) -> float:
+    """The torque that the current says an effect costs."""
+    found = bench.turned(joint, *effects, speed=speed).mean_A() - as_drawn(joint, speed).mean_A()
+    return found * float(bench.TORQUE_CONSTANT_NM_A[joint])
+
+
+@TIMES
+@JOINTS
+def test_coulomb_friction_raises_the_moving_current_by_its_torque_over_the_constant(
+    joint: Joint, times: float
+) -> None:
+    assert more_Nm(joint, CoulombFriction(joint, 20.0 * times)) == pytest.approx(20.0 * times, rel=1e-3)
+
+
+@TIMES
+@JOINTS
+def test_friction_of_an_output_is_paid_by_the_motor(joint: Joint, times: float) -> None:
+    assert more_Nm(joint, OutputFriction(joint, 5.0 * times)) == pytest.approx(5.0 * times, rel=5e-3)
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0])
+@TIMES
+def test_viscous_friction_costs_its_damping_times_the_speed(speed: float, times: float) -> None:
+    joint = Joint.AZIMUTH
+    said = 300.0 * times * speed * bench.SPEED_RAD_S[joint]
+    assert more_Nm(joint, ViscousFriction(joint, 300.0 * times), speed=speed) == pytest.approx(said, rel=0.02)
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.5, 1.0])
+@TIMES
+def test_stribeck_friction_falls_with_the_speed(speed: float, times: float) -> None:
+    joint, knee = Joint.AZIMUTH, 0.01
+    said = 20.0 * times * np.exp(-((speed * bench.SPEED_RAD_S[joint] / knee) ** 2))
+    assert more_Nm(joint, StribeckFriction(joint, 20.0 * times, knee), speed=speed) == pytest.approx(
+        said, rel=0.02
+    )
+
+
+@cache
+def gravity_Nm(joint: Joint) -> float:
+    """Half the difference of the torques of turning either way, by the currents of the arm as drawn."""
+    up, down = (as_drawn(joint, speed).mean_A() for speed in (1.0, -1.0))
+    return -0.5 * (up + down) * float(bench.TORQUE_CONSTANT_NM_A[joint])
+
+
+def carried_Nm(joint: Joint, way: float) -> float:
+    """What a gear carries that turns its output this way: gravity, and the friction of the output."""
+    return abs(gravity_Nm(joint) - way * lab.OUTPUT_FRICTION_NM[joint])
+
+
+@TIMES
+@pytest.mark.parametrize("speed", [1.0, -1.0])
+def test_load_dependent_friction_is_a_share_of_what_the_gear_carries(speed: float, times: float) -> None:
+    joint = Joint.ELEVATION
+    assert abs(gravity_Nm(joint)) > 100.0
+    found = more_Nm(joint, LoadFriction(joint, 0.1 * times), speed=speed) * speed
+    assert found == pytest.approx(0.1 * times * carried_Nm(joint, speed), rel=0.04)
+
+
+@pytest.mark.parametrize("factor", [0.95, 0.9, 0.8])
+def test_a_gear_of_less_efficiency_costs_more_against_the_load_than_with_it(factor: float) -> None:
+    joint = Joint.ELEVATION
+    helps = np.sign(gravity_Nm(joint))
+    against = more_Nm(joint, GearEfficiency(joint, factor), speed=-helps) * -helps
+    with_it = more_Nm(joint, GearEfficiency(joint, factor), speed=helps) * helps
+    assert against == pytest.approx((1 / factor - 1) * carried_Nm(joint, -helps), rel=0.04)
+    assert with_it == pytest.approx((1 - factor) * carried_Nm(joint, helps), rel=0.04)
+
+
+@pytest.mark.parametrize("factor", [0.8, 1.25])
+def test_a_motor_of_another_constant_draws_another_current_for_the_same_torque(factor: float) -> None:
+    joint = Joint.AZIMUTH
+    """Asked for by friction that is put on."""
+    joint, other = Joint.AZIMUTH, MotorConstant(Joint.AZIMUTH, factor)
+    rubs = CoulombFriction(joint, 20.0)
+    more_A = bench.turned(joint, other, rubs).mean_A() - bench.turned(joint, other).mean_A()
+    assert more_A == pytest.approx(20.0 / (factor * bench.TORQUE_CONSTANT_NM_A[joint]), rel=1e-3)
+
+
+@pytest.mark.parametrize("factor", [0.7, 1.3])
+def test_in_the_cold_friction_is_a_factor_more_and_when_warm_it_is_not(factor: float) -> None:
+    joint = Joint.AZIMUTH
+    effect = ColdFriction(joint, factor)
+    assert more_Nm(joint, effect) == 0.0
+    cold_Nm = bench.built(Ambient(COLD_C))[0].built_friction()[0][joint]
+    viscous = bench.built(Ambient(COLD_C))[0].built_friction()[1][joint] * bench.SPEED_RAD_S[joint]
+    found = more_Nm(joint, Ambient(COLD_C), effect) - more_Nm(joint, Ambient(COLD_C))
+    assert found == pytest.approx((factor - 1.0) * (cold_Nm + viscous), rel=0.02)
+
+
+@pytest.mark.parametrize("delay_s", [0.01, 0.03, 0.06])
+def test_a_joint_whose_set_points_come_late_is_behind_by_its_speed_times_the_delay(delay_s: float) -> None:
+    joint = Joint.AZIMUTH
+    behind = (
+        as_drawn(joint).motor_rad[-64:] - bench.turned(joint, CommandDelay(joint, delay_s)).motor_rad[-64:]
+    )
+    assert behind.mean() == pytest.approx(bench.SPEED_RAD_S[joint] * delay_s, rel=0.02)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_the_gain_of_a_controller_is_what_it_answers_an_error_with(factor: float) -> None:
+    answers = []
+    for effects in ((), (ServoGain(Joint.ELBOW, factor),)):
+        plant, _ = bench.built(*effects)
+        bench.at(plant, lab.READY_RAD)
+        plant.data.ctrl[0::2] = lab.READY_RAD + 1e-5
+        answers.append(bench.mujoco.mj_forward(plant.model, plant.data) or plant.data.actuator_force.copy())
+    np.testing.assert_allclose(answers[1] / answers[0], [1, 1, factor, 1, 1], rtol=1e-9)
+
+
+def test_the_bus_sags_by_its_resistance_times_all_currents_and_the_gains_with_it() -> None:
+    effect = BusSag(2.0)
+    plant, hardware = bench.built(effect)
+    drawn = plant.model.actuator_gainprm[plant.at.actuators, GAINS].copy()
+    plant.data.actuator_force[:] = [228.6, -114.3, 0.0, 86.33, 0.0]
+    bench.gone_on(plant, hardware)
+    share = plant.model.actuator_gainprm[plant.at.actuators, GAINS] / drawn
+    np.testing.assert_allclose(share, 1.0 - 2.0 * 2.5 / BUS_V, rtol=1e-12)
+
+
+@TIMES
+def test_a_flex_cable_pulls_by_its_stiffness_and_drags_by_its_drag(times: float) -> None:
+    """One way and then the other from where it was laid: half the difference is drag, half the sum the pull."""
+    joint, laid = Joint.TURRET, -0.5
+    effect = FlexCable(joint, 10.0 * times, 2.0 * times, laid, give_rad=0.01)
+    start = lab.READY_RAD.copy()
+    start[joint] = 0.0
+    found = [bench.turned(joint, *effects, start_rad=start, back=True) for effects in ((), (effect,))]
+    more = (found[1].current_A - found[0].current_A) * bench.TORQUE_CONSTANT_NM_A[joint]
+    for window, way in ((slice(130, 160), 1.0), (slice(-30, None), -1.0)):
+        said = effect.stiffness_Nm_rad * (found[1].output_rad[window] - laid) + way * effect.drag_Nm
+        assert more[window].mean() == pytest.approx(said.mean(), rel=0.02)
+
+
+@TIMES
+def test_a_transmission_error_moves_the_output_of_a_standing_motor_by_its_wave(times: float) -> None:
+    effect = TransmissionError(Joint.ELBOW, 3e-4 * times, -2e-4 * times, turns=5)
+    for angle in (0.3, 1.4):
+        pose = lab.LEFT_RAD.copy()
+        pose[Joint.ELBOW] = angle
+        output = []
+        for effects in ((), (effect,)):
+            plant, hardware = bench.built(*effects, calm=True)
+            plant.place(pose, 2.0, lambda plant=plant, hardware=hardware: bench.gone_on(plant, hardware))
+            output.append(plant.output_rad()[Joint.ELBOW])
+        said = times * (3e-4 * np.cos(5 * angle) - 2e-4 * np.sin(5 * angle))
+        assert output[1] - output[0] == pytest.approx(said, rel=3e-3, abs=1e-7)
+
+
+@TIMES
+def test_a_gear_with_hysteresis_comes_back_short_by_its_friction_over_its_stiffness(times: float) -> None:
+    """Wound up by 150 N m and let go slowly, without gravity: its friction and the output's hold the rest."""
+    joint, twist = Joint.ELBOW, []
+    stiff = [GearStiffness(other, 1.0) for other in Joint]
+    for effects in (stiff, [*stiff, GearHysteresis(joint, 10.0 * times)]):
+        plant, _ = bench.built(*effects)
+        plant.model.opt.gravity[:] = 0.0
+        plant.place(lab.STRAIGHT_RAD, 0.5)
+        for share in (*np.linspace(0, 1, 128), *np.linspace(1, 0, 256), *np.zeros(64)):
+            plant.data.qfrc_applied[plant.at.gear[joint]] = 150.0 * share
+            plant.step()
+        twist.append(float(plant.data.qpos[plant.at.gear[joint]]))
+    assert twist[1] - twist[0] == pytest.approx(10.0 * times / lab.STIFFNESS_NM_RAD[joint], rel=0.03)

@@ -1,0 +1,137 @@
+"""The catalogue: every effect says what it is, where it can sit and how large it is; nothing is listed twice."""
+
+import pytest
+
+import sim.effects.friction
+from fsw.dictionary.joints import Frame, Joint, Tool
+from sim.effects.catalogue import catalogue, departed, effects_in, hypotheses
+from sim.effects.describe import all_places, parameters_of, place_named, sentence_of
+from sim.effects.effect import Effect
+from sim.effects.geometry import FrameError
+from sim.effects.structure import LinkBending
+from sim.scenario.effects import effect_from, spec_of, written
+
+KINDS = pytest.mark.parametrize("kind", catalogue().values(), ids=catalogue())
+HYPOTHESES = tuple(hypotheses())
+ASKED_FOR = (
+    *("coulomb-friction", "viscous-friction", "stribeck-friction", "load-friction", "cold-friction"),
+    *("gear-stiffness", "gear-hysteresis", "backlash-width", "gear-efficiency", "transmission-error"),
+    *("motor-constant", "current-gain", "current-bias", "encoder-zero", "resolver-bias"),
+    *("resolver-eccentricity", "command-delay", "servo-gain", "bus-sag", "link-bending", "link-torsion"),
+    *("link-length", "link-angle", "warming", "thermal-gradient", "rover-compliance", "gravity-direction"),
+    *("turret-mass", "turret-centre", "tool-offset", "flex-cable", "contact-stiffness", "surface-position"),
+)
+
+
+def test_all_that_was_asked_for_is_there_and_can_be_raced() -> None:
+    raced = {hypothesis.kind for hypothesis in HYPOTHESES}
+    assert [name for name in ASKED_FOR if catalogue().get(name) not in raced] == []
+
+
+def test_every_effect_of_a_file_is_in_the_catalogue_by_its_name() -> None:
+    names = [kind.__name__ for kind in effects_in(sim.effects.friction)]
+    assert names[:2] == ["CoulombFriction", "ViscousFriction"]
+    assert set(effects_in(sim.effects.friction)) <= set(catalogue().values())
+    assert not [name for name in catalogue() if name.startswith("-") or name != name.lower()]
+
+
+@KINDS
+def test_an_effect_says_in_a_sentence_what_it_is(kind: type[Effect]) -> None:
+    sentence = sentence_of(kind)
+    assert sentence.endswith(".")
+    assert 15 < len(sentence) < 120
+
+
+@KINDS
+def test_a_parameter_has_the_unit_of_its_name(kind: type[Effect]) -> None:
+    for parameter in parameters_of(kind):
+        size = parameter.size
+        if size is None:
+            assert parameter.field == "index"
+        elif size.unit not in ("1", "rad, m", "of the sensor", "cycle"):
+            suffix = size.unit.replace(" ", "").replace("/", "_").replace("(", "").replace(")", "")
+            suffix = {"degC": "C", "radNm": "rad_Nm"}.get(suffix, suffix)
+            assert parameter.field.endswith(f"_{suffix}"), parameter
+
+
+@KINDS
+def test_the_typical_size_of_a_parameter_twice_over_is_within_its_bounds(kind: type[Effect]) -> None:
+    for parameter in parameters_of(kind):
+        size = parameter.size
+        if size is not None and parameter.is_sized:
+            assert size.low <= size.neutral <= size.high
+            assert size.low <= departed(parameter, 2.0) <= size.high or kind.__name__ == "WeakMotor"
+        elif size is not None:
+            assert size.low <= size.typical <= size.high
+
+
+@pytest.mark.parametrize("times", [0.5, 1.0, -1.0])
+def test_every_hypothesis_comes_back_from_what_is_written_of_it(times: float) -> None:
+    for hypothesis in HYPOTHESES:
+        effect = hypothesis.typical(times)
+        if within(effect):
+            assert effect_from(spec_of(effect)) == effect
+
+
+@KINDS
+def test_every_effect_comes_back_from_what_is_written_of_it(kind: type[Effect]) -> None:
+    places = list(all_places(kind))
+    assert places
+    for place in (places[0], places[-1]):
+        effect = kind(**place, **{p.field: value_of(p) for p in parameters_of(kind)})
+        assert effect_from(spec_of(effect)) == effect
+
+
+def value_of(parameter) -> object:
+    """Neither neutral nor round."""
+    size = parameter.size
+    if size is None or isinstance(parameter.default, int):
+        return parameter.default
+    if size.unit == "cycle":
+        return 3
+    value = (size.neutral or 0.0) + size.typical / 3
+    if size.unit == "of the sensor":
+        return parameter.default
+    return value if parameter.count == 1 else (value,) * parameter.count
+
+
+def within(effect: Effect) -> bool:
+    sizes = {p.field: p.size for p in parameters_of(type(effect)) if p.size is not None and p.count == 1}
+    return all(size.low <= getattr(effect, field) <= size.high for field, size in sizes.items())
+
+
+def test_hypotheses_are_all_different_and_have_names_of_their_own() -> None:
+    names = [str(hypothesis) for hypothesis in HYPOTHESES]
+    assert len(set(names)) == len(names)
+    assert "coulomb-friction:elbow" in names
+    assert "link-bending:arm3.z" in names
+    assert "warming" in names
+
+
+def test_a_hypothesis_has_one_place_and_its_sizes_open() -> None:
+    (one,) = (hypothesis for hypothesis in HYPOTHESES if str(hypothesis) == "flex-cable:wrist")
+    assert [p.field for p in one.sizes] == ["stiffness_Nm_rad", "drag_Nm"]
+    assert [p.field for p in one.shapes] == ["laid_rad", "give_rad"]
+    effect = one.effect(drag_Nm=2.0)
+    assert (effect.joint, effect.stiffness_Nm_rad, effect.drag_Nm) == (Joint.WRIST, 0.0, 2.0)
+
+
+def test_places_that_a_class_refuses_are_none() -> None:
+    assert {place["frame"] for place in all_places(LinkBending)} == {*Frame} - {
+        Frame.ARM1,
+        Frame.ARM6,
+        Frame.TOOL,
+    }
+    of_tools = [place["tool"] for place in all_places(FrameError) if place["frame"] is Frame.TOOL]
+    assert of_tools == list(Tool)
+    assert place_named(FrameError, {"frame": Frame.TOOL, "tool": Tool.MAHLI}) == "tool.mahli"
+
+
+def test_parameters_are_written_in_units_of_the_house() -> None:
+    assert written(catalogue()["ambient"], "temperature_C") == "temperature_degC"
+    assert written(catalogue()["link-bending"], "compliance_rad_Nm") == "compliance_rad_Nm"
+
+
+@KINDS
+def test_an_effect_is_a_frozen_value(kind: type[Effect]) -> None:
+    assert kind.__dataclass_params__.frozen

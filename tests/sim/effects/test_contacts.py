@@ -1,0 +1,53 @@
+"""What the tools touch: nearer than it was seen, or of another stiffness."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Tool
+from fsw.dictionary.tuples import vector3
+from sim.effects.contacts import ContactStiffness, SurfacePosition
+from sim.effects.effect import Effect
+from sim.frames import P_NR_M
+from sim.plant import Plant
+from sim.world import Surface, World
+from tests.sim import lab
+from tests.sim.effects import bench
+
+DEEP_M = 2e-4
+
+
+def in_rock(*effects: Effect) -> Plant:
+    """The pads of the APXS a little inside of a rock, nothing moving."""
+    truth = bench.at(bench.built()[0], lab.READY_RAD).truth()
+    normal = -truth.R_RT[Tool.APXS][:, 0]
+    face = truth.p_RoTo_R_m[Tool.APXS] + P_NR_M + DEEP_M * normal
+    world = World(surface=Surface(vector3(face), vector3(normal)))
+    plant, _ = bench.built(*effects, world=world)
+    return bench.at(plant, lab.READY_RAD)
+
+
+def depth_m(plant: Plant) -> float:
+    return float(np.mean([-contact.dist for contact in plant.data.contact]))
+
+
+@pytest.mark.parametrize("offset_m", [-1e-4, 1e-4, 3e-4])
+def test_a_surface_that_is_nearer_is_met_that_much_earlier(offset_m: float) -> None:
+    assert in_rock().data.ncon == 2
+    assert depth_m(in_rock()) == pytest.approx(DEEP_M, abs=1e-9)
+    assert depth_m(in_rock(SurfacePosition(offset_m))) == pytest.approx(DEEP_M + offset_m, abs=1e-9)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0, 4.0])
+def test_what_is_stiffer_pushes_back_that_much_harder_at_the_same_depth(factor: float) -> None:
+    """Reference accelerations of the contact, which are stiffness times depth."""
+    found = []
+    for effects in ((), (ContactStiffness(factor),)):
+        data = in_rock(*effects).data
+        found.append(data.efc_aref[data.efc_type == mujoco.mjtConstraint.mjCNSTR_CONTACT_PYRAMIDAL])
+    assert found[0].size
+    np.testing.assert_allclose(found[1] / found[0], factor, rtol=1e-6)
+
+
+def test_where_there_is_no_rock_there_is_nothing_to_shift() -> None:
+    bench.built(SurfacePosition(1e-3))

@@ -1,0 +1,103 @@
+"""Effects that are looked at once a control cycle: that is often enough, and a run can be forked."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.commands import MoveJoints
+from fsw.dictionary.joints import Joint
+from sim.arms import arm_named
+from sim.effects.cables import FlexCable
+from sim.effects.effect import EachCycle
+from sim.effects.friction import ColdFriction, LoadFriction, StribeckFriction
+from sim.effects.gears import GearEfficiency, TransmissionError
+from sim.effects.motors import BusSag, CommandDelay
+from sim.initialisation import true_reference
+from sim.loop import ClosedLoop, Setup
+from sim.world import World
+from tests.sim import lab
+from tests.sim.effects import bench
+
+JOINT = Joint.ELEVATION
+EFFECTS = (
+    StribeckFriction(JOINT, 30.0, 5e-3),
+    LoadFriction(JOINT, 0.15),
+    GearEfficiency(JOINT, 0.85),
+    TransmissionError(JOINT, 3e-4, 2e-4, turns=60),
+    FlexCable(JOINT, 20.0, 6.0, give_rad=0.02),
+    BusSag(4.0),
+)
+WHOLE = bench.STEPS
+"""Steps of physics in a control cycle."""
+
+
+@cache
+def reversal(effect: EachCycle | None, every: int) -> bench.Turned:
+    """One way and back: every effect here depends on what changes then."""
+    effects = () if effect is None else (effect,)
+    return bench.turned(JOINT, *effects, seconds=2.0, every=every, back=True)
+
+
+def apart(effect: EachCycle, every: int) -> lab.Array:
+    """Root mean squares of output angle and current, to the same looked at in every step of physics."""
+    one, other = reversal(effect, every), reversal(effect, 1)
+    return np.sqrt([np.mean((getattr(one, what) - getattr(other, what)) ** 2) for what in SEEN])
+
+
+SEEN = ("output_rad", "current_A")
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: type(effect).__name__)
+def test_looked_at_once_a_cycle_an_effect_does_what_it_does_looked_at_in_every_step(
+    effect: EachCycle,
+) -> None:
+    """What that leaves is small beside the effect itself."""
+    drawn, there = reversal(None, WHOLE), reversal(effect, 1)
+    size = np.sqrt([np.mean((getattr(there, what) - getattr(drawn, what)) ** 2) for what in SEEN])
+    assert np.all(apart(effect, WHOLE) < 0.1 * size)
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: type(effect).__name__)
+def test_looked_at_twice_as_often_it_is_nearer(effect: EachCycle) -> None:
+    assert np.all(apart(effect, WHOLE // 2) < 0.8 * apart(effect, WHOLE))
+
+
+def test_every_effect_of_each_cycle_is_looked_at_here_but_for_two() -> None:
+    """A delay is in cycles by what it is, and grease keeps its temperature."""
+    left = {CommandDelay, ColdFriction}
+    from sim.effects.catalogue import catalogue
+
+    assert {kind for kind in catalogue().values() if issubclass(kind, EachCycle)} == left | {
+        type(e) for e in EFFECTS
+    }
+
+
+def running() -> ClosedLoop:
+    arm = arm_named("nominal").with_effects((*EFFECTS, CommandDelay(JOINT, 0.04), ColdFriction(JOINT, 1.5)))
+    loop = ClosedLoop(Setup(arm, World(), arm.params.poses.ready_rad, 1, true_reference(arm)))
+    loop.cycle((MoveJoints((0.0, 0.05, 0.0, 0.0, 0.0), relative=True),))
+    for _ in range(120):
+        loop.cycle()
+    return loop
+
+
+def readings(loop: ClosedLoop) -> list[bytes]:
+    found = []
+    for _ in range(60):
+        sensors = loop.cycle().sensors
+        found.append(
+            sensors.encoder_count.tobytes() + sensors.resolver_rad.tobytes() + sensors.current_A.tobytes()
+        )
+    return found
+
+
+def test_a_fork_goes_on_bit_by_bit_as_the_run_does_with_all_of_them_on() -> None:
+    loop = running()
+    assert abs(loop.state.joints.motor_rate_rad_s[JOINT]) > 1e-3
+    first, second = loop.fork(), loop.fork()
+    assert readings(first) == readings(loop) == readings(second)
+
+
+def test_the_same_run_is_the_same_again() -> None:
+    assert readings(running()) == readings(running())

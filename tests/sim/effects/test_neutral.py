@@ -1,0 +1,76 @@
+"""Every size at its neutral value changes nothing, bit for bit: model, flight parameters, and what happens."""
+
+from functools import cache
+
+import mujoco
+import numpy as np
+
+from fsw.dictionary.commands import MoveJoints
+from sim.arms import BuiltArm, arm_named
+from sim.effects.catalogue import hypotheses
+from sim.effects.effect import Effect, nominal_hardware
+from sim.effects.environment import Ambient
+from sim.initialisation import true_reference
+from sim.loop import ClosedLoop, Setup
+from sim.world import Surface, World, build
+
+NEUTRAL = tuple(hypothesis.effect() for hypothesis in hypotheses())
+WORLD = World(surface=Surface((2.05, 0.1, -0.25), (-0.5, 0.1, -0.85)))
+NOMINAL = arm_named("nominal")
+CYCLES = 160
+STEP = MoveJoints((0.01, -0.01, 0.01, -0.02, 0.02), relative=True)
+
+
+def compiled(*effects: Effect) -> bytes:
+    spec = build(WORLD)
+    for effect in effects:
+        effect.on_model(spec)
+    model = spec.compile()
+    content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
+    mujoco.mj_saveModel(model, None, content)
+    return content.tobytes()
+
+
+def test_the_model_is_the_same() -> None:
+    assert compiled(*NEUTRAL) == compiled()
+
+
+def test_flight_parameters_are_the_same() -> None:
+    params = NOMINAL.params
+    for effect in NEUTRAL:
+        params = effect.on_params(params)
+    assert params == NOMINAL.params
+
+
+@cache
+def ran(*effects: Effect) -> list[object]:
+    """All readings, and what was true, of a run with a move in it."""
+    arm = BuiltArm("nominal", effects, NOMINAL.params)
+    reference = true_reference(arm_named("nominal"))
+    loop = ClosedLoop(Setup(arm, World(), NOMINAL.params.poses.ready_rad, 3, reference), with_truth=True)
+    seen: list[object] = []
+    for k in range(CYCLES):
+        record = loop.cycle((STEP,) if k == 4 else ())
+        s = record.sensors
+        seen.append((s.encoder_count.tobytes(), s.resolver_rad.tobytes(), s.current_A.tobytes()))
+        seen.append((s.gravity_R_m_s2.tobytes(), record.truth.p_RoTo_R_m.tobytes()))
+    return seen
+
+
+def test_a_run_is_the_same() -> None:
+    nothing = ran()
+    assert len(set(nothing)) > CYCLES
+    assert ran(*NEUTRAL) == nothing
+
+
+def test_effects_that_are_not_neutral_do_show() -> None:
+    """Lest the test above looks at nothing: each of these alone changes the run."""
+    nothing = ran()
+    for name in ("coulomb-friction:elbow", "command-delay:elbow"):
+        (one,) = (hypothesis for hypothesis in hypotheses() if str(hypothesis) == name)
+        assert ran(one.typical()) != nothing
+
+
+def test_an_ambient_of_the_drawing_is_that_of_the_drawing() -> None:
+    hardware = nominal_hardware()
+    assert Ambient(20.0).on_hardware(hardware).ambient_C.tolist() == hardware.ambient_C.tolist()

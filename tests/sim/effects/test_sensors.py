@@ -1,0 +1,96 @@
+"""What sensors read that do not read what is."""
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Joint
+from fsw.messages import Sensors
+from sim.avionics import RESOLVER_LSB_RAD
+from sim.effects.effect import Effect
+from sim.effects.joints import ResolverBias
+from sim.effects.sensors import CurrentBias, CurrentGain, EncoderZero, GravityDirection, ResolverEccentricity
+from sim.world import World
+from tests.sim import lab
+from tests.sim.effects import bench
+
+JOINTS = pytest.mark.parametrize("joint", [Joint.AZIMUTH, Joint.WRIST])
+TIMES = pytest.mark.parametrize("times", [0.5, 1.0, 2.0])
+
+
+def read(*effects: Effect, motor_rad: lab.Array = lab.LEFT_RAD, current_A: float = 0.0) -> Sensors:
+    """At these motor angles, undeflected, without noise, motors drawing this current."""
+    plant, hardware = bench.built(*effects)
+    bench.at(plant, motor_rad)
+    plant.data.actuator_force[:] = current_A * bench.TORQUE_CONSTANT_NM_A
+    return bench.avionics(plant, hardware).sense()
+
+
+@TIMES
+@JOINTS
+def test_a_resolver_off_its_axis_differs_from_its_encoder_by_a_wave_once_a_turn(
+    joint: Joint, times: float
+) -> None:
+    effect = ResolverEccentricity(joint, 1e-3 * times, -2e-3 * times)
+    angles = np.linspace(-0.3, 5.5, 9) if joint is not Joint.AZIMUTH else np.linspace(-3.0, 1.5, 9)
+    for angle in angles:
+        pose = np.where(np.arange(5) == joint, angle, lab.LEFT_RAD)
+        plant, hardware = bench.built(effect)
+        sensors = bench.avionics(bench.at(plant, pose), hardware).sense()
+        encoder = sensors.encoder_count * hardware.rad_per_count + hardware.counter_zero_rad
+        apart = sensors.resolver_rad - encoder
+        said = times * (1e-3 * np.cos(angle) - 2e-3 * np.sin(angle))
+        np.testing.assert_allclose(
+            apart, np.where(np.arange(5) == joint, said, 0.0), atol=0.6 * RESOLVER_LSB_RAD
+        )
+
+
+@JOINTS
+def test_biases_of_a_resolver_add_up(joint: Joint) -> None:
+    more = read(ResolverBias(joint, 2e-3), ResolverBias(joint, 1e-3)).resolver_rad - read().resolver_rad
+    np.testing.assert_allclose(more, 3e-3 * (np.arange(5) == joint), atol=RESOLVER_LSB_RAD)
+
+
+@JOINTS
+def test_a_current_sensor_of_another_gain_reads_that_many_times_the_current(joint: Joint) -> None:
+    sensors = read(CurrentGain(joint, 1.3), current_A=1.5)
+    np.testing.assert_allclose(sensors.current_A, 1.5 * np.where(np.arange(5) == joint, 1.3, 1.0))
+
+
+@JOINTS
+def test_a_current_sensor_with_a_bias_reads_that_much_more(joint: Joint) -> None:
+    more = read(CurrentBias(joint, -0.2), current_A=1.5).current_A - 1.5
+    np.testing.assert_allclose(more, np.where(np.arange(5) == joint, -0.2, 0.0), atol=1e-12)
+
+
+@TIMES
+@JOINTS
+def test_an_encoder_that_lost_count_reads_too_much_and_its_motor_goes_less_far(
+    joint: Joint, times: float
+) -> None:
+    offset = 3e-3 * times
+    plant, hardware = bench.built(EncoderZero(joint, offset))
+    drawn, lost = (
+        bench.avionics(*found) for found in (bench.built(), (bench.at(plant, lab.LEFT_RAD), hardware))
+    )
+    bench.at(drawn._plant, lab.LEFT_RAD)
+    counts = lost.encoder_count() - drawn.encoder_count()
+    said = offset / hardware.rad_per_count * (np.arange(5) == joint)
+    np.testing.assert_allclose(counts, said, atol=1.0)
+
+
+@pytest.mark.parametrize(("axis", "sign"), [("x", -1.0), ("y", 1.0)])
+@TIMES
+def test_an_imu_mounted_askew_sees_gravity_turned(axis: str, sign: float, times: float) -> None:
+    """Down is z: about x it leans to -y, about y to +x."""
+    angle = 5e-3 * times
+    g = read(GravityDirection(axis, angle)).gravity_R_m_s2
+    size = np.linalg.norm(World().gravity_N_m_s2)
+    leaning = 1 if axis == "x" else 0
+    said = np.zeros(3)
+    said[2], said[leaning] = size * np.cos(angle), sign * size * np.sin(angle)
+    np.testing.assert_allclose(g, said, atol=1e-12)
+
+
+def test_a_lost_count_is_not_there_when_joints_look_for_their_hardstops() -> None:
+    assert not EncoderZero.of_the_arm
+    assert ResolverBias.of_the_arm

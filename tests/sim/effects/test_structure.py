@@ -1,0 +1,192 @@
+"""Frames, springs and masses that are not the drawing's move the tools as kinematics and statics say."""
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.kinematics.arm import arm_from
+from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
+from fsw.kinematics.statics import rest, settle
+from fsw.kinematics.transforms import Pose
+from sim.effects.effect import Effect
+from sim.effects.geometry import LinkWarming, Warming
+from sim.effects.links import WIDTH_M, LinkAngle, LinkLength, ThermalGradient, ToolOffset, ToolTurn
+from sim.effects.sensors import EncoderZero
+from sim.effects.structure import LinkBending, LinkTorsion, RoverCompliance
+from sim.effects.turret import TurretCentre, TurretMass
+from sim.params import nominal_params
+from tests.sim import lab
+from tests.sim.effects import bench
+
+PARAMS = nominal_params()
+ARM = arm_from(PARAMS)
+TILTED = lab.tilted(15, -10, "earth")
+"""Every joint carries a load: none lies anywhere in its gap."""
+GRAVITY = TILTED.gravity_N_m_s2
+TIMES = pytest.mark.parametrize("times", [0.5, 1.0, 2.0])
+TITANIUM_1_K = 8.6e-6
+TOOL = Tool.DRILL
+
+SHIFTS = [
+    LinkLength(Frame.ARM1, "z", 2e-3),
+    LinkLength(Frame.ARM3, "x", 2e-3),
+    LinkLength(Frame.ARM6, "y", 2e-3),
+    ToolOffset(TOOL, "x", 2e-3),
+]
+TURNS = [
+    LinkAngle(Frame.ARM1, "y", 1e-3),
+    LinkAngle(Frame.ARM4, "x", 1e-3),
+    LinkAngle(Frame.ARM5, "z", 1e-3),
+    ToolTurn(TOOL, "y", 1e-3),
+]
+SPRINGS = [
+    LinkTorsion(Frame.ARM3, 5e-6),
+    LinkTorsion(Frame.ARM4, 5e-6),
+    LinkBending(Frame.ARM2, "y", 5e-6),
+    LinkBending(Frame.ARM3, "z", 5e-6),
+    LinkBending(Frame.ARM4, "y", 5e-6),
+    LinkBending(Frame.ARM5, "z", 5e-6),
+    RoverCompliance("x", 5e-6),
+    RoverCompliance("y", 5e-6),
+]
+MASSES = [TurretMass(2.0), TurretCentre("x", 0.02), TurretCentre("z", -0.02)]
+
+
+def axis_of(effect) -> int:
+    return "xyz".index(effect.axis)
+
+
+def frame_of(effect) -> Frame:
+    return getattr(effect, "frame", Frame.TOOL)
+
+
+def stiff_moved_m(*effects: Effect) -> lab.Array:
+    """By how much the drill of the undeflected plant is elsewhere, with these effects than without."""
+    places = [bench.at(bench.built(*e)[0], lab.LEFT_RAD).truth().p_RoTo_R_m[TOOL] for e in ((), effects)]
+    return places[1] - places[0]
+
+
+def jacobian() -> lab.Array:
+    """Of the drill by screws of the frames, (6, 6, 7), undeflected."""
+    frames = forward(ARM, lab.LEFT_RAD)
+    return frame_jacobian(frames, tool_pose(ARM, frames, TOOL))
+
+
+@pytest.mark.parametrize("effect", SHIFTS, ids=str)
+def test_a_link_or_tool_of_another_length_moves_the_tool_by_as_much(effect) -> None:
+    size = getattr(effect, "length_m", None) or effect.offset_m
+    said = size * jacobian()[3:, 3 + axis_of(effect), frame_of(effect)]
+    np.testing.assert_allclose(stiff_moved_m(effect), said, atol=1e-12)
+
+
+@pytest.mark.parametrize("effect", TURNS, ids=str)
+def test_a_link_or_tool_of_another_angle_moves_the_tool_by_its_jacobian(effect) -> None:
+    said = effect.angle_rad * jacobian()[3:, axis_of(effect), frame_of(effect)]
+    np.testing.assert_allclose(stiff_moved_m(effect), said, atol=2 * effect.angle_rad**2)
+
+
+@pytest.mark.parametrize("axis", ["y", "z"])
+@TIMES
+def test_a_link_that_is_warm_on_one_side_bends_to_an_arc(axis: str, times: float) -> None:
+    """Two thousand short pieces, each turned a little against the one before."""
+    length, gradient_K = 0.785, 20.0 * times
+    bend = TITANIUM_1_K * gradient_K * length / WIDTH_M
+    turns = bend * (np.arange(2000) + 0.5) / 2000
+    along, aside = length * np.cos(turns).mean(), length * np.sin(turns).mean()
+    screw = np.array(ThermalGradient(Frame.ARM4, axis, gradient_K).error().screw)
+    assert screw["xyz".index(axis)] == pytest.approx(bend)
+    across = 3 + (2 if axis == "y" else 1)
+    assert abs(screw[across]) == pytest.approx(aside, rel=1e-3)
+    assert screw[3] == pytest.approx(along - length, abs=1e-6)
+
+
+def test_a_link_does_not_bend_about_the_axis_that_it_lies_along() -> None:
+    with pytest.raises(ValueError, match="arm4 lies along x; it bends about y and z"):
+        ThermalGradient(Frame.ARM4, "x", 5.0)
+
+
+@TIMES
+def test_an_arm_that_is_warmer_reaches_farther_by_what_flight_software_makes_of_warmth(times: float) -> None:
+    warming_K = 40.0 * times
+    frames = forward(ARM, lab.LEFT_RAD)
+    J = frame_jacobian(frames, tool_pose(ARM, frames, TOOL))
+    growth = np.column_stack([ARM.expansion_F, ARM.expansion_T[:, TOOL]]) * warming_K
+    said = np.einsum("ijk,jk->i", J, growth)[3:]
+    np.testing.assert_allclose(stiff_moved_m(Warming(warming_K)), said, rtol=1e-3, atol=1e-9)
+    one = stiff_moved_m(LinkWarming(Frame.ARM4, warming_K))
+    np.testing.assert_allclose(one, J[3:, :, 3] @ growth[:, 3], rtol=1e-3, atol=1e-9)
+
+
+def settled_m(*effects: Effect) -> lab.Array:
+    """Where the drill of the plant comes to rest on its brakes."""
+    plant, _ = bench.built(*effects, world=TILTED, calm=True)
+    return lab.load(plant, lab.LEFT_RAD, duration_s=2.0, rest_s=2.0).truth().p_RoTo_R_m[TOOL]
+
+
+@pytest.fixture(scope="module")
+def drawn_m() -> lab.Array:
+    return settled_m()
+
+
+def wrenches() -> lab.Array:
+    """What each of the first five springs carries as drawn, by its strain: C x wrench = strain."""
+    hanging = rest(ARM, lab.LEFT_RAD, GRAVITY)
+    return np.array([hanging.strain[:3, k] / np.diag(ARM.compliance[:3, :3, k]) for k in range(5)]).T
+
+
+@pytest.mark.parametrize("effect", SPRINGS, ids=str)
+def test_a_softer_link_moves_the_tool_by_jacobian_compliance_and_moment(effect, drawn_m) -> None:
+    """u = J C tau: the spring yields by compliance times moment, and the tool turns about the spring."""
+    frame, axis, compliance = effect.where()
+    hanging = rest(ARM, lab.LEFT_RAD, GRAVITY)
+    X_RL, tool = hanging.frames.X_RL, tool_pose(ARM, hanging.frames, TOOL)
+    spring_R = X_RL.R[:, :, frame] @ ARM.p_LC_m[:, frame] + X_RL.p[:, frame]
+    turn_R = X_RL.R[:, axis, frame] * compliance * wrenches()[axis, frame]
+    said = np.cross(turn_R, tool.p - spring_R)
+    moved = settled_m(effect) - drawn_m
+    assert np.linalg.norm(said) > 5e-6
+    np.testing.assert_allclose(moved, said, rtol=0, atol=0.05 * np.linalg.norm(said) + 1e-6)
+
+
+@TIMES
+def test_twice_the_compliance_moves_the_tool_twice_as_far(times: float, drawn_m) -> None:
+    one = np.linalg.norm(settled_m(LinkBending(Frame.ARM3, "z", 5e-6)) - drawn_m)
+    more = np.linalg.norm(settled_m(LinkBending(Frame.ARM3, "z", 5e-6 * times)) - drawn_m)
+    assert more / one == pytest.approx(times, rel=0.03)
+
+
+@pytest.mark.parametrize(
+    "effect", [*SHIFTS, *TURNS[:3], *SPRINGS, *MASSES, ThermalGradient(Frame.ARM3, "z", 20.0)], ids=str
+)
+def test_flight_software_that_is_told_of_an_effect_knows_where_the_arm_rests(effect) -> None:
+    plant, _ = bench.built(effect, world=TILTED, calm=True)
+    lab.load(plant, lab.LEFT_RAD, duration_s=2.0, rest_s=2.0)
+    there = plant.truth().p_RoTo_R_m[TOOL]
+
+    def missed_m(params) -> float:
+        arm = arm_from(params)
+        said = settle(arm, plant.motor_rad(), plant.gap_rad(), GRAVITY)
+        return float(np.linalg.norm(tool_pose(arm, said.frames, TOOL).p - there))
+
+    assert missed_m(effect.on_params(PARAMS)) < 1e-6
+    assert missed_m(PARAMS) > 20 * missed_m(effect.on_params(PARAMS))
+
+
+@pytest.mark.parametrize("joint", Joint)
+def test_flight_software_that_is_told_of_a_lost_count_knows_where_the_tools_are(joint: Joint) -> None:
+    effect = EncoderZero(joint, 3e-3)
+    believed = lab.LEFT_RAD + 3e-3 * (np.arange(5) == joint)
+    true, arm = forward(ARM, lab.LEFT_RAD), arm_from(effect.on_params(PARAMS))
+    poses: list[Pose] = [tool_pose(ARM, true, TOOL), tool_pose(arm, forward(arm, believed), TOOL)]
+    np.testing.assert_allclose(poses[1].p, poses[0].p, atol=1e-12)
+    np.testing.assert_allclose(poses[1].R, poses[0].R, atol=1e-12)
+
+
+def test_a_heavier_turret_weighs_on_the_elevation_by_its_weight_times_its_lever() -> None:
+    hanging = rest(ARM, lab.LEFT_RAD, GRAVITY)
+    heavier = rest(arm_from(TurretMass(2.0).on_params(PARAMS)), lab.LEFT_RAD, GRAVITY)
+    X = hanging.frames.X_RL
+    centre = X.R[:, :, 5] @ np.array(PARAMS.links.arm6.far.com_m) + X.p[:, 5]
+    axis, origin = hanging.frames.X_RL.R[:, 2, 2], hanging.frames.X_RL.p[:, 2]
+    said = 2.0 * axis @ np.cross(centre - origin, GRAVITY)
+    assert (heavier.torque_Nm - hanging.torque_Nm)[Joint.ELEVATION] == pytest.approx(said, rel=0.02)

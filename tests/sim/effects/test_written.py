@@ -1,0 +1,117 @@
+"""Effects as they are written: what is wrong is said with its effect, its place and what would be right."""
+
+import pytest
+
+from fsw.dictionary.joints import Frame, Joint, Tool
+from sim.arms import arm_named
+from sim.effects.friction import CoulombFriction, StribeckFriction
+from sim.effects.geometry import FrameError
+from sim.effects.links import LinkAngle, ToolOffset
+from sim.effects.sensors import EncoderZero
+from sim.effects.structure import LinkMass
+from sim.scenario.effects import BadEffect, effect_from
+from sim.scenario.file import BadScenario, scenario_from
+from sim.scenario.run import setup_of
+from tests.sim import lab
+
+RIGHT = {
+    "coulomb-friction:elbow:torque_Nm=25": CoulombFriction(Joint.ELBOW, 25.0),
+    "coulomb-friction:joint=elbow,torque_Nm=25": CoulombFriction(Joint.ELBOW, 25.0),
+    " stribeck-friction : elbow : torque_Nm = 3 ": StribeckFriction(Joint.ELBOW, 3.0),
+    "link-angle:arm3.x:angle_deg=90e-3": LinkAngle(Frame.ARM3, "x", 0.0015707963267948967),
+    "tool-offset:drill.y:offset_mm=2": ToolOffset(Tool.DRILL, "y", 0.002),
+    "frame-error:tool.drt:screw=[0,0,1e-3,0,0,0]": FrameError(Frame.TOOL, (0, 0, 1e-3, 0, 0, 0), Tool.DRT),
+    "link-mass:arm3:factor=1.1,shift_mm=[1, 2, 3]": LinkMass(Frame.ARM3, 1.1, (0.001, 0.002, 0.003)),
+}
+WRONG = {
+    "coulomb-frction:elbow:torque_Nm=3": r"effect 'coulomb-frction' is not known; did you mean coulomb-friction\? `marsarm effects` lists",
+    "coulomb-friction:elbo:torque_Nm=3": r"effect coulomb-friction: place: joint 'elbo' is not known; did you mean elbow\?",
+    "coulomb-friction:torque_Nm=3": "effect coulomb-friction: place: joint is missing; there are azimuth, elevation",
+    "coulomb-friction:elbow": "effect coulomb-friction:elbow: torque_Nm: is missing",
+    "coulomb-friction:elbow:torque=3": "effect coulomb-friction:elbow: torque: has no unit; write torque_Nm",
+    "coulomb-friction:elbow:torqe_Nm=3": r"effect coulomb-friction:elbow: torqe_Nm: is not known here; did you mean torque_Nm\?",
+    "coulomb-friction:elbow:torque_Nm=3000": "effect coulomb-friction:elbow: torque_Nm: 3000 is outside -100 .. 400",
+    "coulomb-friction:elbow:torque_Nm=nan": "torque_Nm: nan is not a finite number",
+    "coulomb-friction:elbow:torque_Nm=much": "torque_Nm: 'much' is not a number",
+    "coulomb-friction:elbow:torque_Nm": "is no parameter and its value; write coulomb-friction:PLACE",
+    "coulomb-friction:elbow:torque_Nm=1,torque_Nm=2": "torque_Nm is given twice",
+    "coulomb-friction:elbow.x:torque_Nm=1": "place 'elbow.x' has too many words; it sits at a joint",
+    "coulomb-friction:elbow:a:b": "has too many colons",
+    "warming:elbow:warming_K=1": "place 'elbow' has too many words; it has no place",
+    "tool-offset:drill.y:offset_mm=200": "offset_mm: 200 is outside -100 .. 100",
+    "tool-offset:drill.w:offset_mm=2": "place: axis 'w' is not known; there are x, y, z",
+    "link-stiffness:arm6:factor=1.1": "frame: arm6 has no spring; there are arm1, arm2, arm3, arm4, arm5",
+    "link-torsion:arm1:compliance_rad_Nm=1e-6": "the spring of arm1 is the rover's; take rover-compliance",
+    "link-length:tool.x:length_m=0.001": "tool is no link; take tool-offset",
+    "frame-error:tool:screw=[0,0,0,0,0,0]": "tool: an effect at frame tool names its tool; there are drill",
+    "frame-error:arm3:screw=[0,0,0]": "is not 6 numbers in brackets",
+    "frame-error:arm3:screw=[0,0,0,0,0,9]": "screw: 9 is outside -0.1 .. 0.1",
+    "transmission-error:elbow:cosine_rad=0,sine_rad=0,turns=1.5": "turns: 1.5 is not a whole number",
+    "": "effect '' is not known",
+}
+
+
+@pytest.mark.parametrize("text", RIGHT)
+def test_what_is_written_rightly_is_read(text: str) -> None:
+    assert effect_from(text) == RIGHT[text]
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_what_is_written_wrongly_is_refused_with_what_would_be_right(text: str) -> None:
+    with pytest.raises(BadEffect, match=WRONG[text].replace("[", r"\[")):
+        effect_from(text)
+
+
+SCENARIO = """
+title = "Still"
+sentence = "Nothing to do."
+[[command]]
+type = "UNSTOW"
+[[effect]]
+type = "coulomb-friction"
+joint = "elbow"
+torque_Nm = 25
+[[effect]]
+type = "encoder-zero"
+joint = "wrist"
+offset_mrad = 1
+[[check]]
+type = "done"
+"""
+
+
+def test_a_scenario_switches_effects_on_from_the_beginning_or_once_the_run_begins() -> None:
+    scenario = scenario_from(SCENARIO.replace("offset_mrad = 1", "offset_deg = 0.1"), "still", "still.toml")
+    nominal = arm_named("nominal")
+    arm = scenario.fitted(nominal)
+    assert arm.effects == (CoulombFriction(Joint.ELBOW, 25.0),)
+    setup = setup_of(scenario, arm, lab.true_reference(nominal), 0)
+    assert [type(effect) for effect in setup.effects if effect in scenario.effects] == [EncoderZero]
+
+
+@pytest.mark.parametrize(
+    ("wrong", "right", "said"),
+    [
+        (
+            "offset_deg = 0.1",
+            "offset_mrad = 1",
+            "12: offset_mrad: has another unit; write offset_rad or offset_deg",
+        ),
+        (
+            '"encoder-zero"',
+            '"encoder-zeros"',
+            r"10: type: effect 'encoder-zeros' is not known; did you mean encoder-zero\?",
+        ),
+        ('"wrist"', '"neck"', "11: joint: 'neck' is not known; there are azimuth"),
+        (
+            'type = "encoder-zero"',
+            'type = "joint-seized"',
+            r"joint-seized comes at a moment; write it as \[\[fault\]\]",
+        ),
+        ('type = "encoder-zero"', "", r"type: is missing; write the name of an effect"),
+    ],
+)
+def test_an_effect_in_a_scenario_is_refused_by_its_line(wrong: str, right: str, said: str) -> None:
+    text = SCENARIO.lstrip().replace("offset_mrad = 1", "offset_deg = 0.1")
+    with pytest.raises(BadScenario, match=said):
+        scenario_from(text.replace(wrong, right), "still", "still.toml")
