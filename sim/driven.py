@@ -7,8 +7,6 @@ drive a difference stays in the joint and in the motion that it comes from.
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from fsw.kinematics.transforms import Array
 from fsw.messages import Drive, Sensors
 from sim.avionics import Avionics

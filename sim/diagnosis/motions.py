@@ -1,6 +1,7 @@
 """Motions made for diagnosis: short, each to show a few effects apart from the others.
 
-A session begins at rest on the brakes at a pose that people drove to. Poses are in degrees, as people read them.
+A session begins at rest on the brakes at a pose that people drove to. Poses are in degrees, as people
+read them.
 """
 
 from dataclasses import dataclass
@@ -112,7 +113,7 @@ def sweeps(params: Params) -> list[Session]:
 
 
 def cold_sweeps(params: Params) -> list[Session]:
-    """All joints at once, there and back, fast and slowly, in the cold; the first pair also warm, to compare."""
+    """All joints at once, there and back, fast and slowly, in the cold; the fast ones also warm."""
     start = np.array(_rad(OUTSTRETCHED))
     shares = np.array([5.0, -5.0, 5.0, -10.0, 10.0])
     there, near = start + np.radians(shares), start + np.radians(shares) / 5.0

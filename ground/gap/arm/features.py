@@ -7,10 +7,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.config import CYCLE_HZ
+from fsw.config import CYCLE_HZ, Config
 from fsw.dictionary.joints import Switch
 from fsw.kinematics.statics import rest
-from fsw.config import Config
 from fsw.kinematics.transforms import Array
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.segments import BIN_TICKS, Segment, binned, segments_in
@@ -19,7 +18,6 @@ CHANNELS: Final = ("current", "following", "resolver-encoder", "contact", "imu",
 UNITS: Final = ("A", "rad", "rad", "s", "m/s^2", "rad", "m")
 CURRENT, FOLLOWING, RESOLVER, CONTACT, IMU, TURN, SHIFT = range(len(CHANNELS))
 CONDITIONS: Final = ("temperature_C", "load_Nm", "speed_rad_s", "sin_angle", "cos_angle", "way")
-IMU_EVERY_S: Final = 1.0
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -33,8 +31,8 @@ class Feature:
     regime: str
     block: str
     condition: tuple[float, ...]
-    key: tuple[str, int, int]
-    """What the same feature has in common among repeats: the block, and its number among those of a channel."""
+    key: str
+    """What the same feature is called in every log of its session: motion, channel, number."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +54,7 @@ def moving(recording: Recording, config: Config) -> Moving:
     for number, segment in enumerate(segments):
         j, name = segment.joint, segment.joint.name.lower()
         for channel in (CURRENT, FOLLOWING, RESOLVER):
-            for first, end in segment.bins():
+            for bin_number, (first, end) in enumerate(segment.bins()):
                 mid = (first + end) // 2
                 speed = float(recording.drive["setpoint_rate_rad_s"][first:end, j].mean())
                 angle = float(motor[j, mid])
@@ -69,15 +67,14 @@ def moving(recording: Recording, config: Config) -> Moving:
                     float(segment.way),
                 )
                 regime = segment.regime(first)
-                features.append(Feature(channel, name, regime, block, condition, (block, channel, len(features))))
+                key = f"motion {number}/{CHANNELS[channel]}/{bin_number}"
+                features.append(Feature(channel, name, regime, block, condition, key))
     still = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
     for axis in "xyz":
-        features.append(Feature(IMU, f"imu.{axis}", "rest", block, still, (block, IMU, len(features))))
+        features.append(Feature(IMU, f"imu.{axis}", "rest", block, still, f"imu/{axis}"))
     for switch in _touched(recording):
         named = Switch(switch).name.lower()
-        features.append(
-            Feature(CONTACT, named, "contact", block, still, (block, CONTACT, len(features)))
-        )
+        features.append(Feature(CONTACT, named, "contact", block, still, f"contact/{named}"))
     return Moving(recording, segments, tuple(features))
 
 
@@ -98,7 +95,7 @@ def measured(here: Moving, sensors: Columns) -> Array:
 
 
 def assumed_sigma(feature: Feature) -> float:
-    """One sigma of a feature by the noise that sensors have on the drawing: what is assumed without repeats."""
+    """One sigma of a feature by the noise of the drawing's sensors: what is assumed without repeats."""
     return ASSUMED[feature.channel]
 
 
@@ -112,7 +109,7 @@ ASSUMED: Final = (
     2e-5,
     3e-5,
 )
-"""By channel, in its unit: noise of current sensors and resolvers, counts, ticks, the IMU over ten seconds."""
+"""By channel, in its unit: noise of current sensors and resolvers, counts, ticks, the IMU for ten seconds."""
 
 
 def _touched(recording: Recording) -> list[int]:

@@ -43,6 +43,8 @@ class Recording:
     start: Start
     rad_per_count: Array
     drive: Mapping[str, NDArray[Any]]
+    drives: tuple[Drive, ...]
+    """The same tick by tick; what does not change is the same array, as flight software hands it on."""
     sensors: Mapping[str, NDArray[Any]]
     tracked: Tracked
 
@@ -50,16 +52,6 @@ class Recording:
     def ticks(self) -> int:
         """How many."""
         return len(self.drive[COUNTS])
-
-    def drives(self) -> Iterator[Drive]:
-        """Tick by tick; what does not change is the same array, as flight software hands it on."""
-        last: dict[str, Any] = {}
-        for tick in range(self.ticks):
-            row = {name: values[tick] for name, values in self.drive.items()}
-            for name, value in row.items():
-                if name not in last or not np.array_equal(last[name], value):
-                    last[name] = value.copy() if isinstance(value, np.ndarray) else value.item()
-            yield Drive(**last)
 
     def motor_rad(self) -> Array:
         """By encoders, (5, n)."""
@@ -115,9 +107,20 @@ def recording_in(path: Path) -> Recording:
         start=start,
         rad_per_count=rad_per_count,
         drive=drive,
+        drives=tuple(_drives(drive)),
         sensors=sensors,
         tracked=tracked,
     )
+
+
+def _drives(drive: Mapping[str, NDArray[Any]]) -> Iterator[Drive]:
+    last: dict[str, Any] = {}
+    for tick in range(len(drive[COUNTS])):
+        for name, values in drive.items():
+            value = values[tick]
+            if name not in last or not np.array_equal(last[name], value):
+                last[name] = value.copy() if isinstance(value, np.ndarray) else value.item()
+        yield Drive(**last)
 
 
 def _drive(log: Log) -> NDArray[np.void]:

@@ -1,7 +1,7 @@
 """Where the arm rests by statics, with any effects: the turret's pose, and outputs against motors.
 
-Motors are where encoders say. Each output is dragged along in its gear from one knot of the motors' way to the
-next, as friction lets it (fsw.estimate.gear); nothing is stepped.
+Motors are where encoders say. Each output is dragged along in its gear from one knot of the motors' way
+to the next, as friction lets it (fsw.estimate.gear); nothing is stepped.
 """
 
 from collections.abc import Sequence

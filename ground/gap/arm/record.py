@@ -45,7 +45,9 @@ def record_campaign(
     paths = []
     for number, session in enumerate(sessions):
         progress(number, len(sessions), session.name)
-        loop = loop_of(session, arm, reference, int(np.random.default_rng([seed, number]).integers(2**31)), effects)
+        loop = loop_of(
+            session, arm, reference, int(np.random.default_rng([seed, number]).integers(2**31)), effects
+        )
         paths.append(_record(folder / f"{session.name}.mcap", session, loop, seed + number))
     return paths
 

@@ -58,7 +58,9 @@ def read_tracked(path: Path) -> Tracked:
     try:
         numbers = np.array([[float(row[name]) for name in (*COLUMNS, *SIGMAS)] for row in rows]).T
     except (KeyError, TypeError, ValueError) as error:
-        raise BadTracker(f"{path}: must have the columns {', '.join((*COLUMNS, *SIGMAS))}: {error}") from error
+        raise BadTracker(
+            f"{path}: must have the columns {', '.join((*COLUMNS, *SIGMAS))}: {error}"
+        ) from error
     if not np.isfinite(numbers).all() or (numbers[7:] <= 0).any():
         raise BadTracker(f"{path}: every number must be finite, and every sigma above 0")
     R = np.moveaxis(Rotation.from_rotvec(numbers[1:4].T).as_matrix(), 0, -1)
