@@ -19,6 +19,8 @@ CLIPPED_TICKS: Final = 4
 MOST_SKEW: Final = 8
 """Ticks by which encoders may follow their set-points late or early, to be looked for."""
 SKEW_TICKS: Final = 2
+CLEARLY: Final = 0.25
+"""Another lag must leave so much less, squared, to be believed."""
 APART_RAD: Final = 0.2
 """Resolver and encoder of a joint differ by less, unless one of them is in another unit."""
 GRAVITY_M_S2: Final = (1.0, 12.0)
@@ -122,8 +124,10 @@ def _skew(recording: Recording) -> Iterator[str]:
     for joint in sorted({segment.joint for segment in segments_in(recording)}):
         asked = np.diff(recording.setpoint_rad()[joint])
         went = np.diff(recording.motor_rad()[joint])
-        best = min(range(-MOST_SKEW, MOST_SKEW + 1), key=lambda lag: _misfit(asked, went, lag))
-        if abs(best) > SKEW_TICKS:
+        misfit = {lag: _misfit(asked, went, lag) for lag in range(-MOST_SKEW, MOST_SKEW + 1)}
+        best = min(misfit, key=misfit.__getitem__)
+        usual = min(misfit[lag] for lag in misfit if abs(lag) <= SKEW_TICKS)
+        if misfit[best] < CLEARLY * usual:
             yield (
                 f"{joint.name.lower()}: encoders follow their set-points by {best} ticks "
                 f"({best / CYCLE_HZ:.3f} s): one of the two has another time"

@@ -12,7 +12,7 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.tuples import row6
 from fsw.kinematics.transforms import Array
 from ground.gap.arm.campaign import Compared, predicted_values
-from ground.gap.arm.features import CHANNELS, CONDITIONS, UNITS, Moving
+from ground.gap.arm.features import CHANNELS, CONDITIONS, CONTACT, UNITS, Moving
 from ground.gap.hypothesis import Hypothesis, Nuisance, Parameter
 from ground.gap.layout import Layout
 from ground.gap.simulator import Settings
@@ -106,6 +106,9 @@ class Touched:
         joint = getattr(effect, "joint", None)
         if joint is not None:
             return any(segment.joint is Joint(joint) for segment in one.segments)
+        tool = getattr(effect, "tool", None)
+        if tool is not None:
+            return any(f.channel == CONTACT and f.place.startswith(tool.name.lower()) for f in one.features)
         return one.recording.world.surface is not None or not isinstance(effect, ONLY_POSED)
 
 
@@ -115,7 +118,7 @@ def all_of(_: Moving) -> bool:
 
 
 def raced(kinds: Mapping[str, type[Effect]] | None) -> Iterator[catalogue.Hypothesis]:
-    """The hypotheses of the catalogue, but those that are chance from move to move: these are floor, no cause."""
+    """The catalogue's hypotheses, but those that are chance from move to move: these are floor, no cause."""
     return (one for one in catalogue.hypotheses(kinds) if not issubclass(one.kind, EachMove))
 
 
