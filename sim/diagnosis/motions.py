@@ -118,8 +118,8 @@ def cold_sweeps(params: Params) -> list[Session]:
     shares = np.array([5.0, -5.0, 5.0, -10.0, 10.0])
     there, near = start + np.radians(shares), start + np.radians(shares) / 5.0
     slow = tuple(_at_speed(params, joint, SLOW) for joint in Joint)
-    fast = (MoveJoints(joints5(there), "off"), MoveJoints(joints5(start), "off"))
-    slowly = (*slow, MoveJoints(joints5(near), "off"), MoveJoints(joints5(start), "off"))
+    fast: tuple[Command, ...] = (MoveJoints(joints5(there), "off"), MoveJoints(joints5(start), "off"))
+    slowly: tuple[Command, ...] = (*slow, MoveJoints(joints5(near), "off"), MoveJoints(joints5(start), "off"))
     level = World("mars")
     return [
         Session("cold", "cold", level, COLD_C, _rad(OUTSTRETCHED), (*fast, *slowly), False),

@@ -42,7 +42,10 @@ class Compared:
     @property
     def features(self) -> tuple[Feature, ...]:
         """Of the moving recordings, then of the rests."""
-        return tuple(f for one in (*self.moving, *self.posed) for f in one.features)
+        return (
+            *(feature for one in self.moving for feature in one.features),
+            *(feature for one in self.posed for feature in one.features),
+        )
 
     @property
     def sessions(self) -> tuple[str, ...]:

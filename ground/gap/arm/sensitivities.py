@@ -122,7 +122,7 @@ def column_of(simulator: ArmSimulator, column: Column, nominal: Array) -> Array:
 
     Of repeats only the first is simulated: the others were given the same drive.
     """
-    ends = [(simulator.effects(*setting), value) for *setting, value in _ends(simulator, column)]
+    ends = [(simulator.effects(settings, by), size) for settings, by, size in _ends(simulator, column)]
     touched = Touched(tuple(e for effects, _ in ends for e in effects[len(simulator.patch) :]))
     first = _first_of_block(simulator.campaign)
 
