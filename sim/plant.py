@@ -101,7 +101,7 @@ class Plant:
         self._gains = model.actuator_gainprm[self.at.actuators, GAINS].copy()
         self.scatter = no_scatter()
         self.influence = NO_INFLUENCE
-        self.model.tendon_invweight0[[*self.at.outputs, *self.at.gaps]] *= HARD_FRICTION
+        self.model.tendon_invweight0[model.tendon_frictionloss > 0] *= HARD_FRICTION
         self.torque_constant_Nm_A = model.actuator_gainprm[self.at.actuators, MOTOR_CONSTANT].copy()
 
     def copied(self) -> "Plant":

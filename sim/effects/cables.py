@@ -20,8 +20,8 @@ class FlexCable(EachCycle):
     """
 
     joint: Joint
-    stiffness_Nm_rad: Annotated[float, Size(0.0, 50.0, unit="N m/rad", typical=3.0, neutral=0.0)]
-    drag_Nm: Annotated[float, Size(0.0, 30.0, unit="N m", typical=3.0, neutral=0.0)]
+    stiffness_Nm_rad: Annotated[float, Size(0.0, 50.0, unit="N m/rad", typical=0.5, neutral=0.0)]
+    drag_Nm: Annotated[float, Size(0.0, 30.0, unit="N m", typical=1.0, neutral=0.0)]
     laid_rad: Annotated[float, Size(-6.5, 6.5, unit="rad", typical=0.0)] = 0.0
     give_rad: Annotated[float, Size(1e-2, 1.0, unit="rad", typical=0.05)] = 0.05
 

@@ -1,5 +1,6 @@
 """What cold does to the actuators, and what noise does to their currents."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar
 
@@ -36,6 +37,11 @@ class Ambient(Effect):
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """Windings begin at this temperature."""
         return replace(hardware, ambient_C=np.full(len(Joint), self.temperature_C))
+
+
+def surroundings(effects: Iterable[Effect], temperature_C: float) -> tuple[Effect, ...]:
+    """An ambient of this temperature, unless one is among the effects."""
+    return () if any(isinstance(effect, Ambient) for effect in effects) else (Ambient(temperature_C),)
 
 
 @dataclass(frozen=True, slots=True)

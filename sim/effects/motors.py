@@ -87,7 +87,10 @@ class CommandDelay(EachCycle):
 
 @dataclass(frozen=True, slots=True)
 class BusSag(EachCycle):
-    """The bus sags under the currents of all motors, and the gains of every controller with its voltage."""
+    """The bus sags under the currents of all motors, and the gains of their controllers with its voltage.
+
+    The voltage of a cycle is that under the currents with which it begins.
+    """
 
     resistance_Ohm: Annotated[float, Size(0.0, 5.0, unit="Ohm", typical=0.5, neutral=0.0)]
 

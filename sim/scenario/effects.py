@@ -30,7 +30,7 @@ def effect_from(text: str) -> Effect:
         BadEffect: there is none of this name, or its place or its parameters are wrong.
     """
     file = FILE.fullmatch(text)
-    name, *parts = (text if file is None else file["rest"]).split(":")
+    name, *parts = (part.strip() for part in (text if file is None else file["rest"]).split(":"))
     if file is not None:
         name = f"{file['file']}:{name}"
     kind = kind_named(name)

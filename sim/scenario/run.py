@@ -10,7 +10,7 @@ from fsw.dictionary.commands import Joints5, MoveJoints
 from fsw.dictionary.evrs import CommandRefused, Evr
 from fsw.estimate.reference import Reference
 from sim.arms import BuiltArm
-from sim.effects.environment import Ambient
+from sim.effects.environment import surroundings
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.scenario.data import Scenario
@@ -46,9 +46,7 @@ def setup_of(scenario: Scenario, arm: BuiltArm, reference: Reference, seed: int)
     start = poses.stowed_rad if scenario.start == "stowed" else poses.ready_rad
     timed = (injection.fault for injection in scenario.faults if injection.during is None)
     later = (effect for effect in scenario.effects if not effect.of_the_arm)
-    is_elsewhere = any(isinstance(effect, Ambient) for effect in arm.effects)
-    ambient = () if is_elsewhere else (Ambient(scenario.temperature_C),)
-    effects = (*ambient, *timed, *later)
+    effects = (*surroundings(arm.effects, scenario.temperature_C), *timed, *later)
     return Setup(arm, scenario.world, start, seed, reference, effects)
 
 

@@ -1,4 +1,4 @@
-"""A joint on a bench: the arm with effects, one joint turned as its controller is told, nothing else moving."""
+"""A joint on a bench: the arm with effects, one joint turned as its controller is told."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -59,12 +59,15 @@ class Turned:
     """A joint that was turned; one row a control cycle."""
 
     current_A: Array
+    """As a cycle ends, which is what the sensors read."""
+    mean_A: Array
+    """Over the cycle: a set-point that is held for it makes the current fall within it."""
     motor_rad: Array
     output_rad: Array
 
-    def mean_A(self, cycles: int = 64) -> float:
-        """Of the last cycles."""
-        return float(self.current_A[-cycles:].mean())
+    def steady_A(self) -> float:
+        """As the sensors read it, in the last second."""
+        return float(self.current_A[-64:].mean())
 
 
 def turned(
@@ -91,7 +94,7 @@ def turned(
     plant.place(start_rad, 4.0, look)
     plant.model.opt.disableactuator = ALL_ACTUATORS & ~(2 << joint)
     plant.brake(joint, False)
-    rows, angle, rate = [], start_rad[joint], 0.0
+    rows, currents, angle, rate = [], [], start_rad[joint], 0.0
     full, dt = speed * SPEED_RAD_S[joint], plant.model.opt.timestep
     for goal in [full, -full] if back else [full]:
         first = rate
@@ -102,8 +105,9 @@ def turned(
             if step % every == 0:
                 look()
             mujoco.mj_step(plant.model, plant.data)
+            currents.append(plant.motor_current_A()[joint])
             angle += rate * dt
             if step % STEPS == STEPS - 1:
-                found = (plant.motor_current_A(), plant.motor_rad(), plant.output_rad())
-                rows.append([one[joint] for one in found])
+                angles = plant.motor_rad()[joint], plant.output_rad()[joint]
+                rows.append((currents[-1], np.mean(currents[-STEPS:]), *angles))
     return Turned(*np.array(rows).T)

@@ -35,7 +35,7 @@ def as_drawn(joint: Joint, speed: float = 1.0) -> bench.Turned:
 
 def more_Nm(joint: Joint, *effects: Effect, speed: float = 1.0) -> float:
     """The torque that the current says an effect costs."""
-    found = bench.turned(joint, *effects, speed=speed).mean_A() - as_drawn(joint, speed).mean_A()
+    found = bench.turned(joint, *effects, speed=speed).steady_A() - as_drawn(joint, speed).steady_A()
     return found * float(bench.TORQUE_CONSTANT_NM_A[joint])
 
 
@@ -74,7 +74,7 @@ def test_stribeck_friction_falls_with_the_speed(speed: float, times: float) -> N
 @cache
 def gravity_Nm(joint: Joint) -> float:
     """Half the difference of the torques of turning either way, by the currents of the arm as drawn."""
-    up, down = (as_drawn(joint, speed).mean_A() for speed in (1.0, -1.0))
+    up, down = (as_drawn(joint, speed).steady_A() for speed in (1.0, -1.0))
     return -0.5 * (up + down) * float(bench.TORQUE_CONSTANT_NM_A[joint])
 
 
@@ -108,7 +108,7 @@ def test_a_motor_of_another_constant_draws_another_current_for_the_same_torque(f
     """Asked for by friction that is put on."""
     joint, other = Joint.AZIMUTH, MotorConstant(Joint.AZIMUTH, factor)
     rubs = CoulombFriction(joint, 20.0)
-    more_A = bench.turned(joint, other, rubs).mean_A() - bench.turned(joint, other).mean_A()
+    more_A = bench.turned(joint, other, rubs).steady_A() - bench.turned(joint, other).steady_A()
     assert more_A == pytest.approx(20.0 / (factor * bench.TORQUE_CONSTANT_NM_A[joint]), rel=1e-3)
 
 
@@ -155,7 +155,7 @@ def test_the_bus_sags_by_its_resistance_times_all_currents_and_the_gains_with_it
 
 @TIMES
 def test_a_flex_cable_pulls_by_its_stiffness_and_drags_by_its_drag(times: float) -> None:
-    """One way and then the other from where it was laid: half the difference is drag, half the sum the pull."""
+    """One way and then the other: the drag turns round, the pull to where it was laid does not."""
     joint, laid = Joint.TURRET, -0.5
     effect = FlexCable(joint, 10.0 * times, 2.0 * times, laid, give_rad=0.01)
     start = lab.READY_RAD.copy()

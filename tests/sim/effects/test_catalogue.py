@@ -1,4 +1,4 @@
-"""The catalogue: every effect says what it is, where it can sit and how large it is; nothing is listed twice."""
+"""The catalogue: every effect says what it is, where it can sit and how large it is."""
 
 import pytest
 

