@@ -49,6 +49,6 @@ def losses(prepared: Prepared, case: Case, columns: Ints) -> Array:
     return np.asarray(quadratic - 2.0 * np.einsum("fni,fni->nf", t, r[-1] - r[:-1]))
 
 
-def surprise(dropped: Array, k: Array | int) -> Array:
+def surprise(dropped: Array, k: Array | float) -> Array:
     """Of a drop with k more parameters: -log10 of its probability if there is nothing."""
     return np.asarray(-chi2.logsf(np.maximum(dropped, 0.0), k) / np.log(10.0))

@@ -72,6 +72,11 @@ def race(field: Field, case: Case) -> Race:
     return Race(chosen, first, best, t, dropped, _shares(field.prepared, case, chosen, dropped), loss)
 
 
+def best_left(field: Field, case: Case, chosen: Chosen) -> float:
+    """Surprise of the most surprising hypothesis that could be added to those chosen."""
+    return _ranked(field, case, chosen)[1]
+
+
 def _better(field: Field, case: Case, chosen: Chosen, loss: Array) -> tuple[Chosen, Array] | None:
     """One more, after exchange and elimination; None if nothing more is found."""
     order, best = _ranked(field, case, chosen)
@@ -144,7 +149,7 @@ def _ranked(field: Field, case: Case, chosen: Chosen) -> tuple[Chosen, float]:
 
 
 def _sets(field: Field, base: Ints, free: Flags) -> list[tuple[int, Ints, Ints]]:
-    """By number of columns k: hypotheses that may be added, (n,), and their columns after the base, (n, j)."""
+    """By number of columns k: hypotheses that may be added (n,), and their columns after the base (n, j)."""
     prepared = field.prepared
     ranks = np.bincount(prepared.owner, minlength=len(prepared.hypotheses))
     starts = np.cumsum(ranks) - ranks
