@@ -32,7 +32,7 @@ class ChannelClosure:
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """Share of the explainable gap that is closed; NaN, with an interval of everything, if there is hardly any."""
+    """Share of the explainable gap that is closed; NaN, with an interval of everything, if hardly any is."""
 
     share: float
     least: float
@@ -68,9 +68,8 @@ def closure(layout: Layout, whitened: tuple[Array, Array], raw: tuple[Array, Arr
 
 def check_apart(fitted: Layout, held_out: Layout) -> None:
     """ValueError if a block took part in fitting."""
-    both = {fitted.blocks[b] for b in np.unique(fitted.block)} & {
-        held_out.blocks[b] for b in np.unique(held_out.block)
-    }
+    used, held = ({of.blocks[b] for b in np.unique(of.block)} for of in (fitted, held_out))
+    both = used & held
     if both:
         raise ValueError(f"held-out motion was also used for fitting: {', '.join(sorted(both))}")
 

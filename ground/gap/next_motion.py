@@ -39,10 +39,10 @@ def next_motion(
 
 def _information(parts: list[Prepared]) -> Array:
     """R per typical size of several campaigns together, nuisances free, (K, K)."""
-    q, prior = parts[0].q, parts[0].prior
+    q, prior = parts[0].q, parts[0].prior / parts[0].nuisance_unit ** 2
     total = np.zeros((q + parts[0].owner.size,) * 2)
     for part in parts:
-        by = np.concatenate([np.ones(q), part.scale])
+        by = np.concatenate([1.0 / part.nuisance_unit, part.scale])
         total += part.G.sum(axis=0) * np.outer(by, by)
     N = total[:q, :q] + np.diag(prior)
     return np.asarray(total[q:, q:] - total[q:, :q] @ np.linalg.solve(N, total[:q, q:]))

@@ -44,7 +44,9 @@ class Prepared:
     G: Array
     """(B, q + K, q + K)."""
     prior: Array
-    """P, (q,); nuisances are in units of their sigma."""
+    """P, (q,)."""
+    nuisance_unit: Array
+    """What 1 is of each nuisance, in its own unit: its sigma, if it has one, (q,)."""
     R: Array
     """(F, K, K)."""
     W: Array
@@ -84,25 +86,25 @@ def prepare(found: Sensitivities, changed: dict[int, Array] | None = None) -> Pr
     owner = np.repeat(np.arange(len(parts)), [part.shape[1] for part in parts])
     whiten = whitener(found)
     kept = [index for index, nuisance in enumerate(found.nuisances) if not nuisance.each_block]
-    N, prior = _nuisances(found, kept, whiten)
+    N, prior, unit = _nuisances(found, kept, whiten)
     S = whiten(np.hstack([np.zeros((layout.size, 0)), *parts]))
     A = np.hstack([N, S])
     rows = tuple(np.flatnonzero(layout.block == b) for b in np.unique(layout.block))
     G = np.array([A[of].T @ A[of] for of in rows])
     return _scaled(Prepared(
-        layout, found.hypotheses, owner, whiten, A, rows, G, prior,
+        layout, found.hypotheses, owner, whiten, A, rows, G, prior, unit,
         *_free(G, prior), np.ones(owner.size), _bounds(found, changed),
     ))  # fmt: skip
 
 
-def _nuisances(found: Sensitivities, kept: list[int], whiten: Whitener) -> tuple[Array, Array]:
-    """Whitened columns per sigma (m, q), and prior precisions (q,)."""
+def _nuisances(found: Sensitivities, kept: list[int], whiten: Whitener) -> tuple[Array, Array, Array]:
+    """Whitened columns (m, q), prior precisions (q,), and what 1 is of each (q,)."""
     sigma = np.array([found.nuisances[index].sigma for index in kept])
     known = np.isfinite(sigma)
-    N = whiten(found.nuisance[:, kept]) * np.where(known, sigma, 1.0)
+    N = whiten(found.nuisance[:, kept])
     norm = np.linalg.norm(N, axis=0)
-    N = np.where(known | (norm == 0.0), N, N / np.where(norm == 0.0, 1.0, norm))
-    return N, np.where(known, 1.0, VAGUE)
+    unit = np.where(known, sigma, 1.0 / np.where(norm == 0.0, 1.0, norm))
+    return N * unit, np.where(known, 1.0, VAGUE), unit
 
 
 def _free(G: Array, prior: Array) -> tuple[Array, Array, Array]:
@@ -137,6 +139,6 @@ def _scaled(raw: Prepared) -> Prepared:
     all_by = np.concatenate([np.ones(q), by])
     return Prepared(
         raw.layout, raw.hypotheses, raw.owner, raw.whiten, raw.A * all_by, raw.rows,
-        raw.G * np.outer(all_by, all_by), raw.prior, raw.R * np.outer(by, by), raw.W * by[:, None],
+        raw.G * np.outer(all_by, all_by), raw.prior, raw.nuisance_unit, raw.R * np.outer(by, by), raw.W * by[:, None],
         raw.C, scale, raw.bounds * np.where(scale > 0.0, scale, 1.0),
     )  # fmt: skip

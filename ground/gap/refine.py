@@ -4,6 +4,7 @@ Gauss-Newton on the whitened residual w(y - (f(x) - f(0))) - N v over all parame
 that only shape them, too) within their bounds, nuisances v refitted in every step with their prior.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -50,9 +51,9 @@ def refine(
     prepared: Prepared,
     evidence: Evidence,
     nominal: Array,
-    start: dict[Hypothesis, Array],
+    start: Mapping[Hypothesis, Array],
 ) -> Refined:
-    """From starting values of all parameters of each effect; `nominal` is the prediction without effects, (m,)."""
+    """From starting values of all parameters of each effect; `nominal` is what is predicted without, (m,)."""
     who = tuple(start)
     parameters = tuple(parameter for hypothesis in who for parameter in hypothesis.parameters)
     unit = np.array([abs(parameter.typical) for parameter in parameters])
@@ -81,7 +82,8 @@ def refine(
     names = tuple(tuple(n for n in part if n) for part in np.split(np.array(ended, dtype=object), cut))
     return Refined(
         who, tuple(np.split(x, cut)), tuple(np.split(sigma, cut)), names,
-        cost - fit.cost(np.array([p.absent for p in parameters])), fit.change(x), tuple(np.split(slopes, cut, axis=1)),
+        cost - fit.cost(np.array([p.absent for p in parameters])), fit.change(x),
+        tuple(np.split(slopes, cut, axis=1)),
     )  # fmt: skip
 
 
@@ -138,7 +140,7 @@ class _Fit:
     def covariance(self, slopes: Array) -> Array:
         """Of the parameters per typical size, nuisances free."""
         information, _ = self._normal(slopes, np.zeros(self.y.size))
-        return np.linalg.pinv(information, rcond=1e-12, hermitian=True)
+        return np.asarray(np.linalg.pinv(information, rcond=1e-12, hermitian=True))
 
     def step(self, x: Array, slopes: Array, room: Array) -> Array:
         """The best step within the bounds, per typical size."""
