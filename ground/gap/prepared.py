@@ -139,6 +139,6 @@ def _scaled(raw: Prepared) -> Prepared:
     all_by = np.concatenate([np.ones(q), by])
     return Prepared(
         raw.layout, raw.hypotheses, raw.owner, raw.whiten, raw.A * all_by, raw.rows,
-        raw.G * np.outer(all_by, all_by), raw.prior, raw.nuisance_unit, raw.R * np.outer(by, by), raw.W * by[:, None],
-        raw.C, scale, raw.bounds * np.where(scale > 0.0, scale, 1.0),
+        raw.G * np.outer(all_by, all_by), raw.prior, raw.nuisance_unit, raw.R * np.outer(by, by),
+        raw.W * by[:, None], raw.C, scale, raw.bounds * np.where(scale > 0.0, scale, 1.0),
     )  # fmt: skip
