@@ -19,14 +19,14 @@ LENGTHS: Final = (0.1, 100.0)
 
 
 def largest_error(layout: Layout, residual: Array) -> str:
-    """The place whose residual (m,), in units of the floor, has the largest mean square: taken for the cause."""
+    """The place whose residual (m,), over its floor, has the largest mean square: taken for the cause."""
     count = np.bincount(layout.place, minlength=len(layout.places))
     square = np.bincount(layout.place, residual**2, minlength=len(layout.places))
     return layout.places[int(np.argmax(square / np.maximum(count, 1)))]
 
 
 def everything_free(prepared: Prepared, case: Case) -> tuple[int, Array]:
-    """All hypotheses fitted at once, none chosen: the one that explains most, and all sizes (K,) in typical sizes.
+    """All hypotheses fitted at once: the one that explains most, and all sizes (K,), typical 1.
 
     What one explains is measured as t'R t of its own columns.
     """

@@ -1,4 +1,4 @@
-"""Verdicts on blind cases against the truth, counted by equivalence class, every rate with its exact interval."""
+"""Verdicts on blind cases against the truth, by equivalence class, every rate with its exact interval."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
