@@ -12,7 +12,7 @@ class Parameter:
     least: float
     most: float
     typical: float
-    """Departure from neutral; of a parameter without a neutral value, the value. Not 0 where there is a neutral one."""
+    """Departure from neutral, not 0; of a parameter without a neutral value, the value."""
     neutral: float | None = None
     """Where the effect changes nothing; None for a parameter that only shapes what the others bring about."""
 
@@ -58,7 +58,7 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True)
 class Nuisance:
-    """A number that the calibration leaves uncertain, or that is drawn anew in every block; ValueError if sigma <= 0."""
+    """What calibration leaves uncertain, or what is drawn anew in every block; ValueError if sigma <= 0."""
 
     name: str
     unit: str

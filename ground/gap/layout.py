@@ -1,7 +1,7 @@
 """What was measured in a campaign, feature by feature: known before there are data.
 
-A feature is one number of a log in which measurement and simulator are compared. Nothing here knows which robot it
-is of: places, channels and regimes are names that an adapter gives.
+A feature is one number of a log in which measurement and simulator are compared. Nothing here knows which
+robot it is of: places, channels and regimes are names that an adapter gives.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ class Layout:
     regime: Ints
     """(m,)."""
     condition: Array
-    """What a gap may depend on, such as temperature, load, speed or angle; 0 where it does not apply, (m, c)."""
+    """What a gap may depend on (temperature, load, speed, angle); 0 where it does not apply, (m, c)."""
     blocks: tuple[str, ...]
     channels: tuple[str, ...]
     units: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""How the features change with every hypothesis and nuisance: found once per campaign, kept, and used again."""
+"""How the features change with every hypothesis and nuisance: found once per campaign, and kept."""
 
 import json
 from collections.abc import Callable
@@ -50,9 +50,9 @@ class Sensitivities:
 def sensitivities(simulator: Simulator, step: Callable[[int, int], None] = lambda *_: None) -> Sensitivities:
     """Differences in the simulator about nominal; `step(done, of)` is told how far it is.
 
-    Of a size parameter: the secant over its typical size, centred where its bounds allow both sides (an effect such
-    as a gap has no derivative at neutral, and matters at its typical size). Of a nuisance: the centred difference over
-    one prior sigma.
+    Of a size parameter: the secant over its typical size, centred where its bounds allow both sides (an
+    effect such as a gap has no derivative at neutral, and matters at its typical size). Of a nuisance: the
+    centred difference over one prior sigma.
     """
     zero = np.zeros(len(simulator.nuisances))
     nominal = simulator.predict({}, zero)
@@ -104,8 +104,8 @@ def load(path: Path) -> Sensitivities:
         if missing:
             raise ValueError(f"{path}: no sensitivities ({', '.join(sorted(missing))} missing)")
         words = json.loads(str(file["words"]))
-        names = {name: tuple(words["names"][name]) for name in _NAMES}
-        layout = Layout(**{name: file[name] for name in _ARRAYS}, **names)
+        names = (tuple(words["names"][name]) for name in _NAMES)
+        layout = Layout(*(file[name] for name in _ARRAYS), *names)
         hypotheses = tuple(
             Hypothesis(h["effect"], h["place"], tuple(Parameter(**p) for p in h["parameters"]))
             for h in words["hypotheses"]

@@ -8,14 +8,14 @@ from ground.gap.hypothesis import Hypothesis, Nuisance
 from ground.gap.layout import Layout
 
 Settings = Mapping[Hypothesis, Array]
-"""The values of all parameters of the effects that are there, in their order and units; absent if not named."""
+"""Values of all parameters of the effects that are there, in their order and units; absent if not named."""
 
 
 class Simulator(Protocol):
     """A simulator bound to one campaign: to what its logs say was commanded, and where each motion began.
 
-    The same arguments give the same numbers. A prediction depends on settings and nuisances only, never on what the
-    logs measured in the features.
+    The same arguments give the same numbers. A prediction depends on settings and nuisances only, never on
+    what the logs measured in the features.
     """
 
     @property
