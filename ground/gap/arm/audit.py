@@ -6,8 +6,9 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.config import CYCLE_HZ
+from fsw.config import CYCLE_HZ, digest
 from fsw.dictionary.joints import Joint
+from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.segments import rests_in, segments_in
@@ -27,10 +28,16 @@ GRAVITY_M_S2: Final = (1.0, 12.0)
 LEAST_SEGMENTS: Final = 2
 
 
-def audit(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """What is to be said of a campaign's recordings: nothing if all is well."""
+def audit(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
+    """What is to be said of a campaign's recordings, beside a simulator with these parameters."""
     found = [f"{one.name}: {said}" for one in recordings for said in findings(one)]
-    return (*found, *_campaign(recordings))
+    others = [
+        f"{one.name}: was made with other flight parameters ({digest(one.params)[:12]}) than the simulator's "
+        f"({digest(base)[:12]}); give those with --params"
+        for one in recordings
+        if digest(one.params) != digest(base)
+    ]
+    return (*found, *others, *_campaign(recordings))
 
 
 def findings(recording: Recording) -> Iterator[str]:
@@ -121,25 +128,26 @@ def _units(recording: Recording) -> Iterator[str]:
 
 def _skew(recording: Recording) -> Iterator[str]:
     """Encoders against the set-points that they follow: by how many ticks they fit best."""
-    for joint in sorted({segment.joint for segment in segments_in(recording)}):
-        asked = np.diff(recording.setpoint_rad()[joint])
-        went = np.diff(recording.motor_rad()[joint])
+    for segment in segments_in(recording):
+        asked = recording.setpoint_rad()[segment.joint, segment.first : segment.end]
+        went = recording.motor_rad()[segment.joint, segment.first : segment.end]
         misfit = {lag: _misfit(asked, went, lag) for lag in range(-MOST_SKEW, MOST_SKEW + 1)}
         best = min(misfit, key=misfit.__getitem__)
         usual = min(misfit[lag] for lag in misfit if abs(lag) <= SKEW_TICKS)
         if misfit[best] < CLEARLY * usual:
             yield (
-                f"{joint.name.lower()}: encoders follow their set-points by {best} ticks "
+                f"{segment.joint.name.lower()}: encoders follow their set-points by {best} ticks "
                 f"({best / CYCLE_HZ:.3f} s): one of the two has another time"
             )
+            return
 
 
 def _misfit(asked: Array, went: Array, lag: int) -> float:
     size = asked.size - 2 * MOST_SKEW
     if size <= 0:
-        return float(abs(lag))
-    moved = went[MOST_SKEW + lag : MOST_SKEW + lag + size] - asked[MOST_SKEW : MOST_SKEW + size]
-    return float(np.sum(moved**2))
+        return 0.0
+    apart = went[MOST_SKEW + lag : MOST_SKEW + lag + size] - asked[MOST_SKEW : MOST_SKEW + size]
+    return float(np.sum(apart**2))
 
 
 def _campaign(recordings: Sequence[Recording]) -> Iterator[str]:
@@ -158,8 +166,6 @@ def _campaign(recordings: Sequence[Recording]) -> Iterator[str]:
     names = [one.block for one in recordings]
     if len(set(names)) == len(names):
         yield "no motion was done twice: the floor is assumed to be the noise of the drawing's sensors"
-    if len({one.params for one in recordings}) > 1:
-        yield "the recordings were made with different flight parameters; diagnose those of one set together"
 
 
 def _longest_same(column: Array) -> tuple[int, int]:

@@ -20,7 +20,7 @@ from ground.replay.inputs import NotReplayable, inputs_in
 from ground.telemetry.errors import LogError
 from ground.telemetry.read import Log, read_log
 from sim.driven import Start
-from sim.world import World
+from sim.world import GRAVITY_M_S2, Scene, World
 
 DRIVE: Final = "/drive"
 COUNTS: Final = "setpoint_count"
@@ -76,7 +76,8 @@ def recording_in(path: Path) -> Recording:
         tracker = path.with_suffix(".tracker.csv")
         tracked = read_tracked(tracker) if tracker.exists() else none_tracked()
         said = json.loads(log.header.get(SESSION, "{}"))
-        world = _WORLD.validate_python(said.get("world", {}))
+        seen = world_seen(inputs.sensors["gravity_R_m_s2"].mean(axis=0))
+        world = _WORLD.validate_python(said["world"]) if "world" in said else seen
     except (LogError, NotReplayable, ValueError) as error:
         raise NotForDiagnosis(str(error)) from error
     if inputs.reference is None:
@@ -111,6 +112,14 @@ def recording_in(path: Path) -> Recording:
         sensors=sensors,
         tracked=tracked,
     )
+
+
+def world_seen(gravity_R_m_s2: Array) -> World:
+    """The world as an IMU's mean reading (3,) tells it, for logs that do not say: scene and tilt, no rock."""
+    strength = float(np.linalg.norm(gravity_R_m_s2))
+    scene: Scene = min(GRAVITY_M_S2, key=lambda one: abs(GRAVITY_M_S2[one] - strength))
+    x, y, z = gravity_R_m_s2 / strength
+    return World(scene, float(np.arctan2(y, z)), float(np.arcsin(np.clip(-x, -1.0, 1.0))))
 
 
 def _drives(drive: Mapping[str, NDArray[Any]]) -> Iterator[Drive]:

@@ -2,12 +2,18 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 
 from ground.gap.arm.audit import audit, findings
-from ground.gap.arm.logs import Recording
+from ground.gap.arm.logs import Recording, world_seen
+from sim.arms import arm_named
+from sim.params import nominal_params
+from sim.world import World
+
+BASE = nominal_params()
 
 
 def spoilt(recording: Recording, name: str, change: Callable[[np.ndarray], None]) -> Recording:
@@ -64,7 +70,20 @@ def test_what_is_wrong_is_said(
 
 
 def test_a_campaign_that_is_too_small_hears_what_is_missing(recordings: list[Recording]) -> None:
-    said = audit(recordings[:1])
+    said = audit(recordings[:1], BASE)
     assert any("moves 1 times" in sentence for sentence in said)
     assert any("no motion was done twice" in sentence for sentence in said)
-    assert not any("no motion was done twice" in sentence for sentence in audit(recordings))
+    assert not any("no motion was done twice" in sentence for sentence in audit(recordings, BASE))
+
+
+def test_recordings_of_another_parameter_set_are_told(recordings: list[Recording]) -> None:
+    other = arm_named("calibrated:1").params
+    assert any("other flight parameters" in sentence for sentence in audit(recordings[:1], other))
+
+
+@pytest.mark.parametrize("scene", ["mars", "earth"])
+def test_the_imu_tells_scene_and_tilt_of_a_log_that_does_not(scene: Literal["mars", "earth"]) -> None:
+    tilted = World(scene, 0.3, -0.2)
+    seen = world_seen(tilted.gravity_N_m_s2)
+    np.testing.assert_allclose(seen.gravity_N_m_s2, tilted.gravity_N_m_s2, atol=1e-12)
+    assert (seen.tilt_roll_rad, seen.tilt_pitch_rad) == pytest.approx((0.3, -0.2))
