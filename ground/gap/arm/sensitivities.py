@@ -59,11 +59,14 @@ def arm_sensitivities(
         return load(path)
     simulator = _simulator(paths, names)
     columns = columns_of(simulator)
-    jobs = [_Job(paths, names, k) for k in range(len(columns))]
+    alike = _alike(simulator, columns)
+    jobs = [_Job(paths, names, k) for k in range(len(columns)) if k not in alike]
     found = np.zeros((simulator.layout.size, len(columns)))
     for done, (column, values) in enumerate(run(_worked, jobs), 1):
         found[:, column] = values
-        progress(done, len(columns), "sensitivities")
+        progress(done, len(jobs), "sensitivities")
+    for number, (other, typical) in alike.items():
+        found[:, number] = found[:, other] / typical
     effects = [k for k, column in enumerate(columns) if column.hypothesis is not None]
     owner = np.array([columns[k].hypothesis for k in effects], np.intp)
     result = Sensitivities(
@@ -115,6 +118,17 @@ def columns_of(simulator: ArmSimulator) -> list[Column]:
         if parameter.sizes
     ]
     return sized + [Column(None, k) for k in range(len(simulator.nuisances))]
+
+
+def _alike(simulator: ArmSimulator, columns: Sequence[Column]) -> dict[int, tuple[int, float]]:
+    """Nuisances that a hypothesis says too: by column, that one's column and its typical size."""
+    known: dict[str, tuple[int, float]] = {}
+    for k, column in enumerate(columns):
+        if column.hypothesis is not None:
+            hypothesis = simulator.hypotheses[column.hypothesis]
+            known[hypothesis.name] = k, hypothesis.parameters[column.at].typical
+    said = {k: simulator.likes[column.at] for k, column in enumerate(columns) if column.hypothesis is None}
+    return {k: known[name] for k, name in said.items() if name in known}
 
 
 def column_of(simulator: ArmSimulator, column: Column, nominal: Array) -> Array:

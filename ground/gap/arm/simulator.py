@@ -51,6 +51,8 @@ class Uncertain:
     nuisance: Nuisance
     effect: Callable[[float], Effect]
     """With this departure."""
+    like: str
+    """The hypothesis, as told, that is the same number where it is small."""
 
 
 class ArmSimulator:
@@ -72,6 +74,7 @@ class ArmSimulator:
         self.hypotheses = tuple(self._made)
         self._uncertain = tuple(left_uncertain())
         self.nuisances = tuple(one.nuisance for one in self._uncertain)
+        self.likes = tuple(one.like for one in self._uncertain)
 
     def predict(self, settings: Settings, nuisance: Array) -> Array:
         """The features (m,); errors as of `predicted_values`."""
@@ -166,7 +169,7 @@ def layout_of(campaign: Compared, sigma: Array) -> Layout:
 
 
 def left_uncertain() -> Iterator[Uncertain]:
-    """What a calibration leaves (sim.effects.built), what friction is on another day, and the temperature."""
+    """What a calibration leaves (sim.effects.built), and what friction is on another day."""
     inner: list[tuple[Frame, Tool | None]] = [(f, None) for f in Frame if f is not Frame.TOOL]
     for frame, tool in (*inner, *((Frame.TOOL, tool) for tool in Tool)):
         for axis in IDENTIFIABLE[frame]:
@@ -174,20 +177,38 @@ def left_uncertain() -> Iterator[Uncertain]:
             unit, sigma = ("rad", LEFT_FRAME_RAD) if axis < len("xyz") else ("m", LEFT_FRAME_M)
             word = ("rx", "ry", "rz", "tx", "ty", "tz")[axis]
             yield Uncertain(
-                Nuisance(f"frame {named}.{word}", unit, sigma), partial(_displaced, frame, tool, axis)
+                Nuisance(f"frame {named}.{word}", unit, sigma),
+                partial(_displaced, frame, tool, axis),
+                f"{_TURN_SHIFT[tool is not None][unit]} at {named}.{word[1]}",
             )
     for joint in Joint:
         name = joint.name.lower()
-        yield Uncertain(Nuisance(f"zero {name}", "rad", LEFT_ZERO_RAD), partial(HardstopAngle, joint))
         yield Uncertain(
-            Nuisance(f"gear stiffness {name}", "ln", LEFT_STIFFNESS), partial(_times, GearStiffness, joint)
+            Nuisance(f"zero {name}", "rad", LEFT_ZERO_RAD),
+            partial(HardstopAngle, joint),
+            f"hardstop-angle at {name}",
         )
-        yield Uncertain(Nuisance(f"friction {name}", "ln", FRICTION), partial(_times, GearFriction, joint))
+        yield Uncertain(
+            Nuisance(f"gear stiffness {name}", "ln", LEFT_STIFFNESS),
+            partial(_times, GearStiffness, joint),
+            f"gear-stiffness at {name}",
+        )
+        yield Uncertain(
+            Nuisance(f"friction {name}", "ln", FRICTION),
+            partial(_times, GearFriction, joint),
+            f"gear-friction at {name}",
+        )
     for frame in SPRINGS:
         named = frame.name.lower()
         yield Uncertain(
-            Nuisance(f"link stiffness {named}", "ln", LEFT_STIFFNESS), partial(_times, LinkStiffness, frame)
+            Nuisance(f"link stiffness {named}", "ln", LEFT_STIFFNESS),
+            partial(_times, LinkStiffness, frame),
+            f"link-stiffness at {named}",
         )
+
+
+_TURN_SHIFT: Final = ({"rad": "link-angle", "m": "link-length"}, {"rad": "tool-turn", "m": "tool-offset"})
+"""Of frames, and of tools."""
 
 
 def _displaced(frame: Frame, tool: Tool | None, axis: int, value: float) -> Effect:
