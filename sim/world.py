@@ -16,7 +16,7 @@ from sim.rock import add_rock, lower_ground
 Scene = Literal["mars", "earth"]
 
 MJCF: Final = Path(__file__).resolve().parents[1] / "models" / "mjcf"
-GRAVITY_M_S2: Final[dict[Scene, float]] = {"mars": 3.711, "earth": 9.81}
+GRAVITY_M_S2: Final = {"mars": 3.711, "earth": 9.81}
 BELOW_ROCK_M: Final = 0.1
 MAX_TILT_RAD: Final = float(np.radians(30.0))
 REQUIRED_MUJOCO: Final = "4.0.1"

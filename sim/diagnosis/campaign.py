@@ -46,7 +46,7 @@ class Moment:
 
 def sessions(params: Params) -> tuple[Session, ...]:
     """The whole campaign, in order, for an arm with these flight parameters."""
-    return (*pose_tours(), *sweeps(params), *cold_sweeps(params), *placements(params))
+    return (*pose_tours(), *sweeps(params), *cold_sweeps(), *placements(params))
 
 
 def placements(params: Params) -> list[Session]:

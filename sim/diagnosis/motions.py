@@ -112,19 +112,18 @@ def sweeps(params: Params) -> list[Session]:
     return found
 
 
-def cold_sweeps(params: Params) -> list[Session]:
-    """All joints at once, there and back, fast and slowly, in the cold; the fast ones also warm."""
+def cold_sweeps() -> list[Session]:
+    """All joints at once, there and back, in the cold, twice; and warm, to compare."""
     start = np.array(_rad(OUTSTRETCHED))
-    shares = np.array([5.0, -5.0, 5.0, -10.0, 10.0])
-    there, near = start + np.radians(shares), start + np.radians(shares) / 5.0
-    slow = tuple(_at_speed(params, joint, SLOW) for joint in Joint)
-    fast: tuple[Command, ...] = (MoveJoints(joints5(there), "off"), MoveJoints(joints5(start), "off"))
-    slowly: tuple[Command, ...] = (*slow, MoveJoints(joints5(near), "off"), MoveJoints(joints5(start), "off"))
-    level = World("mars")
+    there = start + np.radians([5.0, -5.0, 5.0, -10.0, 10.0])
+    moves = (MoveJoints(joints5(there), "off"), MoveJoints(joints5(start), "off"))
     return [
-        Session("cold", "cold", level, COLD_C, _rad(OUTSTRETCHED), (*fast, *slowly), False),
-        Session("cold-again", "cold", level, COLD_C, _rad(OUTSTRETCHED), (*fast, *slowly), False),
-        Session("warm", "warm", level, WARM_C, _rad(OUTSTRETCHED), fast, False),
+        Session(name, block, World("mars"), temperature_C, _rad(OUTSTRETCHED), moves, False)
+        for name, block, temperature_C in (
+            ("cold", "cold", COLD_C),
+            ("cold-again", "cold", COLD_C),
+            ("warm", "warm", WARM_C),
+        )
     ]
 
 

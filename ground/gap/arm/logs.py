@@ -4,7 +4,7 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,9 +117,9 @@ def recording_in(path: Path) -> Recording:
 def world_seen(gravity_R_m_s2: Array) -> World:
     """The world as an IMU's mean reading (3,) tells it, for logs that do not say: scene and tilt, no rock."""
     strength = float(np.linalg.norm(gravity_R_m_s2))
-    scene: Scene = min(GRAVITY_M_S2, key=lambda one: abs(GRAVITY_M_S2[one] - strength))
+    scene = min(GRAVITY_M_S2, key=lambda one: abs(GRAVITY_M_S2[one] - strength))
     x, y, z = gravity_R_m_s2 / strength
-    return World(scene, float(np.arctan2(y, z)), float(np.arcsin(np.clip(-x, -1.0, 1.0))))
+    return World(cast(Scene, scene), float(np.arctan2(y, z)), float(np.arcsin(np.clip(-x, -1.0, 1.0))))
 
 
 def _drives(drive: Mapping[str, NDArray[Any]]) -> Iterator[Drive]:

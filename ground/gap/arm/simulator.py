@@ -30,7 +30,7 @@ from sim.effects.contacts import ContactStiffness, SurfacePosition
 from sim.effects.describe import name_of, place_named
 from sim.effects.effect import EachMove, Effect
 from sim.effects.geometry import FrameError, LinkWarming, Warming
-from sim.effects.joints import GearFriction, GearStiffness, HardstopAngle
+from sim.effects.joints import GearFriction, GearStiffness, HardstopAngle, HardstopStiffness
 from sim.effects.links import LinkAngle, LinkLength, ThermalGradient, ToolOffset, ToolTurn
 from sim.effects.structure import LinkBending, LinkStiffness, LinkTorsion, RoverCompliance
 from sim.trials import FRICTION
@@ -106,6 +106,8 @@ class Touched:
         return any(self._shows(effect, one) for effect in self.effects)
 
     def _shows(self, effect: Effect, one: Moving) -> bool:
+        if isinstance(effect, HardstopStiffness):
+            return False  # no motion of a campaign comes to a hardstop
         joint = getattr(effect, "joint", None)
         if joint is not None:
             return any(segment.joint is Joint(joint) for segment in one.segments)
