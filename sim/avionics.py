@@ -17,8 +17,6 @@ from sim.effects.effect import Effect, Hardware, drawn_scatter, gone_on
 from sim.frames import FLIP
 from sim.plant import RESISTANCE, Plant
 
-RESOLVER_BITS: Final = 16
-RESOLVER_LSB_RAD: Final = 2 * np.pi / 2**RESOLVER_BITS
 UNPOWERED: Final = np.zeros(len(Joint), bool)
 VIBRATION_N: Final = 10.0
 VIBRATION_TURN: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -94,10 +92,11 @@ class Avionics:
         for warped in hardware.warped:
             resolver += warped.error_rad(plant.output_rad())
         self._cycle += 1
+        step_rad = hardware.resolver_step_rad
         sensors = Sensors(
             cycle=self._cycle,
             encoder_count=self.encoder_count(),
-            resolver_rad=np.rint(resolver / RESOLVER_LSB_RAD) * RESOLVER_LSB_RAD,
+            resolver_rad=np.rint(resolver / step_rad) * step_rad if step_rad else resolver,
             current_A=current + hardware.current_noise_A * noise[5:10],
             winding_C=hardware.ambient_C + self._heated(current),
             switch_closed=data.sensordata[self._touch] > hardware.switch_force_N,

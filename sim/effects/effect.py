@@ -52,6 +52,8 @@ class Hardware:
     counter_zero_rad: Array
     """Motor angle, output side, at which an encoder's counter happens to read 0."""
     resolver_bias_rad: Array
+    resolver_step_rad: float
+    """Of the smallest digit; 0 reads exactly."""
     resolver_noise_rad: float
     current_noise_A: float
     gravity_noise_m_s2: float
@@ -89,6 +91,7 @@ def nominal_hardware() -> Hardware:
         rad_per_count=2 * np.pi / (256 * np.array([7520.0, 7520.0, 7520.0, 4624.0, 4624.0])),
         counter_zero_rad=np.array([0.7313, -1.2147, 0.3339, -0.9281, 1.6073]),
         resolver_bias_rad=np.zeros(5),
+        resolver_step_rad=2 * np.pi / 2**16,
         resolver_noise_rad=1e-4,
         current_noise_A=0.02,
         gravity_noise_m_s2=0.005,

@@ -9,7 +9,7 @@ import pytest
 from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.joints import SWITCHES_OF, Joint, Switch, Tool
 from fsw.messages import Drive
-from sim.avionics import RESOLVER_LSB_RAD, Avionics
+from sim.avionics import Avionics
 from sim.effects.effect import Hardware, nominal_hardware
 from sim.effects.environment import PowerLoss
 from sim.frames import FLIP
@@ -22,6 +22,7 @@ PARAMS = nominal_params()
 CONFIG = configure(PARAMS)
 ALL, NONE = np.ones(5, bool), np.zeros(5, bool)
 COUNTER_ZERO_RAD = nominal_hardware().counter_zero_rad
+RESOLVER_LSB_RAD = nominal_hardware().resolver_step_rad
 READINGS = 2000
 
 

@@ -5,14 +5,14 @@ import pytest
 
 from fsw.dictionary.joints import Joint
 from fsw.messages import Sensors
-from sim.avionics import RESOLVER_LSB_RAD
-from sim.effects.effect import Effect
+from sim.effects.effect import Effect, nominal_hardware
 from sim.effects.joints import ResolverBias
 from sim.effects.sensors import CurrentBias, CurrentGain, EncoderZero, GravityDirection, ResolverEccentricity
 from sim.world import World
 from tests.sim import lab
 from tests.sim.effects import bench
 
+RESOLVER_LSB_RAD = nominal_hardware().resolver_step_rad
 JOINTS = pytest.mark.parametrize("joint", [Joint.AZIMUTH, Joint.WRIST])
 TIMES = pytest.mark.parametrize("times", [0.5, 1.0, 2.0])
 

@@ -1,0 +1,146 @@
+"""All recordings of a campaign as features: what they are, what was measured, what a simulator predicts."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from fsw.config import configure
+from fsw.dictionary.joints import Joint
+from fsw.dictionary.params import Params
+from fsw.kinematics.transforms import Array, Pose, inverse
+from fsw.messages import Sensors
+from ground.calibration.screws import screw_log
+from ground.gap.arm.features import RESOLVER, SHIFT, TURN, Columns, Feature, Moving, measured, moving
+from ground.gap.arm.logs import Recording
+from ground.gap.arm.poses import Knots, Resting, knots_in, read_resolvers, resting
+from sim.driven import DrivenArm, Manner
+from sim.effects.effect import Effect
+from sim.effects.environment import Ambient
+
+STEPPED = tuple(Sensors.__dataclass_fields__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posed:
+    """A recording's rests, what statics make of them by the drawing, and which of them the tracker saw."""
+
+    knots: Knots
+    nominal: Resting
+    seen: tuple[tuple[int, int], ...]
+    """Number among the rests, and among the tracker's poses."""
+    features: tuple[Feature, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """A campaign's recordings, ready to be compared: the moving ones, then the rests of all."""
+
+    moving: tuple[Moving, ...]
+    posed: tuple[Posed, ...]
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """Of the moving recordings, then of the rests."""
+        return (
+            *(feature for one in self.moving for feature in one.features),
+            *(feature for one in self.posed for feature in one.features),
+        )
+
+    @property
+    def sessions(self) -> tuple[str, ...]:
+        """The recording that each feature is of, by name."""
+        return (
+            *(one.recording.name for one in self.moving for _ in one.features),
+            *(one.knots.recording.name for one in self.posed for _ in one.features),
+        )
+
+
+def compared(recordings: Sequence[Recording], base: Params) -> Compared:
+    """Recordings with a tracker are looked at where they rest, the others in motion as well."""
+    config = configure(base)
+    knots = [knots_in(one) for one in recordings if one.world.surface is None]
+    nominal = resting(knots, base, ())
+    return Compared(
+        tuple(moving(one, config) for one in recordings if not one.tracked.tick.size),
+        tuple(_posed(k, n) for k, n in zip(knots, nominal, strict=True)),
+    )
+
+
+def measured_values(campaign: Compared) -> Array:
+    """What the logs say, (m,)."""
+    values = [measured(one, one.recording.sensors) for one in campaign.moving]
+    for one in campaign.posed:
+        tracked = one.knots.recording.tracked
+        values.append(
+            _rest_values(one, read_resolvers(one.knots), _at(tracked.X_RF, [k for _, k in one.seen]))
+        )
+    return np.concatenate(values)
+
+
+def predicted_values(
+    campaign: Compared,
+    base: Params,
+    effects: Sequence[Effect],
+    manner: Manner,
+    wanted: Callable[[Moving], bool] = lambda _: True,
+) -> Array:
+    """What the simulator has with these effects, (m,); NaN for moving recordings that are not wanted.
+
+    Raises:
+        PlantDiverged: MuJoCo counted a warning.
+    """
+    values = [
+        measured(one, driven(one.recording, effects, manner))
+        if wanted(one)
+        else np.full(len(one.features), np.nan)
+        for one in campaign.moving
+    ]
+    for one, found in zip(
+        campaign.posed, resting([o.knots for o in campaign.posed], base, effects), strict=True
+    ):
+        values.append(_rest_values(one, found.resolver_rad, _at(found.X_RF, [r for r, _ in one.seen])))
+    return np.concatenate(values)
+
+
+def driven(recording: Recording, effects: Sequence[Effect], manner: Manner) -> Columns:
+    """The sensors of an arm with these effects under the recorded drive, by tick."""
+    arm = DrivenArm(recording.start, (Ambient(recording.temperature_C), *effects), manner)
+    readings = list(arm.readings(recording.drives))
+    return {name: np.array([getattr(one, name) for one in readings]) for name in STEPPED}
+
+
+def unknown(one: Moving | Posed) -> Array:
+    """Of each of its features."""
+    return np.full(len(one.features), np.nan)
+
+
+def _posed(knots: Knots, nominal: Resting) -> Posed:
+    recording = knots.recording
+    rest_of = {knots.tick[k]: r for r, k in enumerate(knots.rests)}
+    seen = tuple((rest_of[t], k) for k, t in enumerate(recording.tracked.tick.tolist()) if t in rest_of)
+    features: list[Feature] = []
+    for joint in Joint:
+        for r, k in enumerate(knots.rests):
+            angle = float(knots.motor_rad[joint, k])
+            condition = (recording.temperature_C, 0.0, 0.0, float(np.sin(angle)), float(np.cos(angle)), 0.0)
+            name = joint.name.lower()
+            features.append(Feature(RESOLVER, name, "rest", recording.block, condition, f"rest {r}/{name}"))
+    condition = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for axis, named in enumerate(("rx", "ry", "rz", "tx", "ty", "tz")):
+        channel = TURN if axis < len("xyz") else SHIFT
+        for r, _ in seen:
+            features.append(
+                Feature(channel, "turret", "pose", recording.block, condition, f"rest {r}/{named}")
+            )
+    return Posed(knots, nominal, seen, tuple(features))
+
+
+def _rest_values(one: Posed, resolver_rad: Array, X_RF: Pose) -> Array:
+    nominal = _at(one.nominal.X_RF, [r for r, _ in one.seen])
+    screw = screw_log(inverse(nominal) @ X_RF) if one.seen else np.zeros((6, 0))
+    return np.concatenate([resolver_rad.ravel(), screw.ravel()])
+
+
+def _at(X: Pose, rows: list[int]) -> Pose:
+    return Pose(X.R[:, :, rows], X.p[:, rows])

@@ -1,0 +1,141 @@
+"""What the diagnosis takes from a log: the drive, the sensors at the same ticks, where it began, and how."""
+
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Final, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter
+
+from fsw.dictionary.params import Params
+from fsw.estimate.reference import Reference
+from fsw.kinematics.transforms import Array
+from fsw.messages import Drive, Sensors
+from ground.gap.arm.record import SESSION
+from ground.gap.arm.tracked import Tracked, none_tracked, read_tracked
+from ground.replay.inputs import NotReplayable, inputs_in
+from ground.telemetry.errors import LogError
+from ground.telemetry.read import Log, read_log
+from sim.driven import Start
+from sim.world import GRAVITY_M_S2, Scene, World
+
+DRIVE: Final = "/drive"
+COUNTS: Final = "setpoint_count"
+_WORLD: Final = TypeAdapter(World)
+
+
+class NotForDiagnosis(ValueError):
+    """A log that cannot be compared with the simulator; the message says what it lacks."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """A session as it was recorded, n ticks from 0 on; arrays by field, ticks first."""
+
+    name: str
+    block: str
+    world: World
+    temperature_C: float
+    params: Params
+    start: Start
+    rad_per_count: Array
+    drive: Mapping[str, NDArray[Any]]
+    drives: tuple[Drive, ...]
+    """The same tick by tick; what does not change is the same array, as flight software hands it on."""
+    sensors: Mapping[str, NDArray[Any]]
+    tracked: Tracked
+
+    @property
+    def ticks(self) -> int:
+        """How many."""
+        return len(self.drive[COUNTS])
+
+    def motor_rad(self) -> Array:
+        """By encoders, (5, n)."""
+        rad: Array = self.sensors["encoder_count"].T * self.rad_per_count[:, None]
+        return rad + self.start.zero_rad[:, None]
+
+    def setpoint_rad(self) -> Array:
+        """(5, n)."""
+        rad: Array = self.drive[COUNTS].T * self.rad_per_count[:, None]
+        return rad + self.start.zero_rad[:, None]
+
+
+def recording_in(path: Path) -> Recording:
+    """A log read back, ours or an imported one.
+
+    Raises:
+        NotForDiagnosis: something without which nothing can be compared is not there.
+    """
+    try:
+        log = read_log(path)
+        inputs = inputs_in(log)
+        tracker = path.with_suffix(".tracker.csv")
+        tracked = read_tracked(tracker) if tracker.exists() else none_tracked()
+        said = json.loads(log.header.get(SESSION, "{}"))
+        seen = world_seen(inputs.sensors["gravity_R_m_s2"].mean(axis=0))
+        world = _WORLD.validate_python(said["world"]) if "world" in said else seen
+    except (LogError, NotReplayable, ValueError) as error:
+        raise NotForDiagnosis(str(error)) from error
+    if inputs.reference is None:
+        raise NotForDiagnosis(
+            f"log {path}: its header holds no zeros of the joints, so counts are no angles; record it after "
+            f"an initialisation, or give boot.reference in the [start] of the import"
+        )
+    ticks = min(inputs.ticks, len(_drive(log)))
+    drive = {f.name: _drive(log)[f.name][:ticks] for f in fields(Drive)}
+    sensors = {f.name: inputs.sensors[f.name][:ticks] for f in fields(Sensors)}
+    joints = inputs.params.joints.in_order()
+    rad_per_count = np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints])
+    reference: Reference = inputs.reference
+    start = Start(
+        world,
+        sensors["encoder_count"][0] * rad_per_count + reference.zero_rad,
+        reference.zero_rad,
+        np.array([j.hardstop_rad for j in joints]),
+    )
+    warm_C = float(np.mean(sensors["winding_C"][0]))
+    name = str(said.get("name", path.stem))
+    return Recording(
+        name=name,
+        block=str(said.get("block", name)),
+        world=world,
+        temperature_C=float(said.get("temperature_C", warm_C)),
+        params=inputs.params,
+        start=start,
+        rad_per_count=rad_per_count,
+        drive=drive,
+        drives=tuple(_drives(drive)),
+        sensors=sensors,
+        tracked=tracked,
+    )
+
+
+def world_seen(gravity_R_m_s2: Array) -> World:
+    """The world as an IMU's mean reading (3,) tells it, for logs that do not say: scene and tilt, no rock."""
+    strength = float(np.linalg.norm(gravity_R_m_s2))
+    scene = min(GRAVITY_M_S2, key=lambda one: abs(GRAVITY_M_S2[one] - strength))
+    x, y, z = gravity_R_m_s2 / strength
+    return World(cast(Scene, scene), float(np.arctan2(y, z)), float(np.arcsin(np.clip(-x, -1.0, 1.0))))
+
+
+def _drives(drive: Mapping[str, NDArray[Any]]) -> Iterator[Drive]:
+    last: dict[str, Any] = {}
+    for tick in range(len(drive[COUNTS])):
+        for name, values in drive.items():
+            value = values[tick]
+            if name not in last or not np.array_equal(last[name], value):
+                last[name] = value.copy() if isinstance(value, np.ndarray) else value.item()
+        yield Drive(**last)
+
+
+def _drive(log: Log) -> NDArray[np.void]:
+    if DRIVE not in log.packets:
+        raise NotForDiagnosis(
+            f"log {log.path}: has no {DRIVE}, so nobody knows what the motor controllers were given; "
+            f"map set-points, power, brakes and limits to {DRIVE} in the import"
+        )
+    return log[DRIVE]

@@ -1,0 +1,123 @@
+"""Where the arm rests by statics, with any effects: the turret's pose, and outputs against motors.
+
+Motors are where encoders say. Each output is dragged along in its gear from one knot of the motors' way
+to the next, as friction lets it (fsw.estimate.gear); nothing is stepped.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fsw.config import CYCLE_HZ, configure
+from fsw.dictionary.params import Params
+from fsw.estimate.gear import bounds_under
+from fsw.kinematics.statics import rest
+from fsw.kinematics.transforms import Array, Pose
+from ground.gap.arm.logs import Recording
+from ground.gap.arm.segments import rests_in, segments_in
+from sim.effects.effect import Effect, Hardware, nominal_hardware
+from sim.influence import NO_INFLUENCE, Influence
+from sim.plant import Plant
+from sim.world import build
+
+LOOKED_TICKS = CYCLE_HZ // 4
+"""Resolvers are averaged over the end of a rest."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Knots:
+    """Where motors turned or rested in one recording, k of them; those at rest are looked at."""
+
+    recording: Recording
+    motor_rad: Array
+    """By encoders and believed zeros, (5, k)."""
+    tick: tuple[int, ...]
+    rests: tuple[int, ...]
+    """Which knots are rests, ascending."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Resting:
+    """What statics say of the rests of one recording, r of them."""
+
+    resolver_rad: Array
+    """Resolvers less motor angles by encoders, (5, r)."""
+    X_RF: Pose
+    """The turret's interface in RMECH, batch (r,)."""
+
+
+def knots_in(recording: Recording) -> Knots:
+    """The rests, and where motions end and begin."""
+    rests = rests_in(recording)
+    turns = {tick for s in segments_in(recording) for tick in (s.first, s.end - 1)}
+    ticks = sorted({*rests, *turns})
+    motor = recording.motor_rad()[:, ticks]
+    return Knots(recording, motor, tuple(ticks), tuple(ticks.index(tick) for tick in rests))
+
+
+def read_resolvers(knots: Knots) -> Array:
+    """The same of the sensors as they were recorded, (5, r)."""
+    recording = knots.recording
+    ends = [knots.tick[k] + 1 for k in knots.rests]
+    apart = recording.sensors["resolver_rad"].T - recording.motor_rad()
+    means = [apart[:, max(end - LOOKED_TICKS, 0) : end].mean(axis=1) for end in ends]
+    return np.stack(means, axis=-1) if means else np.zeros((5, 0))
+
+
+def resting(knots: Sequence[Knots], base: Params, effects: Sequence[Effect]) -> list[Resting]:
+    """The rests of each recording, of an arm with these flight parameters and, beyond them, these effects."""
+    hardware, params = nominal_hardware(), base
+    for effect in effects:
+        before = hardware.counter_zero_rad
+        hardware = effect.on_hardware(hardware)
+        if np.array_equal(before, hardware.counter_zero_rad):
+            params = effect.on_params(params)
+        # else flight software's word for the shifted zero is a turned link: one of both is enough
+    return [_rests(one, params, hardware, effects) for one in knots]
+
+
+def _rests(knots: Knots, params: Params, hardware: Hardware, effects: Sequence[Effect]) -> Resting:
+    config, recording = configure(params), knots.recording
+    gravity = recording.world.gravity_N_m_s2
+    true_stop = np.array([joint.hardstop_rad for joint in params.joints.in_order()])
+    off_rad = recording.start.hardstop_rad - true_stop
+    lost_rad = nominal_hardware().counter_zero_rad - hardware.counter_zero_rad
+    motor = knots.motor_rad - (off_rad + lost_rad)[:, None]
+    plant = _acting(recording, effects) if hardware.each_cycle else None
+    half = config.half_gap_rad
+    load = rest(config.arm, motor, gravity).torque_Nm
+    gear, at = np.zeros(5), motor[:, 0]
+    outputs = np.zeros_like(motor)
+    for k in range(motor.shape[1]):
+        turned, at = motor[:, k] - at, motor[:, k]
+        hardware, more = (hardware, NO_INFLUENCE) if plant is None else _acted(plant, hardware, at, gear)
+        bounds = bounds_under(config, half, load[:, k] + more.output_Nm)
+        gear = np.clip(gear - turned, bounds.lowest_rad, bounds.highest_rad)
+        outputs[:, k] = at + gear + more.gear_rad
+    looked = list(knots.rests)
+    outputs = outputs[:, looked]
+    frames = rest(config.arm, outputs, gravity).frames
+    resolver = outputs + hardware.resolver_bias_rad[:, None]
+    for warped in hardware.warped:
+        resolver += np.stack([warped.error_rad(output) for output in outputs.T], axis=-1)
+    return Resting(resolver - knots.motor_rad[:, looked], Pose(frames.X_RF.R[:, :, 5], frames.X_RF.p[:, 5]))
+
+
+def _acting(recording: Recording, effects: Sequence[Effect]) -> Plant:
+    spec = build(recording.world)
+    for effect in effects:
+        effect.on_model(spec)
+    return Plant(spec.compile())
+
+
+def _acted(plant: Plant, hardware: Hardware, motor_rad: Array, gear_rad: Array) -> tuple[Hardware, Influence]:
+    """What acts in every cycle, asked at a knot: how far it shifts gears, and its torque on outputs."""
+    plant.data.qpos[plant.at.motor], plant.data.qpos[plant.at.gear] = motor_rad, gear_rad
+    total, running = Influence(), []
+    for one in hardware.each_cycle:
+        state = one.state if one.begun else one.effect.begin(plant, hardware)
+        state, influence = one.effect.cycle(plant, hardware, state)
+        total += influence
+        running.append(replace(one, state=state, begun=True))
+    return replace(hardware, each_cycle=tuple(running)), total

@@ -1,0 +1,227 @@
+"""The arm's simulator as the diagnosis asks it: the catalogue's effects, and what calibration leaves."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.dictionary.params import Params
+from fsw.dictionary.tuples import row6
+from fsw.kinematics.transforms import Array
+from ground.gap.arm.campaign import Compared, predicted_values
+from ground.gap.arm.features import CHANNELS, CONDITIONS, CONTACT, UNITS, Moving
+from ground.gap.hypothesis import Hypothesis, Nuisance, Parameter
+from ground.gap.layout import Layout
+from ground.gap.simulator import Settings
+from sim.driven import Manner
+from sim.effects import catalogue
+from sim.effects.built import (
+    IDENTIFIABLE,
+    LEFT_FRAME_M,
+    LEFT_FRAME_RAD,
+    LEFT_STIFFNESS,
+    LEFT_ZERO_RAD,
+    SPRINGS,
+)
+from sim.effects.contacts import ContactStiffness, SurfacePosition
+from sim.effects.describe import name_of, place_named
+from sim.effects.effect import EachMove, Effect
+from sim.effects.geometry import FrameError, LinkWarming, Warming
+from sim.effects.joints import GearFriction, GearStiffness, HardstopAngle, HardstopStiffness
+from sim.effects.links import LinkAngle, LinkLength, ThermalGradient, ToolOffset, ToolTurn
+from sim.effects.structure import LinkBending, LinkStiffness, LinkTorsion, RoverCompliance
+from sim.trials import FRICTION
+
+BRIEFLY: Final = Manner(settle_s=4.0)
+"""The arm settles before a recording for less long than in the closed loop."""
+ONLY_POSED: Final = (
+    *(LinkLength, LinkAngle, ThermalGradient, LinkWarming, Warming, FrameError, ToolOffset, ToolTurn),
+    *(LinkStiffness, LinkBending, LinkTorsion, RoverCompliance, ContactStiffness, SurfacePosition),
+)
+"""Effects that show where the arm rests and where it touches; in free motion they are below its noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertain:
+    """A number that the calibration leaves uncertain, and the effect that it is."""
+
+    nuisance: Nuisance
+    effect: Callable[[float], Effect]
+    """With this departure."""
+    like: str
+    """The hypothesis, as told, that is the same number where it is small."""
+
+
+class ArmSimulator:
+    """Ours, bound to a campaign (ground.gap.simulator.Simulator)."""
+
+    def __init__(
+        self,
+        campaign: Compared,
+        base: Params,
+        sigma: Array,
+        kinds: Mapping[str, type[Effect]] | None = None,
+        manner: Manner = BRIEFLY,
+        patch: tuple[Effect, ...] = (),
+    ):
+        """With a floor (m,); `kinds` are hypotheses, by default the catalogue's; `patch` is always on."""
+        self.campaign, self.base, self.manner, self.patch = campaign, base, manner, patch
+        self.layout = layout_of(campaign, sigma)
+        self._made = {told(one): one for one in raced(kinds)}
+        self.hypotheses = tuple(self._made)
+        self._uncertain = tuple(left_uncertain())
+        self.nuisances = tuple(one.nuisance for one in self._uncertain)
+        self.likes = tuple(one.like for one in self._uncertain)
+
+    def predict(self, settings: Settings, nuisance: Array) -> Array:
+        """The features (m,); errors as of `predicted_values`."""
+        return self.predicted(self.effects(settings, nuisance), all_of)
+
+    def effects(self, settings: Settings, nuisance: Array) -> list[Effect]:
+        """What is switched on: patch, hypotheses, nuisances that are not 0."""
+        found = list(self.patch)
+        for hypothesis, values in settings.items():
+            made = self._made[hypothesis]
+            named = zip(hypothesis.parameters, values, strict=True)
+            found.append(made.effect(**{p.name: _typed(made, p.name, float(v)) for p, v in named}))
+        found += [one.effect(float(v)) for one, v in zip(self._uncertain, nuisance, strict=True) if v]
+        return found
+
+    def predicted(self, effects: Sequence[Effect], wanted: Callable[[Moving], bool]) -> Array:
+        """Features (m,) with these effects; those of moving recordings that are not wanted are NaN."""
+        return predicted_values(self.campaign, self.base, effects, self.manner, wanted)
+
+
+@dataclass(frozen=True, slots=True)
+class Touched:
+    """Whether effects can show in a moving recording: at a joint if it moves, of geometry at a touch."""
+
+    effects: tuple[Effect, ...]
+
+    def __call__(self, one: Moving) -> bool:
+        """Any of them."""
+        return any(self._shows(effect, one) for effect in self.effects)
+
+    def _shows(self, effect: Effect, one: Moving) -> bool:
+        if isinstance(effect, HardstopStiffness):
+            return False  # no motion of a campaign comes to a hardstop
+        joint = getattr(effect, "joint", None)
+        if joint is not None:
+            return any(segment.joint is Joint(joint) for segment in one.segments)
+        tool = getattr(effect, "tool", None)
+        if tool is not None:
+            return any(f.channel == CONTACT and f.place.startswith(tool.name.lower()) for f in one.features)
+        return one.recording.world.surface is not None or not isinstance(effect, ONLY_POSED)
+
+
+def all_of(_: Moving) -> bool:
+    """Every recording."""
+    return True
+
+
+def raced(kinds: Mapping[str, type[Effect]] | None) -> Iterator[catalogue.Hypothesis]:
+    """The catalogue's hypotheses, but those that are chance from move to move: these are floor, no cause."""
+    return (one for one in catalogue.hypotheses(kinds) if not issubclass(one.kind, EachMove))
+
+
+def told(one: catalogue.Hypothesis) -> Hypothesis:
+    """In the words of the diagnosis; parameters that are many numbers stay as they are by default."""
+    parameters = [p for p in (*one.sizes, *one.shapes) if p.size is not None and p.count == 1]
+    return Hypothesis(
+        name_of(one.kind),
+        place_named(one.kind, dict(one.place)) or "arm",
+        tuple(
+            Parameter(
+                p.field,
+                p.size.unit,
+                p.size.low,
+                p.size.high,
+                p.size.typical if p.size.neutral is not None else float(p.default),
+                p.size.neutral,
+            )
+            for p in parameters
+            if p.size is not None
+        ),
+    )
+
+
+def layout_of(campaign: Compared, sigma: Array) -> Layout:
+    """What the features are."""
+    features = campaign.features
+    blocks, places, regimes = (
+        tuple(dict.fromkeys(getattr(f, name) for f in features)) for name in ("block", "place", "regime")
+    )
+    return Layout(
+        sigma=sigma,
+        block=np.array([blocks.index(f.block) for f in features], np.intp),
+        channel=np.array([f.channel for f in features], np.intp),
+        place=np.array([places.index(f.place) for f in features], np.intp),
+        regime=np.array([regimes.index(f.regime) for f in features], np.intp),
+        condition=np.array([f.condition for f in features]).reshape(-1, len(CONDITIONS)),
+        blocks=blocks,
+        channels=CHANNELS,
+        units=UNITS,
+        places=places,
+        regimes=regimes,
+        conditions=CONDITIONS,
+    )
+
+
+def left_uncertain() -> Iterator[Uncertain]:
+    """What a calibration leaves (sim.effects.built), and what friction is on another day."""
+    inner: list[tuple[Frame, Tool | None]] = [(f, None) for f in Frame if f is not Frame.TOOL]
+    for frame, tool in (*inner, *((Frame.TOOL, tool) for tool in Tool)):
+        for axis in IDENTIFIABLE[frame]:
+            named = (frame.name if tool is None else tool.name).lower()
+            unit, sigma = ("rad", LEFT_FRAME_RAD) if axis < len("xyz") else ("m", LEFT_FRAME_M)
+            word = ("rx", "ry", "rz", "tx", "ty", "tz")[axis]
+            yield Uncertain(
+                Nuisance(f"frame {named}.{word}", unit, sigma),
+                partial(_displaced, frame, tool, axis),
+                f"{_TURN_SHIFT[tool is not None][unit]} at {named}.{word[1]}",
+            )
+    for joint in Joint:
+        name = joint.name.lower()
+        yield Uncertain(
+            Nuisance(f"zero {name}", "rad", LEFT_ZERO_RAD),
+            partial(HardstopAngle, joint),
+            f"hardstop-angle at {name}",
+        )
+        yield Uncertain(
+            Nuisance(f"gear stiffness {name}", "ln", LEFT_STIFFNESS),
+            partial(_times, GearStiffness, joint),
+            f"gear-stiffness at {name}",
+        )
+        yield Uncertain(
+            Nuisance(f"friction {name}", "ln", FRICTION),
+            partial(_times, GearFriction, joint),
+            f"gear-friction at {name}",
+        )
+    for frame in SPRINGS:
+        named = frame.name.lower()
+        yield Uncertain(
+            Nuisance(f"link stiffness {named}", "ln", LEFT_STIFFNESS),
+            partial(_times, LinkStiffness, frame),
+            f"link-stiffness at {named}",
+        )
+
+
+_TURN_SHIFT: Final = ({"rad": "link-angle", "m": "link-length"}, {"rad": "tool-turn", "m": "tool-offset"})
+"""Of frames, and of tools."""
+
+
+def _displaced(frame: Frame, tool: Tool | None, axis: int, value: float) -> Effect:
+    return FrameError(frame, row6(value * np.eye(6)[axis]), tool)
+
+
+def _times(kind: Callable[[Any, float], Effect], place: Joint | Frame, logarithm: float) -> Effect:
+    return kind(place, float(np.exp(logarithm)))
+
+
+def _typed(made: catalogue.Hypothesis, field: str, value: float) -> float:
+    """A whole number where the effect has one."""
+    default = next(p.default for p in (*made.sizes, *made.shapes) if p.field == field)
+    return round(value) if isinstance(default, int) and not isinstance(default, bool) else value

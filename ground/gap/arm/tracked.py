@@ -1,0 +1,67 @@
+"""Where a laser tracker saw the turret, beside a log: a table of poses by tick."""
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fsw.kinematics.transforms import Array, Pose
+
+COLUMNS: Final = ("tick", "rx_rad", "ry_rad", "rz_rad", "x_m", "y_m", "z_m")
+SIGMAS: Final = ("rx_sigma_rad", "ry_sigma_rad", "rz_sigma_rad", "x_sigma_m", "y_sigma_m", "z_sigma_m")
+
+
+class BadTracker(ValueError):
+    """A table that is none of tracker poses; the message says where and why."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tracked:
+    """Poses of the turret's interface in RMECH, n of them, in the order of ticks."""
+
+    tick: NDArray[np.int64]
+    X_RF: Pose
+    sigma: Array
+    """Of the screw from true to measured, in axes of the turret, rotation first, (6, n)."""
+
+
+def none_tracked() -> Tracked:
+    """Of a log without a tracker."""
+    return Tracked(np.zeros(0, np.int64), Pose(np.zeros((3, 3, 0)), np.zeros((3, 0))), np.zeros((6, 0)))
+
+
+def write_tracked(path: Path, seen: Tracked) -> None:
+    """As CSV: rotation vector, position, and sigmas."""
+    turn = Rotation.from_matrix(np.moveaxis(seen.X_RF.R, -1, 0)).as_rotvec() if seen.tick.size else []
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow((*COLUMNS, *SIGMAS))
+        for k, tick in enumerate(seen.tick):
+            numbers = (*turn[k], *seen.X_RF.p[:, k], *seen.sigma[:, k])
+            table.writerow((int(tick), *(repr(float(number)) for number in numbers)))
+
+
+def read_tracked(path: Path) -> Tracked:
+    """The poses of a CSV file.
+
+    Raises:
+        BadTracker: it has other columns, or something in it is no number.
+    """
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    if not rows:
+        return none_tracked()
+    try:
+        numbers = np.array([[float(row[name]) for name in (*COLUMNS, *SIGMAS)] for row in rows]).T
+    except (KeyError, TypeError, ValueError) as error:
+        raise BadTracker(
+            f"{path}: must have the columns {', '.join((*COLUMNS, *SIGMAS))}: {error}"
+        ) from error
+    if not np.isfinite(numbers).all() or (numbers[7:] <= 0).any():
+        raise BadTracker(f"{path}: every number must be finite, and every sigma above 0")
+    R = np.moveaxis(Rotation.from_rotvec(numbers[1:4].T).as_matrix(), 0, -1)
+    return Tracked(numbers[0].astype(np.int64), Pose(R, numbers[4:7]), numbers[7:])

@@ -1,0 +1,81 @@
+"""How sure a choice is: the selection repeated on data that might as well have been seen.
+
+Blocks differ in what they can tell (only one of them may touch the ground), so they are not left out or
+doubled. What the best model leaves of each block is added to the data again with a random factor of mean 0
+and variance 1: the design stays as it is, and what is dependent within a block stays so. In sums over
+blocks, c* = c + g (c - G theta).
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from ground.gap.case import Case, of_sums
+from ground.gap.model import fitted
+from ground.gap.race import Chosen, Field, Race, race
+
+DRAWS: Final = 200
+SURE: Final = 0.95
+"""A set of alternatives is the fewest that were chosen in this share of the draws."""
+
+
+@dataclass(frozen=True, slots=True)
+class Alternatives:
+    """What may stand where a chosen hypothesis stands."""
+
+    hypotheses: Chosen
+    """One of each class, most probable first; together chosen in SURE of the draws."""
+    probability: tuple[float, ...]
+
+
+def redrawn(field: Field, case: Case, won: Race, seed: int, draws: int = DRAWS) -> tuple[Chosen, ...]:
+    """What is chosen in every draw."""
+    prepared, rng = field.prepared, np.random.default_rng(seed)
+    model = fitted(prepared, case, prepared.columns(won.chosen))
+    left = case.c - np.einsum("bij,j->bi", prepared.G[:, :, model.active], model.theta)
+    factors = rng.standard_normal((draws, case.c.shape[0], 1))
+    return tuple(race(field, of_sums(prepared, case.c + factor * left)).chosen for factor in factors)
+
+
+def alternatives(
+    field: Field, cosine: np.ndarray, won: Race, drawn: tuple[Chosen, ...]
+) -> tuple[Alternatives, ...]:
+    """For each chosen hypothesis: what was chosen in its stead, and how often.
+
+    In a draw, a chosen hypothesis stands for itself if its class is there; otherwise the one most like it
+    stands for it that stands for no other. Draws with fewer effects say nothing of it.
+    """
+    counts: list[dict[int, int]] = [{} for _ in won.chosen]
+    for draw in drawn:
+        for count, stands in zip(counts, _matched(field, cosine, won.chosen, draw), strict=True):
+            if stands is not None:
+                count[stands] = count.get(stands, 0) + 1
+    return tuple(_fewest(count, own) for count, own in zip(counts, won.chosen, strict=True))
+
+
+def _matched(field: Field, cosine: np.ndarray, chosen: Chosen, draw: Chosen) -> list[int | None]:
+    """Which of the draw stands for which of the chosen; of its own class, the chosen itself."""
+    free, stands = list(draw), [None] * len(chosen)  # type: list[int], list[int | None]
+    for index, one in enumerate(chosen):
+        same = [other for other in free if field.label[other] == field.label[one]]
+        if same:
+            free.remove(same[0])
+            stands[index] = one
+    for index, one in enumerate(chosen):
+        if stands[index] is None and free:
+            best = max(free, key=lambda other, to=one: float(cosine[to, other]))  # type: ignore[misc]
+            free.remove(best)
+            stands[index] = int(np.flatnonzero(field.label == field.label[best])[0])
+    return stands
+
+
+def _fewest(count: dict[int, int], own: int) -> Alternatives:
+    """The fewest that make up SURE of the draws; the chosen one alone if no draw has it or another."""
+    total = sum(count.values())
+    if not total:
+        return Alternatives((own,), (0.0,))
+    order = sorted(count, key=lambda one: (-count[one], one != own, one))
+    reached = np.cumsum([count[one] for one in order]) / total
+    upto = int(np.searchsorted(reached, SURE - 1e-12)) + 1
+    return Alternatives(tuple(order[:upto]), tuple(count[one] / total for one in order[:upto]))

@@ -1,0 +1,54 @@
+"""Fits of sets of hypotheses to a case: how much they explain, and how much they predict."""
+
+from typing import Final
+
+import numpy as np
+from scipy.stats import chi2
+
+from fsw.kinematics.transforms import Array, Flags
+from ground.gap.case import Case
+from ground.gap.layout import Ints
+from ground.gap.prepared import Prepared
+
+LEARNT: Final = 0.01
+"""In a fold, a size counts as learnt from data that say as much of it as this share of all data."""
+RIDGE: Final = 1e-9
+"""Share of the scale that is added, so that two columns that are the same can be solved."""
+
+
+def sizes(prepared: Prepared, case: Case, columns: Ints) -> Array:
+    """Most probable sizes in standard errors, (j,), of a set of columns; or (n, j) of n sets (n, j)."""
+    R = prepared.R[-1][columns[..., :, None], columns[..., None, :]] + RIDGE * np.eye(columns.shape[-1])
+    return np.asarray(np.linalg.solve(R, case.all[columns][..., None])[..., 0])
+
+
+def drop(prepared: Prepared, case: Case, columns: Ints) -> Array:
+    """By how much these columns make the deviance less than no effect, () or (n,)."""
+    return np.asarray(np.sum(sizes(prepared, case, columns) * case.all[columns], axis=-1))
+
+
+def within(prepared: Prepared, t: Array, columns: Ints) -> Flags:
+    """Whether no size is at or beyond a bound, () or (n,)."""
+    least, most = prepared.bounds[:, columns]
+    return np.asarray(np.all((t > least) & (t < most), axis=-1))
+
+
+def losses(prepared: Prepared, case: Case, columns: Ints) -> Array:
+    """Deviance of every block as predicted by the others, from that of no effect, (n, B) of n sets (n, j).
+
+    The deviance of a block given the others is that of all blocks less that of the others, both with
+    nuisances free: D(t) = t'R t - 2 r't. Normalising terms do not depend on the set. Sizes are those of the
+    others, with LEARNT of the information of all blocks as a prior about 0, so that a fold that says nothing
+    predicts nothing.
+    """
+    R = prepared.R[:, columns[:, :, None], columns[:, None, :]]
+    r = case.r[:, columns]
+    information = R[:-1] + LEARNT * R[-1] + RIDGE * np.eye(columns.shape[1])
+    t = np.linalg.solve(information, r[:-1][..., None])[..., 0]
+    quadratic = np.einsum("fni,fnij,fnj->nf", t, R[-1] - R[:-1], t)
+    return np.asarray(quadratic - 2.0 * np.einsum("fni,fni->nf", t, r[-1] - r[:-1]))
+
+
+def surprise(dropped: Array, k: Array | float) -> Array:
+    """Of a drop with k more parameters: -log10 of its probability if there is nothing."""
+    return np.asarray(-chi2.logsf(np.maximum(dropped, 0.0), k) / np.log(10.0))

@@ -1,0 +1,178 @@
+"""Hypotheses raced: which one, two or three predict blocks that they were not fitted to."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from fsw.kinematics.transforms import Array, Flags
+from ground.gap.case import Case
+from ground.gap.fits import drop, losses, sizes, surprise, within
+from ground.gap.layout import Ints
+from ground.gap.prepared import Prepared
+
+MOST_EFFECTS: Final = 3
+SCREENED: Final = 24
+"""Hypotheses that explain most, beside those chosen, whose prediction is computed."""
+
+Chosen = tuple[int, ...]
+"""Hypotheses, by index, in the order chosen."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Field:
+    """Those that race: a campaign, the class of every hypothesis, and how surprising a finding must be."""
+
+    prepared: Prepared
+    label: Ints
+    """(H,)."""
+    threshold: float
+    """In -log10 of a probability: no-effect cases reach it in 5 % (see `thresholds`)."""
+    inside: Flags
+    """Hypotheses that may be chosen, (H,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Race:
+    """Who won, and what else came near."""
+
+    chosen: Chosen
+    first: tuple[int, ...]
+    """The best as a single hypothesis, best first: also where none is accepted."""
+    surprise: float
+    """Of the best single hypothesis, -log10 of its probability if there is no effect."""
+    t: Array
+    """Sizes of the chosen in standard errors, as `Prepared.columns` orders them."""
+    dropped: float
+    """Of the deviance, by all of the chosen."""
+    shares: tuple[float, ...]
+    """Of that, what is lost without each: the own shares; the rest is common to them."""
+    predicted: Array
+    """Loss of every block as predicted by the others, from that of no effect, (B,)."""
+
+
+def race(field: Field, case: Case) -> Race:
+    """Forward selection with exchange and backward elimination, to at most three effects.
+
+    A hypothesis is added if it predicts held-out blocks better by more than one standard error of the paired
+    differences between blocks, and explains more than no-effect data do. Of hypotheses of one class only one
+    may be chosen. A size at a bound is no finding.
+    """
+    chosen: Chosen = ()
+    loss = np.zeros(case.c.shape[0])
+    first, best = _ranked(field, case, ())
+    while len(chosen) < MOST_EFFECTS:
+        longer = _better(field, case, chosen, loss)
+        if longer is None:
+            break
+        chosen, loss = longer
+    columns = field.prepared.columns(chosen)
+    t = sizes(field.prepared, case, columns)
+    dropped = float(t @ case.all[columns])
+    return Race(chosen, first, best, t, dropped, _shares(field.prepared, case, chosen, dropped), loss)
+
+
+def best_left(field: Field, case: Case, chosen: Chosen) -> float:
+    """Surprise of the most surprising hypothesis that could be added to those chosen."""
+    return _ranked(field, case, chosen)[1]
+
+
+def _better(field: Field, case: Case, chosen: Chosen, loss: Array) -> tuple[Chosen, Array] | None:
+    """One more, after exchange and elimination; None if nothing more is found."""
+    order, best = _ranked(field, case, chosen)
+    if not order or best < field.threshold:
+        return None
+    longer = _exchanged(field, case, (*chosen, order[0]))
+    after = _loss(field.prepared, case, longer)
+    if not _clearly(loss - after) or not _all_needed(field, case, longer):
+        return None
+    return longer, after
+
+
+def _exchanged(field: Field, case: Case, chosen: Chosen) -> Chosen:
+    """Each of several in turn replaced by what predicts better beside the others."""
+    if len(chosen) == 1:
+        return chosen
+    for index in range(len(chosen)):
+        others = (*chosen[:index], *chosen[index + 1 :])
+        order, _ = _ranked(field, case, others)
+        if order:
+            chosen = (*chosen[:index], order[0], *chosen[index + 1 :])
+    return chosen
+
+
+def _all_needed(field: Field, case: Case, chosen: Chosen) -> bool:
+    """Whether each one explains, beside the others, more than no-effect data do."""
+    if len(chosen) == 1:
+        return True
+    prepared, whole = field.prepared, float(drop(field.prepared, case, field.prepared.columns(chosen)))
+    for index, one in enumerate(chosen):
+        others = prepared.columns((*chosen[:index], *chosen[index + 1 :]))
+        k = prepared.columns((one,)).size
+        if surprise(whole - drop(prepared, case, others), k) < field.threshold:
+            return False
+    return True
+
+
+def _clearly(gain: Array) -> bool:
+    """Whether a gain, by block, is more than one standard error of its sum above 0."""
+    return bool(gain.sum() > np.std(gain, ddof=1) * np.sqrt(gain.size))
+
+
+def _ranked(field: Field, case: Case, chosen: Chosen) -> tuple[Chosen, float]:
+    """What may be added, best first, and the surprise of the most surprising among it.
+
+    Where prediction is clear it decides: those that predict worse than the best by more than one standard
+    error come behind. Among the others the one goes first whose improvement is the least likely to be
+    chance: with a known floor that tells more than a prediction does, and counts parameters.
+    """
+    prepared, base = field.prepared, field.prepared.columns(chosen)
+    beside = float(drop(prepared, case, base)) if chosen else 0.0
+    taken = np.isin(field.label, field.label[list(chosen)])
+    who, surprises, predicted = [np.zeros(0, np.intp)], [np.zeros(0)], [np.zeros((0, case.c.shape[0]))]
+    for k, hypotheses, columns in _sets(field, base, ~taken):
+        t = sizes(prepared, case, columns)
+        gains = np.sum(t * case.all[columns], axis=-1) - beside
+        ok = np.flatnonzero(within(prepared, t, columns) & (gains > 0.0))
+        ok = ok[np.argsort(-gains[ok], kind="stable")[:SCREENED]]
+        who.append(hypotheses[ok])
+        surprises.append(surprise(gains[ok], k))
+        predicted.append(losses(prepared, case, columns[ok]))
+    index, high, loss = np.concatenate(who), np.concatenate(surprises), np.concatenate(predicted)
+    if not index.size:
+        return (), 0.0
+    worse = loss - loss[np.argmin(loss.sum(axis=1))]
+    total = worse.sum(axis=1)
+    behind = total > np.std(worse, axis=1, ddof=1) * np.sqrt(loss.shape[1])
+    order = np.lexsort((np.where(behind, total, -high), behind))
+    return tuple(int(h) for h in index[order]), float(high.max())
+
+
+def _sets(field: Field, base: Ints, free: Flags) -> list[tuple[int, Ints, Ints]]:
+    """By number of columns k: hypotheses that may be added (n,), and their columns after the base (n, j)."""
+    prepared = field.prepared
+    ranks = np.bincount(prepared.owner, minlength=len(prepared.hypotheses))
+    starts = np.cumsum(ranks) - ranks
+    result = []
+    for k in np.unique(ranks):
+        hypotheses = np.flatnonzero((ranks == k) & free & field.inside)
+        own = starts[hypotheses, None] + np.arange(k)
+        columns = np.hstack([np.broadcast_to(base, (hypotheses.size, base.size)), own])
+        result.append((int(k), hypotheses, columns))
+    return result
+
+
+def _loss(prepared: Prepared, case: Case, chosen: Chosen) -> Array:
+    """(B,)."""
+    return np.asarray(losses(prepared, case, prepared.columns(chosen)[None])[0])
+
+
+def _shares(prepared: Prepared, case: Case, chosen: Chosen, dropped: float) -> tuple[float, ...]:
+    """What is lost without each, as a share of what all explain."""
+    without = [
+        float(drop(prepared, case, prepared.columns((*chosen[:i], *chosen[i + 1 :]))))
+        if len(chosen) > 1
+        else 0.0
+        for i in range(len(chosen))
+    ]
+    return tuple((dropped - one) / dropped for one in without)

@@ -1,0 +1,137 @@
+"""How the features change with every hypothesis and nuisance: found once per campaign, and kept."""
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fsw.kinematics.transforms import Array
+from ground.gap.hypothesis import Hypothesis, Nuisance, Parameter
+from ground.gap.layout import Ints, Layout
+from ground.gap.simulator import Simulator
+
+NUISANCE_STEP: Final = 1.0
+"""In prior sigmas; in its own unit for a nuisance of which nothing is known."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensitivities:
+    """The simulator about its nominal state, in straight lines."""
+
+    layout: Layout
+    hypotheses: tuple[Hypothesis, ...]
+    nuisances: tuple[Nuisance, ...]
+    nominal: Array
+    """What is predicted with no effect, (m,)."""
+    effect: Array
+    """Change per typical size of each size parameter, in the order of `owner`, (m, K)."""
+    owner: Ints
+    """Which hypothesis each column belongs to, ascending, (K,)."""
+    nuisance: Array
+    """Change per unit of each nuisance, (m, q)."""
+
+    def __post_init__(self) -> None:
+        m, wanted = self.layout.size, [len(hypothesis.sizes) for hypothesis in self.hypotheses]
+        if not np.array_equal(self.owner, np.repeat(np.arange(len(wanted)), wanted)):
+            raise ValueError("owner must list every size parameter of every hypothesis in order")
+        shapes = (
+            (self.nominal, (m,)),
+            (self.effect, (m, sum(wanted))),
+            (self.nuisance, (m, len(self.nuisances))),
+        )
+        for array, shape in shapes:
+            if array.shape != shape or not np.all(np.isfinite(array)):
+                raise ValueError(f"sensitivities must be finite and {shape}; one is {array.shape}")
+
+
+def sensitivities(simulator: Simulator, step: Callable[[int, int], None] = lambda *_: None) -> Sensitivities:
+    """Differences in the simulator about nominal; `step(done, of)` is told how far it is.
+
+    Of a size parameter: the secant over its typical size, centred where its bounds allow both sides (an
+    effect such as a gap has no derivative at neutral, and matters at its typical size). Of a nuisance: the
+    centred difference over one prior sigma.
+    """
+    zero = np.zeros(len(simulator.nuisances))
+    nominal = simulator.predict({}, zero)
+    of = sum(len(hypothesis.sizes) for hypothesis in simulator.hypotheses) + len(simulator.nuisances)
+    effect: list[Array] = []
+    nuisance: list[Array] = []
+    owner: list[int] = []
+    for index, hypothesis in enumerate(simulator.hypotheses):
+        for at, parameter in enumerate(hypothesis.parameters):
+            if parameter.sizes:
+                effect.append(_secant(simulator, hypothesis, at, nominal))
+                owner.append(index)
+                step(len(effect), of)
+    for index, uncertain in enumerate(simulator.nuisances):
+        by = np.zeros_like(zero)
+        by[index] = NUISANCE_STEP * (uncertain.sigma if np.isfinite(uncertain.sigma) else 1.0)
+        nuisance.append((simulator.predict({}, by) - simulator.predict({}, -by)) / (2.0 * by[index]))
+        step(len(effect) + len(nuisance), of)
+    m = simulator.layout.size
+    return Sensitivities(
+        simulator.layout,
+        simulator.hypotheses,
+        simulator.nuisances,
+        nominal,
+        np.array(effect).reshape(-1, m).T,
+        np.array(owner, dtype=np.intp),
+        np.array(nuisance).reshape(-1, m).T,
+    )
+
+
+def save(path: Path, found: Sensitivities) -> None:
+    """Keep sensitivities in an .npz file that holds no code."""
+    layout = found.layout
+    words = {
+        "hypotheses": [asdict(hypothesis) for hypothesis in found.hypotheses],
+        "nuisances": [asdict(nuisance) for nuisance in found.nuisances],
+        "names": {name: getattr(layout, name) for name in _NAMES},
+    }
+    arrays = {name: getattr(layout, name) for name in _ARRAYS}
+    arrays |= {name: getattr(found, name) for name in ("nominal", "effect", "owner", "nuisance")}
+    with path.open("wb") as file:
+        np.savez(file, words=np.array(json.dumps(words)), **arrays)
+
+
+def load(path: Path) -> Sensitivities:
+    """Sensitivities as they were kept; ValueError if the file does not hold any."""
+    with np.load(path, allow_pickle=False) as file:
+        missing = {"words", *_ARRAYS, "nominal", "effect", "owner", "nuisance"} - set(file.files)
+        if missing:
+            raise ValueError(f"{path}: no sensitivities ({', '.join(sorted(missing))} missing)")
+        words = json.loads(str(file["words"]))
+        names = (tuple(words["names"][name]) for name in _NAMES)
+        layout = Layout(*(file[name] for name in _ARRAYS), *names)
+        hypotheses = tuple(
+            Hypothesis(h["effect"], h["place"], tuple(Parameter(**p) for p in h["parameters"]))
+            for h in words["hypotheses"]
+        )
+        nuisances = tuple(Nuisance(**nuisance) for nuisance in words["nuisances"])
+        found = (file[name] for name in ("nominal", "effect", "owner", "nuisance"))
+        return Sensitivities(layout, hypotheses, nuisances, *found)
+
+
+_ARRAYS: Final = ("sigma", "block", "channel", "place", "regime", "condition")
+_NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions")
+
+
+def _secant(simulator: Simulator, hypothesis: Hypothesis, at: int, nominal: Array) -> Array:
+    """Change of the features per typical size of one size parameter, the others absent, (m,)."""
+    zero = np.zeros(len(simulator.nuisances))
+    absent = np.array([parameter.absent for parameter in hypothesis.parameters])
+    parameter = hypothesis.parameters[at]
+    ends, values = [], []
+    for sign in (1.0, -1.0):
+        there = absent.copy()
+        there[at] = np.clip(absent[at] + sign * parameter.typical, parameter.least, parameter.most)
+        if there[at] != absent[at]:
+            ends.append(simulator.predict({hypothesis: there}, zero))
+            values.append(there[at])
+    if len(values) == 1:
+        ends.append(nominal)
+        values.append(absent[at])
+    return np.asarray((ends[0] - ends[1]) / (values[0] - values[1]) * parameter.typical)

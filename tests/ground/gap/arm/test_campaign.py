@@ -1,0 +1,99 @@
+"""A nominal arm leaves nothing but noise, at rest by statics and in motion under the recorded drive."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Frame, Joint, Tool
+from ground.gap.arm.campaign import compared, measured_values, predicted_values
+from ground.gap.arm.features import CHANNELS, CURRENT, SHIFT, TURN
+from ground.gap.arm.floor import floor_of
+from ground.gap.arm.logs import Recording
+from ground.gap.arm.sensitivities import arm_sensitivities, column_of, columns_of
+from ground.gap.arm.simulator import BRIEFLY, ArmSimulator, Touched, all_of
+from ground.pool import on_this_machine
+from ground.telemetry.read import read_log
+from sim.effects.catalogue import catalogue
+from sim.effects.joints import GearStiffness
+from sim.effects.links import LinkLength, ToolOffset
+from sim.params import nominal_params
+
+BASE = nominal_params()
+
+
+def test_no_log_says_what_the_plant_was(logs: list[Path]) -> None:
+    for path in logs:
+        log = read_log(path)
+        assert not any(topic in log.packets for topic in log.truth)
+        assert not {"arm", "seed", "effects", "mjcf_sha256", "request"} & log.header.keys()
+
+
+def test_a_nominal_arm_leaves_its_sensors_noise(recordings: list[Recording]) -> None:
+    campaign = compared(recordings, BASE)
+    rest = measured_values(campaign) - predicted_values(campaign, BASE, (), BRIEFLY)
+    whitened = rest / floor_of(campaign).sigma
+    channels = np.array([feature.channel for feature in campaign.features])
+    for channel in sorted(set(channels)):
+        mine = whitened[channels == channel]
+        assert np.sqrt(np.mean(mine**2)) < 1.5, CHANNELS[channel]
+
+
+def test_repeats_of_a_motion_are_one_block_and_say_what_the_floor_is(recordings: list[Recording]) -> None:
+    campaign = compared(recordings, BASE)
+    assert {f.block for f in campaign.features} == {"poses-level-1", "place-apxs"}
+    notes = floor_of(campaign).notes
+    assert any("pairs of repeats" in note for note in notes)
+    assert any(note.startswith("current") and "assumed" in note for note in notes)
+
+
+def test_a_longer_link_moves_the_turret_by_as_much(recordings: list[Recording]) -> None:
+    poses = [one for one in recordings if one.tracked.tick.size]
+    campaign = compared(poses, BASE)
+    moved = predicted_values(campaign, BASE, (LinkLength(Frame.ARM3, "x", 1e-3),), BRIEFLY)
+    moved -= predicted_values(campaign, BASE, (), BRIEFLY)
+    channels = np.array([feature.channel for feature in campaign.features])
+    shift = moved[channels == SHIFT].reshape(len(poses), 3, -1)
+    np.testing.assert_allclose(np.linalg.norm(shift, axis=1), 1e-3, rtol=0.02)
+    assert np.abs(moved[channels == TURN]).max() < 1e-5
+
+
+def test_effects_are_stepped_only_where_they_can_show(recordings: list[Recording]) -> None:
+    campaign = compared(recordings, BASE)
+    (touch,) = campaign.moving
+    assert Touched((GearStiffness(Joint.ELBOW, 1.1),))(touch)
+    assert Touched((LinkLength(Frame.ARM3, "x", 1e-3),))(touch)
+    assert Touched((ToolOffset(Tool.APXS, "x", 1e-3),))(touch)
+    assert not Touched((ToolOffset(Tool.DRILL, "x", 1e-3),))(touch)
+
+
+@pytest.mark.parametrize("kind", ["link-angle"])
+def test_a_sensitivity_is_the_difference_of_predictions(recordings: list[Recording], kind: str) -> None:
+    poses = [one for one in recordings if one.tracked.tick.size]
+    campaign = compared(poses, BASE)
+    sigma = floor_of(campaign).sigma
+    simulator = ArmSimulator(campaign, BASE, sigma, {kind: catalogue()[kind]})
+    nominal = simulator.predicted((), all_of)
+    zero = np.zeros(len(simulator.nuisances))
+    for column in columns_of(simulator)[:3]:
+        assert column.hypothesis is not None
+        hypothesis = simulator.hypotheses[column.hypothesis]
+        there = np.array([p.absent + 0.5 * p.typical for p in hypothesis.parameters])
+        change = simulator.predict({hypothesis: there}, zero) - nominal
+        predicted = 0.5 * column_of(simulator, column, nominal)
+        assert np.abs(change / sigma).max() > 5
+        np.testing.assert_allclose(predicted / sigma, change / sigma, atol=0.1)
+
+
+def test_sensitivities_are_kept_and_found_again(logs: list[Path], tmp_path: Path) -> None:
+    poses = [path for path in logs if path.stem.startswith("poses")]
+    said: list[str] = []
+    work = on_this_machine(1)
+    first = arm_sensitivities(poses, tmp_path, work, lambda *_: said.append("computed"), ["resolver-bias"])
+    assert said
+    said.clear()
+    again = arm_sensitivities(poses, tmp_path, work, lambda *_: said.append("computed"), ["resolver-bias"])
+    assert not said
+    np.testing.assert_array_equal(first.effect, again.effect)
+    assert np.linalg.matrix_rank(first.effect) == len(Joint)
+    assert first.layout.channels[CURRENT] == "current"
