@@ -41,6 +41,8 @@ class Finding:
     alternatives: Alternatives
     confusable: tuple[int, ...]
     """Its class, which this campaign cannot tell apart."""
+    at_bound: tuple[str, ...] = ()
+    """Parameters that would go beyond their bounds: then it is no cause, whatever it explains."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +97,7 @@ def _verdict(ready: Ready, findings: tuple[Finding, ...], strange: float) -> Kin
     """No name is forced where structure remains."""
     if not findings:
         return "unknown" if strange >= ready.thresholds.structure else "none"
-    if strange >= ready.thresholds.unexplained:
+    if strange >= ready.thresholds.unexplained or any(finding.at_bound for finding in findings):
         return "unknown"
     alone = all(len(finding.alternatives.hypotheses) == 1 for finding in findings)
     return "named" if alone else "set"
@@ -171,8 +173,10 @@ def _exact(
     together: Refined = refine(simulator, ready.prepared, evidence, ready.found.nominal, start)
     spread = [norm.ppf((1.0 + LEVEL) / 2.0) * sigma for sigma in together.sigma]
     return tuple(
-        replace(finding, values=values, least=values - half, most=values + half)
-        for finding, values, half in zip(findings, together.values, spread, strict=True)
+        replace(finding, values=values, least=values - half, most=values + half, at_bound=at_bound)
+        for finding, values, half, at_bound in zip(
+            findings, together.values, spread, together.at_bound, strict=True
+        )
     )
 
 

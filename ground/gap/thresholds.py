@@ -30,6 +30,8 @@ WRONG: Final = 0.12
 """Share of left-out effects that may be given a wrong name."""
 SIZES: Final = (1.0, 4.0)
 """Of the effects drawn, in detection limits."""
+INSIDE: Final = 0.9
+"""Share of the way to its bounds that a size drawn may go."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,11 +102,12 @@ def _simulated(prepared: Prepared, rng: np.random.Generator, t: Array) -> Array:
 
 
 def _size(prepared: Prepared, one: int, limit: float, rng: np.random.Generator) -> Array:
-    """One hypothesis at a size among SIZES, uniform in its logarithm, as sizes of all columns (K,)."""
+    """One hypothesis at a size among SIZES, uniform in its logarithm, within its bounds, as sizes (K,)."""
     times = limit * np.exp(rng.uniform(*np.log(SIZES)))
     typical = np.where(prepared.owner == one, prepared.scale, 0.0)
     signed = prepared.bounds[0, prepared.owner == one] < 0.0
-    return np.asarray(times * typical * (rng.choice([-1.0, 1.0]) if signed.all() else 1.0))
+    t = times * typical * (rng.choice([-1.0, 1.0]) if signed.all() else 1.0)
+    return np.asarray(np.clip(t, INSIDE * prepared.bounds[0], INSIDE * prepared.bounds[1]))
 
 
 def _nothing_chosen(field: Field, looked: tuple[Group, ...], y: Array) -> tuple[float, float]:

@@ -16,7 +16,7 @@ def made():
 @pytest.fixture(scope="session")
 def campaign(made):
     """Ready for data; thresholds from its own simulated cases."""
-    return ready(found(made), seed=1, cases=150)
+    return ready(found(made), seed=1, cases=80)
 
 
 @pytest.fixture

@@ -1,5 +1,7 @@
 """Verdicts on made-up cases: none, named, set or unknown, at the rates that they should have."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import binom
@@ -21,7 +23,7 @@ def _sized(made, campaign, one, times):
 
 def test_no_effect_is_not_called_one(made, campaign, rng):
     """Not more than 5 %: fewer alarms than 97.5 % of samples of a rate of 5 % have."""
-    alarms, cases = 0, 250
+    alarms, cases = 0, 120
     for _ in range(cases):
         case, y = case_of(campaign.prepared, Evidence(made.layout, made.measured(rng)))
         model = fitted(campaign.prepared, case, campaign.prepared.columns(()))
@@ -32,7 +34,7 @@ def test_no_effect_is_not_called_one(made, campaign, rng):
 
 
 def test_the_right_one_wins_and_its_interval_covers(made, campaign, rng):
-    right, covered, cases = 0, [], 120
+    right, covered, cases = 0, [], 80
     for _ in range(cases):
         one = int(rng.integers(len(made.hypotheses)))
         t = _sized(made, campaign, one, 3.0)
@@ -50,32 +52,32 @@ def test_the_right_one_wins_and_its_interval_covers(made, campaign, rng):
 
 def test_a_pair_is_found_with_its_shares(made, campaign, rng):
     hits = 0
-    for _ in range(20):
+    for _ in range(16):
         pair = rng.choice(len(made.hypotheses), 2, replace=False)
         t = sum(_sized(made, campaign, one, 3.5) for one in pair)
         case, _ = case_of(campaign.prepared, Evidence(made.layout, made.measured(rng, t)))
         won = race(campaign.field, case)
         hits += set(campaign.label[pair]) == set(campaign.label[list(won.chosen)])
         assert all(0.0 <= share <= 1.0 + 1e-9 for share in won.shares)
-    assert hits >= 15
+    assert hits >= 12
 
 
 def test_sets_hold_the_truth(made, campaign, rng):
     held, sizes = 0, []
-    for _ in range(20):
+    for _ in range(10):
         one = int(rng.integers(len(made.hypotheses)))
         y = made.measured(rng, _sized(made, campaign, one, 2.0))
         told = diagnose(campaign, Evidence(made.layout, y), seed=1)
         reported = [h for f in told.findings for h in f.alternatives.hypotheses]
         held += campaign.label[one] in campaign.label[reported]
         sizes += [len(f.alternatives.hypotheses) for f in told.findings]
-    assert rate(held, 20).most >= 0.95
+    assert rate(held, 10).most >= 0.95
     assert np.mean(sizes) < 2.0
 
 
 def test_what_is_in_no_catalogue_gets_no_name(made, campaign, rng):
     """Structure in one channel that no hypothesis imitates, at several times what would be seen."""
-    named, where, cases = 0, 0, 20
+    named, where, cases = 0, 0, 10
     layout = made.layout
     for _ in range(cases):
         place = int(rng.integers(len(layout.places)))
@@ -97,14 +99,12 @@ def test_the_same_seed_says_the_same(made, campaign, rng):
 
 
 def test_a_size_at_its_bound_is_no_finding(made, rng):
-    from dataclasses import replace
-
     kept = found(made)
     few = tuple(
         replace(h, parameters=tuple(replace(p, most=0.05 * p.typical) for p in h.parameters))
         for h in kept.hypotheses
     )
-    bounded = ready(replace(kept, hypotheses=few), seed=1, cases=20)
+    bounded = ready(replace(kept, hypotheses=few), seed=1, cases=10)
     case, _ = case_of(
         bounded.prepared, Evidence(made.layout, made.measured(rng, np.where(made.owner == 4, 1.0, 0.0)))
     )
@@ -113,7 +113,7 @@ def test_a_size_at_its_bound_is_no_finding(made, rng):
 
 def test_what_is_bent_is_refined_in_the_simulator(rng):
     bent = world(bent=0.8)
-    campaign = ready(found(bent), seed=1, cases=20)
+    campaign = ready(found(bent), seed=1, cases=10)
     t = np.where(bent.owner == 4, 1.0, 0.0)
     told = diagnose(campaign, Evidence(bent.layout, bent.measured(rng, t)), seed=1, simulator=bent)
     straight = diagnose(campaign, Evidence(bent.layout, bent.measured(rng, t)), seed=1)

@@ -26,10 +26,10 @@ def _part(made, kept, blocks, names):
 def test_closure_agrees_with_the_truth(made, campaign, rng):
     """Of a large effect: noise-free, 1 - |true - predicted|^2 / |true|^2 over the floor."""
     t = np.where(made.owner == 4, 1.5, 0.0)
-    told = diagnose(campaign, Evidence(made.layout, made.measured(rng, t)), seed=1)
+    told = diagnose(campaign, Evidence(made.layout, made.measured(rng, t, robot=1)), seed=1)
     others = tuple(f"other {name}" for name in made.layout.blocks)
     _, apart = _part(made, found(made), np.arange(len(others)), others)
-    again = closed(told, Evidence(apart.layout, made.measured(rng, t)), apart, seed=1)
+    again = closed(told, Evidence(apart.layout, made.measured(rng, t, robot=1)), apart, seed=1)
     assert told.verdict == "named"
     assert again.least <= 1.0 <= again.most + 0.05
     assert again.share == pytest.approx(1.0, abs=0.1)

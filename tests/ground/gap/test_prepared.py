@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from ground.gap.case import case_of
 from ground.gap.classes import alike, classes
@@ -112,8 +113,6 @@ def test_what_nuisances_imitate_is_not_seen(small):
 
 def test_the_detection_limit_is_found_in_nine_of_ten(made, campaign, rng):
     """Power of the likelihood-ratio test at the limit, simulated: the interval of 400 cases is +-3 %."""
-    from scipy.stats import chi2
-
     one = int(np.flatnonzero(np.bincount(made.owner) == 2)[0])
     columns, limit = campaign.prepared.columns((one,)), campaign.limits[one].limit
     hits = 0

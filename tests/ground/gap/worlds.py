@@ -31,16 +31,20 @@ class World:
             t[at] = [(v - p.absent) / p.typical for v, p in zip(values, hypothesis.parameters, strict=True)]
         return self.effect @ (t + self.bent * t**2) + self.nuisance @ nuisance
 
-    def measured(self, rng, t=None, extra=None):
-        """A case's residual features: sizes t (K,), typical 1, drawn nuisances, and the floor's noise."""
-        layout = self.layout
+    def measured(self, rng, t=None, extra=None, robot=None):
+        """A case's residual features: sizes t (K,), typical 1, drawn nuisances, and the floor's noise.
+
+        A robot, by number, has the same nuisances in every campaign.
+        """
+        layout, same = self.layout, rng if robot is None else np.random.default_rng(robot)
         value = layout.sigma * rng.standard_normal(layout.size)
         if t is not None:
             value += self.effect @ (t + self.bent * t**2)
         if extra is not None:
             value += extra
         for index, nuisance in enumerate(self.nuisances):
-            draw = rng.standard_normal(len(layout.blocks) if nuisance.each_block else 1)
+            each = nuisance.each_block
+            draw = rng.standard_normal(len(layout.blocks)) if each else same.standard_normal(1)
             value += (
                 self.nuisance[:, index] * nuisance.sigma * np.resize(draw, len(layout.blocks))[layout.block]
             )
