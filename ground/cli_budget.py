@@ -1,11 +1,10 @@
 """The verb `budget`; thin."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from ground.cli_parts import BAD_INPUT, JsonOption, ParamsOption, end, show
+from ground.cli_parts import BAD_INPUT, JsonOption, ParamsOption, ReportOption, end, show
 
 
 def budget(
@@ -29,9 +28,7 @@ def budget(
     reproduce: Annotated[
         bool, typer.Option("--reproduce", help="Find the magnitudes that would give the paper's rows.")
     ] = False,
-    report: Annotated[
-        Path | None, typer.Option(help="Write a page with tables and pictures.", metavar="FILE.html")
-    ] = None,
+    report: ReportOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """How accurate the arm is to be expected, before it is built: ten sources of error at seven frames.

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ground.cli_parts import BAD_INPUT, JsonOption, ParamsOption, SeedOption, end, show
+from ground.cli_parts import BAD_INPUT, JsonOption, ParamsOption, ReportOption, SeedOption, end, show
 
 
 def calibrate(
@@ -37,9 +37,7 @@ def calibrate(
     save_data: Annotated[
         Path | None, typer.Option(help="Write what was measured.", metavar="FILE.parquet|.csv")
     ] = None,
-    report: Annotated[
-        Path | None, typer.Option(help="Write a page with tables and pictures.", metavar="FILE.html")
-    ] = None,
+    report: ReportOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find the numbers of an arm from poses that a laser tracker measured, and how sure they are.

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from ground.cli_parts import ARM_SAFE, BAD_INPUT, JsonOption, end, show
+from ground.cli_parts import ARM_SAFE, BAD_INPUT, JsonOption, ReportOption, end, show
 
 
 def monte_carlo(
@@ -55,9 +55,7 @@ def monte_carlo(
             metavar="FILE.jsonl",
         ),
     ] = None,
-    report: Annotated[
-        Path | None, typer.Option(help="Write a page with tables and pictures.", metavar="FILE.html")
-    ] = None,
+    report: ReportOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Arms drawn by the error budget, moved by flight software, measured: does the budget hold?

@@ -29,6 +29,9 @@ EffectOption = Annotated[
         metavar="NAME:PLACE:PARAMETER=VALUE,...",
     ),
 ]
+ReportOption = Annotated[
+    Path | None, typer.Option(help="Write a page with tables and pictures.", metavar="FILE.html")
+]
 DiskOption = Annotated[
     Literal["go-on", "stop"], typer.Option(help="What the run does when its log can no longer be written.")
 ]
