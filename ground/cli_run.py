@@ -60,7 +60,7 @@ def run(
     from ground.run import run as carry_out
 
     files = Files(log, picture, movie, when_disk_full)
-    request = RunRequest(scenario, arm, tilt, seed, tuple(effect or ()), files)
+    request = RunRequest(scenario, arm, tilt, seed, files, tuple(effect or ()))
     try:
         with progress_bar() as progress:
             report = carry_out(request, progress)

@@ -41,9 +41,9 @@ class RunRequest:
     tilt_deg: tuple[float, float] | None = None
     """Roll and pitch."""
     seed: int = 0
+    files: Files = NO_FILES
     effects: tuple[str, ...] = ()
     """Besides those of the scenario, as the command line writes them."""
-    files: Files = NO_FILES
 
 
 @dataclass(frozen=True, slots=True)

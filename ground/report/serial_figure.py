@@ -46,7 +46,7 @@ def _draw_errors(axes: Any, report: SerialReport) -> None:
     axes.text(count, 1.0, "fitted ", transform=axes.get_xaxis_transform(), va="top", ha="right")
     axes.set(xlabel="pose, in order of time", ylabel="position error [mm]", yscale="log", ylim=(0.005, 10))
     axes.set_title(f"{report.arm.name}: distance of the target from where the model has it")
-    axes.legend(markerscale=5, loc="lower left")
+    axes.legend(markerscale=5, loc="upper left", ncols=3, fontsize="small")
 
 
 def _shown(report: SerialReport) -> list[Step]:
@@ -62,7 +62,8 @@ def _errors_mm(step: Step) -> Any:
 
 def _words(step: Step) -> str:
     said = ", ".join(step.terms) if step.terms else "base and target only"
-    return f"{said}: {(step.fresh or step.fitted).rms_m * 1e3:.2f} mm rms"
+    shown, where = (step.fitted, "") if step.fresh is None else (step.fresh, ", held out")
+    return f"{said}: {shown.rms_m * 1e3:.2f} mm rms{where}"
 
 
 def _draw_joint(axes: Any, report: SerialReport, k: int) -> None:
