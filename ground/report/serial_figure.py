@@ -42,8 +42,8 @@ def _draw_errors(axes: Any, report: SerialReport) -> None:
     for step, colour in zip(_shown(report), COLOURS, strict=False):
         axes.plot(_errors_mm(step), ".", markersize=2, color=colour, label=_words(step))
     axes.axvline(count, color="black", linewidth=1)
-    axes.text(count, 1.0, " held out", transform=axes.get_xaxis_transform(), va="top")
-    axes.text(count, 1.0, "fitted ", transform=axes.get_xaxis_transform(), va="top", ha="right")
+    axes.text(count, 0.02, " held out", transform=axes.get_xaxis_transform())
+    axes.text(count, 0.02, "fitted ", transform=axes.get_xaxis_transform(), ha="right")
     axes.set(xlabel="pose, in order of time", ylabel="position error [mm]", yscale="log", ylim=(0.005, 10))
     axes.set_title(f"{report.arm.name}: distance of the target from where the model has it")
     axes.legend(markerscale=5, loc="upper left", ncols=3, fontsize="small")
