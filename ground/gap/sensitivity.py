@@ -1,7 +1,7 @@
 """How the features change with every hypothesis and nuisance: found once per campaign, and kept."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
@@ -19,7 +19,7 @@ NUISANCE_STEP: Final = 1.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensitivities:
-    """The simulator about its nominal state, in straight lines."""
+    """The simulator about its nominal state, in straight lines and parabolas."""
 
     layout: Layout
     hypotheses: tuple[Hypothesis, ...]
@@ -28,6 +28,8 @@ class Sensitivities:
     """What is predicted with no effect, (m,)."""
     effect: Array
     """Change per typical size of each size parameter, in the order of `owner`, (m, K)."""
+    curve: Array
+    """Change per square of that: a parabola through nominal and what could be simulated beside it, (m, K)."""
     owner: Ints
     """Which hypothesis each column belongs to, ascending, (K,)."""
     nuisance: Array
@@ -40,6 +42,7 @@ class Sensitivities:
         shapes = (
             (self.nominal, (m,)),
             (self.effect, (m, sum(wanted))),
+            (self.curve, (m, sum(wanted))),
             (self.nuisance, (m, len(self.nuisances))),
         )
         for array, shape in shapes:
@@ -50,20 +53,23 @@ class Sensitivities:
 def sensitivities(simulator: Simulator, step: Callable[[int, int], None] = lambda *_: None) -> Sensitivities:
     """Differences in the simulator about nominal; `step(done, of)` is told how far it is.
 
-    Of a size parameter: the secant over its typical size, centred where its bounds allow both sides (an
-    effect such as a gap has no derivative at neutral, and matters at its typical size). Of a nuisance: the
-    centred difference over one prior sigma.
+    Of a size parameter: a parabola through its typical size on both sides, or a line where its bounds allow
+    but one (an effect such as a gap has no derivative at neutral, and matters at its typical size). Of a
+    nuisance: the centred difference over one prior sigma.
     """
     zero = np.zeros(len(simulator.nuisances))
     nominal = simulator.predict({}, zero)
     of = sum(len(hypothesis.sizes) for hypothesis in simulator.hypotheses) + len(simulator.nuisances)
     effect: list[Array] = []
+    curve: list[Array] = []
     nuisance: list[Array] = []
     owner: list[int] = []
     for index, hypothesis in enumerate(simulator.hypotheses):
         for at, parameter in enumerate(hypothesis.parameters):
             if parameter.sizes:
-                effect.append(_secant(simulator, hypothesis, at, nominal))
+                slope, bend = _parabola(simulator, hypothesis, at, nominal)
+                effect.append(slope)
+                curve.append(bend)
                 owner.append(index)
                 step(len(effect), of)
     for index, uncertain in enumerate(simulator.nuisances):
@@ -78,6 +84,7 @@ def sensitivities(simulator: Simulator, step: Callable[[int, int], None] = lambd
         simulator.nuisances,
         nominal,
         np.array(effect).reshape(-1, m).T,
+        np.array(curve).reshape(-1, m).T,
         np.array(owner, dtype=np.intp),
         np.array(nuisance).reshape(-1, m).T,
     )
@@ -92,7 +99,7 @@ def save(path: Path, found: Sensitivities) -> None:
         "names": {name: getattr(layout, name) for name in _NAMES},
     }
     arrays = {name: getattr(layout, name) for name in _ARRAYS}
-    arrays |= {name: getattr(found, name) for name in ("nominal", "effect", "owner", "nuisance")}
+    arrays |= {name: getattr(found, name) for name in ("nominal", "effect", "curve", "owner", "nuisance")}
     with path.open("wb") as file:
         np.savez(file, words=np.array(json.dumps(words)), **arrays)
 
@@ -100,7 +107,7 @@ def save(path: Path, found: Sensitivities) -> None:
 def load(path: Path) -> Sensitivities:
     """Sensitivities as they were kept; ValueError if the file does not hold any."""
     with np.load(path, allow_pickle=False) as file:
-        missing = {"words", *_ARRAYS, "nominal", "effect", "owner", "nuisance"} - set(file.files)
+        missing = {"words", *_ARRAYS, "nominal", "effect", "curve", "owner", "nuisance"} - set(file.files)
         if missing:
             raise ValueError(f"{path}: no sensitivities ({', '.join(sorted(missing))} missing)")
         words = json.loads(str(file["words"]))
@@ -111,7 +118,7 @@ def load(path: Path) -> Sensitivities:
             for h in words["hypotheses"]
         )
         nuisances = tuple(Nuisance(**nuisance) for nuisance in words["nuisances"])
-        found = (file[name] for name in ("nominal", "effect", "owner", "nuisance"))
+        found = (file[name] for name in ("nominal", "effect", "curve", "owner", "nuisance"))
         return Sensitivities(layout, hypotheses, nuisances, *found)
 
 
@@ -119,19 +126,23 @@ _ARRAYS: Final = ("sigma", "block", "channel", "place", "regime", "condition")
 _NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions")
 
 
-def _secant(simulator: Simulator, hypothesis: Hypothesis, at: int, nominal: Array) -> Array:
-    """Change of the features per typical size of one size parameter, the others absent, (m,)."""
+def _parabola(simulator: Simulator, hypothesis: Hypothesis, at: int, nominal: Array) -> tuple[Array, Array]:
+    """Change of the features (m,) per typical size of one parameter and per its square, the others absent."""
     zero = np.zeros(len(simulator.nuisances))
     absent = np.array([parameter.absent for parameter in hypothesis.parameters])
     parameter = hypothesis.parameters[at]
-    ends, values = [], []
+    ends: list[tuple[Array, float]] = []
     for sign in (1.0, -1.0):
         there = absent.copy()
         there[at] = np.clip(absent[at] + sign * parameter.typical, parameter.least, parameter.most)
         if there[at] != absent[at]:
-            ends.append(simulator.predict({hypothesis: there}, zero))
-            values.append(there[at])
-    if len(values) == 1:
-        ends.append(nominal)
-        values.append(absent[at])
-    return np.asarray((ends[0] - ends[1]) / (values[0] - values[1]) * parameter.typical)
+            change = simulator.predict({hypothesis: there}, zero) - nominal
+            ends.append((change, float((there[at] - absent[at]) / parameter.typical)))
+    return through(ends)
+
+
+def through(ends: Sequence[tuple[Array, float]]) -> tuple[Array, Array]:
+    """Slope and bend at 0 of the parabola through 0 and two changes at their sizes; of one, a line."""
+    (high, up), (low, down) = ends[0], ends[-1]
+    bend = np.zeros_like(high) if up == down else (high / up - low / down) / (up - down)
+    return high / up - bend * up, bend

@@ -15,7 +15,7 @@ from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import rest, settle
 from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm
-from sim.diagnosis.motions import Session, cold_sweeps, placement, pose_tours, sweeps
+from sim.diagnosis.motions import Session, placement, pose_tours, sweeps, together
 from sim.effects.effect import Effect
 from sim.effects.environment import Ambient
 from sim.loop import ClosedLoop, Setup
@@ -28,8 +28,19 @@ REST_S: Final = 1.0
 PLACES: Final = (
     ("place-drill", Tool.DRILL, (0.0, -50.0, 100.0, 130.0, 90.0)),
     ("place-apxs", Tool.APXS, (0.0, -50.0, 100.0, 130.0, 90.0)),
+    ("place-drill-elsewhere", Tool.DRILL, (-15.0, -60.0, 105.0, 125.0, 80.0)),
 )
 """Names, tools, and the poses [deg] from which a rock is touched."""
+HELD_OUT: Final = (
+    "poses-level-5",
+    "poses-level-8",
+    "poses-rolled-3",
+    "poses-rolled-7",
+    "elsewhere-cold",
+    "elsewhere-warm",
+    "place-drill-elsewhere",
+)
+"""Sessions on which a diagnosis is tried that was made of the others."""
 
 
 class SessionFailed(RuntimeError):
@@ -46,7 +57,7 @@ class Moment:
 
 def sessions(params: Params) -> tuple[Session, ...]:
     """The whole campaign, in order, for an arm with these flight parameters."""
-    return (*pose_tours(), *sweeps(params), *cold_sweeps(), *placements(params))
+    return (*pose_tours(), *sweeps(params), *together(), *placements(params))
 
 
 def placements(params: Params) -> list[Session]:

@@ -22,10 +22,11 @@ Degrees5 = tuple[int, int, int, int, int]
 
 ROLL_RAD: Final = float(np.radians(20.0))
 COLD_C: Final = -50.0
-FAST_RAD, SLOW_RAD, TURN_RAD = (float(np.radians(deg)) for deg in (8.0, 1.5, 1.0))
+FAST_RAD, SLOW_RAD, TURN_RAD = (float(np.radians(deg)) for deg in (5.0, 0.75, 0.75))
 SLOW: Final = 0.2
 """Of the speed that a joint has."""
 OUTSTRETCHED: Final[Degrees5] = (0, -40, 60, 60, 60)
+ELSEWHERE: Final[Degrees5] = (-20, -60, 80, 90, 120)
 POSES: Final[tuple[tuple[Degrees5, Degrees5], ...]] = (
     ((-44, -90, 102, -154, 227), (-39, -95, 97, -161, 233)),
     ((32, -86, 68, 53, 65), (26, -91, 61, 60, 61)),
@@ -112,17 +113,16 @@ def sweeps(params: Params) -> list[Session]:
     return found
 
 
-def cold_sweeps() -> list[Session]:
-    """All joints at once, there and back, in the cold, twice; and warm, to compare."""
-    start = np.array(_rad(OUTSTRETCHED))
-    there = start + np.radians([5.0, -5.0, 5.0, -10.0, 10.0])
-    moves = (MoveJoints(joints5(there), "off"), MoveJoints(joints5(start), "off"))
+def together() -> list[Session]:
+    """All joints at once, there and back: in the cold, twice; warm, to compare; and both from elsewhere."""
     return [
-        Session(name, block, World("mars"), temperature_C, _rad(OUTSTRETCHED), moves, False)
-        for name, block, temperature_C in (
-            ("cold", "cold", COLD_C),
-            ("cold-again", "cold", COLD_C),
-            ("warm", "warm", WARM_C),
+        Session(name, block, World("mars"), temperature_C, _rad(pose), _there_and_back(pose), False)
+        for name, block, temperature_C, pose in (
+            ("cold", "cold", COLD_C, OUTSTRETCHED),
+            ("cold-again", "cold", COLD_C, OUTSTRETCHED),
+            ("warm", "warm", WARM_C, OUTSTRETCHED),
+            ("elsewhere-cold", "elsewhere-cold", COLD_C, ELSEWHERE),
+            ("elsewhere-warm", "elsewhere-warm", WARM_C, ELSEWHERE),
         )
     ]
 
@@ -140,10 +140,15 @@ def placement(name: str, tool: Tool, start_rad: Array, p_RoTo_R_m: Array, approa
     return Session(name, name, world, WARM_C, joints5(start_rad), commands, False)
 
 
+def _there_and_back(pose: Degrees5) -> tuple[Command, ...]:
+    start = np.array(_rad(pose))
+    there = start + np.radians([5.0, -5.0, 5.0, -10.0, 10.0])
+    return MoveJoints(joints5(there), "off"), MoveJoints(joints5(start), "off")
+
+
 def _sweep(params: Params, joint: Joint) -> tuple[Command, ...]:
     here = _rad(OUTSTRETCHED)[joint]
     out_rad, slow_rad, turn_rad = here - FAST_RAD, here - SLOW_RAD, here - TURN_RAD
-    to_and_fro = (MoveJoint(joint, turn_rad, "off"), MoveJoint(joint, here, "off"))
     return (
         MoveJoint(joint, out_rad, "off"),
         MoveJoint(joint, here, "off"),
@@ -151,8 +156,8 @@ def _sweep(params: Params, joint: Joint) -> tuple[Command, ...]:
         MoveJoint(joint, slow_rad, "off"),
         MoveJoint(joint, here, "off"),
         _at_speed(params, joint, 1.0),
-        *to_and_fro,
-        *to_and_fro,
+        MoveJoint(joint, turn_rad, "off"),
+        MoveJoint(joint, here, "off"),
     )
 
 

@@ -18,7 +18,7 @@ from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import recording_in
 from ground.gap.arm.simulator import ArmSimulator, Touched, all_of
 from ground.gap.hypothesis import Hypothesis
-from ground.gap.sensitivity import Sensitivities, load, save
+from ground.gap.sensitivity import Sensitivities, load, save, through
 from ground.pool import Runner
 from ground.progress import Progress
 from ground.telemetry.header import model_digest
@@ -61,9 +61,9 @@ def arm_sensitivities(
     columns = columns_of(simulator)
     alike = _alike(simulator, columns)
     jobs = [_Job(paths, names, k) for k in range(len(columns)) if k not in alike]
-    found = np.zeros((simulator.layout.size, len(columns)))
-    for done, (column, values) in enumerate(run(_worked, jobs), 1):
-        found[:, column] = values
+    found, curve = np.zeros((2, simulator.layout.size, len(columns)))
+    for done, (column, (slope, bend)) in enumerate(run(_worked, jobs), 1):
+        found[:, column], curve[:, column] = slope, bend
         progress(done, len(jobs), "sensitivities")
     for number, (other, typical) in alike.items():
         found[:, number] = found[:, other] / typical
@@ -75,6 +75,7 @@ def arm_sensitivities(
         simulator.nuisances,
         _nominal(paths, names),
         found[:, effects],
+        curve[:, effects],
         owner,
         found[:, len(effects) :],
     )
@@ -131,23 +132,23 @@ def _alike(simulator: ArmSimulator, columns: Sequence[Column]) -> dict[int, tupl
     return {k: known[name] for k, name in said.items() if name in known}
 
 
-def column_of(simulator: ArmSimulator, column: Column, nominal: Array) -> Array:
-    """Change of the features (m,) per typical size, or per unit of a nuisance: a secant, centred if it can.
+def column_of(simulator: ArmSimulator, column: Column, nominal: Array) -> tuple[Array, Array]:
+    """Change of the features (m,) per typical size or unit of a nuisance, and per its square: a parabola.
+
+    Through three points; where bounds leave but one side, a straight line.
 
     Of repeats only the first is simulated: the others were given the same drive.
     """
     ends = [(simulator.effects(settings, by), size) for settings, by, size in _ends(simulator, column)]
     touched = Touched(tuple(e for effects, _ in ends for e in effects[len(simulator.patch) :]))
-    first = _first_of_block(simulator.campaign)
+    known = _first_of_block(simulator.campaign)
 
     def wanted(one: Moving) -> bool:
-        return one.recording.name in first and touched(one)
+        return one.recording.name in known and touched(one)
 
-    values = [simulator.predicted(effects, wanted) - nominal for effects, _ in ends]
-    if len(ends) == 1:
-        values.append(np.where(np.isnan(values[0]), np.nan, 0.0))
-    step = ends[0][1] - (ends[1][1] if len(ends) > 1 else 0.0)
-    return _repeated(simulator.campaign, first, (values[0] - values[1]) / step)
+    changes = [(simulator.predicted(effects, wanted) - nominal, size) for effects, size in ends]
+    slope, bend = (_repeated(simulator.campaign, known, values) for values in through(changes))
+    return slope, bend
 
 
 def _ends(
@@ -202,7 +203,7 @@ def _nominal(logs: Logs, kinds: Names) -> Array:
     return simulator.predicted(simulator.patch, all_of)
 
 
-def _worked(job: _Job) -> tuple[int, Array]:
+def _worked(job: _Job) -> tuple[int, tuple[Array, Array]]:
     simulator = _simulator(job.logs, job.kinds)
     column = columns_of(simulator)[job.column]
     return job.column, column_of(simulator, column, _nominal(job.logs, job.kinds))

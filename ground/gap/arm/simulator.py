@@ -18,6 +18,7 @@ from ground.gap.layout import Layout
 from ground.gap.simulator import Settings
 from sim.driven import Manner
 from sim.effects import catalogue
+from sim.effects import describe as described
 from sim.effects.built import (
     IDENTIFIABLE,
     LEFT_FRAME_M,
@@ -32,6 +33,7 @@ from sim.effects.effect import EachMove, Effect
 from sim.effects.geometry import FrameError, LinkWarming, Warming
 from sim.effects.joints import GearFriction, GearStiffness, HardstopAngle, HardstopStiffness
 from sim.effects.links import LinkAngle, LinkLength, ThermalGradient, ToolOffset, ToolTurn
+from sim.effects.size import Size
 from sim.effects.structure import LinkBending, LinkStiffness, LinkTorsion, RoverCompliance
 from sim.trials import FRICTION
 
@@ -86,7 +88,7 @@ class ArmSimulator:
         for hypothesis, values in settings.items():
             made = self._made[hypothesis]
             named = zip(hypothesis.parameters, values, strict=True)
-            found.append(made.effect(**{p.name: _typed(made, p.name, float(v)) for p, v in named}))
+            found.append(made.effect(**{p.name: _valued(made, p.name, float(v)) for p, v in named}))
         found += [one.effect(float(v)) for one, v in zip(self._uncertain, nuisance, strict=True) if v]
         return found
 
@@ -128,24 +130,29 @@ def raced(kinds: Mapping[str, type[Effect]] | None) -> Iterator[catalogue.Hypoth
 
 
 def told(one: catalogue.Hypothesis) -> Hypothesis:
-    """In the words of the diagnosis; parameters that are many numbers stay as they are by default."""
+    """In the words of the diagnosis; parameters that are many numbers stay as they are by default.
+
+    Of a factor that is one where nothing is changed, it is told the logarithm: there it is symmetric.
+    """
     parameters = [p for p in (*one.sizes, *one.shapes) if p.size is not None and p.count == 1]
     return Hypothesis(
         name_of(one.kind),
         place_named(one.kind, dict(one.place)) or "arm",
-        tuple(
-            Parameter(
-                p.field,
-                p.size.unit,
-                p.size.low,
-                p.size.high,
-                p.size.typical if p.size.neutral is not None else float(p.default),
-                p.size.neutral,
-            )
-            for p in parameters
-            if p.size is not None
-        ),
+        tuple(_told(p, p.size) for p in parameters if p.size is not None),
     )
+
+
+def is_factor(size: Size) -> bool:
+    """Whether it multiplies something, and cannot be 0."""
+    return size.neutral == 1.0 and size.low > 0.0
+
+
+def _told(parameter: described.Parameter, size: Size) -> Parameter:
+    if is_factor(size):
+        ends = float(np.log(size.low)), float(np.log(size.high))
+        return Parameter(parameter.field, "ln", *ends, float(np.log1p(size.typical)), 0.0)
+    shapes = float(parameter.default) if size.neutral is None else size.typical
+    return Parameter(parameter.field, size.unit, size.low, size.high, shapes, size.neutral)
 
 
 def layout_of(campaign: Compared, sigma: Array) -> Layout:
@@ -221,7 +228,10 @@ def _times(kind: Callable[[Any, float], Effect], place: Joint | Frame, logarithm
     return kind(place, float(np.exp(logarithm)))
 
 
-def _typed(made: catalogue.Hypothesis, field: str, value: float) -> float:
-    """A whole number where the effect has one."""
-    default = next(p.default for p in (*made.sizes, *made.shapes) if p.field == field)
-    return round(value) if isinstance(default, int) and not isinstance(default, bool) else value
+def _valued(made: catalogue.Hypothesis, field: str, value: float) -> float:
+    """As the effect has it: a factor for a logarithm, a whole number where it has one."""
+    parameter = next(p for p in (*made.sizes, *made.shapes) if p.field == field)
+    if parameter.size is not None and is_factor(parameter.size):
+        return float(np.exp(value))
+    whole = isinstance(parameter.default, int) and not isinstance(parameter.default, bool)
+    return round(value) if whole else value
