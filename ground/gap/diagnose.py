@@ -9,13 +9,14 @@ from scipy.stats import norm
 from fsw.kinematics.transforms import Array
 from ground.gap.bootstrap import Alternatives, alternatives, redrawn
 from ground.gap.case import Case, case_of, reduced
+from ground.gap.curved import Curved
 from ground.gap.hypothesis import Hypothesis
 from ground.gap.layout import Evidence
 from ground.gap.model import Fitted, fitted, left
 from ground.gap.prepared import Prepared, prepare
 from ground.gap.race import Chosen, Field, Race, best_left, race
 from ground.gap.ready import Ready
-from ground.gap.refine import Refined, columns_at, refine
+from ground.gap.refine import Refined, Simulated, columns_at, refine
 from ground.gap.simulator import Simulator
 from ground.gap.structure import Group, Remains, remains
 from ground.gap.where import Cell, where
@@ -70,82 +71,108 @@ class Diagnosis:
 
 
 def diagnose(ready: Ready, evidence: Evidence, seed: int, simulator: Simulator | None = None) -> Diagnosis:
-    """With the simulator in the loop if it is given, otherwise in straight lines."""
+    """With the simulator in the loop for what is found if it is given, otherwise by its parabolas."""
     case, y = case_of(ready.prepared, evidence)
-    field = ready.field
+    field, curved = ready.field, Curved(ready.found)
     without = fitted(ready.prepared, case, ready.prepared.columns(()))
     cells = where(evidence.layout, left(ready.prepared, without, y), seed)
     won = race(field, case)
-    if simulator is not None and won.chosen:
-        field = _refined(ready, field, evidence, won, simulator)
-        case = reduced(field.prepared, y)
-        won = race(field, case)
-    prepared = field.prepared
-    best = fitted(prepared, case, prepared.columns(won.chosen))
-    remaining = remains(prepared, _looked(ready, prepared), best, y)
-    strange = max(remaining[0].surprise, best_left(field, case, won.chosen) if won.chosen else 0.0)
-    findings = _findings(ready, field, case, won, seed)
-    if simulator is not None and won.chosen:
-        findings = _exact(ready, evidence, findings, simulator)
+    if won.chosen:
+        field = _bent(ready, field, case, y, won, curved)
+        won = race(field, reduced(field.prepared, y))
+    if not won.chosen:
+        return _nothing(ready, won, without, y, cells)
+    final = refine(curved, ready.prepared, y, _start(ready, case, won.chosen))
+    if simulator is not None:
+        near = dict(zip(final.hypotheses, final.values, strict=True))
+        final = refine(Simulated(simulator, curved), ready.prepared, y, near)
+    model = _at_estimate(ready, field, final, won.chosen, curved, y)
+    remaining = remains(model.prepared, _looked(ready, model.prepared), model.best, model.y)
+    strange = max(remaining[0].surprise, best_left(model.field(field), model.case, won.chosen))
+    findings = _findings(ready, field, reduced(field.prepared, y), won, final, seed)
     verdict = _verdict(ready, findings, strange)
     return Diagnosis(
-        verdict, findings, won.first, won.surprise, remaining, strange, cells, without, best, prepared,
+        verdict, findings, won.first, won.surprise, remaining, strange, cells, without, model.best,
+        model.prepared,
     )  # fmt: skip
+
+
+def _nothing(ready: Ready, won: Race, without: Fitted, y: Array, cells: tuple[Cell, ...]) -> Diagnosis:
+    """No effect; unknown if there is structure all the same."""
+    remaining = remains(ready.prepared, ready.looked, without, y)
+    strange = remaining[0].surprise
+    verdict: Kind = "unknown" if strange >= ready.thresholds.structure else "none"
+    return Diagnosis(
+        verdict, (), won.first, won.surprise, remaining, strange, cells, without, without, ready.prepared
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Model:
+    """What was found, about its estimate, and the features less what no straight line there says."""
+
+    prepared: Prepared
+    y: Array
+    case: Case
+    best: Fitted
+
+    def field(self, field: Field) -> Field:
+        """The same runners in these terms."""
+        return replace(field, prepared=self.prepared)
+
+
+def _at_estimate(
+    ready: Ready, field: Field, final: Refined, chosen: Chosen, curved: Curved, y: Array
+) -> _Model:
+    """Linearised where all effects together were found to be."""
+    changed, total = {}, np.zeros(y.size)
+    for index, (hypothesis, values) in enumerate(zip(chosen, final.values, strict=True)):
+        own = curved.change({ready.found.hypotheses[hypothesis]: values})
+        if np.any(own):
+            alone = replace(
+                final,
+                hypotheses=(final.hypotheses[index],),
+                values=(values,),
+                slopes=(final.slopes[index],),
+                change=own,
+            )
+            changed[hypothesis] = columns_at(alone)
+            total += own
+    prepared = prepare(ready.found, changed)
+    straight = y - prepared.whiten(final.change - total)
+    case = reduced(prepared, straight)
+    return _Model(prepared, straight, case, fitted(prepared, case, prepared.columns(chosen)))
 
 
 def _verdict(ready: Ready, findings: tuple[Finding, ...], strange: float) -> Kind:
     """No name is forced where structure remains."""
-    if not findings:
-        return "unknown" if strange >= ready.thresholds.structure else "none"
     if strange >= ready.thresholds.unexplained or any(finding.at_bound for finding in findings):
         return "unknown"
     alone = all(len(finding.alternatives.hypotheses) == 1 for finding in findings)
     return "named" if alone else "set"
 
 
-def _findings(ready: Ready, field: Field, case: Case, won: Race, seed: int) -> tuple[Finding, ...]:
-    """What was chosen, in straight lines."""
-    if not won.chosen:
-        return ()
-    prepared = field.prepared
-    columns = prepared.columns(won.chosen)
-    sigma = np.sqrt(np.diag(np.linalg.pinv(prepared.R[-1][np.ix_(columns, columns)], hermitian=True)))
+def _findings(
+    ready: Ready, field: Field, case: Case, won: Race, final: Refined, seed: int
+) -> tuple[Finding, ...]:
+    """What was chosen, with the values of all of them fitted together."""
     others = alternatives(field, ready.cosine, won, redrawn(field, case, won, seed))
     result = []
     for index, hypothesis in enumerate(won.chosen):
-        at = prepared.owner[columns] == hypothesis
-        t = won.t[at] / prepared.scale[columns[at]]
-        values, spread = _in_units(
-            ready.found.hypotheses[hypothesis], t, sigma[at] / prepared.scale[columns[at]]
-        )
+        values, half = final.values[index], norm.ppf((1.0 + LEVEL) / 2.0) * final.sigma[index]
         result.append(Finding(
-            hypothesis, values, values - spread, values + spread, won.shares[index], others[index],
-            ready.confusable(hypothesis),
+            hypothesis, values, values - half, values + half, won.shares[index], others[index],
+            ready.confusable(hypothesis), final.at_bound[index],
         ))  # fmt: skip
     return tuple(result)
 
 
-def _in_units(hypothesis: Hypothesis, t: Array, sigma: Array) -> tuple[Array, Array]:
-    """Values of all parameters, and half of their 90 % intervals, NaN where not fitted."""
-    values = np.array([parameter.absent for parameter in hypothesis.parameters])
-    spread = np.full(values.size, np.nan)
-    at = np.flatnonzero([parameter.sizes for parameter in hypothesis.parameters])
-    if at.size == t.size:
-        typical = np.array([hypothesis.parameters[index].typical for index in at])
-        values[at] += typical * t
-        spread[at] = norm.ppf((1.0 + LEVEL) / 2.0) * np.abs(typical) * sigma
-    return values, spread
-
-
-def _refined(ready: Ready, field: Field, evidence: Evidence, won: Race, simulator: Simulator) -> Field:
+def _bent(ready: Ready, field: Field, case: Case, y: Array, won: Race, curved: Curved) -> Field:
     """The chosen and the next best linearised at what they would be alone; those at a bound are out."""
     shortlist = dict.fromkeys((*won.chosen, *won.first[:SHORTLIST]))
     inside, changed = field.inside.copy(), {}
-    case, _ = case_of(ready.prepared, evidence)
     for hypothesis in shortlist:
-        with_it = fitted(ready.prepared, case, ready.prepared.columns((hypothesis,)))
-        start = _start(ready, hypothesis, with_it.theta[ready.prepared.q :])
-        alone = refine(simulator, ready.prepared, evidence, ready.found.nominal, start)
+        alone = refine(curved, ready.prepared, y, _start(ready, case, (hypothesis,)))
         if alone.at_bound[0]:
             inside[hypothesis] = False
         elif np.any(alone.change):
@@ -153,31 +180,21 @@ def _refined(ready: Ready, field: Field, evidence: Evidence, won: Race, simulato
     return Field(prepare(ready.found, changed), field.label, field.threshold, inside)
 
 
-def _start(ready: Ready, hypothesis: int, t: Array) -> dict[Hypothesis, Array]:
-    """Values of a hypothesis of sizes t in standard errors."""
+def _start(ready: Ready, case: Case, chosen: Chosen) -> dict[Hypothesis, Array]:
+    """Values of some hypotheses beside each other, in straight lines."""
+    columns = ready.prepared.columns(chosen)
+    theta = fitted(ready.prepared, case, columns).theta[ready.prepared.q :]
+    own = {one: theta[ready.prepared.owner[columns] == one] for one in chosen}
+    return {ready.found.hypotheses[one]: _values(ready, one, t) for one, t in own.items()}
+
+
+def _values(ready: Ready, hypothesis: int, t: Array) -> Array:
+    """Values of all parameters of a hypothesis whose sizes are t in standard errors."""
     what = ready.found.hypotheses[hypothesis]
     scale = ready.prepared.scale[ready.prepared.owner == hypothesis]
-    return {what: _in_units(what, t / scale, scale)[0]}
-
-
-def _exact(
-    ready: Ready, evidence: Evidence, findings: tuple[Finding, ...], simulator: Simulator
-) -> tuple[Finding, ...]:
-    """The same with the values of all of them fitted together with the simulator in the loop."""
-    start: dict[Hypothesis, Array] = {}
-    case, _ = case_of(ready.prepared, evidence)
-    columns = ready.prepared.columns(tuple(finding.hypothesis for finding in findings))
-    theta = fitted(ready.prepared, case, columns).theta[ready.prepared.q :]
-    for finding in findings:
-        start |= _start(ready, finding.hypothesis, theta[ready.prepared.owner[columns] == finding.hypothesis])
-    together: Refined = refine(simulator, ready.prepared, evidence, ready.found.nominal, start)
-    spread = [norm.ppf((1.0 + LEVEL) / 2.0) * sigma for sigma in together.sigma]
-    return tuple(
-        replace(finding, values=values, least=values - half, most=values + half, at_bound=at_bound)
-        for finding, values, half, at_bound in zip(
-            findings, together.values, spread, together.at_bound, strict=True
-        )
-    )
+    values, at = what.absent, np.flatnonzero([parameter.sizes for parameter in what.parameters])
+    values[at] += np.array([what.parameters[index].typical for index in at]) * t / scale
+    return values
 
 
 def _looked(ready: Ready, prepared: Prepared) -> tuple[Group, ...]:

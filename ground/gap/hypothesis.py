@@ -2,6 +2,10 @@
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from fsw.kinematics.transforms import Array
+
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
@@ -54,6 +58,19 @@ class Hypothesis:
     def sizes(self) -> tuple[Parameter, ...]:
         """The parameters that say how large it is: those that the race fits."""
         return tuple(parameter for parameter in self.parameters if parameter.sizes)
+
+    @property
+    def absent(self) -> Array:
+        """Values of all parameters where the effect is absent."""
+        return np.array([parameter.absent for parameter in self.parameters])
+
+    def departures(self, values: Array) -> Array:
+        """Of those that say how large it is, in typical sizes."""
+        return np.array([
+            (value - parameter.absent) / parameter.typical
+            for value, parameter in zip(values, self.parameters, strict=True)
+            if parameter.sizes
+        ])  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

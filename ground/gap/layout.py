@@ -4,7 +4,7 @@ A feature is one number of a log in which measurement and simulator are compared
 robot it is of: places, channels and regimes are names that an adapter gives.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +63,11 @@ class Layout:
     def size(self) -> int:
         """Number of features."""
         return self.sigma.size
+
+    def of(self, rows: Ints) -> "Layout":
+        """Some of the features, in that order; all names are kept."""
+        arrays = ("sigma", "block", "channel", "place", "regime", "condition")
+        return replace(self, **{name: getattr(self, name)[rows] for name in arrays})
 
 
 @dataclass(frozen=True, slots=True, eq=False)

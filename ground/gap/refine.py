@@ -1,30 +1,73 @@
-"""Effects fitted with the simulator in the loop: half of them are no straight lines at the size they have.
+"""Effects fitted where they are no straight lines: half of them bend at the size that they have.
 
-Gauss-Newton on the whitened residual w(y - (f(x) - f(0))) - N v over all parameters x of the effects (those
-that only shape them, too) within their bounds, nuisances v refitted in every step with their prior.
+Gauss-Newton on the whitened residual w(y - f(x)) - N v, with f(x) what the effects change, over all
+parameters x of the effects (those that only shape them, too) within their bounds; nuisances v are refitted in
+every step with their prior.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from fsw.kinematics.transforms import Array
+from ground.gap.curved import Curved
 from ground.gap.hypothesis import Hypothesis, Parameter
-from ground.gap.layout import Evidence
 from ground.gap.prepared import Prepared
 from ground.gap.simulator import Simulator
 
-PASSES: Final = 6
-STEP: Final = 0.02
-"""Share of a typical size over which the simulator is differentiated."""
-SETTLED: Final = 0.01
-"""A pass that moves everything by less than this share of its sigma is the last."""
-HALVINGS: Final = 4
+PASSES: Final = 5
+STEP: Final = 0.1
+"""Share of a typical size over which the simulator is differentiated by what only shapes."""
+SETTLED: Final = 0.1
+"""A step that moves everything by less than this share of its sigma is the last."""
+HALVINGS: Final = 3
 SHAPE_SIGMA: Final = 1.0
 """Of parameters that only shape: about their typical value, as a share of it."""
+
+
+class Response(Protocol):
+    """What effects change in the features."""
+
+    def change(self, settings: Mapping[Hypothesis, Array]) -> Array:
+        """By these values of all parameters of each effect, (m,)."""
+
+    def slopes(self, settings: Mapping[Hypothesis, Array]) -> Array:
+        """By each parameter of each effect times its typical size, (m, n)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Simulated:
+    """By the simulator; slopes of sizes are those of the parabolas, near enough to set out along."""
+
+    simulator: Simulator
+    curved: Curved
+
+    def change(self, settings: Mapping[Hypothesis, Array]) -> Array:
+        """One run of the simulator."""
+        zero = np.zeros(len(self.simulator.nuisances))
+        return np.asarray(self.simulator.predict(settings, zero) - self.simulator.predict({}, zero))
+
+    def slopes(self, settings: Mapping[Hypothesis, Array]) -> Array:
+        """One more run for each parameter that only shapes."""
+        result, column = self.curved.slopes(settings), 0
+        for hypothesis, values in settings.items():
+            for at, parameter in enumerate(hypothesis.parameters):
+                if not parameter.sizes:
+                    result[:, column] = self._shaped(settings, hypothesis, values, at)
+                column += 1
+        return result
+
+    def _shaped(
+        self, settings: Mapping[Hypothesis, Array], hypothesis: Hypothesis, values: Array, at: int
+    ) -> Array:
+        parameter, there = hypothesis.parameters[at], values.copy()
+        by = STEP * abs(parameter.typical)
+        there[at] += by if values[at] + by <= parameter.most else -by
+        apart = self.change({**settings, hypothesis: there}) - self.change(settings)
+        return np.asarray(apart * parameter.typical / (there[at] - values[at]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,49 +84,41 @@ class Refined:
     deviance: float
     """With prior and nuisances, from that of no effect: below 0 if it explains anything."""
     change: Array
-    """What the effects change in the features, f(x) - f(0), (m,)."""
+    """What the effects change in the features, (m,)."""
     slopes: tuple[Array, ...]
     """Derivatives of the features by each parameter times its typical size, (m, k) of each."""
 
 
 def refine(
-    simulator: Simulator,
-    prepared: Prepared,
-    evidence: Evidence,
-    nominal: Array,
-    start: Mapping[Hypothesis, Array],
+    response: Response, prepared: Prepared, whitened: Array, start: Mapping[Hypothesis, Array]
 ) -> Refined:
-    """From starting values of all parameters of each effect; `nominal` is what is predicted without, (m,)."""
+    """Of whitened features (m,), from starting values of all parameters of each effect."""
     who = tuple(start)
     parameters = tuple(parameter for hypothesis in who for parameter in hypothesis.parameters)
     unit = np.array([abs(parameter.typical) for parameter in parameters])
     ends = np.array([[p.least for p in parameters], [p.most for p in parameters]])
+    fit = _Fit(response, prepared, whitened, who, parameters)
     x = np.clip(np.concatenate([start[hypothesis] for hypothesis in who]), *ends)
-    fit = _Fit(simulator, prepared, prepared.whiten(evidence.value), nominal, who, parameters)
-    cost, slopes = fit.cost(x), fit.slopes(x, unit, ends)
-    covariance = fit.covariance(slopes)
+    there = fit.begun(x)
     for _ in range(PASSES):
-        step = fit.step(x, slopes, (ends - x) / unit)
-        better = next(
-            (s for s in step * 0.5 ** np.arange(HALVINGS)[:, None] if fit.cost(x + unit * s) < cost), None
+        step = fit.step(there, (ends - x) / unit)
+        if np.all(np.abs(step) < SETTLED * fit.sigma(there)):
+            break
+        tries = (
+            fit.gone(there, np.clip(x + unit * s, *ends)) for s in step * 0.5 ** np.arange(HALVINGS)[:, None]
         )
+        better = next((one for one in tries if one.cost < there.cost), None)
         if better is None:
             break
-        x = np.clip(x + unit * better, *ends)
-        cost, slopes = fit.cost(x), fit.slopes(x, unit, ends)
-        covariance = fit.covariance(slopes)
-        if np.all(np.abs(better) < SETTLED * np.sqrt(np.diag(covariance))):
-            break
-    sigma = unit * np.sqrt(np.diag(covariance))
+        there, x = better, better.x
     cut = np.cumsum([len(hypothesis.parameters) for hypothesis in who])[:-1]
     ended = [
         p.name if at and p.sizes else "" for p, at in zip(parameters, np.any(x == ends, axis=0), strict=True)
     ]
     names = tuple(tuple(n for n in part if n) for part in np.split(np.array(ended, dtype=object), cut))
     return Refined(
-        who, tuple(np.split(x, cut)), tuple(np.split(sigma, cut)), names,
-        cost - fit.cost(np.array([p.absent for p in parameters])), fit.change(x),
-        tuple(np.split(slopes, cut, axis=1)),
+        who, tuple(np.split(x, cut)), tuple(np.split(unit * fit.sigma(there), cut)), names,
+        there.cost - fit.nothing(), there.change, tuple(np.split(there.slopes, cut, axis=1)),
     )  # fmt: skip
 
 
@@ -93,62 +128,77 @@ def columns_at(refined: Refined) -> Array:
     The whole change is what it is at the estimate, so that a straight line through none and the estimate is
     in the span, and so are all small departures from the estimate.
     """
-    slopes = refined.slopes[0]
-    values = np.array([
-        (v - p.absent) / p.typical if p.sizes else 0.0
-        for v, p in zip(refined.values[0], refined.hypotheses[0].parameters, strict=True)
-    ])  # fmt: skip
-    largest = int(np.argmax(np.abs(values)))
-    others = [i for i, p in enumerate(refined.hypotheses[0].parameters) if i != largest and p.sizes]
+    hypothesis, slopes = refined.hypotheses[0], refined.slopes[0]
+    sized = [i for i, parameter in enumerate(hypothesis.parameters) if parameter.sizes]
+    largest = int(np.argmax(np.abs(hypothesis.departures(refined.values[0]))))
+    others = [i for k, i in enumerate(sized) if k != largest]
     return np.column_stack([refined.change, *(slopes[:, i] for i in others)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
-    """A cost and its derivatives."""
+class _Point:
+    """Where a fit stands."""
 
-    simulator: Simulator
+    x: Array
+    change: Array
+    slopes: Array
+    cost: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fit:
+    """A cost and its derivatives; slopes have the sign of the parameters' typical sizes taken off."""
+
+    response: Response
     prepared: Prepared
     y: Array
-    nominal: Array
     who: tuple[Hypothesis, ...]
     parameters: tuple[Parameter, ...]
 
-    def change(self, x: Array) -> Array:
-        """f(x) - f(0), (m,)."""
+    def begun(self, x: Array) -> _Point:
+        """All that is known where the fit begins."""
+        settings = self._settings(x)
+        change, slopes = self.response.change(settings), self.response.slopes(settings)
+        signs = np.sign([parameter.typical for parameter in self.parameters])
+        return _Point(x, change, slopes * signs, self._cost(x, change))
+
+    def gone(self, before: _Point, x: Array) -> _Point:
+        """After a step: slopes are mended so that they explain it (Broyden 1965)."""
+        change = self.response.change(self._settings(x))
+        step = (x - before.x) / np.array([abs(parameter.typical) for parameter in self.parameters])
+        missed = change - before.change - before.slopes @ step
+        slopes = before.slopes + np.outer(missed, step / max(step @ step, 1e-300))
+        return _Point(x, change, slopes, self._cost(x, change))
+
+    def _settings(self, x: Array) -> dict[Hypothesis, Array]:
         cut = np.cumsum([len(hypothesis.parameters) for hypothesis in self.who])[:-1]
-        settings = dict(zip(self.who, np.split(x, cut), strict=True))
-        predicted = self.simulator.predict(settings, np.zeros(len(self.simulator.nuisances)))
-        return np.asarray(predicted - self.nominal)
+        return dict(zip(self.who, np.split(x, cut), strict=True))
 
-    def cost(self, x: Array) -> float:
-        """Deviance with nuisances free, and the prior of what only shapes."""
-        rest = self.y - self.prepared.whiten(self.change(x))
-        along = self._N.T @ rest
-        return float(rest @ rest - along @ self.prepared.C[-1] @ along + np.sum(self._shape(x) ** 2))
+    def _cost(self, x: Array, change: Array) -> float:
+        return self._deviance(self.y - self.prepared.whiten(change)) + float(np.sum(self._shape(x) ** 2))
 
-    def slopes(self, x: Array, unit: Array, ends: Array) -> Array:
-        """Centred differences, one-sided at a bound, per typical size, (m, n)."""
-        result = []
-        for index in range(x.size):
-            high, low = x.copy(), x.copy()
-            high[index] = min(x[index] + STEP * unit[index], ends[1, index])
-            low[index] = max(x[index] - STEP * unit[index], ends[0, index])
-            result.append((self.change(high) - self.change(low)) * (unit[index] / (high[index] - low[index])))
-        return np.column_stack(result)
+    def nothing(self) -> float:
+        """The cost of no effect."""
+        return self._deviance(self.y)
 
-    def covariance(self, slopes: Array) -> Array:
+    def sigma(self, there: _Point) -> Array:
         """Of the parameters per typical size, nuisances free."""
-        information, _ = self._normal(slopes, np.zeros(self.y.size))
-        return np.asarray(np.linalg.pinv(information, rcond=1e-12, hermitian=True))
+        information, _ = self._normal(there.slopes, np.zeros(self.y.size))
+        return np.sqrt(np.diag(np.linalg.pinv(information, rcond=1e-12, hermitian=True)))
 
-    def step(self, x: Array, slopes: Array, room: Array) -> Array:
+    def step(self, there: _Point, room: Array) -> Array:
         """The best step within the bounds, per typical size."""
-        information, gradient = self._normal(slopes, self.y - self.prepared.whiten(self.change(x)))
-        gradient = gradient - self._shape(x) / SHAPE_SIGMA
-        L = np.linalg.cholesky(information + 1e-12 * np.trace(information) * np.eye(x.size))
+        rest = self.y - self.prepared.whiten(there.change)
+        information, gradient = self._normal(there.slopes, rest)
+        gradient = gradient - self._shape(there.x) / SHAPE_SIGMA
+        small = 1e-12 * max(np.trace(information), 1e-12)
+        L = np.linalg.cholesky(information + small * np.eye(there.x.size))
         room = np.stack([np.minimum(room[0], -1e-12), np.maximum(room[1], 1e-12)])
         return np.asarray(lsq_linear(L.T, np.linalg.solve(L, gradient), room).x)
+
+    def _deviance(self, rest: Array) -> float:
+        along = self._N.T @ rest
+        return float(rest @ rest - along @ self.prepared.C[-1] @ along)
 
     @property
     def _N(self) -> Array:

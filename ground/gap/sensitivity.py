@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -48,6 +48,13 @@ class Sensitivities:
         for array, shape in shapes:
             if array.shape != shape or not np.all(np.isfinite(array)):
                 raise ValueError(f"sensitivities must be finite and {shape}; one is {array.shape}")
+
+    def of(self, rows: Ints) -> "Sensitivities":
+        """Those of some of the features, in that order."""
+        arrays = ("nominal", "effect", "curve", "nuisance")
+        return replace(
+            self, layout=self.layout.of(rows), **{name: getattr(self, name)[rows] for name in arrays}
+        )
 
 
 def sensitivities(simulator: Simulator, step: Callable[[int, int], None] = lambda *_: None) -> Sensitivities:
@@ -129,8 +136,7 @@ _NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions
 def _parabola(simulator: Simulator, hypothesis: Hypothesis, at: int, nominal: Array) -> tuple[Array, Array]:
     """Change of the features (m,) per typical size of one parameter and per its square, the others absent."""
     zero = np.zeros(len(simulator.nuisances))
-    absent = np.array([parameter.absent for parameter in hypothesis.parameters])
-    parameter = hypothesis.parameters[at]
+    parameter, absent = hypothesis.parameters[at], hypothesis.absent
     ends: list[tuple[Array, float]] = []
     for sign in (1.0, -1.0):
         there = absent.copy()

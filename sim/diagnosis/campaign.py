@@ -28,7 +28,6 @@ REST_S: Final = 1.0
 PLACES: Final = (
     ("place-drill", Tool.DRILL, (0.0, -50.0, 100.0, 130.0, 90.0)),
     ("place-apxs", Tool.APXS, (0.0, -50.0, 100.0, 130.0, 90.0)),
-    ("place-drill-elsewhere", Tool.DRILL, (-15.0, -60.0, 105.0, 125.0, 80.0)),
 )
 """Names, tools, and the poses [deg] from which a rock is touched."""
 HELD_OUT: Final = (
@@ -38,7 +37,6 @@ HELD_OUT: Final = (
     "poses-rolled-7",
     "elsewhere-cold",
     "elsewhere-warm",
-    "place-drill-elsewhere",
 )
 """Sessions on which a diagnosis is tried that was made of the others."""
 

@@ -79,7 +79,7 @@ def hypotheses(kinds: Mapping[str, type[Effect]] | None = None) -> Iterator[Hypo
 
     That is one whose parameters all have neutral or default values, one at least a neutral one.
     """
-    for kind in (kinds or catalogue()).values():
+    for kind in (catalogue() if kinds is None else kinds).values():
         parameters = parameters_of(kind)
         is_open = all(p.is_sized or p.default is not None for p in parameters)
         if is_open and any(p.is_sized for p in parameters):

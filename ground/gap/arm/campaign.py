@@ -1,7 +1,8 @@
 """All recordings of a campaign as features: what they are, what was measured, what a simulator predicts."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from ground.gap.arm.features import RESOLVER, SHIFT, TURN, Columns, Feature, Mov
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.poses import Knots, Resting, knots_in, read_resolvers, resting
 from sim.driven import DrivenArm, Manner
-from sim.effects.effect import Effect
+from sim.effects.effect import Effect, Hardware, Spoilt, nominal_hardware
 from sim.effects.environment import Ambient
 
 STEPPED = tuple(Sensors.__dataclass_fields__)
@@ -105,14 +106,41 @@ def predicted_values(
 
 def driven(recording: Recording, effects: Sequence[Effect], manner: Manner) -> Columns:
     """The sensors of an arm with these effects under the recorded drive, by tick."""
-    arm = DrivenArm(recording.start, (Ambient(recording.temperature_C), *effects), manner)
-    readings = list(arm.readings(recording.drives))
+    readers = [effect for effect in effects if only_reads(effect)]
+    acting = tuple(effect for effect in effects if effect not in readers)
+    readings = _kept(recording, acting, manner) if readers else _stepped(recording, acting, manner)
+    rng = np.random.default_rng(0)
+    for spoilt in _spoilt(readers):
+        readings = tuple(spoilt.read(one, rng) for one in readings)
     return {name: np.array([getattr(one, name) for one in readings]) for name in STEPPED}
 
 
-def unknown(one: Moving | Posed) -> Array:
-    """Of each of its features."""
-    return np.full(len(one.features), np.nan)
+def only_reads(effect: Effect) -> bool:
+    """Whether it changes nothing but what is read: then the plant need not be stepped again."""
+    if type(effect).on_model is not Effect.on_model:
+        return False
+    before = nominal_hardware()
+    after = effect.on_hardware(before)
+    names = [f.name for f in fields(Hardware) if f.name != "spoilt"]
+    return bool(after.spoilt) and all(getattr(before, name) is getattr(after, name) for name in names)
+
+
+def _stepped(recording: Recording, effects: tuple[Effect, ...], manner: Manner) -> tuple[Sensors, ...]:
+    arm = DrivenArm(recording.start, (Ambient(recording.temperature_C), *effects), manner)
+    return tuple(arm.readings(recording.drives))
+
+
+@lru_cache(maxsize=32)
+def _kept(recording: Recording, effects: tuple[Effect, ...], manner: Manner) -> tuple[Sensors, ...]:
+    """Effects on readings alone ask for the same again."""
+    return _stepped(recording, effects, manner)
+
+
+def _spoilt(readers: Sequence[Effect]) -> tuple[Spoilt, ...]:
+    hardware = nominal_hardware()
+    for effect in readers:
+        hardware = effect.on_hardware(hardware)
+    return hardware.spoilt
 
 
 def _posed(knots: Knots, nominal: Resting) -> Posed:
