@@ -12,7 +12,8 @@ import numpy as np
 import sim.effects
 from fsw.config import digest
 from fsw.kinematics.transforms import Array
-from ground.gap.arm.campaign import Compared, compared
+from ground.gap.arm.bound import first_of_block, keys_of, repeated
+from ground.gap.arm.campaign import compared
 from ground.gap.arm.features import Moving
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import recording_in
@@ -54,7 +55,7 @@ def arm_sensitivities(
     The file's name has the digest of logs, model and catalogue in it; any change makes another file.
     """
     paths, names = tuple(sorted(logs)), tuple(catalogue() if kinds is None else kinds)
-    path = kept_in / f"sensitivities-{campaign_digest(paths, names)[:16]}.npz"
+    path = kept_path(logs, kept_in, kinds)
     if path.exists():
         return load(path)
     simulator = _simulator(paths, names)
@@ -85,15 +86,15 @@ def arm_sensitivities(
     return result
 
 
+def kept_path(logs: Sequence[Path], kept_in: Path, kinds: Sequence[str] | None = None) -> Path:
+    """Where the sensitivities of these logs are kept."""
+    paths, names = tuple(sorted(logs)), tuple(catalogue() if kinds is None else kinds)
+    return kept_in / f"sensitivities-{campaign_digest(paths, names)[:16]}.npz"
+
+
 def keys_path(path: Path) -> Path:
     """Where the names of a sensitivity file's rows are."""
     return path.with_suffix(".keys.json")
-
-
-def keys_of(campaign: Compared) -> list[str]:
-    """A name for each feature, the same in every recording of the session."""
-    named = zip(campaign.sessions, campaign.features, strict=True)
-    return [f"{session}/{feature.key}" for session, feature in named]
 
 
 def campaign_digest(logs: Logs, kinds: Names) -> str:
@@ -141,13 +142,13 @@ def column_of(simulator: ArmSimulator, column: Column, nominal: Array) -> tuple[
     """
     ends = [(simulator.effects(settings, by), size) for settings, by, size in _ends(simulator, column)]
     touched = Touched(tuple(e for effects, _ in ends for e in effects[len(simulator.patch) :]))
-    known = _first_of_block(simulator.campaign)
+    known = first_of_block(simulator.campaign)
 
     def wanted(one: Moving) -> bool:
         return one.recording.name in known and touched(one)
 
     changes = [(simulator.predicted(effects, wanted) - nominal, size) for effects, size in ends]
-    slope, bend = (_repeated(simulator.campaign, known, values) for values in through(changes))
+    slope, bend = (repeated(simulator.campaign, known, values) for values in through(changes))
     return slope, bend
 
 
@@ -168,25 +169,6 @@ def _ends(
         values[column.at] = np.clip(absent + sign * parameter.typical, parameter.least, parameter.most)
         if values[column.at] != absent:
             yield {hypothesis: values}, zero, float((values[column.at] - absent) / parameter.typical)
-
-
-def _first_of_block(campaign: Compared) -> set[str]:
-    first: dict[str, str] = {}
-    for one in campaign.moving:
-        first.setdefault(one.recording.block, one.recording.name)
-    return set(first.values())
-
-
-def _repeated(campaign: Compared, first: set[str], values: Array) -> Array:
-    """What was not simulated: of repeats as in the first of their block, else no change."""
-    known = {
-        (feature.block, feature.key): value
-        for session, feature, value in zip(campaign.sessions, campaign.features, values, strict=True)
-        if session in first and np.isfinite(value)
-    }
-    named = zip(campaign.features, values, strict=True)
-    filled = [v if np.isfinite(v) else known.get((f.block, f.key), 0.0) for f, v in named]
-    return np.array(filled)
 
 
 @cache

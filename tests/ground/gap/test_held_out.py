@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from ground.gap.closure import closure
+from ground.gap.curved import Curved
 from ground.gap.diagnose import diagnose
-from ground.gap.held_out import closed
+from ground.gap.held_out import closed, settings_of
 from ground.gap.layout import Evidence
 from ground.gap.next_motion import next_motion
 from ground.gap.prepared import prepare
@@ -19,8 +20,7 @@ def _part(made, kept, blocks, names):
     rows = np.isin(kept.layout.block, blocks)
     arrays = ("sigma", "block", "channel", "place", "regime", "condition")
     layout = replace(kept.layout, **{name: getattr(kept.layout, name)[rows] for name in arrays}, blocks=names)
-    parts = {"nominal": kept.nominal[rows], "effect": kept.effect[rows], "nuisance": kept.nuisance[rows]}
-    return rows, replace(kept, layout=layout, **parts)
+    return rows, replace(kept.of(rows), layout=layout)
 
 
 def test_closure_agrees_with_the_truth(made, campaign, rng):
@@ -29,7 +29,8 @@ def test_closure_agrees_with_the_truth(made, campaign, rng):
     told = diagnose(campaign, Evidence(made.layout, made.measured(rng, t, robot=1)), seed=1)
     others = tuple(f"other {name}" for name in made.layout.blocks)
     _, apart = _part(made, found(made), np.arange(len(others)), others)
-    again = closed(told, Evidence(apart.layout, made.measured(rng, t, robot=1)), apart, seed=1)
+    change = Curved(apart).change(settings_of(told))
+    again = closed(told, Evidence(apart.layout, made.measured(rng, t, robot=1)), apart, change, seed=1)
     assert told.verdict == "named"
     assert again.least <= 1.0 <= again.most + 0.05
     assert again.share == pytest.approx(1.0, abs=0.1)
@@ -57,7 +58,7 @@ def test_motion_that_was_used_for_fitting_is_refused(made, campaign, rng):
     y = Evidence(made.layout, made.measured(rng))
     told = diagnose(campaign, y, seed=1)
     with pytest.raises(ValueError, match=r"also used for fitting: motion 0, motion 1"):
-        closed(told, y, found(made), seed=1)
+        closed(told, y, found(made), np.zeros(made.layout.size), seed=1)
 
 
 def test_the_next_motion_is_the_one_that_separates(made, campaign, rng):
