@@ -1,8 +1,9 @@
 """All recordings of a campaign as features: what they are, what was measured, what a simulator predicts."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 
@@ -18,8 +19,11 @@ from ground.gap.arm.poses import Knots, Resting, knots_in, read_resolvers, resti
 from sim.driven import DrivenArm, Manner
 from sim.effects.effect import Effect, Hardware, Spoilt, nominal_hardware
 from sim.effects.environment import Ambient
+from sim.effects.friction import OutputFriction
 
 STEPPED = tuple(Sensors.__dataclass_fields__)
+UNSURE: Final = 0.3
+"""Share of the outputs' friction: a load so near to it may or may not have dragged an output over its gap."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,6 +35,8 @@ class Posed:
     seen: tuple[tuple[int, int], ...]
     """Number among the rests, and among the tracker's poses."""
     features: tuple[Feature, ...]
+    doubt: Array
+    """By how much each would differ if friction of the outputs were a little more or less, (n,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,11 +67,16 @@ def compared(recordings: Sequence[Recording], base: Params) -> Compared:
     """Recordings with a tracker are looked at where they rest, the others in motion as well."""
     config = configure(base)
     knots = [knots_in(one) for one in recordings if one.world.surface is None]
-    nominal = resting(knots, base, ())
+    unsure_Nm = UNSURE * config.output_friction_Nm
+    nominal, less, more = (resting(knots, base, _more_friction(by * unsure_Nm)) for by in (0.0, -1.0, 1.0))
     return Compared(
         tuple(moving(one, config) for one in recordings if not one.tracked.tick.size),
-        tuple(_posed(k, n) for k, n in zip(knots, nominal, strict=True)),
+        tuple(_posed(*one) for one in zip(knots, nominal, less, more, strict=True)),
     )
+
+
+def _more_friction(torque_Nm: Array) -> tuple[Effect, ...]:
+    return tuple(OutputFriction(joint, float(torque_Nm[joint])) for joint in Joint)
 
 
 def measured_values(campaign: Compared) -> Array:
@@ -97,10 +108,8 @@ def predicted_values(
         else np.full(len(one.features), np.nan)
         for one in campaign.moving
     ]
-    for one, found in zip(
-        campaign.posed, resting([o.knots for o in campaign.posed], base, effects), strict=True
-    ):
-        values.append(_rest_values(one, found.resolver_rad, _at(found.X_RF, [r for r, _ in one.seen])))
+    rests = resting([one.knots for one in campaign.posed], base, effects)
+    values += [_by_statics(one, found) for one, found in zip(campaign.posed, rests, strict=True)]
     return np.concatenate(values)
 
 
@@ -143,7 +152,7 @@ def _spoilt(readers: Sequence[Effect]) -> tuple[Spoilt, ...]:
     return hardware.spoilt
 
 
-def _posed(knots: Knots, nominal: Resting) -> Posed:
+def _posed(knots: Knots, nominal: Resting, *others: Resting) -> Posed:
     recording = knots.recording
     rest_of = {knots.tick[k]: r for r, k in enumerate(knots.rests)}
     seen = tuple((rest_of[t], k) for k, t in enumerate(recording.tracked.tick.tolist()) if t in rest_of)
@@ -161,7 +170,13 @@ def _posed(knots: Knots, nominal: Resting) -> Posed:
             features.append(
                 Feature(channel, "turret", "pose", recording.block, condition, f"rest {r}/{named}")
             )
-    return Posed(knots, nominal, seen, tuple(features))
+    made = Posed(knots, nominal, seen, tuple(features), np.zeros(len(features)))
+    apart = [_by_statics(made, one) - _by_statics(made, nominal) for one in others]
+    return replace(made, doubt=np.abs(apart).max(axis=0))
+
+
+def _by_statics(one: Posed, found: Resting) -> Array:
+    return _rest_values(one, found.resolver_rad, _at(found.X_RF, [r for r, _ in one.seen]))
 
 
 def _rest_values(one: Posed, resolver_rad: Array, X_RF: Pose) -> Array:

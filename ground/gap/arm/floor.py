@@ -11,6 +11,9 @@ from ground.gap.arm.features import CHANNELS, assumed_sigma
 FEWEST = 8
 """Pairs of a channel that tell its floor."""
 
+SLIPPED = 3.0
+"""Sigmas by which a feature differs with a little more or less friction: an output has changed sides."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Floor:
@@ -31,6 +34,9 @@ def floor_of(campaign: Compared) -> Floor:
         first = known.setdefault((feature.block, feature.key), k)
         if first != k:
             pairs.append((first, k))
+    doubt = np.concatenate(
+        [*(np.zeros(len(one.features)) for one in campaign.moving), *(one.doubt for one in campaign.posed)]
+    )
     notes = []
     channel = np.array([feature.channel for feature in features])
     for number, name in enumerate(CHANNELS):
@@ -44,7 +50,12 @@ def floor_of(campaign: Compared) -> Floor:
         ratio = float(np.sqrt(np.mean(((values[a] - values[b]) / sigma[a]) ** 2) / 2.0))
         sigma[channel == number] *= max(ratio, 1.0)
         notes.append(f"{name}: {len(mine)} pairs of repeats differ by {ratio:.2f} times the sensors' noise")
-    return Floor(sigma, tuple(notes))
+    slipped = doubt > SLIPPED * sigma
+    if slipped.any():
+        notes.append(
+            f"{int(slipped.sum())} features at rest hang on friction that nearly lets go: hardly counted"
+        )
+    return Floor(np.where(slipped, np.hypot(sigma, doubt), sigma), tuple(notes))
 
 
 def _tracker_sigma(campaign: Compared) -> Array:

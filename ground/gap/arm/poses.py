@@ -16,9 +16,13 @@ from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array, Pose
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.segments import rests_in, segments_in
+from sim.driven import DrivenArm
 from sim.effects.effect import Effect, Hardware, nominal_hardware
+from sim.effects.environment import Ambient
+from sim.effects.gears import GearHysteresis
 from sim.influence import NO_INFLUENCE, Influence
 from sim.plant import Plant
+from sim.tracker import turret_pose
 from sim.world import build
 
 LOOKED_TICKS = CYCLE_HZ // 4
@@ -66,7 +70,12 @@ def read_resolvers(knots: Knots) -> Array:
 
 
 def resting(knots: Sequence[Knots], base: Params, effects: Sequence[Effect]) -> list[Resting]:
-    """The rests of each recording, of an arm with these flight parameters and, beyond them, these effects."""
+    """The rests of each recording, of an arm with these flight parameters and, beyond them, these effects.
+
+    Friction within a gear takes its output along: where that is among them, the arm is stepped.
+    """
+    if any(isinstance(effect, GearHysteresis) for effect in effects):
+        return [_stepped(one, effects) for one in knots]
     hardware, params = nominal_hardware(), base
     for effect in effects:
         before = hardware.counter_zero_rad
@@ -75,6 +84,21 @@ def resting(knots: Sequence[Knots], base: Params, effects: Sequence[Effect]) -> 
             params = effect.on_params(params)
         # else flight software's word for the shifted zero is a turned link: one of both is enough
     return [_rests(one, params, hardware, effects) for one in knots]
+
+
+def _stepped(knots: Knots, effects: Sequence[Effect]) -> Resting:
+    """Under the recorded drive, without noise."""
+    recording = knots.recording
+    arm = DrivenArm(recording.start, (Ambient(recording.temperature_C), *effects))
+    looked, poses, apart = {knots.tick[k] for k in knots.rests}, [], []
+    for tick, reading in enumerate(arm.readings(recording.drives)):
+        if tick in looked:
+            motor = reading.encoder_count * recording.rad_per_count + recording.start.zero_rad
+            apart.append(reading.resolver_rad - motor)
+            arm.plant.truth()  # brings the kinematics up to date
+            poses.append(turret_pose(arm.plant))
+    X = Pose(np.stack([pose.R for pose in poses], -1), np.stack([pose.p for pose in poses], -1))
+    return Resting(np.stack(apart, -1), X)
 
 
 def _rests(knots: Knots, params: Params, hardware: Hardware, effects: Sequence[Effect]) -> Resting:
@@ -87,14 +111,14 @@ def _rests(knots: Knots, params: Params, hardware: Hardware, effects: Sequence[E
     plant = _acting(recording, effects) if hardware.each_cycle else None
     half = config.half_gap_rad
     load = rest(config.arm, motor, gravity).torque_Nm
-    gear, at = np.zeros(5), motor[:, 0]
+    gear, driven = np.zeros(5), motor[:, 0]
     outputs = np.zeros_like(motor)
-    for k in range(motor.shape[1]):
-        turned, at = motor[:, k] - at, motor[:, k]
+    for k, at in enumerate(motor.T):
         hardware, more = (hardware, NO_INFLUENCE) if plant is None else _acted(plant, hardware, at, gear)
+        before, driven = driven, at + more.gear_rad
         bounds = bounds_under(config, half, load[:, k] + more.output_Nm)
-        gear = np.clip(gear - turned, bounds.lowest_rad, bounds.highest_rad)
-        outputs[:, k] = at + gear + more.gear_rad
+        gear = np.clip(gear - (driven - before), bounds.lowest_rad, bounds.highest_rad)
+        outputs[:, k] = driven + gear
     looked = list(knots.rests)
     outputs = outputs[:, looked]
     frames = rest(config.arm, outputs, gravity).frames

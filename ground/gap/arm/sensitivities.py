@@ -98,7 +98,7 @@ def keys_path(path: Path) -> Path:
 
 
 def campaign_digest(logs: Logs, kinds: Names) -> str:
-    """SHA-256 of all that sensitivities depend on: logs, parameters, model, effects, and which of them."""
+    """SHA-256 of all that sensitivities depend on: logs, parameters, model, effects and which, this adapter."""
     total = hashlib.sha256("\n".join(kinds).encode())
     for path in logs:
         total.update(path.read_bytes())
@@ -106,8 +106,9 @@ def campaign_digest(logs: Logs, kinds: Names) -> str:
         total.update(tracker.read_bytes() if tracker.exists() else b"")
     total.update(digest(nominal_params()).encode())
     total.update(model_digest(build(World()).compile()).encode())
-    for source in sorted(Path(sim.effects.__path__[0]).glob("*.py")):
-        total.update(source.read_bytes())
+    for folder in (sim.effects.__path__[0], Path(__file__).parent):
+        for source in sorted(Path(folder).glob("*.py")):
+            total.update(source.read_bytes())
     return total.hexdigest()
 
 
