@@ -1,0 +1,49 @@
+"""What rover and links may do that no effect of the catalogue says."""
+
+from dataclasses import dataclass
+from typing import Annotated, Final, Literal
+
+import numpy as np
+
+from sim.effects.effect import EachCycle, Hardware
+from sim.effects.size import Size
+from sim.influence import Influence
+from sim.plant import SPRINGS, Plant
+
+STRONG_M_S2: Final = 3.711
+Angle = Annotated[float, Size(-0.02, 0.02, unit="rad", typical=2e-4, neutral=0.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class SettlingRover(EachCycle):
+    """The ground gives way under the rover: its body turns by an angle from when a session begins."""
+
+    axis: Literal["x", "y", "z"]
+    angle_rad: Angle
+    settles_s: Annotated[float, Size(0.1, 1e4, unit="s", typical=8.0)] = 8.0
+
+    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Influence]:
+        """More and more slowly."""
+        turned_rad = -self.angle_rad * float(np.expm1(-plant.data.time / self.settles_s))
+        plant.model.qpos_spring[plant.at.springs[0]["xyz".index(self.axis)]] = turned_rad
+        return None, Influence()
+
+
+@dataclass(frozen=True, slots=True)
+class RockingLink(EachCycle):
+    """A loose fitting lets a link lie over by an angle, to the side to which gravity pulls it."""
+
+    link: Literal["link1", "link2", "link3", "link4"]
+    axis: Literal["y", "z"]
+    play_rad: Angle
+    sharp: Annotated[float, Size(0.1, 100.0, unit="1", typical=8.0)] = 8.0
+
+    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Influence]:
+        """By the side alone, as soon as gravity has one."""
+        body = plant.model.body(f"{self.link}_far").id
+        pull_B = plant.data.xmat[body].reshape(3, 3).T @ plant.model.opt.gravity
+        across = float(pull_B["xyz".index("z" if self.axis == "y" else "y")])
+        side = float(np.tanh(self.sharp * across / STRONG_M_S2))
+        spring = plant.at.springs[SPRINGS.index(self.link)]["xyz".index(self.axis)]
+        plant.model.qpos_spring[spring] = self.play_rad * side
+        return None, Influence()

@@ -1,0 +1,28 @@
+"""How the plant is computed, in which no arm has a part: so that a truth is not the simulator's own."""
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import mujoco
+
+from fsw.config import CYCLE_HZ
+from sim.effects.effect import Effect
+from sim.effects.size import Size
+
+
+@dataclass(frozen=True, slots=True)
+class Numerics(Effect):
+    """The plant is computed in other steps than the model's own, and gears and motors by another scheme.
+
+    MuJoCo's discrete integrator takes springs and dampers as they are at the end of a step. With its dual
+    solver it has only those of single hinges there; gears, outputs and motors count as at the beginning.
+    """
+
+    gears: Literal["implicit", "explicit"]
+    steps_per_cycle: Annotated[int, Size(8, 64, unit="1", typical=12)]
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """Before anything is compiled."""
+        spec.option.timestep = 1.0 / (self.steps_per_cycle * CYCLE_HZ)
+        if self.gears == "explicit":
+            spec.option.solver = mujoco.mjtSolver.mjSOL_PGS
