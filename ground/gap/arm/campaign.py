@@ -35,8 +35,6 @@ class Posed:
     seen: tuple[tuple[int, int], ...]
     """Number among the rests, and among the tracker's poses."""
     features: tuple[Feature, ...]
-    doubt: Array
-    """By how much each would differ if friction of the outputs were a little more or less, (n,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,6 +151,7 @@ def _spoilt(readers: Sequence[Effect]) -> tuple[Spoilt, ...]:
 
 
 def _posed(knots: Knots, nominal: Resting, *others: Resting) -> Posed:
+    """Doubt is by how much a feature would differ if friction of the outputs were a little more or less."""
     recording = knots.recording
     rest_of = {knots.tick[k]: r for r, k in enumerate(knots.rests)}
     seen = tuple((rest_of[t], k) for k, t in enumerate(recording.tracked.tick.tolist()) if t in rest_of)
@@ -170,9 +169,10 @@ def _posed(knots: Knots, nominal: Resting, *others: Resting) -> Posed:
             features.append(
                 Feature(channel, "turret", "pose", recording.block, condition, f"rest {r}/{named}")
             )
-    made = Posed(knots, nominal, seen, tuple(features), np.zeros(len(features)))
-    apart = [_by_statics(made, one) - _by_statics(made, nominal) for one in others]
-    return replace(made, doubt=np.abs(apart).max(axis=0))
+    made = Posed(knots, nominal, seen, tuple(features))
+    apart = np.abs([_by_statics(made, one) - _by_statics(made, nominal) for one in others]).max(axis=0)
+    doubted = zip(features, apart, strict=True)
+    return replace(made, features=tuple(replace(feature, doubt=float(by)) for feature, by in doubted))
 
 
 def _by_statics(one: Posed, found: Resting) -> Array:

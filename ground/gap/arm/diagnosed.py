@@ -14,7 +14,7 @@ from ground.gap.arm.features import CHANNELS, SHIFT
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.reference import Reference
-from ground.gap.arm.simulator import ArmSimulator
+from ground.gap.arm.simulator import CALMLY, ArmSimulator
 from ground.gap.closure import Closure
 from ground.gap.diagnose import Diagnosis, diagnose
 from ground.gap.held_out import closed, settings_of
@@ -62,7 +62,7 @@ def _simulator(
     campaign = compared(recordings, base)
     floor = floor_of(campaign)
     kinds = {name: catalogue()[name] for name in dict.fromkeys(h.effect for h in found.hypotheses)}
-    return ArmSimulator(campaign, base, floor.sigma, kinds), floor.notes
+    return ArmSimulator(campaign, base, floor.sigma, kinds, CALMLY), floor.notes
 
 
 def _ready(against: Ready, case: Bound) -> Ready:

@@ -33,6 +33,8 @@ class Feature:
     condition: tuple[float, ...]
     key: str
     """What the same feature is called in every log of its session: motion, channel, number."""
+    doubt: float = 0.0
+    """One sigma of what nobody knows of it beside noise, in its channel's unit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,8 +53,10 @@ def moving(recording: Recording, config: Config) -> Moving:
     load_Nm = _loads(recording, config, segments)
     motor = recording.motor_rad()
     block = recording.block
+    touch = _touch(recording)
     for number, segment in enumerate(segments):
         j, name = segment.joint, segment.joint.name.lower()
+        is_first = not any(s.joint is j and s.first < segment.first for s in segments)
         for channel in (CURRENT, FOLLOWING, RESOLVER):
             for bin_number, (first, end) in enumerate(segment.bins()):
                 mid = (first + end) // 2
@@ -66,9 +70,15 @@ def moving(recording: Recording, config: Config) -> Moving:
                     float(np.cos(angle)),
                     float(segment.way),
                 )
-                regime = segment.regime(first)
+                touching = end > touch
+                regime = "contact" if touching else segment.regime(first)
                 key = f"motion {number}/{CHANNELS[channel]}/{bin_number}"
-                features.append(Feature(channel, name, regime, block, condition, key))
+                doubt = IN_CONTACT[channel] if touching else 0.0
+                if channel == RESOLVER and is_first:
+                    gap_rad = 2.0 * float(config.half_gap_rad[j])
+                    turned_rad = abs(float(motor[j, first] - motor[j, segment.first]))
+                    doubt = gap_rad if turned_rad < TAKEN_UP * gap_rad else doubt
+                features.append(Feature(channel, name, regime, block, condition, key, doubt))
     still = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
     for axis in "xyz":
         features.append(Feature(IMU, f"imu.{axis}", "rest", block, still, f"imu/{axis}"))
@@ -110,6 +120,19 @@ ASSUMED: Final = (
     3e-5,
 )
 """By channel, in its unit: noise of current sensors and resolvers, counts, ticks, the IMU for ten seconds."""
+
+
+IN_CONTACT: Final = (0.1, 4e-5, 1e-4)
+"""Doubt about current, following and resolver from just before a touch on: how it begins is chance."""
+TAKEN_UP: Final = 1.5
+"""Gaps that a joint must turn before it is sure where its output lies: nobody saw how it came there."""
+
+
+def _touch(recording: Recording) -> int:
+    """The tick from which on a tool may touch something."""
+    closed = recording.sensors["switch_closed"]
+    at = np.flatnonzero((closed & ~closed[0]).any(axis=1))
+    return int(at[0]) if at.size else recording.ticks + 1
 
 
 def _touched(recording: Recording) -> list[int]:

@@ -11,8 +11,8 @@ from ground.gap.arm.features import CHANNELS, assumed_sigma
 FEWEST = 8
 """Pairs of a channel that tell its floor."""
 
-SLIPPED = 3.0
-"""Sigmas by which a feature differs with a little more or less friction: an output has changed sides."""
+DOUBTED = 3.0
+"""Sigmas from which on doubt about a feature is counted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,13 +34,12 @@ def floor_of(campaign: Compared) -> Floor:
         first = known.setdefault((feature.block, feature.key), k)
         if first != k:
             pairs.append((first, k))
-    doubt = np.concatenate(
-        [*(np.zeros(len(one.features)) for one in campaign.moving), *(one.doubt for one in campaign.posed)]
-    )
+    doubt = np.array([feature.doubt for feature in features])
+    doubted = doubt > DOUBTED * sigma
     notes = []
     channel = np.array([feature.channel for feature in features])
     for number, name in enumerate(CHANNELS):
-        mine = [(a, b) for a, b in pairs if features[a].channel == number]
+        mine = [(a, b) for a, b in pairs if features[a].channel == number and not doubted[a]]
         if not (channel == number).any():
             continue
         if len(mine) < FEWEST:
@@ -50,12 +49,12 @@ def floor_of(campaign: Compared) -> Floor:
         ratio = float(np.sqrt(np.mean(((values[a] - values[b]) / sigma[a]) ** 2) / 2.0))
         sigma[channel == number] *= max(ratio, 1.0)
         notes.append(f"{name}: {len(mine)} pairs of repeats differ by {ratio:.2f} times the sensors' noise")
-    slipped = doubt > SLIPPED * sigma
-    if slipped.any():
+    if doubted.any():
         notes.append(
-            f"{int(slipped.sum())} features at rest hang on friction that nearly lets go: hardly counted"
+            f"{int(doubted.sum())} of {doubted.size} features hardly count: the arm rests where friction "
+            f"nearly lets go, a joint has not yet turned through its gap, or a tool is about to touch"
         )
-    return Floor(np.where(slipped, np.hypot(sigma, doubt), sigma), tuple(notes))
+    return Floor(np.where(doubted, np.hypot(sigma, doubt), sigma), tuple(notes))
 
 
 def _tracker_sigma(campaign: Compared) -> Array:

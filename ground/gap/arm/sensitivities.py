@@ -98,7 +98,7 @@ def keys_path(path: Path) -> Path:
 
 
 def campaign_digest(logs: Logs, kinds: Names) -> str:
-    """SHA-256 of all that sensitivities depend on: logs, parameters, model, effects and which, this adapter."""
+    """SHA-256 of all that they depend on: logs, parameters, model, effects, and this adapter."""
     total = hashlib.sha256("\n".join(kinds).encode())
     for path in logs:
         total.update(path.read_bytes())
@@ -161,8 +161,10 @@ def _ends(
     for sign in (1.0, -1.0):
         if column.hypothesis is None:
             by = zero.copy()
-            by[column.at] = sign * simulator.nuisances[column.at].sigma
-            yield {}, by, float(by[column.at])
+            one_sided = simulator.one_sided[column.at]
+            by[column.at] = 1.0 if one_sided else sign * simulator.nuisances[column.at].sigma
+            if sign > 0.0 or not one_sided:
+                yield {}, by, float(by[column.at])
             continue
         hypothesis = simulator.hypotheses[column.hypothesis]
         values = np.array([parameter.absent for parameter in hypothesis.parameters])

@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -30,15 +30,19 @@ from sim.effects.built import (
 from sim.effects.contacts import ContactStiffness, SurfacePosition
 from sim.effects.describe import name_of, place_named
 from sim.effects.effect import EachMove, Effect
+from sim.effects.environment import Ambient
 from sim.effects.geometry import FrameError, LinkWarming, Warming
 from sim.effects.joints import GearFriction, GearStiffness, HardstopAngle, HardstopStiffness
 from sim.effects.links import LinkAngle, LinkLength, ThermalGradient, ToolOffset, ToolTurn
+from sim.effects.numerics import Numerics
 from sim.effects.size import Size
 from sim.effects.structure import LinkBending, LinkStiffness, LinkTorsion, RoverCompliance
 from sim.trials import FRICTION
 
 BRIEFLY: Final = Manner(settle_s=4.0)
-"""The arm settles before a recording for less long than in the closed loop."""
+"""The arm settles before a recording for less long than in the closed loop: enough for differences."""
+CALMLY: Final = Manner(settle_s=8.0)
+"""Long enough for what a case is compared with."""
 ONLY_POSED: Final = (
     *(LinkLength, LinkAngle, ThermalGradient, LinkWarming, Warming, FrameError, ToolOffset, ToolTurn),
     *(LinkStiffness, LinkBending, LinkTorsion, RoverCompliance, ContactStiffness, SurfacePosition),
@@ -53,8 +57,10 @@ class Uncertain:
     nuisance: Nuisance
     effect: Callable[[float], Effect]
     """With this departure."""
-    like: str
-    """The hypothesis, as told, that is the same number where it is small."""
+    like: str = ""
+    """The hypothesis, as told, that is the same number where it is small, if there is one."""
+    one_sided: bool = False
+    """Whether it departs to positive numbers only."""
 
 
 class ArmSimulator:
@@ -77,6 +83,7 @@ class ArmSimulator:
         self._uncertain = tuple(left_uncertain())
         self.nuisances = tuple(one.nuisance for one in self._uncertain)
         self.likes = tuple(one.like for one in self._uncertain)
+        self.one_sided = tuple(one.one_sided for one in self._uncertain)
 
     def predict(self, settings: Settings, nuisance: Array) -> Array:
         """The features (m,); errors as of `predicted_values`."""
@@ -125,8 +132,8 @@ def all_of(_: Moving) -> bool:
 
 
 def raced(kinds: Mapping[str, type[Effect]] | None) -> Iterator[catalogue.Hypothesis]:
-    """The catalogue's hypotheses, but those that are chance from move to move: these are floor, no cause."""
-    return (one for one in catalogue.hypotheses(kinds) if not issubclass(one.kind, EachMove))
+    """The catalogue's hypotheses that may be a cause: no chance from move to move, nor what logs tell."""
+    return (one for one in catalogue.hypotheses(kinds) if not issubclass(one.kind, (EachMove, Ambient)))
 
 
 def told(one: catalogue.Hypothesis) -> Hypothesis:
@@ -147,12 +154,16 @@ def is_factor(size: Size) -> bool:
     return size.neutral == 1.0 and size.low > 0.0
 
 
+FINE: Final = 0.3
+"""Of what is typical of an effect: a campaign sees it long before."""
+
+
 def _told(parameter: described.Parameter, size: Size) -> Parameter:
     if is_factor(size):
         ends = float(np.log(size.low)), float(np.log(size.high))
-        return Parameter(parameter.field, "ln", *ends, float(np.log1p(size.typical)), 0.0)
-    shapes = float(parameter.default) if size.neutral is None else size.typical
-    return Parameter(parameter.field, size.unit, size.low, size.high, shapes, size.neutral)
+        return Parameter(parameter.field, "ln", *ends, float(np.log1p(FINE * size.typical)), 0.0)
+    typical = float(parameter.default) if size.neutral is None else FINE * size.typical
+    return Parameter(parameter.field, size.unit, size.low, size.high, typical, size.neutral)
 
 
 def layout_of(campaign: Compared, sigma: Array) -> Layout:
@@ -214,10 +225,22 @@ def left_uncertain() -> Iterator[Uncertain]:
             partial(_times, LinkStiffness, frame),
             f"link-stiffness at {named}",
         )
+    for name, gears in NUMERICS.items():
+        yield Uncertain(Nuisance(name, "1", OTHERWISE), partial(_otherwise, gears), one_sided=True)
 
 
 _TURN_SHIFT: Final = ({"rad": "link-angle", "m": "link-length"}, {"rad": "tool-turn", "m": "tool-offset"})
 """Of frames, and of tools."""
+
+
+NUMERICS: Final[dict[str, Literal["implicit", "explicit"]]] = {"time step": "implicit", "scheme": "explicit"}
+OTHERWISE: Final = 2.0
+"""One sigma of what the plant's own numerics are off by, in differences to half the time step."""
+
+
+def _otherwise(gears: Literal["implicit", "explicit"], share: float) -> Effect:
+    """The whole difference: it cannot be had in parts."""
+    return Numerics(gears, 16)
 
 
 def _displaced(frame: Frame, tool: Tool | None, axis: int, value: float) -> Effect:
