@@ -19,10 +19,12 @@ from ground.gap.closure import Closure
 from ground.gap.diagnose import Diagnosis, diagnose
 from ground.gap.held_out import closed, settings_of
 from ground.gap.layout import Evidence
+from ground.gap.next_motion import again
 from ground.gap.ready import Ready, ready
 from ground.gap.result import Result, ToolGap
 from ground.gap.sensitivity import Sensitivities
 from sim.effects.catalogue import catalogue
+from sim.effects.effect import Effect
 
 LEAST_SHARE: Final = 0.5
 """Of the campaign's features that a case must have, else there is too little motion."""
@@ -40,29 +42,30 @@ def diagnosed(
     against: Reference,
     base: Params,
     seed: int,
+    patch: tuple[Effect, ...] = (),
 ) -> Result:
-    """Of a case's recordings, beside a simulator with these flight parameters.
+    """Of a case's recordings, beside a simulator with these flight parameters and the effects of a patch.
 
     Raises:
         TooLittleMotion: most motions of the campaign are missing.
     """
     notes = audit(recordings, base)
-    arm, floor = _simulator(recordings, base, against.ready.found)
+    arm, floor = _simulator(recordings, base, against.ready.found, patch)
     case = bound(arm, against.ready.found.layout, against.keys)
     _check_motion(case, against)
     known = _ready(against.ready, case)
     told = diagnose(known, Evidence(known.found.layout, case.gap()), seed, case)
-    shut = _closed(told, held_out, against, base, seed)
-    return Result(known, told, shut, _tool(shut), (), (*notes, *floor))
+    shut = _closed(told, held_out, against, base, seed, patch)
+    return Result(known, told, shut, _tool(shut), again(known, told), (*notes, *floor))
 
 
 def _simulator(
-    recordings: Sequence[Recording], base: Params, found: Sensitivities
+    recordings: Sequence[Recording], base: Params, found: Sensitivities, patch: tuple[Effect, ...]
 ) -> tuple[ArmSimulator, tuple[str, ...]]:
     campaign = compared(recordings, base)
     floor = floor_of(campaign)
     kinds = {name: catalogue()[name] for name in dict.fromkeys(h.effect for h in found.hypotheses)}
-    return ArmSimulator(campaign, base, floor.sigma, kinds, CALMLY), floor.notes
+    return ArmSimulator(campaign, base, floor.sigma, kinds, CALMLY, patch), floor.notes
 
 
 def _ready(against: Ready, case: Bound) -> Ready:
@@ -76,12 +79,17 @@ def _ready(against: Ready, case: Bound) -> Ready:
 
 
 def _closed(
-    told: Diagnosis, recordings: Sequence[Recording], against: Reference, base: Params, seed: int
+    told: Diagnosis,
+    recordings: Sequence[Recording],
+    against: Reference,
+    base: Params,
+    seed: int,
+    patch: tuple[Effect, ...],
 ) -> Closure | None:
     """On held-out motion; None if there is none."""
     if against.held_out is None or not recordings:
         return None
-    arm, _ = _simulator(recordings, base, against.ready.found)
+    arm, _ = _simulator(recordings, base, against.ready.found, patch)
     case = bound(arm, against.held_out.layout, against.held_out_keys)
     found = against.held_out.of(case.rows)
     settings, zero = settings_of(told), np.zeros(len(arm.nuisances))
