@@ -33,8 +33,8 @@ def closure_sentence(result: Result) -> str:
     at_tool = "" if tool is None else f"; at the tool {tool.before_mm:.2g} mm become {tool.after_mm:.2g}"
     closed = f"{percent(found.share)} {_interval_percent(found.least, found.most)}"
     return (
-        f"With {_switched_on(result)} in the simulator, {closed} of the explainable gap closes on motion that "
-        f"was held out{at_tool}."
+        f"With {_switched_on(result)} in the simulator, {closed} of the explainable gap closes on motion "
+        f"that was held out{at_tool}."
     )
 
 

@@ -84,9 +84,7 @@ class ArmSimulator:
         """What is switched on: patch, hypotheses, nuisances that are not 0."""
         found = list(self.patch)
         for hypothesis, values in settings.items():
-            made = self._made[hypothesis]
-            named = zip(hypothesis.parameters, values, strict=True)
-            found.append(made.effect(**{p.name: _typed(made, p.name, float(v)) for p, v in named}))
+            found.append(switched_on(self._made[hypothesis], hypothesis, values))
         found += [one.effect(float(v)) for one, v in zip(self._uncertain, nuisance, strict=True) if v]
         return found
 
@@ -146,6 +144,12 @@ def told(one: catalogue.Hypothesis) -> Hypothesis:
             if p.size is not None
         ),
     )
+
+
+def switched_on(made: catalogue.Hypothesis, hypothesis: Hypothesis, values: Array) -> Effect:
+    """The effect that a hypothesis, as told, is with these values of its parameters."""
+    named = zip(hypothesis.parameters, values, strict=True)
+    return made.effect(**{p.name: _typed(made, p.name, float(v)) for p, v in named})
 
 
 def layout_of(campaign: Compared, sigma: Array) -> Layout:
