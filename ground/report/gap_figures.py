@@ -17,6 +17,8 @@ DPI: Final = 110
 WIDTH_INCH: Final = 11.0
 ROW_INCH: Final = 0.28
 MARGIN_INCH: Final = 1.3
+FEWEST: Final = 3
+"""Rows that a picture has room for."""
 FULL: Final = 10.0
 """Times the floor, from which on a map has its darkest colour at the least."""
 SPAN: Final = (0.5, 4.0)
@@ -39,7 +41,7 @@ def where_picture(cells: tuple[Cell, ...]) -> bytes:
 def race_picture(result: Result) -> bytes:
     """Probabilities of what was chosen and of what may stand in its stead, and sizes with intervals."""
     count = sum(1 + len(others(finding)) for finding in result.diagnosis.findings)
-    return drawn(_size(count + 1), DPI, lambda figure: _draw_race(figure, result))
+    return drawn(_size(max(count, FEWEST)), DPI, lambda figure: _draw_race(figure, result))
 
 
 def closure_picture(closure: Closure) -> bytes:
@@ -77,16 +79,18 @@ def _draw_race(figure: Any, result: Result) -> None:
     bars, sizes = figure.subplots(1, 2, width_ratios=(1.0, 1.0))
     ready, row = result.ready, 0
     names: list[tuple[int, str]] = []
+    colour = "tab:orange" if result.diagnosis.verdict == "unknown" else "tab:blue"
     for finding in result.diagnosis.findings:
         every = [(finding.hypothesis, probability_of(finding.hypothesis, finding.alternatives))]
         for one, share in (*every, *others(finding)):
             chosen = one == finding.hypothesis
-            bars.barh(row, share, color="tab:blue" if chosen else "0.7")
+            bars.barh(row, share, color=colour if chosen else "0.7")
             names.append((row, ready.found.hypotheses[one].name))
             row += 1
     bars.set_yticks(*zip(*names, strict=True), fontsize=8)
-    bars.invert_yaxis()
-    bars.set(title="Chosen (blue) and what may stand in its stead", xlabel="probability", xlim=(0.0, 1.0))
+    role = "Nearest, and no name," if result.diagnosis.verdict == "unknown" else "Chosen (blue)"
+    title = f"{role} and what may stand in its stead"
+    bars.set(title=title, xlabel="probability", xlim=(0.0, 1.0), ylim=_rows(row))
     _draw_sizes(sizes, ready, result.diagnosis.findings)
 
 
@@ -110,9 +114,15 @@ def _draw_sizes(axes: Any, ready: Ready, findings: tuple[Finding, ...]) -> None:
                 axes.plot(size, row, "o", color="tab:blue")
                 names.append(f"{parameter.name}, {hypothesis.name}")
     axes.set_yticks(range(len(names)), names, fontsize=8)
-    axes.set_ylim(len(names) - 0.4, -0.6)
+    axes.set_ylim(*_rows(len(names)))
     axes.axvline(0.0, color="0.6", linewidth=0.8)
     axes.set(title="Sizes with 90 % intervals; grey: not seen", xlabel="typical sizes from neutral")
+
+
+def _rows(count: int) -> tuple[float, float]:
+    """Limits of an axis of rows, the first on top; a single row is not as high as the picture."""
+    room = max(count, FEWEST)
+    return (count + room - 1) / 2.0, (count - room - 1) / 2.0
 
 
 def _draw_closure(figure: Any, closure: Closure) -> None:
@@ -122,7 +132,7 @@ def _draw_closure(figure: Any, closure: Closure) -> None:
         before, after = (max(value / one.floor, FAINT) for value in (one.before, one.after))
         axes.plot([before, after], [row, row], color="0.7", zorder=1)
         labels = ("before", "after") if row == 0 else (None, None)
-        axes.plot(before, row, "o", color="tab:red", label=labels[0])
+        axes.plot(before, row, "o", color="tab:red", label=labels[0], fillstyle="none", markersize=8)
         axes.plot(after, row, "o", color="tab:blue", label=labels[1])
     axes.axvline(1.0, color="black", linestyle=":", label="floor")
     axes.set_yticks(range(len(channels)), [one.channel for one in channels], fontsize=8)

@@ -80,3 +80,15 @@ def _motions(made, campaign, said: Diagnosis):
         {one: np.full(ranks[one], 2.0) for one in alike_to},
         {"the same": campaign.prepared, "another": prepare(replace(kept, effect=other))},
     )
+
+
+def as_of(result, hypothesis, values, verdict="named"):
+    """The same with a hypothesis and values in the place of those that were found."""
+    finding = result.diagnosis.findings[0]
+    nowhere = np.full(len(values), np.nan)
+    changed = replace(finding, values=np.array(values), least=nowhere, most=nowhere)
+    names = list(result.ready.found.hypotheses)
+    names[finding.hypothesis] = hypothesis
+    kept = replace(result.ready.found, hypotheses=tuple(names))
+    said = replace(result.diagnosis, findings=(changed,), verdict=verdict)
+    return replace(result, ready=replace(result.ready, found=kept), diagnosis=said)
