@@ -1,7 +1,6 @@
 """A diagnosis printed for people: a screenful at most."""
 
 from collections.abc import Iterator
-from typing import Final
 
 from rich.table import Table
 
@@ -9,9 +8,12 @@ from ground.gap.result import Result
 from ground.gap.told import others, probability_of
 from ground.report.console import plain_console
 from ground.report.gap_words import (
+    FEW,
+    alternatives_words,
     channel_words,
     closure_sentence,
     interval,
+    listed,
     next_sentence,
     percent,
     quantity,
@@ -19,8 +21,6 @@ from ground.report.gap_words import (
     verdict_sentences,
 )
 from ground.report.words import counted
-
-FEW: Final = 3
 
 
 def gap_table(result: Result) -> None:
@@ -30,8 +30,9 @@ def gap_table(result: Result) -> None:
     console.print(f"{said.verdict}: {first} {second}\n")
     if said.findings:
         console.print(_effects(result))
-        for line in _beside(result):
-            console.print(line)
+        if len(said.findings) > 1:  # of one, the verdict says it
+            for line in _beside(result):
+                console.print(line)
     console.print("Where:")
     for cell in said.where[:FEW]:
         name = f"{channel_words(cell.channel, cell.place)}, {cell.regime}"
@@ -76,6 +77,6 @@ def _beside(result: Result) -> Iterator[str]:
         own = names[finding.hypothesis]
         alike = [names[one] for one in finding.confusable if one != finding.hypothesis]
         if alike:
-            yield f"Not told from {own}: {', '.join(alike)}"
-        if rest := others(finding):
-            yield f"Or, for {own}: {', '.join(f'{names[one]} ({percent(share)})' for one, share in rest)}"
+            yield f"Not told from {own}: {listed(alike)}"
+        if others(finding):
+            yield f"Or, for {own}: {alternatives_words(result.ready, finding)}"

@@ -1,5 +1,6 @@
 """What a diagnosis says, in sentences: the same on its page and on the console."""
 
+from collections.abc import Sequence
 from math import inf, isfinite
 from typing import Final
 
@@ -10,6 +11,8 @@ from ground.gap.result import Result
 from ground.gap.structure import Remains
 from ground.gap.told import others, probability_of, remains_unexplained
 
+FEW: Final = 3
+"""Names of a kind in a sentence."""
 DEPENDS: Final = {"nothing": "a constant offset", "noise": "no condition, as if it were noise"}
 
 
@@ -43,13 +46,27 @@ def finding_words(ready: Ready, finding: Finding) -> str:
     own = ready.found.hypotheses[finding.hypothesis].name
     alike = [ready.found.hypotheses[one].name for one in finding.confusable if one != finding.hypothesis]
     if alike:
-        own += f" (or {' or '.join(alike)}, which these motions do not tell from it)"
-    rest = others(finding)
-    if not rest:
+        own += f" (or {listed(alike, ' or ')}, which these motions do not tell from it)"
+    if not others(finding):
         return own
-    every = [(own, probability_of(finding.hypothesis, finding.alternatives))]
-    every += [(ready.found.hypotheses[one].name, share) for one, share in rest]
-    return "either " + " or ".join(f"{name} ({percent(share)})" for name, share in every)
+    sure = percent(probability_of(finding.hypothesis, finding.alternatives))
+    return f"either {own} ({sure}) or {alternatives_words(ready, finding, ' or ')}"
+
+
+def alternatives_words(ready: Ready, finding: Finding, between: str = ", ") -> str:
+    """What may stand in the stead of a finding, the most probable with their probabilities."""
+    rest = others(finding)
+    named = [
+        f"{ready.found.hypotheses[one].name} ({percent(probability)})" for one, probability in rest[:FEW]
+    ]
+    more = [f"one of {len(rest) - FEW} more"] if len(rest) > FEW else []
+    return between.join([*named, *more])
+
+
+def listed(names: Sequence[str], between: str = ", ") -> str:
+    """The first of them, and how many more."""
+    more = [f"{len(names) - FEW} more"] if len(names) > FEW else []
+    return between.join([*names[:FEW], *more])
 
 
 def size_words(hypothesis: Hypothesis, finding: Finding) -> list[str]:
@@ -145,15 +162,18 @@ def _switched_on(result: Result) -> str:
 
 def _causes(result: Result) -> str:
     ready, findings = result.ready, result.diagnosis.findings
-    names = [finding_words(ready, finding) for finding in findings]
     if len(findings) > 1:
-        return f"The gap has {len(findings)} causes: {'; '.join(names)}."
+        names = ", ".join(ready.found.hypotheses[one.hypothesis].name for one in findings)
+        open_for = sum(bool(others(one)) for one in findings)
+        rest = f"; others may stand in the stead of {open_for} of them" if open_for else ""
+        return f"The gap has {len(findings)} causes: {names}{rest}."
     (finding,) = findings
+    name = finding_words(ready, finding)
     if others(finding):
-        return f"The cause of the gap is {names[0]}."
+        return f"The cause of the gap is {name}."
     sure = percent(probability_of(finding.hypothesis, finding.alternatives))
-    sizes = ", ".join(size_words(ready.found.hypotheses[finding.hypothesis], finding))
-    return f"The cause of the gap is {names[0]}, with probability {sure}: {sizes}."
+    sizes = size_words(ready.found.hypotheses[finding.hypothesis], finding)
+    return f"The cause of the gap is {name}, with probability {sure}{', '.join(['', *sizes])}."
 
 
 def _none() -> str:

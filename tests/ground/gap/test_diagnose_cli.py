@@ -1,12 +1,14 @@
 """`marsarm diagnose`: what it prints and writes of a result; bad input writes nothing."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from typer.testing import CliRunner
 
 from ground.cli import app
 from ground.gap.arm.logs import NotForDiagnosis
+from ground.gap.bootstrap import Alternatives
 from ground.gap.told import told
 from ground.report.gap_words import verdict_sentences
 
@@ -41,6 +43,18 @@ def test_every_verdict_is_printed_on_a_screen(diagnose, results):
         printed = " ".join(done.stdout.split())
         assert all(sentence in printed for sentence in verdict_sentences(result))
         assert len(done.stdout.splitlines()) <= SCREEN
+
+
+def test_three_effects_with_many_in_their_stead_fit_on_a_screen(diagnose, results):
+    result = results["alike"]
+    (finding,) = result.diagnosis.findings
+    many = Alternatives(tuple(range(4, 16)), (0.2, *(0.06,) * 11))
+    findings = (replace(finding, alternatives=many, confusable=tuple(range(8))),) * 3
+    said = replace(result.diagnosis, findings=findings, verdict="set")
+    done = diagnose(replace(result, diagnosis=said))
+    assert done.exit_code == 0
+    assert "one of 8 more" in " ".join(done.stdout.split())
+    assert len(done.stdout.splitlines()) <= SCREEN
 
 
 def test_the_document_is_what_is_told(diagnose, results):
