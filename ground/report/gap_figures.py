@@ -88,7 +88,7 @@ def _draw_race(figure: Any, result: Result) -> None:
             names.append((row, ready.found.hypotheses[one].name))
             row += 1
     bars.set_yticks(*zip(*names, strict=True), fontsize=8)
-    role = "Nearest, and no name," if result.diagnosis.verdict == "unknown" else "Chosen (blue)"
+    role = "Nearest (no name)" if result.diagnosis.verdict == "unknown" else "Chosen (blue)"
     title = f"{role} and what may stand in its stead"
     bars.set(title=title, xlabel="probability", xlim=(0.0, 1.0), ylim=_rows(row))
     _draw_sizes(sizes, ready, result.diagnosis.findings)

@@ -12,6 +12,7 @@ from ground.gap.result import Result
 from ground.gap.told import MOST, others, probability_of, remains_unexplained
 from ground.report.gap_figures import closure_picture, race_picture, where_picture
 from ground.report.gap_words import (
+    cell_interval,
     channel_words,
     closure_sentence,
     interval,
@@ -61,7 +62,7 @@ def _where(result: Result) -> Iterator[str]:
     yield image(where_picture(cells), "map of the gap: channels by regimes")
     rows = [
         (channel_words(one.channel, one.place), one.regime, str(one.features), f"{one.ratio:.2f}",
-         interval(one.least, one.most))
+         cell_interval(one))
         for one in cells[:MOST]
     ]  # fmt: skip
     yield paragraph("The largest:")

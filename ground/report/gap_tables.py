@@ -10,6 +10,7 @@ from ground.report.console import plain_console
 from ground.report.gap_words import (
     FEW,
     alternatives_words,
+    cell_interval,
     channel_words,
     closure_sentence,
     interval,
@@ -36,7 +37,7 @@ def gap_table(result: Result) -> None:
     console.print("Where:")
     for cell in said.where[:FEW]:
         name = f"{channel_words(cell.channel, cell.place)}, {cell.regime}"
-        console.print(f"  {name}: {cell.ratio:.1f} times the floor ({interval(cell.least, cell.most)})")
+        console.print(f"  {name}: {cell.ratio:.1f} times the floor ({cell_interval(cell)})")
     if said.findings and second != closure_sentence(result):
         console.print(closure_sentence(result))
     console.print(unexplained_sentence(result))

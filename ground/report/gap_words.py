@@ -10,6 +10,7 @@ from ground.gap.ready import Ready
 from ground.gap.result import Result
 from ground.gap.structure import Remains
 from ground.gap.told import others, probability_of, remains_unexplained
+from ground.gap.where import Cell
 
 FEW: Final = 3
 """Names of a kind in a sentence."""
@@ -138,9 +139,14 @@ def quantity(value: float, unit: str) -> str:
     return f"{value:.3g}" if unit in ("", "1") else f"{value:.3g} {unit}"
 
 
-def interval(least: float, most: float) -> str:
-    """A 90 % interval; in words that of a number which was not fitted."""
-    return f"{least:.3g} to {most:.3g}" if isfinite(least) and isfinite(most) else "assumed"
+def interval(least: float, most: float, without: str = "assumed") -> str:
+    """A 90 % interval; in words why there is none, by default that the number was not fitted."""
+    return f"{least:.3g} to {most:.3g}" if isfinite(least) and isfinite(most) else without
+
+
+def cell_interval(cell: Cell) -> str:
+    """Of a ratio."""
+    return interval(cell.least, cell.most, "one motion")
 
 
 def _interval_percent(least: float, most: float) -> str:
