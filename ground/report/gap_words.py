@@ -115,6 +115,10 @@ def next_sentence(result: Result) -> str:
             f"Record {best.name}: what cannot be told apart now ({number(best.now)} sigmas) it would set "
             f"{number(best.separation)} sigmas apart."
         )
+    near = best_of(result)
+    if near is not None:
+        name, blocks = result.ready.found.hypotheses[near].name, result.ready.limits[near].blocks
+        return f"Record more motions that would show {name}: these show it in {number(blocks)}, effectively."
     if said.verdict == "unknown":
         return "Write an effect that would show so, and diagnose again with it in the catalogue."
     if result.notes:
@@ -206,11 +210,29 @@ def _unknown(result: Result) -> str:
             "The gap is not explained: beside what comes nearest, one more hypothesis would explain more "
             "than chance does."
         )
-    return f"There is an effect that is not in the catalogue: {remains_words(said.unexplained[0])}."
+    what = (
+        "There is a gap that nothing in the catalogue surely explains"
+        if best_of(result) is not None
+        else "There is an effect that is not in the catalogue"
+    )
+    return f"{what}: {remains_words(said.unexplained[0])}."
+
+
+def best_of(result: Result) -> int | None:
+    """The best single hypothesis, if it explains more than chance does and yet was not chosen."""
+    said = result.diagnosis
+    surprising = said.surprise >= result.ready.thresholds.effect
+    return said.ranking[0] if said.ranking and surprising and not said.findings else None
 
 
 def _nearest(result: Result) -> str:
     said, ready = result.diagnosis, result.ready
+    best = best_of(result)
+    if best is not None:
+        return (
+            f"Nearest comes {ready.found.hypotheses[best].name}, which explains more than chance does but "
+            "does not predict motions that it was not fitted to; no name is forced."
+        )
     if not said.findings:
         return "None of the catalogue comes near it, and no name is forced."
     names = " and ".join(ready.found.hypotheses[one.hypothesis].name for one in said.findings)

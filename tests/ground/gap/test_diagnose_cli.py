@@ -57,6 +57,16 @@ def test_three_effects_with_many_in_their_stead_fit_on_a_screen(diagnose, result
     assert len(done.stdout.splitlines()) <= SCREEN
 
 
+def test_what_is_surprising_and_predicts_nothing_is_told_as_that(diagnose, results):
+    result = results["unknown"]
+    near = replace(result, diagnosis=replace(result.diagnosis, surprise=50.0))
+    assert "is not in the catalogue" in " ".join(diagnose(result).stdout.split())
+    printed = " ".join(diagnose(near).stdout.split())
+    assert "is not in the catalogue" not in printed
+    assert "does not predict motions that it was not fitted to" in printed
+    assert "Next: Record more motions that would show effect" in printed
+
+
 def test_the_document_is_what_is_told(diagnose, results):
     done = diagnose(results["undecided"], "--json")
     assert json.loads(done.stdout) == told(results["undecided"])
