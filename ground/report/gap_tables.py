@@ -2,19 +2,15 @@
 
 from collections.abc import Iterator
 
-from rich.table import Table
-
 from ground.gap.result import Result
 from ground.gap.told import others, probability_of
 from ground.report.console import plain_console
 from ground.report.gap_words import (
     FEW,
-    alternatives_words,
     cell_interval,
     channel_words,
     closure_sentence,
     interval,
-    listed,
     next_sentence,
     percent,
     quantity,
@@ -30,7 +26,8 @@ def gap_table(result: Result) -> None:
     first, second = verdict_sentences(result)
     console.print(f"{said.verdict}: {first} {second}\n")
     if said.findings:
-        console.print(_effects(result))
+        for line in _effects(result):
+            console.print(line)
         if len(said.findings) > 1:  # of one, the verdict says it
             for line in _beside(result):
                 console.print(line)
@@ -46,38 +43,22 @@ def gap_table(result: Result) -> None:
         console.print(f"{counted(len(result.notes), 'note')} of the audit are on the page and in --json.")
 
 
-def _effects(result: Result) -> Table:
-    table = Table(title_justify="left", box=None, pad_edge=False)
-    if result.diagnosis.verdict == "unknown":
-        table.title = "Nearest, and no name"
-    for name in ("effect", "parameter", "value", "90 %", "probability", "own share"):
-        table.add_column(name, justify="left" if name in ("effect", "parameter") else "right", no_wrap=True)
+def _effects(result: Result) -> Iterator[str]:
+    """What was found, and its parameters below."""
+    yield "Nearest, and no name:" if result.diagnosis.verdict == "unknown" else "Effects:"
     for finding in result.diagnosis.findings:
         sure = percent(probability_of(finding.hypothesis, finding.alternatives))
         hypothesis = result.ready.found.hypotheses[finding.hypothesis]
+        yield f"  {hypothesis.name}: probability {sure}, own share {percent(finding.share)}"
         rows = zip(hypothesis.parameters, finding.values, finding.least, finding.most, strict=True)
-        first = (hypothesis.name, sure, percent(finding.share))
         for parameter, value, least, most in rows:
-            name, probability, share = first
-            table.add_row(
-                name,
-                parameter.name,
-                quantity(value, parameter.unit),
-                interval(least, most),
-                probability,
-                share,
-            )
-            first = ("", "", "")
-    return table
+            yield f"    {parameter.name}: {quantity(value, parameter.unit)} ({interval(least, most)})"
 
 
 def _beside(result: Result) -> Iterator[str]:
-    """What is not told from a finding, and what may stand in its stead."""
-    names = [hypothesis.name for hypothesis in result.ready.found.hypotheses]
+    """How many are not told from a finding, and how many may stand in its stead."""
     for finding in result.diagnosis.findings:
-        own = names[finding.hypothesis]
-        alike = [names[one] for one in finding.confusable if one != finding.hypothesis]
-        if alike:
-            yield f"Not told from {own}: {listed(alike)}"
-        if others(finding):
-            yield f"Or, for {own}: {alternatives_words(result.ready, finding)}"
+        alike, rest = len(finding.confusable) - 1, len(others(finding))
+        if alike or rest:
+            own = result.ready.found.hypotheses[finding.hypothesis].name
+            yield f"{own}: {alike} not told from it, {rest} that may stand in its stead"
