@@ -22,7 +22,7 @@ class Curved:
         total = np.zeros(self.found.layout.size)
         for hypothesis, values in settings.items():
             columns, t = self._departures(hypothesis, values)
-            inside = np.clip(t, -1.0, 1.0)
+            inside = self._inside(columns, t)
             total += self.found.effect[:, columns] @ t
             total += self.found.curve[:, columns] @ (inside * (2.0 * t - inside))
         return total
@@ -32,11 +32,17 @@ class Curved:
         parts = []
         for hypothesis, values in settings.items():
             columns, t = self._departures(hypothesis, values)
-            own = self.found.effect[:, columns] + 2.0 * self.found.curve[:, columns] * np.clip(t, -1.0, 1.0)
+            own = self.found.effect[:, columns]
+            own = own + 2.0 * self.found.curve[:, columns] * self._inside(columns, t)
             part = np.zeros((self.found.layout.size, len(hypothesis.parameters)))
             part[:, [parameter.sizes for parameter in hypothesis.parameters]] = own
             parts.append(part)
         return np.hstack(parts)
+
+    def _inside(self, columns: Ints, t: Array) -> Array:
+        """The part of sizes that was simulated."""
+        reach = self.found.reach[columns]
+        return np.clip(t, -reach, reach)
 
     def _departures(self, hypothesis: Hypothesis, values: Array) -> tuple[Ints, Array]:
         """Its columns, and its sizes in typical ones."""

@@ -30,6 +30,8 @@ class Sensitivities:
     """Change per typical size of each size parameter, in the order of `owner`, (m, K)."""
     curve: Array
     """Change per square of that: a parabola through nominal and what could be simulated beside it, (m, K)."""
+    reach: Array
+    """How far from nominal that was, in typical sizes, (K,)."""
     owner: Ints
     """Which hypothesis each column belongs to, ascending, (K,)."""
     nuisance: Array
@@ -43,6 +45,7 @@ class Sensitivities:
             (self.nominal, (m,)),
             (self.effect, (m, sum(wanted))),
             (self.curve, (m, sum(wanted))),
+            (self.reach, (sum(wanted),)),
             (self.nuisance, (m, len(self.nuisances))),
         )
         for array, shape in shapes:
@@ -92,6 +95,7 @@ def sensitivities(simulator: Simulator, step: Callable[[int, int], None] = lambd
         nominal,
         np.array(effect).reshape(-1, m).T,
         np.array(curve).reshape(-1, m).T,
+        np.ones(len(curve)),
         np.array(owner, dtype=np.intp),
         np.array(nuisance).reshape(-1, m).T,
     )
@@ -106,7 +110,7 @@ def save(path: Path, found: Sensitivities) -> None:
         "names": {name: getattr(layout, name) for name in _NAMES},
     }
     arrays = {name: getattr(layout, name) for name in _ARRAYS}
-    arrays |= {name: getattr(found, name) for name in ("nominal", "effect", "curve", "owner", "nuisance")}
+    arrays |= {name: getattr(found, name) for name in _FOUND}
     with path.open("wb") as file:
         np.savez(file, words=np.array(json.dumps(words)), **arrays)
 
@@ -114,7 +118,7 @@ def save(path: Path, found: Sensitivities) -> None:
 def load(path: Path) -> Sensitivities:
     """Sensitivities as they were kept; ValueError if the file does not hold any."""
     with np.load(path, allow_pickle=False) as file:
-        missing = {"words", *_ARRAYS, "nominal", "effect", "curve", "owner", "nuisance"} - set(file.files)
+        missing = {"words", *_ARRAYS, *_FOUND} - set(file.files)
         if missing:
             raise ValueError(f"{path}: no sensitivities ({', '.join(sorted(missing))} missing)")
         words = json.loads(str(file["words"]))
@@ -125,11 +129,12 @@ def load(path: Path) -> Sensitivities:
             for h in words["hypotheses"]
         )
         nuisances = tuple(Nuisance(**nuisance) for nuisance in words["nuisances"])
-        found = (file[name] for name in ("nominal", "effect", "curve", "owner", "nuisance"))
+        found = (file[name] for name in _FOUND)
         return Sensitivities(layout, hypotheses, nuisances, *found)
 
 
 _ARRAYS: Final = ("sigma", "block", "channel", "place", "regime", "condition")
+_FOUND: Final = ("nominal", "effect", "curve", "reach", "owner", "nuisance")
 _NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions")
 
 

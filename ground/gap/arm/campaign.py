@@ -15,10 +15,9 @@ from fsw.messages import Sensors
 from ground.calibration.screws import screw_log
 from ground.gap.arm.features import RESOLVER, SHIFT, TURN, Columns, Feature, Moving, measured, moving
 from ground.gap.arm.logs import Recording
-from ground.gap.arm.poses import Knots, Resting, knots_in, read_resolvers, resting
+from ground.gap.arm.poses import Knots, Resting, in_order, knots_in, read_resolvers, resting
 from sim.driven import DrivenArm, Manner
 from sim.effects.effect import Effect, Hardware, Spoilt, nominal_hardware
-from sim.effects.environment import Ambient
 from sim.effects.friction import OutputFriction
 
 STEPPED = tuple(Sensors.__dataclass_fields__)
@@ -133,7 +132,7 @@ def only_reads(effect: Effect) -> bool:
 
 
 def _stepped(recording: Recording, effects: tuple[Effect, ...], manner: Manner) -> tuple[Sensors, ...]:
-    arm = DrivenArm(recording.start, (Ambient(recording.temperature_C), *effects), manner)
+    arm = DrivenArm(recording.start, in_order(recording, effects), manner)
     return tuple(arm.readings(recording.drives))
 
 

@@ -99,7 +99,8 @@ def _closed(
 
 def _tool(shut: Closure | None) -> ToolGap | None:
     """From how far the turret is from where the simulator has it."""
-    channel = next((c for c in shut.channels if c.channel == CHANNELS[SHIFT]), None) if shut else None
+    channels = shut.channels if shut else ()
+    channel = next((c for c in channels if c.channel.endswith(CHANNELS[SHIFT])), None)
     if channel is None:
         return None
     mm = 1e3 * np.sqrt(3.0)

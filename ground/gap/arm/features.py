@@ -37,6 +37,11 @@ class Feature:
     """One sigma of what nobody knows of it beside noise, in its channel's unit."""
 
 
+def channel_of(feature: Feature) -> str:
+    """As people are told it: what was measured, and where."""
+    return f"{feature.place} {CHANNELS[feature.channel]}"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Moving:
     """What is looked at of one recording, and where."""

@@ -86,10 +86,17 @@ def resting(knots: Sequence[Knots], base: Params, effects: Sequence[Effect]) -> 
     return [_rests(one, params, hardware, effects) for one in knots]
 
 
+def in_order(recording: Recording, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """What the arm is made of, what is around it, and what came later: the cold changes friction there is."""
+    built = [effect for effect in effects if effect.of_the_arm]
+    later = [effect for effect in effects if not effect.of_the_arm]
+    return (*built, Ambient(recording.temperature_C), *later)
+
+
 def _stepped(knots: Knots, effects: Sequence[Effect]) -> Resting:
     """Under the recorded drive, without noise."""
     recording = knots.recording
-    arm = DrivenArm(recording.start, (Ambient(recording.temperature_C), *effects))
+    arm = DrivenArm(recording.start, in_order(recording, effects))
     looked, poses, apart = {knots.tick[k] for k in knots.rests}, [], []
     for tick, reading in enumerate(arm.readings(recording.drives)):
         if tick in looked:

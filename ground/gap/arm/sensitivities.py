@@ -2,10 +2,11 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -17,18 +18,24 @@ from ground.gap.arm.campaign import compared
 from ground.gap.arm.features import Moving
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import recording_in
-from ground.gap.arm.simulator import ArmSimulator, Touched, all_of
-from ground.gap.hypothesis import Hypothesis
+from ground.gap.arm.simulator import ONLY_POSED, ArmSimulator, Touched, all_of
 from ground.gap.sensitivity import Sensitivities, load, save, through
 from ground.pool import Runner
 from ground.progress import Progress
 from ground.telemetry.header import model_digest
 from sim.effects.catalogue import catalogue
+from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.world import World, build
 
 Logs = tuple[Path, ...]
 Names = tuple[str, ...]
+
+
+WANTED: Final = 60.0
+"""Sigmas, of all features together and before nuisances, by which a step is to move them."""
+LEAST_SHARE: Final = 1e-3
+"""Of a typical size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +70,9 @@ def arm_sensitivities(
     alike = _alike(simulator, columns)
     jobs = [_Job(paths, names, k) for k in range(len(columns)) if k not in alike]
     found, curve = np.zeros((2, simulator.layout.size, len(columns)))
-    for done, (column, (slope, bend)) in enumerate(run(_worked, jobs), 1):
-        found[:, column], curve[:, column] = slope, bend
+    reach = np.ones(len(columns))
+    for done, (column, one) in enumerate(run(_worked, jobs), 1):
+        found[:, column], curve[:, column], reach[column] = one.slope, one.bend, one.reach
         progress(done, len(jobs), "sensitivities")
     for number, (other, typical) in alike.items():
         found[:, number] = found[:, other] / typical
@@ -77,6 +85,7 @@ def arm_sensitivities(
         _nominal(paths, names),
         found[:, effects],
         curve[:, effects],
+        reach[effects],
         owner,
         found[:, len(effects) :],
     )
@@ -134,44 +143,88 @@ def _alike(simulator: ArmSimulator, columns: Sequence[Column]) -> dict[int, tupl
     return {k: known[name] for k, name in said.items() if name in known}
 
 
-def column_of(simulator: ArmSimulator, column: Column, nominal: Array) -> tuple[Array, Array]:
-    """Change of the features (m,) per typical size or unit of a nuisance, and per its square: a parabola.
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensed:
+    """One column of the sensitivities."""
 
-    Through three points; where bounds leave but one side, a straight line.
+    slope: Array
+    """Change of the features per typical size, or per unit of a nuisance, (m,)."""
+    bend: Array
+    """Per square of that, (m,)."""
+    reach: float
+    """How far the simulator was asked, in typical sizes."""
 
-    Of repeats only the first is simulated: the others were given the same drive.
+
+def column_of(simulator: ArmSimulator, column: Column, nominal: Array) -> Sensed:
+    """The parabola through three points, or a line where bounds leave one side or nothing bends.
+
+    Steps are a few times what the campaign can see: one probe, of the motion that shows it most, tells. Much
+    less would be lost in the rounding of counters, much more would be far from where it matters. Of repeats
+    only the first is simulated: the others were given the same drive.
     """
-    ends = [(simulator.effects(settings, by), size) for settings, by, size in _ends(simulator, column)]
-    touched = Touched(tuple(e for effects, _ in ends for e in effects[len(simulator.patch) :]))
-    known = first_of_block(simulator.campaign)
+    share = _share(simulator, column, nominal)
+    changes = [(_change(simulator, end, nominal), end.size) for end in _ends(simulator, column, share)]
+    slope, bend = (np.where(np.isfinite(values), values, 0.0) for values in through(changes))
+    return Sensed(slope, bend, max(abs(size) for _, size in changes))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _End:
+    """A state beside nominal."""
+
+    effects: tuple[Effect, ...]
+    size: float
+    """Departure in typical sizes, or in units of the nuisance."""
+
+
+def _change(
+    simulator: ArmSimulator, end: _End, nominal: Array, only: Callable[[Moving], bool] = all_of
+) -> Array:
+    """Of the features (m,), whose repeats are as their firsts; 0 where nothing was stepped."""
+    touched, known = Touched(end.effects), first_of_block(simulator.campaign)
 
     def wanted(one: Moving) -> bool:
-        return one.recording.name in known and touched(one)
+        return one.recording.name in known and touched(one) and only(one)
 
-    changes = [(simulator.predicted(effects, wanted) - nominal, size) for effects, size in ends]
-    slope, bend = (repeated(simulator.campaign, known, values) for values in through(changes))
-    return slope, bend
+    change = simulator.predicted((*simulator.patch, *end.effects), wanted) - nominal
+    return repeated(simulator.campaign, known, change)
 
 
-def _ends(
-    simulator: ArmSimulator, column: Column
-) -> Iterator[tuple[Mapping[Hypothesis, Array], Array, float]]:
-    """Settings, nuisances and departure [typical sizes, units of the nuisance] on both sides of nominal."""
-    zero = np.zeros(len(simulator.nuisances))
+def _share(simulator: ArmSimulator, column: Column, nominal: Array) -> float:
+    """Of a typical size, the step: one that moves the features by WANTED sigmas in all."""
+    if column.hypothesis is None:
+        return 1.0
+    end = next(iter(_ends(simulator, column, 1.0)))
+    joints = {getattr(effect, "joint", None) for effect in end.effects} - {None}
+    free = [one for one in simulator.campaign.moving if one.recording.world.surface is None]
+    shown = [one for one in free if not {segment.joint for segment in one.segments} - joints]
+    names = {one.recording.name for one in shown or free[-1:]}
+    change = _change(simulator, end, nominal, lambda one: one.recording.name in names)
+    seen = float(np.linalg.norm(change / simulator.layout.sigma)) / abs(end.size)
+    return float(np.clip(WANTED / max(seen, 1e-12), LEAST_SHARE, 1.0))
+
+
+def _ends(simulator: ArmSimulator, column: Column, share: float) -> Iterator[_End]:
+    """On both sides of nominal where bounds allow it and it may bend."""
+    zero, count = np.zeros(len(simulator.nuisances)), len(simulator.patch)
     for sign in (1.0, -1.0):
         if column.hypothesis is None:
-            by = zero.copy()
-            one_sided = simulator.one_sided[column.at]
+            by, one_sided = zero.copy(), simulator.one_sided[column.at]
             by[column.at] = 1.0 if one_sided else sign * simulator.nuisances[column.at].sigma
             if sign > 0.0 or not one_sided:
-                yield {}, by, float(by[column.at])
+                yield _End(tuple(simulator.effects({}, by)[count:]), float(by[column.at]))
             continue
         hypothesis = simulator.hypotheses[column.hypothesis]
-        values = np.array([parameter.absent for parameter in hypothesis.parameters])
-        parameter, absent = hypothesis.parameters[column.at], values[column.at]
-        values[column.at] = np.clip(absent + sign * parameter.typical, parameter.least, parameter.most)
-        if values[column.at] != absent:
-            yield {hypothesis: values}, zero, float((values[column.at] - absent) / parameter.typical)
+        parameter, values = hypothesis.parameters[column.at], hypothesis.absent
+        absent = values[column.at]
+        step = sign * share * parameter.typical
+        values[column.at] = np.clip(absent + step, parameter.least, parameter.most)
+        if values[column.at] == absent:
+            continue
+        effects = tuple(simulator.effects({hypothesis: values}, zero)[count:])
+        yield _End(effects, float((values[column.at] - absent) / parameter.typical))
+        if all(isinstance(effect, ONLY_POSED) for effect in effects):
+            return  # geometry and springs are straight lines, as far as errors go
 
 
 @cache
@@ -188,7 +241,7 @@ def _nominal(logs: Logs, kinds: Names) -> Array:
     return simulator.predicted(simulator.patch, all_of)
 
 
-def _worked(job: _Job) -> tuple[int, tuple[Array, Array]]:
+def _worked(job: _Job) -> tuple[int, Sensed]:
     simulator = _simulator(job.logs, job.kinds)
     column = columns_of(simulator)[job.column]
     return job.column, column_of(simulator, column, _nominal(job.logs, job.kinds))

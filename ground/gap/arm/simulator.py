@@ -12,9 +12,9 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.tuples import row6
 from fsw.kinematics.transforms import Array
 from ground.gap.arm.campaign import Compared, predicted_values
-from ground.gap.arm.features import CHANNELS, CONDITIONS, CONTACT, UNITS, Moving
+from ground.gap.arm.features import CONDITIONS, CONTACT, UNITS, Moving, channel_of
 from ground.gap.hypothesis import Hypothesis, Nuisance, Parameter
-from ground.gap.layout import Layout
+from ground.gap.layout import Ints, Layout
 from ground.gap.simulator import Settings
 from sim.driven import Manner
 from sim.effects import catalogue
@@ -152,15 +152,11 @@ def is_factor(size: Size) -> bool:
     return size.neutral == 1.0 and size.low > 0.0
 
 
-FINE: Final = 0.3
-"""Of what is typical of an effect: a campaign sees it long before."""
-
-
 def _told(parameter: described.Parameter, size: Size) -> Parameter:
     if is_factor(size):
         ends = float(np.log(size.low)), float(np.log(size.high))
-        return Parameter(parameter.field, "ln", *ends, float(np.log1p(FINE * size.typical)), 0.0)
-    typical = float(parameter.default) if size.neutral is None else FINE * size.typical
+        return Parameter(parameter.field, "ln", *ends, float(np.log1p(size.typical)), 0.0)
+    typical = float(parameter.default) if size.neutral is None else size.typical
     return Parameter(parameter.field, size.unit, size.low, size.high, typical, size.neutral)
 
 
@@ -171,25 +167,32 @@ def switched_on(made: catalogue.Hypothesis, hypothesis: Hypothesis, values: Arra
 
 
 def layout_of(campaign: Compared, sigma: Array) -> Layout:
-    """What the features are."""
+    """What the features are; each place has channels of its own."""
     features = campaign.features
+    named = [channel_of(feature) for feature in features]
     blocks, places, regimes = (
         tuple(dict.fromkeys(getattr(f, name) for f in features)) for name in ("block", "place", "regime")
     )
+    units = {name: UNITS[f.channel] for name, f in zip(named, features, strict=True)}
     return Layout(
         sigma=sigma,
-        block=np.array([blocks.index(f.block) for f in features], np.intp),
-        channel=np.array([f.channel for f in features], np.intp),
-        place=np.array([places.index(f.place) for f in features], np.intp),
-        regime=np.array([regimes.index(f.regime) for f in features], np.intp),
+        block=_numbers(blocks, [f.block for f in features]),
+        channel=_numbers(tuple(units), named),
+        place=_numbers(places, [f.place for f in features]),
+        regime=_numbers(regimes, [f.regime for f in features]),
         condition=np.array([f.condition for f in features]).reshape(-1, len(CONDITIONS)),
         blocks=blocks,
-        channels=CHANNELS,
-        units=UNITS,
+        channels=tuple(units),
+        units=tuple(units.values()),
         places=places,
         regimes=regimes,
         conditions=CONDITIONS,
     )
+
+
+def _numbers(names: tuple[str, ...], of: list[str]) -> Ints:
+    number = {name: k for k, name in enumerate(names)}
+    return np.array([number[name] for name in of], np.intp)
 
 
 def left_uncertain() -> Iterator[Uncertain]:
