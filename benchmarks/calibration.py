@@ -15,10 +15,10 @@ from typing import Any, Final
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import beta
 
 from benchmarks.options import parser
 from fsw.kinematics.transforms import Array
+from ground.binomial import interval
 from ground.calibration.arm_model import arm_model
 from ground.calibration.arm_numbers import arm_parameters
 from ground.calibration.calibrate import Calibration, calibrate, rms_m
@@ -155,7 +155,7 @@ def campaign(
             print(f"marsarm: {done} of {arms} arms", file=sys.stderr)
     fast = speed(measured(Trial(seed, False))[0])
     inside, of = np.sum([result["intervals_hold"] for result in results], axis=0)
-    low, high = _interval(int(inside), int(of))
+    low, high = interval(int(inside), int(of))
     checks = {
         "five times better on held-out poses": min(r["factor"] for r in results) >= 5,
         "under 5 mm": max(r["held_out_max_mm"] for r in results) < 5,
@@ -179,12 +179,6 @@ def campaign(
         "checks": checks,
         "in_bounds": all(checks.values()),
     }
-
-
-def _interval(inside: int, of: int) -> tuple[float, float]:
-    """Exact 95 % interval of a rate."""
-    low = float(beta.ppf(0.025, inside, of - inside + 1)) if inside else 0.0
-    return low, float(beta.ppf(0.975, inside + 1, of - inside)) if inside < of else 1.0
 
 
 def _save(found: Calibration, trial: Trial) -> None:
