@@ -5,7 +5,7 @@ to the next, as friction lets it (fsw.estimate.gear); nothing is stepped.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array, Pose
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.segments import rests_in, segments_in
-from sim.effects.effect import Effect, Hardware, nominal_hardware
+from sim.effects.effect import Effect, Hardware, acted, nominal_hardware
 from sim.influence import NO_INFLUENCE, Influence
 from sim.plant import Plant
 from sim.world import build
@@ -114,10 +114,4 @@ def _acting(recording: Recording, effects: Sequence[Effect]) -> Plant:
 def _acted(plant: Plant, hardware: Hardware, motor_rad: Array, gear_rad: Array) -> tuple[Hardware, Influence]:
     """What acts in every cycle, asked at a knot: how far it shifts gears, and its torque on outputs."""
     plant.data.qpos[plant.at.motor], plant.data.qpos[plant.at.gear] = motor_rad, gear_rad
-    total, running = Influence(), []
-    for one in hardware.each_cycle:
-        state = one.state if one.begun else one.effect.begin(plant, hardware)
-        state, influence = one.effect.cycle(plant, hardware, state)
-        total += influence
-        running.append(replace(one, state=state, begun=True))
-    return replace(hardware, each_cycle=tuple(running)), total
+    return acted(plant, hardware)
