@@ -16,7 +16,7 @@ from fsw.executive.hardstop_pose import stop_poses
 from fsw.kinematics.transforms import Array
 from fsw.motion.seek import Stage
 from sim.arms import BuiltArm
-from sim.effects.effect import Effect, nominal_hardware
+from sim.effects.effect import Effect, fitted, nominal_hardware
 from sim.loop import ClosedLoop, Setup
 from sim.plant import JOINT_NAMES, Plant
 from sim.record import CycleRecord
@@ -196,10 +196,8 @@ def initial_reference(arm: BuiltArm, seed: int = 0) -> Reference:
 
 def true_reference(arm: BuiltArm) -> Reference:
     """What an initialisation without any error would leave; the hardstops' own errors of place stay."""
-    spec, hardware = build(World()), nominal_hardware()
-    for effect in arm.effects:
-        effect.on_model(spec)
-        hardware = effect.on_hardware(hardware)
+    spec = build(World())
+    hardware = fitted(arm.effects, spec, nominal_hardware())
     plant = Plant(spec.compile())
     off_place = np.array([joint.hardstop_rad for joint in arm.params.joints.in_order()]) - plant.stop_rad()
     return Reference(

@@ -188,6 +188,14 @@ class EachCycle(Effect):
         raise NotImplementedError
 
 
+def fitted(effects: Iterable[Effect], spec: mujoco.MjSpec, hardware: Hardware) -> Hardware:
+    """Change the MuJoCo model as all of these effects do, one after the other; the avionics and sensors."""
+    for effect in effects:
+        effect.on_model(spec)
+        hardware = effect.on_hardware(hardware)
+    return hardware
+
+
 def gone_on(plant: Plant, hardware: Hardware) -> Hardware:
     """Let what acts in every cycle act on the plant in this one; the avionics and sensors after it."""
     hardware, total = acted(plant, hardware)
