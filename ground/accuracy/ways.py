@@ -16,7 +16,7 @@ from fsw.kinematics.transforms import Array, Pose
 from ground.accuracy.places import Moved, Place
 from sim.arms import BuiltArm
 from sim.avionics import move_rng
-from sim.effects.effect import EachMove, drawn_scatter
+from sim.effects.effect import EachMove, drawn_scatter, knowing
 from sim.effects.environment import NothingToTouch
 from sim.loop import ClosedLoop, Setup, hardware_rng
 from sim.params import nominal_params
@@ -58,9 +58,7 @@ def by_closed_loop(arm: BuiltArm, reference: Reference, backlash: Backlash) -> M
 
 def by_statics(arm: BuiltArm, backlash: Backlash) -> Moved:
     """The equilibrium of the arm, its gears as the move leaves them; initialised without any error."""
-    known = _drawing()
-    for effect in arm.effects:
-        known = effect.on_params(known)
+    known = knowing(arm.effects, _drawing())
     believed, true = configure(arm.params), configure(known)
     stop_rad = [
         np.array([joint.hardstop_rad for joint in params.joints.in_order()]) for params in (known, arm.params)

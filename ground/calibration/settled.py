@@ -23,6 +23,7 @@ from ground.calibration.poses import branch_name, group_poses
 from ground.calibration.survey import Row, campaign_from, surveyed
 from sim.arms import BuiltArm
 from sim.clearance import Space
+from sim.effects.effect import knowing
 from sim.effects.joints import HardstopAngle
 from sim.plant import Plant
 from sim.world import World
@@ -79,10 +80,7 @@ def _settled(
 
 def true_params(arm: BuiltArm) -> Params:
     """The flight parameters that know every effect of the arm; not for flight software."""
-    params = arm.params
-    for effect in arm.effects:
-        params = effect.on_params(params)
-    return params
+    return knowing(arm.effects, arm.params)
 
 
 def stops_off(arm: BuiltArm) -> Array:

@@ -196,6 +196,13 @@ def fitted(effects: Iterable[Effect], spec: mujoco.MjSpec, hardware: Hardware) -
     return hardware
 
 
+def knowing(effects: Iterable[Effect], params: Params) -> Params:
+    """The flight parameters that know all of these effects."""
+    for effect in effects:
+        params = effect.on_params(params)
+    return params
+
+
 def gone_on(plant: Plant, hardware: Hardware) -> Hardware:
     """Let what acts in every cycle act on the plant in this one; the avionics and sensors after it."""
     hardware, total = acted(plant, hardware)

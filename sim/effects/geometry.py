@@ -12,7 +12,7 @@ from fsw.dictionary.params import LinkParams, Lump, Params, Row6, Transform6
 from fsw.dictionary.tuples import row6, vector3
 from fsw.kinematics.arm import transform6, transform6_from
 from fsw.kinematics.transforms import Pose, inverse, rotation_z, screw_exp
-from sim.effects.effect import Effect
+from sim.effects.effect import Effect, knowing
 from sim.effects.matrices import turned
 from sim.effects.size import Size, Warmth
 from sim.params import nominal_params
@@ -118,9 +118,7 @@ class Warming(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Likewise."""
-        for part in self._parts():
-            params = part.on_params(params)
-        return params
+        return knowing(self._parts(), params)
 
     def _parts(self) -> list[LinkWarming]:
         inner = [LinkWarming(frame, self.warming_K) for frame in Frame if frame is not Frame.TOOL]
