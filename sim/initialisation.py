@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.config import CYCLE_HZ
+from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.commands import Calibrate, CalibrateAll
 from fsw.dictionary.evrs import Evr, JointCalibrated
 from fsw.dictionary.joints import STOP_ORDER, Joint
@@ -199,7 +199,7 @@ def true_reference(arm: BuiltArm) -> Reference:
     spec = build(World())
     hardware = fitted(arm.effects, spec, nominal_hardware())
     plant = Plant(spec.compile())
-    off_place = np.array([joint.hardstop_rad for joint in arm.params.joints.in_order()]) - plant.stop_rad()
+    off_place = configure(arm.params).hardstop_rad - plant.stop_rad()
     return Reference(
         calibrated=np.ones(len(Joint), bool),
         known=np.ones(len(Joint), bool),

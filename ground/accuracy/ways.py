@@ -43,12 +43,8 @@ def by_closed_loop(arm: BuiltArm, reference: Reference, backlash: Backlash) -> M
 
 def by_statics(arm: BuiltArm, backlash: Backlash) -> Moved:
     """The equilibrium of the arm, its gears as the move leaves them; initialised without any error."""
-    known = knowing(arm.effects, _drawing())
-    believed, true = configure(arm.params), configure(known)
-    stop_rad = [
-        np.array([joint.hardstop_rad for joint in params.joints.in_order()]) for params in (known, arm.params)
-    ]
-    static = StaticArm(believed, true, no_reference(believed), stop_rad[0] - stop_rad[1])
+    believed, true = configure(arm.params), configure(knowing(arm.effects, _drawing()))
+    static = StaticArm(believed, true, no_reference(believed), true.hardstop_rad - believed.hardstop_rad)
     by_chance = [effect for effect in arm.effects if isinstance(effect, EachMove)]
     gravity = World().gravity_N_m_s2
 

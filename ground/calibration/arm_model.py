@@ -31,7 +31,7 @@ from ground.calibration.noise import whitener_of
 from ground.calibration.problem import Linearised
 from ground.calibration.screws import Measured, error_screw, linearised
 from sim.effects.built import SPRINGS
-from sim.effects.turret import StandInTurret
+from sim.effects.turret import hung_with
 
 COUNT: Final = len(arm_parameters())
 
@@ -134,8 +134,7 @@ class Held:
 
 
 def _held(nominal: Params, x: Array, turret_kg: float | None, at: Believed) -> Held:
-    drawn = nominal if turret_kg is None else StandInTurret(turret_kg).on_params(nominal)
-    arm, X_RD = numbered_arm(arm_from(drawn), x, turret_kg is not None)
+    arm, X_RD = numbered_arm(arm_from(hung_with(nominal, turret_kg)), x, turret_kg is not None)
     gap = at.gap_rad * np.exp(x[GAPS])[:, None] - at.held_Nm / arm.gear_stiffness_Nm_rad[:, None]
     gravity_D = X_RD.R.T @ at.gravity_R_m_s2
     rest = settle(arm, at.motor_rad, gap, gravity_D)

@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 
+from fsw.config import configure
 from fsw.estimate.reference import Reference
 from fsw.kinematics.arm import arm_from
 from fsw.kinematics.statics import settle
@@ -15,7 +16,7 @@ from ground.calibration.data import Believed
 from ground.calibration.screws import Measured
 from ground.calibration.settled import stops_off, true_params
 from sim.arms import BuiltArm
-from sim.effects.turret import StandInTurret
+from sim.effects.turret import hung_with
 from sim.initialisation import true_reference
 
 TOLD: Final = 0.5
@@ -34,12 +35,12 @@ def true_poses(arm: BuiltArm, believed: Believed, off_rad: Array) -> Pose:
     `off_rad` (5,): by how much motors stand beyond where they are believed to.
     """
     params = true_params(arm)
-    half = np.array([0.5 * joint.backlash_rad for joint in params.joints.in_order()])[:, None]
+    half = configure(params).half_gap_rad[:, None]
     n = believed.motor_rad.shape[1]
     X = Pose(np.empty((3, 3, n)), np.empty((3, n)))
     motor = believed.motor_rad + off_rad[:, None]
     for turret_kg, where in turrets(believed):
-        truth = arm_from(params if turret_kg is None else StandInTurret(turret_kg).on_params(params))
+        truth = arm_from(hung_with(params, turret_kg))
         at = believed.at(where)
         gap = np.sign(at.gap_rad) * half - at.held_Nm / truth.gear_stiffness_Nm_rad[:, None]
         X_RF = settle(truth, motor[:, where], gap, at.gravity_R_m_s2).frames.X_RF

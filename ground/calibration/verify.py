@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from fsw.config import configure
 from fsw.dictionary.commands import MoveTool
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.params import Params
@@ -61,7 +62,7 @@ def verified(arm: BuiltArm, params: Params, targets: int, seed: int, progress: P
     """
     known = replace(arm, params=params)
     before, reference = (earth_reference(which, progress) for which in (arm, known))
-    old, new = ([j.hardstop_rad for j in p.joints.in_order()] for p in (arm.params, params))
+    changed_rad = configure(params).hardstop_rad - configure(arm.params).hardstop_rad
     cold = (Ambient(COLD_C), Warming(COLD_C - CALIBRATED_C))
     where = (("earth", World("earth"), ()), ("mars", World(), ()), ("cold mars", World(), cold))
     places = []
@@ -73,7 +74,7 @@ def verified(arm: BuiltArm, params: Params, targets: int, seed: int, progress: P
             progress(k * targets + len(found), len(where) * targets, name)
         tools, errors = zip(*found, strict=True)
         places.append(Place(name, tools, *np.array(errors).T))
-    return Verification(reference.zero_rad - before.zero_rad, np.array(new) - np.array(old), tuple(places))
+    return Verification(reference.zero_rad - before.zero_rad, changed_rad, tuple(places))
 
 
 class Run:

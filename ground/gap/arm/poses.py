@@ -80,8 +80,7 @@ def resting(knots: Sequence[Knots], base: Params, effects: Sequence[Effect]) -> 
 def _rests(knots: Knots, params: Params, hardware: Hardware, effects: Sequence[Effect]) -> Resting:
     config, recording = configure(params), knots.recording
     gravity = recording.world.gravity_N_m_s2
-    true_stop = np.array([joint.hardstop_rad for joint in params.joints.in_order()])
-    off_rad = recording.start.hardstop_rad - true_stop
+    off_rad = recording.start.hardstop_rad - config.hardstop_rad
     lost_rad = nominal_hardware().counter_zero_rad - hardware.counter_zero_rad
     motor = knots.motor_rad - (off_rad + lost_rad)[:, None]
     plant = _acting(recording, effects) if hardware.each_cycle else None
