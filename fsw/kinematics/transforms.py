@@ -4,6 +4,7 @@ A vector is (3, ...), a rotation (3, 3, ...), a screw (6, ...) with the rotation
 single pose and a million: with components leading, numpy's inner loops run over the batch.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,11 @@ class Pose:
         """The poses at an index of the batch axes."""
         where = index if isinstance(index, tuple) else (index,)
         return Pose(self.R[(slice(None), slice(None), *where)], self.p[(slice(None), *where)])
+
+
+def batched(poses: Sequence[Pose]) -> Pose:
+    """One or more poses as one, along a new last axis."""
+    return Pose(np.stack([X.R for X in poses], -1), np.stack([X.p for X in poses], -1))
 
 
 IDENTITY = Pose(np.eye(3), np.zeros(3))

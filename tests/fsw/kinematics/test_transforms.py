@@ -11,6 +11,7 @@ from fsw.kinematics.transforms import (
     IDENTITY,
     Pose,
     adjoint,
+    batched,
     compose,
     cross,
     dot,
@@ -178,6 +179,13 @@ def test_poses_of_a_batch_are_taken_by_the_index_of_the_batch():
         where = index if isinstance(index, tuple) else (index,)
         np.testing.assert_array_equal(X[index].R, X.R[(slice(None), slice(None), *where)])
         np.testing.assert_array_equal(X[index].p, X.p[(slice(None), *where)])
+
+
+def test_poses_made_one_are_those_that_they_were():
+    X = screw_exp(many(6, 3))
+    again = batched([X[index] for index in np.ndindex(BATCH)])
+    for k, index in enumerate(np.ndindex(BATCH)):
+        assert_same(again[k], X[index], atol=0)
 
 
 def test_one_pose_goes_before_and_after_many():
