@@ -7,9 +7,7 @@ plant. Truth is what the equations say of the arm as it was drawn, without noise
 import json
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,6 +28,7 @@ from ground.calibration.parameter_file import calibrated_params, save_parameter_
 from ground.calibration.settled import settled_campaign, stops_off
 from ground.calibration.tools import registered_tools
 from ground.calibration.truth import truth_beside, zeros_off
+from ground.pool import on_this_machine
 from sim.arms import arm_named
 from sim.params import nominal_params
 
@@ -149,10 +148,10 @@ def campaign(
     """All arms, and the checks."""
     trials = [Trial(seed + k, closed_loop, files) for k in range(arms)]
     results = []
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        for done, result in enumerate(pool.map(run, trials), 1):
-            results.append(result)
-            print(f"marsarm: {done} of {arms} arms", file=sys.stderr)
+    for result in on_this_machine(workers)(run, trials):
+        results.append(result)
+        print(f"marsarm: {len(results)} of {arms} arms", file=sys.stderr)
+    results.sort(key=lambda result: int(result["seed"]))
     fast = speed(measured(Trial(seed, False))[0])
     inside, of = np.sum([result["intervals_hold"] for result in results], axis=0)
     low, high = interval(int(inside), int(of))
