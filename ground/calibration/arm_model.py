@@ -1,6 +1,6 @@
 """The residuals of our arm's poses and their derivatives: the hanging arm against the tracker."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -107,11 +107,18 @@ def turrets(believed: Believed) -> list[tuple[float | None, Numbers]]:
 
 def modelled(nominal: Params, x: Array, believed: Believed) -> Pose:
     """Where the turret frame is modelled to be, X_RT, batch (n,)."""
-    n = believed.motor_rad.shape[1]
+    parts = (
+        (where, _held(nominal, x, turret_kg, believed.at(where)).X_RT)
+        for turret_kg, where in turrets(believed)
+    )
+    return in_order(parts, believed.motor_rad.shape[1])
+
+
+def in_order(parts: Iterable[tuple[Numbers, Pose]], n: int) -> Pose:
+    """One batch (n,) of poses that come in parts, each with the numbers of its own."""
     X = Pose(np.empty((3, 3, n)), np.empty((3, n)))
-    for turret_kg, where in turrets(believed):
-        X_RT = _held(nominal, x, turret_kg, believed.at(where)).X_RT
-        X.R[:, :, where], X.p[:, where] = X_RT.R, X_RT.p
+    for where, part in parts:
+        X.R[:, :, where], X.p[:, where] = part.R, part.p
     return X
 
 
@@ -128,8 +135,7 @@ class Held:
     @property
     def X_RT(self) -> Pose:
         """The turret frame, batch (n,)."""
-        X_DF = self.rest.frames.X_RF
-        X_DT = Pose(X_DF.R[:, :, 5], X_DF.p[:, 5]) @ with_batch(self.X_FT)
+        X_DT = self.rest.frames.X_RF[5] @ with_batch(self.X_FT)
         return with_batch(self.X_RD) @ X_DT
 
 
@@ -182,7 +188,7 @@ def moved_by_joints(parts: Sequence[Hung]) -> Array:
 def _moved(parts: Sequence[Hung], x: Array) -> tuple[Pose, Array]:
     """The turret frame's poses, and the screws by which they move per unit of each number, (6, n, COUNT)."""
     n = _count(parts)
-    X, moved = Pose(np.empty((3, 3, n)), np.empty((3, n))), np.empty((6, n, COUNT))
+    moved = np.empty((6, n, COUNT))
     screws = np.zeros((6 * len(Frame), COUNT))
     for frame in Frame:
         rows = slice(6 * frame, 6 * frame + 6)
@@ -190,8 +196,7 @@ def _moved(parts: Sequence[Hung], x: Array) -> tuple[Pose, Array]:
     for part in parts:
         dQ = _by_loads(part.hang, x, part.stand_in)
         moved[:, part.where] = motion(part.hang, dQ, _by_springs(part.hang, x, part.at), screws)
-        X.R[:, :, part.where], X.p[:, part.where] = part.X_RT.R, part.X_RT.p
-    return X, moved
+    return in_order(((part.where, part.X_RT) for part in parts), n), moved
 
 
 def _count(parts: Sequence[Hung]) -> int:

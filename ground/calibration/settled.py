@@ -14,7 +14,7 @@ from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import Params
 from fsw.estimate.gear import load_error
 from fsw.kinematics.statics import rest, settle
-from fsw.kinematics.transforms import Array, Pose
+from fsw.kinematics.transforms import Array
 from fsw.motion.compensation import last_motion
 from ground.calibration.campaign import CampaignPlan
 from ground.calibration.data import Campaign
@@ -86,10 +86,9 @@ def _settled(scene: _Scene, goal: Array, rng: np.random.Generator) -> Row | None
     lies = np.where(~slips, side, rng.uniform(-1.0, 1.0, len(Joint)))
     pulled = held / scene.true.arm.gear_stiffness_Nm_rad
     found = settle(scene.true.arm, goal, lies * scene.true.half_gap_rad - pulled, gravity)
-    X_RF = Pose(found.frames.X_RF.R[:, :, 5], found.frames.X_RF.p[:, 5])
     scene.plant.show(found.output_rad, found.strain)
     try:
-        seen = surveyed(scene.tracker, scene.plant, group.roll_rad, X_RF, rng)
+        seen = surveyed(scene.tracker, scene.plant, group.roll_rad, found.frames.X_RF[5], rng)
     except FewTargets:
         return None
     return Row(

@@ -10,7 +10,7 @@ from fsw.estimate.reference import Reference
 from fsw.kinematics.arm import arm_from
 from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import Array, Pose
-from ground.calibration.arm_model import arm_model, turrets
+from ground.calibration.arm_model import arm_model, in_order, turrets
 from ground.calibration.calibrate import Calibration
 from ground.calibration.data import Believed
 from ground.calibration.screws import Measured
@@ -36,16 +36,14 @@ def true_poses(arm: BuiltArm, believed: Believed, off_rad: Array) -> Pose:
     """
     params = true_params(arm)
     half = configure(params).half_gap_rad[:, None]
-    n = believed.motor_rad.shape[1]
-    X = Pose(np.empty((3, 3, n)), np.empty((3, n)))
     motor = believed.motor_rad + off_rad[:, None]
+    parts = []
     for turret_kg, where in turrets(believed):
         truth = arm_from(hung_with(params, turret_kg))
         at = believed.at(where)
         gap = np.sign(at.gap_rad) * half - at.held_Nm / truth.gear_stiffness_Nm_rad[:, None]
-        X_RF = settle(truth, motor[:, where], gap, at.gravity_R_m_s2).frames.X_RF
-        X.R[:, :, where], X.p[:, where] = X_RF.R[:, :, 5], X_RF.p[:, 5]
-    return X
+        parts.append((where, settle(truth, motor[:, where], gap, at.gravity_R_m_s2).frames.X_RF[5]))
+    return in_order(parts, believed.motor_rad.shape[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -100,7 +100,7 @@ def _rests(knots: Knots, params: Params, hardware: Hardware, effects: Sequence[E
     resolver = outputs + hardware.resolver_bias_rad[:, None]
     for warped in hardware.warped:
         resolver += np.stack([warped.error_rad(output) for output in outputs.T], axis=-1)
-    return Resting(resolver - knots.motor_rad[:, looked], Pose(frames.X_RF.R[:, :, 5], frames.X_RF.p[:, 5]))
+    return Resting(resolver - knots.motor_rad[:, looked], frames.X_RF[5])
 
 
 def _acting(recording: Recording, effects: Sequence[Effect]) -> Plant:
