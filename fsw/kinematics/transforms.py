@@ -99,6 +99,11 @@ def unit(v: Array | tuple[float, float, float]) -> Array:
     return along
 
 
+def angle_between(a: Array, b: Array) -> float:
+    """The angle between two vectors (3,), exact near 0 and pi too."""
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+
+
 def rotation_x(angle_rad: Array) -> Array:
     """Rotations about x by angles (...), as (3, 3, ...)."""
     return _plane_rotation(angle_rad, 1, 2)

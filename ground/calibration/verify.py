@@ -12,7 +12,7 @@ from fsw.dictionary.joints import Tool
 from fsw.dictionary.params import Params
 from fsw.dictionary.tuples import vector3
 from fsw.estimate.reference import Reference
-from fsw.kinematics.transforms import Array
+from fsw.kinematics.transforms import Array, angle_between
 from ground.calibration.campaign import CampaignFailed, earth_reference
 from ground.progress import Progress
 from sim.arms import BuiltArm
@@ -107,5 +107,5 @@ class Run:
         miss, axis = truth.p_RoTo_R_m[tool] - target, truth.R_RT[tool][:, 0]
         along = float(miss @ approach)
         lateral = float(np.linalg.norm(miss - along * approach))
-        turned = float(np.arctan2(np.linalg.norm(np.cross(axis, approach)), axis @ approach))
+        turned = angle_between(axis, approach)
         return np.array([np.linalg.norm(miss), lateral, along, turned])
