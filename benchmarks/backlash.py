@@ -75,7 +75,7 @@ def summary(config_friction_Nm: np.ndarray, settled: Sequence[Settled]) -> dict[
 
 def campaign(arm_name: str, tours: int, poses: int, seed: int, workers: int) -> dict[str, Any]:
     """All tours, with and without compensation; with the same numbers everything comes again."""
-    friction = np.array([j.output_friction_Nm for j in arm_named(arm_name).params.joints.in_order()])
+    friction = configure(arm_named(arm_name).params).output_friction_Nm
     result: dict[str, Any] = {"arm": arm_name, "tours": tours, "seed": seed}
     modes: tuple[Backlash, ...] = ("on", "off")
     # a fifth is enough to see what there is without compensation

@@ -7,18 +7,16 @@ plant. Truth is what the equations say of the arm as it was drawn, without noise
 import json
 import sys
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import beta
 
 from benchmarks.options import parser
 from fsw.kinematics.transforms import Array
+from ground.binomial import interval
 from ground.calibration.arm_model import arm_model
 from ground.calibration.arm_numbers import arm_parameters
 from ground.calibration.calibrate import Calibration, calibrate, rms_m
@@ -30,6 +28,7 @@ from ground.calibration.parameter_file import calibrated_params, save_parameter_
 from ground.calibration.settled import settled_campaign, stops_off
 from ground.calibration.tools import registered_tools
 from ground.calibration.truth import truth_beside, zeros_off
+from ground.pool import on_this_machine
 from sim.arms import arm_named
 from sim.params import nominal_params
 
@@ -149,13 +148,13 @@ def campaign(
     """All arms, and the checks."""
     trials = [Trial(seed + k, closed_loop, files) for k in range(arms)]
     results = []
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        for done, result in enumerate(pool.map(run, trials), 1):
-            results.append(result)
-            print(f"marsarm: {done} of {arms} arms", file=sys.stderr)
+    for result in on_this_machine(workers)(run, trials):
+        results.append(result)
+        print(f"marsarm: {len(results)} of {arms} arms", file=sys.stderr)
+    results.sort(key=lambda result: int(result["seed"]))
     fast = speed(measured(Trial(seed, False))[0])
     inside, of = np.sum([result["intervals_hold"] for result in results], axis=0)
-    low, high = _interval(int(inside), int(of))
+    low, high = interval(int(inside), int(of))
     checks = {
         "five times better on held-out poses": min(r["factor"] for r in results) >= 5,
         "under 5 mm": max(r["held_out_max_mm"] for r in results) < 5,
@@ -179,12 +178,6 @@ def campaign(
         "checks": checks,
         "in_bounds": all(checks.values()),
     }
-
-
-def _interval(inside: int, of: int) -> tuple[float, float]:
-    """Exact 95 % interval of a rate."""
-    low = float(beta.ppf(0.025, inside, of - inside + 1)) if inside else 0.0
-    return low, float(beta.ppf(0.975, inside + 1, of - inside)) if inside < of else 1.0
 
 
 def _save(found: Calibration, trial: Trial) -> None:

@@ -27,6 +27,7 @@ class Config:
     """Output side."""
     half_gap_rad: Array
     """Of the drawing; a calibrated joint has its own."""
+    hardstop_rad: Array
     output_friction_Nm: Array
     load_error_Nm: Array
     torque_constant_Nm_A: Array
@@ -64,7 +65,7 @@ def configure(params: Params) -> Config:
     """The configuration of these parameters."""
     joints, motion, bounds = params.joints.in_order(), params.motion, params.monitors
     lowest = np.array([j.soft_min_rad - bounds.soft_limit_margin_rad for j in joints])
-    beyond_stop = np.array([j.hardstop_rad for j in joints]) - 2 * params.hardstop.window_rad
+    hardstop = np.array([j.hardstop_rad for j in joints])
     arm = arm_from(params)
     return Config(
         params=params,
@@ -73,6 +74,7 @@ def configure(params: Params) -> Config:
         space=space_from(params, arm),
         rad_per_count=np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints]),
         half_gap_rad=np.array([0.5 * j.backlash_rad for j in joints]),
+        hardstop_rad=hardstop,
         output_friction_Nm=np.array([j.output_friction_Nm for j in joints]),
         load_error_Nm=np.array([j.load_error_Nm for j in joints]),
         torque_constant_Nm_A=np.array([j.torque_constant_Nm_A for j in joints]),
@@ -81,7 +83,9 @@ def configure(params: Params) -> Config:
         jerk_rad_s3=np.array([j.jerk_rad_s3 for j in joints]),
         current_limit_A=np.array([j.current_limit_A for j in joints]),
         lowest_rad=lowest,
-        lowest_seeking_rad=np.where(np.eye(len(joints), dtype=bool), beyond_stop, lowest),
+        lowest_seeking_rad=np.where(
+            np.eye(len(joints), dtype=bool), hardstop - 2 * params.hardstop.window_rad, lowest
+        ),
         highest_rad=np.array([j.soft_max_rad + bounds.soft_limit_margin_rad for j in joints]),
         setpoint_step_rad=np.array([bounds.setpoint_step_factor * CYCLE_S * j.speed_rad_s for j in joints]),
         brake_ticks=ticks(motion.brake_delay_s),

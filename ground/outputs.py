@@ -49,19 +49,25 @@ def written_whole(path: Path, what: str) -> Iterator[BinaryIO]:
         BadOutput: the file cannot be written, at the start or on the way.
     """
     place = Path(os.path.realpath(path))  # a link stays a link
+    try:
+        with beside(place) as part, part.open("xb") as file:
+            yield file
+    except OSError as error:
+        raise BadOutput(f"{what} {path}: cannot be written ({error.strerror or error})") from error
+
+
+@contextmanager
+def beside(place: Path) -> Iterator[Path]:
+    """The path of a file to be made, which takes this place when the block ends well, and else goes.
+
+    Raises:
+        OSError: it cannot take the place, in which all is as it was.
+    """
     part = place.with_name(f".marsarm-{secrets.token_hex(8)}.part")
     try:
-        with part.open("xb") as file:
-            yield file
+        yield part
         os.replace(part, place)
-    except OSError as error:
-        _remove(part)
-        raise BadOutput(f"{what} {path}: cannot be written ({error.strerror or error})") from error
     except BaseException:
-        _remove(part)
+        with suppress(OSError):
+            part.unlink()
         raise
-
-
-def _remove(part: Path) -> None:
-    with suppress(OSError):
-        part.unlink()

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from fsw.dictionary.params import Params
 from sim.effects.built import as_built, left_by_calibration
-from sim.effects.effect import Effect
+from sim.effects.effect import Effect, knowing
 from sim.params import nominal_params
 
 
@@ -41,6 +41,5 @@ def arm_named(name: str, params: Params | None = None) -> BuiltArm:
     seed = int(match[2])
     effects = as_built(seed)
     if match[1] == "calibrated":
-        for effect in (*effects, *left_by_calibration(seed)):
-            believed = effect.on_params(believed)
+        believed = knowing((*effects, *left_by_calibration(seed)), believed)
     return BuiltArm(name, effects, replace(believed, arm_name=name))

@@ -1,7 +1,5 @@
 """Random placements for campaigns: reachable ones, each from a seed of its own."""
 
-from typing import Final
-
 import numpy as np
 
 from fsw.dictionary.joints import Tool
@@ -12,8 +10,6 @@ from sim.placement import Placement, PlacementResult, PlacementRun
 from sim.preview import Preview, preview
 from sim.workspace import random_surface
 from sim.world import Surface, World
-
-SHORT_MOVE_RAD: Final = 0.05
 
 
 def random_placement(seed: int, arm: BuiltArm, tool: Tool, max_tilt_rad: float) -> tuple[World, Preview]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from fsw.kinematics.transforms import Array
 from fsw.messages import Drive, Sensors
 from sim.avionics import Avionics
-from sim.effects.effect import Effect, Hardware, nominal_hardware
+from sim.effects.effect import Effect, Hardware, fitted, nominal_hardware
 from sim.loop import SETTLE_S, hardware_rng
 from sim.plant import Plant
 from sim.world import World, build
@@ -46,12 +46,10 @@ class DrivenArm:
     """An arm at its start, about to be driven."""
 
     def __init__(self, start: Start, effects: Iterable[Effect], manner: Manner = QUIET):
-        spec, hardware = build(start.world), replace(nominal_hardware(), counter_zero_rad=start.zero_rad)
+        spec = build(start.world)
         if manner.time_step_s is not None:
             spec.option.timestep = manner.time_step_s
-        for effect in effects:
-            effect.on_model(spec)
-            hardware = effect.on_hardware(hardware)
+        hardware = fitted(effects, spec, replace(nominal_hardware(), counter_zero_rad=start.zero_rad))
         self.plant = Plant(spec.compile())
         # a hardstop that is not where it was taken to be has shifted the zero that was found there
         off_rad = start.hardstop_rad - self.plant.stop_rad()

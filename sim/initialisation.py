@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.config import CYCLE_HZ
+from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.commands import Calibrate, CalibrateAll
 from fsw.dictionary.evrs import Evr, JointCalibrated
 from fsw.dictionary.joints import STOP_ORDER, Joint
@@ -16,7 +16,7 @@ from fsw.executive.hardstop_pose import stop_poses
 from fsw.kinematics.transforms import Array
 from fsw.motion.seek import Stage
 from sim.arms import BuiltArm
-from sim.effects.effect import Effect, nominal_hardware
+from sim.effects.effect import Effect, fitted, nominal_hardware
 from sim.loop import ClosedLoop, Setup
 from sim.plant import JOINT_NAMES, Plant
 from sim.record import CycleRecord
@@ -196,12 +196,10 @@ def initial_reference(arm: BuiltArm, seed: int = 0) -> Reference:
 
 def true_reference(arm: BuiltArm) -> Reference:
     """What an initialisation without any error would leave; the hardstops' own errors of place stay."""
-    spec, hardware = build(World()), nominal_hardware()
-    for effect in arm.effects:
-        effect.on_model(spec)
-        hardware = effect.on_hardware(hardware)
+    spec = build(World())
+    hardware = fitted(arm.effects, spec, nominal_hardware())
     plant = Plant(spec.compile())
-    off_place = np.array([joint.hardstop_rad for joint in arm.params.joints.in_order()]) - plant.stop_rad()
+    off_place = configure(arm.params).hardstop_rad - plant.stop_rad()
     return Reference(
         calibrated=np.ones(len(Joint), bool),
         known=np.ones(len(Joint), bool),

@@ -15,7 +15,7 @@ from fsw.messages import Outputs, Sensors
 from fsw.state import State, boot, outputs_at_rest
 from sim.arms import BuiltArm
 from sim.avionics import Avionics
-from sim.effects.effect import Effect, nominal_hardware
+from sim.effects.effect import Effect, fitted, nominal_hardware
 from sim.effects.faults import Fault
 from sim.plant import Plant
 from sim.record import CycleRecord
@@ -45,14 +45,10 @@ class ClosedLoop:
     """A run: call `cycle` with the commands of each control cycle."""
 
     def __init__(self, setup: Setup, with_truth: bool = False):
-        effects = (*setup.arm.effects, *setup.effects)
         spec = build(setup.world)
         if setup.time_step_s is not None:
             spec.option.timestep = setup.time_step_s
-        hardware = nominal_hardware()
-        for effect in effects:
-            effect.on_model(spec)
-            hardware = effect.on_hardware(hardware)
+        hardware = fitted((*setup.arm.effects, *setup.effects), spec, nominal_hardware())
         self.config: Config = configure(told_of(setup.world, setup.arm.params))
         self.plant = Plant(spec.compile())
         self.avionics = Avionics(self.plant, hardware, hardware_rng(setup.seed))

@@ -11,7 +11,7 @@ from fsw.dictionary.evrs import BranchChosen, CommandCompleted, ContactMade, Evr
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
 from fsw.dictionary.tuples import vector3
-from fsw.kinematics.transforms import unit
+from fsw.kinematics.transforms import angle_between, unit
 from sim.frames import p_R_from_N
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
@@ -130,7 +130,7 @@ class PlacementRun:
             total_m=float(np.linalg.norm(miss)),
             lateral_m=float(np.linalg.norm(miss - along * normal)),
             normal_m=along,
-            axis_rad=float(np.arctan2(np.linalg.norm(np.cross(boresight, -normal)), -boresight @ normal)),
+            axis_rad=angle_between(-boresight, normal),
             backlash_m=float(np.linalg.norm(shift)),
         )
 

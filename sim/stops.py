@@ -12,6 +12,7 @@ from typing import Final, Literal
 import numpy as np
 from scipy.optimize import least_squares
 
+from fsw.config import configure
 from fsw.dictionary.commands import Calibrate, Joints5, MoveJoint
 from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import Params
@@ -78,7 +79,7 @@ def stop_loads(params: Params, gravity_R_m_s2: Array) -> StopLoads:
 
 def way(params: Params) -> list[Array]:
     """Every pose (5) between two motions while all joints are calibrated; each motion is of one joint."""
-    stops = [joint.hardstop_rad for joint in params.joints.in_order()]
+    stops = configure(params).hardstop_rad
     poses = [np.array(params.hardstop.start_rad)]
     for command in calibrate_all(params).rest:
         pose = poses[-1].copy()

@@ -1,14 +1,13 @@
 """Tours of poses in free air: where the joints come to rest, what flight software believes, what is true."""
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from fsw.config import CYCLE_HZ, Config
+from fsw.config import Config
 from fsw.dictionary.commands import Backlash, MoveJoints
-from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.tuples import joints5
 from fsw.estimate.reference import Reference
@@ -17,15 +16,12 @@ from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm
-from sim.effects.environment import NothingToTouch
 from sim.frames import p_R_from_N
+from sim.free_air import in_free_air, rested_after
 from sim.loop import ClosedLoop, Setup
-from sim.sequence import run_sequence
 from sim.workspace import approach_from, random_targets
 from sim.world import World
 
-REST_S: Final = 2.0
-"""On the brakes, before anything is looked at."""
 SMALL_RAD: Final = 0.02
 INSIDE_RAD: Final = 0.02
 """How far random poses keep from the soft limits."""
@@ -69,18 +65,11 @@ def tour(
     Raises:
         RuntimeError: a move did not come to its end.
     """
-    free = NothingToTouch()
-    arm = replace(arm, params=free.on_params(arm.params))
-    loop = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, seed, reference, (free,)))
-    for _ in range(CYCLE_HZ):
-        loop.cycle()
+    loop = in_free_air(Setup(arm, world, arm.params.poses.ready_rad, seed, reference))
     for goal in goals:
-        command = MoveJoints(joints5(goal), backlash)
-        evrs = [evr for record in run_sequence(loop, (command,)) for evr in record.outputs.evrs]
-        if CommandCompleted("MoveJoints") not in evrs:
-            raise RuntimeError(f"{arm.name}: no way to {np.degrees(goal)} deg: {evrs[-1].message}")
-        for _ in range(round(REST_S * CYCLE_HZ)):
-            loop.cycle()
+        problem = rested_after(loop, MoveJoints(joints5(goal), backlash))
+        if problem is not None:
+            raise RuntimeError(f"{arm.name}: no way to {np.degrees(goal)} deg: {problem}")
         yield _settled(loop, goal)
 
 

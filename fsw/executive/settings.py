@@ -15,7 +15,7 @@ from fsw.dictionary.validity import not_an_arm, out_of_limits
 from fsw.estimate.reference import forgotten
 from fsw.executive.checks import beyond
 from fsw.executive.situation import Situation, name_of, not_now, refused, told
-from fsw.kinematics.transforms import down_from
+from fsw.kinematics.transforms import angle_between, down_from
 
 COUNTED_FROM: Final = ("gear_ratio", "encoder_counts_per_turn", "hardstop_rad")
 """What an encoder zero rests on: a joint of which one of these changes is to be calibrated again."""
@@ -29,7 +29,7 @@ def set_tilt(config: Config, now: Situation, command: SetTilt) -> Situation:
     down_R = down_from(command.roll_rad, command.pitch_rad)
     joints, bound = now.state.joints, config.params.monitors.tilt_rad
     read = joints.imu_R_m_s2 / np.linalg.norm(joints.imu_R_m_s2)
-    off = float(np.arctan2(np.linalg.norm(np.cross(read, down_R)), read @ down_R))
+    off = angle_between(read, down_R)
     if off > bound:
         return refused(
             now, command, f"the IMU reads gravity {off:.4f} rad from there, at most {bound:.4f} are allowed"

@@ -6,7 +6,7 @@ import numpy as np
 
 from fsw.dictionary.params import Lump, Params, Transform6
 from fsw.kinematics.shape import Shape, shape_of
-from fsw.kinematics.transforms import Array, Pose, rotation_x, rotation_y, rotation_z, screw_exp
+from fsw.kinematics.transforms import Array, Pose, batched, rotation_x, rotation_y, rotation_z, screw_exp
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +56,7 @@ def arm_from(params: Params) -> Arm:
     links, joints, tools = params.links.in_order(), params.joints.in_order(), params.tools.in_order()
     theta = np.array([link.transform.theta_rad for link in links])
     centre = np.array([link.elastic_centre_m for link in links]).T
-    X_LF = _stack([transform6(replace(link.transform, theta_rad=0.0)) for link in links])
+    X_LF = batched([transform6(replace(link.transform, theta_rad=0.0)) for link in links])
     X_FT = tuple(transform6(tool.transform) for tool in tools)
     near_kg, far_kg = (np.array([getattr(link, side).mass_kg for link in links]) for side in ("near", "far"))
     return Arm(
@@ -82,7 +82,7 @@ def arm_from(params: Params) -> Arm:
 def warmed(arm: Arm, warming_K: float) -> Arm:
     """The arm this much warmer than at calibration: paper equation 6, as finite transforms."""
     X_CF = arm.X_CF @ screw_exp(arm.expansion_F * warming_K)
-    tools = _stack(list(arm.X_FT)) @ screw_exp(arm.expansion_T * warming_K)
+    tools = batched(arm.X_FT) @ screw_exp(arm.expansion_T * warming_K)
     X_FT = tuple(tools[k] for k in range(len(arm.X_FT)))
     X_LF = Pose(X_CF.R, X_CF.p + arm.p_LC_m)
     return replace(
@@ -123,8 +123,3 @@ def _positions(lumps: list[Lump]) -> Array:
 
 def _side_by_side(X: Pose) -> Array:
     return np.concatenate([X.R, X.p[:, None]], axis=1)
-
-
-def _stack(poses: list[Pose]) -> Pose:
-    """Poses along a last batch axis."""
-    return Pose(np.stack([X.R for X in poses], -1), np.stack([X.p for X in poses], -1))

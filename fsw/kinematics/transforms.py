@@ -4,6 +4,7 @@ A vector is (3, ...), a rotation (3, 3, ...), a screw (6, ...) with the rotation
 single pose and a million: with components leading, numpy's inner loops run over the batch.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,11 @@ class Pose:
         """The poses at an index of the batch axes."""
         where = index if isinstance(index, tuple) else (index,)
         return Pose(self.R[(slice(None), slice(None), *where)], self.p[(slice(None), *where)])
+
+
+def batched(poses: Sequence[Pose]) -> Pose:
+    """One or more poses as one, along a new last axis."""
+    return Pose(np.stack([X.R for X in poses], -1), np.stack([X.p for X in poses], -1))
 
 
 IDENTITY = Pose(np.eye(3), np.zeros(3))
@@ -91,6 +97,11 @@ def unit(v: Array | tuple[float, float, float]) -> Array:
     """A vector (3,) of length one in the same direction."""
     along: Array = np.asarray(v) / np.linalg.norm(v)
     return along
+
+
+def angle_between(a: Array, b: Array) -> float:
+    """The angle between two vectors (3,), exact near 0 and pi too."""
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
 def rotation_x(angle_rad: Array) -> Array:

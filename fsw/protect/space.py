@@ -14,7 +14,7 @@ from fsw.dictionary.joints import Tool
 from fsw.dictionary.params import Params
 from fsw.dictionary.shapes import ArmShapes, Box, Capsule, RoverShapes, Shapes
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.transforms import IDENTITY, Array, Flags, Pose, cross, norm, rotation_z
+from fsw.kinematics.transforms import IDENTITY, Array, Flags, Pose, batched, cross, norm, rotation_z
 
 PARTS: Final = tuple(field.name for field in fields(ArmShapes))
 """Of the arm, from the shoulder outward."""
@@ -87,7 +87,7 @@ def _solids(placed: Iterable[tuple[int, int, Pose, Capsule | Box]]) -> Solids:
     return Solids(
         part=np.array(parts),
         carrier=np.array(carriers),
-        X_CS=Pose(np.stack([X.R for X in X_CS], -1), np.stack([X.p for X in X_CS], -1)),
+        X_CS=batched(X_CS),
         half_m=half,
         radius_m=radius,
         reach_m=norm(half) + radius,

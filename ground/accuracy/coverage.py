@@ -4,9 +4,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.stats import beta, binom
+from scipy.stats import binom
 
 from fsw.kinematics.transforms import Array
+from ground.binomial import interval
 
 CONFIDENCE: Final = 0.95
 
@@ -39,18 +40,10 @@ def coverage(error: Array, bound: Array, wanted: float, arms: int) -> Coverage:
     low, wide = quantile_interval(normed, wanted, arms)
     return Coverage(
         share,
-        binomial_interval(share, arms),
+        interval(share * arms, arms, CONFIDENCE),
         1 / float(np.quantile(normed, wanted)),
         (1 / wide, 1 / low),
     )
-
-
-def binomial_interval(share: float, count: int) -> Interval:
-    """Clopper and Pearson's exact interval of a share that was seen in so many trials."""
-    hits, tail = share * count, (1 - CONFIDENCE) / 2
-    low = 0.0 if hits == 0 else float(beta.ppf(tail, hits, count - hits + 1))
-    high = 1.0 if hits == count else float(beta.ppf(1 - tail, hits + 1, count - hits))
-    return low, high
 
 
 def enough_for(share: float) -> int:

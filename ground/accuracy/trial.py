@@ -5,6 +5,7 @@ from typing import Final, Literal
 
 import numpy as np
 
+from fsw.config import configure
 from fsw.dictionary.commands import Backlash
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.params import Params
@@ -71,5 +72,4 @@ def built_trial(
 
 def _believed(arm: BuiltArm) -> Reference:
     """Zeros as a faultless initialisation would find them, gaps as the parameters have them."""
-    half_gap = np.array([0.5 * joint.backlash_rad for joint in arm.params.joints.in_order()])
-    return replace(true_reference(arm), half_gap_rad=half_gap)
+    return replace(true_reference(arm), half_gap_rad=configure(arm.params).half_gap_rad)

@@ -1,14 +1,11 @@
 """Two ways to move an arm to a place: plant and flight software, or where statics leave it."""
 
-from dataclasses import replace
 from functools import cache
-from typing import Final
 
 import numpy as np
 
-from fsw.config import CYCLE_HZ, configure
+from fsw.config import configure
 from fsw.dictionary.commands import Backlash, MoveTool
-from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.params import Params
 from fsw.dictionary.tuples import joints5, vector3
 from fsw.estimate.reference import Reference, no_reference
@@ -16,18 +13,12 @@ from fsw.kinematics.transforms import Array, Pose
 from ground.accuracy.places import Moved, Place
 from sim.arms import BuiltArm
 from sim.avionics import move_rng
-from sim.effects.effect import EachMove, drawn_scatter
-from sim.effects.environment import NothingToTouch
-from sim.loop import ClosedLoop, Setup, hardware_rng
+from sim.effects.effect import EachMove, drawn_scatter, knowing
+from sim.free_air import in_free_air, rested_after
+from sim.loop import Setup, hardware_rng
 from sim.params import nominal_params
-from sim.sequence import run_sequence
 from sim.settled import StaticArm, settled_move
 from sim.world import World
-
-AWAKE_S: Final = 1.0
-"""Before the move, to know gravity."""
-REST_S: Final = 2.0
-"""On the brakes, before anything is looked at."""
 
 
 def by_closed_loop(arm: BuiltArm, reference: Reference, backlash: Backlash) -> Moved:
@@ -35,20 +26,14 @@ def by_closed_loop(arm: BuiltArm, reference: Reference, backlash: Backlash) -> M
 
     The move raises RuntimeError if it does not come to its end.
     """
-    free = NothingToTouch()
-    arm = replace(arm, params=free.on_params(arm.params))
 
     def moved(place: Place) -> tuple[Pose, Array]:
-        loop = ClosedLoop(Setup(arm, World(), joints5(place.start_rad), place.seed, reference, (free,)))
-        _rest(loop, AWAKE_S)
+        loop = in_free_air(Setup(arm, World(), joints5(place.start_rad), place.seed, reference))
         X_RT = place.X_RT
         command = MoveTool(place.tool, vector3(X_RT.p), vector3(X_RT.R[:, 0]), backlash=backlash)
-        evrs = [evr for record in run_sequence(loop, (command,)) for evr in record.outputs.evrs]
-        if CommandCompleted("MoveTool") not in evrs:
-            raise RuntimeError(
-                f"{arm.name}: no way to {np.degrees(place.output_rad)} deg: {evrs[-1].message}"
-            )
-        _rest(loop, REST_S)
+        problem = rested_after(loop, command)
+        if problem is not None:
+            raise RuntimeError(f"{arm.name}: no way to {np.degrees(place.output_rad)} deg: {problem}")
         truth, plant = loop.truth(), loop.plant
         X_RT = Pose(truth.R_RT[place.tool], truth.p_RoTo_R_m[place.tool])
         return X_RT, plant.gap_rad() / plant.half_gap_rad
@@ -58,14 +43,8 @@ def by_closed_loop(arm: BuiltArm, reference: Reference, backlash: Backlash) -> M
 
 def by_statics(arm: BuiltArm, backlash: Backlash) -> Moved:
     """The equilibrium of the arm, its gears as the move leaves them; initialised without any error."""
-    known = _drawing()
-    for effect in arm.effects:
-        known = effect.on_params(known)
-    believed, true = configure(arm.params), configure(known)
-    stop_rad = [
-        np.array([joint.hardstop_rad for joint in params.joints.in_order()]) for params in (known, arm.params)
-    ]
-    static = StaticArm(believed, true, no_reference(believed), stop_rad[0] - stop_rad[1])
+    believed, true = configure(arm.params), configure(knowing(arm.effects, _drawing()))
+    static = StaticArm(believed, true, no_reference(believed), true.hardstop_rad - believed.hardstop_rad)
     by_chance = [effect for effect in arm.effects if isinstance(effect, EachMove)]
     gravity = World().gravity_N_m_s2
 
@@ -82,8 +61,3 @@ def by_statics(arm: BuiltArm, backlash: Backlash) -> Moved:
 @cache
 def _drawing() -> Params:
     return nominal_params()
-
-
-def _rest(loop: ClosedLoop, duration_s: float) -> None:
-    for _ in range(round(duration_s * CYCLE_HZ)):
-        loop.cycle()

@@ -1,5 +1,6 @@
 """The residuals of our arm's poses and their derivatives: the hanging arm against the tracker."""
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -30,7 +31,7 @@ from ground.calibration.noise import whitener_of
 from ground.calibration.problem import Linearised
 from ground.calibration.screws import Measured, error_screw, linearised
 from sim.effects.built import SPRINGS
-from sim.effects.turret import StandInTurret
+from sim.effects.turret import hung_with
 
 COUNT: Final = len(arm_parameters())
 
@@ -50,7 +51,7 @@ class ArmModel:
 
     def __call__(self, x: Array) -> Linearised:
         """Whitened error screws (n, 6) and their derivatives."""
-        X, moved = _moved(self.nominal, x, self.believed)
+        X, moved = _moved(hung(self.nominal, x, self.believed), x)
         return linearised(X, moved, self.measured, self.whitener)
 
     def errors(self, x: Array) -> Array:
@@ -74,9 +75,10 @@ def arm_model(
     if not with_backlash:
         believed, unknown = _on_one_side(believed), np.zeros_like(unknown)
     x = np.zeros(COUNT) if near is None else near.values
-    by_joints = moved_by_joints(nominal, x, believed)
+    parts = hung(nominal, x, believed)
+    by_joints = moved_by_joints(parts)
     if near is not None:
-        X, moved = _moved(nominal, x, believed)
+        X, moved = _moved(parts, x)
         error = error_screw(X, campaign.measured)
         asked = unknown if blind is None else unknown & ~blind
         agree = agreeing(campaign.measured, by_joints, error, moved, near.covariance, asked, believed.gap_rad)
@@ -105,11 +107,18 @@ def turrets(believed: Believed) -> list[tuple[float | None, Numbers]]:
 
 def modelled(nominal: Params, x: Array, believed: Believed) -> Pose:
     """Where the turret frame is modelled to be, X_RT, batch (n,)."""
-    n = believed.motor_rad.shape[1]
+    parts = (
+        (where, _held(nominal, x, turret_kg, believed.at(where)).X_RT)
+        for turret_kg, where in turrets(believed)
+    )
+    return in_order(parts, believed.motor_rad.shape[1])
+
+
+def in_order(parts: Iterable[tuple[Numbers, Pose]], n: int) -> Pose:
+    """One batch (n,) of poses that come in parts, each with the numbers of its own."""
     X = Pose(np.empty((3, 3, n)), np.empty((3, n)))
-    for turret_kg, where in turrets(believed):
-        X_RT = _held(nominal, x, turret_kg, believed.at(where)).X_RT
-        X.R[:, :, where], X.p[:, where] = X_RT.R, X_RT.p
+    for where, part in parts:
+        X.R[:, :, where], X.p[:, where] = part.R, part.p
     return X
 
 
@@ -126,14 +135,12 @@ class Held:
     @property
     def X_RT(self) -> Pose:
         """The turret frame, batch (n,)."""
-        X_DF = self.rest.frames.X_RF
-        X_DT = Pose(X_DF.R[:, :, 5], X_DF.p[:, 5]) @ with_batch(self.X_FT)
+        X_DT = self.rest.frames.X_RF[5] @ with_batch(self.X_FT)
         return with_batch(self.X_RD) @ X_DT
 
 
 def _held(nominal: Params, x: Array, turret_kg: float | None, at: Believed) -> Held:
-    drawn = nominal if turret_kg is None else StandInTurret(turret_kg).on_params(nominal)
-    arm, X_RD = numbered_arm(arm_from(drawn), x, turret_kg is not None)
+    arm, X_RD = numbered_arm(arm_from(hung_with(nominal, turret_kg)), x, turret_kg is not None)
     gap = at.gap_rad * np.exp(x[GAPS])[:, None] - at.held_Nm / arm.gear_stiffness_Nm_rad[:, None]
     gravity_D = X_RD.R.T @ at.gravity_R_m_s2
     rest = settle(arm, at.motor_rad, gap, gravity_D)
@@ -144,37 +151,56 @@ def _screw(x: Array, frame: Frame) -> Array:
     return x[6 * frame : 6 * frame + 6]
 
 
-def moved_by_joints(nominal: Params, x: Array, believed: Believed) -> Array:
-    """The screw by which the turret frame moves, in its own axes, per turn of each output, (6, n, joints)."""
-    moved = np.empty((6, believed.motor_rad.shape[1], JOINTS))
+@dataclass(frozen=True, slots=True, eq=False)
+class Hung:
+    """The poses with one turret, at rest, and what moves them."""
+
+    where: Numbers
+    """Which of all they are."""
+    at: Believed
+    stand_in: bool
+    X_RT: Pose
+    hang: Hanging
+
+
+def hung(nominal: Params, x: Array, believed: Believed) -> list[Hung]:
+    """All poses, turret by turret."""
+    parts = []
     for turret_kg, where in turrets(believed):
-        hang = _hanging(_held(nominal, x, turret_kg, believed.at(where)))
-        turns = np.zeros((SCREW, where.size, JOINTS))
+        at = believed.at(where)
+        held = _held(nominal, x, turret_kg, at)
+        hang = hanging(held.arm, held.rest, held.gravity_D_m_s2, held.X_FT)
+        parts.append(Hung(where, at, turret_kg is not None, held.X_RT, hang))
+    return parts
+
+
+def moved_by_joints(parts: Sequence[Hung]) -> Array:
+    """The screw by which the turret frame moves, in its own axes, per turn of each output, (6, n, joints)."""
+    moved = np.empty((6, _count(parts), JOINTS))
+    for part in parts:
+        turns = np.zeros((SCREW, part.where.size, JOINTS))
         turns[range(JOINTS), :, range(JOINTS)] = 1.0
-        moved[:, where] = motion(hang, np.zeros_like(turns), turns, np.zeros((6 * len(Frame), JOINTS)))
+        still = np.zeros((6 * len(Frame), JOINTS))
+        moved[:, part.where] = motion(part.hang, np.zeros_like(turns), turns, still)
     return moved
 
 
-def _moved(nominal: Params, x: Array, believed: Believed) -> tuple[Pose, Array]:
+def _moved(parts: Sequence[Hung], x: Array) -> tuple[Pose, Array]:
     """The turret frame's poses, and the screws by which they move per unit of each number, (6, n, COUNT)."""
-    n = believed.motor_rad.shape[1]
-    X, moved = Pose(np.empty((3, 3, n)), np.empty((3, n))), np.empty((6, n, COUNT))
+    n = _count(parts)
+    moved = np.empty((6, n, COUNT))
     screws = np.zeros((6 * len(Frame), COUNT))
     for frame in Frame:
         rows = slice(6 * frame, 6 * frame + 6)
         screws[rows, FRAMES][:, rows] = _right_jacobian(_screw(x, frame))
-    for turret_kg, where in turrets(believed):
-        at = believed.at(where)
-        held = _held(nominal, x, turret_kg, at)
-        hang, X_RT = _hanging(held), held.X_RT
-        dQ = _by_loads(hang, x, turret_kg is not None)
-        moved[:, where] = motion(hang, dQ, _by_springs(hang, x, at), screws)
-        X.R[:, :, where], X.p[:, where] = X_RT.R, X_RT.p
-    return X, moved
+    for part in parts:
+        dQ = _by_loads(part.hang, x, part.stand_in)
+        moved[:, part.where] = motion(part.hang, dQ, _by_springs(part.hang, x, part.at), screws)
+    return in_order(((part.where, part.X_RT) for part in parts), n), moved
 
 
-def _hanging(held: Held) -> Hanging:
-    return hanging(held.arm, held.rest, held.gravity_D_m_s2, held.X_FT)
+def _count(parts: Sequence[Hung]) -> int:
+    return sum(part.where.size for part in parts)
 
 
 def _by_loads(hang: Hanging, x: Array, stand_in: bool) -> Array:

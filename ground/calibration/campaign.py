@@ -5,9 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import MoveJoints
-from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.joints import STOP_ORDER
 from fsw.dictionary.tuples import joints5
 from fsw.estimate.gear import LIKELY, gap_of
@@ -18,13 +16,12 @@ from ground.calibration.poses import PAPER_GROUPS, Group, branch_name, group_pos
 from ground.calibration.survey import Row, campaign_from, surveyed
 from ground.progress import Progress
 from sim.arms import BuiltArm
-from sim.effects.environment import NothingToTouch
 from sim.effects.turret import StandInTurret
+from sim.free_air import in_free_air, rested_after
 from sim.initialisation import initialised
 from sim.loop import ClosedLoop, Setup
-from sim.sequence import Outcome, run_sequence
+from sim.sequence import Outcome
 from sim.stops import without_turret
-from sim.tour import REST_S
 from sim.tracker import TYPICAL, Tracker, turret_pose
 from sim.world import World
 
@@ -77,19 +74,14 @@ def group_rows(arm: BuiltArm, reference: Reference, plan: CampaignPlan, k: int) 
     world = World("earth", tilt_roll_rad=group.roll_rad)
     goals = group_poses(arm.params, group, World("earth"), np.random.default_rng([plan.seed, k, 0]))
     rng = np.random.default_rng([plan.seed, k, 1])
-    free = NothingToTouch()  # the way between two poses was cleared by people
-    effects = (free,) if group.turret_kg is None else (StandInTurret(group.turret_kg), free)
-    known = replace(arm, params=free.on_params(group.params(arm.params)))
-    loop = ClosedLoop(Setup(known, world, known.params.poses.ready_rad, plan.seed, reference, effects))
-    for _ in range(CYCLE_HZ):
-        loop.cycle()
+    turret = () if group.turret_kg is None else (StandInTurret(group.turret_kg),)
+    known = replace(arm, params=group.params(arm.params))
+    setup = Setup(known, world, known.params.poses.ready_rad, plan.seed, reference, turret)
+    loop = in_free_air(setup)  # the way between two poses was cleared by people
     for goal in goals:
-        command = MoveJoints(joints5(goal), "on")
-        evrs = [evr for record in run_sequence(loop, (command,)) for evr in record.outputs.evrs]
-        if CommandCompleted("MoveJoints") not in evrs:
-            raise CampaignFailed(f"{arm.name}: no way to {np.degrees(goal)} deg: {evrs[-1].message}")
-        for _ in range(round(REST_S * CYCLE_HZ)):
-            loop.cycle()
+        problem = rested_after(loop, MoveJoints(joints5(goal), "on"))
+        if problem is not None:
+            raise CampaignFailed(f"{arm.name}: no way to {np.degrees(goal)} deg: {problem}")
         try:
             yield _row(loop, group, k, plan.tracker, rng)
         except FewTargets:

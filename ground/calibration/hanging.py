@@ -66,7 +66,6 @@ def hanging(arm: Arm, rest: Equilibrium, gravity_R_m_s2: Array, X_FT: Pose) -> H
     first = place[:, None] <= place
     y = S[YIELDING]
     along = np.einsum("csl,xn,cxsln->csln", carried[YIELDING], gravity_R_m_s2, _velocity(y, lumps))
-    X_RF = rest.frames.X_RF
     return Hanging(
         arm=arm,
         rest=rest,
@@ -75,7 +74,7 @@ def hanging(arm: Arm, rest: Equilibrium, gravity_R_m_s2: Array, X_FT: Pose) -> H
         dQ=np.where(first, h, h.swapaxes(1, 2)),
         lump_Q=along,
         lump_dQ=_by_centres(rest, carried[YIELDING], a[:, YIELDING]),
-        X_RT=Pose(X_RF.R[:, :, 5], X_RF.p[:, 5]) @ with_batch(X_FT),
+        X_RT=rest.frames.X_RF[5] @ with_batch(X_FT),
     )
 
 
@@ -114,7 +113,7 @@ def _screws(arm: Arm, rest: Equilibrium, X_FT: Pose) -> tuple[Array, Numbers]:
             S[at + 3 + k, 3:] = R[:, k]
         place[at : at + 6] = LINK * link + SPRING + np.array([3, 4, 5, 0, 1, 2])
     X_RF = frames.X_RF
-    last = Pose(X_RF.R[:, :, 5], X_RF.p[:, 5]) @ with_batch(X_FT)
+    last = X_RF[5] @ with_batch(X_FT)
     for frame in range(LINKS + 1):
         X = last if frame == LINKS else X_RF[frame]
         place[SCREW + 6 * frame : SCREW + 6 * frame + 6] = LINK * frame + END

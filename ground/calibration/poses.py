@@ -11,7 +11,7 @@ from fsw.dictionary.params import Params
 from fsw.kinematics.branches import BRANCHES, branch_of, signs_of
 from fsw.kinematics.transforms import Array
 from sim.clearance import Space
-from sim.effects.turret import StandInTurret
+from sim.effects.turret import hung_with
 from sim.tour import pose_in_workspace
 from sim.world import World
 
@@ -31,7 +31,7 @@ class Group:
 
     def params(self, params: Params) -> Params:
         """Flight parameters of the arm with this turret."""
-        return params if self.turret_kg is None else StandInTurret(self.turret_kg).on_params(params)
+        return hung_with(params, self.turret_kg)
 
 
 PAPER_GROUPS: Final = tuple(

@@ -4,27 +4,29 @@ For tests and trials. What flight software would believe is drawn: outputs were 
 its moves end, or from either side; where friction just holds the load, they may lie anywhere in their gaps.
 """
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from fsw.config import configure
+from fsw.config import Config, configure
 from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import Params
 from fsw.estimate.gear import load_error
-from fsw.kinematics.arm import arm_from
 from fsw.kinematics.statics import rest, settle
-from fsw.kinematics.transforms import Array, Pose
+from fsw.kinematics.transforms import Array
 from fsw.motion.compensation import last_motion
 from ground.calibration.campaign import CampaignPlan
 from ground.calibration.data import Campaign
 from ground.calibration.frames import FewTargets
-from ground.calibration.poses import branch_name, group_poses
+from ground.calibration.poses import Group, branch_name, group_poses
 from ground.calibration.survey import Row, campaign_from, surveyed
 from sim.arms import BuiltArm
 from sim.clearance import Space
+from sim.effects.effect import knowing
 from sim.effects.joints import HardstopAngle
 from sim.plant import Plant
+from sim.tracker import Tracker
 from sim.world import World
 
 SLIPS: Final = 0.4
@@ -37,17 +39,44 @@ def settled_campaign(arm: BuiltArm, plan: CampaignPlan) -> Campaign:
     for k, group in enumerate(plan.groups):
         rng = np.random.default_rng([plan.seed, k, 2])
         goals = group_poses(arm.params, group, World("earth"), rng)
-        plant = Space(group.params(arm.params), World("earth")).plant
-        rows += [row for goal in goals if (row := _settled(arm, plan, k, plant, goal, rng)) is not None]
+        scene = _scene(arm, plan, k)
+        rows += [row for goal in goals if (row := _settled(scene, goal, rng)) is not None]
     return campaign_from(arm.name, rows)
 
 
-def _settled(
-    arm: BuiltArm, plan: CampaignPlan, k: int, plant: Plant, goal: Array, rng: np.random.Generator
-) -> Row | None:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scene:
+    """What the poses of one group have in common."""
+
+    k: int
+    group: Group
+    known: Config
+    true: Config
+    off_rad: Array
+    """Of the hardstops, (5,)."""
+    gravity_R_m_s2: Array
+    plant: Plant
+    """Shows the arm to the tracker."""
+    tracker: Tracker
+
+
+def _scene(arm: BuiltArm, plan: CampaignPlan, k: int) -> _Scene:
     group = plan.groups[k]
-    gravity = World("earth", tilt_roll_rad=group.roll_rad).gravity_N_m_s2
-    known, truth = configure(group.params(arm.params)), arm_from(group.params(true_params(arm)))
+    known = group.params(arm.params)
+    return _Scene(
+        k=k,
+        group=group,
+        known=configure(known),
+        true=configure(group.params(true_params(arm))),
+        off_rad=stops_off(arm),
+        gravity_R_m_s2=World("earth", tilt_roll_rad=group.roll_rad).gravity_N_m_s2,
+        plant=Space(known, World("earth")).plant,
+        tracker=plan.tracker,
+    )
+
+
+def _settled(scene: _Scene, goal: Array, rng: np.random.Generator) -> Row | None:
+    group, known, gravity = scene.group, scene.known, scene.gravity_R_m_s2
     load = rest(known.arm, goal, gravity).torque_Nm
     dragged = last_motion(known, load, gravity)
     held = known.output_friction_Nm * np.where(dragged == 0, rng.choice([-1.0, 1.0], len(Joint)), dragged)
@@ -55,19 +84,17 @@ def _settled(
     side = np.where(load > held, 1.0, -1.0)
     slips = ~sure & (np.abs(np.abs(load) / known.output_friction_Nm - 1.0) < SLIPS)
     lies = np.where(~slips, side, rng.uniform(-1.0, 1.0, len(Joint)))
-    half = np.array([0.5 * joint.backlash_rad for joint in true_params(arm).joints.in_order()])
-    pulled = held / truth.gear_stiffness_Nm_rad
-    found = settle(truth, goal, lies * half - pulled, gravity)
-    X_RF = Pose(found.frames.X_RF.R[:, :, 5], found.frames.X_RF.p[:, 5])
-    plant.show(found.output_rad, found.strain)
+    pulled = held / scene.true.arm.gear_stiffness_Nm_rad
+    found = settle(scene.true.arm, goal, lies * scene.true.half_gap_rad - pulled, gravity)
+    scene.plant.show(found.output_rad, found.strain)
     try:
-        seen = surveyed(plan.tracker, plant, group.roll_rad, X_RF, rng)
+        seen = surveyed(scene.tracker, scene.plant, group.roll_rad, found.frames.X_RF[5], rng)
     except FewTargets:
         return None
     return Row(
-        group=k,
+        group=scene.k,
         branch=branch_name(known, found.output_rad),
-        motor_rad=goal - stops_off(arm),
+        motor_rad=goal - scene.off_rad,
         gap_rad=side * known.half_gap_rad,
         held_Nm=held,
         side=np.where(sure, side, 0.0),
@@ -79,10 +106,7 @@ def _settled(
 
 def true_params(arm: BuiltArm) -> Params:
     """The flight parameters that know every effect of the arm; not for flight software."""
-    params = arm.params
-    for effect in arm.effects:
-        params = effect.on_params(params)
-    return params
+    return knowing(arm.effects, arm.params)
 
 
 def stops_off(arm: BuiltArm) -> Array:

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array, Pose
+from fsw.kinematics.transforms import Array, Pose, batched
 from ground.calibration.data import Believed, Campaign
 from ground.calibration.frames import Built, built_frame, seen_from
 from ground.calibration.screws import Measured
@@ -82,14 +82,15 @@ def campaign_from(arm_name: str, rows: Sequence[Row]) -> Campaign:
     names = ("motor_rad", "gap_rad", "held_Nm", "side", "gravity_R_m_s2")
     motor, gap, held, side, gravity = (stacked(name) for name in names)
     believed = Believed(motor, gap, held, side, gravity, np.array([row.turret_kg for row in rows]))
-    X = Pose(np.stack([row.seen.X_RT.R for row in rows], -1), np.stack([row.seen.X_RT.p for row in rows], -1))
     ground = np.stack([row.seen.X_WG.p for row in rows], -1)
     return Campaign(
         arm_name=arm_name,
         group=np.array([row.group for row in rows]),
         branch=tuple(row.branch for row in rows),
         believed=believed,
-        measured=Measured(X, np.stack([row.seen.covariance for row in rows])),
+        measured=Measured(
+            batched([row.seen.X_RT for row in rows]), np.stack([row.seen.covariance for row in rows])
+        ),
         targets_seen=np.array([row.seen.targets_seen for row in rows]).T,
         misfit_m=np.array([row.seen.misfit_m for row in rows]),
         tracker_moved_m=np.linalg.norm(ground - ground[:, :1], axis=0),

@@ -16,6 +16,8 @@ from fsw.kinematics.transforms import Array, Pose
 from ground.calibration.checks import BadData
 from ground.calibration.data import Believed, Campaign
 from ground.calibration.screws import Measured
+from ground.imports.errors import BadImport
+from ground.imports.files import MOST_TABLE_BYTES, file_bytes
 from ground.outputs import written_whole
 
 JOINTS: Final = tuple(joint.name.lower() for joint in Joint)
@@ -59,11 +61,13 @@ def read_campaign(path: Path) -> Campaign:
     """Read a table.
 
     Raises:
-        BadData: it cannot be read, or columns or values are not what they should be.
+        BadData: it cannot be read or is too large, or columns or values are not what they should be.
     """
     try:
-        data = BytesIO(path.read_bytes())
+        data = BytesIO(file_bytes(path, MOST_TABLE_BYTES))
         table = csv.read_csv(data) if path.suffix.lower() == ".csv" else parquet.read_table(data)
+    except BadImport as error:
+        raise BadData(str(error)) from error
     except (OSError, pa.ArrowException) as error:
         raise BadData(f"{path}: cannot be read as a table: {error}") from error
     problems = [f"{path}: {problem}" for problem in _problems(table)]

@@ -5,17 +5,18 @@ from typing import Final
 
 import numpy as np
 
+from fsw.config import configure
 from fsw.estimate.reference import Reference
 from fsw.kinematics.arm import arm_from
 from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import Array, Pose
-from ground.calibration.arm_model import arm_model, turrets
+from ground.calibration.arm_model import arm_model, in_order, turrets
 from ground.calibration.calibrate import Calibration
 from ground.calibration.data import Believed
 from ground.calibration.screws import Measured
 from ground.calibration.settled import stops_off, true_params
 from sim.arms import BuiltArm
-from sim.effects.turret import StandInTurret
+from sim.effects.turret import hung_with
 from sim.initialisation import true_reference
 
 TOLD: Final = 0.5
@@ -34,17 +35,15 @@ def true_poses(arm: BuiltArm, believed: Believed, off_rad: Array) -> Pose:
     `off_rad` (5,): by how much motors stand beyond where they are believed to.
     """
     params = true_params(arm)
-    half = np.array([0.5 * joint.backlash_rad for joint in params.joints.in_order()])[:, None]
-    n = believed.motor_rad.shape[1]
-    X = Pose(np.empty((3, 3, n)), np.empty((3, n)))
+    half = configure(params).half_gap_rad[:, None]
     motor = believed.motor_rad + off_rad[:, None]
+    parts = []
     for turret_kg, where in turrets(believed):
-        truth = arm_from(params if turret_kg is None else StandInTurret(turret_kg).on_params(params))
+        truth = arm_from(hung_with(params, turret_kg))
         at = believed.at(where)
         gap = np.sign(at.gap_rad) * half - at.held_Nm / truth.gear_stiffness_Nm_rad[:, None]
-        X_RF = settle(truth, motor[:, where], gap, at.gravity_R_m_s2).frames.X_RF
-        X.R[:, :, where], X.p[:, where] = X_RF.R[:, :, 5], X_RF.p[:, 5]
-    return X
+        parts.append((where, settle(truth, motor[:, where], gap, at.gravity_R_m_s2).frames.X_RF[5]))
+    return in_order(parts, believed.motor_rad.shape[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

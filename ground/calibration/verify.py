@@ -6,24 +6,22 @@ from typing import Final
 
 import numpy as np
 
-from fsw.config import CYCLE_HZ
+from fsw.config import configure
 from fsw.dictionary.commands import MoveTool
-from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.params import Params
 from fsw.dictionary.tuples import vector3
 from fsw.estimate.reference import Reference
-from fsw.kinematics.transforms import Array
+from fsw.kinematics.transforms import Array, angle_between
 from ground.calibration.campaign import CampaignFailed, earth_reference
 from ground.progress import Progress
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
-from sim.effects.environment import Ambient, NothingToTouch
+from sim.effects.environment import Ambient
 from sim.effects.geometry import Warming
 from sim.frames import p_R_from_N
-from sim.loop import ClosedLoop, Setup
-from sim.sequence import run_sequence
-from sim.tour import REST_S
+from sim.free_air import in_free_air, rested_after
+from sim.loop import Setup
 from sim.workspace import approach_from, random_targets
 from sim.world import World
 
@@ -64,7 +62,7 @@ def verified(arm: BuiltArm, params: Params, targets: int, seed: int, progress: P
     """
     known = replace(arm, params=params)
     before, reference = (earth_reference(which, progress) for which in (arm, known))
-    old, new = ([j.hardstop_rad for j in p.joints.in_order()] for p in (arm.params, params))
+    changed_rad = configure(params).hardstop_rad - configure(arm.params).hardstop_rad
     cold = (Ambient(COLD_C), Warming(COLD_C - CALIBRATED_C))
     where = (("earth", World("earth"), ()), ("mars", World(), ()), ("cold mars", World(), cold))
     places = []
@@ -76,7 +74,7 @@ def verified(arm: BuiltArm, params: Params, targets: int, seed: int, progress: P
             progress(k * targets + len(found), len(where) * targets, name)
         tools, errors = zip(*found, strict=True)
         places.append(Place(name, tools, *np.array(errors).T))
-    return Verification(reference.zero_rad - before.zero_rad, np.array(new) - np.array(old), tuple(places))
+    return Verification(reference.zero_rad - before.zero_rad, changed_rad, tuple(places))
 
 
 class Run:
@@ -85,16 +83,12 @@ class Run:
     def __init__(
         self, arm: BuiltArm, reference: Reference, world: World, effects: tuple[Effect, ...], seed: int
     ):
-        free = NothingToTouch()
-        known = replace(arm, params=free.on_params(arm.params))
-        ready = known.params.poses.ready_rad
-        self._loop = ClosedLoop(Setup(known, world, ready, seed, reference, (*effects, free)))
+        ready = arm.params.poses.ready_rad
+        self._loop = in_free_air(Setup(arm, world, ready, seed, reference, effects))
         self._rng = np.random.default_rng([seed, 4])
 
     def misses(self, targets: int) -> Iterator[tuple[Tool, Array]]:
         """The tool, and by how much it missed: in all, across, along the approach [m], and its axis [rad]."""
-        for _ in range(CYCLE_HZ):
-            self._loop.cycle()
         for k in range(targets):
             tool = Tool(k % len(Tool))
             yield tool, self._miss(tool)
@@ -103,18 +97,15 @@ class Run:
         for _ in range(MOST_TRIES):
             p_N_m, angles = random_targets(self._rng, 1)
             target, approach = p_R_from_N(p_N_m[:, 0]), approach_from(angles)[:, 0]
-            command = MoveTool(tool, vector3(target), vector3(approach))
-            evrs = [evr for record in run_sequence(self._loop, (command,)) for evr in record.outputs.evrs]
-            if CommandCompleted("MoveTool") in evrs:
+            problem = rested_after(self._loop, MoveTool(tool, vector3(target), vector3(approach)))
+            if problem is None:
                 return self._looked_at(tool, target, approach)
-        raise CampaignFailed(f"no target in {MOST_TRIES} could be reached: {evrs[-1].message}")
+        raise CampaignFailed(f"no target in {MOST_TRIES} could be reached: {problem}")
 
     def _looked_at(self, tool: Tool, target: Array, approach: Array) -> Array:
-        for _ in range(round(REST_S * CYCLE_HZ)):
-            self._loop.cycle()
         truth = self._loop.plant.truth()
         miss, axis = truth.p_RoTo_R_m[tool] - target, truth.R_RT[tool][:, 0]
         along = float(miss @ approach)
         lateral = float(np.linalg.norm(miss - along * approach))
-        turned = float(np.arctan2(np.linalg.norm(np.cross(axis, approach)), axis @ approach))
+        turned = angle_between(axis, approach)
         return np.array([np.linalg.norm(miss), lateral, along, turned])

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from ground.gap.binomial import Rate, rate
+from ground.binomial import Rate, rate
 from ground.gap.diagnose import Diagnosis, Finding
 from ground.gap.ready import Ready
 

@@ -1,15 +1,15 @@
 """How a log comes to be at its path: with its beginning, or not at all."""
 
 import os
-import secrets
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from fcntl import F_DUPFD_CLOEXEC, fcntl
 from io import FileIO
 from pathlib import Path
 
 from mcap.records import Metadata
 
+from ground.outputs import beside
 from ground.telemetry.catalogue import Announced, header_text, records_of
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.format import CHANNELS_KEY, FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
@@ -28,18 +28,12 @@ def begun(
         LogNotWritable: there can be no file, or there is no room; what was there is still there.
     """
     place = _place(path)
-    part = place.with_name(f".marsarm-{secrets.token_hex(8)}.part")
     try:
-        with FileIO(part, "xb", opener=_opened) as file:
+        with beside(place) as part, FileIO(part, "xb", opener=_opened) as file:
             yield file, _beginning(file, header, channels)
-            os.replace(part, place)
     except OSError as error:
-        _remove(part)
         why = f"cannot be written ({error.strerror}); give a path with room that you may write"
         raise LogNotWritable(path, why) from error
-    except BaseException:
-        _remove(part)
-        raise
 
 
 def _opened(path: str, flags: int) -> int:
@@ -49,11 +43,6 @@ def _opened(path: str, flags: int) -> int:
         return fcntl(found, F_DUPFD_CLOEXEC, 3)
     finally:
         os.close(found)
-
-
-def _remove(part: Path) -> None:
-    with suppress(OSError):
-        part.unlink()
 
 
 def _place(path: Path) -> Path:

@@ -188,16 +188,37 @@ class EachCycle(Effect):
         raise NotImplementedError
 
 
+def fitted(effects: Iterable[Effect], spec: mujoco.MjSpec, hardware: Hardware) -> Hardware:
+    """Change the MuJoCo model as all of these effects do, one after the other; the avionics and sensors."""
+    for effect in effects:
+        effect.on_model(spec)
+        hardware = effect.on_hardware(hardware)
+    return hardware
+
+
+def knowing(effects: Iterable[Effect], params: Params) -> Params:
+    """The flight parameters that know all of these effects."""
+    for effect in effects:
+        params = effect.on_params(params)
+    return params
+
+
 def gone_on(plant: Plant, hardware: Hardware) -> Hardware:
     """Let what acts in every cycle act on the plant in this one; the avionics and sensors after it."""
+    hardware, total = acted(plant, hardware)
+    plant.influenced(total)
+    return hardware
+
+
+def acted(plant: Plant, hardware: Hardware) -> tuple[Hardware, Influence]:
+    """The avionics and sensors after this cycle, and all that acts on the plant in it; it is yet to act."""
     total, running = Influence(), []
     for one in hardware.each_cycle:
         before = one.state if one.begun else one.effect.begin(plant, hardware)
         state, influence = one.effect.cycle(plant, hardware, before)
         total += influence
         running.append(Running(one.effect, state, True))
-    plant.influenced(total)
-    return replace(hardware, each_cycle=tuple(running))
+    return replace(hardware, each_cycle=tuple(running)), total
 
 
 def drawn_scatter(effects: Iterable[EachMove], rng: np.random.Generator) -> Scatter:

@@ -12,9 +12,10 @@ from fsw.dictionary.params import LinkParams, Lump, Params, Row6, Transform6
 from fsw.dictionary.tuples import row6, vector3
 from fsw.kinematics.arm import transform6, transform6_from
 from fsw.kinematics.transforms import Pose, inverse, rotation_z, screw_exp
-from sim.effects.effect import Effect
+from sim.effects.effect import Effect, knowing
 from sim.effects.matrices import turned
 from sim.effects.size import Size, Warmth
+from sim.effects.told import link_of, with_link
 from sim.params import nominal_params
 from sim.plant import rotations
 from sim.scatter import BODIES, body_index
@@ -47,12 +48,11 @@ class FrameError(Effect):
         if self.frame is Frame.TOOL:
             name = self._body()
             tool = getattr(params.tools, name)
-            changed = replace(tool, transform=self._displaced(tool.transform))
-            return replace(params, tools=replace(params.tools, **{name: changed}))
-        name = self.frame.name.lower()
-        link = getattr(params.links, name)
+            moved = replace(tool, transform=self._displaced(tool.transform))
+            return replace(params, tools=replace(params.tools, **{name: moved}))
+        link = link_of(params, self.frame)
         changed = self._carried(link, replace(link, transform=self._displaced(link.transform)))
-        return replace(params, links=replace(params.links, **{name: changed}))
+        return with_link(params, self.frame, changed)
 
     def _carried(self, old: LinkParams, new: LinkParams) -> LinkParams:
         """The link's spring and lumps where the plant has them, though its transform has changed.
@@ -118,9 +118,7 @@ class Warming(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Likewise."""
-        for part in self._parts():
-            params = part.on_params(params)
-        return params
+        return knowing(self._parts(), params)
 
     def _parts(self) -> list[LinkWarming]:
         inner = [LinkWarming(frame, self.warming_K) for frame in Frame if frame is not Frame.TOOL]

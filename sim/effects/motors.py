@@ -30,10 +30,8 @@ class MotorConstant(Effect):
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Scale the constant, and the gains and the limit, which are in torque."""
         motor = spec.actuator(self.joint.name.lower())
-        gain = motor.gainprm.copy()
-        gain[MOTOR_CONSTANT] *= self.factor
-        gain[GAINS] *= self.factor
-        motor.gainprm = gain
+        _scale(motor, MOTOR_CONSTANT, self.factor)
+        _scale(motor, GAINS, self.factor)
         motor.forcerange = motor.forcerange * self.factor
 
     def on_params(self, params: Params) -> Params:
@@ -52,10 +50,7 @@ class ServoGain(Effect):
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Scale those of position, integral and rate."""
-        motor = spec.actuator(self.joint.name.lower())
-        gain = motor.gainprm.copy()
-        gain[GAINS] *= self.factor
-        motor.gainprm = gain
+        _scale(spec.actuator(self.joint.name.lower()), GAINS, self.factor)
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,3 +94,9 @@ class BusSag(EachCycle):
         total_A = float(np.abs(plant.motor_current_A()).sum())
         lost = min(self.resistance_Ohm * total_A / BUS_V, 1.0)
         return None, Influence(servo=np.full(len(Joint), -lost))
+
+
+def _scale(motor: mujoco.MjsActuator, which: int | slice, factor: float) -> None:
+    gain = motor.gainprm.copy()
+    gain[which] *= factor
+    motor.gainprm = gain

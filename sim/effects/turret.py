@@ -70,6 +70,11 @@ class TurretCentre(Effect):
         return np.array([self.shift_m * (self.axis == axis) for axis in "xyz"])
 
 
+def hung_with(params: Params, stand_in_kg: float | None) -> Params:
+    """Flight parameters of the arm with a stand-in of this mass; None for its own turret."""
+    return params if stand_in_kg is None else StandInTurret(stand_in_kg).on_params(params)
+
+
 def _set_mass(spec: mujoco.MjSpec, mass_kg: float) -> None:
     turret, mass_kg = spec.body("turret"), max(mass_kg, LEAST_KG)
     turret.inertia = turret.inertia * (mass_kg / turret.mass)

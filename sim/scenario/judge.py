@@ -10,7 +10,7 @@ import numpy as np
 from fsw.dictionary.evrs import CommandAborted, CommandRefused
 from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
 from fsw.dictionary.modes import Mode
-from fsw.kinematics.transforms import Array, unit
+from fsw.kinematics.transforms import Array, angle_between, unit
 from fsw.protect.responses import RESPONSE_TO, Response
 from sim.frames import p_R_from_N
 from sim.scenario.checks import (
@@ -154,7 +154,7 @@ def _gravity_held(check: GravityHeld, gravity_R_m_s2: Array, trace: Trace) -> Me
     moments = trace.during(check.during)
     held = [m for m in moments if m.vibrates] + list(moments[-1:])
     wanted = np.array(check.gravity_T)
-    angles = [_angle(m.R_RT[check.tool].T @ gravity_R_m_s2, wanted) for m in held]
+    angles = [angle_between(m.R_RT[check.tool].T @ gravity_R_m_s2, wanted) for m in held]
     return Measured("gravity off", _most(angles), "rad", high=check.angle_rad)
 
 
@@ -162,7 +162,7 @@ def _over_inlet(check: OverInlet, scenario: Scenario, trace: Trace) -> tuple[Mea
     point, gravity = _taught(scenario, check.point), scenario.world.gravity_N_m_s2
     inlet = p_R_from_N(np.array(point.p_N_m))
     off = _at(trace, check.after, lambda m: float(np.linalg.norm((m.p_RoTo_R_m[point.tool] - inlet)[:2])))
-    lean = _at(trace, check.after, lambda m: _angle(m.R_RT[point.tool][:, 0], gravity))
+    lean = _at(trace, check.after, lambda m: angle_between(m.R_RT[point.tool][:, 0], gravity))
     return (
         Measured("from the axis", off, "m", high=check.lateral_m),
         Measured("from gravity", lean, "rad", high=check.angle_rad),
@@ -172,7 +172,7 @@ def _over_inlet(check: OverInlet, scenario: Scenario, trace: Trace) -> tuple[Mea
 def _docked(check: Docked, point: Taught, trace: Trace) -> tuple[Measured, ...]:
     place, axis = p_R_from_N(np.array(point.p_N_m)), np.array(point.approach_N)
     off = _at(trace, check.after, lambda m: float(np.linalg.norm(m.p_RoTo_R_m[point.tool] - place)))
-    lean = _at(trace, check.after, lambda m: _angle(m.R_RT[point.tool][:, 0], axis))
+    lean = _at(trace, check.after, lambda m: angle_between(m.R_RT[point.tool][:, 0], axis))
     return (
         Measured("from the point", off, "m", high=check.distance_m),
         Measured("from the axis", lean, "rad", high=check.angle_rad),
@@ -234,10 +234,6 @@ def _lateral(v: Array, normal: Array) -> float:
 def _normal(scenario: Scenario) -> Array:
     """Of the surface, out of it, of length one."""
     return unit(_surface(scenario).normal_N)
-
-
-def _angle(one: Array, other: Array) -> float:
-    return float(np.arctan2(np.linalg.norm(np.cross(one, other)), one @ other))
 
 
 def _surface(scenario: Scenario) -> Surface:

@@ -166,6 +166,7 @@ def test_the_configuration_is_what_the_parameters_say():
     joints = config.params.joints.in_order()
     assert config.params_sha256 == digest(config.params)
     np.testing.assert_array_equal(config.half_gap_rad, [j.backlash_rad / 2 for j in joints])
+    np.testing.assert_array_equal(config.hardstop_rad, [j.hardstop_rad for j in joints])
     np.testing.assert_array_equal(config.current_limit_A, [5, 5, 5, 3, 3])
 
 

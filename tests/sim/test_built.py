@@ -12,6 +12,7 @@ from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import adjoint, inverse
 from sim.arms import UnknownArm, arm_named
 from sim.effects.built import IDENTIFIABLE, SPRINGS, as_built, left_by_calibration
+from sim.effects.effect import knowing
 from sim.effects.geometry import FrameError
 from sim.effects.joints import (
     BacklashWidth,
@@ -127,9 +128,7 @@ def test_a_calibrated_arm_is_the_same_arm_and_flies_with_other_parameters() -> N
     built, calibrated = arm_named("as-built:7"), arm_named("calibrated:7")
     assert calibrated.effects == built.effects
     assert digest(calibrated.params) != digest(built.params)
-    perfect = nominal_params()
-    for effect in calibrated.effects:
-        perfect = effect.on_params(perfect)
+    perfect = knowing(calibrated.effects, nominal_params())
     assert calibrated.params.links != perfect.links
     assert calibrated.params.tools != perfect.tools
 
@@ -138,9 +137,7 @@ def test_a_calibration_leaves_a_tenth_of_what_it_found() -> None:
     """Over 40 arms: the tool where perfect and calibrated parameters put it, for the same joint angles."""
     miss: dict[str, list[float]] = defaultdict(list)
     for seed in range(40):
-        perfect = nominal_params()
-        for effect in as_built(seed):
-            perfect = effect.on_params(perfect)
+        perfect = knowing(as_built(seed), nominal_params())
         for kind in ("as-built", "calibrated"):
             believed = arm_from(arm_named(f"{kind}:{seed}").params)
             p = [

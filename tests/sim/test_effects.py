@@ -10,7 +10,7 @@ from fsw.kinematics.arm import Arm, arm_from
 from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
 from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import Pose, inverse
-from sim.effects.effect import Effect, nominal_hardware
+from sim.effects.effect import Effect, knowing, nominal_hardware
 from sim.effects.environment import (
     COLD_C,
     COULOMB_COLD,
@@ -54,10 +54,7 @@ def built(*effects: Effect, world: World | None = None) -> Plant:
 
 
 def known(*effects: Effect) -> Params:
-    params = PARAMS
-    for effect in effects:
-        params = effect.on_params(params)
-    return params
+    return knowing(effects, PARAMS)
 
 
 def rigid_difference_m(plant: Plant, arm: Arm, motor_error_rad: lab.Array | None = None) -> float:

@@ -5,7 +5,7 @@ to the next, as friction lets it (fsw.estimate.gear); nothing is stepped.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,11 +13,11 @@ from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.params import Params
 from fsw.estimate.gear import bounds_under
 from fsw.kinematics.statics import rest
-from fsw.kinematics.transforms import Array, Pose
+from fsw.kinematics.transforms import Array, Pose, batched
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.segments import rests_in, segments_in
 from sim.driven import DrivenArm
-from sim.effects.effect import Effect, Hardware, nominal_hardware
+from sim.effects.effect import Effect, Hardware, acted, nominal_hardware
 from sim.effects.environment import Ambient
 from sim.effects.gears import GearHysteresis
 from sim.influence import NO_INFLUENCE, Influence
@@ -104,15 +104,13 @@ def _stepped(knots: Knots, effects: Sequence[Effect]) -> Resting:
             apart.append(reading.resolver_rad - motor)
             arm.plant.truth()  # brings the kinematics up to date
             poses.append(turret_pose(arm.plant))
-    X = Pose(np.stack([pose.R for pose in poses], -1), np.stack([pose.p for pose in poses], -1))
-    return Resting(np.stack(apart, -1), X)
+    return Resting(np.stack(apart, -1), batched(poses))
 
 
 def _rests(knots: Knots, params: Params, hardware: Hardware, effects: Sequence[Effect]) -> Resting:
     config, recording = configure(params), knots.recording
     gravity = recording.world.gravity_N_m_s2
-    true_stop = np.array([joint.hardstop_rad for joint in params.joints.in_order()])
-    off_rad = recording.start.hardstop_rad - true_stop
+    off_rad = recording.start.hardstop_rad - config.hardstop_rad
     lost_rad = nominal_hardware().counter_zero_rad - hardware.counter_zero_rad
     motor = knots.motor_rad - (off_rad + lost_rad)[:, None]
     plant = _acting(recording, effects) if hardware.each_cycle else None
@@ -132,7 +130,7 @@ def _rests(knots: Knots, params: Params, hardware: Hardware, effects: Sequence[E
     resolver = outputs + hardware.resolver_bias_rad[:, None]
     for warped in hardware.warped:
         resolver += np.stack([warped.error_rad(output) for output in outputs.T], axis=-1)
-    return Resting(resolver - knots.motor_rad[:, looked], Pose(frames.X_RF.R[:, :, 5], frames.X_RF.p[:, 5]))
+    return Resting(resolver - knots.motor_rad[:, looked], frames.X_RF[5])
 
 
 def _acting(recording: Recording, effects: Sequence[Effect]) -> Plant:
@@ -145,10 +143,4 @@ def _acting(recording: Recording, effects: Sequence[Effect]) -> Plant:
 def _acted(plant: Plant, hardware: Hardware, motor_rad: Array, gear_rad: Array) -> tuple[Hardware, Influence]:
     """What acts in every cycle, asked at a knot: how far it shifts gears, and its torque on outputs."""
     plant.data.qpos[plant.at.motor], plant.data.qpos[plant.at.gear] = motor_rad, gear_rad
-    total, running = Influence(), []
-    for one in hardware.each_cycle:
-        state = one.state if one.begun else one.effect.begin(plant, hardware)
-        state, influence = one.effect.cycle(plant, hardware, state)
-        total += influence
-        running.append(replace(one, state=state, begun=True))
-    return replace(hardware, each_cycle=tuple(running)), total
+    return acted(plant, hardware)

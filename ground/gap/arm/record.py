@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from fsw.estimate.reference import Reference
-from fsw.kinematics.transforms import Array, Pose
+from fsw.kinematics.transforms import Array, Pose, batched
 from ground.calibration.frames import FewTargets
 from ground.calibration.survey import surveyed
 from ground.gap.arm.tracked import Tracked, none_tracked, write_tracked
@@ -88,5 +88,4 @@ def _stacked(rows: list[tuple[int, Pose, Array]]) -> Tracked:
     if not rows:
         return none_tracked()
     ticks, poses, sigmas = zip(*rows, strict=True)
-    X = Pose(np.stack([pose.R for pose in poses], -1), np.stack([pose.p for pose in poses], -1))
-    return Tracked(np.array(ticks, np.int64), X, np.stack(sigmas, -1))
+    return Tracked(np.array(ticks, np.int64), batched(poses), np.stack(sigmas, -1))

@@ -11,6 +11,8 @@ from fsw.kinematics.transforms import (
     IDENTITY,
     Pose,
     adjoint,
+    angle_between,
+    batched,
     compose,
     cross,
     dot,
@@ -178,6 +180,20 @@ def test_poses_of_a_batch_are_taken_by_the_index_of_the_batch():
         where = index if isinstance(index, tuple) else (index,)
         np.testing.assert_array_equal(X[index].R, X.R[(slice(None), slice(None), *where)])
         np.testing.assert_array_equal(X[index].p, X.p[(slice(None), *where)])
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 0.3, 3.0, np.pi - 1e-9, np.pi])
+def test_the_angle_between_two_vectors_is_that_of_the_turn_between_them(angle):
+    axis, across = np.array([1.0, -2.0, 2.0]) / 3, np.array([2.0, 2.0, 1.0])
+    turned = screw_exp(np.concatenate([angle * axis, np.zeros(3)])).R @ across
+    assert angle_between(across, 5 * turned) == pytest.approx(angle, abs=4e-15)
+
+
+def test_poses_made_one_are_those_that_they_were():
+    X = screw_exp(many(6, 3))
+    again = batched([X[index] for index in np.ndindex(BATCH)])
+    for k, index in enumerate(np.ndindex(BATCH)):
+        assert_same(again[k], X[index], atol=0)
 
 
 def test_one_pose_goes_before_and_after_many():

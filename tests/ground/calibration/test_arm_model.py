@@ -9,7 +9,7 @@ from fsw.dictionary.joints import Joint
 from fsw.kinematics.arm import arm_from
 from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import down_from
-from ground.calibration.arm_model import arm_model, modelled, moved_by_joints
+from ground.calibration.arm_model import arm_model, hung, modelled, moved_by_joints
 from ground.calibration.arm_numbers import GAPS, ZEROS, arm_parameters, arm_with, with_zeros_as_hardstops
 from ground.calibration.data import Believed
 from ground.calibration.screws import Measured, error_screw
@@ -46,7 +46,7 @@ def test_derivatives_are_those_of_finite_differences(model):
 
 def test_turns_of_the_outputs_move_the_turret_as_other_motor_angles_do(model):
     x, believed = some_numbers(1), model.believed
-    by_joints = moved_by_joints(NOMINAL, x, believed)
+    by_joints = moved_by_joints(hung(NOMINAL, x, believed))
     step = 1e-5
     for joint in Joint:
         turn = step * (np.arange(5) == joint)[:, None]

@@ -1,5 +1,6 @@
 """A campaign as a table: what is written is read again; what is wrong is named, with what would be right."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -54,6 +55,14 @@ def test_a_file_that_is_no_table_is_refused(tmp_path):
     path.write_text("poses")
     with pytest.raises(BadData, match="cannot be read as a table"):
         read_campaign(path)
+
+
+def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path):
+    pipe = tmp_path / "poses.csv"
+    os.mkfifo(pipe)
+    for path, words in ((pipe, "is not a regular file"), (tmp_path / "none.csv", "cannot be read")):
+        with pytest.raises(BadData, match=words):
+            read_campaign(path)
 
 
 def with_poses(X: Pose):

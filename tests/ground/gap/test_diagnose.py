@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from ground.gap.binomial import rate
+from ground.binomial import rate
 from ground.gap.case import case_of
 from ground.gap.diagnose import diagnose
 from ground.gap.layout import Evidence

@@ -1,30 +1,12 @@
 """Rates and baselines."""
 
 import numpy as np
-import pytest
-from scipy.stats import binom
 
 from ground.gap.baselines import everything_free, gaussian_process, largest_error
-from ground.gap.binomial import rate
 from ground.gap.case import case_of
 from ground.gap.diagnose import diagnose
 from ground.gap.layout import Evidence
 from ground.gap.score import Truth, score
-
-
-@pytest.mark.parametrize(("hits", "of"), [(0, 60), (3, 60), (60, 60), (17, 40)])
-def test_the_interval_of_a_rate_is_that_of_the_binomial(hits, of):
-    told = rate(hits, of)
-    if hits:
-        assert binom.sf(hits - 1, of, told.least) == pytest.approx(0.025)
-    if hits < of:
-        assert binom.cdf(hits, of, told.most) == pytest.approx(0.025)
-    assert told.least <= hits / of <= told.most
-
-
-def test_hits_beyond_the_cases_are_refused():
-    with pytest.raises(ValueError, match="5 hits of 4"):
-        rate(5, 4)
 
 
 def test_cases_are_scored_by_class_and_against_their_truth(made, campaign, rng):

@@ -8,7 +8,7 @@ import numpy as np
 
 from fsw.dictionary.joints import Joint
 from sim.avionics import Avionics
-from sim.effects.effect import Effect, Hardware, gone_on, nominal_hardware
+from sim.effects.effect import Effect, Hardware, fitted, gone_on, nominal_hardware
 from sim.plant import ALL_ACTUATORS, Plant
 from sim.world import World, build
 from tests.sim import lab
@@ -33,10 +33,7 @@ def built(*effects: Effect, world: World | None = None, calm: bool = False) -> t
             geom.contype = geom.conaffinity = 0
     if calm:
         lab.soon_at_rest(spec)
-    hardware = nominal_hardware()
-    for effect in effects:
-        effect.on_model(spec)
-        hardware = effect.on_hardware(hardware)
+    hardware = fitted(effects, spec, nominal_hardware())
     return Plant(spec.compile()), hardware
 
 
