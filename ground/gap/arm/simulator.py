@@ -93,9 +93,7 @@ class ArmSimulator:
         """What is switched on: patch, hypotheses, nuisances that are not 0."""
         found = list(self.patch)
         for hypothesis, values in settings.items():
-            made = self._made[hypothesis]
-            named = zip(hypothesis.parameters, values, strict=True)
-            found.append(made.effect(**{p.name: _valued(made, p.name, float(v)) for p, v in named}))
+            found.append(effect_of(self._made[hypothesis], hypothesis, values))
         found += [one.effect(float(v)) for one, v in zip(self._uncertain, nuisance, strict=True) if v]
         return found
 
@@ -147,6 +145,12 @@ def told(one: catalogue.Hypothesis) -> Hypothesis:
         place_named(one.kind, dict(one.place)) or "arm",
         tuple(_told(p, p.size) for p in parameters if p.size is not None),
     )
+
+
+def effect_of(made: catalogue.Hypothesis, hypothesis: Hypothesis, values: Array) -> Effect:
+    """The effect that has these values of all parameters, as they are told."""
+    named = zip(hypothesis.parameters, values, strict=True)
+    return made.effect(**{p.name: _valued(made, p.name, float(v)) for p, v in named})
 
 
 def is_factor(size: Size) -> bool:

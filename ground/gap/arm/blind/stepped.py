@@ -1,0 +1,72 @@
+"""A campaign's features with the plant stepped everywhere, at rest too: right for effects of any kind.
+
+Statics know what flight parameters have a word for and what acts on gears and outputs; an effect that
+nobody has seen before may move a link otherwise.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fsw.kinematics.transforms import Array, Pose, inverse
+from ground.calibration.screws import screw_log
+from ground.gap.arm.campaign import STEPPED, Compared, Posed
+from ground.gap.arm.features import Columns, Moving, measured
+from ground.gap.arm.logs import Recording
+from ground.gap.arm.poses import read_resolvers
+from sim.driven import DrivenArm, Manner
+from sim.effects.effect import Effect
+from sim.effects.environment import Ambient
+from sim.tracker import turret_pose
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stepped:
+    """What a stepped plant shows of one recording."""
+
+    sensors: Columns
+    X_RF: dict[int, Pose]
+    """The turret at the end of some ticks."""
+
+
+def stepped(recording: Recording, effects: Sequence[Effect], manner: Manner, ticks: set[int]) -> Stepped:
+    """Under the recorded drive; PlantDiverged if MuJoCo counted a warning."""
+    arm = DrivenArm(recording.start, (Ambient(recording.temperature_C), *effects), manner)
+    readings, poses = [], {}
+    for tick, drive in enumerate(recording.drives):
+        readings.append(arm.avionics.sense())
+        arm.avionics.apply(drive)
+        arm.plant.step()
+        if tick in ticks:
+            arm.plant.truth()  # brings the kinematics up to date
+            poses[tick] = turret_pose(arm.plant)
+    return Stepped({name: np.array([getattr(one, name) for one in readings]) for name in STEPPED}, poses)
+
+
+def change(campaign: Compared, effects: Sequence[Effect], manner: Manner) -> Array:
+    """By how much effects change the features, (m,)."""
+    return np.concatenate(
+        [_moving(one, effects, manner) for one in campaign.moving]
+        + [_posed(one, effects, manner) for one in campaign.posed]
+    )
+
+
+def _moving(one: Moving, effects: Sequence[Effect], manner: Manner) -> Array:
+    with_it, without = (stepped(one.recording, some, manner, set()) for some in (effects, ()))
+    return measured(one, with_it.sensors) - measured(one, without.sensors)
+
+
+def _posed(one: Posed, effects: Sequence[Effect], manner: Manner) -> Array:
+    recording = one.knots.recording
+    ticks = [one.knots.tick[one.knots.rests[r]] for r, _ in one.seen]
+    with_it, without = (stepped(recording, some, manner, set(ticks)) for some in (effects, ()))
+    resolvers = _resolvers(one, with_it) - _resolvers(one, without)
+    screws = [screw_log(inverse(without.X_RF[tick]) @ with_it.X_RF[tick]) for tick in ticks]
+    return np.concatenate([resolvers.ravel(), np.stack(screws, axis=-1).ravel() if screws else np.zeros(0)])
+
+
+def _resolvers(one: Posed, found: Stepped) -> Array:
+    """Less encoders, at the rests, (5, r)."""
+    recording = replace(one.knots.recording, sensors=found.sensors)
+    return read_resolvers(replace(one.knots, recording=recording))
