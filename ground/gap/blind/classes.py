@@ -54,6 +54,8 @@ def classes_in(campaign: Path) -> Classes:
     """As they were published; BadRequest if they cannot be read."""
     try:
         said = json.loads((campaign / FILE).read_bytes())
-        return Classes({(one["name"], one["place"]): one["class"] for one in said if one["limit"] is not None})
+        return Classes(
+            {(one["name"], one["place"]): one["class"] for one in said if one["limit"] is not None}
+        )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BadRequest(f"{campaign / FILE}: holds no classes ({error}); make the campaign anew") from error

@@ -1,4 +1,4 @@
-"""How far something said of a case closes its gap on held-out motion: the same sum for all who say anything."""
+"""How far what is said of a case closes its gap on held-out motion: one sum for all who say anything."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -54,10 +54,9 @@ def nothing(found: Sensitivities) -> Array:
 def tried(fitted: Part, held: Part) -> Tried:
     """ValueError if a motion is in both."""
     check_apart(fitted.found.layout, held.found.layout)
-    found = fitted.found
-    m = found.layout.size
-    none = {"effect": np.zeros((m, 0)), "curve": np.zeros((m, 0)), "owner": np.zeros(0, np.intp)}
-    return Tried(fitted, held, prepare(replace(found, hypotheses=(), **none)))
+    none, nobody = np.zeros((fitted.found.layout.size, 0)), np.zeros(0, np.intp)
+    alone = replace(fitted.found, hypotheses=(), effect=none, curve=none, owner=nobody)
+    return Tried(fitted, held, prepare(alone))
 
 
 def truth_closes(case: Tried, true: dict[Hypothesis, Array], seed: int) -> Closure:

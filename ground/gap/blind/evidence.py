@@ -7,29 +7,40 @@ from typing import Any
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array, Flags
+from fsw.kinematics.transforms import Array
 from ground.gap.layout import Ints
 from ground.gap.sensitivity import Sensitivities
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kept:
-    """A campaign's sensitivities, and which of their features (m,) are held out of every diagnosis."""
+    """A campaign's sensitivities, of the motions that are fitted and of those that are held out."""
 
-    found: Sensitivities
-    held_out: Flags
+    fitted: Sensitivities
+    held: Sensitivities
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measured:
-    """A case: which features of the campaign it has, and what was measured less predicted, (n,) each."""
+    """Which features of the campaign a case has, and what was measured less predicted, (n,) each."""
 
     rows: Ints
     value: Array
 
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Features:
+    """Of a case."""
+
+    fitted: Measured
+    held: Measured
+
     def document(self) -> dict[str, Any]:
         """Plain; every number comes back as it was."""
-        return {"rows": self.rows.tolist(), "value": self.value.tolist()}
+        return {
+            name: {"rows": one.rows.tolist(), "value": one.value.tolist()}
+            for name, one in (("fitted", self.fitted), ("held", self.held))
+        }
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,16 +51,17 @@ class Part:
     value: Array
 
 
-def parts(kept: Kept, measured: Measured) -> tuple[Part, Part]:
+def parts(kept: Kept, case: Features) -> tuple[Part, Part]:
     """What a diagnosis is made of, and what it is tried on."""
-    held_out = kept.held_out[measured.rows]
-    fitted, held = (
-        Part(kept.found.of(measured.rows[mask]), measured.value[mask]) for mask in (~held_out, held_out)
-    )
-    return fitted, held
+    fitted = Part(kept.fitted.of(case.fitted.rows), case.fitted.value)
+    return fitted, Part(kept.held.of(case.held.rows), case.held.value)
 
 
-def read_measured(path: Path) -> Measured:
-    """As it was written."""
+def read_features(path: Path) -> Features:
+    """As they were written."""
     said = json.loads(path.read_bytes())
-    return Measured(np.array(said["rows"], np.intp), np.array(said["value"], float))
+    fitted, held = (
+        Measured(np.array(said[name]["rows"], np.intp), np.array(said[name]["value"], float))
+        for name in ("fitted", "held")
+    )
+    return Features(fitted, held)

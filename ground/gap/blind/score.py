@@ -96,7 +96,7 @@ class Score:
 
 
 def score(classes: Classes, solved: Sequence[Solved], true_closure: Callable[[TrueCase], float]) -> Score:
-    """Of all cases; `true_closure` says what the true effects of a case, fitted, achieve on held-out motion."""
+    """Of all cases; `true_closure` says what a case's true effects, fitted, achieve on held-out motion."""
     nothing = [said for true, said in solved if true.kind == "none"]
     outside = [(true, said) for true, said in solved if true.kind == "outside"]
     inside = [(true, said) for true, said in solved if true.kind in ("single", "pair")]

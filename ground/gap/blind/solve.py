@@ -4,16 +4,16 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from ground.gap.blind.baselines import baselines
 from ground.gap.blind.closing import tried
-from ground.gap.blind.evidence import Kept, Measured, parts
+from ground.gap.blind.evidence import Features, Kept, parts
 from ground.gap.blind.folder import CAMPAIGN, cases_in, solved_path, write_json
 from ground.pool import Runner
 from ground.progress import Progress
 
-SEED = 1
+SEED: Final = 1
 """Of what is drawn in a diagnosis; it has nothing to do with that of the cases."""
 
 
@@ -25,7 +25,7 @@ class Solver:
     """The campaign in a folder."""
     diagnosed: Callable[[Path, Path], dict[str, Any]]
     """What is said of a case's folder, beside the campaign's: what `marsarm diagnose --json` says."""
-    measured: Callable[[Path, Path], Measured]
+    features: Callable[[Path, Path], Features]
     """What the logs of a case say, for the baselines and for what the truth would achieve."""
 
 
@@ -49,7 +49,7 @@ def solve(folder: Path, solver: Solver, run: Runner, progress: Progress) -> tupl
     return len(jobs), len(cases)
 
 
-def measured_path(case: Path) -> Path:
+def features_path(case: Path) -> Path:
     """Where the features of a solved case are kept."""
     return solved_path(case).with_suffix(".features.json")
 
@@ -57,11 +57,12 @@ def measured_path(case: Path) -> Path:
 def _solved(job: _Job) -> str:
     """One case; only its result is written last, so that a case that was cut short is solved again."""
     campaign = job.case.parent.parent / CAMPAIGN
+    kept = job.solver.kept(campaign)  # what is known before a case is no part of its time
     began = time.process_time()
     said = job.solver.diagnosed(job.case, campaign)
     seconds = time.process_time() - began
-    features = job.solver.measured(job.case, campaign)
-    others = baselines(tried(*parts(job.solver.kept(campaign), features)), SEED)
-    write_json(measured_path(job.case), features.document())
+    features = job.solver.features(job.case, campaign)
+    others = baselines(tried(*parts(kept, features)), SEED)
+    write_json(features_path(job.case), features.document())
     write_json(solved_path(job.case), {**said, "seconds": seconds, "baselines": others})
     return job.case.name

@@ -1,12 +1,15 @@
 """A score as a document and as a table that people read."""
 
+import json
 from collections.abc import Iterator
 from dataclasses import asdict, is_dataclass
 from math import isfinite
+from pathlib import Path
 from typing import Any
 
 from ground.gap.binomial import Rate
 from ground.gap.blind.score import Found, Middle, Score
+from ground.outputs import written_whole
 
 
 def score_json(score: Score) -> dict[str, Any]:
@@ -18,6 +21,13 @@ def score_json(score: Score) -> dict[str, Any]:
 def score_markdown(score: Score) -> str:
     """As a page."""
     return "\n".join(_lines(score)) + "\n"
+
+
+def save_score(score: Score, path: Path) -> None:
+    """As its name's ending says; BadOutput if it cannot be written."""
+    text = json.dumps(score_json(score), indent=1) + "\n" if path.suffix == ".json" else score_markdown(score)
+    with written_whole(path, "out") as file:
+        file.write(text.encode())
 
 
 def _lines(score: Score) -> Iterator[str]:
@@ -72,9 +82,8 @@ def _found(found: Found) -> str:
 def _rate(rate: Rate) -> str:
     if not rate.of:
         return "no case"
-    return (
-        f"{100 * rate.share:.1f} % ({rate.hits} of {rate.of}; {100 * rate.least:.1f} to {100 * rate.most:.1f})"
-    )
+    between = f"{100 * rate.least:.1f} to {100 * rate.most:.1f}"
+    return f"{100 * rate.share:.1f} % ({rate.hits} of {rate.of}; {between})"
 
 
 def _middle(middle: Middle) -> str:

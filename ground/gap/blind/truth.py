@@ -81,7 +81,7 @@ def sealed_digest(folder: Path) -> str:
         return (folder / DIGEST).read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
         raise BadRequest(
-            f"{folder}: has no {DIGEST}, so it is no folder of blind cases; `marsarm gap blind make` makes one"
+            f"{folder}: has no {DIGEST}: this is no folder of blind cases; `marsarm gap blind make` makes one"
         ) from error
 
 

@@ -1,57 +1,70 @@
 """The arm's campaign and cases in the terms of the robot-agnostic part."""
 
-import json
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from ground.gap.arm.campaign import compared, measured_values, predicted_values
-from ground.gap.arm.logs import NotForDiagnosis, recording_in
-from ground.gap.arm.sensitivities import keys_of, keys_path
-from ground.gap.arm.simulator import BRIEFLY
-from ground.gap.blind.evidence import Kept, Measured
-from ground.gap.sensitivity import load
-from ground.request import BadRequest
+from ground.gap.arm.bound import bound
+from ground.gap.arm.campaign import compared
+from ground.gap.arm.floor import floor_of
+from ground.gap.arm.logs import Recording, recording_in
+from ground.gap.arm.reference import Reference, reference
+from ground.gap.arm.sensitivities import arm_sensitivities
+from ground.gap.arm.simulator import ArmSimulator
+from ground.gap.blind.evidence import Features, Kept, Measured
+from ground.gap.layout import Layout
+from ground.pool import Runner, on_this_machine
+from ground.progress import Progress
 from sim.diagnosis.campaign import HELD_OUT
 from sim.params import nominal_params
 
 
-@cache
-def kept_campaign(folder: Path) -> Kept:
-    """Once in each process; BadRequest if there are no sensitivities."""
-    path = _sensitivities(folder)
-    sessions = [key.split("/")[0] for key in _keys(path)]
-    return Kept(load(path), np.isin(sessions, HELD_OUT))
+def split(folder: Path) -> tuple[list[Path], list[Path]]:
+    """A folder's logs: those that a diagnosis is made of, and those that are held out."""
+    logs = sorted(folder.glob("*.mcap"))
+    return [log for log in logs if log.stem not in HELD_OUT], [log for log in logs if log.stem in HELD_OUT]
 
 
-def measured_case(case: Path, campaign: Path) -> Measured:
-    """What a case's logs say less what the nominal simulator predicts under the same drive.
-
-    Raises:
-        NotForDiagnosis: it has no log, or one that cannot be compared.
-    """
-    base = nominal_params()
-    logs = sorted(case.glob("*.mcap"))
-    if not logs:
-        raise NotForDiagnosis(f"{case}: holds no log")
-    there = compared([recording_in(path) for path in logs], base)
-    value = measured_values(there) - predicted_values(there, base, (), BRIEFLY)
-    row_of = {key: row for row, key in enumerate(_keys(_sensitivities(campaign)))}
-    rows = np.array([row_of.get(key, -1) for key in keys_of(there)], np.intp)
-    known = rows >= 0
-    return Measured(rows[known], value[known])
-
-
-def _sensitivities(folder: Path) -> Path:
-    found = sorted(folder.glob("sensitivities-*.npz"))
-    if len(found) != 1:
-        raise BadRequest(
-            f"{folder}: holds {len(found)} files of sensitivities; make the cases, or remove what is old"
-        )
-    return found[0]
+def known(campaign: Path, run: Runner, progress: Progress) -> tuple[Reference, Kept]:
+    """All that is known of a campaign before cases; kept beside its logs, computed where it is not."""
+    fitted, held = split(campaign)
+    found = reference(fitted, held, campaign, run, progress)
+    return found, Kept(found.ready.found, arm_sensitivities(held, campaign, run, progress))
 
 
 @cache
-def _keys(sensitivities: Path) -> tuple[str, ...]:
-    return tuple(json.loads(keys_path(sensitivities).read_bytes()))
+def kept_campaign(campaign: Path) -> Kept:
+    """Once in each process."""
+    return _known(campaign)[1]
+
+
+@cache
+def reference_campaign(campaign: Path) -> Reference:
+    """Once in each process."""
+    return _known(campaign)[0]
+
+
+def features(case: Path, campaign: Path) -> Features:
+    """What a case's logs say less what the nominal simulator predicts under the same drive."""
+    against = reference_campaign(campaign)
+    kept = kept_campaign(campaign)
+    fitted, held = ([recording_in(log) for log in logs] for logs in split(case))
+    return Features(
+        _measured(fitted, kept.fitted.layout, against.keys),
+        _measured(held, kept.held.layout, against.held_out_keys),
+    )
+
+
+def _measured(recordings: list[Recording], layout: Layout, keys: Iterable[str]) -> Measured:
+    if not recordings:
+        return Measured(np.zeros(0, np.intp), np.zeros(0))
+    there = compared(recordings, nominal_params())
+    here = bound(ArmSimulator(there, nominal_params(), floor_of(there).sigma), layout, tuple(keys))
+    return Measured(here.rows, here.gap())
+
+
+@cache
+def _known(campaign: Path) -> tuple[Reference, Kept]:
+    return known(campaign, on_this_machine(1), lambda *_: None)

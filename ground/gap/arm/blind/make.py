@@ -10,19 +10,15 @@ import numpy as np
 
 from fsw.kinematics.transforms import Array
 from ground.gap.arm.blind.background import background
-from ground.gap.arm.blind.evidence import kept_campaign
+from ground.gap.arm.blind.evidence import known, split
 from ground.gap.arm.blind.outside import all_outside, limits, switched_on
 from ground.gap.arm.blind.sealed import blind_reference, check_sealed
 from ground.gap.arm.record import record_campaign
-from ground.gap.arm.sensitivities import arm_sensitivities
 from ground.gap.arm.simulator import effect_of, raced, told
 from ground.gap.blind.classes import FILE, published
 from ground.gap.blind.folder import CAMPAIGN, CASES, PART, case_name, write_json
 from ground.gap.blind.plan import Drawn, Planned, Seen, planned
 from ground.gap.blind.truth import TrueCase, TrueEffect, Truth, seal
-from ground.gap.classes import classes
-from ground.gap.detect import detectability
-from ground.gap.prepared import prepare
 from ground.pool import Runner
 from ground.progress import Progress
 from sim.arms import arm_named
@@ -68,8 +64,8 @@ def make(
         BadOutput: a file cannot be written.
     """
     folder.mkdir(exist_ok=True)
-    logs = _campaign(folder, seed, progress)
-    catalogue, outside = _seen(folder / CAMPAIGN, logs, run, progress)
+    _record_campaign(folder, seed, progress)
+    catalogue, outside = _seen(folder / CAMPAIGN, run, progress)
     truth = drawn_truth(cases, seed, catalogue, outside)
     digest = seal(folder, truth)
     publish(digest)
@@ -88,30 +84,24 @@ def drawn_truth(cases: int, seed: int, catalogue: Sequence[Seen], outside: Seque
     return Truth(salt, tuple(_true_case(number, case, seed) for number, case in enumerate(plan)))
 
 
-def _campaign(folder: Path, seed: int, progress: Progress) -> list[Path]:
+def _record_campaign(folder: Path, seed: int, progress: Progress) -> None:
     """The nominal arm's logs: what the solver knows of the campaign before there are cases."""
     if not (folder / CAMPAIGN).exists():
         part = folder / (CAMPAIGN + PART)
         shutil.rmtree(part, ignore_errors=True)
         arm = arm_named("nominal")
         number = int(np.random.default_rng([seed, 7]).integers(2**31))
-        record_campaign(part, _sessions(), arm, true_reference(arm), number, progress)
+        record_campaign(part, all_sessions(), arm, true_reference(arm), number, progress)
         part.rename(folder / CAMPAIGN)
-    return sorted((folder / CAMPAIGN).glob("*.mcap"))
 
 
-def _seen(
-    campaign: Path, logs: list[Path], run: Runner, progress: Progress
-) -> tuple[list[Seen], list[Seen]]:
+def _seen(campaign: Path, run: Runner, progress: Progress) -> tuple[list[Seen], list[Seen]]:
     """Every hypothesis and every effect outside, with limits by the motions that are not held out."""
-    arm_sensitivities(logs, campaign, run, progress)
-    kept = kept_campaign(campaign)
-    rows = np.flatnonzero(~kept.held_out)
-    prepared = prepare(kept.found.of(rows))
-    label, found = classes(prepared), [one.limit for one in detectability(prepared)]
-    write_json(campaign / FILE, published(prepared.hypotheses, label, found))
-    seen = zip(prepared.hypotheses, found, label, strict=True)
-    outside = limits(logs, prepared, rows, campaign, run, progress)
+    ready = known(campaign, run, progress)[0].ready
+    found = [one.limit for one in ready.limits]
+    write_json(campaign / FILE, published(ready.found.hypotheses, ready.label, found))
+    seen = zip(ready.found.hypotheses, found, ready.label, strict=True)
+    outside = limits(split(campaign)[0], ready.prepared, campaign, run, progress)
     return [Seen(one, limit, int(number)) for one, limit, number in seen], outside
 
 
@@ -141,7 +131,7 @@ def _record(job: _Job) -> list[str]:
     part = place.with_name(f".{place.name}{PART}")
     shutil.rmtree(part, ignore_errors=True)
     try:
-        missing = list(record_case(part, job.case, _sessions()))
+        missing = list(record_case(part, job.case, all_sessions()))
         for log in sorted(part.glob("*.mcap")):
             check_sealed(log, job.case)
     except BaseException:
@@ -173,5 +163,6 @@ def true_effects(case: TrueCase) -> tuple[Effect, ...]:
 
 
 @cache
-def _sessions() -> tuple[Session, ...]:
+def all_sessions() -> tuple[Session, ...]:
+    """Of the campaign, once in each process."""
     return sessions(arm_named("nominal").params)

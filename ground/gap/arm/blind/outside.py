@@ -1,8 +1,9 @@
 """Effects that no catalogue has, from a folder of Python files, and how large each must be to be seen."""
 
 import hashlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -68,9 +69,9 @@ def switched_on(spec: str) -> Effect:
 
 
 def limits(
-    logs: Sequence[Path], prepared: Prepared, rows: Array, kept_in: Path, run: Runner, progress: Progress
+    logs: Sequence[Path], prepared: Prepared, kept_in: Path, run: Runner, progress: Progress
 ) -> list[Seen]:
-    """The detection limit of each, beside the nuisances, in some rows of a campaign; kept as they are found.
+    """The detection limit of each, beside the nuisances, in a campaign's logs; kept as they are found.
 
     Raises:
         BadRequest: what is kept is of another campaign or other effects.
@@ -80,7 +81,7 @@ def limits(
         there = {(one["name"], one["place"]): _seen(one) for one in kept.done}
         jobs = [_Job(tuple(logs), name) for name in known if name not in there]
         for done, (name, column) in enumerate(run(_column, jobs), 1):
-            limit = limit_beside(prepared, column[rows][:, None])
+            limit = limit_beside(prepared, column[:, None])
             there[name] = limit
             document: dict[str, Any] = {"name": name[0], "place": name[1]}
             kept.add({**document, "limit": limit if np.isfinite(limit) else None})
@@ -95,11 +96,10 @@ def _seen(said: dict[str, Any]) -> float:
 def _column(job: _Job) -> tuple[tuple[str, str], Array]:
     """Change of the features per typical size, upwards."""
     one = all_outside()[job.name]
-    campaign = _campaign(job.logs)
-    typical = one.made.typical()
-    return job.name, change(campaign, (typical,), BRIEFLY)
+    return job.name, change(_campaign(job.logs), (one.made.typical(),), BRIEFLY)
 
 
+@cache
 def _campaign(logs: tuple[Path, ...]) -> Compared:
     return compared([recording_in(path) for path in logs], nominal_params())
 
@@ -107,10 +107,6 @@ def _campaign(logs: tuple[Path, ...]) -> Compared:
 def _digest(logs: Sequence[Path]) -> str:
     """Of the campaign's logs and of the folder's files."""
     total = hashlib.sha256()
-    for path in (*sorted(logs), *_files()):
+    for path in (*sorted(logs), *sorted(FOLDER.glob("*.py"))):
         total.update(path.read_bytes())
     return total.hexdigest()
-
-
-def _files() -> Iterator[Path]:
-    yield from sorted(FOLDER.glob("*.py"))
