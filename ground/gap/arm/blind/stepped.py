@@ -62,8 +62,14 @@ def _posed(one: Posed, effects: Sequence[Effect], manner: Manner) -> Array:
     ticks = [one.knots.tick[one.knots.rests[r]] for r, _ in one.seen]
     with_it, without = (stepped(recording, some, manner, set(ticks)) for some in (effects, ()))
     resolvers = _resolvers(one, with_it) - _resolvers(one, without)
-    screws = [screw_log(inverse(without.X_RF[tick]) @ with_it.X_RF[tick]) for tick in ticks]
-    return np.concatenate([resolvers.ravel(), np.stack(screws, axis=-1).ravel() if screws else np.zeros(0)])
+    if not ticks:
+        return np.asarray(resolvers.ravel())
+    before, after = (_stacked([found.X_RF[tick] for tick in ticks]) for found in (without, with_it))
+    return np.concatenate([resolvers.ravel(), screw_log(inverse(before) @ after).ravel()])
+
+
+def _stacked(poses: list[Pose]) -> Pose:
+    return Pose(np.stack([pose.R for pose in poses], -1), np.stack([pose.p for pose in poses], -1))
 
 
 def _resolvers(one: Posed, found: Stepped) -> Array:
