@@ -41,7 +41,7 @@ def make(
     Example: marsarm gap blind make --cases 200 --seed 1 --out blind
     """
     from ground.gap.arm.blind.make import make as make_cases
-    from ground.gap.arm.blind.sealed import Unsealed
+    from ground.gap.arm.blind.sealed import TellsTruth
     from ground.gap.blind.request import check_make
     from ground.pool import on_this_machine
     from ground.report.progress import progress_bar
@@ -55,7 +55,7 @@ def make(
         try:
             with progress_bar() as progress:
                 made = make_cases(out, cases, seed, on_this_machine(_jobs(jobs)), progress, publish)
-        except Unsealed as error:
+        except TellsTruth as error:
             end(str(error), LEAKED, as_json)
     document = {
         "digest": made.digest,

@@ -56,23 +56,29 @@ class Truth:
 
 
 def seal(folder: Path, truth: Truth) -> str:
-    """Write truth and digest, or find that they are there; the digest.
-
-    Raises:
-        BadRequest: cases of another truth are there.
-        BadOutput: a file cannot be written.
-    """
+    """Write truth and digest; the digest. BadOutput if a file cannot be written."""
     digest = truth.digest()
-    if (folder / DIGEST).exists():
-        if sealed_digest(folder) != digest:
-            raise BadRequest(
-                f"out {folder}: holds cases of another seed, number or campaign; give those, or a new folder"
-            )
-        return digest
     for name, text in ((TRUTH, truth.text()), (DIGEST, digest + "\n")):
         with written_whole(folder / name, "out") as file:
             file.write(text.encode())
     return digest
+
+
+def sealed_before(folder: Path, salt: str, cases: int) -> Truth | None:
+    """The truth that a folder holds already; None if there is none.
+
+    Raises:
+        BadRequest: it is of another salt or number of cases, or is not what was sealed.
+    """
+    if not (folder / DIGEST).exists():
+        return None
+    truth = unsealed(folder)
+    if (truth.salt, len(truth.cases)) != (salt, cases):
+        raise BadRequest(
+            f"out {folder}: holds {len(truth.cases)} cases"
+            f"{'' if truth.salt == salt else ' of another seed'}; give their seed and number, or a new folder"
+        )
+    return truth
 
 
 def sealed_digest(folder: Path) -> str:

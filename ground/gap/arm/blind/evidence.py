@@ -34,15 +34,13 @@ def known(campaign: Path, run: Runner, progress: Progress) -> tuple[Reference, K
     return found, Kept(found.ready.found, arm_sensitivities(held, campaign, run, progress))
 
 
-@cache
 def kept_campaign(campaign: Path) -> Kept:
-    """Once in each process."""
+    """Its sensitivities, read once in each process."""
     return _known(campaign)[1]
 
 
-@cache
 def reference_campaign(campaign: Path) -> Reference:
-    """Once in each process."""
+    """All else that is known of it, likewise."""
     return _known(campaign)[0]
 
 

@@ -18,7 +18,7 @@ from ground.gap.arm.simulator import effect_of, raced, told
 from ground.gap.blind.classes import FILE, published
 from ground.gap.blind.folder import CAMPAIGN, CASES, PART, case_name, write_json
 from ground.gap.blind.plan import Drawn, Planned, Seen, planned
-from ground.gap.blind.truth import TrueCase, TrueEffect, Truth, seal
+from ground.gap.blind.truth import TrueCase, TrueEffect, Truth, seal, sealed_before
 from ground.pool import Runner
 from ground.progress import Progress
 from sim.arms import arm_named
@@ -59,29 +59,34 @@ def make(
     """So many cases from a seed; what is there already stays. `publish` is told the digest before any case.
 
     Raises:
-        BadRequest: the folder holds cases of another seed, number or campaign.
-        Unsealed: a log would give its truth away; it is not there.
+        BadRequest: the folder holds cases of another seed or number.
+        TellsTruth: a log would give its truth away; it is not there.
         BadOutput: a file cannot be written.
     """
     folder.mkdir(exist_ok=True)
-    _record_campaign(folder, seed, progress)
-    catalogue, outside = _seen(folder / CAMPAIGN, run, progress)
-    truth = drawn_truth(cases, seed, catalogue, outside)
-    digest = seal(folder, truth)
-    publish(digest)
+    truth = sealed_before(folder, salt(seed), cases)
+    if truth is None:
+        _record_campaign(folder, seed, progress)
+        truth = drawn_truth(cases, seed, *_seen(folder / CAMPAIGN, run, progress))
+        seal(folder, truth)
+    publish(truth.digest())
     jobs = [_Job(folder, case) for case in truth.cases if not (folder / CASES / case.name).exists()]
     left_out: list[str] = []
     for done, missing in enumerate(run(_record, jobs), 1):
         left_out += missing
         progress(done, len(jobs), "cases")
-    return Made(digest, cases, len(jobs), tuple(sorted(left_out)))
+    return Made(truth.digest(), cases, len(jobs), tuple(sorted(left_out)))
 
 
 def drawn_truth(cases: int, seed: int, catalogue: Sequence[Seen], outside: Sequence[Seen]) -> Truth:
     """The same for the same seed, and for a campaign that sees the same."""
     plan = planned(cases, catalogue, outside, np.random.default_rng([seed, 8]))
-    salt = np.random.default_rng([seed, 9]).bytes(16).hex()
-    return Truth(salt, tuple(_true_case(number, case, seed) for number, case in enumerate(plan)))
+    return Truth(salt(seed), tuple(_true_case(number, case, seed) for number, case in enumerate(plan)))
+
+
+def salt(seed: int) -> str:
+    """Of a seed; it does not tell which."""
+    return np.random.default_rng([seed, 9]).bytes(16).hex()
 
 
 def _record_campaign(folder: Path, seed: int, progress: Progress) -> None:

@@ -6,6 +6,7 @@ nobody has seen before may move a link otherwise.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -30,8 +31,11 @@ class Stepped:
     """The turret at the end of some ticks."""
 
 
-def stepped(recording: Recording, effects: Sequence[Effect], manner: Manner, ticks: set[int]) -> Stepped:
-    """Under the recorded drive; PlantDiverged if MuJoCo counted a warning."""
+@lru_cache(maxsize=64)
+def stepped(
+    recording: Recording, effects: tuple[Effect, ...], manner: Manner, ticks: frozenset[int]
+) -> Stepped:
+    """Under the recorded drive; PlantDiverged if MuJoCo counted a warning. Asked again it is the same."""
     arm = DrivenArm(recording.start, (Ambient(recording.temperature_C), *effects), manner)
     readings, poses = [], {}
     for tick, drive in enumerate(recording.drives):
@@ -53,14 +57,14 @@ def change(campaign: Compared, effects: Sequence[Effect], manner: Manner) -> Arr
 
 
 def _moving(one: Moving, effects: Sequence[Effect], manner: Manner) -> Array:
-    with_it, without = (stepped(one.recording, some, manner, set()) for some in (effects, ()))
+    with_it, without = (stepped(one.recording, some, manner, frozenset()) for some in (tuple(effects), ()))
     return measured(one, with_it.sensors) - measured(one, without.sensors)
 
 
 def _posed(one: Posed, effects: Sequence[Effect], manner: Manner) -> Array:
     recording = one.knots.recording
     ticks = [one.knots.tick[one.knots.rests[r]] for r, _ in one.seen]
-    with_it, without = (stepped(recording, some, manner, set(ticks)) for some in (effects, ()))
+    with_it, without = (stepped(recording, some, manner, frozenset(ticks)) for some in (tuple(effects), ()))
     resolvers = _resolvers(one, with_it) - _resolvers(one, without)
     if not ticks:
         return np.asarray(resolvers.ravel())

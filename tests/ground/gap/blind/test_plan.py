@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ground.gap.blind.plan import INSIDE, SIZES, Seen, drawable, planned
-from ground.gap.blind.truth import DIGEST, TRUTH, TrueCase, TrueEffect, Truth, seal, unsealed
+from ground.gap.blind.truth import DIGEST, TRUTH, TrueCase, TrueEffect, Truth, seal, sealed_before, unsealed
 from ground.gap.hypothesis import Hypothesis, Parameter
 from ground.request import BadRequest
 
@@ -97,7 +97,6 @@ def test_what_was_sealed_comes_back(tmp_path: Path) -> None:
     digest = seal(tmp_path, SEALED)
     assert (tmp_path / DIGEST).read_text().strip() == digest
     assert unsealed(tmp_path) == SEALED
-    assert seal(tmp_path, SEALED) == digest
 
 
 def test_a_truth_that_was_changed_is_refused(tmp_path: Path) -> None:
@@ -108,11 +107,14 @@ def test_a_truth_that_was_changed_is_refused(tmp_path: Path) -> None:
         unsealed(tmp_path)
 
 
-def test_another_truth_is_not_sealed_over_one(tmp_path: Path) -> None:
+def test_cases_of_another_seed_or_number_are_not_gone_on_with(tmp_path: Path) -> None:
+    assert sealed_before(tmp_path, "00ff", 2) is None
     seal(tmp_path, SEALED)
-    with pytest.raises(BadRequest, match="another seed, number or campaign"):
-        seal(tmp_path, replace(SEALED, cases=SEALED.cases[:1]))
-    assert unsealed(tmp_path) == SEALED
+    assert sealed_before(tmp_path, "00ff", 2) == SEALED
+    with pytest.raises(BadRequest, match="holds 2 cases; give"):
+        sealed_before(tmp_path, "00ff", 3)
+    with pytest.raises(BadRequest, match="holds 2 cases of another seed"):
+        sealed_before(tmp_path, "00fe", 2)
 
 
 def test_a_truth_that_is_thought_of_cannot_be_tried_without_the_salt() -> None:

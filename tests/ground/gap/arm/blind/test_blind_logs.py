@@ -11,7 +11,7 @@ from fsw.dictionary.joints import Joint
 from ground.gap.arm.blind import make
 from ground.gap.arm.blind.background import background
 from ground.gap.arm.blind.outside import all_outside
-from ground.gap.arm.blind.sealed import KEYS, Unsealed, check_sealed
+from ground.gap.arm.blind.sealed import KEYS, TellsTruth, check_sealed
 from ground.gap.arm.logs import recording_in
 from ground.gap.arm.record import SESSION, conditions
 from ground.gap.blind.plan import Seen
@@ -102,7 +102,7 @@ def test_a_header_that_tells_is_refused(words: str, tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     with Recorder(path, LEAKS[words]({**said, SESSION: conditions(SESSIONS[0])})) as recorder:
         recorder.write(loop.cycle())
-    with pytest.raises(Unsealed, match=words):
+    with pytest.raises(TellsTruth, match=words):
         check_sealed(path, CASE)
 
 
@@ -112,7 +112,7 @@ def test_the_plants_own_state_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     with Recorder(path, {**flown_header(loop, ()), SESSION: conditions(SESSIONS[0])}) as recorder:
         recorder.write(next(moments(loop, SESSIONS[0])).record)
-    with pytest.raises(Unsealed, match="the plant's own state in /truth"):
+    with pytest.raises(TellsTruth, match="the plant's own state in /truth"):
         check_sealed(path, CASE)
 
 
@@ -121,7 +121,7 @@ def test_a_case_of_which_a_log_tells_is_not_kept(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(make, "blind_reference", true_reference)
     monkeypatch.setattr(make, "all_sessions", lambda: SESSIONS)
     case = replace(cases()["single"], background=(spec_of(CoulombFriction(Joint.ELEVATION, 12.0)),))
-    with pytest.raises(Unsealed, match=r"flight software begins with friction_Nm"):
+    with pytest.raises(TellsTruth, match=r"flight software begins with friction_Nm"):
         make._record(make._Job(tmp_path, case))
     assert list((tmp_path / "cases").iterdir()) == []
 
@@ -149,9 +149,7 @@ def test_an_effect_from_outside_is_written_by_its_file_and_switched_on() -> None
     assert {"dead_A": getattr(made, "dead_A", None)} == effect.values
 
 
-def test_a_session_that_comes_to_no_end_is_left_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    case = SimpleNamespace(
-        background=("servo-gain:elbow:factor=0.1", "coulomb-friction:elbow:torque_Nm=400"), effects=(), seed=5
-    )
-    assert list(make.record_case(tmp_path, case, SESSIONS)) == ["cold"]
+def test_a_session_that_comes_to_no_end_is_left_out(tmp_path: Path) -> None:
+    weak = ("servo-gain:elbow:factor=0.1", "coulomb-friction:elbow:torque_Nm=400")
+    assert list(make.record_case(tmp_path, TrueCase("case-000", "none", (), weak, 5), SESSIONS)) == ["cold"]
     assert list(tmp_path.glob("*.mcap")) == []
