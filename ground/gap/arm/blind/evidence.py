@@ -12,7 +12,7 @@ from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import Recording, recording_in
 from ground.gap.arm.reference import Reference, reference
 from ground.gap.arm.sensitivities import arm_sensitivities
-from ground.gap.arm.simulator import ArmSimulator
+from ground.gap.arm.simulator import CALMLY, ArmSimulator
 from ground.gap.blind.evidence import Features, Kept, Measured
 from ground.gap.layout import Layout
 from ground.pool import Runner, on_this_machine
@@ -59,7 +59,8 @@ def _measured(recordings: list[Recording], layout: Layout, keys: Iterable[str]) 
     if not recordings:
         return Measured(np.zeros(0, np.intp), np.zeros(0))
     there = compared(recordings, nominal_params())
-    here = bound(ArmSimulator(there, nominal_params(), floor_of(there).sigma), layout, tuple(keys))
+    arm = ArmSimulator(there, nominal_params(), floor_of(there).sigma, manner=CALMLY)
+    here = bound(arm, layout, tuple(keys))
     return Measured(here.rows, here.gap())
 
 

@@ -96,7 +96,9 @@ def _seen(said: dict[str, Any]) -> float:
 def _column(job: _Job) -> tuple[tuple[str, str], Array]:
     """Change of the features per typical size, upwards."""
     one = all_outside()[job.name]
-    return job.name, change(_campaign(job.logs), (one.made.typical(),), BRIEFLY)
+    typical = np.array([p.absent + p.typical * p.sizes for p in one.hypothesis.parameters])
+    effect = effect_of(one.made, one.hypothesis, typical)
+    return job.name, change(_campaign(job.logs), (effect,), BRIEFLY)
 
 
 @cache
