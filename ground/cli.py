@@ -16,6 +16,7 @@ import typer
 from ground.cli_budget import budget
 from ground.cli_calibrate import calibrate
 from ground.cli_calibrate_serial import calibrate_serial
+from ground.cli_diagnose import diagnose
 from ground.cli_dictionary import dictionary
 from ground.cli_effects import effects
 from ground.cli_gap import gap_app
@@ -142,6 +143,7 @@ app.command()(budget)
 app.command("monte-carlo")(monte_carlo)
 app.command()(calibrate)
 app.command("calibrate-serial")(calibrate_serial)
+app.command()(diagnose)
 
 
 def _finish(report: "PlaceReport") -> None:

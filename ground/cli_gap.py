@@ -114,7 +114,7 @@ def score(
 
 @contextmanager
 def _bad_input(as_json: bool) -> Iterator[None]:
-    from ground.gap.arm.diagnosed import TooLittleMotion
+    from ground.gap.arm.case import TooLittleMotion
     from ground.gap.arm.logs import NotForDiagnosis
     from ground.outputs import BadOutput
     from ground.request import BadRequest

@@ -24,8 +24,8 @@ ParamsOption = Annotated[
 EffectOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Switch an effect on, one from `marsarm effects` or FILE.py:CLASS for its name; as often "
-        "as you like.",
+        help="Switch an effect on, one from `marsarm effects` or FILE.py:CLASS for its name, or those of a "
+        "FILE.toml with [[effect]] tables; as often as you like.",
         metavar="NAME:PLACE:PARAMETER=VALUE,...",
     ),
 ]

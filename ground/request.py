@@ -13,6 +13,7 @@ from fsw.dictionary.params import Params
 from sim.arms import BuiltArm, UnknownArm, arm_named
 from sim.effects.effect import Effect
 from sim.params import BadParams, params_over_nominal
+from sim.scenario.effect_file import effects_in
 from sim.scenario.effects import BadEffect, effect_from
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World
 
@@ -75,11 +76,12 @@ def params_for(name: str, path: Path) -> Params:
 
 
 def chosen_effects(texts: tuple[str, ...]) -> tuple[Effect, ...]:
-    """The effects that these texts say."""
-    effects, problems = [], []
+    """The effects that these texts say, or the files that they name."""
+    effects: list[Effect] = []
+    problems: list[str] = []
     for text in texts:
         try:
-            effects.append(effect_from(text))
+            effects += effects_in(Path(text)) if text.endswith(".toml") else (effect_from(text),)
         except BadEffect as error:
             problems.append(str(error))
     if problems:

@@ -1,11 +1,9 @@
 """The calibrated arm as a parameter file that flight software loads, with where it comes from."""
 
 import hashlib
-from collections.abc import Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,6 +16,7 @@ from ground.calibration.arm_numbers import with_zeros_as_hardstops
 from ground.calibration.calibrate import Calibration, rms_m
 from ground.calibration.data import Campaign
 from ground.outputs import written_whole
+from ground.params_text import params_text
 
 
 def calibrated_params(found: Calibration, tools: dict[Tool, Pose] | None = None) -> Params:
@@ -79,45 +78,4 @@ def save_parameter_file(found: Calibration, params: Params, path: Path) -> None:
 
 def parameter_text(found: Calibration, params: Params) -> str:
     """Every parameter that is not nominal, as TOML."""
-    changed = _changed(asdict(found.nominal), asdict(params))
-    return "\n".join([*(f"# {line}" for line in provenance(found)), "", *_lines(changed, ()), ""])
-
-
-def _changed(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
-    """What is another value, tables of numbers whole."""
-    found: dict[str, Any] = {}
-    for key, value in new.items():
-        if not isinstance(value, dict) or _is_leaf(value):
-            if value != old[key]:
-                found[key] = value
-        elif inner := _changed(old[key], value):
-            found[key] = inner
-    return found
-
-
-def _is_leaf(table: dict[str, Any]) -> bool:
-    """Lumps and transforms: no table within, and small."""
-    return set(table) in ({"mass_kg", "com_m"}, {"theta_rad", "d_m", "beta_rad", "b_m", "alpha_rad", "a_m"})
-
-
-def _lines(table: dict[str, Any], path: tuple[str, ...]) -> Iterator[str]:
-    tables = {key: value for key, value in table.items() if isinstance(value, dict) and not _is_leaf(value)}
-    values = {key: value for key, value in table.items() if key not in tables}
-    if values and path:
-        yield f"[{'.'.join(path)}]"
-    for key, value in values.items():
-        yield f"{key} = {_toml(value)}"
-    if values:
-        yield ""
-    for key, inner in tables.items():
-        yield from _lines(inner, (*path, key))
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value.items()) + " }"
-    if isinstance(value, tuple):
-        if value and isinstance(value[0], tuple):
-            return "[\n" + "".join(f"    {_toml(row)},\n" for row in value) + "]"
-        return "[" + ", ".join(_toml(item) for item in value) + "]"
-    return repr(value) if isinstance(value, float) else f'"{value}"'
+    return params_text(found.nominal, params, provenance(found))

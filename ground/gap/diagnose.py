@@ -14,11 +14,12 @@ from ground.gap.hypothesis import Hypothesis
 from ground.gap.layout import Evidence
 from ground.gap.model import Fitted, fitted, left
 from ground.gap.prepared import Prepared, prepare
-from ground.gap.race import Chosen, Field, Race, best_left, race
+from ground.gap.race import Chosen, Field, Race, race
 from ground.gap.ready import Ready
 from ground.gap.refine import Refined, Simulated, columns_at, refine
 from ground.gap.simulator import Simulator
 from ground.gap.structure import Group, Remains, remains
+from ground.gap.trust import Signs, signs_of
 from ground.gap.where import Cell, where
 
 Kind = Literal["named", "set", "none", "unknown"]
@@ -88,9 +89,11 @@ def diagnose(ready: Ready, evidence: Evidence, seed: int, simulator: Simulator |
         final = refine(Simulated(simulator, curved), ready.prepared, y, near)
     model = _at_estimate(ready, field, final, won.chosen, curved, y)
     remaining = remains(model.prepared, _looked(ready, model.prepared), model.best, model.y)
-    strange = max(remaining[0].surprise, best_left(model.field(field), model.case, won.chosen))
+    signs = signs_of(
+        model.field(field), ready.cosine, model.case, won.chosen, won.shares, remaining[0].surprise
+    )
     findings = _findings(ready, field, reduced(field.prepared, y), won, final, seed)
-    verdict = _verdict(ready, findings, strange)
+    verdict, strange = _verdict(ready, findings, signs), max(signs.remains, signs.addable)
     return Diagnosis(
         verdict, findings, won.first, won.surprise, remaining, strange, cells, without, model.best,
         model.prepared,
@@ -144,9 +147,10 @@ def _at_estimate(
     return _Model(prepared, straight, case, fitted(prepared, case, prepared.columns(chosen)))
 
 
-def _verdict(ready: Ready, findings: tuple[Finding, ...], strange: float) -> Kind:
-    """No name is forced where structure remains."""
-    if strange >= ready.thresholds.unexplained or any(finding.at_bound for finding in findings):
+def _verdict(ready: Ready, findings: tuple[Finding, ...], signs: Signs) -> Kind:
+    """No name is forced where structure remains, or where something else might as well be imitated."""
+    strange = max(signs.remains, signs.addable) >= ready.thresholds.unexplained
+    if strange or not ready.thresholds.trust.allows(signs) or any(one.at_bound for one in findings):
         return "unknown"
     alone = all(len(finding.alternatives.hypotheses) == 1 for finding in findings)
     return "named" if alone else "set"

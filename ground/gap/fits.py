@@ -3,6 +3,7 @@
 from typing import Final
 
 import numpy as np
+from scipy.special import gammaln
 from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array, Flags
@@ -12,6 +13,8 @@ from ground.gap.prepared import Prepared
 
 LEARNT: Final = 0.01
 """In a fold, a size counts as learnt from data that say as much of it as this share of all data."""
+FAR: Final = 300.0
+"""Half a drop beyond which probabilities are taken by their leading term."""
 RIDGE: Final = 1e-9
 """Share of the scale that is added, so that two columns that are the same can be solved."""
 
@@ -50,5 +53,12 @@ def losses(prepared: Prepared, case: Case, columns: Ints) -> Array:
 
 
 def surprise(dropped: Array, k: Array | float) -> Array:
-    """Of a drop with k more parameters: -log10 of its probability if there is nothing."""
-    return np.asarray(-chi2.logsf(np.maximum(dropped, 0.0), k) / np.log(10.0))
+    """Of a drop with k more parameters: -log10 of its probability if there is nothing.
+
+    Far out, where that is below the least floating-point number, by the leading term of the incomplete gamma
+    function, so that even there the more surprising is told from the less.
+    """
+    x, half = np.maximum(dropped, 0.0) / 2.0, np.asarray(k) / 2.0
+    far = x - (half - 1.0) * np.log(np.maximum(x, 1.0)) + gammaln(half)
+    near = -chi2.logsf(2.0 * np.minimum(x, FAR), k)
+    return np.asarray(np.where(x > FAR, far, near) / np.log(10.0))

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from ground.gap.prepared import Prepared
+from ground.gap.diagnose import Diagnosis
+from ground.gap.prepared import Prepared, prepare
+from ground.gap.ready import Ready
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +37,35 @@ def next_motion(
         for name, motion in candidates.items()
     ]
     return tuple(sorted(found, key=lambda motion: (-motion.separation, motion.name)))
+
+
+def again(ready: Ready, told: Diagnosis) -> tuple[Motion, ...]:
+    """Motions of the campaign that are best done again, for what a diagnosis could not tell apart."""
+    sizes: dict[int, Array] = {}
+    for finding in told.findings:
+        what = ready.found.hypotheses[finding.hypothesis]
+        rivals = (*finding.alternatives.hypotheses, *finding.confusable)
+        if set(rivals) - {finding.hypothesis}:
+            own = what.departures(finding.values)
+            seen = float(np.linalg.norm(own * _scale(ready, finding.hypothesis)))
+            sizes |= {h: _as_much(ready, h, seen) for h in rivals} | {finding.hypothesis: own}
+    if len(sizes) < len(("one", "another")):
+        return ()
+    layout = ready.found.layout
+    blocks = {layout.blocks[b]: np.flatnonzero(layout.block == b) for b in np.unique(layout.block)}
+    repeats = {name: prepare(ready.found.of(rows)) for name, rows in blocks.items()}
+    return next_motion(ready.prepared, sizes, repeats)
+
+
+def _scale(ready: Ready, hypothesis: int) -> Array:
+    """Standard errors of a typical size, of each of its columns."""
+    return np.asarray(ready.prepared.scale[ready.prepared.owner == hypothesis])
+
+
+def _as_much(ready: Ready, hypothesis: int, seen: float) -> Array:
+    """Sizes of another hypothesis that are so many standard errors, in typical ones."""
+    scale = _scale(ready, hypothesis)
+    return np.asarray(seen / np.sqrt(scale.size) / np.where(scale > 0.0, scale, np.inf))
 
 
 def _information(parts: list[Prepared]) -> Array:

@@ -1,4 +1,4 @@
-"""Hypotheses raced: which one, two or three predict blocks that they were not fitted to."""
+"""Hypotheses raced: which one, two or three explain a case, and predict blocks they were not fitted to."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -12,8 +12,6 @@ from ground.gap.layout import Ints
 from ground.gap.prepared import Prepared
 
 MOST_EFFECTS: Final = 3
-SCREENED: Final = 24
-"""Hypotheses that explain most, beside those chosen, whose prediction is computed."""
 
 Chosen = tuple[int, ...]
 """Hypotheses, by index, in the order chosen."""
@@ -54,13 +52,13 @@ class Race:
 def race(field: Field, case: Case) -> Race:
     """Forward selection with exchange and backward elimination, to at most three effects.
 
-    A hypothesis is added if it predicts held-out blocks better by more than one standard error of the paired
-    differences between blocks, and explains more than no-effect data do. Of hypotheses of one class only one
-    may be chosen. A size at a bound is no finding.
+    A hypothesis is added if it explains more than no-effect data do, unless with it held-out blocks are
+    predicted worse by more than one standard error of the paired differences between blocks. Of hypotheses of
+    one class only one may be chosen. A size at a bound is no finding.
     """
     chosen: Chosen = ()
     loss = np.zeros(case.c.shape[0])
-    first, best = _ranked(field, case, ())
+    first, best = ranked(field, case, ())
     while len(chosen) < MOST_EFFECTS:
         longer = _better(field, case, chosen, loss)
         if longer is None:
@@ -74,28 +72,28 @@ def race(field: Field, case: Case) -> Race:
 
 def best_left(field: Field, case: Case, chosen: Chosen) -> float:
     """Surprise of the most surprising hypothesis that could be added to those chosen."""
-    return _ranked(field, case, chosen)[1]
+    return ranked(field, case, chosen)[1]
 
 
 def _better(field: Field, case: Case, chosen: Chosen, loss: Array) -> tuple[Chosen, Array] | None:
     """One more, after exchange and elimination; None if nothing more is found."""
-    order, best = _ranked(field, case, chosen)
+    order, best = ranked(field, case, chosen)
     if not order or best < field.threshold:
         return None
     longer = _exchanged(field, case, (*chosen, order[0]))
     after = _loss(field.prepared, case, longer)
-    if not _clearly(loss - after) or not _all_needed(field, case, longer):
+    if _clearly_worse(after - loss) or not _all_needed(field, case, longer):
         return None
     return longer, after
 
 
 def _exchanged(field: Field, case: Case, chosen: Chosen) -> Chosen:
-    """Each of several in turn replaced by what predicts better beside the others."""
+    """Each of several in turn replaced by what explains more beside the others."""
     if len(chosen) == 1:
         return chosen
     for index in range(len(chosen)):
         others = (*chosen[:index], *chosen[index + 1 :])
-        order, _ = _ranked(field, case, others)
+        order, _ = ranked(field, case, others)
         if order:
             chosen = (*chosen[:index], order[0], *chosen[index + 1 :])
     return chosen
@@ -114,38 +112,30 @@ def _all_needed(field: Field, case: Case, chosen: Chosen) -> bool:
     return True
 
 
-def _clearly(gain: Array) -> bool:
-    """Whether a gain, by block, is more than one standard error of its sum above 0."""
-    return bool(gain.sum() > np.std(gain, ddof=1) * np.sqrt(gain.size))
+def _clearly_worse(loss: Array) -> bool:
+    """Whether a loss, by block, is more than one standard error of its sum above 0."""
+    return bool(loss.sum() > np.std(loss, ddof=1) * np.sqrt(loss.size))
 
 
-def _ranked(field: Field, case: Case, chosen: Chosen) -> tuple[Chosen, float]:
+def ranked(field: Field, case: Case, chosen: Chosen) -> tuple[Chosen, float]:
     """What may be added, best first, and the surprise of the most surprising among it.
 
-    Where prediction is clear it decides: those that predict worse than the best by more than one standard
-    error come behind. Among the others the one goes first whose improvement is the least likely to be
-    chance: with a known floor that tells more than a prediction does, and counts parameters.
+    With a known floor, how unlikely an improvement is by chance tells more than a prediction of held-out
+    blocks does, and counts parameters; effects that one block alone shows cannot be predicted at all.
     """
     prepared, base = field.prepared, field.prepared.columns(chosen)
     beside = float(drop(prepared, case, base)) if chosen else 0.0
     taken = np.isin(field.label, field.label[list(chosen)])
-    who, surprises, predicted = [np.zeros(0, np.intp)], [np.zeros(0)], [np.zeros((0, case.c.shape[0]))]
+    who, surprises = [np.zeros(0, np.intp)], [np.zeros(0)]
     for k, hypotheses, columns in _sets(field, base, ~taken):
         t = sizes(prepared, case, columns)
         gains = np.sum(t * case.all[columns], axis=-1) - beside
-        ok = np.flatnonzero(within(prepared, t, columns) & (gains > 0.0))
-        ok = ok[np.argsort(-gains[ok], kind="stable")[:SCREENED]]
+        ok = within(prepared, t, columns) & (gains > 0.0)
         who.append(hypotheses[ok])
         surprises.append(surprise(gains[ok], k))
-        predicted.append(losses(prepared, case, columns[ok]))
-    index, high, loss = np.concatenate(who), np.concatenate(surprises), np.concatenate(predicted)
-    if not index.size:
-        return (), 0.0
-    worse = loss - loss[np.argmin(loss.sum(axis=1))]
-    total = worse.sum(axis=1)
-    behind = total > np.std(worse, axis=1, ddof=1) * np.sqrt(loss.shape[1])
-    order = np.lexsort((np.where(behind, total, -high), behind))
-    return tuple(int(h) for h in index[order]), float(high.max())
+    index, high = np.concatenate(who), np.concatenate(surprises)
+    order = np.argsort(-high, kind="stable")
+    return tuple(int(h) for h in index[order]), float(high[order[0]]) if order.size else 0.0
 
 
 def _sets(field: Field, base: Ints, free: Flags) -> list[tuple[int, Ints, Ints]]:

@@ -55,5 +55,5 @@ def ready(
         detectability(prepared),
         groups(prepared),
     )
-    kept = thresholds or calibrate(prepared, label, limits, looked, seed, cases, step)
+    kept = thresholds or calibrate(prepared, label, cosine, limits, looked, seed, cases, step)
     return Ready(found, prepared, cosine, label, limits, looked, kept)

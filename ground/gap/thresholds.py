@@ -19,16 +19,17 @@ from ground.gap.model import fitted
 from ground.gap.prepared import Prepared
 from ground.gap.race import Field, best_left, race
 from ground.gap.structure import Group, remains
+from ground.gap.trust import Signs, Trust, learnt, signs_of
 
 CASES: Final = 400
 """Of each kind."""
 FALSE_ALARM: Final = 0.04
 """Share of no-effect cases in which anything may be claimed: below 5 % by one sigma of what CASES tell."""
-DISOWNED: Final = 0.1
-"""Share of cases of the right model in which it may be given up for unknown, at most."""
-WRONG: Final = 0.12
+DISOWNED: Final = 0.02
+"""Share of cases of the right model that may be given up for what remains."""
+WRONG: Final = 0.13
 """Share of left-out effects that may be given a wrong name."""
-SIZES: Final = (1.0, 4.0)
+SIZES: Final = (0.5, 4.0)
 """Of the effects drawn, in detection limits."""
 INSIDE: Final = 0.9
 """Share of the way to its bounds that a size drawn may go."""
@@ -44,19 +45,36 @@ class Thresholds:
     """Without any effect chosen: what remains is structure from here on."""
     unexplained: float
     """With effects chosen: what remains is not explained by them from here on."""
+    trust: Trust
+    """Whether a name may be given otherwise."""
     false_alarm: float
     """Share of no-effect cases called an effect or unknown."""
     disowned: float
-    """Share of cases of one known effect called unknown."""
+    """Share of cases in which the right effects were chosen that were called unknown."""
     wrong: float
     """Share of cases of one left-out effect given a name."""
     cases: int
     """Simulated, of each kind."""
 
 
+@dataclass(frozen=True, slots=True)
+class _Won:
+    """One simulated case in which something was chosen."""
+
+    signs: Signs
+    right: bool
+    left_out: bool
+
+    @property
+    def strange(self) -> float:
+        """The most surprising of what remains."""
+        return max(self.signs.remains, self.signs.addable)
+
+
 def calibrate(
     prepared: Prepared,
     label: Ints,
+    cosine: Array,
     limits: tuple[Detectability, ...],
     looked: tuple[Group, ...],
     seed: int,
@@ -71,28 +89,49 @@ def calibrate(
     for index in range(cases):
         y = _simulated(prepared, rng, np.zeros(prepared.owner.size))
         found[index] = _nothing_chosen(none, looked, y)
-        step(index + 1, 3 * cases)
+        step(index + 1, 2 * cases)
     effect, structure = _joint(found)
     field = Field(prepared, label, effect, none.inside)
-    able = np.flatnonzero(none.inside)
-    with_it, without = np.empty(cases), np.empty(cases)
-    for index in range(cases):
-        one = int(rng.choice(able)) if able.size else 0
-        y = _simulated(prepared, rng, _size(prepared, one, limits[one].limit, rng))
-        with_it[index] = _after(field, looked, y, structure)
-        without[index] = _after(_left_out(field, one), looked, y, structure)
-        step(cases + 2 * (index + 1), 3 * cases)
-    least = float(np.quantile(with_it, 1.0 - DISOWNED))
-    named = without[without >= 0.0]
-    allowed = np.sort(named)[min(int(WRONG * cases), named.size - 1)] if named.size else np.inf
-    unexplained = float(max(least, min(structure, allowed)))
+    won: list[_Won] = []
+    for index in range(cases if none.inside.any() else 0):
+        one, two = _drawn(field, rng), _drawn(field, rng)
+        sizes = [_size(prepared, h, limits[h].limit, rng) for h in (one, two)]
+        y = _simulated(prepared, rng, sizes[0])
+        won += _after(field, cosine, looked, y, {one})
+        won += _after(field, cosine, looked, _simulated(prepared, rng, sizes[0] + sizes[1]), {one, two})
+        won += _after(_left_out(field, one), cosine, looked, y, set())
+        step(cases + index + 1, 2 * cases)
+    return _thresholds(found, effect, structure, won)
+
+
+def _thresholds(found: Array, effect: float, structure: float, won: list[_Won]) -> Thresholds:
+    """Of no-effect cases (n, 2), and of those in which something was chosen."""
+    cases, right = len(found), [one.strange for one in won if one.right]
+    unexplained = float(np.quantile(right, 1.0 - DISOWNED)) if right else np.inf
+    plain = [one for one in won if one.strange < unexplained]
+    trust = learnt(
+        [one.signs for one in plain],
+        np.array([one.right for one in plain]),
+        np.array([one.left_out for one in plain]),
+        int(WRONG * cases),
+    )
+    named = [one for one in plain if trust.allows(one.signs)]
     return Thresholds(
-        effect, structure, unexplained,
+        effect, structure, unexplained, trust,
         float(np.mean((found[:, 0] >= effect) | (found[:, 1] >= structure))),
-        float(np.mean(with_it >= unexplained)),
-        float(np.mean((without >= 0.0) & (without < unexplained))),
+        1.0 - sum(one.right for one in named) / max(len(right), 1),
+        sum(one.left_out for one in named) / cases,
         cases,
     )  # fmt: skip
+
+
+def _drawn(field: Field, rng: np.random.Generator) -> int:
+    """An effect among those that are seen, then a place of it."""
+    seen = np.flatnonzero(field.inside)
+    effects = [field.prepared.hypotheses[h].effect for h in seen]
+    names = sorted(set(effects))
+    name = names[int(rng.integers(len(names)))]
+    return int(rng.choice(seen[[effect == name for effect in effects]]))
 
 
 def _simulated(prepared: Prepared, rng: np.random.Generator, t: Array) -> Array:
@@ -117,20 +156,17 @@ def _nothing_chosen(field: Field, looked: tuple[Group, ...], y: Array) -> tuple[
     return best_left(field, case, ()), remains(field.prepared, looked, model, y)[0].surprise
 
 
-def _after(field: Field, looked: tuple[Group, ...], y: Array, structure: float) -> float:
-    """What remains after the best model; -1 where none is chosen and no name can be wrong."""
+def _after(field: Field, cosine: Array, looked: tuple[Group, ...], y: Array, true: set[int]) -> list[_Won]:
+    """What was chosen and whether it is right, by class; nothing if none was. No truth: it was left out."""
     case = reduced(field.prepared, y)
     won = race(field, case)
     if not won.chosen:
-        return -1.0
-    return unexplained(field, looked, won.chosen, y)
-
-
-def unexplained(field: Field, looked: tuple[Group, ...], chosen: tuple[int, ...], y: Array) -> float:
-    """The most surprising of what remains after a model: a group, or a hypothesis that is not in it."""
-    case = reduced(field.prepared, y)
-    model = fitted(field.prepared, case, field.prepared.columns(chosen))
-    return max(remains(field.prepared, looked, model, y)[0].surprise, best_left(field, case, chosen))
+        return []
+    model = fitted(field.prepared, case, field.prepared.columns(won.chosen))
+    left = remains(field.prepared, looked, model, y)[0].surprise
+    signs = signs_of(field, cosine, case, won.chosen, won.shares, left)
+    right = {int(field.label[h]) for h in won.chosen} <= {int(field.label[h]) for h in true}
+    return [_Won(signs, right, not true)]
 
 
 def _left_out(field: Field, one: int) -> Field:

@@ -117,7 +117,15 @@ def _name(hypothesis: Hypothesis) -> dict[str, str]:
 
 def _plain(table: dict[str, Any]) -> dict[str, Any]:
     """The same with plain numbers."""
-    return {key: value if isinstance(value, str | int) else _number(value) for key, value in table.items()}
+    return {key: _plain_value(value) for key, value in table.items()}
+
+
+def _plain_value(value: Any) -> Any:
+    if isinstance(value, dict):
+        return _plain(value)
+    if isinstance(value, tuple):
+        return [_plain_value(one) for one in value]
+    return value if isinstance(value, str | int) else _number(value)
 
 
 def _number(value: float) -> float | None:

@@ -1,4 +1,4 @@
-"""Where the gap lies: energy of the residual over its floor, by channel and regime, with intervals."""
+"""Where the gap lies: energy of the residual over its floor, by channel, place and regime."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -14,7 +14,7 @@ LEVEL: Final = 0.9
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One channel in one regime."""
+    """One channel at one place in one regime."""
 
     channel: str
     place: str
@@ -24,7 +24,7 @@ class Cell:
     """Root mean square of the residual over its floor: 1 if there is no gap."""
     least: float
     most: float
-    """90 % interval of that, from a bootstrap over blocks."""
+    """90 % interval of that, from a bootstrap over blocks; NaN if there is one block only."""
 
 
 def where(layout: Layout, residual: Array, seed: int) -> tuple[Cell, ...]:
@@ -33,16 +33,21 @@ def where(layout: Layout, residual: Array, seed: int) -> tuple[Cell, ...]:
     count = len(layout.blocks)
     weight = rng.multinomial(count, np.full(count, 1.0 / count), size=DRAWS).astype(float)
     result = []
-    for channel, regime in np.unique(np.stack([layout.channel, layout.regime]), axis=1).T:
-        rows = np.flatnonzero((layout.channel == channel) & (layout.regime == regime))
+    of = np.stack([layout.channel, layout.place, layout.regime])
+    for channel, place, regime in np.unique(of, axis=1).T:
+        rows = np.flatnonzero(np.all(of == [[channel], [place], [regime]], axis=0))
         n = np.bincount(layout.block[rows], minlength=count)
         square = np.bincount(layout.block[rows], residual[rows] ** 2, minlength=count)
-        drawn = weight @ n > 0.0
-        ratios = np.sqrt((weight[drawn] @ square) / (weight[drawn] @ n))
-        least, most = np.quantile(ratios, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
-        place = layout.places[int(np.argmax(np.bincount(layout.place[rows])))]
+        least, most = _interval(weight @ square, weight @ n) if np.count_nonzero(n) > 1 else (np.nan, np.nan)
         result.append(Cell(
-            layout.channels[channel], place, layout.regimes[regime], rows.size,
-            float(np.sqrt(square.sum() / n.sum())), float(least), float(most),
+            layout.channels[channel], layout.places[place], layout.regimes[regime], rows.size,
+            float(np.sqrt(square.sum() / n.sum())), least, most,
         ))  # fmt: skip
     return tuple(sorted(result, key=lambda cell: -cell.ratio))
+
+
+def _interval(square: Array, n: Array) -> tuple[float, float]:
+    """Of ratios drawn."""
+    ratios = np.sqrt(square[n > 0.0] / n[n > 0.0])
+    least, most = np.quantile(ratios, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
+    return float(least), float(most)

@@ -28,25 +28,30 @@ GRAVITY_M_S2: Final = (1.0, 12.0)
 LEAST_SEGMENTS: Final = 2
 
 
-def audit(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
-    """What is to be said of a campaign's recordings, beside a simulator with these parameters."""
-    found = [f"{one.name}: {said}" for one in recordings for said in findings(one)]
+def refusals(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
+    """Why recordings cannot be compared with a simulator of these parameters at all."""
+    wrong = [
+        f"{one.name}: {said}"
+        for one in recordings
+        for said in (*_not_finite(one.sensors), *_not_finite(one.drive), *_time_base(one))
+    ]
     others = [
         f"{one.name}: was made with other flight parameters ({digest(one.params)[:12]}) than the simulator's "
         f"({digest(base)[:12]}); give those with --params"
         for one in recordings
         if digest(one.params) != digest(base)
     ]
-    return (*found, *others, *_campaign(recordings))
+    return (*wrong, *others)
+
+
+def audit(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """What is to be said of a campaign's recordings that can be compared."""
+    found = [f"{one.name}: {said}" for one in recordings for said in findings(one)]
+    return (*found, *_campaign(recordings))
 
 
 def findings(recording: Recording) -> Iterator[str]:
-    """What is wrong with one recording."""
-    bad = list(_not_finite(recording.sensors)) + list(_not_finite(recording.drive))
-    yield from bad
-    if bad:
-        return
-    yield from _time_base(recording)
+    """What is odd about one recording."""
     yield from _stale(recording)
     yield from _clipped(recording)
     yield from _units(recording)

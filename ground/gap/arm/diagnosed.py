@@ -1,113 +1,59 @@
-"""Logs of an arm, diagnosed: from recordings to all that is said of them."""
+"""Logs diagnosed: from a request to all that is said of them."""
 
+import os
 from collections.abc import Sequence
-from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
-import numpy as np
-
 from fsw.dictionary.params import Params
-from ground.gap.arm.audit import audit
-from ground.gap.arm.bound import Bound, bound
-from ground.gap.arm.campaign import compared
-from ground.gap.arm.features import CHANNELS, SHIFT
-from ground.gap.arm.floor import floor_of
-from ground.gap.arm.logs import Recording
-from ground.gap.arm.reference import Reference
-from ground.gap.arm.simulator import CALMLY, ArmSimulator
-from ground.gap.closure import Closure
-from ground.gap.diagnose import Diagnosis, diagnose
-from ground.gap.held_out import closed, settings_of
-from ground.gap.layout import Evidence
-from ground.gap.ready import Ready, ready
-from ground.gap.result import Result, ToolGap
-from ground.gap.sensitivity import Sensitivities
-from sim.effects.catalogue import catalogue
+from ground.gap.arm.audit import refusals
+from ground.gap.arm.case import solved
+from ground.gap.arm.logs import NotForDiagnosis, Recording, recording_in
+from ground.gap.arm.reference import reference
+from ground.gap.arm.request import DiagnoseRequest
+from ground.gap.result import Result
+from ground.pool import on_this_machine
+from ground.progress import Progress
+from sim.params import nominal_params, params_over_nominal
 
-LEAST_SHARE: Final = 0.5
-"""Of the campaign's features that a case must have, else there is too little motion."""
-NOISIER: Final = 1.2
-"""Repeats that differ by so many times the floor of the campaign make a floor of their own."""
+CACHE: Final = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")) / "marsarm" / "sensitivities"
 
 
-class TooLittleMotion(ValueError):
-    """A case that lacks most of the campaign; the message says which motions."""
-
-
-def diagnosed(
-    recordings: Sequence[Recording],
-    held_out: Sequence[Recording],
-    against: Reference,
-    base: Params,
-    seed: int,
-) -> Result:
-    """Of a case's recordings, beside a simulator with these flight parameters.
+def diagnosed(request: DiagnoseRequest, progress: Progress) -> Result:
+    """What the logs say.
 
     Raises:
-        TooLittleMotion: most motions of the campaign are missing.
+        NotForDiagnosis: they cannot be diagnosed; the message says what they lack.
     """
-    notes = audit(recordings, base)
-    arm, floor = _simulator(recordings, base, against.ready.found)
-    case = bound(arm, against.ready.found.layout, against.keys)
-    _check_motion(case, against)
-    known = _ready(against.ready, case)
-    told = diagnose(known, Evidence(known.found.layout, case.gap()), seed, case)
-    shut = _closed(told, held_out, against, base, seed)
-    return Result(known, told, shut, _tool(shut), (), (*notes, *floor))
-
-
-def _simulator(
-    recordings: Sequence[Recording], base: Params, found: Sensitivities
-) -> tuple[ArmSimulator, tuple[str, ...]]:
-    campaign = compared(recordings, base)
-    floor = floor_of(campaign)
-    kinds = {name: catalogue()[name] for name in dict.fromkeys(h.effect for h in found.hypotheses)}
-    return ArmSimulator(campaign, base, floor.sigma, kinds, CALMLY), floor.notes
-
-
-def _ready(against: Ready, case: Bound) -> Ready:
-    """Of the features that the case has, with its own floor where that is higher."""
-    found = against.found.of(case.rows)
-    higher = np.maximum(found.layout.sigma, case.layout.sigma)
-    if len(case.rows) == against.found.layout.size and np.all(higher < NOISIER * found.layout.sigma):
-        return against
-    layout = replace(found.layout, sigma=higher)
-    return ready(replace(found, layout=layout), 0, thresholds=against.thresholds)
-
-
-def _closed(
-    told: Diagnosis, recordings: Sequence[Recording], against: Reference, base: Params, seed: int
-) -> Closure | None:
-    """On held-out motion; None if there is none."""
-    if against.held_out is None or not recordings:
-        return None
-    arm, _ = _simulator(recordings, base, against.ready.found)
-    case = bound(arm, against.held_out.layout, against.held_out_keys)
-    found = against.held_out.of(case.rows)
-    settings, zero = settings_of(told), np.zeros(len(arm.nuisances))
-    change = case.predict(settings, zero) - case.predict({}, zero)
-    return closed(told, Evidence(found.layout, case.gap()), found, change, seed)
-
-
-def _tool(shut: Closure | None) -> ToolGap | None:
-    """From how far the turret is from where the simulator has it."""
-    channel = next((c for c in shut.channels if c.channel == CHANNELS[SHIFT]), None) if shut else None
-    if channel is None:
-        return None
-    mm = 1e3 * np.sqrt(3.0)
-    return ToolGap(mm * channel.before, mm * channel.after, mm * channel.floor)
-
-
-def _check_motion(case: Bound, against: Reference) -> None:
-    layout = against.ready.found.layout
-    if case.rows.size >= LEAST_SHARE * layout.size:
-        return
-    missing = sorted(set(_sessions(against.keys)) - set(_sessions([against.keys[k] for k in case.rows])))
-    raise TooLittleMotion(
-        f"{case.rows.size} of the campaign's {layout.size} features are in these logs; "
-        f"nothing comparable is in: {', '.join(missing)}"
+    base = nominal_params() if request.params is None else params_over_nominal(request.params)
+    fitted, apart = (_read(paths, base) for paths in (request.logs, request.held_out))
+    logs, held_out = request.logs, request.held_out
+    if request.campaign is not None:
+        logs, held_out = (_of_campaign(request.campaign, of) for of in (fitted, apart))
+    against = reference(
+        logs,
+        held_out,
+        request.campaign or CACHE.expanduser(),
+        on_this_machine(os.cpu_count() or 1),
+        progress,
+        request.kinds,
     )
+    return solved(fitted, apart, against, base, request.seed, request.patch)
 
 
-def _sessions(keys: Sequence[str]) -> list[str]:
-    return [key.split("/", 1)[0] for key in keys]
+def _read(paths: Sequence[Path], base: Params) -> list[Recording]:
+    """Recordings that may be believed."""
+    recordings = [recording_in(path) for path in paths]
+    wrong = refusals(recordings, base)
+    if wrong:
+        raise NotForDiagnosis("\n".join(wrong))
+    return recordings
+
+
+def _of_campaign(folder: Path, recordings: Sequence[Recording]) -> tuple[Path, ...]:
+    """Logs of the sessions that these recordings repeat."""
+    paths = tuple(folder / f"{one.name}.mcap" for one in recordings)
+    missing = [path.stem for path in paths if not path.is_file()]
+    if missing:
+        raise NotForDiagnosis(f"campaign {folder}: has no session {', '.join(missing)}")
+    return paths

@@ -9,6 +9,7 @@ from ground.gap.arm.sensitivities import arm_sensitivities, kept_path, keys_path
 from ground.gap.ready import Ready, ready
 from ground.gap.sensitivity import Sensitivities
 from ground.gap.thresholds import Thresholds
+from ground.gap.trust import Trust
 from ground.pool import Runner
 from ground.progress import Progress
 
@@ -41,7 +42,7 @@ def reference(
     found = arm_sensitivities(logs, kept_in, run, progress, kinds)
     path = kept_path(logs, kept_in, kinds)
     thresholds = path.with_suffix(".thresholds.json")
-    known = Thresholds(**json.loads(thresholds.read_text(encoding="utf-8"))) if thresholds.exists() else None
+    known = thresholds_in(thresholds) if thresholds.exists() else None
     made = ready(found, SEED, thresholds=known, step=lambda k, n: progress(k, n, "thresholds"))
     if known is None:
         thresholds.write_text(json.dumps(asdict(made.thresholds)), encoding="utf-8")
@@ -49,6 +50,13 @@ def reference(
         return Reference(made, _keys(path), None, ())
     apart = arm_sensitivities(held_out, kept_in, run, progress, ())
     return Reference(made, _keys(path), apart, _keys(kept_path(held_out, kept_in, ())))
+
+
+def thresholds_in(path: Path) -> Thresholds:
+    """As they were kept."""
+    said = json.loads(path.read_text(encoding="utf-8"))
+    trust = Trust(tuple(said["trust"]["weights"]), said["trust"]["least"])
+    return Thresholds(**{**said, "trust": trust})
 
 
 def _keys(path: Path) -> tuple[str, ...]:

@@ -93,7 +93,7 @@ class ArmSimulator:
         """What is switched on: patch, hypotheses, nuisances that are not 0."""
         found = list(self.patch)
         for hypothesis, values in settings.items():
-            found.append(effect_of(self._made[hypothesis], hypothesis, values))
+            found.append(switched_on(self._made[hypothesis], hypothesis, values))
         found += [one.effect(float(v)) for one, v in zip(self._uncertain, nuisance, strict=True) if v]
         return found
 
@@ -147,12 +147,6 @@ def told(one: catalogue.Hypothesis) -> Hypothesis:
     )
 
 
-def effect_of(made: catalogue.Hypothesis, hypothesis: Hypothesis, values: Array) -> Effect:
-    """The effect that has these values of all parameters, as they are told."""
-    named = zip(hypothesis.parameters, values, strict=True)
-    return made.effect(**{p.name: _valued(made, p.name, float(v)) for p, v in named})
-
-
 def is_factor(size: Size) -> bool:
     """Whether it multiplies something, and cannot be 0."""
     return size.neutral == 1.0 and size.low > 0.0
@@ -168,6 +162,12 @@ def _told(parameter: described.Parameter, size: Size) -> Parameter:
         return Parameter(parameter.field, "ln", *ends, float(np.log1p(FINE * size.typical)), 0.0)
     typical = float(parameter.default) if size.neutral is None else FINE * size.typical
     return Parameter(parameter.field, size.unit, size.low, size.high, typical, size.neutral)
+
+
+def switched_on(made: catalogue.Hypothesis, hypothesis: Hypothesis, values: Array) -> Effect:
+    """The effect that a hypothesis, as told, is with these values of its parameters."""
+    named = zip(hypothesis.parameters, values, strict=True)
+    return made.effect(**{p.name: _valued(made, p.name, float(v)) for p, v in named})
 
 
 def layout_of(campaign: Compared, sigma: Array) -> Layout:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from ground.gap.ready import ready
+from tests.ground.gap import results as cases
 from tests.ground.gap.worlds import found, world
 
 
@@ -17,6 +18,13 @@ def made():
 def campaign(made):
     """Ready for data; thresholds from its own simulated cases."""
     return ready(found(made), seed=1, cases=80)
+
+
+@pytest.fixture(scope="session")
+def results(made, campaign):
+    """What is said of a case of each kind, by its name."""
+    kinds = (cases.named, cases.alike, cases.undecided, cases.nothing, cases.unknown, cases.beside)
+    return {kind.__name__: kind(made, campaign) for kind in kinds}
 
 
 @pytest.fixture

@@ -11,10 +11,10 @@ import numpy as np
 from fsw.kinematics.transforms import Array
 from ground.gap.arm.blind.background import background
 from ground.gap.arm.blind.evidence import known, split
-from ground.gap.arm.blind.outside import all_outside, limits, switched_on
+from ground.gap.arm.blind.outside import all_outside, effect_in, limits
 from ground.gap.arm.blind.sealed import blind_reference, check_sealed
 from ground.gap.arm.record import record_campaign
-from ground.gap.arm.simulator import effect_of, raced, told
+from ground.gap.arm.simulator import raced, switched_on, told
 from ground.gap.blind.classes import FILE, published
 from ground.gap.blind.folder import CAMPAIGN, CASES, PART, case_name, write_json
 from ground.gap.blind.plan import Drawn, Planned, Seen, planned
@@ -127,7 +127,7 @@ def _true_effect(one: Drawn, outside: bool) -> TrueEffect:
 
 def _spec(name: tuple[str, str], values: Array) -> str:
     made = next(one for one in raced(None) if (told(one).effect, told(one).place) == name)
-    return spec_of(effect_of(made, told(made), values))
+    return spec_of(switched_on(made, told(made), values))
 
 
 def _record(job: _Job) -> list[str]:
@@ -164,7 +164,7 @@ def record_case(folder: Path, case: TrueCase, wanted: Sequence[Session]) -> Iter
 
 def true_effects(case: TrueCase) -> tuple[Effect, ...]:
     """All that its plant is made of."""
-    return tuple(switched_on(spec) for spec in (*case.background, *(one.spec for one in case.effects)))
+    return tuple(effect_in(spec) for spec in (*case.background, *(one.spec for one in case.effects)))
 
 
 @cache

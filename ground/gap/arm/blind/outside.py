@@ -13,7 +13,7 @@ from fsw.kinematics.transforms import Array
 from ground.gap.arm.blind.stepped import change
 from ground.gap.arm.campaign import Compared, compared
 from ground.gap.arm.logs import recording_in
-from ground.gap.arm.simulator import BRIEFLY, effect_of, told
+from ground.gap.arm.simulator import BRIEFLY, switched_on, told
 from ground.gap.blind.plan import Seen
 from ground.gap.detect import limit_beside
 from ground.gap.hypothesis import Hypothesis
@@ -40,7 +40,7 @@ class Outside:
 
     def spec(self, values: Array) -> str:
         """What switches it on, the file by its name in the folder."""
-        text = spec_of(effect_of(self.made, self.hypothesis, values))
+        text = spec_of(switched_on(self.made, self.hypothesis, values))
         return text.removeprefix(f"{FOLDER}/")
 
 
@@ -60,7 +60,7 @@ def all_outside() -> dict[tuple[str, str], Outside]:
     return {(one.hypothesis.effect, one.hypothesis.place): one for one in found}
 
 
-def switched_on(spec: str) -> Effect:
+def effect_in(spec: str) -> Effect:
     """The effect that a spec says, be it of the catalogue or of the folder."""
     try:
         return effect_from(str(FOLDER / spec) if ".py:" in spec else spec)
@@ -97,7 +97,7 @@ def _column(job: _Job) -> tuple[tuple[str, str], Array]:
     """Change of the features per typical size, upwards."""
     one = all_outside()[job.name]
     typical = np.array([p.absent + p.typical * p.sizes for p in one.hypothesis.parameters])
-    effect = effect_of(one.made, one.hypothesis, typical)
+    effect = switched_on(one.made, one.hypothesis, typical)
     return job.name, change(_campaign(job.logs), (effect,), BRIEFLY)
 
 

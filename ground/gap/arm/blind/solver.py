@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from ground.gap.arm.blind.evidence import features, kept_campaign, reference_campaign, split
-from ground.gap.arm.diagnosed import diagnosed
+from ground.gap.arm.case import solved
 from ground.gap.arm.logs import recording_in
 from ground.gap.blind.solve import SEED, Solver
 from ground.gap.told import told
@@ -19,7 +19,7 @@ def diagnosed_case(case: Path, campaign: Path) -> dict[str, Any]:
         TooLittleMotion: most motions of the campaign are missing.
     """
     fitted, held = ([recording_in(log) for log in logs] for logs in split(case))
-    return told(diagnosed(fitted, held, reference_campaign(campaign), nominal_params(), SEED))
+    return told(solved(fitted, held, reference_campaign(campaign), nominal_params(), SEED))
 
 
 ARM = Solver(kept_campaign, diagnosed_case, features)

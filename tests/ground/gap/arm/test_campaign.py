@@ -78,10 +78,10 @@ def test_a_sensitivity_is_the_difference_of_predictions(recordings: list[Recordi
     for column in columns_of(simulator)[:3]:
         assert column.hypothesis is not None
         hypothesis = simulator.hypotheses[column.hypothesis]
-        there = np.array([p.absent + 0.5 * p.typical for p in hypothesis.parameters])
+        there = np.array([p.absent + 1.5 * p.typical for p in hypothesis.parameters])
         change = simulator.predict({hypothesis: there}, zero) - nominal
         slope, bend = column_of(simulator, column, nominal)
-        predicted = 0.5 * slope + 0.25 * bend
+        predicted = 1.5 * slope + 2.25 * bend
         assert np.abs(change / sigma).max() > 5
         np.testing.assert_allclose(predicted / sigma, change / sigma, atol=0.1)
 

@@ -1,0 +1,53 @@
+"""Flight parameters as the TOML that --params reads: those that are not as in others."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from fsw.dictionary.params import Params
+
+
+def params_text(base: Params, params: Params, said: Sequence[str]) -> str:
+    """Every parameter that is not as in `base`, under what is to be said of them, a comment a line."""
+    changed = _changed(asdict(base), asdict(params))
+    return "\n".join([*(f"# {line}" for line in said), "", *_lines(changed, ()), ""])
+
+
+def _changed(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
+    """What is another value, tables of numbers whole."""
+    found: dict[str, Any] = {}
+    for key, value in new.items():
+        if not isinstance(value, dict) or _is_leaf(value):
+            if value != old[key]:
+                found[key] = value
+        elif inner := _changed(old[key], value):
+            found[key] = inner
+    return found
+
+
+def _is_leaf(table: dict[str, Any]) -> bool:
+    """Lumps and transforms: no table within, and small."""
+    return set(table) in ({"mass_kg", "com_m"}, {"theta_rad", "d_m", "beta_rad", "b_m", "alpha_rad", "a_m"})
+
+
+def _lines(table: dict[str, Any], path: tuple[str, ...]) -> Iterator[str]:
+    tables = {key: value for key, value in table.items() if isinstance(value, dict) and not _is_leaf(value)}
+    values = {key: value for key, value in table.items() if key not in tables}
+    if values and path:
+        yield f"[{'.'.join(path)}]"
+    for key, value in values.items():
+        yield f"{key} = {_toml(value)}"
+    if values:
+        yield ""
+    for key, inner in tables.items():
+        yield from _lines(inner, (*path, key))
+
+
+def _toml(value: Any) -> str:
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_toml(inner)}" for key, inner in value.items()) + " }"
+    if isinstance(value, tuple):
+        if value and isinstance(value[0], tuple):
+            return "[\n" + "".join(f"    {_toml(row)},\n" for row in value) + "]"
+        return "[" + ", ".join(_toml(item) for item in value) + "]"
+    return f'"{value}"' if isinstance(value, str) else repr(value)

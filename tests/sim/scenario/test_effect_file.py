@@ -1,0 +1,45 @@
+"""Effects in a file of their own: what is written comes back, and what is wrong is told by its line."""
+
+import pytest
+
+from sim.effects.catalogue import hypotheses
+from sim.scenario.effect_file import effects_in, file_text
+from sim.scenario.effects import BadEffect
+
+
+def test_every_effect_comes_back_exactly(tmp_path):
+    effects = tuple(hypothesis.typical(1.0 / 3.0) for hypothesis in hypotheses())
+    path = tmp_path / "found.toml"
+    path.write_text(file_text(effects, ["said"]))
+    assert effects_in(path) == effects
+
+
+def test_a_file_of_no_effects_switches_nothing_on(tmp_path):
+    path = tmp_path / "found.toml"
+    path.write_text(file_text((), ["said"]))
+    assert effects_in(path) == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('[[effect]]\ntype = "coulomb-frictoin"\n', "found.toml:2: type: effect 'coulomb-frictoin' is not"),
+        ('[[effect]]\ntype = "warming"\nwarming_K = 9e9\n', "found.toml:3: warming_K: 9e+09 is outside"),
+        ('arm = "nominal"\n', "found.toml:1: arm: is not of a file of effects; there is only"),
+        ("[[effect]\n", "found.toml:1: is not TOML"),
+        ("effect = 3\n", "found.toml:1: effect: is no list of tables"),
+    ],
+)
+def test_what_is_wrong_is_told_by_its_line(tmp_path, text, said):
+    path = tmp_path / "found.toml"
+    path.write_text(text)
+    with pytest.raises(BadEffect) as refused:
+        effects_in(path)
+    assert said in str(refused.value)
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(BadEffect, match="cannot be read"):
+        effects_in(tmp_path / "none.toml")
+    with pytest.raises(BadEffect, match="no regular file"):
+        effects_in(tmp_path)
