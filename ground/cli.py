@@ -19,6 +19,7 @@ from ground.cli_calibrate_serial import calibrate_serial
 from ground.cli_diagnose import diagnose
 from ground.cli_dictionary import dictionary
 from ground.cli_effects import effects
+from ground.cli_gap import gap_app
 from ground.cli_hardstop import hardstop
 from ground.cli_ik import ik, reach
 from ground.cli_import import import_log
@@ -137,6 +138,7 @@ app.command()(dictionary)
 app.command()(effects)
 log_app.command("import")(import_log)
 app.add_typer(log_app, name="log")
+app.add_typer(gap_app, name="gap")
 app.command()(budget)
 app.command("monte-carlo")(monte_carlo)
 app.command()(calibrate)

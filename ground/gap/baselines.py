@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import minimize
+from scipy.optimize import lsq_linear, minimize
 
 from fsw.kinematics.transforms import Array
 from ground.gap.case import Case
@@ -26,14 +26,17 @@ def largest_error(layout: Layout, residual: Array) -> str:
 
 
 def everything_free(prepared: Prepared, case: Case) -> tuple[int, Array]:
-    """All hypotheses fitted at once: the one that explains most, and all sizes (K,), typical 1.
+    """All hypotheses fitted at once within their bounds: the one that explains most, and all sizes (K,).
+
+    Typical sizes are 1.
 
     What one explains is measured as t'R t of its own columns.
     """
     columns = np.flatnonzero(prepared.scale > 0.0)
     R = prepared.R[-1][np.ix_(columns, columns)]
     t = np.zeros(prepared.owner.size)
-    t[columns] = np.linalg.solve(R + RIDGE * np.eye(columns.size), case.all[columns])
+    L = np.linalg.cholesky(R + RIDGE * np.eye(columns.size))
+    t[columns] = lsq_linear(L.T, np.linalg.solve(L, case.all[columns]), prepared.bounds[:, columns]).x
     own = [
         t[at] @ prepared.R[-1][np.ix_(at, at)] @ t[at]
         for at in (np.flatnonzero(prepared.owner == h) for h in range(len(prepared.hypotheses)))

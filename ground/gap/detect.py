@@ -7,7 +7,8 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
-from ground.gap.prepared import Prepared
+from fsw.kinematics.transforms import Array
+from ground.gap.prepared import ABSORBED, Prepared
 
 FALSE_ALARM: Final = 0.05
 POWER: Final = 0.9
@@ -49,3 +50,15 @@ def detectability(prepared: Prepared) -> tuple[Detectability, ...]:
         blocks = float(share.sum() ** 2 / np.sum(share**2))
         result.append(Detectability(float(np.sqrt(noncentrality(at.size) / information)), blocks))
     return tuple(result)
+
+
+def limit_beside(prepared: Prepared, columns: Array) -> float:
+    """The same limit of what is no hypothesis: its change of the features (m, k) per typical size."""
+    S, N = prepared.whiten(columns), prepared.A[:, : prepared.q]
+    whole = S.sum(axis=1)
+    along = N.T @ whole
+    before = float(whole @ whole)
+    information = before - float(along @ prepared.C[-1] @ along)
+    if information <= ABSORBED * before:
+        return np.inf
+    return float(np.sqrt(noncentrality(columns.shape[1]) / information))

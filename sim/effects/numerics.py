@@ -19,7 +19,7 @@ class Numerics(Effect):
     """
 
     gears: Literal["implicit", "explicit"]
-    steps_per_cycle: Annotated[int, Size(8, 64, unit="1", typical=12)]
+    steps_per_cycle: Annotated[int, Size(8, 64, unit="1", typical=12)] = 12
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Before anything is compiled."""

@@ -9,7 +9,7 @@ from fsw.dictionary.joints import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, rotation_x, rotation_y
 from fsw.messages import Sensors
-from sim.effects.effect import Effect, Hardware
+from sim.effects.effect import Effect, Hardware, at_index
 from sim.effects.gears import Wave
 from sim.effects.size import Factor, Size, SmallAngle
 from sim.effects.told import link_of, with_link
@@ -82,6 +82,19 @@ class EncoderZero(Effect):
         link = link_of(params, frame)
         turned = replace(link.transform, theta_rad=link.transform.theta_rad - self.offset_rad)
         return with_link(params, frame, replace(link, transform=turned))
+
+
+@dataclass(frozen=True, slots=True)
+class CounterStart(Effect):
+    """An encoder's counter began at another angle of its motor; its joint has been at its hardstop since."""
+
+    joint: Joint
+    angle_rad: Annotated[float, Size(-6.5, 6.5, unit="rad", typical=1.0)]
+
+    def on_hardware(self, hardware: Hardware) -> Hardware:
+        """The counter reads 0 there."""
+        zero = at_index(hardware.counter_zero_rad, self.joint, self.angle_rad)
+        return replace(hardware, counter_zero_rad=zero)
 
 
 @dataclass(frozen=True, slots=True)

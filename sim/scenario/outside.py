@@ -15,6 +15,11 @@ class NotAnEffect(ValueError):
     """A file or a class in it that is no effect; the message says what would be right."""
 
 
+def effects_in_file(path: str) -> tuple[type[Effect], ...]:
+    """All effects of a Python file, which is run; NotAnEffect if it cannot be."""
+    return tuple(effects_in(_module(Path(path))))
+
+
 def effect_class(path: str, name: str) -> type[Effect]:
     """The class of this name in a Python file, which is run.
 

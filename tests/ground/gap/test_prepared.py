@@ -8,7 +8,7 @@ from scipy.stats import chi2
 
 from ground.gap.case import case_of
 from ground.gap.classes import alike, classes
-from ground.gap.detect import detectability, noncentrality
+from ground.gap.detect import detectability, limit_beside, noncentrality
 from ground.gap.fits import drop, losses
 from ground.gap.layout import Evidence
 from ground.gap.prepared import prepare
@@ -129,3 +129,9 @@ def test_an_effect_of_one_block_is_told_to_be_so(made):
     effect = kept.effect.copy()
     effect[kept.layout.block != 3, 0] = 0.0
     assert detectability(prepare(replace(kept, effect=effect)))[0].blocks == pytest.approx(1.0, abs=0.1)
+
+
+def test_what_is_no_hypothesis_has_the_limit_that_it_would_have_as_one(made, campaign):
+    for one in (2, int(np.flatnonzero(np.bincount(made.owner) == 2)[0])):
+        limit = limit_beside(campaign.prepared, found(made).effect[:, made.owner == one])
+        assert limit == pytest.approx(campaign.limits[one].limit, rel=1e-6)

@@ -7,7 +7,7 @@ import pytest
 
 from fsw.dictionary.joints import Frame, Joint, Tool
 from ground.gap.arm.campaign import compared, measured_values, predicted_values
-from ground.gap.arm.features import CHANNELS, CURRENT, SHIFT, TURN
+from ground.gap.arm.features import CHANNELS, SHIFT, TURN
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.sensitivities import arm_sensitivities, column_of, columns_of
@@ -96,4 +96,4 @@ def test_sensitivities_are_kept_and_found_again(logs: list[Path], tmp_path: Path
     assert not said
     np.testing.assert_array_equal(first.effect, again.effect)
     assert np.linalg.matrix_rank(first.effect) == len(Joint)
-    assert first.layout.channels[CURRENT] == "current"
+    assert first.layout.channels[0] == "azimuth resolver-encoder"

@@ -19,11 +19,14 @@ def _hypothesis(name):
 @pytest.fixture
 def softer(results):
     """A gear that was found to be softer."""
-    return as_of(results["alike"], _hypothesis("gear-stiffness at elbow"), [0.8])
+    return as_of(results["alike"], _hypothesis("gear-stiffness at elbow"), [np.log(0.8)])
 
 
 def test_a_finding_is_the_effect_of_the_size_that_was_found(softer):
-    assert found_effects(softer) == (GearStiffness(Joint.ELBOW, 0.8),)
+    (effect,) = found_effects(softer)
+    assert isinstance(effect, GearStiffness)
+    assert effect.joint is Joint.ELBOW
+    assert effect.factor == pytest.approx(0.8)
 
 
 def test_the_patch_is_what_the_option_effect_takes(softer, tmp_path):

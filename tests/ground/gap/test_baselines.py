@@ -1,31 +1,10 @@
-"""Rates and baselines."""
+"""What others make of a case."""
 
 import numpy as np
 
 from ground.gap.baselines import everything_free, gaussian_process, largest_error
 from ground.gap.case import case_of
-from ground.gap.diagnose import diagnose
 from ground.gap.layout import Evidence
-from ground.gap.score import Truth, score
-
-
-def test_cases_are_scored_by_class_and_against_their_truth(made, campaign, rng):
-    one = 4
-    size = 3.0 * campaign.limits[one].limit
-    value = np.array([size * made.hypotheses[one].parameters[0].typical])
-    clear = diagnose(
-        campaign, Evidence(made.layout, made.measured(rng, np.where(made.owner == one, size, 0.0))), 1
-    )
-    told = score(campaign, [
-        (Truth((one,), (value,), False, 3.0), clear),
-        (Truth((one,), (value,), False, 0.5), clear),
-        (Truth((), (), True, 3.0), clear),
-        (Truth((), (), False, 0.0), clear),
-    ])  # fmt: skip
-    assert (told.effect.hits, told.effect.of) == (1, 1)
-    assert (told.place.hits, told.in_set.hits) == (1, 1)
-    assert (told.wrong_name.hits, told.false_alarm.hits) == (1, 1)
-    assert told.covered.of == 1
 
 
 def test_the_place_with_the_largest_error_is_told(made):

@@ -1,0 +1,23 @@
+"""What every arm of a blind case has of its own, with an effect or without, so that no simulator is it."""
+
+from typing import Final
+
+import numpy as np
+
+from fsw.dictionary.joints import Joint
+from sim.effects.built import left_by_calibration
+from sim.effects.effect import Effect
+from sim.effects.joints import GearFriction
+from sim.effects.numerics import Numerics
+from sim.effects.sensors import CounterStart
+from sim.trials import FRICTION
+
+NUMERICS: Final = Numerics("explicit", 12)
+
+
+def background(rng: np.random.Generator) -> tuple[Effect, ...]:
+    """Errors that a calibration leaves, friction of the day, counters anywhere, and another computation."""
+    errors = left_by_calibration(int(rng.integers(2**31)))
+    friction = tuple(GearFriction(joint, float(np.exp(FRICTION * rng.standard_normal()))) for joint in Joint)
+    counters = tuple(CounterStart(joint, float(rng.uniform(-np.pi, np.pi))) for joint in Joint)
+    return (NUMERICS, *counters, *errors, *friction)

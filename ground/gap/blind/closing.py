@@ -1,0 +1,68 @@
+"""How far what is said of a case closes its gap on held-out motion: one sum for all who say anything."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fsw.kinematics.transforms import Array
+from ground.gap.blind.evidence import Part
+from ground.gap.closure import Closure, check_apart, closure
+from ground.gap.curved import Curved
+from ground.gap.hypothesis import Hypothesis
+from ground.gap.prepared import Prepared, prepare
+from ground.gap.refine import refine
+from ground.gap.sensitivity import Sensitivities
+from ground.gap.whiten import whitener
+
+Change = Callable[[Sensitivities], Array]
+"""What is said to have changed in the features, (m,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tried:
+    """A case with its nuisances alone, ready for what is said of it."""
+
+    fitted: Part
+    held: Part
+    prepared: Prepared
+    """Of the fitted part, without hypotheses."""
+
+    def left(self, change: Change) -> tuple[Array, Array]:
+        """Residuals (m,) of the fitted part, whitened, and of the held-out part, raw; nuisances refitted."""
+        prepared = self.prepared
+        rest = prepared.whiten(self.fitted.value - change(self.fitted.found))
+        N = prepared.A[:, : prepared.q]
+        v = prepared.C[-1] @ (N.T @ rest)
+        kept = [index for index, one in enumerate(self.held.found.nuisances) if not one.each_block]
+        there = self.held.found.nuisance[:, kept] @ (v * prepared.nuisance_unit)
+        return rest - N @ v, self.held.value - change(self.held.found) - there
+
+    def closed(self, change: Change, seed: int) -> Closure:
+        """On held-out motion, against nuisances alone."""
+        _, before = self.left(nothing)
+        _, after = self.left(change)
+        whiten = whitener(self.held.found)
+        return closure(self.held.found.layout, (whiten(before), whiten(after)), (before, after), seed)
+
+
+def nothing(found: Sensitivities) -> Array:
+    """No change."""
+    return np.zeros(found.layout.size)
+
+
+def tried(fitted: Part, held: Part) -> Tried:
+    """ValueError if a motion is in both."""
+    check_apart(fitted.found.layout, held.found.layout)
+    none, nobody = np.zeros((fitted.found.layout.size, 0)), np.zeros(0, np.intp)
+    alone = replace(fitted.found, hypotheses=(), effect=none, curve=none, reach=np.zeros(0), owner=nobody)
+    return Tried(fitted, held, prepare(alone))
+
+
+def truth_closes(case: Tried, true: dict[Hypothesis, Array], seed: int) -> Closure:
+    """What the true effects achieve, their sizes fitted from the true ones on: nobody can do much better."""
+    curved = Curved(case.fitted.found)
+    whitened = case.prepared.whiten(case.fitted.value)
+    best = refine(curved, case.prepared, whitened, true)
+    said = dict(zip(best.hypotheses, best.values, strict=True))
+    return case.closed(lambda found: Curved(found).change(said), seed)

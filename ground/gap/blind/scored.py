@@ -1,0 +1,53 @@
+"""A folder of blind cases scored: first the seal, then what was said against what was true."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+from fsw.kinematics.transforms import Array
+from ground.gap.blind.classes import classes_in
+from ground.gap.blind.closing import tried, truth_closes
+from ground.gap.blind.evidence import Kept, parts, read_features
+from ground.gap.blind.folder import CAMPAIGN, CASES, documents
+from ground.gap.blind.score import Score, score
+from ground.gap.blind.solve import SEED, features_path
+from ground.gap.blind.truth import TrueCase, unsealed
+from ground.gap.hypothesis import Hypothesis
+from ground.progress import Progress
+from ground.request import BadRequest
+
+
+def scored(
+    folder: Path, kept_in: Callable[[Path], Kept], partial: bool, progress: Progress = lambda *_: None
+) -> Score:
+    """Of all cases; `partial` of those that are solved.
+
+    Raises:
+        BadRequest: the truth is not what was sealed, or cases are not solved.
+    """
+    truth, said = unsealed(folder), documents(folder)
+    open_cases = [case.name for case in truth.cases if case.name not in said]
+    if open_cases and (not partial or len(open_cases) == len(truth.cases)):
+        raise BadRequest(
+            f"{folder}: {len(open_cases)} of {len(truth.cases)} cases are not solved, {open_cases[0]} first; "
+            f"`marsarm gap blind solve` goes on where it was, --partial scores those that are"
+        )
+    kept, done = kept_in(folder / CAMPAIGN), 0
+
+    def true_closure(case: TrueCase) -> float:
+        nonlocal done
+        progress(done, len(said), case.name)
+        done += 1
+        features = read_features(features_path(folder / CASES / case.name))
+        return truth_closes(tried(*parts(kept, features)), _settings(kept, case), SEED).share
+
+    solved = [(case, said[case.name]) for case in truth.cases if case.name in said]
+    return score(classes_in(folder / CAMPAIGN), solved, true_closure)
+
+
+def _settings(kept: Kept, case: TrueCase) -> dict[Hypothesis, Array]:
+    """The true effects as the campaign's hypotheses."""
+    known = {(one.effect, one.place): one for one in kept.fitted.hypotheses}
+    found = [(known[effect.name, effect.place], effect.values) for effect in case.effects]
+    return {one: np.array([values[p.name] for p in one.parameters]) for one, values in found}

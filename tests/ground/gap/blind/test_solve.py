@@ -1,0 +1,84 @@
+"""Blind cases solved without their truth and scored with it."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from ground.gap.blind.folder import SOLVED, solved_path
+from ground.gap.blind.scored import scored
+from ground.gap.blind.solve import solve
+from ground.gap.blind.table import score_json, score_markdown
+from ground.gap.blind.truth import TRUTH
+from ground.pool import on_this_machine
+from ground.request import BadRequest
+
+RUN = on_this_machine(1)
+
+
+def quiet(*_: object) -> None:
+    pass
+
+
+def said(folder: Path) -> dict[str, Any]:
+    found = {path.name: json.loads(path.read_text()) for path in sorted((folder / SOLVED).iterdir())}
+    for document in found.values():
+        document.pop("seconds", None)
+    return found
+
+
+def test_the_truth_is_not_needed_to_solve_and_changes_nothing(folder) -> None:
+    truth = (folder.path / TRUTH).read_bytes()
+    assert solve(folder.path, folder.solver, RUN, quiet) == (10, 10)
+    with_it = said(folder.path)
+    (folder.path / TRUTH).unlink()
+    for path in (folder.path / SOLVED).iterdir():
+        path.unlink()
+    solve(folder.path, folder.solver, RUN, quiet)
+    assert said(folder.path) == with_it
+    (folder.path / TRUTH).write_bytes(truth)
+
+
+def test_what_is_solved_stays_and_the_rest_is_solved(folder) -> None:
+    solve(folder.path, folder.solver, RUN, quiet)
+    whole = said(folder.path)
+    last = folder.path / "cases" / "case-009"
+    solved_path(last).unlink()
+    assert solve(folder.path, folder.solver, RUN, quiet) == (1, 10)
+    assert said(folder.path) == whole
+    assert solve(folder.path, folder.solver, RUN, quiet) == (0, 10)
+
+
+def test_solved_cases_are_scored(folder) -> None:
+    solve(folder.path, folder.solver, RUN, quiet)
+    found = scored(folder.path, folder.solver.kept, partial=False)
+    assert (found.cases, found.false_alarm.of, found.wrong_name.of) == (10, 3, 2)
+    true = [one for case in folder.truth.cases if case.kind in ("single", "pair") for one in case.effects]
+    assert found.found.place.of == sum(one.times_limit >= 1.0 for one in true)
+    assert sum(one.found.effect.of for one in found.bins) == len(true)
+    assert set(found.baselines) == {"largest_error", "everything_free", "gaussian_process"}
+    assert json.loads(json.dumps(score_json(found), allow_nan=False))["cases"] == 10
+    assert "| right place | 90 % |" in score_markdown(found)
+
+
+def test_cases_that_are_not_solved_are_counted(folder) -> None:
+    solve(folder.path, folder.solver, RUN, quiet)
+    for number in (2, 5, 7):
+        solved_path(folder.path / "cases" / f"case-00{number}").unlink()
+    with pytest.raises(BadRequest, match="3 of 10 cases are not solved, case-002 first"):
+        scored(folder.path, folder.solver.kept, partial=False)
+    assert scored(folder.path, folder.solver.kept, partial=True).cases == 7
+
+
+def test_a_changed_truth_is_not_scored_against(folder) -> None:
+    solve(folder.path, folder.solver, RUN, quiet)
+    text = (folder.path / TRUTH).read_text()
+    (folder.path / TRUTH).write_text(text.replace('"none"', '"single"', 1))
+    with pytest.raises(BadRequest, match="is not what was sealed"):
+        scored(folder.path, folder.solver.kept, partial=True)
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path: Path, folder) -> None:
+    with pytest.raises(BadRequest, match="no folder of blind cases"):
+        solve(tmp_path / "none", folder.solver, RUN, quiet)

@@ -1,0 +1,35 @@
+"""The verbs `gap blind ...` on what they cannot do."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.ground.command import marsarm
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("make", "--cases", "0", "--out", "b"), "cases: 0 is not within 1 .. 1000"),
+        (("make", "--cases", "-3", "--out", "b"), "cases: -3 is not within"),
+        (("make", "--seed", "-1", "--out", "b"), "seed: -1 must not be negative"),
+        (("make", "--jobs", "0", "--out", "b"), "jobs: 0 is not 1 or more"),
+        (("make", "--out", "no/b"), "there is no folder no"),
+        (("make", "--out", "other"), "holds something else"),
+        (("make", "--out", "other/file"), "this is a file"),
+        (("solve", "other"), "no folder of blind cases"),
+        (("score", "other"), "no folder of blind cases"),
+        (("score", "other", "--out", "score.txt"), "its name must end in .md or .json"),
+    ],
+)
+def test_what_cannot_be_done_is_said_and_nothing_is_written(
+    tmp_path: Path, words: tuple[str, ...], said: str
+) -> None:
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "file").write_text("")
+    done = marsarm(tmp_path, "gap", "blind", *words, "--json")
+    assert done.returncode == 2
+    assert said in done.stderr
+    assert said in json.loads(done.stdout)["error"]
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "other"]

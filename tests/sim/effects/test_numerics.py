@@ -1,0 +1,31 @@
+"""A plant that is computed otherwise: the same arm, near enough, and no hypothesis."""
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Joint
+from sim.effects.catalogue import hypotheses
+from sim.effects.numerics import Numerics
+from sim.scenario.effects import effect_from, spec_of
+from tests.sim import lab
+from tests.sim.effects import bench
+
+
+def test_it_is_no_hypothesis() -> None:
+    assert Numerics not in {one.kind for one in hypotheses()}
+
+
+def test_it_comes_back_from_what_is_written_of_it() -> None:
+    for one in (Numerics("implicit", 12), Numerics("explicit", 16)):
+        assert effect_from(spec_of(one)) == one
+
+
+@pytest.mark.parametrize("gears", ["implicit", "explicit"])
+def test_the_arm_hangs_where_it_hangs_whatever_computes_it(gears: str) -> None:
+    drawn, other = (bench.built(*effects)[0] for effects in ((), (Numerics(gears, 12),)))
+    for plant in (drawn, other):
+        plant.place(lab.READY_RAD, 16.0)
+    assert other.steps_per_cycle == 12
+    np.testing.assert_allclose(other.output_rad(), drawn.output_rad(), atol=2e-6)
+    held = other.gear_torque_Nm()[Joint.ELEVATION]
+    assert held == pytest.approx(drawn.gear_torque_Nm()[Joint.ELEVATION], rel=0.02)

@@ -1,0 +1,113 @@
+"""Effects that no catalogue has: each changes what it says it does, and nothing where it is neutral."""
+
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim.arms import BuiltArm, arm_named
+from sim.diagnosis.campaign import loop_of, moments, sessions
+from sim.effects.catalogue import Hypothesis, catalogue, hypotheses
+from sim.effects.effect import Effect
+from sim.initialisation import true_reference
+from sim.scenario.effects import effect_from, spec_of
+from sim.scenario.outside import effects_in_file
+
+FOLDER = Path(__file__).parents[3] / "benchmarks" / "outside"
+KINDS = {kind.__name__: kind for file in sorted(FOLDER.glob("*.py")) for kind in effects_in_file(str(file))}
+NOMINAL = arm_named("nominal")
+AT = {"SettlingRover": "y", "RockingLink": "link3.z"}
+"""Where it shows in the session below; at the elbow if not named."""
+SHOWN: dict[str, tuple[str, ...]] = {
+    "TightSpots": ("current_A",),
+    "DraggingBrake": ("current_A",),
+    "GreaseAside": ("current_A",),
+    "StiffeningGear": ("resolver_rad",),
+    "SnaggingCable": ("resolver_rad",),
+    "LeakyIntegral": ("encoder_count",),
+    "TorqueRipple": ("current_A",),
+    "DeadCurrent": ("current_A",),
+    "SluggishCurrent": ("current_A",),
+    "OvalResolver": ("resolver_rad",),
+    "LateResolver": ("resolver_rad",),
+    "SettlingRover": (),
+    "RockingLink": (),
+}
+"""The readings that it changes."""
+EACH = pytest.mark.parametrize("name", KINDS)
+
+
+def at(name: str) -> Hypothesis:
+    place = AT.get(name, "elbow")
+    return next(one for one in hypotheses({name: KINDS[name]}) if str(one).endswith(place))
+
+
+@cache
+def ran(*effects: Effect) -> dict[str, np.ndarray]:
+    """Readings of the first seconds of a session in which all joints move, and where the turret went."""
+    session = next(one for one in sessions(NOMINAL.params) if one.name == "poses-level-1")
+    loop = loop_of(session, BuiltArm("nominal", effects, NOMINAL.params), true_reference(NOMINAL), 3)
+    rows: dict[str, list[np.ndarray]] = {name: [] for name in ("current_A", "encoder_count", "resolver_rad")}
+    for number, moment in enumerate(moments(loop, session)):
+        for name, row in rows.items():
+            row.append(getattr(moment.record.sensors, name))
+        if number == 250:
+            break
+    return {name: np.array(row) for name, row in rows.items()} | {"turret": loop.truth().p_RoTo_R_m[:, 0]}
+
+
+def apart(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str, float]:
+    return {name: float(np.abs(one[name] - other[name]).max()) for name in one}
+
+
+def test_there_are_a_dozen_and_all_are_tested() -> None:
+    assert set(KINDS) == set(SHOWN)
+    assert len(KINDS) >= 12
+
+
+@EACH
+def test_no_catalogue_has_it_and_it_comes_back_from_what_is_written_of_it(name: str) -> None:
+    assert not {str(one).split(":")[0] for one in hypotheses({name: KINDS[name]})} & set(catalogue())
+    for one in hypotheses({name: KINDS[name]}):
+        assert len(one.sizes) == 1
+        assert effect_from(spec_of(one.typical())) == one.typical()
+
+
+@EACH
+def test_where_it_is_neutral_it_changes_nothing(name: str) -> None:
+    assert all(value == 0.0 for value in apart(ran(at(name).effect()), ran()).values())
+
+
+@EACH
+def test_of_its_typical_size_it_shows_and_the_same_each_time(name: str) -> None:
+    with_it = ran(at(name).typical())
+    moved = apart(with_it, ran())
+    for reading in SHOWN[name]:
+        assert moved[reading] > LEAST[reading], reading
+    if not SHOWN[name]:
+        assert moved["turret"] > 2e-5
+    ran.cache_clear()
+    assert all(value == 0.0 for value in apart(ran(at(name).typical()), with_it).values())
+
+
+LEAST = {"current_A": 0.02, "encoder_count": 1, "resolver_rad": 3e-5}
+
+
+@pytest.mark.parametrize("name", ["DeadCurrent", "SluggishCurrent", "OvalResolver", "LateResolver"])
+def test_a_sensor_that_reads_wrong_moves_nothing_at_first(name: str) -> None:
+    """Flight software may act on what it reads, later: before the move everything else is as it was."""
+    with_it, without = ran(at(name).typical()), ran()
+    others = {"current_A", "encoder_count", "resolver_rad"} - set(SHOWN[name])
+    assert all(np.array_equal(with_it[other][:64], without[other][:64]) for other in others)
+
+
+def shape(name: str) -> Callable[..., np.ndarray]:
+    return lambda **values: ran(at(name).effect(**values))["current_A"]
+
+
+def test_twice_the_ripple_is_twice_the_change() -> None:
+    ripple, current = shape("TorqueRipple"), ran()["current_A"]
+    once, twice = ripple(share=0.05) - current, ripple(share=0.1) - current
+    np.testing.assert_allclose(twice[:100], 2.0 * once[:100], atol=1e-12)
