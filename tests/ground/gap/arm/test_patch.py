@@ -1,5 +1,6 @@
 """What was found becomes what the simulator and flight software take."""
 
+import numpy as np
 import pytest
 
 from fsw.dictionary.joints import Joint
