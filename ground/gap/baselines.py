@@ -3,8 +3,9 @@
 from typing import Final
 
 import numpy as np
+from mujoco.minimize import Verbosity, least_squares
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import lsq_linear, minimize
+from scipy.optimize import minimize
 
 from fsw.kinematics.transforms import Array
 from ground.gap.case import Case
@@ -14,6 +15,8 @@ from ground.gap.prepared import Prepared
 
 FEATURES: Final = 400
 """Of a channel, at most, that a Gaussian process is fitted to: evenly thinned."""
+HUGE: Final = 1e6
+"""Standard errors: beyond any bound that matters."""
 LENGTHS: Final = (0.1, 100.0)
 """Of a kernel, in standard deviations of the conditions."""
 
@@ -28,15 +31,23 @@ def largest_error(layout: Layout, residual: Array) -> str:
 def everything_free(prepared: Prepared, case: Case) -> tuple[int, Array]:
     """All hypotheses fitted at once within their bounds: the one that explains most, and all sizes (K,).
 
-    Typical sizes are 1.
-
-    What one explains is measured as t'R t of its own columns.
+    By the least squares that mujoco.sysid fits with, in straight lines. Typical sizes are 1. What one
+    explains is measured as t'R t of its own columns.
     """
     columns = np.flatnonzero(prepared.scale > 0.0)
     R = prepared.R[-1][np.ix_(columns, columns)]
     t = np.zeros(prepared.owner.size)
     L = np.linalg.cholesky(R + RIDGE * np.eye(columns.size))
-    t[columns] = lsq_linear(L.T, np.linalg.solve(L, case.all[columns]), prepared.bounds[:, columns]).x
+    wanted = np.linalg.solve(L, case.all[columns])[:, None]
+    bounds = [np.clip(end, -HUGE, HUGE)[:, None] for end in prepared.bounds[:, columns]]
+    x, _ = least_squares(
+        np.zeros((columns.size, 1)),
+        lambda x: L.T @ x - wanted,
+        bounds,
+        jacobian=lambda _x, _r: L.T,
+        verbose=Verbosity.SILENT,
+    )
+    t[columns] = x[:, 0]
     own = [
         t[at] @ prepared.R[-1][np.ix_(at, at)] @ t[at]
         for at in (np.flatnonzero(prepared.owner == h) for h in range(len(prepared.hypotheses)))
