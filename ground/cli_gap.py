@@ -8,7 +8,16 @@ from typing import Annotated
 
 import typer
 
-from ground.cli_parts import BAD_INPUT, JsonOption, end, show
+from ground.cli_parts import (
+    BAD_INPUT,
+    ArmOption,
+    EffectOption,
+    JsonOption,
+    ParamsOption,
+    SeedOption,
+    end,
+    show,
+)
 
 LEAKED = 1
 
@@ -24,6 +33,33 @@ blind_app = typer.Typer(
     no_args_is_help=True,
 )
 gap_app.add_typer(blind_app, name="blind")
+
+
+@gap_app.command()
+def record(
+    out: Annotated[Path, typer.Option(help="A new folder for the logs.", metavar="DIR")],
+    arm: ArmOption = "nominal",
+    effect: EffectOption = None,
+    params: ParamsOption = None,
+    seed: SeedOption = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Record the campaign of motions that `marsarm diagnose` is made for; half a minute.
+
+    Logs hold no truth of the plant. Motions on which a diagnosis may be tried are in DIR/held-out.
+
+    Example: marsarm gap record --effect coulomb-friction:elbow:torque_Nm=5 --out logs
+    """
+    from ground.gap.arm.recorded import RecordRequest, check_record, recorded
+    from ground.report.progress import progress_bar
+
+    request = RecordRequest(out, arm, tuple(effect or ()), params, seed)
+    with _bad_input(as_json):
+        check_record(request)
+        with progress_bar() as progress:
+            paths = recorded(request, progress)
+    document = {"logs": [str(path) for path in paths]}
+    show(document, as_json, lambda: print(f"{len(paths)} logs in {out}"))
 
 
 @blind_app.command()
@@ -114,14 +150,13 @@ def score(
 
 @contextmanager
 def _bad_input(as_json: bool) -> Iterator[None]:
-    from ground.gap.arm.case import TooLittleMotion
     from ground.gap.arm.logs import NotForDiagnosis
     from ground.outputs import BadOutput
     from ground.request import BadRequest
 
     try:
         yield
-    except (BadRequest, BadOutput, NotForDiagnosis, TooLittleMotion) as error:
+    except (BadRequest, BadOutput, NotForDiagnosis) as error:
         end(str(error), BAD_INPUT, as_json)
 
 

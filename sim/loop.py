@@ -39,6 +39,8 @@ class Setup:
     """Beyond those of the arm."""
     time_step_s: float | None = None
     """Other than the model's own."""
+    settle_s: float = SETTLE_S
+    """How long the arm has stood on its brakes before the run."""
 
 
 class ClosedLoop:
@@ -54,7 +56,7 @@ class ClosedLoop:
         self.avionics = Avionics(self.plant, hardware, hardware_rng(setup.seed))
         self.with_truth = with_truth
         begin = self.avionics.act if hardware.each_cycle else None
-        self.plant.place(np.array(setup.start_rad), SETTLE_S, begin)
+        self.plant.place(np.array(setup.start_rad), setup.settle_s, begin)
         stowed = setup.start_rad == setup.arm.params.poses.stowed_rad
         self.state: State = boot(self.config, Mode.STOWED if stowed else Mode.DEPLOYED, setup.reference)
         self.failure: Exception | None = None

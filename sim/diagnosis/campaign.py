@@ -23,6 +23,8 @@ from sim.record import CycleRecord
 from sim.sequence import Outcome, run_sequence
 from sim.world import World
 
+STOOD_S: Final = 8.0
+"""On the brakes before a session: longer changes no reading by as much as its noise."""
 REST_S: Final = 1.0
 """At rest before a motion and after it."""
 PLACES: Final = (
@@ -78,7 +80,7 @@ def loop_of(
     config = configure(arm.params)
     start = on_counts(np.array(session.start_rad), reference.zero_rad, config.rad_per_count)
     ambient = Ambient(session.temperature_C)
-    setup = Setup(arm, session.world, joints5(start), seed, reference, (ambient, *effects))
+    setup = Setup(arm, session.world, joints5(start), seed, reference, (ambient, *effects), settle_s=STOOD_S)
     return ClosedLoop(setup)
 
 

@@ -12,7 +12,7 @@ from ground.gap.arm.bound import Bound, bound
 from ground.gap.arm.campaign import compared
 from ground.gap.arm.features import CHANNELS, SHIFT
 from ground.gap.arm.floor import floor_of
-from ground.gap.arm.logs import Recording
+from ground.gap.arm.logs import NotForDiagnosis, Recording
 from ground.gap.arm.reference import Reference
 from ground.gap.arm.simulator import CALMLY, ArmSimulator
 from ground.gap.closure import Closure
@@ -32,7 +32,7 @@ NOISIER: Final = 1.2
 """Repeats that differ by so many times the floor of the campaign make a floor of their own."""
 
 
-class TooLittleMotion(ValueError):
+class TooLittleMotion(NotForDiagnosis):
     """A case that lacks most of the campaign; the message says which motions."""
 
 

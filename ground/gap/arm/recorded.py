@@ -1,0 +1,60 @@
+"""A campaign recorded for a diagnosis, of any arm that can be simulated."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from ground.gap.arm.record import record_campaign
+from ground.progress import Progress
+from ground.request import BadRequest, check_seed, chosen_arm, chosen_effects
+from sim.diagnosis.campaign import HELD_OUT, SessionFailed, sessions
+from sim.initialisation import true_reference
+from sim.plant import PlantDiverged
+
+APART: Final = "held-out"
+"""Folder, in that of the logs, of those on which a diagnosis is tried."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordRequest:
+    """What is asked."""
+
+    out: Path
+    arm: str = "nominal"
+    effects: tuple[str, ...] = ()
+    params: Path | None = None
+    seed: int = 0
+
+
+def check_record(request: RecordRequest) -> None:
+    """BadRequest if nothing can be recorded there; nothing is written."""
+    check_seed(request.seed)
+    chosen_effects(request.effects)
+    chosen_arm(request.arm, request.params)
+    if request.out.exists() and (not request.out.is_dir() or os.listdir(request.out)):
+        raise BadRequest(f"out {request.out}: is there already; name a new folder")
+    if not request.out.absolute().parent.is_dir():
+        raise BadRequest(f"out {request.out}: there is no folder {request.out.parent}")
+
+
+def recorded(request: RecordRequest, progress: Progress) -> list[Path]:
+    """Logs of all sessions, those held out in a folder of their own.
+
+    Raises:
+        BadRequest: the arm cannot carry out a session with these effects.
+    """
+    effects = chosen_effects(request.effects)
+    arm = chosen_arm(request.arm, request.params).with_effects(effects)
+    later = tuple(effect for effect in effects if not effect.of_the_arm)
+    wanted, reference, paths = sessions(arm.params), true_reference(arm), []
+    for number, session in enumerate(wanted):
+        progress(number, len(wanted), session.name)
+        folder = request.out / APART if session.name in HELD_OUT else request.out
+        seed = request.seed + number
+        try:
+            paths += record_campaign(folder, [session], arm, reference, seed, lambda *_: None, later)
+        except (SessionFailed, PlantDiverged) as error:
+            raise BadRequest(f"effect: {error}; with smaller effects it may come to its end") from error
+    progress(len(wanted), len(wanted), "recorded")
+    return paths
