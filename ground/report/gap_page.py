@@ -15,12 +15,12 @@ from ground.report.gap_words import (
     cell_interval,
     channel_words,
     closure_sentence,
-    interval,
     next_sentence,
     number,
     percent,
     quantity,
     unexplained_sentence,
+    value_interval,
     verdict_sentences,
 )
 from ground.report.page import heading, image, paragraph, save_page, table
@@ -92,8 +92,8 @@ def _finding_rows(result: Result, finding: Finding) -> Rows:
             hypothesis.name,
             parameter.name,
             quantity(value, parameter.unit),
-            interval(least, most),
-            interval(parameter.least, parameter.most)
+            value_interval(least, most, parameter.unit),
+            value_interval(parameter.least, parameter.most, parameter.unit)
             + (", at one" if parameter.name in finding.at_bound else ""),
             sure,
             percent(finding.share),

@@ -10,11 +10,11 @@ from ground.report.gap_words import (
     cell_interval,
     channel_words,
     closure_sentence,
-    interval,
     next_sentence,
     percent,
     quantity,
     unexplained_sentence,
+    value_interval,
     verdict_sentences,
 )
 from ground.report.words import counted
@@ -52,7 +52,7 @@ def _effects(result: Result) -> Iterator[str]:
         yield f"  {hypothesis.name}: probability {sure}, own share {percent(finding.share)}"
         rows = zip(hypothesis.parameters, finding.values, finding.least, finding.most, strict=True)
         for parameter, value, least, most in rows:
-            yield f"    {parameter.name}: {quantity(value, parameter.unit)} ({interval(least, most)})"
+            yield f"    {parameter.name}: {quantity(value, parameter.unit)} ({value_interval(least, most, parameter.unit)})"
 
 
 def _beside(result: Result) -> Iterator[str]:

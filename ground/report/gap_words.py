@@ -1,7 +1,7 @@
 """What a diagnosis says, in sentences: the same on its page and on the console."""
 
 from collections.abc import Sequence
-from math import inf, isfinite
+from math import exp, inf, isfinite
 from typing import Final
 
 from ground.gap.diagnose import Finding
@@ -73,7 +73,7 @@ def listed(names: Sequence[str], between: str = ", ") -> str:
 def size_words(hypothesis: Hypothesis, finding: Finding) -> list[str]:
     """The fitted parameters with their intervals."""
     return [
-        f"{parameter.name} {quantity(value, parameter.unit)} ({interval(least, most)})"
+        f"{parameter.name} {quantity(value, parameter.unit)} ({value_interval(least, most, parameter.unit)})"
         for parameter, value, least, most in zip(
             hypothesis.parameters, finding.values, finding.least, finding.most, strict=True
         )
@@ -139,13 +139,20 @@ def number(value: float) -> str:
 
 
 def quantity(value: float, unit: str) -> str:
-    """Three digits and the unit."""
+    """Three digits and the unit; a logarithm is told as the factor that it is."""
+    if unit == "ln":
+        return f"times {exp(value):.3g}"
     return f"{value:.3g}" if unit in ("", "1") else f"{value:.3g} {unit}"
 
 
 def interval(least: float, most: float, without: str = "assumed") -> str:
     """A 90 % interval; in words why there is none, by default that the number was not fitted."""
     return f"{least:.3g} to {most:.3g}" if isfinite(least) and isfinite(most) else without
+
+
+def value_interval(least: float, most: float, unit: str) -> str:
+    """Of a parameter: of a logarithm, that of the factor that it is."""
+    return interval(exp(least), exp(most)) if unit == "ln" else interval(least, most)
 
 
 def cell_interval(cell: Cell) -> str:
