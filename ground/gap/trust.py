@@ -13,7 +13,7 @@ from scipy.optimize import minimize
 
 from fsw.kinematics.transforms import Array, Flags
 from ground.gap.case import Case
-from ground.gap.fits import drop
+from ground.gap.fits import drop, surprise
 from ground.gap.race import Chosen, Field, best_left, ranked
 
 RUNNERS_UP: Final = 6
@@ -31,7 +31,7 @@ class Signs:
     explained: float
     """Logarithm of the deviance that all of them explain."""
     margin: float
-    """Logarithm of 1 plus what would be lost of that with another class in place of one, at the least."""
+    """Logarithm of 1 plus the surprise that is lost with another class in place of one, at the least."""
     share: float
     """The least share of it that an effect has of its own."""
     alike: float
@@ -65,7 +65,8 @@ def signs_of(
     """Of a model of at least one effect; `remains` is the surprise of what it leaves."""
     prepared = field.prepared
     explained = float(drop(prepared, case, prepared.columns(chosen)))
-    margin = min(explained - _other(field, case, chosen, index) for index in range(len(chosen)))
+    own = _surprise(field, case, chosen)
+    margin = own - max(_other(field, case, chosen, index) for index in range(len(chosen)))
     alike = max([float(cosine[a, b]) for a in chosen for b in chosen if a < b], default=0.0)
     return Signs(
         len(chosen) - 1.0, float(np.log(max(explained, 1e-3))), float(np.log1p(max(margin, 0.0))),
@@ -100,9 +101,14 @@ def learnt(signs: list[Signs], right: Flags, strange: Flags, wrong: int) -> Trus
 
 
 def _other(field: Field, case: Case, chosen: Chosen, index: int) -> float:
-    """What is explained at the most with another class in place of one of the chosen."""
+    """Surprise of the best set with another class in place of one of the chosen."""
     others = (*chosen[:index], *chosen[index + 1 :])
     inside = field.inside & (field.label != field.label[chosen[index]])
     order, _ = ranked(Field(field.prepared, field.label, field.threshold, inside), case, others)
-    tried = [drop(field.prepared, case, field.prepared.columns((*others, h))) for h in order[:RUNNERS_UP]]
-    return float(max(tried, default=np.float64(0.0)))
+    return max((_surprise(field, case, (*others, h)) for h in order[:RUNNERS_UP]), default=0.0)
+
+
+def _surprise(field: Field, case: Case, chosen: Chosen) -> float:
+    """Of all of them together: parameters count."""
+    columns = field.prepared.columns(chosen)
+    return float(surprise(drop(field.prepared, case, columns), columns.size))

@@ -52,7 +52,8 @@ def _effects(result: Result) -> Iterator[str]:
         yield f"  {hypothesis.name}: probability {sure}, own share {percent(finding.share)}"
         rows = zip(hypothesis.parameters, finding.values, finding.least, finding.most, strict=True)
         for parameter, value, least, most in rows:
-            yield f"    {parameter.name}: {quantity(value, parameter.unit)} ({value_interval(least, most, parameter.unit)})"
+            told = value_interval(least, most, parameter.unit)
+            yield f"    {parameter.name}: {quantity(value, parameter.unit)} ({told})"
 
 
 def _beside(result: Result) -> Iterator[str]:

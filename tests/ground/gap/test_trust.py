@@ -1,0 +1,44 @@
+"""A name needs odds: what imitates a cause that is in no catalogue seldom has them."""
+
+import numpy as np
+import pytest
+
+from ground.gap.case import reduced
+from ground.gap.race import race
+from ground.gap.trust import Signs, learnt, signs_of
+
+
+def _signs(margin: float) -> Signs:
+    return Signs(0.0, 3.0, margin, 1.0, 0.0, 1.0, 1.0)
+
+
+def test_what_wins_by_much_is_trusted_more_than_what_wins_by_little(rng):
+    right = rng.random(400) < 0.5
+    signs = [_signs(rng.normal(3.0 if good else 1.0)) for good in right]
+    trust = learnt(signs, right, ~right, wrong=20)
+    assert trust.odds(_signs(4.0)) > trust.odds(_signs(0.0))
+    assert trust.allows(_signs(4.0))
+    assert not trust.allows(_signs(0.0))
+    assert sum(trust.allows(one) for one, good in zip(signs, right, strict=True) if not good) <= 20
+
+
+def test_with_nothing_to_learn_from_every_name_is_allowed():
+    assert learnt([], np.zeros(0, bool), np.zeros(0, bool), wrong=0).allows(_signs(0.0))
+
+
+def test_left_out_effects_get_a_wrong_name_no_more_often_than_allowed(campaign):
+    assert campaign.thresholds.wrong <= 0.13
+    assert campaign.thresholds.disowned < 0.5
+
+
+def test_the_margin_is_what_the_best_of_another_class_leaves(made, campaign, rng):
+    prepared, field = campaign.prepared, campaign.field
+    one = next(h for h in range(20, 40) if len(campaign.confusable(h)) == 1)
+    t = np.where(made.owner == one, 4.0 * campaign.limits[one].limit, 0.0)
+    case = reduced(prepared, prepared.whiten(made.measured(rng, t)))
+    won = race(field, case)
+    signs = signs_of(field, campaign.cosine, case, won.chosen, won.shares, 1.0)
+    assert won.chosen == (one,)
+    assert signs.explained == pytest.approx(np.log(won.dropped))
+    assert 0.0 < np.expm1(signs.margin) < won.surprise
+    assert signs.more == signs.alike == 0.0
