@@ -1,8 +1,8 @@
 """How far the gap shrinks on motions that took no part in fitting or choosing.
 
 With nuisances as fitted without effect, the energy of the whitened residual is E0; with effects, and
-nuisances as fitted beside them, E1; the floor alone gives n, the number of features. The share closed is (E0
-- E1) / (E0 - n).
+nuisances as fitted beside them, E1; the floor, and what is not known of the nuisances, give n. The share
+closed is (E0 - E1) / (E0 - n).
 """
 
 from dataclasses import dataclass
@@ -12,6 +12,9 @@ import numpy as np
 
 from fsw.kinematics.transforms import Array
 from ground.gap.layout import Layout
+from ground.gap.prepared import Prepared
+from ground.gap.sensitivity import Sensitivities
+from ground.gap.whiten import whitener
 
 DRAWS: Final = 2000
 LEVEL: Final = 0.9
@@ -44,25 +47,37 @@ class Closure:
     channels: tuple[ChannelClosure, ...]
 
 
-def closure(layout: Layout, whitened: tuple[Array, Array], raw: tuple[Array, Array], seed: int) -> Closure:
-    """Of residuals (m,) before and after, whitened and in the channels' units, on held-out features."""
+def closure(
+    layout: Layout, whitened: tuple[Array, Array], raw: tuple[Array, Array], seed: int, unsure: Array
+) -> Closure:
+    """Of residuals (m,) before and after, whitened and in the channels' units, on held-out features.
+
+    `unsure` (m,) is the variance, in that of the floor, that nuisances as fitted elsewhere leave here: no
+    effect can close it.
+    """
     count = len(layout.blocks)
-    n = np.bincount(layout.block, minlength=count).astype(float)
-    E0, E1 = (np.bincount(layout.block, one**2, minlength=count) for one in whitened)
-    used = n > 0.0
-    n, E0, E1 = n[used], E0[used], E1[used]
+    used = np.bincount(layout.block, minlength=count) > 0
+    n, E0, E1 = (
+        np.bincount(layout.block, one, minlength=count)[used]
+        for one in (1.0 + unsure, whitened[0] ** 2, whitened[1] ** 2)
+    )
     rng = np.random.default_rng(seed)
     weight = rng.multinomial(n.size, np.full(n.size, 1.0 / n.size), size=DRAWS)
     gap = weight @ (E0 - n)
     closed = weight @ (E0 - E1)
-    small = LOST * np.sqrt(2.0 * n.sum())
+    small = LOST * np.sqrt(2.0 * np.sum((1.0 + unsure) ** 2))
     share, least, most = np.nan, -np.inf, np.inf
     if (E0 - n).sum() > small:
         share = float((E0 - E1).sum() / (E0 - n).sum())
         told = gap > 0.0
         least, most = _interval(closed[told] / gap[told], share, float(np.mean(told)))
     return Closure(
-        share, least, most, float(E0.sum() / n.sum()), float(E1.sum() / n.sum()), _channels(layout, raw)
+        share,
+        least,
+        most,
+        float(E0.sum() / n.sum()),
+        float(E1.sum() / n.sum()),
+        _channels(layout, raw, layout.sigma * np.sqrt(1.0 + unsure)),
     )
 
 
@@ -82,11 +97,18 @@ def _interval(ratios: Array, share: float, told: float) -> tuple[float, float]:
     return float(min(least, share)), float(max(most, share))
 
 
-def _channels(layout: Layout, raw: tuple[Array, Array]) -> tuple[ChannelClosure, ...]:
+def unsure(prepared: Prepared, found: Sensitivities) -> Array:
+    """Variance, in that of the floor, that nuisances as a campaign tells them leave elsewhere, (m,)."""
+    kept = [index for index, nuisance in enumerate(found.nuisances) if not nuisance.each_block]
+    N = whitener(found)(found.nuisance[:, kept] * prepared.nuisance_unit)
+    return np.asarray(np.sum((N @ prepared.C[-1]) * N, axis=1))
+
+
+def _channels(layout: Layout, raw: tuple[Array, Array], floor_of: Array) -> tuple[ChannelClosure, ...]:
     """Those that have features."""
     result = []
     for channel in np.unique(layout.channel):
         rows = layout.channel == channel
-        before, after, floor = (float(np.sqrt(np.mean(one[rows] ** 2))) for one in (*raw, layout.sigma))
+        before, after, floor = (float(np.sqrt(np.mean(one[rows] ** 2))) for one in (*raw, floor_of))
         result.append(ChannelClosure(layout.channels[channel], layout.units[channel], before, after, floor))
     return tuple(result)

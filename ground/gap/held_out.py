@@ -1,7 +1,7 @@
 """A diagnosis tried on motions that took no part in it."""
 
 from fsw.kinematics.transforms import Array
-from ground.gap.closure import Closure, check_apart, closure
+from ground.gap.closure import Closure, check_apart, closure, unsure
 from ground.gap.diagnose import Diagnosis
 from ground.gap.hypothesis import Hypothesis
 from ground.gap.layout import Evidence
@@ -27,7 +27,8 @@ def closed(
     )
     after = after - change
     whiten = whitener(found)
-    return closure(evidence.layout, (whiten(before), whiten(after)), (before, after), seed)
+    doubt = unsure(diagnosis.prepared, found)
+    return closure(evidence.layout, (whiten(before), whiten(after)), (before, after), seed, doubt)
 
 
 def settings_of(diagnosis: Diagnosis) -> dict[Hypothesis, Array]:

@@ -22,7 +22,7 @@ def baselines(case: Tried, seed: int) -> dict[str, dict[str, Any]]:
     free = case.closed(lambda of: np.asarray(of.effect @ sizes), seed)
     whitened = whitener(case.held.found)(before)
     learnt = whitened - gaussian_process(found.layout, rest, layout)
-    process = closure(layout, (whitened, learnt), (before, before), seed)
+    process = closure(layout, (whitened, learnt), (before, before), seed, case.unsure)
     return {
         "largest_error": {"place": largest_error(found.layout, rest)},
         "everything_free": {"name": named.effect, "place": named.place, "closure": _number(free.share)},

@@ -7,7 +7,7 @@ import numpy as np
 
 from fsw.kinematics.transforms import Array
 from ground.gap.blind.evidence import Part
-from ground.gap.closure import Closure, check_apart, closure
+from ground.gap.closure import Closure, check_apart, closure, unsure
 from ground.gap.curved import Curved
 from ground.gap.hypothesis import Hypothesis
 from ground.gap.prepared import Prepared, prepare
@@ -38,12 +38,18 @@ class Tried:
         there = self.held.found.nuisance[:, kept] @ (v * prepared.nuisance_unit)
         return rest - N @ v, self.held.value - change(self.held.found) - there
 
+    @property
+    def unsure(self) -> Array:
+        """What nuisances leave in the held-out part, (m,)."""
+        return unsure(self.prepared, self.held.found)
+
     def closed(self, change: Change, seed: int) -> Closure:
         """On held-out motion, against nuisances alone."""
         _, before = self.left(nothing)
         _, after = self.left(change)
         whiten = whitener(self.held.found)
-        return closure(self.held.found.layout, (whiten(before), whiten(after)), (before, after), seed)
+        residuals = (whiten(before), whiten(after)), (before, after)
+        return closure(self.held.found.layout, *residuals, seed, self.unsure)
 
 
 def nothing(found: Sensitivities) -> Array:

@@ -41,7 +41,7 @@ def test_half_an_effect_closes_three_quarters(made, rng):
     layout, S = made.layout, made.effect[:, 4]
     y = 3.0 * S + layout.sigma * rng.standard_normal(layout.size)
     before, after = y / layout.sigma, (y - 1.5 * S) / layout.sigma
-    told = closure(layout, (before, after), (y, y - 1.5 * S), seed=1)
+    told = closure(layout, (before, after), (y, y - 1.5 * S), 1, np.zeros(layout.size))
     assert told.share == pytest.approx(0.75, abs=0.03)
     assert told.least <= 0.75 <= told.most
 
@@ -49,7 +49,7 @@ def test_half_an_effect_closes_three_quarters(made, rng):
 def test_where_there_is_no_gap_no_share_is_claimed(made, rng):
     layout = made.layout
     noise = rng.standard_normal(layout.size)
-    told = closure(layout, (noise, noise), (noise, noise), seed=1)
+    told = closure(layout, (noise, noise), (noise, noise), 1, np.zeros(layout.size))
     assert np.isnan(told.share)
     assert told.least == -np.inf
 

@@ -1,0 +1,97 @@
+"""A whole diagnosis of an arm, in small: which of two effects it is, how large, and what is refused."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from fsw.dictionary.joints import Frame, Joint
+from ground.gap.arm.case import TooLittleMotion, solved
+from ground.gap.arm.diagnosed import diagnosed
+from ground.gap.arm.logs import NotForDiagnosis, recording_in
+from ground.gap.arm.record import record_campaign
+from ground.gap.arm.reference import Reference, reference
+from ground.gap.arm.request import DiagnoseRequest
+from ground.gap.result import Result
+from ground.pool import on_this_machine
+from sim.arms import arm_named
+from sim.diagnosis.campaign import sessions
+from sim.effects.effect import Effect
+from sim.effects.joints import ResolverBias
+from sim.effects.links import LinkLength
+from sim.initialisation import true_reference
+from sim.params import nominal_params
+
+FITTED = ("poses-level-1", "poses-level-1-again", "poses-level-2", "poses-rolled-1")
+APART = ("poses-level-3", "poses-rolled-2")
+KINDS = ("resolver-bias", "link-length")
+Logs = tuple[list[Path], list[Path]]
+
+
+def silent(*_: object) -> None:
+    """No progress."""
+
+
+def recorded(folder: Path, effects: tuple[Effect, ...], seed: int) -> Logs:
+    arm = arm_named("nominal").with_effects(effects)
+    chosen = [one for one in sessions(arm.params) if one.name in FITTED + APART]
+    paths = record_campaign(folder, chosen, arm, true_reference(arm_named("nominal")), seed, silent)
+    return [p for p in paths if p.stem in FITTED], [p for p in paths if p.stem in APART]
+
+
+@pytest.fixture(scope="module")
+def nominal(tmp_path_factory: pytest.TempPathFactory) -> Logs:
+    """Logs of the arm that the simulator is."""
+    return recorded(tmp_path_factory.mktemp("nominal"), (), 1)
+
+
+@pytest.fixture(scope="module")
+def against(nominal: Logs, tmp_path_factory: pytest.TempPathFactory) -> Reference:
+    """What is known of the campaign before cases."""
+    return reference(*nominal, tmp_path_factory.mktemp("kept"), on_this_machine(1), silent, KINDS)
+
+
+@pytest.fixture
+def case(against: Reference, tmp_path: Path) -> Callable[..., Result]:
+    """What is said of an arm with these effects, beside a simulator with those of a patch."""
+
+    def of(*effects: Effect, patch: tuple[Effect, ...] = ()) -> Result:
+        fitted, apart = ([recording_in(p) for p in paths] for paths in recorded(tmp_path, effects, 9))
+        return solved(fitted, apart, against, nominal_params(), 0, patch)
+
+    return of
+
+
+@pytest.mark.parametrize("effect", [ResolverBias(Joint.ELBOW, 5e-3), LinkLength(Frame.ARM3, "x", 5e-3)])
+def test_the_effect_is_named_with_its_size_and_closes_the_gap(
+    case: Callable[..., Result], effect: ResolverBias | LinkLength
+) -> None:
+    said = case(effect)
+    (finding,) = said.diagnosis.findings
+    hypothesis = said.ready.found.hypotheses[finding.hypothesis]
+    size = effect.bias_rad if isinstance(effect, ResolverBias) else effect.length_m
+    assert said.diagnosis.verdict == "named"
+    assert hypothesis.name.startswith("resolver-bias" if isinstance(effect, ResolverBias) else "link-length")
+    assert finding.values[0] == pytest.approx(size, rel=0.1)
+    assert said.closure is not None
+    assert said.closure.share > 0.8
+
+
+def test_with_the_patch_on_nothing_is_left(case: Callable[..., Result]) -> None:
+    effect = LinkLength(Frame.ARM3, "x", 3e-3)
+    said = case(effect, patch=(effect,))
+    assert said.diagnosis.verdict == "none"
+    assert said.tool is not None
+    assert said.tool.before_mm < 2.0 * said.tool.floor_mm
+
+
+def test_most_of_a_campaign_must_be_there(nominal: Logs, against: Reference) -> None:
+    few = [recording_in(path) for path in nominal[0][:1]]
+    with pytest.raises(TooLittleMotion, match=r"poses-level-2, poses-rolled-1"):
+        solved(few, [], against, nominal_params(), 0)
+
+
+def test_a_campaign_without_such_sessions_is_refused(nominal: Logs, tmp_path: Path) -> None:
+    request = DiagnoseRequest(tuple(nominal[0]), campaign=tmp_path)
+    with pytest.raises(NotForDiagnosis, match="has no session poses-level-1, poses-level-1-again"):
+        diagnosed(request, silent)
