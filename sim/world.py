@@ -1,6 +1,7 @@
 """The world around the arm: which scene, how the rover is tilted, and the rock face to be touched."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Final, Literal
 
@@ -67,16 +68,29 @@ def build(world: World, for_pictures: bool = False) -> mujoco.MjSpec:
     """
     if mujoco.__version__ != REQUIRED_MUJOCO:
         raise WrongMujoco(f"MuJoCo {mujoco.__version__} is installed, {REQUIRED_MUJOCO} is required")
-    spec = mujoco.MjSpec.from_file(str(MJCF / f"{world.scene}.xml"))
+    spec = _drawn(world.scene, for_pictures).copy()
     spec.option.gravity = FLIP * world.gravity_N_m_s2
     if world.surface is not None:
         add_rock(spec, np.array(world.surface.p_N_m), np.array(world.surface.normal_N))
         lower_ground(spec, -world.ground_N_m)
     if not for_pictures:
-        for geom in list(spec.geoms):
-            if geom.contype == 0 and geom.conaffinity == 0:
-                spec.delete(geom)
+        _leave_out_looks(spec)
     return spec
+
+
+@cache
+def _drawn(scene: Scene, for_pictures: bool) -> mujoco.MjSpec:
+    """Read once in a process: what is done to an arm is done to a copy."""
+    spec = mujoco.MjSpec.from_file(str(MJCF / f"{scene}.xml"))
+    if not for_pictures:
+        _leave_out_looks(spec)
+    return spec
+
+
+def _leave_out_looks(spec: mujoco.MjSpec) -> None:
+    for geom in list(spec.geoms):
+        if geom.contype == 0 and geom.conaffinity == 0:
+            spec.delete(geom)
 
 
 def told_of(world: World, params: Params) -> Params:
@@ -88,9 +102,7 @@ def told_of(world: World, params: Params) -> Params:
 def inside_rover(p_N_m: Vector3) -> bool:
     """Whether a point (RNAV) is inside a collision geom of the rover."""
     spec = mujoco.MjSpec.from_file(str(MJCF / "rover.xml"))
-    for geom in list(spec.geoms):
-        if geom.contype == 0 and geom.conaffinity == 0:
-            spec.delete(geom)
+    _leave_out_looks(spec)
     probe = spec.worldbody.add_geom(name="probe", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(1e-3, 0, 0))
     probe.pos = FLIP * np.array(p_N_m)
     model = spec.compile()

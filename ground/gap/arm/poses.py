@@ -6,6 +6,7 @@ to the next, as friction lets it (fsw.estimate.gear); nothing is stepped.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from sim.effects.gears import GearHysteresis
 from sim.influence import NO_INFLUENCE, Influence
 from sim.plant import Plant
 from sim.tracker import turret_pose
-from sim.world import build
+from sim.world import World, build
 
 LOOKED_TICKS = CYCLE_HZ // 4
 """Resolvers are averaged over the end of a rest."""
@@ -113,7 +114,7 @@ def _rests(knots: Knots, params: Params, hardware: Hardware, effects: Sequence[E
     off_rad = recording.start.hardstop_rad - config.hardstop_rad
     lost_rad = nominal_hardware().counter_zero_rad - hardware.counter_zero_rad
     motor = knots.motor_rad - (off_rad + lost_rad)[:, None]
-    plant = _acting(recording, effects) if hardware.each_cycle else None
+    plant = _acting(recording.world, tuple(effects)) if hardware.each_cycle else None
     half = config.half_gap_rad
     load = rest(config.arm, motor, gravity).torque_Nm
     gear, driven = np.zeros(5), motor[:, 0]
@@ -133,8 +134,10 @@ def _rests(knots: Knots, params: Params, hardware: Hardware, effects: Sequence[E
     return Resting(resolver - knots.motor_rad[:, looked], frames.X_RF[5])
 
 
-def _acting(recording: Recording, effects: Sequence[Effect]) -> Plant:
-    spec = build(recording.world)
+@lru_cache(maxsize=4)
+def _acting(world: World, effects: tuple[Effect, ...]) -> Plant:
+    """What effects ask; of the recordings of a campaign many are of one world."""
+    spec = build(world)
     for effect in effects:
         effect.on_model(spec)
     return Plant(spec.compile())

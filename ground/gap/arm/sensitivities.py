@@ -25,6 +25,7 @@ from ground.progress import Progress
 from ground.telemetry.header import model_digest
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
+from sim.effects.gears import GearHysteresis
 from sim.params import nominal_params
 from sim.world import World, build
 
@@ -195,6 +196,8 @@ def _share(simulator: ArmSimulator, column: Column, nominal: Array) -> float:
     if column.hypothesis is None:
         return 1.0
     end = next(iter(_ends(simulator, column, 1.0)))
+    if all(isinstance(effect, (*ONLY_POSED, GearHysteresis)) for effect in end.effects):
+        return 1.0
     joints = {getattr(effect, "joint", None) for effect in end.effects} - {None}
     free = [one for one in simulator.campaign.moving if one.recording.world.surface is None]
     shown = [one for one in free if not {segment.joint for segment in one.segments} - joints]
