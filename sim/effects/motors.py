@@ -65,7 +65,9 @@ class CommandDelay(EachCycle):
         return (self._given(plant),) * (int(self.delay_s * CYCLE_HZ) + 2)
 
     def cycle(self, plant: Plant, hardware: Hardware, state: Setpoints) -> tuple[Setpoints, Influence]:
-        """The newest goes in, and one of before goes out."""
+        """The newest goes in, and one of before goes out; on the brake there is nothing to wait for."""
+        if plant.data.eq_active[plant.at.brake[self.joint]]:
+            return (self._given(plant),) * len(state), Influence()
         state = (self._given(plant), *state[:-1])
         whole, part = divmod(self.delay_s * CYCLE_HZ, 1.0)
         newer, older = (np.array(state[int(whole) + k]) for k in (0, 1))

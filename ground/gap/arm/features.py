@@ -127,8 +127,11 @@ ASSUMED: Final = (
 """By channel, in its unit: noise of current sensors and resolvers, counts, ticks, the IMU for ten seconds."""
 
 
-IN_CONTACT: Final = (0.1, 4e-5, 1e-4)
-"""Doubt about current, following and resolver from just before a touch on: how it begins is chance."""
+IN_CONTACT: Final = (0.5, 2e-4, 5e-4)
+"""Doubt about current, following and resolver from just before a touch on: how it begins is chance, and under
+the recorded drive an arm that touches elsewhere pushes as the real one never did."""
+TOUCH_S: Final = 2.0
+"""Before a touch: another arm may have touched by then."""
 TAKEN_UP: Final = 1.5
 """Gaps that a joint must turn before it is sure where its output lies: nobody saw how it came there."""
 
@@ -137,7 +140,7 @@ def _touch(recording: Recording) -> int:
     """The tick from which on a tool may touch something."""
     closed = recording.sensors["switch_closed"]
     at = np.flatnonzero((closed & ~closed[0]).any(axis=1))
-    return int(at[0]) if at.size else recording.ticks + 1
+    return int(at[0]) - round(TOUCH_S * CYCLE_HZ) if at.size else recording.ticks + 1
 
 
 def _touched(recording: Recording) -> list[int]:

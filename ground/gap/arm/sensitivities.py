@@ -25,7 +25,6 @@ from ground.progress import Progress
 from ground.telemetry.header import model_digest
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
-from sim.effects.gears import GearHysteresis
 from sim.params import nominal_params
 from sim.world import World, build
 
@@ -35,8 +34,11 @@ Names = tuple[str, ...]
 
 WANTED: Final = 60.0
 """Sigmas, of all features together and before nuisances, by which a step is to move them."""
+TOO_MUCH: Final = 3.0
+"""Of what is wanted: then a smaller step is tried."""
+TRIES: Final = 3
 LEAST_SHARE: Final = 1e-3
-"""Of a typical size."""
+"""Of a typical size, to begin with."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,9 +166,22 @@ def column_of(simulator: ArmSimulator, column: Column, nominal: Array) -> Sensed
     only the first is simulated: the others were given the same drive.
     """
     share = _share(simulator, column, nominal)
-    changes = [(_change(simulator, end, nominal), end.size) for end in _ends(simulator, column, share)]
-    slope, bend = (np.where(np.isfinite(values), values, 0.0) for values in through(changes))
-    return Sensed(slope, bend, max(abs(size) for _, size in changes))
+    ends = list(_ends(simulator, column, share))
+    first = _change(simulator, ends[0], nominal)
+    for _ in range(TRIES):
+        if _seen(simulator, first) <= TOO_MUCH * WANTED or column.hypothesis is None:
+            break
+        share *= WANTED / _seen(simulator, first)
+        ends = list(_ends(simulator, column, share))
+        first = _change(simulator, ends[0], nominal)
+    others = [_change(simulator, end, nominal) for end in ends[1:]]
+    slope, bend = through([(c, e.size) for c, e in zip((first, *others), ends, strict=True)])
+    return Sensed(slope, bend, max(abs(end.size) for end in ends))
+
+
+def _seen(simulator: ArmSimulator, change: Array) -> float:
+    """Sigmas of all features together."""
+    return float(np.linalg.norm(change / simulator.layout.sigma))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -196,15 +211,12 @@ def _share(simulator: ArmSimulator, column: Column, nominal: Array) -> float:
     if column.hypothesis is None:
         return 1.0
     end = next(iter(_ends(simulator, column, 1.0)))
-    if all(isinstance(effect, (*ONLY_POSED, GearHysteresis)) for effect in end.effects):
-        return 1.0
     joints = {getattr(effect, "joint", None) for effect in end.effects} - {None}
     free = [one for one in simulator.campaign.moving if one.recording.world.surface is None]
     shown = [one for one in free if not {segment.joint for segment in one.segments} - joints]
     names = {one.recording.name for one in shown or free[-1:]}
     change = _change(simulator, end, nominal, lambda one: one.recording.name in names)
-    seen = float(np.linalg.norm(change / simulator.layout.sigma)) / abs(end.size)
-    return float(np.clip(WANTED / max(seen, 1e-12), LEAST_SHARE, 1.0))
+    return float(np.clip(abs(end.size) * WANTED / max(_seen(simulator, change), 1e-12), LEAST_SHARE, 1.0))
 
 
 def _ends(simulator: ArmSimulator, column: Column, share: float) -> Iterator[_End]:
