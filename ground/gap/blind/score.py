@@ -40,7 +40,9 @@ class Found:
     effect: Rate
     """A first choice is of its class."""
     in_set: Rate
-    """Its class is in what was reported."""
+    """Its class is in what was reported; nothing is where no name was given."""
+    in_set_given: Rate
+    """The same of those in whose cases a name was given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,12 +139,15 @@ def middle(values: Sequence[float]) -> Middle:
 
 
 def _found(classes: Classes, each: Sequence[tuple[TrueEffect, Document]]) -> Found:
+    held = [
+        (any(_class(classes, one) in _set(classes, told) for told in _reported(said)), _called(said))
+        for one, said in each
+    ]
     return Found(
         _rate(one.place in _places(classes, _first(said)) for one, said in each),
         _rate(_class(classes, one) in _classes(classes, _first(said)) for one, said in each),
-        _rate(
-            any(_class(classes, one) in _set(classes, told) for told in _reported(said)) for one, said in each
-        ),
+        _rate(inside for inside, _ in held),
+        _rate(inside for inside, called in held if called),
     )
 
 

@@ -41,6 +41,7 @@ def _lines(score: Score) -> Iterator[str]:
     yield f"| right place | 90 % | {_rate(score.found.place)} |"
     yield f"| right effect as first choice | 80 % | {_rate(score.found.effect)} |"
     yield f"| in the reported set | 95 % | {_rate(score.found.in_set)} |"
+    yield f"| the same where a name or set was given | | {_rate(score.found.in_set_given)} |"
     yield f"| classes in a set, mean | under 2 | {score.set_size:.2f} |"
     yield f"| named, but not of the case | | {_rate(score.superfluous)} |"
     yield f"| 90 % intervals that cover | interval has 90 % | {_rate(score.covered)} |"
