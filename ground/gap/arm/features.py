@@ -8,15 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ, Config
-from fsw.dictionary.joints import Switch
 from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.segments import BIN_TICKS, Segment, binned, segments_in
 
-CHANNELS: Final = ("current", "following", "resolver-encoder", "contact", "imu", "screw-turn", "screw-shift")
-UNITS: Final = ("A", "rad", "rad", "s", "m/s^2", "rad", "m")
-CURRENT, FOLLOWING, RESOLVER, CONTACT, IMU, TURN, SHIFT = range(len(CHANNELS))
+CHANNELS: Final = ("current", "following", "resolver-encoder", "imu", "screw-turn", "screw-shift")
+UNITS: Final = ("A", "rad", "rad", "m/s^2", "rad", "m")
+CURRENT, FOLLOWING, RESOLVER, IMU, TURN, SHIFT = range(len(CHANNELS))
 CONDITIONS: Final = ("temperature_C", "load_Nm", "speed_rad_s", "sin_angle", "cos_angle", "way")
 
 Columns = Mapping[str, NDArray[Any]]
@@ -52,7 +51,7 @@ class Moving:
 
 
 def moving(recording: Recording, config: Config) -> Moving:
-    """Its features: three channels of every moving joint bin by bin, the switches' first touch, the IMU."""
+    """Its features: three channels of every moving joint bin by bin before a tool touches, and the IMU."""
     segments = tuple(segments_in(recording))
     features: list[Feature] = []
     load_Nm = _loads(recording, config, segments)
@@ -63,7 +62,7 @@ def moving(recording: Recording, config: Config) -> Moving:
         j, name = segment.joint, segment.joint.name.lower()
         is_first = not any(s.joint is j and s.first < segment.first for s in segments)
         for channel in (CURRENT, FOLLOWING, RESOLVER):
-            for bin_number, (first, end) in enumerate(segment.bins()):
+            for bin_number, (first, end) in enumerate(_free(segment, touch)):
                 mid = (first + end) // 2
                 speed = float(recording.drive["setpoint_rate_rad_s"][first:end, j].mean())
                 angle = float(motor[j, mid])
@@ -75,10 +74,9 @@ def moving(recording: Recording, config: Config) -> Moving:
                     float(np.cos(angle)),
                     float(segment.way),
                 )
-                touching = end > touch
-                regime = "contact" if touching else segment.regime(first)
+                regime = segment.regime(first)
                 key = f"motion {number}/{CHANNELS[channel]}/{bin_number}"
-                doubt = IN_CONTACT[channel] if touching else 0.0
+                doubt = STARTING[channel] if first - segment.first < STARTING_S * CYCLE_HZ else 0.0
                 if channel == RESOLVER and is_first:
                     gap_rad = 2.0 * float(config.half_gap_rad[j])
                     turned_rad = abs(float(motor[j, first] - motor[j, segment.first]))
@@ -87,25 +85,22 @@ def moving(recording: Recording, config: Config) -> Moving:
     still = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
     for axis in "xyz":
         features.append(Feature(IMU, f"imu.{axis}", "rest", block, still, f"imu/{axis}"))
-    for switch in _touched(recording):
-        named = Switch(switch).name.lower()
-        features.append(Feature(CONTACT, named, "contact", block, still, f"contact/{named}"))
     return Moving(recording, segments, tuple(features))
 
 
 def measured(here: Moving, sensors: Columns) -> Array:
     """The features' numbers in sensors by tick, recorded or simulated, (m,)."""
     recording, values = here.recording, []
+    touch = _touch(recording)
     encoder = sensors["encoder_count"].T * recording.rad_per_count[:, None]
     setpoint = recording.drive["setpoint_count"].T * recording.rad_per_count[:, None]
     resolver = sensors["resolver_rad"].T - encoder - recording.start.zero_rad[:, None]
     for segment in here.segments:
-        j, bins = segment.joint, segment.bins()
+        j, bins = segment.joint, _free(segment, touch)
         values.append(binned(sensors["current_A"][:, j], bins))
         values.append(binned(encoder[j] - setpoint[j], bins))
         values.append(binned(resolver[j], bins))
     values.append(sensors["gravity_R_m_s2"].mean(axis=0))
-    values.append(np.array([_first(sensors["switch_closed"][:, switch]) for switch in _touched(recording)]))
     return np.concatenate(values)
 
 
@@ -119,21 +114,26 @@ ASSUMED: Final = (
     0.02 * _MEAN,
     4e-6,
     float(np.hypot(1e-4, 9.6e-5 / np.sqrt(12.0))) * _MEAN,
-    0.5 / CYCLE_HZ,
     0.005 * 0.03,
     2e-5,
     3e-5,
 )
-"""By channel, in its unit: noise of current sensors and resolvers, counts, ticks, the IMU for ten seconds."""
+"""By channel, in its unit: noise of current sensors and resolvers, counts, the IMU for ten seconds."""
 
 
-IN_CONTACT: Final = (0.5, 2e-4, 5e-4)
-"""Doubt about current, following and resolver from just before a touch on: how it begins is chance, and under
-the recorded drive an arm that touches elsewhere pushes as the real one never did."""
+STARTING: Final = (0.02, 2e-5, 0.0)
+"""Doubt about current, following and resolver while a motion begins: it hangs on the plant's own numerics."""
+STARTING_S: Final = 1.0
 TOUCH_S: Final = 2.0
-"""Before a touch: another arm may have touched by then."""
+"""So long before a touch nothing is compared any more: another arm may have touched by then, and under the
+recorded drive it would push as the real one never did."""
 TAKEN_UP: Final = 1.5
 """Gaps that a joint must turn before it is sure where its output lies: nobody saw how it came there."""
+
+
+def _free(segment: Segment, touch: int) -> list[tuple[int, int]]:
+    """Its bins before a tool may touch something."""
+    return [(first, end) for first, end in segment.bins() if end <= touch]
 
 
 def _touch(recording: Recording) -> int:
@@ -141,18 +141,6 @@ def _touch(recording: Recording) -> int:
     closed = recording.sensors["switch_closed"]
     at = np.flatnonzero((closed & ~closed[0]).any(axis=1))
     return int(at[0]) - round(TOUCH_S * CYCLE_HZ) if at.size else recording.ticks + 1
-
-
-def _touched(recording: Recording) -> list[int]:
-    """Switches that close at some time of the recording."""
-    closed = recording.sensors["switch_closed"]
-    return [int(k) for k in np.flatnonzero(closed.any(axis=0) & ~closed[0])]
-
-
-def _first(closed: NDArray[np.bool_]) -> float:
-    """When a switch closes first [s]; the end of the recording if it does not."""
-    at = np.flatnonzero(closed)
-    return float(at[0] if at.size else closed.size) / CYCLE_HZ
 
 
 def _loads(recording: Recording, config: Config, segments: tuple[Segment, ...]) -> Array:

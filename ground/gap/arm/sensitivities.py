@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Final
@@ -12,13 +12,14 @@ import numpy as np
 
 import sim.effects
 from fsw.config import digest
-from fsw.kinematics.transforms import Array
+from fsw.kinematics.transforms import Array, Flags
 from ground.gap.arm.bound import first_of_block, keys_of, repeated
 from ground.gap.arm.campaign import compared
 from ground.gap.arm.features import Moving
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import recording_in
 from ground.gap.arm.simulator import ONLY_POSED, ArmSimulator, Touched, all_of
+from ground.gap.layout import Layout
 from ground.gap.sensitivity import Sensitivities, load, save, through
 from ground.pool import Runner
 from ground.progress import Progress
@@ -36,6 +37,8 @@ WANTED: Final = 60.0
 """Sigmas, of all features together and before nuisances, by which a step is to move them."""
 TOO_MUCH: Final = 3.0
 """Of what is wanted: then a smaller step is tried."""
+NEARLY: Final = 0.1
+"""Of the difference to half the time step, what remains of the plant's numerics when it is fitted."""
 TRIES: Final = 3
 LEAST_SHARE: Final = 1e-3
 """Of a typical size, to begin with."""
@@ -82,7 +85,7 @@ def arm_sensitivities(
     effects = [k for k, column in enumerate(columns) if column.hypothesis is not None]
     owner = np.array([columns[k].hypothesis for k in effects], np.intp)
     result = Sensitivities(
-        simulator.layout,
+        _doubting(simulator, found[:, len(effects) :]),
         simulator.hypotheses,
         simulator.nuisances,
         _nominal(paths, names),
@@ -96,6 +99,13 @@ def arm_sensitivities(
     save(path, result)
     keys_path(path).write_text(json.dumps(keys_of(simulator.campaign)), encoding="utf-8")
     return result
+
+
+def _doubting(simulator: ArmSimulator, nuisance: Array) -> Layout:
+    """The floor, with a share of what the plant's own numerics are off by: they fit but nearly."""
+    own = nuisance[:, [k for k, where in enumerate(simulator.only_at) if where]]
+    sigma = np.sqrt(simulator.layout.sigma**2 + np.sum((NEARLY * own) ** 2, axis=1))
+    return replace(simulator.layout, sigma=sigma)
 
 
 def kept_path(logs: Sequence[Path], kept_in: Path, kinds: Sequence[str] | None = None) -> Path:
@@ -176,7 +186,14 @@ def column_of(simulator: ArmSimulator, column: Column, nominal: Array) -> Sensed
         first = _change(simulator, ends[0], nominal)
     others = [_change(simulator, end, nominal) for end in ends[1:]]
     slope, bend = through([(c, e.size) for c, e in zip((first, *others), ends, strict=True)])
+    if column.hypothesis is None and simulator.only_at[column.at]:
+        slope = np.where(_at(simulator.layout, simulator.only_at[column.at]), slope, 0.0)
     return Sensed(slope, bend, max(abs(end.size) for end in ends))
+
+
+def _at(layout: Layout, place: str) -> Flags:
+    """Features that are measured there, (m,)."""
+    return np.array([layout.places[k] == place for k in layout.place], bool)
 
 
 def _seen(simulator: ArmSimulator, change: Array) -> float:

@@ -12,7 +12,7 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.tuples import row6
 from fsw.kinematics.transforms import Array
 from ground.gap.arm.campaign import Compared, predicted_values
-from ground.gap.arm.features import CONDITIONS, CONTACT, UNITS, Moving, channel_of
+from ground.gap.arm.features import CONDITIONS, UNITS, Moving, channel_of
 from ground.gap.hypothesis import Hypothesis, Nuisance, Parameter
 from ground.gap.layout import Ints, Layout
 from ground.gap.simulator import Settings
@@ -35,6 +35,7 @@ from sim.effects.geometry import FrameError, LinkWarming, Warming
 from sim.effects.joints import GearFriction, GearStiffness, HardstopAngle, HardstopStiffness
 from sim.effects.links import LinkAngle, LinkLength, ThermalGradient, ToolOffset, ToolTurn
 from sim.effects.numerics import Numerics
+from sim.effects.sensors import EncoderZero
 from sim.effects.size import Size
 from sim.effects.structure import LinkBending, LinkStiffness, LinkTorsion, RoverCompliance
 from sim.trials import FRICTION
@@ -47,7 +48,7 @@ ONLY_POSED: Final = (
     *(LinkLength, LinkAngle, ThermalGradient, LinkWarming, Warming, FrameError, ToolOffset, ToolTurn),
     *(LinkStiffness, LinkBending, LinkTorsion, RoverCompliance, ContactStiffness, SurfacePosition),
 )
-"""Effects that show where the arm rests and where it touches; in free motion they are below its noise."""
+"""Effects that show where the arm rests, or not at all; in free motion they are below its noise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +62,8 @@ class Uncertain:
     """The hypothesis, as told, that is the same number where it is small, if there is one."""
     one_sided: bool = False
     """Whether it departs to positive numbers only."""
+    at: str = ""
+    """Where alone it shows, if not everywhere."""
 
 
 class ArmSimulator:
@@ -84,6 +87,7 @@ class ArmSimulator:
         self.nuisances = tuple(one.nuisance for one in self._uncertain)
         self.likes = tuple(one.like for one in self._uncertain)
         self.one_sided = tuple(one.one_sided for one in self._uncertain)
+        self.only_at = tuple(one.at for one in self._uncertain)
 
     def predict(self, settings: Settings, nuisance: Array) -> Array:
         """The features (m,); errors as of `predicted_values`."""
@@ -104,7 +108,7 @@ class ArmSimulator:
 
 @dataclass(frozen=True, slots=True)
 class Touched:
-    """Whether effects can show in a moving recording: at a joint if it moves, of geometry at a touch."""
+    """Whether effects can show in a moving recording: at a joint if it moves, of geometry never."""
 
     effects: tuple[Effect, ...]
 
@@ -113,15 +117,10 @@ class Touched:
         return any(self._shows(effect, one) for effect in self.effects)
 
     def _shows(self, effect: Effect, one: Moving) -> bool:
-        if isinstance(effect, HardstopStiffness):
+        if isinstance(effect, (HardstopStiffness, *ONLY_POSED)):
             return False  # no motion of a campaign comes to a hardstop
         joint = getattr(effect, "joint", None)
-        if joint is not None:
-            return any(segment.joint is Joint(joint) for segment in one.segments)
-        tool = getattr(effect, "tool", None)
-        if tool is not None:
-            return any(f.channel == CONTACT and f.place.startswith(tool.name.lower()) for f in one.features)
-        return one.recording.world.surface is not None or not isinstance(effect, ONLY_POSED)
+        return joint is None or any(segment.joint is Joint(joint) for segment in one.segments)
 
 
 def all_of(_: Moving) -> bool:
@@ -232,8 +231,16 @@ def left_uncertain() -> Iterator[Uncertain]:
             partial(_times, LinkStiffness, frame),
             f"link-stiffness at {named}",
         )
-    for name, gears in NUMERICS.items():
-        yield Uncertain(Nuisance(name, "1", OTHERWISE), partial(_otherwise, gears), one_sided=True)
+    for joint in Joint:
+        name = joint.name.lower()
+        yield Uncertain(
+            Nuisance(f"counter {name}", "rad", COUNT_RAD),
+            partial(EncoderZero, joint),
+            f"encoder-zero at {name}",
+        )
+        for word, gears in NUMERICS.items():
+            nuisance = Nuisance(f"{word} {name}", "1", OTHERWISE)
+            yield Uncertain(nuisance, partial(_otherwise, gears), one_sided=True, at=name)
 
 
 _TURN_SHIFT: Final = ({"rad": "link-angle", "m": "link-length"}, {"rad": "tool-turn", "m": "tool-offset"})
@@ -241,6 +248,8 @@ _TURN_SHIFT: Final = ({"rad": "link-angle", "m": "link-length"}, {"rad": "tool-t
 
 
 NUMERICS: Final[dict[str, Literal["implicit", "explicit"]]] = {"time step": "implicit", "scheme": "explicit"}
+COUNT_RAD: Final = 3.3e-6
+"""A count of an encoder: where in it a set-point falls is chance, the same all along."""
 OTHERWISE: Final = 2.0
 """One sigma of what the plant's own numerics are off by, in differences to half the time step."""
 
