@@ -81,8 +81,6 @@ class Refined:
     """One sigma of each, nuisances free."""
     at_bound: tuple[tuple[str, ...], ...]
     """Names of those that are at a bound: no finding."""
-    deviance: float
-    """With prior and nuisances, from that of no effect: below 0 if it explains anything."""
     change: Array
     """What the effects change in the features, (m,)."""
     slopes: tuple[Array, ...]
@@ -118,7 +116,7 @@ def refine(
     names = tuple(tuple(n for n in part if n) for part in np.split(np.array(ended, dtype=object), cut))
     return Refined(
         who, tuple(np.split(x, cut)), tuple(np.split(unit * fit.sigma(there), cut)), names,
-        there.cost - fit.nothing(), there.change, tuple(np.split(there.slopes, cut, axis=1)),
+        there.change, tuple(np.split(there.slopes, cut, axis=1)),
     )  # fmt: skip
 
 
@@ -175,11 +173,10 @@ class _Fit:
         return dict(zip(self.who, np.split(x, cut), strict=True))
 
     def _cost(self, x: Array, change: Array) -> float:
-        return self._deviance(self.y - self.prepared.whiten(change)) + float(np.sum(self._shape(x) ** 2))
-
-    def nothing(self) -> float:
-        """The cost of no effect."""
-        return self._deviance(self.y)
+        rest = self.y - self.prepared.whiten(change)
+        along = self._N.T @ rest
+        deviance = float(rest @ rest - along @ self.prepared.C[-1] @ along)
+        return deviance + float(np.sum(self._shape(x) ** 2))
 
     def sigma(self, there: _Point) -> Array:
         """Of the parameters per typical size, nuisances free."""
@@ -195,10 +192,6 @@ class _Fit:
         L = np.linalg.cholesky(information + small * np.eye(there.x.size))
         room = np.stack([np.minimum(room[0], -1e-12), np.maximum(room[1], 1e-12)])
         return np.asarray(lsq_linear(L.T, np.linalg.solve(L, gradient), room).x)
-
-    def _deviance(self, rest: Array) -> float:
-        along = self._N.T @ rest
-        return float(rest @ rest - along @ self.prepared.C[-1] @ along)
 
     @property
     def _N(self) -> Array:

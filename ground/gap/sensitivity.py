@@ -52,6 +52,11 @@ class Sensitivities:
             if array.shape != shape or not np.all(np.isfinite(array)):
                 raise ValueError(f"sensitivities must be finite and {shape}; one is {array.shape}")
 
+    @property
+    def lasting(self) -> list[int]:
+        """The nuisances that are one number for all blocks, by index."""
+        return [index for index, nuisance in enumerate(self.nuisances) if not nuisance.each_block]
+
     def of(self, rows: Ints) -> "Sensitivities":
         """Those of some of the features, in that order."""
         arrays = ("nominal", "effect", "curve", "nuisance")
