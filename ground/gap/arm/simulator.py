@@ -90,16 +90,14 @@ class ArmSimulator:
         return self.predicted(self.effects(settings, nuisance), all_of)
 
     def effects(self, settings: Settings, nuisance: Array) -> list[Effect]:
-        """What is switched on: patch, hypotheses, nuisances that are not 0."""
-        found = list(self.patch)
-        for hypothesis, values in settings.items():
-            found.append(switched_on(self._made[hypothesis], hypothesis, values))
+        """What is switched on beside the patch: hypotheses, and nuisances that are not 0."""
+        found = [switched_on(self._made[one], one, values) for one, values in settings.items()]
         found += [one.effect(float(v)) for one, v in zip(self._uncertain, nuisance, strict=True) if v]
         return found
 
     def predicted(self, effects: Sequence[Effect], wanted: Callable[[Moving], bool]) -> Array:
-        """Features (m,) with these effects; those of moving recordings that are not wanted are NaN."""
-        return predicted_values(self.campaign, self.base, effects, self.manner, wanted)
+        """Features (m,) with the patch and these; those of moving recordings that are not wanted are NaN."""
+        return predicted_values(self.campaign, self.base, (*self.patch, *effects), self.manner, wanted)
 
 
 @dataclass(frozen=True, slots=True)
