@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from fsw.kinematics.transforms import IDENTITY, batched
 from ground.gap.arm import diagnosed, recorded
+from ground.gap.arm.logs import NotForDiagnosis
 from ground.gap.arm.reference import thresholds_in
 from ground.gap.arm.sensitivities import keys_in, keys_path
 from ground.gap.arm.tracked import BadTracker, Tracked, none_tracked, read_tracked, write_tracked
@@ -77,14 +79,33 @@ def test_a_table_that_is_none_of_poses_is_refused(
         read_tracked(path)
 
 
-def test_sessions_that_are_held_out_are_found_in_their_folder(tmp_path: Path) -> None:
-    class Named:
-        name = "cold"
+@dataclass(frozen=True)
+class Named:
+    """What is asked of a recording here."""
 
+    name: str
+    block: str
+
+
+def test_a_repeat_of_what_is_fitted_is_not_held_out() -> None:
+    first, again, other = Named("cold", "cold"), Named("cold-again", "cold"), Named("warm", "warm")
+    diagnosed._check_apart([first], [other])  # type: ignore[list-item]
+    with pytest.raises(NotForDiagnosis, match="cold-again repeats the motion of cold, which is not held out"):
+        diagnosed._check_apart([first], [other, again])  # type: ignore[list-item]
+
+
+def test_a_session_is_given_once() -> None:
+    paths, same = (Path("a.mcap"), Path("b.mcap")), Named("cold", "cold")
+    with pytest.raises(NotForDiagnosis, match=r"b\.mcap: is session cold, and so is a\.mcap"):
+        diagnosed._check_different(paths, [same, same])  # type: ignore[list-item]
+
+
+def test_sessions_that_are_held_out_are_found_in_their_folder(tmp_path: Path) -> None:
     held_out = tmp_path / recorded.APART
     held_out.mkdir()
     (held_out / "cold.mcap").touch()
-    assert diagnosed._of_campaign(tmp_path, [Named()]) == (held_out / "cold.mcap",)  # type: ignore[list-item]
+    cold = Named("cold", "cold")
+    assert diagnosed._of_campaign(tmp_path, [cold]) == (held_out / "cold.mcap",)  # type: ignore[list-item]
 
 
 def test_a_campaign_that_comes_to_no_end_leaves_nothing(
