@@ -70,6 +70,7 @@ def diagnose(
     from ground.gap.arm.logs import NotForDiagnosis
     from ground.gap.arm.request import diagnose_request
     from ground.gap.told import told
+    from ground.outputs import BadOutput
     from ground.report.gap_tables import gap_table
     from ground.report.progress import progress_bar
     from ground.request import BadRequest
@@ -81,7 +82,7 @@ def diagnose(
         with progress_bar() as progress:
             result = diagnosed(request, progress)
             not_written = save_diagnosis(result, request, files)
-    except (BadRequest, NotForDiagnosis) as error:
+    except (BadRequest, BadOutput, NotForDiagnosis) as error:
         end(str(error), BAD_INPUT, as_json)
     show(told(result), as_json, lambda: gap_table(result))
     for sentence in not_written:

@@ -26,7 +26,11 @@ FolderArgument = Annotated[
 ]
 JobsOption = Annotated[int | None, typer.Option(help="Processes; all cores if not given.")]
 
-gap_app = typer.Typer(help="Try the diagnosis of the gap between simulator and arm.", no_args_is_help=True)
+gap_app = typer.Typer(
+    help="Record what a diagnosis of the gap is made of, and try how good such diagnoses are.\n\n"
+    "Example: marsarm gap record --out logs",
+    no_args_is_help=True,
+)
 blind_app = typer.Typer(
     help="Cases whose truth is sealed before they are recorded: made, solved, and scored once.\n\n"
     "Example: marsarm gap blind make --cases 200 --seed 1 --out blind",

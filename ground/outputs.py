@@ -2,6 +2,7 @@
 
 import os
 import secrets
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -58,7 +59,9 @@ def written_whole(path: Path, what: str) -> Iterator[BinaryIO]:
 
 @contextmanager
 def beside(place: Path) -> Iterator[Path]:
-    """The path of a file to be made, which takes this place when the block ends well, and else goes.
+    """The path of a file or folder to be made: it takes this place when the block ends well, and else goes.
+
+    A folder takes the place of none but an empty one.
 
     Raises:
         OSError: it cannot take the place, in which all is as it was.
@@ -68,6 +71,9 @@ def beside(place: Path) -> Iterator[Path]:
         yield part
         os.replace(part, place)
     except BaseException:
-        with suppress(OSError):
-            part.unlink()
+        if part.is_dir():
+            shutil.rmtree(part, ignore_errors=True)
+        else:
+            with suppress(OSError):
+                part.unlink()
         raise

@@ -56,7 +56,8 @@ def alternatives(
 
 def _matched(field: Field, cosine: np.ndarray, chosen: Chosen, draw: Chosen) -> list[int | None]:
     """Which of the draw stands for which of the chosen; of its own class, the chosen itself."""
-    free, stands = list(draw), [None] * len(chosen)  # type: list[int], list[int | None]
+    free = list(draw)
+    stands: list[int | None] = [None] * len(chosen)
     for index, one in enumerate(chosen):
         same = [other for other in free if field.label[other] == field.label[one]]
         if same:
@@ -64,7 +65,7 @@ def _matched(field: Field, cosine: np.ndarray, chosen: Chosen, draw: Chosen) -> 
             stands[index] = one
     for index, one in enumerate(chosen):
         if stands[index] is None and free:
-            best = max(free, key=lambda other, to=one: float(cosine[to, other]))  # type: ignore[misc]
+            best = max(free, key=cosine[one].__getitem__)
             free.remove(best)
             stands[index] = int(np.flatnonzero(field.label == field.label[best])[0])
     return stands

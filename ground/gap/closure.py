@@ -99,8 +99,7 @@ def _interval(ratios: Array, share: float, told: float) -> tuple[float, float]:
 
 def unsure(prepared: Prepared, found: Sensitivities) -> Array:
     """Variance, in that of the floor, that nuisances as a campaign tells them leave elsewhere, (m,)."""
-    kept = [index for index, nuisance in enumerate(found.nuisances) if not nuisance.each_block]
-    N = whitener(found)(found.nuisance[:, kept] * prepared.nuisance_unit)
+    N = whitener(found)(found.nuisance[:, found.lasting] * prepared.nuisance_unit)
     return np.asarray(np.sum((N @ prepared.C[-1]) * N, axis=1))
 
 

@@ -61,6 +61,7 @@ class Diagnosis:
     unexplained: tuple[Remains, ...]
     """What remains after the findings, most surprising first."""
     unexplained_surprise: float
+    """Of the first of them; beside findings, of the best hypothesis that might be added if that is more."""
     where: tuple[Cell, ...]
     """Of the residual with no effect, nuisances fitted."""
     without: Fitted

@@ -18,11 +18,11 @@ def closed(
     the simulator. Raises ValueError if a block took part in the diagnosis, or nuisances are others.
     """
     check_apart(diagnosis.prepared.layout, evidence.layout)
-    kept = [index for index, nuisance in enumerate(found.nuisances) if not nuisance.each_block]
-    if len(kept) != diagnosis.prepared.q:
+    q = diagnosis.prepared.q
+    if len(found.lasting) != q:
         raise ValueError("held-out motion must have the nuisances of the campaign")
     before, after = (
-        evidence.value - found.nuisance[:, kept] @ (fit.theta[: len(kept)] * diagnosis.prepared.nuisance_unit)
+        evidence.value - found.nuisance[:, found.lasting] @ (fit.theta[:q] * diagnosis.prepared.nuisance_unit)
         for fit in (diagnosis.without, diagnosis.best)
     )
     after = after - change

@@ -32,6 +32,11 @@ class Parameter:
         return self.neutral is not None
 
     @property
+    def unit_size(self) -> float:
+        """What is counted in: its typical size, or 1 of a parameter that shapes and is 0 by default."""
+        return abs(self.typical) or 1.0
+
+    @property
     def absent(self) -> float:
         """Its value where the effect is absent: neutral, or the typical value of one that only shapes."""
         return self.typical if self.neutral is None else self.neutral

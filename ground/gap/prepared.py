@@ -72,7 +72,7 @@ class Prepared:
 
     def columns(self, chosen: tuple[int, ...]) -> Ints:
         """The columns of some hypotheses, in the order of the hypotheses given."""
-        return np.concatenate([np.flatnonzero(self.owner == h) for h in (*chosen,)] or [np.zeros(0, np.intp)])
+        return np.concatenate([np.flatnonzero(self.owner == h) for h in chosen] or [np.zeros(0, np.intp)])
 
 
 def prepare(found: Sensitivities, changed: dict[int, Array] | None = None) -> Prepared:
@@ -85,8 +85,7 @@ def prepare(found: Sensitivities, changed: dict[int, Array] | None = None) -> Pr
     parts = [changed.get(h, found.effect[:, found.owner == h]) for h in range(len(found.hypotheses))]
     owner = np.repeat(np.arange(len(parts)), [part.shape[1] for part in parts])
     whiten = whitener(found)
-    kept = [index for index, nuisance in enumerate(found.nuisances) if not nuisance.each_block]
-    N, prior, unit = _nuisances(found, kept, whiten)
+    N, prior, unit = _nuisances(found, whiten)
     S = whiten(np.hstack([np.zeros((layout.size, 0)), *parts]))
     A = np.hstack([N, S])
     rows = tuple(np.flatnonzero(layout.block == b) for b in np.unique(layout.block))
@@ -97,11 +96,11 @@ def prepare(found: Sensitivities, changed: dict[int, Array] | None = None) -> Pr
     ))  # fmt: skip
 
 
-def _nuisances(found: Sensitivities, kept: list[int], whiten: Whitener) -> tuple[Array, Array, Array]:
+def _nuisances(found: Sensitivities, whiten: Whitener) -> tuple[Array, Array, Array]:
     """Whitened columns (m, q), prior precisions (q,), and what 1 is of each (q,)."""
-    sigma = np.array([found.nuisances[index].sigma for index in kept])
+    sigma = np.array([found.nuisances[index].sigma for index in found.lasting])
     known = np.isfinite(sigma)
-    N = whiten(found.nuisance[:, kept])
+    N = whiten(found.nuisance[:, found.lasting])
     norm = np.linalg.norm(N, axis=0)
     unit = np.where(known, sigma, 1.0 / np.where(norm == 0.0, 1.0, norm))
     return N * unit, np.where(known, 1.0, VAGUE), unit

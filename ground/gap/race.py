@@ -25,7 +25,7 @@ class Field:
     label: Ints
     """(H,)."""
     threshold: float
-    """In -log10 of a probability: no-effect cases reach it in 5 % (see `thresholds`)."""
+    """In -log10 of a probability (see `thresholds`)."""
     inside: Flags
     """Hypotheses that may be chosen, (H,)."""
 
@@ -45,8 +45,6 @@ class Race:
     """Of the deviance, by all of the chosen."""
     shares: tuple[float, ...]
     """Of that, what is lost without each: the own shares; the rest is common to them."""
-    predicted: Array
-    """Loss of every block as predicted by the others, from that of no effect, (B,)."""
 
 
 def race(field: Field, case: Case) -> Race:
@@ -67,7 +65,7 @@ def race(field: Field, case: Case) -> Race:
     columns = field.prepared.columns(chosen)
     t = sizes(field.prepared, case, columns)
     dropped = float(t @ case.all[columns])
-    return Race(chosen, first, best, t, dropped, _shares(field.prepared, case, chosen, dropped), loss)
+    return Race(chosen, first, best, t, dropped, _shares(field.prepared, case, chosen, dropped))
 
 
 def best_left(field: Field, case: Case, chosen: Chosen) -> float:

@@ -64,10 +64,15 @@ class Simulated:
         self, settings: Mapping[Hypothesis, Array], hypothesis: Hypothesis, values: Array, at: int
     ) -> Array:
         parameter, there = hypothesis.parameters[at], values.copy()
-        by = STEP * abs(parameter.typical)
+        by = STEP * parameter.unit_size
         there[at] += by if values[at] + by <= parameter.most else -by
         apart = self.change({**settings, hypothesis: there}) - self.change(settings)
-        return np.asarray(apart * parameter.typical / (there[at] - values[at]))
+        return np.asarray(
+            apart
+            * parameter.unit_size
+            * (-1.0 if parameter.typical < 0.0 else 1.0)
+            / (there[at] - values[at])
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,8 +86,6 @@ class Refined:
     """One sigma of each, nuisances free."""
     at_bound: tuple[tuple[str, ...], ...]
     """Names of those that are at a bound: no finding."""
-    deviance: float
-    """With prior and nuisances, from that of no effect: below 0 if it explains anything."""
     change: Array
     """What the effects change in the features, (m,)."""
     slopes: tuple[Array, ...]
@@ -95,7 +98,7 @@ def refine(
     """Of whitened features (m,), from starting values of all parameters of each effect."""
     who = tuple(start)
     parameters = tuple(parameter for hypothesis in who for parameter in hypothesis.parameters)
-    unit = np.array([abs(parameter.typical) for parameter in parameters])
+    unit = np.array([parameter.unit_size for parameter in parameters])
     ends = np.array([[p.least for p in parameters], [p.most for p in parameters]])
     fit = _Fit(response, prepared, whitened, who, parameters)
     x = np.clip(np.concatenate([start[hypothesis] for hypothesis in who]), *ends)
@@ -118,7 +121,7 @@ def refine(
     names = tuple(tuple(n for n in part if n) for part in np.split(np.array(ended, dtype=object), cut))
     return Refined(
         who, tuple(np.split(x, cut)), tuple(np.split(unit * fit.sigma(there), cut)), names,
-        there.cost - fit.nothing(), there.change, tuple(np.split(there.slopes, cut, axis=1)),
+        there.change, tuple(np.split(there.slopes, cut, axis=1)),
     )  # fmt: skip
 
 
@@ -159,13 +162,13 @@ class _Fit:
         """All that is known where the fit begins."""
         settings = self._settings(x)
         change, slopes = self.response.change(settings), self.response.slopes(settings)
-        signs = np.sign([parameter.typical for parameter in self.parameters])
+        signs = np.array([-1.0 if parameter.typical < 0.0 else 1.0 for parameter in self.parameters])
         return _Point(x, change, slopes * signs, self._cost(x, change))
 
     def gone(self, before: _Point, x: Array) -> _Point:
         """After a step: slopes are mended so that they explain it (Broyden 1965)."""
         change = self.response.change(self._settings(x))
-        step = (x - before.x) / np.array([abs(parameter.typical) for parameter in self.parameters])
+        step = (x - before.x) / np.array([parameter.unit_size for parameter in self.parameters])
         missed = change - before.change - before.slopes @ step
         slopes = before.slopes + np.outer(missed, step / max(step @ step, 1e-300))
         return _Point(x, change, slopes, self._cost(x, change))
@@ -175,11 +178,10 @@ class _Fit:
         return dict(zip(self.who, np.split(x, cut), strict=True))
 
     def _cost(self, x: Array, change: Array) -> float:
-        return self._deviance(self.y - self.prepared.whiten(change)) + float(np.sum(self._shape(x) ** 2))
-
-    def nothing(self) -> float:
-        """The cost of no effect."""
-        return self._deviance(self.y)
+        rest = self.y - self.prepared.whiten(change)
+        along = self._N.T @ rest
+        deviance = float(rest @ rest - along @ self.prepared.C[-1] @ along)
+        return deviance + float(np.sum(self._shape(x) ** 2))
 
     def sigma(self, there: _Point) -> Array:
         """Of the parameters per typical size, nuisances free."""
@@ -196,10 +198,6 @@ class _Fit:
         room = np.stack([np.minimum(room[0], -1e-12), np.maximum(room[1], 1e-12)])
         return np.asarray(lsq_linear(L.T, np.linalg.solve(L, gradient), room).x)
 
-    def _deviance(self, rest: Array) -> float:
-        along = self._N.T @ rest
-        return float(rest @ rest - along @ self.prepared.C[-1] @ along)
-
     @property
     def _N(self) -> Array:
         return self.prepared.A[:, : self.prepared.q]
@@ -215,6 +213,6 @@ class _Fit:
     def _shape(self, x: Array) -> Array:
         """Departure of what only shapes from typical, in sigmas."""
         return np.array([
-            0.0 if p.sizes else (v - p.typical) / abs(p.typical) / SHAPE_SIGMA
+            0.0 if p.sizes else (v - p.typical) / p.unit_size / SHAPE_SIGMA
             for v, p in zip(x, self.parameters, strict=True)
         ])  # fmt: skip

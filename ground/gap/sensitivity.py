@@ -1,10 +1,12 @@
 """How the features change with every hypothesis and nuisance: found once per campaign, and kept."""
 
 import json
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -12,6 +14,7 @@ from fsw.kinematics.transforms import Array
 from ground.gap.hypothesis import Hypothesis, Nuisance, Parameter
 from ground.gap.layout import Ints, Layout
 from ground.gap.simulator import Simulator
+from ground.outputs import written_whole
 
 NUISANCE_STEP: Final = 1.0
 """In prior sigmas; in its own unit for a nuisance of which nothing is known."""
@@ -51,6 +54,11 @@ class Sensitivities:
         for array, shape in shapes:
             if array.shape != shape or not np.all(np.isfinite(array)):
                 raise ValueError(f"sensitivities must be finite and {shape}; one is {array.shape}")
+
+    @property
+    def lasting(self) -> list[int]:
+        """The nuisances that are one number for all blocks, by index."""
+        return [index for index, nuisance in enumerate(self.nuisances) if not nuisance.each_block]
 
     def of(self, rows: Ints) -> "Sensitivities":
         """Those of some of the features, in that order."""
@@ -102,7 +110,7 @@ def sensitivities(simulator: Simulator, step: Callable[[int, int], None] = lambd
 
 
 def save(path: Path, found: Sensitivities) -> None:
-    """Keep sensitivities in an .npz file that holds no code."""
+    """Keep sensitivities in an .npz file that holds no code; BadOutput if it cannot be written."""
     layout = found.layout
     words = {
         "hypotheses": [asdict(hypothesis) for hypothesis in found.hypotheses],
@@ -111,16 +119,23 @@ def save(path: Path, found: Sensitivities) -> None:
     }
     arrays = {name: getattr(layout, name) for name in _ARRAYS}
     arrays |= {name: getattr(found, name) for name in _FOUND}
-    with path.open("wb") as file:
+    with written_whole(path, "sensitivities") as file:
         np.savez(file, words=np.array(json.dumps(words)), **arrays)
 
 
 def load(path: Path) -> Sensitivities:
-    """Sensitivities as they were kept; ValueError if the file does not hold any."""
-    with np.load(path, allow_pickle=False) as file:
+    """Sensitivities as they were kept; ValueError if the file does not hold any, or is cut or damaged."""
+    try:
+        return _loaded(path)
+    except (OSError, EOFError, BadZipFile, zlib.error, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{path}: no sensitivities ({error})") from error
+
+
+def _loaded(path: Path) -> Sensitivities:
+    with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
         missing = {"words", *_ARRAYS, *_FOUND} - set(file.files)
         if missing:
-            raise ValueError(f"{path}: no sensitivities ({', '.join(sorted(missing))} missing)")
+            raise ValueError(f"{', '.join(sorted(missing))} missing")
         words = json.loads(str(file["words"]))
         names = (tuple(words["names"][name]) for name in _NAMES)
         layout = Layout(*(file[name] for name in _ARRAYS), *names)

@@ -2,8 +2,8 @@
 
 With y = N v + S t + e and the model fitted, what it leaves is M y with M = I - A (A'A + P)^-1 A', of
 covariance M: then Q'M y of any directions Q is tested by a chi-square with covariance Q'M Q. The directions
-are, in every channel and in every regime of it, a constant and the conditions. Beside each of them stand the
-energy of the channel in that regime, all directions together, and the best hypothesis that was not chosen.
+are, in every channel and in every regime of it, a constant and the conditions. Beside them stands the energy
+of the channel in that regime; and last, all directions of all channels together.
 """
 
 from dataclasses import dataclass
@@ -49,7 +49,8 @@ class Remains:
     regime: str
     """"all" if in all regimes together."""
     depends_on: str
-    """The condition that it follows most; "nothing" for an offset, "noise" for energy without direction."""
+    """The condition that it follows most; "nothing" for an offset, "noise" for energy without direction, and
+    "several" of all groups together."""
 
 
 def groups(prepared: Prepared) -> tuple[Group, ...]:
@@ -69,7 +70,7 @@ def groups(prepared: Prepared) -> tuple[Group, ...]:
 
 
 def remains(prepared: Prepared, looked: tuple[Group, ...], model: Fitted, y: Array) -> tuple[Remains, ...]:
-    """What is left in every group, most surprising first; the last that is tested is everything together."""
+    """What is left in every group, and in all of them together, most surprising first."""
     rest = left(prepared, model, y)
     total, freedom, found = 0.0, 0, []
     for group in looked:

@@ -1,8 +1,8 @@
 """How surprising a finding must be: found from simulated cases of this very campaign, before data.
 
-Cases without effect set when an effect may be claimed at all. Cases of one effect, raced with all
-hypotheses, and raced with that effect taken out of the catalogue, set when what remains after the best model
-means that the cause is not among the hypotheses.
+Cases without effect set when an effect may be claimed at all. Cases of one effect and of two, raced with all
+hypotheses, set when what remains after the best model means that the cause is not among them. Those, and
+cases of one effect that was taken out of the catalogue, teach when a name may be trusted.
 """
 
 from collections.abc import Callable
@@ -40,7 +40,7 @@ class Thresholds:
     """In -log10 of a probability, with the rates that they had on simulated cases."""
 
     effect: float
-    """A hypothesis must be more surprising than this."""
+    """A hypothesis must be as surprising as this."""
     structure: float
     """Without any effect chosen: what remains is structure from here on."""
     unexplained: float

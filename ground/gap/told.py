@@ -1,13 +1,13 @@
 """A diagnosis as one plain document: text, numbers, lists and tables; what is not finite is None."""
 
 from dataclasses import asdict
-from math import isfinite
 from typing import Any, Final
 
 from ground.gap.bootstrap import Alternatives
 from ground.gap.closure import Closure
 from ground.gap.diagnose import Finding
 from ground.gap.hypothesis import Hypothesis
+from ground.gap.plain import finite
 from ground.gap.ready import Ready
 from ground.gap.result import Result
 
@@ -32,14 +32,14 @@ def told(result: Result) -> dict[str, Any]:
         "next_motion": [_plain(asdict(motion)) for motion in result.next_motion],
         "unexplained": {
             "structure": remains_unexplained(result),
-            "surprise": _number(said.unexplained_surprise),
+            "surprise": finite(said.unexplained_surprise),
             "remains": [
                 {
                     "channel": one.channel,
                     "place": one.place,
                     "regime": one.regime,
                     "depends_on": one.depends_on,
-                    "surprise": _number(one.surprise),
+                    "surprise": finite(one.surprise),
                 }
                 for one in said.unexplained[:MOST]
             ],
@@ -47,9 +47,9 @@ def told(result: Result) -> dict[str, Any]:
         "tool_mm": None
         if result.tool is None
         else {
-            "before": _number(result.tool.before_mm),
-            "after": _number(result.tool.after_mm),
-            "floor": _number(result.tool.floor_mm),
+            "before": finite(result.tool.before_mm),
+            "after": finite(result.tool.after_mm),
+            "floor": finite(result.tool.floor_mm),
         },
         "notes": list(result.notes),
         "thresholds": _plain(asdict(ready.thresholds)),
@@ -85,16 +85,16 @@ def _effect(ready: Ready, finding: Finding) -> dict[str, Any]:
             {
                 "name": parameter.name,
                 "unit": parameter.unit,
-                "value": _number(value),
-                "least": _number(least),
-                "most": _number(most),
+                "value": finite(value),
+                "least": finite(least),
+                "most": finite(most),
             }
             for parameter, value, least, most in numbers
         ],
         "probability": probability_of(finding.hypothesis, finding.alternatives),
-        "share": _number(finding.share),
+        "share": finite(finding.share),
         "alternatives": [
-            {**_named(ready, one), "probability": _number(share)} for one, share in others(finding)
+            {**_named(ready, one), "probability": finite(share)} for one, share in others(finding)
         ],
         "confusable": [_named(ready, one) for one in finding.confusable if one != finding.hypothesis],
         "at_bound": list(finding.at_bound),
@@ -103,7 +103,7 @@ def _effect(ready: Ready, finding: Finding) -> dict[str, Any]:
 
 def _closure(found: Closure) -> dict[str, Any]:
     names = ("share", "least", "most", "before", "after")
-    numbers = {name: _number(getattr(found, name)) for name in names}
+    numbers = {name: finite(getattr(found, name)) for name in names}
     return {**numbers, "channels": [_plain(asdict(channel)) for channel in found.channels]}
 
 
@@ -125,9 +125,4 @@ def _plain_value(value: Any) -> Any:
         return _plain(value)
     if isinstance(value, tuple):
         return [_plain_value(one) for one in value]
-    return value if isinstance(value, str | int) else _number(value)
-
-
-def _number(value: float) -> float | None:
-    """None of what is no number to JSON."""
-    return float(value) if isfinite(value) else None
+    return value if isinstance(value, str | int) else finite(value)

@@ -1,4 +1,4 @@
-"""The verbs `gap blind ...` on what they cannot do."""
+"""The verbs `gap ...` on what they cannot do."""
 
 import json
 from pathlib import Path
@@ -11,6 +11,9 @@ from tests.ground.command import marsarm
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (("record", "--out", "other"), "out other: is there already; name a new folder"),
+        (("record", "--out", "no/logs"), "there is no folder no"),
+        (("record", "--out", "logs", "--effect", "rusty-gear"), "'rusty-gear' is not known"),
         (("make", "--cases", "0", "--out", "b"), "cases: 0 is not within 1 .. 1000"),
         (("make", "--cases", "-3", "--out", "b"), "cases: -3 is not within"),
         (("make", "--seed", "-1", "--out", "b"), "seed: -1 must not be negative"),
@@ -28,7 +31,8 @@ def test_what_cannot_be_done_is_said_and_nothing_is_written(
 ) -> None:
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").write_text("")
-    done = marsarm(tmp_path, "gap", "blind", *words, "--json")
+    group = ("gap",) if words[0] == "record" else ("gap", "blind")
+    done = marsarm(tmp_path, *group, *words, "--json")
     assert done.returncode == 2
     assert said in done.stderr
     assert said in json.loads(done.stdout)["error"]

@@ -56,6 +56,7 @@ def findings(recording: Recording) -> Iterator[str]:
     yield from _clipped(recording)
     yield from _units(recording)
     yield from _skew(recording)
+    yield from _unused(recording)
 
 
 def _not_finite(columns: Mapping[str, NDArray[Any]]) -> Iterator[str]:
@@ -145,6 +146,17 @@ def _skew(recording: Recording) -> Iterator[str]:
                 f"({best / CYCLE_HZ:.3f} s): one of the two has another time"
             )
             return
+
+
+def _unused(recording: Recording) -> Iterator[str]:
+    """A pose that the tracker took at another tick than the last of a rest is compared with nothing."""
+    ticks = recording.tracked.tick
+    odd = ticks[~np.isin(ticks, rests_in(recording))]
+    if odd.size:
+        yield (
+            f"{odd.size} of {ticks.size} tracker poses, that of tick {odd[0]} first, are not of the last "
+            f"tick of a rest, and are not used"
+        )
 
 
 def _misfit(asked: Array, went: Array, lag: int) -> float:

@@ -48,7 +48,7 @@ class Bound:
 
     def predict(self, settings: Settings, nuisance: Array) -> Array:
         """The features (m,); of repeats only the first is simulated."""
-        effects = tuple(self.arm.effects(settings, nuisance))[len(self.arm.patch) :]
+        effects = tuple(self.arm.effects(settings, nuisance))
         if not effects:
             return np.asarray(self.nominal[self.at])
         known, touched = first_of_block(self.arm.campaign), Touched(effects)
@@ -56,7 +56,7 @@ class Bound:
         def wanted(one: Moving) -> bool:
             return one.recording.name in known and touched(one)
 
-        change = self.arm.predicted((*self.arm.patch, *effects), wanted) - self.nominal
+        change = self.arm.predicted(effects, wanted) - self.nominal
         return np.asarray((self.nominal + repeated(self.arm.campaign, known, change))[self.at])
 
     def gap(self) -> Array:
@@ -71,7 +71,7 @@ def bound(arm: ArmSimulator, layout: Layout, keys: Sequence[str]) -> Bound:
     """
     number = {key: k for k, key in enumerate(keys_of(arm.campaign))}
     known = first_of_block(arm.campaign)
-    nominal = arm.predicted(arm.patch, lambda one: one.recording.name in known)
+    nominal = arm.predicted((), lambda one: one.recording.name in known)
     nominal = repeated(arm.campaign, known, nominal, np.nan)
     rows = np.array([row for row, key in enumerate(keys) if key in number], np.intp)
     at = np.array([number[keys[row]] for row in rows], np.intp)

@@ -15,12 +15,12 @@ from fsw.messages import Sensors
 from ground.calibration.screws import screw_log
 from ground.gap.arm.features import RESOLVER, SHIFT, TURN, Columns, Feature, Moving, measured, moving
 from ground.gap.arm.logs import Recording
-from ground.gap.arm.poses import Knots, Resting, in_order, knots_in, read_resolvers, resting
-from sim.driven import DrivenArm, Manner
+from ground.gap.arm.poses import Knots, Resting, knots_in, read_resolvers, resting
+from ground.gap.arm.stepped import columns, stepped
+from sim.driven import Manner
 from sim.effects.effect import Effect, Hardware, Spoilt, nominal_hardware
 from sim.effects.friction import OutputFriction
 
-STEPPED = tuple(Sensors.__dataclass_fields__)
 UNSURE: Final = 0.3
 """Share of the outputs' friction: a load so near to it may or may not have dragged an output over its gap."""
 
@@ -114,11 +114,11 @@ def driven(recording: Recording, effects: Sequence[Effect], manner: Manner) -> C
     """The sensors of an arm with these effects under the recorded drive, by tick."""
     readers = [effect for effect in effects if only_reads(effect)]
     acting = tuple(effect for effect in effects if effect not in readers)
-    readings = _kept(recording, acting, manner) if readers else _stepped(recording, acting, manner)
+    readings = _kept(recording, acting, manner) if readers else stepped(recording, acting, manner).readings
     rng = np.random.default_rng(0)
     for spoilt in _spoilt(readers):
         readings = tuple(spoilt.read(one, rng) for one in readings)
-    return {name: np.array([getattr(one, name) for one in readings]) for name in STEPPED}
+    return columns(readings)
 
 
 def only_reads(effect: Effect) -> bool:
@@ -131,15 +131,10 @@ def only_reads(effect: Effect) -> bool:
     return bool(after.spoilt) and all(getattr(before, name) is getattr(after, name) for name in names)
 
 
-def _stepped(recording: Recording, effects: tuple[Effect, ...], manner: Manner) -> tuple[Sensors, ...]:
-    arm = DrivenArm(recording.start, in_order(recording, effects), manner)
-    return tuple(arm.readings(recording.drives))
-
-
 @lru_cache(maxsize=32)
 def _kept(recording: Recording, effects: tuple[Effect, ...], manner: Manner) -> tuple[Sensors, ...]:
     """Effects on readings alone ask for the same again."""
-    return _stepped(recording, effects, manner)
+    return stepped(recording, effects, manner).readings
 
 
 def _spoilt(readers: Sequence[Effect]) -> tuple[Spoilt, ...]:

@@ -22,7 +22,6 @@ from ground.gap.layout import Evidence
 from ground.gap.next_motion import again
 from ground.gap.ready import Ready, ready
 from ground.gap.result import Result, ToolGap
-from ground.gap.sensitivity import Sensitivities
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
 
@@ -49,9 +48,10 @@ def solved(
     Raises:
         TooLittleMotion: most motions of the campaign are missing.
     """
+    if not recordings:
+        raise TooLittleMotion("there is no log that a diagnosis could be made of")
     notes = audit(recordings)
-    arm, floor = _simulator(recordings, base, against.ready.found, patch)
-    case = bound(arm, against.ready.found.layout, against.keys)
+    case, floor = fitted_part(recordings, against, base, patch)
     _check_motion(case, against)
     known = _ready(against.ready, case)
     told = diagnose(known, Evidence(known.found.layout, case.gap()), seed, case)
@@ -59,12 +59,39 @@ def solved(
     return Result(known, told, shut, _tool(shut), again(known, told), (*notes, *floor))
 
 
+def fitted_part(
+    recordings: Sequence[Recording], against: Reference, base: Params, patch: tuple[Effect, ...] = ()
+) -> tuple[Bound, tuple[str, ...]]:
+    """What a diagnosis is made of, in the campaign's features, and where its floor is from."""
+    arm, notes = _simulator(recordings, against, base, patch)
+    return bound(arm, against.ready.found.layout, against.keys), notes
+
+
+def held_out_part(
+    recordings: Sequence[Recording], against: Reference, base: Params, patch: tuple[Effect, ...] = ()
+) -> Bound | None:
+    """What it is tried on; None if nothing is held out.
+
+    Raises:
+        TooLittleMotion: nothing of it is comparable.
+    """
+    if against.held_out is None or not recordings:
+        return None
+    arm, _ = _simulator(recordings, against, base, patch)
+    found = bound(arm, against.held_out.layout, against.held_out_keys)
+    if not found.rows.size:
+        names = ", ".join(one.name for one in recordings)
+        raise TooLittleMotion(f"held out: nothing in {names} can be compared with the campaign")
+    return found
+
+
 def _simulator(
-    recordings: Sequence[Recording], base: Params, found: Sensitivities, patch: tuple[Effect, ...]
+    recordings: Sequence[Recording], against: Reference, base: Params, patch: tuple[Effect, ...]
 ) -> tuple[ArmSimulator, tuple[str, ...]]:
     campaign = compared(recordings, base)
     floor = floor_of(campaign)
-    kinds = {name: catalogue()[name] for name in dict.fromkeys(h.effect for h in found.hypotheses)}
+    raced = dict.fromkeys(hypothesis.effect for hypothesis in against.ready.found.hypotheses)
+    kinds = {name: catalogue()[name] for name in raced}
     return ArmSimulator(campaign, base, floor.sigma, kinds, CALMLY, patch), floor.notes
 
 
@@ -87,12 +114,11 @@ def _closed(
     patch: tuple[Effect, ...],
 ) -> Closure | None:
     """On held-out motion; None if there is none."""
-    if against.held_out is None or not recordings:
+    case = held_out_part(recordings, against, base, patch)
+    if against.held_out is None or case is None:
         return None
-    arm, _ = _simulator(recordings, base, against.ready.found, patch)
-    case = bound(arm, against.held_out.layout, against.held_out_keys)
     found = against.held_out.of(case.rows)
-    settings, zero = settings_of(told), np.zeros(len(arm.nuisances))
+    settings, zero = settings_of(told), np.zeros(len(case.nuisances))
     change = case.predict(settings, zero) - case.predict({}, zero)
     return closed(told, Evidence(found.layout, case.gap()), found, change, seed)
 

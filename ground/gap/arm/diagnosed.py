@@ -9,12 +9,12 @@ from fsw.dictionary.params import Params
 from ground.gap.arm.audit import refusals
 from ground.gap.arm.case import solved
 from ground.gap.arm.logs import NotForDiagnosis, Recording, recording_in
+from ground.gap.arm.recorded import APART
 from ground.gap.arm.reference import reference
 from ground.gap.arm.request import DiagnoseRequest
 from ground.gap.result import Result
 from ground.pool import on_this_machine
 from ground.progress import Progress
-from sim.params import nominal_params, params_over_nominal
 
 CACHE: Final = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")) / "marsarm" / "sensitivities"
 
@@ -24,9 +24,13 @@ def diagnosed(request: DiagnoseRequest, progress: Progress) -> Result:
 
     Raises:
         NotForDiagnosis: they cannot be diagnosed; the message says what they lack.
+        BadRequest: what is kept of the campaign cannot be read.
+        BadOutput: it cannot be written.
     """
-    base = nominal_params() if request.params is None else params_over_nominal(request.params)
+    base = request.base
     fitted, apart = (_read(paths, base) for paths in (request.logs, request.held_out))
+    _check_different((*request.logs, *request.held_out), (*fitted, *apart))
+    _check_apart(fitted, apart)
     logs, held_out = request.logs, request.held_out
     if request.campaign is not None:
         logs, held_out = (_of_campaign(request.campaign, of) for of in (fitted, apart))
@@ -50,10 +54,31 @@ def _read(paths: Sequence[Path], base: Params) -> list[Recording]:
     return recordings
 
 
+def _check_different(paths: Sequence[Path], recordings: Sequence[Recording]) -> None:
+    """Features are known by their session's name."""
+    known: dict[str, Path] = {}
+    for path, one in zip(paths, recordings, strict=True):
+        if known.setdefault(one.name, path) is not path:
+            raise NotForDiagnosis(
+                f"log {path}: is session {one.name}, and so is {known[one.name]}; leave one of them out"
+            )
+
+
+def _check_apart(fitted: Sequence[Recording], held_out: Sequence[Recording]) -> None:
+    """A repeat of a motion that is fitted is not held out."""
+    used = {one.block: one.name for one in fitted}
+    both = [one for one in held_out if one.block in used]
+    if both:
+        raise NotForDiagnosis(
+            f"held-out session {both[0].name} repeats the motion of {used[both[0].block]}, which is not "
+            f"held out; hold out both, or neither"
+        )
+
+
 def _of_campaign(folder: Path, recordings: Sequence[Recording]) -> tuple[Path, ...]:
-    """Logs of the sessions that these recordings repeat."""
-    paths = tuple(folder / f"{one.name}.mcap" for one in recordings)
-    missing = [path.stem for path in paths if not path.is_file()]
+    """Logs of the sessions that these recordings repeat, be they held out there or not."""
+    known = {path.stem: path for place in (folder / APART, folder) for path in place.glob("*.mcap")}
+    missing = [one.name for one in recordings if one.name not in known]
     if missing:
         raise NotForDiagnosis(f"campaign {folder}: has no session {', '.join(missing)}")
-    return paths
+    return tuple(known[one.name] for one in recordings)

@@ -1,6 +1,6 @@
 """What is compared of a recording in motion: the same numbers from recorded and from simulated sensors."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -52,40 +52,43 @@ class Moving:
 
 def moving(recording: Recording, config: Config) -> Moving:
     """Its features: three channels of every moving joint bin by bin before a tool touches, and the IMU."""
-    segments = tuple(segments_in(recording))
+    segments, block = tuple(segments_in(recording)), recording.block
     features: list[Feature] = []
-    load_Nm = _loads(recording, config, segments)
-    motor = recording.motor_rad()
-    block = recording.block
-    touch = _touch(recording)
-    for number, segment in enumerate(segments):
-        j, name = segment.joint, segment.joint.name.lower()
-        is_first = not any(s.joint is j and s.first < segment.first for s in segments)
-        for channel in (CURRENT, FOLLOWING, RESOLVER):
-            for bin_number, (first, end) in enumerate(_free(segment, touch)):
-                mid = (first + end) // 2
-                speed = float(recording.drive["setpoint_rate_rad_s"][first:end, j].mean())
-                angle = float(motor[j, mid])
-                condition = (
-                    recording.temperature_C,
-                    float(load_Nm[number]),
-                    speed,
-                    float(np.sin(angle)),
-                    float(np.cos(angle)),
-                    float(segment.way),
-                )
-                regime = segment.regime(first)
-                key = f"motion {number}/{CHANNELS[channel]}/{bin_number}"
-                doubt = STARTING[channel] if first - segment.first < STARTING_S * CYCLE_HZ else 0.0
-                if channel == RESOLVER and is_first:
-                    gap_rad = 2.0 * float(config.half_gap_rad[j])
-                    turned_rad = abs(float(motor[j, first] - motor[j, segment.first]))
-                    doubt = gap_rad if turned_rad < TAKEN_UP * gap_rad else doubt
-                features.append(Feature(channel, name, regime, block, condition, key, doubt))
+    for number, load_Nm in enumerate(_loads(recording, config, segments)):
+        features += _in_motion(recording, config, segments, number, float(load_Nm))
     still = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
     for axis in "xyz":
         features.append(Feature(IMU, f"imu.{axis}", "rest", block, still, f"imu/{axis}"))
     return Moving(recording, segments, tuple(features))
+
+
+def _in_motion(
+    recording: Recording, config: Config, segments: tuple[Segment, ...], number: int, load_Nm: float
+) -> Iterator[Feature]:
+    """Of one of the segments, channel by channel; in doubt are beginnings, most of all a joint's first."""
+    segment = segments[number]
+    j, motor = segment.joint, recording.motor_rad()[segment.joint]
+    is_first = not any(s.joint is j and s.first < segment.first for s in segments)
+    gap_rad = 2.0 * float(config.half_gap_rad[j])
+    for channel in (CURRENT, FOLLOWING, RESOLVER):
+        for bin_number, (first, end) in enumerate(_free(segment, _touch(recording))):
+            speed = float(recording.drive["setpoint_rate_rad_s"][first:end, j].mean())
+            angle = float(motor[(first + end) // 2])
+            sine, cosine = float(np.sin(angle)), float(np.cos(angle))
+            condition = (recording.temperature_C, load_Nm, speed, sine, cosine, float(segment.way))
+            doubt = STARTING[channel] if first - segment.first < STARTING_S * CYCLE_HZ else 0.0
+            turned_rad = abs(float(motor[first] - motor[segment.first]))
+            if channel == RESOLVER and is_first and turned_rad < TAKEN_UP * gap_rad:
+                doubt = gap_rad
+            yield Feature(
+                channel,
+                j.name.lower(),
+                segment.regime(first),
+                recording.block,
+                condition,
+                f"motion {number}/{CHANNELS[channel]}/{bin_number}",
+                doubt,
+            )
 
 
 def measured(here: Moving, sensors: Columns) -> Array:

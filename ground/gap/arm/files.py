@@ -10,7 +10,6 @@ from ground.gap.result import Result
 from ground.outputs import BadOutput, check_output
 from ground.report.gap_page import save_gap_page
 from ground.request import BadRequest, check_apart
-from sim.params import nominal_params, params_over_nominal
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +49,10 @@ def save_diagnosis(result: Result, request: DiagnoseRequest, files: DiagnosisFil
     Raises:
         BadRequest: a file cannot be written.
     """
-    base = nominal_params() if request.params is None else params_over_nominal(request.params)
     savers: tuple[tuple[str, Path | None, Callable[[Path], None]], ...] = (
         ("report", files.report, lambda path: save_gap_page(result, path)),
         ("patch", files.patch, lambda path: save_patch(result, path)),
-        ("new-params", files.new_params, lambda path: save_new_params(result, base, path)),
+        ("new-params", files.new_params, lambda path: save_new_params(result, request.base, path)),
     )
     not_written = []
     for what, path, save in savers:

@@ -8,7 +8,7 @@ from typing import Any, Final, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
@@ -24,11 +24,23 @@ from sim.world import GRAVITY_M_S2, Scene, World
 
 DRIVE: Final = "/drive"
 COUNTS: Final = "setpoint_count"
-_WORLD: Final = TypeAdapter(World)
 
 
 class NotForDiagnosis(ValueError):
     """A log that cannot be compared with the simulator; the message says what it lacks."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Said:
+    """What a log's header says of its session, if anything."""
+
+    name: str | None = None
+    block: str | None = None
+    world: World | None = None
+    temperature_C: float | None = None
+
+
+_SAID: Final = TypeAdapter(_Said)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,9 +87,9 @@ def recording_in(path: Path) -> Recording:
         inputs = inputs_in(log)
         tracker = path.with_suffix(".tracker.csv")
         tracked = read_tracked(tracker) if tracker.exists() else none_tracked()
-        said = json.loads(log.header.get(SESSION, "{}"))
-        seen = world_seen(inputs.sensors["gravity_R_m_s2"].mean(axis=0))
-        world = _WORLD.validate_python(said["world"]) if "world" in said else seen
+        said = _SAID.validate_python(json.loads(log.header.get(SESSION, "{}")))
+    except ValidationError as error:
+        raise NotForDiagnosis(f"log {path}: {SESSION} in its header: {error.errors()[0]['msg']}") from error
     except (LogError, NotReplayable, ValueError) as error:
         raise NotForDiagnosis(str(error)) from error
     if inputs.reference is None:
@@ -91,6 +103,7 @@ def recording_in(path: Path) -> Recording:
     joints = inputs.params.joints.in_order()
     rad_per_count = np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints])
     reference: Reference = inputs.reference
+    world = said.world or world_seen(inputs.sensors["gravity_R_m_s2"].mean(axis=0), path)
     start = Start(
         world,
         sensors["encoder_count"][0] * rad_per_count + reference.zero_rad,
@@ -98,12 +111,12 @@ def recording_in(path: Path) -> Recording:
         np.array([j.hardstop_rad for j in joints]),
     )
     warm_C = float(np.mean(sensors["winding_C"][0]))
-    name = str(said.get("name", path.stem))
+    name = said.name or path.stem
     return Recording(
         name=name,
-        block=str(said.get("block", name)),
+        block=said.block or name,
         world=world,
-        temperature_C=float(said.get("temperature_C", warm_C)),
+        temperature_C=warm_C if said.temperature_C is None else said.temperature_C,
         params=inputs.params,
         start=start,
         rad_per_count=rad_per_count,
@@ -114,9 +127,15 @@ def recording_in(path: Path) -> Recording:
     )
 
 
-def world_seen(gravity_R_m_s2: Array) -> World:
-    """The world as an IMU's mean reading (3,) tells it, for logs that do not say: scene and tilt, no rock."""
+def world_seen(gravity_R_m_s2: Array, path: Path) -> World:
+    """The world as an IMU's mean reading (3,) tells it, for logs that do not say: scene and tilt, no rock.
+
+    Raises:
+        NotForDiagnosis: it reads nothing.
+    """
     strength = float(np.linalg.norm(gravity_R_m_s2))
+    if not 0.0 < strength < np.inf:
+        raise NotForDiagnosis(f"log {path}: its header does not say its world, and its IMU reads no gravity")
     scene = min(GRAVITY_M_S2, key=lambda one: abs(GRAVITY_M_S2[one] - strength))
     x, y, z = gravity_R_m_s2 / strength
     return World(cast(Scene, scene), float(np.arctan2(y, z)), float(np.arcsin(np.clip(-x, -1.0, 1.0))))

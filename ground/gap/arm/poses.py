@@ -7,23 +7,25 @@ to the next, as friction lets it (fsw.estimate.gear); nothing is stepped.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 
 from fsw.config import CYCLE_HZ, configure
+from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import Params
 from fsw.estimate.gear import bounds_under
 from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array, Pose, batched
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.segments import rests_in, segments_in
-from sim.driven import DrivenArm
+from ground.gap.arm.stepped import stepped
+from ground.gap.arm.tracked import none_tracked
 from sim.effects.effect import Effect, Hardware, acted, nominal_hardware
-from sim.effects.environment import Ambient
 from sim.effects.gears import GearHysteresis
+from sim.effects.numerics import Numerics
 from sim.influence import NO_INFLUENCE, Influence
 from sim.plant import Plant
-from sim.tracker import turret_pose
 from sim.world import World, build
 
 LOOKED_TICKS = CYCLE_HZ // 4
@@ -52,6 +54,10 @@ class Resting:
     """The turret's interface in RMECH, batch (r,)."""
 
 
+NOWHERE: Final = Resting(np.zeros((len(Joint), 0)), none_tracked().X_RF)
+"""Of a recording in which the arm never rests."""
+
+
 def knots_in(recording: Recording) -> Knots:
     """The rests, and where motions end and begin."""
     rests = rests_in(recording)
@@ -67,16 +73,17 @@ def read_resolvers(knots: Knots) -> Array:
     ends = [knots.tick[k] + 1 for k in knots.rests]
     apart = recording.sensors["resolver_rad"].T - recording.motor_rad()
     means = [apart[:, max(end - LOOKED_TICKS, 0) : end].mean(axis=1) for end in ends]
-    return np.stack(means, axis=-1) if means else np.zeros((5, 0))
+    return np.stack(means, axis=-1) if means else NOWHERE.resolver_rad
 
 
 def resting(knots: Sequence[Knots], base: Params, effects: Sequence[Effect]) -> list[Resting]:
     """The rests of each recording, of an arm with these flight parameters and, beyond them, these effects.
 
-    Friction within a gear takes its output along: where that is among them, the arm is stepped.
+    Friction within a gear takes its output along, and how a plant creeps hangs on how it is computed: where
+    these are among them, the arm is stepped.
     """
-    if any(isinstance(effect, GearHysteresis) for effect in effects):
-        return [_stepped(one, effects) for one in knots]
+    if any(isinstance(effect, (GearHysteresis, Numerics)) for effect in effects):
+        return [_stepped(one, effects) if one.rests else NOWHERE for one in knots]
     hardware, params = nominal_hardware(), base
     for effect in effects:
         before = hardware.counter_zero_rad
@@ -84,28 +91,19 @@ def resting(knots: Sequence[Knots], base: Params, effects: Sequence[Effect]) -> 
         if np.array_equal(before, hardware.counter_zero_rad):
             params = effect.on_params(params)
         # else flight software's word for the shifted zero is a turned link: one of both is enough
-    return [_rests(one, params, hardware, effects) for one in knots]
-
-
-def in_order(recording: Recording, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """What the arm is made of, what is around it, and what came later: the cold changes friction there is."""
-    built = [effect for effect in effects if effect.of_the_arm]
-    later = [effect for effect in effects if not effect.of_the_arm]
-    return (*built, Ambient(recording.temperature_C), *later)
+    return [_rests(one, params, hardware, effects) if one.rests else NOWHERE for one in knots]
 
 
 def _stepped(knots: Knots, effects: Sequence[Effect]) -> Resting:
     """Under the recorded drive, without noise."""
     recording = knots.recording
-    arm = DrivenArm(recording.start, in_order(recording, effects))
-    looked, poses, apart = {knots.tick[k] for k in knots.rests}, [], []
-    for tick, reading in enumerate(arm.readings(recording.drives)):
-        if tick in looked:
-            motor = reading.encoder_count * recording.rad_per_count + recording.start.zero_rad
-            apart.append(reading.resolver_rad - motor)
-            arm.plant.truth()  # brings the kinematics up to date
-            poses.append(turret_pose(arm.plant))
-    return Resting(np.stack(apart, -1), batched(poses))
+    ticks = [knots.tick[k] for k in knots.rests]
+    found = stepped(recording, effects, looked=frozenset(ticks))
+    apart = []
+    for reading in (found.readings[tick] for tick in ticks):
+        motor = reading.encoder_count * recording.rad_per_count + recording.start.zero_rad
+        apart.append(reading.resolver_rad - motor)
+    return Resting(np.stack(apart, -1), batched([found.X_RF[tick] for tick in ticks]))
 
 
 def _rests(knots: Knots, params: Params, hardware: Hardware, effects: Sequence[Effect]) -> Resting:

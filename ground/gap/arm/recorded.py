@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from ground.gap.arm.record import record_campaign
+from ground.outputs import beside
 from ground.progress import Progress
 from ground.request import BadRequest, check_seed, chosen_arm, chosen_effects
 from sim.diagnosis.campaign import HELD_OUT, SessionFailed, sessions
@@ -28,7 +29,11 @@ class RecordRequest:
 
 
 def check_record(request: RecordRequest) -> None:
-    """BadRequest if nothing can be recorded there; nothing is written."""
+    """Refuse what cannot be recorded, or not there; nothing is written.
+
+    Raises:
+        BadRequest: the message says why.
+    """
     check_seed(request.seed)
     chosen_effects(request.effects)
     chosen_arm(request.arm, request.params)
@@ -39,7 +44,7 @@ def check_record(request: RecordRequest) -> None:
 
 
 def recorded(request: RecordRequest, progress: Progress) -> list[Path]:
-    """Logs of all sessions, those held out in a folder of their own.
+    """Logs of all sessions, those held out in a folder of their own; all of them or none.
 
     Raises:
         BadRequest: the arm cannot carry out a session with these effects.
@@ -48,13 +53,17 @@ def recorded(request: RecordRequest, progress: Progress) -> list[Path]:
     arm = chosen_arm(request.arm, request.params).with_effects(effects)
     later = tuple(effect for effect in effects if not effect.of_the_arm)
     wanted, reference, paths = sessions(arm.params), true_reference(arm), []
-    for number, session in enumerate(wanted):
-        progress(number, len(wanted), session.name)
-        folder = request.out / APART if session.name in HELD_OUT else request.out
-        seed = request.seed + number
-        try:
-            paths += record_campaign(folder, [session], arm, reference, seed, lambda *_: None, later)
-        except (SessionFailed, PlantDiverged) as error:
-            raise BadRequest(f"effect: {error}; with smaller effects it may come to its end") from error
+    try:
+        with beside(request.out.resolve()) as part:
+            for number, session in enumerate(wanted):
+                progress(number, len(wanted), session.name)
+                folder = part / APART if session.name in HELD_OUT else part
+                seed = request.seed + number
+                made = record_campaign(folder, [session], arm, reference, seed, lambda *_: None, later)
+                paths += [request.out / log.relative_to(part) for log in made]
+    except (SessionFailed, PlantDiverged) as error:
+        raise BadRequest(f"effect: {error}; with smaller effects it may come to its end") from error
+    except OSError as error:
+        raise BadRequest(f"out {request.out}: cannot be written ({error.strerror or error})") from error
     progress(len(wanted), len(wanted), "recorded")
     return paths

@@ -5,13 +5,15 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from ground.gap.arm.sensitivities import arm_sensitivities, kept_path, keys_path
+from ground.gap.arm.sensitivities import arm_sensitivities, kept_path, keys_in
 from ground.gap.ready import Ready, ready
 from ground.gap.sensitivity import Sensitivities
 from ground.gap.thresholds import Thresholds
 from ground.gap.trust import Trust
+from ground.outputs import written_whole
 from ground.pool import Runner
 from ground.progress import Progress
+from ground.request import BadRequest
 
 SEED = 0
 """Of the cases that thresholds are calibrated with."""
@@ -38,26 +40,32 @@ def reference(
     progress: Progress,
     kinds: Sequence[str] | None = None,
 ) -> Reference:
-    """Of these logs; what is not kept yet is computed, in minutes."""
+    """Of these logs; what is not kept yet is computed, in minutes.
+
+    Raises:
+        BadRequest: what is kept cannot be read.
+        BadOutput: a file cannot be written.
+    """
     found = arm_sensitivities(logs, kept_in, run, progress, kinds)
     path = kept_path(logs, kept_in, kinds)
     thresholds = path.with_suffix(".thresholds.json")
     known = thresholds_in(thresholds) if thresholds.exists() else None
     made = ready(found, SEED, thresholds=known, step=lambda k, n: progress(k, n, "thresholds"))
     if known is None:
-        thresholds.write_text(json.dumps(asdict(made.thresholds)), encoding="utf-8")
+        with written_whole(thresholds, "thresholds") as file:
+            file.write(json.dumps(asdict(made.thresholds)).encode())
+    keys = keys_in(path, found.layout.size)
     if not held_out:
-        return Reference(made, _keys(path), None, ())
+        return Reference(made, keys, None, ())
     apart = arm_sensitivities(held_out, kept_in, run, progress, ())
-    return Reference(made, _keys(path), apart, _keys(kept_path(held_out, kept_in, ())))
+    return Reference(made, keys, apart, keys_in(kept_path(held_out, kept_in, ()), apart.layout.size))
 
 
 def thresholds_in(path: Path) -> Thresholds:
-    """As they were kept."""
-    said = json.loads(path.read_text(encoding="utf-8"))
-    trust = Trust(tuple(said["trust"]["weights"]), said["trust"]["least"])
-    return Thresholds(**{**said, "trust": trust})
-
-
-def _keys(path: Path) -> tuple[str, ...]:
-    return tuple(json.loads(keys_path(path).read_text(encoding="utf-8")))
+    """As they were kept; BadRequest if they cannot be read."""
+    try:
+        said = json.loads(path.read_bytes())
+        trust = Trust(tuple(said["trust"]["weights"]), said["trust"]["least"])
+        return Thresholds(**{**said, "trust": trust})
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BadRequest(f"{path}: no thresholds ({error}); remove it, and they are found anew") from error

@@ -7,12 +7,13 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
+from fsw.dictionary.params import Params
 from ground.gap.arm.simulator import raced
 from ground.request import BadRequest, check_seed, chosen_effects
 from sim.effects.catalogue import catalogue
 from sim.effects.describe import name_of
 from sim.effects.effect import Effect
-from sim.params import BadParams, params_over_nominal
+from sim.params import BadParams, nominal_params, params_over_nominal
 from sim.scenario.names import spoken
 
 NEAREST: Final = 3
@@ -35,6 +36,11 @@ class DiagnoseRequest:
     seed: int = 0
     patch: tuple[Effect, ...] = ()
     """Effects that are switched on in the simulator from the beginning."""
+
+    @property
+    def base(self) -> Params:
+        """The flight parameters that the arm had."""
+        return nominal_params() if self.params is None else params_over_nominal(self.params)
 
 
 def diagnose_request(

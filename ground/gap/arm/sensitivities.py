@@ -21,8 +21,10 @@ from ground.gap.arm.logs import recording_in
 from ground.gap.arm.simulator import ONLY_POSED, ArmSimulator, Touched, all_of
 from ground.gap.layout import Layout
 from ground.gap.sensitivity import Sensitivities, load, save, through
+from ground.outputs import written_whole
 from ground.pool import Runner
 from ground.progress import Progress
+from ground.request import BadRequest
 from ground.telemetry.header import model_digest
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
@@ -66,11 +68,16 @@ def arm_sensitivities(
     """Those of a campaign's logs for these effects of the catalogue, all by default; from a file if there is.
 
     The file's name has the digest of logs, model and catalogue in it; any change makes another file.
+
+    Raises:
+        BadRequest: what is kept cannot be read, or the folder cannot be made.
+        BadOutput: a file cannot be written.
     """
     paths, names = tuple(sorted(logs)), tuple(catalogue() if kinds is None else kinds)
     path = kept_path(logs, kept_in, kinds)
     if path.exists():
-        return load(path)
+        return _kept(path)
+    _check_folder(kept_in)
     simulator = _simulator(paths, names)
     columns = columns_of(simulator)
     alike = _alike(simulator, columns)
@@ -95,9 +102,9 @@ def arm_sensitivities(
         owner,
         found[:, len(effects) :],
     )
-    kept_in.mkdir(parents=True, exist_ok=True)
+    with written_whole(keys_path(path), "keys") as file:
+        file.write(json.dumps(keys_of(simulator.campaign)).encode())
     save(path, result)
-    keys_path(path).write_text(json.dumps(keys_of(simulator.campaign)), encoding="utf-8")
     return result
 
 
@@ -117,6 +124,32 @@ def kept_path(logs: Sequence[Path], kept_in: Path, kinds: Sequence[str] | None =
 def keys_path(path: Path) -> Path:
     """Where the names of a sensitivity file's rows are."""
     return path.with_suffix(".keys.json")
+
+
+def keys_in(path: Path, rows: int) -> Names:
+    """The names of a sensitivity file's rows; BadRequest if they are not there, or are other than so many."""
+    keys, anew = keys_path(path), f"remove {path}, and both are made anew"
+    try:
+        said = tuple(json.loads(keys.read_bytes()))
+    except (OSError, ValueError, TypeError) as error:
+        raise BadRequest(f"{keys}: cannot be read ({error}); {anew}") from error
+    if len(said) != rows:
+        raise BadRequest(f"{keys}: names {len(said)} of {rows} rows; {anew}")
+    return said
+
+
+def _kept(path: Path) -> Sensitivities:
+    try:
+        return load(path)
+    except ValueError as error:
+        raise BadRequest(f"{error}; remove it, and they are computed anew") from error
+
+
+def _check_folder(kept_in: Path) -> None:
+    try:
+        kept_in.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadRequest(f"{kept_in}: no sensitivities can be kept there ({error.strerror})") from error
 
 
 def campaign_digest(logs: Logs, kinds: Names) -> str:
@@ -219,7 +252,7 @@ def _change(
     def wanted(one: Moving) -> bool:
         return one.recording.name in known and touched(one) and only(one)
 
-    change = simulator.predicted((*simulator.patch, *end.effects), wanted) - nominal
+    change = simulator.predicted(end.effects, wanted) - nominal
     return repeated(simulator.campaign, known, change)
 
 
@@ -238,13 +271,13 @@ def _share(simulator: ArmSimulator, column: Column, nominal: Array) -> float:
 
 def _ends(simulator: ArmSimulator, column: Column, share: float) -> Iterator[_End]:
     """On both sides of nominal where bounds allow it and it may bend."""
-    zero, count = np.zeros(len(simulator.nuisances)), len(simulator.patch)
+    zero = np.zeros(len(simulator.nuisances))
     for sign in (1.0, -1.0):
         if column.hypothesis is None:
             by, one_sided = zero.copy(), simulator.one_sided[column.at]
             by[column.at] = 1.0 if one_sided else sign * simulator.nuisances[column.at].sigma
             if sign > 0.0 or not one_sided:
-                yield _End(tuple(simulator.effects({}, by)[count:]), float(by[column.at]))
+                yield _End(tuple(simulator.effects({}, by)), float(by[column.at]))
             continue
         hypothesis = simulator.hypotheses[column.hypothesis]
         parameter, values = hypothesis.parameters[column.at], hypothesis.absent
@@ -253,7 +286,7 @@ def _ends(simulator: ArmSimulator, column: Column, share: float) -> Iterator[_En
         values[column.at] = np.clip(absent + step, parameter.least, parameter.most)
         if values[column.at] == absent:
             continue
-        effects = tuple(simulator.effects({hypothesis: values}, zero)[count:])
+        effects = tuple(simulator.effects({hypothesis: values}, zero))
         yield _End(effects, float((values[column.at] - absent) / parameter.typical))
         if all(isinstance(effect, ONLY_POSED) for effect in effects):
             return  # geometry and springs are straight lines, as far as errors go
@@ -269,8 +302,7 @@ def _simulator(logs: Logs, kinds: Names) -> ArmSimulator:
 
 @cache
 def _nominal(logs: Logs, kinds: Names) -> Array:
-    simulator = _simulator(logs, kinds)
-    return simulator.predicted(simulator.patch, all_of)
+    return _simulator(logs, kinds).predicted((), all_of)
 
 
 def _worked(job: _Job) -> tuple[int, Sensed]:

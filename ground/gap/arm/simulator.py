@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import numpy as np
 
@@ -32,10 +32,10 @@ from sim.effects.describe import name_of, place_named
 from sim.effects.effect import EachMove, Effect
 from sim.effects.environment import Ambient
 from sim.effects.geometry import FrameError, LinkWarming, Warming
-from sim.effects.joints import GearFriction, GearStiffness, HardstopAngle, HardstopStiffness
+from sim.effects.joints import GearFriction, GearStiffness, HardstopAngle, HardstopStiffness, ResolverBias
 from sim.effects.links import LinkAngle, LinkLength, ThermalGradient, ToolOffset, ToolTurn
 from sim.effects.numerics import Numerics
-from sim.effects.sensors import EncoderZero
+from sim.effects.sensors import CurrentBias, EncoderZero
 from sim.effects.size import Size
 from sim.effects.structure import LinkBending, LinkStiffness, LinkTorsion, RoverCompliance
 from sim.trials import FRICTION
@@ -94,16 +94,14 @@ class ArmSimulator:
         return self.predicted(self.effects(settings, nuisance), all_of)
 
     def effects(self, settings: Settings, nuisance: Array) -> list[Effect]:
-        """What is switched on: patch, hypotheses, nuisances that are not 0."""
-        found = list(self.patch)
-        for hypothesis, values in settings.items():
-            found.append(switched_on(self._made[hypothesis], hypothesis, values))
+        """What is switched on beside the patch: hypotheses, and nuisances that are not 0."""
+        found = [switched_on(self._made[one], one, values) for one, values in settings.items()]
         found += [one.effect(float(v)) for one, v in zip(self._uncertain, nuisance, strict=True) if v]
         return found
 
     def predicted(self, effects: Sequence[Effect], wanted: Callable[[Moving], bool]) -> Array:
-        """Features (m,) with these effects; those of moving recordings that are not wanted are NaN."""
-        return predicted_values(self.campaign, self.base, effects, self.manner, wanted)
+        """Features (m,) with the patch and these; those of moving recordings that are not wanted are NaN."""
+        return predicted_values(self.campaign, self.base, (*self.patch, *effects), self.manner, wanted)
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,25 +236,44 @@ def left_uncertain() -> Iterator[Uncertain]:
             partial(EncoderZero, joint),
             f"encoder-zero at {name}",
         )
-        for word, gears in NUMERICS.items():
+        for word, numerics in NUMERICS.items():
             nuisance = Nuisance(f"{word} {name}", "1", OTHERWISE)
-            yield Uncertain(nuisance, partial(_otherwise, gears), one_sided=True, at=name)
+            yield Uncertain(nuisance, partial(_otherwise, numerics), one_sided=True, at=name)
+    yield from _of_sessions()
+
+
+def _of_sessions() -> Iterator[Uncertain]:
+    """What differs a little from session to session: nobody sets out the same twice."""
+    for joint in Joint:
+        name = joint.name.lower()
+        for word, unit, sigma, effect, like in (
+            ("friction", "ln", 0.01, partial(_times, GearFriction, joint), "gear-friction"),
+            ("gear stiffness", "ln", 0.02, partial(_times, GearStiffness, joint), "gear-stiffness"),
+            ("current", "A", 0.003, partial(CurrentBias, joint), "current-bias"),
+            ("resolver", "rad", 6e-6, partial(ResolverBias, joint), "resolver-bias"),
+        ):
+            nuisance = Nuisance(f"{word} {name} of a session", unit, sigma, each_block=True)
+            yield Uncertain(nuisance, effect, f"{like} at {name}")
 
 
 _TURN_SHIFT: Final = ({"rad": "link-angle", "m": "link-length"}, {"rad": "tool-turn", "m": "tool-offset"})
 """Of frames, and of tools."""
 
 
-NUMERICS: Final[dict[str, Literal["implicit", "explicit"]]] = {"time step": "implicit", "scheme": "explicit"}
+NUMERICS: Final = {
+    "time step": Numerics("implicit", 16),
+    "scheme": Numerics("explicit", 16),
+    "scheme and time step": Numerics("explicit", 24),
+}
 COUNT_RAD: Final = 3.3e-6
 """A count of an encoder: where in it a set-point falls is chance, the same all along."""
 OTHERWISE: Final = 2.0
 """One sigma of what the plant's own numerics are off by, in differences to half the time step."""
 
 
-def _otherwise(gears: Literal["implicit", "explicit"], share: float) -> Effect:
+def _otherwise(numerics: Numerics, share: float) -> Effect:
     """The whole difference: it cannot be had in parts."""
-    return Numerics(gears, 16)
+    return numerics
 
 
 def _displaced(frame: Frame, tool: Tool | None, axis: int, value: float) -> Effect:

@@ -49,18 +49,22 @@ def read_tracked(path: Path) -> Tracked:
     """The poses of a CSV file.
 
     Raises:
-        BadTracker: it has other columns, or something in it is no number.
+        BadTracker: it cannot be read, has other columns, or something in it is no number.
     """
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            table = csv.DictReader(file)
+            rows, missing = list(table), {*COLUMNS, *SIGMAS} - set(table.fieldnames or ())
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise BadTracker(f"{path}: cannot be read ({error})") from error
+    if missing:
+        raise BadTracker(f"{path}: has no column {', '.join(sorted(missing))}")
     if not rows:
         return none_tracked()
     try:
         numbers = np.array([[float(row[name]) for name in (*COLUMNS, *SIGMAS)] for row in rows]).T
-    except (KeyError, TypeError, ValueError) as error:
-        raise BadTracker(
-            f"{path}: must have the columns {', '.join((*COLUMNS, *SIGMAS))}: {error}"
-        ) from error
+    except (TypeError, ValueError) as error:
+        raise BadTracker(f"{path}: something in it is no number ({error})") from error
     if not np.isfinite(numbers).all() or (numbers[7:] <= 0).any():
         raise BadTracker(f"{path}: every number must be finite, and every sigma above 0")
     R = np.moveaxis(Rotation.from_rotvec(numbers[1:4].T).as_matrix(), 0, -1)

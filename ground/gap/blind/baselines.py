@@ -8,6 +8,7 @@ from ground.gap.baselines import everything_free, gaussian_process, largest_erro
 from ground.gap.blind.closing import Tried, nothing
 from ground.gap.case import reduced
 from ground.gap.closure import closure
+from ground.gap.plain import finite
 from ground.gap.prepared import prepare
 from ground.gap.whiten import whitener
 
@@ -25,10 +26,6 @@ def baselines(case: Tried, seed: int) -> dict[str, dict[str, Any]]:
     process = closure(layout, (whitened, learnt), (before, before), seed, case.unsure)
     return {
         "largest_error": {"place": largest_error(found.layout, rest)},
-        "everything_free": {"name": named.effect, "place": named.place, "closure": _number(free.share)},
-        "gaussian_process": {"closure": _number(process.share)},
+        "everything_free": {"name": named.effect, "place": named.place, "closure": finite(free.share)},
+        "gaussian_process": {"closure": finite(process.share)},
     }
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

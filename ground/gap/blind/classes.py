@@ -10,6 +10,7 @@ import numpy as np
 
 from ground.gap.hypothesis import Hypothesis
 from ground.gap.layout import Ints
+from ground.gap.plain import finite
 from ground.request import BadRequest
 
 FILE: Final = "classes.json"
@@ -44,7 +45,7 @@ def published(hypotheses: tuple[Hypothesis, ...], label: Ints, limits: list[floa
             "name": one.effect,
             "place": one.place,
             "class": int(number),
-            "limit": limit if np.isfinite(limit) else None,
+            "limit": finite(limit),
         }
         for one, number, limit in zip(hypotheses, label, limits, strict=True)
     ]

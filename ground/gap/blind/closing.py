@@ -34,9 +34,9 @@ class Tried:
         rest = prepared.whiten(self.fitted.value - change(self.fitted.found))
         N = prepared.A[:, : prepared.q]
         v = prepared.C[-1] @ (N.T @ rest)
-        kept = [index for index, one in enumerate(self.held.found.nuisances) if not one.each_block]
-        there = self.held.found.nuisance[:, kept] @ (v * prepared.nuisance_unit)
-        return rest - N @ v, self.held.value - change(self.held.found) - there
+        held = self.held.found
+        there = held.nuisance[:, held.lasting] @ (v * prepared.nuisance_unit)
+        return rest - N @ v, self.held.value - change(held) - there
 
     @property
     def unsure(self) -> Array:

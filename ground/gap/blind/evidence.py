@@ -10,6 +10,7 @@ import numpy as np
 from fsw.kinematics.transforms import Array
 from ground.gap.layout import Ints
 from ground.gap.sensitivity import Sensitivities
+from ground.request import BadRequest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,10 +59,14 @@ def parts(kept: Kept, case: Features) -> tuple[Part, Part]:
 
 
 def read_features(path: Path) -> Features:
-    """As they were written."""
-    said = json.loads(path.read_bytes())
-    fitted, held = (
-        Measured(np.array(said[name]["rows"], np.intp), np.array(said[name]["value"], float))
-        for name in ("fitted", "held")
-    )
+    """As they were written; BadRequest if they cannot be read."""
+    try:
+        said = json.loads(path.read_bytes())
+        fitted, held = (
+            Measured(np.array(said[name]["rows"], np.intp), np.array(said[name]["value"], float))
+            for name in ("fitted", "held")
+        )
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        solved = path.name.replace(".features", "")
+        raise BadRequest(f"{path}: holds no features ({error}); remove {solved} and solve again") from error
     return Features(fitted, held)

@@ -13,6 +13,8 @@ CAMPAIGN: Final = "campaign"
 CASES: Final = "cases"
 SOLVED: Final = "solved"
 PART: Final = ".part"
+SAID: Final = frozenset({"verdict", "effects", "ranking", "closure", "seconds", "baselines"})
+"""Of what is said of a case, what its score is made of."""
 
 
 def case_name(number: int) -> str:
@@ -43,9 +45,12 @@ def documents(folder: Path) -> dict[str, dict[str, Any]]:
     found = {}
     for path in sorted((folder / SOLVED).glob("case-*[0-9].json")):
         try:
-            found[path.stem] = json.loads(path.read_bytes())
+            said = json.loads(path.read_bytes())
         except (OSError, ValueError) as error:
             raise BadRequest(f"{path}: is no solved case ({error}); remove it and solve again") from error
+        if not isinstance(said, dict) or SAID - said.keys():
+            raise BadRequest(f"{path}: is no solved case; remove it and solve again")
+        found[path.stem] = said
     return found
 
 

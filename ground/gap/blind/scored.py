@@ -24,7 +24,7 @@ def scored(
     """Of all cases; `partial` of those that are solved.
 
     Raises:
-        BadRequest: the truth is not what was sealed, or cases are not solved.
+        BadRequest: the truth is not what was sealed, cases are not solved, or what was said is damaged.
     """
     truth, said = unsealed(folder), documents(folder)
     open_cases = [case.name for case in truth.cases if case.name not in said]
@@ -49,5 +49,11 @@ def scored(
 def _settings(kept: Kept, case: TrueCase) -> dict[Hypothesis, Array]:
     """The true effects as the campaign's hypotheses."""
     known = {(one.effect, one.place): one for one in kept.fitted.hypotheses}
+    strange = [effect for effect in case.effects if (effect.name, effect.place) not in known]
+    if strange:
+        raise BadRequest(
+            f"{case.name}: {strange[0].name} at {strange[0].place} is not in today's catalogue; "
+            f"score it with the marsarm that made it"
+        )
     found = [(known[effect.name, effect.place], effect.values) for effect in case.effects]
     return {one: np.array([values[p.name] for p in one.parameters]) for one, values in found}

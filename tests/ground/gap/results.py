@@ -54,8 +54,8 @@ def beside(made, campaign):
 
 
 def undecided(made, campaign):
-    """An effect near its limit, for which others may stand."""
-    return result_of(made, campaign, 4, _sized(made, campaign, 21, 1.3))
+    """An effect not far above its limit, for which others may stand."""
+    return result_of(made, campaign, 4, _sized(made, campaign, 21, 1.7))
 
 
 def _strange(made):

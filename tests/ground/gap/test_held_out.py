@@ -15,20 +15,12 @@ from ground.gap.prepared import prepare
 from tests.ground.gap.worlds import found
 
 
-def _part(made, kept, blocks, names):
-    """Some blocks of a campaign, as one of their own."""
-    rows = np.isin(kept.layout.block, blocks)
-    arrays = ("sigma", "block", "channel", "place", "regime", "condition")
-    layout = replace(kept.layout, **{name: getattr(kept.layout, name)[rows] for name in arrays}, blocks=names)
-    return rows, replace(kept.of(rows), layout=layout)
-
-
 def test_closure_agrees_with_the_truth(made, campaign, rng):
     """Of a large effect: noise-free, 1 - |true - predicted|^2 / |true|^2 over the floor."""
     t = np.where(made.owner == 4, 1.5, 0.0)
     told = diagnose(campaign, Evidence(made.layout, made.measured(rng, t, robot=1)), seed=1)
     others = tuple(f"other {name}" for name in made.layout.blocks)
-    _, apart = _part(made, found(made), np.arange(len(others)), others)
+    apart = replace(found(made), layout=replace(made.layout, blocks=others))
     change = Curved(apart).change(settings_of(told))
     again = closed(told, Evidence(apart.layout, made.measured(rng, t, robot=1)), apart, change, seed=1)
     assert told.verdict == "named"

@@ -1,6 +1,6 @@
 """What is measured, what may be its cause, and what is kept of them: bad input says what is wrong."""
 
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
@@ -28,16 +28,29 @@ def test_what_is_kept_comes_back(made, tmp_path):
     kept = found(made)
     save(tmp_path / "s.npz", kept)
     again = load(tmp_path / "s.npz")
-    assert again.hypotheses == kept.hypotheses
-    assert again.nuisances == kept.nuisances
-    assert again.layout.blocks == kept.layout.blocks
-    assert np.array_equal(again.effect, kept.effect)
-    assert np.array_equal(again.layout.condition, kept.layout.condition)
+    assert _plain(again) == _plain(kept)
+    assert [path.name for path in tmp_path.iterdir()] == ["s.npz"]
+
+
+def _plain(value):
+    """Fields all the way down."""
+    if is_dataclass(value):
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def test_a_file_of_something_else_is_refused(tmp_path):
     np.savez(tmp_path / "s.npz", a=np.zeros(3))
     with pytest.raises(ValueError, match="no sensitivities"):
+        load(tmp_path / "s.npz")
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.5, 0.99])
+def test_a_file_that_was_cut_is_refused(made, tmp_path, share):
+    save(tmp_path / "s.npz", found(made))
+    whole = (tmp_path / "s.npz").read_bytes()
+    (tmp_path / "s.npz").write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(ValueError, match=r"s\.npz: no sensitivities"):
         load(tmp_path / "s.npz")
 
 

@@ -1,20 +1,16 @@
 """The arm's campaign and cases in the terms of the robot-agnostic part."""
 
-from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
-from ground.gap.arm.bound import bound
-from ground.gap.arm.campaign import compared
-from ground.gap.arm.floor import floor_of
-from ground.gap.arm.logs import Recording, recording_in
+from ground.gap.arm.bound import Bound
+from ground.gap.arm.case import fitted_part, held_out_part
+from ground.gap.arm.logs import recording_in
 from ground.gap.arm.reference import Reference, reference
 from ground.gap.arm.sensitivities import arm_sensitivities
-from ground.gap.arm.simulator import CALMLY, ArmSimulator
 from ground.gap.blind.evidence import Features, Kept, Measured
-from ground.gap.layout import Layout
 from ground.pool import Runner, on_this_machine
 from ground.progress import Progress
 from sim.diagnosis.campaign import HELD_OUT
@@ -46,22 +42,14 @@ def reference_campaign(campaign: Path) -> Reference:
 
 def features(case: Path, campaign: Path) -> Features:
     """What a case's logs say less what the nominal simulator predicts under the same drive."""
-    against = reference_campaign(campaign)
-    kept = kept_campaign(campaign)
+    against, base = reference_campaign(campaign), nominal_params()
     fitted, held = ([recording_in(log) for log in logs] for logs in split(case))
-    return Features(
-        _measured(fitted, kept.fitted.layout, against.keys),
-        _measured(held, kept.held.layout, against.held_out_keys),
-    )
+    here, _ = fitted_part(fitted, against, base)
+    return Features(_measured(here), _measured(held_out_part(held, against, base)))
 
 
-def _measured(recordings: list[Recording], layout: Layout, keys: Iterable[str]) -> Measured:
-    if not recordings:
-        return Measured(np.zeros(0, np.intp), np.zeros(0))
-    there = compared(recordings, nominal_params())
-    arm = ArmSimulator(there, nominal_params(), floor_of(there).sigma, manner=CALMLY)
-    here = bound(arm, layout, tuple(keys))
-    return Measured(here.rows, here.gap())
+def _measured(part: Bound | None) -> Measured:
+    return Measured(np.zeros(0, np.intp), np.zeros(0)) if part is None else Measured(part.rows, part.gap())
 
 
 @cache

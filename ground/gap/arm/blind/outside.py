@@ -19,6 +19,7 @@ from ground.gap.arm.simulator import BRIEFLY, switched_on, told
 from ground.gap.blind.plan import Seen
 from ground.gap.detect import limit_beside
 from ground.gap.hypothesis import Hypothesis
+from ground.gap.plain import finite
 from ground.gap.prepared import Prepared
 from ground.pool import Runner
 from ground.progress import Progress
@@ -104,7 +105,7 @@ def limits(
             limit = limit_beside(prepared, column[:, None])
             there[name] = limit
             document: dict[str, Any] = {"name": name[0], "place": name[1]}
-            kept.add({**document, "limit": limit if np.isfinite(limit) else None})
+            kept.add({**document, "limit": finite(limit)})
             progress(done, len(jobs), "outside")
     return [Seen(one.hypothesis, there[name], None) for name, one in wanted.items()]
 

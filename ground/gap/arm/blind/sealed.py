@@ -55,10 +55,10 @@ def check_sealed(path: Path, case: TrueCase) -> None:
     if other:
         raise TellsTruth(f"{path}: flight software begins with {', '.join(other)} that are not the drawing's")
     content = _content(path)
-    for word in (*WORDS, *_words(case)):
+    for word in (*WORDS, *sorted(_words(case))):
         if word.encode() in content:
             raise TellsTruth(f"{path}: holds {word!r}")
-    for number in _numbers(case):
+    for number in sorted(_numbers(case)):
         if repr(number).encode() in content or struct.pack("<d", number) in content:
             raise TellsTruth(f"{path}: holds {number!r}, a number of its truth")
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -96,6 +97,6 @@ def test_recordings_of_another_parameter_set_are_told(recordings: list[Recording
 @pytest.mark.parametrize("scene", ["mars", "earth"])
 def test_the_imu_tells_scene_and_tilt_of_a_log_that_does_not(scene: Literal["mars", "earth"]) -> None:
     tilted = World(scene, 0.3, -0.2)
-    seen = world_seen(tilted.gravity_N_m_s2)
+    seen = world_seen(tilted.gravity_N_m_s2, Path("a.mcap"))
     np.testing.assert_allclose(seen.gravity_N_m_s2, tilted.gravity_N_m_s2, atol=1e-12)
     assert (seen.tilt_roll_rad, seen.tilt_pitch_rad) == pytest.approx((0.3, -0.2))

@@ -7,7 +7,7 @@ import pytest
 
 from fsw.dictionary.joints import Frame, Joint, Tool
 from ground.gap.arm.campaign import compared, measured_values, predicted_values
-from ground.gap.arm.features import CHANNELS, SHIFT, TURN
+from ground.gap.arm.features import CHANNELS, CURRENT, SHIFT, TURN
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.sensitivities import arm_sensitivities, column_of, columns_of
@@ -17,6 +17,7 @@ from ground.telemetry.read import read_log
 from sim.effects.catalogue import catalogue
 from sim.effects.joints import GearStiffness
 from sim.effects.links import LinkLength, ToolOffset
+from sim.effects.turret import TurretMass
 from sim.params import nominal_params
 
 BASE = nominal_params()
@@ -62,9 +63,18 @@ def test_effects_are_stepped_only_where_they_can_show(recordings: list[Recording
     campaign = compared(recordings, BASE)
     (touch,) = campaign.moving
     assert Touched((GearStiffness(Joint.ELBOW, 1.1),))(touch)
-    assert Touched((LinkLength(Frame.ARM3, "x", 1e-3),))(touch)
-    assert Touched((ToolOffset(Tool.APXS, "x", 1e-3),))(touch)
+    assert Touched((TurretMass(1.0),))(touch)
+    assert not Touched((LinkLength(Frame.ARM3, "x", 1e-3),))(touch)
     assert not Touched((ToolOffset(Tool.DRILL, "x", 1e-3),))(touch)
+
+
+def test_nothing_is_compared_near_a_touch(recordings: list[Recording]) -> None:
+    """Under the recorded drive another arm would push as the real one never did."""
+    (placed,) = [one for one in recordings if one.world.surface is not None]
+    closed = np.flatnonzero(placed.sensors["switch_closed"].any(axis=1))[0]
+    here = compared([placed], BASE).moving[0]
+    bins = sum(end <= closed for segment in here.segments for _, end in segment.bins())
+    assert 0 < sum(feature.channel == CURRENT for feature in here.features) < bins
 
 
 @pytest.mark.parametrize("kind", ["link-angle"])

@@ -6,7 +6,8 @@ from typing import Any
 
 import pytest
 
-from ground.gap.blind.folder import SOLVED, solved_path
+from ground.gap.blind.evidence import read_features
+from ground.gap.blind.folder import SAID, SOLVED, documents, solved_path, write_json
 from ground.gap.blind.scored import scored
 from ground.gap.blind.solve import solve
 from ground.gap.blind.table import score_json, score_markdown
@@ -69,6 +70,23 @@ def test_cases_that_are_not_solved_are_counted(folder) -> None:
     with pytest.raises(BadRequest, match="3 of 10 cases are not solved, case-002 first"):
         scored(folder.path, folder.solver.kept, partial=False)
     assert scored(folder.path, folder.solver.kept, partial=True).cases == 7
+
+
+@pytest.mark.parametrize("text", ["[]", '{"verdict": "none"', '{"verdict": "none"}'])
+def test_what_is_no_solved_case_is_refused(tmp_path: Path, text: str) -> None:
+    write_json(tmp_path / SOLVED / "case-000.json", dict.fromkeys(SAID))
+    assert list(documents(tmp_path)) == ["case-000"]
+    (tmp_path / SOLVED / "case-004.json").write_text(text)
+    with pytest.raises(BadRequest, match=r"case-004\.json: is no solved case"):
+        documents(tmp_path)
+
+
+@pytest.mark.parametrize("text", [None, "", "[]", '{"fitted": {"rows": [0]}}'])
+def test_features_that_are_none_are_refused(tmp_path: Path, text: str | None) -> None:
+    if text is not None:
+        (tmp_path / "f.json").write_text(text)
+    with pytest.raises(BadRequest, match=r"f\.json: holds no features"):
+        read_features(tmp_path / "f.json")
 
 
 def test_a_changed_truth_is_not_scored_against(folder) -> None:

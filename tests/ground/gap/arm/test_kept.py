@@ -1,0 +1,130 @@
+"""What is kept of a campaign, and what stands beside logs: damage is said and says what to do."""
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsw.kinematics.transforms import IDENTITY, batched
+from ground.gap.arm import diagnosed, recorded
+from ground.gap.arm.logs import NotForDiagnosis
+from ground.gap.arm.reference import thresholds_in
+from ground.gap.arm.sensitivities import keys_in, keys_path
+from ground.gap.arm.tracked import BadTracker, Tracked, none_tracked, read_tracked, write_tracked
+from ground.progress import Progress
+from ground.request import BadRequest
+from sim.diagnosis.campaign import SessionFailed
+
+
+@pytest.mark.parametrize("text", [None, "", '["a", "b"', "3", '["a"]'])
+def test_names_of_rows_that_are_not_those_are_refused(tmp_path: Path, text: str | None) -> None:
+    path = tmp_path / "s.npz"
+    if text is not None:
+        keys_path(path).write_text(text)
+    with pytest.raises(BadRequest, match=r"s\.keys\.json: .*remove .*s\.npz"):
+        keys_in(path, 2)
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", '{"trust": {"weights": [1], "least": 0}, "odd": 1}'])
+def test_thresholds_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "t.json").write_text(text)
+    with pytest.raises(BadRequest, match=r"t\.json: no thresholds .* remove it"):
+        thresholds_in(tmp_path / "t.json")
+
+
+def test_poses_of_a_tracker_come_back(tmp_path: Path) -> None:
+    seen = Tracked(np.array([7, 90]), batched([IDENTITY, IDENTITY]), np.full((6, 2), 1e-5))
+    for one in (seen, none_tracked()):
+        write_tracked(tmp_path / "t.csv", one)
+        again = read_tracked(tmp_path / "t.csv")
+        assert again.tick.tolist() == one.tick.tolist()
+        np.testing.assert_array_equal(again.sigma, one.sigma)
+
+
+def shorter(text: str) -> str:
+    return text.replace(",z_sigma_m", "")
+
+
+def cut(text: str) -> str:
+    return text[: text.rindex(",")]
+
+
+def words(text: str) -> str:
+    return text.replace("7,", "seven,", 1)
+
+
+def nothing(_: str) -> str:
+    return ""
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (shorter, "has no column z_sigma_m"),
+        (nothing, "has no column rx_rad, "),
+        (cut, "something in it is no number"),
+        (words, "something in it is no number"),
+    ],
+)
+def test_a_table_that_is_none_of_poses_is_refused(
+    tmp_path: Path, change: Callable[[str], str], said: str
+) -> None:
+    path = tmp_path / "t.csv"
+    write_tracked(path, Tracked(np.array([7]), batched([IDENTITY]), np.full((6, 1), 1e-5)))
+    path.write_text(change(path.read_text()))
+    with pytest.raises(BadTracker, match=said):
+        read_tracked(path)
+
+
+@dataclass(frozen=True)
+class Named:
+    """What is asked of a recording here."""
+
+    name: str
+    block: str
+
+
+def test_a_repeat_of_what_is_fitted_is_not_held_out() -> None:
+    first, again, other = Named("cold", "cold"), Named("cold-again", "cold"), Named("warm", "warm")
+    diagnosed._check_apart([first], [other])  # type: ignore[list-item]
+    with pytest.raises(NotForDiagnosis, match="cold-again repeats the motion of cold, which is not held out"):
+        diagnosed._check_apart([first], [other, again])  # type: ignore[list-item]
+
+
+def test_a_session_is_given_once() -> None:
+    paths, same = (Path("a.mcap"), Path("b.mcap")), Named("cold", "cold")
+    with pytest.raises(NotForDiagnosis, match=r"b\.mcap: is session cold, and so is a\.mcap"):
+        diagnosed._check_different(paths, [same, same])  # type: ignore[list-item]
+
+
+def test_sessions_that_are_held_out_are_found_in_their_folder(tmp_path: Path) -> None:
+    held_out = tmp_path / recorded.APART
+    held_out.mkdir()
+    (held_out / "cold.mcap").touch()
+    cold = Named("cold", "cold")
+    assert diagnosed._of_campaign(tmp_path, [cold]) == (held_out / "cold.mcap",)  # type: ignore[list-item]
+
+
+def test_a_campaign_that_comes_to_no_end_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stopped(folder: Path, *_: object) -> list[Path]:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "one.mcap").touch()
+        if folder.name == recorded.APART:
+            raise SessionFailed("session elsewhere")
+        return [folder / "one.mcap"]
+
+    monkeypatch.setattr(recorded, "record_campaign", stopped)
+    silent: Progress = lambda *_: None  # noqa: E731
+    with pytest.raises(BadRequest, match="session elsewhere; with smaller effects"):
+        recorded.recorded(recorded.RecordRequest(tmp_path / "logs"), silent)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_kept_is_json(tmp_path: Path) -> None:
+    keys_path(tmp_path / "s.npz").write_text(json.dumps(["a/b", "c/d"]))
+    assert keys_in(tmp_path / "s.npz", 2) == ("a/b", "c/d")
