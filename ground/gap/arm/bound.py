@@ -64,20 +64,27 @@ class Bound:
         return np.asarray((measured_values(self.arm.campaign) - self.nominal)[self.at])
 
 
-def bound(arm: ArmSimulator, layout: Layout, keys: Sequence[str]) -> Bound:
-    """To those features of a campaign, by their keys, that the case has too; one prediction is made.
+def bound(arm: ArmSimulator, layout: Layout, keys: Sequence[str], nominal: Array | None = None) -> Bound:
+    """To those features of a campaign, by their keys, that the case has too.
 
-    A feature that has the key but was of another motion (at another angle or speed) is none.
+    One prediction is made, unless `nominal` has what the simulator had of the campaign, (M,). A feature that
+    has the key but was of another motion (at another angle or speed) is none.
     """
     number = {key: k for k, key in enumerate(keys_of(arm.campaign))}
-    known = first_of_block(arm.campaign)
-    nominal = arm.predicted((), lambda one: one.recording.name in known)
-    nominal = repeated(arm.campaign, known, nominal, np.nan)
     rows = np.array([row for row, key in enumerate(keys) if key in number], np.intp)
     at = np.array([number[keys[row]] for row in rows], np.intp)
+    here = _predicted(arm) if nominal is None else np.full(arm.layout.size, np.nan)
+    if nominal is not None:
+        here[at] = nominal[rows]
     apart = np.abs(arm.layout.condition[at] - layout.condition[rows])[:, list(MOTION)]
-    same = np.all(apart < MOTION_APART, axis=1) & np.isfinite(nominal[at])
-    return Bound(arm, nominal, at[same], rows[same])
+    same = np.all(apart < MOTION_APART, axis=1) & np.isfinite(here[at])
+    return Bound(arm, here, at[same], rows[same])
+
+
+def _predicted(arm: ArmSimulator) -> Array:
+    """Of the case under its own drive, (n,); NaN of repeats that have features their firsts have not."""
+    known = first_of_block(arm.campaign)
+    return repeated(arm.campaign, known, arm.predicted((), lambda one: one.recording.name in known), np.nan)
 
 
 def keys_of(campaign: Compared) -> list[str]:

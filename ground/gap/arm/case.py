@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from fsw.dictionary.params import Params
+from fsw.kinematics.transforms import Array
 from ground.gap.arm.audit import audit
 from ground.gap.arm.bound import Bound, bound
 from ground.gap.arm.campaign import compared
@@ -15,10 +16,12 @@ from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import NotForDiagnosis, Recording
 from ground.gap.arm.reference import Reference
 from ground.gap.arm.simulator import CALMLY, ArmSimulator
+from ground.gap.case import case_of
 from ground.gap.closure import Closure
 from ground.gap.diagnose import Diagnosis, diagnose
 from ground.gap.held_out import closed, settings_of
 from ground.gap.layout import Evidence
+from ground.gap.model import fitted
 from ground.gap.next_motion import again
 from ground.gap.ready import Ready, ready
 from ground.gap.result import Result, ToolGap
@@ -51,20 +54,44 @@ def solved(
     if not recordings:
         raise TooLittleMotion("there is no log that a diagnosis could be made of")
     notes = audit(recordings)
-    case, floor = fitted_part(recordings, against, base, patch)
-    _check_motion(case, against)
-    known = _ready(against.ready, case)
-    told = diagnose(known, Evidence(known.found.layout, case.gap()), seed, case)
-    shut = _closed(told, held_out, against, base, seed, patch)
+    first, floor = fitted_part(recordings, against, base, patch, asked=bool(patch))
+    _check_motion(first, against)
+    known = _ready(against.ready, first)
+    about = _about(known, first)
+    near = (*patch, *first.arm.effects({}, about))
+    case, _ = fitted_part(recordings, against, base, near)
+    evidence = Evidence(known.found.layout, case.gap() + known.found.nuisance @ about)
+    told = diagnose(known, evidence, seed, case)
+    shut = _closed(told, held_out_part(held_out, against, base, near), against, about, seed)
     return Result(known, told, shut, _tool(shut), again(known, told), (*notes, *floor))
 
 
+def _about(known: Ready, case: Bound) -> Array:
+    """Nuisances (q,) as they are without effect: about these the simulator is asked, for they may be large.
+
+    Those that are drawn in every block, and those that cannot be had in parts, stay 0.
+    """
+    told, _ = case_of(known.prepared, Evidence(known.found.layout, case.gap()))
+    model = fitted(known.prepared, told, known.prepared.columns(()))
+    about = np.zeros(len(known.found.nuisances))
+    about[known.found.lasting] = model.theta * known.prepared.nuisance_unit
+    return np.where(case.arm.one_sided, 0.0, about)
+
+
 def fitted_part(
-    recordings: Sequence[Recording], against: Reference, base: Params, patch: tuple[Effect, ...] = ()
+    recordings: Sequence[Recording],
+    against: Reference,
+    base: Params,
+    patch: tuple[Effect, ...] = (),
+    asked: bool = True,
 ) -> tuple[Bound, tuple[str, ...]]:
-    """What a diagnosis is made of, in the campaign's features, and where its floor is from."""
+    """What a diagnosis is made of, in the campaign's features, and where its floor is from.
+
+    If the simulator is not asked it has what it had of the campaign.
+    """
     arm, notes = _simulator(recordings, against, base, patch)
-    return bound(arm, against.ready.found.layout, against.keys), notes
+    found = against.ready.found
+    return bound(arm, found.layout, against.keys, None if asked else found.nominal), notes
 
 
 def held_out_part(
@@ -106,21 +133,15 @@ def _ready(against: Ready, case: Bound) -> Ready:
 
 
 def _closed(
-    told: Diagnosis,
-    recordings: Sequence[Recording],
-    against: Reference,
-    base: Params,
-    seed: int,
-    patch: tuple[Effect, ...],
+    told: Diagnosis, case: Bound | None, against: Reference, about: Array, seed: int
 ) -> Closure | None:
     """On held-out motion; None if there is none."""
-    case = held_out_part(recordings, against, base, patch)
     if against.held_out is None or case is None:
         return None
     found = against.held_out.of(case.rows)
     settings, zero = settings_of(told), np.zeros(len(case.nuisances))
     change = case.predict(settings, zero) - case.predict({}, zero)
-    return closed(told, Evidence(found.layout, case.gap()), found, change, seed)
+    return closed(told, Evidence(found.layout, case.gap() + found.nuisance @ about), found, change, seed)
 
 
 def _tool(shut: Closure | None) -> ToolGap | None:
