@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array
 from ground.gap.fits import surprise
@@ -83,7 +82,7 @@ def remains(prepared: Prepared, looked: tuple[Group, ...], model: Fitted, y: Arr
             float(surprise(np.array(energy), n)),
         )
         found.append((max(of_direction, of_energy), of_direction >= of_energy, group))
-    together = float(-chi2.logsf(total, max(freedom, 1)) / np.log(10.0))
+    together = float(surprise(np.array(total), max(freedom, 1)))
     result = [_told(prepared.layout, group, rest, high, led) for high, led, group in found]
     everywhere = Remains(together, "all", "all", "all", "several")
     return tuple(sorted([*result, everywhere], key=lambda one: -one.surprise))

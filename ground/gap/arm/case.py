@@ -1,7 +1,7 @@
 """One case: an arm's recordings beside a campaign whose sensitivities are known."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -38,6 +38,22 @@ class TooLittleMotion(NotForDiagnosis):
     """A case that lacks most of the campaign; the message says which motions."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Asked:
+    """A case in the campaign's features, the simulator asked about the nuisances that it has."""
+
+    known: Ready
+    """Of the campaign, in the features that the case has."""
+    case: Bound
+    gap: Array
+    """Measured less simulated with nuisances at 0, in straight lines from where they are, (m,)."""
+    held_out: Bound | None
+    held_out_gap: Array
+    """The same of motion that takes no part."""
+    notes: tuple[str, ...]
+    """Of the audit, and where the floor is from."""
+
+
 def solved(
     recordings: Sequence[Recording],
     held_out: Sequence[Recording],
@@ -51,19 +67,38 @@ def solved(
     Raises:
         TooLittleMotion: most motions of the campaign are missing.
     """
+    return said_of(asked(recordings, held_out, against, base, patch), against, seed)
+
+
+def asked(
+    recordings: Sequence[Recording],
+    held_out: Sequence[Recording],
+    against: Reference,
+    base: Params,
+    patch: tuple[Effect, ...] = (),
+) -> Asked:
+    """What a diagnosis is made of; TooLittleMotion as `solved`."""
     if not recordings:
         raise TooLittleMotion("there is no log that a diagnosis could be made of")
     notes = audit(recordings)
-    first, floor = fitted_part(recordings, against, base, patch, asked=bool(patch))
+    first, floor = _fitted_part(recordings, against, base, patch, asked=bool(patch))
     _check_motion(first, against)
     known = _ready(against.ready, first)
     about = _about(known, first)
     near = (*patch, *first.arm.effects({}, about))
-    case, _ = fitted_part(recordings, against, base, near)
-    evidence = Evidence(known.found.layout, case.gap() + known.found.nuisance @ about)
-    told = diagnose(known, evidence, seed, case)
-    shut = _closed(told, held_out_part(held_out, against, base, near), against, about, seed)
-    return Result(known, told, shut, _tool(shut), again(known, told), (*notes, *floor))
+    case, _ = _fitted_part(recordings, against, base, near)
+    apart = _held_out_part(held_out, against, base, near)
+    there = np.zeros(0)
+    if apart is not None and against.held_out is not None:
+        there = apart.gap() + against.held_out.nuisance[apart.rows] @ about
+    return Asked(known, case, case.gap() + known.found.nuisance @ about, apart, there, (*notes, *floor))
+
+
+def said_of(here: Asked, against: Reference, seed: int) -> Result:
+    """The diagnosis."""
+    told = diagnose(here.known, Evidence(here.known.found.layout, here.gap), seed, here.case)
+    shut = _closed(told, here, against, seed)
+    return Result(here.known, told, shut, _tool(shut), again(here.known, told), here.notes)
 
 
 def _about(known: Ready, case: Bound) -> Array:
@@ -78,7 +113,7 @@ def _about(known: Ready, case: Bound) -> Array:
     return np.where(case.arm.one_sided, 0.0, about)
 
 
-def fitted_part(
+def _fitted_part(
     recordings: Sequence[Recording],
     against: Reference,
     base: Params,
@@ -94,7 +129,7 @@ def fitted_part(
     return bound(arm, found.layout, against.keys, None if asked else found.nominal), notes
 
 
-def held_out_part(
+def _held_out_part(
     recordings: Sequence[Recording], against: Reference, base: Params, patch: tuple[Effect, ...] = ()
 ) -> Bound | None:
     """What it is tried on; None if nothing is held out.
@@ -132,16 +167,15 @@ def _ready(against: Ready, case: Bound) -> Ready:
     return ready(replace(found, layout=layout), 0, thresholds=against.thresholds)
 
 
-def _closed(
-    told: Diagnosis, case: Bound | None, against: Reference, about: Array, seed: int
-) -> Closure | None:
+def _closed(told: Diagnosis, here: Asked, against: Reference, seed: int) -> Closure | None:
     """On held-out motion; None if there is none."""
+    case = here.held_out
     if against.held_out is None or case is None:
         return None
     found = against.held_out.of(case.rows)
     settings, zero = settings_of(told), np.zeros(len(case.nuisances))
     change = case.predict(settings, zero) - case.predict({}, zero)
-    return closed(told, Evidence(found.layout, case.gap() + found.nuisance @ about), found, change, seed)
+    return closed(told, Evidence(found.layout, here.held_out_gap), found, change, seed)
 
 
 def _tool(shut: Closure | None) -> ToolGap | None:

@@ -23,10 +23,11 @@ class Solver:
 
     kept: Callable[[Path], Kept]
     """The campaign in a folder."""
-    diagnosed: Callable[[Path, Path], dict[str, Any]]
-    """What is said of a case's folder, beside the campaign's: what `marsarm diagnose --json` says."""
-    features: Callable[[Path, Path], Features]
-    """What the logs of a case say, for the baselines and for what the truth would achieve."""
+    diagnosed: Callable[[Path, Path], tuple[dict[str, Any], Features]]
+    """What is said of a case's folder, beside the campaign's: what `marsarm diagnose --json` says.
+
+    And what its logs say, for the baselines and for what the truth would achieve.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,9 +60,8 @@ def _solved(job: _Job) -> str:
     campaign = job.case.parent.parent / CAMPAIGN
     kept = job.solver.kept(campaign)  # what is known before a case is no part of its time
     began = time.process_time()
-    said = job.solver.diagnosed(job.case, campaign)
+    said, features = job.solver.diagnosed(job.case, campaign)
     seconds = time.process_time() - began
-    features = job.solver.features(job.case, campaign)
     others = baselines(tried(*parts(kept, features)), SEED)
     write_json(features_path(job.case), features.document())
     write_json(solved_path(job.case), {**said, "seconds": seconds, "baselines": others})

@@ -5,16 +5,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ground.gap.arm.bound import Bound
-from ground.gap.arm.case import fitted_part, held_out_part
-from ground.gap.arm.logs import recording_in
+from ground.gap.arm.case import Asked
 from ground.gap.arm.reference import Reference, reference
 from ground.gap.arm.sensitivities import arm_sensitivities
 from ground.gap.blind.evidence import Features, Kept, Measured
 from ground.pool import Runner, on_this_machine
 from ground.progress import Progress
 from sim.diagnosis.campaign import HELD_OUT
-from sim.params import nominal_params
 
 
 def split(folder: Path) -> tuple[list[Path], list[Path]]:
@@ -40,16 +37,11 @@ def reference_campaign(campaign: Path) -> Reference:
     return _known(campaign)[0]
 
 
-def features(case: Path, campaign: Path) -> Features:
-    """What a case's logs say less what the nominal simulator predicts under the same drive."""
-    against, base = reference_campaign(campaign), nominal_params()
-    fitted, held = ([recording_in(log) for log in logs] for logs in split(case))
-    here, _ = fitted_part(fitted, against, base)
-    return Features(_measured(here), _measured(held_out_part(held, against, base)))
-
-
-def _measured(part: Bound | None) -> Measured:
-    return Measured(np.zeros(0, np.intp), np.zeros(0)) if part is None else Measured(part.rows, part.gap())
+def features(here: Asked) -> Features:
+    """What a case's logs say, as its diagnosis has it."""
+    apart = here.held_out
+    rows = np.zeros(0, np.intp) if apart is None else apart.rows
+    return Features(Measured(here.case.rows, here.gap), Measured(rows, here.held_out_gap))
 
 
 @cache

@@ -4,22 +4,25 @@ from pathlib import Path
 from typing import Any
 
 from ground.gap.arm.blind.evidence import features, kept_campaign, reference_campaign, split
-from ground.gap.arm.case import solved
+from ground.gap.arm.case import asked, said_of
 from ground.gap.arm.logs import recording_in
+from ground.gap.blind.evidence import Features
 from ground.gap.blind.solve import SEED, Solver
 from ground.gap.told import told
 from sim.params import nominal_params
 
 
-def diagnosed_case(case: Path, campaign: Path) -> dict[str, Any]:
-    """What is said of the logs in a folder, beside the campaign in another.
+def diagnosed_case(case: Path, campaign: Path) -> tuple[dict[str, Any], Features]:
+    """What is said of the logs in a folder, beside the campaign in another, and what it is made of.
 
     Raises:
         NotForDiagnosis: a log cannot be compared.
         TooLittleMotion: most motions of the campaign are missing.
     """
+    against = reference_campaign(campaign)
     fitted, held = ([recording_in(log) for log in logs] for logs in split(case))
-    return told(solved(fitted, held, reference_campaign(campaign), nominal_params(), SEED))
+    here = asked(fitted, held, against, nominal_params())
+    return told(said_of(here, against, SEED)), features(here)
 
 
-ARM = Solver(kept_campaign, diagnosed_case, features)
+ARM = Solver(kept_campaign, diagnosed_case)

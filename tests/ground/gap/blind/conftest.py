@@ -63,12 +63,9 @@ def folder(made: World, campaign: Ready, tmp_path: Path) -> Folder:
     seal(tmp_path, truth)
     write_json(tmp_path / CAMPAIGN / FILE, published(made.hypotheses, campaign.label, limits))
 
-    def features(case: Path, _: Path) -> Features:
-        return read_features(case / "log")
+    def diagnosed(case: Path, _: Path) -> tuple[dict[str, object], Features]:
+        features = read_features(case / "log")
+        said = diagnose(campaign, Evidence(made.layout, features.fitted.value), 1)
+        return told(Result(campaign, said, None, None, (), ())), features
 
-    def diagnosed(case: Path, _: Path) -> dict[str, object]:
-        value = features(case, case).fitted.value
-        said = diagnose(campaign, Evidence(made.layout, value), 1)
-        return told(Result(campaign, said, None, None, (), ()))
-
-    return Folder(tmp_path, Solver(lambda _: kept, diagnosed, features), truth)
+    return Folder(tmp_path, Solver(lambda _: kept, diagnosed), truth)
