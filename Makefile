@@ -11,7 +11,7 @@ WORKERS ?= 2
 
 say = echo "marsarm: $(1)" >&2
 
-.PHONY: help setup demo test bench campaign accuracy calibration ur10 joints jobs killed damage fuzz references oracle viewers lint lock clean
+.PHONY: help setup demo test bench campaign accuracy calibration ur10 joints jobs blind killed damage fuzz references oracle viewers lint lock clean
 
 help:
 	@echo "make demo      set up, put the APXS on a rock on Mars, write a picture"
@@ -23,6 +23,7 @@ help:
 	@echo "make ur10      calibrate the real arm whose data MARSARM_DATA names, print how well as JSON"
 	@echo "make joints    find hardstops and backlash again and again on many arms, print how well as JSON"
 	@echo "make jobs      run every scenario, tool changes and faults on many arms, print how well as JSON"
+	@echo "make blind     make, solve and score 200 cases of the diagnosis whose effect is withheld, print the score as JSON"
 	@echo "make killed    kill recorded runs at random moments, print what their logs lost as JSON"
 	@echo "make references  make the reference runs of tests/replay anew, print what differs"
 	@echo "make damage    flip bits of logs and cut them, see what reading and recovery make of it, print it as JSON"
@@ -70,6 +71,15 @@ joints: $(VENV)/ready
 jobs: $(VENV)/ready
 	@$(call say,scenarios and tool changes and faults in $(WORKERS) processes; this takes the better part of two hours)
 	@$(BIN)/python -m benchmarks.jobs --workers $(WORKERS) $(ARGS)
+
+# What was stopped goes on. SEED names other cases, OUT another folder.
+SEED ?= 1
+OUT ?= blind-$(SEED)
+blind: $(VENV)/ready
+	@$(call say,200 blind cases in $(WORKERS) processes; this takes two hours)
+	@$(BIN)/marsarm gap blind make --seed $(SEED) --out $(OUT) --jobs $(WORKERS) >&2
+	@$(BIN)/marsarm gap blind solve $(OUT) --jobs $(WORKERS) >&2
+	@$(BIN)/marsarm gap blind score $(OUT) --json $(ARGS)
 
 killed: $(VENV)/ready
 	@$(call say,killing recorded runs at random moments; this takes ten minutes)

@@ -74,6 +74,7 @@ def diagnose(
     from ground.report.gap_tables import gap_table
     from ground.report.progress import progress_bar
     from ground.request import BadRequest
+    from sim.plant import PlantDiverged
 
     files = DiagnosisFiles(report, patch, new_params)
     try:
@@ -82,7 +83,7 @@ def diagnose(
         with progress_bar() as progress:
             result = diagnosed(request, progress)
             not_written = save_diagnosis(result, request, files)
-    except (BadRequest, BadOutput, NotForDiagnosis) as error:
+    except (BadRequest, BadOutput, NotForDiagnosis, PlantDiverged) as error:
         end(str(error), BAD_INPUT, as_json)
     show(told(result), as_json, lambda: gap_table(result))
     for sentence in not_written:

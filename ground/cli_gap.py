@@ -52,7 +52,7 @@ def record(
 
     Logs hold no truth of the plant. Motions on which a diagnosis may be tried are in DIR/held-out.
 
-    Example: marsarm gap record --effect coulomb-friction:elbow:torque_Nm=5 --out logs
+    Example: marsarm gap record --effect link-length:arm3.x:length_m=0.003 --out logs
     """
     from ground.gap.arm.recorded import RecordRequest, check_record, recorded
     from ground.report.progress import progress_bar

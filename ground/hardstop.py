@@ -17,7 +17,7 @@ from ground.outputs import BadOutput, check_output
 from ground.progress import Progress
 from ground.report.hardstop_figure import save_hardstop_figure
 from ground.request import BadRequest, check_apart, check_seed, chosen_arm, chosen_effects, tilted_world
-from sim.arms import BuiltArm
+from sim.arms import BuiltArm, later
 from sim.effects.effect import Effect
 from sim.effects.environment import WARM_C, surroundings
 from sim.initialisation import Initialisation, InitialisationRun, stop_run
@@ -129,10 +129,7 @@ def checked(request: HardstopRequest) -> HardstopJob:
         arm=arm if request.turret else _bare(arm, request),
         world=world,
         start_rad=None if request.start_deg is None else _start(arm, request.start_deg),
-        effects=(
-            *surroundings(effects, temperature_C),
-            *(effect for effect in effects if not effect.of_the_arm),
-        ),
+        effects=(*surroundings(effects, temperature_C), *later(effects)),
     )
 
 

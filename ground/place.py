@@ -10,7 +10,7 @@ from ground.initialise import initialise
 from ground.place_request import PlaceRequest, checked
 from ground.progress import Progress
 from ground.telemetry.header import header_of
-from sim.arms import BuiltArm
+from sim.arms import BuiltArm, later
 from sim.initialisation import Initialisation
 from sim.loop import ClosedLoop, Setup
 from sim.placement import PlacementResult, PlacementRun
@@ -38,9 +38,8 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
     stops = initialise(job.arm, request.seed, progress)
     if stops[-1].outcome is not Outcome.DONE:
         return _not_initialised(request, job.arm, stops)
-    later = tuple(effect for effect in job.effects if not effect.of_the_arm)
     stowed_rad = job.arm.params.poses.stowed_rad
-    setup = Setup(job.arm, job.world, stowed_rad, request.seed, stops[-1].reference, later)
+    setup = Setup(job.arm, job.world, stowed_rad, request.seed, stops[-1].reference, later(job.effects))
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     run = PlacementRun(loop, job.placement)
     header = header_of(loop, job.arm.name, request.seed, asdict(request), run.commands, job.effects)

@@ -27,6 +27,11 @@ class BuiltArm:
         return replace(self, effects=(*self.effects, *(effect for effect in effects if effect.of_the_arm)))
 
 
+def later(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Those that no arm is built with: it has them only once a run begins."""
+    return tuple(effect for effect in effects if not effect.of_the_arm)
+
+
 def arm_named(name: str, params: Params | None = None) -> BuiltArm:
     """`nominal`, `as-built:SEED` or `calibrated:SEED`; UnknownArm otherwise.
 

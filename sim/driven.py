@@ -36,7 +36,6 @@ class Manner:
     seed: int | None = None
     """Of sensor noise; None leaves out noise and rounding, which gives what sensors read on average."""
     settle_s: float = SETTLE_S
-    time_step_s: float | None = None
 
 
 QUIET = Manner()
@@ -47,8 +46,6 @@ class DrivenArm:
 
     def __init__(self, start: Start, effects: Iterable[Effect], manner: Manner = QUIET):
         spec = build(start.world)
-        if manner.time_step_s is not None:
-            spec.option.timestep = manner.time_step_s
         hardware = fitted(effects, spec, replace(nominal_hardware(), counter_zero_rad=start.zero_rad))
         self.plant = Plant(spec.compile())
         # a hardstop that is not where it was taken to be has shifted the zero that was found there

@@ -73,8 +73,8 @@ def build(world: World, for_pictures: bool = False) -> mujoco.MjSpec:
     if world.surface is not None:
         add_rock(spec, np.array(world.surface.p_N_m), np.array(world.surface.normal_N))
         lower_ground(spec, -world.ground_N_m)
-    if not for_pictures:
-        _leave_out_looks(spec)
+        if not for_pictures:
+            _leave_out_looks(spec)
     return spec
 
 

@@ -25,8 +25,9 @@ class Alternatives:
     """What may stand where a chosen hypothesis stands."""
 
     hypotheses: Chosen
-    """One of each class, most probable first; together chosen in SURE of the draws."""
+    """One of each class, most probable first; together chosen in SURE of the draws in which any was."""
     probability: tuple[float, ...]
+    """Shares of those draws: which it is, given that there is an effect. Whether there is, surprise tells."""
 
 
 def redrawn(field: Field, case: Case, won: Race, seed: int, draws: int = DRAWS) -> tuple[Chosen, ...]:

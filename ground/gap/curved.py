@@ -27,8 +27,8 @@ class Curved:
             total += self.found.curve[:, columns] @ (inside * (2.0 * t - inside))
         return total
 
-    def slopes(self, settings: Mapping[Hypothesis, Array]) -> Array:
-        """By each parameter of each effect times its typical size, (m, n)."""
+    def slopes(self, settings: Mapping[Hypothesis, Array], change: Array) -> Array:
+        """By each parameter of each effect times its typical size, (m, n), whatever the change."""
         parts = []
         for hypothesis, values in settings.items():
             columns, t = self._departures(hypothesis, values)

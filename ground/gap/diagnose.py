@@ -70,6 +70,8 @@ class Diagnosis:
     """Nuisances beside the findings."""
     prepared: Prepared
     """What `best` is in terms of."""
+    odds: float = float("nan")
+    """Logarithm of the odds that the findings are the causes (ground.gap.trust); NaN without findings."""
 
 
 def diagnose(ready: Ready, evidence: Evidence, seed: int, simulator: Simulator | None = None) -> Diagnosis:
@@ -78,12 +80,12 @@ def diagnose(ready: Ready, evidence: Evidence, seed: int, simulator: Simulator |
     field, curved = ready.field, Curved(ready.found)
     without = fitted(ready.prepared, case, ready.prepared.columns(()))
     cells = where(evidence.layout, left(ready.prepared, without, y), seed)
-    won = race(field, case)
-    if won.chosen:
-        field = _bent(ready, field, case, y, won, curved)
+    straight = won = race(field, case)
+    if straight.chosen:
+        field = _bent(ready, field, case, y, straight, curved)
         won = race(field, reduced(field.prepared, y))
     if not won.chosen:
-        return _nothing(ready, won, without, y, cells)
+        return _nothing(ready, won, without, y, cells, bool(straight.chosen))
     final = refine(curved, ready.prepared, y, _start(ready, case, won.chosen))
     if simulator is not None:
         near = dict(zip(final.hypotheses, final.values, strict=True))
@@ -97,15 +99,17 @@ def diagnose(ready: Ready, evidence: Evidence, seed: int, simulator: Simulator |
     verdict, strange = _verdict(ready, findings, signs), max(signs.remains, signs.addable)
     return Diagnosis(
         verdict, findings, won.first, won.surprise, remaining, strange, cells, without, model.best,
-        model.prepared,
+        model.prepared, ready.thresholds.trust.odds(signs),
     )  # fmt: skip
 
 
-def _nothing(ready: Ready, won: Race, without: Fitted, y: Array, cells: tuple[Cell, ...]) -> Diagnosis:
-    """No effect; unknown if there is structure all the same."""
+def _nothing(
+    ready: Ready, won: Race, without: Fitted, y: Array, cells: tuple[Cell, ...], beyond: bool
+) -> Diagnosis:
+    """No effect; unknown if there is structure all the same, or an effect `beyond` all that it may be."""
     remaining = remains(ready.prepared, ready.looked, without, y)
     strange = remaining[0].surprise
-    verdict: Kind = "unknown" if strange >= ready.thresholds.structure else "none"
+    verdict: Kind = "unknown" if beyond or strange >= ready.thresholds.structure else "none"
     return Diagnosis(
         verdict, (), won.first, won.surprise, remaining, strange, cells, without, without, ready.prepared
     )
@@ -130,17 +134,12 @@ def _at_estimate(
 ) -> _Model:
     """Linearised where all effects together were found to be."""
     changed, total = {}, np.zeros(y.size)
-    for index, (hypothesis, values) in enumerate(zip(chosen, final.values, strict=True)):
-        own = curved.change({ready.found.hypotheses[hypothesis]: values})
+    for one, hypothesis, values, slopes in zip(
+        chosen, final.hypotheses, final.values, final.slopes, strict=True
+    ):
+        own = curved.change({hypothesis: values})
         if np.any(own):
-            alone = replace(
-                final,
-                hypotheses=(final.hypotheses[index],),
-                values=(values,),
-                slopes=(final.slopes[index],),
-                change=own,
-            )
-            changed[hypothesis] = columns_at(alone)
+            changed[one] = columns_at(hypothesis, values, own, slopes)
             total += own
     prepared = prepare(ready.found, changed)
     straight = y - prepared.whiten(final.change - total)
@@ -153,7 +152,7 @@ def _verdict(ready: Ready, findings: tuple[Finding, ...], signs: Signs) -> Kind:
     strange = max(signs.remains, signs.addable) >= ready.thresholds.unexplained
     if strange or not ready.thresholds.trust.allows(signs) or any(one.at_bound for one in findings):
         return "unknown"
-    alone = all(len(finding.alternatives.hypotheses) == 1 for finding in findings)
+    alone = all(finding.alternatives.hypotheses == (finding.hypothesis,) for finding in findings)
     return "named" if alone else "set"
 
 
@@ -181,7 +180,8 @@ def _bent(ready: Ready, field: Field, case: Case, y: Array, won: Race, curved: C
         if alone.at_bound[0]:
             inside[hypothesis] = False
         elif np.any(alone.change):
-            changed[hypothesis] = columns_at(alone)
+            (values,), (slopes,) = alone.values, alone.slopes
+            changed[hypothesis] = columns_at(ready.found.hypotheses[hypothesis], values, alone.change, slopes)
     return Field(prepare(ready.found, changed), field.label, field.threshold, inside)
 
 

@@ -48,7 +48,7 @@ class Race:
 
 
 def race(field: Field, case: Case) -> Race:
-    """Forward selection with exchange and backward elimination, to at most three effects.
+    """Forward selection with exchange, to at most three effects, of which none may be left out.
 
     A hypothesis is added if it explains more than no-effect data do, unless with it held-out blocks are
     predicted worse by more than one standard error of the paired differences between blocks. Of hypotheses of
@@ -74,7 +74,7 @@ def best_left(field: Field, case: Case, chosen: Chosen) -> float:
 
 
 def _better(field: Field, case: Case, chosen: Chosen, loss: Array) -> tuple[Chosen, Array] | None:
-    """One more, after exchange and elimination; None if nothing more is found."""
+    """One more, after exchange; None if nothing more is found, or if one of so many is not needed."""
     order, best = ranked(field, case, chosen)
     if not order or best < field.threshold:
         return None

@@ -15,15 +15,18 @@ from scipy.optimize import lsq_linear
 from fsw.kinematics.transforms import Array
 from ground.gap.curved import Curved
 from ground.gap.hypothesis import Hypothesis, Parameter
+from ground.gap.layout import Ints
 from ground.gap.prepared import Prepared
 from ground.gap.simulator import Simulator
 
 PASSES: Final = 5
 STEP: Final = 0.1
 """Share of a typical size over which the simulator is differentiated by what only shapes."""
-SETTLED: Final = 0.1
-"""A step that moves everything by less than this share of its sigma is the last."""
-HALVINGS: Final = 3
+SETTLED: Final = 1.0
+"""A step that moves everything by less than this share of its sigma is the last: so far slopes are right."""
+HALVINGS: Final = 2
+AT_END: Final = 1e-6
+"""Share of a typical size by which one that is fitted to its bound may stay short of it."""
 SHAPE_SIGMA: Final = 1.0
 """Of parameters that only shape: about their typical value, as a share of it."""
 
@@ -34,8 +37,8 @@ class Response(Protocol):
     def change(self, settings: Mapping[Hypothesis, Array]) -> Array:
         """By these values of all parameters of each effect, (m,)."""
 
-    def slopes(self, settings: Mapping[Hypothesis, Array]) -> Array:
-        """By each parameter of each effect times its typical size, (m, n)."""
+    def slopes(self, settings: Mapping[Hypothesis, Array], change: Array) -> Array:
+        """By each parameter of each effect times its typical size, (m, n), where `change` is known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,23 +53,23 @@ class Simulated:
         zero = np.zeros(len(self.simulator.nuisances))
         return np.asarray(self.simulator.predict(settings, zero) - self.simulator.predict({}, zero))
 
-    def slopes(self, settings: Mapping[Hypothesis, Array]) -> Array:
+    def slopes(self, settings: Mapping[Hypothesis, Array], change: Array) -> Array:
         """One more run for each parameter that only shapes."""
-        result, column = self.curved.slopes(settings), 0
-        for hypothesis, values in settings.items():
+        result, column = self.curved.slopes(settings, change), 0
+        for hypothesis in settings:
             for at, parameter in enumerate(hypothesis.parameters):
                 if not parameter.sizes:
-                    result[:, column] = self._shaped(settings, hypothesis, values, at)
+                    result[:, column] = self._shaped(settings, change, hypothesis, at)
                 column += 1
         return result
 
     def _shaped(
-        self, settings: Mapping[Hypothesis, Array], hypothesis: Hypothesis, values: Array, at: int
+        self, settings: Mapping[Hypothesis, Array], change: Array, hypothesis: Hypothesis, at: int
     ) -> Array:
-        parameter, there = hypothesis.parameters[at], values.copy()
-        by = STEP * parameter.unit_size
+        parameter, values = hypothesis.parameters[at], settings[hypothesis]
+        by, there = STEP * parameter.unit_size, values.copy()
         there[at] += by if values[at] + by <= parameter.most else -by
-        apart = self.change({**settings, hypothesis: there}) - self.change(settings)
+        apart = self.change({**settings, hypothesis: there}) - change
         return np.asarray(
             apart
             * parameter.unit_size
@@ -106,6 +109,8 @@ def refine(
     for _ in range(PASSES):
         step = fit.step(there, (ends - x) / unit)
         if np.all(np.abs(step) < SETTLED * fit.sigma(there)):
+            there = fit.slid(there, np.clip(x + unit * step, *ends))
+            x = there.x
             break
         tries = (
             fit.gone(there, np.clip(x + unit * s, *ends)) for s in step * 0.5 ** np.arange(HALVINGS)[:, None]
@@ -114,28 +119,25 @@ def refine(
         if better is None:
             break
         there, x = better, better.x
-    cut = np.cumsum([len(hypothesis.parameters) for hypothesis in who])[:-1]
-    ended = [
-        p.name if at and p.sizes else "" for p, at in zip(parameters, np.any(x == ends, axis=0), strict=True)
-    ]
-    names = tuple(tuple(n for n in part if n) for part in np.split(np.array(ended, dtype=object), cut))
+    reached = np.any(np.abs(x - ends) <= AT_END * unit, axis=0)
+    ended = [p.name if at and p.sizes else "" for p, at in zip(parameters, reached, strict=True)]
+    names = tuple(tuple(n for n in part if n) for part in np.split(np.array(ended, dtype=object), fit.cut))
     return Refined(
-        who, tuple(np.split(x, cut)), tuple(np.split(unit * fit.sigma(there), cut)), names,
-        there.change, tuple(np.split(there.slopes, cut, axis=1)),
+        who, tuple(np.split(x, fit.cut)), tuple(np.split(unit * fit.sigma(there), fit.cut)), names,
+        there.change, tuple(np.split(there.slopes, fit.cut, axis=1)),
     )  # fmt: skip
 
 
-def columns_at(refined: Refined) -> Array:
+def columns_at(hypothesis: Hypothesis, values: Array, change: Array, slopes: Array) -> Array:
     """One effect as columns about its estimate, (m, k): the whole change, then what else it may do.
 
     The whole change is what it is at the estimate, so that a straight line through none and the estimate is
     in the span, and so are all small departures from the estimate.
     """
-    hypothesis, slopes = refined.hypotheses[0], refined.slopes[0]
     sized = [i for i, parameter in enumerate(hypothesis.parameters) if parameter.sizes]
-    largest = int(np.argmax(np.abs(hypothesis.departures(refined.values[0]))))
+    largest = int(np.argmax(np.abs(hypothesis.departures(values))))
     others = [i for k, i in enumerate(sized) if k != largest]
-    return np.column_stack([refined.change, *(slopes[:, i] for i in others)])
+    return np.column_stack([change, *(slopes[:, i] for i in others)])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,9 +163,16 @@ class _Fit:
     def begun(self, x: Array) -> _Point:
         """All that is known where the fit begins."""
         settings = self._settings(x)
-        change, slopes = self.response.change(settings), self.response.slopes(settings)
+        change = self.response.change(settings)
+        slopes = self.response.slopes(settings, change)
         signs = np.array([-1.0 if parameter.typical < 0.0 else 1.0 for parameter in self.parameters])
         return _Point(x, change, slopes * signs, self._cost(x, change))
+
+    def slid(self, before: _Point, x: Array) -> _Point:
+        """After a step so small that the response need not be asked."""
+        step = (x - before.x) / np.array([parameter.unit_size for parameter in self.parameters])
+        change = before.change + before.slopes @ step
+        return _Point(x, change, before.slopes, self._cost(x, change))
 
     def gone(self, before: _Point, x: Array) -> _Point:
         """After a step: slopes are mended so that they explain it (Broyden 1965)."""
@@ -173,9 +182,13 @@ class _Fit:
         slopes = before.slopes + np.outer(missed, step / max(step @ step, 1e-300))
         return _Point(x, change, slopes, self._cost(x, change))
 
+    @property
+    def cut(self) -> Ints:
+        """Where among all parameters those of the next hypothesis begin."""
+        return np.cumsum([len(hypothesis.parameters) for hypothesis in self.who])[:-1]
+
     def _settings(self, x: Array) -> dict[Hypothesis, Array]:
-        cut = np.cumsum([len(hypothesis.parameters) for hypothesis in self.who])[:-1]
-        return dict(zip(self.who, np.split(x, cut), strict=True))
+        return dict(zip(self.who, np.split(x, self.cut), strict=True))
 
     def _cost(self, x: Array, change: Array) -> float:
         rest = self.y - self.prepared.whiten(change)

@@ -2,7 +2,7 @@
 
 import json
 import zlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -13,11 +13,7 @@ import numpy as np
 from fsw.kinematics.transforms import Array
 from ground.gap.hypothesis import Hypothesis, Nuisance, Parameter
 from ground.gap.layout import Ints, Layout
-from ground.gap.simulator import Simulator
 from ground.outputs import written_whole
-
-NUISANCE_STEP: Final = 1.0
-"""In prior sigmas; in its own unit for a nuisance of which nothing is known."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,47 +64,6 @@ class Sensitivities:
         )
 
 
-def sensitivities(simulator: Simulator, step: Callable[[int, int], None] = lambda *_: None) -> Sensitivities:
-    """Differences in the simulator about nominal; `step(done, of)` is told how far it is.
-
-    Of a size parameter: a parabola through its typical size on both sides, or a line where its bounds allow
-    but one (an effect such as a gap has no derivative at neutral, and matters at its typical size). Of a
-    nuisance: the centred difference over one prior sigma.
-    """
-    zero = np.zeros(len(simulator.nuisances))
-    nominal = simulator.predict({}, zero)
-    of = sum(len(hypothesis.sizes) for hypothesis in simulator.hypotheses) + len(simulator.nuisances)
-    effect: list[Array] = []
-    curve: list[Array] = []
-    nuisance: list[Array] = []
-    owner: list[int] = []
-    for index, hypothesis in enumerate(simulator.hypotheses):
-        for at, parameter in enumerate(hypothesis.parameters):
-            if parameter.sizes:
-                slope, bend = _parabola(simulator, hypothesis, at, nominal)
-                effect.append(slope)
-                curve.append(bend)
-                owner.append(index)
-                step(len(effect), of)
-    for index, uncertain in enumerate(simulator.nuisances):
-        by = np.zeros_like(zero)
-        by[index] = NUISANCE_STEP * (uncertain.sigma if np.isfinite(uncertain.sigma) else 1.0)
-        nuisance.append((simulator.predict({}, by) - simulator.predict({}, -by)) / (2.0 * by[index]))
-        step(len(effect) + len(nuisance), of)
-    m = simulator.layout.size
-    return Sensitivities(
-        simulator.layout,
-        simulator.hypotheses,
-        simulator.nuisances,
-        nominal,
-        np.array(effect).reshape(-1, m).T,
-        np.array(curve).reshape(-1, m).T,
-        np.ones(len(curve)),
-        np.array(owner, dtype=np.intp),
-        np.array(nuisance).reshape(-1, m).T,
-    )
-
-
 def save(path: Path, found: Sensitivities) -> None:
     """Keep sensitivities in an .npz file that holds no code; BadOutput if it cannot be written."""
     layout = found.layout
@@ -151,20 +106,6 @@ def _loaded(path: Path) -> Sensitivities:
 _ARRAYS: Final = ("sigma", "block", "channel", "place", "regime", "condition")
 _FOUND: Final = ("nominal", "effect", "curve", "reach", "owner", "nuisance")
 _NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions")
-
-
-def _parabola(simulator: Simulator, hypothesis: Hypothesis, at: int, nominal: Array) -> tuple[Array, Array]:
-    """Change of the features (m,) per typical size of one parameter and per its square, the others absent."""
-    zero = np.zeros(len(simulator.nuisances))
-    parameter, absent = hypothesis.parameters[at], hypothesis.absent
-    ends: list[tuple[Array, float]] = []
-    for sign in (1.0, -1.0):
-        there = absent.copy()
-        there[at] = np.clip(absent[at] + sign * parameter.typical, parameter.least, parameter.most)
-        if there[at] != absent[at]:
-            change = simulator.predict({hypothesis: there}, zero) - nominal
-            ends.append((change, float((there[at] - absent[at]) / parameter.typical)))
-    return through(ends)
 
 
 def through(ends: Sequence[tuple[Array, float]]) -> tuple[Array, Array]:

@@ -30,6 +30,7 @@ def told(result: Result) -> dict[str, Any]:
             if len(finding.confusable) > 1
         ],
         "next_motion": [_plain(asdict(motion)) for motion in result.next_motion],
+        "odds": finite(said.odds),
         "unexplained": {
             "structure": remains_unexplained(result),
             "surprise": finite(said.unexplained_surprise),

@@ -15,6 +15,7 @@ from ground.report.gap_words import (
     cell_interval,
     channel_words,
     closure_sentence,
+    doubted,
     next_sentence,
     number,
     percent,
@@ -31,6 +32,7 @@ TITLES: Final = {
     "none": "No effect is seen",
     "unknown": "The gap is not in the catalogue",
 }
+DOUBTED: Final = "The gap has no sure name"
 Rows = list[tuple[str, ...]]
 
 
@@ -49,7 +51,8 @@ def save_gap_page(result: Result, path: Path) -> None:
         *_next(result),
         *_thresholds(result),
     ]
-    save_page(TITLES[result.diagnosis.verdict], parts, path)
+    title = DOUBTED if doubted(result) else TITLES[result.diagnosis.verdict]
+    save_page(title, parts, path)
 
 
 def _where(result: Result) -> Iterator[str]:

@@ -23,7 +23,7 @@ def verdict_sentences(result: Result) -> tuple[str, str]:
     if verdict == "none":
         return _none(), _seen(result.ready)
     if verdict == "unknown":
-        return _unknown(result), _nearest(result)
+        return _unknown(result), closure_sentence(result) if doubted(result) else _nearest(result)
     return _causes(result), closure_sentence(result)
 
 
@@ -119,6 +119,8 @@ def next_sentence(result: Result) -> str:
     if near is not None:
         name, blocks = result.ready.found.hypotheses[near].name, result.ready.limits[near].blocks
         return f"Record more motions that would show {name}: these show it in {number(blocks)}, effectively."
+    if doubted(result):
+        return "Repeat the motions that show it: that makes it surer, or leaves something unexplained."
     if said.verdict == "unknown":
         return "Write an effect that would show so, and diagnose again with it in the catalogue."
     if result.notes:
@@ -210,6 +212,11 @@ def _seen(ready: Ready) -> str:
 
 def _unknown(result: Result) -> str:
     said = result.diagnosis
+    if doubted(result):
+        return (
+            f"{_nearest_names(result)} would explain the gap, but might as well imitate a cause outside the "
+            "catalogue: no name is forced."
+        )
     if not remains_unexplained(result):
         return "No effect of the catalogue explains the gap within its bounds."
     if said.unexplained[0].surprise < said.unexplained_surprise:
@@ -223,6 +230,18 @@ def _unknown(result: Result) -> str:
         else "There is an effect that is not in the catalogue"
     )
     return f"{what}: {remains_words(said.unexplained[0])}."
+
+
+def doubted(result: Result) -> bool:
+    """Whether what was found explains all, within its bounds, and has no name for its odds alone."""
+    said = result.diagnosis
+    inside = bool(said.findings) and not any(one.at_bound for one in said.findings)
+    return said.verdict == "unknown" and inside and not remains_unexplained(result)
+
+
+def _nearest_names(result: Result) -> str:
+    hypotheses = result.ready.found.hypotheses
+    return " and ".join(hypotheses[one.hypothesis].name for one in result.diagnosis.findings)
 
 
 def best_of(result: Result) -> int | None:
@@ -242,7 +261,7 @@ def _nearest(result: Result) -> str:
         )
     if not said.findings:
         return "None of the catalogue comes near it, and no name is forced."
-    names = " and ".join(ready.found.hypotheses[one.hypothesis].name for one in said.findings)
+    names = _nearest_names(result)
     bounds = [name for one in said.findings for name in one.at_bound]
     beyond = f", and would go beyond the bounds of {', '.join(bounds)}" if bounds else ""
     return f"Nearest comes {names}{beyond}; it is no name for it."

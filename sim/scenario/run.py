@@ -9,7 +9,7 @@ from fsw.config import CYCLE_HZ, CYCLE_S
 from fsw.dictionary.commands import Joints5, MoveJoints
 from fsw.dictionary.evrs import CommandRefused, Evr
 from fsw.estimate.reference import Reference
-from sim.arms import BuiltArm
+from sim.arms import BuiltArm, later
 from sim.effects.environment import surroundings
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
@@ -45,8 +45,7 @@ def setup_of(scenario: Scenario, arm: BuiltArm, reference: Reference, seed: int)
     poses = arm.params.poses
     start = poses.stowed_rad if scenario.start == "stowed" else poses.ready_rad
     timed = (injection.fault for injection in scenario.faults if injection.during is None)
-    later = (effect for effect in scenario.effects if not effect.of_the_arm)
-    effects = (*surroundings(arm.effects, scenario.temperature_C), *timed, *later)
+    effects = (*surroundings(arm.effects, scenario.temperature_C), *timed, *later(scenario.effects))
     return Setup(arm, scenario.world, start, seed, reference, effects)
 
 

@@ -1,18 +1,19 @@
 """The simulator of one case, in the features of the campaign whose sensitivities are known."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array
-from ground.gap.arm.campaign import Compared, measured_values
+from fsw.kinematics.transforms import Array, Flags
+from ground.gap.arm.campaign import Compared, all_of, measured_values
 from ground.gap.arm.features import CONDITIONS, Moving
 from ground.gap.arm.simulator import ArmSimulator, Touched
 from ground.gap.hypothesis import Hypothesis, Nuisance
 from ground.gap.layout import Ints, Layout
 from ground.gap.simulator import Settings
+from sim.effects.effect import Effect
 
 MOTION: Final = tuple(CONDITIONS.index(name) for name in ("speed_rad_s", "sin_angle", "cos_angle", "way"))
 MOTION_APART: Final = 0.02
@@ -51,13 +52,7 @@ class Bound:
         effects = tuple(self.arm.effects(settings, nuisance))
         if not effects:
             return np.asarray(self.nominal[self.at])
-        known, touched = first_of_block(self.arm.campaign), Touched(effects)
-
-        def wanted(one: Moving) -> bool:
-            return one.recording.name in known and touched(one)
-
-        change = self.arm.predicted(effects, wanted) - self.nominal
-        return np.asarray((self.nominal + repeated(self.arm.campaign, known, change))[self.at])
+        return np.asarray((self.nominal + changed(self.arm, effects, self.nominal))[self.at])
 
     def gap(self) -> Array:
         """What was measured less what the simulator has, (m,)."""
@@ -77,8 +72,32 @@ def bound(arm: ArmSimulator, layout: Layout, keys: Sequence[str], nominal: Array
     if nominal is not None:
         here[at] = nominal[rows]
     apart = np.abs(arm.layout.condition[at] - layout.condition[rows])[:, list(MOTION)]
-    same = np.all(apart < MOTION_APART, axis=1) & np.isfinite(here[at])
+    same = np.all(apart < MOTION_APART, axis=1) & _told(arm.campaign)[at]
     return Bound(arm, here, at[same], rows[same])
+
+
+def changed(
+    arm: ArmSimulator, effects: tuple[Effect, ...], nominal: Array, only: Callable[[Moving], bool] = all_of
+) -> Array:
+    """By how much effects change all features of a case, (n,); 0 of motions that are not stepped.
+
+    Of a block's repeats only the first is stepped, and only where the effects can show.
+    """
+    touched, known = Touched(effects), first_of_block(arm.campaign)
+
+    def wanted(one: Moving) -> bool:
+        return one.recording.name in known and touched(one) and only(one)
+
+    return repeated(arm.campaign, known, arm.predicted(effects, wanted) - nominal)
+
+
+def _told(campaign: Compared) -> Flags:
+    """Features that any simulation tells, (n,): of repeats those alone that their firsts have too."""
+    known = first_of_block(campaign)
+    stepped = [np.full(len(one.features), one.recording.name in known) for one in campaign.moving]
+    rests = np.ones(sum(len(one.features) for one in campaign.posed), bool)
+    simulated = np.where(np.concatenate([*stepped, rests]), 1.0, np.nan)
+    return np.isfinite(repeated(campaign, known, simulated, np.nan))
 
 
 def _predicted(arm: ArmSimulator) -> Array:

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -11,12 +10,11 @@ from fsw.config import configure
 from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, Pose, inverse
-from fsw.messages import Sensors
 from ground.calibration.screws import screw_log
 from ground.gap.arm.features import RESOLVER, SHIFT, TURN, Columns, Feature, Moving, measured, moving
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.poses import Knots, Resting, knots_in, read_resolvers, resting
-from ground.gap.arm.stepped import columns, stepped
+from ground.gap.arm.stepped import columns, stepped, stepped_once
 from sim.driven import Manner
 from sim.effects.effect import Effect, Hardware, Spoilt, nominal_hardware
 from sim.effects.friction import OutputFriction
@@ -87,12 +85,17 @@ def measured_values(campaign: Compared) -> Array:
     return np.concatenate(values)
 
 
+def all_of(_: Moving) -> bool:
+    """Every moving recording."""
+    return True
+
+
 def predicted_values(
     campaign: Compared,
     base: Params,
     effects: Sequence[Effect],
     manner: Manner,
-    wanted: Callable[[Moving], bool] = lambda _: True,
+    wanted: Callable[[Moving], bool] = all_of,
 ) -> Array:
     """What the simulator has with these effects, (m,); NaN for moving recordings that are not wanted.
 
@@ -114,7 +117,7 @@ def driven(recording: Recording, effects: Sequence[Effect], manner: Manner) -> C
     """The sensors of an arm with these effects under the recorded drive, by tick."""
     readers = [effect for effect in effects if only_reads(effect)]
     acting = tuple(effect for effect in effects if effect not in readers)
-    readings = _kept(recording, acting, manner) if readers else stepped(recording, acting, manner).readings
+    readings = (stepped_once if readers else stepped)(recording, acting, manner).readings
     rng = np.random.default_rng(0)
     for spoilt in _spoilt(readers):
         readings = tuple(spoilt.read(one, rng) for one in readings)
@@ -129,12 +132,6 @@ def only_reads(effect: Effect) -> bool:
     after = effect.on_hardware(before)
     names = [f.name for f in fields(Hardware) if f.name != "spoilt"]
     return bool(after.spoilt) and all(getattr(before, name) is getattr(after, name) for name in names)
-
-
-@lru_cache(maxsize=32)
-def _kept(recording: Recording, effects: tuple[Effect, ...], manner: Manner) -> tuple[Sensors, ...]:
-    """Effects on readings alone ask for the same again."""
-    return stepped(recording, effects, manner).readings
 
 
 def _spoilt(readers: Sequence[Effect]) -> tuple[Spoilt, ...]:

@@ -23,6 +23,7 @@ from ground.gap.held_out import closed, settings_of
 from ground.gap.layout import Evidence
 from ground.gap.model import fitted
 from ground.gap.next_motion import again
+from ground.gap.race import race
 from ground.gap.ready import Ready, ready
 from ground.gap.result import Result, ToolGap
 from sim.effects.catalogue import catalogue
@@ -80,13 +81,15 @@ def asked(
     """What a diagnosis is made of; TooLittleMotion as `solved`."""
     if not recordings:
         raise TooLittleMotion("there is no log that a diagnosis could be made of")
-    notes = audit(recordings)
-    first, floor = _fitted_part(recordings, against, base, patch, asked=bool(patch))
+    notes, layout = audit(recordings), against.ready.found.layout
+    arm, floor = _simulator(recordings, against, base, patch)
+    # without a patch the simulator has what it had of the campaign
+    first = bound(arm, layout, against.keys, None if patch else against.ready.found.nominal)
     _check_motion(first, against)
     known = _ready(against.ready, first)
     about = _about(known, first)
-    near = (*patch, *first.arm.effects({}, about))
-    case, _ = _fitted_part(recordings, against, base, near)
+    near = (*patch, *arm.effects({}, about))
+    case = bound(arm.patched(near), layout, against.keys)
     apart = _held_out_part(held_out, against, base, near)
     there = np.zeros(0)
     if apart is not None and against.held_out is not None:
@@ -102,31 +105,18 @@ def said_of(here: Asked, against: Reference, seed: int) -> Result:
 
 
 def _about(known: Ready, case: Bound) -> Array:
-    """Nuisances (q,) as they are without effect: about these the simulator is asked, for they may be large.
+    """Nuisances (q,) beside what explains the case best: about these the simulator is asked.
 
-    Those that are drawn in every block, and those that cannot be had in parts, stay 0.
+    They may be large, and are no straight lines. Without what explains it they would take the place of an
+    effect that they are like. Those that are drawn in every block, and those that cannot be had in parts,
+    stay 0.
     """
     told, _ = case_of(known.prepared, Evidence(known.found.layout, case.gap()))
-    model = fitted(known.prepared, told, known.prepared.columns(()))
+    chosen = race(known.field, told).chosen
+    model = fitted(known.prepared, told, known.prepared.columns(chosen))
     about = np.zeros(len(known.found.nuisances))
-    about[known.found.lasting] = model.theta * known.prepared.nuisance_unit
-    return np.where(case.arm.one_sided, 0.0, about)
-
-
-def _fitted_part(
-    recordings: Sequence[Recording],
-    against: Reference,
-    base: Params,
-    patch: tuple[Effect, ...] = (),
-    asked: bool = True,
-) -> tuple[Bound, tuple[str, ...]]:
-    """What a diagnosis is made of, in the campaign's features, and where its floor is from.
-
-    If the simulator is not asked it has what it had of the campaign.
-    """
-    arm, notes = _simulator(recordings, against, base, patch)
-    found = against.ready.found
-    return bound(arm, found.layout, against.keys, None if asked else found.nominal), notes
+    about[known.found.lasting] = model.theta[: known.prepared.q] * known.prepared.nuisance_unit
+    return np.where([one.one_sided for one in case.arm.uncertain], 0.0, about)
 
 
 def _held_out_part(

@@ -70,8 +70,9 @@ def _in_motion(
     j, motor = segment.joint, recording.motor_rad()[segment.joint]
     is_first = not any(s.joint is j and s.first < segment.first for s in segments)
     gap_rad = 2.0 * float(config.half_gap_rad[j])
+    touch = _touch(recording)
     for channel in (CURRENT, FOLLOWING, RESOLVER):
-        for bin_number, (first, end) in enumerate(_free(segment, _touch(recording))):
+        for bin_number, first, end in _bins(recording, segment, channel, touch):
             speed = float(recording.drive["setpoint_rate_rad_s"][first:end, j].mean())
             angle = float(motor[(first + end) // 2])
             sine, cosine = float(np.sin(angle)), float(np.cos(angle))
@@ -99,10 +100,14 @@ def measured(here: Moving, sensors: Columns) -> Array:
     setpoint = recording.drive["setpoint_count"].T * recording.rad_per_count[:, None]
     resolver = sensors["resolver_rad"].T - encoder - recording.start.zero_rad[:, None]
     for segment in here.segments:
-        j, bins = segment.joint, _free(segment, touch)
-        values.append(binned(sensors["current_A"][:, j], bins))
-        values.append(binned(encoder[j] - setpoint[j], bins))
-        values.append(binned(resolver[j], bins))
+        j = segment.joint
+        for channel, read in (
+            (CURRENT, sensors["current_A"][:, j]),
+            (FOLLOWING, encoder[j] - setpoint[j]),
+            (RESOLVER, resolver[j]),
+        ):
+            bins = _bins(recording, segment, channel, touch)
+            values.append(binned(read, [(first, end) for _, first, end in bins]))
     values.append(sensors["gravity_R_m_s2"].mean(axis=0))
     return np.concatenate(values)
 
@@ -134,9 +139,20 @@ TAKEN_UP: Final = 1.5
 """Gaps that a joint must turn before it is sure where its output lies: nobody saw how it came there."""
 
 
-def _free(segment: Segment, touch: int) -> list[tuple[int, int]]:
-    """Its bins before a tool may touch something."""
-    return [(first, end) for first, end in segment.bins() if end <= touch]
+def _bins(recording: Recording, segment: Segment, channel: int, touch: int) -> list[tuple[int, int, int]]:
+    """Number, first tick and end of its bins that are compared: none once a tool may touch something.
+
+    A motor that is to turn by less than a count in a cycle is driven by counts: what its servo asks for then
+    hangs on where in a count it lies.
+    """
+    j = segment.joint
+    rate = np.abs(recording.drive["setpoint_rate_rad_s"][:, j])
+    least = 0.0 if channel == RESOLVER else CYCLE_HZ * abs(float(recording.rad_per_count[j]))
+    return [
+        (number, first, end)
+        for number, (first, end) in enumerate(segment.bins())
+        if end <= touch and rate[first:end].mean() >= least
+    ]
 
 
 def _touch(recording: Recording) -> int:

@@ -9,6 +9,7 @@ from ground.gap.arm.record import record_campaign
 from ground.outputs import beside
 from ground.progress import Progress
 from ground.request import BadRequest, check_seed, chosen_arm, chosen_effects
+from sim.arms import later
 from sim.diagnosis.campaign import HELD_OUT, SessionFailed, sessions
 from sim.initialisation import true_reference
 from sim.plant import PlantDiverged
@@ -51,7 +52,7 @@ def recorded(request: RecordRequest, progress: Progress) -> list[Path]:
     """
     effects = chosen_effects(request.effects)
     arm = chosen_arm(request.arm, request.params).with_effects(effects)
-    later = tuple(effect for effect in effects if not effect.of_the_arm)
+    begun = later(effects)
     wanted, reference, paths = sessions(arm.params), true_reference(arm), []
     try:
         with beside(request.out.resolve()) as part:
@@ -59,7 +60,7 @@ def recorded(request: RecordRequest, progress: Progress) -> list[Path]:
                 progress(number, len(wanted), session.name)
                 folder = part / APART if session.name in HELD_OUT else part
                 seed = request.seed + number
-                made = record_campaign(folder, [session], arm, reference, seed, lambda *_: None, later)
+                made = record_campaign(folder, [session], arm, reference, seed, lambda *_: None, begun)
                 paths += [request.out / log.relative_to(part) for log in made]
     except (SessionFailed, PlantDiverged) as error:
         raise BadRequest(f"effect: {error}; with smaller effects it may come to its end") from error

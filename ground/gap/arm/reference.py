@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from ground.gap.arm.sensitivities import arm_sensitivities, kept_path, keys_in
+from ground.gap.arm.sensitivities import arm_sensitivities
 from ground.gap.ready import Ready, ready
 from ground.gap.sensitivity import Sensitivities
 from ground.gap.thresholds import Thresholds
@@ -46,19 +46,18 @@ def reference(
         BadRequest: what is kept cannot be read.
         BadOutput: a file cannot be written.
     """
-    found = arm_sensitivities(logs, kept_in, run, progress, kinds)
-    path = kept_path(logs, kept_in, kinds)
-    thresholds = path.with_suffix(".thresholds.json")
+    fitted = arm_sensitivities(logs, kept_in, run, progress, kinds)
+    thresholds = fitted.path.with_suffix(".thresholds.json")
     known = thresholds_in(thresholds) if thresholds.exists() else None
-    made = ready(found, SEED, thresholds=known, step=lambda k, n: progress(k, n, "thresholds"))
+    made = ready(fitted.found, SEED, thresholds=known, step=lambda k, n: progress(k, n, "thresholds"))
     if known is None:
         with written_whole(thresholds, "thresholds") as file:
             file.write(json.dumps(asdict(made.thresholds)).encode())
-    keys = keys_in(path, found.layout.size)
+    keys = fitted.keys()
     if not held_out:
         return Reference(made, keys, None, ())
     apart = arm_sensitivities(held_out, kept_in, run, progress, ())
-    return Reference(made, keys, apart, keys_in(kept_path(held_out, kept_in, ()), apart.layout.size))
+    return Reference(made, keys, apart.found, apart.keys())
 
 
 def thresholds_in(path: Path) -> Thresholds:

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -13,12 +13,11 @@ import numpy as np
 import sim.effects
 from fsw.config import digest
 from fsw.kinematics.transforms import Array, Flags
-from ground.gap.arm.bound import first_of_block, keys_of, repeated
+from ground.gap.arm.bound import changed, keys_of
 from ground.gap.arm.campaign import compared
-from ground.gap.arm.features import Moving
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import recording_in
-from ground.gap.arm.simulator import ONLY_POSED, ArmSimulator, Touched, all_of
+from ground.gap.arm.simulator import ONLY_POSED, ArmSimulator
 from ground.gap.layout import Layout
 from ground.gap.sensitivity import Sensitivities, load, save, through
 from ground.outputs import written_whole
@@ -62,9 +61,21 @@ class _Job:
     column: int
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class OnFile:
+    """Sensitivities, and where they are kept; what else is known of a campaign is kept beside."""
+
+    found: Sensitivities
+    path: Path
+
+    def keys(self) -> Names:
+        """The names of the rows; BadRequest if they are not there, or are other than so many."""
+        return keys_in(self.path, self.found.layout.size)
+
+
 def arm_sensitivities(
     logs: Sequence[Path], kept_in: Path, run: Runner, progress: Progress, kinds: Sequence[str] | None = None
-) -> Sensitivities:
+) -> OnFile:
     """Those of a campaign's logs for these effects of the catalogue, all by default; from a file if there is.
 
     The file's name has the digest of logs, model and catalogue in it; any change makes another file.
@@ -74,51 +85,64 @@ def arm_sensitivities(
         BadOutput: a file cannot be written.
     """
     paths, names = tuple(sorted(logs)), tuple(catalogue() if kinds is None else kinds)
-    path = kept_path(logs, kept_in, kinds)
+    path = kept_in / f"sensitivities-{campaign_digest(paths, names)[:16]}.npz"
     if path.exists():
-        return _kept(path)
+        return OnFile(_kept(path), path)
     _check_folder(kept_in)
+    result = _found(paths, names, run, progress)
+    with written_whole(keys_path(path), "keys") as file:
+        file.write(json.dumps(keys_of(_simulator(paths, names).campaign)).encode())
+    save(path, result)
+    return OnFile(result, path)
+
+
+def _found(paths: Logs, names: Names, run: Runner, progress: Progress) -> Sensitivities:
+    """All columns, those that are alike simulated once."""
     simulator = _simulator(paths, names)
     columns = columns_of(simulator)
     alike = _alike(simulator, columns)
     jobs = [_Job(paths, names, k) for k in range(len(columns)) if k not in alike]
-    found, curve = np.zeros((2, simulator.layout.size, len(columns)))
+    slope, bend = np.zeros((2, simulator.layout.size, len(columns)))
     reach = np.ones(len(columns))
     for done, (column, one) in enumerate(run(_worked, jobs), 1):
-        found[:, column], curve[:, column], reach[column] = one.slope, one.bend, one.reach
+        slope[:, column], bend[:, column], reach[column] = one.slope, one.bend, one.reach
         progress(done, len(jobs), "sensitivities")
     for number, (other, typical) in alike.items():
-        found[:, number] = found[:, other] / typical
-    effects = [k for k, column in enumerate(columns) if column.hypothesis is not None]
-    owner = np.array([columns[k].hypothesis for k in effects], np.intp)
-    result = Sensitivities(
-        _doubting(simulator, found[:, len(effects) :]),
+        slope[:, number] = slope[:, other] / typical
+    owner = [column.hypothesis for column in columns if column.hypothesis is not None]
+    sized = len(owner)
+    nuisance = _cut(simulator, slope[:, sized:])
+    return Sensitivities(
+        _doubting(simulator, nuisance),
         simulator.hypotheses,
         simulator.nuisances,
         _nominal(paths, names),
-        found[:, effects],
-        curve[:, effects],
-        reach[effects],
-        owner,
-        found[:, len(effects) :],
+        slope[:, :sized],
+        bend[:, :sized],
+        reach[:sized],
+        np.array(owner, np.intp),
+        nuisance,
     )
-    with written_whole(keys_path(path), "keys") as file:
-        file.write(json.dumps(keys_of(simulator.campaign)).encode())
-    save(path, result)
-    return result
+
+
+def _cut(simulator: ArmSimulator, column: Array) -> Array:
+    """Nuisances (m, q) of their columns: where they show alone, and what they are more beside others."""
+    uncertain = simulator.uncertain
+    plain = {one.effect(1.0): k for k, one in enumerate(uncertain) if one.at and not one.beside}
+    cut = column.copy()
+    for k, one in enumerate(uncertain):
+        if one.beside:
+            cut[:, k] -= column[:, plain[one.effect(1.0)]]
+        if one.at:
+            cut[~_at(simulator.layout, one.at), k] = 0.0
+    return cut
 
 
 def _doubting(simulator: ArmSimulator, nuisance: Array) -> Layout:
     """The floor, with a share of what the plant's own numerics are off by: they fit but nearly."""
-    own = nuisance[:, [k for k, where in enumerate(simulator.only_at) if where]]
+    own = nuisance[:, [k for k, one in enumerate(simulator.uncertain) if one.at]]
     sigma = np.sqrt(simulator.layout.sigma**2 + np.sum((NEARLY * own) ** 2, axis=1))
     return replace(simulator.layout, sigma=sigma)
-
-
-def kept_path(logs: Sequence[Path], kept_in: Path, kinds: Sequence[str] | None = None) -> Path:
-    """Where the sensitivities of these logs are kept."""
-    paths, names = tuple(sorted(logs)), tuple(catalogue() if kinds is None else kinds)
-    return kept_in / f"sensitivities-{campaign_digest(paths, names)[:16]}.npz"
 
 
 def keys_path(path: Path) -> Path:
@@ -179,14 +203,18 @@ def columns_of(simulator: ArmSimulator) -> list[Column]:
 
 
 def _alike(simulator: ArmSimulator, columns: Sequence[Column]) -> dict[int, tuple[int, float]]:
-    """Nuisances that a hypothesis says too: by column, that one's column and its typical size."""
+    """Nuisances that are a hypothesis or another nuisance as well: that one's column, and what 1 is of it."""
     known: dict[str, tuple[int, float]] = {}
+    alike: dict[int, tuple[int, float]] = {}
     for k, column in enumerate(columns):
         if column.hypothesis is not None:
             hypothesis = simulator.hypotheses[column.hypothesis]
-            known[hypothesis.name] = k, hypothesis.parameters[column.at].typical
-    said = {k: simulator.likes[column.at] for k, column in enumerate(columns) if column.hypothesis is None}
-    return {k: known[name] for k, name in said.items() if name in known}
+            known.setdefault(hypothesis.name, (k, hypothesis.parameters[column.at].typical))
+        elif (name := simulator.uncertain[column.at].like) in known:
+            alike[k] = known[name]
+        else:
+            known[name] = k, 1.0
+    return alike
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,19 +236,20 @@ def column_of(simulator: ArmSimulator, column: Column, nominal: Array) -> Sensed
     less would be lost in the rounding of counters, much more would be far from where it matters. Of repeats
     only the first is simulated: the others were given the same drive.
     """
+    if column.hypothesis is None and (beside := simulator.uncertain[column.at].beside):
+        simulator = simulator.patched(beside)
+        nominal = simulator.predicted(())
     share = _share(simulator, column, nominal)
     ends = list(_ends(simulator, column, share))
-    first = _change(simulator, ends[0], nominal)
+    first = changed(simulator, ends[0].effects, nominal)
     for _ in range(TRIES):
         if _seen(simulator, first) <= TOO_MUCH * WANTED or column.hypothesis is None:
             break
         share *= WANTED / _seen(simulator, first)
         ends = list(_ends(simulator, column, share))
-        first = _change(simulator, ends[0], nominal)
-    others = [_change(simulator, end, nominal) for end in ends[1:]]
+        first = changed(simulator, ends[0].effects, nominal)
+    others = [changed(simulator, end.effects, nominal) for end in ends[1:]]
     slope, bend = through([(c, e.size) for c, e in zip((first, *others), ends, strict=True)])
-    if column.hypothesis is None and simulator.only_at[column.at]:
-        slope = np.where(_at(simulator.layout, simulator.only_at[column.at]), slope, 0.0)
     return Sensed(slope, bend, max(abs(end.size) for end in ends))
 
 
@@ -243,19 +272,6 @@ class _End:
     """Departure in typical sizes, or in units of the nuisance."""
 
 
-def _change(
-    simulator: ArmSimulator, end: _End, nominal: Array, only: Callable[[Moving], bool] = all_of
-) -> Array:
-    """Of the features (m,), whose repeats are as their firsts; 0 where nothing was stepped."""
-    touched, known = Touched(end.effects), first_of_block(simulator.campaign)
-
-    def wanted(one: Moving) -> bool:
-        return one.recording.name in known and touched(one) and only(one)
-
-    change = simulator.predicted(end.effects, wanted) - nominal
-    return repeated(simulator.campaign, known, change)
-
-
 def _share(simulator: ArmSimulator, column: Column, nominal: Array) -> float:
     """Of a typical size, the step: one that moves the features by WANTED sigmas in all."""
     if column.hypothesis is None:
@@ -265,7 +281,7 @@ def _share(simulator: ArmSimulator, column: Column, nominal: Array) -> float:
     free = [one for one in simulator.campaign.moving if one.recording.world.surface is None]
     shown = [one for one in free if not {segment.joint for segment in one.segments} - joints]
     names = {one.recording.name for one in shown or free[-1:]}
-    change = _change(simulator, end, nominal, lambda one: one.recording.name in names)
+    change = changed(simulator, end.effects, nominal, lambda one: one.recording.name in names)
     return float(np.clip(abs(end.size) * WANTED / max(_seen(simulator, change), 1e-12), LEAST_SHARE, 1.0))
 
 
@@ -274,9 +290,9 @@ def _ends(simulator: ArmSimulator, column: Column, share: float) -> Iterator[_En
     zero = np.zeros(len(simulator.nuisances))
     for sign in (1.0, -1.0):
         if column.hypothesis is None:
-            by, one_sided = zero.copy(), simulator.one_sided[column.at]
-            by[column.at] = 1.0 if one_sided else sign * simulator.nuisances[column.at].sigma
-            if sign > 0.0 or not one_sided:
+            by, one = zero.copy(), simulator.uncertain[column.at]
+            by[column.at] = 1.0 if one.one_sided else sign * one.nuisance.sigma
+            if sign > 0.0 or not one.one_sided:
                 yield _End(tuple(simulator.effects({}, by)), float(by[column.at]))
             continue
         hypothesis = simulator.hypotheses[column.hypothesis]
@@ -302,7 +318,7 @@ def _simulator(logs: Logs, kinds: Names) -> ArmSimulator:
 
 @cache
 def _nominal(logs: Logs, kinds: Names) -> Array:
-    return _simulator(logs, kinds).predicted((), all_of)
+    return _simulator(logs, kinds).predicted(())
 
 
 def _worked(job: _Job) -> tuple[int, Sensed]:

@@ -1,44 +1,33 @@
-"""The arm's simulator as the diagnosis asks it: the catalogue's effects, and what calibration leaves."""
+"""The arm's simulator as the diagnosis asks it: the catalogue's effects, and what is uncertain anyway."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import Params
-from fsw.dictionary.tuples import row6
 from fsw.kinematics.transforms import Array
-from ground.gap.arm.campaign import Compared, predicted_values
+from ground.gap.arm.campaign import Compared, all_of, predicted_values
 from ground.gap.arm.features import CONDITIONS, UNITS, Moving, channel_of
+from ground.gap.arm.uncertain import left_uncertain
 from ground.gap.hypothesis import Hypothesis, Nuisance, Parameter
 from ground.gap.layout import Ints, Layout
 from ground.gap.simulator import Settings
 from sim.driven import Manner
 from sim.effects import catalogue
 from sim.effects import describe as described
-from sim.effects.built import (
-    IDENTIFIABLE,
-    LEFT_FRAME_M,
-    LEFT_FRAME_RAD,
-    LEFT_STIFFNESS,
-    LEFT_ZERO_RAD,
-    SPRINGS,
-)
 from sim.effects.contacts import ContactStiffness, SurfacePosition
 from sim.effects.describe import name_of, place_named
 from sim.effects.effect import EachMove, Effect
 from sim.effects.environment import Ambient
 from sim.effects.geometry import FrameError, LinkWarming, Warming
-from sim.effects.joints import GearFriction, GearStiffness, HardstopAngle, HardstopStiffness, ResolverBias
+from sim.effects.joints import HardstopStiffness
 from sim.effects.links import LinkAngle, LinkLength, ThermalGradient, ToolOffset, ToolTurn
-from sim.effects.numerics import Numerics
-from sim.effects.sensors import CurrentBias, EncoderZero
 from sim.effects.size import Size
 from sim.effects.structure import LinkBending, LinkStiffness, LinkTorsion, RoverCompliance
-from sim.trials import FRICTION
 
 BRIEFLY: Final = Manner(settle_s=4.0)
 """The arm settles before a recording for less long than in the closed loop: enough for differences."""
@@ -49,21 +38,6 @@ ONLY_POSED: Final = (
     *(LinkStiffness, LinkBending, LinkTorsion, RoverCompliance, ContactStiffness, SurfacePosition),
 )
 """Effects that show where the arm rests, or not at all; in free motion they are below its noise."""
-
-
-@dataclass(frozen=True, slots=True)
-class Uncertain:
-    """A number that the calibration leaves uncertain, and the effect that it is."""
-
-    nuisance: Nuisance
-    effect: Callable[[float], Effect]
-    """With this departure."""
-    like: str = ""
-    """The hypothesis, as told, that is the same number where it is small, if there is one."""
-    one_sided: bool = False
-    """Whether it departs to positive numbers only."""
-    at: str = ""
-    """Where alone it shows, if not everywhere."""
 
 
 class ArmSimulator:
@@ -83,23 +57,30 @@ class ArmSimulator:
         self.layout = layout_of(campaign, sigma)
         self._made = {told(one): one for one in raced(kinds)}
         self.hypotheses = tuple(self._made)
-        self._uncertain = tuple(left_uncertain())
-        self.nuisances = tuple(one.nuisance for one in self._uncertain)
-        self.likes = tuple(one.like for one in self._uncertain)
-        self.one_sided = tuple(one.one_sided for one in self._uncertain)
-        self.only_at = tuple(one.at for one in self._uncertain)
+        self.uncertain = tuple(left_uncertain())
+
+    @property
+    def nuisances(self) -> tuple[Nuisance, ...]:
+        """What is uncertain, as the diagnosis knows it."""
+        return tuple(one.nuisance for one in self.uncertain)
+
+    def patched(self, patch: tuple[Effect, ...]) -> "ArmSimulator":
+        """The same with another patch."""
+        other = copy(self)
+        other.patch = patch
+        return other
 
     def predict(self, settings: Settings, nuisance: Array) -> Array:
         """The features (m,); errors as of `predicted_values`."""
-        return self.predicted(self.effects(settings, nuisance), all_of)
+        return self.predicted(self.effects(settings, nuisance))
 
     def effects(self, settings: Settings, nuisance: Array) -> list[Effect]:
         """What is switched on beside the patch: hypotheses, and nuisances that are not 0."""
         found = [switched_on(self._made[one], one, values) for one, values in settings.items()]
-        found += [one.effect(float(v)) for one, v in zip(self._uncertain, nuisance, strict=True) if v]
+        found += [one.effect(float(v)) for one, v in zip(self.uncertain, nuisance, strict=True) if v]
         return found
 
-    def predicted(self, effects: Sequence[Effect], wanted: Callable[[Moving], bool]) -> Array:
+    def predicted(self, effects: Sequence[Effect], wanted: Callable[[Moving], bool] = all_of) -> Array:
         """Features (m,) with the patch and these; those of moving recordings that are not wanted are NaN."""
         return predicted_values(self.campaign, self.base, (*self.patch, *effects), self.manner, wanted)
 
@@ -119,11 +100,6 @@ class Touched:
             return False  # no motion of a campaign comes to a hardstop
         joint = getattr(effect, "joint", None)
         return joint is None or any(segment.joint is Joint(joint) for segment in one.segments)
-
-
-def all_of(_: Moving) -> bool:
-    """Every recording."""
-    return True
 
 
 def raced(kinds: Mapping[str, type[Effect]] | None) -> Iterator[catalogue.Hypothesis]:
@@ -190,98 +166,6 @@ def layout_of(campaign: Compared, sigma: Array) -> Layout:
 def _numbers(names: tuple[str, ...], of: list[str]) -> Ints:
     number = {name: k for k, name in enumerate(names)}
     return np.array([number[name] for name in of], np.intp)
-
-
-def left_uncertain() -> Iterator[Uncertain]:
-    """What a calibration leaves (sim.effects.built), and what friction is on another day."""
-    inner: list[tuple[Frame, Tool | None]] = [(f, None) for f in Frame if f is not Frame.TOOL]
-    for frame, tool in (*inner, *((Frame.TOOL, tool) for tool in Tool)):
-        for axis in IDENTIFIABLE[frame]:
-            named = (frame.name if tool is None else tool.name).lower()
-            unit, sigma = ("rad", LEFT_FRAME_RAD) if axis < len("xyz") else ("m", LEFT_FRAME_M)
-            word = ("rx", "ry", "rz", "tx", "ty", "tz")[axis]
-            yield Uncertain(
-                Nuisance(f"frame {named}.{word}", unit, sigma),
-                partial(_displaced, frame, tool, axis),
-                f"{_TURN_SHIFT[tool is not None][unit]} at {named}.{word[1]}",
-            )
-    for joint in Joint:
-        name = joint.name.lower()
-        yield Uncertain(
-            Nuisance(f"zero {name}", "rad", LEFT_ZERO_RAD),
-            partial(HardstopAngle, joint),
-            f"hardstop-angle at {name}",
-        )
-        yield Uncertain(
-            Nuisance(f"gear stiffness {name}", "ln", LEFT_STIFFNESS),
-            partial(_times, GearStiffness, joint),
-            f"gear-stiffness at {name}",
-        )
-        yield Uncertain(
-            Nuisance(f"friction {name}", "ln", FRICTION),
-            partial(_times, GearFriction, joint),
-            f"gear-friction at {name}",
-        )
-    for frame in SPRINGS:
-        named = frame.name.lower()
-        yield Uncertain(
-            Nuisance(f"link stiffness {named}", "ln", LEFT_STIFFNESS),
-            partial(_times, LinkStiffness, frame),
-            f"link-stiffness at {named}",
-        )
-    for joint in Joint:
-        name = joint.name.lower()
-        yield Uncertain(
-            Nuisance(f"counter {name}", "rad", COUNT_RAD),
-            partial(EncoderZero, joint),
-            f"encoder-zero at {name}",
-        )
-        for word, numerics in NUMERICS.items():
-            nuisance = Nuisance(f"{word} {name}", "1", OTHERWISE)
-            yield Uncertain(nuisance, partial(_otherwise, numerics), one_sided=True, at=name)
-    yield from _of_sessions()
-
-
-def _of_sessions() -> Iterator[Uncertain]:
-    """What differs a little from session to session: nobody sets out the same twice."""
-    for joint in Joint:
-        name = joint.name.lower()
-        for word, unit, sigma, effect, like in (
-            ("friction", "ln", 0.01, partial(_times, GearFriction, joint), "gear-friction"),
-            ("gear stiffness", "ln", 0.02, partial(_times, GearStiffness, joint), "gear-stiffness"),
-            ("current", "A", 0.003, partial(CurrentBias, joint), "current-bias"),
-            ("resolver", "rad", 6e-6, partial(ResolverBias, joint), "resolver-bias"),
-        ):
-            nuisance = Nuisance(f"{word} {name} of a session", unit, sigma, each_block=True)
-            yield Uncertain(nuisance, effect, f"{like} at {name}")
-
-
-_TURN_SHIFT: Final = ({"rad": "link-angle", "m": "link-length"}, {"rad": "tool-turn", "m": "tool-offset"})
-"""Of frames, and of tools."""
-
-
-NUMERICS: Final = {
-    "time step": Numerics("implicit", 16),
-    "scheme": Numerics("explicit", 16),
-    "scheme and time step": Numerics("explicit", 24),
-}
-COUNT_RAD: Final = 3.3e-6
-"""A count of an encoder: where in it a set-point falls is chance, the same all along."""
-OTHERWISE: Final = 2.0
-"""One sigma of what the plant's own numerics are off by, in differences to half the time step."""
-
-
-def _otherwise(numerics: Numerics, share: float) -> Effect:
-    """The whole difference: it cannot be had in parts."""
-    return numerics
-
-
-def _displaced(frame: Frame, tool: Tool | None, axis: int, value: float) -> Effect:
-    return FrameError(frame, row6(value * np.eye(6)[axis]), tool)
-
-
-def _times(kind: Callable[[Any, float], Effect], place: Joint | Frame, logarithm: float) -> Effect:
-    return kind(place, float(np.exp(logarithm)))
 
 
 def _valued(made: catalogue.Hypothesis, field: str, value: float) -> float:

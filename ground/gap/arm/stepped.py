@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -10,6 +11,7 @@ from fsw.kinematics.transforms import Pose
 from fsw.messages import Sensors
 from ground.gap.arm.features import Columns
 from ground.gap.arm.logs import Recording
+from sim.arms import later
 from sim.driven import QUIET, DrivenArm, Manner
 from sim.effects.effect import Effect
 from sim.effects.environment import Ambient
@@ -50,11 +52,18 @@ def stepped(
     return Stepped(tuple(readings), poses)
 
 
+@lru_cache(maxsize=64)
+def stepped_once(
+    recording: Recording, effects: tuple[Effect, ...], manner: Manner, looked: frozenset[int] = frozenset()
+) -> Stepped:
+    """The same, kept for who asks again: about effects on readings alone, or about an arm without any."""
+    return stepped(recording, effects, manner, looked)
+
+
 def in_order(recording: Recording, effects: Sequence[Effect]) -> tuple[Effect, ...]:
     """What the arm is made of, what is around it, and what came later: the cold changes friction there is."""
-    built = [effect for effect in effects if effect.of_the_arm]
-    later = [effect for effect in effects if not effect.of_the_arm]
-    return (*built, Ambient(recording.temperature_C), *later)
+    built = (effect for effect in effects if effect.of_the_arm)
+    return (*built, Ambient(recording.temperature_C), *later(effects))
 
 
 def columns(readings: Sequence[Sensors]) -> Columns:

@@ -9,13 +9,10 @@ import numpy as np
 from fsw.kinematics.transforms import Array
 from ground.gap.blind.truth import Kind
 from ground.gap.hypothesis import Hypothesis, Parameter
+from ground.gap.thresholds import INSIDE, SIZES
 
 SHARES: Final[dict[Kind, float]] = {"none": 0.3, "outside": 0.2, "pair": 0.2}
 """Of all cases; the others have one effect."""
-SIZES: Final = (0.5, 4.0)
-"""In detection limits, evenly by their logarithm."""
-INSIDE: Final = 0.9
-"""Of the way to a bound that a size may go."""
 
 
 @dataclass(frozen=True, slots=True)

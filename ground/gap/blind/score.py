@@ -179,10 +179,10 @@ def _baseline(
     clear: Sequence[tuple[TrueEffect, Document]],
     inside: Sequence[Solved],
 ) -> Baseline:
-    of = [(one, said["baselines"][name]) for one, said in clear]
+    of = [(one, said["baselines"].get(name, {})) for one, said in clear]
     named = [(one, said) for one, said in of if "name" in said]
     placed = [(one, said) for one, said in of if "place" in said]
-    shares = [said["baselines"][name].get("closure") for _, said in inside if _called(said)]
+    shares = [said["baselines"].get(name, {}).get("closure") for _, said in inside if _called(said)]
     return Baseline(
         _rate(one.place == said["place"] for one, said in placed),
         _rate(_class(classes, one) == _class(classes, said) for one, said in named),

@@ -17,6 +17,10 @@ SEED: Final = 1
 """Of what is drawn in a diagnosis; it has nothing to do with that of the cases."""
 
 
+class NoDiagnosis(ValueError):
+    """A case that a solver cannot say anything of; the message says why."""
+
+
 @dataclass(frozen=True, slots=True)
 class Solver:
     """How a robot's cases are solved: functions of modules, so that other processes find them."""
@@ -26,7 +30,7 @@ class Solver:
     diagnosed: Callable[[Path, Path], tuple[dict[str, Any], Features]]
     """What is said of a case's folder, beside the campaign's: what `marsarm diagnose --json` says.
 
-    And what its logs say, for the baselines and for what the truth would achieve.
+    And what its logs say, for the baselines and for what the truth would achieve. NoDiagnosis if it cannot.
     """
 
 
@@ -60,9 +64,19 @@ def _solved(job: _Job) -> str:
     campaign = job.case.parent.parent / CAMPAIGN
     kept = job.solver.kept(campaign)  # what is known before a case is no part of its time
     began = time.process_time()
-    said, features = job.solver.diagnosed(job.case, campaign)
+    try:
+        said, features = job.solver.diagnosed(job.case, campaign)
+    except NoDiagnosis as why:
+        write_json(solved_path(job.case), _refused(str(why), time.process_time() - began))
+        return job.case.name
     seconds = time.process_time() - began
     others = baselines(tried(*parts(kept, features)), SEED)
     write_json(features_path(job.case), features.document())
     write_json(solved_path(job.case), {**said, "seconds": seconds, "baselines": others})
     return job.case.name
+
+
+def _refused(why: str, seconds: float) -> dict[str, Any]:
+    """Nothing is said, and it counts as that."""
+    nothing: dict[str, Any] = {"effects": [], "ranking": [], "closure": None, "baselines": {}}
+    return {"verdict": "unknown", "refused": why, **nothing, "seconds": seconds}

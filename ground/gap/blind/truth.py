@@ -109,7 +109,10 @@ def unsealed(folder: Path) -> Truth:
             f"{folder / TRUTH}: is not what was sealed: its SHA-256 is not that in {DIGEST}; "
             f"nothing is scored against a truth that was changed"
         )
-    return _read(json.loads(raw))
+    try:
+        return _read(json.loads(raw))
+    except (ValueError, KeyError, TypeError) as error:
+        raise BadRequest(f"{folder / TRUTH}: was sealed, but is no truth ({error})") from error
 
 
 def _read(said: dict[str, Any]) -> Truth:

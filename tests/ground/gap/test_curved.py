@@ -30,7 +30,8 @@ def test_within_reach_it_is_the_simulator(bent, times):
 def test_slopes_are_the_derivatives_of_the_change(bent, times):
     curved, step = Curved(found(bent)), 1e-6
     high, low = (curved.change(_settings(bent, 3, times + by)) for by in (step, -step))
-    slopes = curved.slopes(_settings(bent, 3, times))
+    settings = _settings(bent, 3, times)
+    slopes = curved.slopes(settings, curved.change(settings))
     np.testing.assert_allclose(slopes.sum(axis=1), (high - low) / (2 * step), rtol=1e-6, atol=1e-9)
 
 

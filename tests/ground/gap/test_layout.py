@@ -7,7 +7,7 @@ import pytest
 
 from ground.gap.hypothesis import Hypothesis, Nuisance, Parameter
 from ground.gap.layout import Evidence
-from ground.gap.sensitivity import load, save, sensitivities
+from ground.gap.sensitivity import load, save
 from tests.ground.gap.worlds import found
 
 
@@ -21,7 +21,7 @@ def test_a_size_with_one_side_is_differentiated_on_that_side(made):
     one = made.hypotheses[0]
     half = replace(one, parameters=tuple(replace(p, least=0.0) for p in one.parameters))
     bent = replace(made, hypotheses=(half, *made.hypotheses[1:]), bent=0.5)
-    assert np.allclose(sensitivities(bent).effect[:, 0], 1.5 * made.effect[:, 0])
+    assert np.allclose(found(bent).effect[:, 0], 1.5 * made.effect[:, 0])
 
 
 def test_what_is_kept_comes_back(made, tmp_path):

@@ -16,6 +16,7 @@ KEYS = {
     "closure",
     "confusable",
     "next_motion",
+    "odds",
     "unexplained",
     "tool_mm",
     "notes",

@@ -6,7 +6,7 @@ import numpy as np
 
 from ground.gap.hypothesis import Hypothesis, Nuisance, Parameter
 from ground.gap.layout import Layout
-from ground.gap.sensitivity import sensitivities
+from ground.gap.sensitivity import Sensitivities, through
 
 CONDITIONS = ("temperature", "load", "direction", "speed", "sine", "cosine")
 REGIMES = ("rest", "slow", "reversal")
@@ -95,8 +95,34 @@ def world(seed=0, m=1200, effects=8, places=5, nuisances=12, blocks=15, alike=4,
 
 
 def found(made):
-    """Its sensitivities."""
-    return sensitivities(made)
+    """Its sensitivities: differences about nominal, in sizes a parabola, in nuisances a line."""
+    zero, m = np.zeros(len(made.nuisances)), made.layout.size
+    nominal = made.predict({}, zero)
+    sized = [(h, at) for h in made.hypotheses for at, p in enumerate(h.parameters) if p.sizes]
+    bent = [_parabola(made, hypothesis, at, nominal) for hypothesis, at in sized]
+    slope, bend = (np.array([one[k] for one in bent]).reshape(-1, m).T for k in (0, 1))
+    straight = [_centred(made, by) for by in np.diag([nuisance.sigma for nuisance in made.nuisances])]
+    return Sensitivities(
+        made.layout, made.hypotheses, made.nuisances, nominal, slope, bend, np.ones(len(sized)),
+        np.array([made.hypotheses.index(h) for h, _ in sized], np.intp), np.array(straight).reshape(-1, m).T,
+    )  # fmt: skip
+
+
+def _centred(made, by):
+    return (made.predict({}, by) - made.predict({}, -by)) / (2.0 * by.sum())
+
+
+def _parabola(made, hypothesis, at, nominal):
+    """Change of the features (m,) per typical size of one parameter and per its square, the others absent."""
+    zero, parameter = np.zeros(len(made.nuisances)), hypothesis.parameters[at]
+    ends = []
+    for sign in (1.0, -1.0):
+        there = hypothesis.absent
+        there[at] = np.clip(there[at] + sign * parameter.typical, parameter.least, parameter.most)
+        size = (there[at] - hypothesis.absent[at]) / parameter.typical
+        if size:
+            ends.append((made.predict({hypothesis: there}, zero) - nominal, float(size)))
+    return through(ends)
 
 
 def _basis(c, channel):

@@ -11,6 +11,7 @@ from ground.gap.arm.sensitivities import arm_sensitivities
 from ground.gap.blind.evidence import Features, Kept, Measured
 from ground.pool import Runner, on_this_machine
 from ground.progress import Progress
+from ground.request import BadRequest
 from sim.diagnosis.campaign import HELD_OUT
 
 
@@ -21,10 +22,16 @@ def split(folder: Path) -> tuple[list[Path], list[Path]]:
 
 
 def known(campaign: Path, run: Runner, progress: Progress) -> tuple[Reference, Kept]:
-    """All that is known of a campaign before cases; kept beside its logs, computed where it is not."""
+    """All that is known of a campaign before cases; kept beside its logs, computed where it is not.
+
+    Raises:
+        BadRequest: its logs are not there, or what is kept cannot be read.
+    """
     fitted, held = split(campaign)
+    if not fitted or not held:
+        raise BadRequest(f"{campaign}: lacks the campaign's logs; `marsarm gap blind make` records them")
     found = reference(fitted, held, campaign, run, progress)
-    return found, Kept(found.ready.found, arm_sensitivities(held, campaign, run, progress))
+    return found, Kept(found.ready.found, arm_sensitivities(held, campaign, run, progress).found)
 
 
 def kept_campaign(campaign: Path) -> Kept:

@@ -21,7 +21,7 @@ from ground.gap.blind.plan import Drawn, Planned, Seen, planned
 from ground.gap.blind.truth import TrueCase, TrueEffect, Truth, seal, sealed_before
 from ground.pool import Runner
 from ground.progress import Progress
-from sim.arms import arm_named
+from sim.arms import arm_named, later
 from sim.diagnosis.campaign import SessionFailed, sessions
 from sim.diagnosis.motions import Session
 from sim.effects.effect import Effect
@@ -152,12 +152,12 @@ def record_case(folder: Path, case: TrueCase, wanted: Sequence[Session]) -> Iter
     effects = true_effects(case)
     nominal = arm_named("nominal")
     arm = nominal.with_effects(effects)
-    later = tuple(effect for effect in effects if not effect.of_the_arm)
+    begun = later(effects)
     reference = blind_reference(arm)
     seeds = np.random.default_rng(case.seed).integers(2**31, size=len(wanted))
     for session, seed in zip(wanted, seeds, strict=True):
         try:
-            record_campaign(folder, [session], arm, reference, int(seed), lambda *_: None, later)
+            record_campaign(folder, [session], arm, reference, int(seed), lambda *_: None, begun)
         except (SessionFailed, PlantDiverged):
             (folder / f"{session.name}.mcap").unlink(missing_ok=True)
             yield session.name

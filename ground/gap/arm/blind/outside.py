@@ -98,7 +98,7 @@ def limits(
     Raises:
         BadRequest: what is kept is of another campaign or other effects.
     """
-    with ResultsFile(kept_in / "outside.jsonl", {"of": _digest(logs)}, _seen) as kept:
+    with ResultsFile(kept_in / "outside.jsonl", {"of": _digest(logs, prepared)}, _seen) as kept:
         there = {(one["name"], one["place"]): _seen(one) for one in kept.done}
         jobs = [_Job(tuple(logs), name) for name in wanted if name not in there]
         for done, (name, column) in enumerate(run(_column, jobs), 1):
@@ -118,7 +118,8 @@ def _column(job: _Job) -> tuple[tuple[str, str], Array]:
     """Change of the features per typical size, upwards, by a size that is about as large as those drawn."""
     campaign = _campaign(job.logs)
     whole = _change(campaign, job.name, 1.0)
-    share = float(np.clip(WANTED / np.linalg.norm(whole / floor_of(campaign).sigma), LEAST_SHARE, 1.0))
+    seen = max(float(np.linalg.norm(whole / floor_of(campaign).sigma)), 1e-12)
+    share = float(np.clip(WANTED / seen, LEAST_SHARE, 1.0))
     return job.name, (whole if share == 1.0 else _change(campaign, job.name, share) / share)
 
 
@@ -135,9 +136,9 @@ def _campaign(logs: tuple[Path, ...]) -> Compared:
     return compared([recording_in(path) for path in logs], nominal_params())
 
 
-def _digest(logs: Sequence[Path]) -> str:
-    """Of the campaign's logs and of the folder's files."""
-    total = hashlib.sha256()
+def _digest(logs: Sequence[Path], prepared: Prepared) -> str:
+    """Of the campaign's logs, of the nuisances beside which effects are seen, and of the folder's files."""
+    total = hashlib.sha256(prepared.A[:, : prepared.q].tobytes() + prepared.whiten.sigma.tobytes())
     for path in (*sorted(logs), *sorted(FOLDER.glob("*.py"))):
         total.update(path.read_bytes())
     return total.hexdigest()

@@ -4,6 +4,7 @@ import json
 import re
 import struct
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -36,8 +37,13 @@ class TellsTruth(RuntimeError):
 
 def blind_reference(arm: BuiltArm) -> Reference:
     """The zeros that hardstops told of this arm; all else that they tell is as on the drawing."""
-    drawn = true_reference(arm_named("nominal"))
-    return replace(drawn, zero_rad=true_reference(arm).zero_rad)
+    return replace(_drawn(), zero_rad=true_reference(arm).zero_rad)
+
+
+@cache
+def _drawn() -> Reference:
+    """What hardstops would tell of the drawing's arm; once in each process."""
+    return true_reference(arm_named("nominal"))
 
 
 def check_sealed(path: Path, case: TrueCase) -> None:
@@ -50,7 +56,7 @@ def check_sealed(path: Path, case: TrueCase) -> None:
     if told:
         raise TellsTruth(f"{path}: has the plant's own state in {', '.join(told)}")
     believed = json.loads(log.header["boot"])["reference"]
-    drawn = to_plain(true_reference(arm_named("nominal")))
+    drawn = to_plain(_drawn())
     other = sorted(name for name in drawn if name != "zero_rad" and believed[name] != drawn[name])
     if other:
         raise TellsTruth(f"{path}: flight software begins with {', '.join(other)} that are not the drawing's")

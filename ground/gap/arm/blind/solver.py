@@ -5,24 +5,27 @@ from typing import Any
 
 from ground.gap.arm.blind.evidence import features, kept_campaign, reference_campaign, split
 from ground.gap.arm.case import asked, said_of
-from ground.gap.arm.logs import recording_in
+from ground.gap.arm.logs import NotForDiagnosis, recording_in
 from ground.gap.blind.evidence import Features
-from ground.gap.blind.solve import SEED, Solver
+from ground.gap.blind.solve import SEED, NoDiagnosis, Solver
 from ground.gap.told import told
 from sim.params import nominal_params
+from sim.plant import PlantDiverged
 
 
 def diagnosed_case(case: Path, campaign: Path) -> tuple[dict[str, Any], Features]:
     """What is said of the logs in a folder, beside the campaign in another, and what it is made of.
 
     Raises:
-        NotForDiagnosis: a log cannot be compared.
-        TooLittleMotion: most motions of the campaign are missing.
+        NoDiagnosis: a log cannot be compared, most motions are missing, or the plant diverges.
     """
     against = reference_campaign(campaign)
-    fitted, held = ([recording_in(log) for log in logs] for logs in split(case))
-    here = asked(fitted, held, against, nominal_params())
-    return told(said_of(here, against, SEED)), features(here)
+    try:
+        fitted, held = ([recording_in(log) for log in logs] for logs in split(case))
+        here = asked(fitted, held, against, nominal_params())
+        return told(said_of(here, against, SEED)), features(here)
+    except (NotForDiagnosis, PlantDiverged) as error:
+        raise NoDiagnosis(str(error)) from error
 
 
 ARM = Solver(kept_campaign, diagnosed_case)

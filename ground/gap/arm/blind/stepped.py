@@ -6,7 +6,6 @@ nobody has seen before may move a link otherwise.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -14,9 +13,8 @@ from fsw.kinematics.transforms import Array, batched, inverse
 from ground.calibration.screws import screw_log
 from ground.gap.arm.campaign import Compared, Posed
 from ground.gap.arm.features import Moving, measured
-from ground.gap.arm.logs import Recording
 from ground.gap.arm.poses import read_resolvers
-from ground.gap.arm.stepped import Stepped, columns, stepped
+from ground.gap.arm.stepped import Stepped, columns, stepped_once
 from sim.driven import Manner
 from sim.effects.effect import Effect
 
@@ -30,27 +28,21 @@ def change(campaign: Compared, effects: Sequence[Effect], manner: Manner) -> Arr
 
 
 def _moving(one: Moving, effects: Sequence[Effect], manner: Manner) -> Array:
-    with_it, without = (_kept(one.recording, some, manner) for some in (tuple(effects), ()))
+    with_it, without = (stepped_once(one.recording, some, manner) for some in (tuple(effects), ()))
     return measured(one, columns(with_it.readings)) - measured(one, columns(without.readings))
 
 
 def _posed(one: Posed, effects: Sequence[Effect], manner: Manner) -> Array:
     recording = one.knots.recording
     ends = [one.knots.tick[one.knots.rests[r]] + 1 for r, _ in one.seen]
-    with_it, without = (_kept(recording, some, manner, frozenset(ends)) for some in (tuple(effects), ()))
+    with_it, without = (
+        stepped_once(recording, some, manner, frozenset(ends)) for some in (tuple(effects), ())
+    )
     resolvers = _resolvers(one, with_it) - _resolvers(one, without)
     if not ends:
         return np.asarray(resolvers.ravel())
     before, after = (batched([found.X_RF[end] for end in ends]) for found in (without, with_it))
     return np.concatenate([resolvers.ravel(), screw_log(inverse(before) @ after).ravel()])
-
-
-@lru_cache(maxsize=64)
-def _kept(
-    recording: Recording, effects: tuple[Effect, ...], manner: Manner, looked: frozenset[int] = frozenset()
-) -> Stepped:
-    """What is without any effect is asked again for every one."""
-    return stepped(recording, effects, manner, looked)
 
 
 def _resolvers(one: Posed, found: Stepped) -> Array:

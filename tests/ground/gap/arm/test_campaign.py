@@ -1,17 +1,19 @@
 """A nominal arm leaves nothing but noise, at rest by statics and in motion under the recorded drive."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from fsw.dictionary.joints import Frame, Joint, Tool
+from ground.gap.arm.bound import bound, keys_of
 from ground.gap.arm.campaign import compared, measured_values, predicted_values
 from ground.gap.arm.features import CHANNELS, CURRENT, SHIFT, TURN
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.sensitivities import arm_sensitivities, column_of, columns_of
-from ground.gap.arm.simulator import BRIEFLY, ArmSimulator, Touched, all_of
+from ground.gap.arm.simulator import BRIEFLY, ArmSimulator, Touched
 from ground.pool import on_this_machine
 from ground.telemetry.read import read_log
 from sim.effects.catalogue import catalogue
@@ -46,6 +48,23 @@ def test_repeats_of_a_motion_are_one_block_and_say_what_the_floor_is(recordings:
     notes = floor_of(campaign).notes
     assert any("pairs of repeats" in note for note in notes)
     assert any(note.startswith("current") and "assumed" in note for note in notes)
+
+
+def test_a_case_has_the_same_features_whether_or_not_its_simulator_is_asked(
+    recordings: list[Recording],
+) -> None:
+    """A feature that a repeat has and its first has not is told by no simulation."""
+    once = next(one for one in recordings if not one.tracked.tick.size)
+    campaign = compared([once, replace(once, name="again")], BASE)
+    first, again = campaign.moving
+    odd = replace(again, features=(replace(again.features[0], key="odd"), *again.features[1:]))
+    campaign = replace(campaign, moving=(first, odd))
+    arm = ArmSimulator(campaign, BASE, floor_of(campaign).sigma, {}, BRIEFLY)
+    given, stepped = (
+        bound(arm, arm.layout, keys_of(campaign), nominal) for nominal in (np.zeros(arm.layout.size), None)
+    )
+    np.testing.assert_array_equal(given.rows, stepped.rows)
+    assert given.rows.size == arm.layout.size - 1
 
 
 def test_a_longer_link_moves_the_turret_by_as_much(recordings: list[Recording]) -> None:
@@ -83,7 +102,7 @@ def test_a_sensitivity_is_the_difference_of_predictions(recordings: list[Recordi
     campaign = compared(poses, BASE)
     sigma = floor_of(campaign).sigma
     simulator = ArmSimulator(campaign, BASE, sigma, {kind: catalogue()[kind]})
-    nominal = simulator.predicted((), all_of)
+    nominal = simulator.predicted(())
     zero = np.zeros(len(simulator.nuisances))
     for column in columns_of(simulator)[:3]:
         assert column.hypothesis is not None
@@ -99,10 +118,14 @@ def test_sensitivities_are_kept_and_found_again(logs: list[Path], tmp_path: Path
     poses = [path for path in logs if path.stem.startswith("poses")]
     said: list[str] = []
     work = on_this_machine(1)
-    first = arm_sensitivities(poses, tmp_path, work, lambda *_: said.append("computed"), ["resolver-bias"])
+
+    def noted(*_: object) -> None:
+        said.append("computed")
+
+    first = arm_sensitivities(poses, tmp_path, work, noted, ["resolver-bias"]).found
     assert said
     said.clear()
-    again = arm_sensitivities(poses, tmp_path, work, lambda *_: said.append("computed"), ["resolver-bias"])
+    again = arm_sensitivities(poses, tmp_path, work, noted, ["resolver-bias"]).found
     assert not said
     np.testing.assert_array_equal(first.effect, again.effect)
     assert np.linalg.matrix_rank(first.effect) == len(Joint)

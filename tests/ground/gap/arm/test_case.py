@@ -3,10 +3,11 @@
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from fsw.dictionary.joints import Frame, Joint
-from ground.gap.arm.case import TooLittleMotion, solved
+from ground.gap.arm.case import TooLittleMotion, asked, solved
 from ground.gap.arm.diagnosed import diagnosed
 from ground.gap.arm.logs import NotForDiagnosis, recording_in
 from ground.gap.arm.record import record_campaign
@@ -16,7 +17,9 @@ from ground.gap.result import Result
 from ground.pool import on_this_machine
 from sim.arms import arm_named
 from sim.diagnosis.campaign import sessions
+from sim.effects.built import LEFT_FRAME_M
 from sim.effects.effect import Effect
+from sim.effects.geometry import FrameError
 from sim.effects.joints import ResolverBias
 from sim.effects.links import LinkLength
 from sim.initialisation import true_reference
@@ -75,6 +78,18 @@ def test_the_effect_is_named_with_its_size_and_closes_the_gap(
     assert finding.values[0] == pytest.approx(size, rel=0.1)
     assert said.closure is not None
     assert said.closure.share > 0.8
+
+
+def test_nuisances_do_not_take_the_place_of_an_effect_that_they_are_like(
+    against: Reference, tmp_path: Path
+) -> None:
+    """The simulator is asked about them: had they the effect, it would bend as if it were there twice."""
+    logs = recorded(tmp_path, (LinkLength(Frame.ARM3, "x", 5e-3),), 9)
+    fitted, apart = ([recording_in(path) for path in paths] for paths in logs)
+    here = asked(fitted, apart, against, nominal_params())
+    shifts = [e.screw[3:] for e in here.case.arm.patch if isinstance(e, FrameError) and e.frame is Frame.ARM3]
+    assert shifts
+    assert np.abs(shifts).max() < 4.0 * LEFT_FRAME_M
 
 
 def test_with_the_patch_on_nothing_is_left(case: Callable[..., Result]) -> None:

@@ -9,7 +9,7 @@ import pytest
 from ground.gap.blind.evidence import read_features
 from ground.gap.blind.folder import SAID, SOLVED, documents, solved_path, write_json
 from ground.gap.blind.scored import scored
-from ground.gap.blind.solve import solve
+from ground.gap.blind.solve import NoDiagnosis, Solver, solve
 from ground.gap.blind.table import score_json, score_markdown
 from ground.gap.blind.truth import TRUTH
 from ground.pool import on_this_machine
@@ -49,6 +49,23 @@ def test_what_is_solved_stays_and_the_rest_is_solved(folder) -> None:
     assert solve(folder.path, folder.solver, RUN, quiet) == (1, 10)
     assert said(folder.path) == whole
     assert solve(folder.path, folder.solver, RUN, quiet) == (0, 10)
+
+
+def mute(case: Path, campaign: Path) -> Any:
+    raise NoDiagnosis(f"{case.name} has no logs of {campaign.name}")
+
+
+def test_a_case_that_nobody_can_diagnose_does_not_keep_others_from_being_solved(folder) -> None:
+    for path in (folder.path / SOLVED).glob("*"):
+        path.unlink()
+    assert solve(folder.path, Solver(folder.solver.kept, mute), RUN, quiet) == (10, 10)
+    told = documents(folder.path)["case-003"]
+    assert (told["verdict"], told["refused"]) == ("unknown", "case-003 has no logs of campaign")
+    found = scored(folder.path, folder.solver.kept, partial=False)
+    assert found.false_alarm.share == 1.0
+    assert found.found.in_set.hits == 0
+    for path in (folder.path / SOLVED).glob("*"):
+        path.unlink()
 
 
 def test_solved_cases_are_scored(folder) -> None:
