@@ -192,8 +192,12 @@ def guided(target: Target, seed: int, seconds: float) -> dict[str, Any]:
             [*command, *limits], capture_output=True, text=True, errors="replace", check=False
         )
     counts = [line.split() for line in ran.stderr.splitlines() if "number_of_executed_units" in line]
-    failed = None if ran.returncode == 0 else ran.stderr[-4000:]
-    return {"guided": True, "tries": int(counts[0][-1]) if counts else None, "failed": failed}
+    said = "\n".join((ran.stdout[-4000:], ran.stderr[-4000:]))  # what was raised is in the first
+    return {
+        "guided": True,
+        "tries": int(counts[0][-1]) if counts else None,
+        "failed": None if ran.returncode == 0 else said,
+    }
 
 
 def inside(target: Target, seed: int, arguments: list[str]) -> None:

@@ -6,7 +6,7 @@ cases of one effect that was taken out of the catalogue, teach when a name may b
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from fsw.kinematics.transforms import Array, Flags
 from ground.gap.case import reduced
 from ground.gap.detect import Detectability
+from ground.gap.drawn import Drawn, Seen, drawable, one_of, sized
 from ground.gap.layout import Ints
 from ground.gap.model import fitted
 from ground.gap.prepared import Prepared
@@ -29,10 +30,6 @@ DISOWNED: Final = 0.02
 """Share of cases of the right model that may be given up for what remains."""
 WRONG: Final = 0.13
 """Share of left-out effects that may be given a wrong name."""
-SIZES: Final = (0.5, 4.0)
-"""Of the effects drawn, in detection limits."""
-INSIDE: Final = 0.9
-"""Share of the way to its bounds that a size drawn may go."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +52,10 @@ class Thresholds:
     """Share of cases of one left-out effect given a name."""
     cases: int
     """Simulated, of each kind."""
+
+
+Labels = set[int | None]
+"""Classes of the effects of a simulated case that may be chosen."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,13 +94,16 @@ def calibrate(
     effect, structure = _joint(found)
     field = Field(prepared, label, effect, none.inside)
     won: list[_Won] = []
-    for index in range(cases if none.inside.any() else 0):
-        one, two = _drawn(field, rng), _drawn(field, rng)
-        sizes = [_size(prepared, h, limits[h].limit, rng) for h in (one, two)]
-        y = _simulated(prepared, rng, sizes[0])
-        won += _after(field, cosine, looked, y, {one})
-        won += _after(field, cosine, looked, _simulated(prepared, rng, sizes[0] + sizes[1]), {one, two})
-        won += _after(_left_out(field, one), cosine, looked, y, set())
+    known = _seen(field, limits)
+    for index in range(cases if known else 0):
+        one = sized(one_of(known, rng), rng)
+        others = [other for other in known if other.label != one.seen.label] or known
+        two = sized(one_of(others, rng), rng)
+        y = _simulated(prepared, rng, _size(prepared, one))
+        both = _simulated(prepared, rng, _size(prepared, one) + _size(prepared, two))
+        won += _after(field, cosine, looked, y, {one.seen.label})
+        won += _after(field, cosine, looked, both, {one.seen.label, two.seen.label})
+        won += _after(_left_out(field, one.seen), cosine, looked, y, set())
         step(cases + index + 1, 2 * cases)
     return _thresholds(found, effect, structure, won)
 
@@ -125,13 +129,13 @@ def _thresholds(found: Array, effect: float, structure: float, won: list[_Won]) 
     )  # fmt: skip
 
 
-def _drawn(field: Field, rng: np.random.Generator) -> int:
-    """An effect among those that are seen, then a place of it."""
-    seen = np.flatnonzero(field.inside)
-    effects = [field.prepared.hypotheses[h].effect for h in seen]
-    names = sorted(set(effects))
-    name = names[int(rng.integers(len(names)))]
-    return int(rng.choice(seen[[effect == name for effect in effects]]))
+def _seen(field: Field, limits: tuple[Detectability, ...]) -> list[Seen]:
+    """All that may be chosen and that its bounds leave room for."""
+    all_seen = [
+        Seen(field.prepared.hypotheses[h], limits[h].limit, int(field.label[h]))
+        for h in np.flatnonzero(field.inside)
+    ]
+    return [one for one in all_seen if drawable(one)]
 
 
 def _simulated(prepared: Prepared, rng: np.random.Generator, t: Array) -> Array:
@@ -140,13 +144,12 @@ def _simulated(prepared: Prepared, rng: np.random.Generator, t: Array) -> Array:
     return np.asarray(prepared.A @ np.concatenate([v, t]) + rng.standard_normal(prepared.layout.size))
 
 
-def _size(prepared: Prepared, one: int, limit: float, rng: np.random.Generator) -> Array:
-    """One hypothesis at a size among SIZES, uniform in its logarithm, within its bounds, as sizes (K,)."""
-    times = limit * np.exp(rng.uniform(*np.log(SIZES)))
-    typical = np.where(prepared.owner == one, prepared.scale, 0.0)
-    signed = prepared.bounds[0, prepared.owner == one] < 0.0
-    t = times * typical * (rng.choice([-1.0, 1.0]) if signed.all() else 1.0)
-    return np.asarray(np.clip(t, INSIDE * prepared.bounds[0], INSIDE * prepared.bounds[1]))
+def _size(prepared: Prepared, one: Drawn) -> Array:
+    """What was drawn as sizes (K,)."""
+    own = prepared.owner == prepared.hypotheses.index(one.seen.hypothesis)
+    t = np.zeros(prepared.owner.size)
+    t[own] = one.seen.hypothesis.departures(one.values) * prepared.scale[own]
+    return t
 
 
 def _nothing_chosen(field: Field, looked: tuple[Group, ...], y: Array) -> tuple[float, float]:
@@ -156,7 +159,9 @@ def _nothing_chosen(field: Field, looked: tuple[Group, ...], y: Array) -> tuple[
     return best_left(field, case, ()), remains(field.prepared, looked, model, y)[0].surprise
 
 
-def _after(field: Field, cosine: Array, looked: tuple[Group, ...], y: Array, true: set[int]) -> list[_Won]:
+def _after(
+    field: Field, cosine: Array, looked: tuple[Group, ...], y: Array, true: set[int | None]
+) -> list[_Won]:
     """What was chosen and whether it is right, by class; nothing if none was. No truth: it was left out."""
     case = reduced(field.prepared, y)
     won = race(field, case)
@@ -165,17 +170,14 @@ def _after(field: Field, cosine: Array, looked: tuple[Group, ...], y: Array, tru
     model = fitted(field.prepared, case, field.prepared.columns(won.chosen))
     left = remains(field.prepared, looked, model, y)[0].surprise
     signs = signs_of(field, cosine, case, won.chosen, won.shares, left)
-    right = {int(field.label[h]) for h in won.chosen} <= {int(field.label[h]) for h in true}
+    right = {int(field.label[h]) for h in won.chosen} <= true
     return [_Won(signs, right, not true)]
 
 
-def _left_out(field: Field, one: int) -> Field:
-    """The same without the effect of one hypothesis, at all places, and without what is of its class."""
-    effect = field.prepared.hypotheses[one].effect
-    same: Flags = np.array([hypothesis.effect == effect for hypothesis in field.prepared.hypotheses])
-    return Field(
-        field.prepared, field.label, field.threshold, field.inside & ~same & (field.label != field.label[one])
-    )
+def _left_out(field: Field, one: Seen) -> Field:
+    """The same without an effect, at all places, and without what is of its class."""
+    same: Flags = np.array([other.effect == one.hypothesis.effect for other in field.prepared.hypotheses])
+    return replace(field, inside=field.inside & ~same & (field.label != one.label))
 
 
 def _joint(found: Array) -> tuple[float, float]:

@@ -8,9 +8,9 @@ from scipy.stats import binom
 
 from ground.gap.case import reduced
 from ground.gap.diagnose import diagnose
+from ground.gap.drawn import SIZES
 from ground.gap.layout import Evidence
 from ground.gap.race import race
-from ground.gap.thresholds import SIZES
 from ground.gap.trust import Signs, learnt, signs_of
 
 

@@ -17,8 +17,9 @@ from ground.gap.arm.record import record_campaign
 from ground.gap.arm.simulator import raced, switched_on, told
 from ground.gap.blind.classes import FILE, published
 from ground.gap.blind.folder import CAMPAIGN, CASES, PART, case_name, write_json
-from ground.gap.blind.plan import Drawn, Planned, Seen, planned
+from ground.gap.blind.plan import Planned, planned
 from ground.gap.blind.truth import TrueCase, TrueEffect, Truth, seal, sealed_before
+from ground.gap.drawn import Drawn, Seen
 from ground.pool import Runner
 from ground.progress import Progress
 from sim.arms import arm_named, later

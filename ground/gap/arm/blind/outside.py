@@ -16,8 +16,8 @@ from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import recording_in
 from ground.gap.arm.sensitivities import LEAST_SHARE, WANTED
 from ground.gap.arm.simulator import BRIEFLY, switched_on, told
-from ground.gap.blind.plan import Seen
 from ground.gap.detect import limit_beside
+from ground.gap.drawn import Seen
 from ground.gap.hypothesis import Hypothesis
 from ground.gap.plain import finite
 from ground.gap.prepared import Prepared

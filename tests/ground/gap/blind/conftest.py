@@ -9,10 +9,11 @@ import pytest
 from ground.gap.blind.classes import FILE, published
 from ground.gap.blind.evidence import Features, Kept, Measured, read_features
 from ground.gap.blind.folder import CAMPAIGN, CASES, case_name, write_json
-from ground.gap.blind.plan import Seen, planned
+from ground.gap.blind.plan import planned
 from ground.gap.blind.solve import Solver
 from ground.gap.blind.truth import TrueCase, TrueEffect, Truth, seal
 from ground.gap.diagnose import diagnose
+from ground.gap.drawn import Seen
 from ground.gap.layout import Evidence
 from ground.gap.ready import Ready
 from ground.gap.result import Result

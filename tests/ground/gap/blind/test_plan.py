@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ground.gap.blind.plan import Seen, drawable, planned
+from ground.gap.blind.plan import planned
 from ground.gap.blind.truth import DIGEST, TRUTH, TrueCase, TrueEffect, Truth, seal, sealed_before, unsealed
+from ground.gap.drawn import INSIDE, SIZES, Seen, drawable
 from ground.gap.hypothesis import Hypothesis, Parameter
-from ground.gap.thresholds import INSIDE, SIZES
 from ground.request import BadRequest
 
 
