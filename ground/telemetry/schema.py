@@ -21,6 +21,11 @@ ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 
 KINDS: Final[dict[type, str]] = {bool: "|b1", int: "<i8", float: "<f8"}
 
+NUMBERS: Final = "biuf"
+"""Kinds of numpy types that ROS 2 has."""
+MOST_BYTES: Final = 8
+"""Of one number."""
+
 Shape = tuple[int, ...]
 PER_JOINT: Final = (len(Joint),)
 SHAPES: Final[Mapping[str, Shape]] = {
@@ -111,9 +116,17 @@ class Layout:
 
     @classmethod
     def from_json(cls, text: str) -> "Layout":
-        """The layout that `to_json` gave, without the notes."""
+        """The layout that `to_json` gave, without the notes.
+
+        Raises:
+            TypeError, ValueError: it is none, or of something that is no number.
+        """
         rows = json.loads(text)
-        return cls(tuple(Field(name, kind, shape and tuple(shape)) for name, kind, shape in rows))
+        made = cls(tuple(Field(name, kind, shape and tuple(shape)) for name, kind, shape in rows))
+        scalars = [made.dtype[name].base for name in made.dtype.names or ()]
+        if any(scalar.kind not in NUMBERS or scalar.itemsize > MOST_BYTES for scalar in scalars):
+            raise ValueError(f"a field is no number: {text}")
+        return made
 
 
 def note_of(name: str, hint: Any) -> str:
@@ -147,7 +160,7 @@ def field_of(owner: type, name: str, hint: Any) -> Field:
     note, doc = note_of(name, hint), " ".join(field_texts(owner).get(name, "").split())
     if get_origin(kind) is np.ndarray:
         scalar = np.dtype(get_args(get_args(kind)[1])[0])
-        if scalar.kind not in "biuf" or scalar.itemsize > 8:
+        if scalar.kind not in NUMBERS or scalar.itemsize > MOST_BYTES:
             raise SchemaError(f"{where}: an array of {scalar} has no ROS 2 type; use numbers or flags")
         return Field(name, scalar.str, shape_of(owner, name), note, doc)
     if isinstance(kind, type) and issubclass(kind, IntEnum):

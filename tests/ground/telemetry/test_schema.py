@@ -107,6 +107,15 @@ def test_a_layout_survives_its_json() -> None:
     assert Layout.from_json(layout.to_json()).dtype == layout.dtype
 
 
+@pytest.mark.parametrize(
+    "text",
+    ['[["a", "<\\u00ff", null]]', '[["a", "<U4", null]]', '[["a", "<f16", null]]', '[[1, "<f8", null]]', "3"],
+)
+def test_a_layout_of_what_is_no_number_is_none(text: str) -> None:
+    with pytest.raises((TypeError, ValueError)):
+        Layout.from_json(text)
+
+
 def test_two_packets_in_a_row_do_not_mix() -> None:
     packer = Packer("Packet", 5, layout_of(Packet, NAMES))
     first = packed(PACKET, packer)
