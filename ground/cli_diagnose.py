@@ -78,13 +78,16 @@ def diagnose(
 
     files = DiagnosisFiles(report, patch, new_params)
     try:
-        check_diagnosis_files(files, params)
+        check_diagnosis_files(files, params, effect or ())
         request = diagnose_request(log, held_out or (), params, catalogue, campaign, seed, effect or ())
         with progress_bar() as progress:
             result = diagnosed(request, progress)
-            not_written = save_diagnosis(result, request, files)
     except (BadRequest, BadOutput, NotForDiagnosis, PlantDiverged) as error:
         end(str(error), BAD_INPUT, as_json)
     show(told(result), as_json, lambda: gap_table(result))
-    for sentence in not_written:
-        print(sentence, file=sys.stderr)
+    try:
+        for sentence in save_diagnosis(result, request, files):
+            print(sentence, file=sys.stderr)
+    except BadRequest as error:  # after minutes: what was found is told all the same
+        print(error, file=sys.stderr)
+        raise typer.Exit(BAD_INPUT) from error

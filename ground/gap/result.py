@@ -30,4 +30,6 @@ class Result:
     next_motion: tuple[Motion, ...]
     """Best first; none if nothing is confusable, or nothing was found."""
     notes: tuple[str, ...]
-    """What the audit said, and where the floor is from."""
+    """What the audit said."""
+    floor: tuple[str, ...]
+    """Where the floor is from."""

@@ -2,7 +2,7 @@
 
 import json
 import zlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -55,6 +55,15 @@ class Sensitivities:
     def lasting(self) -> list[int]:
         """The nuisances that are one number for all blocks, by index."""
         return [index for index, nuisance in enumerate(self.nuisances) if not nuisance.each_block]
+
+    def only(self, effects: Collection[str]) -> "Sensitivities":
+        """Those of the hypotheses of some effects, beside the same nuisances."""
+        chosen = [k for k, hypothesis in enumerate(self.hypotheses) if hypothesis.effect in effects]
+        columns = np.flatnonzero(np.isin(self.owner, chosen))
+        hypotheses = tuple(self.hypotheses[k] for k in chosen)
+        owner = np.repeat(np.arange(len(chosen)), [len(hypothesis.sizes) for hypothesis in hypotheses])
+        parts = {name: getattr(self, name)[:, columns] for name in ("effect", "curve")}
+        return replace(self, hypotheses=hypotheses, owner=owner, reach=self.reach[columns], **parts)
 
     def of(self, rows: Ints) -> "Sensitivities":
         """Those of some of the features, in that order."""

@@ -53,6 +53,7 @@ def told(result: Result) -> dict[str, Any]:
             "floor": finite(result.tool.floor_mm),
         },
         "notes": list(result.notes),
+        "floor": list(result.floor),
         "thresholds": _plain(asdict(ready.thresholds)),
     }
 

@@ -172,8 +172,11 @@ def _next(result: Result) -> Iterator[str]:
         rows = [(one.name, number(one.now), number(one.separation)) for one in result.next_motion]
         yield table(("motion", "sigmas apart now", "with it"), rows)
     if result.notes:
-        yield paragraph("What the audit of the logs said, and where the floor is from:")
+        yield paragraph("What the audit of the logs said:")
         yield table(("note",), [(note,) for note in result.notes])
+    if result.floor:
+        yield paragraph("Where the floor is from:")
+        yield table(("floor",), [(note,) for note in result.floor])
 
 
 def _thresholds(result: Result) -> Iterator[str]:

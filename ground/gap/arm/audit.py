@@ -1,5 +1,6 @@
 """Looks at recordings before they are believed: sentences about what is wrong with them."""
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
@@ -44,6 +45,13 @@ def refusals(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
     return (*wrong, *others)
 
 
+def too_little(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """What is missing, if nothing can be said of any actuator, nor of links and frames."""
+    if any(_motions(recordings).values()) or any(one.tracked.tick.size for one in recordings):
+        return ()
+    return tuple(_campaign(recordings))
+
+
 def audit(recordings: Sequence[Recording]) -> tuple[str, ...]:
     """What is to be said of a campaign's recordings that can be compared."""
     found = [f"{one.name}: {said}" for one in recordings for said in findings(one)]
@@ -52,6 +60,7 @@ def audit(recordings: Sequence[Recording]) -> tuple[str, ...]:
 
 def findings(recording: Recording) -> Iterator[str]:
     """What is odd about one recording."""
+    yield from recording.notes
     yield from _stale(recording)
     yield from _clipped(recording)
     yield from _units(recording)
@@ -168,9 +177,7 @@ def _misfit(asked: Array, went: Array, lag: int) -> float:
 
 
 def _campaign(recordings: Sequence[Recording]) -> Iterator[str]:
-    segments = [segment for one in recordings for segment in segments_in(one)]
-    for joint in Joint:
-        count = sum(segment.joint is joint for segment in segments)
+    for joint, count in _motions(recordings).items():
         if count < LEAST_SEGMENTS:
             yield (
                 f"{joint.name.lower()} moves {count} times; without {LEAST_SEGMENTS} motions of it, "
@@ -183,6 +190,13 @@ def _campaign(recordings: Sequence[Recording]) -> Iterator[str]:
     names = [one.block for one in recordings]
     if len(set(names)) == len(names):
         yield "no motion was done twice: the floor is assumed to be the noise of the drawing's sensors"
+
+
+def _motions(recordings: Sequence[Recording]) -> Counter[Joint]:
+    """How often each joint moves."""
+    count = Counter(dict.fromkeys(Joint, 0))
+    count.update(segment.joint for one in recordings for segment in segments_in(one))
+    return count
 
 
 def _longest_same(column: Array) -> tuple[int, int]:

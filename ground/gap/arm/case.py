@@ -52,7 +52,9 @@ class Asked:
     held_out_gap: Array
     """The same of motion that takes no part."""
     notes: tuple[str, ...]
-    """Of the audit, and where the floor is from."""
+    """Of the audit."""
+    floor: tuple[str, ...]
+    """Where the floor is from."""
 
 
 def solved(
@@ -81,11 +83,12 @@ def asked(
     """What a diagnosis is made of; TooLittleMotion as `solved`."""
     if not recordings:
         raise TooLittleMotion("there is no log that a diagnosis could be made of")
-    notes, layout = audit(recordings), against.ready.found.layout
+    layout = against.ready.found.layout
     arm, floor = _simulator(recordings, against, base, patch)
     # without a patch the simulator has what it had of the campaign
     first = bound(arm, layout, against.keys, None if patch else against.ready.found.nominal)
     _check_motion(first, against)
+    notes = (*audit(recordings), *_lacking(first, against))
     known = _ready(against.ready, first)
     about = _about(known, first)
     near = (*patch, *arm.effects({}, about))
@@ -94,14 +97,14 @@ def asked(
     there = np.zeros(0)
     if apart is not None and against.held_out is not None:
         there = apart.gap() + against.held_out.nuisance[apart.rows] @ about
-    return Asked(known, case, case.gap() + known.found.nuisance @ about, apart, there, (*notes, *floor))
+    return Asked(known, case, case.gap() + known.found.nuisance @ about, apart, there, notes, floor)
 
 
 def said_of(here: Asked, against: Reference, seed: int) -> Result:
     """The diagnosis."""
     told = diagnose(here.known, Evidence(here.known.found.layout, here.gap), seed, here.case)
     shut = _closed(told, here, against, seed)
-    return Result(here.known, told, shut, _tool(shut), again(here.known, told), here.notes)
+    return Result(here.known, told, shut, _tool(shut), again(here.known, told), here.notes, here.floor)
 
 
 def _about(known: Ready, case: Bound) -> Array:
@@ -182,11 +185,22 @@ def _check_motion(case: Bound, against: Reference) -> None:
     layout = against.ready.found.layout
     if case.rows.size >= LEAST_SHARE * layout.size:
         return
-    missing = sorted(set(_sessions(against.keys)) - set(_sessions([against.keys[k] for k in case.rows])))
     raise TooLittleMotion(
         f"{case.rows.size} of the campaign's {layout.size} features are in these logs; "
-        f"nothing comparable is in: {', '.join(missing)}"
+        f"nothing comparable is there of: {', '.join(_missing(case, against))}"
     )
+
+
+def _lacking(case: Bound, against: Reference) -> list[str]:
+    """What is to be said of sessions that the campaign has and the case has not."""
+    missing = _missing(case, against)
+    return (
+        [f"of the campaign's motions nothing comparable is there of {', '.join(missing)}"] if missing else []
+    )
+
+
+def _missing(case: Bound, against: Reference) -> list[str]:
+    return sorted(set(_sessions(against.keys)) - set(_sessions([against.keys[k] for k in case.rows])))
 
 
 def _sessions(keys: Sequence[str]) -> list[str]:

@@ -6,12 +6,13 @@ from pathlib import Path
 from typing import Final
 
 from fsw.dictionary.params import Params
-from ground.gap.arm.audit import refusals
+from ground.gap.arm.audit import refusals, too_little
 from ground.gap.arm.case import solved
 from ground.gap.arm.logs import NotForDiagnosis, Recording, recording_in
 from ground.gap.arm.recorded import APART
 from ground.gap.arm.reference import reference
 from ground.gap.arm.request import DiagnoseRequest
+from ground.gap.arm.sensitivities import Logs
 from ground.gap.result import Result
 from ground.pool import on_this_machine
 from ground.progress import Progress
@@ -31,9 +32,10 @@ def diagnosed(request: DiagnoseRequest, progress: Progress) -> Result:
     fitted, apart = (_read(paths, base) for paths in (request.logs, request.held_out))
     _check_different((*request.logs, *request.held_out), (*fitted, *apart))
     _check_apart(fitted, apart)
+    _check_motion(fitted)
     logs, held_out = request.logs, request.held_out
     if request.campaign is not None:
-        logs, held_out = (_of_campaign(request.campaign, of) for of in (fitted, apart))
+        logs, held_out = _of_campaign(request.campaign, fitted, apart)
     against = reference(
         logs,
         held_out,
@@ -52,6 +54,13 @@ def _read(paths: Sequence[Path], base: Params) -> list[Recording]:
     if wrong:
         raise NotForDiagnosis("\n".join(wrong))
     return recordings
+
+
+def _check_motion(recordings: Sequence[Recording]) -> None:
+    """Before anything is computed that takes minutes."""
+    missing = too_little(recordings)
+    if missing:
+        raise NotForDiagnosis("\n".join(("too little motion for a diagnosis:", *missing)))
 
 
 def _check_different(paths: Sequence[Path], recordings: Sequence[Recording]) -> None:
@@ -75,10 +84,20 @@ def _check_apart(fitted: Sequence[Recording], held_out: Sequence[Recording]) -> 
         )
 
 
-def _of_campaign(folder: Path, recordings: Sequence[Recording]) -> tuple[Path, ...]:
-    """Logs of the sessions that these recordings repeat, be they held out there or not."""
-    known = {path.stem: path for place in (folder / APART, folder) for path in place.glob("*.mcap")}
-    missing = [one.name for one in recordings if one.name not in known]
+def _of_campaign(
+    folder: Path, fitted: Sequence[Recording], held_out: Sequence[Recording]
+) -> tuple[Logs, Logs]:
+    """All of a campaign's logs, divided as these are: a session that is not here is on the side it has there.
+
+    So what is kept of the campaign serves for a part of it, too; what is missing is told.
+    """
+    inside = {path.stem: path for path in folder.glob("*.mcap")}
+    outside = {path.stem: path for path in (folder / APART).glob("*.mcap")}
+    known = inside | outside
+    sides = [{one.name for one in side} for side in (fitted, held_out)]
+    missing = sorted((sides[0] | sides[1]) - known.keys())
     if missing:
         raise NotForDiagnosis(f"campaign {folder}: has no session {', '.join(missing)}")
-    return tuple(known[one.name] for one in recordings)
+    apart = (outside.keys() - sides[0]) | sides[1]
+    logs = tuple(known[name] for name in sorted(known.keys() - apart))
+    return logs, tuple(known[name] for name in sorted(apart)) if held_out else ()

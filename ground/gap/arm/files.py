@@ -1,6 +1,6 @@
 """The files that a diagnosis may leave."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,10 +21,12 @@ class DiagnosisFiles:
     new_params: Path | None = None
 
 
-def check_diagnosis_files(files: DiagnosisFiles, params: Path | None) -> None:
+def check_diagnosis_files(files: DiagnosisFiles, params: Path | None, effects: Sequence[str] = ()) -> None:
     """Refuse, before anything is done, what could not be written or is read."""
+    read = {f"effect {text}": Path(text) for text in effects if text.endswith(".toml")}
     check_apart(
         {
+            **read,
             "params": params,
             "report": files.report,
             "patch": files.patch,

@@ -59,6 +59,8 @@ class Recording:
     """The same tick by tick; what does not change is the same array, as flight software hands it on."""
     sensors: Mapping[str, NDArray[Any]]
     tracked: Tracked
+    notes: tuple[str, ...] = ()
+    """What its log has lost."""
 
     @property
     def ticks(self) -> int:
@@ -124,6 +126,7 @@ def recording_in(path: Path) -> Recording:
         drives=tuple(_drives(drive)),
         sensors=sensors,
         tracked=tracked,
+        notes=inputs.notes,
     )
 
 

@@ -1,22 +1,29 @@
 """What is known of a campaign before a case: sensitivities, keys of the features, thresholds; all kept."""
 
+import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
+from functools import cache
 from pathlib import Path
+from typing import Final
 
+from pydantic import TypeAdapter, ValidationError
+
+import ground.gap
 from ground.gap.arm.sensitivities import arm_sensitivities
 from ground.gap.ready import Ready, ready
 from ground.gap.sensitivity import Sensitivities
 from ground.gap.thresholds import Thresholds
-from ground.gap.trust import Trust
+from ground.gap.trust import Signs
 from ground.outputs import written_whole
 from ground.pool import Runner
 from ground.progress import Progress
 from ground.request import BadRequest
 
-SEED = 0
+SEED: Final = 0
 """Of the cases that thresholds are calibrated with."""
+_KEPT: Final = TypeAdapter(Thresholds)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,8 +58,7 @@ def reference(
     known = thresholds_in(thresholds) if thresholds.exists() else None
     made = ready(fitted.found, SEED, thresholds=known, step=lambda k, n: progress(k, n, "thresholds"))
     if known is None:
-        with written_whole(thresholds, "thresholds") as file:
-            file.write(json.dumps(asdict(made.thresholds)).encode())
+        save_thresholds(made.thresholds, thresholds)
     keys = fitted.keys()
     if not held_out:
         return Reference(made, keys, None, ())
@@ -60,11 +66,31 @@ def reference(
     return Reference(made, keys, apart.found, apart.keys())
 
 
-def thresholds_in(path: Path) -> Thresholds:
-    """As they were kept; BadRequest if they cannot be read."""
+def save_thresholds(found: Thresholds, path: Path) -> None:
+    """Keep them with a digest of the code that found them; BadOutput if they cannot be written."""
+    with written_whole(path, "thresholds") as file:
+        file.write(json.dumps({"code": _code(), **asdict(found)}).encode())
+
+
+def thresholds_in(path: Path) -> Thresholds | None:
+    """As they were kept, None if other code found them; BadRequest if they cannot be read."""
     try:
         said = json.loads(path.read_bytes())
-        trust = Trust(tuple(said["trust"]["weights"]), said["trust"]["least"])
-        return Thresholds(**{**said, "trust": trust})
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise BadRequest(f"{path}: no thresholds ({error}); remove it, and they are found anew") from error
+        if said.pop("code", None) != _code():
+            return None
+        found = _KEPT.validate_python(said)
+        if len(found.trust.weights) != len(fields(Signs)) + 1:
+            raise ValueError(f"{len(found.trust.weights)} weights")
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
+        why = error.errors()[0]["msg"] if isinstance(error, ValidationError) else error
+        raise BadRequest(f"{path}: no thresholds ({why}); remove it, and they are found anew") from error
+    return found
+
+
+@cache
+def _code() -> str:
+    """SHA-256 of what draws, races and judges the simulated cases."""
+    total = hashlib.sha256()
+    for source in sorted(Path(ground.gap.__path__[0]).glob("*.py")):
+        total.update(source.read_bytes())
+    return total.hexdigest()

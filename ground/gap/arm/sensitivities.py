@@ -6,11 +6,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Final
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
-import sim.effects
+import fsw
+import sim
 from fsw.config import digest
 from fsw.kinematics.transforms import Array, Flags
 from ground.gap.arm.bound import changed, keys_of
@@ -32,6 +35,7 @@ from sim.world import World, build
 
 Logs = tuple[Path, ...]
 Names = tuple[str, ...]
+_NAMES: Final = TypeAdapter(Names)
 
 
 WANTED: Final = 60.0
@@ -85,15 +89,31 @@ def arm_sensitivities(
         BadOutput: a file cannot be written.
     """
     paths, names = tuple(sorted(logs)), tuple(catalogue() if kinds is None else kinds)
-    path = kept_in / f"sensitivities-{campaign_digest(paths, names)[:16]}.npz"
+    path = kept_in / _file(paths, names)
     if path.exists():
         return OnFile(_kept(path), path)
     _check_folder(kept_in)
+    whole = kept_in / _file(paths, tuple(catalogue()))
+    if names and whole.exists():
+        return _part(OnFile(_kept(whole), whole), names, path)
     result = _found(paths, names, run, progress)
+    return _keep(result, keys_of(_simulator(paths, names).campaign), path)
+
+
+def _file(logs: Logs, kinds: Names) -> str:
+    return f"sensitivities-{campaign_digest(logs, kinds)[:16]}.npz"
+
+
+def _part(whole: OnFile, names: Names, path: Path) -> OnFile:
+    """Of some effects alone, from those of all."""
+    return _keep(whole.found.only(names), whole.keys(), path)
+
+
+def _keep(found: Sensitivities, keys: Sequence[str], path: Path) -> OnFile:
     with written_whole(keys_path(path), "keys") as file:
-        file.write(json.dumps(keys_of(_simulator(paths, names).campaign)).encode())
-    save(path, result)
-    return OnFile(result, path)
+        file.write(json.dumps(keys).encode())
+    save(path, found)
+    return OnFile(found, path)
 
 
 def _found(paths: Logs, names: Names, run: Runner, progress: Progress) -> Sensitivities:
@@ -154,9 +174,11 @@ def keys_in(path: Path, rows: int) -> Names:
     """The names of a sensitivity file's rows; BadRequest if they are not there, or are other than so many."""
     keys, anew = keys_path(path), f"remove {path}, and both are made anew"
     try:
-        said = tuple(json.loads(keys.read_bytes()))
-    except (OSError, ValueError, TypeError) as error:
-        raise BadRequest(f"{keys}: cannot be read ({error}); {anew}") from error
+        said = _NAMES.validate_json(keys.read_bytes(), strict=True)
+    except OSError as error:
+        raise BadRequest(f"{keys}: cannot be read ({error.strerror}); {anew}") from error
+    except ValidationError as error:
+        raise BadRequest(f"{keys}: cannot be read ({error.errors()[0]['msg']}); {anew}") from error
     if len(said) != rows:
         raise BadRequest(f"{keys}: names {len(said)} of {rows} rows; {anew}")
     return said
@@ -177,7 +199,7 @@ def _check_folder(kept_in: Path) -> None:
 
 
 def campaign_digest(logs: Logs, kinds: Names) -> str:
-    """SHA-256 of all that they depend on: logs, parameters, model, effects, and this adapter."""
+    """SHA-256 of all that they depend on: logs, parameters, model, and what simulates and compares."""
     total = hashlib.sha256("\n".join(kinds).encode())
     for path in logs:
         total.update(path.read_bytes())
@@ -185,10 +207,14 @@ def campaign_digest(logs: Logs, kinds: Names) -> str:
         total.update(tracker.read_bytes() if tracker.exists() else b"")
     total.update(digest(nominal_params()).encode())
     total.update(model_digest(build(World()).compile()).encode())
-    for folder in (sim.effects.__path__[0], Path(__file__).parent):
-        for source in sorted(Path(folder).glob("*.py")):
-            total.update(source.read_bytes())
+    for source in (*sources_in(fsw), *sources_in(sim), *sorted(Path(__file__).parent.glob("*.py"))):
+        total.update(source.read_bytes())
     return total.hexdigest()
+
+
+def sources_in(package: ModuleType) -> list[Path]:
+    """All its modules."""
+    return sorted(Path(package.__path__[0]).rglob("*.py"))
 
 
 def columns_of(simulator: ArmSimulator) -> list[Column]:

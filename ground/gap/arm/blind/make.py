@@ -40,7 +40,7 @@ class Made:
     recorded: int
     """Of them, by this call."""
     left_out: tuple[str, ...]
-    """Sessions of these whose motion did not come to its end: there is no log of them."""
+    """Sessions of all cases whose motion did not come to its end: there is no log of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,11 +72,17 @@ def make(
         seal(folder, truth)
     publish(truth.digest())
     jobs = [_Job(folder, case) for case in truth.cases if not (folder / CASES / case.name).exists()]
-    left_out: list[str] = []
-    for done, missing in enumerate(run(_record, jobs), 1):
-        left_out += missing
-        progress(done, len(jobs), "cases")
-    return Made(truth.digest(), cases, len(jobs), tuple(sorted(left_out)))
+    for done, name in enumerate(run(_record, jobs), 1):
+        progress(done, len(jobs), name)
+    return Made(truth.digest(), cases, len(jobs), tuple(left_out(folder, truth, all_sessions())))
+
+
+def left_out(folder: Path, truth: Truth, wanted: Sequence[Session]) -> Iterator[str]:
+    """Sessions of which there is no log."""
+    for case in truth.cases:
+        for session in wanted:
+            if not (folder / CASES / case.name / f"{session.name}.mcap").exists():
+                yield f"{case.name}/{session.name}"
 
 
 def drawn_truth(cases: int, seed: int, catalogue: Sequence[Seen], outside: Sequence[Seen]) -> Truth:
@@ -132,24 +138,24 @@ def _spec(name: tuple[str, str], values: Array) -> str:
     return spec_of(switched_on(made, told(made), values))
 
 
-def _record(job: _Job) -> list[str]:
-    """One case, all of it or nothing; the sessions that are left out."""
+def _record(job: _Job) -> str:
+    """One case, all of it or nothing; its name."""
     place = job.folder / CASES / job.case.name
     part = place.with_name(f".{place.name}{PART}")
     shutil.rmtree(part, ignore_errors=True)
     try:
-        missing = list(record_case(part, job.case, all_sessions()))
+        record_case(part, job.case, all_sessions())
         for log in sorted(part.glob("*.mcap")):
             check_sealed(log, job.case)
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         raise
     part.rename(place)
-    return [f"{job.case.name}/{name}" for name in missing]
+    return job.case.name
 
 
-def record_case(folder: Path, case: TrueCase, wanted: Sequence[Session]) -> Iterator[str]:
-    """Logs of some sessions; the names of those whose motion did not come to its end, which have none."""
+def record_case(folder: Path, case: TrueCase, wanted: Sequence[Session]) -> None:
+    """Logs of some sessions; one whose motion does not come to its end has none."""
     effects = true_effects(case)
     nominal = arm_named("nominal")
     arm = nominal.with_effects(effects)
@@ -161,7 +167,6 @@ def record_case(folder: Path, case: TrueCase, wanted: Sequence[Session]) -> Iter
             record_campaign(folder, [session], arm, reference, int(seed), lambda *_: None, begun)
         except (SessionFailed, PlantDiverged):
             (folder / f"{session.name}.mcap").unlink(missing_ok=True)
-            yield session.name
 
 
 def true_effects(case: TrueCase) -> tuple[Effect, ...]:

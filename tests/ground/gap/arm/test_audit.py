@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from ground.gap.arm.audit import audit, findings, refusals
+from ground.gap.arm.audit import audit, findings, refusals, too_little
 from ground.gap.arm.logs import Recording, world_seen
 from sim.arms import arm_named
 from sim.params import nominal_params
@@ -87,6 +87,19 @@ def test_a_campaign_that_is_too_small_hears_what_is_missing(recordings: list[Rec
     assert any("moves 1 times" in sentence for sentence in said)
     assert any("no motion was done twice" in sentence for sentence in said)
     assert not any("no motion was done twice" in sentence for sentence in audit(recordings))
+
+
+def test_logs_in_which_nothing_moves_are_too_little(recordings: list[Recording]) -> None:
+    drive = recordings[2].drive
+    still = replace(recordings[2], drive={**drive, "power_on": np.zeros_like(drive["power_on"])})
+    assert any("wrist moves 0 times" in sentence for sentence in too_little([still]))
+    assert too_little([still, recordings[0]]) == ()
+    assert too_little(recordings[2:]) == ()
+
+
+def test_what_a_log_has_lost_is_said(recordings: list[Recording]) -> None:
+    cut = replace(recordings[0], notes=("it ends at 12.5 s: the rest was not written",))
+    assert "it ends at 12.5 s: the rest was not written" in list(findings(cut))
 
 
 def test_recordings_of_another_parameter_set_are_told(recordings: list[Recording]) -> None:

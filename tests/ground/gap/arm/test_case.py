@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.joints import Frame, Joint
+from ground.gap.arm import sensitivities
 from ground.gap.arm.case import TooLittleMotion, asked, solved
 from ground.gap.arm.diagnosed import diagnosed
 from ground.gap.arm.logs import NotForDiagnosis, recording_in
@@ -14,6 +15,7 @@ from ground.gap.arm.record import record_campaign
 from ground.gap.arm.reference import Reference, reference
 from ground.gap.arm.request import DiagnoseRequest
 from ground.gap.result import Result
+from ground.gap.sensitivity import Sensitivities
 from ground.pool import on_this_machine
 from sim.arms import arm_named
 from sim.diagnosis.campaign import sessions
@@ -110,3 +112,28 @@ def test_a_campaign_without_such_sessions_is_refused(nominal: Logs, tmp_path: Pa
     request = DiagnoseRequest(tuple(nominal[0]), campaign=tmp_path)
     with pytest.raises(NotForDiagnosis, match="has no session poses-level-1, poses-level-1-again"):
         diagnosed(request, silent)
+
+
+def test_a_part_of_the_effects_is_taken_from_what_is_kept_of_all(
+    nominal: Logs, against: Reference, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def computed(*_: object) -> Sensitivities:
+        return found.pop()
+
+    found = [against.ready.found]
+    monkeypatch.setattr(sensitivities, "_found", computed)
+    whole, part = (
+        sensitivities.arm_sensitivities(nominal[0], tmp_path, on_this_machine(1), silent, kinds)
+        for kinds in (None, KINDS[:1])
+    )
+    assert not found
+    assert {hypothesis.effect for hypothesis in whole.found.hypotheses} == set(KINDS)
+    assert {hypothesis.effect for hypothesis in part.found.hypotheses} == {KINDS[0]}
+    np.testing.assert_array_equal(part.found.nuisance, whole.found.nuisance)
+    assert part.keys() == whole.keys()
+
+
+def test_sessions_that_are_missing_are_said(nominal: Logs, against: Reference) -> None:
+    some = [recording_in(path) for path in nominal[0] if path.stem != "poses-level-2"]
+    said = asked(some, [], against, nominal_params()).notes
+    assert "of the campaign's motions nothing comparable is there of poses-level-2" in said

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -11,15 +11,17 @@ import pytest
 from fsw.kinematics.transforms import IDENTITY, batched
 from ground.gap.arm import diagnosed, recorded
 from ground.gap.arm.logs import NotForDiagnosis
-from ground.gap.arm.reference import thresholds_in
+from ground.gap.arm.reference import save_thresholds, thresholds_in
 from ground.gap.arm.sensitivities import keys_in, keys_path
 from ground.gap.arm.tracked import BadTracker, Tracked, none_tracked, read_tracked, write_tracked
+from ground.gap.thresholds import Thresholds
+from ground.gap.trust import Signs, Trust
 from ground.progress import Progress
 from ground.request import BadRequest
 from sim.diagnosis.campaign import SessionFailed
 
 
-@pytest.mark.parametrize("text", [None, "", '["a", "b"', "3", '["a"]'])
+@pytest.mark.parametrize("text", [None, "", '["a", "b"', "3", '["a"]', "[1, 2]"])
 def test_names_of_rows_that_are_not_those_are_refused(tmp_path: Path, text: str | None) -> None:
     path = tmp_path / "s.npz"
     if text is not None:
@@ -28,8 +30,38 @@ def test_names_of_rows_that_are_not_those_are_refused(tmp_path: Path, text: str 
         keys_in(path, 2)
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[]", '{"trust": {"weights": [1], "least": 0}, "odd": 1}'])
-def test_thresholds_that_are_none_are_refused(tmp_path: Path, text: str) -> None:
+TRUST = Trust(tuple(range(1 + len(fields(Signs)))), -np.inf)
+KEPT = Thresholds(3.5, 2.5, np.inf, TRUST, 0.04, 0.02, 0.13, 400)
+
+
+def test_thresholds_come_back_until_other_code_finds_them(tmp_path: Path) -> None:
+    path = tmp_path / "t.json"
+    save_thresholds(KEPT, path)
+    assert thresholds_in(path) == KEPT
+    path.write_text(path.read_text().replace('"code": "', '"code": "0'))
+    assert thresholds_in(path) is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"effect": 3.5', '"effect": "much"'),
+        ('"weights": [0, ', '"weights": ['),
+        ('"effect": 3.5, ', ""),
+        ("}", ""),
+    ],
+)
+def test_thresholds_that_are_damaged_are_refused(tmp_path: Path, old: str, new: str) -> None:
+    path = tmp_path / "t.json"
+    save_thresholds(KEPT, path)
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(BadRequest, match=r"t\.json: no thresholds .* remove it"):
+        thresholds_in(path)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "3"])
+def test_what_is_no_table_of_thresholds_is_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "t.json").write_text(text)
     with pytest.raises(BadRequest, match=r"t\.json: no thresholds .* remove it"):
         thresholds_in(tmp_path / "t.json")
@@ -100,12 +132,24 @@ def test_a_session_is_given_once() -> None:
         diagnosed._check_different(paths, [same, same])  # type: ignore[list-item]
 
 
-def test_sessions_that_are_held_out_are_found_in_their_folder(tmp_path: Path) -> None:
+def test_a_part_of_a_campaign_is_beside_all_of_it_on_the_sides_that_its_logs_have(tmp_path: Path) -> None:
     held_out = tmp_path / recorded.APART
     held_out.mkdir()
     (held_out / "cold.mcap").touch()
-    cold = Named("cold", "cold")
-    assert diagnosed._of_campaign(tmp_path, [cold]) == (held_out / "cold.mcap",)  # type: ignore[list-item]
+    (tmp_path / "warm.mcap").touch()
+    (tmp_path / "tour.mcap").touch()
+    warm, cold, tour = (Named(name, name) for name in ("warm", "cold", "tour"))
+
+    def sides(fitted: list[Named], apart: list[Named]) -> list[list[str]]:
+        found = diagnosed._of_campaign(tmp_path, fitted, apart)  # type: ignore[arg-type]
+        return [[path.stem for path in side] for side in found]
+
+    assert sides([warm, tour], [cold]) == [["tour", "warm"], ["cold"]]
+    assert sides([warm], [cold]) == [["tour", "warm"], ["cold"]]
+    assert sides([warm, cold], [tour]) == [["cold", "warm"], ["tour"]]
+    assert sides([warm], []) == [["tour", "warm"], []]
+    with pytest.raises(NotForDiagnosis, match="has no session placed"):
+        sides([Named("placed", "placed")], [])
 
 
 def test_a_campaign_that_comes_to_no_end_leaves_nothing(

@@ -67,6 +67,6 @@ def folder(made: World, campaign: Ready, tmp_path: Path) -> Folder:
     def diagnosed(case: Path, _: Path) -> tuple[dict[str, object], Features]:
         features = read_features(case / "log")
         said = diagnose(campaign, Evidence(made.layout, features.fitted.value), 1)
-        return told(Result(campaign, said, None, None, (), ())), features
+        return told(Result(campaign, said, None, None, (), (), ())), features
 
     return Folder(tmp_path, Solver(lambda _: kept, diagnosed), truth)

@@ -14,7 +14,8 @@ from ground.gap.arm.blind.outside import all_outside
 from ground.gap.arm.blind.sealed import KEYS, TellsTruth, check_sealed
 from ground.gap.arm.logs import recording_in
 from ground.gap.arm.record import SESSION, conditions
-from ground.gap.blind.truth import TrueCase
+from ground.gap.blind.folder import CASES
+from ground.gap.blind.truth import TrueCase, Truth
 from ground.gap.drawn import Seen
 from ground.telemetry.header import flown_header, header_of
 from ground.telemetry.read import read_log
@@ -51,7 +52,7 @@ Recorded = tuple[Path, TrueCase]
 @pytest.fixture(scope="module", params=["single", "outside"])
 def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Recorded:
     folder, case = tmp_path_factory.mktemp("case"), cases()[request.param]
-    assert list(make.record_case(folder, case, SESSIONS)) == []
+    make.record_case(folder, case, SESSIONS)
     return folder / "cold.mcap", case
 
 
@@ -76,7 +77,7 @@ def test_a_blind_log_gives_nothing_away_and_can_be_compared(recorded: Recorded) 
 
 def test_a_case_that_is_made_again_is_the_same(recorded: Recorded, tmp_path: Path) -> None:
     path, case = recorded
-    list(make.record_case(tmp_path, case, SESSIONS))
+    make.record_case(tmp_path, case, SESSIONS)
     one, again = read_log(path), read_log(tmp_path / path.name)
     assert one.header == again.header
     assert one.packets.keys() == again.packets.keys()
@@ -151,5 +152,7 @@ def test_an_effect_from_outside_is_written_by_its_file_and_switched_on() -> None
 
 def test_a_session_that_comes_to_no_end_is_left_out(tmp_path: Path) -> None:
     weak = ("servo-gain:elbow:factor=0.1", "coulomb-friction:elbow:torque_Nm=400")
-    assert list(make.record_case(tmp_path, TrueCase("case-000", "none", (), weak, 5), SESSIONS)) == ["cold"]
-    assert list(tmp_path.glob("*.mcap")) == []
+    case = TrueCase("case-000", "none", (), weak, 5)
+    make.record_case(tmp_path / CASES / case.name, case, SESSIONS)
+    assert list(tmp_path.rglob("*.mcap")) == []
+    assert list(make.left_out(tmp_path, Truth("00ff", (case,)), SESSIONS)) == ["case-000/cold"]
