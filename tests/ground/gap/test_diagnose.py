@@ -62,17 +62,26 @@ def test_a_pair_is_found_with_its_shares(made, campaign, rng):
     assert hits >= 12
 
 
-def test_sets_hold_the_truth(made, campaign, rng):
-    held, sizes, cases = 0, [], 24
+def test_sets_hold_the_truth_and_intervals_the_size(made, campaign, rng):
+    held, sizes, covered, cases = 0, [], [], 40
     for _ in range(cases):
         one = int(rng.integers(len(made.hypotheses)))
-        y = made.measured(rng, _sized(made, campaign, one, 2.0))
-        told = diagnose(campaign, Evidence(made.layout, y), seed=1)
+        t = _sized(made, campaign, one, 2.0)
+        told = diagnose(campaign, Evidence(made.layout, made.measured(rng, t)), seed=1)
+        true = [
+            t * p.typical for t, p in zip(t[made.owner == one], made.hypotheses[one].parameters, strict=True)
+        ]
+        for finding in told.findings:
+            if finding.hypothesis == one:
+                covered += list((finding.least <= true) & (true <= finding.most))
         reported = [h for f in told.findings for h in f.alternatives.hypotheses]
         held += campaign.label[one] in campaign.label[reported]
         sizes += [len(f.alternatives.hypotheses) for f in told.findings]
     assert held >= binom.ppf(0.025, cases, 0.95)
     assert np.mean(sizes) < 2.0
+    share = rate(sum(covered), len(covered))
+    assert len(covered) > cases / 2
+    assert share.least <= 0.9 <= share.most
 
 
 def test_what_is_in_no_catalogue_gets_no_name(made, campaign, rng):
