@@ -1,6 +1,7 @@
 """The verbs `gap ...`; thin."""
 
 import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -87,8 +88,7 @@ def make(
     from ground.report.progress import progress_bar
 
     def publish(digest: str) -> None:
-        if not as_json:
-            print(f"SHA-256 of the truth: {digest}", flush=True)
+        print(f"SHA-256 of the truth: {digest}", file=sys.stderr)
 
     with _bad_input(as_json):
         check_make(cases, seed, out, _jobs(jobs))

@@ -63,9 +63,12 @@ def gaussian_process(layout: Layout, residual: Array, held_out: Layout) -> Array
     of the standardised conditions; s and l make the marginal likelihood largest. It names nothing.
     """
     result = np.zeros(held_out.size)
-    for channel in np.unique(held_out.channel):
-        rows, there = np.flatnonzero(layout.channel == channel), held_out.channel == channel
-        if not rows.size:
+    for number, channel in enumerate(held_out.channels):
+        if channel not in layout.channels:
+            continue
+        rows = np.flatnonzero(layout.channel == layout.channels.index(channel))
+        there = held_out.channel == number
+        if not rows.size or not there.any():
             continue
         rows = rows[:: -(-rows.size // FEATURES)]
         middle, spread = layout.condition[rows].mean(axis=0), layout.condition[rows].std(axis=0)

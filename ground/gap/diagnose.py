@@ -36,7 +36,7 @@ class Finding:
     values: Array
     """Of all its parameters, in their order and units."""
     least: Array
-    """90 % interval of them; NaN of one that was not fitted."""
+    """90 % interval of them, within their bounds; NaN of one that only shapes and that data do not tell."""
     most: Array
     share: float
     """Its own share of what all chosen explain: what is lost without it."""
@@ -164,8 +164,10 @@ def _findings(
     result = []
     for index, hypothesis in enumerate(won.chosen):
         values, half = final.values[index], norm.ppf((1.0 + LEVEL) / 2.0) * final.sigma[index]
+        ends = [(p.least, p.most) for p in ready.found.hypotheses[hypothesis].parameters]
+        low, high = np.clip([values - half, values + half], *np.transpose(ends))
         result.append(Finding(
-            hypothesis, values, values - half, values + half, won.shares[index], others[index],
+            hypothesis, values, low, high, won.shares[index], others[index],
             ready.confusable(hypothesis), final.at_bound[index],
         ))  # fmt: skip
     return tuple(result)

@@ -18,6 +18,19 @@ def closed(
     the simulator. Raises ValueError if a block took part in the diagnosis, or nuisances are others.
     """
     check_apart(diagnosis.prepared.layout, evidence.layout)
+    before, after = residuals(diagnosis, evidence, found, change)
+    whiten = whitener(found)
+    doubt = unsure(diagnosis.prepared, found)
+    return closure(evidence.layout, (whiten(before), whiten(after)), (before, after), seed, doubt)
+
+
+def residuals(
+    diagnosis: Diagnosis, evidence: Evidence, found: Sensitivities, change: Array
+) -> tuple[Array, Array]:
+    """What is left without the findings and with them, nuisances as fitted elsewhere, (m,) each.
+
+    Raises ValueError if nuisances are others.
+    """
     q = diagnosis.prepared.q
     if len(found.lasting) != q:
         raise ValueError("held-out motion must have the nuisances of the campaign")
@@ -25,10 +38,7 @@ def closed(
         evidence.value - found.nuisance[:, found.lasting] @ (fit.theta[:q] * diagnosis.prepared.nuisance_unit)
         for fit in (diagnosis.without, diagnosis.best)
     )
-    after = after - change
-    whiten = whitener(found)
-    doubt = unsure(diagnosis.prepared, found)
-    return closure(evidence.layout, (whiten(before), whiten(after)), (before, after), seed, doubt)
+    return before, after - change
 
 
 def settings_of(diagnosis: Diagnosis) -> dict[Hypothesis, Array]:

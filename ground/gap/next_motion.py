@@ -49,7 +49,7 @@ def again(ready: Ready, told: Diagnosis) -> tuple[Motion, ...]:
             own = what.departures(finding.values)
             seen = float(np.linalg.norm(own * _scale(ready, finding.hypothesis)))
             sizes |= {h: _as_much(ready, h, seen) for h in rivals} | {finding.hypothesis: own}
-    if len(sizes) < len(("one", "another")):
+    if len(sizes) < 2:
         return ()
     layout = ready.found.layout
     blocks = {layout.blocks[b]: np.flatnonzero(layout.block == b) for b in np.unique(layout.block)}

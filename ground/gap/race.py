@@ -111,8 +111,8 @@ def _all_needed(field: Field, case: Case, chosen: Chosen) -> bool:
 
 
 def _clearly_worse(loss: Array) -> bool:
-    """Whether a loss, by block, is more than one standard error of its sum above 0."""
-    return bool(loss.sum() > np.std(loss, ddof=1) * np.sqrt(loss.size))
+    """Whether a loss, by block, is more than a standard error of its sum above 0; one block tells nothing."""
+    return loss.size > 1 and bool(loss.sum() > np.std(loss, ddof=1) * np.sqrt(loss.size))
 
 
 def ranked(field: Field, case: Case, chosen: Chosen) -> tuple[Chosen, float]:

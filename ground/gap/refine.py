@@ -30,6 +30,9 @@ AT_END: Final = 1e-6
 SHAPE_SIGMA: Final = 1.0
 """Of parameters that only shape: about their typical value, as a share of it."""
 
+TOLD: Final = 0.5
+"""Share of that to which data must narrow them to say anything of them."""
+
 
 class Response(Protocol):
     """What effects change in the features."""
@@ -86,7 +89,7 @@ class Refined:
     values: tuple[Array, ...]
     """Of all parameters of each, in their units."""
     sigma: tuple[Array, ...]
-    """One sigma of each, nuisances free."""
+    """One sigma of each, nuisances free; NaN of what only shapes, where data tell little of it."""
     at_bound: tuple[tuple[str, ...], ...]
     """Names of those that are at a bound: no finding."""
     change: Array
@@ -123,7 +126,7 @@ def refine(
     ended = [p.name if at and p.sizes else "" for p, at in zip(parameters, reached, strict=True)]
     names = tuple(tuple(n for n in part if n) for part in np.split(np.array(ended, dtype=object), fit.cut))
     return Refined(
-        who, tuple(np.split(x, fit.cut)), tuple(np.split(unit * fit.sigma(there), fit.cut)), names,
+        who, tuple(np.split(x, fit.cut)), tuple(np.split(unit * fit.told(there), fit.cut)), names,
         there.change, tuple(np.split(there.slopes, fit.cut, axis=1)),
     )  # fmt: skip
 
@@ -200,6 +203,11 @@ class _Fit:
         """Of the parameters per typical size, nuisances free."""
         information, _ = self._normal(there.slopes, np.zeros(self.y.size))
         return np.sqrt(np.diag(np.linalg.pinv(information, rcond=1e-12, hermitian=True)))
+
+    def told(self, there: _Point) -> Array:
+        """The same; NaN of those that the data do not tell."""
+        sigma, only = self.sigma(there), np.array([not parameter.sizes for parameter in self.parameters])
+        return np.where(only & (sigma > TOLD * SHAPE_SIGMA), np.nan, sigma)
 
     def step(self, there: _Point, room: Array) -> Array:
         """The best step within the bounds, per typical size."""

@@ -10,7 +10,7 @@ from ground.gap.ready import Ready
 
 @dataclass(frozen=True, slots=True)
 class ToolGap:
-    """How far the tool is from where the simulator has it on held-out motion, root mean squares [mm]."""
+    """How far the tools are from where the simulator has them on held-out motion, root mean squares [mm]."""
 
     before_mm: float
     after_mm: float

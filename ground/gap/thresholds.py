@@ -49,7 +49,7 @@ class Thresholds:
     disowned: float
     """Share of cases in which the right effects were chosen that were called unknown."""
     wrong: float
-    """Share of cases of one left-out effect given a name."""
+    """Share of cases of one left-out effect given a name; NaN if nothing is left to be named in its stead."""
     cases: int
     """Simulated, of each kind."""
 
@@ -105,7 +105,9 @@ def calibrate(
         won += _after(field, cosine, looked, both, {one.seen.label, two.seen.label})
         won += _after(_left_out(field, one.seen), cosine, looked, y, set())
         step(cases + index + 1, 2 * cases)
-    return _thresholds(found, effect, structure, won)
+    told = _thresholds(found, effect, structure, won)
+    imitable = any(_left_out(field, seen).inside.any() for seen in known)
+    return told if imitable else replace(told, wrong=float("nan"))
 
 
 def _thresholds(found: Array, effect: float, structure: float, won: list[_Won]) -> Thresholds:

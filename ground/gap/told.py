@@ -87,6 +87,7 @@ def _effect(ready: Ready, finding: Finding) -> dict[str, Any]:
             {
                 "name": parameter.name,
                 "unit": parameter.unit,
+                "is_size": parameter.sizes,
                 "value": finite(value),
                 "least": finite(least),
                 "most": finite(most),

@@ -79,8 +79,8 @@ def learnt(signs: list[Signs], right: Flags, strange: Flags, wrong: int) -> Trus
 
     At most `wrong` of those left out would be given a name.
     """
-    if not signs or right.all() or not right.any():
-        return Trust((1.0, *(0.0 for _ in Signs.__dataclass_fields__)), -np.inf)
+    if right.all() or not right.any():
+        return Trust((1.0, *(0.0 for _ in Signs.__dataclass_fields__)), -np.inf if right.all() else np.inf)
     X = np.array([astuple(one) for one in signs])
     middle, spread = X.mean(axis=0), X.std(axis=0) + 1e-9
     Z = np.column_stack([np.ones(len(X)), (X - middle) / spread])

@@ -182,7 +182,8 @@ def _next(result: Result) -> Iterator[str]:
 def _thresholds(result: Result) -> Iterator[str]:
     limits = result.ready.thresholds
     yield heading("How sure a verdict must be")
-    known, strange = percent(limits.disowned), percent(limits.wrong)
+    known = percent(limits.disowned)
+    strange = percent(limits.wrong) if np.isfinite(limits.wrong) else "nobody knows how many"
     rows = [
         (
             "an effect may be claimed from",

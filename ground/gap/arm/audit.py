@@ -188,6 +188,8 @@ def _campaign(recordings: Sequence[Recording]) -> Iterator[str]:
     if not any(rests_in(one) for one in recordings):
         yield "the arm rests nowhere for half a second: nothing can be said of it at rest"
     names = [one.block for one in recordings]
+    if len(set(names)) == 1:
+        yield "there is one motion alone: what explains it cannot be tried on another"
     if len(set(names)) == len(names):
         yield "no motion was done twice: the floor is assumed to be the noise of the drawing's sensors"
 

@@ -8,7 +8,6 @@ import numpy as np
 
 from fsw.config import configure
 from fsw.dictionary.joints import Joint
-from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, Pose, inverse
 from ground.calibration.screws import screw_log
 from ground.gap.arm.features import RESOLVER, SHIFT, TURN, Columns, Feature, Moving, measured, moving
@@ -18,6 +17,7 @@ from ground.gap.arm.stepped import columns, stepped, stepped_once
 from sim.driven import Manner
 from sim.effects.effect import Effect, Hardware, Spoilt, nominal_hardware
 from sim.effects.friction import OutputFriction
+from sim.params import nominal_params
 
 UNSURE: Final = 0.3
 """Share of the outputs' friction: a load so near to it may or may not have dragged an output over its gap."""
@@ -58,12 +58,12 @@ class Compared:
         )
 
 
-def compared(recordings: Sequence[Recording], base: Params) -> Compared:
+def compared(recordings: Sequence[Recording]) -> Compared:
     """Recordings with a tracker are looked at where they rest, the others in motion as well."""
-    config = configure(base)
+    config = configure(nominal_params())
     knots = [knots_in(one) for one in recordings if one.world.surface is None]
     unsure_Nm = UNSURE * config.output_friction_Nm
-    nominal, less, more = (resting(knots, base, _more_friction(by * unsure_Nm)) for by in (0.0, -1.0, 1.0))
+    nominal, less, more = (resting(knots, _more_friction(by * unsure_Nm)) for by in (0.0, -1.0, 1.0))
     return Compared(
         tuple(moving(one, config) for one in recordings if not one.tracked.tick.size),
         tuple(_posed(*one) for one in zip(knots, nominal, less, more, strict=True)),
@@ -92,7 +92,6 @@ def all_of(_: Moving) -> bool:
 
 def predicted_values(
     campaign: Compared,
-    base: Params,
     effects: Sequence[Effect],
     manner: Manner,
     wanted: Callable[[Moving], bool] = all_of,
@@ -108,7 +107,7 @@ def predicted_values(
         else np.full(len(one.features), np.nan)
         for one in campaign.moving
     ]
-    rests = resting([one.knots for one in campaign.posed], base, effects)
+    rests = resting([one.knots for one in campaign.posed], effects)
     values += [_by_statics(one, found) for one, found in zip(campaign.posed, rests, strict=True)]
     return np.concatenate(values)
 
@@ -155,7 +154,7 @@ def _posed(knots: Knots, nominal: Resting, *others: Resting) -> Posed:
             features.append(Feature(RESOLVER, name, "rest", recording.block, condition, f"rest {r}/{name}"))
     condition = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
     for axis, named in enumerate(("rx", "ry", "rz", "tx", "ty", "tz")):
-        channel = TURN if axis < len("xyz") else SHIFT
+        channel = TURN if axis < 3 else SHIFT
         for r, _ in seen:
             features.append(
                 Feature(channel, "turret", "pose", recording.block, condition, f"rest {r}/{named}")

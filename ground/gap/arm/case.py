@@ -2,24 +2,24 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
+from ground.gap.arm.at_tool import tool_gap
 from ground.gap.arm.audit import audit
 from ground.gap.arm.bound import Bound, bound
 from ground.gap.arm.campaign import compared
-from ground.gap.arm.features import CHANNELS, SHIFT
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import NotForDiagnosis, Recording
 from ground.gap.arm.reference import Reference
-from ground.gap.arm.simulator import CALMLY, ArmSimulator
+from ground.gap.arm.simulator import CALMLY, ArmSimulator, arm_simulator
 from ground.gap.case import case_of
-from ground.gap.closure import Closure
+from ground.gap.closure import Closure, unsure
 from ground.gap.diagnose import Diagnosis, diagnose
-from ground.gap.held_out import closed, settings_of
+from ground.gap.held_out import closed, residuals, settings_of
 from ground.gap.layout import Evidence
 from ground.gap.model import fitted
 from ground.gap.next_motion import again
@@ -61,39 +61,38 @@ def solved(
     recordings: Sequence[Recording],
     held_out: Sequence[Recording],
     against: Reference,
-    base: Params,
     seed: int,
     patch: tuple[Effect, ...] = (),
 ) -> Result:
-    """Of a case's recordings, beside a simulator with these flight parameters and the effects of a patch.
+    """Of a case's recordings, beside a simulator with the effects of a patch.
 
     Raises:
         TooLittleMotion: most motions of the campaign are missing.
     """
-    return said_of(asked(recordings, held_out, against, base, patch), against, seed)
+    return said_of(asked(recordings, held_out, against, patch), against, seed)
 
 
 def asked(
     recordings: Sequence[Recording],
     held_out: Sequence[Recording],
     against: Reference,
-    base: Params,
     patch: tuple[Effect, ...] = (),
 ) -> Asked:
     """What a diagnosis is made of; TooLittleMotion as `solved`."""
     if not recordings:
         raise TooLittleMotion("there is no log that a diagnosis could be made of")
+    recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
     layout = against.ready.found.layout
-    arm, floor = _simulator(recordings, against, base, patch)
+    arm, floor = _simulator(recordings, against, patch)
     # without a patch the simulator has what it had of the campaign
     first = bound(arm, layout, against.keys, None if patch else against.ready.found.nominal)
     _check_motion(first, against)
-    notes = (*audit(recordings), *_lacking(first, against))
     known = _ready(against.ready, first)
+    notes = (*audit(recordings), *_lacking(first, against), *_borrowed(known, against))
     about = _about(known, first)
     near = (*patch, *arm.effects({}, about))
     case = bound(arm.patched(near), layout, against.keys)
-    apart = _held_out_part(held_out, against, base, near)
+    apart = _held_out_part(held_out, against, near)
     there = np.zeros(0)
     if apart is not None and against.held_out is not None:
         there = apart.gap() + against.held_out.nuisance[apart.rows] @ about
@@ -103,8 +102,8 @@ def asked(
 def said_of(here: Asked, against: Reference, seed: int) -> Result:
     """The diagnosis."""
     told = diagnose(here.known, Evidence(here.known.found.layout, here.gap), seed, here.case)
-    shut = _closed(told, here, against, seed)
-    return Result(here.known, told, shut, _tool(shut), again(here.known, told), here.notes, here.floor)
+    shut, at_tool = _tried(told, here, against, seed)
+    return Result(here.known, told, shut, at_tool, again(here.known, told), here.notes, here.floor)
 
 
 def _about(known: Ready, case: Bound) -> Array:
@@ -123,7 +122,7 @@ def _about(known: Ready, case: Bound) -> Array:
 
 
 def _held_out_part(
-    recordings: Sequence[Recording], against: Reference, base: Params, patch: tuple[Effect, ...] = ()
+    recordings: Sequence[Recording], against: Reference, patch: tuple[Effect, ...] = ()
 ) -> Bound | None:
     """What it is tried on; None if nothing is held out.
 
@@ -132,7 +131,7 @@ def _held_out_part(
     """
     if against.held_out is None or not recordings:
         return None
-    arm, _ = _simulator(recordings, against, base, patch)
+    arm, _ = _simulator(recordings, against, patch)
     found = bound(arm, against.held_out.layout, against.held_out_keys)
     if not found.rows.size:
         names = ", ".join(one.name for one in recordings)
@@ -141,13 +140,13 @@ def _held_out_part(
 
 
 def _simulator(
-    recordings: Sequence[Recording], against: Reference, base: Params, patch: tuple[Effect, ...]
+    recordings: Sequence[Recording], against: Reference, patch: tuple[Effect, ...]
 ) -> tuple[ArmSimulator, tuple[str, ...]]:
-    campaign = compared(recordings, base)
+    campaign = compared(recordings)
     floor = floor_of(campaign)
     raced = dict.fromkeys(hypothesis.effect for hypothesis in against.ready.found.hypotheses)
     kinds = {name: catalogue()[name] for name in raced}
-    return ArmSimulator(campaign, base, floor.sigma, kinds, CALMLY, patch), floor.notes
+    return arm_simulator(campaign, floor.sigma, kinds, CALMLY, patch), floor.notes
 
 
 def _ready(against: Ready, case: Bound) -> Ready:
@@ -160,25 +159,21 @@ def _ready(against: Ready, case: Bound) -> Ready:
     return ready(replace(found, layout=layout), 0, thresholds=against.thresholds)
 
 
-def _closed(told: Diagnosis, here: Asked, against: Reference, seed: int) -> Closure | None:
-    """On held-out motion; None if there is none."""
+def _tried(
+    told: Diagnosis, here: Asked, against: Reference, seed: int
+) -> tuple[Closure | None, ToolGap | None]:
+    """On held-out motion, as a share and at the tools; None if there is none, or no tracker looked."""
     case = here.held_out
     if against.held_out is None or case is None:
-        return None
+        return None, None
     found = against.held_out.of(case.rows)
     settings, zero = settings_of(told), np.zeros(len(case.nuisances))
     change = case.predict(settings, zero) - case.predict({}, zero)
-    return closed(told, Evidence(found.layout, here.held_out_gap), found, change, seed)
-
-
-def _tool(shut: Closure | None) -> ToolGap | None:
-    """From how far the turret is from where the simulator has it."""
-    channels = shut.channels if shut else ()
-    channel = next((c for c in channels if c.channel.endswith(CHANNELS[SHIFT])), None)
-    if channel is None:
-        return None
-    mm = 1e3 * np.sqrt(3.0)
-    return ToolGap(mm * channel.before, mm * channel.after, mm * channel.floor)
+    evidence = Evidence(found.layout, here.held_out_gap)
+    keys = [against.held_out_keys[row] for row in case.rows]
+    sigma = found.layout.sigma * np.sqrt(1.0 + unsure(told.prepared, found))
+    gap = tool_gap(keys, *residuals(told, evidence, found, change), sigma)
+    return closed(told, evidence, found, change, seed), gap
 
 
 def _check_motion(case: Bound, against: Reference) -> None:
@@ -197,6 +192,13 @@ def _lacking(case: Bound, against: Reference) -> list[str]:
     return (
         [f"of the campaign's motions nothing comparable is there of {', '.join(missing)}"] if missing else []
     )
+
+
+def _borrowed(known: Ready, against: Reference) -> list[str]:
+    """What is to be said of thresholds that were found for other features, or for a lower floor."""
+    if known is against.ready:
+        return []
+    return ["thresholds are those of the whole campaign with its own floor, which this is not"]
 
 
 def _missing(case: Bound, against: Reference) -> list[str]:

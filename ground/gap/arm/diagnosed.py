@@ -3,7 +3,6 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
 
 from fsw.dictionary.params import Params
 from ground.gap.arm.audit import refusals, too_little
@@ -17,8 +16,6 @@ from ground.gap.result import Result
 from ground.pool import on_this_machine
 from ground.progress import Progress
 
-CACHE: Final = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")) / "marsarm" / "sensitivities"
-
 
 def diagnosed(request: DiagnoseRequest, progress: Progress) -> Result:
     """What the logs say.
@@ -30,7 +27,7 @@ def diagnosed(request: DiagnoseRequest, progress: Progress) -> Result:
     """
     base = request.base
     fitted, apart = (_read(paths, base) for paths in (request.logs, request.held_out))
-    _check_different((*request.logs, *request.held_out), (*fitted, *apart))
+    _check_sessions((*request.logs, *request.held_out), (*fitted, *apart))
     _check_apart(fitted, apart)
     _check_motion(fitted)
     logs, held_out = request.logs, request.held_out
@@ -39,12 +36,12 @@ def diagnosed(request: DiagnoseRequest, progress: Progress) -> Result:
     against = reference(
         logs,
         held_out,
-        request.campaign or CACHE.expanduser(),
+        request.campaign or _cache(),
         on_this_machine(os.cpu_count() or 1),
         progress,
         request.kinds,
     )
-    return solved(fitted, apart, against, base, request.seed, request.patch)
+    return solved(fitted, apart, against, request.seed, request.patch)
 
 
 def _read(paths: Sequence[Path], base: Params) -> list[Recording]:
@@ -56,6 +53,12 @@ def _read(paths: Sequence[Path], base: Params) -> list[Recording]:
     return recordings
 
 
+def _cache() -> Path:
+    """Of the user, as the XDG base directory specification has it: an empty variable is none."""
+    base = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    return base / "marsarm" / "sensitivities"
+
+
 def _check_motion(recordings: Sequence[Recording]) -> None:
     """Before anything is computed that takes minutes."""
     missing = too_little(recordings)
@@ -63,7 +66,7 @@ def _check_motion(recordings: Sequence[Recording]) -> None:
         raise NotForDiagnosis("\n".join(("too little motion for a diagnosis:", *missing)))
 
 
-def _check_different(paths: Sequence[Path], recordings: Sequence[Recording]) -> None:
+def _check_sessions(paths: Sequence[Path], recordings: Sequence[Recording]) -> None:
     """Features are known by their session's name."""
     known: dict[str, Path] = {}
     for path, one in zip(paths, recordings, strict=True):

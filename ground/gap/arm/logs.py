@@ -1,6 +1,5 @@
 """What the diagnosis takes from a log: the drive, the sensors at the same ticks, where it began, and how."""
 
-import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -20,7 +19,7 @@ from ground.replay.inputs import NotReplayable, inputs_in
 from ground.telemetry.errors import LogError
 from ground.telemetry.read import Log, read_log
 from sim.driven import Start
-from sim.world import GRAVITY_M_S2, Scene, World
+from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
 
 DRIVE: Final = "/drive"
 COUNTS: Final = "setpoint_count"
@@ -89,9 +88,7 @@ def recording_in(path: Path) -> Recording:
         inputs = inputs_in(log)
         tracker = path.with_suffix(".tracker.csv")
         tracked = read_tracked(tracker) if tracker.exists() else none_tracked()
-        said = _SAID.validate_python(json.loads(log.header.get(SESSION, "{}")))
-    except ValidationError as error:
-        raise NotForDiagnosis(f"log {path}: {SESSION} in its header: {error.errors()[0]['msg']}") from error
+        said = _said(log.header.get(SESSION, "{}"), path)
     except (LogError, NotReplayable, ValueError) as error:
         raise NotForDiagnosis(str(error)) from error
     if inputs.reference is None:
@@ -128,6 +125,23 @@ def recording_in(path: Path) -> Recording:
         tracked=tracked,
         notes=inputs.notes,
     )
+
+
+def _said(text: str, path: Path) -> _Said:
+    where = f"log {path}: {SESSION} in its header"
+    try:
+        said = _SAID.validate_json(text)
+    except ValidationError as error:
+        raise NotForDiagnosis(f"{where}: {error.errors()[0]['msg']}") from error
+    if said.temperature_C is not None and not np.isfinite(said.temperature_C):
+        raise NotForDiagnosis(f"{where}: temperature_C is {said.temperature_C}; it must be finite")
+    world = said.world or World()
+    most = float(np.max(np.abs([world.tilt_roll_rad, world.tilt_pitch_rad])))
+    if not most <= MAX_TILT_RAD:
+        raise NotForDiagnosis(
+            f"{where}: tilts the rover by {most:.3g} rad; at most {MAX_TILT_RAD:.3g} is right"
+        )
+    return said
 
 
 def world_seen(gravity_R_m_s2: Array, path: Path) -> World:

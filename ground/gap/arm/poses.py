@@ -25,6 +25,7 @@ from sim.effects.effect import Effect, Hardware, acted, nominal_hardware
 from sim.effects.gears import GearHysteresis
 from sim.effects.numerics import Numerics
 from sim.influence import NO_INFLUENCE, Influence
+from sim.params import nominal_params
 from sim.plant import Plant
 from sim.world import World, build
 
@@ -76,15 +77,15 @@ def read_resolvers(knots: Knots) -> Array:
     return np.stack(means, axis=-1) if means else NOWHERE.resolver_rad
 
 
-def resting(knots: Sequence[Knots], base: Params, effects: Sequence[Effect]) -> list[Resting]:
-    """The rests of each recording, of an arm with these flight parameters and, beyond them, these effects.
+def resting(knots: Sequence[Knots], effects: Sequence[Effect]) -> list[Resting]:
+    """The rests of each recording, of the arm of the drawing with these effects.
 
     Friction within a gear takes its output along, and how a plant creeps hangs on how it is computed: where
     these are among them, the arm is stepped.
     """
     if any(isinstance(effect, (GearHysteresis, Numerics)) for effect in effects):
         return [_stepped(one, effects) if one.rests else NOWHERE for one in knots]
-    hardware, params = nominal_hardware(), base
+    hardware, params = nominal_hardware(), nominal_params()
     for effect in effects:
         before = hardware.counter_zero_rad
         hardware = effect.on_hardware(hardware)

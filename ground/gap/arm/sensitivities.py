@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 import fsw
+import ground
 import sim
 from fsw.config import digest
 from fsw.kinematics.transforms import Array, Flags
@@ -20,7 +21,7 @@ from ground.gap.arm.bound import changed, keys_of
 from ground.gap.arm.campaign import compared
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import recording_in
-from ground.gap.arm.simulator import ONLY_POSED, ArmSimulator
+from ground.gap.arm.simulator import ONLY_POSED, ArmSimulator, arm_simulator
 from ground.gap.layout import Layout
 from ground.gap.sensitivity import Sensitivities, load, save, through
 from ground.outputs import written_whole
@@ -38,6 +39,8 @@ Names = tuple[str, ...]
 _NAMES: Final = TypeAdapter(Names)
 
 
+COMPARE: Final = ("calibration/screws.py", "gap/hypothesis.py", "gap/layout.py", "gap/sensitivity.py")
+"""Modules beyond the simulator and this package that have a part in it."""
 WANTED: Final = 60.0
 """Sigmas, of all features together and before nuisances, by which a step is to move them."""
 TOO_MUCH: Final = 3.0
@@ -207,7 +210,11 @@ def campaign_digest(logs: Logs, kinds: Names) -> str:
         total.update(tracker.read_bytes() if tracker.exists() else b"")
     total.update(digest(nominal_params()).encode())
     total.update(model_digest(build(World()).compile()).encode())
-    for source in (*sources_in(fsw), *sources_in(sim), *sorted(Path(__file__).parent.glob("*.py"))):
+    own = (
+        *sorted(Path(__file__).parent.glob("*.py")),
+        *(Path(ground.__path__[0]) / name for name in COMPARE),
+    )
+    for source in (*sources_in(fsw), *sources_in(sim), *own):
         total.update(source.read_bytes())
     return total.hexdigest()
 
@@ -337,9 +344,8 @@ def _ends(simulator: ArmSimulator, column: Column, share: float) -> Iterator[_En
 @cache
 def _simulator(logs: Logs, kinds: Names) -> ArmSimulator:
     """Once in each process."""
-    base = nominal_params()
-    campaign = compared([recording_in(path) for path in logs], base)
-    return ArmSimulator(campaign, base, floor_of(campaign).sigma, {name: catalogue()[name] for name in kinds})
+    campaign = compared([recording_in(path) for path in logs])
+    return arm_simulator(campaign, floor_of(campaign).sigma, {name: catalogue()[name] for name in kinds})
 
 
 @cache

@@ -1,18 +1,16 @@
 """The arm's simulator as the diagnosis asks it: the catalogue's effects, and what is uncertain anyway."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from fsw.dictionary.joints import Joint
-from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
 from ground.gap.arm.campaign import Compared, all_of, predicted_values
 from ground.gap.arm.features import CONDITIONS, UNITS, Moving, channel_of
-from ground.gap.arm.uncertain import left_uncertain
+from ground.gap.arm.uncertain import Uncertain, left_uncertain
 from ground.gap.hypothesis import Hypothesis, Nuisance, Parameter
 from ground.gap.layout import Ints, Layout
 from ground.gap.simulator import Settings
@@ -40,24 +38,27 @@ ONLY_POSED: Final = (
 """Effects that show where the arm rests, or not at all; in free motion they are below its noise."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class ArmSimulator:
-    """Ours, bound to a campaign (ground.gap.simulator.Simulator)."""
+    """Ours, bound to a campaign (ground.gap.simulator.Simulator): the drawing, and what is switched on.
 
-    def __init__(
-        self,
-        campaign: Compared,
-        base: Params,
-        sigma: Array,
-        kinds: Mapping[str, type[Effect]] | None = None,
-        manner: Manner = BRIEFLY,
-        patch: tuple[Effect, ...] = (),
-    ):
-        """With a floor (m,); `kinds` are hypotheses, by default the catalogue's; `patch` is always on."""
-        self.campaign, self.base, self.manner, self.patch = campaign, base, manner, patch
-        self.layout = layout_of(campaign, sigma)
-        self._made = {told(one): one for one in raced(kinds)}
-        self.hypotheses = tuple(self._made)
-        self.uncertain = tuple(left_uncertain())
+    Whatever flight parameters know of the arm, the simulator is told by effects alone.
+    """
+
+    campaign: Compared
+    layout: Layout
+    """Its m features, with their floor."""
+    made: Mapping[Hypothesis, catalogue.Hypothesis]
+    """What each hypothesis switches on."""
+    uncertain: tuple[Uncertain, ...]
+    manner: Manner
+    patch: tuple[Effect, ...]
+    """Always on."""
+
+    @property
+    def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """What may be the cause."""
+        return tuple(self.made)
 
     @property
     def nuisances(self) -> tuple[Nuisance, ...]:
@@ -66,9 +67,7 @@ class ArmSimulator:
 
     def patched(self, patch: tuple[Effect, ...]) -> "ArmSimulator":
         """The same with another patch."""
-        other = copy(self)
-        other.patch = patch
-        return other
+        return replace(self, patch=patch)
 
     def predict(self, settings: Settings, nuisance: Array) -> Array:
         """The features (m,); errors as of `predicted_values`."""
@@ -76,13 +75,25 @@ class ArmSimulator:
 
     def effects(self, settings: Settings, nuisance: Array) -> list[Effect]:
         """What is switched on beside the patch: hypotheses, and nuisances that are not 0."""
-        found = [switched_on(self._made[one], one, values) for one, values in settings.items()]
+        found = [switched_on(self.made[one], one, values) for one, values in settings.items()]
         found += [one.effect(float(v)) for one, v in zip(self.uncertain, nuisance, strict=True) if v]
         return found
 
     def predicted(self, effects: Sequence[Effect], wanted: Callable[[Moving], bool] = all_of) -> Array:
         """Features (m,) with the patch and these; those of moving recordings that are not wanted are NaN."""
-        return predicted_values(self.campaign, self.base, (*self.patch, *effects), self.manner, wanted)
+        return predicted_values(self.campaign, (*self.patch, *effects), self.manner, wanted)
+
+
+def arm_simulator(
+    campaign: Compared,
+    sigma: Array,
+    kinds: Mapping[str, type[Effect]] | None = None,
+    manner: Manner = BRIEFLY,
+    patch: tuple[Effect, ...] = (),
+) -> ArmSimulator:
+    """With a floor (m,); `kinds` are hypotheses, by default the catalogue's."""
+    made = {told(one): one for one in raced(kinds)}
+    return ArmSimulator(campaign, layout_of(campaign, sigma), made, tuple(left_uncertain()), manner, patch)
 
 
 @dataclass(frozen=True, slots=True)

@@ -49,7 +49,7 @@ def read_tracked(path: Path) -> Tracked:
     """The poses of a CSV file.
 
     Raises:
-        BadTracker: it cannot be read, has other columns, or something in it is no number.
+        BadTracker: it cannot be read, has other columns, or something in it is no number or is there twice.
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:
@@ -67,5 +67,8 @@ def read_tracked(path: Path) -> Tracked:
         raise BadTracker(f"{path}: something in it is no number ({error})") from error
     if not np.isfinite(numbers).all() or (numbers[7:] <= 0).any():
         raise BadTracker(f"{path}: every number must be finite, and every sigma above 0")
+    tick = numbers[0].astype(np.int64)
+    if np.any(tick != numbers[0]) or np.unique(tick).size != tick.size:
+        raise BadTracker(f"{path}: ticks must be whole numbers, each there once")
     R = np.moveaxis(Rotation.from_rotvec(numbers[1:4].T).as_matrix(), 0, -1)
-    return Tracked(numbers[0].astype(np.int64), Pose(R, numbers[4:7]), numbers[7:])
+    return Tracked(tick, Pose(R, numbers[4:7]), numbers[7:])

@@ -84,7 +84,7 @@ def _of_frames() -> Iterator[Uncertain]:
     for frame, tool in (*inner, *((Frame.TOOL, tool) for tool in Tool)):
         for axis in IDENTIFIABLE[frame]:
             named = (frame.name if tool is None else tool.name).lower()
-            unit, sigma = ("rad", LEFT_FRAME_RAD) if axis < len("xyz") else ("m", LEFT_FRAME_M)
+            unit, sigma = ("rad", LEFT_FRAME_RAD) if axis < 3 else ("m", LEFT_FRAME_M)
             word = ("rx", "ry", "rz", "tx", "ty", "tz")[axis]
             yield Uncertain(
                 Nuisance(f"frame {named}.{word}", unit, sigma),

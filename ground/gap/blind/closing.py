@@ -66,7 +66,7 @@ def tried(fitted: Part, held: Part) -> Tried:
 
 
 def truth_closes(case: Tried, true: dict[Hypothesis, Array], seed: int) -> Closure:
-    """What the true effects achieve, their sizes fitted from the true ones on: nobody can do much better."""
+    """What the true effects achieve, their sizes fitted from the true ones on, by the parabolas."""
     curved = Curved(case.fitted.found)
     whitened = case.prepared.whiten(case.fitted.value)
     best = refine(curved, case.prepared, whitened, true)

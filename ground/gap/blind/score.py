@@ -41,8 +41,6 @@ class Found:
     """A first choice is of its class."""
     in_set: Rate
     """Its class is in what was reported; nothing is where no name was given."""
-    in_set_given: Rate
-    """The same of those in whose cases a name was given."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +72,14 @@ class Score:
     wrong_name: Rate
     """Cases of an effect outside the catalogue that were given a name (named or set)."""
     found: Found
+    found_given: Found
+    """Of those in whose cases a name or a set was given."""
     superfluous: Rate
     """Effects named in cases of the catalogue that are none of the case's."""
     set_size: float
     """Mean number of classes in a reported set; NaN if there is none."""
     covered: Rate
-    """True values within their 90 % intervals, where the very effect was named."""
+    """True sizes within their 90 % intervals, where the very effect was named."""
     closure: Middle
     """Of named effects, on held-out motion."""
     true_closure: Middle
@@ -113,6 +113,7 @@ def score(classes: Classes, solved: Sequence[Solved], true_closure: Callable[[Tr
         _rate(said["verdict"] != "none" for said in nothing),
         _rate(_called(said) for _, said in outside),
         _found(classes, clear),
+        _found(classes, [(one, said) for one, said in clear if _called(said)]),
         _rate(_superfluous(classes, true, one) for true, said in inside for one in _reported(said)),
         float(np.mean(sets)) if sets else float("nan"),
         _rate(hit for true, said in inside for hit in _covered(true, said)),
@@ -139,15 +140,12 @@ def middle(values: Sequence[float]) -> Middle:
 
 
 def _found(classes: Classes, each: Sequence[tuple[TrueEffect, Document]]) -> Found:
-    held = [
-        (any(_class(classes, one) in _set(classes, told) for told in _reported(said)), _called(said))
-        for one, said in each
-    ]
     return Found(
         _rate(one.place in _places(classes, _first(said)) for one, said in each),
         _rate(_class(classes, one) in _classes(classes, _first(said)) for one, said in each),
-        _rate(inside for inside, _ in held),
-        _rate(inside for inside, called in held if called),
+        _rate(
+            any(_class(classes, one) in _set(classes, told) for told in _reported(said)) for one, said in each
+        ),
     )
 
 
@@ -180,12 +178,11 @@ def _baseline(
     inside: Sequence[Solved],
 ) -> Baseline:
     of = [(one, said["baselines"].get(name, {})) for one, said in clear]
-    named = [(one, said) for one, said in of if "name" in said]
-    placed = [(one, said) for one, said in of if "place" in said]
+    names, places = (any(key in said for _, said in of) for key in ("name", "place"))
     shares = [said["baselines"].get(name, {}).get("closure") for _, said in inside if _called(said)]
     return Baseline(
-        _rate(one.place == said["place"] for one, said in placed),
-        _rate(_class(classes, one) == _class(classes, said) for one, said in named),
+        _rate(one.place in _places_said(classes, said) for one, said in of if places),
+        _rate("name" in said and _class(classes, one) == _class(classes, said) for one, said in of if names),
         middle([share for share in shares if share is not None]),
     )
 
@@ -245,17 +242,22 @@ def _places(classes: Classes, told: Iterable[Document]) -> set[str]:
     return {place for label in labels for place in classes.places(label)}
 
 
+def _places_said(classes: Classes, said: Document) -> set[str]:
+    """Of a baseline: by its class if it names an effect; none if it says nothing."""
+    return _places(classes, [said]) if "name" in said else {said["place"]} if "place" in said else set()
+
+
 def _superfluous(classes: Classes, true: TrueCase, finding: Document) -> bool:
     return _class(classes, finding) not in {_class(classes, one) for one in true.effects}
 
 
 def _covered(true: TrueCase, said: Document) -> list[bool]:
-    """Of every fitted parameter of every true effect that was named."""
+    """Of every size of every true effect that was named."""
     found = {(one["name"], one["place"]): one for one in _reported(said)}
     result = []
     for effect in true.effects:
         finding = found.get((effect.name, effect.place))
         for told in finding["parameters"] if finding is not None else ():
-            if told["least"] is not None and told["most"] is not None:
+            if told["is_size"]:
                 result.append(bool(told["least"] <= effect.values[told["name"]] <= told["most"]))
     return result

@@ -20,6 +20,7 @@ KEYS = {
     "unexplained",
     "tool_mm",
     "notes",
+    "floor",
     "thresholds",
 }
 EFFECT = {

@@ -32,6 +32,10 @@ def test_with_nothing_to_learn_from_every_name_is_allowed():
     assert learnt([], np.zeros(0, bool), np.zeros(0, bool), wrong=0).allows(_signs(0.0))
 
 
+def test_where_nothing_chosen_was_ever_right_no_name_is_allowed():
+    assert not learnt([_signs(9.0)], np.zeros(1, bool), np.ones(1, bool), wrong=1).allows(_signs(9.0))
+
+
 def test_a_cause_that_is_left_out_seldom_gets_a_name(made, campaign, rng):
     """On cases that nothing was learnt from, no more often than 97.5 % of samples of 15 % are."""
     named, cases = 0, 60

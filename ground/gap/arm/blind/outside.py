@@ -27,7 +27,6 @@ from ground.request import BadRequest
 from ground.results_file import ResultsFile
 from sim.effects import catalogue
 from sim.effects.effect import Effect
-from sim.params import nominal_params
 from sim.scenario.effects import BadEffect, effect_from, spec_of
 from sim.scenario.outside import effects_in_file
 
@@ -133,7 +132,7 @@ def _change(campaign: Compared, name: tuple[str, str], share: float) -> Array:
 
 @cache
 def _campaign(logs: tuple[Path, ...]) -> Compared:
-    return compared([recording_in(path) for path in logs], nominal_params())
+    return compared([recording_in(path) for path in logs])
 
 
 def _digest(logs: Sequence[Path], prepared: Prepared) -> str:

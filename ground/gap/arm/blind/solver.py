@@ -9,7 +9,6 @@ from ground.gap.arm.logs import NotForDiagnosis, recording_in
 from ground.gap.blind.evidence import Features
 from ground.gap.blind.solve import SEED, NoDiagnosis, Solver
 from ground.gap.told import told
-from sim.params import nominal_params
 from sim.plant import PlantDiverged
 
 
@@ -22,7 +21,7 @@ def diagnosed_case(case: Path, campaign: Path) -> tuple[dict[str, Any], Features
     against = reference_campaign(campaign)
     try:
         fitted, held = ([recording_in(log) for log in logs] for logs in split(case))
-        here = asked(fitted, held, against, nominal_params())
+        here = asked(fitted, held, against)
         return told(said_of(here, against, SEED)), features(here)
     except (NotForDiagnosis, PlantDiverged) as error:
         raise NoDiagnosis(str(error)) from error

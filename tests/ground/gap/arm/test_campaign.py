@@ -13,7 +13,7 @@ from ground.gap.arm.features import CHANNELS, CURRENT, SHIFT, TURN
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.sensitivities import arm_sensitivities, column_of, columns_of
-from ground.gap.arm.simulator import BRIEFLY, ArmSimulator, Touched
+from ground.gap.arm.simulator import BRIEFLY, Touched, arm_simulator
 from ground.pool import on_this_machine
 from ground.telemetry.read import read_log
 from sim.effects.catalogue import catalogue
@@ -33,8 +33,8 @@ def test_no_log_says_what_the_plant_was(logs: list[Path]) -> None:
 
 
 def test_a_nominal_arm_leaves_its_sensors_noise(recordings: list[Recording]) -> None:
-    campaign = compared(recordings, BASE)
-    rest = measured_values(campaign) - predicted_values(campaign, BASE, (), BRIEFLY)
+    campaign = compared(recordings)
+    rest = measured_values(campaign) - predicted_values(campaign, (), BRIEFLY)
     whitened = rest / floor_of(campaign).sigma
     channels = np.array([feature.channel for feature in campaign.features])
     for channel in sorted(set(channels)):
@@ -43,7 +43,7 @@ def test_a_nominal_arm_leaves_its_sensors_noise(recordings: list[Recording]) -> 
 
 
 def test_repeats_of_a_motion_are_one_block_and_say_what_the_floor_is(recordings: list[Recording]) -> None:
-    campaign = compared(recordings, BASE)
+    campaign = compared(recordings)
     assert {f.block for f in campaign.features} == {"poses-level-1", "place-apxs"}
     notes = floor_of(campaign).notes
     assert any("pairs of repeats" in note for note in notes)
@@ -55,11 +55,11 @@ def test_a_case_has_the_same_features_whether_or_not_its_simulator_is_asked(
 ) -> None:
     """A feature that a repeat has and its first has not is told by no simulation."""
     once = next(one for one in recordings if not one.tracked.tick.size)
-    campaign = compared([once, replace(once, name="again")], BASE)
+    campaign = compared([once, replace(once, name="again")])
     first, again = campaign.moving
     odd = replace(again, features=(replace(again.features[0], key="odd"), *again.features[1:]))
     campaign = replace(campaign, moving=(first, odd))
-    arm = ArmSimulator(campaign, BASE, floor_of(campaign).sigma, {}, BRIEFLY)
+    arm = arm_simulator(campaign, floor_of(campaign).sigma, {}, BRIEFLY)
     given, stepped = (
         bound(arm, arm.layout, keys_of(campaign), nominal) for nominal in (np.zeros(arm.layout.size), None)
     )
@@ -69,9 +69,9 @@ def test_a_case_has_the_same_features_whether_or_not_its_simulator_is_asked(
 
 def test_a_longer_link_moves_the_turret_by_as_much(recordings: list[Recording]) -> None:
     poses = [one for one in recordings if one.tracked.tick.size]
-    campaign = compared(poses, BASE)
-    moved = predicted_values(campaign, BASE, (LinkLength(Frame.ARM3, "x", 1e-3),), BRIEFLY)
-    moved -= predicted_values(campaign, BASE, (), BRIEFLY)
+    campaign = compared(poses)
+    moved = predicted_values(campaign, (LinkLength(Frame.ARM3, "x", 1e-3),), BRIEFLY)
+    moved -= predicted_values(campaign, (), BRIEFLY)
     channels = np.array([feature.channel for feature in campaign.features])
     shift = moved[channels == SHIFT].reshape(len(poses), 3, -1)
     np.testing.assert_allclose(np.linalg.norm(shift, axis=1), 1e-3, rtol=0.02)
@@ -79,7 +79,7 @@ def test_a_longer_link_moves_the_turret_by_as_much(recordings: list[Recording]) 
 
 
 def test_effects_are_stepped_only_where_they_can_show(recordings: list[Recording]) -> None:
-    campaign = compared(recordings, BASE)
+    campaign = compared(recordings)
     (touch,) = campaign.moving
     assert Touched((GearStiffness(Joint.ELBOW, 1.1),))(touch)
     assert Touched((TurretMass(1.0),))(touch)
@@ -91,7 +91,7 @@ def test_nothing_is_compared_near_a_touch(recordings: list[Recording]) -> None:
     """Under the recorded drive another arm would push as the real one never did."""
     (placed,) = [one for one in recordings if one.world.surface is not None]
     closed = np.flatnonzero(placed.sensors["switch_closed"].any(axis=1))[0]
-    here = compared([placed], BASE).moving[0]
+    here = compared([placed]).moving[0]
     bins = sum(end <= closed for segment in here.segments for _, end in segment.bins())
     assert 0 < sum(feature.channel == CURRENT for feature in here.features) < bins
 
@@ -99,9 +99,9 @@ def test_nothing_is_compared_near_a_touch(recordings: list[Recording]) -> None:
 @pytest.mark.parametrize("kind", ["link-angle"])
 def test_a_sensitivity_is_the_difference_of_predictions(recordings: list[Recording], kind: str) -> None:
     poses = [one for one in recordings if one.tracked.tick.size]
-    campaign = compared(poses, BASE)
+    campaign = compared(poses)
     sigma = floor_of(campaign).sigma
-    simulator = ArmSimulator(campaign, BASE, sigma, {kind: catalogue()[kind]})
+    simulator = arm_simulator(campaign, sigma, {kind: catalogue()[kind]})
     nominal = simulator.predicted(())
     zero = np.zeros(len(simulator.nuisances))
     for column in columns_of(simulator)[:3]:

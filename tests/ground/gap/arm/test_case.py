@@ -25,7 +25,6 @@ from sim.effects.geometry import FrameError
 from sim.effects.joints import ResolverBias
 from sim.effects.links import LinkLength
 from sim.initialisation import true_reference
-from sim.params import nominal_params
 
 FITTED = ("poses-level-1", "poses-level-1-again", "poses-level-2", "poses-rolled-1")
 APART = ("poses-level-3", "poses-rolled-2")
@@ -62,7 +61,7 @@ def case(against: Reference, tmp_path: Path) -> Callable[..., Result]:
 
     def of(*effects: Effect, patch: tuple[Effect, ...] = ()) -> Result:
         fitted, apart = ([recording_in(p) for p in paths] for paths in recorded(tmp_path, effects, 9))
-        return solved(fitted, apart, against, nominal_params(), 0, patch)
+        return solved(fitted, apart, against, 0, patch)
 
     return of
 
@@ -88,7 +87,7 @@ def test_nuisances_do_not_take_the_place_of_an_effect_that_they_are_like(
     """The simulator is asked about them: had they the effect, it would bend as if it were there twice."""
     logs = recorded(tmp_path, (LinkLength(Frame.ARM3, "x", 5e-3),), 9)
     fitted, apart = ([recording_in(path) for path in paths] for paths in logs)
-    here = asked(fitted, apart, against, nominal_params())
+    here = asked(fitted, apart, against)
     shifts = [e.screw[3:] for e in here.case.arm.patch if isinstance(e, FrameError) and e.frame is Frame.ARM3]
     assert shifts
     assert np.abs(shifts).max() < 4.0 * LEFT_FRAME_M
@@ -105,7 +104,7 @@ def test_with_the_patch_on_nothing_is_left(case: Callable[..., Result]) -> None:
 def test_most_of_a_campaign_must_be_there(nominal: Logs, against: Reference) -> None:
     few = [recording_in(path) for path in nominal[0][:1]]
     with pytest.raises(TooLittleMotion, match=r"poses-level-2, poses-rolled-1"):
-        solved(few, [], against, nominal_params(), 0)
+        solved(few, [], against, 0)
 
 
 def test_a_campaign_without_such_sessions_is_refused(nominal: Logs, tmp_path: Path) -> None:
@@ -135,5 +134,5 @@ def test_a_part_of_the_effects_is_taken_from_what_is_kept_of_all(
 
 def test_sessions_that_are_missing_are_said(nominal: Logs, against: Reference) -> None:
     some = [recording_in(path) for path in nominal[0] if path.stem != "poses-level-2"]
-    said = asked(some, [], against, nominal_params()).notes
+    said = asked(some, [], against).notes
     assert "of the campaign's motions nothing comparable is there of poses-level-2" in said

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.transforms import IDENTITY, batched
-from ground.gap.arm import diagnosed, recorded
+from ground.gap.arm import diagnosed, logs, recorded
 from ground.gap.arm.logs import NotForDiagnosis
 from ground.gap.arm.reference import save_thresholds, thresholds_in
 from ground.gap.arm.sensitivities import keys_in, keys_path
@@ -76,6 +76,20 @@ def test_poses_of_a_tracker_come_back(tmp_path: Path) -> None:
         np.testing.assert_array_equal(again.sigma, one.sigma)
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"name": "cold"', "EOF|JSON"),
+        ('{"temperature_C": NaN}', "temperature_C is nan; it must be finite"),
+        ('{"world": {"tilt_roll_rad": NaN}}', "tilts the rover by nan rad; at most 0.524 is right"),
+        ('{"world": {"tilt_pitch_rad": 2.9}}', "tilts the rover by 2.9 rad"),
+    ],
+)
+def test_a_session_that_a_header_cannot_mean_is_refused(text: str, said: str) -> None:
+    with pytest.raises(NotForDiagnosis, match=f"log a.mcap: session in its header: .*({said})"):
+        logs._said(text, Path("a.mcap"))
+
+
 def shorter(text: str) -> str:
     return text.replace(",z_sigma_m", "")
 
@@ -86,6 +100,14 @@ def cut(text: str) -> str:
 
 def words(text: str) -> str:
     return text.replace("7,", "seven,", 1)
+
+
+def between(text: str) -> str:
+    return text.replace("7,", "7.5,", 1)
+
+
+def twice(text: str) -> str:
+    return text + text.splitlines(keepends=True)[-1]
 
 
 def nothing(_: str) -> str:
@@ -99,6 +121,8 @@ def nothing(_: str) -> str:
         (nothing, "has no column rx_rad, "),
         (cut, "something in it is no number"),
         (words, "something in it is no number"),
+        (between, "ticks must be whole numbers"),
+        (twice, "each there once"),
     ],
 )
 def test_a_table_that_is_none_of_poses_is_refused(
@@ -129,7 +153,7 @@ def test_a_repeat_of_what_is_fitted_is_not_held_out() -> None:
 def test_a_session_is_given_once() -> None:
     paths, same = (Path("a.mcap"), Path("b.mcap")), Named("cold", "cold")
     with pytest.raises(NotForDiagnosis, match=r"b\.mcap: is session cold, and so is a\.mcap"):
-        diagnosed._check_different(paths, [same, same])  # type: ignore[list-item]
+        diagnosed._check_sessions(paths, [same, same])  # type: ignore[list-item]
 
 
 def test_a_part_of_a_campaign_is_beside_all_of_it_on_the_sides_that_its_logs_have(tmp_path: Path) -> None:

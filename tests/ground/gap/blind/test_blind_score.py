@@ -26,7 +26,7 @@ def said(
             "name": name,
             "place": place,
             "alternatives": [{"name": n, "place": p} for n, p in more.get("alternatives", ())],
-            "parameters": [{"name": "size", "least": 0.9, "most": more.get("most", 1.1)}],
+            "parameters": [{"name": "size", "is_size": True, "least": 0.9, "most": more.get("most", 1.1)}],
         }
         for name, place in effects
     ]
@@ -97,7 +97,6 @@ def test_intervals_are_of_the_very_effect_that_was_named() -> None:
         (one, said("named", ("rub", "hip"))),
         (one, said("named", ("rub", "hip"), most=0.95)),
         (one, said("unknown", ("rub", "hip"))),
-        (one, said("named", ("rub", "hip"), most=None)),
     )
     assert (found.covered.hits, found.covered.of) == (1, 2)
 
@@ -109,6 +108,23 @@ def test_closure_is_held_against_what_the_truth_achieves() -> None:
     assert found.closure.median == pytest.approx(0.8)
     assert found.closure_lost.median == pytest.approx(0.15)
     assert found.seconds.median == found.most_seconds == 9.0
+
+
+def test_what_is_withheld_counts_against_all_and_not_against_those_named() -> None:
+    one = true("single", ("rub", "hip"))
+    found = scored((one, said("named", ("rub", "hip"))), (one, said("unknown", ("bend", "shin"))))
+    assert (found.found.effect.hits, found.found.effect.of) == (1, 2)
+    assert (found.found_given.effect.hits, found.found_given.effect.of) == (1, 1)
+
+
+def test_others_are_rated_as_the_diagnosis_is() -> None:
+    """A place counts by its class, and a case of which nothing was said is a miss."""
+    alike = Classes({("rub", "knee"): 0, ("drag", "hip"): 0})
+    one, refused = true("single", ("drag", "hip")), {**said("unknown"), "baselines": {}}
+    free = {"baselines": {"free": {"name": "rub", "place": "knee", "closure": None}}}
+    found = score(alike, [(one, {**said("none"), **free}), (one, refused)], lambda _: 0.9).baselines["free"]
+    assert (found.place.hits, found.place.of) == (1, 2)
+    assert (found.effect.hits, found.effect.of) == (1, 2)
 
 
 def test_others_stand_in_the_same_table() -> None:

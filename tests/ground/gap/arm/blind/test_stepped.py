@@ -15,8 +15,8 @@ BASE = nominal_params()
 
 
 def test_it_agrees_with_statics(recordings: list[Recording]) -> None:
-    campaign = compared(recordings[:1], BASE)
+    campaign = compared(recordings[:1])
     for effect in (LinkLength(Frame.ARM3, "x", 1e-3), ResolverBias(Joint.ELBOW, 1e-3)):
-        said = predicted_values(campaign, BASE, (effect,), BRIEFLY)
-        said = said - predicted_values(campaign, BASE, (), BRIEFLY)
+        said = predicted_values(campaign, (effect,), BRIEFLY)
+        said = said - predicted_values(campaign, (), BRIEFLY)
         np.testing.assert_allclose(change(campaign, (effect,), BRIEFLY), said, atol=2e-5)
