@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
@@ -21,7 +21,7 @@ from ground.outputs import BadOutput, check_output, written_whole
 from ground.progress import Progress
 from ground.request import BadRequest, check_apart
 from ground.telemetry.format import TICK_NS
-from ground.telemetry.header import asked, begins_with, made_by
+from ground.telemetry.header import SESSION, asked, begins_with, made_by
 from ground.telemetry.table_log import Series, write_table_log
 
 SENSORS: Final = "/sensors"
@@ -174,10 +174,12 @@ def _header(mapping: Mapping, about: dict[str, str]) -> dict[str, str]:
     start = mapping.start
     begins = {} if start is None else begins_with(start.params, start.mode, start.reference)
     commands = [] if start is None else [one.command for one in start.commands]
+    done = {} if mapping.session is None else {SESSION: json.dumps(asdict(mapping.session))}
     return {
         **made_by(),
         **begins,
         **asked(commands),
+        **done,
         "cpu": UNKNOWN_CPU,
         "arm": mapping.arm,
         "seed": "unknown",

@@ -110,6 +110,17 @@ class Start:
     """In order of their ticks."""
 
 
+@dataclass(frozen=True, slots=True)
+class Session:
+    """The table [session]: what was done, for a diagnosis of the gap."""
+
+    name: str
+    block: str | None = None
+    """The same in all repeats of a motion; the name if it is not said."""
+    temperature_C: Annotated[float | None, Limits(-273.15, 1000.0)] = None
+    """Of the air; that of the windings in the first row if it is not said."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Mapping:
     """A mapping without a problem."""
@@ -120,3 +131,4 @@ class Mapping:
     csv: Csv
     channels: tuple[Channel, ...]
     start: Start | None
+    session: Session | None

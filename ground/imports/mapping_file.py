@@ -8,7 +8,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 
 from ground.imports.errors import BadImport
-from ground.imports.mapping import TICK, Channel, Csv, Mapping, Time
+from ground.imports.mapping import TICK, Channel, Csv, Mapping, Session, Time
 from ground.imports.start import start_of
 from ground.imports.targets import IMPORTED, Target, conversions, free_target, targets
 from ground.imports.units import Conversion, known_units
@@ -20,7 +20,7 @@ from sim.scenario.toml_lines import NotToml, Place, parsed
 
 T = TypeVar("T")
 
-KNOWN: Final = ("arm", "time", "csv", "channel", "start", "command")
+KNOWN: Final = ("arm", "time", "csv", "channel", "start", "command", "session")
 LISTED: Final = ("columns", "gain", "offset")
 """Keys of a channel that may be one value, too."""
 MOST_MAPPING_BYTES: Final = 1 << 20
@@ -75,9 +75,10 @@ def _mapping(data: dict[str, Any], file: str, folder: Path, findings: Findings) 
         findings.say((), "channel: is missing; write [[channel]] and its keys below, once for each")
     _check_apart([channel for channel in channels if channel is not None], findings)
     start = start_of(data, folder, findings)
+    session = _record(Session, data, "session", findings) if "session" in data else None
     if head is None or time is None or csv is None or None in channels:
         return None
-    return Mapping(file, head.arm, time, csv, tuple(c for c in channels if c is not None), start)
+    return Mapping(file, head.arm, time, csv, tuple(c for c in channels if c is not None), start, session)
 
 
 def _record(kind: type[T], data: dict[str, Any], name: str, findings: Findings) -> T | None:

@@ -26,6 +26,8 @@ from sim.scenario.effects import spec_of
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 GIT_TIMEOUT_S: Final = 5.0
+SESSION: Final = "session"
+"""Header key: what was done under which conditions, in JSON, for a diagnosis of the gap."""
 
 
 def header_of(

@@ -13,10 +13,10 @@ from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from fsw.messages import Drive, Sensors
-from ground.gap.arm.record import SESSION
 from ground.gap.arm.tracked import Tracked, none_tracked, read_tracked
 from ground.replay.inputs import NotReplayable, inputs_in
 from ground.telemetry.errors import LogError
+from ground.telemetry.header import SESSION
 from ground.telemetry.read import Log, read_log
 from sim.driven import Start
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World

@@ -3,7 +3,6 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -13,7 +12,7 @@ from ground.calibration.frames import FewTargets
 from ground.calibration.survey import surveyed
 from ground.gap.arm.tracked import Tracked, none_tracked, write_tracked
 from ground.progress import Progress
-from ground.telemetry.header import flown_header
+from ground.telemetry.header import SESSION, flown_header
 from ground.telemetry.plain import to_plain
 from ground.telemetry.record import Recorder
 from sim.arms import BuiltArm
@@ -22,9 +21,6 @@ from sim.diagnosis.motions import Session
 from sim.effects.effect import Effect
 from sim.loop import ClosedLoop
 from sim.tracker import TYPICAL, turret_pose
-
-SESSION: Final = "session"
-"""Header key: what was done under which conditions, in JSON."""
 
 
 def record_campaign(

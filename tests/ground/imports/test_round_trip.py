@@ -16,6 +16,7 @@ from fsw.cycle import step
 from fsw.dictionary.modes import Mode
 from fsw.messages import Sensors
 from fsw.state import boot
+from ground.gap.arm.logs import recording_in
 from ground.imports.job import ImportRequest, import_table
 from ground.imports.targets import targets
 from ground.request import BadRequest
@@ -105,6 +106,17 @@ def test_the_header_says_where_it_comes_from(as_parquet: bytes, make: Any, tmp_p
     assert "params" not in log.header
     told = json.loads(log.header["channels"])
     assert told["/imported/sensors"]["layout"] == [["current_A", "<f8", [5]]]
+
+
+def test_a_repeat_is_known_as_one_to_the_diagnosis(
+    as_parquet: bytes, make: Any, tmp_path: Path, run: Log
+) -> None:
+    said = '[session]\nname = "cold-again"\nblock = "cold"\n'
+    import_into(tmp_path, as_parquet, make.TIME + said + make.channels() + make.start())
+    (path,) = tmp_path.glob("*.mcap")
+    here = recording_in(path)
+    assert (here.name, here.block) == ("cold-again", "cold")
+    assert here.temperature_C == pytest.approx(run["/sensors"]["winding_C"][0].mean())
 
 
 def test_what_is_not_whole_is_kept_apart(as_parquet: bytes, make: Any, tmp_path: Path, run: Log) -> None:

@@ -12,9 +12,9 @@ from mcap.records import Attachment, Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from fsw.estimate.reference import Reference
-from ground.gap.arm.record import SESSION
 from ground.gap.blind.truth import TrueCase
 from ground.telemetry.format import CHANNELS_KEY
+from ground.telemetry.header import SESSION
 from ground.telemetry.plain import to_plain
 from ground.telemetry.read import read_log
 from sim.arms import BuiltArm, arm_named

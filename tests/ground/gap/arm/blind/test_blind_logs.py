@@ -13,11 +13,11 @@ from ground.gap.arm.blind.background import background
 from ground.gap.arm.blind.outside import all_outside
 from ground.gap.arm.blind.sealed import KEYS, TellsTruth, check_sealed
 from ground.gap.arm.logs import recording_in
-from ground.gap.arm.record import SESSION, conditions
+from ground.gap.arm.record import conditions
 from ground.gap.blind.folder import CASES
 from ground.gap.blind.truth import TrueCase, Truth
 from ground.gap.drawn import Seen
-from ground.telemetry.header import flown_header, header_of
+from ground.telemetry.header import SESSION, flown_header, header_of
 from ground.telemetry.read import read_log
 from ground.telemetry.record import Recorder
 from sim.arms import arm_named
