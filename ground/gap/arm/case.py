@@ -6,6 +6,7 @@ from operator import attrgetter
 from typing import Final
 
 import numpy as np
+from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array
 from ground.gap.arm.at_tool import tool_gap
@@ -16,7 +17,7 @@ from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import NotForDiagnosis, Recording
 from ground.gap.arm.reference import Reference
 from ground.gap.arm.simulator import CALMLY, ArmSimulator, arm_simulator
-from ground.gap.case import case_of
+from ground.gap.case import case_of, left_over
 from ground.gap.closure import Closure, unsure
 from ground.gap.diagnose import Diagnosis, diagnose
 from ground.gap.held_out import closed, residuals, settings_of
@@ -89,14 +90,46 @@ def asked(
     _check_motion(first, against)
     known = _ready(against.ready, first)
     notes = (*audit(recordings), *_lacking(first, against), *_borrowed(known, against))
-    about = _about(known, first)
-    near = (*patch, *arm.effects({}, about))
-    case = bound(arm.patched(near), layout, against.keys)
-    apart = _held_out_part(held_out, against, near)
+    points = [_asked_about(arm, against, known, about, patch) for about in _abouts(known, first)]
+    best = points[-1] if points[-1].simpler_than(points[0]) else points[0]
+    apart = _held_out_part(held_out, against, best.case.arm.patch)
     there = np.zeros(0)
     if apart is not None and against.held_out is not None:
-        there = apart.gap() + against.held_out.nuisance[apart.rows] @ about
-    return Asked(known, case, case.gap() + known.found.nuisance @ about, apart, there, notes, floor)
+        there = apart.gap() + against.held_out.nuisance[apart.rows] @ best.about
+    return Asked(known, best.case, best.gap, apart, there, notes, floor)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Point:
+    """The simulator asked about some nuisances."""
+
+    about: Array
+    case: Bound
+    gap: Array
+    """Measured less simulated with nuisances at 0, in straight lines from here, (m,)."""
+    effects: int
+    """That explain it from here."""
+    cost: float
+    """Deviance that they leave, and what as many without a cause would explain."""
+
+    def simpler_than(self, other: "_Point") -> bool:
+        """Whether fewer effects explain it, and no worse."""
+        return self.effects < other.effects and self.cost < other.cost
+
+
+def _asked_about(
+    arm: ArmSimulator, against: Reference, known: Ready, about: Array, patch: tuple[Effect, ...]
+) -> _Point:
+    near = arm.patched((*patch, *arm.effects({}, about)))
+    case = bound(near, against.ready.found.layout, against.keys)
+    gap = case.gap() + known.found.nuisance @ about
+    told, y = case_of(known.prepared, Evidence(known.found.layout, gap))
+    won = race(known.field, told)
+    k = known.prepared.columns(won.chosen).size
+    needed = float(chi2.isf(10.0**-known.thresholds.effect, k)) if k else 0.0
+    return _Point(
+        about, case, gap, len(won.chosen), left_over(known.prepared, told, y) - won.dropped + needed
+    )
 
 
 def said_of(here: Asked, against: Reference, seed: int) -> Result:
@@ -106,19 +139,22 @@ def said_of(here: Asked, against: Reference, seed: int) -> Result:
     return Result(here.known, told, shut, at_tool, again(here.known, told), here.notes, here.floor)
 
 
-def _about(known: Ready, case: Bound) -> Array:
-    """Nuisances (q,) beside what explains the case best: about these the simulator is asked.
+def _abouts(known: Ready, case: Bound) -> list[Array]:
+    """Nuisances (q,) about which the simulator is to be asked: beside what explains the case best, and alone.
 
-    They may be large, and are no straight lines. Without what explains it they would take the place of an
-    effect that they are like. Those that are drawn in every block, and those that cannot be had in parts,
-    stay 0.
+    They may be large, and are no straight lines. Alone they would take the place of an effect that they are
+    like; beside an effect that is none, that is there because they bend, it would take theirs. Those that
+    are drawn in every block, and those that cannot be had in parts, stay 0.
     """
     told, _ = case_of(known.prepared, Evidence(known.found.layout, case.gap()))
-    chosen = race(known.field, told).chosen
-    model = fitted(known.prepared, told, known.prepared.columns(chosen))
-    about = np.zeros(len(known.found.nuisances))
-    about[known.found.lasting] = model.theta[: known.prepared.q] * known.prepared.nuisance_unit
-    return np.where([one.one_sided for one in case.arm.uncertain], 0.0, about)
+    whole = np.array([one.one_sided for one in case.arm.uncertain])
+    found = []
+    for chosen in dict.fromkeys((race(known.field, told).chosen, ())):
+        model = fitted(known.prepared, told, known.prepared.columns(chosen))
+        about = np.zeros(len(known.found.nuisances))
+        about[known.found.lasting] = model.theta[: known.prepared.q] * known.prepared.nuisance_unit
+        found.append(np.where(whole, 0.0, about))
+    return found
 
 
 def _held_out_part(
