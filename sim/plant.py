@@ -20,6 +20,7 @@ JOINT_NAMES = tuple(joint.name.lower() for joint in Joint)
 
 SPRINGS = ("rover", "link1", "link2", "link3", "link4")
 AXES = ("rx", "ry", "rz", "tx", "ty", "tz")
+"""Of screws and springs: turns, then shifts."""
 
 HARD_FRICTION = 1e-4
 """MuJoCo softens dry friction by 1e-4 of this inverse weight, at most as hard as its files can ask: an output

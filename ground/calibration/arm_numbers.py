@@ -17,8 +17,8 @@ from sim.effects.geometry import FrameError
 from sim.effects.joints import BacklashWidth, GearStiffness
 from sim.effects.matrices import turned
 from sim.effects.structure import LinkMass, LinkStiffness
+from sim.plant import AXES
 
-AXES: Final = ("rx", "ry", "rz", "tx", "ty", "tz")
 MASSES: Final = (Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5, Frame.ARM6)
 FIXTURE_RAD, FIXTURE_M = 1e-4, 5e-5
 """How well the measured frame is known on the interface that its targets are on, one sigma; assumed."""

@@ -37,12 +37,6 @@ def of_sums(prepared: Prepared, c: Array) -> Case:
     return Case(c, r)
 
 
-def left_over(prepared: Prepared, case: Case, y: Array) -> float:
-    """Deviance of whitened features (m,) that nuisances alone leave, their prior counted."""
-    along = case.c.sum(axis=0)[: prepared.q]
-    return float(y @ y - along @ prepared.C[-1] @ along)
-
-
 def case_of(prepared: Prepared, evidence: Evidence) -> tuple[Case, Array]:
     """The case, and the whitened features (m,)."""
     y = prepared.whiten(evidence.value)

@@ -75,6 +75,12 @@ class Prepared:
         return np.concatenate([np.flatnonzero(self.owner == h) for h in chosen] or [np.zeros(0, np.intp)])
 
 
+def left_over(prepared: Prepared, y: Array) -> float:
+    """Deviance of whitened features (m,) that nuisances alone leave, their prior counted."""
+    along = prepared.A[:, : prepared.q].T @ y
+    return float(y @ y - along @ prepared.C[-1] @ along)
+
+
 def prepare(found: Sensitivities, changed: dict[int, Array] | None = None) -> Prepared:
     """Sums over blocks and what they say of every hypothesis with nuisances free.
 

@@ -16,7 +16,7 @@ from fsw.kinematics.transforms import Array
 from ground.gap.curved import Curved
 from ground.gap.hypothesis import Hypothesis, Parameter
 from ground.gap.layout import Ints
-from ground.gap.prepared import Prepared
+from ground.gap.prepared import Prepared, left_over
 from ground.gap.simulator import Simulator
 
 PASSES: Final = 5
@@ -195,9 +195,7 @@ class _Fit:
 
     def _cost(self, x: Array, change: Array) -> float:
         rest = self.y - self.prepared.whiten(change)
-        along = self._N.T @ rest
-        deviance = float(rest @ rest - along @ self.prepared.C[-1] @ along)
-        return deviance + float(np.sum(self._shape(x) ** 2))
+        return left_over(self.prepared, rest) + float(np.sum(self._shape(x) ** 2))
 
     def sigma(self, there: _Point) -> Array:
         """Of the parameters per typical size, nuisances free."""

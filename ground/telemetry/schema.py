@@ -123,10 +123,15 @@ class Layout:
         """
         rows = json.loads(text)
         made = cls(tuple(Field(name, kind, shape and tuple(shape)) for name, kind, shape in rows))
-        scalars = [made.dtype[name].base for name in made.dtype.names or ()]
-        if any(scalar.kind not in NUMBERS or scalar.itemsize > MOST_BYTES for scalar in scalars):
+        whole = made.dtype
+        if not all(is_number(whole[name].base) for name in whole.names or ()):
             raise ValueError(f"a field is no number: {text}")
         return made
+
+
+def is_number(scalar: np.dtype[Any]) -> bool:
+    """Whether ROS 2 has such a type."""
+    return scalar.kind in NUMBERS and scalar.itemsize <= MOST_BYTES
 
 
 def note_of(name: str, hint: Any) -> str:
@@ -160,7 +165,7 @@ def field_of(owner: type, name: str, hint: Any) -> Field:
     note, doc = note_of(name, hint), " ".join(field_texts(owner).get(name, "").split())
     if get_origin(kind) is np.ndarray:
         scalar = np.dtype(get_args(get_args(kind)[1])[0])
-        if scalar.kind not in NUMBERS or scalar.itemsize > MOST_BYTES:
+        if not is_number(scalar):
             raise SchemaError(f"{where}: an array of {scalar} has no ROS 2 type; use numbers or flags")
         return Field(name, scalar.str, shape_of(owner, name), note, doc)
     if isinstance(kind, type) and issubclass(kind, IntEnum):

@@ -9,8 +9,7 @@ from fsw.kinematics.transforms import Array, skew
 from ground.gap.layout import Ints
 from ground.gap.result import ToolGap
 from sim.params import nominal_params
-
-AXES = ("rx", "ry", "rz", "tx", "ty", "tz")
+from sim.plant import AXES
 
 
 def tool_gap(keys: Sequence[str], before: Array, after: Array, sigma: Array) -> ToolGap | None:

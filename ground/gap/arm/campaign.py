@@ -18,6 +18,7 @@ from sim.driven import Manner
 from sim.effects.effect import Effect, Hardware, Spoilt, nominal_hardware
 from sim.effects.friction import OutputFriction
 from sim.params import nominal_params
+from sim.plant import AXES
 
 UNSURE: Final = 0.3
 """Share of the outputs' friction: a load so near to it may or may not have dragged an output over its gap."""
@@ -153,7 +154,7 @@ def _posed(knots: Knots, nominal: Resting, *others: Resting) -> Posed:
             name = joint.name.lower()
             features.append(Feature(RESOLVER, name, "rest", recording.block, condition, f"rest {r}/{name}"))
     condition = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
-    for axis, named in enumerate(("rx", "ry", "rz", "tx", "ty", "tz")):
+    for axis, named in enumerate(AXES):
         channel = TURN if axis < 3 else SHIFT
         for r, _ in seen:
             features.append(

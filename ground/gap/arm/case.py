@@ -17,13 +17,14 @@ from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import NotForDiagnosis, Recording
 from ground.gap.arm.reference import Reference
 from ground.gap.arm.simulator import CALMLY, ArmSimulator, arm_simulator
-from ground.gap.case import case_of, left_over
-from ground.gap.closure import Closure, unsure
+from ground.gap.case import case_of
+from ground.gap.closure import Closure
 from ground.gap.diagnose import Diagnosis, diagnose
-from ground.gap.held_out import closed, residuals, settings_of
+from ground.gap.held_out import left_on, settings_of
 from ground.gap.layout import Evidence
 from ground.gap.model import fitted
 from ground.gap.next_motion import again
+from ground.gap.prepared import left_over
 from ground.gap.race import race
 from ground.gap.ready import Ready, ready
 from ground.gap.result import Result, ToolGap
@@ -127,9 +128,7 @@ def _asked_about(
     won = race(known.field, told)
     k = known.prepared.columns(won.chosen).size
     needed = float(chi2.isf(10.0**-known.thresholds.effect, k)) if k else 0.0
-    return _Point(
-        about, case, gap, len(won.chosen), left_over(known.prepared, told, y) - won.dropped + needed
-    )
+    return _Point(about, case, gap, len(won.chosen), left_over(known.prepared, y) - won.dropped + needed)
 
 
 def said_of(here: Asked, against: Reference, seed: int) -> Result:
@@ -205,11 +204,9 @@ def _tried(
     found = against.held_out.of(case.rows)
     settings, zero = settings_of(told), np.zeros(len(case.nuisances))
     change = case.predict(settings, zero) - case.predict({}, zero)
-    evidence = Evidence(found.layout, here.held_out_gap)
+    left = left_on(told, Evidence(found.layout, here.held_out_gap), found, change)
     keys = [against.held_out_keys[row] for row in case.rows]
-    sigma = found.layout.sigma * np.sqrt(1.0 + unsure(told.prepared, found))
-    gap = tool_gap(keys, *residuals(told, evidence, found, change), sigma)
-    return closed(told, evidence, found, change, seed), gap
+    return left.closure(seed), tool_gap(keys, left.before, left.after, left.sigma)
 
 
 def _check_motion(case: Bound, against: Reference) -> None:

@@ -25,6 +25,7 @@ from sim.effects.joints import GearFriction, GearStiffness, HardstopAngle, Resol
 from sim.effects.numerics import Numerics
 from sim.effects.sensors import CurrentBias, EncoderZero
 from sim.effects.structure import LinkStiffness
+from sim.plant import AXES
 from sim.trials import FRICTION
 
 NUMERICS: Final = {
@@ -85,7 +86,7 @@ def _of_frames() -> Iterator[Uncertain]:
         for axis in IDENTIFIABLE[frame]:
             named = (frame.name if tool is None else tool.name).lower()
             unit, sigma = ("rad", LEFT_FRAME_RAD) if axis < 3 else ("m", LEFT_FRAME_M)
-            word = ("rx", "ry", "rz", "tx", "ty", "tz")[axis]
+            word = AXES[axis]
             yield Uncertain(
                 Nuisance(f"frame {named}.{word}", unit, sigma),
                 partial(_displaced, frame, tool, axis),

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from fsw.config import configure
-from ground.gap.arm.at_tool import AXES, tool_gap
+from ground.gap.arm.at_tool import tool_gap
 from sim.params import nominal_params
+from sim.plant import AXES
 
 KEYS = [f"poses/rest 0/{axis}" for axis in reversed(AXES)] + ["poses/rest 1/rx", "poses/rest 0/elbow"]
 
