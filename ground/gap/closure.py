@@ -1,16 +1,21 @@
 """How far the gap shrinks on motions that took no part in fitting or choosing.
 
-With nuisances as fitted without effect, the energy of the whitened residual is E0; with effects, and
-nuisances as fitted beside them, E1; the floor, and what is not known of the nuisances, give n. The share
-closed is (E0 - E1) / (E0 - n).
+With nuisances as fitted without effect, the whitened residual there is r; with effects, and nuisances as
+fitted beside them, r - d. What can be explained lies in the span Q of what the hypotheses change there, each
+as large as it must be to be seen where it was fitted: |Q'r|^2, less what is there by chance. That is what the
+nuisances leave, N C N', and every feature's own noise, which is measured by what lies beside the span
+(r_i^2 / (1 - h_i) with the leverage h = diag QQ', as the jackknife has it): a floor that is assumed may be
+too high. The share closed is (|r|^2 - |r - d|^2) / (|Q'r|^2 - chance).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
 
 from fsw.kinematics.transforms import Array
+from ground.gap.detect import noncentrality
 from ground.gap.layout import Layout
 from ground.gap.prepared import Prepared
 from ground.gap.sensitivity import Sensitivities
@@ -19,7 +24,11 @@ from ground.gap.whiten import whitener
 DRAWS: Final = 2000
 LEVEL: Final = 0.9
 LOST: Final = 2.0
-"""An explainable gap of less than this many sigmas of the floor's own energy cannot be shared out."""
+"""An explainable gap of less than so many sigmas of what is there by chance cannot be shared out."""
+MOVES: Final = 2.0
+"""Sigmas by which effects that can just be seen together move what may be explained."""
+LEVER: Final = 0.5
+"""A feature of more leverage tells too little of its own noise: it has its floor's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,45 +49,82 @@ class Closure:
     share: float
     least: float
     most: float
-    """90 % interval, from a bootstrap over held-out blocks."""
+    """90 % interval, noise drawn anew."""
     before: float
     after: float
-    """E0 / n and E1 / n: 1 at the floor."""
+    """Energy of what can be explained over what is there by chance: 1 where nothing is left."""
     channels: tuple[ChannelClosure, ...]
 
 
-def closure(
-    layout: Layout, whitened: tuple[Array, Array], raw: tuple[Array, Array], seed: int, unsure: Array
-) -> Closure:
-    """Of residuals (m,) before and after, whitened and in the channels' units, on held-out features.
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """Motion that took no part, and what can be explained there: m features, d directions, q nuisances."""
 
-    `unsure` (m,) is the variance, in that of the floor, that nuisances as fitted elsewhere leave here: no
-    effect can close it.
-    """
-    count = len(layout.blocks)
-    used = np.bincount(layout.block, minlength=count) > 0
-    n, E0, E1 = (
-        np.bincount(layout.block, one, minlength=count)[used]
-        for one in (1.0 + unsure, whitened[0] ** 2, whitened[1] ** 2)
-    )
-    rng = np.random.default_rng(seed)
-    weight = rng.multinomial(n.size, np.full(n.size, 1.0 / n.size), size=DRAWS)
-    gap = weight @ (E0 - n)
-    closed = weight @ (E0 - E1)
-    small = LOST * np.sqrt(2.0 * np.sum((1.0 + unsure) ** 2))
+    found: Sensitivities
+    Q: Array
+    """Directions, orthonormal, (m, d)."""
+    N: Array
+    """What one sigma of what is left of each nuisance does to whitened features, (m, q)."""
+
+    @property
+    def layout(self) -> Layout:
+        """Its features."""
+        return self.found.layout
+
+    @cached_property
+    def unsure(self) -> Array:
+        """Variance, in that of the floor, that nuisances as fitted elsewhere leave here, (m,)."""
+        return np.asarray(np.sum(self.N**2, axis=1))
+
+    @cached_property
+    def sigma(self) -> Array:
+        """The floor and what nuisances leave, (m,)."""
+        return np.asarray(self.layout.sigma * np.sqrt(1.0 + self.unsure))
+
+    def whiten(self, X: Array) -> Array:
+        """In units of the floor, (m,) or (m, n)."""
+        return whitener(self.found)(X)
+
+
+def apart_from(prepared: Prepared, found: Sensitivities) -> HeldOut:
+    """Held-out motion, beside what is fitted; ValueError if a block is in both, or nuisances are others."""
+    check_apart(prepared.layout, found.layout)
+    if len(found.lasting) != prepared.q or len(found.hypotheses) != len(prepared.hypotheses):
+        raise ValueError("held-out motion must have the nuisances and the hypotheses of the campaign")
+    whiten = whitener(found)
+    N = whiten(found.nuisance[:, found.lasting] * prepared.nuisance_unit)
+    seen = prepared.scale > 0.0
+    size = _just_seen(prepared)[seen]
+    fitted = prepared.W[-1][seen] * size[:, None]
+    moved = whiten(found.effect[:, seen] * (size / prepared.scale[seen])) - N @ fitted.T
+    U, s, _ = np.linalg.svd(moved, full_matrices=False)
+    return HeldOut(found, U[:, s > MOVES], N @ np.linalg.cholesky(prepared.C[-1]))
+
+
+def closure(apart: HeldOut, before: Array, after: Array, seed: int) -> Closure:
+    """Of residuals (m,) in the channels' units."""
+    told = closed(apart, apart.whiten(before), apart.whiten(after), seed)
+    return replace(told, channels=_channels(apart, before, after))
+
+
+def closed(apart: HeldOut, r: Array, rest: Array, seed: int) -> Closure:
+    """Of whitened residuals (m,) before and after; channels are not told."""
+    d, along = r - rest, apart.Q.T @ r
+    chance = _chance(apart, r, np.column_stack([apart.Q, d]))
+    of_span = chance[:-1, :-1]
+    noise = float(np.trace(of_span))
+    gap, less = float(along @ along) - noise, float(r @ r - rest @ rest)
     share, least, most = np.nan, -np.inf, np.inf
-    if (E0 - n).sum() > small:
-        share = float((E0 - E1).sum() / (E0 - n).sum())
-        told = gap > 0.0
-        least, most = _interval(closed[told] / gap[told], share, float(np.mean(told)))
-    return Closure(
-        share,
-        least,
-        most,
-        float(E0.sum() / n.sum()),
-        float(E1.sum() / n.sum()),
-        _channels(layout, raw, layout.sigma * np.sqrt(1.0 + unsure)),
-    )
+    if gap > LOST * np.sqrt(2.0 * np.sum(of_span**2)):
+        share = less / gap
+        signal = _signal(along, apart.Q.T @ d, gap)
+        middle = np.append(signal, d @ apart.Q @ signal)
+        drawn = np.random.default_rng(seed).multivariate_normal(middle, chance, DRAWS, method="eigh")
+        gaps = np.sum(drawn[:, :-1] ** 2, axis=1) - noise
+        ratios = (2.0 * drawn[:, -1] - d @ d)[gaps > 0.0] / gaps[gaps > 0.0]
+        least, most = _interval(ratios, share, float(np.mean(gaps > 0.0)))
+    floor = max(noise, float(np.finfo(float).tiny))
+    return Closure(share, least, most, (gap + floor) / floor, (gap + floor - less) / floor, ())
 
 
 def check_apart(fitted: Layout, held_out: Layout) -> None:
@@ -89,6 +135,31 @@ def check_apart(fitted: Layout, held_out: Layout) -> None:
         raise ValueError(f"held-out motion was also used for fitting: {', '.join(sorted(both))}")
 
 
+def _just_seen(prepared: Prepared) -> Array:
+    """How large each column must be for its hypothesis to be seen, in standard errors, (K,)."""
+    columns = np.bincount(prepared.owner, minlength=len(prepared.hypotheses))
+    limit = {int(k): np.sqrt(noncentrality(int(k))) for k in np.unique(columns) if k}
+    return np.array([limit[int(columns[h])] for h in prepared.owner])
+
+
+def _chance(apart: HeldOut, r: Array, directions: Array) -> Array:
+    """Covariance of what noise and nuisances do along some directions (m, n), (n, n)."""
+    lever = np.sum(apart.Q**2, axis=1)
+    beside = (r - apart.Q @ (apart.Q.T @ r)) ** 2
+    own = np.where(lever < LEVER, beside / np.maximum(1.0 - lever, LEVER), 1.0)
+    of_nuisances = directions.T @ apart.N
+    return np.asarray((directions.T * own) @ directions + of_nuisances @ of_nuisances.T)
+
+
+def _signal(along: Array, d: Array, energy: float) -> Array:
+    """Of this energy, without what chance added to it: as it was along d, as far as it can be."""
+    mine = d * (along @ d) / max(float(d @ d), float(np.finfo(float).tiny))
+    beside, rest = along - mine, energy - float(mine @ mine)
+    if rest <= 0.0:
+        return np.asarray(mine * np.sqrt(energy / (mine @ mine)))
+    return np.asarray(mine + beside * np.sqrt(rest / max(float(beside @ beside), rest * 1e-12)))
+
+
 def _interval(ratios: Array, share: float, told: float) -> tuple[float, float]:
     """Of ratios drawn; everything if the gap is not positive in as many draws as the interval leaves out."""
     if told < LEVEL + (1.0 - LEVEL) / 2.0:
@@ -97,17 +168,11 @@ def _interval(ratios: Array, share: float, told: float) -> tuple[float, float]:
     return float(min(least, share)), float(max(most, share))
 
 
-def unsure(prepared: Prepared, found: Sensitivities) -> Array:
-    """Variance, in that of the floor, that nuisances as a campaign tells them leave elsewhere, (m,)."""
-    N = whitener(found)(found.nuisance[:, found.lasting] * prepared.nuisance_unit)
-    return np.asarray(np.sum((N @ prepared.C[-1]) * N, axis=1))
-
-
-def _channels(layout: Layout, raw: tuple[Array, Array], floor_of: Array) -> tuple[ChannelClosure, ...]:
+def _channels(apart: HeldOut, before: Array, after: Array) -> tuple[ChannelClosure, ...]:
     """Those that have features."""
-    result = []
+    layout, result = apart.layout, []
     for channel in np.unique(layout.channel):
         rows = layout.channel == channel
-        before, after, floor = (float(np.sqrt(np.mean(one[rows] ** 2))) for one in (*raw, floor_of))
-        result.append(ChannelClosure(layout.channels[channel], layout.units[channel], before, after, floor))
+        parts = (float(np.sqrt(np.mean(one[rows] ** 2))) for one in (before, after, apart.sigma))
+        result.append(ChannelClosure(layout.channels[channel], layout.units[channel], *parts))
     return tuple(result)

@@ -150,7 +150,7 @@ def _closure_rows(found: Closure) -> Rows:
         (one.channel, *(quantity(value, one.unit) for value in (one.before, one.after, one.floor)))
         for one in found.channels
     ]
-    return [*rows, ("energy over the floor's", number(found.before), number(found.after), "1")]
+    return [*rows, ("what can be explained, over noise", number(found.before), number(found.after), "1")]
 
 
 def _unexplained(result: Result) -> Iterator[str]:

@@ -33,7 +33,7 @@ def closure_sentence(result: Result) -> str:
     if found is None:
         return "No motion was held out, so how far the gap shrinks is not known."
     if not isfinite(found.share):
-        return "On held-out motion there is hardly a gap above the floor, so no share of it can be told."
+        return "On held-out motion there is hardly a gap above the noise, so no share of it can be told."
     at_tool = "" if tool is None else f"; at the tool {tool.before_mm:.2g} mm become {tool.after_mm:.2g}"
     closed = f"{percent(found.share)} {_interval_percent(found.least, found.most)}"
     return (

@@ -1,7 +1,7 @@
 """The simulator of one case, in the features of the campaign whose sensitivities are known."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -74,6 +74,22 @@ def bound(arm: ArmSimulator, layout: Layout, keys: Sequence[str], nominal: Array
     apart = np.abs(arm.layout.condition[at] - layout.condition[rows])[:, list(MOTION)]
     same = np.all(apart < MOTION_APART, axis=1) & _told(arm.campaign)[at]
     return Bound(arm, here, at[same], rows[same])
+
+
+def asked_again(
+    case: Bound, patch: tuple[Effect, ...], only: Callable[[Moving], bool], otherwise: Array
+) -> Bound:
+    """The same with another patch: rests, and the moving recordings that are wanted, are computed anew.
+
+    The others change by `otherwise` (m,).
+    """
+    arm, known = case.arm.patched(patch), first_of_block(case.arm.campaign)
+    there = arm.predicted((), lambda one: one.recording.name in known and only(one))
+    near = case.nominal.copy()
+    near[case.at] += otherwise
+    is_first = np.isin(arm.campaign.sessions, sorted(known))
+    there = np.where(is_first & ~np.isfinite(there), near, there)
+    return replace(case, arm=arm, nominal=repeated(arm.campaign, known, there, np.nan))
 
 
 def changed(

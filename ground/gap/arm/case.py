@@ -11,21 +11,21 @@ from scipy.stats import chi2
 from fsw.kinematics.transforms import Array
 from ground.gap.arm.at_tool import tool_gap
 from ground.gap.arm.audit import audit
-from ground.gap.arm.bound import Bound, bound
+from ground.gap.arm.bound import Bound, asked_again, bound
 from ground.gap.arm.campaign import compared
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import NotForDiagnosis, Recording
 from ground.gap.arm.reference import Reference
-from ground.gap.arm.simulator import CALMLY, ArmSimulator, arm_simulator
-from ground.gap.case import case_of
-from ground.gap.closure import Closure
+from ground.gap.arm.simulator import CALMLY, ArmSimulator, Touched, arm_simulator
+from ground.gap.case import Case, case_of
+from ground.gap.closure import Closure, apart_from
 from ground.gap.diagnose import Diagnosis, diagnose
 from ground.gap.held_out import left_on, settings_of
 from ground.gap.layout import Evidence
 from ground.gap.model import fitted
 from ground.gap.next_motion import again
 from ground.gap.prepared import left_over
-from ground.gap.race import race
+from ground.gap.race import Chosen, Race, race
 from ground.gap.ready import Ready, ready
 from ground.gap.result import Result, ToolGap
 from sim.effects.catalogue import catalogue
@@ -35,6 +35,9 @@ LEAST_SHARE: Final = 0.5
 """Of the campaign's features that a case must have, else there is too little motion."""
 NOISIER: Final = 1.2
 """Repeats that differ by so many times the floor of the campaign make a floor of their own."""
+MOVED: Final = 0.25
+"""Sigmas by which a nuisance must have moved for the simulator to be asked again."""
+PASSES: Final = 3
 
 
 class TooLittleMotion(NotForDiagnosis):
@@ -91,44 +94,81 @@ def asked(
     _check_motion(first, against)
     known = _ready(against.ready, first)
     notes = (*audit(recordings), *_lacking(first, against), *_borrowed(known, against))
-    points = [_asked_about(arm, against, known, about, patch) for about in _abouts(known, first)]
-    best = points[-1] if points[-1].simpler_than(points[0]) else points[0]
+    best = _settled(known, first, patch)
     apart = _held_out_part(held_out, against, best.case.arm.patch)
     there = np.zeros(0)
     if apart is not None and against.held_out is not None:
-        there = apart.gap() + against.held_out.nuisance[apart.rows] @ best.about
+        there = apart.gap() + against.held_out.nuisance[apart.rows] @ best.at
     return Asked(known, best.case, best.gap, apart, there, notes, floor)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Point:
-    """The simulator asked about some nuisances."""
+    """The simulator asked about some nuisances, and what explains the case in straight lines from there."""
 
-    about: Array
     case: Bound
+    at: Array
+    """The nuisances, (q,)."""
     gap: Array
-    """Measured less simulated with nuisances at 0, in straight lines from here, (m,)."""
-    effects: int
-    """That explain it from here."""
+    """Measured less simulated with nuisances at 0, in straight lines from where they are, (m,)."""
+    told: Case
+    won: Race
+    nothing: float
+    """Deviance that nuisances alone leave."""
     cost: float
-    """Deviance that they leave, and what as many without a cause would explain."""
-
-    def simpler_than(self, other: "_Point") -> bool:
-        """Whether fewer effects explain it, and no worse."""
-        return self.effects < other.effects and self.cost < other.cost
+    """Deviance that is left beside what won, and what as many effects without a cause would explain."""
 
 
-def _asked_about(
-    arm: ArmSimulator, against: Reference, known: Ready, about: Array, patch: tuple[Effect, ...]
-) -> _Point:
-    near = arm.patched((*patch, *arm.effects({}, about)))
-    case = bound(near, against.ready.found.layout, against.keys)
-    gap = case.gap() + known.found.nuisance @ about
+def _settled(known: Ready, first: Bound, patch: tuple[Effect, ...]) -> _Point:
+    """The simulator asked about the nuisances until they stay where they are, or leave no effect to be found.
+
+    They may be large, and are no straight lines: what they bend looks like effects. So they are settled
+    alone, and if there is an effect all the same, beside it: alone they would take the place of one that
+    they are like.
+    """
+    alone = _settled_beside(known, _seen_from(known, first, np.zeros(len(first.nuisances))), patch, False)
+    if not alone.won.chosen:
+        return alone
+    beside = _settled_beside(known, alone, patch, True)
+    return beside if beside.cost < alone.nothing else alone
+
+
+def _settled_beside(known: Ready, begun: _Point, patch: tuple[Effect, ...], effects: bool) -> _Point:
+    point = begun
+    for asked_before in range(PASSES):
+        if asked_before and not point.won.chosen:
+            break
+        arm, there = point.case.arm, _nuisances(known, point, point.won.chosen if effects else ())
+        by = there - point.at
+        moved = arm.effects({}, np.where(arm.far(by, MOVED), by, 0.0))
+        if not moved:
+            break
+        otherwise = known.found.nuisance @ by
+        near = (*patch, *arm.effects({}, there))
+        point = _seen_from(known, asked_again(point.case, near, Touched(tuple(moved)), otherwise), there)
+    return point
+
+
+def _seen_from(known: Ready, case: Bound, at: Array) -> _Point:
+    gap = case.gap() + known.found.nuisance @ at
     told, y = case_of(known.prepared, Evidence(known.found.layout, gap))
     won = race(known.field, told)
     k = known.prepared.columns(won.chosen).size
     needed = float(chi2.isf(10.0**-known.thresholds.effect, k)) if k else 0.0
-    return _Point(about, case, gap, len(won.chosen), left_over(known.prepared, y) - won.dropped + needed)
+    nothing = left_over(known.prepared, y)
+    return _Point(case, at, gap, told, won, nothing, nothing - won.dropped + needed)
+
+
+def _nuisances(known: Ready, point: _Point, beside: Chosen) -> Array:
+    """As they are beside some effects, (q,).
+
+    Those that are drawn in every block, and those that cannot be had in parts, stay 0.
+    """
+    prepared = known.prepared
+    model = fitted(prepared, point.told, prepared.columns(beside))
+    found = np.zeros(len(known.found.nuisances))
+    found[known.found.lasting] = model.theta[: prepared.q] * prepared.nuisance_unit
+    return np.where([one.one_sided for one in point.case.arm.uncertain], 0.0, found)
 
 
 def said_of(here: Asked, against: Reference, seed: int) -> Result:
@@ -136,24 +176,6 @@ def said_of(here: Asked, against: Reference, seed: int) -> Result:
     told = diagnose(here.known, Evidence(here.known.found.layout, here.gap), seed, here.case)
     shut, at_tool = _tried(told, here, against, seed)
     return Result(here.known, told, shut, at_tool, again(here.known, told), here.notes, here.floor)
-
-
-def _abouts(known: Ready, case: Bound) -> list[Array]:
-    """Nuisances (q,) about which the simulator is to be asked: beside what explains the case best, and alone.
-
-    They may be large, and are no straight lines. Alone they would take the place of an effect that they are
-    like; beside an effect that is none, that is there because they bend, it would take theirs. Those that
-    are drawn in every block, and those that cannot be had in parts, stay 0.
-    """
-    told, _ = case_of(known.prepared, Evidence(known.found.layout, case.gap()))
-    whole = np.array([one.one_sided for one in case.arm.uncertain])
-    found = []
-    for chosen in dict.fromkeys((race(known.field, told).chosen, ())):
-        model = fitted(known.prepared, told, known.prepared.columns(chosen))
-        about = np.zeros(len(known.found.nuisances))
-        about[known.found.lasting] = model.theta[: known.prepared.q] * known.prepared.nuisance_unit
-        found.append(np.where(whole, 0.0, about))
-    return found
 
 
 def _held_out_part(
@@ -201,12 +223,12 @@ def _tried(
     case = here.held_out
     if against.held_out is None or case is None:
         return None, None
-    found = against.held_out.of(case.rows)
     settings, zero = settings_of(told), np.zeros(len(case.nuisances))
     change = case.predict(settings, zero) - case.predict({}, zero)
-    left = left_on(told, Evidence(found.layout, here.held_out_gap), found, change)
+    apart = apart_from(here.known.prepared, against.held_out.of(case.rows))
+    left = left_on(told, apart, here.held_out_gap, change)
     keys = [against.held_out_keys[row] for row in case.rows]
-    return left.closure(seed), tool_gap(keys, left.before, left.after, left.sigma)
+    return left.closure(seed), tool_gap(keys, left.before, left.after, apart.sigma)
 
 
 def _check_motion(case: Bound, against: Reference) -> None:

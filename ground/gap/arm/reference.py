@@ -35,7 +35,7 @@ class Reference:
     keys: tuple[str, ...]
     """Of their features."""
     held_out: Sensitivities | None
-    """Of the nuisances alone, in the motions that are held out."""
+    """Of the motions that are held out."""
     held_out_keys: tuple[str, ...]
 
 
@@ -62,7 +62,7 @@ def reference(
     keys = fitted.keys()
     if not held_out:
         return Reference(made, keys, None, ())
-    apart = arm_sensitivities(held_out, kept_in, run, progress, ())
+    apart = arm_sensitivities(held_out, kept_in, run, progress, kinds)
     return Reference(made, keys, apart.found, apart.keys())
 
 

@@ -7,23 +7,20 @@ import numpy as np
 from ground.gap.baselines import everything_free, gaussian_process, largest_error
 from ground.gap.blind.closing import Tried, nothing
 from ground.gap.case import reduced
-from ground.gap.closure import closure
+from ground.gap.closure import closed
 from ground.gap.plain import finite
-from ground.gap.prepared import prepare
-from ground.gap.whiten import whitener
 
 
 def baselines(case: Tried, seed: int) -> dict[str, dict[str, Any]]:
     """The place of the largest error; all effects fitted at once; a Gaussian process on the residual."""
     rest, before = case.left(nothing)
     found, layout = case.fitted.found, case.held.found.layout
-    prepared = prepare(found)
+    prepared = case.prepared
     most, sizes = everything_free(prepared, reduced(prepared, prepared.whiten(case.fitted.value)))
     named = found.hypotheses[most]
     free = case.closed(lambda of: np.asarray(of.effect @ sizes), seed)
-    whitened = whitener(case.held.found)(before)
-    learnt = whitened - gaussian_process(found.layout, rest, layout)
-    process = closure(layout, (whitened, learnt), (before, before), seed, case.unsure)
+    whitened = case.apart.whiten(before)
+    process = closed(case.apart, whitened, whitened - gaussian_process(found.layout, rest, layout), seed)
     return {
         "largest_error": {"place": largest_error(found.layout, rest)},
         "everything_free": {"name": named.effect, "place": named.place, "closure": finite(free.share)},

@@ -1,19 +1,18 @@
 """How far what is said of a case closes its gap on held-out motion: one sum for all who say anything."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from fsw.kinematics.transforms import Array
 from ground.gap.blind.evidence import Part
-from ground.gap.closure import Closure, check_apart, closure, unsure
+from ground.gap.closure import Closure, HeldOut, apart_from, closure
 from ground.gap.curved import Curved
 from ground.gap.hypothesis import Hypothesis
 from ground.gap.prepared import Prepared, prepare
 from ground.gap.refine import refine
 from ground.gap.sensitivity import Sensitivities
-from ground.gap.whiten import whitener
 
 Change = Callable[[Sensitivities], Array]
 """What is said to have changed in the features, (m,)."""
@@ -26,7 +25,8 @@ class Tried:
     fitted: Part
     held: Part
     prepared: Prepared
-    """Of the fitted part, without hypotheses."""
+    """Of the fitted part."""
+    apart: HeldOut
 
     def left(self, change: Change) -> tuple[Array, Array]:
         """Residuals (m,) of the fitted part, whitened, and of the held-out part, raw; nuisances refitted."""
@@ -38,18 +38,9 @@ class Tried:
         there = held.nuisance[:, held.lasting] @ (v * prepared.nuisance_unit)
         return rest - N @ v, self.held.value - change(held) - there
 
-    @property
-    def unsure(self) -> Array:
-        """What nuisances leave in the held-out part, (m,)."""
-        return unsure(self.prepared, self.held.found)
-
     def closed(self, change: Change, seed: int) -> Closure:
         """On held-out motion, against nuisances alone."""
-        _, before = self.left(nothing)
-        _, after = self.left(change)
-        whiten = whitener(self.held.found)
-        residuals = (whiten(before), whiten(after)), (before, after)
-        return closure(self.held.found.layout, *residuals, seed, self.unsure)
+        return closure(self.apart, self.left(nothing)[1], self.left(change)[1], seed)
 
 
 def nothing(found: Sensitivities) -> Array:
@@ -59,10 +50,8 @@ def nothing(found: Sensitivities) -> Array:
 
 def tried(fitted: Part, held: Part) -> Tried:
     """ValueError if a motion is in both."""
-    check_apart(fitted.found.layout, held.found.layout)
-    none, nobody = np.zeros((fitted.found.layout.size, 0)), np.zeros(0, np.intp)
-    alone = replace(fitted.found, hypotheses=(), effect=none, curve=none, reach=np.zeros(0), owner=nobody)
-    return Tried(fitted, held, prepare(alone))
+    prepared = prepare(fitted.found)
+    return Tried(fitted, held, prepared, apart_from(prepared, held.found))
 
 
 def truth_closes(case: Tried, true: dict[Hypothesis, Array], seed: int) -> Closure:

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from ground.gap.closure import apart_from
 from ground.gap.curved import Curved
 from ground.gap.diagnose import Diagnosis, diagnose
-from ground.gap.held_out import closed, settings_of
+from ground.gap.held_out import left_on, settings_of
 from ground.gap.layout import Evidence
 from ground.gap.next_motion import next_motion
 from ground.gap.prepared import prepare
@@ -23,8 +24,9 @@ def result_of(made, campaign, seed, t=None, extra=None):
     measured = [made.measured(rng, t, extra, robot=seed) for _ in range(2)]
     said = diagnose(campaign, Evidence(made.layout, measured[0]), seed=1)
     apart = replace(made.layout, blocks=tuple(f"other {name}" for name in made.layout.blocks))
-    kept = replace(found(made), layout=apart)
-    closing = closed(said, Evidence(apart, measured[1]), kept, Curved(kept).change(settings_of(said)), seed=1)
+    held = apart_from(campaign.prepared, replace(found(made), layout=apart))
+    change = Curved(held.found).change(settings_of(said))
+    closing = left_on(said, held, measured[1], change).closure(seed=1)
     return Result(
         campaign, said, closing, ToolGap(0.61, 0.12, 0.02), _motions(made, campaign, said), NOTES, FLOOR
     )

@@ -5,52 +5,89 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ground.gap.closure import closure
+from ground.gap.closure import apart_from, closed
 from ground.gap.curved import Curved
 from ground.gap.diagnose import diagnose
-from ground.gap.held_out import closed, settings_of
+from ground.gap.held_out import left_on, settings_of
 from ground.gap.layout import Evidence
 from ground.gap.next_motion import next_motion
 from ground.gap.prepared import prepare
 from tests.ground.gap.worlds import found
 
 
-def test_closure_agrees_with_the_truth(made, campaign, rng):
-    """Of a large effect: noise-free, 1 - |true - predicted|^2 / |true|^2 over the floor."""
+def elsewhere(made):
+    """Sensitivities of the same motions, made again."""
+    others = tuple(f"other {name}" for name in made.layout.blocks)
+    return replace(found(made), layout=replace(made.layout, blocks=others))
+
+
+@pytest.fixture
+def apart(made, campaign):
+    """Held-out motion: the same motions, made again."""
+    return apart_from(campaign.prepared, elsewhere(made))
+
+
+def test_closure_agrees_with_the_truth(made, campaign, apart, rng):
+    """Of a large effect: noise-free, 1 - |true - predicted|^2 / |true|^2."""
     t = np.where(made.owner == 4, 1.5, 0.0)
     told = diagnose(campaign, Evidence(made.layout, made.measured(rng, t, robot=1)), seed=1)
-    others = tuple(f"other {name}" for name in made.layout.blocks)
-    apart = replace(found(made), layout=replace(made.layout, blocks=others))
-    change = Curved(apart).change(settings_of(told))
-    again = closed(told, Evidence(apart.layout, made.measured(rng, t, robot=1)), apart, change, seed=1)
+    change = Curved(apart.found).change(settings_of(told))
+    again = left_on(told, apart, made.measured(rng, t, robot=1), change).closure(seed=1)
     assert told.verdict == "named"
     assert again.least <= 1.0 <= again.most + 0.05
     assert again.share == pytest.approx(1.0, abs=0.1)
     assert again.after < again.before
 
 
-def test_half_an_effect_closes_three_quarters(made, rng):
-    layout, S = made.layout, made.effect[:, 4]
-    y = 3.0 * S + layout.sigma * rng.standard_normal(layout.size)
-    before, after = y / layout.sigma, (y - 1.5 * S) / layout.sigma
-    told = closure(layout, (before, after), (y, y - 1.5 * S), 1, np.zeros(layout.size))
-    assert told.share == pytest.approx(0.75, abs=0.03)
-    assert told.least <= 0.75 <= told.most
+def explainable(made, apart, energy):
+    """What an effect changes there beside what nuisances take, whitened, of so much energy."""
+    S = apart.Q @ (apart.Q.T @ apart.whiten(made.effect[:, 4]))
+    return S * np.sqrt(energy) / np.linalg.norm(S)
 
 
-def test_where_there_is_no_gap_no_share_is_claimed(made, rng):
-    layout = made.layout
-    noise = rng.standard_normal(layout.size)
-    told = closure(layout, (noise, noise), (noise, noise), 1, np.zeros(layout.size))
+def chance(apart, rng, floor=1.0):
+    """Noise of so many floors, and what is left of the nuisances."""
+    return floor * rng.standard_normal(apart.layout.size) + apart.N @ rng.standard_normal(apart.N.shape[1])
+
+
+@pytest.mark.parametrize("floor", [1.0, 0.3])
+def test_half_an_effect_closes_three_quarters_however_high_the_floor_is_assumed(made, apart, rng, floor):
+    S, shares, covered = explainable(made, apart, 1000.0), [], 0
+    for _ in range(20):
+        r = S + chance(apart, rng, floor)
+        told = closed(apart, r, r - S / 2.0, 1)
+        shares.append(told.share)
+        covered += told.least <= 0.75 <= told.most
+    assert np.median(shares) == pytest.approx(0.75, abs=0.02)
+    assert covered >= 15
+
+
+def test_a_gap_of_a_tenth_of_the_noise_is_shared_out(made, apart, rng):
+    """Noise of all features would hide it: of what can be explained there is less."""
+    S, shares = explainable(made, apart, 0.1 * made.layout.size), []
+    for _ in range(20):
+        r = S + chance(apart, rng)
+        shares.append(closed(apart, r, r - S, 1).share)
+    assert np.all(np.isfinite(shares))
+    assert np.median(shares) == pytest.approx(1.0, abs=0.1)
+
+
+def test_where_there_is_no_gap_no_share_is_claimed(apart, rng):
+    noise = chance(apart, rng)
+    told = closed(apart, noise, noise, 1)
     assert np.isnan(told.share)
     assert told.least == -np.inf
+    assert told.before == pytest.approx(1.0, abs=0.5)
 
 
-def test_motion_that_was_used_for_fitting_is_refused(made, campaign, rng):
-    y = Evidence(made.layout, made.measured(rng))
-    told = diagnose(campaign, y, seed=1)
+def test_motion_that_was_used_for_fitting_is_refused(made, campaign):
     with pytest.raises(ValueError, match=r"also used for fitting: motion 0, motion 1"):
-        closed(told, y, found(made), np.zeros(made.layout.size), seed=1)
+        apart_from(campaign.prepared, found(made))
+
+
+def test_held_out_motion_of_another_catalogue_is_refused(made, campaign):
+    with pytest.raises(ValueError, match="the hypotheses of the campaign"):
+        apart_from(campaign.prepared, elsewhere(made).only(["effect 1"]))
 
 
 def test_the_next_motion_is_the_one_that_separates(made, campaign, rng):

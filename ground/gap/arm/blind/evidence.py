@@ -7,7 +7,6 @@ import numpy as np
 
 from ground.gap.arm.case import Asked
 from ground.gap.arm.reference import Reference, reference
-from ground.gap.arm.sensitivities import arm_sensitivities
 from ground.gap.blind.evidence import Features, Kept, Measured
 from ground.pool import Runner, on_this_machine
 from ground.progress import Progress
@@ -31,7 +30,8 @@ def known(campaign: Path, run: Runner, progress: Progress) -> tuple[Reference, K
     if not fitted or not held:
         raise BadRequest(f"{campaign}: lacks the campaign's logs; `marsarm gap blind make` records them")
     found = reference(fitted, held, campaign, run, progress)
-    return found, Kept(found.ready.found, arm_sensitivities(held, campaign, run, progress).found)
+    assert found.held_out is not None
+    return found, Kept(found.ready.found, found.held_out)
 
 
 def kept_campaign(campaign: Path) -> Kept:
