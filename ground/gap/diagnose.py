@@ -77,30 +77,39 @@ class Diagnosis:
 def diagnose(ready: Ready, evidence: Evidence, seed: int, simulator: Simulator | None = None) -> Diagnosis:
     """With the simulator in the loop for what is found if it is given, otherwise by its parabolas."""
     case, y = case_of(ready.prepared, evidence)
-    field, curved = ready.field, Curved(ready.found)
     without = fitted(ready.prepared, case, ready.prepared.columns(()))
     cells = where(evidence.layout, left(ready.prepared, without, y), seed)
-    straight = won = race(field, case)
+    won = straight = race(ready.field, case)
+    field = ready.field
     if straight.chosen:
-        field = _bent(ready, field, case, y, straight, curved)
+        final = _refined(ready, y, case, straight.chosen, simulator)
+        field = _bent(ready, case, y, straight, final)
         won = race(field, reduced(field.prepared, y))
     if not won.chosen:
         return _nothing(ready, won, without, y, cells, bool(straight.chosen))
-    final = refine(curved, ready.prepared, y, _start(ready, case, won.chosen))
-    if simulator is not None:
-        near = dict(zip(final.hypotheses, final.values, strict=True))
-        final = refine(Simulated(simulator, curved), ready.prepared, y, near)
-    model = _at_estimate(ready, field, final, won.chosen, curved, y)
-    remaining = remains(model.prepared, _looked(ready, model.prepared), model.best, model.y)
-    signs = signs_of(
-        model.field(field), ready.cosine, model.case, won.chosen, won.shares, remaining[0].surprise
-    )
-    findings = _findings(ready, field, reduced(field.prepared, y), won, final, seed)
+    if won.chosen != straight.chosen:
+        final = _refined(ready, y, case, won.chosen, simulator)
+        field = _bent(ready, case, y, won, final)
+    prepared, there = field.prepared, reduced(field.prepared, y)
+    best = fitted(prepared, there, prepared.columns(won.chosen))
+    remaining = remains(prepared, _looked(ready, prepared), best, y)
+    signs = signs_of(field, ready.cosine, there, won.chosen, won.shares, remaining[0].surprise)
+    findings = _findings(ready, field, there, won, final, seed)
     verdict, strange = _verdict(ready, findings, signs), max(signs.remains, signs.addable)
     return Diagnosis(
-        verdict, findings, won.first, won.surprise, remaining, strange, cells, without, model.best,
-        model.prepared, ready.thresholds.trust.odds(signs),
+        verdict, findings, won.first, won.surprise, remaining, strange, cells, without, best,
+        prepared, ready.thresholds.trust.odds(signs),
     )  # fmt: skip
+
+
+def _refined(ready: Ready, y: Array, case: Case, chosen: Chosen, simulator: Simulator | None) -> Refined:
+    """Some hypotheses fitted together to whitened features y (m,), from where straight lines have them."""
+    curved = Curved(ready.found)
+    final = refine(curved, ready.prepared, y, _start(ready, case, chosen))
+    if simulator is None:
+        return final
+    near = dict(zip(final.hypotheses, final.values, strict=True))
+    return refine(Simulated(simulator, curved), ready.prepared, y, near)
 
 
 def _nothing(
@@ -113,38 +122,6 @@ def _nothing(
     return Diagnosis(
         verdict, (), won.first, won.surprise, remaining, strange, cells, without, without, ready.prepared
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Model:
-    """What was found, about its estimate, and the features less what no straight line there says."""
-
-    prepared: Prepared
-    y: Array
-    case: Case
-    best: Fitted
-
-    def field(self, field: Field) -> Field:
-        """The same runners in these terms."""
-        return replace(field, prepared=self.prepared)
-
-
-def _at_estimate(
-    ready: Ready, field: Field, final: Refined, chosen: Chosen, curved: Curved, y: Array
-) -> _Model:
-    """Linearised where all effects together were found to be."""
-    changed, total = {}, np.zeros(y.size)
-    for one, hypothesis, values, slopes in zip(
-        chosen, final.hypotheses, final.values, final.slopes, strict=True
-    ):
-        own = curved.change({hypothesis: values})
-        if np.any(own):
-            changed[one] = columns_at(hypothesis, values, own, slopes)
-            total += own
-    prepared = prepare(ready.found, changed)
-    straight = y - prepared.whiten(final.change - total)
-    case = reduced(prepared, straight)
-    return _Model(prepared, straight, case, fitted(prepared, case, prepared.columns(chosen)))
 
 
 def _verdict(ready: Ready, findings: tuple[Finding, ...], signs: Signs) -> Kind:
@@ -173,11 +150,15 @@ def _findings(
     return tuple(result)
 
 
-def _bent(ready: Ready, field: Field, case: Case, y: Array, won: Race, curved: Curved) -> Field:
-    """The chosen and the next best linearised at what they would be alone; those at a bound are out."""
-    shortlist = dict.fromkeys((*won.chosen, *won.first[:SHORTLIST]))
-    inside, changed = field.inside.copy(), {}
-    for hypothesis in shortlist:
+def _bent(ready: Ready, case: Case, y: Array, won: Race, final: Refined) -> Field:
+    """The chosen linearised where they were found to be together, the next best where they would be alone.
+
+    Those at a bound are out.
+    """
+    curved, field = Curved(ready.found), ready.field
+    inside, changed = field.inside.copy(), _together(curved, won.chosen, final)
+    inside[[one for one, at_bound in zip(won.chosen, final.at_bound, strict=True) if at_bound]] = False
+    for hypothesis in [one for one in won.first[:SHORTLIST] if one not in won.chosen]:
         alone = refine(curved, ready.prepared, y, _start(ready, case, (hypothesis,)))
         if alone.at_bound[0]:
             inside[hypothesis] = False
@@ -185,6 +166,15 @@ def _bent(ready: Ready, field: Field, case: Case, y: Array, won: Race, curved: C
             (values,), (slopes,) = alone.values, alone.slopes
             changed[hypothesis] = columns_at(ready.found.hypotheses[hypothesis], values, alone.change, slopes)
     return Field(prepare(ready.found, changed), field.label, field.threshold, inside)
+
+
+def _together(curved: Curved, chosen: Chosen, final: Refined) -> dict[int, Array]:
+    """Columns of effects where they were found to be; what only all of them change is the largest's."""
+    own = [curved.change({h: v}) for h, v in zip(final.hypotheses, final.values, strict=True)]
+    largest = int(np.argmax([np.linalg.norm(one / curved.found.layout.sigma) for one in own]))
+    own[largest] = final.change - sum(own[:largest] + own[largest + 1 :], np.zeros(final.change.size))
+    parts = zip(chosen, final.hypotheses, final.values, own, final.slopes, strict=True)
+    return {one: columns_at(h, v, change, slopes) for one, h, v, change, slopes in parts if np.any(change)}
 
 
 def _start(ready: Ready, case: Case, chosen: Chosen) -> dict[Hypothesis, Array]:
