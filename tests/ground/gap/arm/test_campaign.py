@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.joints import Frame, Joint, Tool
-from ground.gap.arm.bound import bound, keys_of
-from ground.gap.arm.campaign import compared, measured_values, predicted_values
-from ground.gap.arm.features import CHANNELS, CURRENT, SHIFT, TURN
+from ground.gap.arm.bound import asked_again, bound, keys_of
+from ground.gap.arm.campaign import all_of, compared, measured_values, predicted_values
+from ground.gap.arm.features import CHANNELS, CURRENT, IMU, SHIFT, TURN
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.sensitivities import arm_sensitivities, column_of, columns_of
@@ -65,6 +65,21 @@ def test_a_case_has_the_same_features_whether_or_not_its_simulator_is_asked(
     )
     np.testing.assert_array_equal(given.rows, stepped.rows)
     assert given.rows.size == arm.layout.size - 1
+
+
+def test_what_is_not_asked_again_goes_on_in_a_straight_line(recordings: list[Recording]) -> None:
+    """Rests are always computed; of moving recordings those that are wanted."""
+    campaign = compared(recordings)
+    arm = arm_simulator(campaign, floor_of(campaign).sigma, {}, BRIEFLY)
+    patch, by = (GearStiffness(Joint.ELBOW, 0.8),), np.full(arm.layout.size, 1e-3)
+    before, after = (bound(one, arm.layout, keys_of(campaign)) for one in (arm, arm.patched(patch)))
+    everything, nothing = (asked_again(before, patch, only, by) for only in (all_of, lambda _: False))
+    rests = np.array([feature.regime in ("rest", "pose") for feature in campaign.features])
+    rests &= np.array([feature.channel not in (IMU,) for feature in campaign.features])
+    np.testing.assert_array_equal(everything.nominal, after.nominal)
+    np.testing.assert_array_equal(nothing.nominal[rests], after.nominal[rests])
+    np.testing.assert_allclose((nothing.nominal - before.nominal)[~rests], 1e-3, rtol=1e-9)
+    assert not np.allclose(after.nominal[rests], before.nominal[rests], atol=1e-6)
 
 
 def test_a_longer_link_moves_the_turret_by_as_much(recordings: list[Recording]) -> None:
