@@ -1,11 +1,12 @@
 """How far the gap shrinks on motions that took no part in fitting or choosing.
 
 With nuisances as fitted without effect, the whitened residual there is r; with effects, and nuisances as
-fitted beside them, r - d. What can be explained lies in the span Q of what the hypotheses change there, each
-as large as it must be to be seen where it was fitted: |Q'r|^2, less what is there by chance. That is what the
-nuisances leave, N C N', and every feature's own noise, which is measured by what lies beside the span
-(r_i^2 / (1 - h_i) with the leverage h = diag QQ', as the jackknife has it): a floor that is assumed may be
-too high. The share closed is (|r|^2 - |r - d|^2) / (|Q'r|^2 - chance).
+fitted beside them, r - d. What can be explained lies in a span Q: the directions in which the hypotheses,
+each as large as it must be to be seen where it was fitted, move that motion clearly, and d. Its energy is
+|Q'r|^2, less what is there by chance. That is what the nuisances leave, N C N', and every feature's own
+noise. A floor that is assumed may be too high, so that is measured by what lies beside the span,
+e = r - QQ'r, with the leverage h = diag QQ': e_i^2 / (1 - h_i) (HC2, MacKinnon and White 1985). The share
+closed is (|r|^2 - |r - d|^2) / (|Q'r|^2 - chance).
 """
 
 from dataclasses import dataclass, replace
@@ -63,8 +64,8 @@ class HeldOut:
     found: Sensitivities
     Q: Array
     """Directions, orthonormal, (m, d)."""
-    N: Array
-    """What one sigma of what is left of each nuisance does to whitened features, (m, q)."""
+    doubt: Array
+    """What nuisances leave in whitened features: its covariance is this times its transpose, (m, q)."""
 
     @property
     def layout(self) -> Layout:
@@ -74,7 +75,7 @@ class HeldOut:
     @cached_property
     def unsure(self) -> Array:
         """Variance, in that of the floor, that nuisances as fitted elsewhere leave here, (m,)."""
-        return np.asarray(np.sum(self.N**2, axis=1))
+        return np.asarray(np.sum(self.doubt**2, axis=1))
 
     @cached_property
     def sigma(self) -> Array:
@@ -87,9 +88,13 @@ class HeldOut:
 
 
 def apart_from(prepared: Prepared, found: Sensitivities) -> HeldOut:
-    """Held-out motion, beside what is fitted; ValueError if a block is in both, or nuisances are others."""
-    check_apart(prepared.layout, found.layout)
-    if len(found.lasting) != prepared.q or len(found.hypotheses) != len(prepared.hypotheses):
+    """Held-out motion, beside what is fitted.
+
+    Raises:
+        ValueError: a block is in both, or nuisances or hypotheses are others.
+    """
+    _check_apart(prepared.layout, found.layout)
+    if len(found.lasting) != prepared.q or found.hypotheses != prepared.hypotheses:
         raise ValueError("held-out motion must have the nuisances and the hypotheses of the campaign")
     whiten = whitener(found)
     N = whiten(found.nuisance[:, found.lasting] * prepared.nuisance_unit)
@@ -109,25 +114,25 @@ def closure(apart: HeldOut, before: Array, after: Array, seed: int) -> Closure:
 
 def closed(apart: HeldOut, r: Array, rest: Array, seed: int) -> Closure:
     """Of whitened residuals (m,) before and after; channels are not told."""
-    d, along = r - rest, apart.Q.T @ r
-    chance = _chance(apart, r, np.column_stack([apart.Q, d]))
-    of_span = chance[:-1, :-1]
-    noise = float(np.trace(of_span))
+    d = r - rest
+    Q = np.linalg.qr(np.column_stack([apart.Q, d]))[0] if np.any(d) else apart.Q
+    along, mine = Q.T @ r, Q.T @ d
+    chance = _chance(apart, r, Q)
+    noise = float(np.trace(chance))
     gap, less = float(along @ along) - noise, float(r @ r - rest @ rest)
     share, least, most = np.nan, -np.inf, np.inf
-    if gap > LOST * np.sqrt(2.0 * np.sum(of_span**2)):
+    if gap > LOST * np.sqrt(2.0 * np.sum(chance**2)):
         share = less / gap
-        signal = _signal(along, apart.Q.T @ d, gap)
-        middle = np.append(signal, d @ apart.Q @ signal)
+        middle = _signal(along, mine, gap)
         drawn = np.random.default_rng(seed).multivariate_normal(middle, chance, DRAWS, method="eigh")
-        gaps = np.sum(drawn[:, :-1] ** 2, axis=1) - noise
-        ratios = (2.0 * drawn[:, -1] - d @ d)[gaps > 0.0] / gaps[gaps > 0.0]
+        gaps = np.sum(drawn**2, axis=1) - noise
+        ratios = (2.0 * drawn @ mine - mine @ mine)[gaps > 0.0] / gaps[gaps > 0.0]
         least, most = _interval(ratios, share, float(np.mean(gaps > 0.0)))
     floor = max(noise, float(np.finfo(float).tiny))
     return Closure(share, least, most, (gap + floor) / floor, (gap + floor - less) / floor, ())
 
 
-def check_apart(fitted: Layout, held_out: Layout) -> None:
+def _check_apart(fitted: Layout, held_out: Layout) -> None:
     """ValueError if a block took part in fitting."""
     used, held = ({of.blocks[b] for b in np.unique(of.block)} for of in (fitted, held_out))
     both = used & held
@@ -142,13 +147,13 @@ def _just_seen(prepared: Prepared) -> Array:
     return np.array([limit[int(columns[h])] for h in prepared.owner])
 
 
-def _chance(apart: HeldOut, r: Array, directions: Array) -> Array:
-    """Covariance of what noise and nuisances do along some directions (m, n), (n, n)."""
-    lever = np.sum(apart.Q**2, axis=1)
-    beside = (r - apart.Q @ (apart.Q.T @ r)) ** 2
+def _chance(apart: HeldOut, r: Array, Q: Array) -> Array:
+    """Covariance of what noise and nuisances do in a span (m, n), (n, n)."""
+    lever = np.sum(Q**2, axis=1)
+    beside = (r - Q @ (Q.T @ r)) ** 2
     own = np.where(lever < LEVER, beside / np.maximum(1.0 - lever, LEVER), 1.0)
-    of_nuisances = directions.T @ apart.N
-    return np.asarray((directions.T * own) @ directions + of_nuisances @ of_nuisances.T)
+    of_nuisances = Q.T @ apart.doubt
+    return np.asarray((Q.T * own) @ Q + of_nuisances @ of_nuisances.T)
 
 
 def _signal(along: Array, d: Array, energy: float) -> Array:

@@ -83,13 +83,13 @@ def diagnose(ready: Ready, evidence: Evidence, seed: int, simulator: Simulator |
     field = ready.field
     if straight.chosen:
         final = _refined(ready, y, case, straight.chosen, simulator)
-        field = _bent(ready, case, y, straight, final)
+        field = _bent(ready, field, case, y, straight, final)
         won = race(field, reduced(field.prepared, y))
     if not won.chosen:
         return _nothing(ready, won, without, y, cells, bool(straight.chosen))
     if won.chosen != straight.chosen:
         final = _refined(ready, y, case, won.chosen, simulator)
-        field = _bent(ready, case, y, won, final)
+        field = _bent(ready, field, case, y, won, final)
     prepared, there = field.prepared, reduced(field.prepared, y)
     best = fitted(prepared, there, prepared.columns(won.chosen))
     remaining = remains(prepared, _looked(ready, prepared), best, y)
@@ -150,12 +150,12 @@ def _findings(
     return tuple(result)
 
 
-def _bent(ready: Ready, case: Case, y: Array, won: Race, final: Refined) -> Field:
+def _bent(ready: Ready, field: Field, case: Case, y: Array, won: Race, final: Refined) -> Field:
     """The chosen linearised where they were found to be together, the next best where they would be alone.
 
     Those at a bound are out.
     """
-    curved, field = Curved(ready.found), ready.field
+    curved = Curved(ready.found)
     inside, changed = field.inside.copy(), _together(curved, won.chosen, final)
     inside[[one for one, at_bound in zip(won.chosen, final.at_bound, strict=True) if at_bound]] = False
     for hypothesis in [one for one in won.first[:SHORTLIST] if one not in won.chosen]:
@@ -196,6 +196,4 @@ def _values(ready: Ready, hypothesis: int, t: Array) -> Array:
 
 def _looked(ready: Ready, prepared: Prepared) -> tuple[Group, ...]:
     """Groups in terms of the columns as they are."""
-    if prepared is ready.prepared:
-        return ready.looked
     return tuple(replace(group, AQ=prepared.A[group.rows].T @ group.Q) for group in ready.looked)

@@ -23,14 +23,14 @@ class Left:
         return closure(self.apart, self.before, self.after, seed)
 
 
-def left_on(diagnosis: Diagnosis, apart: HeldOut, measured: Array, change: Array) -> Left:
-    """Nuisances as fitted elsewhere are taken off what was measured (m,), and what the findings change.
+def left_on(diagnosis: Diagnosis, apart: HeldOut, gap: Array, change: Array) -> Left:
+    """Nuisances as fitted elsewhere are taken off, and what the findings change.
 
-    `change` is by the simulator, (m,).
+    `gap` (m,) is measured less simulated with nuisances at 0; `change` (m,) is by the simulator.
     """
     found, q = apart.found, diagnosis.prepared.q
     before, after = (
-        measured - found.nuisance[:, found.lasting] @ (fit.theta[:q] * diagnosis.prepared.nuisance_unit)
+        gap - found.nuisance[:, found.lasting] @ (fit.theta[:q] * diagnosis.prepared.nuisance_unit)
         for fit in (diagnosis.without, diagnosis.best)
     )
     return Left(apart, np.asarray(before), np.asarray(after - change))

@@ -85,11 +85,9 @@ def asked_again(
     """
     arm, known = case.arm.patched(patch), first_of_block(case.arm.campaign)
     there = arm.predicted((), lambda one: one.recording.name in known and only(one))
-    near = case.nominal.copy()
+    anew, near = repeated(arm.campaign, known, there, np.nan), case.nominal.copy()
     near[case.at] += otherwise
-    is_first = np.isin(arm.campaign.sessions, sorted(known))
-    there = np.where(is_first & ~np.isfinite(there), near, there)
-    return replace(case, arm=arm, nominal=repeated(arm.campaign, known, there, np.nan))
+    return replace(case, arm=arm, nominal=np.where(np.isfinite(anew), anew, near))
 
 
 def changed(

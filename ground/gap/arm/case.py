@@ -124,13 +124,14 @@ def _settled(known: Ready, first: Bound, patch: tuple[Effect, ...]) -> _Point:
 
     They may be large, and are no straight lines: what they bend looks like effects. So they are settled
     alone, and if there is an effect all the same, beside it: alone they would take the place of one that
-    they are like.
+    they are like. That they bend may still be the simpler explanation.
     """
     alone = _settled_beside(known, _seen_from(known, first, np.zeros(len(first.nuisances))), patch, False)
     if not alone.won.chosen:
         return alone
     beside = _settled_beside(known, alone, patch, True)
-    return beside if beside.cost < alone.nothing else alone
+    # what wins from `alone` has nuisances elsewhere, so only what is left there without it can be believed
+    return beside if not beside.won.chosen or beside.cost < alone.nothing else alone
 
 
 def _settled_beside(known: Ready, begun: _Point, patch: tuple[Effect, ...], effects: bool) -> _Point:
@@ -179,7 +180,7 @@ def said_of(here: Asked, against: Reference, seed: int) -> Result:
 
 
 def _held_out_part(
-    recordings: Sequence[Recording], against: Reference, patch: tuple[Effect, ...] = ()
+    recordings: Sequence[Recording], against: Reference, patch: tuple[Effect, ...]
 ) -> Bound | None:
     """What it is tried on; None if nothing is held out.
 

@@ -97,7 +97,7 @@ def arm_sensitivities(
         return OnFile(_kept(path), path)
     _check_folder(kept_in)
     whole = kept_in / _file(paths, tuple(catalogue()))
-    if names and whole.exists():
+    if whole.exists():
         return _part(OnFile(_kept(whole), whole), names, path)
     result = _found(paths, names, run, progress)
     return _keep(result, keys_of(_simulator(paths, names).campaign), path)

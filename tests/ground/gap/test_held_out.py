@@ -47,7 +47,9 @@ def explainable(made, apart, energy):
 
 def chance(apart, rng, floor=1.0):
     """Noise of so many floors, and what is left of the nuisances."""
-    return floor * rng.standard_normal(apart.layout.size) + apart.N @ rng.standard_normal(apart.N.shape[1])
+    return floor * rng.standard_normal(apart.layout.size) + apart.doubt @ rng.standard_normal(
+        apart.doubt.shape[1]
+    )
 
 
 @pytest.mark.parametrize("floor", [1.0, 0.3])
@@ -70,6 +72,27 @@ def test_a_gap_of_a_tenth_of_the_noise_is_shared_out(made, apart, rng):
         shares.append(closed(apart, r, r - S, 1).share)
     assert np.all(np.isfinite(shares))
     assert np.median(shares) == pytest.approx(1.0, abs=0.1)
+
+
+def test_an_effect_that_hardly_moves_what_is_held_out_is_shared_out_as_well(made, rng):
+    """Most directions that effects have there are below the noise: what was found counts among them."""
+    blocks = np.isin(made.layout.block, (0, 5))
+    kept = found(made)
+    prepared = prepare(kept.of(np.flatnonzero(~blocks)))
+    apart = apart_from(prepared, kept.of(np.flatnonzero(blocks)))
+    shares, lost = [], 0
+    for column in range(0, made.owner.size, 3):
+        S = apart.whiten(apart.found.effect[:, column])
+        if not np.any(S):
+            continue
+        S *= 12.0 / np.linalg.norm(S)
+        r = S + chance(apart, rng)
+        told = closed(apart, r, r - S, 1)
+        shares.append(told.share)
+        lost += not told.least <= 1.0 <= told.most or told.after < 0.0
+    assert len(shares) > 10
+    assert np.median(shares) == pytest.approx(1.0, abs=0.1)
+    assert lost <= 0.2 * len(shares)
 
 
 def test_where_there_is_no_gap_no_share_is_claimed(apart, rng):
