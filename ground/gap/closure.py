@@ -17,13 +17,13 @@ import numpy as np
 
 from fsw.kinematics.transforms import Array
 from ground.gap.detect import noncentrality
+from ground.gap.interval import ENDS
 from ground.gap.layout import Layout
 from ground.gap.prepared import Prepared
 from ground.gap.sensitivity import Sensitivities
 from ground.gap.whiten import whitener
 
 DRAWS: Final = 2000
-LEVEL: Final = 0.9
 LOST: Final = 2.0
 """An explainable gap of less than so many sigmas of what is there by chance cannot be shared out."""
 MOVES: Final = 2.0
@@ -167,9 +167,9 @@ def _signal(along: Array, d: Array, energy: float) -> Array:
 
 def _interval(ratios: Array, share: float, told: float) -> tuple[float, float]:
     """Of ratios drawn; everything if the gap is not positive in as many draws as the interval leaves out."""
-    if told < LEVEL + (1.0 - LEVEL) / 2.0:
+    if told < ENDS[1]:
         return -np.inf, np.inf
-    least, most = np.quantile(ratios, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
+    least, most = np.quantile(ratios, ENDS)
     return float(min(least, share)), float(max(most, share))
 
 

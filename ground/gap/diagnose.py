@@ -11,6 +11,7 @@ from ground.gap.bootstrap import Alternatives, alternatives, redrawn
 from ground.gap.case import Case, case_of, reduced
 from ground.gap.curved import Curved
 from ground.gap.hypothesis import Hypothesis
+from ground.gap.interval import ENDS
 from ground.gap.layout import Evidence
 from ground.gap.model import Fitted, fitted, left
 from ground.gap.prepared import Prepared, prepare
@@ -23,7 +24,6 @@ from ground.gap.trust import Signs, signs_of
 from ground.gap.where import Cell, where
 
 Kind = Literal["named", "set", "none", "unknown"]
-LEVEL: Final = 0.9
 SHORTLIST: Final = 4
 """Hypotheses that are refined beside those chosen."""
 
@@ -140,7 +140,7 @@ def _findings(
     others = alternatives(field, ready.cosine, won, redrawn(field, case, won, seed))
     result = []
     for index, hypothesis in enumerate(won.chosen):
-        values, half = final.values[index], norm.ppf((1.0 + LEVEL) / 2.0) * final.sigma[index]
+        values, half = final.values[index], norm.ppf(ENDS[1]) * final.sigma[index]
         ends = [(p.least, p.most) for p in ready.found.hypotheses[hypothesis].parameters]
         low, high = np.clip([values - half, values + half], *np.transpose(ends))
         result.append(Finding(

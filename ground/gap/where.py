@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.transforms import Array
+from ground.gap.interval import ENDS
 from ground.gap.layout import Layout
 
 DRAWS: Final = 400
-LEVEL: Final = 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,5 +49,5 @@ def where(layout: Layout, residual: Array, seed: int) -> tuple[Cell, ...]:
 def _interval(square: Array, n: Array) -> tuple[float, float]:
     """Of ratios drawn."""
     ratios = np.sqrt(square[n > 0.0] / n[n > 0.0])
-    least, most = np.quantile(ratios, [(1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0])
+    least, most = np.quantile(ratios, ENDS)
     return float(least), float(most)
