@@ -37,6 +37,8 @@ NOISIER: Final = 1.2
 """Repeats that differ by so many times the floor of the campaign make a floor of their own."""
 MOVED: Final = 0.25
 """Sigmas by which a nuisance must have moved for the simulator to be asked again."""
+FARTHEST: Final = 10.0
+"""Sigmas up to which it is asked: what an effect makes of a nuisance that is like it may be no arm at all."""
 PASSES: Final = 3
 
 
@@ -161,7 +163,7 @@ def _seen_from(known: Ready, case: Bound, at: Array) -> _Point:
 
 
 def _nuisances(known: Ready, point: _Point, beside: Chosen) -> Array:
-    """As they are beside some effects, (q,).
+    """As they are beside some effects, (q,), within what can be asked.
 
     Those that are drawn in every block, and those that cannot be had in parts, stay 0.
     """
@@ -169,7 +171,8 @@ def _nuisances(known: Ready, point: _Point, beside: Chosen) -> Array:
     model = fitted(prepared, point.told, prepared.columns(beside))
     found = np.zeros(len(known.found.nuisances))
     found[known.found.lasting] = model.theta[: prepared.q] * prepared.nuisance_unit
-    return np.where([one.one_sided for one in point.case.arm.uncertain], 0.0, found)
+    far = FARTHEST * np.array([nuisance.sigma for nuisance in known.found.nuisances])
+    return np.where([one.one_sided for one in point.case.arm.uncertain], 0.0, np.clip(found, -far, far))
 
 
 def said_of(here: Asked, against: Reference, seed: int) -> Result:

@@ -93,6 +93,16 @@ def test_nuisances_do_not_take_the_place_of_an_effect_that_they_are_like(
     assert np.abs(shifts).max() < 4.0 * LEFT_FRAME_M
 
 
+def test_the_simulator_is_asked_only_about_nuisances_that_an_arm_may_have(
+    against: Reference, tmp_path: Path
+) -> None:
+    """Alone they stand for an effect that is like them, however large: springs as soft would be no arm."""
+    logs = recorded(tmp_path, (LinkLength(Frame.ARM3, "x", 0.05),), 9)
+    here = asked([recording_in(path) for path in logs[0]], [], against)
+    shifts = [e.screw[3:] for e in here.case.arm.patch if isinstance(e, FrameError)]
+    assert np.abs(shifts).max() < 10.1 * LEFT_FRAME_M
+
+
 def test_with_the_patch_on_nothing_is_left(case: Callable[..., Result]) -> None:
     effect = LinkLength(Frame.ARM3, "x", 3e-3)
     said = case(effect, patch=(effect,))
