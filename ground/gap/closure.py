@@ -10,7 +10,6 @@ closed is (|r|^2 - |r - d|^2) / (|Q'r|^2 - chance).
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -21,7 +20,7 @@ from ground.gap.interval import ENDS
 from ground.gap.layout import Layout
 from ground.gap.prepared import Prepared
 from ground.gap.sensitivity import Sensitivities
-from ground.gap.whiten import whitener
+from ground.gap.whiten import Whitener, whitener
 
 DRAWS: Final = 2000
 LOST: Final = 2.0
@@ -57,34 +56,25 @@ class Closure:
     channels: tuple[ChannelClosure, ...]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class HeldOut:
     """Motion that took no part, and what can be explained there: m features, d directions, q nuisances."""
 
     found: Sensitivities
+    whiten: Whitener
+    nuisance: Array
+    """What nuisances do, 1 of each as the fitted motion counts them, in the channels' units, (m, q)."""
     Q: Array
     """Directions, orthonormal, (m, d)."""
     doubt: Array
     """What nuisances leave in whitened features: its covariance is this times its transpose, (m, q)."""
+    sigma: Array
+    """The floor and what nuisances leave, (m,)."""
 
     @property
     def layout(self) -> Layout:
         """Its features."""
         return self.found.layout
-
-    @cached_property
-    def unsure(self) -> Array:
-        """Variance, in that of the floor, that nuisances as fitted elsewhere leave here, (m,)."""
-        return np.asarray(np.sum(self.doubt**2, axis=1))
-
-    @cached_property
-    def sigma(self) -> Array:
-        """The floor and what nuisances leave, (m,)."""
-        return np.asarray(self.layout.sigma * np.sqrt(1.0 + self.unsure))
-
-    def whiten(self, X: Array) -> Array:
-        """In units of the floor, (m,) or (m, n)."""
-        return whitener(self.found)(X)
 
 
 def apart_from(prepared: Prepared, found: Sensitivities) -> HeldOut:
@@ -96,14 +86,16 @@ def apart_from(prepared: Prepared, found: Sensitivities) -> HeldOut:
     _check_apart(prepared.layout, found.layout)
     if len(found.lasting) != prepared.q or found.hypotheses != prepared.hypotheses:
         raise ValueError("held-out motion must have the nuisances and the hypotheses of the campaign")
-    whiten = whitener(found)
-    N = whiten(found.nuisance[:, found.lasting] * prepared.nuisance_unit)
+    whiten, nuisance = whitener(found), found.nuisance[:, found.lasting] * prepared.nuisance_unit
+    N = whiten(nuisance)
     seen = prepared.scale > 0.0
     size = _just_seen(prepared)[seen]
     fitted = prepared.W[-1][seen] * size[:, None]
     moved = whiten(found.effect[:, seen] * (size / prepared.scale[seen])) - N @ fitted.T
     U, s, _ = np.linalg.svd(moved, full_matrices=False)
-    return HeldOut(found, U[:, s > MOVES], N @ np.linalg.cholesky(prepared.C[-1]))
+    doubt = N @ np.linalg.cholesky(prepared.C[-1])
+    sigma = found.layout.sigma * np.sqrt(1.0 + np.sum(doubt**2, axis=1))
+    return HeldOut(found, whiten, nuisance, U[:, s > MOVES], doubt, sigma)
 
 
 def closure(apart: HeldOut, before: Array, after: Array, seed: int) -> Closure:

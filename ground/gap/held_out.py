@@ -28,11 +28,8 @@ def left_on(diagnosis: Diagnosis, apart: HeldOut, gap: Array, change: Array) -> 
 
     `gap` (m,) is measured less simulated with nuisances at 0; `change` (m,) is by the simulator.
     """
-    found, q = apart.found, diagnosis.prepared.q
-    before, after = (
-        gap - found.nuisance[:, found.lasting] @ (fit.theta[:q] * diagnosis.prepared.nuisance_unit)
-        for fit in (diagnosis.without, diagnosis.best)
-    )
+    q = diagnosis.prepared.q
+    before, after = (gap - apart.nuisance @ fit.theta[:q] for fit in (diagnosis.without, diagnosis.best))
     return Left(apart, np.asarray(before), np.asarray(after - change))
 
 

@@ -6,26 +6,22 @@ from operator import attrgetter
 from typing import Final
 
 import numpy as np
-from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array
 from ground.gap.arm.at_tool import tool_gap
 from ground.gap.arm.audit import audit
-from ground.gap.arm.bound import Bound, asked_again, bound
+from ground.gap.arm.bound import Bound, bound
 from ground.gap.arm.campaign import compared
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import NotForDiagnosis, Recording
 from ground.gap.arm.reference import Reference
-from ground.gap.arm.simulator import CALMLY, ArmSimulator, Touched, arm_simulator
-from ground.gap.case import Case, case_of
+from ground.gap.arm.settled import settled
+from ground.gap.arm.simulator import CALMLY, ArmSimulator, arm_simulator
 from ground.gap.closure import Closure, apart_from
 from ground.gap.diagnose import Diagnosis, diagnose
 from ground.gap.held_out import left_on, settings_of
 from ground.gap.layout import Evidence
-from ground.gap.model import fitted
 from ground.gap.next_motion import again
-from ground.gap.prepared import left_over
-from ground.gap.race import Chosen, Race, race
 from ground.gap.ready import Ready, ready
 from ground.gap.result import Result, ToolGap
 from sim.effects.catalogue import catalogue
@@ -35,11 +31,6 @@ LEAST_SHARE: Final = 0.5
 """Of the campaign's features that a case must have, else there is too little motion."""
 NOISIER: Final = 1.2
 """Repeats that differ by so many times the floor of the campaign make a floor of their own."""
-MOVED: Final = 0.25
-"""Sigmas by which a nuisance must have moved for the simulator to be asked again."""
-FARTHEST: Final = 10.0
-"""Sigmas up to which it is asked: what an effect makes of a nuisance that is like it may be no arm at all."""
-PASSES: Final = 3
 
 
 class TooLittleMotion(NotForDiagnosis):
@@ -96,83 +87,12 @@ def asked(
     _check_motion(first, against)
     known = _ready(against.ready, first)
     notes = (*audit(recordings), *_lacking(first, against), *_borrowed(known, against))
-    best = _settled(known, first, patch)
+    best = settled(known, first, patch)
     apart = _held_out_part(held_out, against, best.case.arm.patch)
     there = np.zeros(0)
     if apart is not None and against.held_out is not None:
-        there = apart.gap() + against.held_out.nuisance[apart.rows] @ best.at
+        there = apart.gap() + against.held_out.nuisance[apart.rows] @ best.nuisance
     return Asked(known, best.case, best.gap, apart, there, notes, floor)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Point:
-    """The simulator asked about some nuisances, and what explains the case in straight lines from there."""
-
-    case: Bound
-    at: Array
-    """The nuisances, (q,)."""
-    gap: Array
-    """Measured less simulated with nuisances at 0, in straight lines from where they are, (m,)."""
-    told: Case
-    won: Race
-    nothing: float
-    """Deviance that nuisances alone leave."""
-    cost: float
-    """Deviance that is left beside what won, and what as many effects without a cause would explain."""
-
-
-def _settled(known: Ready, first: Bound, patch: tuple[Effect, ...]) -> _Point:
-    """The simulator asked about the nuisances until they stay where they are, or leave no effect to be found.
-
-    They may be large, and are no straight lines: what they bend looks like effects. So they are settled
-    alone, and if there is an effect all the same, beside it: alone they would take the place of one that
-    they are like. That they bend may still be the simpler explanation.
-    """
-    alone = _settled_beside(known, _seen_from(known, first, np.zeros(len(first.nuisances))), patch, False)
-    if not alone.won.chosen:
-        return alone
-    beside = _settled_beside(known, alone, patch, True)
-    # what wins from `alone` has nuisances elsewhere, so only what is left there without it can be believed
-    return beside if not beside.won.chosen or beside.cost < alone.nothing else alone
-
-
-def _settled_beside(known: Ready, begun: _Point, patch: tuple[Effect, ...], effects: bool) -> _Point:
-    point = begun
-    for asked_before in range(PASSES):
-        if asked_before and not point.won.chosen:
-            break
-        arm, there = point.case.arm, _nuisances(known, point, point.won.chosen if effects else ())
-        by = there - point.at
-        moved = arm.effects({}, np.where(arm.far(by, MOVED), by, 0.0))
-        if not moved:
-            break
-        otherwise = known.found.nuisance @ by
-        near = (*patch, *arm.effects({}, there))
-        point = _seen_from(known, asked_again(point.case, near, Touched(tuple(moved)), otherwise), there)
-    return point
-
-
-def _seen_from(known: Ready, case: Bound, at: Array) -> _Point:
-    gap = case.gap() + known.found.nuisance @ at
-    told, y = case_of(known.prepared, Evidence(known.found.layout, gap))
-    won = race(known.field, told)
-    k = known.prepared.columns(won.chosen).size
-    needed = float(chi2.isf(10.0**-known.thresholds.effect, k)) if k else 0.0
-    nothing = left_over(known.prepared, y)
-    return _Point(case, at, gap, told, won, nothing, nothing - won.dropped + needed)
-
-
-def _nuisances(known: Ready, point: _Point, beside: Chosen) -> Array:
-    """As they are beside some effects, (q,), within what can be asked.
-
-    Those that are drawn in every block, and those that cannot be had in parts, stay 0.
-    """
-    prepared = known.prepared
-    model = fitted(prepared, point.told, prepared.columns(beside))
-    found = np.zeros(len(known.found.nuisances))
-    found[known.found.lasting] = model.theta[: prepared.q] * prepared.nuisance_unit
-    far = FARTHEST * np.array([nuisance.sigma for nuisance in known.found.nuisances])
-    return np.where([one.one_sided for one in point.case.arm.uncertain], 0.0, np.clip(found, -far, far))
 
 
 def said_of(here: Asked, against: Reference, seed: int) -> Result:

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from fsw.dictionary.joints import Joint
-from fsw.kinematics.transforms import Array, Flags
+from fsw.kinematics.transforms import Array
 from ground.gap.arm.campaign import Compared, all_of, predicted_values
 from ground.gap.arm.features import CONDITIONS, UNITS, Moving, channel_of
 from ground.gap.arm.uncertain import Uncertain, left_uncertain
@@ -78,10 +78,6 @@ class ArmSimulator:
         found = [switched_on(self.made[one], one, values) for one, values in settings.items()]
         found += [one.effect(float(v)) for one, v in zip(self.uncertain, nuisance, strict=True) if v]
         return found
-
-    def far(self, by: Array, sigmas: float) -> Flags:
-        """Which nuisances of (q,) are more than so many sigmas from 0."""
-        return np.asarray(np.abs(by) > sigmas * np.array([one.nuisance.sigma for one in self.uncertain]))
 
     def predicted(self, effects: Sequence[Effect], wanted: Callable[[Moving], bool] = all_of) -> Array:
         """Features (m,) with the patch and these; those of moving recordings that are not wanted are NaN."""

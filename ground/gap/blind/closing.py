@@ -34,9 +34,7 @@ class Tried:
         rest = prepared.whiten(self.fitted.value - change(self.fitted.found))
         N = prepared.A[:, : prepared.q]
         v = prepared.C[-1] @ (N.T @ rest)
-        held = self.held.found
-        there = held.nuisance[:, held.lasting] @ (v * prepared.nuisance_unit)
-        return rest - N @ v, self.held.value - change(held) - there
+        return rest - N @ v, self.held.value - change(self.held.found) - self.apart.nuisance @ v
 
     def closed(self, change: Change, seed: int) -> Closure:
         """On held-out motion, against nuisances alone."""

@@ -20,7 +20,7 @@ def split(folder: Path) -> tuple[list[Path], list[Path]]:
     return [log for log in logs if log.stem not in HELD_OUT], [log for log in logs if log.stem in HELD_OUT]
 
 
-def known(campaign: Path, run: Runner, progress: Progress) -> tuple[Reference, Kept]:
+def known(campaign: Path, run: Runner, progress: Progress) -> Reference:
     """All that is known of a campaign before cases; kept beside its logs, computed where it is not.
 
     Raises:
@@ -29,19 +29,20 @@ def known(campaign: Path, run: Runner, progress: Progress) -> tuple[Reference, K
     fitted, held = split(campaign)
     if not fitted or not held:
         raise BadRequest(f"{campaign}: lacks the campaign's logs; `marsarm gap blind make` records them")
-    found = reference(fitted, held, campaign, run, progress)
-    assert found.held_out is not None
-    return found, Kept(found.ready.found, found.held_out)
+    return reference(fitted, held, campaign, run, progress)
 
 
 def kept_campaign(campaign: Path) -> Kept:
-    """Its sensitivities, read once in each process."""
-    return _known(campaign)[1]
+    """Its sensitivities."""
+    found = reference_campaign(campaign)
+    assert found.held_out is not None  # `known` refuses a campaign without
+    return Kept(found.ready.found, found.held_out)
 
 
+@cache
 def reference_campaign(campaign: Path) -> Reference:
-    """All else that is known of it, likewise."""
-    return _known(campaign)[0]
+    """All that is known of it, read once in each process."""
+    return known(campaign, on_this_machine(1), lambda *_: None)
 
 
 def features(here: Asked) -> Features:
@@ -49,8 +50,3 @@ def features(here: Asked) -> Features:
     apart = here.held_out
     rows = np.zeros(0, np.intp) if apart is None else apart.rows
     return Features(Measured(here.case.rows, here.gap), Measured(rows, here.held_out_gap))
-
-
-@cache
-def _known(campaign: Path) -> tuple[Reference, Kept]:
-    return known(campaign, on_this_machine(1), lambda *_: None)

@@ -109,7 +109,7 @@ def _record_campaign(folder: Path, seed: int, progress: Progress) -> None:
 
 def _seen(campaign: Path, seed: int, run: Runner, progress: Progress) -> tuple[list[Seen], list[Seen]]:
     """Every hypothesis and every effect outside, with limits by the motions that are not held out."""
-    ready = known(campaign, run, progress)[0].ready
+    ready = known(campaign, run, progress).ready
     found = [one.limit for one in ready.limits]
     write_json(campaign / FILE, published(ready.found.hypotheses, ready.label, found))
     seen = zip(ready.found.hypotheses, found, ready.label, strict=True)

@@ -1,0 +1,98 @@
+"""Where a case's nuisances are: the simulator asked about them until they stay.
+
+They may be large, and are no straight lines: what they bend looks like effects.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.stats import chi2
+
+from fsw.kinematics.transforms import Array
+from ground.gap.arm.bound import Bound, asked_again
+from ground.gap.arm.simulator import Touched
+from ground.gap.case import Case, case_of
+from ground.gap.layout import Evidence
+from ground.gap.model import fitted
+from ground.gap.prepared import left_over
+from ground.gap.race import Chosen, Race, race
+from ground.gap.ready import Ready
+from sim.effects.effect import Effect
+
+MOVED: Final = 0.25
+"""Sigmas by which a nuisance must have moved for the simulator to be asked again."""
+FARTHEST: Final = 10.0
+"""Sigmas up to which it is asked: what an effect makes of a nuisance that is like it may be no arm at all."""
+PASSES: Final = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Settled:
+    """The simulator asked about some nuisances, and what explains the case in straight lines from there."""
+
+    case: Bound
+    nuisance: Array
+    """(q,)."""
+    gap: Array
+    """Measured less simulated with nuisances at 0, in straight lines from where they are, (m,)."""
+    told: Case
+    won: Race
+    nothing: float
+    """Deviance that nuisances alone leave."""
+    cost: float
+    """Deviance that is left beside what won, and what as many effects without a cause would explain."""
+
+
+def settled(known: Ready, first: Bound, patch: tuple[Effect, ...]) -> Settled:
+    """The nuisances settled alone, and if there is an effect all the same, beside it.
+
+    Alone they would take the place of an effect that they are like. That they bend may still be the simpler
+    explanation.
+    """
+    alone = _settled(known, _asked(known, first, np.zeros(len(first.nuisances))), patch, beside_won=False)
+    if not alone.won.chosen:
+        return alone
+    beside = _settled(known, alone, patch, beside_won=True)
+    # what wins from `alone` has nuisances elsewhere, so only what is left there without it can be believed
+    return beside if not beside.won.chosen or beside.cost < alone.nothing else alone
+
+
+def _settled(known: Ready, begun: Settled, patch: tuple[Effect, ...], beside_won: bool) -> Settled:
+    """Until nuisances stay where they are, or leave no effect to be found."""
+    here = begun
+    least = MOVED * np.array([nuisance.sigma for nuisance in known.found.nuisances])
+    for asked_before in range(PASSES):
+        if asked_before and not here.won.chosen:
+            break
+        arm, there = here.case.arm, _nuisances(known, here, here.won.chosen if beside_won else ())
+        by = there - here.nuisance
+        moved = arm.effects({}, np.where(np.abs(by) > least, by, 0.0))
+        if not moved:
+            break
+        near, otherwise = (*patch, *arm.effects({}, there)), known.found.nuisance @ by
+        here = _asked(known, asked_again(here.case, near, Touched(tuple(moved)), otherwise), there)
+    return here
+
+
+def _asked(known: Ready, case: Bound, nuisance: Array) -> Settled:
+    gap = case.gap() + known.found.nuisance @ nuisance
+    told, y = case_of(known.prepared, Evidence(known.found.layout, gap))
+    won = race(known.field, told)
+    k = known.prepared.columns(won.chosen).size
+    needed = float(chi2.isf(10.0**-known.thresholds.effect, k)) if k else 0.0
+    nothing = left_over(known.prepared, y)
+    return Settled(case, nuisance, gap, told, won, nothing, nothing - won.dropped + needed)
+
+
+def _nuisances(known: Ready, here: Settled, beside: Chosen) -> Array:
+    """As they are beside some effects, (q,), within what can be asked.
+
+    Those that are drawn in every block, and those that cannot be had in parts, stay 0.
+    """
+    prepared = known.prepared
+    model = fitted(prepared, here.told, prepared.columns(beside))
+    found = np.zeros(len(known.found.nuisances))
+    found[known.found.lasting] = model.theta[: prepared.q] * prepared.nuisance_unit
+    far = FARTHEST * np.array([nuisance.sigma for nuisance in known.found.nuisances])
+    return np.where([one.one_sided for one in here.case.arm.uncertain], 0.0, np.clip(found, -far, far))
