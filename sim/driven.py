@@ -53,8 +53,11 @@ class DrivenArm:
         hardware = replace(hardware, counter_zero_rad=hardware.counter_zero_rad - off_rad)
         hardware = hardware if manner.seed is not None else _without_noise(hardware)
         self.avionics = Avionics(self.plant, hardware, hardware_rng(manner.seed or 0))
+        # the motors stand where these counters read what was read, whatever shifted their zeros
         self.plant.place(
-            start.motor_rad - off_rad, manner.settle_s, self.avionics.act if hardware.each_cycle else None
+            start.motor_rad + (hardware.counter_zero_rad - start.zero_rad),
+            manner.settle_s,
+            self.avionics.act if hardware.each_cycle else None,
         )
 
     def readings(self, drives: Iterable[Drive]) -> Iterator[Sensors]:

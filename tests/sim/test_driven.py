@@ -14,7 +14,7 @@ from sim.diagnosis.motions import Session
 from sim.driven import DrivenArm, Manner, Start
 from sim.effects.effect import Effect
 from sim.effects.friction import CoulombFriction, ViscousFriction
-from sim.effects.sensors import CurrentBias
+from sim.effects.sensors import CurrentBias, EncoderZero
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
@@ -93,3 +93,10 @@ def test_a_sensor_that_reads_too_much_does_so_at_rest_too(run: tuple[Start, list
     nominal = driven(run, BRIEF)
     apart = difference("current_A", driven(run, BRIEF, CurrentBias(Joint.ELBOW, 0.05)), nominal)
     np.testing.assert_allclose(apart, 0.05 * (np.arange(5) == Joint.ELBOW) * np.ones_like(apart), atol=1e-15)
+
+
+def test_an_encoder_that_lost_count_shows_in_no_motion(run: tuple[Start, list[CycleRecord]]) -> None:
+    nominal = driven(run, BRIEF)
+    lost = driven(run, BRIEF, EncoderZero(Joint.WRIST, 2e-3))
+    np.testing.assert_array_equal(lost[0].encoder_count, nominal[0].encoder_count)
+    assert np.abs(difference("current_A", lost, nominal)).max() < 0.1 * NOISE_A  # gravity pulls a little otherwise
