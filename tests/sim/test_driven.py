@@ -99,4 +99,6 @@ def test_an_encoder_that_lost_count_shows_in_no_motion(run: tuple[Start, list[Cy
     nominal = driven(run, BRIEF)
     lost = driven(run, BRIEF, EncoderZero(Joint.WRIST, 2e-3))
     np.testing.assert_array_equal(lost[0].encoder_count, nominal[0].encoder_count)
-    assert np.abs(difference("current_A", lost, nominal)).max() < 0.1 * NOISE_A  # gravity pulls a little otherwise
+    assert (
+        np.abs(difference("current_A", lost, nominal)).max() < 0.1 * NOISE_A
+    )  # gravity pulls a little otherwise

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -16,13 +16,16 @@ import fsw
 import ground
 import sim
 from fsw.config import digest
-from fsw.kinematics.transforms import Array, Flags
-from ground.gap.arm.bound import changed, keys_of
+from fsw.kinematics.transforms import Array
+from ground.gap.arm.bound import keys_of
 from ground.gap.arm.campaign import compared
+from ground.gap.arm.columns import Column, Side, alike, columns_of, is_line, side_of, sides_of, size_of
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import recording_in
-from ground.gap.arm.simulator import ONLY_POSED, ArmSimulator, arm_simulator
+from ground.gap.arm.simulator import ArmSimulator, arm_simulator
+from ground.gap.arm.step import ROUNDS, mended
 from ground.gap.layout import Layout
+from ground.gap.prepared import prepare
 from ground.gap.sensitivity import Sensitivities, load, save, through
 from ground.outputs import written_whole
 from ground.pool import Runner
@@ -30,7 +33,6 @@ from ground.progress import Progress
 from ground.request import BadRequest
 from ground.telemetry.header import model_digest
 from sim.effects.catalogue import catalogue
-from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.world import World, build
 
@@ -39,26 +41,13 @@ Names = tuple[str, ...]
 _NAMES: Final = TypeAdapter(Names)
 
 
-COMPARE: Final = ("calibration/screws.py", "gap/hypothesis.py", "gap/layout.py", "gap/sensitivity.py")
+COMPARE: Final = (
+    "calibration/screws.py",
+    *(f"gap/{name}.py" for name in ("hypothesis", "layout", "prepared", "sensitivity", "whiten")),
+)
 """Modules beyond the simulator and this package that have a part in it."""
-WANTED: Final = 60.0
-"""Sigmas, of all features together and before nuisances, by which a step is to move them."""
-TOO_MUCH: Final = 3.0
-"""Of what is wanted: then a smaller step is tried."""
 NEARLY: Final = 0.1
 """Of the difference to half the time step, what remains of the plant's numerics when it is fitted."""
-TRIES: Final = 3
-LEAST_SHARE: Final = 1e-3
-"""Of a typical size, to begin with."""
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """A number whose sensitivity is wanted: a size parameter of a hypothesis, or a nuisance."""
-
-    hypothesis: int | None
-    at: int
-    """Which of the hypothesis' parameters; of a nuisance, which one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +55,8 @@ class _Job:
     logs: Logs
     kinds: Names
     column: int
+    side: int
+    share: float | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,18 +111,53 @@ def _keep(found: Sensitivities, keys: Sequence[str], path: Path) -> OnFile:
 
 
 def _found(paths: Logs, names: Names, run: Runner, progress: Progress) -> Sensitivities:
-    """All columns, those that are alike simulated once."""
+    """One side of every column, mended until it can be seen well, and the other side by the same steps."""
     simulator = _simulator(paths, names)
     columns = columns_of(simulator)
-    alike = _alike(simulator, columns)
-    jobs = [_Job(paths, names, k) for k in range(len(columns)) if k not in alike]
+    same = alike(simulator, columns)
+
+    def simulated(shares: Mapping[int, float | None], side: int, what: str) -> dict[int, Side]:
+        jobs = [_Job(paths, names, k, side, share) for k, share in shares.items()]
+        found = {}
+        for done, (k, one) in enumerate(run(_worked, jobs), 1):
+            found[k] = one
+            progress(done, len(jobs), what)
+        return found
+
+    up = simulated({k: None for k in range(len(columns)) if k not in same}, 0, "sensitivities")
+    for _ in range(ROUNDS):
+        scale = prepare(_assembled(paths, names, up, {})).scale
+        up |= simulated(_mended(simulator, columns, up, scale), 0, "better steps")
+    down = {k: side.share for k, side in up.items() if sides_of(simulator, columns[k]) > 1}
+    return _assembled(paths, names, up, simulated(down, 1, "other sides"))
+
+
+def _mended(
+    simulator: ArmSimulator, columns: Sequence[Column], up: Mapping[int, Side], scale: Array
+) -> dict[int, float | None]:
+    """Better shares, of columns that are seen too little or too well; straight lines are as good as any."""
+    found: dict[int, float | None] = {}
+    for k, by in enumerate(scale):
+        if is_line(simulator, columns[k]):
+            continue
+        share = mended(up[k].share, float(by) * abs(up[k].size))
+        if share is not None and size_of(simulator, columns[k], share) != up[k].size:
+            found[k] = share
+    return found
+
+
+def _assembled(paths: Logs, names: Names, up: Mapping[int, Side], down: Mapping[int, Side]) -> Sensitivities:
+    """Parabolas through what was simulated, or lines where that is one side."""
+    simulator = _simulator(paths, names)
+    columns = columns_of(simulator)
     slope, bend = np.zeros((2, simulator.layout.size, len(columns)))
     reach = np.ones(len(columns))
-    for done, (column, one) in enumerate(run(_worked, jobs), 1):
-        slope[:, column], bend[:, column], reach[column] = one.slope, one.bend, one.reach
-        progress(done, len(jobs), "sensitivities")
-    for number, (other, typical) in alike.items():
-        slope[:, number] = slope[:, other] / typical
+    for k, side in up.items():
+        sides = [side, down[k]] if k in down else [side]
+        slope[:, k], bend[:, k] = through([(one.change, one.size) for one in sides])
+        reach[k] = max(abs(one.size) for one in sides)
+    for k, (other, typical) in alike(simulator, columns).items():
+        slope[:, k] = slope[:, other] / typical
     owner = [column.hypothesis for column in columns if column.hypothesis is not None]
     sized = len(owner)
     nuisance = _cut(simulator, slope[:, sized:])
@@ -157,7 +183,8 @@ def _cut(simulator: ArmSimulator, column: Array) -> Array:
         if one.beside:
             cut[:, k] -= column[:, plain[one.effect(1.0)]]
         if one.at:
-            cut[~_at(simulator.layout, one.at), k] = 0.0
+            elsewhere = [simulator.layout.places[place] != one.at for place in simulator.layout.place]
+            cut[elsewhere, k] = 0.0
     return cut
 
 
@@ -224,123 +251,6 @@ def sources_in(package: ModuleType) -> list[Path]:
     return sorted(Path(package.__path__[0]).rglob("*.py"))
 
 
-def columns_of(simulator: ArmSimulator) -> list[Column]:
-    """Every size parameter of every hypothesis in order, then the nuisances."""
-    sized = [
-        Column(k, at)
-        for k, hypothesis in enumerate(simulator.hypotheses)
-        for at, parameter in enumerate(hypothesis.parameters)
-        if parameter.sizes
-    ]
-    return sized + [Column(None, k) for k in range(len(simulator.nuisances))]
-
-
-def _alike(simulator: ArmSimulator, columns: Sequence[Column]) -> dict[int, tuple[int, float]]:
-    """Nuisances that are a hypothesis or another nuisance as well: that one's column, and what 1 is of it."""
-    known: dict[str, tuple[int, float]] = {}
-    alike: dict[int, tuple[int, float]] = {}
-    for k, column in enumerate(columns):
-        if column.hypothesis is not None:
-            hypothesis = simulator.hypotheses[column.hypothesis]
-            known.setdefault(hypothesis.name, (k, hypothesis.parameters[column.at].typical))
-        elif (name := simulator.uncertain[column.at].like) in known:
-            alike[k] = known[name]
-        else:
-            known[name] = k, 1.0
-    return alike
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sensed:
-    """One column of the sensitivities."""
-
-    slope: Array
-    """Change of the features per typical size, or per unit of a nuisance, (m,)."""
-    bend: Array
-    """Per square of that, (m,)."""
-    reach: float
-    """How far the simulator was asked, in typical sizes."""
-
-
-def column_of(simulator: ArmSimulator, column: Column, nominal: Array) -> Sensed:
-    """The parabola through three points, or a line where bounds leave one side or nothing bends.
-
-    Steps are a few times what the campaign can see: one probe, of the motion that shows it most, tells. Much
-    less would be lost in the rounding of counters, much more would be far from where it matters. Of repeats
-    only the first is simulated: the others were given the same drive.
-    """
-    if column.hypothesis is None and (beside := simulator.uncertain[column.at].beside):
-        simulator = simulator.patched(beside)
-        nominal = simulator.predicted(())
-    share = _share(simulator, column, nominal)
-    ends = list(_ends(simulator, column, share))
-    first = changed(simulator, ends[0].effects, nominal)
-    for _ in range(TRIES):
-        if _seen(simulator, first) <= TOO_MUCH * WANTED or column.hypothesis is None:
-            break
-        share *= WANTED / _seen(simulator, first)
-        ends = list(_ends(simulator, column, share))
-        first = changed(simulator, ends[0].effects, nominal)
-    others = [changed(simulator, end.effects, nominal) for end in ends[1:]]
-    slope, bend = through([(c, e.size) for c, e in zip((first, *others), ends, strict=True)])
-    return Sensed(slope, bend, max(abs(end.size) for end in ends))
-
-
-def _at(layout: Layout, place: str) -> Flags:
-    """Features that are measured there, (m,)."""
-    return np.array([layout.places[k] == place for k in layout.place], bool)
-
-
-def _seen(simulator: ArmSimulator, change: Array) -> float:
-    """Sigmas of all features together."""
-    return float(np.linalg.norm(change / simulator.layout.sigma))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _End:
-    """A state beside nominal."""
-
-    effects: tuple[Effect, ...]
-    size: float
-    """Departure in typical sizes, or in units of the nuisance."""
-
-
-def _share(simulator: ArmSimulator, column: Column, nominal: Array) -> float:
-    """Of a typical size, the step: one that moves the features by WANTED sigmas in all."""
-    if column.hypothesis is None:
-        return 1.0
-    end = next(iter(_ends(simulator, column, 1.0)))
-    joints = {getattr(effect, "joint", None) for effect in end.effects} - {None}
-    free = [one for one in simulator.campaign.moving if one.recording.world.surface is None]
-    shown = [one for one in free if not {segment.joint for segment in one.segments} - joints]
-    names = {one.recording.name for one in shown or free[-1:]}
-    change = changed(simulator, end.effects, nominal, lambda one: one.recording.name in names)
-    return float(np.clip(abs(end.size) * WANTED / max(_seen(simulator, change), 1e-12), LEAST_SHARE, 1.0))
-
-
-def _ends(simulator: ArmSimulator, column: Column, share: float) -> Iterator[_End]:
-    """On both sides of nominal where bounds allow it and it may bend."""
-    zero = np.zeros(len(simulator.nuisances))
-    for sign in (1.0, -1.0):
-        if column.hypothesis is None:
-            by, one = zero.copy(), simulator.uncertain[column.at]
-            by[column.at] = 1.0 if one.one_sided else sign * one.nuisance.sigma
-            if sign > 0.0 or not one.one_sided:
-                yield _End(tuple(simulator.effects({}, by)), float(by[column.at]))
-            continue
-        hypothesis = simulator.hypotheses[column.hypothesis]
-        parameter, values = hypothesis.parameters[column.at], hypothesis.absent
-        absent = values[column.at]
-        step = sign * share * parameter.typical
-        values[column.at] = np.clip(absent + step, parameter.least, parameter.most)
-        if values[column.at] == absent:
-            continue
-        effects = tuple(simulator.effects({hypothesis: values}, zero))
-        yield _End(effects, float((values[column.at] - absent) / parameter.typical))
-        if all(isinstance(effect, ONLY_POSED) for effect in effects):
-            return  # geometry and springs are straight lines, as far as errors go
-
-
 @cache
 def _simulator(logs: Logs, kinds: Names) -> ArmSimulator:
     """Once in each process."""
@@ -353,7 +263,7 @@ def _nominal(logs: Logs, kinds: Names) -> Array:
     return _simulator(logs, kinds).predicted(())
 
 
-def _worked(job: _Job) -> tuple[int, Sensed]:
+def _worked(job: _Job) -> tuple[int, Side]:
     simulator = _simulator(job.logs, job.kinds)
-    column = columns_of(simulator)[job.column]
-    return job.column, column_of(simulator, column, _nominal(job.logs, job.kinds))
+    column, nominal = columns_of(simulator)[job.column], _nominal(job.logs, job.kinds)
+    return job.column, side_of(simulator, column, nominal, job.side, job.share)

@@ -14,9 +14,9 @@ from ground.gap.arm.blind.stepped import change
 from ground.gap.arm.campaign import Compared, compared
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import recording_in
-from ground.gap.arm.sensitivities import LEAST_SHARE, WANTED
 from ground.gap.arm.simulator import BRIEFLY, switched_on, told
-from ground.gap.detect import limit_beside
+from ground.gap.arm.step import ROUNDS, first_share, mended
+from ground.gap.detect import limit_beside, noncentrality
 from ground.gap.drawn import Seen
 from ground.gap.hypothesis import Hypothesis
 from ground.gap.plain import finite
@@ -52,6 +52,16 @@ class Outside:
 class _Job:
     logs: tuple[Path, ...]
     name: tuple[str, str]
+    share: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sensed:
+    name: tuple[str, str]
+    share: float
+    """Of a typical size, the step."""
+    column: Array
+    """Change of the features per typical size, upwards, (m,)."""
 
 
 def all_outside() -> dict[tuple[str, str], Outside]:
@@ -99,13 +109,19 @@ def limits(
     """
     with ResultsFile(kept_in / "outside.jsonl", {"of": _digest(logs, prepared)}, _seen) as kept:
         there = {(one["name"], one["place"]): _seen(one) for one in kept.done}
-        jobs = [_Job(tuple(logs), name) for name in wanted if name not in there]
-        for done, (name, column) in enumerate(run(_column, jobs), 1):
-            limit = limit_beside(prepared, column[:, None])
-            there[name] = limit
-            document: dict[str, Any] = {"name": name[0], "place": name[1]}
-            kept.add({**document, "limit": finite(limit)})
-            progress(done, len(jobs), "outside")
+        shares: dict[tuple[str, str], float | None] = {name: None for name in wanted if name not in there}
+        for attempt in range(ROUNDS + 1):
+            jobs = [_Job(tuple(logs), name, share) for name, share in shares.items()]
+            shares = {}
+            for done, one in enumerate(run(_sensed, jobs), 1):
+                limit = limit_beside(prepared, one.column[:, None])
+                better = mended(one.share, one.share * float(np.sqrt(noncentrality(1))) / limit)
+                if better is not None and attempt < ROUNDS:
+                    shares[one.name] = better
+                else:
+                    there[one.name] = limit
+                    kept.add({"name": one.name[0], "place": one.name[1], "limit": finite(limit)})
+                progress(done, len(jobs), "outside")
     return [Seen(one.hypothesis, there[name], None) for name, one in wanted.items()]
 
 
@@ -113,13 +129,15 @@ def _seen(said: dict[str, Any]) -> float:
     return float("inf") if said["limit"] is None else float(said["limit"])
 
 
-def _column(job: _Job) -> tuple[tuple[str, str], Array]:
-    """Change of the features per typical size, upwards, by a size that is about as large as those drawn."""
-    campaign = _campaign(job.logs)
-    whole = _change(campaign, job.name, 1.0)
-    seen = max(float(np.linalg.norm(whole / floor_of(campaign).sigma)), 1e-12)
-    share = float(np.clip(WANTED / seen, LEAST_SHARE, 1.0))
-    return job.name, (whole if share == 1.0 else _change(campaign, job.name, share) / share)
+def _sensed(job: _Job) -> _Sensed:
+    """By the share that is wanted, or by one that is about as large as those drawn."""
+    campaign, share = _campaign(job.logs), job.share
+    if share is None:
+        whole = _change(campaign, job.name, 1.0)
+        share = first_share(1.0, float(np.linalg.norm(whole / floor_of(campaign).sigma)))
+        if share == 1.0:
+            return _Sensed(job.name, share, whole)
+    return _Sensed(job.name, share, _change(campaign, job.name, share) / share)
 
 
 def _change(campaign: Compared, name: tuple[str, str], share: float) -> Array:

@@ -9,10 +9,11 @@ import pytest
 from fsw.dictionary.joints import Frame, Joint, Tool
 from ground.gap.arm.bound import asked_again, bound, keys_of
 from ground.gap.arm.campaign import all_of, compared, measured_values, predicted_values
+from ground.gap.arm.columns import columns_of, side_of
 from ground.gap.arm.features import CHANNELS, CURRENT, IMU, SHIFT, TURN
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import Recording
-from ground.gap.arm.sensitivities import arm_sensitivities, column_of, columns_of
+from ground.gap.arm.sensitivities import arm_sensitivities
 from ground.gap.arm.simulator import BRIEFLY, Touched, arm_simulator
 from ground.pool import on_this_machine
 from ground.telemetry.read import read_log
@@ -124,7 +125,8 @@ def test_a_sensitivity_is_the_difference_of_predictions(recordings: list[Recordi
         hypothesis = simulator.hypotheses[column.hypothesis]
         there = np.array([p.absent + 1.5 * p.typical for p in hypothesis.parameters])
         change = simulator.predict({hypothesis: there}, zero) - nominal
-        predicted = 1.5 * column_of(simulator, column, nominal).slope
+        side = side_of(simulator, column, nominal)
+        predicted = 1.5 * side.change / side.size
         assert np.abs(change / sigma).max() > 5
         np.testing.assert_allclose(predicted / sigma, change / sigma, atol=0.1)
 

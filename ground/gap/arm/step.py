@@ -1,0 +1,33 @@
+"""By how large steps an effect is simulated: a few times what the campaign can see of it.
+
+Much less would be lost in the rounding of counters and in how gears happen to come to rest; much more, and
+gaps change sides and tools touch, which says nothing of small sizes. What can be seen is known only beside
+the nuisances, so a step is tried, and mended.
+"""
+
+from typing import Final
+
+WANTED: Final = 60.0
+"""Sigmas, of all features together and before nuisances, by which the first step is to move them."""
+SEEN: Final = 15.0
+"""Standard errors beside the nuisances that a step is to be: 4.6 times the limit of detection."""
+NEAR_ENOUGH: Final = 2.0
+"""A step is mended if it is that many times too large or too small."""
+LEAST_SHARE: Final = 1e-3
+MOST_SHARE: Final = 2.0
+"""Of a typical size."""
+ROUNDS: Final = 3
+"""That steps are mended in."""
+
+
+def first_share(size: float, seen: float) -> float:
+    """Of a typical size, when a step of `size` typical ones moves features by so many sigmas."""
+    return min(max(size * WANTED / max(seen, 1e-12), LEAST_SHARE), 1.0)
+
+
+def mended(share: float, seen: float) -> float | None:
+    """Another share for a step that is so many standard errors; None if none would be better."""
+    if not seen or 1.0 / NEAR_ENOUGH <= seen / SEEN <= NEAR_ENOUGH:
+        return None
+    better = min(max(share * SEEN / seen, LEAST_SHARE), MOST_SHARE)
+    return None if 1.0 / NEAR_ENOUGH < better / share < NEAR_ENOUGH else better
