@@ -40,16 +40,35 @@ def losses(prepared: Prepared, case: Case, columns: Ints) -> Array:
     """Deviance of every block as predicted by the others, from that of no effect, (n, B) of n sets (n, j).
 
     The deviance of a block given the others is that of all blocks less that of the others, both with
-    nuisances free: D(t) = t'R t - 2 r't. Normalising terms do not depend on the set. Sizes are those of the
-    others, with LEARNT of the information of all blocks as a prior about 0, so that a fold that says nothing
+    nuisances free: D(t) = t'R t - 2 r't. Normalising terms do not depend on the set.
+    """
+    r, t = case.r[:, columns], _learnt(prepared, case, columns)
+    return np.asarray(_of_blocks(prepared, columns, t) - 2.0 * np.einsum("fni,fni->nf", t, r[-1] - r[:-1]))
+
+
+def foretold(prepared: Prepared, case: Case, columns: Ints) -> Array:
+    """By how much that would become less if sizes are as others say, (n,): the share that losses can judge.
+
+    What one block alone shows, or nothing but the prior of nuisances, no block foretells.
+    """
+    return np.asarray(_of_blocks(prepared, columns, _learnt(prepared, case, columns)).sum(axis=-1))
+
+
+def _learnt(prepared: Prepared, case: Case, columns: Ints) -> Array:
+    """Sizes as all blocks but one have them, (B, n, j).
+
+    With LEARNT of the information of all blocks as a prior about 0, so that a fold that says nothing
     predicts nothing.
     """
     R = prepared.R[:, columns[:, :, None], columns[:, None, :]]
-    r = case.r[:, columns]
     information = R[:-1] + LEARNT * R[-1] + RIDGE * np.eye(columns.shape[1])
-    t = np.linalg.solve(information, r[:-1][..., None])[..., 0]
-    quadratic = np.einsum("fni,fnij,fnj->nf", t, R[-1] - R[:-1], t)
-    return np.asarray(quadratic - 2.0 * np.einsum("fni,fni->nf", t, r[-1] - r[:-1]))
+    return np.asarray(np.linalg.solve(information, case.r[:-1][:, columns][..., None])[..., 0])
+
+
+def _of_blocks(prepared: Prepared, columns: Ints, t: Array) -> Array:
+    """What each block says of sizes (B, n, j) with the others known, t'R t, (n, B)."""
+    R = prepared.R[:, columns[:, :, None], columns[:, None, :]]
+    return np.asarray(np.einsum("fni,fnij,fnj->nf", t, R[-1] - R[:-1], t))
 
 
 def surprise(dropped: Array, k: Array | float) -> Array:

@@ -7,11 +7,13 @@ import numpy as np
 
 from fsw.kinematics.transforms import Array, Flags
 from ground.gap.case import Case
-from ground.gap.fits import drop, losses, sizes, surprise, within
+from ground.gap.fits import drop, foretold, losses, sizes, surprise, within
 from ground.gap.layout import Ints
 from ground.gap.prepared import Prepared
 
 MOST_EFFECTS: Final = 3
+TOLD: Final = 0.1
+"""Share of what effects explain that blocks must be able to foretell of each other to have a say."""
 
 Chosen = tuple[int, ...]
 """Hypotheses, by index, in the order chosen."""
@@ -51,8 +53,10 @@ def race(field: Field, case: Case) -> Race:
     """Forward selection with exchange, to at most three effects, of which none may be left out.
 
     A hypothesis is added if it explains more than no-effect data do, unless with it held-out blocks are
-    predicted worse by more than one standard error of the paired differences between blocks. Of hypotheses of
-    one class only one may be chosen. A size at a bound is no finding.
+    predicted worse by more than one standard error of the paired differences between blocks. They have a say
+    only where they can foretell a share of it: not of what one block alone shows, nor of what is seen only
+    because a nuisance would have to be beyond all that is known of it. Of hypotheses of one class only one
+    may be chosen. A size at a bound is no finding.
     """
     chosen: Chosen = ()
     loss = np.zeros(case.c.shape[0])
@@ -80,7 +84,8 @@ def _better(field: Field, case: Case, chosen: Chosen, loss: Array) -> tuple[Chos
         return None
     longer = _exchanged(field, case, (*chosen, order[0]))
     after = _loss(field.prepared, case, longer)
-    if _clearly_worse(after - loss) or not _all_needed(field, case, longer):
+    vetoed = _clearly_worse(after - loss) and _foretold(field.prepared, case, chosen, longer)
+    if vetoed or not _all_needed(field, case, longer):
         return None
     return longer, after
 
@@ -108,6 +113,13 @@ def _all_needed(field: Field, case: Case, chosen: Chosen) -> bool:
         if surprise(whole - drop(prepared, case, others), k) < field.threshold:
             return False
     return True
+
+
+def _foretold(prepared: Prepared, case: Case, shorter: Chosen, longer: Chosen) -> bool:
+    """Whether of what one more explains, blocks can foretell a share of each other."""
+    few, many = prepared.columns(shorter), prepared.columns(longer)
+    told = foretold(prepared, case, many[None])[0] - foretold(prepared, case, few[None])[0]
+    return bool(told > TOLD * (drop(prepared, case, many) - drop(prepared, case, few)))
 
 
 def _clearly_worse(loss: Array) -> bool:
