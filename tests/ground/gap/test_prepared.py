@@ -9,7 +9,7 @@ from scipy.stats import chi2
 from ground.gap.case import case_of
 from ground.gap.classes import alike, classes
 from ground.gap.detect import detectability, limit_beside, noncentrality
-from ground.gap.fits import drop, losses
+from ground.gap.fits import drop, foretold, losses
 from ground.gap.layout import Evidence
 from ground.gap.prepared import prepare
 from ground.gap.race import Field, race
@@ -135,3 +135,26 @@ def test_what_is_no_hypothesis_has_the_limit_that_it_would_have_as_one(made, cam
     for one in (2, int(np.flatnonzero(np.bincount(made.owner) == 2)[0])):
         limit = limit_beside(campaign.prepared, found(made).effect[:, made.owner == one])
         assert limit == pytest.approx(campaign.limits[one].limit, rel=1e-6)
+
+
+def test_blocks_have_a_say_only_where_they_foretell_each_other(small, rng, monkeypatch):
+    """Of the first effect they do not: each tells as well as all others that a nuisance is at ten sigma.
+
+    Then a loss, which there is only chance, is no veto.
+    """
+    kept = found(small)
+    lasting = next(k for k, nuisance in enumerate(kept.nuisances) if not nuisance.each_block)
+    effect, nuisance = kept.effect.copy(), kept.nuisance.copy()
+    nuisance[:, lasting] *= 100.0
+    effect[:, 0] = nuisance[:, lasting] * kept.nuisances[lasting].sigma
+    prepared = prepare(replace(kept, effect=effect, nuisance=nuisance))
+    field = Field(prepared, classes(prepared), 4.0, prepared.seen)
+    ordinary = int(np.flatnonzero(prepared.owner == 2)[0])
+    monkeypatch.setattr("ground.gap.race.losses", lambda prepared, case, columns: np.ones((1, 5)))
+    for column, size, has_a_say in ((0, 10.0, False), (ordinary, 10.0 / prepared.scale[ordinary], True)):
+        y = small.measured(rng) + size * effect[:, column]
+        case, _ = case_of(prepared, Evidence(kept.layout, y))
+        columns = np.array([column])
+        share = foretold(prepared, case, columns[None])[0] / drop(prepared, case, columns)
+        assert (share > 0.5) if has_a_say else (share < 0.01)
+        assert (race(field, case).chosen == ()) if has_a_say else (race(field, case).chosen == (0,))
