@@ -6,18 +6,24 @@ and variance 1: the design stays as it is, and what is dependent within a block 
 blocks, c* = c + g (c - G theta).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from ground.gap.case import Case, of_sums
+from ground.gap.fits import drop
 from ground.gap.model import fitted
-from ground.gap.race import Chosen, Field, Race, race
+from ground.gap.race import Chosen, Field, Race, race, ranked
 
 DRAWS: Final = 200
 SURE: Final = 0.95
 """A set of alternatives is the fewest that were chosen in this share of the draws."""
+
+
+UNLIKELY: Final = 0.05
+"""What is less probable than that, alone against what was chosen, does not stand in its stead."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +34,16 @@ class Alternatives:
     """One of each class, most probable first; together chosen in SURE of the draws in which any was."""
     probability: tuple[float, ...]
     """Shares of those draws: which it is, given that there is an effect. Whether there is, surprise tells."""
+
+    def beside(self, others: Mapping[int, float]) -> "Alternatives":
+        """With others that leave so much more deviance, as far as they are likely beside the best."""
+        odds = {one: float(np.exp(-max(worse, 0.0) / 2.0)) for one, worse in others.items()}
+        likely = {one: by for one, by in odds.items() if by / (1.0 + by) >= UNLIKELY}
+        whole = 1.0 + sum(likely.values())
+        found = {one: p / whole for one, p in zip(self.hypotheses, self.probability, strict=True)}
+        found |= {one: max(found.get(one, 0.0), by / whole) for one, by in likely.items()}
+        order = sorted(found, key=lambda one: -found[one])
+        return Alternatives(tuple(order), tuple(found[one] for one in order))
 
 
 def redrawn(field: Field, case: Case, won: Race, seed: int, draws: int = DRAWS) -> tuple[Chosen, ...]:
@@ -53,6 +69,18 @@ def alternatives(
             if stands is not None:
                 count[stands] = count.get(stands, 0) + 1
     return tuple(_fewest(count, own) for count, own in zip(counts, won.chosen, strict=True))
+
+
+def instead(field: Field, case: Case, chosen: Chosen, one: int) -> dict[int, float]:
+    """The best of every other class in the place of one of the chosen: how much more deviance it leaves."""
+    prepared, others = field.prepared, tuple(other for other in chosen if other != one)
+    whole = float(drop(prepared, case, prepared.columns(chosen)))
+    found: dict[int, float] = {}
+    for rival in ranked(field, case, others)[0]:
+        first = int(np.flatnonzero(field.label == field.label[rival])[0])
+        if field.label[rival] != field.label[one] and first not in found:
+            found[first] = whole - float(drop(prepared, case, prepared.columns((*others, rival))))
+    return found
 
 
 def _matched(field: Field, cosine: np.ndarray, chosen: Chosen, draw: Chosen) -> list[int | None]:

@@ -7,9 +7,10 @@ import numpy as np
 from scipy.stats import norm
 
 from fsw.kinematics.transforms import Array
-from ground.gap.bootstrap import Alternatives, alternatives, redrawn
+from ground.gap.bootstrap import Alternatives, alternatives, instead, redrawn
 from ground.gap.case import Case, case_of, reduced
 from ground.gap.curved import Curved
+from ground.gap.duel import Duel
 from ground.gap.hypothesis import Hypothesis
 from ground.gap.interval import ENDS
 from ground.gap.layout import Evidence
@@ -74,27 +75,36 @@ class Diagnosis:
     """Logarithm of the odds that the findings are the causes (ground.gap.trust); NaN without findings."""
 
 
-def diagnose(ready: Ready, evidence: Evidence, seed: int, simulator: Simulator | None = None) -> Diagnosis:
-    """With the simulator in the loop for what is found if it is given, otherwise by its parabolas."""
+def diagnose(
+    ready: Ready,
+    evidence: Evidence,
+    seed: int,
+    simulator: Simulator | None = None,
+    duel: Duel | None = None,
+) -> Diagnosis:
+    """With the simulator in the loop for what is found if it is given, otherwise by its parabolas.
+
+    What won a duel is what all others race against, and its rival may stand in its stead.
+    """
     case, y = case_of(ready.prepared, evidence)
     without = fitted(ready.prepared, case, ready.prepared.columns(()))
     cells = where(evidence.layout, left(ready.prepared, without, y), seed)
-    won = straight = race(ready.field, case)
-    field = ready.field
-    if straight.chosen:
-        final = _refined(ready, y, case, straight.chosen, simulator)
-        field = _bent(ready, field, case, y, straight, final)
+    won = race(ready.field, case)
+    field, first = ready.field, won.chosen if duel is None else duel.chosen
+    if first:
+        final = refined(ready, y, case, first, simulator) if duel is None else duel.final
+        field = _bent(ready, field, case, y, first, won.first, final)
         won = race(field, reduced(field.prepared, y))
     if not won.chosen:
-        return _nothing(ready, won, without, y, cells, bool(straight.chosen))
-    if won.chosen != straight.chosen:
-        final = _refined(ready, y, case, won.chosen, simulator)
-        field = _bent(ready, field, case, y, won, final)
+        return _nothing(ready, won, without, y, cells, bool(first))
+    if set(won.chosen) != set(first):
+        final = refined(ready, y, case, won.chosen, simulator)
+        field = _bent(ready, field, case, y, won.chosen, won.first, final)
     prepared, there = field.prepared, reduced(field.prepared, y)
     best = fitted(prepared, there, prepared.columns(won.chosen))
     remaining = remains(prepared, _looked(ready, prepared), best, y)
     signs = signs_of(field, ready.cosine, there, won.chosen, won.shares, remaining[0].surprise)
-    findings = _findings(ready, field, there, won, final, seed)
+    findings = _findings(ready, field, there, won, final, seed, duel)
     verdict, strange = _verdict(ready, findings, signs), max(signs.remains, signs.addable)
     return Diagnosis(
         verdict, findings, won.first, won.surprise, remaining, strange, cells, without, best,
@@ -102,7 +112,7 @@ def diagnose(ready: Ready, evidence: Evidence, seed: int, simulator: Simulator |
     )  # fmt: skip
 
 
-def _refined(ready: Ready, y: Array, case: Case, chosen: Chosen, simulator: Simulator | None) -> Refined:
+def refined(ready: Ready, y: Array, case: Case, chosen: Chosen, simulator: Simulator | None) -> Refined:
     """Some hypotheses fitted together to whitened features y (m,), from where straight lines have them."""
     curved = Curved(ready.found)
     final = refine(curved, ready.prepared, y, _start(ready, case, chosen))
@@ -134,10 +144,14 @@ def _verdict(ready: Ready, findings: tuple[Finding, ...], signs: Signs) -> Kind:
 
 
 def _findings(
-    ready: Ready, field: Field, case: Case, won: Race, final: Refined, seed: int
+    ready: Ready, field: Field, case: Case, won: Race, final: Refined, seed: int, duel: Duel | None
 ) -> tuple[Finding, ...]:
     """What was chosen, with the values of all of them fitted together."""
-    others = alternatives(field, ready.cosine, won, redrawn(field, case, won, seed))
+    drawn = alternatives(field, ready.cosine, won, redrawn(field, case, won, seed))
+    others = [
+        own.beside(_instead(field, case, won.chosen, one, duel))
+        for one, own in zip(won.chosen, drawn, strict=True)
+    ]
     result = []
     for index, hypothesis in enumerate(won.chosen):
         values, half = final.values[index], norm.ppf(ENDS[1]) * final.sigma[index]
@@ -150,15 +164,26 @@ def _findings(
     return tuple(result)
 
 
-def _bent(ready: Ready, field: Field, case: Case, y: Array, won: Race, final: Refined) -> Field:
+def _instead(field: Field, case: Case, chosen: Chosen, one: int, duel: Duel | None) -> dict[int, float]:
+    """What leaves how much more deviance in the place of one: by straight lines, and in a duel."""
+    found = instead(field, case, chosen, one)
+    other = None if duel is None else duel.instead_of(one, chosen)
+    if duel is not None and other is not None:
+        found[int(np.flatnonzero(field.label == field.label[other])[0])] = duel.worse
+    return found
+
+
+def _bent(
+    ready: Ready, field: Field, case: Case, y: Array, chosen: Chosen, ranking: Chosen, final: Refined
+) -> Field:
     """The chosen linearised where they were found to be together, the next best where they would be alone.
 
     Those at a bound are out.
     """
     curved = Curved(ready.found)
-    inside, changed = field.inside.copy(), _together(curved, won.chosen, final)
-    inside[[one for one, at_bound in zip(won.chosen, final.at_bound, strict=True) if at_bound]] = False
-    for hypothesis in [one for one in won.first[:SHORTLIST] if one not in won.chosen]:
+    inside, changed = field.inside.copy(), _together(curved, chosen, final)
+    inside[[one for one, at_bound in zip(chosen, final.at_bound, strict=True) if at_bound]] = False
+    for hypothesis in [one for one in ranking[:SHORTLIST] if one not in chosen]:
         alone = refine(curved, ready.prepared, y, _start(ready, case, (hypothesis,)))
         if alone.at_bound[0]:
             inside[hypothesis] = False

@@ -19,6 +19,7 @@ from ground.gap.arm.settled import settled
 from ground.gap.arm.simulator import CALMLY, ArmSimulator, arm_simulator
 from ground.gap.closure import Closure, apart_from
 from ground.gap.diagnose import Diagnosis, diagnose
+from ground.gap.duel import Duel
 from ground.gap.held_out import left_on, settings_of
 from ground.gap.layout import Evidence
 from ground.gap.next_motion import again
@@ -46,6 +47,8 @@ class Asked:
     case: Bound
     gap: Array
     """Measured less simulated with nuisances at 0, in straight lines from where they are, (m,)."""
+    duel: Duel | None
+    """Between what explains it best and what does so nearly as well, if anything does."""
     held_out: Bound | None
     held_out_gap: Array
     """The same of motion that takes no part."""
@@ -92,12 +95,13 @@ def asked(
     there = np.zeros(0)
     if apart is not None and against.held_out is not None:
         there = apart.gap() + against.held_out.nuisance[apart.rows] @ best.nuisance
-    return Asked(known, best.case, best.gap, apart, there, notes, floor)
+    return Asked(known, best.case, best.gap, best.duel, apart, there, notes, floor)
 
 
 def said_of(here: Asked, against: Reference, seed: int) -> Result:
     """The diagnosis."""
-    told = diagnose(here.known, Evidence(here.known.found.layout, here.gap), seed, here.case)
+    evidence = Evidence(here.known.found.layout, here.gap)
+    told = diagnose(here.known, evidence, seed, here.case, here.duel)
     shut, at_tool = _tried(told, here, against, seed)
     return Result(here.known, told, shut, at_tool, again(here.known, told), here.notes, here.floor)
 

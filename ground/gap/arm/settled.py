@@ -1,9 +1,11 @@
 """Where a case's nuisances are: the simulator asked about them until they stay.
 
-They may be large, and are no straight lines: what they bend looks like effects.
+They may be large, and are no straight lines: what they bend looks like effects. Where they are depends on
+what they are fitted beside, so that what wins may have to fight for it once more.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -13,11 +15,15 @@ from fsw.kinematics.transforms import Array
 from ground.gap.arm.bound import Bound, asked_again
 from ground.gap.arm.simulator import Touched
 from ground.gap.case import Case, case_of
+from ground.gap.diagnose import refined
+from ground.gap.duel import Duel
+from ground.gap.fits import drop
 from ground.gap.layout import Evidence
 from ground.gap.model import fitted
 from ground.gap.prepared import left_over
-from ground.gap.race import Chosen, Race, race
+from ground.gap.race import Chosen, Race, race, ranked
 from ground.gap.ready import Ready
+from ground.gap.refine import Refined
 from sim.effects.effect import Effect
 
 MOVED: Final = 0.25
@@ -25,6 +31,8 @@ MOVED: Final = 0.25
 FARTHEST: Final = 10.0
 """Sigmas up to which it is asked: what an effect makes of a nuisance that is like it may be no arm at all."""
 PASSES: Final = 3
+NEARLY: Final = 0.2
+"""Of what is explained, the share by which a rival may fall short before it has nuisances of its own."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +50,8 @@ class Settled:
     """Deviance that nuisances alone leave."""
     cost: float
     """Deviance that is left beside what won, and what as many effects without a cause would explain."""
+    duel: Duel | None = None
+    """Between what won and what explains it nearly as well."""
 
 
 def settled(known: Ready, first: Bound, patch: tuple[Effect, ...]) -> Settled:
@@ -50,22 +60,65 @@ def settled(known: Ready, first: Bound, patch: tuple[Effect, ...]) -> Settled:
     Alone they would take the place of an effect that they are like. That they bend may still be the simpler
     explanation.
     """
-    alone = _settled(known, _asked(known, first, np.zeros(len(first.nuisances))), patch, beside_won=False)
+    first_look = _asked(known, first, np.zeros(len(first.nuisances)))
+    alone = _settled(known, first_look, patch, lambda _: ())
     if not alone.won.chosen:
         return alone
-    beside = _settled(known, alone, patch, beside_won=True)
+    beside = _settled(known, alone, patch, lambda here: here.won.chosen)
+    if not beside.won.chosen:
+        return beside
     # what wins from `alone` has nuisances elsewhere, so only what is left there without it can be believed
-    return beside if not beside.won.chosen or beside.cost < alone.nothing else alone
+    return _duel(known, alone, beside, patch) if beside.cost < alone.nothing else alone
 
 
-def _settled(known: Ready, begun: Settled, patch: tuple[Effect, ...], beside_won: bool) -> Settled:
-    """Until nuisances stay where they are, or leave no effect to be found."""
+def _duel(known: Ready, alone: Settled, beside: Settled, patch: tuple[Effect, ...]) -> Settled:
+    """What won or what comes nearest to it, each beside nuisances of its own: the one that leaves less."""
+    chosen, rival = beside.won.chosen, _near(known, alone, beside.won.chosen)
+    if not rival:
+        return beside
+    other = _settled(known, alone, patch, lambda _: rival)
+    ours, left = _fitted(known, beside, chosen)
+    theirs, left_by_rival = _fitted(known, other, rival)
+    if left_by_rival < left:
+        return replace(other, duel=Duel(rival, theirs, chosen, left - left_by_rival))
+    return replace(beside, duel=Duel(chosen, ours, rival, left_by_rival - left))
+
+
+def _fitted(known: Ready, here: Settled, chosen: Chosen) -> tuple[Refined, float]:
+    """Some effects with the simulator, where nuisances are, and the deviance that they leave."""
+    y = known.prepared.whiten(here.gap)
+    final = refined(known, y, here.told, chosen, here.case)
+    return final, left_over(known.prepared, y - known.prepared.whiten(final.change))
+
+
+def _near(known: Ready, alone: Settled, chosen: Chosen) -> Chosen:
+    """The best with another class in place of one of them, where nuisances favour neither; or nothing."""
+    field, found = known.field, dict[Chosen, float]()
+    for index, one in enumerate(chosen):
+        others = (*chosen[:index], *chosen[index + 1 :])
+        order, _ = ranked(field, alone.told, others)
+        rival = next((h for h in order if field.label[h] != field.label[one]), None)
+        if rival is not None:
+            instead = (*chosen[:index], rival, *chosen[index + 1 :])
+            found[instead] = _explained(known, alone, instead)
+    best = max(found, key=found.__getitem__, default=())
+    return best if best and found[best] > (1.0 - NEARLY) * _explained(known, alone, chosen) else ()
+
+
+def _explained(known: Ready, here: Settled, chosen: Chosen) -> float:
+    return float(drop(known.prepared, here.told, known.prepared.columns(chosen)))
+
+
+def _settled(
+    known: Ready, begun: Settled, patch: tuple[Effect, ...], beside: Callable[[Settled], Chosen]
+) -> Settled:
+    """Until nuisances stay where they are beside some effects, or leave no effect to be found."""
     here = begun
     least = MOVED * np.array([nuisance.sigma for nuisance in known.found.nuisances])
     for asked_before in range(PASSES):
         if asked_before and not here.won.chosen:
             break
-        arm, there = here.case.arm, _nuisances(known, here, here.won.chosen if beside_won else ())
+        arm, there = here.case.arm, _nuisances(known, here, beside(here))
         by = there - here.nuisance
         moved = arm.effects({}, np.where(np.abs(by) > least, by, 0.0))
         if not moved:

@@ -11,6 +11,7 @@ from ground.gap.diagnose import diagnose
 from ground.gap.drawn import SIZES
 from ground.gap.layout import Evidence
 from ground.gap.race import race
+from ground.gap.thresholds import WRONG, calibrate
 from ground.gap.trust import Signs, learnt, signs_of
 
 
@@ -45,6 +46,15 @@ def test_a_cause_that_is_left_out_seldom_gets_a_name(made, campaign, rng):
         told = diagnose(_without(campaign, one), Evidence(made.layout, made.measured(rng, t)), seed=1)
         named += told.verdict in ("named", "set")
     assert named <= binom.ppf(0.975, cases, 0.15)
+
+
+def test_where_every_effect_has_kin_nothing_is_known_of_strangers(campaign, monkeypatch):
+    """Then only what was chosen wrongly among those that are known teaches what a name needs."""
+    of = (campaign.prepared, campaign.label, campaign.cosine, campaign.limits, campaign.looked)
+    monkeypatch.setattr("ground.gap.thresholds.KIN", 0.0)
+    assert np.isnan(calibrate(*of, seed=1, cases=20).wrong)
+    monkeypatch.setattr("ground.gap.thresholds.KIN", 1.0)
+    assert calibrate(*of, seed=1, cases=20).wrong <= WRONG
 
 
 def _without(campaign, one):
