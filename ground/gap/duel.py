@@ -1,8 +1,7 @@
 """Two that explain a case nearly as well, each beside nuisances of its own: who leaves less.
 
 Where nuisances are depends on what they are fitted beside. Two kinds of friction at one joint may be as
-likely, though beside the nuisances of the one the other is far off, and no straight line leads from one to the
-other.
+likely, though beside the nuisances of the one the other is far off: no straight line leads from one to it.
 """
 
 from dataclasses import dataclass
