@@ -13,9 +13,8 @@ from typing import Final
 import numpy as np
 
 from ground.gap.case import Case, of_sums
-from ground.gap.fits import drop
 from ground.gap.model import fitted
-from ground.gap.race import Chosen, Field, Race, race, ranked
+from ground.gap.race import Chosen, Field, Race, race, ranked, surprise_of
 
 DRAWS: Final = 200
 SURE: Final = 0.95
@@ -36,14 +35,17 @@ class Alternatives:
     """Shares of those draws: which it is, given that there is an effect. Whether there is, surprise tells."""
 
     def beside(self, others: Mapping[int, float]) -> "Alternatives":
-        """With others that leave so much more deviance, as far as they are likely beside the best."""
+        """With others that are worse by so much deviance, as far as they are likely beside the best."""
         odds = {one: float(np.exp(-max(worse, 0.0) / 2.0)) for one, worse in others.items()}
         likely = {one: by for one, by in odds.items() if by / (1.0 + by) >= UNLIKELY}
+        if not likely:
+            return self
         whole = 1.0 + sum(likely.values())
         found = {one: p / whole for one, p in zip(self.hypotheses, self.probability, strict=True)}
         found |= {one: max(found.get(one, 0.0), by / whole) for one, by in likely.items()}
+        by = max(sum(self.probability), SURE) / sum(found.values())
         order = sorted(found, key=lambda one: -found[one])
-        return Alternatives(tuple(order), tuple(found[one] for one in order))
+        return Alternatives(tuple(order), tuple(found[one] * by for one in order))
 
 
 def redrawn(field: Field, case: Case, won: Race, seed: int, draws: int = DRAWS) -> tuple[Chosen, ...]:
@@ -72,14 +74,16 @@ def alternatives(
 
 
 def instead(field: Field, case: Case, chosen: Chosen, one: int) -> dict[int, float]:
-    """The best of every other class in the place of one of the chosen: how much more deviance it leaves."""
-    prepared, others = field.prepared, tuple(other for other in chosen if other != one)
-    whole = float(drop(prepared, case, prepared.columns(chosen)))
-    found: dict[int, float] = {}
+    """The best of every other class in the place of one of the chosen, and by how much it is the worse.
+
+    In deviance; more parameters count as in the race, by what they explain by chance.
+    """
+    others = tuple(other for other in chosen if other != one)
+    best, found = surprise_of(field, case, chosen), dict[int, float]()
     for rival in ranked(field, case, others)[0]:
         first = int(np.flatnonzero(field.label == field.label[rival])[0])
         if field.label[rival] != field.label[one] and first not in found:
-            found[first] = whole - float(drop(prepared, case, prepared.columns((*others, rival))))
+            found[first] = 2.0 * np.log(10.0) * (best - surprise_of(field, case, (*others, rival)))
     return found
 
 

@@ -72,6 +72,12 @@ def race(field: Field, case: Case) -> Race:
     return Race(chosen, first, best, t, dropped, _shares(field.prepared, case, chosen, dropped))
 
 
+def surprise_of(field: Field, case: Case, chosen: Chosen) -> float:
+    """Of all of them together: parameters count."""
+    columns = field.prepared.columns(chosen)
+    return float(surprise(drop(field.prepared, case, columns), columns.size))
+
+
 def best_left(field: Field, case: Case, chosen: Chosen) -> float:
     """Surprise of the most surprising hypothesis that could be added to those chosen."""
     return ranked(field, case, chosen)[1]

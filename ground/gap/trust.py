@@ -13,8 +13,8 @@ from scipy.optimize import minimize
 
 from fsw.kinematics.transforms import Array, Flags
 from ground.gap.case import Case
-from ground.gap.fits import drop, surprise
-from ground.gap.race import Chosen, Field, best_left, ranked
+from ground.gap.fits import drop
+from ground.gap.race import Chosen, Field, best_left, ranked, surprise_of
 
 RUNNERS_UP: Final = 6
 """Hypotheses of other classes that are tried in place of a chosen one."""
@@ -65,7 +65,7 @@ def signs_of(
     """Of a model of at least one effect; `remains` is the surprise of what it leaves."""
     prepared = field.prepared
     explained = float(drop(prepared, case, prepared.columns(chosen)))
-    own = _surprise(field, case, chosen)
+    own = surprise_of(field, case, chosen)
     margin = own - max(_other(field, case, chosen, index) for index in range(len(chosen)))
     alike = max([float(cosine[a, b]) for a in chosen for b in chosen if a < b], default=0.0)
     return Signs(
@@ -105,10 +105,4 @@ def _other(field: Field, case: Case, chosen: Chosen, index: int) -> float:
     others = (*chosen[:index], *chosen[index + 1 :])
     inside = field.inside & (field.label != field.label[chosen[index]])
     order, _ = ranked(Field(field.prepared, field.label, field.threshold, inside), case, others)
-    return max((_surprise(field, case, (*others, h)) for h in order[:RUNNERS_UP]), default=0.0)
-
-
-def _surprise(field: Field, case: Case, chosen: Chosen) -> float:
-    """Of all of them together: parameters count."""
-    columns = field.prepared.columns(chosen)
-    return float(surprise(drop(field.prepared, case, columns), columns.size))
+    return max((surprise_of(field, case, (*others, h)) for h in order[:RUNNERS_UP]), default=0.0)
