@@ -19,8 +19,6 @@ from ground.gap.race import Chosen, Field, Race, race, ranked, surprise_of
 DRAWS: Final = 200
 SURE: Final = 0.95
 """A set of alternatives is the fewest that were chosen in this share of the draws."""
-
-
 UNLIKELY: Final = 0.05
 """What is less probable than that, alone against what was chosen, does not stand in its stead."""
 
@@ -30,9 +28,9 @@ class Alternatives:
     """What may stand where a chosen hypothesis stands."""
 
     hypotheses: Chosen
-    """One of each class, most probable first; together chosen in SURE of the draws in which any was."""
+    """One of each class, most probable first: chosen in SURE of the draws in which any was, or likely."""
     probability: tuple[float, ...]
-    """Shares of those draws: which it is, given that there is an effect. Whether there is, surprise tells."""
+    """Which it is, given that there is an effect. Whether there is, surprise tells."""
 
     def beside(self, others: Mapping[int, float]) -> "Alternatives":
         """With others that are worse by so much deviance, as far as they are likely beside the best."""

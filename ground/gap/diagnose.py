@@ -97,7 +97,9 @@ def diagnose(
         won = race(field, reduced(field.prepared, y))
     if not won.chosen:
         return _nothing(ready, won, without, y, cells, bool(first))
-    if set(won.chosen) != set(first):
+    if set(won.chosen) == set(first):
+        final = final.in_order([first.index(one) for one in won.chosen])
+    else:
         final = refined(ready, y, case, won.chosen, simulator)
         field = _bent(ready, field, case, y, won.chosen, won.first, final)
     prepared, there = field.prepared, reduced(field.prepared, y)

@@ -5,7 +5,7 @@ parameters x of the effects (those that only shape them, too) within their bound
 every step with their prior.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -96,6 +96,17 @@ class Refined:
     """What the effects change in the features, (m,)."""
     slopes: tuple[Array, ...]
     """Derivatives of the features by each parameter times its typical size, (m, k) of each."""
+
+    def in_order(self, order: Sequence[int]) -> "Refined":
+        """The same effects in another order: which of these is the first, and so on."""
+        return Refined(
+            tuple(self.hypotheses[one] for one in order),
+            tuple(self.values[one] for one in order),
+            tuple(self.sigma[one] for one in order),
+            tuple(self.at_bound[one] for one in order),
+            self.change,
+            tuple(self.slopes[one] for one in order),
+        )
 
 
 def refine(

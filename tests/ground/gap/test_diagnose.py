@@ -8,7 +8,8 @@ from scipy.stats import binom
 
 from ground.binomial import rate
 from ground.gap.case import case_of
-from ground.gap.diagnose import diagnose
+from ground.gap.diagnose import diagnose, refined
+from ground.gap.duel import Duel
 from ground.gap.layout import Evidence
 from ground.gap.model import fitted
 from ground.gap.race import race
@@ -60,6 +61,24 @@ def test_a_pair_is_found_with_its_shares(made, campaign, rng):
         hits += set(campaign.label[pair]) == set(campaign.label[list(won.chosen)])
         assert all(0.0 <= share <= 1.0 + 1e-9 for share in won.shares)
     assert hits >= 12
+
+
+def test_what_won_a_duel_keeps_its_numbers_in_whatever_order(made, campaign, rng):
+    pair = (2, 25)
+    t = _sized(made, campaign, pair[0], 4.0) + _sized(made, campaign, pair[1], 6.0)
+    evidence = Evidence(made.layout, made.measured(rng, t))
+    case, y = case_of(campaign.prepared, evidence)
+    told = diagnose(campaign, evidence, seed=1)
+    found_first = tuple(one.hypothesis for one in told.findings)
+    assert sorted(found_first) == sorted(pair)
+    for first in (found_first, found_first[::-1]):
+        duel = Duel(first, refined(campaign, y, case, first, None), (first[0], 8), 1.0)
+        findings = diagnose(campaign, evidence, seed=1, duel=duel).findings
+        assert tuple(one.hypothesis for one in findings) == found_first
+        for one, same in zip(findings, told.findings, strict=True):
+            np.testing.assert_allclose(one.values, same.values, rtol=1e-6)
+        (instead,) = [one for one in findings if one.hypothesis == first[1]]
+        assert 8 in instead.alternatives.hypotheses
 
 
 def test_sets_hold_the_truth_and_intervals_the_size(made, campaign, rng):
