@@ -1,4 +1,4 @@
-"""How sure a choice is: the selection repeated on data that might as well have been seen.
+"""How sure a choice is: the selection repeated on data that might as well have been seen, and likelihoods.
 
 Blocks differ in what they can tell (only one of them may touch the ground), so they are not left out or
 doubled. What the best model leaves of each block is added to the data again with a random factor of mean 0
@@ -32,12 +32,13 @@ class Alternatives:
     probability: tuple[float, ...]
     """Which it is, given that there is an effect. Whether there is, surprise tells."""
 
-    def beside(self, others: Mapping[int, float]) -> "Alternatives":
-        """With others that are worse by so much deviance, as far as they are likely beside the best."""
+    def beside(self, own: int, others: Mapping[int, float]) -> "Alternatives":
+        """With others that are worse than the chosen one by so much deviance, as far as they are likely."""
         odds = {one: float(np.exp(-max(worse, 0.0) / 2.0)) for one, worse in others.items()}
         likely = {one: by for one, by in odds.items() if by / (1.0 + by) >= UNLIKELY}
         if not likely:
             return self
+        likely[own] = 1.0
         whole = 1.0 + sum(likely.values())
         found = {one: p / whole for one, p in zip(self.hypotheses, self.probability, strict=True)}
         found |= {one: max(found.get(one, 0.0), by / whole) for one, by in likely.items()}

@@ -151,7 +151,7 @@ def _findings(
     """What was chosen, with the values of all of them fitted together."""
     drawn = alternatives(field, ready.cosine, won, redrawn(field, case, won, seed))
     others = [
-        own.beside(_instead(field, case, won.chosen, one, duel))
+        own.beside(one, _instead(field, case, won.chosen, one, duel))
         for one, own in zip(won.chosen, drawn, strict=True)
     ]
     result = []

@@ -19,11 +19,12 @@ class Duel:
     """What won, with the simulator, beside nuisances of its own."""
     rival: Chosen
     worse: float
-    """Deviance that the rival leaves, less what that leaves which won."""
+    """By how much, in deviance; parameters count. Infinite if the rival is at a bound, and no finding."""
 
     def instead_of(self, one: int, chosen: Chosen) -> int | None:
-        """What the rival has in the place of one of those chosen in the end, if it has all others."""
-        different = set(self.rival) - (set(chosen) - {one})
-        if one in self.rival or len(self.rival) != len(chosen) or len(different) != 1:
+        """What the rival has in the place of one, if what won the duel was chosen in the end, too."""
+        others = set(chosen) - {one}
+        if set(chosen) != set(self.chosen) or one in self.rival or not others < set(self.rival):
             return None
-        return different.pop()
+        (other,) = set(self.rival) - others
+        return other

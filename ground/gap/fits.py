@@ -47,7 +47,7 @@ def losses(prepared: Prepared, case: Case, columns: Ints) -> Array:
 
 
 def foretold(prepared: Prepared, case: Case, columns: Ints) -> Array:
-    """By how much that would become less if sizes are as others say, (n,): the share that losses can judge.
+    """What sizes as other blocks have them would explain of each block, in sum, (n,): what losses can judge.
 
     What one block alone shows, or nothing but the prior of nuisances, no block foretells.
     """

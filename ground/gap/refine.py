@@ -96,6 +96,8 @@ class Refined:
     """What the effects change in the features, (m,)."""
     slopes: tuple[Array, ...]
     """Derivatives of the features by each parameter times its typical size, (m, k) of each."""
+    cost: float
+    """Deviance that they leave, and what departures of their shapes add."""
 
     def in_order(self, order: Sequence[int]) -> "Refined":
         """The same effects in another order: which of these is the first, and so on."""
@@ -106,6 +108,7 @@ class Refined:
             tuple(self.at_bound[one] for one in order),
             self.change,
             tuple(self.slopes[one] for one in order),
+            self.cost,
         )
 
 
@@ -138,7 +141,7 @@ def refine(
     names = tuple(tuple(n for n in part if n) for part in np.split(np.array(ended, dtype=object), fit.cut))
     return Refined(
         who, tuple(np.split(x, fit.cut)), tuple(np.split(unit * fit.told(there), fit.cut)), names,
-        there.change, tuple(np.split(there.slopes, fit.cut, axis=1)),
+        there.change, tuple(np.split(there.slopes, fit.cut, axis=1)), there.cost,
     )  # fmt: skip
 
 

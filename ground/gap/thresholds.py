@@ -56,7 +56,9 @@ class Thresholds:
     wrong: float
     """Share of cases of one stranger given a name; NaN if there are none, or nothing to be named."""
     cases: int
-    """Simulated, of each kind."""
+    """Simulated, of each kind but strangers."""
+    strangers: int
+    """Simulated; all that were taken out where none is a stranger."""
 
 
 Labels = set[int | None]
@@ -72,7 +74,7 @@ class _Won:
     left_out: bool
 
     @property
-    def strange(self) -> float:
+    def remaining(self) -> float:
         """The most surprising of what remains."""
         return max(self.signs.remains, self.signs.addable)
 
@@ -99,7 +101,8 @@ def calibrate(
     effect, structure = _joint(found)
     field = Field(prepared, label, effect, none.inside)
     won: list[_Won] = []
-    strangers = 0
+    strangers: list[list[_Won]] = []
+    kin: list[list[_Won]] = []
     known = _seen(field, limits)
     for index in range(cases if known else 0):
         one = sized(one_of(known, rng), rng)
@@ -110,18 +113,20 @@ def calibrate(
         won += _after(field, cosine, looked, y, {one.seen.label})
         won += _after(field, cosine, looked, both, {one.seen.label, two.seen.label})
         left = _left_out(field, one.seen)
-        if _strange(left, cosine, one.seen):
-            strangers += 1
-            won += _after(left, cosine, looked, y, set())
+        if left.inside.any():
+            same = strangers if _is_stranger(left, cosine, one.seen) else kin
+            same.append(_after(left, cosine, looked, y, set()))
         step(cases + index + 1, 2 * cases)
-    return _thresholds(found, effect, structure, won, strangers)
+    left_out = strangers or kin
+    won += [one for case in left_out for one in case]
+    return _thresholds(found, effect, structure, won, len(left_out))
 
 
 def _thresholds(found: Array, effect: float, structure: float, won: list[_Won], strangers: int) -> Thresholds:
     """Of no-effect cases (n, 2), and of those in which something was chosen, so many raced as strangers."""
-    cases, right = len(found), [one.strange for one in won if one.right]
+    cases, right = len(found), [one.remaining for one in won if one.right]
     unexplained = float(np.quantile(right, 1.0 - DISOWNED)) if right else np.inf
-    plain = [one for one in won if one.strange < unexplained]
+    plain = [one for one in won if one.remaining < unexplained]
     trust = learnt(
         [one.signs for one in plain],
         np.array([one.right for one in plain]),
@@ -135,6 +140,7 @@ def _thresholds(found: Array, effect: float, structure: float, won: list[_Won], 
         1.0 - sum(one.right for one in named) / max(len(right), 1),
         sum(one.left_out for one in named) / strangers if strangers else float("nan"),
         cases,
+        strangers,
     )  # fmt: skip
 
 
@@ -189,10 +195,9 @@ def _left_out(field: Field, one: Seen) -> Field:
     return replace(field, inside=field.inside & ~same & (field.label != one.label))
 
 
-def _strange(left: Field, cosine: Array, one: Seen) -> bool:
-    """Whether nothing that is left is like it, but something might be named."""
-    others = cosine[left.prepared.hypotheses.index(one.hypothesis), left.inside]
-    return bool(others.size and others.max() < KIN)
+def _is_stranger(left: Field, cosine: Array, one: Seen) -> bool:
+    """Whether nothing that is left is like it; those of another number of parameters are like none."""
+    return bool(cosine[left.prepared.hypotheses.index(one.hypothesis), left.inside].max() < KIN)
 
 
 def _joint(found: Array) -> tuple[float, float]:

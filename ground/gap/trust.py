@@ -74,7 +74,7 @@ def signs_of(
     )  # fmt: skip
 
 
-def learnt(signs: list[Signs], right: Flags, strange: Flags, wrong: int) -> Trust:
+def learnt(signs: list[Signs], right: Flags, left_out: Flags, wrong: int) -> Trust:
     """From simulated cases in which something was chosen: whether it was right, or its cause was left out.
 
     At most `wrong` of those left out would be given a name.
@@ -95,7 +95,7 @@ def learnt(signs: list[Signs], right: Flags, strange: Flags, wrong: int) -> Trus
     w = minimize(cost, np.zeros(Z.shape[1]), jac=True).x
     weights = np.concatenate([[w[0] - w[1:] @ (middle / spread)], w[1:] / spread])
     made = Trust(tuple(float(one) for one in weights), -np.inf)
-    odds = np.sort([made.odds(one) for one, out in zip(signs, strange, strict=True) if out])[::-1]
+    odds = np.sort([made.odds(one) for one, out in zip(signs, left_out, strict=True) if out])[::-1]
     least = np.nextafter(odds[wrong], np.inf) if wrong < odds.size else -np.inf
     return Trust(made.weights, float(least))
 

@@ -194,7 +194,7 @@ def _thresholds(result: Result) -> Iterator[str]:
         (
             "beside effects, structure from",
             number(limits.unexplained),
-            f"{known} of known effects get no name, {strange} of strangers get one",
+            f"{known} of those rightly chosen get no name, {strange} of {limits.strangers} strangers get one",
         ),
     ]
     yield table(("", "surprise", f"on {limits.cases} simulated cases of this campaign"), rows)

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -23,7 +24,7 @@ from ground.gap.arm.columns import Column, Side, alike, columns_of, is_line, sid
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import recording_in
 from ground.gap.arm.simulator import ArmSimulator, arm_simulator
-from ground.gap.arm.step import ROUNDS, mended
+from ground.gap.arm.step import ROUNDS, mended, off
 from ground.gap.layout import Layout
 from ground.gap.prepared import prepare
 from ground.gap.sensitivity import Sensitivities, load, save, through
@@ -125,22 +126,29 @@ def _found(paths: Logs, names: Names, run: Runner, progress: Progress) -> Sensit
         return found
 
     up = simulated({k: None for k in range(len(columns)) if k not in same}, 0, "sensitivities")
-    for _ in range(ROUNDS):
-        scale = prepare(_assembled(paths, names, up, {})).scale
-        up |= simulated(_mended(simulator, columns, up, scale), 0, "better steps")
+    last, best = up, dict.fromkeys(up, math.inf)
+    for attempt in range(ROUNDS + 1):
+        scale = prepare(_assembled(paths, names, last, {})).scale
+        seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale)}
+        up |= {k: last[k] for k in seen if off(seen[k]) < best[k]}
+        best |= {k: min(off(seen[k]), best[k]) for k in seen}
+        better = _mended(simulator, columns, last, seen) if attempt < ROUNDS else {}
+        if not better:
+            break
+        last = {**last, **simulated(better, 0, "better steps")}
     down = {k: side.share for k, side in up.items() if sides_of(simulator, columns[k]) > 1}
     return _assembled(paths, names, up, simulated(down, 1, "other sides"))
 
 
 def _mended(
-    simulator: ArmSimulator, columns: Sequence[Column], up: Mapping[int, Side], scale: Array
-) -> dict[int, float | None]:
+    simulator: ArmSimulator, columns: Sequence[Column], up: Mapping[int, Side], seen: Mapping[int, float]
+) -> dict[int, float]:
     """Better shares, of columns that are seen too little or too well; straight lines are as good as any."""
-    found: dict[int, float | None] = {}
-    for k, by in enumerate(scale):
+    found: dict[int, float] = {}
+    for k, by in seen.items():
         if is_line(simulator, columns[k]):
             continue
-        share = mended(up[k].share, float(by) * abs(up[k].size))
+        share = mended(up[k].share, by)
         if share is not None and size_of(simulator, columns[k], share) != up[k].size:
             found[k] = share
     return found

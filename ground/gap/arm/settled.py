@@ -17,11 +17,11 @@ from ground.gap.arm.simulator import Touched
 from ground.gap.case import Case, case_of
 from ground.gap.diagnose import refined
 from ground.gap.duel import Duel
-from ground.gap.fits import drop
+from ground.gap.fits import surprise
 from ground.gap.layout import Evidence
 from ground.gap.model import fitted
 from ground.gap.prepared import left_over
-from ground.gap.race import Chosen, Race, race, ranked
+from ground.gap.race import Chosen, Race, race, ranked, surprise_of
 from ground.gap.ready import Ready
 from ground.gap.refine import Refined
 from sim.effects.effect import Effect
@@ -32,7 +32,7 @@ FARTHEST: Final = 10.0
 """Sigmas up to which it is asked: what an effect makes of a nuisance that is like it may be no arm at all."""
 PASSES: Final = 3
 NEARLY: Final = 0.2
-"""Of what is explained, the share by which a rival may fall short before it has nuisances of its own."""
+"""Of the surprise, the share by which a rival may fall short before it has nuisances of its own."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,23 +72,33 @@ def settled(known: Ready, first: Bound, patch: tuple[Effect, ...]) -> Settled:
 
 
 def _duel(known: Ready, alone: Settled, beside: Settled, patch: tuple[Effect, ...]) -> Settled:
-    """What won or what comes nearest to it, each beside nuisances of its own: the one that leaves less."""
+    """What won or what comes nearest to it, each beside nuisances of its own: the more surprising one."""
     chosen, rival = beside.won.chosen, _near(known, alone, beside.won.chosen)
     if not rival:
         return beside
-    other = _settled(known, alone, patch, lambda _: rival)
-    ours, left = _fitted(known, beside, chosen)
-    theirs, left_by_rival = _fitted(known, other, rival)
-    if left_by_rival < left:
-        return replace(other, duel=Duel(rival, theirs, chosen, left - left_by_rival))
-    return replace(beside, duel=Duel(chosen, ours, rival, left_by_rival - left))
+    there = _settled(known, alone, patch, lambda _: rival)
+    if not there.won.chosen:  # where the rival would be, nothing may be the simpler explanation
+        return there if there.nothing < beside.cost else beside
+    here = _settled(known, beside, patch, lambda _: chosen)
+    ours, mine = _fitted(known, here, chosen, alone.nothing)
+    theirs, other = _fitted(known, there, rival, alone.nothing)
+    if other > mine:
+        return replace(there, duel=Duel(rival, theirs, chosen, 2.0 * np.log(10.0) * (other - mine)))
+    if not np.isfinite(mine):
+        return beside
+    return replace(here, duel=Duel(chosen, ours, rival, 2.0 * np.log(10.0) * (mine - other)))
 
 
-def _fitted(known: Ready, here: Settled, chosen: Chosen) -> tuple[Refined, float]:
-    """Some effects with the simulator, where nuisances are, and the deviance that they leave."""
-    y = known.prepared.whiten(here.gap)
-    final = refined(known, y, here.told, chosen, here.case)
-    return final, left_over(known.prepared, y - known.prepared.whiten(final.change))
+def _fitted(known: Ready, here: Settled, chosen: Chosen, before: float) -> tuple[Refined, float]:
+    """Some effects with the simulator, where nuisances are, and the surprise of what they explain.
+
+    Of a deviance `before`. What is at a bound is no finding, and surprises nobody: -inf.
+    """
+    final = refined(known, known.prepared.whiten(here.gap), here.told, chosen, here.case)
+    if any(final.at_bound):
+        return final, -np.inf
+    k = known.prepared.columns(chosen).size
+    return final, float(surprise(np.array(max(before - final.cost, 0.0)), k))
 
 
 def _near(known: Ready, alone: Settled, chosen: Chosen) -> Chosen:
@@ -100,13 +110,9 @@ def _near(known: Ready, alone: Settled, chosen: Chosen) -> Chosen:
         rival = next((h for h in order if field.label[h] != field.label[one]), None)
         if rival is not None:
             instead = (*chosen[:index], rival, *chosen[index + 1 :])
-            found[instead] = _explained(known, alone, instead)
+            found[instead] = surprise_of(field, alone.told, instead)
     best = max(found, key=found.__getitem__, default=())
-    return best if best and found[best] > (1.0 - NEARLY) * _explained(known, alone, chosen) else ()
-
-
-def _explained(known: Ready, here: Settled, chosen: Chosen) -> float:
-    return float(drop(known.prepared, here.told, known.prepared.columns(chosen)))
+    return best if best and found[best] > (1.0 - NEARLY) * surprise_of(field, alone.told, chosen) else ()
 
 
 def _settled(

@@ -5,6 +5,7 @@ gaps change sides and tools touch, which says nothing of small sizes. What can b
 the nuisances, so a step is tried, and mended.
 """
 
+import math
 from typing import Final
 
 WANTED: Final = 60.0
@@ -23,6 +24,11 @@ ROUNDS: Final = 3
 def first_share(size: float, seen: float) -> float:
     """Of a typical size, when a step of `size` typical ones moves features by so many sigmas."""
     return min(max(size * WANTED / max(seen, 1e-12), LEAST_SHARE), 1.0)
+
+
+def off(seen: float) -> float:
+    """How far a step that is so many standard errors is from what it should be; infinite if it is unseen."""
+    return abs(math.log(seen / SEEN)) if seen else math.inf
 
 
 def mended(share: float, seen: float) -> float | None:

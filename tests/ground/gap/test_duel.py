@@ -16,6 +16,7 @@ def _duel(rival: tuple[int, ...]) -> Duel:
 def test_a_rival_stands_in_the_stead_of_what_it_differs_in():
     assert _duel((3, 2)).instead_of(1, (1, 2)) == 3
     assert _duel((2, 3)).instead_of(1, (2, 1)) == 3
+    assert _duel((3, 2)).instead_of(5, (5, 2)) is None
     assert _duel((3, 2)).instead_of(2, (1, 2)) is None
     assert _duel((3, 4)).instead_of(1, (1, 2)) is None
     assert _duel((3,)).instead_of(1, (1, 2)) is None
@@ -23,8 +24,8 @@ def test_a_rival_stands_in_the_stead_of_what_it_differs_in():
 
 def test_the_set_has_what_is_likely_and_its_probabilities_are_a_share_of_one():
     alone = Alternatives((7,), (1.0,))
-    assert alone.beside({8: 20.0}) == alone
-    found = alone.beside({8: 0.0, 9: 3.0, 10: 20.0})
+    assert alone.beside(7, {8: 20.0}) == alone
+    found = alone.beside(7, {8: 0.0, 9: 3.0, 10: 20.0})
     assert found.hypotheses == (7, 8, 9)
     assert found.probability[0] == pytest.approx(found.probability[1])
     assert found.probability[2] / found.probability[0] == pytest.approx(np.exp(-1.5))
@@ -33,8 +34,15 @@ def test_the_set_has_what_is_likely_and_its_probabilities_are_a_share_of_one():
 
 def test_what_was_drawn_more_often_than_its_likelihood_says_keeps_that():
     drawn = Alternatives((7, 8), (0.6, 0.4))
-    assert drawn.beside({8: 30.0}) == drawn
-    assert drawn.beside({8: 4.0}).hypotheses == (7, 8)
+    assert drawn.beside(7, {8: 30.0}) == drawn
+    assert drawn.beside(7, {8: 4.0}).hypotheses == (7, 8)
+
+
+@pytest.mark.parametrize("drawn", [Alternatives((7,), (0.0,)), Alternatives((9,), (0.97,))])
+def test_what_was_chosen_is_likelier_than_what_is_worse_whatever_was_drawn(drawn):
+    found = drawn.beside(7, {8: 2.0})
+    known = dict(zip(found.hypotheses, found.probability, strict=True))
+    assert known[7] > known[8] > 0.0
 
 
 def test_in_the_stead_of_an_effect_all_other_classes_are_worse(made, campaign, rng):

@@ -48,13 +48,14 @@ def test_a_cause_that_is_left_out_seldom_gets_a_name(made, campaign, rng):
     assert named <= binom.ppf(0.975, cases, 0.15)
 
 
-def test_where_every_effect_has_kin_nothing_is_known_of_strangers(campaign, monkeypatch):
-    """Then only what was chosen wrongly among those that are known teaches what a name needs."""
+def test_where_every_effect_has_kin_these_teach_what_a_name_needs(campaign, monkeypatch):
     of = (campaign.prepared, campaign.label, campaign.cosine, campaign.limits, campaign.looked)
-    monkeypatch.setattr("ground.gap.thresholds.KIN", 0.0)
-    assert np.isnan(calibrate(*of, seed=1, cases=20).wrong)
-    monkeypatch.setattr("ground.gap.thresholds.KIN", 1.0)
-    assert calibrate(*of, seed=1, cases=20).wrong <= WRONG
+    for kin in (0.0, 1.1):
+        monkeypatch.setattr("ground.gap.thresholds.KIN", kin)
+        told = calibrate(*of, seed=1, cases=20)
+        assert told.strangers == 20
+        assert told.wrong <= WRONG
+        assert np.isfinite(told.trust.least)
 
 
 def _without(campaign, one):

@@ -15,7 +15,7 @@ from ground.gap.arm.campaign import Compared, compared
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import recording_in
 from ground.gap.arm.simulator import BRIEFLY, switched_on, told
-from ground.gap.arm.step import ROUNDS, first_share, mended
+from ground.gap.arm.step import ROUNDS, first_share, mended, off
 from ground.gap.detect import limit_beside, noncentrality
 from ground.gap.drawn import Seen
 from ground.gap.hypothesis import Hypothesis
@@ -110,17 +110,20 @@ def limits(
     with ResultsFile(kept_in / "outside.jsonl", {"of": _digest(logs, prepared)}, _seen) as kept:
         there = {(one["name"], one["place"]): _seen(one) for one in kept.done}
         shares: dict[tuple[str, str], float | None] = {name: None for name in wanted if name not in there}
+        best = dict.fromkeys(shares, np.inf)
         for attempt in range(ROUNDS + 1):
             jobs = [_Job(tuple(logs), name, share) for name, share in shares.items()]
             shares = {}
             for done, one in enumerate(run(_sensed, jobs), 1):
                 limit = limit_beside(prepared, one.column[:, None])
-                better = mended(one.share, one.share * float(np.sqrt(noncentrality(1))) / limit)
+                seen = one.share * float(np.sqrt(noncentrality(1))) / limit
+                if off(seen) < best[one.name] or one.name not in there:
+                    there[one.name], best[one.name] = limit, off(seen)
+                better = mended(one.share, seen)
                 if better is not None and attempt < ROUNDS:
                     shares[one.name] = better
                 else:
-                    there[one.name] = limit
-                    kept.add({"name": one.name[0], "place": one.name[1], "limit": finite(limit)})
+                    kept.add({"name": one.name[0], "place": one.name[1], "limit": finite(there[one.name])})
                 progress(done, len(jobs), "outside")
     return [Seen(one.hypothesis, there[name], None) for name, one in wanted.items()]
 

@@ -31,7 +31,7 @@ def test_names_of_rows_that_are_not_those_are_refused(tmp_path: Path, text: str 
 
 
 TRUST = Trust(tuple(range(1 + len(fields(Signs)))), -np.inf)
-KEPT = Thresholds(3.5, 2.5, np.inf, TRUST, 0.04, 0.02, 0.13, 400)
+KEPT = Thresholds(3.5, 2.5, np.inf, TRUST, 0.04, 0.02, 0.13, 400, 250)
 
 
 def test_thresholds_come_back_until_other_code_finds_them(tmp_path: Path) -> None:

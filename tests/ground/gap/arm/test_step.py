@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ground.gap.arm.step import LEAST_SHARE, MOST_SHARE, NEAR_ENOUGH, ROUNDS, SEEN, first_share, mended
+from ground.gap.arm.step import LEAST_SHARE, MOST_SHARE, NEAR_ENOUGH, ROUNDS, SEEN, first_share, mended, off
 
 
 @pytest.mark.parametrize("per_typical", np.geomspace(2 * SEEN / MOST_SHARE, SEEN / LEAST_SHARE / 2, 7))
@@ -25,6 +25,11 @@ def test_a_step_beyond_a_jump_comes_back_before_it() -> None:
     for _ in range(ROUNDS):
         share = mended(share, seen(share)) or share
     assert share < 0.05
+
+
+def test_a_step_that_shows_nothing_is_worse_than_any_other() -> None:
+    assert off(0.0) > off(1e-9) > off(SEEN / 2) > off(SEEN) == 0.0
+    assert off(3 * SEEN) == pytest.approx(off(SEEN / 3))
 
 
 def test_what_is_never_seen_is_left_alone() -> None:
