@@ -25,6 +25,7 @@ from ground.gap.race import Chosen, Race, race, ranked, surprise_of
 from ground.gap.ready import Ready
 from ground.gap.refine import Refined
 from sim.effects.effect import Effect
+from sim.plant import PlantDiverged
 
 MOVED: Final = 0.25
 """Sigmas by which a nuisance must have moved for the simulator to be asked again."""
@@ -73,12 +74,22 @@ def settled(known: Ready, first: Bound, patch: tuple[Effect, ...]) -> Settled:
 
 def _duel(known: Ready, alone: Settled, beside: Settled, patch: tuple[Effect, ...]) -> Settled:
     """What won or what comes nearest to it, each beside nuisances of its own: the more surprising one."""
-    chosen, rival = beside.won.chosen, _near(known, alone, beside.won.chosen)
+    rival = _near(known, alone, beside.won.chosen)
     if not rival:
         return beside
+    try:
+        return _fought(known, alone, beside, rival, patch)
+    except PlantDiverged:  # there is no such arm, so it explains nothing
+        return beside
+
+
+def _fought(
+    known: Ready, alone: Settled, beside: Settled, rival: Chosen, patch: tuple[Effect, ...]
+) -> Settled:
     there = _settled(known, alone, patch, lambda _: rival)
     if not there.won.chosen:  # where the rival would be, nothing may be the simpler explanation
         return there if there.nothing < beside.cost else beside
+    chosen = beside.won.chosen
     here = _settled(known, beside, patch, lambda _: chosen)
     ours, mine = _fitted(known, here, chosen, alone.nothing)
     theirs, other = _fitted(known, there, rival, alone.nothing)

@@ -25,6 +25,7 @@ from sim.effects.geometry import FrameError
 from sim.effects.joints import ResolverBias
 from sim.effects.links import LinkLength
 from sim.initialisation import true_reference
+from sim.plant import PlantDiverged
 
 FITTED = ("poses-level-1", "poses-level-1-again", "poses-level-2", "poses-rolled-1")
 APART = ("poses-level-3", "poses-rolled-2")
@@ -101,6 +102,23 @@ def test_the_simulator_is_asked_only_about_nuisances_that_an_arm_may_have(
     here = asked([recording_in(path) for path in logs[0]], [], against)
     shifts = [e.screw[3:] for e in here.case.arm.patch if isinstance(e, FrameError)]
     assert np.abs(shifts).max() < 10.1 * LEFT_FRAME_M
+
+
+def test_a_rival_that_is_no_arm_has_lost(
+    against: Reference, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    logs = recorded(tmp_path, (LinkLength(Frame.ARM3, "x", 5e-3),), 9)
+    fitted = [recording_in(path) for path in logs[0]]
+
+    def diverged(*_: object) -> None:
+        raise PlantDiverged("bad qacc")
+
+    monkeypatch.setattr("ground.gap.arm.settled._near", lambda known, alone, chosen: (0,))
+    fought = asked(fitted, [], against)
+    assert fought.duel is not None
+    assert fought.duel.rival == (0,)
+    monkeypatch.setattr("ground.gap.arm.settled._fitted", diverged)
+    assert asked(fitted, [], against).duel is None
 
 
 def test_with_the_patch_on_nothing_is_left(case: Callable[..., Result]) -> None:
