@@ -6,7 +6,6 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import asdict
 from datetime import date, time
-from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
@@ -24,9 +23,8 @@ class BadParams(ValueError):
     """A parameter file that is not to be flown; the message names every field at fault."""
 
 
-@cache
 def nominal_params() -> Params:
-    """The parameters of the drawing, read once in each process."""
+    """The parameters of the drawing."""
     return _validated(_nominal_table(), "nominal.toml")
 
 
