@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from ground.gap.case import Case, of_sums
+from ground.gap.fits import deviance_of
 from ground.gap.model import fitted
 from ground.gap.race import Chosen, Field, Race, race, ranked, surprise_of
 
@@ -80,9 +81,9 @@ def instead(field: Field, case: Case, chosen: Chosen, one: int) -> dict[int, flo
     others = tuple(other for other in chosen if other != one)
     best, found = surprise_of(field, case, chosen), dict[int, float]()
     for rival in ranked(field, case, others)[0]:
-        first = int(np.flatnonzero(field.label == field.label[rival])[0])
+        first = field.standing_for(rival)
         if field.label[rival] != field.label[one] and first not in found:
-            found[first] = 2.0 * np.log(10.0) * (best - surprise_of(field, case, (*others, rival)))
+            found[first] = deviance_of(best - surprise_of(field, case, (*others, rival)))
     return found
 
 
@@ -99,7 +100,7 @@ def _matched(field: Field, cosine: np.ndarray, chosen: Chosen, draw: Chosen) -> 
         if stands[index] is None and free:
             best = max(free, key=cosine[one].__getitem__)
             free.remove(best)
-            stands[index] = int(np.flatnonzero(field.label == field.label[best])[0])
+            stands[index] = field.standing_for(best)
     return stands
 
 

@@ -171,7 +171,7 @@ def _instead(field: Field, case: Case, chosen: Chosen, one: int, duel: Duel | No
     found = instead(field, case, chosen, one)
     other = None if duel is None else duel.instead_of(one, chosen)
     if duel is not None and other is not None:
-        found[int(np.flatnonzero(field.label == field.label[other])[0])] = duel.worse
+        found[field.standing_for(other)] = duel.worse
     return found
 
 

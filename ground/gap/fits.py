@@ -81,3 +81,8 @@ def surprise(dropped: Array, k: Array | float) -> Array:
     far = x - (half - 1.0) * np.log(np.maximum(x, 1.0)) + gammaln(half)
     near = -chi2.logsf(2.0 * np.minimum(x, FAR), k)
     return np.asarray(np.where(x > FAR, far, near) / np.log(10.0))
+
+
+def deviance_of(surprise: float) -> float:
+    """What a difference in surprise is as one in deviance, where probabilities are likelihoods."""
+    return float(2.0 * np.log(10.0) * surprise)

@@ -31,6 +31,10 @@ class Field:
     inside: Flags
     """Hypotheses that may be chosen, (H,)."""
 
+    def standing_for(self, one: int) -> int:
+        """The first hypothesis of its class."""
+        return int(np.flatnonzero(self.label == self.label[one])[0])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Race:

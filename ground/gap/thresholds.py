@@ -101,8 +101,8 @@ def calibrate(
     effect, structure = _joint(found)
     field = Field(prepared, label, effect, none.inside)
     won: list[_Won] = []
-    strangers: list[list[_Won]] = []
-    kin: list[list[_Won]] = []
+    strangers: list[tuple[Field, Array]] = []
+    kin: list[tuple[Field, Array]] = []
     known = _seen(field, limits)
     for index in range(cases if known else 0):
         one = sized(one_of(known, rng), rng)
@@ -115,10 +115,10 @@ def calibrate(
         left = _left_out(field, one.seen)
         if left.inside.any():
             same = strangers if _is_stranger(left, cosine, one.seen) else kin
-            same.append(_after(left, cosine, looked, y, set()))
+            same.append((left, y))
         step(cases + index + 1, 2 * cases)
     left_out = strangers or kin
-    won += [one for case in left_out for one in case]
+    won += [one for left, y in left_out for one in _after(left, cosine, looked, y, set())]
     return _thresholds(found, effect, structure, won, len(left_out))
 
 

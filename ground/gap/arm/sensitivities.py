@@ -130,8 +130,9 @@ def _found(paths: Logs, names: Names, run: Runner, progress: Progress) -> Sensit
     for attempt in range(ROUNDS + 1):
         scale = prepare(_assembled(paths, names, last, {})).scale
         seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale)}
-        up |= {k: last[k] for k in seen if off(seen[k]) < best[k]}
-        best |= {k: min(off(seen[k]), best[k]) for k in seen}
+        nearer = [k for k in seen if off(seen[k]) < best[k]]
+        up |= {k: last[k] for k in nearer}
+        best |= {k: off(seen[k]) for k in nearer}
         better = _mended(simulator, columns, last, seen) if attempt < ROUNDS else {}
         if not better:
             break

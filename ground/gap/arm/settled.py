@@ -17,7 +17,7 @@ from ground.gap.arm.simulator import Touched
 from ground.gap.case import Case, case_of
 from ground.gap.diagnose import refined
 from ground.gap.duel import Duel
-from ground.gap.fits import surprise
+from ground.gap.fits import deviance_of, surprise
 from ground.gap.layout import Evidence
 from ground.gap.model import fitted
 from ground.gap.prepared import left_over
@@ -94,10 +94,10 @@ def _fought(
     ours, mine = _fitted(known, here, chosen, alone.nothing)
     theirs, other = _fitted(known, there, rival, alone.nothing)
     if other > mine:
-        return replace(there, duel=Duel(rival, theirs, chosen, 2.0 * np.log(10.0) * (other - mine)))
+        return replace(there, duel=Duel(rival, theirs, chosen, deviance_of(other - mine)))
     if not np.isfinite(mine):
         return beside
-    return replace(here, duel=Duel(chosen, ours, rival, 2.0 * np.log(10.0) * (mine - other)))
+    return replace(here, duel=Duel(chosen, ours, rival, deviance_of(mine - other)))
 
 
 def _fitted(known: Ready, here: Settled, chosen: Chosen, before: float) -> tuple[Refined, float]:
