@@ -6,6 +6,7 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import asdict
 from datetime import date, time
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
@@ -25,7 +26,7 @@ class BadParams(ValueError):
 
 def nominal_params() -> Params:
     """The parameters of the drawing."""
-    return _validated(_nominal_table(), "nominal.toml")
+    return _nominal(_nominal_text())
 
 
 def params_over_nominal(path: Path) -> Params:
@@ -34,7 +35,7 @@ def params_over_nominal(path: Path) -> Params:
     Raises:
         BadParams: the file cannot be read, or names or values in it are wrong.
     """
-    return _validated(_merged(_nominal_table(), _read(path)), str(path))
+    return _validated(_merged(tomllib.loads(_nominal_text()), _read(path)), str(path))
 
 
 def params_over(params: Params, path: Path) -> Params:
@@ -65,10 +66,14 @@ def _read(path: Path) -> dict[str, Any]:
         raise BadParams(f"{path}: is not TOML: {error}") from error
 
 
-def _nominal_table() -> dict[str, Any]:
-    return tomllib.loads(
-        resources.files("fsw.dictionary").joinpath("nominal.toml").read_text(encoding="utf-8")
-    )
+def _nominal_text() -> str:
+    return resources.files("fsw.dictionary").joinpath("nominal.toml").read_text(encoding="utf-8")
+
+
+@lru_cache(maxsize=1)
+def _nominal(text: str) -> Params:
+    """Checked once: effects and simulations ask thousands of times."""
+    return _validated(tomllib.loads(text), "nominal.toml")
 
 
 def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import os
 import re
+import tomllib
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -12,8 +13,7 @@ import pytest
 
 from fsw.config import digest
 from fsw.dictionary.validity import out_of_limits
-from sim import params as loader
-from sim.params import BadParams, nominal_params, params_over_nominal
+from sim.params import BadParams, _nominal_text, _validated, nominal_params, params_over_nominal
 
 
 def written(folder: Path, text: str) -> Path:
@@ -261,33 +261,35 @@ def test_the_compliance_of_every_link_is_looked_at(tmp_path: Path, link: str) ->
         "poses",
     ],
 )
-def test_what_is_missing_is_named(monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
+def test_what_is_missing_is_named(missing: str) -> None:
     """A file over the nominal one cannot leave anything out; the nominal one can."""
-    table = loader._nominal_table()
+    table = nominal_table()
     *groups, name = missing.split(".")
     group = table
     for key in groups:
         group = group[key]
     del group[name]
-    monkeypatch.setattr(loader, "_nominal_table", lambda: table)
     with pytest.raises(BadParams, match=rf"nominal\.toml: {re.escape(missing)}: Field required"):
-        nominal_params()
+        _validated(table, "nominal.toml")
 
 
-def test_any_number_that_is_not_one_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    places = list(numbers_of(loader._nominal_table()))
+def test_any_number_that_is_not_one_is_named() -> None:
+    places = list(numbers_of(nominal_table()))
     assert len(places) > 300
     for place in places:
-        table = loader._nominal_table()
+        table = nominal_table()
         group = table
         for key in place[:-1]:
             group = group[key]
         group[place[-1]] = float("nan")
-        monkeypatch.setattr(loader, "_nominal_table", lambda table=table: table)
         field = ".".join(str(key) for key in place[: 1 + _last_name(place)])
         with pytest.raises(BadParams, match=rf"nominal\.toml: {re.escape(field)}\b"):
-            nominal_params()
-        monkeypatch.undo()
+            _validated(table, "nominal.toml")
+
+
+def nominal_table() -> dict[str, Any]:
+    """What the nominal file holds, to be changed."""
+    return tomllib.loads(_nominal_text())
 
 
 def _last_name(place: tuple[str | int, ...]) -> int:

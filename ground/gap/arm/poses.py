@@ -11,9 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from fsw.config import CYCLE_HZ, configure
+from fsw.config import CYCLE_HZ, Config, configure
 from fsw.dictionary.joints import Joint
-from fsw.dictionary.params import Params
 from fsw.estimate.gear import bounds_under
 from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array, Pose, batched
@@ -92,7 +91,8 @@ def resting(knots: Sequence[Knots], effects: Sequence[Effect]) -> list[Resting]:
         if np.array_equal(before, hardware.counter_zero_rad):
             params = effect.on_params(params)
         # else flight software's word for the shifted zero is a turned link: one of both is enough
-    return [_rests(one, params, hardware, effects) if one.rests else NOWHERE for one in knots]
+    config = configure(params)
+    return [_rests(one, config, hardware, effects) if one.rests else NOWHERE for one in knots]
 
 
 def _stepped(knots: Knots, effects: Sequence[Effect]) -> Resting:
@@ -107,8 +107,8 @@ def _stepped(knots: Knots, effects: Sequence[Effect]) -> Resting:
     return Resting(np.stack(apart, -1), batched([found.X_RF[tick] for tick in ticks]))
 
 
-def _rests(knots: Knots, params: Params, hardware: Hardware, effects: Sequence[Effect]) -> Resting:
-    config, recording = configure(params), knots.recording
+def _rests(knots: Knots, config: Config, hardware: Hardware, effects: Sequence[Effect]) -> Resting:
+    recording = knots.recording
     gravity = recording.world.gravity_N_m_s2
     off_rad = recording.start.hardstop_rad - config.hardstop_rad
     lost_rad = nominal_hardware().counter_zero_rad - hardware.counter_zero_rad
