@@ -1,6 +1,7 @@
 """How large an effect must be to be seen in a campaign: known before data."""
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -24,6 +25,7 @@ class Detectability:
     """In how many blocks, effectively, it is seen: below 2 it cannot be cross-validated."""
 
 
+@cache
 def noncentrality(k: int, power: float = POWER, false_alarm: float = FALSE_ALARM) -> float:
     """Of a chi-square of k degrees, so that a test of this false alarm has this power."""
     beyond = chi2.isf(false_alarm, k)

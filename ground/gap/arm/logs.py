@@ -159,13 +159,20 @@ def world_seen(gravity_R_m_s2: Array, path: Path) -> World:
 
 
 def _drives(drive: Mapping[str, NDArray[Any]]) -> Iterator[Drive]:
+    anew = {name: _anew(values) for name, values in drive.items()}
     last: dict[str, Any] = {}
     for tick in range(len(drive[COUNTS])):
         for name, values in drive.items():
-            value = values[tick]
-            if name not in last or not np.array_equal(last[name], value):
+            if anew[name][tick]:
+                value = values[tick]
                 last[name] = value.copy() if isinstance(value, np.ndarray) else value.item()
         yield Drive(**last)
+
+
+def _anew(values: NDArray[Any]) -> list[bool]:
+    """In which ticks there is something else than before; in the first there is."""
+    other = (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
+    return [True, *other.tolist()]
 
 
 def _drive(log: Log) -> NDArray[np.void]:
