@@ -7,6 +7,7 @@ import numpy as np
 
 from fsw.kinematics.transforms import Array
 from ground.gap.arm.bound import changed
+from ground.gap.arm.poses import MOVES_ON
 from ground.gap.arm.simulator import ONLY_POSED, ArmSimulator
 from ground.gap.arm.step import first_share
 from sim.effects.effect import Effect
@@ -76,6 +77,12 @@ def is_line(simulator: ArmSimulator, column: Column) -> bool:
     """Whether it is a straight line, as far as errors go: geometry and springs."""
     (end, *_) = _ends(simulator, column, 1.0)
     return all(isinstance(effect, ONLY_POSED) for effect in end.effects)
+
+
+def takes_long(simulator: ArmSimulator, column: Column) -> bool:
+    """Whether the arm is stepped to its rests, too."""
+    (end, *_) = _ends(simulator, column, 1.0)
+    return any(isinstance(effect, MOVES_ON) for effect in end.effects)
 
 
 def size_of(simulator: ArmSimulator, column: Column, share: float) -> float:

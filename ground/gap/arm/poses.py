@@ -54,6 +54,9 @@ class Resting:
     """The turret's interface in RMECH, batch (r,)."""
 
 
+MOVES_ON: Final = (GearHysteresis, Numerics)
+"""Effects that statics cannot have: friction within a gear takes its output along, and how a plant creeps
+hangs on how it is computed. The arm is stepped."""
 NOWHERE: Final = Resting(np.zeros((len(Joint), 0)), none_tracked().X_RF)
 """Of a recording in which the arm never rests."""
 
@@ -77,12 +80,8 @@ def read_resolvers(knots: Knots) -> Array:
 
 
 def resting(knots: Sequence[Knots], effects: Sequence[Effect]) -> list[Resting]:
-    """The rests of each recording, of the arm of the drawing with these effects.
-
-    Friction within a gear takes its output along, and how a plant creeps hangs on how it is computed: where
-    these are among them, the arm is stepped.
-    """
-    if any(isinstance(effect, (GearHysteresis, Numerics)) for effect in effects):
+    """The rests of each recording, of the arm of the drawing with these effects."""
+    if any(isinstance(effect, MOVES_ON) for effect in effects):
         return [_stepped(one, effects) if one.rests else NOWHERE for one in knots]
     hardware, params = nominal_hardware(), nominal_params()
     for effect in effects:

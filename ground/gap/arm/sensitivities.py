@@ -20,7 +20,17 @@ from fsw.config import digest
 from fsw.kinematics.transforms import Array
 from ground.gap.arm.bound import keys_of
 from ground.gap.arm.campaign import compared
-from ground.gap.arm.columns import Column, Side, alike, columns_of, is_line, side_of, sides_of, size_of
+from ground.gap.arm.columns import (
+    Column,
+    Side,
+    alike,
+    columns_of,
+    is_line,
+    side_of,
+    sides_of,
+    size_of,
+    takes_long,
+)
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import recording_in
 from ground.gap.arm.simulator import ArmSimulator, arm_simulator
@@ -58,6 +68,8 @@ class _Job:
     column: int
     side: int
     share: float | None
+    nominal: Array
+    """What the simulator has without effects, (m,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,9 +128,11 @@ def _found(paths: Logs, names: Names, run: Runner, progress: Progress) -> Sensit
     simulator = _simulator(paths, names)
     columns = columns_of(simulator)
     same = alike(simulator, columns)
+    nominal = _nominal(paths, names)
 
     def simulated(shares: Mapping[int, float | None], side: int, what: str) -> dict[int, Side]:
-        jobs = [_Job(paths, names, k, side, share) for k, share in shares.items()]
+        order = sorted(shares, key=lambda k: not takes_long(simulator, columns[k]))
+        jobs = [_Job(paths, names, k, side, shares[k], nominal) for k in order]
         found = {}
         for done, (k, one) in enumerate(run(_worked, jobs), 1):
             found[k] = one
@@ -274,5 +288,5 @@ def _nominal(logs: Logs, kinds: Names) -> Array:
 
 def _worked(job: _Job) -> tuple[int, Side]:
     simulator = _simulator(job.logs, job.kinds)
-    column, nominal = columns_of(simulator)[job.column], _nominal(job.logs, job.kinds)
-    return job.column, side_of(simulator, column, nominal, job.side, job.share)
+    column = columns_of(simulator)[job.column]
+    return job.column, side_of(simulator, column, job.nominal, job.side, job.share)
