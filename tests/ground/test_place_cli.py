@@ -125,24 +125,11 @@ def test_the_log_holds_every_cycle_and_the_truth_apart(defaults):
     assert [entry.name for entry in log.evrs] == [evr["name"] for evr in json.loads(done.stdout)["evrs"]]
 
 
-@pytest.fixture(scope="module")
-def for_people(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("people")
-    words = ("place", "--picture", "here.png", "--arm", "calibrated:1", "--tilt-pitch", "10")
-    return folder, marsarm(folder, *words, MUJOCO_GL="osmesa")
-
-
-def test_a_table_with_units_and_the_path_of_the_picture_for_people(for_people):
-    _, done = for_people
+def test_a_table_with_units_and_the_path_of_the_picture_for_people(tmp_path):
+    done = marsarm(tmp_path, "place", "--picture", "here.png", "--arm", "calibrated:1", "--tilt-pitch", "10")
     assert done.returncode == 0, done.stderr
     for word in ("total mm", "axis deg", "in contact", "branch", "here.png"):
         assert word in done.stdout
-
-
-def test_a_setting_of_opengl_that_is_not_there_does_not_stop_a_run(for_people):
-    folder, done = for_people
-    assert done.returncode == 0, done.stderr
-    assert (folder / "here.png").stat().st_size > 10_000
 
 
 def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on(tmp_path):
@@ -173,6 +160,12 @@ def test_a_full_disk_stops_the_arm_or_does_not_as_asked_and_is_told(tmp_path, wi
     assert kept.truncated
     assert seconds > 2
     assert f"not recorded from {seconds:.2f} s on (File too large)" in report["log_problem"]
+
+
+def test_a_setting_of_opengl_that_is_not_there_does_not_stop_a_run(tmp_path):
+    done = marsarm(tmp_path, "place", "--no-surface", "--json", MUJOCO_GL="osmesa")
+    assert done.returncode == 3, done.stderr
+    assert (tmp_path / json.loads(done.stdout)["picture"]).stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("value", ["nonsense", "egl", "off", " OFF "])

@@ -75,14 +75,12 @@ def sides_of(simulator: ArmSimulator, column: Column) -> int:
 
 def is_line(simulator: ArmSimulator, column: Column) -> bool:
     """Whether it is a straight line, as far as errors go: geometry and springs."""
-    (end, *_) = _ends(simulator, column, 1.0)
-    return all(isinstance(effect, ONLY_POSED) for effect in end.effects)
+    return all(isinstance(effect, ONLY_POSED) for effect in _whole(simulator, column).effects)
 
 
 def takes_long(simulator: ArmSimulator, column: Column) -> bool:
     """Whether the arm is stepped to its rests, too."""
-    (end, *_) = _ends(simulator, column, 1.0)
-    return any(isinstance(effect, MOVES_ON) for effect in end.effects)
+    return any(isinstance(effect, MOVES_ON) for effect in _whole(simulator, column).effects)
 
 
 def size_of(simulator: ArmSimulator, column: Column, share: float) -> float:
@@ -109,13 +107,18 @@ def _probed(simulator: ArmSimulator, column: Column, nominal: Array) -> float:
     """A share to begin with: from the motion that shows it most, in full size."""
     if column.hypothesis is None:
         return 1.0
-    end = _ends(simulator, column, 1.0)[0]
+    end = _whole(simulator, column)
     joints = {getattr(effect, "joint", None) for effect in end.effects} - {None}
     free = [one for one in simulator.campaign.moving if one.recording.world.surface is None]
     shown = [one for one in free if not {segment.joint for segment in one.segments} - joints]
     names = {one.recording.name for one in shown or free[-1:]}
     change = changed(simulator, end.effects, nominal, lambda one: one.recording.name in names)
     return first_share(abs(end.size), float(np.linalg.norm(change / simulator.layout.sigma)))
+
+
+def _whole(simulator: ArmSimulator, column: Column) -> _End:
+    """A typical size, upwards if there is room."""
+    return _ends(simulator, column, 1.0)[0]
 
 
 def _ends(simulator: ArmSimulator, column: Column, share: float) -> tuple[_End, ...]:
