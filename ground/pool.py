@@ -19,18 +19,21 @@ class Runner(Protocol):
 
 
 def on_this_machine(workers: int) -> Runner:
-    """In so many processes; with one, in this process."""
+    """In so many processes, that stay for the next call; with one, in this process."""
+    idle: list[ProcessPoolExecutor] = []
 
     def run(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
         if workers == 1:
             yield from map(work, jobs)
             return
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            try:
-                for done in as_completed([pool.submit(work, job) for job in jobs]):
-                    yield done.result()
-            finally:
-                pool.shutdown(wait=False, cancel_futures=True)
+        pool = idle.pop() if idle else ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+        try:
+            for done in as_completed([pool.submit(work, job) for job in jobs]):
+                yield done.result()
+        except BaseException:  # also of who asks no more
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+        idle.append(pool)
 
     return run
 

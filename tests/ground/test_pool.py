@@ -1,5 +1,6 @@
 """Work on many cores or on a cluster, behind one interface."""
 
+import os
 import sys
 from types import SimpleNamespace
 
@@ -18,9 +19,22 @@ def test_every_job_is_done_once(workers):
     assert sorted(on_this_machine(workers)(square, range(7))) == [0, 1, 4, 9, 16, 25, 36]
 
 
-def test_an_error_of_the_work_is_not_swallowed():
+def process(_: int) -> int:
+    return os.getpid()
+
+
+def test_processes_stay_for_the_next_call():
+    run = on_this_machine(2)
+    first, second = (set(run(process, range(9))) for _ in range(2))
+    assert os.getpid() not in first
+    assert len(first | second) <= 2
+
+
+def test_an_error_of_the_work_is_not_swallowed_and_the_next_call_works():
+    run = on_this_machine(2)
     with pytest.raises(TypeError):
-        list(on_this_machine(2)(square, ["x"]))
+        list(run(square, ["x"]))
+    assert sorted(run(square, range(3))) == [0, 1, 4]
 
 
 def test_without_ray_a_cluster_is_refused_with_what_to_do(monkeypatch):

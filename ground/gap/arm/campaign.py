@@ -9,17 +9,20 @@ import numpy as np
 from fsw.config import configure
 from fsw.dictionary.joints import Joint
 from fsw.kinematics.transforms import Array, Pose, inverse
+from fsw.messages import Sensors
 from ground.calibration.screws import screw_log
 from ground.gap.arm.features import RESOLVER, SHIFT, TURN, Columns, Feature, Moving, measured, moving
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.poses import Knots, Resting, knots_in, read_resolvers, resting
 from ground.gap.arm.stepped import columns, stepped, stepped_once
 from sim.driven import Manner
-from sim.effects.effect import Effect, Hardware, Spoilt, nominal_hardware
+from sim.effects.effect import Effect, Hardware, nominal_hardware
 from sim.effects.friction import OutputFriction
 from sim.params import nominal_params
 from sim.plant import AXES
 
+READ: Final = frozenset({"resolver_bias_rad", "warped", "spoilt"})
+"""Of hardware, what nothing but readings hangs on."""
 UNSURE: Final = 0.3
 """Share of the outputs' friction: a load so near to it may or may not have dragged an output over its gap."""
 
@@ -91,6 +94,11 @@ def all_of(_: Moving) -> bool:
     return True
 
 
+def none_of(_: Moving) -> bool:
+    """Rests alone."""
+    return False
+
+
 def predicted_values(
     campaign: Compared,
     effects: Sequence[Effect],
@@ -118,10 +126,7 @@ def driven(recording: Recording, effects: Sequence[Effect], manner: Manner) -> C
     readers = [effect for effect in effects if only_reads(effect)]
     acting = tuple(effect for effect in effects if effect not in readers)
     readings = (stepped_once if readers else stepped)(recording, acting, manner).readings
-    rng = np.random.default_rng(0)
-    for spoilt in _spoilt(readers):
-        readings = tuple(spoilt.read(one, rng) for one in readings)
-    return columns(readings)
+    return columns(_reread(readings, readers) if readers else readings)
 
 
 def only_reads(effect: Effect) -> bool:
@@ -130,15 +135,28 @@ def only_reads(effect: Effect) -> bool:
         return False
     before = nominal_hardware()
     after = effect.on_hardware(before)
-    names = [f.name for f in fields(Hardware) if f.name != "spoilt"]
-    return bool(after.spoilt) and all(getattr(before, name) is getattr(after, name) for name in names)
+    other = {f.name for f in fields(Hardware) if getattr(before, f.name) is not getattr(after, f.name)}
+    return bool(other) and other <= READ
 
 
-def _spoilt(readers: Sequence[Effect]) -> tuple[Spoilt, ...]:
+def _reread(readings: Sequence[Sensors], readers: Sequence[Effect]) -> list[Sensors]:
+    """What sensors with these effects read where ideal resolvers read that: as avionics sense it."""
     hardware = nominal_hardware()
     for effect in readers:
         hardware = effect.on_hardware(hardware)
-    return hardware.spoilt
+    rng = np.random.default_rng(0)
+    return [_read(one, hardware, rng) for one in readings]
+
+
+def _read(sensors: Sensors, hardware: Hardware, rng: np.random.Generator) -> Sensors:
+    output_rad = sensors.resolver_rad
+    resolver_rad = output_rad + hardware.resolver_bias_rad
+    for warped in hardware.warped:
+        resolver_rad = resolver_rad + warped.error_rad(output_rad)
+    sensors = replace(sensors, resolver_rad=resolver_rad)
+    for spoilt in hardware.spoilt:
+        sensors = spoilt.read(sensors, rng)
+    return sensors
 
 
 def _posed(knots: Knots, nominal: Resting, *others: Resting) -> Posed:

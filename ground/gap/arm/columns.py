@@ -1,15 +1,20 @@
-"""One column of the sensitivities: differences of the arm's simulator beside nominal."""
+"""Columns of the sensitivities: differences of the arm's simulator beside nominal.
 
-from collections.abc import Sequence
+Under a recorded drive a difference stays in the joint that it comes from (sim/driven.py). So one kind of
+effect is simulated at several joints at once, and each has the motion of its own joint.
+"""
+
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array
+from fsw.dictionary.joints import Joint
+from fsw.kinematics.transforms import Array, Flags
 from ground.gap.arm.bound import changed
+from ground.gap.arm.campaign import none_of
 from ground.gap.arm.poses import MOVES_ON
-from ground.gap.arm.simulator import ONLY_POSED, ArmSimulator
-from ground.gap.arm.step import first_share
+from ground.gap.arm.simulator import ArmSimulator
 from sim.effects.effect import Effect
 
 
@@ -69,13 +74,8 @@ def alike(simulator: ArmSimulator, columns: Sequence[Column]) -> dict[int, tuple
 
 
 def sides_of(simulator: ArmSimulator, column: Column) -> int:
-    """On how many sides of nominal there is something to simulate: one if bounds leave one, or a line."""
+    """On how many sides of nominal there is something to simulate: one if bounds leave one."""
     return len(_ends(simulator, column, 1.0))
-
-
-def is_line(simulator: ArmSimulator, column: Column) -> bool:
-    """Whether it is a straight line, as far as errors go: geometry and springs."""
-    return all(isinstance(effect, ONLY_POSED) for effect in _whole(simulator, column).effects)
 
 
 def takes_long(simulator: ArmSimulator, column: Column) -> bool:
@@ -83,37 +83,73 @@ def takes_long(simulator: ArmSimulator, column: Column) -> bool:
     return any(isinstance(effect, MOVES_ON) for effect in _whole(simulator, column).effects)
 
 
+def together(
+    simulator: ArmSimulator, columns: Sequence[Column], wanted: Sequence[int]
+) -> list[tuple[int, ...]]:
+    """Which of the columns that are wanted are simulated at once, what takes long first."""
+    groups: dict[Hashable, list[int]] = {}
+    for k in wanted:
+        groups.setdefault(_kind(simulator, columns[k]) or k, []).append(k)
+    found = sorted(groups.values(), key=lambda of: (not takes_long(simulator, columns[of[0]]), -len(of)))
+    return [tuple(of) for of in found]
+
+
+def _kind(simulator: ArmSimulator, column: Column) -> tuple[str, int] | None:
+    """What it is, wherever it is; None if it does not stay in a joint, or the arm is stepped to its rests."""
+    if column.hypothesis is None or takes_long(simulator, column):
+        return None
+    (effect,) = _whole(simulator, column).effects
+    at_joint = getattr(effect, "joint", None) is not None
+    return (simulator.hypotheses[column.hypothesis].effect, column.at) if at_joint else None
+
+
 def size_of(simulator: ArmSimulator, column: Column, share: float) -> float:
     """What a share of a typical size is within bounds, upwards if there is room."""
     return _ends(simulator, column, share)[0].size
 
 
-def side_of(
-    simulator: ArmSimulator, column: Column, nominal: Array, number: int = 0, share: float | None = None
-) -> Side:
-    """The change on one of the sides, by a share of a typical size; without one, by what a probe says.
+def sides_at(
+    simulator: ArmSimulator, columns: Sequence[Column], nominal: Array, number: int, shares: Sequence[float]
+) -> list[Side]:
+    """The changes on one side of columns that are simulated at once, each by a share of a typical size.
 
     Of repeats only the first is simulated: the others were given the same drive.
     """
+    ends = [_ends(simulator, column, by)[number] for column, by in zip(columns, shares, strict=True)]
+    if len(ends) > 1:
+        changes = _each(simulator, ends, nominal)
+    else:
+        changes = [_alone(simulator, columns[0], ends[0], nominal)]
+    return [Side(by, end.size, change) for by, end, change in zip(shares, ends, changes, strict=True)]
+
+
+def _alone(simulator: ArmSimulator, column: Column, end: _End, nominal: Array) -> Array:
     if column.hypothesis is None and (beside := simulator.uncertain[column.at].beside):
         simulator = simulator.patched(beside)
         nominal = simulator.predicted(())
-    share = _probed(simulator, column, nominal) if share is None else share
-    end = _ends(simulator, column, share)[number]
-    return Side(share, end.size, changed(simulator, end.effects, nominal))
+    return changed(simulator, end.effects, nominal)
 
 
-def _probed(simulator: ArmSimulator, column: Column, nominal: Array) -> float:
-    """A share to begin with: from the motion that shows it most, in full size."""
-    if column.hypothesis is None:
-        return 1.0
-    end = _whole(simulator, column)
-    joints = {getattr(effect, "joint", None) for effect in end.effects} - {None}
-    free = [one for one in simulator.campaign.moving if one.recording.world.surface is None]
-    shown = [one for one in free if not {segment.joint for segment in one.segments} - joints]
-    names = {one.recording.name for one in shown or free[-1:]}
-    change = changed(simulator, end.effects, nominal, lambda one: one.recording.name in names)
-    return first_share(abs(end.size), float(np.linalg.norm(change / simulator.layout.sigma)))
+def _each(simulator: ArmSimulator, ends: Sequence[_End], nominal: Array) -> list[Array]:
+    """Motions simulated once, with all effects, and each joint's own of it; rests one by one."""
+    every = tuple(effect for end in ends for effect in end.effects)
+    moved = changed(simulator, every, nominal)
+    moving = np.arange(moved.size) < sum(len(one.features) for one in simulator.campaign.moving)
+    found = []
+    for end in ends:
+        own = moving & _at(simulator, _joint_of(end))
+        found.append(np.where(own, moved, changed(simulator, end.effects, nominal, none_of)))
+    return found
+
+
+def _at(simulator: ArmSimulator, name: str) -> Flags:
+    """Features at a place, (m,)."""
+    return np.array([place == name for place in simulator.layout.places])[simulator.layout.place]
+
+
+def _joint_of(end: _End) -> str:
+    (joint,) = {Joint(effect.joint) for effect in end.effects if hasattr(effect, "joint")}
+    return joint.name.lower()
 
 
 def _whole(simulator: ArmSimulator, column: Column) -> _End:
@@ -122,11 +158,9 @@ def _whole(simulator: ArmSimulator, column: Column) -> _End:
 
 
 def _ends(simulator: ArmSimulator, column: Column, share: float) -> tuple[_End, ...]:
-    """Up and down where bounds allow it; down only if it may bend."""
+    """Up and down, where bounds allow it."""
     found = (_end(simulator, column, sign * share) for sign in (1.0, -1.0))
-    up, *down = (end for end in found if end is not None)
-    straight = column.hypothesis is not None and all(isinstance(one, ONLY_POSED) for one in up.effects)
-    return (up,) if straight else (up, *down)
+    return tuple(end for end in found if end is not None)
 
 
 def _end(simulator: ArmSimulator, column: Column, share: float) -> _End | None:

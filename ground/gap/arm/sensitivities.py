@@ -25,11 +25,10 @@ from ground.gap.arm.columns import (
     Side,
     alike,
     columns_of,
-    is_line,
-    side_of,
+    sides_at,
     sides_of,
     size_of,
-    takes_long,
+    together,
 )
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import recording_in
@@ -65,9 +64,10 @@ NEARLY: Final = 0.1
 class _Job:
     logs: Logs
     kinds: Names
-    column: int
+    columns: tuple[int, ...]
+    """That are simulated at once."""
     side: int
-    share: float | None
+    shares: tuple[float, ...]
     nominal: Array
     """What the simulator has without effects, (m,)."""
 
@@ -130,16 +130,16 @@ def _found(paths: Logs, names: Names, run: Runner, progress: Progress) -> Sensit
     same = alike(simulator, columns)
     nominal = _nominal(paths, names)
 
-    def simulated(shares: Mapping[int, float | None], side: int, what: str) -> dict[int, Side]:
-        order = sorted(shares, key=lambda k: not takes_long(simulator, columns[k]))
-        jobs = [_Job(paths, names, k, side, shares[k], nominal) for k in order]
-        found = {}
-        for done, (k, one) in enumerate(run(_worked, jobs), 1):
-            found[k] = one
+    def simulated(shares: Mapping[int, float], side: int, what: str) -> dict[int, Side]:
+        at_once = together(simulator, columns, sorted(shares))
+        jobs = [_Job(paths, names, of, side, tuple(shares[k] for k in of), nominal) for of in at_once]
+        found: dict[int, Side] = {}
+        for done, some in enumerate(run(_worked, jobs), 1):
+            found |= some
             progress(done, len(jobs), what)
         return found
 
-    up = simulated({k: None for k in range(len(columns)) if k not in same}, 0, "sensitivities")
+    up = simulated({k: 1.0 for k in range(len(columns)) if k not in same}, 0, "sensitivities")
     last, best = up, dict.fromkeys(up, math.inf)
     for attempt in range(ROUNDS + 1):
         scale = prepare(_assembled(paths, names, last, {})).scale
@@ -158,11 +158,9 @@ def _found(paths: Logs, names: Names, run: Runner, progress: Progress) -> Sensit
 def _mended(
     simulator: ArmSimulator, columns: Sequence[Column], up: Mapping[int, Side], seen: Mapping[int, float]
 ) -> dict[int, float]:
-    """Better shares, of columns that are seen too little or too well; straight lines are as good as any."""
+    """Better shares, of columns that are seen too little or too well."""
     found: dict[int, float] = {}
     for k, by in seen.items():
-        if is_line(simulator, columns[k]):
-            continue
         share = mended(up[k].share, by)
         if share is not None and size_of(simulator, columns[k], share) != up[k].size:
             found[k] = share
@@ -286,7 +284,8 @@ def _nominal(logs: Logs, kinds: Names) -> Array:
     return _simulator(logs, kinds).predicted(())
 
 
-def _worked(job: _Job) -> tuple[int, Side]:
+def _worked(job: _Job) -> dict[int, Side]:
     simulator = _simulator(job.logs, job.kinds)
-    column = columns_of(simulator)[job.column]
-    return job.column, side_of(simulator, column, job.nominal, job.side, job.share)
+    every = columns_of(simulator)
+    sides = sides_at(simulator, [every[k] for k in job.columns], job.nominal, job.side, job.shares)
+    return dict(zip(job.columns, sides, strict=True))

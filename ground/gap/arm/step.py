@@ -2,14 +2,12 @@
 
 Much less would be lost in the rounding of counters and in how gears happen to come to rest; much more, and
 gaps change sides and tools touch, which says nothing of small sizes. What can be seen is known only beside
-the nuisances, so a step is tried, and mended.
+the nuisances, so a typical size is tried, and mended.
 """
 
 import math
 from typing import Final
 
-WANTED: Final = 60.0
-"""Sigmas, of all features together and before nuisances, by which the first step is to move them."""
 SEEN: Final = 15.0
 """Standard errors beside the nuisances that a step is to be: 4.6 times the limit of detection."""
 NEAR_ENOUGH: Final = 2.0
@@ -19,11 +17,6 @@ MOST_SHARE: Final = 2.0
 """Of a typical size."""
 ROUNDS: Final = 3
 """That steps are mended in."""
-
-
-def first_share(size: float, seen: float) -> float:
-    """Of a typical size, when a step of `size` typical ones moves features by so many sigmas."""
-    return min(max(size * WANTED / max(seen, 1e-12), LEAST_SHARE), 1.0)
 
 
 def off(seen: float) -> float:

@@ -12,10 +12,9 @@ import numpy as np
 from fsw.kinematics.transforms import Array
 from ground.gap.arm.blind.stepped import change
 from ground.gap.arm.campaign import Compared, compared
-from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import recording_in
 from ground.gap.arm.simulator import BRIEFLY, switched_on, told
-from ground.gap.arm.step import ROUNDS, first_share, mended, off
+from ground.gap.arm.step import ROUNDS, mended, off
 from ground.gap.detect import limit_beside, noncentrality
 from ground.gap.drawn import Seen
 from ground.gap.hypothesis import Hypothesis
@@ -52,7 +51,7 @@ class Outside:
 class _Job:
     logs: tuple[Path, ...]
     name: tuple[str, str]
-    share: float | None
+    share: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +108,7 @@ def limits(
     """
     with ResultsFile(kept_in / "outside.jsonl", {"of": _digest(logs, prepared)}, _seen) as kept:
         there = {(one["name"], one["place"]): _seen(one) for one in kept.done}
-        shares: dict[tuple[str, str], float | None] = {name: None for name in wanted if name not in there}
+        shares = {name: 1.0 for name in wanted if name not in there}
         best = dict.fromkeys(shares, np.inf)
         for attempt in range(ROUNDS + 1):
             jobs = [_Job(tuple(logs), name, share) for name, share in shares.items()]
@@ -133,14 +132,7 @@ def _seen(said: dict[str, Any]) -> float:
 
 
 def _sensed(job: _Job) -> _Sensed:
-    """By the share that is wanted, or by one that is about as large as those drawn."""
-    campaign, share = _campaign(job.logs), job.share
-    if share is None:
-        whole = _change(campaign, job.name, 1.0)
-        share = first_share(1.0, float(np.linalg.norm(whole / floor_of(campaign).sigma)))
-        if share == 1.0:
-            return _Sensed(job.name, share, whole)
-    return _Sensed(job.name, share, _change(campaign, job.name, share) / share)
+    return _Sensed(job.name, job.share, _change(_campaign(job.logs), job.name, job.share) / job.share)
 
 
 def _change(campaign: Compared, name: tuple[str, str], share: float) -> Array:

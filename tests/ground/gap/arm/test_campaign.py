@@ -8,18 +8,20 @@ import pytest
 
 from fsw.dictionary.joints import Frame, Joint, Tool
 from ground.gap.arm.bound import asked_again, bound, keys_of
-from ground.gap.arm.campaign import all_of, compared, measured_values, predicted_values
-from ground.gap.arm.columns import columns_of, side_of
+from ground.gap.arm.campaign import all_of, compared, driven, measured_values, only_reads, predicted_values
+from ground.gap.arm.columns import columns_of, sides_at, together
 from ground.gap.arm.features import CHANNELS, CURRENT, IMU, SHIFT, TURN
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.sensitivities import arm_sensitivities
 from ground.gap.arm.simulator import BRIEFLY, Touched, arm_simulator
+from ground.gap.arm.stepped import columns, stepped
 from ground.pool import on_this_machine
 from ground.telemetry.read import read_log
 from sim.effects.catalogue import catalogue
-from sim.effects.joints import GearStiffness
+from sim.effects.joints import GearStiffness, ResolverBias
 from sim.effects.links import LinkLength, ToolOffset
+from sim.effects.sensors import CurrentGain, EncoderZero, ResolverEccentricity
 from sim.effects.turret import TurretMass
 from sim.params import nominal_params
 
@@ -103,6 +105,23 @@ def test_effects_are_stepped_only_where_they_can_show(recordings: list[Recording
     assert not Touched((ToolOffset(Tool.DRILL, "x", 1e-3),))(touch)
 
 
+def test_what_only_reads_is_read_as_avionics_do_without_another_step(recordings: list[Recording]) -> None:
+    readers = (
+        ResolverBias(Joint.ELBOW, 1e-3),
+        ResolverEccentricity(Joint.WRIST, 1e-3, -2e-3),
+        CurrentGain(Joint.ELBOW, 1.1),
+    )
+    assert all(only_reads(effect) for effect in readers)
+    assert not only_reads(EncoderZero(Joint.ELBOW, 1e-3))
+    assert not only_reads(GearStiffness(Joint.ELBOW, 1.1))
+    recording = recordings[0]
+    anew, again = columns(stepped(recording, readers, BRIEFLY).readings), driven(recording, readers, BRIEFLY)
+    plain = driven(recording, (), BRIEFLY)
+    for name, values in anew.items():
+        np.testing.assert_allclose(again[name], values, rtol=1e-12, atol=1e-12)
+        assert np.array_equal(values, plain[name]) == (name not in ("resolver_rad", "current_A"))
+
+
 def test_nothing_is_compared_near_a_touch(recordings: list[Recording]) -> None:
     """Under the recorded drive another arm would push as the real one never did."""
     (placed,) = [one for one in recordings if one.world.surface is not None]
@@ -125,10 +144,27 @@ def test_a_sensitivity_is_the_difference_of_predictions(recordings: list[Recordi
         hypothesis = simulator.hypotheses[column.hypothesis]
         there = np.array([p.absent + 1.5 * p.typical for p in hypothesis.parameters])
         change = simulator.predict({hypothesis: there}, zero) - nominal
-        side = side_of(simulator, column, nominal)
+        (side,) = sides_at(simulator, [column], nominal, 0, [1.0])
         predicted = 1.5 * side.change / side.size
         assert np.abs(change / sigma).max() > 5
         np.testing.assert_allclose(predicted / sigma, change / sigma, atol=0.1)
+
+
+@pytest.mark.parametrize("kind", ["viscous-friction", "output-friction"])
+def test_joints_simulated_at_once_show_what_each_shows_alone(recordings: list[Recording], kind: str) -> None:
+    campaign = compared([one for one in recordings if not one.tracked.tick.size])
+    simulator = arm_simulator(campaign, floor_of(campaign).sigma, {kind: catalogue()[kind]})
+    nominal, columns = simulator.predicted(()), columns_of(simulator)
+    wanted = [k for k, column in enumerate(columns) if column.hypothesis is not None]
+    ((*at_once,),) = together(simulator, columns, wanted)
+    assert at_once == wanted
+    assert len(wanted) == len(Joint)
+    sides = sides_at(simulator, [columns[k] for k in wanted], nominal, 0, [0.3] * len(wanted))
+    for k, side in zip(wanted, sides, strict=True):
+        (alone,) = sides_at(simulator, [columns[k]], nominal, 0, [0.3])
+        assert alone.size == side.size
+        off, whole = (x / simulator.layout.sigma for x in (side.change - alone.change, alone.change))
+        assert 0.0 < np.linalg.norm(off) < 0.05 * np.linalg.norm(whole)
 
 
 def test_sensitivities_are_kept_and_found_again(logs: list[Path], tmp_path: Path) -> None:

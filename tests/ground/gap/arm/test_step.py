@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from ground.gap.arm.step import LEAST_SHARE, MOST_SHARE, NEAR_ENOUGH, ROUNDS, SEEN, first_share, mended, off
+from ground.gap.arm.step import LEAST_SHARE, MOST_SHARE, NEAR_ENOUGH, ROUNDS, SEEN, mended, off
 
 
 @pytest.mark.parametrize("per_typical", np.geomspace(2 * SEEN / MOST_SHARE, SEEN / LEAST_SHARE / 2, 7))
 def test_a_step_along_a_line_is_mended_at_once(per_typical: float) -> None:
-    share = first_share(1.0, 30.0)
-    better = mended(share, share * per_typical) or share
+    better = mended(1.0, per_typical) or 1.0
     assert 1.0 / NEAR_ENOUGH <= better * per_typical / SEEN <= NEAR_ENOUGH
     assert mended(better, better * per_typical) is None
 
@@ -20,8 +19,7 @@ def test_a_step_beyond_a_jump_comes_back_before_it() -> None:
     def seen(share: float) -> float:
         return 100.0 * share + (400.0 if share > 0.05 else 0.0)
 
-    share: float = first_share(1.0, 120.0)
-    assert share > 0.05
+    share = 1.0
     for _ in range(ROUNDS):
         share = mended(share, seen(share)) or share
     assert share < 0.05
