@@ -13,7 +13,7 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.joints import Joint, Switch
 from fsw.kinematics.transforms import Array
 from fsw.messages import Counts, Drive, Sensors
-from sim.effects.effect import Effect, Hardware, drawn_scatter, gone_on
+from sim.effects.effect import Effect, Hardware, drawn_scatter, gone_on, read_through
 from sim.frames import FLIP
 from sim.plant import RESISTANCE, Plant
 
@@ -102,15 +102,9 @@ class Avionics:
             switch_closed=data.sensordata[self._touch] > hardware.switch_force_N,
             gravity_R_m_s2=self._gravity_R + hardware.gravity_noise_m_s2 * noise[10:],
         )
-        return self._spoilt(sensors) if hardware.spoilt else sensors
-
-    def _spoilt(self, sensors: Sensors) -> Sensors:
-        """The readings with all that is wrong with them, in the order in which it began."""
-        begun = []
-        for spoilt in self._hardware.spoilt:
-            begun.append(spoilt.held(sensors))
-            sensors = begun[-1].read(sensors, self._rng)
-        self._hardware = replace(self._hardware, spoilt=tuple(begun))
+        if hardware.spoilt:
+            sensors, begun = read_through(hardware.spoilt, sensors, self._rng)
+            self._hardware = replace(hardware, spoilt=begun)
         return sensors
 
     @property

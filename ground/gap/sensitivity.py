@@ -91,7 +91,16 @@ def load(path: Path) -> Sensitivities:
     """Sensitivities as they were kept; ValueError if the file does not hold any, or is cut or damaged."""
     try:
         return _loaded(path)
-    except (OSError, EOFError, BadZipFile, zlib.error, ValueError, KeyError, TypeError) as error:
+    except (
+        OSError,
+        EOFError,
+        BadZipFile,
+        zlib.error,
+        ValueError,
+        KeyError,
+        TypeError,
+        RuntimeError,
+    ) as error:
         raise ValueError(f"{path}: no sensitivities ({error})") from error
 
 

@@ -27,6 +27,17 @@ class Spoilt(Protocol):
         """The same, knowing what was read when it began."""
 
 
+def read_through(
+    spoilt: tuple[Spoilt, ...], sensors: Sensors, rng: np.random.Generator
+) -> tuple[Sensors, tuple[Spoilt, ...]]:
+    """The readings with all that is wrong with them, in the order in which it began; and what that knows."""
+    begun = []
+    for one in spoilt:
+        begun.append(one.held(sensors))
+        sensors = begun[-1].read(sensors, rng)
+    return sensors, tuple(begun)
+
+
 class Warped(Protocol):
     """Something wrong with a resolver that depends on how its joint stands."""
 

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -11,7 +12,7 @@ from fsw.config import CYCLE_HZ, digest
 from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
-from ground.gap.arm.logs import Recording
+from ground.gap.arm.logs import NotForDiagnosis, Recording, recording_in
 from ground.gap.arm.segments import rests_in, segments_in
 
 CONTINUOUS: Final = ("resolver_rad", "current_A", "gravity_R_m_s2")
@@ -43,6 +44,19 @@ def refusals(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
         if digest(one.params) != digest(base)
     ]
     return (*wrong, *others)
+
+
+def believed(paths: Sequence[Path], base: Params | None = None) -> list[Recording]:
+    """Recordings that may be compared with a simulator of these parameters, or else of the first one's.
+
+    Raises:
+        NotForDiagnosis: one may not; the message says why.
+    """
+    recordings = [recording_in(path) for path in paths]
+    wrong = refusals(recordings, base or recordings[0].params) if recordings else ()
+    if wrong:
+        raise NotForDiagnosis("\n".join(wrong))
+    return recordings
 
 
 def too_little(recordings: Sequence[Recording]) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """All recordings of a campaign as features: what they are, what was measured, what a simulator predicts."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Final
 
@@ -16,7 +16,7 @@ from ground.gap.arm.logs import Recording
 from ground.gap.arm.poses import Knots, Resting, knots_in, read_resolvers, resting
 from ground.gap.arm.stepped import columns, stepped, stepped_once
 from sim.driven import Manner
-from sim.effects.effect import Effect, Hardware, nominal_hardware
+from sim.effects.effect import Effect, Hardware, nominal_hardware, read_through
 from sim.effects.friction import OutputFriction
 from sim.params import nominal_params
 from sim.plant import AXES
@@ -122,11 +122,11 @@ def predicted_values(
 
 
 def driven(recording: Recording, effects: Sequence[Effect], manner: Manner) -> Columns:
-    """The sensors of an arm with these effects under the recorded drive, by tick."""
+    """The sensors of an arm with these effects under the recorded drive, by tick; a manner without noise."""
     readers = [effect for effect in effects if only_reads(effect)]
     acting = tuple(effect for effect in effects if effect not in readers)
     readings = (stepped_once if readers else stepped)(recording, acting, manner).readings
-    return columns(_reread(readings, readers) if readers else readings)
+    return columns(list(_reread(readings, readers)) if readers else readings)
 
 
 def only_reads(effect: Effect) -> bool:
@@ -139,24 +139,24 @@ def only_reads(effect: Effect) -> bool:
     return bool(other) and other <= READ
 
 
-def _reread(readings: Sequence[Sensors], readers: Sequence[Effect]) -> list[Sensors]:
-    """What sensors with these effects read where ideal resolvers read that: as avionics sense it."""
-    hardware = nominal_hardware()
+def _reread(readings: Sequence[Sensors], readers: Sequence[Effect]) -> Iterator[Sensors]:
+    """What avionics with these effects would sense where those without noise sensed that."""
+    hardware, rng = nominal_hardware(), np.random.default_rng(0)
     for effect in readers:
         hardware = effect.on_hardware(hardware)
-    rng = np.random.default_rng(0)
-    return [_read(one, hardware, rng) for one in readings]
+    spoilt = hardware.spoilt
+    for one in readings:
+        sensors, spoilt = read_through(spoilt, _resolved(one, hardware), rng)
+        yield sensors
 
 
-def _read(sensors: Sensors, hardware: Hardware, rng: np.random.Generator) -> Sensors:
+def _resolved(sensors: Sensors, hardware: Hardware) -> Sensors:
+    """Without noise a resolver reads its output, with what is wrong with it."""
     output_rad = sensors.resolver_rad
     resolver_rad = output_rad + hardware.resolver_bias_rad
     for warped in hardware.warped:
         resolver_rad = resolver_rad + warped.error_rad(output_rad)
-    sensors = replace(sensors, resolver_rad=resolver_rad)
-    for spoilt in hardware.spoilt:
-        sensors = spoilt.read(sensors, rng)
-    return sensors
+    return replace(sensors, resolver_rad=resolver_rad)
 
 
 def _posed(knots: Knots, nominal: Resting, *others: Resting) -> Posed:

@@ -98,8 +98,7 @@ def _kind(simulator: ArmSimulator, column: Column) -> tuple[str, int] | None:
     """What it is, wherever it is; None if it does not stay in a joint, or the arm is stepped to its rests."""
     if column.hypothesis is None or takes_long(simulator, column):
         return None
-    (effect,) = _whole(simulator, column).effects
-    at_joint = getattr(effect, "joint", None) is not None
+    at_joint = _joint_of(_whole(simulator, column)) is not None
     return (simulator.hypotheses[column.hypothesis].effect, column.at) if at_joint else None
 
 
@@ -116,10 +115,10 @@ def sides_at(
     Of repeats only the first is simulated: the others were given the same drive.
     """
     ends = [_ends(simulator, column, by)[number] for column, by in zip(columns, shares, strict=True)]
-    if len(ends) > 1:
-        changes = _each(simulator, ends, nominal)
-    else:
+    if _kind(simulator, columns[0]) is None:
         changes = [_alone(simulator, columns[0], ends[0], nominal)]
+    else:
+        changes = _each(simulator, ends, nominal)
     return [Side(by, end.size, change) for by, end, change in zip(shares, ends, changes, strict=True)]
 
 
@@ -142,14 +141,16 @@ def _each(simulator: ArmSimulator, ends: Sequence[_End], nominal: Array) -> list
     return found
 
 
-def _at(simulator: ArmSimulator, name: str) -> Flags:
+def _at(simulator: ArmSimulator, name: str | None) -> Flags:
     """Features at a place, (m,)."""
     return np.array([place == name for place in simulator.layout.places])[simulator.layout.place]
 
 
-def _joint_of(end: _End) -> str:
-    (joint,) = {Joint(effect.joint) for effect in end.effects if hasattr(effect, "joint")}
-    return joint.name.lower()
+def _joint_of(end: _End) -> str | None:
+    """The joint that it sits at, by name; None if it sits elsewhere."""
+    (effect,) = end.effects
+    joint = getattr(effect, "joint", None)
+    return None if joint is None else Joint(joint).name.lower()
 
 
 def _whole(simulator: ArmSimulator, column: Column) -> _End:

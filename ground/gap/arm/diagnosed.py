@@ -4,10 +4,9 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from fsw.dictionary.params import Params
-from ground.gap.arm.audit import refusals, too_little
+from ground.gap.arm.audit import believed, too_little
 from ground.gap.arm.case import solved
-from ground.gap.arm.logs import NotForDiagnosis, Recording, recording_in
+from ground.gap.arm.logs import NotForDiagnosis, Recording
 from ground.gap.arm.recorded import APART
 from ground.gap.arm.reference import reference
 from ground.gap.arm.request import DiagnoseRequest
@@ -26,7 +25,7 @@ def diagnosed(request: DiagnoseRequest, progress: Progress) -> Result:
         BadOutput: it cannot be written.
     """
     base = request.base
-    fitted, apart = (_read(paths, base) for paths in (request.logs, request.held_out))
+    fitted, apart = (believed(paths, base) for paths in (request.logs, request.held_out))
     _check_sessions((*request.logs, *request.held_out), (*fitted, *apart))
     _check_apart(fitted, apart)
     _check_motion(fitted)
@@ -42,15 +41,6 @@ def diagnosed(request: DiagnoseRequest, progress: Progress) -> Result:
         request.kinds,
     )
     return solved(fitted, apart, against, request.seed, request.patch)
-
-
-def _read(paths: Sequence[Path], base: Params) -> list[Recording]:
-    """Recordings that may be believed."""
-    recordings = [recording_in(path) for path in paths]
-    wrong = refusals(recordings, base)
-    if wrong:
-        raise NotForDiagnosis("\n".join(wrong))
-    return recordings
 
 
 def _cache() -> Path:

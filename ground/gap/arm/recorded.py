@@ -38,10 +38,16 @@ def check_record(request: RecordRequest) -> None:
     check_seed(request.seed)
     chosen_effects(request.effects)
     chosen_arm(request.arm, request.params)
-    if request.out.exists() and (not request.out.is_dir() or os.listdir(request.out)):
+    if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
         raise BadRequest(f"out {request.out}: is there already; name a new folder")
-    if not request.out.absolute().parent.is_dir():
+    if not os.path.isdir(request.out.absolute().parent):
         raise BadRequest(f"out {request.out}: there is no folder {request.out.parent}")
+    try:
+        request.out.lstat()
+    except FileNotFoundError:
+        pass  # a new folder
+    except OSError as error:
+        raise BadRequest(f"out {request.out}: cannot be written ({error.strerror})") from error
 
 
 def recorded(request: RecordRequest, progress: Progress) -> list[Path]:

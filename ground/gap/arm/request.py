@@ -1,6 +1,7 @@
 """A diagnosis as it is asked for on the command line."""
 
 import hashlib
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -67,7 +68,7 @@ def diagnose_request(
             params_over_nominal(params)
         except BadParams as error:
             raise BadRequest(str(error)) from error
-    if campaign is not None and not campaign.is_dir():
+    if campaign is not None and not os.path.isdir(campaign):
         raise BadRequest(f"campaign {campaign}: there is no such folder of logs")
     kinds = None if names is None else _kinds(names)
     return DiagnoseRequest(fitted, apart, params, kinds, campaign, seed, chosen_effects(tuple(effects)))
@@ -76,13 +77,15 @@ def diagnose_request(
 def _logs(given: Sequence[Path], what: str) -> Iterator[Path]:
     """Files as they are, folders as what is in them, in the order of names."""
     for path in given:
-        if path.is_dir():
+        if os.path.isdir(path):  # unlike Path.is_dir, False for any bad name
             inside = sorted(one for one in path.glob("*.mcap") if one.is_file())
             if not inside:
                 raise BadRequest(f"{what} {path}: this folder holds no .mcap file")
             yield from inside
-        elif path.is_file():
+        elif os.path.isfile(path):
             yield path
+        elif os.path.exists(path):
+            raise BadRequest(f"{what} {path}: this is neither a regular file nor a folder")
         else:
             raise BadRequest(f"{what} {path}: there is no such file or folder")
 

@@ -18,6 +18,7 @@ import ground
 import sim
 from fsw.config import digest
 from fsw.kinematics.transforms import Array
+from ground.gap.arm.audit import believed
 from ground.gap.arm.bound import keys_of
 from ground.gap.arm.campaign import compared
 from ground.gap.arm.columns import (
@@ -31,7 +32,6 @@ from ground.gap.arm.columns import (
     together,
 )
 from ground.gap.arm.floor import floor_of
-from ground.gap.arm.logs import recording_in
 from ground.gap.arm.simulator import ArmSimulator, arm_simulator
 from ground.gap.arm.step import ROUNDS, mended, off
 from ground.gap.layout import Layout
@@ -92,6 +92,7 @@ def arm_sensitivities(
     The file's name has the digest of logs, model and catalogue in it; any change makes another file.
 
     Raises:
+        NotForDiagnosis: a log cannot be compared.
         BadRequest: what is kept cannot be read, or the folder cannot be made.
         BadOutput: a file cannot be written.
     """
@@ -156,13 +157,13 @@ def _found(paths: Logs, names: Names, run: Runner, progress: Progress) -> Sensit
 
 
 def _mended(
-    simulator: ArmSimulator, columns: Sequence[Column], up: Mapping[int, Side], seen: Mapping[int, float]
+    simulator: ArmSimulator, columns: Sequence[Column], last: Mapping[int, Side], seen: Mapping[int, float]
 ) -> dict[int, float]:
     """Better shares, of columns that are seen too little or too well."""
     found: dict[int, float] = {}
     for k, by in seen.items():
-        share = mended(up[k].share, by)
-        if share is not None and size_of(simulator, columns[k], share) != up[k].size:
+        share = mended(last[k].share, by)
+        if share is not None and size_of(simulator, columns[k], share) != last[k].size:
             found[k] = share
     return found
 
@@ -275,7 +276,7 @@ def sources_in(package: ModuleType) -> list[Path]:
 @cache
 def _simulator(logs: Logs, kinds: Names) -> ArmSimulator:
     """Once in each process."""
-    campaign = compared([recording_in(path) for path in logs])
+    campaign = compared(believed(logs))
     return arm_simulator(campaign, floor_of(campaign).sigma, {name: catalogue()[name] for name in kinds})
 
 

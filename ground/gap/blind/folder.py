@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ground.gap.blind.truth import sealed_digest
-from ground.outputs import written_whole
+from ground.outputs import BadOutput, written_whole
 from ground.request import BadRequest
 
 CAMPAIGN: Final = "campaign"
@@ -56,6 +56,9 @@ def documents(folder: Path) -> dict[str, dict[str, Any]]:
 
 def write_json(path: Path, document: Mapping[str, Any] | list[Any]) -> None:
     """A document, whole or not at all; BadOutput if it cannot be written."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadOutput(f"out {path}: cannot be written ({error.strerror or error})") from error
     with written_whole(path, "out") as file:
         file.write((json.dumps(document, indent=1, allow_nan=False) + "\n").encode())

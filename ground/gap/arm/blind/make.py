@@ -22,6 +22,7 @@ from ground.gap.blind.truth import TrueCase, TrueEffect, Truth, seal, sealed_bef
 from ground.gap.drawn import Drawn, Seen
 from ground.pool import Runner
 from ground.progress import Progress
+from ground.request import BadRequest
 from sim.arms import arm_named, later
 from sim.diagnosis.campaign import SessionFailed, sessions
 from sim.diagnosis.motions import Session
@@ -60,10 +61,19 @@ def make(
     """So many cases from a seed; what is there already stays. `publish` is told the digest before any case.
 
     Raises:
-        BadRequest: the folder holds cases of another seed or number.
+        BadRequest: the folder holds cases of another seed or number, or cannot be written.
         TellsTruth: a log would give its truth away; it is not there.
         BadOutput: a file cannot be written.
     """
+    try:
+        return _made(folder, cases, seed, run, progress, publish)
+    except OSError as error:
+        raise BadRequest(f"out {folder}: cannot be written ({error.strerror or error})") from error
+
+
+def _made(
+    folder: Path, cases: int, seed: int, run: Runner, progress: Progress, publish: Callable[[str], None]
+) -> Made:
     folder.mkdir(exist_ok=True)
     truth = sealed_before(folder, salt(seed), cases)
     if truth is None:

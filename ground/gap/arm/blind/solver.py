@@ -3,12 +3,14 @@
 from pathlib import Path
 from typing import Any
 
+from ground.gap.arm.audit import believed
 from ground.gap.arm.blind.evidence import features, kept_campaign, reference_campaign, split
 from ground.gap.arm.case import asked, said_of
-from ground.gap.arm.logs import NotForDiagnosis, recording_in
+from ground.gap.arm.logs import NotForDiagnosis
 from ground.gap.blind.evidence import Features
 from ground.gap.blind.solve import SEED, NoDiagnosis, Solver
 from ground.gap.told import told
+from sim.params import nominal_params
 from sim.plant import PlantDiverged
 
 
@@ -20,7 +22,7 @@ def diagnosed_case(case: Path, campaign: Path) -> tuple[dict[str, Any], Features
     """
     against = reference_campaign(campaign)
     try:
-        fitted, held = ([recording_in(log) for log in logs] for logs in split(case))
+        fitted, held = (believed(logs, nominal_params()) for logs in split(case))
         here = asked(fitted, held, against)
         return told(said_of(here, against, SEED)), features(here)
     except (NotForDiagnosis, PlantDiverged) as error:

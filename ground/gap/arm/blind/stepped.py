@@ -13,8 +13,9 @@ from fsw.kinematics.transforms import Array, batched, inverse
 from ground.calibration.screws import screw_log
 from ground.gap.arm.campaign import Compared, Posed
 from ground.gap.arm.features import Moving, measured
+from ground.gap.arm.logs import Recording
 from ground.gap.arm.poses import read_resolvers
-from ground.gap.arm.stepped import Stepped, columns, stepped_once
+from ground.gap.arm.stepped import Stepped, columns, stepped, stepped_once
 from sim.driven import Manner
 from sim.effects.effect import Effect
 
@@ -28,21 +29,26 @@ def change(campaign: Compared, effects: Sequence[Effect], manner: Manner) -> Arr
 
 
 def _moving(one: Moving, effects: Sequence[Effect], manner: Manner) -> Array:
-    with_it, without = (stepped_once(one.recording, some, manner) for some in (tuple(effects), ()))
+    with_it, without = _both(one.recording, effects, manner)
     return measured(one, columns(with_it.readings)) - measured(one, columns(without.readings))
 
 
 def _posed(one: Posed, effects: Sequence[Effect], manner: Manner) -> Array:
     recording = one.knots.recording
     ends = [one.knots.tick[one.knots.rests[r]] + 1 for r, _ in one.seen]
-    with_it, without = (
-        stepped_once(recording, some, manner, frozenset(ends)) for some in (tuple(effects), ())
-    )
+    with_it, without = _both(recording, effects, manner, frozenset(ends))
     resolvers = _resolvers(one, with_it) - _resolvers(one, without)
     if not ends:
         return np.asarray(resolvers.ravel())
     before, after = (batched([found.X_RF[end] for end in ends]) for found in (without, with_it))
     return np.concatenate([resolvers.ravel(), screw_log(inverse(before) @ after).ravel()])
+
+
+def _both(
+    recording: Recording, effects: Sequence[Effect], manner: Manner, looked: frozenset[int] = frozenset()
+) -> tuple[Stepped, Stepped]:
+    """With effects, and without: that is asked again for every effect."""
+    return stepped(recording, effects, manner, looked), stepped_once(recording, (), manner, looked)
 
 
 def _resolvers(one: Posed, found: Stepped) -> Array:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.joints import Frame, Joint, Tool
+from ground.gap.arm.blind.outside import all_outside
 from ground.gap.arm.bound import asked_again, bound, keys_of
 from ground.gap.arm.campaign import all_of, compared, driven, measured_values, only_reads, predicted_values
 from ground.gap.arm.columns import columns_of, sides_at, together
@@ -14,11 +15,12 @@ from ground.gap.arm.features import CHANNELS, CURRENT, IMU, SHIFT, TURN
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.sensitivities import arm_sensitivities
-from ground.gap.arm.simulator import BRIEFLY, Touched, arm_simulator
+from ground.gap.arm.simulator import BRIEFLY, Touched, arm_simulator, switched_on
 from ground.gap.arm.stepped import columns, stepped
 from ground.pool import on_this_machine
 from ground.telemetry.read import read_log
 from sim.effects.catalogue import catalogue
+from sim.effects.effect import Effect
 from sim.effects.joints import GearStiffness, ResolverBias
 from sim.effects.links import LinkLength, ToolOffset
 from sim.effects.sensors import CurrentGain, EncoderZero, ResolverEccentricity
@@ -105,11 +107,21 @@ def test_effects_are_stepped_only_where_they_can_show(recordings: list[Recording
     assert not Touched((ToolOffset(Tool.DRILL, "x", 1e-3),))(touch)
 
 
+def remembering() -> list[Effect]:
+    """Effects of sensors that remember, from outside the catalogue."""
+    found = {name: one for (name, place), one in all_outside().items() if place == "elbow"}
+    values = {"late-resolver": [0.05], "sluggish-current": [0.1]}
+    return [
+        switched_on(found[name].made, found[name].hypothesis, np.array(of)) for name, of in values.items()
+    ]
+
+
 def test_what_only_reads_is_read_as_avionics_do_without_another_step(recordings: list[Recording]) -> None:
     readers = (
         ResolverBias(Joint.ELBOW, 1e-3),
         ResolverEccentricity(Joint.WRIST, 1e-3, -2e-3),
         CurrentGain(Joint.ELBOW, 1.1),
+        *remembering(),
     )
     assert all(only_reads(effect) for effect in readers)
     assert not only_reads(EncoderZero(Joint.ELBOW, 1e-3))
@@ -160,10 +172,12 @@ def test_joints_simulated_at_once_show_what_each_shows_alone(recordings: list[Re
     assert at_once == wanted
     assert len(wanted) == len(Joint)
     sides = sides_at(simulator, [columns[k] for k in wanted], nominal, 0, [0.3] * len(wanted))
-    for k, side in zip(wanted, sides, strict=True):
-        (alone,) = sides_at(simulator, [columns[k]], nominal, 0, [0.3])
-        assert alone.size == side.size
-        off, whole = (x / simulator.layout.sigma for x in (side.change - alone.change, alone.change))
+    zero = np.zeros(len(simulator.nuisances))
+    for hypothesis, side in zip(simulator.hypotheses, sides, strict=True):
+        (one,) = hypothesis.parameters
+        there = {hypothesis: np.array([one.absent + side.size * one.typical])}
+        alone = simulator.predict(there, zero) - nominal
+        off, whole = (x / simulator.layout.sigma for x in (side.change - alone, alone))
         assert 0.0 < np.linalg.norm(off) < 0.05 * np.linalg.norm(whole)
 
 

@@ -54,6 +54,8 @@ def test_no_log_counts_as_its_own_repeat(folder):
         ({"effects": ["rusty-gear"]}, "'rusty-gear' is not known"),
         ({"params": "other.mcap"}, "is not TOML"),
         ({"held_out": ["none.mcap"]}, "held-out log .*none.mcap: there is no such file or folder"),
+        ({"held_out": ["n" * 300]}, "there is no such file or folder"),
+        ({"held_out": ["/dev/null"]}, "held-out log /dev/null: this is neither a regular file nor a folder"),
     ],
 )
 def test_what_is_wrong_is_refused(folder, options, said):
