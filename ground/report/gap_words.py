@@ -14,6 +14,8 @@ from ground.gap.where import Cell
 
 FEW: Final = 3
 """Names of a kind in a sentence."""
+APART: Final = 1.0
+"""Sigmas by which a motion must set two effects apart to be worth its time."""
 DEPENDS: Final = {"nothing": "a constant offset", "noise": "no condition, as if it were noise"}
 
 
@@ -111,6 +113,11 @@ def next_sentence(result: Result) -> str:
     said = result.diagnosis
     if result.next_motion:
         best = result.next_motion[0]
+        if best.separation < APART:
+            return (
+                f"No motion of this campaign would tell apart what cannot be told apart now: the best, "
+                f"{best.name}, sets it {number(best.separation)} sigmas apart."
+            )
         return (
             f"Record {best.name}: what cannot be told apart now ({number(best.now)} sigmas) it would set "
             f"{number(best.separation)} sigmas apart."

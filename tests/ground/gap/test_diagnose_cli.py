@@ -67,6 +67,16 @@ def test_what_is_surprising_and_predicts_nothing_is_told_as_that(diagnose, resul
     assert "Next: Record more motions that would show effect" in printed
 
 
+def test_a_motion_is_advised_only_if_it_would_tell_effects_apart(diagnose, results):
+    result = results["alike"]
+    best = replace(result.next_motion[0], separation=3.0)
+    for separation, advised in ((3.0, True), (1e-5, False)):
+        shown = replace(result, next_motion=(replace(best, separation=separation),))
+        printed = " ".join(diagnose(shown).stdout.split())
+        assert (f"Next: Record {best.name}: " in printed) == advised
+        assert ("No motion of this campaign would tell apart" in printed) != advised
+
+
 def test_the_document_is_what_is_told(diagnose, results):
     done = diagnose(results["undecided"], "--json")
     assert json.loads(done.stdout) == told(results["undecided"])
