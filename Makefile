@@ -76,7 +76,7 @@ jobs: $(VENV)/ready
 SEED ?= 1
 OUT ?= blind-$(SEED)
 blind: $(VENV)/ready
-	@$(call say,200 blind cases in $(WORKERS) processes; this takes two hours)
+	@$(call say,200 blind cases in $(WORKERS) processes; this takes two and a half hours)
 	@$(BIN)/marsarm gap blind make --seed $(SEED) --out $(OUT) --jobs $(WORKERS) >&2
 	@$(BIN)/marsarm gap blind solve $(OUT) --jobs $(WORKERS) >&2
 	@$(BIN)/marsarm gap blind score $(OUT) --json $(ARGS)

@@ -22,24 +22,29 @@ def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: 
     file = Path(path)
     if file.suffix.lower() not in suffixes:
         raise BadOutput(f"{what} {file}: its name must end in {' or '.join(suffixes)}")
-    if not os.path.isdir(file.parent):  # unlike Path.is_dir, False for any bad name
-        raise BadOutput(f"{what} {file}: there is no folder {file.parent}")
+    check_place(file, what)
     if os.path.isdir(file):
         raise BadOutput(f"{what} {file}: this is a folder; name a file in it")
     exists = os.path.exists(file)
     if exists and not os.path.isfile(file):
         raise BadOutput(f"{what} {file}: this is not a regular file; give the path of a new file")
-    try:
-        file.lstat()
-        if not exists:
-            raise BadOutput(f"{what} {file}: this is a link to {os.readlink(file)}, which is not there")
-    except FileNotFoundError:
-        pass  # a new file
-    except OSError as error:
-        raise BadOutput(f"{what} {file}: cannot be written ({error.strerror})") from error
+    if not exists and os.path.islink(file):
+        raise BadOutput(f"{what} {file}: this is a link to {os.readlink(file)}, which is not there")
     if not os.access(file if exists else file.parent, os.W_OK):
         raise BadOutput(f"{what} {file}: no right to write there")
     return file
+
+
+def check_place(place: Path, what: str) -> None:
+    """BadOutput if there is no folder to make this in, or nothing can have such a name."""
+    if not os.path.isdir(place.parent):  # unlike Path.is_dir, False for any bad name
+        raise BadOutput(f"{what} {place}: there is no folder {place.parent}")
+    try:
+        place.lstat()
+    except FileNotFoundError:
+        pass  # it is new
+    except OSError as error:
+        raise BadOutput(f"{what} {place}: cannot be written ({error.strerror})") from error
 
 
 @contextmanager

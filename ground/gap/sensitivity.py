@@ -87,20 +87,17 @@ def save(path: Path, found: Sensitivities) -> None:
         np.savez(file, words=np.array(json.dumps(words)), **arrays)
 
 
+_DAMAGE: Final = (
+    *(OSError, EOFError, BadZipFile, zlib.error, RuntimeError),  # the last of what zipfile cannot unpack
+    *(ValueError, KeyError, TypeError),
+)
+
+
 def load(path: Path) -> Sensitivities:
     """Sensitivities as they were kept; ValueError if the file does not hold any, or is cut or damaged."""
     try:
         return _loaded(path)
-    except (
-        OSError,
-        EOFError,
-        BadZipFile,
-        zlib.error,
-        ValueError,
-        KeyError,
-        TypeError,
-        RuntimeError,
-    ) as error:
+    except _DAMAGE as error:
         raise ValueError(f"{path}: no sensitivities ({error})") from error
 
 

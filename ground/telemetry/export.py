@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ground.dictionary.units import unit_of
-from ground.outputs import BadOutput, check_output, written_whole
+from ground.outputs import BadOutput, check_output, check_place, written_whole
 from ground.progress import Progress
 from ground.request import check_apart
 from ground.telemetry.events import CommandEntry, EvrEntry
@@ -149,8 +149,7 @@ def _files(out: Path, topics: Sequence[str], kind: str) -> dict[str, Path]:
         raise BadOutput(
             f"out {out}: must end in .parquet or .csv, or be a folder; the name of a new one has no dot"
         )
-    if not os.path.isdir(out.parent):
-        raise BadOutput(f"out {out}: there is no folder {out.parent}")
+    check_place(out, "out")
     files = {topic: out / (topic.strip("/").replace("/", "_") + kind) for topic in topics}
     if os.path.isdir(out):
         for path in files.values():

@@ -140,7 +140,7 @@ def only_reads(effect: Effect) -> bool:
 
 
 def _reread(readings: Sequence[Sensors], readers: Sequence[Effect]) -> Iterator[Sensors]:
-    """What avionics with these effects would sense where those without noise sensed that."""
+    """The same readings, without noise, as avionics with these effects would have sensed them."""
     hardware, rng = nominal_hardware(), np.random.default_rng(0)
     for effect in readers:
         hardware = effect.on_hardware(hardware)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from ground.gap.arm.record import record_campaign
-from ground.outputs import beside
+from ground.outputs import beside, check_place
 from ground.progress import Progress
 from ground.request import BadRequest, check_seed, chosen_arm, chosen_effects
 from sim.arms import later
@@ -33,21 +33,14 @@ def check_record(request: RecordRequest) -> None:
     """Refuse what cannot be recorded, or not there; nothing is written.
 
     Raises:
-        BadRequest: the message says why.
+        BadRequest, BadOutput: the message says why.
     """
     check_seed(request.seed)
     chosen_effects(request.effects)
     chosen_arm(request.arm, request.params)
     if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
         raise BadRequest(f"out {request.out}: is there already; name a new folder")
-    if not os.path.isdir(request.out.absolute().parent):
-        raise BadRequest(f"out {request.out}: there is no folder {request.out.parent}")
-    try:
-        request.out.lstat()
-    except FileNotFoundError:
-        pass  # a new folder
-    except OSError as error:
-        raise BadRequest(f"out {request.out}: cannot be written ({error.strerror})") from error
+    check_place(request.out, "out")
 
 
 def recorded(request: RecordRequest, progress: Progress) -> list[Path]:

@@ -5,19 +5,19 @@ from pathlib import Path
 
 from ground.gap.blind.folder import CAMPAIGN, PART
 from ground.gap.blind.truth import DIGEST
+from ground.outputs import check_place
 from ground.request import BadRequest, check_seed
 
 MOST_CASES = 1000
 
 
 def check_make(cases: int, seed: int, out: Path, jobs: int) -> None:
-    """BadRequest if there cannot be such cases there; nothing is written."""
+    """BadRequest or BadOutput if there cannot be such cases there; nothing is written."""
     if not 1 <= cases <= MOST_CASES:
         raise BadRequest(f"cases: {cases} is not within 1 .. {MOST_CASES}")
     check_seed(seed)
     check_jobs(jobs)
-    if not os.path.isdir(out.parent):
-        raise BadRequest(f"out {out}: there is no folder {out.parent}")
+    check_place(out, "out")
     if not os.path.exists(out):
         return
     if not os.path.isdir(out):

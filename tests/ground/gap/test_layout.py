@@ -54,6 +54,16 @@ def test_a_file_that_was_cut_is_refused(made, tmp_path, share):
         load(tmp_path / "s.npz")
 
 
+@pytest.mark.parametrize(("at", "value"), [(8, 1), (10, 99)])
+def test_a_file_whose_directory_says_it_is_locked_or_packed_otherwise_is_refused(made, tmp_path, at, value):
+    save(tmp_path / "s.npz", found(made))
+    damaged = bytearray((tmp_path / "s.npz").read_bytes())
+    damaged[damaged.index(b"PK\x01\x02") + at] = value
+    (tmp_path / "s.npz").write_bytes(damaged)
+    with pytest.raises(ValueError, match=r"s\.npz: no sensitivities"):
+        load(tmp_path / "s.npz")
+
+
 def test_a_feature_that_is_not_finite_is_named(made):
     value = np.zeros(made.layout.size)
     value[5] = np.nan

@@ -10,9 +10,9 @@ from typing import Any, Final
 import numpy as np
 
 from fsw.kinematics.transforms import Array
+from ground.gap.arm.audit import believed
 from ground.gap.arm.blind.stepped import change
 from ground.gap.arm.campaign import Compared, compared
-from ground.gap.arm.logs import recording_in
 from ground.gap.arm.simulator import BRIEFLY, switched_on, told
 from ground.gap.arm.step import ROUNDS, mended, off
 from ground.gap.detect import limit_beside, noncentrality
@@ -145,7 +145,7 @@ def _change(campaign: Compared, name: tuple[str, str], share: float) -> Array:
 
 @cache
 def _campaign(logs: tuple[Path, ...]) -> Compared:
-    return compared([recording_in(path) for path in logs])
+    return compared(believed(logs))
 
 
 def _digest(logs: Sequence[Path], prepared: Prepared) -> str:
