@@ -151,7 +151,7 @@ BAD = {
         ("export", "run.mcap", "out.tsv"),
         "must end in .parquet or .csv, or be a folder",
     ),
-    "a long name": (("export", "run.mcap", "a" * 300), "cannot be made (File name too long)"),
+    "a long name": (("export", "run.mcap", "a" * 300), "cannot be written (File name too long)"),
     "a folder nowhere": (("export", "run.mcap", "/proc/tables"), "this folder cannot be made"),
     "time from nan": (("channels", "run.mcap", "--from", "nan"), "is no log time"),
     "time to minus": (("channels", "run.mcap", "--to", "-1"), "is no log time"),
