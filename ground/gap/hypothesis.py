@@ -1,10 +1,14 @@
 """What may cause a gap (hypotheses), and what may differ without being its cause (nuisances)."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from fsw.kinematics.transforms import Array
+
+FACTOR: Final = "ln"
+"""Unit of what is told as the logarithm of a factor."""
 
 
 @dataclass(frozen=True, slots=True)

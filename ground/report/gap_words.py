@@ -5,7 +5,7 @@ from math import exp, inf, isfinite
 from typing import Final
 
 from ground.gap.diagnose import Finding
-from ground.gap.hypothesis import Hypothesis
+from ground.gap.hypothesis import FACTOR, Hypothesis
 from ground.gap.ready import Ready
 from ground.gap.result import Result
 from ground.gap.structure import Remains
@@ -149,7 +149,7 @@ def number(value: float) -> str:
 
 def quantity(value: float, unit: str) -> str:
     """Three digits and the unit; a logarithm is told as the factor that it is."""
-    if unit == "ln":
+    if unit == FACTOR:
         return f"times {exp(value):.3g}"
     return f"{value:.3g}" if unit in ("", "1") else f"{value:.3g} {unit}"
 
@@ -161,7 +161,7 @@ def interval(least: float, most: float, without: str = "assumed") -> str:
 
 def value_interval(least: float, most: float, unit: str) -> str:
     """Of a parameter: of a logarithm, that of the factor that it is."""
-    return interval(exp(least), exp(most)) if unit == "ln" else interval(least, most)
+    return interval(exp(least), exp(most)) if unit == FACTOR else interval(least, most)
 
 
 def cell_interval(cell: Cell) -> str:

@@ -15,6 +15,7 @@ from ground.gap.arm.bound import changed
 from ground.gap.arm.campaign import none_of
 from ground.gap.arm.poses import MOVES_ON
 from ground.gap.arm.simulator import ArmSimulator
+from ground.gap.hypothesis import FACTOR
 from sim.effects.effect import Effect
 
 
@@ -59,13 +60,19 @@ def columns_of(simulator: ArmSimulator) -> list[Column]:
 
 
 def alike(simulator: ArmSimulator, columns: Sequence[Column]) -> dict[int, tuple[int, float]]:
-    """Nuisances that are a hypothesis or another nuisance as well: that one's column, and what 1 is of it."""
+    """Nuisances that are a hypothesis or another nuisance as well: that one's column, and what 1 is of it.
+
+    Not of a hypothesis that is a factor: the steps by which it can be seen bend, and gaps change sides on the
+    way, where the nuisance hardly departs from one.
+    """
     known: dict[str, tuple[int, float]] = {}
     found: dict[int, tuple[int, float]] = {}
     for k, column in enumerate(columns):
         if column.hypothesis is not None:
             hypothesis = simulator.hypotheses[column.hypothesis]
-            known.setdefault(hypothesis.name, (k, hypothesis.parameters[column.at].typical))
+            parameter = hypothesis.parameters[column.at]
+            if parameter.unit != FACTOR:
+                known.setdefault(hypothesis.name, (k, parameter.typical))
         elif (name := simulator.uncertain[column.at].like) in known:
             found[k] = known[name]
         else:
@@ -94,12 +101,12 @@ def together(
     return [tuple(of) for of in found]
 
 
-def _kind(simulator: ArmSimulator, column: Column) -> tuple[str, int] | None:
+def _kind(simulator: ArmSimulator, column: Column) -> tuple[bool, str, int] | None:
     """What it is, wherever it is; None if it does not stay in a joint, or the arm is stepped to its rests."""
-    if column.hypothesis is None or takes_long(simulator, column):
+    whole, is_nuisance = _whole(simulator, column), column.hypothesis is None
+    if takes_long(simulator, column) or _joint_of(whole) is None:
         return None
-    at_joint = _joint_of(_whole(simulator, column)) is not None
-    return (simulator.hypotheses[column.hypothesis].effect, column.at) if at_joint else None
+    return is_nuisance, type(whole.effects[0]).__name__, 0 if is_nuisance else column.at
 
 
 def size_of(simulator: ArmSimulator, column: Column, share: float) -> float:

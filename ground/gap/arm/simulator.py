@@ -11,7 +11,7 @@ from fsw.kinematics.transforms import Array
 from ground.gap.arm.campaign import Compared, all_of, predicted_values
 from ground.gap.arm.features import CONDITIONS, UNITS, Moving, channel_of
 from ground.gap.arm.uncertain import Uncertain, left_uncertain
-from ground.gap.hypothesis import Hypothesis, Nuisance, Parameter
+from ground.gap.hypothesis import FACTOR, Hypothesis, Nuisance, Parameter
 from ground.gap.layout import Ints, Layout
 from ground.gap.simulator import Settings
 from sim.driven import Manner
@@ -139,7 +139,7 @@ def is_factor(size: Size) -> bool:
 def _told(parameter: described.Parameter, size: Size) -> Parameter:
     if is_factor(size):
         ends = float(np.log(size.low)), float(np.log(size.high))
-        return Parameter(parameter.field, "ln", *ends, float(np.log1p(size.typical)), 0.0)
+        return Parameter(parameter.field, FACTOR, *ends, float(np.log1p(size.typical)), 0.0)
     typical = float(parameter.default) if size.neutral is None else size.typical
     return Parameter(parameter.field, size.unit, size.low, size.high, typical, size.neutral)
 

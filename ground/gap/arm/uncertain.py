@@ -9,7 +9,7 @@ import numpy as np
 
 from fsw.dictionary.joints import Frame, Joint, Tool
 from fsw.dictionary.tuples import row6
-from ground.gap.hypothesis import Nuisance
+from ground.gap.hypothesis import FACTOR, Nuisance
 from sim.effects.built import (
     IDENTIFIABLE,
     LEFT_FRAME_M,
@@ -64,10 +64,10 @@ def left_uncertain() -> Iterator[Uncertain]:
     yield from _of_frames()
     for joint in Joint:
         yield _at(joint, "zero", "rad", LEFT_ZERO_RAD, HardstopAngle)
-        yield _at(joint, "gear stiffness", "ln", LEFT_STIFFNESS, GearStiffness)
-        yield _at(joint, "friction", "ln", FRICTION, GearFriction)
+        yield _at(joint, "gear stiffness", FACTOR, LEFT_STIFFNESS, GearStiffness)
+        yield _at(joint, "friction", FACTOR, FRICTION, GearFriction)
     for frame in SPRINGS:
-        yield _at(frame, "link stiffness", "ln", LEFT_STIFFNESS, LinkStiffness)
+        yield _at(frame, "link stiffness", FACTOR, LEFT_STIFFNESS, LinkStiffness)
     for joint in Joint:
         yield _at(joint, "counter", "rad", COUNT_RAD, EncoderZero)
         name = joint.name.lower()
@@ -101,8 +101,8 @@ _TURN_SHIFT: Final = ({"rad": "link-angle", "m": "link-length"}, {"rad": "tool-t
 def _of_sessions() -> Iterator[Uncertain]:
     """What differs a little from session to session: nobody sets out the same twice."""
     for joint in Joint:
-        yield _at(joint, "friction", "ln", 0.01, GearFriction, each_block=True)
-        yield _at(joint, "gear stiffness", "ln", 0.02, GearStiffness, each_block=True)
+        yield _at(joint, "friction", FACTOR, 0.01, GearFriction, each_block=True)
+        yield _at(joint, "gear stiffness", FACTOR, 0.02, GearStiffness, each_block=True)
         yield _at(joint, "current", "A", 0.003, CurrentBias, each_block=True)
         yield _at(joint, "resolver", "rad", 6e-6, ResolverBias, each_block=True)
 
@@ -124,7 +124,7 @@ def _at(
     """An effect of one number at a joint or a frame; of a factor, its logarithm."""
     name = place.name.lower()
     said = f"{word} {name} of a session" if each_block else f"{word} {name}"
-    effect = partial(_times, kind, place) if unit == "ln" else partial(kind, place)
+    effect = partial(_times, kind, place) if unit == FACTOR else partial(kind, place)
     return Uncertain(Nuisance(said, unit, sigma, each_block), effect, f"{name_of(kind)} at {name}")
 
 

@@ -10,7 +10,7 @@ from fsw.dictionary.joints import Frame, Joint, Tool
 from ground.gap.arm.blind.outside import all_outside
 from ground.gap.arm.bound import asked_again, bound, keys_of
 from ground.gap.arm.campaign import all_of, compared, driven, measured_values, only_reads, predicted_values
-from ground.gap.arm.columns import columns_of, sides_at, together
+from ground.gap.arm.columns import alike, columns_of, sides_at, together
 from ground.gap.arm.features import CHANNELS, CURRENT, IMU, SHIFT, TURN
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import Recording
@@ -179,6 +179,30 @@ def test_joints_simulated_at_once_show_what_each_shows_alone(recordings: list[Re
         alone = simulator.predict(there, zero) - nominal
         off, whole = (x / simulator.layout.sigma for x in (side.change - alone, alone))
         assert 0.0 < np.linalg.norm(off) < 0.05 * np.linalg.norm(whole)
+
+
+def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(recordings: list[Recording]) -> None:
+    """Not by the far steps of the hypothesis that it is as well; at all joints at once."""
+    campaign = compared([one for one in recordings if not one.tracked.tick.size])
+    simulator = arm_simulator(
+        campaign, floor_of(campaign).sigma, {"gear-friction": catalogue()["gear-friction"]}
+    )
+    nominal, columns, sigma = simulator.predicted(()), columns_of(simulator), simulator.layout.sigma
+    begin, names = len(columns) - len(simulator.nuisances), [one.name for one in simulator.nuisances]
+    own = [begin + names.index(f"friction {joint.name.lower()}") for joint in Joint]
+    session = [begin + names.index(f"friction {joint.name.lower()} of a session") for joint in Joint]
+    same = alike(simulator, columns)
+    assert not set(own) & set(same)
+    assert [same[k] for k in session] == [(k, 1.0) for k in own]
+    (at_once,) = together(simulator, columns, own)
+    assert list(at_once) == own
+    sides = sides_at(simulator, [columns[k] for k in own], nominal, 0, [1.0] * len(own))
+    for k, side in zip(own, sides, strict=True):
+        one = np.zeros(len(simulator.nuisances))
+        one[k - begin] = simulator.nuisances[k - begin].sigma
+        alone = simulator.predict({}, one) - nominal
+        assert side.size == one[k - begin]
+        assert np.linalg.norm((side.change - alone) / sigma) < 0.05 * np.linalg.norm(alone / sigma)
 
 
 def test_sensitivities_are_kept_and_found_again(logs: list[Path], tmp_path: Path) -> None:
