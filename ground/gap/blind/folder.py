@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
+from ground.gap.blind.said import read_said
 from ground.gap.blind.truth import sealed_digest
 from ground.outputs import BadOutput, written_whole
 from ground.request import BadRequest
@@ -13,8 +14,6 @@ CAMPAIGN: Final = "campaign"
 CASES: Final = "cases"
 SOLVED: Final = "solved"
 PART: Final = ".part"
-SAID: Final = frozenset({"verdict", "effects", "ranking", "closure", "seconds", "baselines"})
-"""Of what is said of a case, what its score is made of."""
 
 
 def case_name(number: int) -> str:
@@ -45,12 +44,9 @@ def documents(folder: Path) -> dict[str, dict[str, Any]]:
     found = {}
     for path in sorted((folder / SOLVED).glob("case-*[0-9].json")):
         try:
-            said = json.loads(path.read_bytes())
+            found[path.stem] = read_said(path.read_bytes())
         except (OSError, ValueError) as error:
             raise BadRequest(f"{path}: is no solved case ({error}); remove it and solve again") from error
-        if not isinstance(said, dict) or SAID - said.keys():
-            raise BadRequest(f"{path}: is no solved case; remove it and solve again")
-        found[path.stem] = said
     return found
 
 

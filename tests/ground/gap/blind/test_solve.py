@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from ground.gap.blind.evidence import read_features
-from ground.gap.blind.folder import SAID, SOLVED, documents, solved_path, write_json
+from ground.gap.blind.folder import SOLVED, documents, solved_path, write_json
 from ground.gap.blind.scored import scored
 from ground.gap.blind.solve import NoDiagnosis, Solver, solve
 from ground.gap.blind.table import score_json, score_markdown
@@ -89,12 +89,43 @@ def test_cases_that_are_not_solved_are_counted(folder) -> None:
     assert scored(folder.path, folder.solver.kept, partial=True).cases == 7
 
 
-@pytest.mark.parametrize("text", ["[]", '{"verdict": "none"', '{"verdict": "none"}'])
-def test_what_is_no_solved_case_is_refused(tmp_path: Path, text: str) -> None:
-    write_json(tmp_path / SOLVED / "case-000.json", dict.fromkeys(SAID))
-    assert list(documents(tmp_path)) == ["case-000"]
+GOOD = {
+    "verdict": "named",
+    "effects": [
+        {
+            "name": "link-length",
+            "place": "arm3.x",
+            "parameters": [{"name": "length_m", "is_size": True, "least": 0.001, "most": 0.002}],
+            "alternatives": [],
+        }
+    ],
+    "ranking": [{"name": "link-length", "place": "arm3.x"}],
+    "closure": {"share": None},
+    "seconds": 9.5,
+    "baselines": {"largest_error": {"place": "elbow"}},
+}
+SIZE = {"name": "length_m", "is_size": True, "least": None, "most": 0.002}
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("[]", "object"),
+        ('{"verdict": "none"', "JSON"),
+        ('{"verdict": "none"}', "effects"),
+        (json.dumps(GOOD | {"verdict": "sure"}), "verdict"),
+        (json.dumps(GOOD | {"effects": [GOOD["effects"][0] | {"parameters": [SIZE]}]}), r"parameters\.0"),
+        (json.dumps(GOOD | {"ranking": ["link-length"]}), r"ranking\.0"),
+        (json.dumps(GOOD | {"closure": 0.5}), "closure"),
+        (json.dumps(GOOD | {"seconds": "nine"}), "seconds"),
+        (json.dumps(GOOD | {"baselines": {"largest_error": "elbow"}}), r"baselines\.largest_error"),
+    ],
+)
+def test_what_is_no_solved_case_is_refused(tmp_path: Path, text: str, why: str) -> None:
+    write_json(tmp_path / SOLVED / "case-000.json", GOOD)
+    assert documents(tmp_path) == {"case-000": GOOD}
     (tmp_path / SOLVED / "case-004.json").write_text(text)
-    with pytest.raises(BadRequest, match=r"case-004\.json: is no solved case"):
+    with pytest.raises(BadRequest, match=rf"case-004\.json: is no solved case \(.*{why}"):
         documents(tmp_path)
 
 

@@ -1,0 +1,75 @@
+"""What was said of a case, as far as its score is made of it: read strictly, for people edit files."""
+
+import json
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from pydantic import TypeAdapter, ValidationError
+
+from ground.gap.diagnose import Kind
+
+
+@dataclass(frozen=True, slots=True)
+class _Named:
+    name: str
+    place: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Size:
+    name: str
+    is_size: Literal[True]
+    least: float
+    most: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Shape:
+    is_size: Literal[False]
+
+
+@dataclass(frozen=True, slots=True)
+class _Finding:
+    name: str
+    place: str
+    parameters: list[_Size | _Shape]
+    alternatives: list[_Named]
+
+
+@dataclass(frozen=True, slots=True)
+class _Closure:
+    share: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Other:
+    """What a baseline says."""
+
+    name: str = ""
+    place: str = ""
+    closure: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Said:
+    verdict: Kind
+    effects: list[_Finding]
+    ranking: list[_Named]
+    closure: _Closure | None
+    seconds: float
+    baselines: dict[str, _Other]
+
+
+_SAID: Final = TypeAdapter(_Said)
+
+
+def read_said(raw: bytes) -> dict[str, Any]:
+    """The whole document; ValueError, in a line, if a score could not be made of it."""
+    try:
+        _SAID.validate_json(raw, strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(step) for step in first["loc"])
+        raise ValueError(f"{where}: {first['msg']}" if where else first["msg"]) from error
+    said: dict[str, Any] = json.loads(raw)
+    return said
