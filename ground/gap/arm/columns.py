@@ -80,6 +80,27 @@ def alike(simulator: ArmSimulator, columns: Sequence[Column]) -> dict[int, tuple
     return found
 
 
+def near(simulator: ArmSimulator, columns: Sequence[Column]) -> dict[int, tuple[int, float]]:
+    """Hypotheses that are a nuisance with a column of its own: that one, and what a typical size is of it.
+
+    Small, they are one, and must look as one: what a line through far steps has otherwise would be seen.
+    """
+    same = alike(simulator, columns)
+    own = {
+        simulator.uncertain[column.at].like: k
+        for k, column in enumerate(columns)
+        if column.hypothesis is None and k not in same
+    }
+    found: dict[int, tuple[int, float]] = {}
+    for k, column in enumerate(columns):
+        if column.hypothesis is None:
+            continue
+        hypothesis = simulator.hypotheses[column.hypothesis]
+        if hypothesis.name in own:
+            found[k] = own[hypothesis.name], hypothesis.parameters[column.at].typical
+    return found
+
+
 def sides_of(simulator: ArmSimulator, column: Column) -> int:
     """On how many sides of nominal there is something to simulate: one if bounds leave one."""
     return len(_ends(simulator, column, 1.0))

@@ -26,6 +26,7 @@ from ground.gap.arm.columns import (
     Side,
     alike,
     columns_of,
+    near,
     sides_at,
     sides_of,
     size_of,
@@ -180,6 +181,8 @@ def _assembled(paths: Logs, names: Names, up: Mapping[int, Side], down: Mapping[
         reach[k] = max(abs(one.size) for one in sides)
     for k, (other, typical) in alike(simulator, columns).items():
         slope[:, k] = slope[:, other] / typical
+    for k, (other, typical) in near(simulator, columns).items():
+        slope[:, k] = slope[:, other] * typical
     owner = [column.hypothesis for column in columns if column.hypothesis is not None]
     sized = len(owner)
     nuisance = _cut(simulator, slope[:, sized:])

@@ -10,7 +10,7 @@ from fsw.dictionary.joints import Frame, Joint, Tool
 from ground.gap.arm.blind.outside import all_outside
 from ground.gap.arm.bound import asked_again, bound, keys_of
 from ground.gap.arm.campaign import all_of, compared, driven, measured_values, only_reads, predicted_values
-from ground.gap.arm.columns import alike, columns_of, sides_at, together
+from ground.gap.arm.columns import alike, columns_of, near, sides_at, together
 from ground.gap.arm.features import CHANNELS, CURRENT, IMU, SHIFT, TURN
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import Recording
@@ -194,6 +194,7 @@ def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(recordings: li
     same = alike(simulator, columns)
     assert not set(own) & set(same)
     assert [same[k] for k in session] == [(k, 1.0) for k in own]
+    assert [k for k, _ in near(simulator, columns).values()] == own
     (at_once,) = together(simulator, columns, own)
     assert list(at_once) == own
     sides = sides_at(simulator, [columns[k] for k in own], nominal, 0, [1.0] * len(own))
