@@ -28,15 +28,13 @@ def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: 
     exists = os.path.exists(file)
     if exists and not os.path.isfile(file):
         raise BadOutput(f"{what} {file}: this is not a regular file; give the path of a new file")
-    if not exists and os.path.islink(file):
-        raise BadOutput(f"{what} {file}: this is a link to {os.readlink(file)}, which is not there")
     if not os.access(file if exists else file.parent, os.W_OK):
         raise BadOutput(f"{what} {file}: no right to write there")
     return file
 
 
 def check_place(place: Path, what: str) -> None:
-    """BadOutput if there is no folder to make this in, or nothing can have such a name."""
+    """BadOutput if there is no folder to make this in, or it has a bad name, or is a link to nothing."""
     if not os.path.isdir(place.parent):  # unlike Path.is_dir, False for any bad name
         raise BadOutput(f"{what} {place}: there is no folder {place.parent}")
     try:
@@ -45,6 +43,8 @@ def check_place(place: Path, what: str) -> None:
         pass  # it is new
     except OSError as error:
         raise BadOutput(f"{what} {place}: cannot be written ({error.strerror})") from error
+    if os.path.islink(place) and not os.path.exists(place):
+        raise BadOutput(f"{what} {place}: this is a link to {os.readlink(place)}, which is not there")
 
 
 @contextmanager

@@ -62,8 +62,8 @@ def columns_of(simulator: ArmSimulator) -> list[Column]:
 def alike(simulator: ArmSimulator, columns: Sequence[Column]) -> dict[int, tuple[int, float]]:
     """Nuisances that are a hypothesis or another nuisance as well: that one's column, and what 1 is of it.
 
-    Not of a hypothesis that is a factor: the steps by which it can be seen bend, and gaps change sides on the
-    way, where the nuisance hardly departs from one.
+    Not a hypothesis that is a factor: its steps are many sigmas of the nuisance, there it is no straight
+    line, and gaps change sides on the way.
     """
     known: dict[str, tuple[int, float]] = {}
     found: dict[int, tuple[int, float]] = {}
@@ -80,10 +80,11 @@ def alike(simulator: ArmSimulator, columns: Sequence[Column]) -> dict[int, tuple
     return found
 
 
-def near(simulator: ArmSimulator, columns: Sequence[Column]) -> dict[int, tuple[int, float]]:
-    """Hypotheses that are a nuisance with a column of its own: that one, and what a typical size is of it.
+def slopes_from(simulator: ArmSimulator, columns: Sequence[Column]) -> dict[int, tuple[int, float]]:
+    """Hypotheses that take their slope from a nuisance: its column, and how much of it a typical size is.
 
-    Small, they are one, and must look as one: what a line through far steps has otherwise would be seen.
+    Where they are small they are the same thing. With slopes from different steps, the difference would look
+    like something that the nuisance cannot explain.
     """
     same = alike(simulator, columns)
     own = {
@@ -122,12 +123,12 @@ def together(
     return [tuple(of) for of in found]
 
 
-def _kind(simulator: ArmSimulator, column: Column) -> tuple[bool, str, int] | None:
+def _kind(simulator: ArmSimulator, column: Column) -> tuple[str, int | None] | None:
     """What it is, wherever it is; None if it does not stay in a joint, or the arm is stepped to its rests."""
-    whole, is_nuisance = _whole(simulator, column), column.hypothesis is None
+    whole = _whole(simulator, column)
     if takes_long(simulator, column) or _joint_of(whole) is None:
         return None
-    return is_nuisance, type(whole.effects[0]).__name__, 0 if is_nuisance else column.at
+    return type(whole.effects[0]).__name__, None if column.hypothesis is None else column.at
 
 
 def size_of(simulator: ArmSimulator, column: Column, share: float) -> float:

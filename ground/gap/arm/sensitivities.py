@@ -26,10 +26,10 @@ from ground.gap.arm.columns import (
     Side,
     alike,
     columns_of,
-    near,
     sides_at,
     sides_of,
     size_of,
+    slopes_from,
     together,
 )
 from ground.gap.arm.floor import floor_of
@@ -126,10 +126,13 @@ def _keep(found: Sensitivities, keys: Sequence[str], path: Path) -> OnFile:
 
 
 def _found(paths: Logs, names: Names, run: Runner, progress: Progress) -> Sensitivities:
-    """One side of every column, mended until it can be seen well, and the other side by the same steps."""
+    """One side of every column, mended until it can be seen well, and the other side by the same steps.
+
+    What has its slope from a nuisance stays as it is: no step of its own makes it seen better.
+    """
     simulator = _simulator(paths, names)
     columns = columns_of(simulator)
-    same = alike(simulator, columns)
+    same, given = alike(simulator, columns), slopes_from(simulator, columns)
     nominal = _nominal(paths, names)
 
     def simulated(shares: Mapping[int, float], side: int, what: str) -> dict[int, Side]:
@@ -145,7 +148,7 @@ def _found(paths: Logs, names: Names, run: Runner, progress: Progress) -> Sensit
     last, best = up, dict.fromkeys(up, math.inf)
     for attempt in range(ROUNDS + 1):
         scale = prepare(_assembled(paths, names, last, {})).scale
-        seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale)}
+        seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale) if k not in given}
         nearer = [k for k in seen if off(seen[k]) < best[k]]
         up |= {k: last[k] for k in nearer}
         best |= {k: off(seen[k]) for k in nearer}
@@ -170,7 +173,10 @@ def _mended(
 
 
 def _assembled(paths: Logs, names: Names, up: Mapping[int, Side], down: Mapping[int, Side]) -> Sensitivities:
-    """Parabolas through what was simulated, or lines where that is one side."""
+    """Parabolas through what was simulated, or lines where that is one side.
+
+    Of a hypothesis that is a nuisance as well only the bend is: the slope is that of the nuisance's sigma.
+    """
     simulator = _simulator(paths, names)
     columns = columns_of(simulator)
     slope, bend = np.zeros((2, simulator.layout.size, len(columns)))
@@ -181,7 +187,7 @@ def _assembled(paths: Logs, names: Names, up: Mapping[int, Side], down: Mapping[
         reach[k] = max(abs(one.size) for one in sides)
     for k, (other, typical) in alike(simulator, columns).items():
         slope[:, k] = slope[:, other] / typical
-    for k, (other, typical) in near(simulator, columns).items():
+    for k, (other, typical) in slopes_from(simulator, columns).items():
         slope[:, k] = slope[:, other] * typical
     owner = [column.hypothesis for column in columns if column.hypothesis is not None]
     sized = len(owner)

@@ -2,9 +2,9 @@
 
 import json
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import TypeAdapter, ValidationError
+from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
 
 from ground.gap.diagnose import Kind
 
@@ -19,8 +19,8 @@ class _Named:
 class _Size:
     name: str
     is_size: Literal[True]
-    least: float
-    most: float
+    least: FiniteFloat
+    most: FiniteFloat
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,22 +32,26 @@ class _Shape:
 class _Finding:
     name: str
     place: str
-    parameters: list[_Size | _Shape]
+    parameters: list[Annotated[_Size | _Shape, Field(discriminator="is_size")]]
     alternatives: list[_Named]
 
 
 @dataclass(frozen=True, slots=True)
 class _Closure:
-    share: float | None
+    share: FiniteFloat | None
 
 
 @dataclass(frozen=True, slots=True)
 class _Other:
-    """What a baseline says."""
+    """What a baseline says: an effect, a place alone, or neither."""
 
     name: str = ""
     place: str = ""
-    closure: float | None = None
+    closure: FiniteFloat | None = None
+
+    def __post_init__(self) -> None:
+        if self.name and not self.place:
+            raise ValueError("an effect has a place")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +60,7 @@ class _Said:
     effects: list[_Finding]
     ranking: list[_Named]
     closure: _Closure | None
-    seconds: float
+    seconds: FiniteFloat
     baselines: dict[str, _Other]
 
 
@@ -64,7 +68,7 @@ _SAID: Final = TypeAdapter(_Said)
 
 
 def read_said(raw: bytes) -> dict[str, Any]:
-    """The whole document; ValueError, in a line, if a score could not be made of it."""
+    """The whole document; ValueError, in a line, if it has not the form that a score is made of."""
     try:
         _SAID.validate_json(raw, strict=True)
     except ValidationError as error:

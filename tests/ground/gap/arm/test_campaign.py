@@ -10,13 +10,14 @@ from fsw.dictionary.joints import Frame, Joint, Tool
 from ground.gap.arm.blind.outside import all_outside
 from ground.gap.arm.bound import asked_again, bound, keys_of
 from ground.gap.arm.campaign import all_of, compared, driven, measured_values, only_reads, predicted_values
-from ground.gap.arm.columns import alike, columns_of, near, sides_at, together
+from ground.gap.arm.columns import alike, columns_of, sides_at, slopes_from, together
 from ground.gap.arm.features import CHANNELS, CURRENT, IMU, SHIFT, TURN
 from ground.gap.arm.floor import floor_of
 from ground.gap.arm.logs import Recording
 from ground.gap.arm.sensitivities import arm_sensitivities
 from ground.gap.arm.simulator import BRIEFLY, Touched, arm_simulator, switched_on
 from ground.gap.arm.stepped import columns, stepped
+from ground.gap.sensitivity import Sensitivities
 from ground.pool import on_this_machine
 from ground.telemetry.read import read_log
 from sim.effects.catalogue import catalogue
@@ -194,7 +195,7 @@ def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(recordings: li
     same = alike(simulator, columns)
     assert not set(own) & set(same)
     assert [same[k] for k in session] == [(k, 1.0) for k in own]
-    assert [k for k, _ in near(simulator, columns).values()] == own
+    assert [k for k, _ in slopes_from(simulator, columns).values()] == own
     (at_once,) = together(simulator, columns, own)
     assert list(at_once) == own
     sides = sides_at(simulator, [columns[k] for k in own], nominal, 0, [1.0] * len(own))
@@ -209,16 +210,26 @@ def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(recordings: li
 def test_sensitivities_are_kept_and_found_again(logs: list[Path], tmp_path: Path) -> None:
     poses = [path for path in logs if path.stem.startswith("poses")]
     said: list[str] = []
-    work = on_this_machine(1)
+    work, kinds = on_this_machine(1), ["resolver-bias", "link-stiffness"]
 
     def noted(*_: object) -> None:
         said.append("computed")
 
-    first = arm_sensitivities(poses, tmp_path, work, noted, ["resolver-bias"]).found
+    first = arm_sensitivities(poses, tmp_path, work, noted, kinds).found
     assert said
     said.clear()
-    again = arm_sensitivities(poses, tmp_path, work, noted, ["resolver-bias"]).found
+    again = arm_sensitivities(poses, tmp_path, work, noted, kinds).found
     assert not said
     np.testing.assert_array_equal(first.effect, again.effect)
-    assert np.linalg.matrix_rank(first.effect) == len(Joint)
+    assert np.linalg.matrix_rank(first.only(["resolver-bias"]).effect) == len(Joint)
     assert first.layout.channels[0] == "azimuth resolver-encoder"
+    _stiffness_has_the_slope_of_its_nuisance(first)
+
+
+def _stiffness_has_the_slope_of_its_nuisance(found: Sensitivities) -> None:
+    named = {one.name: k for k, one in enumerate(found.nuisances)}
+    stiffness = found.only(["link-stiffness"])
+    assert np.linalg.norm(stiffness.effect) > 0.0
+    for column, one in zip(stiffness.effect.T, stiffness.hypotheses, strict=True):
+        nuisance = found.nuisance[:, named[f"link stiffness {one.place}"]]
+        np.testing.assert_array_equal(column, nuisance * one.parameters[0].typical)

@@ -118,7 +118,10 @@ SIZE = {"name": "length_m", "is_size": True, "least": None, "most": 0.002}
         (json.dumps(GOOD | {"ranking": ["link-length"]}), r"ranking\.0"),
         (json.dumps(GOOD | {"closure": 0.5}), "closure"),
         (json.dumps(GOOD | {"seconds": "nine"}), "seconds"),
+        (json.dumps(GOOD | {"seconds": 10**400}), "finite"),
+        (json.dumps(GOOD | {"closure": {"share": float("nan")}}), "finite"),
         (json.dumps(GOOD | {"baselines": {"largest_error": "elbow"}}), r"baselines\.largest_error"),
+        (json.dumps(GOOD | {"baselines": {"everything_free": {"name": "x"}}}), "has a place"),
     ],
 )
 def test_what_is_no_solved_case_is_refused(tmp_path: Path, text: str, why: str) -> None:
