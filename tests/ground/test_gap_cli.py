@@ -14,6 +14,7 @@ from tests.ground.command import marsarm
         (("record", "--out", "other"), "out other: is there already; name a new folder"),
         (("record", "--out", "no/logs"), "there is no folder no"),
         (("record", "--out", "o" * 300), "cannot be written (File name too long)"),
+        (("record", "--out", "nothing"), "a link to nowhere/x, which is not there"),
         (("record", "--out", "logs", "--effect", "rusty-gear"), "'rusty-gear' is not known"),
         (("make", "--cases", "0", "--out", "b"), "cases: 0 is not within 1 .. 1000"),
         (("make", "--cases", "-3", "--out", "b"), "cases: -3 is not within"),
@@ -21,6 +22,7 @@ from tests.ground.command import marsarm
         (("make", "--jobs", "0", "--out", "b"), "jobs: 0 is not 1 or more"),
         (("make", "--out", "no/b"), "there is no folder no"),
         (("make", "--out", "b" * 300), "cannot be written (File name too long)"),
+        (("make", "--out", "nothing"), "a link to nowhere/x, which is not there"),
         (("make", "--out", "other"), "holds something else"),
         (("make", "--out", "other/file"), "this is a file"),
         (("solve", "other"), "no folder of blind cases"),
@@ -33,9 +35,10 @@ def test_what_cannot_be_done_is_said_and_nothing_is_written(
 ) -> None:
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "file").write_text("")
+    (tmp_path / "nothing").symlink_to("nowhere/x")
     group = ("gap",) if words[0] == "record" else ("gap", "blind")
     done = marsarm(tmp_path, *group, *words, "--json")
     assert done.returncode == 2
     assert said in done.stderr
     assert said in json.loads(done.stdout)["error"]
-    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "other"]
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "nothing", "other"]

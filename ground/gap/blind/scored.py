@@ -10,7 +10,7 @@ from ground.gap.blind.classes import classes_in
 from ground.gap.blind.closing import tried, truth_closes
 from ground.gap.blind.evidence import Kept, parts, read_features
 from ground.gap.blind.folder import CAMPAIGN, CASES, documents
-from ground.gap.blind.score import Score, score
+from ground.gap.blind.score import Document, Score, score
 from ground.gap.blind.solve import SEED, features_path
 from ground.gap.blind.truth import TrueCase, unsealed
 from ground.gap.hypothesis import Hypothesis
@@ -43,7 +43,20 @@ def scored(
         return truth_closes(tried(*parts(kept, features)), _settings(kept, case), SEED).share
 
     solved = [(case, said[case.name]) for case in truth.cases if case.name in said]
+    for case, told in solved:
+        _check_sizes(case, told)
     return score(classes_in(folder / CAMPAIGN), solved, true_closure)
+
+
+def _check_sizes(case: TrueCase, said: Document) -> None:
+    """BadRequest if a true effect was given a size that it has not."""
+    true = {(effect.name, effect.place): set(effect.values) for effect in case.effects}
+    for finding in said["effects"]:
+        sizes = {told["name"] for told in finding["parameters"] if told["is_size"]}
+        for strange in sizes - true.get((finding["name"], finding["place"]), sizes):
+            raise BadRequest(
+                f"{case.name}: {finding['name']} has no {strange}; remove what was said of it and solve again"
+            )
 
 
 def _settings(kept: Kept, case: TrueCase) -> dict[Hypothesis, Array]:

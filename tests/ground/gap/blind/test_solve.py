@@ -132,6 +132,20 @@ def test_what_is_no_solved_case_is_refused(tmp_path: Path, text: str, why: str) 
         documents(tmp_path)
 
 
+def test_a_size_that_an_effect_has_not_is_refused(folder) -> None:
+    solve(folder.path, folder.solver, RUN, quiet)
+    case = next(case for case in folder.truth.cases if case.kind == "single")
+    path = solved_path(folder.path / "cases" / case.name)
+    before = path.read_bytes()
+    (one,) = case.effects
+    size = {"name": "size_of_another", "is_size": True, "least": 0.0, "most": 1.0}
+    finding = {"name": one.name, "place": one.place, "parameters": [size], "alternatives": []}
+    path.write_text(json.dumps(json.loads(before) | {"verdict": "named", "effects": [finding]}))
+    with pytest.raises(BadRequest, match=f"{case.name}: {one.name} has no size_of_another"):
+        scored(folder.path, folder.solver.kept, partial=False)
+    path.write_bytes(before)
+
+
 @pytest.mark.parametrize("text", [None, "", "[]", '{"fitted": {"rows": [0]}}'])
 def test_features_that_are_none_are_refused(tmp_path: Path, text: str | None) -> None:
     if text is not None:
