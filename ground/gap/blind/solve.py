@@ -25,6 +25,8 @@ class NoDiagnosis(ValueError):
 class Solver:
     """How a robot's cases are solved: functions of modules, so that other processes find them."""
 
+    known: Callable[[Path, Runner, Progress], object]
+    """Computes what is not kept yet of the campaign in a folder, with all that can work."""
     kept: Callable[[Path], Kept]
     """The campaign in a folder."""
     diagnosed: Callable[[Path, Path], tuple[dict[str, Any], Features]]
@@ -49,6 +51,8 @@ def solve(folder: Path, solver: Solver, run: Runner, progress: Progress) -> tupl
     """
     cases = cases_in(folder)
     jobs = [_Job(case, solver) for case in cases if not solved_path(case).exists()]
+    if jobs:  # else every process would compute it for itself
+        solver.known(folder / CAMPAIGN, run, progress)
     for done, name in enumerate(run(_solved, jobs), 1):
         progress(done, len(jobs), name)
     return len(jobs), len(cases)

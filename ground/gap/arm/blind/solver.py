@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from ground.gap.arm.audit import believed
-from ground.gap.arm.blind.evidence import features, kept_campaign, reference_campaign, split
+from ground.gap.arm.blind.evidence import features, kept_campaign, known, reference_campaign, split
 from ground.gap.arm.case import asked, said_of
 from ground.gap.arm.logs import NotForDiagnosis
 from ground.gap.blind.evidence import Features
@@ -29,4 +29,4 @@ def diagnosed_case(case: Path, campaign: Path) -> tuple[dict[str, Any], Features
         raise NoDiagnosis(str(error)) from error
 
 
-ARM = Solver(kept_campaign, diagnosed_case)
+ARM = Solver(known, kept_campaign, diagnosed_case)

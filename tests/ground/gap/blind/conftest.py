@@ -69,4 +69,4 @@ def folder(made: World, campaign: Ready, tmp_path: Path) -> Folder:
         said = diagnose(campaign, Evidence(made.layout, features.fitted.value), 1)
         return told(Result(campaign, said, None, None, (), (), ())), features
 
-    return Folder(tmp_path, Solver(lambda _: kept, diagnosed), truth)
+    return Folder(tmp_path, Solver(lambda *_: None, lambda _: kept, diagnosed), truth)

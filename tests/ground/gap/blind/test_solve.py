@@ -1,6 +1,7 @@
 """Blind cases solved without their truth and scored with it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 from ground.gap.blind.evidence import read_features
 from ground.gap.blind.folder import SOLVED, documents, solved_path, write_json
 from ground.gap.blind.scored import scored
-from ground.gap.blind.solve import NoDiagnosis, Solver, solve
+from ground.gap.blind.solve import NoDiagnosis, solve
 from ground.gap.blind.table import score_json, score_markdown
 from ground.gap.blind.truth import TRUTH
 from ground.pool import on_this_machine
@@ -51,6 +52,16 @@ def test_what_is_solved_stays_and_the_rest_is_solved(folder) -> None:
     assert solve(folder.path, folder.solver, RUN, quiet) == (0, 10)
 
 
+def test_the_campaign_is_known_once_and_before_any_case(folder) -> None:
+    solve(folder.path, folder.solver, RUN, quiet)
+    solved_path(folder.path / "cases" / "case-009").unlink()
+    asked: list[Path] = []
+    solver = replace(folder.solver, known=lambda campaign, *_: asked.append(campaign))
+    assert solve(folder.path, solver, RUN, quiet) == (1, 10)
+    assert solve(folder.path, solver, RUN, quiet) == (0, 10)
+    assert asked == [folder.path / "campaign"]
+
+
 def mute(case: Path, campaign: Path) -> Any:
     raise NoDiagnosis(f"{case.name} has no logs of {campaign.name}")
 
@@ -58,7 +69,7 @@ def mute(case: Path, campaign: Path) -> Any:
 def test_a_case_that_nobody_can_diagnose_does_not_keep_others_from_being_solved(folder) -> None:
     for path in (folder.path / SOLVED).glob("*"):
         path.unlink()
-    assert solve(folder.path, Solver(folder.solver.kept, mute), RUN, quiet) == (10, 10)
+    assert solve(folder.path, replace(folder.solver, diagnosed=mute), RUN, quiet) == (10, 10)
     told = documents(folder.path)["case-003"]
     assert (told["verdict"], told["refused"]) == ("unknown", "case-003 has no logs of campaign")
     found = scored(folder.path, folder.solver.kept, partial=False)
