@@ -132,19 +132,29 @@ def test_a_table_with_units_and_the_path_of_the_picture_for_people(tmp_path):
         assert word in done.stdout
 
 
-def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on(tmp_path):
-    done = marsarm(tmp_path, "place", "--no-surface", "--no-picture", "--json", "--log", "run.mcap")
-    assert done.returncode == 3
+@pytest.fixture(scope="module")
+def no_surface(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("no_surface")
+    words = ("place", "--no-surface", "--json", "--log", "run.mcap")
+    return folder, marsarm(folder, *words, MUJOCO_GL="osmesa")
+
+
+def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on(no_surface):
+    folder, done = no_surface
+    assert done.returncode == 3, done.stderr
     report = json.loads(done.stdout)
     assert report["outcome"] == "faulted"
-    assert report["picture"] is None
-    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
     assert report["error_mm"] is None
     assert "NoContact" in [evr["name"] for evr in report["evrs"]]
     assert "Retract accepted" not in [evr["message"] for evr in report["evrs"]]
-    log = read_log(tmp_path / "run.mcap")
+    log = read_log(folder / "run.mcap")
     assert not log["/drive"]["brake_release"][-1].any()
     assert not log["/drive"]["power_on"][-1].any()
+
+
+def test_a_setting_of_opengl_that_is_not_there_does_not_stop_a_run(no_surface):
+    folder, done = no_surface
+    assert (folder / json.loads(done.stdout)["picture"]).stat().st_size > 10_000
 
 
 @pytest.mark.parametrize(("wish", "status", "outcome"), [("go-on", 0, "done"), ("stop", 3, "stopped")])
@@ -155,17 +165,13 @@ def test_a_full_disk_stops_the_arm_or_does_not_as_asked_and_is_told(tmp_path, wi
     assert done.returncode == status, done.stderr
     report = json.loads(done.stdout)
     assert report["outcome"] == outcome
+    assert report["picture"] is None
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
     kept = read_log(tmp_path / "run.mcap")
     seconds = len(kept["/joint"]) / 64
     assert kept.truncated
     assert seconds > 2
     assert f"not recorded from {seconds:.2f} s on (File too large)" in report["log_problem"]
-
-
-def test_a_setting_of_opengl_that_is_not_there_does_not_stop_a_run(tmp_path):
-    done = marsarm(tmp_path, "place", "--no-surface", "--json", MUJOCO_GL="osmesa")
-    assert done.returncode == 3, done.stderr
-    assert (tmp_path / json.loads(done.stdout)["picture"]).stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("value", ["nonsense", "egl", "off", " OFF "])
