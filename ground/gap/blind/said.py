@@ -29,9 +29,7 @@ class _Shape:
 
 
 @dataclass(frozen=True, slots=True)
-class _Finding:
-    name: str
-    place: str
+class _Finding(_Named):
     parameters: list[Annotated[_Size | _Shape, Field(discriminator="is_size")]]
     alternatives: list[_Named]
 
