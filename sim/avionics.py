@@ -139,8 +139,8 @@ class Avionics:
         last, self._drive = self._drive, drive
         if self._hardware.each_move and drive.power_on.any() and not (last and last.power_on.any()):
             self._begin_move()
-        data.ctrl[0::2] = drive.setpoint_count * self._hardware.rad_per_count + self._zero_rad()
-        data.ctrl[1::2] = drive.setpoint_rate_rad_s
+        motor_rad = drive.setpoint_count * self._hardware.rad_per_count + self._zero_rad()
+        self._plant.command(motor_rad, drive.setpoint_rate_rad_s)
         if last is None or drive.current_limit_A is not last.current_limit_A:
             limit = drive.current_limit_A * self._plant.torque_constant_Nm_A
             model.actuator_forcerange[self._motors] = np.column_stack([-limit, limit])

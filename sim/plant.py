@@ -33,11 +33,11 @@ would creep along by a millimetre a minute under a hundredth of what friction ho
 ALL_ACTUATORS = 0b111110
 """The motors' actuator groups 1 to 5, one bit each: set means without power."""
 
-RESISTANCE, MOTOR_CONSTANT, GAINS = 0, 1, slice(4, 7)
+RESISTANCE, MOTOR_CONSTANT, POSITION_GAIN, RATE_GAIN, GAINS = 0, 1, 4, 6, slice(4, 7)
 """Their places in MuJoCo's gain parameters of a dcmotor; the gains are position's, integral's and rate's."""
 
-LOAD_STAGES = 320
-"""Gravity is brought up in so many stages: a dropped arm rests anywhere in the band of its friction."""
+REFERENCE_STEP_S = 1 / 2048
+"""The dampers of `arm.xml` damp as this step computes them."""
 
 
 # MuJoCo would write its warnings to a file in whatever directory this is; Plant.step looks at their count
@@ -77,6 +77,10 @@ class Plant:
     def __init__(self, model: mujoco.MjModel):
         self.model = model
         self.data = mujoco.MjData(model)
+        rate_gain = model.actuator_gainprm[:, RATE_GAIN].copy()
+        gear_excess_s = damp_as_reference(model)
+        self._rate_share = rate_gain / model.actuator_gainprm[:, RATE_GAIN]
+        self._lead_s = (model.opt.timestep - REFERENCE_STEP_S) / 2
         self.steps_per_cycle = round(1.0 / (CYCLE_HZ * model.opt.timestep))
         if self.steps_per_cycle * model.opt.timestep * CYCLE_HZ != 1.0:
             raise ValueError(
@@ -97,6 +101,10 @@ class Plant:
         self._built_quat = model.body_quat[self.at.bodies]
         self._built = Pose(rotations(self._built_quat), model.body_pos[self.at.bodies].T.copy())
         self._bands_rad = model.tendon_lengthspring[self.at.gaps].copy()
+        gaps = self.at.gaps
+        in_gap, on_flank = (model.tendon_damping[gaps] - s * model.tendon_stiffness[gaps] for s in (0.0, gear_excess_s))
+        self._gear_damping_Nms_rad = np.array([in_gap, on_flank])
+        self._on_flank = np.zeros(len(gaps), bool)
         self._friction_Nm = model.dof_frictionloss[self.at.motor].copy()
         self._damping_Nms_rad = model.dof_damping[self.at.motor].copy()
         self._gains = model.actuator_gainprm[self.at.actuators, GAINS].copy()
@@ -149,19 +157,20 @@ class Plant:
         """
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self.at.motor] = motor_rad
-        self.data.ctrl[0::2] = motor_rad
+        self.command(motor_rad, np.zeros(len(Joint)))
         self.model.opt.disableactuator = ALL_ACTUATORS
         for joint in Joint:
             self.brake(joint, True)
         if begin is not None:
             begin()
-        gravity, steps = self.model.opt.gravity.copy(), round(settle_s / self.model.opt.timestep)
-        for share in (np.arange(LOAD_STAGES) + 1) / LOAD_STAGES:
+        gravity, cycles = self.model.opt.gravity.copy(), round(settle_s * CYCLE_HZ / 2)
+        for share in (np.arange(cycles) + 1) / cycles:
+            # a dropped arm would rest anywhere in the band of its friction
             self.model.opt.gravity[:] = gravity * share * share * (3 - 2 * share)
-            mujoco.mj_step(self.model, self.data, steps // (2 * LOAD_STAGES))
-        mujoco.mj_step(self.model, self.data, steps // 2)
+            self.step()
+        for _ in range(cycles):
+            self.step()
         self.data.time = 0.0
-        self._check()
 
     def show(self, output_rad: Array, strain: Array) -> None:
         """Bring geometry, and nothing else, to output angles (5) and spring strains (6, springs or more)."""
@@ -174,11 +183,38 @@ class Plant:
         self.model.eq_data[self.at.brake[joint], 0] = self.data.qpos[self.at.motor[joint]]
         self.data.eq_active[self.at.brake[joint]] = on
 
+    def command(self, motor_rad: Array, rate_rad_s: Array) -> None:
+        """Give the motor controllers their set-points, angles and rates (5), as the reference step means them.
+
+        A servo compares its set-point with the angle at the beginning of a step, half a step too early, and
+        only the feedback of its rate is less for the damping that the integrator adds.
+        """
+        self.data.ctrl[0::2] = motor_rad - self._lead_s * rate_rad_s
+        self.data.ctrl[1::2] = self._rate_share * rate_rad_s
+
     def step(self) -> None:
         """One control cycle of physics; PlantDiverged if MuJoCo counted a warning."""
         self.model.opt.noslip_iterations = NO_CREEP if self.data.ncon else 0
+        self._damp_gears()
+        end_s = self.data.time + 1.0 / CYCLE_HZ
         mujoco.mj_step(self.model, self.data, self.steps_per_cycle)
+        self.data.time = end_s  # a step need not be exact in binary, a cycle is
+        self._update_motors()
         self._check()
+
+    def _damp_gears(self) -> None:
+        """Let gears be damped as the reference step computes them, in the gap and on the flanks."""
+        length, (low, high) = self.data.ten_length[self.at.gaps], self.model.tendon_lengthspring[self.at.gaps].T
+        on_flank = (length < low) | (length > high)
+        if (on_flank != self._on_flank).any():
+            self._on_flank = on_flank
+            self.model.tendon_damping[self.at.gaps] = np.where(on_flank, *self._gear_damping_Nms_rad[::-1])
+
+    def _update_motors(self) -> None:
+        """Compute the motors' torques of this moment: those of the last step are of its beginning."""
+        self.data.actuator_length[:] = self.data.qpos[self.at.motor]
+        self.data.actuator_velocity[:] = self.data.qvel[self.at.motor]
+        mujoco.mj_fwdActuation(self.model, self.data)
 
     def _check(self) -> None:
         if self.data.warning.number.any():
@@ -268,6 +304,23 @@ class Plant:
         moment = np.zeros(self.model.nv)
         mujoco.mj_mulM(self.model, self.data, moment, self.data.qvel)
         return 0.5 * float(moment @ self.data.qvel)
+
+
+def damp_as_reference(model: mujoco.MjModel) -> float:
+    """Take the damping that the integrator adds, beyond that of the reference step, off springs and servos.
+
+    `discrete` computes a spring as it is at the end of a step h, which adds its stiffness times h to its
+    damping; PROVENANCE.md has the derivation.
+
+    Returns:
+        What it adds to a gear [s], times its stiffness: to be taken off where a flank is touched.
+    """
+    excess_s = float(model.opt.timestep) - REFERENCE_STEP_S
+    model.dof_damping[model.jnt_dofadr] -= excess_s * model.jnt_stiffness
+    if model.opt.solver == mujoco.mjtSolver.mjSOL_PGS:
+        excess_s = -REFERENCE_STEP_S  # the dual solver takes tendons and servos as they are at the beginning
+    model.actuator_gainprm[:, RATE_GAIN] -= excess_s * model.actuator_gainprm[:, POSITION_GAIN]
+    return excess_s
 
 
 def rotations(quat: Array) -> Array:
