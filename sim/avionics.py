@@ -12,7 +12,7 @@ import numpy as np
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.joints import Joint, Switch
 from fsw.kinematics.transforms import Array
-from fsw.messages import Counts, Drive, Sensors
+from fsw.messages import Counts, Drive, Flags, Sensors
 from sim.effects.effect import Effect, Hardware, drawn_scatter, gone_on, read_through
 from sim.frames import FLIP
 from sim.plant import RESISTANCE, Plant
@@ -40,6 +40,7 @@ class Avionics:
         self._winding_rise_K = np.zeros(len(motors))
         self._winding_time_s = plant.data.time
         self._touch = model.sensor_adr[switches]
+        self._closed = np.zeros(len(Switch), bool)
         self._brake_cycles = np.rint(hardware.brake_delay_s * CYCLE_HZ).astype(int)
         self._pending: dict[int, tuple[int, bool]] = {}
         self._drive: Drive | None = None
@@ -99,7 +100,7 @@ class Avionics:
             resolver_rad=np.rint(resolver / step_rad) * step_rad if step_rad else resolver,
             current_A=current + hardware.current_noise_A * noise[5:10],
             winding_C=hardware.ambient_C + self._heated(current),
-            switch_closed=data.sensordata[self._touch] > hardware.switch_force_N,
+            switch_closed=self._switched(data.sensordata[self._touch]),
             gravity_R_m_s2=self._gravity_R + hardware.gravity_noise_m_s2 * noise[10:],
         )
         if hardware.spoilt:
@@ -121,6 +122,12 @@ class Avionics:
         """Where the motors stand when their counters read 0."""
         zero: Array = self._hardware.counter_zero_rad + self._plant.scatter.motor_rad
         return zero
+
+    def _switched(self, force_N: Array) -> Flags:
+        """Which switches are closed: a snap-action switch opens at less force than it closes at."""
+        closes, opens = self._hardware.switch_force_N, self._hardware.switch_release_N
+        self._closed = (force_N > closes) | (self._closed & (force_N > opens))
+        return self._closed
 
     def _heated(self, current_A: Array) -> Array:
         """Rise of the windings by now: MuJoCo's own heats with the unlimited current and never cools."""

@@ -26,10 +26,6 @@ HARD_FRICTION = 1e-4
 """MuJoCo softens dry friction by 1e-4 of this inverse weight, at most as hard as its files can ask: an output
 held by friction then gives way with a time constant of four seconds. Less of it takes as many hours."""
 
-NO_CREEP = 5
-"""Passes of MuJoCo's solver against slip while anything touches: its friction is soft, and a pad that presses
-would creep along by a millimetre a minute under a hundredth of what friction holds."""
-
 ALL_ACTUATORS = 0b111110
 """The motors' actuator groups 1 to 5, one bit each: set means without power."""
 
@@ -194,7 +190,6 @@ class Plant:
 
     def step(self) -> None:
         """One control cycle of physics; PlantDiverged if MuJoCo counted a warning."""
-        self.model.opt.noslip_iterations = NO_CREEP if self.data.ncon else 0
         self._damp_gears()
         end_s = self.data.time + 1.0 / CYCLE_HZ
         mujoco.mj_step(self.model, self.data, self.steps_per_cycle)

@@ -17,10 +17,10 @@ class ContactStiffness(Effect):
     factor: Annotated[float, Size(0.05, 20.0, unit="1", typical=0.5, neutral=1.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """MuJoCo's stiffness goes with the inverse square of its time constant."""
+        """Pads have their stiffness and damping in MuJoCo's direct format; the damping ratio stays."""
         for geom in spec.geoms:
             if geom.name.endswith("_pad"):
-                geom.solref = geom.solref * np.array([self.factor**-0.5, 1.0])
+                geom.solref = geom.solref * np.array([self.factor, self.factor**0.5])
 
 
 @dataclass(frozen=True, slots=True)

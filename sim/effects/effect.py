@@ -72,6 +72,8 @@ class Hardware:
     brake_delay_s: Array
     switch_force_N: float
     """Force at which a contact switch closes."""
+    switch_release_N: float
+    """Force at which it opens again."""
     winding_K_W: Array
     """Thermal resistance from winding to ambient."""
     winding_s: Array
@@ -109,6 +111,7 @@ def nominal_hardware() -> Hardware:
         gravity_bias_R_m_s2=np.zeros(3),
         brake_delay_s=np.full(5, 0.075),
         switch_force_N=2.0,
+        switch_release_N=1.0,
         winding_K_W=np.array([2.0, 2.0, 2.0, 3.0, 3.0]),
         winding_s=np.array([900.0, 900.0, 900.0, 600.0, 600.0]),
         ambient_C=np.full(5, 20.0),
