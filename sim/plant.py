@@ -94,6 +94,8 @@ class Plant:
             pads=np.array([model.site(switch.name.lower()).id for switch in Switch]),
             bodies=np.array([model.body(name).id for name in BODIES]),
         )
+        self._motors, self._gears = evenly(self.at.motor), evenly(self.at.gear)
+        self._actuators = evenly(self.at.actuators)
         self._built_quat = model.body_quat[self.at.bodies]
         self._built = Pose(rotations(self._built_quat), model.body_pos[self.at.bodies].T.copy())
         self._bands_rad = model.tendon_lengthspring[self.at.gaps].copy()
@@ -187,11 +189,13 @@ class Plant:
 
     def motor_rad(self) -> Array:
         """True motor angles, output side."""
-        return np.asarray(self.data.qpos[self.at.motor])
+        motor: Array = self.data.qpos[self._motors].copy()
+        return motor
 
     def output_rad(self) -> Array:
         """True output angles: motor, backlash and wind-up."""
-        output: Array = self.data.qpos[self.at.motor] + self.data.qpos[self.at.gear]
+        qpos = self.data.qpos
+        output: Array = qpos[self._motors] + qpos[self._gears]
         return output
 
     def gap_rad(self) -> Array:
@@ -225,7 +229,7 @@ class Plant:
 
     def motor_current_A(self) -> Array:
         """True motor currents."""
-        current: Array = self.data.actuator_force[self.at.actuators] / self.torque_constant_Nm_A
+        current: Array = self.data.actuator_force[self._actuators] / self.torque_constant_Nm_A
         return current
 
     def tool_shift(self, tool: Tool, output_rad: Array) -> Array:
@@ -268,6 +272,14 @@ class Plant:
         moment = np.zeros(self.model.nv)
         mujoco.mj_mulM(self.model, self.data, moment, self.data.qvel)
         return 0.5 * float(moment @ self.data.qvel)
+
+
+def evenly(addresses: NDArray[np.intp]) -> slice:
+    """Addresses that lie evenly, as the slice that reads them without a copy."""
+    places = slice(addresses[0], addresses[-1] + 1, addresses[1] - addresses[0])
+    if not np.array_equal(np.arange(addresses[-1] + 1)[places], addresses):
+        raise ValueError(f"addresses {addresses.tolist()} in MuJoCo's arrays do not lie evenly")
+    return places
 
 
 def rotations(quat: Array) -> Array:
