@@ -40,6 +40,10 @@ class Config:
     """Motor angles that are never to be passed: the soft limits and their margin."""
     lowest_seeking_rad: Array
     """A row for each joint: the same while it seeks its hardstop."""
+    watched_low: Array
+    """What no joint is to be below, as protect.motors lists it, one monitor after the other, (25,)."""
+    watched_high: Array
+    """What none is to be above, likewise."""
     setpoint_step_rad: Array
     """The largest change of a set-point in a cycle."""
     brake_ticks: int
@@ -65,6 +69,12 @@ def configure(params: Params) -> Config:
     """The configuration of these parameters."""
     joints, motion, bounds = params.joints.in_order(), params.motion, params.monitors
     lowest = np.array([j.soft_min_rad - bounds.soft_limit_margin_rad for j in joints])
+    highest = np.array([j.soft_max_rad + bounds.soft_limit_margin_rad for j in joints])
+    current = np.array([j.current_limit_A for j in joints])
+    each = np.ones(len(joints))
+    behind = min(bounds.stall_error_rad, bounds.following_error_rad) * each
+    drawn = bounds.over_current_fraction * current
+    apart = bounds.resolver_error_rad * each
     hardstop = np.array([j.hardstop_rad for j in joints])
     arm = arm_from(params)
     return Config(
@@ -81,12 +91,14 @@ def configure(params: Params) -> Config:
         speed_rad_s=np.array([j.speed_rad_s for j in joints]),
         acceleration_rad_s2=np.array([j.acceleration_rad_s2 for j in joints]),
         jerk_rad_s3=np.array([j.jerk_rad_s3 for j in joints]),
-        current_limit_A=np.array([j.current_limit_A for j in joints]),
+        current_limit_A=current,
         lowest_rad=lowest,
         lowest_seeking_rad=np.where(
             np.eye(len(joints), dtype=bool), hardstop - 2 * params.hardstop.window_rad, lowest
         ),
-        highest_rad=np.array([j.soft_max_rad + bounds.soft_limit_margin_rad for j in joints]),
+        highest_rad=highest,
+        watched_low=np.concatenate((lowest, -behind, -drawn, bounds.winding_min_C * each, -apart)),
+        watched_high=np.concatenate((highest, behind, drawn, bounds.winding_max_C * each, apart)),
         setpoint_step_rad=np.array([bounds.setpoint_step_factor * CYCLE_S * j.speed_rad_s for j in joints]),
         brake_ticks=ticks(motion.brake_delay_s),
         settle_ticks=ticks(motion.settle_time_s),

@@ -6,20 +6,25 @@ from fsw.config import Config
 from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Booted, Evr, ModeChanged
+from fsw.dictionary.joints import Joint
 from fsw.estimate import joints as joint_estimate
 from fsw.estimate import load as load_estimate
+from fsw.estimate.hardstop import Found
+from fsw.estimate.joints import JointEstimate
+from fsw.estimate.load import LoadEstimate
 from fsw.executive.commands import handle, proceed
 from fsw.executive.situation import Situation
 from fsw.kinematics.transforms import Array
 from fsw.messages import Outputs, Sensors
 from fsw.motion.drive import drive_for
 from fsw.motion.move import Phase, advance, pressing_in
+from fsw.motion.plan_press import Pressing
 from fsw.protect.guard import Guarded, guard
 from fsw.protect.monitors import MonitorState, watch
 from fsw.protect.motors import lowest_for
 from fsw.protect.readings import unusable
 from fsw.protect.setpoints import unsafe_setpoint
-from fsw.state import State, joint_channels, last_setpoint
+from fsw.state import State, joint_channels
 
 
 def step(
@@ -28,58 +33,89 @@ def step(
     """The state and the outputs after one cycle; everything follows from the arguments."""
     before, config = state, state.changed or config
     bad = unusable(config, sensors)
-    state, tool_channels = _estimate(config, state, sensors, usable=not bad)
-    state, decided = _decide(config, state, sensors, commands, usable=not bad)
+    usable = not bad
+    joints, load, tool_channels = _estimate(config, state, sensors, usable)
+    state, joints, decided = _decide(config, state, joints, load, sensors, commands, usable)
     # at rest the last set-point is where the motors are, in today's encoder zero
-    last_rad = state.joints.motor_rad if before.move is None else last_setpoint(before)
-    state, moved = _move(config, state, sensors, usable=not bad)
-    state, seen, found = _protect(config, state, sensors, last_rad, bad, moved)
-    return _output(config, before, state, seen, tool_channels, decided + found)
+    last_rad = joints.motor_rad if before.move is None else before.move.hold.motor_rad
+    moved, joints, pressing = _move(config, state, joints, load, sensors, usable)
+    seen, after = _protect(config, state, sensors, last_rad, bad, moved, joints, pressing)
+    # built once, as a stage that changed a few fields of it would copy them all
+    state = State(
+        tick=before.tick + 1,
+        mode=after.mode,
+        tool=state.tool,
+        joints=joints,
+        load=load,
+        planned_gap_rad=state.planned_gap_rad,
+        move=after.move,
+        pressing=pressing,
+        sequence=after.sequence,
+        fault=after.fault,
+        monitors=seen,
+        drive=drive_for(config, after.move, joints, state.drive),
+        changed=state.changed,
+    )
+    return state, _outputs(config, before, state, tool_channels, decided + after.evrs)
 
 
 def _estimate(
     config: Config, state: State, sensors: Sensors, usable: bool
-) -> tuple[State, ToolChannels | None]:
+) -> tuple[JointEstimate, LoadEstimate, ToolChannels | None]:
     """Joint angles every cycle, load and tool pose every so often; bad readings leave the last estimate."""
     if not usable:
-        return state, None
+        return state.joints, state.load, None
     joints = joint_estimate.update(config, state.joints, sensors)
     if state.load.known and state.tick % config.params.motion.load_period != 0:
-        return replace(state, joints=joints), None
+        return joints, state.load, None
     push = None if state.pressing is None else state.pressing.pushed
     load, joints, channels = load_estimate.refresh(config, state.tick, state.tool, joints, state.load, push)
-    return replace(state, joints=joints, load=load), channels
+    return joints, load, channels
 
 
 def _decide(
-    config: Config, state: State, sensors: Sensors, commands: tuple[Command, ...], usable: bool
-) -> tuple[State, tuple[Evr, ...]]:
-    """Commands change what the arm is about to do."""
-    if not commands and state.sequence is None:
-        return state, ()
-    now = Situation(state, usable, closed=sensors.switch_closed)
+    config: Config,
+    state: State,
+    joints: JointEstimate,
+    load: LoadEstimate,
+    sensors: Sensors,
+    commands: tuple[Command, ...],
+    usable: bool,
+) -> tuple[State, JointEstimate, tuple[Evr, ...]]:
+    """Commands change what the arm is about to do, and what is known of its joints."""
+    if not commands and (state.sequence is None or state.move is not None):
+        return state, joints, ()
+    now = Situation(replace(state, joints=joints, load=load), usable, closed=sensors.switch_closed)
     for command in commands:
         now = handle(now.state.changed or config, now, command)
     now = proceed(now.state.changed or config, now)
-    return now.state, now.evrs
+    return now.state, now.state.joints, now.evrs
 
 
-def _move(config: Config, state: State, sensors: Sensors, usable: bool) -> tuple[State, tuple[Evr, ...]]:
-    """The move under way, one cycle on; with bad readings only the brakes go on."""
-    if state.move is None or not (usable or state.move.phase is Phase.BRAKE):
-        return state, ()
-    result = advance(config, state.move, state.joints, state.load.torque_Nm, sensors)
-    mode = state.mode if result.end_mode is None else result.end_mode
-    pressing = state.pressing
-    if state.move.press is not None:
-        pressing = pressing_in(result.move or state.move)
-    state = replace(state, move=result.move, mode=mode, pressing=pressing)
-    if result.stop is None:
-        return state, result.evrs
-    joint, found = result.stop
-    joints = joint_estimate.calibrated(config, state.joints, state.load.torque_Nm, joint, found)
-    moved_rad = float((joints.motor_rad - state.joints.motor_rad)[joint])
-    return replace(state, joints=joints), (found.event(joint, moved_rad), *result.evrs)
+def _move(
+    config: Config, state: State, joints: JointEstimate, load: LoadEstimate, sensors: Sensors, usable: bool
+) -> tuple[Guarded, JointEstimate, Pressing | None]:
+    """The move under way, one cycle on, to be protected; with bad readings only the brakes go on."""
+    mode, move, pressing = state.mode, state.move, state.pressing
+    evrs: tuple[Evr, ...] = ()
+    if move is not None and (usable or move.phase is Phase.BRAKE):
+        result = advance(config, move, joints, load.torque_Nm, sensors)
+        if move.press is not None:
+            pressing = pressing_in(result.move or move)
+        move, evrs = result.move, result.evrs
+        mode = mode if result.end_mode is None else result.end_mode
+        if result.stop is not None:
+            joints, calibrated = _calibrate(config, joints, load, *result.stop)
+            evrs = (calibrated, *evrs)
+    return Guarded(mode, move, state.sequence, state.fault, evrs), joints, pressing
+
+
+def _calibrate(
+    config: Config, joints: JointEstimate, load: LoadEstimate, joint: Joint, found: Found
+) -> tuple[JointEstimate, Evr]:
+    """The joints with the zero of one that has found its hardstop."""
+    calibrated = joint_estimate.calibrated(config, joints, load.torque_Nm, joint, found)
+    return calibrated, found.event(joint, float((calibrated.motor_rad - joints.motor_rad)[joint]))
 
 
 def _protect(
@@ -88,37 +124,26 @@ def _protect(
     sensors: Sensors,
     last_rad: Array,
     bad: tuple[Evr, ...],
-    moved: tuple[Evr, ...],
-) -> tuple[State, MonitorState, tuple[Evr, ...]]:
+    moved: Guarded,
+    joints: JointEstimate,
+    pressing: Pressing | None,
+) -> tuple[MonitorState, Guarded]:
     """Monitors say what happened; the response may only reduce or stop."""
-    arm = (state.mode, state.tool, state.move, sensors, state.joints, state.pressing)
+    arm = (moved.mode, state.tool, moved.move, sensors, joints, pressing)
     seen, found = watch(config, state.monitors, *arm, usable=not bad)
     found = bad + found
-    if state.move is not None:
-        found += unsafe_setpoint(config, lowest_for(config, state.move), last_rad, state.move.hold.motor_rad)
-    found += moved
-    if not found:
-        return state, seen, ()
-    before = Guarded(state.mode, state.move, state.sequence, state.fault, ())
-    after = guard(config, before, last_rad, state.joints, found)
-    state = replace(state, mode=after.mode, move=after.move, sequence=after.sequence, fault=after.fault)
-    return state, seen, after.evrs
+    if moved.move is not None:
+        found += unsafe_setpoint(config, lowest_for(config, moved.move), last_rad, moved.move.hold.motor_rad)
+    found += moved.evrs
+    return seen, guard(config, moved, last_rad, joints, found) if found else moved
 
 
-def _output(
-    config: Config,
-    before: State,
-    state: State,
-    seen: MonitorState,
-    tool: ToolChannels | None,
-    evrs: tuple[Evr, ...],
-) -> tuple[State, Outputs]:
+def _outputs(
+    config: Config, before: State, state: State, tool: ToolChannels | None, evrs: tuple[Evr, ...]
+) -> Outputs:
     """What leaves flight software in this cycle."""
-    if state.tick == 0:
+    if before.tick == 0:
         evrs = (Booted(config.params_sha256), *evrs)
     if state.mode is not before.mode:
         evrs = (*evrs, ModeChanged(before.mode, state.mode))
-    channels = joint_channels(state)
-    drive = drive_for(config, state.move, state.joints, state.drive)
-    after = replace(state, tick=state.tick + 1, monitors=seen, drive=drive)
-    return after, Outputs(drive, channels, tool, evrs)
+    return Outputs(state.drive, joint_channels(before.tick, state), tool, evrs)

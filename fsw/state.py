@@ -67,7 +67,7 @@ def boot(config: Config, mode: Mode, reference: Reference | None = None) -> Stat
 
 def outputs_at_rest(state: State) -> Outputs:
     """What flight software would put out if nothing happened: the last drive, the channels as they are."""
-    return Outputs(state.drive, joint_channels(state), None, ())
+    return Outputs(state.drive, joint_channels(state.tick, state), None, ())
 
 
 def last_setpoint(state: State) -> Array:
@@ -75,11 +75,11 @@ def last_setpoint(state: State) -> Array:
     return state.joints.motor_rad if state.move is None else state.move.hold.motor_rad
 
 
-def joint_channels(state: State) -> JointChannels:
-    """The channels of every cycle."""
+def joint_channels(tick: int, state: State) -> JointChannels:
+    """The channels of a cycle that left this state."""
     joints = state.joints
     return JointChannels(
-        tick=state.tick,
+        tick=tick,
         mode=state.mode,
         busy=state.move is not None or state.sequence is not None,
         motor_rad=joints.motor_rad,

@@ -15,7 +15,7 @@ from fsw.kinematics.transforms import Array
 from fsw.messages import Counts, Drive, Flags, Sensors
 from sim.effects.effect import Effect, Hardware, drawn_scatter, gone_on, read_through
 from sim.frames import FLIP
-from sim.plant import RESISTANCE, Plant
+from sim.plant import RESISTANCE, Plant, evenly
 
 UNPOWERED: Final = np.zeros(len(Joint), bool)
 VIBRATION_N: Final = 10.0
@@ -39,7 +39,7 @@ class Avionics:
         self._resistance_Ohm = model.actuator_gainprm[motors, RESISTANCE].copy()
         self._winding_rise_K = np.zeros(len(motors))
         self._winding_time_s = plant.data.time
-        self._touch = model.sensor_adr[switches]
+        self._touch = evenly(model.sensor_adr[switches])
         self._closed = np.zeros(len(Switch), bool)
         self._brake_cycles = np.rint(hardware.brake_delay_s * CYCLE_HZ).astype(int)
         self._pending: dict[int, tuple[int, bool]] = {}
@@ -53,6 +53,9 @@ class Avionics:
         """What follows from model and hardware, which change only when something happens to them."""
         self._next_s = min((effect.at_s for effect in self._hardware.timed), default=np.inf)
         self._gravity_R = FLIP * self._plant.model.opt.gravity + self._hardware.gravity_bias_R_m_s2
+        hardware = self._hardware
+        sigma = (hardware.resolver_noise_rad, hardware.current_noise_A, hardware.gravity_noise_m_s2)
+        self._noise_sigma = np.repeat(sigma, (5, 5, 3))
 
     def on(self, plant: Plant) -> "Avionics":
         """The same avionics with a copy of their plant."""
@@ -87,9 +90,9 @@ class Avionics:
         if self._plant.data.time >= self._next_s:
             self._happen()
         plant, hardware, data = self._plant, self._hardware, self._plant.data
-        noise = self._rng.standard_normal(13)
+        noise = self._rng.standard_normal(13) * self._noise_sigma
         current = plant.motor_current_A()
-        resolver = plant.output_rad() + hardware.resolver_bias_rad + hardware.resolver_noise_rad * noise[:5]
+        resolver = plant.output_rad() + hardware.resolver_bias_rad + noise[:5]
         for warped in hardware.warped:
             resolver += warped.error_rad(plant.output_rad())
         self._cycle += 1
@@ -98,10 +101,10 @@ class Avionics:
             cycle=self._cycle,
             encoder_count=self.encoder_count(),
             resolver_rad=np.rint(resolver / step_rad) * step_rad if step_rad else resolver,
-            current_A=current + hardware.current_noise_A * noise[5:10],
+            current_A=current + noise[5:10],
             winding_C=hardware.ambient_C + self._heated(current),
             switch_closed=self._switched(data.sensordata[self._touch]),
-            gravity_R_m_s2=self._gravity_R + hardware.gravity_noise_m_s2 * noise[10:],
+            gravity_R_m_s2=self._gravity_R + noise[10:],
         )
         if hardware.spoilt:
             sensors, begun = read_through(hardware.spoilt, sensors, self._rng)
@@ -131,11 +134,12 @@ class Avionics:
 
     def _heated(self, current_A: Array) -> Array:
         """Rise of the windings by now: MuJoCo's own heats with the unlimited current and never cools."""
-        elapsed_s = self._plant.data.time - self._winding_time_s
-        self._winding_time_s = self._plant.data.time
-        final_K = current_A**2 * self._resistance_Ohm * self._hardware.winding_K_W
-        share = -np.expm1(-elapsed_s / self._hardware.winding_s)
-        self._winding_rise_K = self._winding_rise_K + share * (final_K - self._winding_rise_K)
+        now_s, hardware = self._plant.data.time, self._hardware
+        final_K = current_A * current_A * self._resistance_Ohm * hardware.winding_K_W
+        # less is left of what it was short of, the longer ago that is
+        left = np.expm1((self._winding_time_s - now_s) / hardware.winding_s)
+        self._winding_time_s = now_s
+        self._winding_rise_K = self._winding_rise_K + left * (self._winding_rise_K - final_K)
         return self._winding_rise_K
 
     def apply(self, drive: Drive) -> None:

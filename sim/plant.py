@@ -78,7 +78,7 @@ class Plant:
         self._rate_share = rate_gain / model.actuator_gainprm[:, RATE_GAIN]
         self._lead_s = (model.opt.timestep - REFERENCE_STEP_S) / 2
         self.steps_per_cycle = round(1.0 / (CYCLE_HZ * model.opt.timestep))
-        if self.steps_per_cycle * model.opt.timestep * CYCLE_HZ != 1.0:
+        if not np.isclose(self.steps_per_cycle * model.opt.timestep * CYCLE_HZ, 1.0, rtol=1e-12):
             raise ValueError(
                 f"time step {model.opt.timestep} s does not divide the control cycle of 1/{CYCLE_HZ} s"
             )
@@ -94,13 +94,15 @@ class Plant:
             pads=np.array([model.site(switch.name.lower()).id for switch in Switch]),
             bodies=np.array([model.body(name).id for name in BODIES]),
         )
+        self._motors, self._gears = evenly(self.at.motor), evenly(self.at.gear)
+        self._actuators, self._gaps = evenly(self.at.actuators), evenly(self.at.gaps)
         self._built_quat = model.body_quat[self.at.bodies]
         self._built = Pose(rotations(self._built_quat), model.body_pos[self.at.bodies].T.copy())
         self._bands_rad = model.tendon_lengthspring[self.at.gaps].copy()
-        gaps = self.at.gaps
-        in_gap, on_flank = (model.tendon_damping[gaps] - s * model.tendon_stiffness[gaps] for s in (0.0, gear_excess_s))
-        self._gear_damping_Nms_rad = np.array([in_gap, on_flank])
-        self._on_flank = np.zeros(len(gaps), bool)
+        damping, stiffness = model.tendon_damping[self._gaps], model.tendon_stiffness[self._gaps]
+        self._gap_damping_Nms_rad = damping.copy()
+        self._flank_damping_Nms_rad = damping - gear_excess_s * stiffness
+        self._on_flank = np.zeros(len(Joint), bool)
         self._friction_Nm = model.dof_frictionloss[self.at.motor].copy()
         self._damping_Nms_rad = model.dof_damping[self.at.motor].copy()
         self._gains = model.actuator_gainprm[self.at.actuators, GAINS].copy()
@@ -198,18 +200,20 @@ class Plant:
         self._check()
 
     def _damp_gears(self) -> None:
-        """Let gears be damped as the reference step computes them, in the gap and on the flanks."""
-        length, (low, high) = self.data.ten_length[self.at.gaps], self.model.tendon_lengthspring[self.at.gaps].T
-        on_flank = (length < low) | (length > high)
+        """Let gears be damped as the reference step computes them: other on a flank than in the gap."""
+        length, bounds = self.data.ten_length[self._gaps], self.model.tendon_lengthspring[self._gaps]
+        on_flank = (length < bounds[:, 0]) | (length > bounds[:, 1])
         if (on_flank != self._on_flank).any():
             self._on_flank = on_flank
-            self.model.tendon_damping[self.at.gaps] = np.where(on_flank, *self._gear_damping_Nms_rad[::-1])
+            damping = np.where(on_flank, self._flank_damping_Nms_rad, self._gap_damping_Nms_rad)
+            self.model.tendon_damping[self._gaps] = damping
 
     def _update_motors(self) -> None:
         """Compute the motors' torques of this moment: those of the last step are of its beginning."""
-        self.data.actuator_length[:] = self.data.qpos[self.at.motor]
-        self.data.actuator_velocity[:] = self.data.qvel[self.at.motor]
-        mujoco.mj_fwdActuation(self.model, self.data)
+        data = self.data
+        data.actuator_length[self._actuators] = data.qpos[self._motors]
+        data.actuator_velocity[self._actuators] = data.qvel[self._motors]
+        mujoco.mj_fwdActuation(self.model, data)
 
     def _check(self) -> None:
         if self.data.warning.number.any():
@@ -218,11 +222,13 @@ class Plant:
 
     def motor_rad(self) -> Array:
         """True motor angles, output side."""
-        return np.asarray(self.data.qpos[self.at.motor])
+        motor: Array = self.data.qpos[self._motors].copy()
+        return motor
 
     def output_rad(self) -> Array:
         """True output angles: motor, backlash and wind-up."""
-        output: Array = self.data.qpos[self.at.motor] + self.data.qpos[self.at.gear]
+        qpos = self.data.qpos
+        output: Array = qpos[self._motors] + qpos[self._gears]
         return output
 
     def gap_rad(self) -> Array:
@@ -256,7 +262,7 @@ class Plant:
 
     def motor_current_A(self) -> Array:
         """True motor currents."""
-        current: Array = self.data.actuator_force[self.at.actuators] / self.torque_constant_Nm_A
+        current: Array = self.data.actuator_force[self._actuators] / self.torque_constant_Nm_A
         return current
 
     def tool_shift(self, tool: Tool, output_rad: Array) -> Array:
@@ -316,6 +322,14 @@ def damp_as_reference(model: mujoco.MjModel) -> float:
         excess_s = -REFERENCE_STEP_S  # the dual solver takes tendons and servos as they are at the beginning
     model.actuator_gainprm[:, RATE_GAIN] -= excess_s * model.actuator_gainprm[:, POSITION_GAIN]
     return excess_s
+
+
+def evenly(addresses: NDArray[np.intp]) -> slice:
+    """Addresses that lie evenly, as the slice that reads them without a copy."""
+    places = slice(addresses[0], addresses[-1] + 1, addresses[1] - addresses[0])
+    if not np.array_equal(np.arange(addresses[-1] + 1)[places], addresses):
+        raise ValueError(f"addresses {addresses.tolist()} in MuJoCo's arrays do not lie evenly")
+    return places
 
 
 def rotations(quat: Array) -> Array:

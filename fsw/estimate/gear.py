@@ -12,6 +12,7 @@ good. Where both end on one flank the side is known; where they do not, nothing 
 """
 
 from dataclasses import dataclass
+from math import sqrt
 from typing import Final
 
 import numpy as np
@@ -22,7 +23,7 @@ from fsw.kinematics.transforms import Array, Flags
 LEAST, LIKELY, MOST = range(3)
 SLACK: Final = np.array([-1.0, 0.0, 1.0])
 MARS_M_S2: Final = 3.711
-ON_FLANK_RAD: Final = 1e-6
+ON_FLANK_RAD: Final = np.array(1e-6)
 STILL_RAD: Final = 2e-5
 """An output that is to move less than this is left where it lies."""
 
@@ -59,7 +60,7 @@ def uncertain_loads(
 
 def load_error(config: Config, gravity_R_m_s2: Array) -> Array:
     """How far modelled loads (5) may be from the true ones: in proportion to gravity, as most of it is."""
-    error: Array = config.load_error_Nm * (float(np.linalg.norm(gravity_R_m_s2)) / MARS_M_S2)
+    error: Array = config.load_error_Nm * (sqrt(float(gravity_R_m_s2 @ gravity_R_m_s2)) / MARS_M_S2)
     return error
 
 
@@ -80,9 +81,10 @@ def gear_moved(gear_rad: Array, moved_rad: Array, bounds: GearBounds) -> Array:
 
 def side_of(half_gap_rad: Array, gear_rad: Array) -> Array:
     """+1 or -1 where the output surely lies on that side of its gap, 0 where nothing has decided; (5)."""
-    flank = half_gap_rad - ON_FLANK_RAD
-    side: Array = np.subtract(gear_rad[:, LEAST] >= flank, gear_rad[:, MOST] <= -flank, dtype=float)
-    return side
+    each = zip(gear_rad.tolist(), (half_gap_rad - ON_FLANK_RAD).tolist(), strict=True)
+    return np.array(
+        [1.0 if least >= flank else -1.0 if most <= -flank else 0.0 for (least, _, most), flank in each]
+    )
 
 
 def held_on_side(half_gap_rad: Array, bounds: GearBounds, room_rad: Array) -> Flags:

@@ -8,7 +8,9 @@ import numpy as np
 from fsw.config import CYCLE_HZ, Config
 from fsw.dictionary.joints import Joint
 from fsw.estimate.gear import (
+    LEAST,
     LIKELY,
+    MOST,
     GearBounds,
     bounds_under,
     gap_of,
@@ -22,10 +24,11 @@ from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 
 GRAVITY_FILTER_S: Final = 1.0
-GRAVITY_GAIN: Final = 1.0 / (GRAVITY_FILTER_S * CYCLE_HZ)
+GRAVITY_GAIN: Final = np.array(1.0 / (GRAVITY_FILTER_S * CYCLE_HZ))
 ANYWHERE_RAD: Final = 1.0
 RESOLVER_FILTER_S: Final = 0.25
-RESOLVER_GAIN: Final = 1.0 / (RESOLVER_FILTER_S * CYCLE_HZ)
+RESOLVER_GAIN: Final = np.array(1.0 / (RESOLVER_FILTER_S * CYCLE_HZ))
+PER_S: Final = np.array(float(CYCLE_HZ))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,8 +78,8 @@ class JointEstimate:
     @property
     def uncertainty_rad(self) -> Array:
         """How far the gear angle may be from its likely value; an error of its stiffness comes on top."""
-        least, likely, most = self.gear_rad.T
-        uncertainty: Array = np.maximum(most - likely, likely - least)
+        likely = self.gear_rad[:, LIKELY]
+        uncertainty: Array = np.maximum(self.gear_rad[:, MOST] - likely, likely - self.gear_rad[:, LEAST])
         return uncertainty
 
 
@@ -108,7 +111,7 @@ def update(config: Config, last: JointEstimate, sensors: Sensors) -> JointEstima
         awake=True,
         reference=last.reference,
         motor_rad=motor,
-        motor_rate_rad_s=motion * CYCLE_HZ,
+        motor_rate_rad_s=motion * PER_S,
         gear_rad=gear,
         bounds=last.bounds,
         resolver_error_rad=last.resolver_error_rad + RESOLVER_GAIN * (error - last.resolver_error_rad),

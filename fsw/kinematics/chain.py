@@ -1,11 +1,16 @@
 """Forward kinematics of the strained chain, and its Jacobians: by joint and by frame."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.transforms import Array, Pose, adjoint, cross
+from fsw.kinematics.transforms import IDENTITY, Array, Pose, adjoint, cross
+
+COSINE: Final = tuple(np.array(1 / factorial) for factorial in (1, 2, 24, 720))
+SINE: Final = tuple(np.array(1 / factorial) for factorial in (1, 6, 120, 5040))
+"""The coefficients of their series, as arrays: numpy would make arrays of numbers at every use."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,12 +50,12 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     X_SF[1] += cosine * X_LF[1]
     X_SF[2] = X_LF[2]
     R_RS = np.empty((3, 3, 7, *batch))
-    R_RS[:, :, 0] = np.eye(3).reshape(3, 3, *ones)
+    R_RS[:, :, 0] = IDENTITY.R.reshape(3, 3, *ones)
     R_RS[:, :, 1] = X_SF[:, :3, 0]
     for i in range(1, 6):
         np.einsum("ik...,kj...->ij...", R_RS[:, :, i], X_SF[:, :3, i], out=R_RS[:, :, i + 1])
     p_RS = np.zeros((3, 7, *batch))
-    np.cumsum(np.einsum("ij...,j...->i...", R_RS[:, :, :6], X_SF[:, 3]), axis=1, out=p_RS[:, 1:])
+    np.add.accumulate(np.einsum("ij...,j...->i...", R_RS[:, :, :6], X_SF[:, 3]), axis=1, out=p_RS[:, 1:])
     R_RL = np.empty((3, 3, 6, *batch))
     x, y = R_RS[:, 0, :6], R_RS[:, 1, :6]
     np.multiply(x, cosine, out=R_RL[:, 0])
@@ -78,9 +83,9 @@ def spring_pose(arm: Arm, strain: Array) -> Pose:
 
 def _small_cos_sin(x: Array) -> tuple[Array, Array]:
     """Cosine and sine by series, to 3e-13 up to 0.1 rad; in a batch ten times faster than the library's."""
-    x2 = x * x
-    cosine = 1 - x2 * (1 / 2 - x2 * (1 / 24 - x2 * (1 / 720)))
-    sine = x * (1 - x2 * (1 / 6 - x2 * (1 / 120 - x2 * (1 / 5040))))
+    x2, (c0, c2, c4, c6), (s1, s3, s5, s7) = x * x, COSINE, SINE
+    cosine = c0 - x2 * (c2 - x2 * (c4 - x2 * c6))
+    sine = x * (s1 - x2 * (s3 - x2 * (s5 - x2 * s7)))
     return cosine, sine
 
 

@@ -82,7 +82,7 @@ def advance(config: Config, move: Move, joints: JointEstimate, load_Nm: Array, s
     match move.phase:
         case Phase.RELEASE:
             if move.ticks < config.brake_ticks:
-                return Advance(_tick(move))
+                return Advance(_on(move, move.hold))
             return Advance(_enter(move, Phase.RUN))
         case Phase.RUN:
             if move.seek is not None:
@@ -94,7 +94,7 @@ def advance(config: Config, move: Move, joints: JointEstimate, load_Nm: Array, s
             return _settle(config, move, joints)
         case Phase.BRAKE:
             if move.ticks < config.brake_ticks:
-                return Advance(_tick(move))
+                return Advance(_on(move, move.hold))
             if move.stopped:
                 return Advance(None, (CommandAborted(move.command),), move.end_mode)
             return Advance(
@@ -156,7 +156,7 @@ def _run(config: Config, move: Move, sensors: Sensors) -> Advance:
             still = Setpoint(move.hold.motor_rad, np.zeros_like(move.hold.rate_rad_s))
             return Advance(_enter(replace(move, hold=still), Phase.SETTLE), evrs)
     path, time_s = move.paths[0], (move.ticks + 1) * CYCLE_S
-    running = replace(move, hold=path.at(time_s), ticks=move.ticks + 1)
+    running = _on(move, path.at(time_s))
     if time_s < path.duration_s:
         return Advance(running, evrs)
     running = replace(running, travelled=_travel(move, path.duration_s))
@@ -175,7 +175,8 @@ def _press(
     if fit is not None and not move.stopped:
         pressing, rate_N_s = press.after(gone(move)), _travel_rate(move)
         fit = fitted(config, fit, press, pressing, rate_N_s, move.hold, joints, load_Nm, sensors)
-    done = _run(config, replace(move, fit=fit), sensors)
+        move = replace(move, fit=fit)
+    done = _run(config, move, sensors)
     if done.move is None or done.move.phase is not Phase.SETTLE or fit is None or move.stopped:
         return done
     return _trimmed(config, done.move, press, fit, joints) or done
@@ -255,5 +256,24 @@ def _enter(move: Move, phase: Phase) -> Move:
     return replace(move, phase=phase, ticks=0, calm_ticks=0)
 
 
-def _tick(move: Move) -> Move:
-    return replace(move, ticks=move.ticks + 1)
+def _on(move: Move, hold: Setpoint) -> Move:
+    """The move one cycle on in its phase; not by `replace`, which looks at every field first."""
+    return Move(
+        move.command,
+        move.end_mode,
+        move.active,
+        move.limit_A,
+        move.paths,
+        hold,
+        move.guarded,
+        move.contact_at,
+        move.seek,
+        move.press,
+        move.fit,
+        move.vibrate,
+        move.stopped,
+        move.phase,
+        move.ticks + 1,
+        move.calm_ticks,
+        move.travelled,
+    )

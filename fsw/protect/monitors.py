@@ -96,30 +96,41 @@ def _watch_arm(
 ) -> tuple[Counts, tuple[Evr, ...]]:
     """The monitors that need readings to compute with."""
     evrs: tuple[Evr, ...] = ()
-    bounds = config.params.monitors
-    if sensors.switch_closed.any():
+    counts = QUIET
+    if True in sensors.switch_closed.tolist():
         evrs += contact(mode, tool, sensors.switch_closed)
+    if motors.beyond(config, move, sensors, joints):
+        counts, found = _watch_joints(config, last, move, sensors, joints)
+        evrs += found
+    if move is None or planned_gravity_R is None:
+        return counts, evrs
+    lost = outside = 0
+    tilted, turned = tilt(config, last.tilt, planned_gravity_R, joints.imu_R_m_s2)
+    evrs += turned
+    if move.press is not None and not move.stopped and pressing is not None:
+        lost, gone = contact_lost(config, last.contact, pressing, sensors.switch_closed)
+        outside, force = preload_outside(config, last.preload, pressing, move.press.torque_per_N, joints)
+        evrs += gone + force
+    if tilted or lost or outside:
+        counts = replace(counts, tilt=tilted, contact=lost, preload=outside)
+    return counts, evrs
+
+
+def _watch_joints(
+    config: Config, last: Counts, move: Move | None, sensors: Sensors, joints: JointEstimate
+) -> tuple[Counts, tuple[Evr, ...]]:
+    """The monitors of the joints, one by one."""
     resolver, apart = motors.resolver(config, last.resolver, joints)
     moving = move is not None and not move.stopped
     winding, heat = motors.winding(config, last.winding, moving, sensors.winding_C)
-    evrs += apart + heat
-    tilted = following = stalled = drawn = lost = outside = 0
-    if move is not None and planned_gravity_R is not None:
-        evrs += motors.soft_limits(config, move, joints.motor_rad)
-        tilted, turned = tilt(config, last.tilt, planned_gravity_R, joints.imu_R_m_s2)
-        evrs += turned
-        if move.phase is not Phase.RELEASE:
-            error = np.abs(move.hold.motor_rad - joints.motor_rad)
-            if error.max() > min(bounds.stall_error_rad, bounds.following_error_rad):
-                stalled, still = motors.stalled(config, last.stalled, move, error, joints)
-                following, behind = motors.following(config, last.following, error)
-                evrs += still + behind
-            drawn, high = motors.over_current(config, last.over_current, sensors.current_A)
-            evrs += high
-        if moving and move.press is not None and pressing is not None:
-            lost, gone = contact_lost(config, last.contact, pressing, sensors.switch_closed)
-            outside, force = preload_outside(config, last.preload, pressing, move.press.torque_per_N, joints)
-            evrs += gone + force
-    if not (tilted or following or stalled or drawn or winding or resolver or lost or outside):
-        return QUIET, evrs
-    return Counts(following, stalled, drawn, winding, resolver, tilted, lost, outside), evrs
+    if move is None:
+        return Counts(winding=winding, resolver=resolver), apart + heat
+    evrs = apart + heat + motors.soft_limits(config, move, joints.motor_rad)
+    following = stalled = drawn = 0
+    if move.phase is not Phase.RELEASE:
+        error = np.abs(move.hold.motor_rad - joints.motor_rad)
+        stalled, still = motors.stalled(config, last.stalled, move, error, joints)
+        following, behind = motors.following(config, last.following, error)
+        drawn, high = motors.over_current(config, last.over_current, sensors.current_A)
+        evrs += still + behind + high
+    return Counts(following, stalled, drawn, winding, resolver), evrs

@@ -19,7 +19,16 @@ from fsw.dictionary.faults import (
 from fsw.dictionary.joints import Joint
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.transforms import Array
+from fsw.messages import Sensors
 from fsw.motion.move import Move
+
+
+def beyond(config: Config, move: Move | None, sensors: Sensors, joints: JointEstimate) -> bool:
+    """Whether any joint is beyond a bound below; only then it is asked beyond which, and for how long."""
+    motor = joints.motor_rad
+    behind = motor - (motor if move is None else move.hold.motor_rad)
+    watched = np.concatenate((motor, behind, sensors.current_A, sensors.winding_C, joints.resolver_error_rad))
+    return bool(np.count_nonzero((watched < config.watched_low) | (watched > config.watched_high)))
 
 
 def soft_limits(config: Config, move: Move, motor_rad: Array) -> tuple[Evr, ...]:

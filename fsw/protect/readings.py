@@ -10,6 +10,8 @@ from fsw.messages import Sensors
 
 LIVELY: Final = ("resolver_rad",) * 5 + ("current_A",) * 5 + ("gravity_R_m_s2",) * 3
 """Of which sensor each number is that is never the same for long, even at rest: it has noise."""
+ANALOG: Final = ("resolver_rad", "current_A", "winding_C", "gravity_R_m_s2")
+"""The sensors whose readings are real numbers."""
 
 
 def unusable(config: Config, sensors: Sensors) -> tuple[Evr, ...]:
@@ -17,16 +19,13 @@ def unusable(config: Config, sensors: Sensors) -> tuple[Evr, ...]:
 
     This comes first: comparisons with NaN are all false and clip nothing, and a wild value stays in filters.
     """
-    analog = (
-        ("resolver_rad", sensors.resolver_rad),
-        ("current_A", sensors.current_A),
-        ("winding_C", sensors.winding_C),
-        ("gravity_R_m_s2", sensors.gravity_R_m_s2),
-    )
     # hypot warns of nothing, and is finite only if all its arguments are
-    found = tuple(SensorNotFinite(name) for name, values in analog if not isfinite(hypot(*values.tolist())))
-    if found:
-        return found
+    if not isfinite(hypot(*lively(sensors), *sensors.winding_C.tolist())):
+        found = tuple(
+            SensorNotFinite(name) for name in ANALOG if not isfinite(hypot(*getattr(sensors, name).tolist()))
+        )
+        if found:
+            return found
     gravity, bounds = hypot(*sensors.gravity_R_m_s2.tolist()), config.params.monitors
     if bounds.gravity_min_m_s2 <= gravity <= bounds.gravity_max_m_s2:
         return ()

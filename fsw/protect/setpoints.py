@@ -2,8 +2,6 @@
 
 from typing import Final
 
-import numpy as np
-
 from fsw.config import Config
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import SetpointUnsafe
@@ -20,11 +18,13 @@ def unsafe_setpoint(
 
     Outside the limits it may still move inward: that is the way back.
     """
-    # written so that NaN fails it
-    safe = np.abs(setpoint_rad - last_rad) <= config.setpoint_step_rad
-    low_safe = setpoint_rad >= np.minimum(lowest_rad, last_rad - ROUNDING_RAD)
-    high_safe = setpoint_rad <= np.maximum(config.highest_rad, last_rad + ROUNDING_RAD)
-    if safe.all() and low_safe.all() and high_safe.all():
-        return ()
-    joint = Joint(int(np.argmin(safe & low_safe & high_safe)))
-    return (SetpointUnsafe(joint, float(setpoint_rad[joint]), float(last_rad[joint])),)
+    limits = lowest_rad.tolist(), config.highest_rad.tolist(), config.setpoint_step_rad.tolist()
+    each = zip(setpoint_rad.tolist(), last_rad.tolist(), *limits, strict=True)
+    for joint, (asked, last, lowest, highest, step) in enumerate(each):
+        # written so that NaN fails it
+        near = abs(asked - last) <= step
+        low_safe = asked >= lowest or asked >= last - ROUNDING_RAD
+        high_safe = asked <= highest or asked <= last + ROUNDING_RAD
+        if not (near and low_safe and high_safe):
+            return (SetpointUnsafe(Joint(joint), asked, last),)
+    return ()
