@@ -24,6 +24,8 @@ from sim.world import World
 
 EXAMPLE = "example: python -m benchmarks.backlash --tours 20 --poses 50 --arm nominal > backlash.json"
 MAX_TILT_RAD: Final = float(np.radians(30.0))
+LEAST_RATIO: Final = 10.0
+"""Of what backlash does to the tool: without compensation over with it."""
 
 
 def one_tour(arm_name: str, backlash: Backlash, poses: int, seed: int) -> list[Settled]:
@@ -90,6 +92,8 @@ def campaign(arm_name: str, tours: int, poses: int, seed: int, workers: int) -> 
         result[f"backlash_{mode}"] = summary(friction, found[mode])
     tool = "tool_error_from_backlash_mm"
     result["tool_error_ratio"] = result["backlash_off"][tool]["rms"] / result["backlash_on"][tool]["rms"]
+    wrong = sum(result[f"backlash_{mode}"]["wrong_claims"] for mode in modes)
+    result["in_bounds"] = wrong == 0 and result["tool_error_ratio"] > LEAST_RATIO
     return result
 
 
@@ -98,7 +102,7 @@ def _rms_mrad(error: np.ndarray) -> float | None:
 
 
 def main() -> int:
-    """Print the result as JSON."""
+    """Print the result as JSON; exit status 1 if a side was claimed wrongly, or it hardly helps."""
     options = parser("backlash", __doc__, EXAMPLE)
     options.add_argument("--arm", default="nominal", help="nominal, as-built:SEED or calibrated:SEED")
     options.add_argument("--tours", type=int, default=20, help="tours of each kind (default 20)")
@@ -106,8 +110,9 @@ def main() -> int:
     asked = options.parse_args()
     if min(asked.tours, asked.poses, asked.workers) < 1 or asked.seed < 0:
         options.error("tours, poses and workers are 1 or more, the seed is not negative")
-    print(json.dumps(campaign(asked.arm, asked.tours, asked.poses, asked.seed, asked.workers), indent=2))
-    return 0
+    found = campaign(asked.arm, asked.tours, asked.poses, asked.seed, asked.workers)
+    print(json.dumps(found, indent=2))
+    return 0 if found["in_bounds"] else 1
 
 
 if __name__ == "__main__":

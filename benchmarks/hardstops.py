@@ -107,13 +107,17 @@ def campaign(arms: int, repeats: int, seed: int, workers: int) -> dict[str, Any]
             results.append(future.result())
             if done % 50 == 0 or done == len(trials):
                 print(f"marsarm: {done} of {len(trials)} trials", file=sys.stderr)
+    never = {
+        "failed": sum(r.outcome != "done" for r in results),
+        "above_rated_torque": sum(r.most_torque_Nm > _rated_Nm(r) for r in results),
+        "above_current_limit": sum(r.most_current_share > 1.0 + ROUNDING for r in results),
+    }
     return {
         "arms": arms,
         "repeats": repeats,
         "seed": seed,
-        "failed": sum(r.outcome != "done" for r in results),
-        "above_rated_torque": sum(r.most_torque_Nm > _rated_Nm(r) for r in results),
-        "above_current_limit": sum(r.most_current_share > 1.0 + ROUNDING for r in results),
+        "in_bounds": not any(never.values()),
+        **never,
         "most_torque_Nm": {joint.name.lower(): _most(results, joint) for joint in Joint},
         "most_current_share_of_limit": max(r.most_current_share for r in results),
         **{place: _place(results, place) for place in PLACES},
@@ -198,7 +202,7 @@ def main() -> int:
         options.error("arms and workers are 1 or more, repeats 2 or more, the seed is not negative")
     result = campaign(asked.arms, asked.repeats, asked.seed, asked.workers)
     print(json.dumps(result, indent=2))
-    return 1 if result["failed"] or result["above_rated_torque"] or result["above_current_limit"] else 0
+    return 0 if result["in_bounds"] else 1
 
 
 if __name__ == "__main__":
