@@ -17,6 +17,7 @@ from benchmarks.options import parser
 from fsw.config import configure
 from fsw.dictionary.commands import Backlash
 from fsw.dictionary.joints import Joint
+from fsw.estimate.reference import Reference
 from sim.arms import arm_named
 from sim.initialisation import initial_reference
 from sim.tour import Settled, random_goals, tour
@@ -28,10 +29,9 @@ LEAST_RATIO: Final = 10.0
 """Of what backlash does to the tool: without compensation over with it."""
 
 
-def one_tour(arm_name: str, backlash: Backlash, poses: int, seed: int) -> list[Settled]:
+def one_tour(arm_name: str, reference: Reference, backlash: Backlash, poses: int, seed: int) -> list[Settled]:
     """The settled poses of a tour, its tilt and goals from the seed."""
     arm = arm_named(arm_name)
-    reference = initial_reference(arm, seed)
     rng = np.random.default_rng([seed, 4])
     tilt, heading = rng.uniform(0.0, MAX_TILT_RAD), rng.uniform(-np.pi, np.pi)
     world = World("mars", float(tilt * np.cos(heading)), float(tilt * np.sin(heading)))
@@ -84,7 +84,11 @@ def campaign(arm_name: str, tours: int, poses: int, seed: int, workers: int) -> 
     jobs = [(mode, seed + k) for mode in modes for k in range(tours if mode == "on" else max(1, tours // 5))]
     found: dict[str, list[Settled]] = {mode: [] for mode in modes}
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        running = [(mode, pool.submit(one_tour, arm_name, mode, poses, s)) for mode, s in jobs]
+        arm, seeds = arm_named(arm_name), range(seed, seed + tours)
+        known = dict(zip(seeds, pool.map(initial_reference, [arm] * tours, seeds), strict=True))
+        running = [
+            (mode, pool.submit(one_tour, arm_name, known[s], mode, poses, s)) for mode, s in jobs
+        ]
         for done, (mode, future) in enumerate(running, 1):
             found[mode].extend(future.result())
             print(f"marsarm: {done} of {len(jobs)} tours", file=sys.stderr)

@@ -56,7 +56,7 @@ def calibrated(asked: Any) -> dict[str, Any]:
         case="mars",
         built="calibrated",
         arms=asked.calibrated,
-        places=PLACES,
+        places=asked.places,
         seed=asked.seed,
         workers=asked.workers,
     )
@@ -67,7 +67,7 @@ def calibrated(asked: Any) -> dict[str, Any]:
     held += [report.spreads[name].repeatability.upper / most for name, most in REPEATABILITY.items()]
     return {
         "arms": len(report.trials),
-        "places": PLACES,
+        "places": asked.places,
         "failed": dict(report.failed),
         "three_sigma": {name: asdict(values) for name, values in report.spreads.items()},
         "most_of_a_bound": max(held),
@@ -113,6 +113,7 @@ def main() -> None:
     options = parser("monte_carlo", __doc__, EXAMPLE)
     for name, count in (("--statics", 10_000), ("--closed-loop", 1000), ("--calibrated", 50)):
         options.add_argument(name, type=int, default=count, help="arms (default %(default)s)")
+    options.add_argument("--places", type=int, default=PLACES, help="of a calibrated arm (default 20)")
     options.add_argument("--results", type=Path, help="folder that keeps results, to go on after a kill")
     found = document(options.parse_args())
     print(json.dumps(found, indent=2))

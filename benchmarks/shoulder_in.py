@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +21,7 @@ import numpy as np
 from benchmarks.options import parser
 from fsw.config import Config, configure
 from fsw.dictionary.joints import Tool
+from fsw.estimate.reference import Reference
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import rest, settle
@@ -64,7 +66,7 @@ def standing_in(mass_kg: float) -> BuiltArm:
     return replace(nominal, effects=(*nominal.effects, turret), params=turret.on_params(nominal.params))
 
 
-def group(index: int, seed: int, poses: int) -> list[Predicted]:
+def group(index: int, seed: int, poses: int, reference: Reference) -> list[Predicted]:
     """One group of poses, shoulder-out and then shoulder-in."""
     mass_kg, roll_deg = GROUPS[index]
     arm = standing_in(mass_kg)
@@ -74,15 +76,16 @@ def group(index: int, seed: int, poses: int) -> list[Predicted]:
     inside = round(SHOULDER_IN * poses)
     shoulders = ["out"] * (poses - inside) + ["in"] * inside
     goals = [pose_in_workspace(config, rng, Tool.DRILL, WITH_SHOULDER[shoulder]) for shoulder in shoulders]
-    reference = initial_reference(arm_named("nominal"), seed)
     settled = tour(arm, reference, world, goals, "off", seed)
     return [_predicted(config, s, shoulder == "in") for s, shoulder in zip(settled, shoulders, strict=True)]
 
 
 def predictions(seed: int, workers: int, poses: int = POSES) -> list[list[Predicted]]:
     """All groups."""
+    reference = initial_reference(arm_named("nominal"), seed)
+    one_group = partial(group, seed=seed, poses=poses, reference=reference)
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(group, range(len(GROUPS)), [seed] * len(GROUPS), [poses] * len(GROUPS)))
+        return list(pool.map(one_group, range(len(GROUPS))))
 
 
 def _predicted(config: Config, s: Settled, shoulder_in: bool) -> Predicted:
