@@ -1,6 +1,6 @@
 """The blind cases in small: made, solved and scored in a minute, where `make blind` takes hours.
 
-Three sessions in place of 31, at rest alone; one kind of effects in place of all; a case without effect and
+Two sessions in place of 31, at rest alone; one kind of effects in place of all; a case without effect and
 one with an effect. They are drawn, sealed, recorded, checked, diagnosed and scored as in the campaign. It
 alone has motions, and effects that are in no catalogue.
 """
@@ -33,7 +33,7 @@ from sim.arms import arm_named
 from sim.initialisation import true_reference
 
 EXAMPLE: Final = "example: python -m benchmarks.blind --seed 3"
-SESSIONS: Final = ("poses-level-1", "poses-rolled-1", "poses-level-5")
+SESSIONS: Final = ("poses-rolled-1", "poses-level-5")
 """The last one is held out."""
 KINDS: Final = ("resolver-bias",)
 CASES_MADE: Final = 2

@@ -9,7 +9,7 @@ from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.limits import into_limits
 from fsw.kinematics.statics import rest
-from fsw.kinematics.transforms import Array
+from fsw.kinematics.transforms import Array, angle_between
 from fsw.motion.compensation import Compensation
 from fsw.motion.plan import Refusal, over_limits, worst_limit
 
@@ -89,8 +89,8 @@ def _turn(axis_R: Array, start_R: Array, end_R: Array) -> float:
 
 def _beyond_wrist(wrist_R: Array, turret_R: Array, down_R: Array, pointed_R: Array) -> str:
     """What the wrist can do, where that is not enough; else nothing."""
-    wanted = _angle(turret_R, pointed_R)
-    to_down, to_turret = _angle(wrist_R, down_R), _angle(wrist_R, turret_R)
+    wanted = angle_between(turret_R, pointed_R)
+    to_down, to_turret = angle_between(wrist_R, down_R), angle_between(wrist_R, turret_R)
     least, most = abs(to_down - to_turret), np.pi - abs(np.pi - to_down - to_turret)
     if least <= wanted <= most:
         return ""
@@ -99,6 +99,3 @@ def _beyond_wrist(wrist_R: Array, turret_R: Array, down_R: Array, pointed_R: Arr
         f"the wrist can bring it to {np.degrees(least):.1f} .. {np.degrees(most):.1f} deg"
     )
 
-
-def _angle(a: Array, b: Array) -> float:
-    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
