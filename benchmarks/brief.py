@@ -34,12 +34,12 @@ class Brief:
 
 
 BRIEFS: Final = (
-    Brief("monte_carlo", "--statics 50 --closed-loop 2 --calibrated 1 --places 3 --workers 1"),
+    Brief("monte_carlo", "--statics 100 --closed-loop 10 --calibrated 0 --workers 1"),
     Brief("blind", ""),
-    Brief("faults", "--count 4 --only delivery --workers 1"),
+    Brief("faults", "--count 2 --only processing --workers 1"),
     Brief("tool_change", "--calibrated 1 --as-built 0 --poses 1 --workers 1"),
-    Brief("scenarios", "--calibrated 0 --as-built 0 --only delivery --workers 1"),
-    Brief("replays", "--arms 0 --only delivery --workers 1"),
+    Brief("scenarios", "--calibrated 0 --as-built 0 --only processing --workers 1"),
+    Brief("replays", "--arms 0 --only processing --workers 1"),
     Brief("shoulder_in", "--poses 3 --workers 1"),
     Brief("backlash", "--tours 1 --poses 5 --workers 1"),
     Brief("hardstops", "--arms 1 --repeats 2 --joint ELBOW --workers 1"),
@@ -95,7 +95,8 @@ def run(brief: Brief) -> Ended:
         _, status, spent = os.wait4(process, 0)
         hangs.cancel()
         said.seek(0)
-        words = said.read().decode(errors="replace")
+        lines = said.read().decode(errors="replace").split("\n")
+    words = "\n".join(line.rpartition("\r")[2] for line in lines)  # progress overwrites itself
     return Ended(brief, os.waitstatus_to_exitcode(status), spent.ru_utime + spent.ru_stime, words)
 
 
