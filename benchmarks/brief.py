@@ -40,13 +40,13 @@ BRIEFS: Final = (
     Brief("tool_change", "--calibrated 1 --as-built 0 --poses 1 --workers 1"),
     Brief("scenarios", "--calibrated 0 --as-built 0 --only processing --workers 1"),
     Brief("replays", "--arms 0 --only processing --workers 1"),
-    Brief("shoulder_in", "--poses 3 --workers 1"),
+    Brief("shoulder_in", "--groups 1 --poses 3 --workers 1"),
     Brief("backlash", "--tours 1 --poses 5 --workers 1"),
     Brief("hardstops", "--arms 1 --repeats 2 --joint ELBOW --workers 1"),
     Brief("calibration", "--arms 1 --without-speed --workers 1"),
     Brief("kinematics", "--targets 4000 --vectors 4000 --workers 1"),
     Brief("damage", "--tries 50 --cycles 128"),
-    Brief("killed", "--kills 5"),
+    Brief("killed", "--kills 3"),
     Brief("ur10", "", needs="MARSARM_DATA, a folder with the measured poses"),
     Brief("oracle", "--targets 2000", needs="EAIK"),
 )
@@ -89,8 +89,8 @@ def run(brief: Brief) -> Ended:
             (os.POSIX_SPAWN_OPEN, 1, os.devnull, os.O_WRONLY, 0),
             (os.POSIX_SPAWN_DUP2, said.fileno(), 2),
         )
-        process = os.posix_spawn(sys.executable, command, environment, file_actions=streams)
-        hangs = Timer(HANGS_S, os.kill, (process, 9))
+        process = os.posix_spawn(sys.executable, command, environment, file_actions=streams, setpgroup=0)
+        hangs = Timer(HANGS_S, os.killpg, (process, 9))
         hangs.start()
         _, status, spent = os.wait4(process, 0)
         hangs.cancel()

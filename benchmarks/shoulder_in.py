@@ -80,12 +80,14 @@ def group(index: int, seed: int, poses: int, reference: Reference) -> list[Predi
     return [_predicted(config, s, shoulder == "in") for s, shoulder in zip(settled, shoulders, strict=True)]
 
 
-def predictions(seed: int, workers: int, poses: int = POSES) -> list[list[Predicted]]:
-    """All groups."""
+def predictions(
+    seed: int, workers: int, poses: int = POSES, groups: int = len(GROUPS)
+) -> list[list[Predicted]]:
+    """The first groups, or all."""
     reference = initial_reference(arm_named("nominal"), seed)
     one_group = partial(group, seed=seed, poses=poses, reference=reference)
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(one_group, range(len(GROUPS))))
+        return list(pool.map(one_group, range(groups)))
 
 
 def _predicted(config: Config, s: Settled, shoulder_in: bool) -> Predicted:
@@ -158,10 +160,13 @@ def main() -> int:
     options = parser("shoulder_in", __doc__, EXAMPLE)
     options.add_argument("--picture", type=Path, help="where to draw it, .png")
     options.add_argument("--poses", type=int, default=POSES, help="of each group (default %(default)s)")
+    options.add_argument("--groups", type=int, default=len(GROUPS), help="so many (default %(default)s)")
     asked = options.parse_args()
+    if not 1 <= asked.groups <= len(GROUPS):
+        options.error(f"groups: {asked.groups} is not within 1 .. {len(GROUPS)}")
     if asked.poses < 2 or asked.workers < 1 or asked.seed < 0:
         options.error("poses are 2 or more, workers 1 or more, the seed is not negative")
-    groups = predictions(asked.seed, asked.workers, asked.poses)
+    groups = predictions(asked.seed, asked.workers, asked.poses, asked.groups)
     if asked.picture is not None:
         draw(groups, asked.picture)
     found = document(groups)
