@@ -11,12 +11,13 @@ WORKERS ?= 2
 
 say = echo "marsarm: $(1)" >&2
 
-.PHONY: help setup demo test bench campaign accuracy calibration ur10 joints jobs blind killed damage fuzz references oracle viewers lint lock clean
+.PHONY: help setup demo test bench brief campaign accuracy calibration ur10 joints jobs blind killed damage fuzz references oracle viewers lint lock clean
 
 help:
 	@echo "make demo      set up, put the APXS on a rock on Mars, write a picture"
 	@echo "make test      set up, run the tests"
 	@echo "make bench     print the benchmarks as JSON"
+	@echo "make brief     run every campaign below in brief, a line for each; minutes where they take hours"
 	@echo "make campaign  try the inverse kinematics on twenty million targets, print what was found as JSON"
 	@echo "make accuracy  hold the error budget against ten thousand arms, print how well it holds as JSON"
 	@echo "make calibration  calibrate twenty arms, print how well as JSON"
@@ -47,6 +48,11 @@ test: $(VENV)/ready
 bench: $(VENV)/ready
 	@$(call say,measuring; leave the machine alone for two minutes)
 	@$(BIN)/python -m benchmarks.run
+
+# Each in a minute of one core at most; whether it is in bounds is its exit status.
+brief: $(VENV)/ready
+	@$(call say,every campaign in brief in $(WORKERS) processes)
+	@$(BIN)/python -m benchmarks.brief --workers $(WORKERS) $(ARGS)
 
 campaign: $(VENV)/ready
 	@$(call say,twenty million targets in $(WORKERS) processes; this takes the better part of an hour)

@@ -143,16 +143,16 @@ def _timed(work: Any) -> tuple[float, Any]:
 
 
 def campaign(
-    arms: int, seed: int, workers: int, closed_loop: bool, files: Path | None = None
+    arms: int, seed: int, workers: int, closed_loop: bool, files: Path | None = None, with_speed: bool = True
 ) -> dict[str, Any]:
-    """All arms, and the checks."""
+    """All arms, and the checks; those of speed mean something only where nothing else runs."""
     trials = [Trial(seed + k, closed_loop, files) for k in range(arms)]
     results = []
     for result in on_this_machine(workers)(run, trials):
         results.append(result)
         print(f"marsarm: {len(results)} of {arms} arms", file=sys.stderr)
     results.sort(key=lambda result: int(result["seed"]))
-    fast = speed(measured(Trial(seed, False))[0])
+    fast = speed(measured(Trial(seed, False))[0]) if with_speed else None
     inside, of = np.sum([result["intervals_hold"] for result in results], axis=0)
     low, high = interval(int(inside), int(of))
     checks = {
@@ -164,10 +164,13 @@ def campaign(
             r["stateless_mm"]["shoulder-in"] > 2 * r["stateless_mm"]["shoulder-out"] for r in results
         ),
         "rank 26 of 42": all(r["rank_frames"] == 26 for r in results),
-        "under 2 s": fast["calibration_s"] < 2,
-        "five times faster than least_squares": fast["ratio"] >= 5,
-        "to the same optimum": fast["largest_difference_sigma"] < 0.01,
     }
+    if fast is not None:
+        checks |= {
+            "under 2 s": fast["calibration_s"] < 2,
+            "five times faster than least_squares": fast["ratio"] >= 5,
+            "to the same optimum": fast["largest_difference_sigma"] < 0.01,
+        }
     return {
         "arms": arms,
         "seed": seed,
@@ -196,12 +199,15 @@ def main() -> int:
     options.add_argument("--arms", type=int, default=20, help="as-built arms (default 20)")
     options.add_argument("--closed-loop", action="store_true", help="three minutes an arm, not ten seconds")
     options.add_argument("--files", type=Path, help="folder for the arms' parameter files, SEED.toml each")
+    options.add_argument("--without-speed", action="store_true", help="on a machine that does other things")
     asked = options.parse_args()
     if min(asked.arms, asked.workers) < 1 or asked.seed < 0:
         options.error("arms and workers are 1 or more, the seed is not negative")
     if asked.files is not None:
         asked.files.mkdir(exist_ok=True)
-    result = campaign(asked.arms, asked.seed, asked.workers, asked.closed_loop, asked.files)
+    result = campaign(
+        asked.arms, asked.seed, asked.workers, asked.closed_loop, asked.files, not asked.without_speed
+    )
     print(json.dumps(result, indent=2))
     return 0 if result["in_bounds"] else 1
 

@@ -1,6 +1,7 @@
 """The five jobs of the arm in one document: scenarios, tool changes, and what stops them."""
 
 import json
+import sys
 
 from benchmarks import faults, scenarios, tool_change
 from benchmarks.options import parser
@@ -8,7 +9,8 @@ from benchmarks.options import parser
 EXAMPLE = "example: python -m benchmarks.jobs --arms 2 --changers 2 --faults 60 > jobs.json"
 
 
-def main() -> None:
+def main() -> int:
+    """Print the result as JSON; exit status 1 if a part of it is out of its bounds."""
     options = parser("jobs", __doc__, EXAMPLE)
     options.add_argument(
         "--arms", type=int, default=20, help="arms of each kind for the scenarios (default 20)"
@@ -24,7 +26,8 @@ def main() -> None:
         "faults": faults.document(asked.faults, asked.seed, asked.workers),
     }
     print(json.dumps(document, indent=2))
+    return 0 if all(part["in_bounds"] for part in document.values()) else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -74,10 +74,10 @@ def one(scenario: str, arm: str) -> Replayed:
         )
 
 
-def document(arms: int, seed: int, workers: int) -> dict[str, object]:
-    """Every scenario on the nominal arm, and on so many calibrated and as-built ones."""
+def document(arms: int, seed: int, workers: int, only: str | None = None) -> dict[str, object]:
+    """Every scenario, or only one, on the nominal arm, and on so many calibrated and as-built ones."""
     names = ["nominal", *(f"{k}:{seed + n}" for n in range(1, arms + 1) for k in ("calibrated", "as-built"))]
-    jobs = list(product(shipped(), names))
+    jobs = list(product([only] if only else shipped(), names))
     ran: list[Replayed] = []
     with ProcessPoolExecutor(workers) as pool:
         for k, found in enumerate(pool.map(one, *zip(*jobs, strict=True)), start=1):
@@ -101,8 +101,9 @@ def summed(ran: list[Replayed]) -> dict[str, object]:
 def main() -> None:
     options = parser("replays", __doc__, "example: python -m benchmarks.replays --arms 1")
     options.add_argument("--arms", type=int, default=3, help="arms of each kind but nominal (default 3)")
+    options.add_argument("--only", choices=list(shipped()), help="one scenario, in place of all")
     asked = options.parse_args()
-    found = document(asked.arms, asked.seed, asked.workers)
+    found = document(asked.arms, asked.seed, asked.workers, asked.only)
     print(json.dumps(found, indent=2))
     sys.exit(found["identical"] != found["asked"])
 

@@ -35,6 +35,8 @@ WARMING_K = 50.0
 STIFFNESS = 1.2
 TILT_RAD = float(np.radians(30.0))
 POSES = 5
+FROM_SPOT_MM = 10.0
+"""What is asked of a tool change on a calibrated arm."""
 MOST_DRAWS = 25
 FIRST, SECOND = Tool.APXS, Tool.MAHLI
 
@@ -63,7 +65,7 @@ def unknown_to_flight(seed: int) -> tuple[Effect, ...]:
     return (Warming(WARMING_K * float(warm)), *springs, *(GearStiffness(joint, factor) for joint in Joint))
 
 
-def one_arm(kind: str, seed: int) -> tuple[list[Changed], list[str]]:
+def one_arm(kind: str, seed: int, poses: int) -> tuple[list[Changed], list[str]]:
     """The tool changes of one arm, and why others were not carried out; those are drawn again."""
     name = f"{kind}:{seed}"
     reference = initial_reference(arm_named(name))
@@ -75,7 +77,7 @@ def one_arm(kind: str, seed: int) -> tuple[list[Changed], list[str]]:
             found.append(changed)
         else:
             failed.append(changed)
-        if len(found) == POSES:
+        if len(found) == poses:
             break
     return found, failed
 
@@ -146,30 +148,38 @@ def summary(changes: list[Changed]) -> dict[str, object]:
     return {"count": len(changes), **named}
 
 
-def document(calibrated: int, as_built: int, seed: int, workers: int) -> dict[str, object]:
+def document(
+    calibrated: int, as_built: int, seed: int, workers: int, poses: int = POSES
+) -> dict[str, object]:
     """The tool changes of so many arms, and which were not carried out."""
     found: dict[str, list[Changed]] = {}
     failed: dict[str, list[str]] = {}
     with ProcessPoolExecutor(workers) as pool:
         for kind, count in (("calibrated", calibrated), ("as-built", as_built)):
             found[kind], failed[kind] = [], []
-            arms = pool.map(one_arm, [kind] * count, range(seed, seed + count))
+            arms = pool.map(one_arm, [kind] * count, range(seed, seed + count), [poses] * count)
             for k, (changes, reasons) in enumerate(arms, start=1):
                 found[kind].extend(changes)
                 failed[kind].extend(reasons)
                 print(f"\rtool changes, {kind}: {k} of {count} arms", end="", file=sys.stderr)
             print(file=sys.stderr)
     measured = {kind: summary(changes) for kind, changes in found.items() if changes}
-    return {**measured, "not_carried_out": failed}
+    near = all(change.from_spot_mm <= FROM_SPOT_MM for change in found["calibrated"])
+    carried_out = len(found["calibrated"]) == calibrated * poses
+    return {**measured, "not_carried_out": failed, "in_bounds": near and carried_out}
 
 
-def main() -> None:
+def main() -> int:
+    """Print the result as JSON; exit status 1 if a calibrated arm is too far from the spot."""
     options = parser("tool_change", __doc__, "example: python -m benchmarks.tool_change --as-built 0")
     options.add_argument("--calibrated", type=int, default=50, help="calibrated arms (default %(default)s)")
     options.add_argument("--as-built", type=int, default=20, help="as-built arms (default %(default)s)")
+    options.add_argument("--poses", type=int, default=POSES, help="of each arm (default %(default)s)")
     asked = options.parse_args()
-    print(json.dumps(document(asked.calibrated, asked.as_built, asked.seed, asked.workers), indent=2))
+    found = document(asked.calibrated, asked.as_built, asked.seed, asked.workers, asked.poses)
+    print(json.dumps(found, indent=2))
+    return 0 if found["in_bounds"] else 1
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -6,16 +6,17 @@ from fsw.config import Config
 from fsw.dictionary.commands import Process
 from fsw.dictionary.joints import Joint
 from fsw.estimate.joints import JointEstimate
-from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.limits import into_limits
 from fsw.kinematics.statics import rest
-from fsw.kinematics.transforms import Array
+from fsw.kinematics.transforms import Array, angle_between
 from fsw.motion.compensation import Compensation
 from fsw.motion.plan import Refusal, over_limits, worst_limit
 
-PASSES = 6
-"""Of turning the wanted direction by what the arm bends; each takes off a factor of twenty or more."""
-CLOSE_RAD = 1e-5
+PASSES = 40
+"""Of turning wrist and turret and bending the arm anew. Each takes off a factor of 80 or more, times the sine
+of the angle of gravity to the plane of both axes: in that plane the two turns of the wrist meet."""
+CLOSE_RAD = 1e-9
 
 
 def gravity_pose(config: Config, joints: JointEstimate, command: Process) -> Array | Refusal:
@@ -27,7 +28,7 @@ def gravity_pose(config: Config, joints: JointEstimate, command: Process) -> Arr
     gravity = compensation.gravity(joints)
     down_R = joints.gravity_R_m_s2 / np.linalg.norm(joints.gravity_R_m_s2)
     down_T = np.array(command.gravity_T) / np.linalg.norm(command.gravity_T)
-    poses = [_pose(config, joints, command, down_R, down_T, gravity, turn) for turn in (1.0, -1.0)]
+    poses = [_pose(config, joints, command, down_R, down_T, gravity, side) for side in (1.0, -1.0)]
     found = [pose for pose in poses if not isinstance(pose, Refusal)]
     inside = [pose for pose in found if over_limits(config, pose) <= 0]
     if inside:
@@ -42,44 +43,59 @@ def _pose(
     down_R: Array,
     down_T: Array,
     gravity_R_m_s2: Array,
-    turn: float,
+    side: float,
 ) -> Array | Refusal:
-    arm, pose, wanted = config.arm, joints.output_rad.copy(), down_R
+    """The pose with gravity on this side of the plane of wrist and turret axis."""
+    arm, pose = config.arm, joints.output_rad.copy()
     for _ in range(PASSES):
-        angles = _wrist_and_turret(config, pose, wanted, down_T, command.tool, turn)
-        if isinstance(angles, Refusal):
-            return angles
-        pose[Joint.WRIST :] = into_limits(arm, angles, joints.output_rad)[Joint.WRIST :]
-        rigid = tool_pose(arm, forward(arm, pose), command.tool).R
-        bent = tool_pose(arm, rest(arm, pose, gravity_R_m_s2).frames, command.tool).R
-        wanted = rigid @ bent.T @ down_R
-    off_rad = float(np.linalg.norm(bent.T @ down_R - down_T))
-    return pose if off_rad < CLOSE_RAD else Refusal(f"no pose found: gravity would be {off_rad:.6f} rad off")
+        frames = rest(arm, pose, gravity_R_m_s2).frames
+        R_RT = tool_pose(arm, frames, command.tool).R
+        off_rad = float(np.linalg.norm(R_RT.T @ down_R - down_T))
+        if off_rad < CLOSE_RAD:
+            return pose
+        wrist_R, turret_R = frames.X_RL.R[:, 2, Joint.WRIST + 1], frames.X_RL.R[:, 2, Joint.TURRET + 1]
+        pointed_R = R_RT @ down_T
+        between_R = _between(wrist_R, turret_R, down_R, pointed_R, side)
+        pose[Joint.WRIST] += _turn(wrist_R, between_R, down_R)
+        pose[Joint.TURRET] += _turn(turret_R, pointed_R, between_R)
+        pose[Joint.WRIST :] = into_limits(arm, pose, joints.output_rad)[Joint.WRIST :]
+    return Refusal(
+        _beyond_wrist(wrist_R, turret_R, down_R, pointed_R)
+        or f"no pose found: gravity would be {off_rad:.6g} rad off"
+    )
 
 
-def _wrist_and_turret(
-    config: Config, pose_rad: Array, down_R: Array, down_T: Array, tool: int, turn: float
-) -> Array | Refusal:
-    """The pose (5) of the rigid arm: the wrist lays the turret axis, the turret turns the direction in."""
-    frames = forward(config.arm, pose_rad)
-    X_FT = config.arm.X_FT[tool]
-    along = float((X_FT.R @ down_T)[2])
-    axis_R, turret_R = frames.X_RL.R[:, 2, Joint.WRIST + 1], frames.X_RL.R[:, 2, Joint.TURRET + 1]
-    # turned about the wrist's axis by a: down . turret = level + ahead cos a + across sin a
-    level = float(axis_R @ turret_R) * float(axis_R @ down_R)
-    flat = turret_R - axis_R * float(axis_R @ turret_R)
-    ahead, across = float(flat @ down_R), float(np.cross(axis_R, flat) @ down_R)
-    size = float(np.hypot(ahead, across))
-    if abs(along - level) > size:
-        best = np.degrees(np.arccos(np.clip([level + size, level - size], -1.0, 1.0)))
-        return Refusal(
-            f"gravity is {np.degrees(np.arccos(along)):.1f} deg from the turret axis in what is asked; with "
-            f"this azimuth the wrist can bring it to {best[0]:.1f} .. {best[1]:.1f} deg"
-        )
-    angle = np.arctan2(across, ahead) + turn * np.arccos((along - level) / size)
-    turned = pose_rad.copy()
-    turned[Joint.WRIST] += angle
-    R_RT = forward(config.arm, turned).X_RF.R[:, :, 5] @ X_FT.R
-    have, want = X_FT.R @ (R_RT.T @ down_R), X_FT.R @ down_T
-    turned[Joint.TURRET] += np.arctan2(have[1], have[0]) - np.arctan2(want[1], want[0])
-    return turned
+def _between(wrist_R: Array, turret_R: Array, down_R: Array, pointed_R: Array, side: float) -> Array:
+    """What the turret can make of the pointed direction and the wrist can turn down; else what is nearest.
+
+    It has the angle of down to the wrist axis and that of the pointed direction to the turret axis. The axes
+    need not be square to each other.
+    """
+    cosine = float(wrist_R @ turret_R)
+    square = 1.0 - cosine**2
+    along_wrist, along_turret = float(wrist_R @ down_R), float(turret_R @ pointed_R)
+    a, b = (along_wrist - cosine * along_turret) / square, (along_turret - cosine * along_wrist) / square
+    in_plane = a * wrist_R + b * turret_R
+    out = np.sqrt(max(1.0 - float(in_plane @ in_plane), 0.0) / square)
+    between: Array = in_plane + side * out * np.cross(wrist_R, turret_R)
+    return between
+
+
+def _turn(axis_R: Array, start_R: Array, end_R: Array) -> float:
+    """The angle about an axis from one direction to another, as seen along the axis."""
+    along = float(axis_R @ start_R) * float(axis_R @ end_R)
+    return float(np.arctan2(axis_R @ np.cross(start_R, end_R), start_R @ end_R - along))
+
+
+def _beyond_wrist(wrist_R: Array, turret_R: Array, down_R: Array, pointed_R: Array) -> str:
+    """What the wrist can do, where that is not enough; else nothing."""
+    wanted = angle_between(turret_R, pointed_R)
+    to_down, to_turret = angle_between(wrist_R, down_R), angle_between(wrist_R, turret_R)
+    least, most = abs(to_down - to_turret), np.pi - abs(np.pi - to_down - to_turret)
+    if least <= wanted <= most:
+        return ""
+    return (
+        f"gravity is {np.degrees(wanted):.1f} deg from the turret axis in what is asked; with this azimuth "
+        f"the wrist can bring it to {np.degrees(least):.1f} .. {np.degrees(most):.1f} deg"
+    )
+

@@ -1,45 +1,27 @@
 """The jobs of the arm, each as its scenario has it, at the tilt of the requirement."""
 
-from functools import cache
-
-import numpy as np
 import pytest
 
-from benchmarks.scenarios import SAMPLING_TILT_DEG, TILT_DEG
+from benchmarks.scenarios import ran_on
 from benchmarks.tool_change import Changed, one_target
 from sim.arms import arm_named
-from sim.loop import ClosedLoop
-from sim.scenario.file import load, shipped
-from sim.scenario.run import ScenarioRun, setup_of
-from tests.sim.lab import true_reference
-
-
-@cache
-def ran(name: str, arm_name: str, heading_deg: float):
-    """A scenario on an arm whose joints are known, the rover tilted towards a heading."""
-    arm = arm_named(arm_name)
-    tilt, heading = np.radians(TILT_DEG.get(name, SAMPLING_TILT_DEG)), np.radians(heading_deg)
-    roll, pitch = np.arcsin(np.sin(tilt) * np.sin(heading)), np.arctan(np.tan(tilt) * np.cos(heading))
-    scenario = load(name).tilted(float(roll) * (1 - 1e-9), float(pitch) * (1 - 1e-9))
-    loop = ClosedLoop(setup_of(scenario, arm, true_reference(arm), 0))
-    run = ScenarioRun(loop, scenario)
-    for _ in run:
-        pass
-    return run.result()
+from sim.initialisation import true_reference
+from sim.scenario.file import shipped
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(shipped()))
-def test_a_job_is_done_on_the_nominal_arm_on_a_tilted_rover(name):
-    result = ran(name, "nominal", 40.0)
-    assert [f"{m.check}: {m.name} {m.value} {m.unit}" for m in result.measured if not m.passed] == []
+@pytest.mark.parametrize("arm_name", ["nominal", "calibrated:1", "calibrated:2", "calibrated:3"])
+def test_a_job_is_done_on_an_arm_whose_parameters_are_its_own(name, arm_name):
+    assert ran_on(arm_name, name, true_reference(arm_named(arm_name))).failed == ()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["sampling", "bit-exchange"])
-def test_a_job_is_done_on_a_calibrated_arm_on_a_tilted_rover(name):
-    result = ran(name, "calibrated:3", -150.0)
-    assert [f"{m.check}: {m.name} {m.value} {m.unit}" for m in result.measured if not m.passed] == []
+@pytest.mark.parametrize("name", sorted(shipped()))
+def test_an_arm_that_is_not_calibrated_refuses_no_job(name):
+    """The drawing's parameters on another arm."""
+    ran = ran_on("as-built:1", name, true_reference(arm_named("as-built:1")))
+    assert (ran.outcome, ran.failed) == ("done", ())
 
 
 @pytest.mark.slow
