@@ -36,6 +36,11 @@ ALL_ACTUATORS = 0b111110
 RESISTANCE, MOTOR_CONSTANT, GAINS = 0, 1, slice(4, 7)
 """Their places in MuJoCo's gain parameters of a dcmotor; the gains are position's, integral's and rate's."""
 
+TOOL_FLIP_ROWS = np.tile(FLIP[:, None], (len(Tool), 1, 3))
+TOOL_FLIP = np.tile(FLIP, (len(Tool), 1))
+TOOL_P_NR_M = np.tile(P_NR_M, (len(Tool), 1))
+"""For axes and origins of all tools, in full: where numpy has to stretch an array it takes twice as long."""
+
 LOAD_STAGES = 320
 """Gravity is brought up in so many stages: a dropped arm rests anywhere in the band of its friction."""
 
@@ -187,7 +192,8 @@ class Plant:
 
     def motor_rad(self) -> Array:
         """True motor angles, output side."""
-        return self.data.qpos.take(self.at.motor)
+        motor: Array = self.data.qpos.take(self.at.motor)
+        return motor
 
     def output_rad(self) -> Array:
         """True output angles: motor, backlash and wind-up."""
@@ -250,8 +256,8 @@ class Plant:
             motor_rad=self.motor_rad(),
             output_rad=self.output_rad(),
             motor_torque_Nm=data.actuator_force.copy(),
-            p_RoTo_R_m=FLIP * data.site_xpos.take(tools, 0) - P_NR_M,
-            R_RT=FLIP[:, None] * data.site_xmat.take(tools, 0).reshape(-1, 3, 3),
+            p_RoTo_R_m=TOOL_FLIP * data.site_xpos.take(tools, 0) - TOOL_P_NR_M,
+            R_RT=TOOL_FLIP_ROWS * data.site_xmat.take(tools, 0).reshape(-1, 3, 3),
             contact_force_N=self._contact_force() if data.ncon else 0.0,
             kinetic_energy_J=float(data.energy[1]),
         )

@@ -16,7 +16,7 @@ RADIUS_M: Final = 2.3
 def tilt_rover(spec: mujoco.MjSpec) -> None:
     """Turn rover, arm and rock until gravity points down, on a slope whose lower edge lies in the plain.
 
-    Plain, scenery, sky, light and cameras stay level, and so does the horizon. What stands level stays as it is.
+    Plain, scenery, sky, light and cameras stay level, and so does the horizon. A level rover stays as it is.
     """
     gravity = spec.option.gravity.copy()
     if not gravity[:2].any():
