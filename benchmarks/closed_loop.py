@@ -36,7 +36,7 @@ def closed_loop_of_a_placement(with_truth: bool = False) -> ClosedLoop:
     return ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, reference=reference()), with_truth)
 
 
-def _bare_step_s() -> float:
+def bare_step_s() -> float:
     """Seconds a bare mj_step: the arm held by its motors at the ready pose, brakes off."""
     plant = closed_loop_of_a_placement().plant
     plant.model.opt.disableactuator = 0
@@ -58,7 +58,7 @@ def _closed_loop_step_s() -> tuple[float, float]:
     return wall_s / steps, steps * loop.plant.model.opt.timestep / wall_s
 
 
-def _timed(function: Callable[..., Any], times_s: list[float]) -> Callable[..., Any]:
+def timed(function: Callable[..., Any], times_s: list[float]) -> Callable[..., Any]:
     def run(*args: Any) -> Any:
         began = time.perf_counter()
         result = function(*args)
@@ -72,10 +72,10 @@ def _shares_us() -> dict[str, list[float]]:
     """Microseconds of every cycle of a placement, by part."""
     parts: dict[str, list[float]] = {"fsw_step": [], "sense": [], "apply": [], "plant_step": []}
     loop = closed_loop_of_a_placement()
-    loop.avionics.sense = _timed(loop.avionics.sense, parts["sense"])  # type: ignore[method-assign]
-    loop.avionics.apply = _timed(loop.avionics.apply, parts["apply"])  # type: ignore[method-assign]
-    loop.plant.step = _timed(loop.plant.step, parts["plant_step"])  # type: ignore[method-assign]
-    sim.loop.step = _timed(step, parts["fsw_step"])
+    loop.avionics.sense = timed(loop.avionics.sense, parts["sense"])  # type: ignore[method-assign]
+    loop.avionics.apply = timed(loop.avionics.apply, parts["apply"])  # type: ignore[method-assign]
+    loop.plant.step = timed(loop.plant.step, parts["plant_step"])  # type: ignore[method-assign]
+    sim.loop.step = timed(step, parts["fsw_step"])
     try:
         for _ in PlacementRun(loop, TARGET):
             pass
@@ -86,7 +86,7 @@ def _shares_us() -> dict[str, list[float]]:
 
 def closed_loop() -> dict[str, Any]:
     """Rates and times; each ratio is the median of pairs measured one after the other."""
-    pairs = [(_bare_step_s(), *_closed_loop_step_s()) for _ in range(REPEATS)]
+    pairs = [(bare_step_s(), *_closed_loop_step_s()) for _ in range(REPEATS)]
     shares = _shares_us()
     fsw = np.array(shares["fsw_step"])
     means = {name: float(np.mean(times)) for name, times in shares.items()}

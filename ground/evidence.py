@@ -14,6 +14,7 @@ from fsw.dictionary.evrs import Evr, Severity
 from ground.outputs import BadOutput, check_output
 from ground.progress import Progress
 from ground.report.picture import PictureError, PictureResult, check_path, save_movie, save_picture
+from ground.report.slope import tilt_rover
 from ground.request import BadRequest, check_apart
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.record import Recorder
@@ -194,7 +195,9 @@ def keep(files: Files, world: World, frames: Frames, last: Pose, log: Log, progr
     problem = next((event.message for _, event in log.events), None)
     if files.picture is None and files.movie is None:
         return Kept(None, None, problem, log.events)
-    model = build(world, for_pictures=True).compile()
+    spec = build(world, for_pictures=True)
+    tilt_rover(spec)
+    model = spec.compile()
     picture = movie = None
     if files.picture is not None:
         data = mujoco.MjData(model)

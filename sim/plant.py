@@ -35,6 +35,11 @@ RESISTANCE, MOTOR_CONSTANT, POSITION_GAIN, RATE_GAIN, GAINS = 0, 1, 4, 6, slice(
 REFERENCE_STEP_S = 1 / 2048
 """The dampers of `arm.xml` damp as this step computes them."""
 
+TOOL_FLIP_ROWS = np.tile(FLIP[:, None], (len(Tool), 1, 3))
+TOOL_FLIP = np.tile(FLIP, (len(Tool), 1))
+TOOL_P_NR_M = np.tile(P_NR_M, (len(Tool), 1))
+"""For axes and origins of all tools, in full: where numpy has to stretch an array it takes twice as long."""
+
 
 # MuJoCo would write its warnings to a file in whatever directory this is; Plant.step looks at their count
 mujoco.set_mju_user_warning(lambda _: None)
@@ -274,23 +279,23 @@ class Plant:
 
     def pads_R_m(self) -> Array:
         """Where the contact switches are, as of the last look at the truth: (10, 3), in RMECH."""
-        p_R_m: Array = FLIP * self.data.site_xpos[self.at.pads] - P_NR_M
+        p_R_m: Array = FLIP * self.data.site_xpos.take(self.at.pads, 0) - P_NR_M
         return p_R_m
 
     def truth(self) -> Truth:
         """The state as it is, for logs and judges; forward kinematics are brought up to date."""
-        mujoco.mj_kinematics(self.model, self.data)
-        R_WT = self.data.site_xmat[self.at.tools].reshape(-1, 3, 3)
-        p_N = FLIP * self.data.site_xpos[self.at.tools]
+        model, data, tools = self.model, self.data, self.at.tools
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_energyVel(model, data)
         return Truth(
-            time_s=self.data.time,
+            time_s=data.time,
             motor_rad=self.motor_rad(),
             output_rad=self.output_rad(),
-            motor_torque_Nm=self.data.actuator_force.copy(),
-            p_RoTo_R_m=p_N - P_NR_M,
-            R_RT=FLIP[:, None] * R_WT,
-            contact_force_N=self._contact_force(),
-            kinetic_energy_J=self._kinetic_energy(),
+            motor_torque_Nm=data.actuator_force.copy(),
+            p_RoTo_R_m=TOOL_FLIP * data.site_xpos.take(tools, 0) - TOOL_P_NR_M,
+            R_RT=TOOL_FLIP_ROWS * data.site_xmat.take(tools, 0).reshape(-1, 3, 3),
+            contact_force_N=self._contact_force() if data.ncon else 0.0,
+            kinetic_energy_J=float(data.energy[1]),
         )
 
     def _contact_force(self) -> float:
@@ -300,11 +305,6 @@ class Plant:
             mujoco.mj_contactForce(self.model, self.data, k, force)
             total += float(force[0])
         return total
-
-    def _kinetic_energy(self) -> float:
-        moment = np.zeros(self.model.nv)
-        mujoco.mj_mulM(self.model, self.data, moment, self.data.qvel)
-        return 0.5 * float(moment @ self.data.qvel)
 
 
 def damp_as_reference(model: mujoco.MjModel) -> float:

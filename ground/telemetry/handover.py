@@ -142,7 +142,7 @@ def _kept_from_new_processes(signals: tuple[signal.Signals, ...]) -> Iterator[No
 
 def as_sent(time_ns: int, data: bytes, sample: Sample | None) -> bytes:
     """A row as the writer takes it."""
-    extra = b"" if sample is None else pickle.dumps(sample)
+    extra = b"" if sample is None else sample.to_bytes()
     return b"".join((ROW_HEAD.pack(time_ns, len(data), len(extra)), data, extra))
 
 

@@ -2,12 +2,12 @@
 
 import sys
 from collections.abc import Mapping
+from itertools import compress
+from operator import add, attrgetter
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NoReturn, Self
+from typing import Self
 from weakref import finalize
-
-from numpy.typing import NDArray
 
 from fsw.config import Config
 from ground.telemetry.catalogue import LOG_LINES, all_channels
@@ -16,7 +16,7 @@ from ground.telemetry.events import command_entry, evr_entry, log_line
 from ground.telemetry.format import CHUNK_S, COMMAND_TOPIC, EVR_TOPIC, TICK_NS
 from ground.telemetry.handover import Handover
 from ground.telemetry.opening import begun
-from ground.telemetry.pack import Packer, joined, numbered
+from ground.telemetry.pack import Packer, Source, numbered
 from ground.telemetry.standard import EVERY, sample_of
 from ground.telemetry.topics import PACKET_TOPICS
 from sim.record import CycleRecord
@@ -44,11 +44,14 @@ class Recorder:
         self.path = Path(path)
         channels = all_channels()
         ids = {one.topic: one.id for one in channels}
-        self._packers = [
-            (packet_of, Packer(one.topic, one.id, one.layout))
-            for one, (_, packet_of) in zip(channels, PACKET_TOPICS, strict=False)
+        self._sources = [
+            Source(topic.path, one.id, one.layout)
+            for one, (topic, _) in zip(channels, PACKET_TOPICS, strict=False)
             if one.layout is not None
         ]
+        self._packets = attrgetter(*[source.path for source in self._sources])
+        self._packers: dict[tuple[bool, ...], Packer] = {}
+        self._counts = [0] * len(self._sources)
         self._event_ids = ids[COMMAND_TOPIC], ids[EVR_TOPIC], ids[LOG_LINES]
         self._event_counts = dict.fromkeys(self._event_ids, 0)
         self._has_standard = config is not None
@@ -87,25 +90,15 @@ class Recorder:
         if record.tick <= self._last_tick:
             raise ValueError(f"cycle {record.tick} after cycle {self._last_tick}: a log goes forward")
         time_ns = record.tick * TICK_NS
-        pieces: list[bytes | NDArray[Any]] = []
-        present: list[Packer] = []
-        length = 0
-        for packet_of, packer in self._packers:
-            packet = packet_of(record)
-            if packet is not None:
-                packer.pack(packet, time_ns, pieces)
-                present.append(packer)
-                length += packer.size
-        data = joined(pieces)
-        if len(data) != length:
-            self._refuse(record)
+        present = tuple([packet is not None for packet in self._packets(record)])
+        packer = self._packers.get(present) or self._packer(present)
+        data = packer.pack(record, time_ns, [*compress(self._counts, present)])
         if record.commands or record.outputs.evrs:
             data = self._with_events(record, time_ns, data)
         sampled = self._has_standard and record.tick % EVERY == 0
         self._handover.put(time_ns, data, sample_of(record) if sampled else None)
         self._last_tick = record.tick
-        for packer in present:
-            packer.count += 1
+        self._counts = [*map(add, self._counts, present)]
 
     def __enter__(self) -> Self:
         return self
@@ -115,12 +108,9 @@ class Recorder:
     ) -> None:
         self.close()
 
-    def _refuse(self, record: CycleRecord) -> NoReturn:
-        for packet_of, packer in self._packers:
-            packet = packet_of(record)
-            if packet is not None:
-                packer.check(packet)
-        raise AssertionError("a record is longer or shorter than its arrays, each as it should be")
+    def _packer(self, present: tuple[bool, ...]) -> Packer:
+        """What packs the packets that these cycles have."""
+        return self._packers.setdefault(present, Packer([*compress(self._sources, present)]))
 
     def _with_events(self, record: CycleRecord, time_ns: int, data: bytes) -> bytes:
         """The commands before the packets, the EVRs and their log lines after them."""

@@ -7,7 +7,7 @@ import math
 import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Self
 
 import numpy as np
 
@@ -32,6 +32,7 @@ ROVER: Final = "rover"
 """RMECH."""
 
 SEVEN: Final = struct.Struct("<7d")
+SAMPLE: Final = struct.Struct(f"<{3 * len(Joint)}d")
 CUBE, SPHERE, CYLINDER = 1, 2, 3
 ARM_COLOUR: Final = (0.80, 0.55, 0.30, 0.9)
 ROVER_COLOUR: Final = (0.75, 0.75, 0.78, 0.35)
@@ -43,6 +44,16 @@ class Sample(NamedTuple):
     output_rad: list[float]
     rate_rad_s: list[float]
     current_A: list[float]
+
+    def to_bytes(self) -> bytes:
+        """As it is handed to another process."""
+        return SAMPLE.pack(*self.output_rad, *self.rate_rad_s, *self.current_A)
+
+    @classmethod
+    def from_bytes(cls, data: bytes) -> Self:
+        """What `to_bytes` gave."""
+        numbers, n = list(SAMPLE.unpack(data)), len(Joint)
+        return cls(numbers[:n], numbers[n : 2 * n], numbers[2 * n :])
 
 
 def sample_of(record: CycleRecord) -> Sample:

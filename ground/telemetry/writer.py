@@ -24,7 +24,7 @@ from ground.telemetry.mcap_file import McapFile, Row, Written
 from ground.telemetry.standard import Sample
 
 ROW_HEAD: Final = struct.Struct("<QII")
-"""Before each row: time [ns], length of its records, length of its pickled sample or 0."""
+"""Before each row: time [ns], length of its records, length of its sample or 0."""
 READY: Final = b"ready for rows\n"
 """The line that it says when it can take them."""
 END: Final = ROW_HEAD.pack(0, 0, 0)
@@ -88,7 +88,7 @@ class Stream:
             self.is_complete = length == 0
             if length:
                 row = Row(time_ns, self._bytes[at + ROW_HEAD.size : middle])
-                rows.append((row, pickle.loads(self._bytes[middle : middle + extra]) if extra else None))
+                rows.append((row, Sample.from_bytes(self._bytes[middle : middle + extra]) if extra else None))
             at = middle + extra
         self._bytes = self._bytes[at:]
         return rows, bool(piece) and not self.is_complete

@@ -9,14 +9,19 @@ from benchmarks import recording, run
 
 
 @pytest.mark.parametrize(
-    ("rate_ratio", "beside_us", "in_bounds"),
-    [(0.95, 900.0, True), (0.89, 900.0, False), (0.95, 1600.0, False)],
-    ids=["cheap", "a slower loop", "late cycles"],
+    ("rate_ratio", "beside_us", "bare_steps", "in_bounds"),
+    [
+        (0.95, 900.0, 0.6, True),
+        (0.89, 900.0, 0.6, False),
+        (0.95, 1600.0, 0.6, False),
+        (0.95, 900.0, 0.7, False),
+    ],
+    ids=["cheap", "a slower loop", "late cycles", "a slow recorder"],
 )
 def test_recording_that_costs_too_much_is_out_of_bounds(
-    rate_ratio: float, beside_us: float, in_bounds: bool
+    rate_ratio: float, beside_us: float, bare_steps: float, in_bounds: bool
 ) -> None:
-    assert recording.judged(rate_ratio, 500.0, beside_us)["in_bounds"] is in_bounds
+    assert recording.judged(rate_ratio, 500.0, beside_us, bare_steps)["in_bounds"] is in_bounds
 
 
 def test_a_benchmark_out_of_its_bounds_fails_them_all_and_is_named(

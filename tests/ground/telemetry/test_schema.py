@@ -4,7 +4,7 @@ import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fsw.dictionary.limits import Limits
 from ground.telemetry import schema
 from ground.telemetry.errors import SchemaError
-from ground.telemetry.pack import HEAD, Packer, joined
+from ground.telemetry.pack import HEAD, Packer, Source
 from ground.telemetry.schema import Layout, layout_of
 
 
@@ -61,10 +61,20 @@ def _shapes(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     return
 
 
-def packed(packet: Packet, packer: Packer | None = None) -> bytes:
-    pieces: list[Any] = []
-    (packer or Packer("Packet", 5, layout_of(Packet, NAMES))).pack(packet, 77, pieces)
-    return joined(pieces)
+@dataclass(frozen=True, slots=True)
+class Cycle:
+    """What packets come in."""
+
+    packet: Packet
+    other: Packet = PACKET
+
+
+def packer_of(*paths: str) -> Packer:
+    return Packer([Source(path, 5 + k, layout_of(Packet, NAMES)) for k, path in enumerate(paths)])
+
+
+def packed(packet: Packet) -> bytes:
+    return packer_of("packet").pack(Cycle(packet), 77, [3])
 
 
 def test_a_message_is_cdr_as_decoded_by_hand() -> None:
@@ -77,10 +87,8 @@ def test_a_message_is_cdr_as_decoded_by_hand() -> None:
 
 
 def test_the_record_is_headed_by_channel_sequence_and_time() -> None:
-    packer = Packer("Packet", 5, layout_of(Packet, NAMES))
-    record = packed(PACKET, packer)
-    assert HEAD.unpack_from(record) == (5, len(record) - 9, 5, 0, 77, 77)
-    assert packer.size == len(record)
+    record = packed(PACKET)
+    assert HEAD.unpack_from(record) == (5, len(record) - 9, 5, 3, 77, 77)
 
 
 def test_numpy_views_a_message_without_a_copy() -> None:
@@ -116,11 +124,23 @@ def test_a_layout_of_what_is_no_number_is_none(text: str) -> None:
         Layout.from_json(text)
 
 
-def test_two_packets_in_a_row_do_not_mix() -> None:
-    packer = Packer("Packet", 5, layout_of(Packet, NAMES))
-    first = packed(PACKET, packer)
-    packed(Packet(False, Colour.RED, ~PACKET.switch, -PACKET.count, -PACKET.R_RT, -PACKET.level, 1.0), packer)
-    assert first == packed(PACKET, packer)
+UNLIKE = Packet(False, Colour.RED, ~PACKET.switch, -PACKET.count, -PACKET.R_RT, -PACKET.level, 1.0)
+
+
+def test_two_cycles_in_a_row_do_not_mix() -> None:
+    packer = packer_of("packet")
+    first = packer.pack(Cycle(PACKET), 77, [3])
+    packer.pack(Cycle(UNLIKE), 78, [4])
+    assert packer.pack(Cycle(PACKET), 77, [3]) == first
+
+
+def test_packets_that_come_together_are_records_one_after_the_other_numbered_by_channel() -> None:
+    both = packer_of("packet", "other").pack(Cycle(UNLIKE, PACKET), 77, [3, 9])
+    first = packed(UNLIKE)
+    second = both[len(first) :]
+    assert both[: len(first)] == first
+    assert HEAD.unpack_from(second) == (5, len(second) - 9, 6, 9, 77, 77)
+    assert second[HEAD.size :] == packed(PACKET)[HEAD.size :]
 
 
 def test_an_array_lies_row_by_row_whatever_its_order_in_memory() -> None:
@@ -133,26 +153,14 @@ def test_an_array_lies_row_by_row_whatever_its_order_in_memory() -> None:
 @pytest.mark.parametrize(
     ("name", "value", "what"),
     [
-        ("count", np.zeros(3, np.int16), r"Packet.count: int16\(3,\) given, int16\(2,\) in the log's schema"),
-        ("count", np.zeros(2, np.int64), "in the log's schema"),
-        ("count", np.zeros((2, 1), np.int16), "in the log's schema"),
+        ("count", np.zeros(3, np.int16), r"packet.count: int16\(3,\) given, int16\(2,\) in the log's schema"),
+        ("count", np.zeros(2, np.int64), r"packet.count: int64\(2,\) given"),
+        ("level", np.zeros(1, np.int32), r"packet.level: int32\(1,\) given"),
+        ("colour", 1 << 63, "packet.colour: 9223372036854775808 given"),
+        ("colour", 0.5, "packet.colour: 0.5 given"),
     ],
 )
-def test_a_packet_unlike_its_layout_is_told_by_its_field(name: str, value: object, what: str) -> None:
-    packer = Packer("Packet", 5, layout_of(Packet, NAMES))
-    with pytest.raises(SchemaError, match=what):
-        packer.check(replace(PACKET, **{name: value}))
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "what"),
-    [
-        ("count", np.zeros(2, np.int64), "Packet.count"),
-        ("colour", 1 << 63, "9223372036854775808"),
-        ("colour", 0.5, "0.5"),
-    ],
-)
-def test_a_number_of_another_kind_is_refused(name: str, value: object, what: str) -> None:
+def test_a_packet_unlike_its_layout_is_refused_by_its_field(name: str, value: object, what: str) -> None:
     with pytest.raises(SchemaError, match=what):
         packed(replace(PACKET, **{name: value}))
 
