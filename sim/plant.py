@@ -187,7 +187,7 @@ class Plant:
         self.data.eq_active[self.at.brake[joint]] = on
 
     def command(self, motor_rad: Array, rate_rad_s: Array) -> None:
-        """Give the motor controllers their set-points, angles and rates (5), as the reference step means them.
+        """Give the motor controllers their set-points (5), as the reference step means them.
 
         A servo compares its set-point with the angle at the beginning of a step, half a step too early, and
         only the feedback of its rate is less for the damping that the integrator adds.

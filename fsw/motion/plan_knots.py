@@ -23,13 +23,18 @@ def plan_through(
 ) -> Plan:
     """Paths over equally spaced outputs (5, k) under their loads (5, k), from where the joints stand.
 
-    Where a gear is to be crossed first, there is a joint move while the outputs stand still.
+    Where a gear is to be crossed first, there is a joint move while the outputs stand still; so there is to
+    the first outputs, where the joints stand elsewhere.
     """
     step = travel.length / (output_rad.shape[1] - 1)
     stiffness = config.arm.gear_stiffness_Nm_rad
     here = standing(joints)
     paths: list[Path] = []
     gear, knots = here.gear_rad, [here.motor_rad]
+    first = output_rad[:, 0] - compensation.allowance(joints, gear)
+    if np.abs(first - here.motor_rad).max() > STILL_RAD:
+        paths.append(joint_path(config, here.motor_rad, first))
+        knots = [first]
     for k, moved in enumerate(np.diff(output_rad).T, start=1):
         bounds = bounds_under(config, joints.reference.half_gap_rad, load_Nm[:, k])
         wound = (load_Nm[:, k] - load_Nm[:, k - 1]) / stiffness

@@ -102,7 +102,9 @@ def touching(config: Config, joints: JointEstimate, tool: Tool) -> Pressing:
     yields_m = free.axis_R @ (X_RT.p - tool_pose(arm, rest(arm, output, gravity, free.pushed).frames, tool).p)
     firm = replace(free, model_N=motion.switch_force_N + motion.contact_firm_m / float(yields_m))
     pushed = tool_pose(arm, rest(arm, output, gravity, firm.pushed).frames, tool)
-    return replace(firm, p_RoTo_R_m=pushed.p, axis_R=pushed.R[:, 0])
+    # friction keeps it where it touched: it gives way along its axis only, and not aside as a free tool would
+    p = X_RT.p + free.axis_R * (free.axis_R @ (pushed.p - X_RT.p))
+    return replace(firm, p_RoTo_R_m=p, axis_R=pushed.R[:, 0])
 
 
 def plan_press(
