@@ -197,14 +197,14 @@ class Plant:
 
     def step(self) -> None:
         """One control cycle of physics; PlantDiverged if MuJoCo counted a warning."""
-        self._damp_gears()
+        self.damp_gears()
         end_s = self.data.time + 1.0 / CYCLE_HZ
         mujoco.mj_step(self.model, self.data, self.steps_per_cycle)
         self.data.time = end_s  # a step need not be exact in binary, a cycle is
-        self._update_motors()
+        self.update_motors()
         self._check()
 
-    def _damp_gears(self) -> None:
+    def damp_gears(self) -> None:
         """Let gears be damped as the reference step computes them: other on a flank than in the gap."""
         length, bounds = self.data.ten_length[self._gaps], self.model.tendon_lengthspring[self._gaps]
         on_flank = (length < bounds[:, 0]) | (length > bounds[:, 1])
@@ -213,7 +213,7 @@ class Plant:
             damping = np.where(on_flank, self._flank_damping_Nms_rad, self._gap_damping_Nms_rad)
             self.model.tendon_damping[self._gaps] = damping
 
-    def _update_motors(self) -> None:
+    def update_motors(self) -> None:
         """Compute the motors' torques of this moment: those of the last step are of its beginning."""
         data = self.data
         data.actuator_length[self._actuators] = data.qpos[self._motors]

@@ -109,7 +109,9 @@ def test_files_stay_readable(name: str) -> None:
 def test_a_scene_changes_only_the_gravity_of_the_arms_options(scene: str, gravity_m_s2: float) -> None:
     arm, model = load("arm.xml"), load(scene)
     assert model.opt.gravity.tolist() == [0.0, 0.0, -gravity_m_s2]
-    assert model.opt.timestep == arm.opt.timestep == 1 / 512
+    assert model.opt.timestep == arm.opt.timestep
+    assert model.opt.cone == arm.opt.cone
+    assert model.opt.impratio == arm.opt.impratio
     assert model.opt.integrator == arm.opt.integrator
     assert model.opt.tolerance == arm.opt.tolerance
     assert model.opt.disableflags == arm.opt.disableflags

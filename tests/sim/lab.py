@@ -29,8 +29,8 @@ OUTPUT_FRICTION_NM = np.array([10.0, 10.0, 10.0, 3.0, 3.0])
 CYCLE_HZ = 64
 
 
-def plant(world: World | None = None, time_step_s: float = 1 / 512, edit: Edit | None = None) -> Plant:
-    """The nominal arm in a world; `edit` changes its specification first."""
+def plant(world: World | None = None, time_step_s: float | None = None, edit: Edit | None = None) -> Plant:
+    """The nominal arm in a world, with the model's own time step; `edit` changes its specification first."""
     if edit is None:
         return Plant(copy(_unedited(world or World(), time_step_s)))
     spec = _spec(world or World(), time_step_s)
@@ -38,14 +38,15 @@ def plant(world: World | None = None, time_step_s: float = 1 / 512, edit: Edit |
     return Plant(spec.compile())
 
 
-def _spec(world: World, time_step_s: float) -> mujoco.MjSpec:
+def _spec(world: World, time_step_s: float | None) -> mujoco.MjSpec:
     spec = build(world)
-    spec.option.timestep = time_step_s
+    if time_step_s is not None:
+        spec.option.timestep = time_step_s
     return spec
 
 
 @cache
-def _unedited(world: World, time_step_s: float) -> mujoco.MjModel:
+def _unedited(world: World, time_step_s: float | None) -> mujoco.MjModel:
     return _spec(world, time_step_s).compile()
 
 

@@ -14,8 +14,6 @@ from sim.world import World, build
 from tests.sim import lab
 
 Array = lab.Array
-STEPS = 8
-"""Of physics in a control cycle."""
 SPEED_RAD_S = np.array([1.0, 1.0, 1.0, 2.0, 2.0]) * np.pi / 180
 TORQUE_CONSTANT_NM_A = np.array([228.6, 228.6, 228.6, 86.33, 86.33])
 
@@ -25,9 +23,13 @@ def _nominal(world: World) -> mujoco.MjSpec:
     return build(world)
 
 
-def built(*effects: Effect, world: World | None = None, calm: bool = False) -> tuple[Plant, Hardware]:
+def built(
+    *effects: Effect, world: World | None = None, calm: bool = False, steps_per_cycle: int | None = None
+) -> tuple[Plant, Hardware]:
     """The arm with these effects, without rover and ground; calm: soon at rest, see tests.sim.lab."""
     spec = _nominal(world or World()).copy()
+    if steps_per_cycle is not None:
+        spec.option.timestep = 1.0 / (steps_per_cycle * lab.CYCLE_HZ)
     if world is None or world.surface is None:
         for geom in spec.geoms:
             geom.contype = geom.conaffinity = 0
@@ -72,17 +74,18 @@ def turned(
     *effects: Effect,
     seconds: float = 2.5,
     speed: float = 1.0,
-    every: int = STEPS,
+    every: int | None = None,
+    steps_per_cycle: int | None = None,
     start_rad: Array = lab.READY_RAD,
     back: bool = False,
     world: World | None = None,
 ) -> Turned:
     """One joint brought to a share of its speed within a second, and kept there; back: and then back again.
 
-    `every` so many steps of physics the effects are looked at.
+    `every` so many steps of physics the effects are looked at; else once a cycle.
     """
-    plant, hardware = built(*effects, world=world)
-    state = [hardware]
+    plant, hardware = built(*effects, world=world, steps_per_cycle=steps_per_cycle)
+    state, in_cycle = [hardware], plant.steps_per_cycle
 
     def look() -> None:
         if state[0].each_cycle:
@@ -91,20 +94,24 @@ def turned(
     plant.place(start_rad, 4.0, look)
     plant.model.opt.disableactuator = ALL_ACTUATORS & ~(2 << joint)
     plant.brake(joint, False)
-    rows, currents, angle, rate = [], [], start_rad[joint], 0.0
+    rows, currents, rate = [], [], 0.0
+    angle, rates = np.array(start_rad, float), np.zeros(len(Joint))
     full, dt = speed * SPEED_RAD_S[joint], plant.model.opt.timestep
     for goal in [full, -full] if back else [full]:
         first = rate
         for step in range(round(seconds / dt)):
             rate = first + (goal - first) * lab.gentle(min(step * dt, 1.0))
-            if step % STEPS == 0:
-                plant.data.ctrl[2 * joint : 2 * joint + 2] = angle, rate
-            if step % every == 0:
+            if step % in_cycle == 0:
+                rates[joint] = rate
+                plant.damp_gears()
+                plant.command(angle, rates)
+            if step % (every or in_cycle) == 0:
                 look()
             mujoco.mj_step(plant.model, plant.data)
+            plant.update_motors()
             currents.append(plant.motor_current_A()[joint])
-            angle += rate * dt
-            if step % STEPS == STEPS - 1:
+            angle[joint] += rate * dt
+            if step % in_cycle == in_cycle - 1:
                 angles = plant.motor_rad()[joint], plant.output_rad()[joint]
-                rows.append((currents[-1], np.mean(currents[-STEPS:]), *angles))
+                rows.append((currents[-1], np.mean(currents[-in_cycle:]), *angles))
     return Turned(*np.array(rows).T)

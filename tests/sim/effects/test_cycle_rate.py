@@ -28,15 +28,15 @@ EFFECTS = (
     TransmissionError(JOINT, 3e-4, 2e-4, turns=60),
     FlexCable(JOINT, 20.0, 6.0, give_rad=0.02),
 )
-WHOLE = bench.STEPS
-"""Steps of physics in a control cycle."""
+WHOLE = 8
+"""Steps of physics in a control cycle: finer than the plant's, so that a cycle has halves."""
 
 
 @cache
 def reversal(effect: EachCycle | None, every: int) -> bench.Turned:
     """One way and back: every effect here depends on what changes then."""
     effects = () if effect is None else (effect,)
-    return bench.turned(JOINT, *effects, seconds=2.0, every=every, back=True)
+    return bench.turned(JOINT, *effects, seconds=2.0, every=every, steps_per_cycle=WHOLE, back=True)
 
 
 def apart(effect: EachCycle, every: int) -> lab.Array:

@@ -1,0 +1,121 @@
+"""The plant at its own time step does what it does at the reference step."""
+
+from dataclasses import dataclass
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Joint
+from sim.plant import REFERENCE_STEP_S, Plant
+from tests.sim import lab
+
+SIDEWAYS = lab.tilted(20, -15)
+"""Every gear then carries a load, and lies on a flank."""
+
+
+@cache
+def modes(time_step_s: float | None) -> lab.Array:
+    """Frequency [Hz] and damping ratio of the three slowest modes, by linearisation at rest: (3, 2)."""
+    plant = lab.plant(SIDEWAYS, time_step_s, edit=lab.without_output_friction)
+    lab.load(plant, lab.READY_RAD, duration_s=4.0, rest_s=10.0)
+    model = plant.model
+    size = 2 * model.nv + model.na
+    transition = np.zeros((size, size))
+    mujoco.mjd_transitionFD(model, plant.data, 1e-7, True, transition, None, None, None)
+    values = np.linalg.eigvals(transition)
+    rates = np.log(values[np.abs(values) > 1e-3].astype(complex)) / model.opt.timestep
+    slowest = sorted((r for r in rates if r.imag > 1e-3), key=abs)[:3]
+    return np.array([(abs(r) / (2 * np.pi), -r.real / abs(r)) for r in slowest])
+
+
+def test_the_first_three_modes_have_their_frequency_and_damping() -> None:
+    own, reference = modes(None), modes(REFERENCE_STEP_S)
+    np.testing.assert_allclose(own[:, 0], reference[:, 0], rtol=0.02)
+    np.testing.assert_allclose(own[:, 1], reference[:, 1], rtol=0.1)
+
+
+def test_without_correction_the_damping_would_be_another() -> None:
+    """The bound of the test above can fail."""
+    plain = modes(None)[:, 1] + np.pi * modes(None)[:, 0] * (lab.plant().model.opt.timestep - REFERENCE_STEP_S)
+    assert np.all(plain > 1.1 * modes(REFERENCE_STEP_S)[:, 1])
+
+
+@dataclass(frozen=True)
+class Way:
+    """A joint turned to and fro under load; one row a control cycle."""
+
+    motor_rad: lab.Array
+    current_A: lab.Array
+    output_rad: lab.Array
+
+
+@cache
+def to_and_fro(joint: Joint, rate_rad_s: float, time_step_s: float | None) -> Way:
+    plant = lab.plant(SIDEWAYS, time_step_s)
+    plant.place(lab.READY_RAD, 8.0)
+    lab.hold_by_motors(plant)
+    lab.run(plant, 0.5)
+    rows, asked, rates = [], lab.READY_RAD.copy(), np.zeros(len(Joint))
+    for k in range(4 * lab.CYCLE_HZ):
+        time_s = k / lab.CYCLE_HZ
+        share = lab.gentle(min(1.0, time_s)) - 2 * lab.gentle(min(1.0, max(0.0, time_s - 2.5)))
+        rates[joint] = rate_rad_s * share
+        asked[joint] += rates[joint] / lab.CYCLE_HZ
+        plant.command(asked, rates)
+        plant.step()
+        readings = (plant.motor_rad(), plant.motor_current_A(), plant.output_rad())
+        rows.append([reading[joint] for reading in readings])
+    motor, current, output = np.array(rows).T
+    return Way(motor, current, output)
+
+
+JOINTS = pytest.mark.parametrize("joint", [Joint.AZIMUTH, Joint.WRIST])
+
+
+def rms(values: lab.Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@JOINTS
+def test_a_motor_follows_its_set_point_as_at_the_reference_step(joint: Joint) -> None:
+    """To a few encoder counts; its current to a few times the noise of its sensor."""
+    own, reference = (to_and_fro(joint, np.radians(1.0), step_s) for step_s in (None, REFERENCE_STEP_S))
+    assert rms(own.motor_rad - reference.motor_rad) < 1e-5
+    assert rms(own.current_A - reference.current_A) < 0.08
+
+
+@JOINTS
+def test_a_slow_joint_sticks_and_slips_as_much_as_at_the_reference_step(joint: Joint) -> None:
+    """The swing of the output about its even way, at a tenth of a degree per second."""
+    swings = []
+    for step_s in (None, REFERENCE_STEP_S):
+        output = to_and_fro(joint, np.radians(0.1), step_s).output_rad[70:150]
+        even = np.polyval(np.polyfit(np.arange(output.size), output, 1), np.arange(output.size))
+        swings.append(rms(output - even))
+    assert swings[0] == pytest.approx(swings[1], rel=0.1)
+
+
+@cache
+def over_the_vertical(time_step_s: float | None) -> lab.Array:
+    """Gears [rad] while the wrist swings the turret through the pose in which it hangs, one row a cycle."""
+    plant: Plant = lab.plant(time_step_s=time_step_s)
+    lab.load(plant, np.radians([0.0, -60.0, 60.0, 40.0, 0.0]))
+    lab.hold_by_motors(plant)
+    gears, rate = [], np.radians(-1.0)
+    for k in range(60 * lab.CYCLE_HZ):
+        asked = np.radians([0.0, -60.0, 60.0, 40.0, 0.0])
+        asked[Joint.WRIST] += rate * (k + 1) / lab.CYCLE_HZ
+        plant.command(asked, rate * (np.arange(5) == Joint.WRIST))
+        plant.step()
+        gears.append(lab.gear_rad(plant))
+    return np.array(gears)
+
+
+def test_a_gap_is_crossed_as_often_and_in_the_same_time() -> None:
+    inside = [np.abs(over_the_vertical(s)) < lab.HALF_GAP_RAD for s in (None, REFERENCE_STEP_S)]
+    crossings = [np.abs(np.diff(i.astype(int), axis=0)).sum(axis=0) for i in inside]
+    np.testing.assert_array_equal(crossings[0], crossings[1])
+    assert crossings[0][Joint.WRIST] == 2
+    assert inside[0].sum(axis=0)[Joint.WRIST] == pytest.approx(inside[1].sum(axis=0)[Joint.WRIST], rel=0.05)
