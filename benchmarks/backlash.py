@@ -86,9 +86,7 @@ def campaign(arm_name: str, tours: int, poses: int, seed: int, workers: int) -> 
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         arm, seeds = arm_named(arm_name), range(seed, seed + tours)
         known = dict(zip(seeds, pool.map(initial_reference, [arm] * tours, seeds), strict=True))
-        running = [
-            (mode, pool.submit(one_tour, arm_name, known[s], mode, poses, s)) for mode, s in jobs
-        ]
+        running = [(mode, pool.submit(one_tour, arm_name, known[s], mode, poses, s)) for mode, s in jobs]
         for done, (mode, future) in enumerate(running, 1):
             found[mode].extend(future.result())
             print(f"marsarm: {done} of {len(jobs)} tours", file=sys.stderr)

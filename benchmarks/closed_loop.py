@@ -1,7 +1,7 @@
 """How fast the closed loop runs, against a bare step of the model of commit 50fd31b, in one process.
 
-`plant-50fd31b.mjb` is that model as MuJoCo compiled it, without textures. It is kept so that a ratio of today can
-be compared with one of another day: a plant that becomes quicker does not move the yardstick.
+`plant-50fd31b.mjb` is that model as MuJoCo compiled it, without textures. It is kept so that a ratio of today
+can be compared with one of another day: a plant that becomes quicker does not move the yardstick.
 
 Example: python -m benchmarks.closed_loop
 """

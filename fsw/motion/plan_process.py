@@ -98,4 +98,3 @@ def _beyond_wrist(wrist_R: Array, turret_R: Array, down_R: Array, pointed_R: Arr
         f"gravity is {np.degrees(wanted):.1f} deg from the turret axis in what is asked; with this azimuth "
         f"the wrist can bring it to {np.degrees(least):.1f} .. {np.degrees(most):.1f} deg"
     )
-

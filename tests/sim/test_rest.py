@@ -13,6 +13,8 @@ from sim.world import World
 from tests.sim import lab
 
 CONVERGED_MM = 0.005
+STOPPED_MM = 0.02
+"""With the motors on: they stand within three of their counts of where they are to be."""
 FINE_S = REFERENCE_STEP_S
 AT_REST_J = 1e-7
 """The arm then still swings by about 6 um."""
@@ -49,7 +51,7 @@ def test_held_by_its_motors_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_s
         lab.hold_by_motors(plant)
         lab.run(plant, 6.0)
         np.testing.assert_allclose(plant.motor_rad(), pose, atol=2e-5)
-    assert lab.tool_distance_mm(coarse, fine) < CONVERGED_MM
+    assert lab.tool_distance_mm(coarse, fine) < STOPPED_MM
 
 
 @pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
@@ -57,7 +59,7 @@ def test_after_a_move_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(wo
     goal = tuple(float(a) for a in np.radians([5.0, -55.0, 115.0, 135.0, 95.0]))
     coarse, fine = (moved(world, step_s, goal) for step_s in (None, FINE_S))
     assert coarse.plant.motor_rad() == pytest.approx(goal, abs=0.02)
-    assert lab.tool_distance_mm(coarse.plant, fine.plant) < CONVERGED_MM
+    assert lab.tool_distance_mm(coarse.plant, fine.plant) < STOPPED_MM
 
 
 def moved(world: World, time_step_s: float | None, goal_rad: tuple[float, ...]) -> ClosedLoop:
@@ -91,7 +93,7 @@ def test_at_rest_a_gear_stands_at_half_its_backlash_and_its_wind_up(side: int) -
     def apply(loads: lab.Array) -> None:
         plant.data.qfrc_applied[gears] = loads
 
-    lab.run(plant, 4.0, lambda amount: apply(torque * lab.gentle(amount)))
+    lab.run(plant, 8.0, lambda amount: apply(torque * lab.gentle(amount)))
     lab.run(plant, 1.0)
     from_less = lab.gear_rad(plant)
     lab.run(plant, 1.0, lambda amount: apply(torque + more * lab.gentle(amount)))

@@ -28,7 +28,7 @@ def test_a_benchmark_out_of_its_bounds_fails_them_all_and_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     measured: dict[str, Any] = {"in_bounds": False}
-    for name in ("closed_loop", "recording", "kinematics_speed", "log_reading"):
+    for name in ("closed_loop", "recording", "kinematics_speed", "log_reading", "budget_speed"):
         monkeypatch.setattr(run, name, lambda name=name: measured if name == "recording" else {})
     monkeypatch.setattr(run, "campaign", lambda targets, vectors: {})
     with pytest.raises(SystemExit, match=r"out of bounds: recording$"):
