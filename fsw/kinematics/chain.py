@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.transforms import Array, Pose, adjoint, cross
+from fsw.kinematics.transforms import Array, Pose, adjoint, cross, each_link
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,7 +36,8 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     cosine, sine = np.cos(angle), np.sin(angle)
     X_LD = spring_pose(arm, np.zeros((6, 6, *ones)) if strain is None else strain)
     # a pose as (3, 4, ...), so that one product turns rotation and translation alike
-    X_LF = np.einsum("ikl...,kjl->ijl...", X_LD.R, arm.RP_CF)
+    R_LD = X_LD.R.reshape(3, 3, 6, -1)
+    X_LF = each_link(arm.RP_CF.swapaxes(0, 1), R_LD).reshape(3, 4, *X_LD.R.shape[2:])
     X_LF[:, 3] += X_LD.p
     X_SF = np.empty((3, 4, 6, *batch))  # in the frame at the link's start, before its joint turns
     np.multiply(cosine, X_LF[0], out=X_SF[0])
@@ -50,7 +51,9 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     for i in range(1, 6):
         np.einsum("ik...,kj...->ij...", R_RS[:, :, i], X_SF[:, :3, i], out=R_RS[:, :, i + 1])
     p_RS = np.zeros((3, 7, *batch))
-    np.cumsum(np.einsum("ij...,j...->i...", R_RS[:, :, :6], X_SF[:, 3]), axis=1, out=p_RS[:, 1:])
+    np.einsum("ij...,j...->i...", R_RS[:, :, :6], X_SF[:, 3], out=p_RS[:, 1:])
+    for i in range(1, 6):  # three times as fast as cumsum
+        p_RS[:, i + 1] += p_RS[:, i]
     R_RL = np.empty((3, 3, 6, *batch))
     x, y = R_RS[:, 0, :6], R_RS[:, 1, :6]
     np.multiply(x, cosine, out=R_RL[:, 0])

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fsw.dictionary.joints import Joint
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.closed_form import closed_form, in_plane, into_shoulder, pose_of, wrist_joint
+from fsw.kinematics.refine import damped_inverse
 from fsw.kinematics.shape import Shape
 from fsw.kinematics.suspects import Suspects
 from fsw.kinematics.task import task_error, task_jacobian, try_pose
@@ -33,11 +34,12 @@ MOST_LEAN: Final = 0.35
 """How far from its angle with the approach (cosine) the turret axis of a node may be."""
 LEAST_BEND_RAD: Final = 0.1
 """Starts keep the elbow this far from straight and folded, where the planar arm is singular."""
-CLEAR_BEND_RAD: Final = 0.15
-"""The same for the square arm's roots: from outside, on the convex side of the fold, Newton converges."""
+CLEAR_RAD: Final = 0.15
+"""The same, and for the shoulder, of the square arm's roots: from outside, the convex side, Newton converges."""
 LONGEST_STEP_RAD: Final = 0.3
-SLACK: Final = 1.0
-"""A zero line may pass a node if the value there is below this share of its change to the neighbours."""
+SLACK: Final = 0.75
+"""A zero line may pass a node if the value there is below this share of its change to the neighbours: a straight
+line that passes within half a cell is below 1/2, and the rest is for its curvature."""
 BLOCK: Final = 500
 """Nodes at a time: their arrays stay in the cache."""
 
@@ -83,7 +85,7 @@ def scan(
         nodes[:, block], conditions[:, at[block]] = _look(arm, tool, p, a, gravity_R_m_s2, nodes[:, block])
     near = _zero_lines_pass(conditions.reshape(2, *worth)).reshape(-1)[at]
     # where the elbow is nearly straight, few nodes can reach: the square arm's own roots, from either side
-    bent = closed_form(arm, tool, p_RoTo_R_m, approach_R, CLEAR_BEND_RAD).output_rad[:, suspects.is_suspect]
+    bent = closed_form(arm, tool, p_RoTo_R_m, approach_R, CLEAR_RAD).output_rad[:, suspects.is_suspect]
     return Starts(
         np.concatenate([bent, nodes[:, near]], axis=1),
         np.concatenate([np.nonzero(suspects.is_suspect)[1], target[near]]),
@@ -164,8 +166,7 @@ def _look(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, q: Array) -> 
     residual, conditions = split(task_error(tried.X_RT, p, a))
     planar = [Joint.ELEVATION, Joint.ELBOW, Joint.TURRET]
     J, J_conditions = split(task_jacobian(tried.frames, tried.X_RT, a)[:, planar])
-    A = np.moveaxis(J, (0, 1), (-2, -1)) + 1e-9 * np.eye(3)
-    step = -np.linalg.solve(A, residual.T[..., None])[..., 0].T
+    step = -np.einsum("ij...,j...->i...", damped_inverse(J), residual)
     step *= np.minimum(1.0, LONGEST_STEP_RAD / np.maximum(np.max(np.abs(step), axis=0), 1e-300))
     q = q.copy()
     q[planar] += step
