@@ -46,9 +46,7 @@ class Roots:
     """(3, 8, ...): how far from the folds of shoulder [m], elbow and wrist [sine], where roots meet."""
 
 
-def closed_form(
-    arm: Arm, tool: int, p_RoTo_R_m: Array, approach_R: Array, clear_rad: float = 0.0
-) -> Roots:
+def closed_form(arm: Arm, tool: int, p_RoTo_R_m: Array, approach_R: Array, clear_rad: float = 0.0) -> Roots:
     """All roots of the square rigid arm for positions (3, ...) and unit approach vectors (3, ...).
 
     Exact for an arm whose axes are square, whatever the tool; for a calibrated arm, the place to start from.

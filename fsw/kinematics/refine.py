@@ -15,6 +15,10 @@ TASK_TOLERANCE: Final = 1e-11
 """Of a root: position [m], axis [rad] and what the strains still change."""
 STEP_TOLERANCE_RAD: Final = 1e-7
 LONGEST_STEP_RAD: Final = 0.4
+LAG: Final = 0.1
+"""Where the strain still changes by more than this share of what is missing, load and deflection get a second
+pass. A pass takes a factor of twenty off what the strain lags behind: less than 1/200 of what is missing is
+then its fault. With more, near a double root the lag is larger than the slope, and repels."""
 PATIENCE: Final = 15
 """A start that is not close to a root after so many steps is given up, and any after as many more."""
 HOPELESS: Final = 1e-3
@@ -23,8 +27,8 @@ CURVATURE: Final = 8.0
 """Bounds the task's second derivative along a step of length one, for links of 2.5 m in all [m, rad]."""
 CERTAIN: Final = 0.25
 """Of CURVATURE, inverse Jacobian and step; below 1/2 a root exists and is the only one (Kantorovich)."""
-BLOCK: Final = 2000
-"""Starts at a time: their arrays stay in the cache."""
+BLOCK: Final = 8000
+"""Starts at a time, to bound the memory: late steps, of the few that are left, cost as much a block."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,9 +173,9 @@ class _Newton:
     def _at(
         self, where: NDArray[np.intp], output_rad: Array, strain: Array | None, load_J: Array
     ) -> _Iterate:
-        """Where the strain lags by more than is missing, as it does near a double root, it is looked twice."""
+        """A look, and a second one where the strain lags."""
         at = self._look(where, output_rad, strain, load_J)
-        lags = np.flatnonzero(at.unrest > np.max(np.abs(at.residual), axis=0))
+        lags = np.flatnonzero(at.unrest > LAG * np.max(np.abs(at.residual), axis=0))
         if not lags.size:
             return at
         lagging = at_targets(at, lags)
