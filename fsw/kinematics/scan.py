@@ -35,11 +35,11 @@ MOST_LEAN: Final = 0.35
 LEAST_BEND_RAD: Final = 0.1
 """Starts keep the elbow this far from straight and folded, where the planar arm is singular."""
 CLEAR_RAD: Final = 0.15
-"""The same for elbow and shoulder of the square arm's roots: from outside, on the convex side, Newton converges."""
+"""The same for elbow and shoulder of the square arm's roots: from the convex side Newton converges."""
 LONGEST_STEP_RAD: Final = 0.3
 SLACK: Final = 0.75
-"""A zero line may pass a node if the value there is below this share of its change to the neighbours: below 1/2
-for a straight line that passes within half a cell; the rest is for its curvature."""
+"""A zero line may pass a node if the value there is below this share of its change to the neighbours:
+1/2 for a straight line that passes within half a cell, and half as much again for its curvature."""
 BLOCK: Final = 2000
 """Nodes at a time, to bound the memory."""
 
