@@ -217,4 +217,5 @@ def damped_inverse(J: Array) -> Array:
         row, column = inverse[k] * pivot, inverse[:, k].copy()
         inverse -= column[:, None] * row
         inverse[k], inverse[:, k], inverse[k, k] = row, -column * pivot, pivot
-    return np.einsum("ik...,jk...->ij...", inverse, J)
+    product: Array = np.einsum("ik...,jk...->ij...", inverse, J)
+    return product
