@@ -26,13 +26,9 @@ ROUNDING_M2: Final = 1e-14
 WRISTS: Final = np.array([-1.0, 1.0])
 
 
-def azimuths(s: Shape, foot: Array, a: Array, clear_rad: float = 0.0) -> tuple[Array, Array, Array]:
-    """Azimuths for a radial tool, sines of the wrist, what is missing [m]: (shoulder, wrist, ...) each.
-
-    `clear_rad` is how far they are kept from where shoulder out and in meet.
-    """
+def azimuths(s: Shape, foot: Array, a: Array) -> tuple[Array, Array, Array]:
+    """Azimuths for a radial tool, sines of the wrist, what is missing [m]: (shoulder, wrist, ...) each."""
     lean, heading, missing = _lean(s, foot)
-    lean = np.clip(lean, clear_rad - 0.5 * np.pi, 0.5 * np.pi - clear_rad)
     q1 = np.stack([heading + lean, heading + np.pi - lean])[:, None]
     wrist = WRISTS.reshape(1, 2, *(1,) * heading.ndim)
     sine = wrist * np.sqrt(np.maximum(_sine2(s, a, q1), 0.0))

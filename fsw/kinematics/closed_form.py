@@ -46,23 +46,23 @@ class Roots:
     """(3, 8, ...): how far from the folds of shoulder [m], elbow and wrist [sine], where roots meet."""
 
 
-def closed_form(arm: Arm, tool: int, p_RoTo_R_m: Array, approach_R: Array, clear_rad: float = 0.0) -> Roots:
+def closed_form(
+    arm: Arm, tool: int, p_RoTo_R_m: Array, approach_R: Array, least_bend_rad: float = 0.0
+) -> Roots:
     """All roots of the square rigid arm for positions (3, ...) and unit approach vectors (3, ...).
 
     Exact for an arm whose axes are square, whatever the tool; for a calibrated arm, the place to start from.
-    `clear_rad` keeps the elbow, and with a radial tool the shoulder, that far from where two roots meet.
+    `least_bend_rad` keeps the elbow that far from straight and folded, where two roots meet.
     """
     s = arm.shapes[tool]
     p, a = into_shoulder(s, p_RoTo_R_m, approach_R)
     foot = p - s.radius_m * a
-    # (shoulder, wrist, ...)
-    q1, sine, missing_shoulder = (
-        azimuths(s, foot, a, clear_rad) if s.offset_m == 0.0 else offset_azimuths(s, foot, a)
-    )
+    find = azimuths if s.offset_m == 0.0 else offset_azimuths
+    q1, sine, missing_shoulder = find(s, foot, a)  # (shoulder, wrist, ...)
     foot_P, a_P = in_plane(q1, foot, a)
     t_e, t_z, missing_axis = turret_axis(s, a_P, sine)
     reach = wrist_joint(s, foot_P, a_P, t_e, t_z)
-    bend = np.clip(reach.bend_rad, clear_rad, np.pi - clear_rad)
+    bend = np.clip(reach.bend_rad, least_bend_rad, np.pi - least_bend_rad)
     up = np.where(reach.x_m >= 0, bend, -bend)
     bend = np.stack([up, -up], axis=1)  # (shoulder, elbow, wrist, ...)
     both = Reach(reach.x_m[:, None], reach.z_m[:, None], bend, reach.missing_m[:, None])

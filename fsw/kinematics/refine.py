@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.records import at_targets, replaced
+from fsw.kinematics.records import at_targets
 from fsw.kinematics.task import ROOT_TOLERANCE, task_error, task_jacobian, try_pose
 from fsw.kinematics.transforms import Array, Flags, norm, wrap_angle
 
@@ -15,10 +15,8 @@ TASK_TOLERANCE: Final = 1e-11
 """Of a root: position [m], axis [rad] and what the strains still change."""
 STEP_TOLERANCE_RAD: Final = 1e-7
 LONGEST_STEP_RAD: Final = 0.4
-LAG: Final = 0.1
-"""Where the strain still changes by more than this share of what is missing, load and deflection get a second
-pass. A pass takes a factor of twenty off what the strain lags behind: less than 1/200 of what is missing is
-then its fault. With more, near a double root the lag is larger than the slope, and repels."""
+PASSES: Final = 2
+"""Of load and deflection at every look; with one, the strain lags by more than a double root's slope."""
 PATIENCE: Final = 15
 """A start that is not close to a root after so many steps is given up, and any after as many more."""
 HOPELESS: Final = 1e-3
@@ -161,7 +159,8 @@ class _Newton:
 
     def begin(self, output_rad: Array, where: NDArray[np.intp]) -> _Iterate:
         """The starts, their springs under load."""
-        return self._at(where, output_rad, None, np.zeros((5, 5, where.size)))
+        strain = try_pose(self.arm, self.tool, output_rad, None, self.gravity_R_m_s2).strain
+        return self._at(where, output_rad, strain, np.zeros((5, 5, where.size)))
 
     def moved(self, at: _Iterate, step: Array) -> _Iterate:
         """The state after a step, with what it taught about the load (Broyden's update)."""
@@ -170,22 +169,10 @@ class _Newton:
         surprise = (new.residual - at.residual - expected) / np.maximum((step * step).sum(axis=0), 1e-300)
         return replace(new, load_J=at.load_J + surprise[:, None] * step[None])
 
-    def _at(
-        self, where: NDArray[np.intp], output_rad: Array, strain: Array | None, load_J: Array
-    ) -> _Iterate:
-        """A look, and a second one where the strain lags."""
-        at = self._look(where, output_rad, strain, load_J)
-        lags = np.flatnonzero(at.unrest > LAG * np.max(np.abs(at.residual), axis=0))
-        if not lags.size:
-            return at
-        lagging = at_targets(at, lags)
-        again = self._look(lagging.where, lagging.output_rad, lagging.strain, lagging.load_J)
-        return replaced(at, lags, again)
-
-    def _look(
-        self, where: NDArray[np.intp], output_rad: Array, strain: Array | None, load_J: Array
-    ) -> _Iterate:
+    def _at(self, where: NDArray[np.intp], output_rad: Array, strain: Array, load_J: Array) -> _Iterate:
         tried = try_pose(self.arm, self.tool, output_rad, strain, self.gravity_R_m_s2)
+        for _ in range(PASSES - 1 if self.gravity_R_m_s2.any() else 0):
+            tried = try_pose(self.arm, self.tool, output_rad, tried.strain, self.gravity_R_m_s2)
         p, a = self.p[:, where], self.a[:, where]
         return _Iterate(
             where,

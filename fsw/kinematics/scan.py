@@ -34,12 +34,11 @@ MOST_LEAN: Final = 0.35
 """How far from its angle with the approach (cosine) the turret axis of a node may be."""
 LEAST_BEND_RAD: Final = 0.1
 """Starts keep the elbow this far from straight and folded, where the planar arm is singular."""
-CLEAR_RAD: Final = 0.15
-"""The same for elbow and shoulder of the square arm's roots: from the convex side Newton converges."""
+CLEAR_BEND_RAD: Final = 0.15
+"""The same for the square arm's roots: from outside, on the convex side of the fold, Newton converges."""
 LONGEST_STEP_RAD: Final = 0.3
-SLACK: Final = 0.75
-"""A zero line may pass a node if the value there is below this share of its change to the neighbours:
-1/2 for a straight line that passes within half a cell, and half as much again for its curvature."""
+SLACK: Final = 1.0
+"""A zero line may pass a node if the value there is below this share of its change to the neighbours."""
 BLOCK: Final = 2000
 """Nodes at a time, to bound the memory."""
 
@@ -85,7 +84,7 @@ def scan(
         nodes[:, block], conditions[:, at[block]] = _look(arm, tool, p, a, gravity_R_m_s2, nodes[:, block])
     near = _zero_lines_pass(conditions.reshape(2, *worth)).reshape(-1)[at]
     # where the elbow is nearly straight, few nodes can reach: the square arm's own roots, from either side
-    bent = closed_form(arm, tool, p_RoTo_R_m, approach_R, CLEAR_RAD).output_rad[:, suspects.is_suspect]
+    bent = closed_form(arm, tool, p_RoTo_R_m, approach_R, CLEAR_BEND_RAD).output_rad[:, suspects.is_suspect]
     return Starts(
         np.concatenate([bent, nodes[:, near]], axis=1),
         np.concatenate([np.nonzero(suspects.is_suspect)[1], target[near]]),

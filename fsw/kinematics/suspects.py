@@ -46,7 +46,7 @@ class Suspects:
     """The square arm reaches the target."""
     is_suspect: Flags
     is_scanned: Flags
-    """Suspects that are close to more than one fold: a plain fold has two sides, with a start on either."""
+    """Suspects that are more than close to a straight elbow, which is a plain fold with two sides."""
     wrist_is_free: Flags
     """The approach is nearly parallel to the pitch axes: the wrist may have any pitch."""
 
@@ -75,10 +75,8 @@ def find_suspects(
     matters = over < NEAR_LIMITS_RAD
     lost = aimed.followed & (aimed.error >= tolerance(gravity_R_m_s2))
     free: Flags = (missing < FAR_M) & (sine < near_pitch_axes + turned)
-    abreast = (missing < FAR_M) & (shoulder < near)
-    suspect: Flags = lost | free | abreast | (matters & (missing == 0) & (elbow < near))
-    plain = abreast & (elbow >= near) & ~free & (shape.offset_m == 0.0)
-    scanned: Flags = (lost | free | abreast) & ~plain
+    scanned: Flags = lost | free | ((missing < FAR_M) & (shoulder < near))
+    suspect: Flags = scanned | (matters & (missing == 0) & (elbow < near))
     beyond = np.flatnonzero(matters & (missing > 0) & (missing < REACHES * moved) & ~suspect)
     if beyond.size:
         at = (p[:, beyond], a[:, beyond], start[:, beyond], missing[beyond])

@@ -154,7 +154,7 @@ def test_a_bend_kept_from_straight_is_kept():
     q = in_limits(config_of(), np.random.default_rng(4), 500)
     q[2] = np.random.default_rng(5).uniform(-0.1, 0.1, 500)
     p, a, _ = targets_of(ARM, q)
-    bend = closed_form(ARM, TOOL, p, a, clear_rad=0.15).output_rad[2]
+    bend = closed_form(ARM, TOOL, p, a, least_bend_rad=0.15).output_rad[2]
     assert (np.abs(bend) >= 0.15 - 1e-12).all()
     assert (np.abs(wrap_angle(bend)) <= np.pi - 0.15 + 1e-12).all()
 
