@@ -45,15 +45,13 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     np.multiply(sine, X_LF[0], out=X_SF[1])
     X_SF[1] += cosine * X_LF[1]
     X_SF[2] = X_LF[2]
-    R_RS = np.empty((3, 3, 7, *batch))
-    R_RS[:, :, 0] = np.eye(3).reshape(3, 3, *ones)
-    R_RS[:, :, 1] = X_SF[:, :3, 0]
+    RP_RS = np.empty((3, 4, 7, *batch))
+    RP_RS[:, :, 0] = np.eye(3, 4).reshape(3, 4, *ones)
+    RP_RS[:, :, 1] = X_SF[:, :, 0]
     for i in range(1, 6):
-        np.einsum("ik...,kj...->ij...", R_RS[:, :, i], X_SF[:, :3, i], out=R_RS[:, :, i + 1])
-    p_RS = np.zeros((3, 7, *batch))
-    np.einsum("ij...,j...->i...", R_RS[:, :, :6], X_SF[:, 3], out=p_RS[:, 1:])
-    for i in range(1, 6):  # three times as fast as cumsum
-        p_RS[:, i + 1] += p_RS[:, i]
+        np.einsum("ik...,kj...->ij...", RP_RS[:, :3, i], X_SF[:, :, i], out=RP_RS[:, :, i + 1])
+        RP_RS[:, 3, i + 1] += RP_RS[:, 3, i]
+    R_RS, p_RS = RP_RS[:, :3], RP_RS[:, 3]
     R_RL = np.empty((3, 3, 6, *batch))
     x, y = R_RS[:, 0, :6], R_RS[:, 1, :6]
     np.multiply(x, cosine, out=R_RL[:, 0])
