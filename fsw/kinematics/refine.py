@@ -22,8 +22,8 @@ PATIENCE: Final = 15
 HOPELESS: Final = 1e-3
 DAMPING: Final = 1e-12
 CURVATURE: Final = 8.0
-"""Of the task, along steps of length one [m, rad]: its largest second derivative is 3.5 for these links. The rest
-allows for the load's part of the Jacobian, which is learned."""
+"""Of the task, along steps of length one [m, rad]: its largest second derivative is 3.5 for these links.
+The rest allows for the load's part of the Jacobian, which is learned."""
 CERTAIN: Final = 0.25
 """Of CURVATURE, inverse Jacobian and step; below 1/2 a root exists and is the only one (Kantorovich). The
 radii in _first_of_each follow from it."""
