@@ -62,7 +62,7 @@ def refine(
     them converge. A start that is not finite, or a target out of reach, does not converge.
 
     With `target` (n,), in order, of starts that certainly lead to the same root of a target one is followed,
-    and the others do not converge.
+    and the others stay where they are.
     """
     batch = start_rad.shape[1:]
     p, a = (np.broadcast_to(_column(v, batch), (3, *batch)).reshape(3, -1) for v in (p_RoTo_R_m, approach_R))
