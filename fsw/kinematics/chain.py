@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.transforms import IDENTITY, Array, Pose, adjoint, cross
+from fsw.kinematics.transforms import IDENTITY, Array, Pose, adjoint, cross, each_link
 
 COSINE: Final = tuple(np.array(1 / factorial) for factorial in (1, 2, 24, 720))
 SINE: Final = tuple(np.array(1 / factorial) for factorial in (1, 6, 120, 5040))
@@ -41,7 +41,8 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     cosine, sine = np.cos(angle), np.sin(angle)
     X_LD = spring_pose(arm, np.zeros((6, 6, *ones)) if strain is None else strain)
     # a pose as (3, 4, ...), so that one product turns rotation and translation alike
-    X_LF = np.einsum("ikl...,kjl->ijl...", X_LD.R, arm.RP_CF)
+    R_LD = X_LD.R.reshape(3, 3, 6, -1)
+    X_LF = each_link(arm.RP_CF.swapaxes(0, 1), R_LD).reshape(3, 4, *X_LD.R.shape[2:])
     X_LF[:, 3] += X_LD.p
     X_SF = np.empty((3, 4, 6, *batch))  # in the frame at the link's start, before its joint turns
     np.multiply(cosine, X_LF[0], out=X_SF[0])

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.records import at_targets
 from fsw.kinematics.task import ROOT_TOLERANCE, task_error, task_jacobian, try_pose
-from fsw.kinematics.transforms import Array, Flags
+from fsw.kinematics.transforms import Array, Flags, norm, wrap_angle
 
 TASK_TOLERANCE: Final = 1e-11
 """Of a root: position [m], axis [rad] and what the strains still change."""
@@ -21,8 +21,14 @@ PATIENCE: Final = 15
 """A start that is not close to a root after so many steps is given up, and any after as many more."""
 HOPELESS: Final = 1e-3
 DAMPING: Final = 1e-12
-BLOCK: Final = 2000
-"""Starts at a time: their arrays stay in the cache."""
+CURVATURE: Final = 8.0
+"""Of the task, along steps of length one [m, rad]: its largest second derivative is 3.5 for these links.
+The rest allows for the load's part of the Jacobian, which is learned."""
+CERTAIN: Final = 0.25
+"""Of CURVATURE, inverse Jacobian and step; below 1/2 a root exists and is the only one (Kantorovich). The
+radii in _first_of_each follow from it."""
+BLOCK: Final = 8000
+"""Starts at a time, to bound the memory: late steps, of the few that are left, cost as much a block."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +52,7 @@ def refine(
     gravity_R_m_s2: Array,
     start_rad: Array,
     patience: int = PATIENCE,
+    target: NDArray[np.intp] | None = None,
 ) -> Refined:
     """Newton steps from `start_rad` (5, ...) until the tool stands at p with its x axis along the approach.
 
@@ -53,6 +60,9 @@ def refine(
     every step, so deflection and angles converge together. How the load answers the steps is learned on the
     way (a secant correction to the Jacobian of the springs held), which near double roots is what makes
     them converge. A start that is not finite, or a target out of reach, does not converge.
+
+    With `target` (n,), in order, of starts that certainly lead to the same root of a target one is followed,
+    and the others stay where they are.
     """
     batch = start_rad.shape[1:]
     p, a = (np.broadcast_to(_column(v, batch), (3, *batch)).reshape(3, -1) for v in (p_RoTo_R_m, approach_R))
@@ -61,18 +71,30 @@ def refine(
     done = Refined(start.astype(float), np.zeros_like(start), np.full(n, np.inf), np.zeros(n, bool))
     finite = np.flatnonzero(np.isfinite(start).all(axis=0))
     for block in np.split(finite, range(BLOCK, finite.size, BLOCK)):
-        _refine_block(_Newton(arm, tool, p, a, gravity_R_m_s2), block, done, patience)
+        _refine_block(_Newton(arm, tool, p, a, gravity_R_m_s2), block, done, patience, target)
     values = (done.output_rad, done.torque_Nm, done.error, done.error < ROOT_TOLERANCE)
     return Refined(*(v.reshape((*v.shape[:-1], *batch)) for v in values))
 
 
-def _refine_block(newton: "_Newton", where: NDArray[np.intp], done: Refined, patience: int) -> None:
+def _refine_block(
+    newton: "_Newton",
+    where: NDArray[np.intp],
+    done: Refined,
+    patience: int,
+    target: NDArray[np.intp] | None,
+) -> None:
     """Steps for the starts `where`, written into `done`."""
     if not where.size:
         return
     at = newton.begin(done.output_rad[:, where], where)
     for count in range(2 * patience):
-        step = newton.step(at)
+        J_inv = damped_inverse(at.J + at.load_J)
+        step = -np.einsum("ij...,j...->i...", J_inv, at.residual)
+        if target is not None:
+            first = _first_of_each(at, J_inv, step, target[at.where])
+            if not first.all():
+                at, step = at_targets(at, first), step[:, first]
+        step *= np.minimum(1.0, LONGEST_STEP_RAD / np.maximum(np.max(np.abs(step), axis=0), 1e-300))
         at = newton.moved(at, step)
         error = at.error()
         done.output_rad[:, at.where] = at.output_rad
@@ -83,6 +105,25 @@ def _refine_block(newton: "_Newton", where: NDArray[np.intp], done: Refined, pat
             return
         if not going.all():
             at = at_targets(at, going)
+
+
+def _first_of_each(at: "_Iterate", J_inv: Array, step: Array, target: NDArray[np.intp]) -> Flags:
+    """Which iterates are the first, of those of a target, that certainly lead to their root.
+
+    Kantorovich: with CERTAIN a root is within 6/5 of the step of an iterate, and no other is within
+    1.7 / (CURVATURE times the inverse Jacobian).
+    """
+    bound = CURVATURE * np.sqrt(np.einsum("ij...,ij...->...", J_inv, J_inv))
+    length = norm(step)
+    certain = np.flatnonzero((bound * length < CERTAIN) & (at.unrest < length))
+    end = wrap_angle(at.output_rad + step)[:, certain]
+    order = np.lexsort((end[0] + end[1] + end[2], target[certain]))
+    certain, end = certain[order], end[:, order]
+    apart = norm(wrap_angle(np.diff(end))) + length[certain[:-1]] + length[certain[1:]] / 5
+    same = (np.diff(target[certain]) == 0) & (apart < 1.7 / bound[certain[:-1]])
+    first = np.ones(target.size, bool)
+    first[certain[1:][same]] = False
+    return first
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,17 +161,8 @@ class _Newton:
 
     def begin(self, output_rad: Array, where: NDArray[np.intp]) -> _Iterate:
         """The starts, their springs under load."""
-        n = where.size
         strain = try_pose(self.arm, self.tool, output_rad, None, self.gravity_R_m_s2).strain
-        return self._at(where, output_rad, strain, np.zeros((5, 5, n)))
-
-    def step(self, at: _Iterate) -> Array:
-        """The Newton step, (5, n), no component longer than allowed."""
-        J_inv = _damped_inverse(at.J + at.load_J)
-        step = -np.einsum("ij...,j...->i...", J_inv, at.residual)
-        longest = np.max(np.abs(step), axis=0)
-        scaled: Array = step * np.minimum(1.0, LONGEST_STEP_RAD / np.maximum(longest, 1e-300))
-        return scaled
+        return self._at(where, output_rad, strain, np.zeros((5, 5, where.size)))
 
     def moved(self, at: _Iterate, step: Array) -> _Iterate:
         """The state after a step, with what it taught about the load (Broyden's update)."""
@@ -161,10 +193,18 @@ def _column(v: Array, batch: tuple[int, ...]) -> Array:
     return v.reshape(*v.shape, *(1,) * (len(batch) + 1 - v.ndim))
 
 
-def _damped_inverse(J: Array) -> Array:
-    """Least squares with a trace of damping, so that a singular pose gives a step and not an exception."""
-    A = np.moveaxis(J, (0, 1), (-2, -1))
-    A_T = np.swapaxes(A, -1, -2)
-    normal: Array = A_T @ A + DAMPING * np.eye(5)
-    inverses: Array = np.asarray(np.linalg.solve(normal, A_T), np.float64)
-    return np.moveaxis(inverses, (-2, -1), (0, 1))
+def damped_inverse(J: Array) -> Array:
+    """Least squares with a trace of damping, so that a singular J (m, m, ...) gives a step and no exception.
+
+    The normal matrix is positive definite, so that Gauss and Jordan's elimination needs no pivoting.
+    """
+    inverse: Array = np.einsum("ki...,kj...->ij...", J, J)
+    for k in range(len(J)):
+        inverse[k, k] += DAMPING
+    for k in range(len(J)):
+        pivot = 1.0 / inverse[k, k]
+        row, column = inverse[k] * pivot, inverse[:, k].copy()
+        inverse -= column[:, None] * row
+        inverse[k], inverse[:, k], inverse[k, k] = row, -column * pivot, pivot
+    product: Array = np.einsum("ik...,jk...->ij...", inverse, J)
+    return product

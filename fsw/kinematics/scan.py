@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from fsw.dictionary.joints import Joint
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.closed_form import closed_form, in_plane, into_shoulder, pose_of, wrist_joint
+from fsw.kinematics.refine import damped_inverse
 from fsw.kinematics.shape import Shape
 from fsw.kinematics.suspects import Suspects
 from fsw.kinematics.task import task_error, task_jacobian, try_pose
@@ -38,8 +39,8 @@ CLEAR_BEND_RAD: Final = 0.15
 LONGEST_STEP_RAD: Final = 0.3
 SLACK: Final = 1.0
 """A zero line may pass a node if the value there is below this share of its change to the neighbours."""
-BLOCK: Final = 500
-"""Nodes at a time: their arrays stay in the cache."""
+BLOCK: Final = 2000
+"""Nodes at a time, to bound the memory."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,8 +165,7 @@ def _look(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, q: Array) -> 
     residual, conditions = split(task_error(tried.X_RT, p, a))
     planar = [Joint.ELEVATION, Joint.ELBOW, Joint.TURRET]
     J, J_conditions = split(task_jacobian(tried.frames, tried.X_RT, a)[:, planar])
-    A = np.moveaxis(J, (0, 1), (-2, -1)) + 1e-9 * np.eye(3)
-    step = -np.linalg.solve(A, residual.T[..., None])[..., 0].T
+    step = -np.einsum("ij...,j...->i...", damped_inverse(J), residual)
     step *= np.minimum(1.0, LONGEST_STEP_RAD / np.maximum(np.max(np.abs(step), axis=0), 1e-300))
     q = q.copy()
     q[planar] += step

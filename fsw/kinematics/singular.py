@@ -105,8 +105,10 @@ class _Targets:
         starts = scan(self.arm, self.tool, self.p, self.a, self.gravity_R_m_s2, self.suspects, search.grid)
         start = np.concatenate([known.output_rad[:, doubtful], starts.output_rad], axis=1)
         of = np.concatenate([np.nonzero(doubtful)[1], starts.target])
+        in_order = np.argsort(of, kind="stable")
+        start, of = start[:, in_order], of[in_order]
         refined = refine(
-            self.arm, self.tool, self.p[:, of], self.a[:, of], self.gravity_R_m_s2, start, search.patience
+            self.arm, self.tool, self.p[:, of], self.a[:, of], self.gravity_R_m_s2, start, search.patience, of
         )
         new = refined.converged
         q = np.concatenate([known.output_rad[:, trusted], refined.output_rad[:, new]], axis=1)

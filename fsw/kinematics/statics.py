@@ -6,7 +6,7 @@ import numpy as np
 
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import Frames, forward, tool_pose
-from fsw.kinematics.transforms import Array, cross, dot
+from fsw.kinematics.transforms import Array, cross, dot, each_link
 
 EQUILIBRIUM_TOLERANCE = 1e-11
 MAX_PASSES = 30
@@ -95,8 +95,7 @@ def _yield(arm: Arm, frames: Frames, moment_L: Array, force_L: Array) -> Array:
     wrench[1] /= np.sqrt(z_axis[1] ** 2 + z_axis[2] ** 2)
     wrench[2] = dot(z_axis, moment_L)
     wrench[3:] = force_L
-    new_strain: Array = np.einsum("ijl,jl...->il...", arm.compliance, wrench)
-    return new_strain
+    return each_link(arm.compliance, wrench.reshape(6, 6, -1)).reshape(wrench.shape)
 
 
 def settle(

@@ -81,6 +81,17 @@ def cross(a: Array, b: Array) -> Array:
     return product
 
 
+def each_link(M: Array, v: Array) -> Array:
+    """The products of the links' constant matrices (i, j, 6) with v (..., j, 6, n), as (..., i, 6, n).
+
+    The matrices are the same for the whole batch, so that this is a matrix product a link.
+    """
+    product = np.empty((*v.shape[:-3], M.shape[0], *v.shape[-2:]))
+    by_link = np.ascontiguousarray(M.transpose(2, 0, 1))
+    np.matmul(by_link, v.swapaxes(-3, -2), out=product.swapaxes(-3, -2))
+    return product
+
+
 def norm(v: Array) -> Array:
     """Lengths of vectors (n, ...)."""
     return np.sqrt(dot(v, v))

@@ -10,7 +10,7 @@ from fsw.kinematics.limits import beyond_limits, into_limits
 from fsw.kinematics.refine import TASK_TOLERANCE, refine
 from fsw.kinematics.statics import rest, settle
 from fsw.kinematics.task import ROOT_TOLERANCE, task_error
-from fsw.kinematics.transforms import dot
+from fsw.kinematics.transforms import dot, wrap_angle
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 
 ARMS = ["nominal", "as-built:3", "calibrated:3", "calibrated:11"]
@@ -184,3 +184,21 @@ def test_one_target_may_have_many_starts():
     found = refine(config.arm, Tool.APXS, p[:, 0], a[:, 0], MARS_R_m_s2, starts)
     assert found.converged.all()
     np.testing.assert_allclose(found.output_rad, np.repeat(q, 7, axis=1), atol=1e-8)
+
+
+@pytest.mark.parametrize("gravity", [RIGID, TILTED_R_m_s2], ids=["rigid", "tilted"])
+def test_of_the_starts_that_lead_to_one_root_of_a_target_one_is_followed_and_no_root_is_lost(gravity):
+    config = config_of("calibrated:3")
+    _, p, a = hanging_targets(config, Tool.DRILL, 40, gravity)
+    roots = closed_form(config.arm, Tool.DRILL, p, a).output_rad.reshape(5, -1)
+    target = np.tile(np.arange(40), 8 * 5)
+    start = np.concatenate([roots + shift for shift in np.linspace(-0.02, 0.02, 5)], axis=1)
+    order = np.argsort(target, kind="stable")
+    start, target = start[:, order], target[order]
+    arguments = (config.arm, Tool.DRILL, p[:, target], a[:, target], gravity, start)
+    every, few = refine(*arguments), refine(*arguments, target=target)
+    assert few.converged.sum() < 0.5 * every.converged.sum()
+    for k in range(40):
+        found, kept = (r.output_rad[:, r.converged & (target == k)] for r in (every, few))
+        apart = np.abs(wrap_angle(found[:, :, None] - kept[:, None])).max(axis=0)
+        assert apart.min(axis=1).max(initial=0.0) < 1e-6
