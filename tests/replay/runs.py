@@ -132,7 +132,7 @@ RUNS = (
         APXS_THERE,
         (
             (GuardedMove(Tool.APXS, beyond(0.04), IN), LONG),
-            (ToolChange(Tool.DRT, standoff_m=0.005, overtravel_m=0.01), 320),
+            (ToolChange(Tool.DRT, standoff_m=0.005, overtravel_m=0.01), 300),
             (Stop(), LONG),
         ),
         "SpotTaken",

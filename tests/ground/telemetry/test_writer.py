@@ -276,7 +276,7 @@ def test_a_writer_that_is_killed_is_told_like_a_disk_that_is_gone(make: Any, tmp
 @given(st.lists(st.integers(1, 3000), min_size=1), st.booleans())
 def test_rows_are_the_same_in_whatever_pieces_they_come(sizes: list[int], complete: bool) -> None:
     rows = [Row(tick, bytes([tick]) * (tick + 1)) for tick in range(30)]
-    sample = Sample([0.0], [1.0], [2.0])
+    sample = Sample([0.0] * 5, [1.0] * 5, [2.0] * 5)
     sent = b"".join(as_sent(*row, sample if row.time_ns % 8 == 0 else None) for row in rows)
     sent += END if complete else sent[:10]
     stream, taken, goes_on = Stream(Pieces(sent, sizes)), [], True
