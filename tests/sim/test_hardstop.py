@@ -107,10 +107,10 @@ def test_a_joint_repeats_on_other_days():
 @pytest.mark.parametrize("temperature_C", [20.0, COLD_C])
 @pytest.mark.parametrize("joint", [Joint.WRIST, Joint.AZIMUTH])
 def test_a_joint_that_was_left_pressed_on_its_hardstop_is_not_pressed_any_harder(joint, temperature_C):
-    run = stop_run(arm_named("nominal"), joint, World(), effects=(Ambient(temperature_C),))
-    pressed_Nm = 0.0
+    ordinary, run = (
+        stop_run(arm_named("nominal"), joint, World(), effects=(Ambient(temperature_C),)) for _ in range(2)
+    )
     for _ in run:
-        pressed_Nm = max(pressed_Nm, run.loop.plant.stop_torque_Nm()[joint])
         seek = run.loop.state.move.seek if run.loop.state.move is not None else None
         if seek is not None and seek.stage is Stage.RETREAT:
             break
@@ -122,7 +122,7 @@ def test_a_joint_that_was_left_pressed_on_its_hardstop_is_not_pressed_any_harder
     assert left_Nm > 0.5 * run.loop.config.params.joints.in_order()[joint].hardstop_press_Nm
     result = finished(InitialisationRun(run.loop, Calibrate(joint)))
     assert result.outcome is Outcome.DONE
-    assert result.most_torque_Nm[joint] < 1.1 * pressed_Nm
+    assert result.most_torque_Nm[joint] < 1.1 * finished(ordinary).most_torque_Nm[joint]
     assert abs(result.stops[0].zero_error_rad) < 0.1e-3
 
 

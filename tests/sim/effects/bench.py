@@ -65,8 +65,8 @@ class Turned:
     output_rad: Array
 
     def steady_A(self) -> float:
-        """As the sensors read it, in the last second."""
-        return float(self.current_A[-64:].mean())
+        """In the last second, over whole cycles: within one the speed of a motor ripples."""
+        return float(self.mean_A[-64:].mean())
 
 
 def turned(
