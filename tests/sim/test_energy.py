@@ -98,14 +98,16 @@ def test_without_friction_and_damping_a_free_swing_keeps_its_energy() -> None:
     assert total[0] - total[-1] < 0.01 * kinetic.max()
 
 
-@pytest.mark.parametrize("step_s", [None, REFERENCE_STEP_S], ids=["own step", "reference step"])
-def test_with_damping_a_free_swing_loses_what_the_dampers_take(step_s: float | None) -> None:
-    """To one per cent of what goes back and forth."""
+@pytest.mark.parametrize(
+    ("step_s", "share"), [(None, 0.01), (REFERENCE_STEP_S, 0.0015)], ids=["own", "reference"]
+)
+def test_with_damping_a_free_swing_loses_what_the_dampers_take(step_s: float | None, share: float) -> None:
+    """To a share of what goes back and forth."""
     plant = lab.plant(time_step_s=step_s, edit=measured)
     total, kinetic, power = free_swing(plant)
     taken = plant.model.opt.timestep * power[1:].sum()
     assert taken > 0.005 * kinetic.max()
-    assert total[0] - total[-1] == pytest.approx(taken, abs=0.01 * kinetic.max())
+    assert total[0] - total[-1] == pytest.approx(taken, abs=share * kinetic.max())
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 1e30])
