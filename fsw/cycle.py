@@ -99,7 +99,7 @@ def _move(
     mode, move, pressing = state.mode, state.move, state.pressing
     evrs: tuple[Evr, ...] = ()
     if move is not None and (usable or move.phase is Phase.BRAKE):
-        result = advance(config, move, joints, load.torque_Nm, sensors)
+        result = advance(config, move, joints, load, sensors)
         if move.press is not None:
             pressing = pressing_in(result.move or move)
         move, evrs = result.move, result.evrs

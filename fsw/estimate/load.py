@@ -8,7 +8,7 @@ from fsw.config import Config
 from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.joints import Tool
 from fsw.estimate.joints import JointEstimate, loaded
-from fsw.kinematics.chain import Frames, forward, tool_pose
+from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import Push, load, rest
 from fsw.kinematics.transforms import Array
 
@@ -21,11 +21,13 @@ class LoadEstimate:
     """Whether there was a look at the load; the first one converges, later ones only follow."""
     strain: Array
     torque_Nm: Array
+    of_push_Nm: Array
+    """The part of it that a press causes."""
 
 
 def unloaded(n: int) -> LoadEstimate:
     """No load known yet."""
-    return LoadEstimate(False, np.zeros((6, n + 1)), np.zeros(n))
+    return LoadEstimate(False, np.zeros((6, n + 1)), np.zeros(n), np.zeros(n))
 
 
 def refresh(
@@ -36,17 +38,19 @@ def refresh(
     strain = last.strain if last.known else rest(arm, output, joints.gravity_R_m_s2).strain
     frames = forward(arm, output, strain)
     strain, torque = load(arm, frames, joints.gravity_R_m_s2, push)
-    unsure = None if push is None else _unsure(config, frames, joints, torque, push)
+    of_push, unsure = np.zeros_like(torque), None
+    if push is not None:
+        of_push = torque - load(arm, frames, joints.gravity_R_m_s2)[1]
+        unsure = _unsure(config, of_push, push)
     X_RT = tool_pose(arm, frames, tool)
     channels = ToolChannels(tick, tool, X_RT.p, X_RT.R, output, torque)
-    return LoadEstimate(True, strain, torque), loaded(config, joints, torque, unsure), channels
+    return LoadEstimate(True, strain, torque, of_push), loaded(config, joints, torque, unsure), channels
 
 
-def _unsure(config: Config, frames: Frames, joints: JointEstimate, torque_Nm: Array, push: Push) -> Array:
+def _unsure(config: Config, of_push_Nm: Array, push: Push) -> Array:
     """By how much the loads (5) of a press may be off: no sensor feels the force."""
     force_N, preload = float(np.linalg.norm(push.force_R_N)), config.params.preload
-    of_push = torque_Nm - load(config.arm, frames, joints.gravity_R_m_s2)[1]
-    unsure: Array = np.abs(of_push) * (
+    unsure: Array = np.abs(of_push_Nm) * (
         max(preload.error_share * force_N, preload.error_N) / max(force_N, 1e-9)
     )
     return unsure

@@ -13,6 +13,7 @@ from fsw.dictionary.joints import SWITCHES_OF, Joint, Switch, Tool
 from fsw.dictionary.modes import Mode
 from fsw.estimate.hardstop import Found
 from fsw.estimate.joints import JointEstimate
+from fsw.estimate.load import LoadEstimate
 from fsw.kinematics.transforms import Array
 from fsw.messages import Flags, Sensors
 from fsw.motion import seek as seeking
@@ -77,7 +78,9 @@ class Advance:
     """The hardstop that was found, and whose."""
 
 
-def advance(config: Config, move: Move, joints: JointEstimate, load_Nm: Array, sensors: Sensors) -> Advance:
+def advance(
+    config: Config, move: Move, joints: JointEstimate, load: LoadEstimate, sensors: Sensors
+) -> Advance:
     """The move in this cycle."""
     match move.phase:
         case Phase.RELEASE:
@@ -86,9 +89,9 @@ def advance(config: Config, move: Move, joints: JointEstimate, load_Nm: Array, s
             return Advance(_enter(move, Phase.RUN))
         case Phase.RUN:
             if move.seek is not None:
-                return _seek(config, move, move.seek, joints, load_Nm, sensors)
+                return _seek(config, move, move.seek, joints, load.torque_Nm, sensors)
             if move.press is not None:
-                return _press(config, move, move.press, joints, load_Nm, sensors)
+                return _press(config, move, move.press, joints, load, sensors)
             return _run(config, move, sensors)
         case Phase.SETTLE:
             return _settle(config, move, joints)
@@ -168,13 +171,13 @@ def _run(config: Config, move: Move, sensors: Sensors) -> Advance:
 
 
 def _press(
-    config: Config, move: Move, press: Press, joints: JointEstimate, load_Nm: Array, sensors: Sensors
+    config: Config, move: Move, press: Press, joints: JointEstimate, load: LoadEstimate, sensors: Sensors
 ) -> Advance:
     """A press runs along its overdrive, and once more by what the currents told on the way."""
     fit = move.fit
     if fit is not None and not move.stopped:
         pressing, rate_N_s = press.after(gone(move)), _travel_rate(move)
-        fit = fitted(config, fit, press, pressing, rate_N_s, move.hold, joints, load_Nm, sensors)
+        fit = fitted(config, fit, press, pressing, rate_N_s, move.hold, joints, load, sensors)
         move = replace(move, fit=fit)
     done = _run(config, move, sensors)
     if done.move is None or done.move.phase is not Phase.SETTLE or fit is None or move.stopped:

@@ -8,6 +8,7 @@ import pytest
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.joints import SWITCHES_OF, Joint, Tool
 from fsw.dictionary.modes import Mode
+from fsw.estimate.load import unloaded
 from fsw.motion.drive import drive_for
 from fsw.motion.move import Move, Phase, advance, closed_switch, stop
 from fsw.motion.paths import Setpoint, StopPath, joint_path
@@ -16,7 +17,7 @@ from tests.fsw.rig import Rig, config_of, quiet_sensors
 
 CONFIG = config_of()
 READY = np.array(CONFIG.params.poses.ready_rad)
-NO_LOAD = np.zeros(5)
+NO_LOAD = unloaded(5)
 SENSORS = quiet_sensors(np.zeros(5))
 
 

@@ -113,10 +113,10 @@ def test_a_force_across_is_told_from_the_one_along(across):
 def test_what_cannot_be_is_not_believed(share, is_believed):
     rig = guarded_in_contact()
     joints, pressing = rig.state.joints, touching(rig.config, rig.state.joints, Tool.APXS)
-    _, press = plan_press(rig.config, joints, pressing, 300.0)
-    fast, n = np.full(5, 1e-3), 1000
+    per_N = plan_press(rig.config, joints, pressing, 300.0)[1].torque_per_N
     first, last = (
-        PressEnd(n, n * model_N, n * share * press.torque_per_N * model_N, fast) for model_N in (20.0, 280.0)
+        PressEnd().after(model_N, per_N * model_N, share * per_N * model_N, np.ones(5, bool))
+        for model_N in (20.0, 280.0)
     )
     felt = felt_share(rig.config, PressFit(0, first, last), joints, pressing)
     assert (felt is not None) == is_believed
