@@ -40,9 +40,9 @@ class Config:
     """Motor angles that are never to be passed: the soft limits and their margin."""
     lowest_seeking_rad: Array
     """A row for each joint: the same while it seeks its hardstop."""
-    watched_low: Array
+    watched_low: tuple[float, ...]
     """What no joint is to be below, as protect.motors lists it, one monitor after the other, (25,)."""
-    watched_high: Array
+    watched_high: tuple[float, ...]
     """What none is to be above, likewise."""
     setpoint_step_rad: Array
     """The largest change of a set-point in a cycle."""
@@ -74,6 +74,7 @@ def configure(params: Params) -> Config:
     each = np.ones(len(joints))
     behind = min(bounds.stall_error_rad, bounds.following_error_rad) * each
     drawn = bounds.over_current_fraction * current
+    coldest, hottest = bounds.winding_min_C * each, bounds.winding_max_C * each
     apart = bounds.resolver_error_rad * each
     hardstop = np.array([j.hardstop_rad for j in joints])
     arm = arm_from(params)
@@ -97,8 +98,8 @@ def configure(params: Params) -> Config:
             np.eye(len(joints), dtype=bool), hardstop - 2 * params.hardstop.window_rad, lowest
         ),
         highest_rad=highest,
-        watched_low=np.concatenate((lowest, -behind, -drawn, bounds.winding_min_C * each, -apart)),
-        watched_high=np.concatenate((highest, behind, drawn, bounds.winding_max_C * each, apart)),
+        watched_low=tuple(np.concatenate((lowest, -behind, -drawn, coldest, -apart)).tolist()),
+        watched_high=tuple(np.concatenate((highest, behind, drawn, hottest, apart)).tolist()),
         setpoint_step_rad=np.array([bounds.setpoint_step_factor * CYCLE_S * j.speed_rad_s for j in joints]),
         brake_ticks=ticks(motion.brake_delay_s),
         settle_ticks=ticks(motion.settle_time_s),

@@ -78,6 +78,7 @@ def last_setpoint(state: State) -> Array:
 def joint_channels(tick: int, state: State) -> JointChannels:
     """The channels of a cycle that left this state."""
     joints = state.joints
+    gap_rad, gap_side, gap_uncertainty_rad = joints.lie
     return JointChannels(
         tick=tick,
         mode=state.mode,
@@ -86,9 +87,9 @@ def joint_channels(tick: int, state: State) -> JointChannels:
         motor_rate_rad_s=joints.motor_rate_rad_s,
         setpoint_rad=last_setpoint(state),
         output_rad=joints.output_rad,
-        gap_rad=joints.gap_rad,
-        gap_side=joints.side,
-        gap_uncertainty_rad=joints.uncertainty_rad,
+        gap_rad=gap_rad,
+        gap_side=gap_side,
+        gap_uncertainty_rad=gap_uncertainty_rad,
         planned_gap_rad=state.planned_gap_rad,
         calibrated=joints.reference.calibrated,
         resolver_error_rad=joints.resolver_error_rad,

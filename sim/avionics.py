@@ -56,6 +56,7 @@ class Avionics:
         hardware = self._hardware
         sigma = (hardware.resolver_noise_rad, hardware.current_noise_A, hardware.gravity_noise_m_s2)
         self._noise_sigma = np.repeat(sigma, (5, 5, 3))
+        self._winding_K_A2 = self._resistance_Ohm * hardware.winding_K_W
 
     def on(self, plant: Plant) -> "Avionics":
         """The same avionics with a copy of their plant."""
@@ -128,14 +129,14 @@ class Avionics:
 
     def _switched(self, force_N: Array) -> Flags:
         """Which switches are closed: a snap-action switch opens at less force than it closes at."""
-        closes, opens = self._hardware.switch_force_N, self._hardware.switch_release_N
-        self._closed = (force_N > closes) | (self._closed & (force_N > opens))
+        hardware = self._hardware
+        self._closed = force_N > np.where(self._closed, hardware.switch_release_N, hardware.switch_force_N)
         return self._closed
 
     def _heated(self, current_A: Array) -> Array:
         """Rise of the windings by now: MuJoCo's own heats with the unlimited current and never cools."""
         now_s, hardware = self._plant.data.time, self._hardware
-        final_K = current_A * current_A * self._resistance_Ohm * hardware.winding_K_W
+        final_K = current_A * current_A * self._winding_K_A2
         # less is left of what it was short of, the longer ago that is
         left = np.expm1((self._winding_time_s - now_s) / hardware.winding_s)
         self._winding_time_s = now_s

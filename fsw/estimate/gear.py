@@ -23,7 +23,7 @@ from fsw.kinematics.transforms import Array, Flags
 LEAST, LIKELY, MOST = range(3)
 SLACK: Final = np.array([-1.0, 0.0, 1.0])
 MARS_M_S2: Final = 3.711
-ON_FLANK_RAD: Final = np.array(1e-6)
+ON_FLANK_RAD: Final = 1e-6
 STILL_RAD: Final = 2e-5
 """An output that is to move less than this is left where it lies."""
 
@@ -79,12 +79,20 @@ def gear_moved(gear_rad: Array, moved_rad: Array, bounds: GearBounds) -> Array:
     return moved
 
 
-def side_of(half_gap_rad: Array, gear_rad: Array) -> Array:
-    """+1 or -1 where the output surely lies on that side of its gap, 0 where nothing has decided; (5)."""
-    each = zip(gear_rad.tolist(), (half_gap_rad - ON_FLANK_RAD).tolist(), strict=True)
-    return np.array(
-        [1.0 if least >= flank else -1.0 if most <= -flank else 0.0 for (least, _, most), flank in each]
-    )
+def lie_of(half_gap_rad: Array, gear_rad: Array) -> Array:
+    """How the outputs lie in their gaps, for gear angles (5, 3).
+
+    Returns:
+        (3, 5): the likely place in the gap, wind-up not counted; +1 or -1 where the output surely lies on
+        that side, 0 where nothing has decided; how far the gear angle may be from its likely value.
+    """
+    gap, side, unsure = [], [], []
+    for (least, likely, most), half in zip(gear_rad.tolist(), half_gap_rad.tolist(), strict=True):
+        gap.append(min(max(likely, -half), half))
+        flank = half - ON_FLANK_RAD
+        side.append(1.0 if least >= flank else -1.0 if most <= -flank else 0.0)
+        unsure.append(max(most - likely, likely - least))
+    return np.array((gap, side, unsure))
 
 
 def held_on_side(half_gap_rad: Array, bounds: GearBounds, room_rad: Array) -> Flags:

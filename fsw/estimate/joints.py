@@ -8,14 +8,11 @@ import numpy as np
 from fsw.config import CYCLE_HZ, Config
 from fsw.dictionary.joints import Joint
 from fsw.estimate.gear import (
-    LEAST,
     LIKELY,
-    MOST,
     GearBounds,
     bounds_under,
-    gap_of,
     gear_after,
-    side_of,
+    lie_of,
     uncertain_loads,
 )
 from fsw.estimate.hardstop import Found
@@ -66,20 +63,26 @@ class JointEstimate:
         return output
 
     @property
+    def lie(self) -> Array:
+        """How the outputs lie in their gaps, (3, 5): place, side, uncertainty of the gear angle."""
+        return lie_of(self.reference.half_gap_rad, self.gear_rad)
+
+    @property
     def gap_rad(self) -> Array:
         """Likely place of the output in its gap, wind-up not counted."""
-        return gap_of(self.reference.half_gap_rad, self.gear_rad[:, LIKELY])
+        gap: Array = self.lie[0]
+        return gap
 
     @property
     def side(self) -> Array:
         """Side of the gap where it is known, else 0."""
-        return side_of(self.reference.half_gap_rad, self.gear_rad)
+        side: Array = self.lie[1]
+        return side
 
     @property
     def uncertainty_rad(self) -> Array:
         """How far the gear angle may be from its likely value; an error of its stiffness comes on top."""
-        likely = self.gear_rad[:, LIKELY]
-        uncertainty: Array = np.maximum(self.gear_rad[:, MOST] - likely, likely - self.gear_rad[:, LEAST])
+        uncertainty: Array = self.lie[2]
         return uncertainty
 
 

@@ -122,10 +122,9 @@ def _planned(config: Config, joints: JointEstimate, line: Line, speed_m_s: float
         k = int(np.argmax(over > 0))
         along_m = share[k] * line.length_m
         return Refusal(f"{along_m:.3f} m along the line, {worst_limit(config, found.output_rad[:, k])}")
-    loads_Nm = rest(config.arm, found.output_rad, joints.gravity_R_m_s2).torque_Nm
     motion = config.params.motion
     travel = Travel(line.length_m, speed_m_s, motion.line_acceleration_m_s2, motion.line_jerk_m_s3)
-    return plan_through(config, joints, found.output_rad, loads_Nm, line.compensation, travel)
+    return plan_through(config, joints, found.output_rad, found.torque_Nm, line.compensation, travel)
 
 
 def _followed(config: Config, line: Line, share: Array) -> Refined:

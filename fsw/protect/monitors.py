@@ -20,7 +20,7 @@ from fsw.motion.move import Move, Phase
 from fsw.motion.plan_press import Pressing
 from fsw.protect import motors
 from fsw.protect.felt import Felt, felt
-from fsw.protect.readings import LIVELY, frozen, lively, missed
+from fsw.protect.readings import LIVE, LIVELY, frozen, lively, missed
 from fsw.protect.tilt import tilt
 from fsw.protect.touch import contact, contact_lost, preload_outside
 
@@ -51,7 +51,7 @@ class MonitorState:
     """The avionics' count when flight software was called last."""
     readings: tuple[float, ...] = (inf,) * len(LIVELY)
     """Of the sensors that have noise."""
-    same: tuple[int, ...] = (0,) * len(LIVELY)
+    same: tuple[int, ...] = LIVE
     """For how many cycles each of those readings has been the same."""
     planned_gravity_R: Array | None = None
     """What gravity was when the move under way began."""

@@ -3,6 +3,8 @@
 Those with a persistence take how many cycles in a row they have been beyond their bound, and return it.
 """
 
+from operator import ge, le
+
 import numpy as np
 
 from fsw.config import Config
@@ -27,8 +29,14 @@ def beyond(config: Config, move: Move | None, sensors: Sensors, joints: JointEst
     """Whether any joint is beyond a bound below; only then it is asked beyond which, and for how long."""
     motor = joints.motor_rad
     behind = motor - (motor if move is None else move.hold.motor_rad)
-    watched = np.concatenate((motor, behind, sensors.current_A, sensors.winding_C, joints.resolver_error_rad))
-    return bool(np.count_nonzero((watched < config.watched_low) | (watched > config.watched_high)))
+    watched = (
+        *motor.tolist(),
+        *behind.tolist(),
+        *sensors.current_A.tolist(),
+        *sensors.winding_C.tolist(),
+        *joints.resolver_error_rad.tolist(),
+    )
+    return not (all(map(ge, watched, config.watched_low)) and all(map(le, watched, config.watched_high)))
 
 
 def soft_limits(config: Config, move: Move, motor_rad: Array) -> tuple[Evr, ...]:

@@ -1,6 +1,7 @@
 """Monitors of the readings themselves: whether they are numbers, alive, and as many as there should be."""
 
 from math import hypot, isfinite
+from operator import eq
 from typing import Final
 
 from fsw.config import Config
@@ -10,6 +11,8 @@ from fsw.messages import Sensors
 
 LIVELY: Final = ("resolver_rad",) * 5 + ("current_A",) * 5 + ("gravity_R_m_s2",) * 3
 """Of which sensor each number is that is never the same for long, even at rest: it has noise."""
+LIVE: Final = (0,) * len(LIVELY)
+"""For how many cycles each of those has been the same, if none is."""
 ANALOG: Final = ("resolver_rad", "current_A", "winding_C", "gravity_R_m_s2")
 """The sensors whose readings are real numbers."""
 
@@ -45,6 +48,8 @@ def frozen(
     config: Config, last: tuple[int, ...], before: tuple[float, ...], now: tuple[float, ...]
 ) -> tuple[tuple[int, ...], tuple[Evr, ...]]:
     """A number that stays the same to the last bit; for how many cycles each has, and what was found."""
+    if not any(map(eq, before, now)):
+        return LIVE, ()
     same = tuple([count + 1 if a == b else 0 for a, b, count in zip(before, now, last, strict=True)])
     bound = config.params.monitors.frozen_persistence
     if max(same) < bound:

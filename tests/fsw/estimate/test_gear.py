@@ -14,8 +14,8 @@ from fsw.estimate.gear import (
     gap_of,
     gear_after,
     gear_moved,
+    lie_of,
     load_error,
-    side_of,
     uncertain_loads,
 )
 from tests.fsw.rig import MARS_R_m_s2, config_of
@@ -67,7 +67,7 @@ def test_the_true_gear_angle_is_always_inside_and_no_side_is_claimed_that_it_is_
         believed = gear_after(believed, motion, bounds(load))
         assert (believed[:, LEAST] <= truth + 1e-12).all()
         assert (truth <= believed[:, MOST] + 1e-12).all()
-        side = side_of(HALF, believed)
+        side = lie_of(HALF, believed)[1]
         assert (side * truth >= np.abs(side) * (HALF - 2e-6)).all()
 
 
@@ -118,7 +118,7 @@ def test_an_output_that_was_dragged_is_known_but_for_the_error_of_the_load(gear,
     taken_up = load - direction * FRICTION
     decided = np.abs(taken_up) > ERROR
     np.testing.assert_allclose(after[:, LIKELY], true_gear(gear[:, 0], 0.1 * direction, load), atol=1e-15)
-    np.testing.assert_array_equal(side_of(HALF, after)[decided], np.sign(taken_up)[decided])
+    np.testing.assert_array_equal(lie_of(HALF, after)[1][decided], np.sign(taken_up)[decided])
     width = after[:, MOST] - after[:, LEAST]
     np.testing.assert_allclose(width[decided], (2 * ERROR / STIFFNESS)[decided], atol=1e-15)
 
@@ -134,7 +134,7 @@ def test_without_an_error_of_the_load_dragging_leaves_no_doubt(gear, load, direc
 def test_a_load_beyond_friction_and_error_holds_the_output_on_its_flank(gear, load):
     after = gear_after(gear, np.zeros(5), bounds(load))
     loaded = np.abs(load) > FRICTION + ERROR
-    np.testing.assert_array_equal(side_of(HALF, after)[loaded], np.sign(load)[loaded])
+    np.testing.assert_array_equal(lie_of(HALF, after)[1][loaded], np.sign(load)[loaded])
 
 
 @given(loads)
