@@ -5,7 +5,6 @@ from typing import Annotated, Final, Literal
 
 import mujoco
 
-from fsw.config import CYCLE_HZ
 from sim.effects.effect import Effect
 from sim.effects.size import Size
 
@@ -15,18 +14,19 @@ PASSES: Final = 30
 
 @dataclass(frozen=True, slots=True)
 class Numerics(Effect):
-    """The plant is computed in other steps than the model's own, and gears and motors by another scheme.
+    """The plant is computed in finer steps than the model's own, and gears and motors by another scheme.
 
     MuJoCo's discrete integrator takes springs and dampers as they are at the end of a step. With its dual
     solver it has only those of single hinges there; gears, outputs and motors count as at the beginning.
     """
 
     gears: Literal["implicit", "explicit"]
-    steps_per_cycle: Annotated[int, Size(8, 64, unit="1", typical=12)] = 12
+    finer: Annotated[int, Size(2, 20, unit="1", typical=2)] = 2
+    """In how many steps one of the model's is computed; the explicit scheme diverges in fewer than six."""
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Before anything is compiled."""
-        spec.option.timestep = 1.0 / (self.steps_per_cycle * CYCLE_HZ)
+        spec.option.timestep /= self.finer
         if self.gears == "explicit":
             spec.option.solver = mujoco.mjtSolver.mjSOL_PGS
             spec.option.iterations = PASSES

@@ -12,9 +12,9 @@ from sim.effects.numerics import Numerics
 from sim.effects.sensors import CounterStart
 from sim.trials import FRICTION
 
-NUMERICS: Final = Numerics("explicit", 20)
-"""Finer and by another scheme than the solver's, and none that it knows; with 12 steps in a cycle that scheme
-nearly diverges, and gears lie otherwise than finer computations have them."""
+NUMERICS: Final = Numerics("explicit", 7)
+"""Finer and by another scheme than the solver's, and none that it knows; in steps that are not much finer that
+scheme nearly diverges, and gears lie otherwise than finer computations have them."""
 
 
 def background(rng: np.random.Generator) -> tuple[Effect, ...]:
