@@ -13,7 +13,7 @@ from sim.effects.sensors import CounterStart
 from sim.trials import FRICTION
 
 NUMERICS: Final = Numerics("explicit", 7)
-"""Finer and by another scheme than the solver's, and none that it knows; in steps that are not much finer that
+"""Finer and by another scheme than the solver's, and none that it knows; where steps are not much finer, that
 scheme nearly diverges, and gears lie otherwise than finer computations have them."""
 
 
