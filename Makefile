@@ -23,7 +23,7 @@ help:
 	@echo "make calibration  calibrate twenty arms, print how well as JSON"
 	@echo "make ur10      calibrate the real arm whose data MARSARM_DATA names, print how well as JSON"
 	@echo "make joints    find hardstops and backlash again and again on many arms, print how well as JSON"
-	@echo "make jobs      run every scenario, tool changes and faults on many arms, print how well as JSON"
+	@echo "make jobs      run every scenario, tool changes, contacts and faults on many arms, print how well as JSON"
 	@echo "make blind     make, solve and score 200 cases of the diagnosis whose effect is withheld, print the score as JSON"
 	@echo "make killed    kill recorded runs at random moments, print what their logs lost as JSON"
 	@echo "make references  make the reference runs of tests/replay anew, print what differs"
@@ -75,7 +75,7 @@ joints: $(VENV)/ready
 	@$(BIN)/python -m benchmarks.joints --workers $(WORKERS) $(ARGS)
 
 jobs: $(VENV)/ready
-	@$(call say,scenarios and tool changes and faults in $(WORKERS) processes; this takes the better part of two hours)
+	@$(call say,scenarios, tool changes, contacts and faults in $(WORKERS) processes; this takes the better part of two hours)
 	@$(BIN)/python -m benchmarks.jobs --workers $(WORKERS) $(ARGS)
 
 # What was stopped goes on. SEED names other cases, OUT another folder.

@@ -39,6 +39,7 @@ BRIEFS: Final = (
     Brief("faults", "--count 2 --only processing --workers 1"),
     Brief("tool_change", "--calibrated 1 --as-built 0 --poses 1 --workers 1"),
     Brief("scenarios", "--calibrated 0 --as-built 0 --only processing --workers 1"),
+    Brief("contact", "--arms 1 --workers 1"),
     Brief("replays", "--arms 0 --only processing --workers 1"),
     Brief("shoulder_in", "--groups 1 --poses 3 --workers 1"),
     Brief("backlash", "--tours 1 --poses 5 --workers 1"),

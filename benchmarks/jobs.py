@@ -1,9 +1,9 @@
-"""The five jobs of the arm in one document: scenarios, tool changes, and what stops them."""
+"""The five jobs of the arm in one document: scenarios, tool changes, contacts, and what stops them."""
 
 import json
 import sys
 
-from benchmarks import faults, scenarios, tool_change
+from benchmarks import contact, faults, scenarios, tool_change
 from benchmarks.options import parser
 
 EXAMPLE = "example: python -m benchmarks.jobs --arms 2 --changers 2 --faults 60 > jobs.json"
@@ -23,6 +23,7 @@ def main() -> int:
     document = {
         "scenarios": scenarios.document(asked.arms, asked.arms, asked.seed, asked.workers),
         "tool_changes": tool_change.document(asked.changers, asked.arms, asked.seed, asked.workers),
+        "contacts": contact.document(asked.arms, asked.seed, asked.workers),
         "faults": faults.document(asked.faults, asked.seed, asked.workers),
     }
     print(json.dumps(document, indent=2))
