@@ -1,7 +1,7 @@
-"""Whether a tool that touches rests: a placement of the APXS and a tool change to MAHLI on many calibrated arms.
+"""Whether a tool that touches rests: APXS placements and tool changes to MAHLI on many calibrated arms.
 
-From half a second after the last change of set-point no contact is lost, no switch changes, and the force stays
-within 20 % of its mean over the last second; from two seconds on, or once the brakes hold, within 5 %.
+From half a second after the last change of set-point no contact is lost, no switch changes, and the force
+stays within 20 % of its mean over the last second; from two seconds on, or once the brakes hold, within 5 %.
 """
 
 import json

@@ -9,7 +9,10 @@ import pytest
 from benchmarks.brief import BRIEFS, Brief, main, run
 
 ROOT = Path(__file__).parents[2]
-WHOLE = {"jobs": ("scenarios", "tool_change", "contact", "faults"), "joints": ("hardstops", "backlash", "shoulder_in")}
+WHOLE = {
+    "jobs": ("scenarios", "tool_change", "contact", "faults"),
+    "joints": ("hardstops", "backlash", "shoulder_in"),
+}
 OTHERWISE = {"brief", "fuzz", "run"}
 """This list itself, what takes a minute as it is, and benchmarks of speed."""
 
