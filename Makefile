@@ -41,9 +41,10 @@ demo: $(VENV)/ready
 	@$(call say,placing the APXS on a rock)
 	@$(BIN)/marsarm place
 
+# A file stays in one process: what its tests share is made once.
 test: $(VENV)/ready
 	@$(call say,running the tests in $(WORKERS) processes)
-	@$(BIN)/python -m pytest -q -n $(WORKERS) $(ARGS)
+	@$(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile $(ARGS)
 
 bench: $(VENV)/ready
 	@$(call say,measuring; leave the machine alone for two minutes)

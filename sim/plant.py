@@ -76,7 +76,7 @@ class Plant:
     """MuJoCo model and data, and the few questions and orders that avionics and judges have."""
 
     def __init__(self, model: mujoco.MjModel):
-        self.model = model
+        self.model = model = copy(model)  # it is changed below: two plants of one model are alike
         self.data = mujoco.MjData(model)
         rate_gain = model.actuator_gainprm[:, RATE_GAIN].copy()
         gear_excess_s = damp_as_reference(model)
@@ -287,10 +287,11 @@ class Plant:
         model, data, tools = self.model, self.data, self.at.tools
         mujoco.mj_kinematics(model, data)
         mujoco.mj_energyVel(model, data)
+        motor = self.motor_rad()
         return Truth(
             time_s=data.time,
-            motor_rad=self.motor_rad(),
-            output_rad=self.output_rad(),
+            motor_rad=motor,
+            output_rad=motor + data.qpos[self._gears],
             motor_torque_Nm=data.actuator_force.copy(),
             p_RoTo_R_m=TOOL_FLIP * data.site_xpos.take(tools, 0) - TOOL_P_NR_M,
             R_RT=TOOL_FLIP_ROWS * data.site_xmat.take(tools, 0).reshape(-1, 3, 3),

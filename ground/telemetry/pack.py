@@ -23,6 +23,7 @@ HEAD: Final = Struct("<BQHIQQ")
 START: Final = Struct("<BQH")
 """What of it is the same for all messages of a channel whose length is fixed."""
 AFTER_LENGTH: Final = HEAD.size - 9
+DTYPE: Final = attrgetter("dtype")
 CODES: Final = {"<i8": "q", "<f8": "d", "|b1": "?"}
 """How struct writes a number that is no array."""
 
@@ -105,7 +106,7 @@ class Packer:
             self.check(cycle)
             raise
         data = joined(self._pieces((*self._cut(packed), *arrays)))
-        if [a.dtype for a in arrays] != self._dtypes or len(data) != self._size:
+        if [*map(DTYPE, arrays)] != self._dtypes or len(data) != self._size:
             self.check(cycle)
         return data
 

@@ -13,7 +13,7 @@ from sim.initialisation import initialised
 from sim.sequence import Outcome
 
 MAX_TILT_RAD = np.radians(20.0)
-TARGETS = range(5)
+TARGETS = range(3)
 
 
 @cache

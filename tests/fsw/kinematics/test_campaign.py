@@ -1,4 +1,4 @@
-"""A small edition of the kinematics campaign: 200,000 targets, half of them made from joint vectors.
+"""A small edition of the kinematics campaign: 100,000 targets, half of them made from joint vectors.
 
 `make campaign` runs twenty million. What fails here has examples, enough to run each again.
 """
@@ -17,7 +17,7 @@ from benchmarks.samples import FARTHEST, NEAREST, Near, log_distances, vectors
 from fsw.dictionary.joints import Tool
 from fsw.kinematics.limits import beyond_limits
 
-EACH = 100_000
+EACH = 50_000
 SEED = 2024
 by_case = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name.replace(" ", "-"))
 
