@@ -72,6 +72,26 @@ class Addresses:
     """In the order of BODIES."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Live:
+    """Numbers of a plant as MuJoCo has them: views, which change with every step; in the order of Joint."""
+
+    motor_rad: Array
+    motor_rate_rad_s: Array
+    gear_rad: Array
+    """Output less motor angle."""
+    gear_length_rad: Array
+    """The same as the gears' tendons had it when they were computed last."""
+    low_flank_rad: Array
+    high_flank_rad: Array
+    servo_angle_rad: Array
+    """What the motor controllers take for the motors' angles and rates."""
+    servo_rate_rad_s: Array
+    motor_torque_Nm: Array
+    warnings: NDArray[np.int32]
+    """How often MuJoCo gave each of its warnings."""
+
+
 class Plant:
     """MuJoCo model and data, and the few questions and orders that avionics and judges have."""
 
@@ -99,15 +119,13 @@ class Plant:
             pads=np.array([model.site(switch.name.lower()).id for switch in Switch]),
             bodies=np.array([model.body(name).id for name in BODIES]),
         )
-        self._motors, self._gears = evenly(self.at.motor), evenly(self.at.gear)
-        self._actuators, self._gaps = evenly(self.at.actuators), evenly(self.at.gaps)
         self._built_quat = model.body_quat[self.at.bodies]
         self._built = Pose(rotations(self._built_quat), model.body_pos[self.at.bodies].T.copy())
         self._bands_rad = model.tendon_lengthspring[self.at.gaps].copy()
-        damping, stiffness = model.tendon_damping[self._gaps], model.tendon_stiffness[self._gaps]
+        damping, stiffness = model.tendon_damping[self.at.gaps], model.tendon_stiffness[self.at.gaps]
         self._gap_damping_Nms_rad = damping.copy()
         self._flank_damping_Nms_rad = damping - gear_excess_s * stiffness
-        self._on_flank = np.zeros(len(Joint), bool)
+        self._on_flank = np.zeros(len(Joint), bool).tobytes()
         self._friction_Nm = model.dof_frictionloss[self.at.motor].copy()
         self._damping_Nms_rad = model.dof_damping[self.at.motor].copy()
         self._gains = model.actuator_gainprm[self.at.actuators, GAINS].copy()
@@ -115,11 +133,30 @@ class Plant:
         self.influence = NO_INFLUENCE
         self.model.tendon_invweight0[model.tendon_frictionloss > 0] *= HARD_FRICTION
         self.torque_constant_Nm_A = model.actuator_gainprm[self.at.actuators, MOTOR_CONSTANT].copy()
+        self._live = self._views()
+
+    def _views(self) -> Live:
+        data, motors, gears = self.data, evenly(self.at.motor), evenly(self.at.gear)
+        gaps, actuators = evenly(self.at.gaps), evenly(self.at.actuators)
+        low_rad, high_rad = self.model.tendon_lengthspring[gaps].T
+        return Live(
+            motor_rad=data.qpos[motors],
+            motor_rate_rad_s=data.qvel[motors],
+            gear_rad=data.qpos[gears],
+            gear_length_rad=data.ten_length[gaps],
+            low_flank_rad=low_rad,
+            high_flank_rad=high_rad,
+            servo_angle_rad=data.actuator_length[actuators],
+            servo_rate_rad_s=data.actuator_velocity[actuators],
+            motor_torque_Nm=data.actuator_force[actuators],
+            warnings=data.warning.number,
+        )
 
     def copied(self) -> "Plant":
         """The same plant in the same state, to go on by itself."""
         other = copy(self)
         other.model, other.data = copy(self.model), copy(self.data)
+        other._live = other._views()
         return other
 
     @property
@@ -206,34 +243,31 @@ class Plant:
 
     def damp_gears(self) -> None:
         """Let gears be damped as the reference step computes them: other on a flank than in the gap."""
-        length, bounds = self.data.ten_length[self._gaps], self.model.tendon_lengthspring[self._gaps]
-        on_flank = (length < bounds[:, 0]) | (length > bounds[:, 1])
-        if (on_flank != self._on_flank).any():
-            self._on_flank = on_flank
+        live = self._live
+        on_flank = (live.gear_length_rad < live.low_flank_rad) | (live.gear_length_rad > live.high_flank_rad)
+        if (seen := on_flank.tobytes()) != self._on_flank:
+            self._on_flank = seen
             damping = np.where(on_flank, self._flank_damping_Nms_rad, self._gap_damping_Nms_rad)
-            self.model.tendon_damping[self._gaps] = damping
+            self.model.tendon_damping[self.at.gaps] = damping
 
     def update_motors(self) -> None:
         """Compute the motors' torques of this moment: those of the last step are of its beginning."""
-        data = self.data
-        data.actuator_length[self._actuators] = data.qpos[self._motors]
-        data.actuator_velocity[self._actuators] = data.qvel[self._motors]
-        mujoco.mj_fwdActuation(self.model, data)
+        live = self._live
+        live.servo_angle_rad[:], live.servo_rate_rad_s[:] = live.motor_rad, live.motor_rate_rad_s
+        mujoco.mj_fwdActuation(self.model, self.data)
 
     def _check(self) -> None:
-        if self.data.warning.number.any():
-            names = [mujoco.mjtWarning(i).name for i in np.flatnonzero(self.data.warning.number)]
+        if np.count_nonzero(self._live.warnings):
+            names = [mujoco.mjtWarning(i).name for i in np.flatnonzero(self._live.warnings)]
             raise PlantDiverged(f"MuJoCo warned of {', '.join(names)} at {self.data.time:.3f} s")
 
     def motor_rad(self) -> Array:
         """True motor angles, output side."""
-        motor: Array = self.data.qpos[self._motors].copy()
-        return motor
+        return self._live.motor_rad.copy()
 
     def output_rad(self) -> Array:
         """True output angles: motor, backlash and wind-up."""
-        qpos = self.data.qpos
-        output: Array = qpos[self._motors] + qpos[self._gears]
+        output: Array = self._live.motor_rad + self._live.gear_rad
         return output
 
     def gap_rad(self) -> Array:
@@ -248,7 +282,7 @@ class Plant:
 
     def _gear_rad(self) -> Array:
         """Outputs beyond motors, less what shifts their gears."""
-        gear: Array = self.data.qpos[self.at.gear] - self.scatter.gear_rad - self.influence.gear_rad
+        gear: Array = self._live.gear_rad - self.scatter.gear_rad - self.influence.gear_rad
         return gear
 
     def stop_rad(self) -> Array:
@@ -267,7 +301,7 @@ class Plant:
 
     def motor_current_A(self) -> Array:
         """True motor currents."""
-        current: Array = self.data.actuator_force[self._actuators] / self.torque_constant_Nm_A
+        current: Array = self._live.motor_torque_Nm / self.torque_constant_Nm_A
         return current
 
     def tool_shift(self, tool: Tool, output_rad: Array) -> Array:
@@ -291,7 +325,7 @@ class Plant:
         return Truth(
             time_s=data.time,
             motor_rad=motor,
-            output_rad=motor + data.qpos[self._gears],
+            output_rad=motor + self._live.gear_rad,
             motor_torque_Nm=data.actuator_force.copy(),
             p_RoTo_R_m=TOOL_FLIP * data.site_xpos.take(tools, 0) - TOOL_P_NR_M,
             R_RT=TOOL_FLIP_ROWS * data.site_xmat.take(tools, 0).reshape(-1, 3, 3),
