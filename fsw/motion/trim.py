@@ -1,9 +1,9 @@
 """What the motors' currents tell of a press, and the change of force that follows from it.
 
-Between the first and the last newtons of the overdrive the load of every joint rises by what the rock gives
-back; friction, weight and bias are the same at both ends and drop out. Five loads against a force of three
-components and a torque about the tool's axis. An arm of five joints cannot keep a tool from turning about
-that axis, so the pads slip and their friction twists the tool.
+While the overdrive grows, the load of every joint rises by what the rock gives back; friction, weight and
+bias stay what they are and drop out. Five loads against a force of three components and a torque about the
+tool's axis. An arm of five joints cannot keep a tool from turning about that axis, so the pads slip and
+their friction twists the tool.
 """
 
 from dataclasses import dataclass, field, replace
@@ -22,8 +22,6 @@ from fsw.messages import Flags, Sensors
 from fsw.motion.paths import Setpoint
 from fsw.motion.plan_press import Press, Pressing
 
-END_SHARE: Final = 0.25
-"""Of the change of force, at either end, over which is averaged."""
 BRISK_SHARE: Final = 0.75
 """Of its highest rate that the force must rise with: slower, friction is not what it is in motion."""
 MOVING_RAD_S: Final = 5e-5
@@ -34,31 +32,33 @@ ACROSS: Final = 0.3
 """Of a newton of the model, so much may well be felt across."""
 TWIST_M: Final = 0.0225
 """Torque about the axis that pads 45 mm off it, with a friction coefficient of 0.5, pass on for a newton."""
+CROSSED_NM: Final = 3.0
+"""What a gap that is crossed earlier or later than believed leaves in the middle of a rise, of a load."""
+STEP: Final = 0.75**0.5 / 2
+"""A step in the middle of a straight line over an even spread is this share of it in what the slope adds."""
+LEAST_CYCLES: Final = 2
+"""With more a straight line can be told."""
 SUREST: Final = 0.05
 BELIEVABLE: Final = (0.5, 2.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PressEnd:
-    """Sums at one end of a press over the cycles in which a joint says something, (5,) each."""
-
-    n: Array = field(default_factory=lambda: np.zeros(5))
-    sums: Array = field(default_factory=lambda: np.zeros((3, 5)))
-    """Of the model's force [N], of what it would load a joint with, and of what the currents tell [N m]."""
-
-    def after(self, model_N: float, model_Nm: Array, push_Nm: Array, says: Flags) -> "PressEnd":
-        """One cycle more."""
-        terms = np.stack((np.full_like(push_Nm, model_N), model_Nm, push_Nm))
-        return PressEnd(self.n + says, self.sums + terms * says)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class PressFit:
-    """Both ends of a leg of a press, and how many legs may follow."""
+    """What the currents have told on a leg of a press, and how many legs may follow.
+
+    Sums over the cycles in which a joint says something, (5,) each, for a straight line over the force.
+    """
 
     legs: int = 2
-    first: PressEnd = field(default_factory=PressEnd)
-    last: PressEnd = field(default_factory=PressEnd)
+    n: Array = field(default_factory=lambda: np.zeros(5))
+    sums: Array = field(default_factory=lambda: np.zeros((2, 3, 5)))
+    """Of the model's force [N], of what it would load a joint with, and of what the currents tell [N m]; and
+    of each times the force."""
+
+    def after(self, model_N: float, model_Nm: Array, push_Nm: Array, says: Flags) -> "PressFit":
+        """One cycle more."""
+        terms = np.stack((np.full_like(push_Nm, model_N), model_Nm, push_Nm)) * says
+        return PressFit(self.legs, self.n + says, self.sums + np.stack((terms, model_N * terms)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,10 +82,8 @@ def fitted(
     load: LoadEstimate,
     sensors: Sensors,
 ) -> PressFit:
-    """The fit with this cycle's currents, if the force is near one of the press's ends and rises briskly."""
-    gone = (pressing.model_N - press.start.model_N) / press.change_N
-    brisk = rate_N_s > BRISK_SHARE * config.params.preload.rate_N_s
-    if not brisk or END_SHARE < gone < 1 - END_SHARE:
+    """The fit with this cycle's currents, if the force rises briskly."""
+    if rate_N_s <= BRISK_SHARE * config.params.preload.rate_N_s:
         return fit
     friction = joints.reference.friction_Nm
     resisting = np.where(np.isfinite(friction), friction, 0.0) * np.sign(hold.rate_rad_s)
@@ -94,10 +92,7 @@ def fitted(
     # in its gap a gear passes nothing on
     held = held_on_side(joints.reference.half_gap_rad, joints.bounds, np.zeros_like(push))
     says = held & (np.abs(hold.rate_rad_s) > MOVING_RAD_S)
-    cycle = (pressing.model_N, load.of_push_Nm / pressing.share, push, says)
-    if gone <= END_SHARE:
-        return replace(fit, first=fit.first.after(*cycle))
-    return replace(fit, last=fit.last.after(*cycle))
+    return fit.after(pressing.model_N, load.of_push_Nm / pressing.share, push, says)
 
 
 def felt_share(config: Config, fit: PressFit, joints: JointEstimate, pressing: Pressing) -> FeltShare | None:
@@ -105,18 +100,21 @@ def felt_share(config: Config, fit: PressFit, joints: JointEstimate, pressing: P
 
     The likeliest of what was likely beforehand and of what the joints that moved tell, by its noise.
     """
-    says = (fit.first.n > 0) & (fit.last.n > 0)
+    says = fit.n > LEAST_CYCLES
     if not says.any():
         return None
-    first_n, last_n = fit.first.n[says], fit.last.n[says]
-    rise_N, model_Nm, push_Nm = fit.last.sums[:, says] / last_n - fit.first.sums[:, says] / first_n
-    noise_Nm = READING_A * config.torque_constant_Nm_A[says] * np.sqrt(1 / first_n + 1 / last_n)
-    others = rise_N[:, None] * _levers_across(config, joints, pressing)[says]
-    levers = np.column_stack((model_Nm, others)) / noise_Nm[:, None]
+    n, (mean, mixed) = fit.n[says], fit.sums[:, :, says] / fit.n[says]
+    spread_N2, model_Nm, push_Nm = mixed - mean * mean[0]
+    # a straight line's slope, and what noise and a step of the load in its middle make of it
+    model_Nm_N, push_Nm_N = model_Nm / spread_N2, push_Nm / spread_N2
+    reading_Nm = READING_A * config.torque_constant_Nm_A[says] / np.sqrt(n)
+    noise_Nm_N = np.hypot(reading_Nm, STEP * CROSSED_NM) / np.sqrt(spread_N2)
+    levers = np.column_stack((model_Nm_N, _levers_across(config, joints, pressing)[says]))
+    levers /= noise_Nm_N[:, None]
     likely = np.array([pressing.share, 0.0, 0.0, 0.0])
     spread = np.array([pressing.share_unsure, ACROSS, ACROSS, TWIST_M])
     information = np.diag(spread**-2) + levers.T @ levers
-    surprise = levers.T @ (push_Nm / noise_Nm - levers @ likely)
+    surprise = levers.T @ (push_Nm_N / noise_Nm_N - levers @ likely)
     along, *across, _ = likely + np.linalg.solve(information, surprise)
     unsure = max(float(np.sqrt(np.linalg.inv(information)[0, 0])), SUREST)
     believable = BELIEVABLE[0] < along < BELIEVABLE[1]

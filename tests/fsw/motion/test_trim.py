@@ -11,7 +11,7 @@ from fsw.dictionary.joints import Tool
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.motion.move import NEAR_N, Phase
 from fsw.motion.plan_press import plan_press, touching
-from fsw.motion.trim import PressEnd, PressFit, felt_share
+from fsw.motion.trim import PressFit, felt_share
 from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
 
 FRICTION_NM = np.array([170.0, 170.0, 170.0, 39.0, 39.0])
@@ -114,11 +114,10 @@ def test_what_cannot_be_is_not_believed(share, is_believed):
     rig = guarded_in_contact()
     joints, pressing = rig.state.joints, touching(rig.config, rig.state.joints, Tool.APXS)
     per_N = plan_press(rig.config, joints, pressing, 300.0)[1].torque_per_N
-    first, last = (
-        PressEnd().after(model_N, per_N * model_N, share * per_N * model_N, np.ones(5, bool))
-        for model_N in (20.0, 280.0)
-    )
-    felt = felt_share(rig.config, PressFit(0, first, last), joints, pressing)
+    fit = PressFit(legs=0)
+    for model_N in np.linspace(20.0, 280.0, 1000):
+        fit = fit.after(model_N, per_N * model_N, share * per_N * model_N, np.ones(5, bool))
+    felt = felt_share(rig.config, fit, joints, pressing)
     assert (felt is not None) == is_believed
 
 
