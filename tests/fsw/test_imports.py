@@ -19,6 +19,7 @@ ALLOWED = {
     "itertools",
     "math",
     "numpy",
+    "operator",
     "ruckig",
     "typing",
 }
