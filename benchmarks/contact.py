@@ -14,25 +14,21 @@ from itertools import chain
 import numpy as np
 
 from benchmarks.options import parser
+from benchmarks.tool_change import FIRST, MOST_DRAWS, SECOND, TILT_RAD, not_completed, placing
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.commands import Command, PlaceTool, ToolChange
-from fsw.dictionary.evrs import CommandCompleted, Severity
+from fsw.dictionary.commands import Command, ToolChange
 from fsw.dictionary.joints import SWITCHES_OF, Tool
-from fsw.dictionary.tuples import joints5, vector3
+from fsw.dictionary.tuples import joints5
 from sim.arms import arm_named
 from sim.campaign import random_placement
 from sim.contact import tool_forces
-from sim.frames import p_R_from_N
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.sequence import run_sequence
 
-FIRST, SECOND = Tool.APXS, Tool.MAHLI
-TILT_RAD = float(np.radians(30.0))
 SOON_S, LATER_S, HELD_S = 0.5, 2.0, 4.0
 SOON, LATER = 0.20, 0.05
 """How far the force may be off its mean, as a share of it."""
-MOST_DRAWS = 25
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,8 +67,9 @@ def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: Tool, arm: s
         closed.append(record.sensors.switch_closed[list(SWITCHES_OF[tool])])
         asked.append(record.outputs.drive.setpoint_count)
         braked.append(loop.braked)
-    if CommandCompleted(type(commands[-1]).__name__) not in evrs:
-        return next((evr.message for evr in evrs if evr.severity >= Severity.WARNING_LO), "no reason")
+    problem = not_completed(commands[-1], evrs)
+    if problem is not None:
+        return problem
     last = int(np.flatnonzero(np.diff(np.array(asked), axis=0).any(axis=1))[-1]) + 1
     soon = last + round(SOON_S * CYCLE_HZ)
     later = min(last + round(LATER_S * CYCLE_HZ), max(soon, braked.index(True, last)))
@@ -97,10 +94,7 @@ def one_arm(seed: int) -> list[Rest]:
     for draw in range(1, MOST_DRAWS + 1):
         world, seen = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
         loop = ClosedLoop(Setup(arm, world, joints5(seen.standoff_rad), draw, true_reference(arm)))
-        target, normal = p_R_from_N(np.array(seen.placement.target_N_m)), np.array(seen.placement.normal_N)
-        axis = -normal / np.linalg.norm(normal)
-        place = PlaceTool(FIRST, vector3(target), vector3(axis), branch=seen.placement.branch)
-        first = rest_after(loop, (place,), FIRST, name)
+        first = rest_after(loop, (placing(seen),), FIRST, name)
         second = rest_after(loop, (ToolChange(SECOND),), SECOND, name) if isinstance(first, Rest) else first
         if isinstance(first, Rest) and isinstance(second, Rest):
             return [first, second]

@@ -7,6 +7,7 @@ target MAHLI placed by its coordinates alone. As-built arms are flown with the p
 
 import json
 import sys
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -14,7 +15,7 @@ import numpy as np
 
 from benchmarks.options import parser
 from fsw.dictionary.commands import Command, PlaceTool, Retract, ToolChange
-from fsw.dictionary.evrs import CommandCompleted, Severity
+from fsw.dictionary.evrs import CommandCompleted, Evr, Severity
 from fsw.dictionary.joints import Frame, Joint, Tool
 from fsw.dictionary.tuples import joints5, vector3
 from fsw.estimate.reference import Reference
@@ -29,6 +30,7 @@ from sim.effects.structure import LinkStiffness
 from sim.frames import p_R_from_N
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop, Setup
+from sim.preview import Preview
 from sim.sequence import run_sequence
 
 WARMING_K = 50.0
@@ -88,9 +90,8 @@ def one_target(name: str, reference: Reference, draw: int) -> Changed | str:
     world, seen = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
     effects = unknown_to_flight(seed) if name.startswith("calibrated") else ()
     loop = ClosedLoop(Setup(arm, world, joints5(seen.standoff_rad), draw, reference, effects))
-    target = p_R_from_N(np.array(seen.placement.target_N_m))
-    axis = -np.array(seen.placement.normal_N) / np.linalg.norm(seen.placement.normal_N)
-    place = PlaceTool(FIRST, vector3(target), vector3(axis), branch=seen.placement.branch)
+    place = placing(seen)
+    target, axis = np.array(place.p_RoTo_R_m), np.array(place.approach_R)
     first = _touched(loop, (place,))
     if isinstance(first, str):
         return f"{FIRST.name}: {first}"
@@ -112,11 +113,26 @@ def one_target(name: str, reference: Reference, draw: int) -> Changed | str:
     )
 
 
+def placing(seen: Preview) -> PlaceTool:
+    """The command that places the tool where the preview looked."""
+    target = p_R_from_N(np.array(seen.placement.target_N_m))
+    axis = -np.array(seen.placement.normal_N) / np.linalg.norm(seen.placement.normal_N)
+    return PlaceTool(seen.placement.tool, vector3(target), vector3(axis), branch=seen.placement.branch)
+
+
+def not_completed(command: Command, evrs: Sequence[Evr]) -> str | None:
+    """The warning that ended a command before its end; None if it was completed."""
+    if CommandCompleted(type(command).__name__) in evrs:
+        return None
+    return next((evr.message for evr in evrs if evr.severity >= Severity.WARNING_LO), "no reason")
+
+
 def _touched(loop: ClosedLoop, commands: tuple[Command, ...]) -> tuple[Array, Array] | str:
     """True place and attitude of the tool that touches at the end, or the warning that ended it before."""
     evrs = [evr for record in run_sequence(loop, commands) for evr in record.outputs.evrs]
-    if CommandCompleted(type(commands[-1]).__name__) not in evrs:
-        return next((evr.message for evr in evrs if evr.severity >= Severity.WARNING_LO), "no reason")
+    problem = not_completed(commands[-1], evrs)
+    if problem is not None:
+        return problem
     truth, tool = loop.plant.truth(), loop.state.tool
     return truth.p_RoTo_R_m[tool], truth.R_RT[tool]
 

@@ -321,11 +321,10 @@ class Plant:
         model, data, tools = self.model, self.data, self.at.tools
         mujoco.mj_kinematics(model, data)
         mujoco.mj_energyVel(model, data)
-        motor = self.motor_rad()
         return Truth(
             time_s=data.time,
-            motor_rad=motor,
-            output_rad=motor + self._live.gear_rad,
+            motor_rad=self.motor_rad(),
+            output_rad=self.output_rad(),
             motor_torque_Nm=data.actuator_force.copy(),
             p_RoTo_R_m=TOOL_FLIP * data.site_xpos.take(tools, 0) - TOOL_P_NR_M,
             R_RT=TOOL_FLIP_ROWS * data.site_xmat.take(tools, 0).reshape(-1, 3, 3),

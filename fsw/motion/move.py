@@ -177,7 +177,7 @@ def _press(
     fit = move.fit
     if fit is not None and not move.stopped:
         pressing, rate_N_s = press.after(gone(move)), _travel_rate(move)
-        fit = fitted(config, fit, press, pressing, rate_N_s, move.hold, joints, load, sensors)
+        fit = fitted(config, fit, pressing, rate_N_s, move.hold, joints, load, sensors)
         move = replace(move, fit=fit)
     done = _run(config, move, sensors)
     if done.move is None or done.move.phase is not Phase.SETTLE or fit is None or move.stopped:

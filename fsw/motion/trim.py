@@ -33,9 +33,10 @@ ACROSS: Final = 0.3
 TWIST_M: Final = 0.0225
 """Torque about the axis that pads 45 mm off it, with a friction coefficient of 0.5, pass on for a newton."""
 CROSSED_NM: Final = 3.0
-"""What a gap that is crossed earlier or later than believed leaves in the middle of a rise, of a load."""
+"""The step of a load where a gap is crossed earlier or later than believed."""
 STEP: Final = 0.75**0.5 / 2
-"""A step in the middle of a straight line over an even spread is this share of it in what the slope adds."""
+"""A step of a load in the middle of an even spread of forces changes the slope by so much of the step over
+the standard deviation of the forces."""
 LEAST_CYCLES: Final = 2
 """With more a straight line can be told."""
 SUREST: Final = 0.05
@@ -74,7 +75,6 @@ class FeltShare:
 def fitted(
     config: Config,
     fit: PressFit,
-    press: Press,
     pressing: Pressing,
     rate_N_s: float,
     hold: Setpoint,
