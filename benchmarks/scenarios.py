@@ -134,8 +134,16 @@ def document(
     with ProcessPoolExecutor(workers) as pool:
         for k, found in enumerate(pool.map(on_arm, arms, [names] * len(arms)), start=1):
             ran += found
-            print(f"\rscenarios: {k} of {len(arms)} arms", end="", file=sys.stderr)
-    print(file=sys.stderr)
+            failed = [
+                f"{case.scenario}: {', '.join(case.failed) or case.outcome}"
+                for case in found
+                if not case.passed
+            ]
+            print(
+                f"{k} of {len(arms)}, {arms[k - 1]}: {'; '.join(failed) or 'passed'}",
+                file=sys.stderr,
+                flush=True,
+            )
     return summary(ran)
 
 

@@ -233,8 +233,6 @@ class MotionParams:
     """Of the tool, while it looks for contact."""
     switch_force_N: Annotated[float, Limits(0.1, 50.0)]
     """At which a contact switch closes."""
-    contact_firm_m: Annotated[float, Limits(0.0, 0.01)]
-    """How far a guarded move goes on once a switch has closed, so that the tool stays in contact."""
     retract_speed_m_s: Annotated[float, Limits(1e-4, 0.05)]
     """Of the tool, in straight moves that look for nothing."""
     line_acceleration_m_s2: Annotated[float, Limits(1e-4, 0.1)]
@@ -260,7 +258,7 @@ class PreloadParams:
     rate_N_s: Annotated[float, Limits(0.1, 200.0)]
     """How fast the force grows."""
     step_N: Annotated[float, Limits(0.1, 100.0)]
-    """Spacing of the knots of an overdrive."""
+    """The smallest change of a press: spacing of the knots of an overdrive."""
     error_share: Annotated[float, Limits(0.0, 1.0)]
     """How far the true force may be from the believed one, as a share of it, but at least error_N."""
     error_N: Annotated[float, Limits(0.0, 100.0)]

@@ -62,7 +62,7 @@ from fsw.motion import seek
 from fsw.motion.move import Move
 from fsw.motion.paths import Setpoint, StillPath
 from fsw.motion.plan import Refusal
-from fsw.motion.plan_press import Pressing, plan_press, press_limit_A, touching
+from fsw.motion.plan_press import Pressing, plan_press, press_limit_A, touched
 from fsw.motion.trim import PressFit
 
 
@@ -209,7 +209,7 @@ def _press(config: Config, now: Situation, command: Preload) -> Situation:
         problem = f"{command.tool.name} touches nothing: there is nothing to press on"
     if problem is not None:
         return refused(now, command, problem)
-    pressing = state.pressing or touching(config, state.joints, command.tool)
+    pressing = state.pressing or touched(config, state.joints, command.tool)
     if (
         state.mode is Mode.PRELOAD
         and command.force_N == 0

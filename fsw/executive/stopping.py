@@ -11,6 +11,7 @@ from fsw.executive.modes import TRANSITIONS, Event, after
 from fsw.executive.situation import Situation, name_of, refused, told
 from fsw.executive.stow import at_stow, stop_event
 from fsw.motion.move import stop
+from fsw.motion.plan_press import firm_N
 
 
 def clear_fault(config: Config, now: Situation, command: ClearFault) -> Situation:
@@ -63,7 +64,7 @@ def _clearing(config: Config, now: Situation) -> Event:
     say now; one that pressed may press.
     """
     fault = now.state.fault
-    if now.state.pressing is not None and now.state.pressing.force_N > 0:
+    if now.state.pressing is not None and now.state.pressing.force_N > firm_N(config):
         return Event.CLEAR_PRESSED
     if now.closed.any() or (fault is not None and fault.may_touch):
         return Event.CLEAR_TOUCHING

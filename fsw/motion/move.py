@@ -18,8 +18,8 @@ from fsw.kinematics.transforms import Array
 from fsw.messages import Flags, Sensors
 from fsw.motion import seek as seeking
 from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
-from fsw.motion.plan import Refusal, joints_at
-from fsw.motion.plan_press import SURE, Press, Pressing, plan_press
+from fsw.motion.plan import Refusal, Stand, joints_at, standing
+from fsw.motion.plan_press import SURE, Press, Pressing, firm_N, plan_press, touched
 from fsw.motion.seek import Seek, limit_A
 from fsw.motion.trim import PressFit, corrected, felt_share, fitted
 
@@ -92,7 +92,7 @@ def advance(
                 return _seek(config, move, move.seek, joints, load.torque_Nm, sensors)
             if move.press is not None:
                 return _press(config, move, move.press, joints, load, sensors)
-            return _run(config, move, sensors)
+            return _run(config, move, joints, sensors)
         case Phase.SETTLE:
             return _settle(config, move, joints)
         case Phase.BRAKE:
@@ -106,7 +106,7 @@ def advance(
 
 
 def _pressed(move: Move) -> tuple[Evr, ...]:
-    if move.press is None:
+    if move.press is None or move.guarded is not None:
         return ()
     pressing = move.press.after(gone(move))
     return (Preloaded(pressing.tool, pressing.force_N),)
@@ -148,26 +148,34 @@ def _seek(
     return Advance(move if sought.seek.found is None else _enter(move, Phase.SETTLE), sought.evrs)
 
 
-def _run(config: Config, move: Move, sensors: Sensors) -> Advance:
-    evrs: tuple[Evr, ...] = ()
-    if move.guarded is not None:
-        move, evrs = _touched(move, move.guarded, sensors)
-        if (
-            move.contact_at is not None
-            and gone(move) >= move.contact_at + config.params.motion.contact_firm_m
-        ):
-            still = Setpoint(move.hold.motor_rad, np.zeros_like(move.hold.rate_rad_s))
-            return Advance(_enter(replace(move, hold=still), Phase.SETTLE), evrs)
+def _run(config: Config, move: Move, joints: JointEstimate, sensors: Sensors) -> Advance:
+    if move.guarded is not None and move.contact_at is None:
+        switch = closed_switch(move.guarded, sensors.switch_closed)
+        if switch is not None:
+            made = ContactMade(switch, gone(move))
+            return Advance(_firmed(config, move, move.guarded, joints), (made,))
     path, time_s = move.paths[0], (move.ticks + 1) * CYCLE_S
     running = _on(move, path.at(time_s))
     if time_s < path.duration_s:
-        return Advance(running, evrs)
+        return Advance(running)
     running = replace(running, travelled=_travel(move, path.duration_s))
     if len(move.paths) > 1:
-        return Advance(replace(running, paths=move.paths[1:], ticks=0), evrs)
+        return Advance(replace(running, paths=move.paths[1:], ticks=0))
     if move.guarded is not None and move.contact_at is None:
-        return Advance(move, (*evrs, NoContact(_travel(move, time_s))))
-    return Advance(_enter(running, Phase.SETTLE), evrs)
+        return Advance(move, (NoContact(_travel(move, time_s)),))
+    return Advance(_enter(running, Phase.SETTLE))
+
+
+def _firmed(config: Config, move: Move, tool: Tool, joints: JointEstimate) -> Move:
+    """A guarded move whose tool has touched: it stops, and presses just enough to stay in contact."""
+    still = Setpoint(move.hold.motor_rad, np.zeros_like(move.hold.rate_rad_s))
+    move = replace(move, hold=still, contact_at=gone(move))
+    here = joints_at(joints, Stand(still.motor_rad, standing(joints).gear_rad))
+    planned = plan_press(config, here, touched(config, here, tool), firm_N(config))
+    if isinstance(planned, Refusal):  # as at the end of its reach; it does touch
+        return _enter(move, Phase.SETTLE)
+    plan, press = planned
+    return replace(move, paths=plan.paths, press=press, ticks=0, travelled=0.0)
 
 
 def _press(
@@ -179,7 +187,7 @@ def _press(
         pressing, rate_N_s = press.after(gone(move)), _travel_rate(move)
         fit = fitted(config, fit, pressing, rate_N_s, move.hold, joints, load, sensors)
         move = replace(move, fit=fit)
-    done = _run(config, move, sensors)
+    done = _run(config, move, joints, sensors)
     if done.move is None or done.move.phase is not Phase.SETTLE or fit is None or move.stopped:
         return done
     return _trimmed(config, done.move, press, fit, joints) or done
@@ -192,7 +200,7 @@ def _trimmed(
     if press.change_N <= 0:
         return None
     heard: tuple[Evr, ...] = ()
-    felt = felt_share(config, fit, joints, press.after(gone(move)))
+    felt = felt_share(config, fit, joints, press.after(gone(move)), press.turn_rad)
     pressing = replace(press.after(gone(move)), share_unsure=SURE)
     if felt is not None:
         pressing = corrected(press, felt)
@@ -200,7 +208,9 @@ def _trimmed(
     settled = replace(press, start=pressing, end_model_N=pressing.model_N)
     near = abs(press.wanted_N - pressing.force_N) < NEAR_N
     # from where the plan left off: a gap by which an estimate differs from it would be crossed to and fro
-    stands = joints_at(joints, press.end)
+    wound = press.torque_per_N * (pressing.force_N - press.after(gone(move)).force_N)
+    end = replace(press.end, gear_rad=press.end.gear_rad + wound / config.arm.gear_stiffness_Nm_rad)
+    stands = joints_at(joints, end)
     planned = None if near else plan_press(config, stands, pressing, press.wanted_N)
     if planned is None or isinstance(planned, Refusal):
         return Advance(replace(move, press=settled, fit=None), heard)
@@ -208,14 +218,6 @@ def _trimmed(
     again = PressFit(fit.legs - 1) if fit.legs > 0 else None
     on = replace(move, phase=Phase.RUN, paths=plan.paths, press=rest, fit=again, ticks=0, travelled=0.0)
     return Advance(on, heard)
-
-
-def _touched(move: Move, tool: Tool, sensors: Sensors) -> tuple[Move, tuple[Evr, ...]]:
-    """A guarded move that remembers where its tool made contact."""
-    switch = closed_switch(tool, sensors.switch_closed)
-    if switch is None or move.contact_at is not None:
-        return move, ()
-    return replace(move, contact_at=gone(move)), (ContactMade(switch, gone(move)),)
 
 
 def gone(move: Move) -> float:

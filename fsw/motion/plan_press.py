@@ -78,6 +78,8 @@ class Press:
     """By how much each joint's load rises with the force, (5,)."""
     free_Nm: Array
     """What the joints carry without it, (5,)."""
+    turn_rad: float
+    """How far the tool turns about its axis: five joints cannot keep it from that."""
     end: Stand
     """Of the motors and gears."""
 
@@ -93,18 +95,22 @@ class Press:
         return replace(self.start, model_N=self.start.model_N + float(np.sign(self.change_N)) * travelled_N)
 
 
-def touching(config: Config, joints: JointEstimate, tool: Tool) -> Pressing:
-    """A tool as a guarded move leaves it: its switch closed, and the move then went on a little."""
-    motion, arm, gravity = config.params.motion, config.arm, joints.gravity_R_m_s2
+def firm_N(config: Config) -> float:
+    """With what a touch ends, so that the tool stays in contact: one step more than closes its switch."""
+    return config.params.motion.switch_force_N + config.params.preload.step_N
+
+
+def touched(config: Config, joints: JointEstimate, tool: Tool) -> Pressing:
+    """A tool whose switch has just closed."""
+    arm, gravity = config.arm, joints.gravity_R_m_s2
     output = joints.motor_rad + Compensation().allowance(joints, standing(joints).gear_rad)
-    X_RT = tool_pose(arm, rest(arm, output, gravity).frames, tool)
-    free = Pressing(tool, X_RT.p, X_RT.R[:, 0], 1.0, joints.resolver_error_rad)
-    yields_m = free.axis_R @ (X_RT.p - tool_pose(arm, rest(arm, output, gravity, free.pushed).frames, tool).p)
-    firm = replace(free, model_N=motion.switch_force_N + motion.contact_firm_m / float(yields_m))
-    pushed = tool_pose(arm, rest(arm, output, gravity, firm.pushed).frames, tool)
+    free = tool_pose(arm, rest(arm, output, gravity).frames, tool)
+    axis, force_N = free.R[:, 0], config.params.motion.switch_force_N
+    touch = Pressing(tool, free.p, axis, force_N, joints.resolver_error_rad)
+    pushed = tool_pose(arm, rest(arm, output, gravity, touch.pushed).frames, tool)
     # friction keeps it where it touched: it gives way along its axis only, and not aside as a free tool would
-    p = X_RT.p + free.axis_R * (free.axis_R @ (pushed.p - X_RT.p))
-    return replace(firm, p_RoTo_R_m=p, axis_R=pushed.R[:, 0])
+    p = free.p + axis * (axis @ (pushed.p - free.p))
+    return replace(touch, p_RoTo_R_m=p, axis_R=pushed.R[:, 0])
 
 
 def plan_press(
@@ -131,13 +137,20 @@ def plan_press(
         return Refusal(TOO_SOFT)
     load_Nm = pushed.torque_Nm
     travel = Travel(change_N, preload.rate_N_s, preload.rate_N_s / RAMP_S, 2 * preload.rate_N_s / RAMP_S**2)
-    plan = plan_through(config, joints, output, load_Nm, Compensation(), travel)
+    # gaps are crossed under the believed force; what the model winds gears up beyond that is overdrive
+    carried_Nm = rest(
+        config.arm, output, joints.gravity_R_m_s2, pressing.push(pressing.share * forces)
+    ).torque_Nm
+    overdriven = output - (load_Nm - carried_Nm) / config.arm.gear_stiffness_Nm_rad[:, None]
+    plan = plan_through(config, joints, overdriven, carried_Nm, Compensation(), travel)
     meeting = blocked(config, joints, plan.paths, config.params.collision.padding_m, pressing.tool)
     if meeting is not None:
         return Refusal(meeting)
     per_N = (load_Nm[:, -1] - load_Nm[:, 0]) / (end_N - pressing.model_N)
     free_Nm = load_Nm[:, 0] - per_N * pressing.model_N
-    return plan, Press(pressing, end_N, force_N, per_N, free_Nm, plan.end)
+    R_RT = tool_pose(config.arm, pushed.frames, pressing.tool).R
+    turn_rad = float(R_RT[:, 2, 0] @ R_RT[:, 1, -1])
+    return plan, Press(pressing, end_N, force_N, per_N, free_Nm, turn_rad, plan.end)
 
 
 def _first_aim(pressing: Pressing, force_N: float) -> float:

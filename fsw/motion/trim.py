@@ -2,8 +2,8 @@
 
 While the overdrive grows, the load of every joint rises by what the rock gives back; friction, weight and
 bias stay what they are and drop out. Five loads against a force of three components and a torque about the
-tool's axis. An arm of five joints cannot keep a tool from turning about that axis, so the pads slip and
-their friction twists the tool.
+tool's axis: an arm of five joints cannot keep a tool from turning about that axis, so the pads slide, and
+their friction turns it back.
 """
 
 from dataclasses import dataclass, field, replace
@@ -24,8 +24,6 @@ from fsw.motion.plan_press import Press, Pressing
 
 BRISK_SHARE: Final = 0.75
 """Of its highest rate that the force must rise with: slower, friction is not what it is in motion."""
-MOVING_RAD_S: Final = 5e-5
-"""Slower, a joint says nothing: its friction is not what it is in motion."""
 READING_A: Final = 0.02
 """Noise of one reading of a current."""
 ACROSS: Final = 0.3
@@ -91,11 +89,15 @@ def fitted(
     push = carried - (load.torque_Nm - load.of_push_Nm)
     # in its gap a gear passes nothing on
     held = held_on_side(joints.reference.half_gap_rad, joints.bounds, np.zeros_like(push))
-    says = held & (np.abs(hold.rate_rad_s) > MOVING_RAD_S)
+    # the friction of a motor that has yet to break away is not what it is in motion
+    follows = joints.motor_rate_rad_s * hold.rate_rad_s > 0.5 * hold.rate_rad_s**2
+    says = held & follows
     return fit.after(pressing.model_N, load.of_push_Nm / pressing.share, push, says)
 
 
-def felt_share(config: Config, fit: PressFit, joints: JointEstimate, pressing: Pressing) -> FeltShare | None:
+def felt_share(
+    config: Config, fit: PressFit, joints: JointEstimate, pressing: Pressing, turn_rad: float
+) -> FeltShare | None:
     """What the rock gives back for a newton of the model; None if that cannot be.
 
     The likeliest of what was likely beforehand and of what the joints that moved tell, by its noise.
@@ -111,7 +113,7 @@ def felt_share(config: Config, fit: PressFit, joints: JointEstimate, pressing: P
     noise_Nm_N = np.hypot(reading_Nm, STEP * CROSSED_NM) / np.sqrt(spread_N2)
     levers = np.column_stack((model_Nm_N, _levers_across(config, joints, pressing)[says]))
     levers /= noise_Nm_N[:, None]
-    likely = np.array([pressing.share, 0.0, 0.0, 0.0])
+    likely = np.array([pressing.share, 0.0, 0.0, -TWIST_M * np.sign(turn_rad)])
     spread = np.array([pressing.share_unsure, ACROSS, ACROSS, TWIST_M])
     information = np.diag(spread**-2) + levers.T @ levers
     surprise = levers.T @ (push_Nm_N / noise_Nm_N - levers @ likely)

@@ -14,7 +14,7 @@ from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
 from fsw.dictionary.modes import Mode
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import rest
-from fsw.motion.plan_press import Pressing
+from fsw.motion.plan_press import Pressing, firm_N
 from fsw.protect.touch import FULL_LEVER_M, LEAST_LEVER_M, contact_lost, force_error_N, preload_outside
 from tests.fsw.protect.lab import (
     BOUNDS,
@@ -53,14 +53,13 @@ def test_a_guarded_move_ends_at_the_contact_of_its_own_tool(tool):
         rig = in_guarded_motion(tool)
         rate = np.abs(rig.outputs.drive.setpoint_rate_rad_s).max()
         rig.cycle(**closed(switch))
-        touched = rig.tool_pose(tool).p
         assert rate > 0
         (evr,) = found(rig, ContactMade)
         assert evr.switch is switch
         assert 0 < evr.travel_m < 0.05
         rig.run(**closed(switch))
-        went_on_m = np.linalg.norm(rig.tool_pose(tool).p - touched)
-        assert went_on_m == pytest.approx(CONFIG.params.motion.contact_firm_m, abs=1.5e-4)
+        assert rig.state.pressing.tool is tool
+        assert CONFIG.params.motion.switch_force_N < rig.state.pressing.force_N <= firm_N(CONFIG)
         assert not rig.outputs.drive.setpoint_rate_rad_s.any()
         assert CommandCompleted("GuardedMove") in rig.evrs
         assert rig.state.mode is Mode.GUARDED
