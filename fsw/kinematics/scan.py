@@ -7,6 +7,7 @@ of azimuth and pitch, at the real arm, and wherever their zero lines may both pa
 start.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -37,6 +38,8 @@ LEAST_BEND_RAD: Final = 0.1
 CLEAR_BEND_RAD: Final = 0.15
 """The same for the square arm's roots: from outside, on the convex side of the fold, Newton converges."""
 LONGEST_STEP_RAD: Final = 0.3
+AZIMUTH_AXIS, PITCH_AXIS = 2, 3
+"""Of the grid (target, shoulder, azimuth, pitch, elbow)."""
 SLACK: Final = 1.0
 """A zero line may pass a node if the value there is below this share of its change to the neighbours."""
 BLOCK: Final = 2000
@@ -76,13 +79,13 @@ def scan(
     grid: Grid,
 ) -> Starts:
     """Starts close to every root of targets (3, n) that is near one of the suspects."""
-    nodes, at, worth = _nodes(arm.shapes[tool], p_RoTo_R_m, approach_R, suspects, grid)
-    target = np.unravel_index(at, worth)[0]
-    conditions = np.full((2, *worth), np.nan).reshape(2, -1)
+    nodes, at, on_grid = _nodes(arm.shapes[tool], p_RoTo_R_m, approach_R, suspects, grid)
+    target = np.unravel_index(at, on_grid)[0]
+    conditions = np.full((2, math.prod(on_grid)), np.nan)
     for block in np.split(np.arange(at.size), range(BLOCK, at.size, BLOCK)):
         p, a = p_RoTo_R_m[:, target[block]], approach_R[:, target[block]]
         nodes[:, block], conditions[:, at[block]] = _look(arm, tool, p, a, gravity_R_m_s2, nodes[:, block])
-    near = _zero_lines_pass(conditions.reshape(2, *worth)).reshape(-1)[at]
+    near = _zero_lines_pass(conditions, at, on_grid)
     # where the elbow is nearly straight, few nodes can reach: the square arm's own roots, from either side
     bent = closed_form(arm, tool, p_RoTo_R_m, approach_R, CLEAR_BEND_RAD).output_rad[:, suspects.is_suspect]
     return Starts(
@@ -96,7 +99,8 @@ def _nodes(
 ) -> tuple[Array, NDArray[np.intp], tuple[int, ...]]:
     """Poses (5, k) of the square arm at the nodes worth a look, where on the grid they are, and its shape.
 
-    The grid is (target, shoulder, azimuth, pitch, elbow); the places are those on the flat grid.
+    The places are those on the flat grid, which has one azimuth more, where there is no node: all neighbours
+    of a node are on the grid then, if it goes round.
     """
     p, a = into_shoulder(s, p_m, approach)
     q1 = _azimuths(s, p - s.radius_m * a, grid)[..., None]
@@ -122,8 +126,9 @@ def _nodes(
         pose_of(s, b_P[1], q1, t_e, t_z, sine, replace(reach, bend_rad=side * bend))[:, near]
         for side in (1, -1)
     ]
-    place = 2 * np.ravel_multi_index((k, shoulder, azimuth, pitch), worth.shape)[near]
-    return np.concatenate(elbows, axis=1), np.concatenate([place, place + 1]), (*worth.shape, 2)
+    on_grid = (*worth.shape[:2], grid.azimuths + 1, grid.pitches, 2)
+    place = np.ravel_multi_index((k, shoulder, azimuth, pitch, np.zeros_like(k)), on_grid)[near]
+    return np.concatenate(elbows, axis=1), np.concatenate([place, place + 1]), on_grid
 
 
 def _near_suspects(s: Shape, suspects: Suspects, pitch_rad: Array) -> Flags:
@@ -178,14 +183,13 @@ def _toward_turret_axis(arm: Arm, tool: int) -> Array:
     return np.array([[y, z], [z, -y]])
 
 
-def _zero_lines_pass(conditions: Array) -> Flags:
-    """Where on the grid (2, n, shoulder, azimuth, pitch, elbow) both conditions may vanish close by."""
-    change = np.zeros_like(conditions)
-    for axis in (3, 4):
-        step = np.abs(np.diff(conditions, axis=axis, append=conditions.take([0], axis)))
-        if axis == 3:
-            step[:, :, :, -1] = np.nan  # azimuths do not go round
-        both = np.fmax(step, np.roll(step, 1, axis))
-        change += np.nan_to_num(both)
-    passes: Flags = np.all(np.abs(conditions) <= SLACK * change, axis=0)
+def _zero_lines_pass(conditions: Array, at: NDArray[np.intp], grid: tuple[int, ...]) -> Flags:
+    """At which nodes (k,) of the flat grid both conditions (2, ...) may vanish close by."""
+    here, place = conditions[:, at], np.array(np.unravel_index(at, grid))
+    change = np.zeros_like(here)
+    for axis in (AZIMUTH_AXIS, PITCH_AXIS):
+        ahead = np.equal(np.arange(len(grid)), axis).astype(int)[:, None]
+        sides = [np.ravel_multi_index(tuple(place + side * ahead), grid, mode="wrap") for side in (1, -1)]
+        change += np.nan_to_num(np.fmax(*(np.abs(conditions[:, side] - here) for side in sides)))
+    passes: Flags = np.all(np.abs(here) <= SLACK * change, axis=0)
     return passes

@@ -6,7 +6,7 @@ import numpy as np
 
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import Frames, forward, tool_pose
-from fsw.kinematics.transforms import Array, cross, dot, each_link
+from fsw.kinematics.transforms import Array, cross, dot, each_link, rotate, rotate_back
 
 EQUILIBRIUM_TOLERANCE = 1e-11
 MAX_PASSES = 30
@@ -45,35 +45,29 @@ def load(arm: Arm, frames: Frames, gravity_R_m_s2: Array, push: Push | None = No
     ones = (1,) * (frames.X_RF.p.ndim - 2)
     g = gravity_R_m_s2.reshape(3, 1, *(gravity_R_m_s2.shape[1:] or ones))
     R_RL, X_LD, origin = frames.X_RL.R, frames.X_LD, frames.X_RL.p
-    in_link = np.empty((3, 3, 6, *origin.shape[2:]))
-    in_link[0] = arm.near_p_L_m.reshape(3, 6, *ones)
-    in_link[1] = np.einsum("ijl...,jl->il...", X_LD.R, arm.far_p_C_m) + X_LD.p
-    in_link[2] = X_LD.p
-    near, far, spring = np.einsum("ij...,kj...->ki...", R_RL, in_link) + origin
-    near_kg, far_kg, carried_kg = (
-        kg.reshape(1, 6, *ones) for kg in (arm.near_kg, arm.far_kg, arm.carried_kg)
-    )
-    spring_kg = carried_kg - near_kg
-    near *= near_kg
-    far *= far_kg
-    # moments of mass about the springs, and about the joint axes' origins
-    lever_kg_m = np.empty((3, 2, 6, *origin.shape[2:]))
-    carried_kg_m = _outward_sum(near + far)
-    np.subtract(carried_kg_m, near + spring_kg * spring, out=lever_kg_m[:, 0])
-    np.subtract(carried_kg_m, carried_kg * origin, out=lever_kg_m[:, 1])
-    moment = cross(lever_kg_m, g[:, None])
-    wrench = np.empty((2, 3, 6, *origin.shape[2:]))
-    wrench[0] = moment[:, 0]
-    wrench[1] = spring_kg * g
+    near_kg, far_kg, carried_kg = (kg.reshape(6, *ones) for kg in (arm.near_kg, arm.far_kg, arm.carried_kg))
+    beyond_kg = carried_kg - near_kg
+    # first moments of mass: of a link about its origin, of all that a link carries about the rover's origin
+    near_L_kg_m = near_kg * arm.near_p_L_m.reshape(3, 6, *ones)
+    own_L_kg_m = np.einsum("ijl...,jl->il...", X_LD.R, arm.far_kg * arm.far_p_C_m)
+    own_L_kg_m += far_kg * X_LD.p + near_L_kg_m
+    carried_kg_m = rotate(R_RL, own_L_kg_m)
+    carried_kg_m += (near_kg + far_kg) * origin
+    _outward_sum(carried_kg_m)
+    # the load on the joint axis, in the link's frame, and from it that on the spring
+    carried_kg_m -= carried_kg * origin
+    lever_L_kg_m, g_L = rotate_back(R_RL, carried_kg_m), rotate_back(R_RL, np.broadcast_to(g, origin.shape))
+    torque = lever_L_kg_m[0, 1:] * g_L[1, 1:] - lever_L_kg_m[1, 1:] * g_L[0, 1:]
+    lever_L_kg_m -= near_L_kg_m + beyond_kg * X_LD.p
+    moment_L, force_L = cross(lever_L_kg_m, g_L), beyond_kg * g_L
     if push is not None:
         force_N = push.force_R_N.reshape(3, 1, *(push.force_R_N.shape[1:] or ones))
-        p_RT = tool_pose(arm, frames, push.tool).p[:, None]
-        wrench[0] += cross(p_RT - spring, force_N)
-        wrench[1] += force_N
-        moment[:, 1] += cross(p_RT - origin, force_N)
-    new_strain = _yield(arm, frames, *np.einsum("ji...,kj...->ki...", R_RL, wrench))
-    torque = dot(moment[:, 1, 1:], R_RL[:, 2, 1:])
-    return new_strain, torque
+        push_L = rotate_back(R_RL, np.broadcast_to(force_N, origin.shape))
+        arm_L_m = rotate_back(R_RL, tool_pose(arm, frames, push.tool).p[:, None] - origin)
+        torque += arm_L_m[0, 1:] * push_L[1, 1:] - arm_L_m[1, 1:] * push_L[0, 1:]
+        moment_L += cross(arm_L_m - X_LD.p, push_L)
+        force_L += push_L
+    return _yield(arm, frames, moment_L, force_L), torque
 
 
 def _outward_sum(per_link: Array) -> Array:

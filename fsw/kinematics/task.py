@@ -8,7 +8,7 @@ import numpy as np
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import Frames, forward, joint_jacobian, tool_pose
 from fsw.kinematics.statics import load
-from fsw.kinematics.transforms import Array, Pose, compose, cross, dot, skew
+from fsw.kinematics.transforms import Array, Pose, cross, dot, rotate_back
 
 ROOT_TOLERANCE: Final = 5e-10
 """Forward check of a root: position [m] and axis [rad]."""
@@ -44,13 +44,12 @@ def try_pose(arm: Arm, tool: int, output_rad: Array, strain: Array | None, gravi
 
 def _sagged(frames: Frames, change: Array, X_RT: Pose) -> Pose:
     """Where the tool will be when the springs have taken a small change of strain (6, 6, n): first order."""
-    parts = np.empty((3, 3, *change.shape[1:]))
-    parts[0], parts[1], parts[2] = change[:3], change[3:], frames.X_LD.p
-    turns, shifts, spring = np.einsum("ij...,kj...->ki...", frames.X_RL.R, parts)
-    turn = turns.sum(axis=1)
-    lever = X_RT.p[:, None] - spring - frames.X_RL.p
-    p_m = X_RT.p + (cross(turns, lever) + shifts).sum(axis=1)
-    return Pose(X_RT.R + compose(skew(turn), X_RT.R), p_m)
+    R_RL = frames.X_RL.R
+    lever_L_m = rotate_back(R_RL, X_RT.p[:, None] - frames.X_RL.p) - frames.X_LD.p
+    screw_L = change.reshape(2, 3, *change.shape[1:]).copy()
+    screw_L[1] += cross(screw_L[0], lever_L_m)
+    turn, shift_m = np.einsum("ijl...,kjl...->ki...", R_RL, screw_L)
+    return Pose(X_RT.R + cross(turn[:, None], X_RT.R), X_RT.p + shift_m)
 
 
 def task_error(X_RT: Pose, p_RoTo_R_m: Array, approach_R: Array) -> Array:
