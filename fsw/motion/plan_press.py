@@ -101,16 +101,13 @@ def firm_N(config: Config) -> float:
 
 
 def touched(config: Config, joints: JointEstimate, tool: Tool) -> Pressing:
-    """A tool whose switch has just closed."""
-    arm, gravity = config.arm, joints.gravity_R_m_s2
+    """A tool whose switch has just closed: so little pushes it that friction does not count."""
+    arm, gravity, force_N = config.arm, joints.gravity_R_m_s2, config.params.motion.switch_force_N
     output = joints.motor_rad + Compensation().allowance(joints, standing(joints).gear_rad)
     free = tool_pose(arm, rest(arm, output, gravity).frames, tool)
-    axis, force_N = free.R[:, 0], config.params.motion.switch_force_N
-    touch = Pressing(tool, free.p, axis, force_N, joints.resolver_error_rad)
-    pushed = tool_pose(arm, rest(arm, output, gravity, touch.pushed).frames, tool)
-    # friction keeps it where it touched: it gives way along its axis only, and not aside as a free tool would
-    p = free.p + axis * (axis @ (pushed.p - free.p))
-    return replace(touch, p_RoTo_R_m=p, axis_R=pushed.R[:, 0])
+    push = Push(tool, -free.R[:, 0] * force_N)
+    pushed = tool_pose(arm, rest(arm, output, gravity, push).frames, tool)
+    return Pressing(tool, pushed.p, pushed.R[:, 0], force_N, joints.resolver_error_rad)
 
 
 def plan_press(

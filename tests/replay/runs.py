@@ -46,7 +46,9 @@ FRONT_OF_ROCK = (1.9539268, 0.10121064, 0.86020956)
 APXS_THERE = (29.631, -12.689, 120.225, -42.279, 113.491)
 APXS_ROCK = Surface((2.046, 0.1008, -0.2568), ROCK.normal_N)
 """Closer by 8 mm, as far as the arm bends under its weight."""
-DRILL_ROCK = Surface((2.048, 0.1004, -0.2534), ROCK.normal_N)
+NEAR_ROCK = Surface((2.044, 0.1012, -0.2602), ROCK.normal_N)
+"""By another 4 mm, for an arm that hangs higher."""
+DRILL_ROCK = Surface((2.046, 0.1008, -0.2568), ROCK.normal_N)
 TURRET_AT_ITS_STOP = (-87.7, -153.4, -157.8, -184.2, -21.627)
 DRILL_THERE = (31.006, -51.53, 114.065, 183.206, 200.107)
 
@@ -115,7 +117,7 @@ RUNS = (
         ((GuardedMove(Tool.APXS, beyond(0.04), IN), LONG),),
         "ContactMade",
         arm="calibrated:7",
-        world=World(surface=APXS_ROCK),
+        world=World(surface=NEAR_ROCK),
     ),
     ReferenceRun(
         "press",
@@ -141,7 +143,11 @@ RUNS = (
     ReferenceRun(
         "hardstop",
         TURRET_AT_ITS_STOP,
-        ((SetParam("hardstop.retreat_rad", 0.006), LONG), (Calibrate(Joint.TURRET), LONG)),
+        (
+            (SetParam("hardstop.retreat_rad", 0.005), LONG),
+            (SetParam("hardstop.fine_speed_rad_s", 0.003), LONG),
+            (Calibrate(Joint.TURRET), LONG),
+        ),
         "JointCalibrated",
         arm="as-built:5",
         known=False,
