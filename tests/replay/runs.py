@@ -145,7 +145,7 @@ RUNS = (
         TURRET_AT_ITS_STOP,
         (
             (SetParam("hardstop.retreat_rad", 0.005), LONG),
-            (SetParam("hardstop.fine_speed_rad_s", 0.003), LONG),
+            (SetParam("hardstop.fine_speed_rad_s", 0.0025), LONG),
             (Calibrate(Joint.TURRET), LONG),
         ),
         "JointCalibrated",
