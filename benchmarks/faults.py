@@ -239,7 +239,7 @@ class _Watch:
             self.refused |= isinstance(evr, CommandRefused)
         self._mode = self._mode if state.mode is Mode.FAULTED else state.mode
         self._follow()
-        presses = state.pressing is not None and state.pressing.force_N > 0
+        presses = self._mode is Mode.PRELOAD
         guarded = self._mode in (Mode.GUARDED, Mode.RETRACTING)
         kind = "pressed" if presses else "guarded" if guarded else "free"
         most_N = float(np.linalg.norm(tool_forces(loop.plant), axis=1).max())

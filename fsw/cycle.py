@@ -38,7 +38,7 @@ def step(
     state, joints, decided = _decide(config, state, joints, load, sensors, commands, usable)
     # at rest the last set-point is where the motors are, in today's encoder zero
     last_rad = joints.motor_rad if before.move is None else before.move.hold.motor_rad
-    moved, joints, pressing = _move(config, state, joints, load, sensors, usable)
+    moved, joints, pressing, planned_gap_rad = _move(config, state, joints, load, sensors, usable)
     seen, after = _protect(config, state, sensors, last_rad, bad, moved, joints, pressing)
     # built once, as a stage that changed a few fields of it would copy them all
     state = State(
@@ -47,7 +47,7 @@ def step(
         tool=state.tool,
         joints=joints,
         load=load,
-        planned_gap_rad=state.planned_gap_rad,
+        planned_gap_rad=planned_gap_rad,
         move=after.move,
         pressing=pressing,
         sequence=after.sequence,
@@ -94,9 +94,9 @@ def _decide(
 
 def _move(
     config: Config, state: State, joints: JointEstimate, load: LoadEstimate, sensors: Sensors, usable: bool
-) -> tuple[Guarded, JointEstimate, Pressing | None]:
+) -> tuple[Guarded, JointEstimate, Pressing | None, Array]:
     """The move under way, one cycle on, to be protected; with bad readings only the brakes go on."""
-    mode, move, pressing = state.mode, state.move, state.pressing
+    mode, move, pressing, gap_rad = state.mode, state.move, state.pressing, state.planned_gap_rad
     evrs: tuple[Evr, ...] = ()
     if move is not None and (usable or move.phase is Phase.BRAKE):
         result = advance(config, move, joints, load, sensors)
@@ -104,10 +104,11 @@ def _move(
             pressing = pressing_in(result.move or move)
         move, evrs = result.move, result.evrs
         mode = mode if result.end_mode is None else result.end_mode
+        gap_rad = gap_rad if result.gap_rad is None else result.gap_rad
         if result.stop is not None:
             joints, calibrated = _calibrate(config, joints, load, *result.stop)
             evrs = (calibrated, *evrs)
-    return Guarded(mode, move, state.sequence, state.fault, evrs), joints, pressing
+    return Guarded(mode, move, state.sequence, state.fault, evrs), joints, pressing, gap_rad
 
 
 def _calibrate(

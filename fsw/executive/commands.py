@@ -196,7 +196,13 @@ def _begin_move(config: Config, now: Situation, command: PlannedMove) -> Situati
     evrs: tuple[Evr, ...] = (CommandAccepted(name_of(command)),)
     if plan.branch is not None:
         evrs = (*evrs, BranchChosen(tool, plan.branch))
-    state = replace(now.state, mode=mode, tool=tool, move=move, pressing=None, planned_gap_rad=plan.gap_rad)
+    # a guarded move of a tool that touches already does not press it on
+    pressing = now.state.pressing if isinstance(command, GuardedMove) and touches(now, tool) else None
+    if pressing is not None and pressing.tool is not tool:
+        pressing = None
+    state = replace(
+        now.state, mode=mode, tool=tool, move=move, pressing=pressing, planned_gap_rad=plan.gap_rad
+    )
     return told(replace(now, state=state), *evrs)
 
 

@@ -24,7 +24,10 @@ def clear_fault(config: Config, now: Situation, command: ClearFault) -> Situatio
     if now.state.sequence is not None:
         now = sequence_over(now, CommandAborted(now.state.sequence.command))
     tool = _touching_tool(now) if mode is Mode.GUARDED else now.state.tool
-    now = replace(now, state=replace(now.state, mode=mode, tool=tool, fault=None))
+    pressing = now.state.pressing
+    if pressing is not None and pressing.tool is not tool:
+        pressing = None
+    now = replace(now, state=replace(now.state, mode=mode, tool=tool, pressing=pressing, fault=None))
     return told(now, FaultCleared(), CommandCompleted(name_of(command)))
 
 

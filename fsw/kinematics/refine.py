@@ -165,8 +165,8 @@ class _Newton:
     def moved(self, at: _Iterate, step: Array) -> _Iterate:
         """The state after a step, with what it taught about the load (Broyden's update).
 
-        What is missing then is known as well as the strain is: the load is asked again where the strain
-        changed by more. Near a double root it would lag by more than the slope.
+        The residual is no more accurate than the strain. Where the strain changed by more than the residual,
+        the load is computed once more; near a double root it would lag by more than the slope.
         """
         new = self._at(at.where, at.output_rad + step, at.strain, at.load_J)
         lags = np.flatnonzero(new.unrest > np.max(np.abs(new.residual), axis=0))

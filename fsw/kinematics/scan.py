@@ -99,8 +99,8 @@ def _nodes(
 ) -> tuple[Array, NDArray[np.intp], tuple[int, ...]]:
     """Poses (5, k) of the square arm at the nodes worth a look, where on the grid they are, and its shape.
 
-    The places are those on the flat grid, which has one azimuth more, where there is no node: all neighbours
-    of a node are on the grid then, if it goes round.
+    The places are those on the flat grid. It has one azimuth more, which is empty, so that the indices of
+    neighbours may wrap at both ends.
     """
     p, a = into_shoulder(s, p_m, approach)
     q1 = _azimuths(s, p - s.radius_m * a, grid)[..., None]

@@ -19,7 +19,7 @@ from fsw.messages import Flags, Sensors
 from fsw.motion import seek as seeking
 from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
 from fsw.motion.plan import Refusal, Stand, joints_at, standing
-from fsw.motion.plan_press import SURE, Press, Pressing, firm_N, plan_press, touched
+from fsw.motion.plan_press import SURE, Press, Pressing, firm_N, plan_press, press_limit_A, touched
 from fsw.motion.seek import Seek, limit_A
 from fsw.motion.trim import PressFit, corrected, felt_share, fitted
 
@@ -76,6 +76,8 @@ class Advance:
     end_mode: Mode | None = None
     stop: tuple[Joint, Found] | None = None
     """The hardstop that was found, and whose."""
+    gap_rad: Array | None = None
+    """The backlash that new paths allow for at their end; None without new paths."""
 
 
 def advance(
@@ -152,8 +154,7 @@ def _run(config: Config, move: Move, joints: JointEstimate, sensors: Sensors) ->
     if move.guarded is not None and move.contact_at is None:
         switch = closed_switch(move.guarded, sensors.switch_closed)
         if switch is not None:
-            made = ContactMade(switch, gone(move))
-            return Advance(_firmed(config, move, move.guarded, joints), (made,))
+            return _firmed(config, move, move.guarded, joints, ContactMade(switch, gone(move)))
     path, time_s = move.paths[0], (move.ticks + 1) * CYCLE_S
     running = _on(move, path.at(time_s))
     if time_s < path.duration_s:
@@ -166,16 +167,30 @@ def _run(config: Config, move: Move, joints: JointEstimate, sensors: Sensors) ->
     return Advance(_enter(running, Phase.SETTLE))
 
 
-def _firmed(config: Config, move: Move, tool: Tool, joints: JointEstimate) -> Move:
-    """A guarded move whose tool has touched: it stops, and presses just enough to stay in contact."""
+def _firmed(config: Config, move: Move, tool: Tool, joints: JointEstimate, made: ContactMade) -> Advance:
+    """A guarded move whose tool has touched: it stops, and presses just enough to stay in contact.
+
+    A tool that touched before it moved is pressed already. One whose press is refused stays where its switch
+    closed.
+    """
     still = Setpoint(move.hold.motor_rad, np.zeros_like(move.hold.rate_rad_s))
-    move = replace(move, hold=still, contact_at=gone(move))
+    move = replace(move, hold=still, contact_at=made.travel_m)
     here = joints_at(joints, Stand(still.motor_rad, standing(joints).gear_rad))
-    planned = plan_press(config, here, touched(config, here, tool), firm_N(config))
-    if isinstance(planned, Refusal):  # as at the end of its reach; it does touch
-        return _enter(move, Phase.SETTLE)
+    touch = touched(config, here, tool)
+    # as if its stiffness were sure: of so little it cannot be too much
+    planned = plan_press(config, here, replace(touch, share_unsure=SURE), firm_N(config))
+    if made.travel_m == 0 or isinstance(planned, Refusal):
+        return Advance(_enter(move, Phase.SETTLE), (made,))
     plan, press = planned
-    return replace(move, paths=plan.paths, press=press, ticks=0, travelled=0.0)
+    on = replace(
+        move,
+        limit_A=press_limit_A(config, here, press),
+        paths=plan.paths,
+        press=replace(press, start=touch),
+        ticks=0,
+        travelled=0.0,
+    )
+    return Advance(on, (made,), gap_rad=plan.gap_rad)
 
 
 def _press(
@@ -207,7 +222,8 @@ def _trimmed(
         heard = (ForceFelt(press.start.tool, felt.along, felt.across),)
     settled = replace(press, start=pressing, end_model_N=pressing.model_N)
     near = abs(press.wanted_N - pressing.force_N) < NEAR_N
-    # from where the plan left off: a gap by which an estimate differs from it would be crossed to and fro
+    # from where the plan left off: a gap by which an estimate differs from it would be crossed to and fro;
+    # its gears are wound up by the force as it is believed to be now
     wound = press.torque_per_N * (pressing.force_N - press.after(gone(move)).force_N)
     end = replace(press.end, gear_rad=press.end.gear_rad + wound / config.arm.gear_stiffness_Nm_rad)
     stands = joints_at(joints, end)
@@ -217,7 +233,7 @@ def _trimmed(
     plan, rest = planned
     again = PressFit(fit.legs - 1) if fit.legs > 0 else None
     on = replace(move, phase=Phase.RUN, paths=plan.paths, press=rest, fit=again, ticks=0, travelled=0.0)
-    return Advance(on, heard)
+    return Advance(on, heard, gap_rad=plan.gap_rad)
 
 
 def gone(move: Move) -> float:

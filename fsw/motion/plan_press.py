@@ -15,7 +15,7 @@ from fsw.kinematics.transforms import Array
 from fsw.motion.clear import blocked
 from fsw.motion.compensation import Compensation
 from fsw.motion.paths import Travel
-from fsw.motion.plan import TOO_SOFT, Plan, Refusal, Stand, over_limits, standing, worst_limit
+from fsw.motion.plan import TOO_SOFT, Plan, Refusal, Stand, over_limits, worst_limit
 from fsw.motion.plan_knots import plan_through
 
 STEPS: Final = 20
@@ -101,12 +101,11 @@ def firm_N(config: Config) -> float:
 
 
 def touched(config: Config, joints: JointEstimate, tool: Tool) -> Pressing:
-    """A tool whose switch has just closed: so little pushes it that friction does not count."""
+    """A tool that touches with what closes its switch: so little pushes it that friction does not count."""
     arm, gravity, force_N = config.arm, joints.gravity_R_m_s2, config.params.motion.switch_force_N
-    output = joints.motor_rad + Compensation().allowance(joints, standing(joints).gear_rad)
-    free = tool_pose(arm, rest(arm, output, gravity).frames, tool)
+    free = tool_pose(arm, rest(arm, joints.output_rad, gravity).frames, tool)
     push = Push(tool, -free.R[:, 0] * force_N)
-    pushed = tool_pose(arm, rest(arm, output, gravity, push).frames, tool)
+    pushed = tool_pose(arm, rest(arm, joints.output_rad, gravity, push).frames, tool)
     return Pressing(tool, pushed.p, pushed.R[:, 0], force_N, joints.resolver_error_rad)
 
 
@@ -130,14 +129,12 @@ def plan_press(
         k = int(np.argmax(over > 0))
         return Refusal(f"at {pressing.share * forces[k]:.1f} N, {worst_limit(config, output[:, k])}")
     pushed = rest(config.arm, output, joints.gravity_R_m_s2, pressing.push(forces))
-    if not np.all(pushed.converged):
+    carried = rest(config.arm, output, joints.gravity_R_m_s2, pressing.push(pressing.share * forces))
+    if not (np.all(pushed.converged) and np.all(carried.converged)):
         return Refusal(TOO_SOFT)
-    load_Nm = pushed.torque_Nm
+    load_Nm, carried_Nm = pushed.torque_Nm, carried.torque_Nm
     travel = Travel(change_N, preload.rate_N_s, preload.rate_N_s / RAMP_S, 2 * preload.rate_N_s / RAMP_S**2)
     # gaps are crossed under the believed force; what the model winds gears up beyond that is overdrive
-    carried_Nm = rest(
-        config.arm, output, joints.gravity_R_m_s2, pressing.push(pressing.share * forces)
-    ).torque_Nm
     overdriven = output - (load_Nm - carried_Nm) / config.arm.gear_stiffness_Nm_rad[:, None]
     plan = plan_through(config, joints, overdriven, carried_Nm, Compensation(), travel)
     meeting = blocked(config, joints, plan.paths, config.params.collision.padding_m, pressing.tool)

@@ -89,7 +89,7 @@ def fitted(
     push = carried - (load.torque_Nm - load.of_push_Nm)
     # in its gap a gear passes nothing on
     held = held_on_side(joints.reference.half_gap_rad, joints.bounds, np.zeros_like(push))
-    # the friction of a motor that has yet to break away is not what it is in motion
+    # its encoder counts: the friction of a motor that has yet to break away is not what it is in motion
     follows = joints.motor_rate_rad_s * hold.rate_rad_s > 0.5 * hold.rate_rad_s**2
     says = held & follows
     return fit.after(pressing.model_N, load.of_push_Nm / pressing.share, push, says)
@@ -113,7 +113,7 @@ def felt_share(
     noise_Nm_N = np.hypot(reading_Nm, STEP * CROSSED_NM) / np.sqrt(spread_N2)
     levers = np.column_stack((model_Nm_N, _levers_across(config, joints, pressing)[says]))
     levers /= noise_Nm_N[:, None]
-    likely = np.array([pressing.share, 0.0, 0.0, -TWIST_M * np.sign(turn_rad)])
+    likely = np.array([pressing.share, 0.0, 0.0, -pressing.share * TWIST_M * np.sign(turn_rad)])
     spread = np.array([pressing.share_unsure, ACROSS, ACROSS, TWIST_M])
     information = np.diag(spread**-2) + levers.T @ levers
     surprise = levers.T @ (push_Nm_N / noise_Nm_N - levers @ likely)
