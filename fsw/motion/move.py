@@ -215,7 +215,7 @@ def _trimmed(
     if press.change_N <= 0:
         return None
     heard: tuple[Evr, ...] = ()
-    felt = felt_share(config, fit, joints, press.after(gone(move)), press.turn_rad)
+    felt = felt_share(config, fit, joints, press.after(gone(move)))
     pressing = replace(press.after(gone(move)), share_unsure=SURE)
     if felt is not None:
         pressing = corrected(press, felt)

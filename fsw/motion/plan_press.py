@@ -78,8 +78,6 @@ class Press:
     """By how much each joint's load rises with the force, (5,)."""
     free_Nm: Array
     """What the joints carry without it, (5,)."""
-    turn_rad: float
-    """How far the tool turns about its axis: five joints cannot keep it from that."""
     end: Stand
     """Of the motors and gears."""
 
@@ -142,9 +140,7 @@ def plan_press(
         return Refusal(meeting)
     per_N = (load_Nm[:, -1] - load_Nm[:, 0]) / (end_N - pressing.model_N)
     free_Nm = load_Nm[:, 0] - per_N * pressing.model_N
-    R_RT = tool_pose(config.arm, pushed.frames, pressing.tool).R
-    turn_rad = float(R_RT[:, 2, 0] @ R_RT[:, 1, -1])
-    return plan, Press(pressing, end_N, force_N, per_N, free_Nm, turn_rad, plan.end)
+    return plan, Press(pressing, end_N, force_N, per_N, free_Nm, plan.end)
 
 
 def _first_aim(pressing: Pressing, force_N: float) -> float:

@@ -3,7 +3,7 @@
 While the overdrive grows, the load of every joint rises by what the rock gives back; friction, weight and
 bias stay what they are and drop out. Five loads against a force of three components and a torque about the
 tool's axis: an arm of five joints cannot keep a tool from turning about that axis, so the pads slide, and
-their friction turns it back.
+their friction resists.
 """
 
 from dataclasses import dataclass, field, replace
@@ -95,9 +95,7 @@ def fitted(
     return fit.after(pressing.model_N, load.of_push_Nm / pressing.share, push, says)
 
 
-def felt_share(
-    config: Config, fit: PressFit, joints: JointEstimate, pressing: Pressing, turn_rad: float
-) -> FeltShare | None:
+def felt_share(config: Config, fit: PressFit, joints: JointEstimate, pressing: Pressing) -> FeltShare | None:
     """What the rock gives back for a newton of the model; None if that cannot be.
 
     The likeliest of what was likely beforehand and of what the joints that moved tell, by its noise.
@@ -113,7 +111,7 @@ def felt_share(
     noise_Nm_N = np.hypot(reading_Nm, STEP * CROSSED_NM) / np.sqrt(spread_N2)
     levers = np.column_stack((model_Nm_N, _levers_across(config, joints, pressing)[says]))
     levers /= noise_Nm_N[:, None]
-    likely = np.array([pressing.share, 0.0, 0.0, -pressing.share * TWIST_M * np.sign(turn_rad)])
+    likely = np.array([pressing.share, 0.0, 0.0, 0.0])
     spread = np.array([pressing.share_unsure, ACROSS, ACROSS, TWIST_M])
     information = np.diag(spread**-2) + levers.T @ levers
     surprise = levers.T @ (push_Nm_N / noise_Nm_N - levers @ likely)

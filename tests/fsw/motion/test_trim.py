@@ -10,13 +10,11 @@ from fsw.dictionary.evrs import ForceFelt, Preloaded
 from fsw.dictionary.joints import Tool
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.motion.move import NEAR_N, Phase
-from fsw.motion.plan_press import plan_press
+from fsw.motion.plan_press import plan_press, touched
 from fsw.motion.trim import PressFit, felt_share
 from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
 
 FRICTION_NM = np.array([170.0, 170.0, 170.0, 39.0, 39.0])
-PADS_M, PAD_FRICTION = 0.045, 0.5
-"""A tool turns about its axis while it is pressed: its pads slide, so far from the axis."""
 
 
 def pressed(
@@ -62,8 +60,7 @@ def currents(rig, stiffness: float, friction: float, offset_Nm: float, across) -
     if move.phase is not Phase.RUN:
         return np.full(5, 1e-9 * state.tick)
     of_model = move.press.torque_per_N * state.pressing.model_N
-    twist_m = -stiffness * PADS_M * PAD_FRICTION * np.sign(move.press.turn_rad)
-    per_N = (stiffness - 1.0) * move.press.torque_per_N + levers_across(rig) @ np.array([*across, twist_m])
+    per_N = (stiffness - 1.0) * move.press.torque_per_N + levers_across(rig) @ np.array(across)
     # the load that flight software believes in holds the believed push already
     extra = per_N * state.pressing.model_N + (1 - state.pressing.share) * of_model
     resisting = friction * FRICTION_NM * np.sign(move.hold.rate_rad_s)
@@ -72,12 +69,11 @@ def currents(rig, stiffness: float, friction: float, offset_Nm: float, across) -
 
 
 def levers_across(rig) -> np.ndarray:
-    """Loads (5, 3) by a newton along the tool's y axis, one along z, and a newton metre about x."""
+    """Loads (5, 2) by a newton along the tool's y axis, and by one along its z axis."""
     arm, state = rig.config.arm, rig.state
     frames = forward(arm, state.joints.output_rad)
     X_RT = tool_pose(arm, frames, state.pressing.tool)
-    J = joint_jacobian(frames, X_RT.p)
-    return np.column_stack((J[3:].T @ X_RT.R[:, 1:], J[:3].T @ X_RT.R[:, 0]))
+    return joint_jacobian(frames, X_RT.p)[3:].T @ X_RT.R[:, 1:]
 
 
 @pytest.mark.parametrize("stiffness", [0.8, 0.9, 1.15])
@@ -116,16 +112,16 @@ def test_a_force_across_is_told_from_the_one_along(across):
 @pytest.mark.parametrize(("share", "is_believed"), [(0.3, False), (0.8, True), (3.0, False)])
 def test_what_cannot_be_is_not_believed(share, is_believed):
     rig = guarded_in_contact()
-    joints, pressing = rig.state.joints, rig.state.pressing
-    press = plan_press(rig.config, joints, pressing, 300.0)[1]
-    per_N = press.torque_per_N
+    joints, pressing = rig.state.joints, touched(rig.config, rig.state.joints, Tool.APXS)
+    per_N = plan_press(rig.config, joints, pressing, 300.0)[1].torque_per_N
     fit = PressFit(legs=0)
     for model_N in np.linspace(20.0, 280.0, 1000):
         fit = fit.after(model_N, per_N * model_N, share * per_N * model_N, np.ones(5, bool))
-    felt = felt_share(rig.config, fit, joints, pressing, press.turn_rad)
+    felt = felt_share(rig.config, fit, joints, pressing)
     assert (felt is not None) == is_believed
 
 
 def test_nothing_felt_tells_nothing():
     rig = guarded_in_contact()
-    assert felt_share(rig.config, PressFit(), rig.state.joints, rig.state.pressing, 0.0) is None
+    pressing = touched(rig.config, rig.state.joints, Tool.APXS)
+    assert felt_share(rig.config, PressFit(), rig.state.joints, pressing) is None
