@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.records import at_targets, replaced
+from fsw.kinematics.records import at_targets
 from fsw.kinematics.task import ROOT_TOLERANCE, task_error, task_jacobian, try_pose
 from fsw.kinematics.transforms import Array, Flags, norm, wrap_angle
 
@@ -15,6 +15,8 @@ TASK_TOLERANCE: Final = 1e-11
 """Of a root: position [m], axis [rad] and what the strains still change."""
 STEP_TOLERANCE_RAD: Final = 1e-7
 LONGEST_STEP_RAD: Final = 0.4
+PASSES: Final = 2
+"""Of load and deflection at every look; with one, the strain lags by more than a double root's slope."""
 PATIENCE: Final = 15
 """A start that is not close to a root after so many steps is given up, and any after as many more."""
 HOPELESS: Final = 1e-3
@@ -163,23 +165,16 @@ class _Newton:
         return self._at(where, output_rad, strain, np.zeros((5, 5, where.size)))
 
     def moved(self, at: _Iterate, step: Array) -> _Iterate:
-        """The state after a step, with what it taught about the load (Broyden's update).
-
-        The residual is no more accurate than the strain. Where the strain changed by more than the residual,
-        the load is computed once more; near a double root it would lag by more than the slope.
-        """
+        """The state after a step, with what it taught about the load (Broyden's update)."""
         new = self._at(at.where, at.output_rad + step, at.strain, at.load_J)
-        lags = np.flatnonzero(new.unrest > np.max(np.abs(new.residual), axis=0))
-        if lags.size:
-            behind = at_targets(new, lags)
-            again = self._at(behind.where, behind.output_rad, behind.strain, behind.load_J)
-            new = replaced(new, lags, again)
         expected = np.einsum("ij...,j...->i...", 0.5 * (at.J + new.J) + at.load_J, step)
         surprise = (new.residual - at.residual - expected) / np.maximum((step * step).sum(axis=0), 1e-300)
         return replace(new, load_J=at.load_J + surprise[:, None] * step[None])
 
     def _at(self, where: NDArray[np.intp], output_rad: Array, strain: Array, load_J: Array) -> _Iterate:
         tried = try_pose(self.arm, self.tool, output_rad, strain, self.gravity_R_m_s2)
+        for _ in range(PASSES - 1 if self.gravity_R_m_s2.any() else 0):
+            tried = try_pose(self.arm, self.tool, output_rad, tried.strain, self.gravity_R_m_s2)
         p, a = self.p[:, where], self.a[:, where]
         return _Iterate(
             where,

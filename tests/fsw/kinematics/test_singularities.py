@@ -1,5 +1,7 @@
 """Next to double roots, where roots of the real arm meet, part or multiply: all are found, and none twice."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -213,6 +215,23 @@ def test_a_double_root_is_told_once():
     X = made.trial.tool_pose(roots[:, first] + 0.5 * wrap_angle(roots[:, second] - roots[:, first]))
     error = np.abs(task_error(X, made.p, made.a)).max(axis=0)
     assert error.min() > ROOT_TOLERANCE
+
+
+def test_two_roots_of_a_hanging_arm_a_hair_apart_are_both_found():
+    """Newton steps with a strain of the step before lead from every start to neither."""
+    q = (
+        0.8001754831805434,
+        -1.6847864193559376,
+        0.06949396747751735,
+        2.1244899264271315,
+        1.5740133885359566,
+    )
+    gravity = np.array([0.7960427713268317, -0.503919487662086, 3.5894152805398094])
+    trial = replace(trial_of("nominal", "mars", Tool.DRILL), gravity_R_m_s2=gravity)
+    made = made_from(trial, np.array(q)[:, None])
+    roots = made.answers.output_rad[:, claimed(made.answers)[:, 0], 0]
+    assert roots.shape[1] == 2
+    assert np.abs(roots - np.array(q)[:, None]).max(axis=0).min() < 1e-7
 
 
 def test_no_further_slots_are_made_where_no_branch_needs_them():
