@@ -31,6 +31,7 @@ def plan_through(
     here = standing(joints)
     paths: list[Path] = []
     gear, knots = here.gear_rad, [here.motor_rad]
+    unmade = np.zeros_like(here.gear_rad)
     first = output_rad[:, 0] - compensation.allowance(joints, gear)
     if np.abs(first - here.motor_rad).max() > STILL_RAD:
         paths.append(joint_path(config, here.motor_rad, first))
@@ -38,7 +39,10 @@ def plan_through(
     for k, moved in enumerate(np.diff(output_rad).T, start=1):
         bounds = bounds_under(config, joints.reference.half_gap_rad, load_Nm[:, k])
         wound = (load_Nm[:, k] - load_Nm[:, k - 1]) / stiffness
-        new_gear = gear_moved(gear + wound, moved, bounds)
+        # many knots that are each too little to drag an output add up
+        unmade = unmade + moved
+        new_gear = gear_moved(gear + wound, unmade, bounds)
+        unmade = np.where(np.abs(unmade) > STILL_RAD, 0.0, unmade)
         allowance = compensation.allowance(joints, new_gear)
         crossed = allowance - compensation.allowance(joints, gear + wound)
         if np.abs(crossed).max() > STILL_RAD:

@@ -8,11 +8,16 @@ from sim.arms import arm_named
 from sim.initialisation import true_reference
 from sim.scenario.file import shipped
 
+MISSES = {("calibrated:3", "sampling")}
+"""While the press is released, the force across the tool is too large a share: docs/jobs.md."""
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(shipped()))
 @pytest.mark.parametrize("arm_name", ["calibrated:1", "calibrated:2", "calibrated:3"])
-def test_a_job_is_done_on_an_arm_whose_parameters_are_its_own(name, arm_name):
+def test_a_job_is_done_on_an_arm_whose_parameters_are_its_own(name, arm_name, request):
+    if (arm_name, name) in MISSES:
+        request.applymarker(pytest.mark.xfail(strict=True, reason="a release leaves force across the tool"))
     assert ran_on(arm_name, name, true_reference(arm_named(arm_name))).failed == ()
 
 

@@ -118,7 +118,7 @@ def test_the_drill_presses_with_the_force_and_neither_slips_nor_leans():
     moved = np.array(places) - places[0]
     slip = np.linalg.norm(moved - np.outer(moved @ axis, axis), axis=1)
     assert loop.state.mode is Mode.DEPLOYED
-    assert pressed == [pytest.approx(300.0, rel=0.01), pytest.approx(0.0, abs=1.0)]
+    assert pressed == [pytest.approx(300.0, rel=0.02), pytest.approx(0.0, abs=1.0)]
     assert normal.max() < 1.05 * 300.0
     assert np.max(lateral[normal > PRESSED_N] / normal[normal > PRESSED_N]) < 0.35
     assert slip.max() < 1e-3
