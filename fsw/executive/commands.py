@@ -52,6 +52,7 @@ from fsw.executive.situation import (
     not_calibrated,
     not_in_mode,
     not_now,
+    pressing_of,
     refused,
     told,
     touches,
@@ -197,9 +198,8 @@ def _begin_move(config: Config, now: Situation, command: PlannedMove) -> Situati
     if plan.branch is not None:
         evrs = (*evrs, BranchChosen(tool, plan.branch))
     # a guarded move of a tool that touches already does not press it on
-    pressing = now.state.pressing if isinstance(command, GuardedMove) and touches(now, tool) else None
-    if pressing is not None and pressing.tool is not tool:
-        pressing = None
+    stays = isinstance(command, GuardedMove) and touches(now, tool)
+    pressing = pressing_of(now, tool) if stays else None
     state = replace(
         now.state, mode=mode, tool=tool, move=move, pressing=pressing, planned_gap_rad=plan.gap_rad
     )

@@ -9,6 +9,7 @@ from fsw.dictionary.modes import Mode
 from fsw.executive.modes import Event, after
 from fsw.executive.steps import Step
 from fsw.messages import Flags
+from fsw.motion.plan_press import Pressing
 from fsw.state import State
 
 
@@ -27,6 +28,12 @@ class Situation:
 def touches(now: Situation, tool: Tool) -> bool:
     """Whether a contact switch of a tool is closed."""
     return any(now.closed[switch] for switch in SWITCHES_OF[tool])
+
+
+def pressing_of(now: Situation, tool: Tool) -> Pressing | None:
+    """What a tool presses with; None where another tool presses, or none does."""
+    pressing = now.state.pressing
+    return pressing if pressing is not None and pressing.tool is tool else None
 
 
 def told(now: Situation, *evrs: Evr) -> Situation:

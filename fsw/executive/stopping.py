@@ -8,7 +8,7 @@ from fsw.dictionary.evrs import CommandAborted, CommandCompleted, Evr, FaultClea
 from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
 from fsw.dictionary.modes import Mode
 from fsw.executive.modes import TRANSITIONS, Event, after
-from fsw.executive.situation import Situation, name_of, refused, told
+from fsw.executive.situation import Situation, name_of, pressing_of, refused, told
 from fsw.executive.stow import at_stow, stop_event
 from fsw.motion.move import stop
 from fsw.motion.plan_press import firm_N
@@ -24,10 +24,8 @@ def clear_fault(config: Config, now: Situation, command: ClearFault) -> Situatio
     if now.state.sequence is not None:
         now = sequence_over(now, CommandAborted(now.state.sequence.command))
     tool = _touching_tool(now) if mode is Mode.GUARDED else now.state.tool
-    pressing = now.state.pressing
-    if pressing is not None and pressing.tool is not tool:
-        pressing = None
-    now = replace(now, state=replace(now.state, mode=mode, tool=tool, pressing=pressing, fault=None))
+    state = replace(now.state, mode=mode, tool=tool, pressing=pressing_of(now, tool), fault=None)
+    now = replace(now, state=state)
     return told(now, FaultCleared(), CommandCompleted(name_of(command)))
 
 

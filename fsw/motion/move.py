@@ -18,7 +18,7 @@ from fsw.kinematics.transforms import Array
 from fsw.messages import Flags, Sensors
 from fsw.motion import seek as seeking
 from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
-from fsw.motion.plan import Refusal, Stand, joints_at, standing
+from fsw.motion.plan import Refusal, joints_at
 from fsw.motion.plan_press import SURE, Press, Pressing, firm_N, plan_press, press_limit_A, touched
 from fsw.motion.seek import Seek, limit_A
 from fsw.motion.trim import PressFit, corrected, felt_share, fitted
@@ -175,12 +175,15 @@ def _firmed(config: Config, move: Move, tool: Tool, joints: JointEstimate, made:
     """
     still = Setpoint(move.hold.motor_rad, np.zeros_like(move.hold.rate_rad_s))
     move = replace(move, hold=still, contact_at=made.travel_m)
-    here = joints_at(joints, Stand(still.motor_rad, standing(joints).gear_rad))
+    settling = Advance(_enter(move, Phase.SETTLE), (made,))
+    if made.travel_m == 0:
+        return settling
+    here = replace(joints, motor_rad=still.motor_rad)
     touch = touched(config, here, tool)
     # as if its stiffness were sure: of so little it cannot be too much
     planned = plan_press(config, here, replace(touch, share_unsure=SURE), firm_N(config))
-    if made.travel_m == 0 or isinstance(planned, Refusal):
-        return Advance(_enter(move, Phase.SETTLE), (made,))
+    if isinstance(planned, Refusal):
+        return settling
     plan, press = planned
     on = replace(
         move,
@@ -215,8 +218,9 @@ def _trimmed(
     if press.change_N <= 0:
         return None
     heard: tuple[Evr, ...] = ()
-    felt = felt_share(config, fit, joints, press.after(gone(move)))
-    pressing = replace(press.after(gone(move)), share_unsure=SURE)
+    planned_for = press.after(gone(move))
+    felt = felt_share(config, fit, joints, planned_for)
+    pressing = replace(planned_for, share_unsure=SURE)
     if felt is not None:
         pressing = corrected(press, felt)
         heard = (ForceFelt(press.start.tool, felt.along, felt.across),)
@@ -224,7 +228,7 @@ def _trimmed(
     near = abs(press.wanted_N - pressing.force_N) < NEAR_N
     # from where the plan left off: a gap by which an estimate differs from it would be crossed to and fro;
     # its gears are wound up by the force as it is believed to be now
-    wound = press.torque_per_N * (pressing.force_N - press.after(gone(move)).force_N)
+    wound = press.torque_per_N * (pressing.force_N - planned_for.force_N)
     end = replace(press.end, gear_rad=press.end.gear_rad + wound / config.arm.gear_stiffness_Nm_rad)
     stands = joints_at(joints, end)
     planned = None if near else plan_press(config, stands, pressing, press.wanted_N)
