@@ -48,36 +48,36 @@ test: $(VENV)/ready
 
 bench: $(VENV)/ready
 	@$(call say,measuring; leave the machine alone for two minutes)
-	@$(BIN)/python -m benchmarks.run
+	@$(BIN)/python -m validation.run
 
 # Each in a minute of one core at most; whether it is in bounds is its exit status.
 brief: $(VENV)/ready
 	@$(call say,every campaign in brief in $(WORKERS) processes)
-	@$(BIN)/python -m benchmarks.brief --workers $(WORKERS) $(ARGS)
+	@$(BIN)/python -m validation.brief --workers $(WORKERS) $(ARGS)
 
 campaign: $(VENV)/ready
 	@$(call say,twenty million targets in $(WORKERS) processes; this takes the better part of an hour)
-	@$(BIN)/python -m benchmarks.kinematics --targets 10000000 --vectors 10000000 --workers $(WORKERS) $(ARGS)
+	@$(BIN)/python -m validation.kinematics --targets 10000000 --vectors 10000000 --workers $(WORKERS) $(ARGS)
 
 accuracy: $(VENV)/ready
 	@$(call say,arms against the error budget in $(WORKERS) processes; this takes the better part of an hour)
-	@$(BIN)/python -m benchmarks.monte_carlo --workers $(WORKERS) $(ARGS)
+	@$(BIN)/python -m validation.monte_carlo --workers $(WORKERS) $(ARGS)
 
 calibration: $(VENV)/ready
 	@$(call say,calibrating twenty arms in $(WORKERS) processes; with ARGS=--closed-loop this takes half an hour)
-	@$(BIN)/python -m benchmarks.calibration --workers $(WORKERS) $(ARGS)
+	@$(BIN)/python -m validation.calibration --workers $(WORKERS) $(ARGS)
 
 ur10: $(VENV)/ready
 	@$(call say,calibrating the UR10; this takes a minute)
-	@$(BIN)/python -m benchmarks.ur10 $(ARGS)
+	@$(BIN)/python -m validation.ur10 $(ARGS)
 
 joints: $(VENV)/ready
 	@$(call say,hardstops and backlash in $(WORKERS) processes; this takes the better part of an hour)
-	@$(BIN)/python -m benchmarks.joints --workers $(WORKERS) $(ARGS)
+	@$(BIN)/python -m validation.joints --workers $(WORKERS) $(ARGS)
 
 jobs: $(VENV)/ready
 	@$(call say,scenarios, tool changes, contacts and faults in $(WORKERS) processes; this takes the better part of two hours)
-	@$(BIN)/python -m benchmarks.jobs --workers $(WORKERS) $(ARGS)
+	@$(BIN)/python -m validation.jobs --workers $(WORKERS) $(ARGS)
 
 # What was stopped goes on. SEED names other cases, OUT another folder.
 SEED ?= 1
@@ -90,7 +90,7 @@ blind: $(VENV)/ready
 
 killed: $(VENV)/ready
 	@$(call say,killing recorded runs at random moments; this takes ten minutes)
-	@$(BIN)/python -m benchmarks.killed $(ARGS)
+	@$(BIN)/python -m validation.killed $(ARGS)
 
 references: $(VENV)/ready
 	@$(call say,making the reference runs anew)
@@ -98,13 +98,13 @@ references: $(VENV)/ready
 
 damage: $(VENV)/ready
 	@$(call say,flipping two thousand bits of logs; this takes five minutes)
-	@$(BIN)/python -m benchmarks.damage $(ARGS)
+	@$(BIN)/python -m validation.damage $(ARGS)
 
 # Optional, and not in the lock: atheris lets coverage guide the changes; without it they are made blindly.
 fuzz: $(VENV)/ready
 	@$(INSTALL) --only-binary :all: "atheris>=3" || $(call say,atheris was not installed; pip says why above)
 	@$(call say,a minute of broken files)
-	@$(BIN)/python -m benchmarks.fuzz $(ARGS)
+	@$(BIN)/python -m validation.fuzz $(ARGS)
 
 # Optional, and not in the lock. Without its dependencies, which are for URDF files and take 240 MB: what is used
 # of EAIK needs numpy alone. Where no wheel fits or no index answers, the tests are skipped and say so.
@@ -113,7 +113,7 @@ oracle: $(VENV)/ready
 	@$(INSTALL) --no-deps --only-binary :all: "eaik>=1.2" || $(call say,EAIK was not installed; pip says why above)
 	@if $(BIN)/python -c 'import eaik.pybindings.EAIK' 2>/dev/null; then \
 	  $(BIN)/python -m pytest -q tests/fsw/kinematics/test_eaik.py >&2 && \
-	  $(BIN)/python -m benchmarks.oracle --targets 100000 $(ARGS); \
+	  $(BIN)/python -m validation.oracle --targets 100000 $(ARGS); \
 	else $(call say,there is no EAIK for this Python: nothing was compared); fi
 
 # Optional, and not in the lock. Where no wheel fits or no index answers, the tests are skipped and say so.

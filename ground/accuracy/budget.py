@@ -23,7 +23,7 @@ from ground.accuracy.moments import SquaredLength, pooled_quantile, squared_leng
 from ground.accuracy.poses import Poses, workspace_poses
 from ground.accuracy.propagate import Sensitivity, sensitivity
 from ground.accuracy.sources import Case, ErrorModel, is_compensated
-from ground.progress import Progress
+from ground.common.progress import Progress
 
 OURS: Final = "moments"
 COVERAGE: Final = 0.9973

@@ -11,9 +11,9 @@ from ground.accuracy.budget import Budget, budget
 from ground.accuracy.paper import TABLE_3, TABLE_4, Row
 from ground.accuracy.reproduce import Reproduced, reproduce
 from ground.accuracy.sources import ErrorModel, error_model
-from ground.outputs import BadOutput, check_output
-from ground.progress import Progress
-from ground.request import BadRequest, check_apart, check_seed, chosen_arm, tilted_world
+from ground.common.files import BadOutput, check_output
+from ground.common.progress import Progress
+from ground.common.requests import BadRequest, check_apart, check_seed, chosen_arm, tilted_world
 
 ALL: Final = "all"
 POSES: Final = (100, 200_000)

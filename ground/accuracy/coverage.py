@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import binom
 
 from fsw.kinematics.transforms import Array
-from ground.binomial import interval
+from ground.common.rates import interval
 
 CONFIDENCE: Final = 0.95
 

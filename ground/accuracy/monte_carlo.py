@@ -12,10 +12,10 @@ from fsw.dictionary.params import Params
 from ground.accuracy.places import Measured
 from ground.accuracy.sources import error_model
 from ground.accuracy.trial import How, built_trial, drawn_trial
-from ground.pool import Runner
-from ground.progress import Progress
-from ground.request import BadRequest
-from ground.results_file import ResultsFile
+from ground.common.checkpoint import ResultsFile
+from ground.common.pool import Runner
+from ground.common.progress import Progress
+from ground.common.requests import BadRequest
 
 Built = Literal["drawn", "calibrated", "as-built"]
 

@@ -19,11 +19,11 @@ from ground.accuracy.places import Measured
 from ground.accuracy.sources import ErrorModel, error_model
 from ground.accuracy.trial import How
 from ground.accuracy.variance import Spreads, spreads
-from ground.outputs import BadOutput, check_output
-from ground.pool import on_cluster, on_this_machine
-from ground.progress import Progress
-from ground.request import BadRequest, check_apart, check_seed, chosen_arm, params_for
-from ground.results_file import ResultsFile
+from ground.common.checkpoint import ResultsFile
+from ground.common.files import BadOutput, check_output
+from ground.common.pool import on_cluster, on_this_machine
+from ground.common.progress import Progress
+from ground.common.requests import BadRequest, check_apart, check_seed, chosen_arm, params_for
 from sim.world import World
 
 ARMS: Final = (1, 1_000_000)

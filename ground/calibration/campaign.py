@@ -14,7 +14,7 @@ from ground.calibration.data import Campaign
 from ground.calibration.frames import FewTargets
 from ground.calibration.poses import PAPER_GROUPS, Group, branch_name, group_poses
 from ground.calibration.survey import Row, campaign_from, surveyed
-from ground.progress import Progress
+from ground.common.progress import Progress
 from sim.arms import BuiltArm
 from sim.effects.turret import StandInTurret
 from sim.free_air import in_free_air, rested_after

@@ -15,8 +15,8 @@ from fsw.kinematics.transforms import Pose
 from ground.calibration.arm_numbers import with_zeros_as_hardstops
 from ground.calibration.calibrate import Calibration, rms_m
 from ground.calibration.data import Campaign
-from ground.outputs import written_whole
-from ground.params_text import params_text
+from ground.common.files import written_whole
+from ground.common.params_text import params_text
 
 
 def calibrated_params(found: Calibration, tools: dict[Tool, Pose] | None = None) -> Params:

@@ -15,9 +15,9 @@ from ground.calibration.poses import PAPER_GROUPS, resized
 from ground.calibration.table import read_campaign, save_campaign
 from ground.calibration.tools import registered_tools
 from ground.calibration.verify import Verification, verified
-from ground.outputs import BadOutput, check_output
-from ground.progress import Progress
-from ground.request import BadRequest, check_apart, check_seed, chosen_arm
+from ground.common.files import BadOutput, check_output
+from ground.common.progress import Progress
+from ground.common.requests import BadRequest, check_apart, check_seed, chosen_arm
 from sim.arms import BuiltArm
 from sim.params import BadParams, check_params, nominal_params, params_over_nominal
 from sim.tracker import Tracker

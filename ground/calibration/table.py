@@ -16,9 +16,9 @@ from fsw.kinematics.transforms import Array, Pose
 from ground.calibration.checks import BadData
 from ground.calibration.data import Believed, Campaign
 from ground.calibration.screws import Measured
-from ground.imports.errors import BadImport
-from ground.imports.files import MOST_TABLE_BYTES, file_bytes
-from ground.outputs import written_whole
+from ground.common.files import written_whole
+from ground.telemetry.imports.errors import BadImport
+from ground.telemetry.imports.files import MOST_TABLE_BYTES, file_bytes
 
 JOINTS: Final = tuple(joint.name.lower() for joint in Joint)
 PAIRS: Final = tuple((i, j) for i in range(6) for j in range(i, 6))

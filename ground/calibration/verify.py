@@ -14,7 +14,7 @@ from fsw.dictionary.tuples import vector3
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array, angle_between
 from ground.calibration.campaign import CampaignFailed, earth_reference
-from ground.progress import Progress
+from ground.common.progress import Progress
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.effects.environment import Ambient

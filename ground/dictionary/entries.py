@@ -16,8 +16,7 @@ from fsw.dictionary.limits import Limits
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import OF_COMPONENTS
 from fsw.protect.responses import RESPONSE_TO
-from ground.dictionary.source import alias_texts, class_text, field_texts
-from ground.dictionary.units import unit_of
+from ground.common.fields import alias_texts, class_text, field_texts, unit_of
 from ground.telemetry.events import as_json
 from ground.telemetry.schema import shape_of
 from ground.telemetry.topics import PACKET_TOPICS, Topic

@@ -5,8 +5,8 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import TypeVar
 
+from ground.common.requests import BadRequest
 from ground.dictionary.entries import CommandEntry, Dictionary, Entry
-from ground.request import BadRequest
 from ground.telemetry.channel_name import channel_name, is_channel_meant
 from sim.scenario.names import did_you_mean
 

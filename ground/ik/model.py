@@ -12,9 +12,9 @@ from fsw.kinematics.answers import Answers
 from fsw.kinematics.arm import Arm, arm_from, warmed
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.transforms import Array
+from ground.common.progress import Progress
+from ground.common.requests import BadRequest, chosen_arm, tilted_world
 from ground.ik.targets import Targets
-from ground.progress import Progress
-from ground.request import BadRequest, chosen_arm, tilted_world
 
 COMPENSATIONS: Final = ("absolute", "off")
 MOST_WARMING_K: Final = 200.0

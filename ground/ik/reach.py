@@ -4,13 +4,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
+from ground.common.files import BadOutput, check_output
+from ground.common.progress import Progress
+from ground.common.requests import BadRequest, check_apart, check_seed
 from ground.ik.model import ArmModel, ModelRequest, checked_model
+from ground.ik.reach_figure import save_reach_figure
 from ground.ik.samples import sample
 from ground.ik.tally import Tally
-from ground.outputs import BadOutput, check_output
-from ground.progress import Progress
-from ground.report.reach_figure import save_reach_figure
-from ground.request import BadRequest, check_apart, check_seed
 
 MOST_SAMPLES: Final = 1_000_000
 

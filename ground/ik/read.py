@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.transforms import Array
+from ground.common.requests import BadRequest
 from ground.ik.targets import Targets, checked_targets
-from ground.request import BadRequest
 
 SUFFIXES: Final = (".npz", ".parquet")
 ZIP_MAGIC: Final = b"PK\x03\x04"

@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from fsw.kinematics.answers import Verdict
 from fsw.kinematics.transforms import Array
+from ground.common.progress import Progress
 from ground.ik.model import ArmModel
 from ground.ik.tally import Tally, tally
 from ground.ik.targets import Targets
-from ground.progress import Progress
 from sim.frames import p_R_from_N
 from sim.workspace import approach_from, random_targets
 

@@ -8,14 +8,14 @@ import numpy as np
 
 from fsw.dictionary.commands import Vector3
 from fsw.kinematics.answers import Answers, at_target
+from ground.common.files import BadOutput, check_output
+from ground.common.progress import Progress
+from ground.common.requests import BadRequest, check_apart
 from ground.ik.model import ArmModel, ModelRequest, checked_model
 from ground.ik.read import SUFFIXES, read_targets
 from ground.ik.tally import Tally, tally
 from ground.ik.targets import Targets, checked_targets
 from ground.ik.write import writer
-from ground.outputs import BadOutput, check_output
-from ground.progress import Progress
-from ground.request import BadRequest, check_apart
 
 
 @dataclass(frozen=True, slots=True)

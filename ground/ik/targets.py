@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.kinematics.transforms import Array
-from ground.request import FARTHEST_M, SHORTEST, WORKSPACE, BadRequest, numbers
+from ground.common.requests import FARTHEST_M, SHORTEST, WORKSPACE, BadRequest, numbers
 from sim.frames import p_R_from_N
 
 FRAMES: Final = ("rnav", "rmech")

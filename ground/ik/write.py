@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from fsw.kinematics.answers import Answers, Verdict
 from fsw.kinematics.branches import slot_name
+from ground.common.files import written_whole
 from ground.ik.names import JOINTS, VERDICTS
-from ground.outputs import written_whole
 
 NO_JOINT: Final = -1
 

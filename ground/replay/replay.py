@@ -10,11 +10,11 @@ from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.params import Params
 from fsw.messages import Outputs
 from fsw.state import boot, outputs_at_rest
-from ground.progress import Progress
+from ground.common.progress import Progress
+from ground.common.requests import BadRequest
 from ground.replay.behaviour import OUTPUT_TOPICS, Behaviour, behaviour_in, behaviour_of
 from ground.replay.compare import Differences, compare
 from ground.replay.inputs import Inputs, NotReplayable, inputs_in
-from ground.request import BadRequest
 from ground.telemetry.channel_name import channel_name, is_channel_meant
 from ground.telemetry.errors import LogError
 from ground.telemetry.plain import to_plain

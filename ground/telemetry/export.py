@@ -16,10 +16,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from ground.dictionary.units import unit_of
-from ground.outputs import BadOutput, check_output, check_place, written_whole
-from ground.progress import Progress
-from ground.request import check_apart
+from ground.common.fields import unit_of
+from ground.common.files import BadOutput, check_output, check_place, written_whole
+from ground.common.progress import Progress
+from ground.common.requests import check_apart
 from ground.telemetry.events import CommandEntry, EvrEntry
 from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, TICK_NS, TRUTH_TEXT
 from ground.telemetry.inspect import NoSuchChannel, place_text, severity_name

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.evrs import Severity
-from ground.dictionary.units import unit_of
+from ground.common.fields import unit_of
 from ground.telemetry.format import TICK_NS
 from ground.telemetry.read import Log
 from sim.scenario.names import did_you_mean

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from mcap.records import Metadata
 
-from ground.outputs import beside
+from ground.common.files import beside
 from ground.telemetry.catalogue import Announced, header_text, records_of
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.format import CHANNELS_KEY, FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32

@@ -8,9 +8,9 @@ from typing import BinaryIO
 
 from mcap.writer import IndexType, Writer
 
-from ground.outputs import check_output, written_whole
-from ground.progress import Progress
-from ground.request import check_apart
+from ground.common.files import check_output, written_whole
+from ground.common.progress import Progress
+from ground.common.requests import check_apart
 from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.format import CHANNELS_KEY, FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
 from ground.telemetry.loss import RECOVERED_RECORD, Lost, recovered_record

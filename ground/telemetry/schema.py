@@ -12,8 +12,7 @@ import numpy as np
 
 from fsw.dictionary.joints import Joint, Switch, Tool
 from fsw.dictionary.limits import Limits
-from ground.dictionary.source import field_texts
-from ground.dictionary.units import unit_of
+from ground.common.fields import field_texts, unit_of
 from ground.telemetry.errors import SchemaError
 
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.brief import BRIEFS, Brief, main, run
+from validation.brief import BRIEFS, Brief, main, run
 
 ROOT = Path(__file__).parents[2]
 WHOLE = {
@@ -19,7 +19,7 @@ OTHERWISE = {"brief", "fuzz", "run"}
 
 def test_every_campaign_that_make_runs_has_a_brief_version() -> None:
     makefile = (ROOT / "Makefile").read_text()
-    made = set(re.findall(r"-m benchmarks\.(\w+)", makefile)) | {"blind"}
+    made = set(re.findall(r"-m validation\.(\w+)", makefile)) | {"blind"}
     wanted = {part for name in made - OTHERWISE for part in WHOLE.get(name, (name,))}
     assert {brief.name for brief in BRIEFS} >= wanted
 

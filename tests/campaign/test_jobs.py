@@ -2,11 +2,11 @@
 
 import pytest
 
-from benchmarks.scenarios import ran_on
-from benchmarks.tool_change import Changed, one_target
 from sim.arms import arm_named
 from sim.initialisation import true_reference
 from sim.scenario.file import shipped
+from validation.scenarios import ran_on
+from validation.tool_change import Changed, one_target
 
 MISSES = {("calibrated:3", "sampling")}
 """While the press is released, the force across the tool is too large a share: docs/jobs.md."""

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from benchmarks.faults import random_fault
 from sim.effects.faults import SensorFault
 from sim.scenario.faults import FAULTS
+from validation.faults import random_fault
 
 
 def test_every_kind_of_fault_is_drawn():

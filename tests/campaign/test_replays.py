@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from benchmarks import replays
-from ground.request import BadRequest
+from ground.common.requests import BadRequest
+from validation import replays
 
 
 def refused(*_: object) -> None:

@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-import benchmarks.fuzz
-from benchmarks import fuzz_import
-from benchmarks.fuzz import TARGETS, Target, fuzz
-from ground.imports import table
+import validation.fuzz
+from ground.telemetry.imports import table
+from validation import fuzz_import
+from validation.fuzz import TARGETS, Target, fuzz
 
 TRIES = 400
 
@@ -47,7 +47,7 @@ def test_a_hang_is_seen_though_the_target_catches_every_exception(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(benchmarks.fuzz, "SLOWEST_S", 0.05)
+    monkeypatch.setattr(validation.fuzz, "SLOWEST_S", 0.05)
     found = fuzz(hides_all(lambda: time.sleep(60)), 6, seconds=300.0, most=1)
     assert "TooSlow" in found["why"]
     assert Path(found["failed"]).exists()
@@ -58,7 +58,7 @@ def test_memory_that_grows_is_seen_though_the_target_gives_it_back(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     had = iter([0, 2 << 30])
-    monkeypatch.setattr(benchmarks.fuzz, "peak_bytes", lambda: next(had))
+    monkeypatch.setattr(validation.fuzz, "peak_bytes", lambda: next(had))
     found = fuzz(hides_all(lambda: None), 6, seconds=300.0, most=1)
     assert "MemoryError: the process grew by 2147483648 bytes" in found["why"]
 

@@ -15,7 +15,7 @@ def marsarm(
 
     What is to be done in its process before is Python.
     """
-    command = [sys.executable, "-c", f"{before}\nfrom ground.cli import main; main()", *words]
+    command = [sys.executable, "-c", f"{before}\nfrom ground.cli.app import main; main()", *words]
     env = os.environ | {"PYTHONPATH": str(ROOT)} | variables
     return subprocess.run(
         command, cwd=folder, env=env, capture_output=True, text=True, timeout=300, check=False

@@ -13,7 +13,7 @@ from rich.console import Console
 from ground.replay.behaviour import behaviour_in
 from ground.replay.compare import Differences, compare
 from ground.replay.inputs import SENSOR_TOPIC
-from ground.report.replay_tables import differences_table, verdict
+from ground.replay.tables import differences_table, verdict
 from ground.telemetry.errors import LogError
 from ground.telemetry.header import header_of
 from ground.telemetry.read import read_log

@@ -11,7 +11,7 @@ from ground.replay.behaviour import behaviour_of
 from ground.replay.compare import compare
 from ground.replay.inputs import inputs_in
 from ground.replay.replay import ELSEWHERE, ReplayRequest, outputs_for, replay
-from ground.report.replay_tables import verdict
+from ground.replay.tables import verdict
 from ground.telemetry.processor import cpu_features
 from ground.telemetry.read import read_log
 from tests.replay.remake import FOLDER, path_of

@@ -2,7 +2,6 @@
 
 import pytest
 
-from benchmarks.contact import Rest, rest_after
 from fsw.dictionary.commands import GuardedMove
 from fsw.dictionary.joints import Tool
 from sim.arms import arm_named
@@ -10,6 +9,7 @@ from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, placement_commands
 from sim.world import Surface, World
+from validation.contact import Rest, rest_after
 
 POINT_N_M, NORMAL_N = (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85)
 

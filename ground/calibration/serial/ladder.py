@@ -10,7 +10,7 @@ from ground.calibration.serial.calibrate import Calibrated, Verdict, calibrate, 
 from ground.calibration.serial.held_out import CrossValidation, HeldOut, gain_m
 from ground.calibration.serial.model import Setup
 from ground.calibration.serial.series import Series
-from ground.progress import Progress
+from ground.common.progress import Progress
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -18,12 +18,12 @@ from ground.calibration.serial.place import CannotPlace, first_setup
 from ground.calibration.serial.series import Series
 from ground.calibration.serial.table import mapping_from_toml, series_from_table, sha256
 from ground.calibration.serial.temperature import TemperatureTest, temperature_test
-from ground.imports.errors import BadImport
-from ground.imports.files import MOST_TABLE_BYTES, file_bytes
-from ground.imports.mapping_file import MOST_MAPPING_BYTES
-from ground.outputs import BadOutput, check_output, written_whole
-from ground.progress import Progress
-from ground.request import BadRequest, check_apart
+from ground.common.files import BadOutput, check_output, written_whole
+from ground.common.progress import Progress
+from ground.common.requests import BadRequest, check_apart
+from ground.telemetry.imports.errors import BadImport
+from ground.telemetry.imports.files import MOST_TABLE_BYTES, file_bytes
+from ground.telemetry.imports.mapping_file import MOST_MAPPING_BYTES
 
 ALL: Final = "all"
 NONE: Final = "none"

@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from fsw.kinematics.transforms import Array, Pose
 from ground.calibration.serial.series import Series, directions
-from ground.imports.errors import BadImport
-from ground.imports.mapping import Csv, Time
-from ground.imports.table import Table, read_table
-from ground.imports.times import in_order
-from ground.imports.units import UNITS
+from ground.telemetry.imports.errors import BadImport
+from ground.telemetry.imports.mapping import Csv, Time
+from ground.telemetry.imports.table import Table, read_table
+from ground.telemetry.imports.times import in_order
+from ground.telemetry.imports.units import UNITS
 from sim.scenario.names import did_you_mean
 from sim.scenario.record import Findings, record_of
 from sim.scenario.toml_lines import NotToml, parsed

@@ -5,9 +5,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from benchmarks.cases import HANGING_M, RIGID_M, Trial, arm_of
-from benchmarks.checks import CLEAR_SIGMA, SAME_RAD, apart, claimed, smallest_singular_value
-from benchmarks.samples import Near, vectors
 from fsw.dictionary.joints import Joint, Tool
 from fsw.kinematics.answers import Answers, Verdict, why
 from fsw.kinematics.branches import BRANCHES, slot_name
@@ -16,6 +13,9 @@ from fsw.kinematics.limits import beyond_limits
 from fsw.kinematics.singular import SAME_RAD as TWICE_RAD
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
+from validation.cases import HANGING_M, RIGID_M, Trial, arm_of
+from validation.checks import CLEAR_SIGMA, SAME_RAD, apart, claimed, smallest_singular_value
+from validation.samples import Near, vectors
 
 GRAVITIES = {"rigid": None, "mars": MARS_R_m_s2, "tilted": np.array([0.9, -1.2, 3.4])}
 DOUBLE_ROOT = Near.ELBOW | Near.WRIST | Near.SHOULDER

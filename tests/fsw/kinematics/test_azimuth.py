@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from benchmarks.cases import Trial, skew_tool
-from benchmarks.samples import vectors
 from fsw.dictionary.joints import Tool
 from fsw.kinematics.azimuth import azimuth_near, azimuths, offset_azimuth_near, offset_azimuths
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import into_shoulder
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import config_of, in_limits
+from validation.cases import Trial, skew_tool
+from validation.samples import vectors
 
 N = 1000
 DRAWING = config_of().arm

@@ -9,13 +9,13 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from benchmarks.campaign import Chunk, Tally, plan, run
-from benchmarks.cases import CASES, Trial, arm_of, trials
-from benchmarks.checks import smallest_singular_value, task_jacobian
-from benchmarks.kinematics import campaign
-from benchmarks.samples import FARTHEST, NEAREST, Near, log_distances, vectors
 from fsw.dictionary.joints import Tool
 from fsw.kinematics.limits import beyond_limits
+from validation.campaign import Chunk, Tally, plan, run
+from validation.cases import CASES, Trial, arm_of, trials
+from validation.checks import smallest_singular_value, task_jacobian
+from validation.kinematics import campaign
+from validation.samples import FARTHEST, NEAREST, Near, log_distances, vectors
 
 EACH = 50_000
 SEED = 2024
@@ -136,7 +136,7 @@ def test_an_exception_is_counted_and_told_but_does_not_end_the_campaign(monkeypa
     def breaks(*_):
         raise ZeroDivisionError("on purpose")
 
-    monkeypatch.setattr("benchmarks.campaign.inverse_kinematics", breaks)
+    monkeypatch.setattr("validation.campaign.inverse_kinematics", breaks)
     tally = run(Chunk(0, CASES[0], 50, 50, np.random.SeedSequence(7)))
     assert tally.exceptions == len(Tool)
     assert "on purpose" in tally.examples[0]["trace"]
@@ -146,7 +146,7 @@ def test_an_exception_is_counted_and_told_but_does_not_end_the_campaign(monkeypa
 def test_a_lost_root_is_a_miss_with_the_means_to_run_it_again(monkeypatch):
     """Without the answers near it, the vector is missed; its example holds arm, tool, gravity and vector."""
     monkeypatch.setattr(
-        "benchmarks.campaign.apart", lambda answers, q: np.full(answers.verdict.shape, np.inf)
+        "validation.campaign.apart", lambda answers, q: np.full(answers.verdict.shape, np.inf)
     )
     tally = run(Chunk(0, CASES[0], 50, 50, np.random.SeedSequence(7)))
     assert tally.missed.total() + tally.indistinct == tally.vectors

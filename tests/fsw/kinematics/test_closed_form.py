@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.cases import Trial, skew_tool
-from benchmarks.samples import vectors
 from fsw.dictionary.joints import Tool
 from fsw.kinematics.answers import FREE_SINE
 from fsw.kinematics.branches import signs_of
@@ -16,6 +14,8 @@ from fsw.kinematics.shape import shape_of
 from fsw.kinematics.task import task_error, task_jacobian
 from fsw.kinematics.transforms import Pose, rotation_y, wrap_angle
 from tests.fsw.rig import config_of, in_limits
+from validation.cases import Trial, skew_tool
+from validation.samples import vectors
 
 N = 2000
 ARM = config_of().arm

@@ -8,9 +8,9 @@ import pytest
 
 pytest.importorskip("eaik.pybindings.EAIK", reason="EAIK is not installed; `make oracle` installs it")
 
-from benchmarks.cases import Trial, arm_of
-from benchmarks.oracle import KINDS, Eaik, compare, different, interface_poses, random_targets
 from fsw.dictionary.joints import Tool
+from validation.cases import Trial, arm_of
+from validation.oracle import KINDS, Eaik, compare, different, interface_poses, random_targets
 
 EACH = 200
 """Targets of each kind and tool, 2,000 in all; the benchmark compares 100,000."""

@@ -7,8 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.cases import Trial, arm_of
-from benchmarks.checks import CLEAR_SIGMA, SAME_RAD, apart, claimed, errors, smallest_singular_value
 from fsw.dictionary.joints import Joint, Tool
 from fsw.kinematics.answers import Answers, Verdict, at_target, why
 from fsw.kinematics.arm import warmed
@@ -35,6 +33,8 @@ from tests.fsw.kinematics.lab import (
 )
 from tests.fsw.kinematics.test_closed_form import tool_of_the_drawing_but
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
+from validation.cases import Trial, arm_of
+from validation.checks import CLEAR_SIGMA, SAME_RAD, apart, claimed, errors, smallest_singular_value
 
 N = 4000
 N_LOADED = 260

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.checks import CLEAR_SIGMA, claimed, errors, smallest_singular_value
 from fsw.dictionary.joints import Joint, Tool
 from fsw.kinematics.answers import Answers, Verdict, at_target
 from fsw.kinematics.branches import BRANCHES, branch_of, signs_of
@@ -26,6 +25,7 @@ from tests.fsw.kinematics.lab import (
     trial_of,
 )
 from tests.fsw.rig import config_of, in_limits
+from validation.checks import CLEAR_SIGMA, claimed, errors, smallest_singular_value
 
 N = 110
 OVERHEAD_M = 0.02

@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ground.accuracy.budget_page import save_budget_page
 from ground.accuracy.budget_request import BudgetReport, BudgetRequest, budget_report
+from ground.accuracy.budget_tables import budget_json
 from ground.accuracy.paper import TABLE_3, TABLE_4
-from ground.report.budget_page import save_budget_page
-from ground.report.budget_tables import budget_json
-from ground.request import BadRequest
+from ground.common.requests import BadRequest
 from tests.ground.command import marsarm
 
 

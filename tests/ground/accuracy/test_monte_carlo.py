@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from ground.accuracy.budget import COMPONENTS, OURS
+from ground.accuracy.monte_carlo_page import save_monte_carlo_page
 from ground.accuracy.monte_carlo_request import MonteCarloReport, MonteCarloRequest, monte_carlo_report
-from ground.report.monte_carlo_page import save_monte_carlo_page
-from ground.report.monte_carlo_tables import monte_carlo_json
-from ground.request import BadRequest
+from ground.accuracy.monte_carlo_tables import monte_carlo_json
+from ground.common.requests import BadRequest
 from tests.ground.command import marsarm
 
 STATICS = MonteCarloRequest(arms=150, how="statics", seed=3)

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.arm import arm_from
+from ground.calibration.page import save_calibration_page
 from ground.calibration.parameter_file import calibrated_params, parameter_text
 from ground.calibration.request import CalibrateRequest, calibrate_report
 from ground.calibration.table import save_campaign
-from ground.report.calibration_page import save_calibration_page
-from ground.report.calibration_tables import calibration_json
-from ground.request import BadRequest, chosen_arm
+from ground.calibration.tables import calibration_json
+from ground.common.requests import BadRequest, chosen_arm
 from sim.params import params_over_nominal
 from tests.ground.calibration.lab import calibration, campaign, quiet
 from tests.ground.command import marsarm

@@ -6,7 +6,7 @@ import re
 import pytest
 from typer.testing import CliRunner
 
-from ground.cli import app
+from ground.cli.app import app
 
 RUN = CliRunner()
 

@@ -9,8 +9,8 @@ from fsw.dictionary.commands import Command, Stop
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import Fault
 from fsw.protect.responses import RESPONSE_TO
+from ground.common.fields import unit_of
 from ground.dictionary.entries import Dictionary, Entry, FieldEntry, dictionary
-from ground.dictionary.units import unit_of
 from ground.telemetry.schema import shape_of
 from ground.telemetry.topics import PACKET_TOPICS
 from sim.arms import arm_named

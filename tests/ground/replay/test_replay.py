@@ -6,11 +6,11 @@ import pytest
 
 import sim.loop
 from fsw.cycle import step
-from ground.evidence import Files
+from ground.common.requests import BadRequest
 from ground.replay.replay import ReplayRequest, replay
-from ground.report.replay_tables import replay_json, replay_table, verdict
-from ground.request import BadRequest
-from ground.run import RunRequest, run
+from ground.replay.tables import replay_json, replay_table, verdict
+from ground.runs.artifacts import Files
+from ground.runs.scenario import RunRequest, run
 from ground.telemetry.header import header_of
 from ground.telemetry.read import read_log
 from ground.telemetry.record import Recorder

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from ground.outputs import BadOutput
+from ground.common.files import BadOutput
 from ground.telemetry.export import ends, export
 from ground.telemetry.inspect import NoSuchChannel, channels_of, info_of, range_of
 from ground.telemetry.read import Log, read_log

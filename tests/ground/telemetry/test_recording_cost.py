@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks import recording, run
+from validation import recording, run
 
 
 @pytest.mark.parametrize(

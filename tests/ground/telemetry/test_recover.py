@@ -5,13 +5,13 @@ from typing import Any
 
 import pytest
 
-from benchmarks.damage import CUT_EVERY, flipped, is_part, original, truncated
-from ground.request import BadRequest
+from ground.common.requests import BadRequest
 from ground.telemetry.errors import LogCorrupt, LogNotReadable
 from ground.telemetry.format import TICK_NS
 from ground.telemetry.loss import Lost
 from ground.telemetry.read import read_log
 from ground.telemetry.recover import Recovered, recover
+from validation.damage import CUT_EVERY, flipped, is_part, original, truncated
 
 N_CYCLES = 12
 PACKETS = ["/sensors", "/drive", "/joint", "/tool", "/truth"]

@@ -22,8 +22,6 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC, IndexType, Writer
 
-from benchmarks import killed
-from benchmarks.killed import Kill
 from ground.telemetry.container import records
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.handover import as_sent
@@ -32,6 +30,8 @@ from ground.telemetry.read import read_log
 from ground.telemetry.record import Recorder
 from ground.telemetry.standard import Sample
 from ground.telemetry.writer import END, Stream
+from validation import killed
+from validation.killed import Kill
 
 ROOT = Path(__file__).parents[3]
 
@@ -327,7 +327,7 @@ def test_the_container_is_that_of_the_stock_writer(make: Any, tmp_path: Path) ->
 
 @pytest.mark.slow
 def test_killed_process_groups_leave_nothing_wrong() -> None:
-    done = python("import json; from benchmarks.killed import killed; print(json.dumps(killed(5, 3)))")
+    done = python("import json; from validation.killed import killed; print(json.dumps(killed(5, 3)))")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert (found["kills"], found["outcomes"]["cut short"], found["wrong"]) == (5, 5, [])

@@ -15,7 +15,7 @@ from sim.initialisation import true_reference
 from sim.scenario.effects import effect_from, spec_of
 from sim.scenario.outside import effects_in_file
 
-FOLDER = Path(__file__).parents[3] / "benchmarks" / "outside"
+FOLDER = Path(__file__).parents[3] / "validation" / "outside"
 KINDS = {kind.__name__: kind for file in sorted(FOLDER.glob("*.py")) for kind in effects_in_file(str(file))}
 NOMINAL = arm_named("nominal")
 AT = {"SettlingRover": "y", "RockingLink": "link3.z"}

@@ -4,8 +4,8 @@ import json
 
 import pytest
 
-from benchmarks.ur10 import BOUNDS_MM, FILES, TABLES, document
 from ground.calibration.serial.request import SerialRequest, calibrate_serial
+from validation.ur10 import BOUNDS_MM, FILES, TABLES, document
 
 
 def quiet(*_) -> None:

@@ -1,0 +1,42 @@
+"""The verb `dictionary`; thin."""
+
+from typing import Annotated
+
+import typer
+
+from ground.cli.options import BAD_INPUT, JsonOption, end, show
+
+
+def dictionary(
+    pattern: Annotated[
+        str | None,
+        typer.Argument(
+            help="Only what is called so: command, EVR, topic, field or parameter; * is any letters.",
+            metavar="GLOB",
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print it as a Markdown page.")] = False,
+) -> None:
+    """Every command, event report, channel and parameter, with type, unit, limits and what it means.
+
+    Made from the classes that flight software runs on. The plant's truth channels are in it and are marked.
+
+    Example: marsarm dictionary 'joints.elbow.*'
+    """
+    from ground.common.requests import BadRequest
+    from ground.dictionary.entries import dictionary as whole_dictionary
+    from ground.dictionary.narrow import narrowed
+    from ground.dictionary.tables import dictionary_json, dictionary_markdown, dictionary_tables
+
+    if as_json and markdown:
+        end("dictionary: --json and --markdown exclude each other; give one of the two", BAD_INPUT, as_json)
+    whole = whole_dictionary()
+    try:
+        part = whole if pattern is None else narrowed(whole, pattern)
+    except BadRequest as error:
+        end(str(error), BAD_INPUT, as_json)
+    if markdown:
+        print(dictionary_markdown(part), end="")
+    else:
+        show(dictionary_json(part), as_json, lambda: dictionary_tables(part))

@@ -1,0 +1,119 @@
+"""The verb `hardstop`; thin."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ground.cli.options import (
+    ARM_SAFE,
+    BAD_INPUT,
+    ArmOption,
+    EffectOption,
+    JsonOption,
+    ParamsOption,
+    PitchOption,
+    RollOption,
+    SeedOption,
+    end,
+    show,
+)
+
+Pose = tuple[float, float, float, float, float]
+
+
+def hardstop(
+    joint: Annotated[
+        str | None,
+        typer.Option(help="azimuth, elevation, elbow, wrist or turret; all if not given.", metavar="NAME"),
+    ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="All joints, one after the other, as flight software does it.")
+    ] = False,
+    repeat: Annotated[
+        int,
+        typer.Option(
+            help="So many times, each from near the hardstop, at another temperature (-55 to 10 degC), with "
+            "other friction, noise and pose.",
+            metavar="N",
+        ),
+    ] = 1,
+    arm: ArmOption = "nominal",
+    scene: Annotated[str, typer.Option(help="mars or earth.", metavar="mars|earth")] = "mars",
+    turret: Annotated[
+        bool,
+        typer.Option(
+            "--turret/--no-turret",
+            help="Without its turret the arm is calibrated on Earth, in poses of the torques of Mars.",
+        ),
+    ] = True,
+    start: Annotated[
+        Pose | None,
+        typer.Option(
+            help="Where the arm stands, degrees, for one joint; if not given, in its pose near its hardstop.",
+            metavar="J1 J2 J3 J4 J5",
+        ),
+    ] = None,
+    tilt_roll: RollOption = 0.0,
+    tilt_pitch: PitchOption = 0.0,
+    temperature: Annotated[
+        float | None,
+        typer.Option(
+            help="Of the actuators, degC; 20 if not given. Friction rises in the cold.", metavar="DEGC"
+        ),
+    ] = None,
+    seed: SeedOption = 0,
+    params: ParamsOption = None,
+    effect: EffectOption = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw current, speed and angle.", metavar="FILE.png")
+    ] = None,
+    plan: Annotated[
+        bool, typer.Option("--plan", help="Move nothing; show the poses and the torques they equalise.")
+    ] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Run joints against their negative hardstops and take the encoder zeros from there.
+
+    Flight software begins without any zero. Errors are against the true hardstop of the arm.
+
+    Example: marsarm hardstop --joint elbow --arm as-built:7 --temperature -40 --picture elbow.png
+    """
+    from ground.common.progress_bar import progress_bar
+    from ground.common.requests import BadRequest
+    from ground.runs.hardstop import HardstopRequest
+    from ground.runs.hardstop import hardstop as carry_out
+    from ground.runs.hardstop_plan import plan_stops
+    from ground.runs.hardstop_tables import hardstop_json, hardstop_table, plan_json, plan_table
+
+    if every and joint is not None:
+        end(
+            f"all: --joint {joint} asks for one joint, --all for all; give one of the two", BAD_INPUT, as_json
+        )
+    request = HardstopRequest(
+        joint=joint,
+        repeat=repeat,
+        arm=arm,
+        scene=scene,
+        turret=turret,
+        start_deg=start,
+        tilt_roll_deg=tilt_roll,
+        tilt_pitch_deg=tilt_pitch,
+        temperature_C=temperature,
+        seed=seed,
+        params=params,
+        effects=tuple(effect or ()),
+        picture=picture,
+    )
+    try:
+        if plan:
+            plans = plan_stops(request)
+            show(plan_json(plans), as_json, lambda: plan_table(plans))
+            return
+        with progress_bar() as progress:
+            report = carry_out(request, progress)
+    except BadRequest as error:
+        end(str(error), BAD_INPUT, as_json)
+    show(hardstop_json(report), as_json, lambda: hardstop_table(report))
+    if report.outcome != "done":
+        raise typer.Exit(ARM_SAFE)

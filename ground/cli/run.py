@@ -1,0 +1,83 @@
+"""The verbs `run` and `scenarios`; thin."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ground.cli.options import (
+    ARM_SAFE,
+    BAD_INPUT,
+    DiskOption,
+    EffectOption,
+    JsonOption,
+    SeedOption,
+    end,
+    show,
+)
+
+
+def run(
+    scenario: Annotated[
+        str, typer.Argument(help="A name from `marsarm scenarios`, or a .toml file.", metavar="SCENARIO")
+    ],
+    arm: Annotated[
+        str | None,
+        typer.Option(
+            help="nominal, as-built:SEED or calibrated:SEED; as the scenario says if not given.",
+            metavar="ARM",
+        ),
+    ] = None,
+    tilt: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            help="Of the rover, degrees: roll, right side down, and pitch, nose up; as the scenario says if "
+            "not given.",
+            metavar="ROLL PITCH",
+        ),
+    ] = None,
+    seed: SeedOption = 0,
+    effect: EffectOption = None,
+    log: Annotated[
+        Path | None, typer.Option(help="Write a telemetry log (MCAP).", metavar="FILE.mcap")
+    ] = None,
+    when_disk_full: DiskOption = "go-on",
+    movie: Annotated[Path | None, typer.Option(help="Draw the whole run.", metavar="FILE.gif")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Draw the arm where it is judged last.", metavar="FILE.png")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run a scenario in the closed loop, and judge it by what the arm truly did.
+
+    Example: marsarm run tool-change --arm calibrated:7 --tilt 10 -5 --movie sol46.gif
+    """
+    from ground.common.progress_bar import progress_bar
+    from ground.common.requests import BadRequest
+    from ground.runs.artifacts import Files
+    from ground.runs.scenario import RunRequest
+    from ground.runs.scenario import run as carry_out
+    from ground.runs.scenario_tables import run_json, run_table
+
+    files = Files(log, picture, movie, when_disk_full)
+    request = RunRequest(scenario, arm, tilt, seed, files, tuple(effect or ()))
+    try:
+        with progress_bar() as progress:
+            report = carry_out(request, progress)
+    except BadRequest as error:
+        end(str(error), BAD_INPUT, as_json)
+    show(run_json(report), as_json, lambda: run_table(report))
+    if not report.passed:
+        raise typer.Exit(ARM_SAFE)
+
+
+def scenarios(as_json: JsonOption = False) -> None:
+    """List the scenarios that come with the house.
+
+    Example: marsarm scenarios --json
+    """
+    from ground.runs.scenario_tables import scenarios_json, scenarios_table
+    from sim.scenario.file import load, shipped
+
+    found = tuple(load(name) for name in shipped())
+    show({"scenarios": scenarios_json(found)}, as_json, lambda: scenarios_table(found))

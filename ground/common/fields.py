@@ -1,0 +1,111 @@
+"""The words beside a field in the source: a string below it, which Python itself forgets."""
+
+import ast
+import inspect
+import sys
+import textwrap
+from functools import cache
+from itertools import pairwise
+from typing import Any, Final
+
+SYMBOLS: Final = {
+    "rad": "rad",
+    "urad": "urad",
+    "m": "m",
+    "s": "s",
+    "A": "A",
+    "N": "N",
+    "Nm": "N m",
+    "C": "degC",
+    "K": "K",
+    "J": "J",
+    "kg": "kg",
+    "Hz": "Hz",
+    "Pa": "Pa",
+    "V": "V",
+    "W": "W",
+    "count": "count",
+    "1": "1",
+    "s2": "s2",
+    "s3": "s3",
+}
+"""By a part of the suffix."""
+
+NUMBERS: Final = {
+    "tick": "cycle",
+    "cycle": "cycle",
+    "cycles": "cycle",
+    "persistence": "cycle",
+    "period": "cycle",
+    "turn": "count",
+    "share": "1",
+    "fraction": "1",
+    "ratio": "1",
+    "factor": "1",
+    "side": "1",
+    "along": "1",
+    "across": "1",
+}
+"""By the last word of a name without a unit: what is counted, or 1 for a pure number."""
+
+DIRECTIONS: Final = ("approach", "gravity", "normal", "R")
+"""First words of names of directions and rotations, whose components are pure numbers."""
+
+FREE: Final = {
+    "compliance": "mixed",
+    "value": "of the parameter",
+    "bound": "cycle",
+}
+"""Names whose unit their text, or their fellow, says."""
+
+
+def unit_of(name: str) -> str | None:
+    """The unit that a field's name tells, "1" for a pure number, or None where it tells none."""
+    words = name.split("_")
+    suffix: list[str] = []
+    while words and words[-1] in SYMBOLS and len(suffix) < 2:
+        suffix.insert(0, SYMBOLS[words.pop()])
+    if suffix:
+        top, *below = suffix
+        return top if not below else f"{top}/{below[0] if ' ' not in below[0] else f'({below[0]})'}"
+    if words[-1] in NUMBERS:
+        return NUMBERS[words[-1]]
+    return "1" if words[0] in DIRECTIONS else FREE.get(name)
+
+
+@cache
+def field_texts(kind: type) -> dict[str, str]:
+    """What the source says of each field of a dataclass, by name; a field without words is not there."""
+    found = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+    return _below(found.body) if isinstance(found, ast.ClassDef) else {}
+
+
+@cache
+def alias_texts(module: str) -> dict[str, str]:
+    """What a module says of each of its own names, such as `Backlash`."""
+    return _below(ast.parse(inspect.getsource(sys.modules[module])).body)
+
+
+def class_text(kind: type) -> str:
+    """The docstring of a class, lines joined, paragraphs kept."""
+    return _flowing(inspect.getdoc(kind) or "")
+
+
+def _below(body: list[ast.stmt]) -> dict[str, str]:
+    """The strings that stand right below an assignment."""
+    return {
+        _target(node): _flowing(inspect.cleandoc(below.value.value))
+        for node, below in pairwise(body)
+        if isinstance(node, ast.AnnAssign | ast.Assign)
+        and isinstance(below, ast.Expr)
+        and isinstance(below.value, ast.Constant)
+        and isinstance(below.value.value, str)
+    }
+
+
+def _target(node: Any) -> str:
+    return str(ast.unparse(node.target if isinstance(node, ast.AnnAssign) else node.targets[0]))
+
+
+def _flowing(text: str) -> str:
+    return "\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))

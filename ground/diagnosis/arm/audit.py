@@ -1,0 +1,223 @@
+"""Looks at recordings before they are believed: sentences about what is wrong with them."""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.config import CYCLE_HZ, digest
+from fsw.dictionary.joints import Joint
+from fsw.dictionary.params import Params
+from fsw.kinematics.transforms import Array
+from ground.diagnosis.arm.logs import NotForDiagnosis, Recording, recording_in
+from ground.diagnosis.arm.segments import rests_in, segments_in
+
+CONTINUOUS: Final = ("resolver_rad", "current_A", "gravity_R_m_s2")
+STALE_TICKS: Final = CYCLE_HZ
+"""A noisy sensor does not read the same for so long, nor does an encoder of a joint that is driven."""
+CLIPPED_TICKS: Final = 4
+MOST_SKEW: Final = 8
+"""Ticks by which encoders may follow their set-points late or early, to be looked for."""
+SKEW_TICKS: Final = 2
+CLEARLY: Final = 0.25
+"""Another lag must leave so much less, squared, to be believed."""
+APART_RAD: Final = 0.2
+"""Resolver and encoder of a joint differ by less, unless one of them is in another unit."""
+GRAVITY_M_S2: Final = (1.0, 12.0)
+LEAST_SEGMENTS: Final = 2
+
+
+def refusals(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
+    """Why recordings cannot be compared with a simulator of these parameters at all."""
+    wrong = [
+        f"{one.name}: {said}"
+        for one in recordings
+        for said in (*_not_finite(one.sensors), *_not_finite(one.drive), *_time_base(one))
+    ]
+    others = [
+        f"{one.name}: was made with other flight parameters ({digest(one.params)[:12]}) than the simulator's "
+        f"({digest(base)[:12]}); give those with --params"
+        for one in recordings
+        if digest(one.params) != digest(base)
+    ]
+    return (*wrong, *others)
+
+
+def believed(paths: Sequence[Path], base: Params | None = None) -> list[Recording]:
+    """Recordings that may be compared with a simulator of these parameters, or else of the first one's.
+
+    Raises:
+        NotForDiagnosis: one may not; the message says why.
+    """
+    recordings = [recording_in(path) for path in paths]
+    wrong = refusals(recordings, base or recordings[0].params) if recordings else ()
+    if wrong:
+        raise NotForDiagnosis("\n".join(wrong))
+    return recordings
+
+
+def too_little(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """What is missing, if nothing can be said of any actuator, nor of links and frames."""
+    if any(_motions(recordings).values()) or any(one.tracked.tick.size for one in recordings):
+        return ()
+    return tuple(_campaign(recordings))
+
+
+def audit(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """What is to be said of a campaign's recordings that can be compared."""
+    found = [f"{one.name}: {said}" for one in recordings for said in findings(one)]
+    return (*found, *_campaign(recordings))
+
+
+def findings(recording: Recording) -> Iterator[str]:
+    """What is odd about one recording."""
+    yield from recording.notes
+    yield from _stale(recording)
+    yield from _clipped(recording)
+    yield from _units(recording)
+    yield from _skew(recording)
+    yield from _unused(recording)
+
+
+def _not_finite(columns: Mapping[str, NDArray[Any]]) -> Iterator[str]:
+    for name, values in columns.items():
+        rows = ~np.isfinite(np.asarray(values, float)).reshape(len(values), -1)
+        if rows.any():
+            first = int(np.flatnonzero(rows.any(axis=1))[0])
+            yield (
+                f"{name} is not a number {int(rows.sum())} times, first at {first / CYCLE_HZ:.2f} s; "
+                f"leave the recording out or cut it before"
+            )
+
+
+def _time_base(recording: Recording) -> Iterator[str]:
+    steps = np.diff(recording.sensors["cycle"])
+    gaps = np.flatnonzero(steps != 1)
+    if gaps.size:
+        lost = int(np.sum(np.maximum(steps[gaps] - 1, 0)))
+        yield (
+            f"the avionics' count of cycles jumps {gaps.size} times, first at {gaps[0] / CYCLE_HZ:.2f} s "
+            f"({lost} cycles are missing): what was driven meanwhile is not known"
+        )
+
+
+def _stale(recording: Recording) -> Iterator[str]:
+    for name in CONTINUOUS:
+        for k, column in enumerate(recording.sensors[name].T):
+            longest, at = _longest_same(column)
+            if longest >= STALE_TICKS and not (name == "current_A" and not column[at]):
+                yield (
+                    f"{name}[{k}] reads {column[at]:g} for {longest / CYCLE_HZ:.1f} s from "
+                    f"{at / CYCLE_HZ:.2f} s on: it is stale"
+                )
+    for segment in segments_in(recording):
+        counts = recording.sensors["encoder_count"][segment.first : segment.end, segment.joint]
+        asked = recording.drive["setpoint_count"][segment.first : segment.end, segment.joint]
+        if np.ptp(counts) == 0 and np.ptp(asked) > 0:
+            yield (
+                f"encoder_count[{int(segment.joint)}] does not move from {segment.first / CYCLE_HZ:.2f} s on "
+                f"while {segment.joint.name.lower()} is driven"
+            )
+
+
+def _clipped(recording: Recording) -> Iterator[str]:
+    limit, current = recording.drive["current_limit_A"], recording.sensors["current_A"]
+    for joint in Joint:
+        high = np.abs(current[:, joint]) >= 0.99 * limit[:, joint]
+        if int(high.sum()) >= CLIPPED_TICKS:
+            first = int(np.flatnonzero(high)[0])
+            yield (
+                f"current_A[{int(joint)}] is at its limit {int(high.sum())} times, first at "
+                f"{first / CYCLE_HZ:.2f} s: the motor had no more to give"
+            )
+        most = float(np.abs(current[:, joint]).max())
+        flat = np.abs(current[:, joint]) == most
+        if most > 0 and int(flat.sum()) >= CLIPPED_TICKS and not high.any():
+            yield (
+                f"current_A[{int(joint)}] reads {most:g} A {int(flat.sum())} times and never more: "
+                f"it is saturated"
+            )
+
+
+def _units(recording: Recording) -> Iterator[str]:
+    apart = np.median(recording.sensors["resolver_rad"].T - recording.motor_rad(), axis=1)
+    for joint in Joint:
+        if abs(apart[joint]) > APART_RAD:
+            yield (
+                f"{joint.name.lower()}: resolver and encoder are {apart[joint]:.3g} rad apart; one is "
+                f"in another unit, has another sign, or the zeros are of another arm"
+            )
+    strength = float(np.median(np.linalg.norm(recording.sensors["gravity_R_m_s2"], axis=1)))
+    if not GRAVITY_M_S2[0] < strength < GRAVITY_M_S2[1]:
+        yield f"gravity_R_m_s2 is {strength:.3g} long; m/s^2 are wanted"
+
+
+def _skew(recording: Recording) -> Iterator[str]:
+    """Encoders against the set-points that they follow: by how many ticks they fit best."""
+    for segment in segments_in(recording):
+        asked = recording.setpoint_rad()[segment.joint, segment.first : segment.end]
+        went = recording.motor_rad()[segment.joint, segment.first : segment.end]
+        misfit = {lag: _misfit(asked, went, lag) for lag in range(-MOST_SKEW, MOST_SKEW + 1)}
+        best = min(misfit, key=misfit.__getitem__)
+        usual = min(misfit[lag] for lag in misfit if abs(lag) <= SKEW_TICKS)
+        if misfit[best] < CLEARLY * usual:
+            yield (
+                f"{segment.joint.name.lower()}: encoders follow their set-points by {best} ticks "
+                f"({best / CYCLE_HZ:.3f} s): one of the two has another time"
+            )
+            return
+
+
+def _unused(recording: Recording) -> Iterator[str]:
+    """A pose that the tracker took at another tick than the last of a rest is compared with nothing."""
+    ticks = recording.tracked.tick
+    odd = ticks[~np.isin(ticks, rests_in(recording))]
+    if odd.size:
+        yield (
+            f"{odd.size} of {ticks.size} tracker poses, that of tick {odd[0]} first, are not of the last "
+            f"tick of a rest, and are not used"
+        )
+
+
+def _misfit(asked: Array, went: Array, lag: int) -> float:
+    size = asked.size - 2 * MOST_SKEW
+    if size <= 0:
+        return 0.0
+    apart = went[MOST_SKEW + lag : MOST_SKEW + lag + size] - asked[MOST_SKEW : MOST_SKEW + size]
+    return float(np.sum(apart**2))
+
+
+def _campaign(recordings: Sequence[Recording]) -> Iterator[str]:
+    for joint, count in _motions(recordings).items():
+        if count < LEAST_SEGMENTS:
+            yield (
+                f"{joint.name.lower()} moves {count} times; without {LEAST_SEGMENTS} motions of it, "
+                f"one each way, nothing can be said of its actuator"
+            )
+    if not any(one.tracked.tick.size for one in recordings):
+        yield "no recording has tracker poses (NAME.tracker.csv): nothing can be said of links and frames"
+    if not any(rests_in(one) for one in recordings):
+        yield "the arm rests nowhere for half a second: nothing can be said of it at rest"
+    names = [one.block for one in recordings]
+    if len(set(names)) == 1:
+        yield "there is one motion alone: what explains it cannot be tried on another"
+    if len(set(names)) == len(names):
+        yield "no motion was done twice: the floor is assumed to be the noise of the drawing's sensors"
+
+
+def _motions(recordings: Sequence[Recording]) -> Counter[Joint]:
+    """How often each joint moves."""
+    count = Counter(dict.fromkeys(Joint, 0))
+    count.update(segment.joint for one in recordings for segment in segments_in(one))
+    return count
+
+
+def _longest_same(column: Array) -> tuple[int, int]:
+    """How many readings in a row are the same at the most, and where they begin."""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(column) != 0) + 1, [column.size]])
+    lengths = np.diff(edges)
+    k = int(np.argmax(lengths))
+    return int(lengths[k]), int(edges[k])

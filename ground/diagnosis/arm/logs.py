@@ -1,0 +1,184 @@
+"""What the diagnosis takes from a log: the drive, the sensors at the same ticks, where it began, and how."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Final, cast
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import TypeAdapter, ValidationError
+
+from fsw.dictionary.params import Params
+from fsw.estimate.reference import Reference
+from fsw.kinematics.transforms import Array
+from fsw.messages import Drive, Sensors
+from ground.diagnosis.arm.tracked import Tracked, none_tracked, read_tracked
+from ground.replay.inputs import NotReplayable, inputs_in
+from ground.telemetry.errors import LogError
+from ground.telemetry.header import SESSION
+from ground.telemetry.read import Log, read_log
+from sim.driven import Start
+from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
+
+DRIVE: Final = "/drive"
+COUNTS: Final = "setpoint_count"
+
+
+class NotForDiagnosis(ValueError):
+    """A log that cannot be compared with the simulator; the message says what it lacks."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Said:
+    """What a log's header says of its session, if anything."""
+
+    name: str | None = None
+    block: str | None = None
+    world: World | None = None
+    temperature_C: float | None = None
+
+
+_SAID: Final = TypeAdapter(_Said)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """A session as it was recorded, n ticks from 0 on; arrays by field, ticks first."""
+
+    name: str
+    block: str
+    world: World
+    temperature_C: float
+    params: Params
+    start: Start
+    rad_per_count: Array
+    drive: Mapping[str, NDArray[Any]]
+    drives: tuple[Drive, ...]
+    """The same tick by tick; what does not change is the same array, as flight software hands it on."""
+    sensors: Mapping[str, NDArray[Any]]
+    tracked: Tracked
+    notes: tuple[str, ...] = ()
+    """What its log has lost."""
+
+    @property
+    def ticks(self) -> int:
+        """How many."""
+        return len(self.drive[COUNTS])
+
+    def motor_rad(self) -> Array:
+        """By encoders, (5, n)."""
+        rad: Array = self.sensors["encoder_count"].T * self.rad_per_count[:, None]
+        return rad + self.start.zero_rad[:, None]
+
+    def setpoint_rad(self) -> Array:
+        """(5, n)."""
+        rad: Array = self.drive[COUNTS].T * self.rad_per_count[:, None]
+        return rad + self.start.zero_rad[:, None]
+
+
+def recording_in(path: Path) -> Recording:
+    """A log read back, ours or an imported one.
+
+    Raises:
+        NotForDiagnosis: something without which nothing can be compared is not there.
+    """
+    try:
+        log = read_log(path)
+        inputs = inputs_in(log)
+        tracker = path.with_suffix(".tracker.csv")
+        tracked = read_tracked(tracker) if tracker.exists() else none_tracked()
+        said = _said(log.header.get(SESSION, "{}"), path)
+    except (LogError, NotReplayable, ValueError) as error:
+        raise NotForDiagnosis(str(error)) from error
+    if inputs.reference is None:
+        raise NotForDiagnosis(
+            f"log {path}: its header holds no zeros of the joints, so counts are no angles; record it after "
+            f"an initialisation, or give boot.reference in the [start] of the import"
+        )
+    ticks = min(inputs.ticks, len(_drive(log)))
+    drive = {f.name: _drive(log)[f.name][:ticks] for f in fields(Drive)}
+    sensors = {f.name: inputs.sensors[f.name][:ticks] for f in fields(Sensors)}
+    joints = inputs.params.joints.in_order()
+    rad_per_count = np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints])
+    reference: Reference = inputs.reference
+    world = said.world or world_seen(inputs.sensors["gravity_R_m_s2"].mean(axis=0), path)
+    start = Start(
+        world,
+        sensors["encoder_count"][0] * rad_per_count + reference.zero_rad,
+        reference.zero_rad,
+        np.array([j.hardstop_rad for j in joints]),
+    )
+    warm_C = float(np.mean(sensors["winding_C"][0]))
+    name = said.name or path.stem
+    return Recording(
+        name=name,
+        block=said.block or name,
+        world=world,
+        temperature_C=warm_C if said.temperature_C is None else said.temperature_C,
+        params=inputs.params,
+        start=start,
+        rad_per_count=rad_per_count,
+        drive=drive,
+        drives=tuple(_drives(drive)),
+        sensors=sensors,
+        tracked=tracked,
+        notes=inputs.notes,
+    )
+
+
+def _said(text: str, path: Path) -> _Said:
+    where = f"log {path}: {SESSION} in its header"
+    try:
+        said = _SAID.validate_json(text)
+    except ValidationError as error:
+        raise NotForDiagnosis(f"{where}: {error.errors()[0]['msg']}") from error
+    if said.temperature_C is not None and not np.isfinite(said.temperature_C):
+        raise NotForDiagnosis(f"{where}: temperature_C is {said.temperature_C}; it must be finite")
+    world = said.world or World()
+    most = float(np.max(np.abs([world.tilt_roll_rad, world.tilt_pitch_rad])))
+    if not most <= MAX_TILT_RAD:
+        raise NotForDiagnosis(
+            f"{where}: tilts the rover by {most:.3g} rad; at most {MAX_TILT_RAD:.3g} is right"
+        )
+    return said
+
+
+def world_seen(gravity_R_m_s2: Array, path: Path) -> World:
+    """The world as an IMU's mean reading (3,) tells it, for logs that do not say: scene and tilt, no rock.
+
+    Raises:
+        NotForDiagnosis: it reads nothing.
+    """
+    strength = float(np.linalg.norm(gravity_R_m_s2))
+    if not 0.0 < strength < np.inf:
+        raise NotForDiagnosis(f"log {path}: its header does not say its world, and its IMU reads no gravity")
+    scene = min(GRAVITY_M_S2, key=lambda one: abs(GRAVITY_M_S2[one] - strength))
+    x, y, z = gravity_R_m_s2 / strength
+    return World(cast(Scene, scene), float(np.arctan2(y, z)), float(np.arcsin(np.clip(-x, -1.0, 1.0))))
+
+
+def _drives(drive: Mapping[str, NDArray[Any]]) -> Iterator[Drive]:
+    anew = {name: _anew(values) for name, values in drive.items()}
+    last: dict[str, Any] = {}
+    for tick in range(len(drive[COUNTS])):
+        for name, values in drive.items():
+            if anew[name][tick]:
+                value = values[tick]
+                last[name] = value.copy() if isinstance(value, np.ndarray) else value.item()
+        yield Drive(**last)
+
+
+def _anew(values: NDArray[Any]) -> list[bool]:
+    """In which ticks there is something else than before; in the first there is."""
+    other = (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
+    return [True, *other.tolist()]
+
+
+def _drive(log: Log) -> NDArray[np.void]:
+    if DRIVE not in log.packets:
+        raise NotForDiagnosis(
+            f"log {log.path}: has no {DRIVE}, so nobody knows what the motor controllers were given; "
+            f"map set-points, power, brakes and limits to {DRIVE} in the import"
+        )
+    return log[DRIVE]

@@ -1,0 +1,69 @@
+"""A campaign recorded for a diagnosis, of any arm that can be simulated."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from ground.common.files import beside, check_place
+from ground.common.progress import Progress
+from ground.common.requests import BadRequest, check_seed, chosen_arm, chosen_effects
+from ground.diagnosis.arm.record import record_campaign
+from sim.arms import later
+from sim.diagnosis.campaign import HELD_OUT, SessionFailed, sessions
+from sim.initialisation import true_reference
+from sim.plant import PlantDiverged
+
+APART: Final = "held-out"
+"""Folder, in that of the logs, of those on which a diagnosis is tried."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordRequest:
+    """What is asked."""
+
+    out: Path
+    arm: str = "nominal"
+    effects: tuple[str, ...] = ()
+    params: Path | None = None
+    seed: int = 0
+
+
+def check_record(request: RecordRequest) -> None:
+    """Refuse what cannot be recorded, or not there; nothing is written.
+
+    Raises:
+        BadRequest, BadOutput: the message says why.
+    """
+    check_seed(request.seed)
+    chosen_effects(request.effects)
+    chosen_arm(request.arm, request.params)
+    if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
+        raise BadRequest(f"out {request.out}: is there already; name a new folder")
+    check_place(request.out, "out")
+
+
+def recorded(request: RecordRequest, progress: Progress) -> list[Path]:
+    """Logs of all sessions, those held out in a folder of their own; all of them or none.
+
+    Raises:
+        BadRequest: the arm cannot carry out a session with these effects.
+    """
+    effects = chosen_effects(request.effects)
+    arm = chosen_arm(request.arm, request.params).with_effects(effects)
+    begun = later(effects)
+    wanted, reference, paths = sessions(arm.params), true_reference(arm), []
+    try:
+        with beside(request.out.resolve()) as part:
+            for number, session in enumerate(wanted):
+                progress(number, len(wanted), session.name)
+                folder = part / APART if session.name in HELD_OUT else part
+                seed = request.seed + number
+                made = record_campaign(folder, [session], arm, reference, seed, lambda *_: None, begun)
+                paths += [request.out / log.relative_to(part) for log in made]
+    except (SessionFailed, PlantDiverged) as error:
+        raise BadRequest(f"effect: {error}; with smaller effects it may come to its end") from error
+    except OSError as error:
+        raise BadRequest(f"out {request.out}: cannot be written ({error.strerror or error})") from error
+    progress(len(wanted), len(wanted), "recorded")
+    return paths

@@ -1,0 +1,75 @@
+"""The motions in a recording, found from its drive alone, so that imported logs have them too."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.joints import Joint
+from fsw.kinematics.transforms import Array
+from ground.diagnosis.arm.logs import Recording
+
+BIN_TICKS: Final = CYCLE_HZ // 4
+"""Sensors are compared by their means over a quarter of a second."""
+STILL_COUNTS: Final = 50
+"""A set-point that wanders by less in a motion does not move its joint."""
+SLOW_SHARE: Final = 0.5
+"""Of the speed that a joint has by its parameters."""
+REVERSAL_S: Final = 1.0
+"""So long after a joint has set out the other way, what happens is of the reversal."""
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A joint under power and in motion, from one tick to before another."""
+
+    joint: Joint
+    first: int
+    end: int
+    way: int
+    """+1 or -1."""
+    slow: bool
+    reversed: bool
+    """Whether the joint moved the other way before, in this recording."""
+
+    def bins(self) -> list[tuple[int, int]]:
+        """First tick and the one after the last of each whole bin."""
+        return [(k, k + BIN_TICKS) for k in range(self.first, self.end - BIN_TICKS + 1, BIN_TICKS)]
+
+    def regime(self, first: int) -> str:
+        """In which regime a bin that begins there is."""
+        early = first - self.first < REVERSAL_S * CYCLE_HZ
+        return "reversal" if self.reversed and early else "slow" if self.slow else "fast"
+
+
+def segments_in(recording: Recording) -> list[Segment]:
+    """In the order of joints, then of time."""
+    found = []
+    for joint in Joint:
+        power = recording.drive["power_on"][:, joint].astype(np.int8)
+        edges = np.flatnonzero(np.diff(power, prepend=0, append=0))
+        before = 0
+        for first, end in zip(edges[::2], edges[1::2], strict=True):
+            moved = recording.drive["setpoint_count"][first:end, joint]
+            if np.ptp(moved) < STILL_COUNTS:
+                continue
+            way = int(np.sign(moved[-1] - moved[0])) or 1
+            most = float(np.abs(recording.drive["setpoint_rate_rad_s"][first:end, joint]).max())
+            slow = most < SLOW_SHARE * recording.params.joints.in_order()[joint].speed_rad_s
+            found.append(Segment(joint, int(first), int(end), way, slow, before * way < 0))
+            before = way
+    return found
+
+
+def rests_in(recording: Recording) -> list[int]:
+    """Ticks at the end of every rest on the brakes that lasts for half a second at least."""
+    still = ~recording.drive["power_on"].any(axis=1) & ~recording.drive["brake_release"].any(axis=1)
+    edges = np.flatnonzero(np.diff(still.astype(np.int8), prepend=0, append=0))
+    pairs = zip(edges[::2], edges[1::2], strict=True)
+    return [int(end) - 1 for first, end in pairs if end - first >= CYCLE_HZ // 2]
+
+
+def binned(values: Array, bins: list[tuple[int, int]]) -> Array:
+    """Means over bins of what is listed by tick, (b,)."""
+    return np.array([values[first:end].mean() for first, end in bins])

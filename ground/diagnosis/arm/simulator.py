@@ -1,0 +1,188 @@
+"""The arm's simulator as the diagnosis asks it: the catalogue's effects, and what is uncertain anyway."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from fsw.dictionary.joints import Joint
+from fsw.kinematics.transforms import Array
+from ground.diagnosis.arm.campaign import Compared, all_of, predicted_values
+from ground.diagnosis.arm.features import CONDITIONS, UNITS, Moving, channel_of
+from ground.diagnosis.arm.uncertain import Uncertain, left_uncertain
+from ground.diagnosis.hypothesis import FACTOR, Hypothesis, Nuisance, Parameter
+from ground.diagnosis.layout import Ints, Layout
+from ground.diagnosis.simulator import Settings
+from sim.driven import Manner
+from sim.effects import catalogue
+from sim.effects import describe as described
+from sim.effects.contacts import ContactStiffness, SurfacePosition
+from sim.effects.describe import name_of, place_named
+from sim.effects.effect import EachMove, Effect
+from sim.effects.environment import Ambient
+from sim.effects.geometry import FrameError, LinkWarming, Warming
+from sim.effects.joints import HardstopStiffness
+from sim.effects.links import LinkAngle, LinkLength, ThermalGradient, ToolOffset, ToolTurn
+from sim.effects.size import Size
+from sim.effects.structure import LinkBending, LinkStiffness, LinkTorsion, RoverCompliance
+
+BRIEFLY: Final = Manner(settle_s=4.0)
+"""The arm settles before a recording for less long than in the closed loop: enough for differences."""
+CALMLY: Final = Manner(settle_s=8.0)
+"""Long enough for what a case is compared with."""
+ONLY_POSED: Final = (
+    *(LinkLength, LinkAngle, ThermalGradient, LinkWarming, Warming, FrameError, ToolOffset, ToolTurn),
+    *(LinkStiffness, LinkBending, LinkTorsion, RoverCompliance, ContactStiffness, SurfacePosition),
+)
+"""Effects that show where the arm rests, or not at all; in free motion they are below its noise."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ArmSimulator:
+    """Ours, bound to a campaign (ground.diagnosis.simulator.Simulator): the drawing, and what is switched on.
+
+    Whatever flight parameters know of the arm, the simulator is told by effects alone.
+    """
+
+    campaign: Compared
+    layout: Layout
+    """Its m features, with their floor."""
+    made: Mapping[Hypothesis, catalogue.Hypothesis]
+    """What each hypothesis switches on."""
+    uncertain: tuple[Uncertain, ...]
+    manner: Manner
+    patch: tuple[Effect, ...]
+    """Always on."""
+
+    @property
+    def hypotheses(self) -> tuple[Hypothesis, ...]:
+        """What may be the cause."""
+        return tuple(self.made)
+
+    @property
+    def nuisances(self) -> tuple[Nuisance, ...]:
+        """What is uncertain, as the diagnosis knows it."""
+        return tuple(one.nuisance for one in self.uncertain)
+
+    def patched(self, patch: tuple[Effect, ...]) -> "ArmSimulator":
+        """The same with another patch."""
+        return replace(self, patch=patch)
+
+    def predict(self, settings: Settings, nuisance: Array) -> Array:
+        """The features (m,); errors as of `predicted_values`."""
+        return self.predicted(self.effects(settings, nuisance))
+
+    def effects(self, settings: Settings, nuisance: Array) -> list[Effect]:
+        """What is switched on beside the patch: hypotheses, and nuisances that are not 0."""
+        found = [switched_on(self.made[one], one, values) for one, values in settings.items()]
+        found += [one.effect(float(v)) for one, v in zip(self.uncertain, nuisance, strict=True) if v]
+        return found
+
+    def predicted(self, effects: Sequence[Effect], wanted: Callable[[Moving], bool] = all_of) -> Array:
+        """Features (m,) with the patch and these; those of moving recordings that are not wanted are NaN."""
+        return predicted_values(self.campaign, (*self.patch, *effects), self.manner, wanted)
+
+
+def arm_simulator(
+    campaign: Compared,
+    sigma: Array,
+    kinds: Mapping[str, type[Effect]] | None = None,
+    manner: Manner = BRIEFLY,
+    patch: tuple[Effect, ...] = (),
+) -> ArmSimulator:
+    """With a floor (m,); `kinds` are hypotheses, by default the catalogue's."""
+    made = {told(one): one for one in raced(kinds)}
+    return ArmSimulator(campaign, layout_of(campaign, sigma), made, tuple(left_uncertain()), manner, patch)
+
+
+@dataclass(frozen=True, slots=True)
+class Touched:
+    """Whether effects can show in a moving recording: at a joint if it moves, of geometry never."""
+
+    effects: tuple[Effect, ...]
+
+    def __call__(self, one: Moving) -> bool:
+        """Any of them."""
+        return any(self._shows(effect, one) for effect in self.effects)
+
+    def _shows(self, effect: Effect, one: Moving) -> bool:
+        if isinstance(effect, (HardstopStiffness, *ONLY_POSED)):
+            return False  # no motion of a campaign comes to a hardstop
+        joint = getattr(effect, "joint", None)
+        return joint is None or any(segment.joint is Joint(joint) for segment in one.segments)
+
+
+def raced(kinds: Mapping[str, type[Effect]] | None) -> Iterator[catalogue.Hypothesis]:
+    """The catalogue's hypotheses that may be a cause: no chance from move to move, nor what logs tell."""
+    return (one for one in catalogue.hypotheses(kinds) if not issubclass(one.kind, (EachMove, Ambient)))
+
+
+def told(one: catalogue.Hypothesis) -> Hypothesis:
+    """In the words of the diagnosis; parameters that are many numbers stay as they are by default.
+
+    Of a factor that is one where nothing is changed, it is told the logarithm: there it is symmetric.
+    """
+    parameters = [p for p in (*one.sizes, *one.shapes) if p.size is not None and p.count == 1]
+    return Hypothesis(
+        name_of(one.kind),
+        place_named(one.kind, dict(one.place)) or "arm",
+        tuple(_told(p, p.size) for p in parameters if p.size is not None),
+    )
+
+
+def is_factor(size: Size) -> bool:
+    """Whether it multiplies something, and cannot be 0."""
+    return size.neutral == 1.0 and size.low > 0.0
+
+
+def _told(parameter: described.Parameter, size: Size) -> Parameter:
+    if is_factor(size):
+        ends = float(np.log(size.low)), float(np.log(size.high))
+        return Parameter(parameter.field, FACTOR, *ends, float(np.log1p(size.typical)), 0.0)
+    typical = float(parameter.default) if size.neutral is None else size.typical
+    return Parameter(parameter.field, size.unit, size.low, size.high, typical, size.neutral)
+
+
+def switched_on(made: catalogue.Hypothesis, hypothesis: Hypothesis, values: Array) -> Effect:
+    """The effect that a hypothesis, as told, is with these values of its parameters."""
+    named = zip(hypothesis.parameters, values, strict=True)
+    return made.effect(**{p.name: _valued(made, p.name, float(v)) for p, v in named})
+
+
+def layout_of(campaign: Compared, sigma: Array) -> Layout:
+    """What the features are; each place has channels of its own."""
+    features = campaign.features
+    named = [channel_of(feature) for feature in features]
+    blocks, places, regimes = (
+        tuple(dict.fromkeys(getattr(f, name) for f in features)) for name in ("block", "place", "regime")
+    )
+    units = {name: UNITS[f.channel] for name, f in zip(named, features, strict=True)}
+    return Layout(
+        sigma=sigma,
+        block=_numbers(blocks, [f.block for f in features]),
+        channel=_numbers(tuple(units), named),
+        place=_numbers(places, [f.place for f in features]),
+        regime=_numbers(regimes, [f.regime for f in features]),
+        condition=np.array([f.condition for f in features]).reshape(-1, len(CONDITIONS)),
+        blocks=blocks,
+        channels=tuple(units),
+        units=tuple(units.values()),
+        places=places,
+        regimes=regimes,
+        conditions=CONDITIONS,
+    )
+
+
+def _numbers(names: tuple[str, ...], of: list[str]) -> Ints:
+    number = {name: k for k, name in enumerate(names)}
+    return np.array([number[name] for name in of], np.intp)
+
+
+def _valued(made: catalogue.Hypothesis, field: str, value: float) -> float:
+    """As the effect has it: a factor for a logarithm, a whole number where it has one."""
+    parameter = next(p for p in (*made.sizes, *made.shapes) if p.field == field)
+    if parameter.size is not None and is_factor(parameter.size):
+        return float(np.exp(value))
+    whole = isinstance(parameter.default, int) and not isinstance(parameter.default, bool)
+    return round(value) if whole else value

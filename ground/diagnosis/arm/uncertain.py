@@ -1,0 +1,136 @@
+"""What may differ without being the cause: what a calibration leaves, and what is another every day."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.dictionary.tuples import row6
+from ground.diagnosis.hypothesis import FACTOR, Nuisance
+from sim.effects.built import (
+    IDENTIFIABLE,
+    LEFT_FRAME_M,
+    LEFT_FRAME_RAD,
+    LEFT_STIFFNESS,
+    LEFT_ZERO_RAD,
+    SPRINGS,
+)
+from sim.effects.describe import name_of
+from sim.effects.effect import Effect
+from sim.effects.geometry import FrameError
+from sim.effects.joints import GearFriction, GearStiffness, HardstopAngle, ResolverBias
+from sim.effects.numerics import Numerics
+from sim.effects.sensors import CurrentBias, EncoderZero
+from sim.effects.structure import LinkStiffness
+from sim.plant import AXES
+from sim.trials import FRICTION
+
+NUMERICS: Final = {
+    "time step": Numerics("implicit", 2),
+    "scheme": Numerics("explicit", 6),
+    "scheme and time step": Numerics("explicit", 8),
+}
+"""Other ways to compute the plant; the explicit one diverges in steps that are not much finer."""
+STICKIER: Final = 2.0 * FRICTION
+"""How a plant is computed tells more where friction is more: asked so far to both sides, ln."""
+COUNT_RAD: Final = 3.3e-6
+"""A count of an encoder: where in it a set-point falls is chance, the same all along."""
+OTHERWISE: Final = 2.0
+"""One sigma of what the plant's own numerics are off by, in differences to half the time step."""
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertain:
+    """A number that the calibration leaves uncertain, and the effect that it is."""
+
+    nuisance: Nuisance
+    effect: Callable[[float], Effect]
+    """With this departure."""
+    like: str
+    """What it is as well where it is small: a hypothesis, as told, or another of these."""
+    one_sided: bool = False
+    """Whether it departs to positive numbers only."""
+    at: str = ""
+    """Where alone it shows, if not everywhere."""
+    beside: tuple[Effect, ...] = ()
+    """If there are any: only what it is more with these than without."""
+
+
+def left_uncertain() -> Iterator[Uncertain]:
+    """What a calibration leaves (sim.effects.built), and what friction is on another day."""
+    yield from _of_frames()
+    for joint in Joint:
+        yield _at(joint, "zero", "rad", LEFT_ZERO_RAD, HardstopAngle)
+        yield _at(joint, "gear stiffness", FACTOR, LEFT_STIFFNESS, GearStiffness)
+        yield _at(joint, "friction", FACTOR, FRICTION, GearFriction)
+    for frame in SPRINGS:
+        yield _at(frame, "link stiffness", FACTOR, LEFT_STIFFNESS, LinkStiffness)
+    for joint in Joint:
+        yield _at(joint, "counter", "rad", COUNT_RAD, EncoderZero)
+        name = joint.name.lower()
+        for word, numerics in NUMERICS.items():
+            yield _computed(word, numerics, name)
+        for more, stickier in (("more", STICKIER), ("less", -STICKIER)):
+            friction = tuple(_times(GearFriction, one, stickier) for one in Joint)
+            yield _computed(f"scheme under {more} friction", NUMERICS["scheme"], name, friction)
+    yield from _of_sessions()
+
+
+def _of_frames() -> Iterator[Uncertain]:
+    """Turns and shifts of frames, the last of them with every tool."""
+    inner: list[tuple[Frame, Tool | None]] = [(f, None) for f in Frame if f is not Frame.TOOL]
+    for frame, tool in (*inner, *((Frame.TOOL, tool) for tool in Tool)):
+        for axis in IDENTIFIABLE[frame]:
+            named = (frame.name if tool is None else tool.name).lower()
+            unit, sigma = ("rad", LEFT_FRAME_RAD) if axis < 3 else ("m", LEFT_FRAME_M)
+            word = AXES[axis]
+            yield Uncertain(
+                Nuisance(f"frame {named}.{word}", unit, sigma),
+                partial(_displaced, frame, tool, axis),
+                f"{_TURN_SHIFT[tool is not None][unit]} at {named}.{word[1]}",
+            )
+
+
+_TURN_SHIFT: Final = ({"rad": "link-angle", "m": "link-length"}, {"rad": "tool-turn", "m": "tool-offset"})
+"""Of frames, and of tools."""
+
+
+def _of_sessions() -> Iterator[Uncertain]:
+    """What differs a little from session to session: nobody sets out the same twice."""
+    for joint in Joint:
+        yield _at(joint, "friction", FACTOR, 0.01, GearFriction, each_block=True)
+        yield _at(joint, "gear stiffness", FACTOR, 0.02, GearStiffness, each_block=True)
+        yield _at(joint, "current", "A", 0.003, CurrentBias, each_block=True)
+        yield _at(joint, "resolver", "rad", 6e-6, ResolverBias, each_block=True)
+
+
+def _computed(word: str, numerics: Numerics, name: str, beside: tuple[Effect, ...] = ()) -> Uncertain:
+    """The plant of one joint computed otherwise: the whole difference, for it cannot be had in parts."""
+    nuisance = Nuisance(f"{word} {name}", "1", OTHERWISE)
+    return Uncertain(nuisance, lambda _: numerics, word, one_sided=True, at=name, beside=beside)
+
+
+def _at(
+    place: Joint | Frame,
+    word: str,
+    unit: str,
+    sigma: float,
+    kind: Any,
+    each_block: bool = False,
+) -> Uncertain:
+    """An effect of one number at a joint or a frame; of a factor, its logarithm."""
+    name = place.name.lower()
+    said = f"{word} {name} of a session" if each_block else f"{word} {name}"
+    effect = partial(_times, kind, place) if unit == FACTOR else partial(kind, place)
+    return Uncertain(Nuisance(said, unit, sigma, each_block), effect, f"{name_of(kind)} at {name}")
+
+
+def _times(kind: Callable[[Any, float], Effect], place: Joint | Frame, logarithm: float) -> Effect:
+    return kind(place, float(np.exp(logarithm)))
+
+
+def _displaced(frame: Frame, tool: Tool | None, axis: int, value: float) -> Effect:
+    return FrameError(frame, row6(value * np.eye(6)[axis]), tool)

@@ -1,0 +1,154 @@
+"""Pictures of a diagnosis: where the gap is, who may be its cause, and how far it shrinks."""
+
+from typing import Any, Final
+
+import numpy as np
+
+from ground.diagnosis.closure import Closure
+from ground.diagnosis.diagnose import Finding
+from ground.diagnosis.ready import Ready
+from ground.diagnosis.result import Result
+from ground.diagnosis.sentences import channel_words, number
+from ground.diagnosis.told import others, probability_of
+from ground.diagnosis.where import Cell
+from ground.render.figures import drawn
+
+DPI: Final = 110
+WIDTH_INCH: Final = 11.0
+ROW_INCH: Final = 0.28
+MARGIN_INCH: Final = 1.3
+FEWEST: Final = 3
+"""Rows that a picture has room for."""
+FULL: Final = 10.0
+"""Times the floor, from which on a map has its darkest colour at the least."""
+SPAN: Final = (0.5, 4.0)
+"""Times the floor: what the axis of a picture has at the least."""
+FAINT: Final = 1e-3
+"""Times the floor: the least that is drawn."""
+
+
+def where_picture(cells: tuple[Cell, ...]) -> bytes:
+    """A map of ratios to the floor, channels by regimes, those with the largest on top."""
+    rows = list(dict.fromkeys(channel_words(cell.channel, cell.place) for cell in cells))
+    columns = sorted({cell.regime for cell in cells})
+    ratio = np.full((len(rows), len(columns)), np.nan)
+    for cell in cells:
+        at = rows.index(channel_words(cell.channel, cell.place)), columns.index(cell.regime)
+        ratio[at] = cell.ratio
+    return drawn(_size(len(rows)), DPI, lambda figure: _draw_map(figure, rows, columns, ratio))
+
+
+def race_picture(result: Result) -> bytes:
+    """Probabilities of what was chosen and of what may stand in its stead, and sizes with intervals."""
+    count = sum(1 + len(others(finding)) for finding in result.diagnosis.findings)
+    return drawn(_size(max(count, FEWEST)), DPI, lambda figure: _draw_race(figure, result))
+
+
+def closure_picture(closure: Closure) -> bytes:
+    """Every channel on held-out motion, before and after, in units of its floor."""
+    return drawn(_size(len(closure.channels)), DPI, lambda figure: _draw_closure(figure, closure))
+
+
+def _size(rows: int) -> tuple[float, float]:
+    return WIDTH_INCH, MARGIN_INCH + ROW_INCH * rows
+
+
+def _draw_map(figure: Any, rows: list[str], columns: list[str], ratio: Any) -> None:
+    from matplotlib.colors import LogNorm
+
+    axes = figure.subplots()
+    norm = LogNorm(1.0, max(FULL, float(np.nanmax(ratio))), clip=True)
+    axes.set_facecolor("0.9")
+    image = axes.pcolormesh(np.ma.masked_invalid(ratio), cmap="Reds", norm=norm, edgecolor="white")
+    for (row, column), value in np.ndenumerate(ratio):
+        if np.isfinite(value):
+            dark = norm(value) > 0.6
+            axes.text(
+                column + 0.5, row + 0.5, f"{value:.1f}" if value < 99.95 else f"{value:.0f}",
+                ha="center", va="center", fontsize=8, color="white" if dark else "black",
+            )  # fmt: skip
+    axes.set_xticks(np.arange(len(columns)) + 0.5, columns)
+    axes.set_yticks(np.arange(len(rows)) + 0.5, rows, fontsize=8)
+    axes.invert_yaxis()
+    axes.tick_params(length=0)
+    bar = figure.colorbar(image, ax=axes, label="rms over the floor")
+    _plain_steps(bar.ax.yaxis)
+
+
+def _draw_race(figure: Any, result: Result) -> None:
+    bars, sizes = figure.subplots(1, 2, width_ratios=(1.0, 1.0))
+    ready, row = result.ready, 0
+    names: list[tuple[int, str]] = []
+    colour = "tab:orange" if result.diagnosis.verdict == "unknown" else "tab:blue"
+    for finding in result.diagnosis.findings:
+        every = [(finding.hypothesis, probability_of(finding.hypothesis, finding.alternatives))]
+        for one, share in (*every, *others(finding)):
+            chosen = one == finding.hypothesis
+            bars.barh(row, share, color=colour if chosen else "0.7")
+            names.append((row, ready.found.hypotheses[one].name))
+            row += 1
+    bars.set_yticks(*zip(*names, strict=True), fontsize=8)
+    role = "Nearest (no name)" if result.diagnosis.verdict == "unknown" else "Chosen (blue)"
+    title = f"{role} and what may stand in its stead"
+    bars.set(title=title, xlabel="probability", xlim=(0.0, 1.0), ylim=_rows(row))
+    _draw_sizes(sizes, ready, result.diagnosis.findings)
+
+
+def _draw_sizes(axes: Any, ready: Ready, findings: tuple[Finding, ...]) -> None:
+    """Departures from neutral in typical sizes; grey is what cannot be seen."""
+    names: list[str] = []
+    for finding in findings:
+        hypothesis = ready.found.hypotheses[finding.hypothesis]
+        limit = ready.limits[finding.hypothesis].limit
+        for parameter, value, least, most in zip(
+            hypothesis.parameters, finding.values, finding.least, finding.most, strict=True
+        ):
+            if parameter.sizes and np.isfinite(least):
+                row = len(names)
+                size, one, other = (
+                    (end - parameter.absent) / parameter.typical for end in (value, least, most)
+                )
+                if len(hypothesis.sizes) == 1 and np.isfinite(limit):
+                    axes.barh(row, 2.0 * limit, left=-limit, color="0.9", height=0.9)
+                axes.plot([one, other], [row, row], color="tab:blue", linewidth=3, solid_capstyle="butt")
+                axes.plot(size, row, "o", color="tab:blue")
+                names.append(f"{parameter.name}, {hypothesis.name}")
+    axes.set_yticks(range(len(names)), names, fontsize=8)
+    axes.set_ylim(*_rows(len(names)))
+    axes.axvline(0.0, color="0.6", linewidth=0.8)
+    axes.set(title="Sizes with 90 % intervals; grey: not seen", xlabel="typical sizes from neutral")
+
+
+def _rows(count: int) -> tuple[float, float]:
+    """Limits of an axis of rows, the first on top; a single row is not as high as the picture."""
+    room = max(count, FEWEST)
+    return (count + room - 1) / 2.0, (count - room - 1) / 2.0
+
+
+def _draw_closure(figure: Any, closure: Closure) -> None:
+    axes = figure.subplots()
+    channels = sorted(closure.channels, key=lambda one: -one.before / one.floor)
+    for row, one in enumerate(channels):
+        before, after = (max(value / one.floor, FAINT) for value in (one.before, one.after))
+        axes.plot([before, after], [row, row], color="0.7", zorder=1)
+        labels = ("before", "after") if row == 0 else (None, None)
+        axes.plot(before, row, "o", color="tab:red", label=labels[0], fillstyle="none", markersize=8)
+        axes.plot(after, row, "o", color="tab:blue", label=labels[1])
+    axes.axvline(1.0, color="black", linestyle=":", label="floor")
+    axes.set_yticks(range(len(channels)), [one.channel for one in channels], fontsize=8)
+    axes.invert_yaxis()
+    axes.set_xscale("log")
+    least, most = axes.get_xlim()
+    axes.set_xlim(min(least, SPAN[0]), max(most, SPAN[1]))
+    _plain_steps(axes.xaxis)
+    axes.set(xlabel="rms on held-out motion, over the floor")
+    axes.legend(fontsize=8, loc="lower right")
+
+
+def _plain_steps(axis: Any) -> None:
+    """Ticks of a logarithmic axis at 1, 2, 5, 10."""
+    from matplotlib.ticker import LogLocator, NullLocator
+
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(lambda value, _: number(value))

@@ -1,0 +1,130 @@
+"""How the features change with every hypothesis and nuisance: found once per campaign, and kept."""
+
+import json
+import zlib
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Final
+from zipfile import BadZipFile
+
+import numpy as np
+
+from fsw.kinematics.transforms import Array
+from ground.common.files import written_whole
+from ground.diagnosis.hypothesis import Hypothesis, Nuisance, Parameter
+from ground.diagnosis.layout import Ints, Layout
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensitivities:
+    """The simulator about its nominal state, in straight lines and parabolas."""
+
+    layout: Layout
+    hypotheses: tuple[Hypothesis, ...]
+    nuisances: tuple[Nuisance, ...]
+    nominal: Array
+    """What is predicted with no effect, (m,)."""
+    effect: Array
+    """Change per typical size of each size parameter, in the order of `owner`, (m, K)."""
+    curve: Array
+    """Change per square of that: a parabola through nominal and what could be simulated beside it, (m, K)."""
+    reach: Array
+    """How far from nominal that was, in typical sizes, (K,)."""
+    owner: Ints
+    """Which hypothesis each column belongs to, ascending, (K,)."""
+    nuisance: Array
+    """Change per unit of each nuisance, (m, q)."""
+
+    def __post_init__(self) -> None:
+        m, wanted = self.layout.size, [len(hypothesis.sizes) for hypothesis in self.hypotheses]
+        if not np.array_equal(self.owner, np.repeat(np.arange(len(wanted)), wanted)):
+            raise ValueError("owner must list every size parameter of every hypothesis in order")
+        shapes = (
+            (self.nominal, (m,)),
+            (self.effect, (m, sum(wanted))),
+            (self.curve, (m, sum(wanted))),
+            (self.reach, (sum(wanted),)),
+            (self.nuisance, (m, len(self.nuisances))),
+        )
+        for array, shape in shapes:
+            if array.shape != shape or not np.all(np.isfinite(array)):
+                raise ValueError(f"sensitivities must be finite and {shape}; one is {array.shape}")
+
+    @property
+    def lasting(self) -> list[int]:
+        """The nuisances that are one number for all blocks, by index."""
+        return [index for index, nuisance in enumerate(self.nuisances) if not nuisance.each_block]
+
+    def only(self, effects: Collection[str]) -> "Sensitivities":
+        """Those of the hypotheses of some effects, beside the same nuisances."""
+        chosen = [k for k, hypothesis in enumerate(self.hypotheses) if hypothesis.effect in effects]
+        columns = np.flatnonzero(np.isin(self.owner, chosen))
+        hypotheses = tuple(self.hypotheses[k] for k in chosen)
+        owner = np.repeat(np.arange(len(chosen)), [len(hypothesis.sizes) for hypothesis in hypotheses])
+        parts = {name: getattr(self, name)[:, columns] for name in ("effect", "curve")}
+        return replace(self, hypotheses=hypotheses, owner=owner, reach=self.reach[columns], **parts)
+
+    def of(self, rows: Ints) -> "Sensitivities":
+        """Those of some of the features, in that order."""
+        arrays = ("nominal", "effect", "curve", "nuisance")
+        return replace(
+            self, layout=self.layout.of(rows), **{name: getattr(self, name)[rows] for name in arrays}
+        )
+
+
+def save(path: Path, found: Sensitivities) -> None:
+    """Keep sensitivities in an .npz file that holds no code; BadOutput if it cannot be written."""
+    layout = found.layout
+    words = {
+        "hypotheses": [asdict(hypothesis) for hypothesis in found.hypotheses],
+        "nuisances": [asdict(nuisance) for nuisance in found.nuisances],
+        "names": {name: getattr(layout, name) for name in _NAMES},
+    }
+    arrays = {name: getattr(layout, name) for name in _ARRAYS}
+    arrays |= {name: getattr(found, name) for name in _FOUND}
+    with written_whole(path, "sensitivities") as file:
+        np.savez(file, words=np.array(json.dumps(words)), **arrays)
+
+
+_DAMAGE: Final = (
+    *(OSError, EOFError, BadZipFile, zlib.error, RuntimeError),  # the last of what zipfile cannot unpack
+    *(ValueError, KeyError, TypeError),
+)
+
+
+def load(path: Path) -> Sensitivities:
+    """Sensitivities as they were kept; ValueError if the file does not hold any, or is cut or damaged."""
+    try:
+        return _loaded(path)
+    except _DAMAGE as error:
+        raise ValueError(f"{path}: no sensitivities ({error})") from error
+
+
+def _loaded(path: Path) -> Sensitivities:
+    with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+        missing = {"words", *_ARRAYS, *_FOUND} - set(file.files)
+        if missing:
+            raise ValueError(f"{', '.join(sorted(missing))} missing")
+        words = json.loads(str(file["words"]))
+        names = (tuple(words["names"][name]) for name in _NAMES)
+        layout = Layout(*(file[name] for name in _ARRAYS), *names)
+        hypotheses = tuple(
+            Hypothesis(h["effect"], h["place"], tuple(Parameter(**p) for p in h["parameters"]))
+            for h in words["hypotheses"]
+        )
+        nuisances = tuple(Nuisance(**nuisance) for nuisance in words["nuisances"])
+        found = (file[name] for name in _FOUND)
+        return Sensitivities(layout, hypotheses, nuisances, *found)
+
+
+_ARRAYS: Final = ("sigma", "block", "channel", "place", "regime", "condition")
+_FOUND: Final = ("nominal", "effect", "curve", "reach", "owner", "nuisance")
+_NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions")
+
+
+def through(ends: Sequence[tuple[Array, float]]) -> tuple[Array, Array]:
+    """Slope and bend at 0 of the parabola through 0 and two changes at their sizes; of one, a line."""
+    (high, up), (low, down) = ends[0], ends[-1]
+    bend = np.zeros_like(high) if up == down else (high / up - low / down) / (up - down)
+    return high / up - bend * up, bend

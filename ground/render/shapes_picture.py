@@ -1,0 +1,60 @@
+"""A picture of what flight software takes arm and rover to be, over how they look."""
+
+from pathlib import Path
+from typing import Final
+
+import mujoco
+import numpy as np
+
+from fsw.config import configure
+from fsw.dictionary.params import Params
+from fsw.kinematics.statics import rest
+from fsw.kinematics.transforms import Array, Pose
+from fsw.protect.collision import placed
+from fsw.protect.space import Solids
+from ground.render.picture import PictureResult, save_picture
+from sim.frames import FLIP, P_NR_M
+from sim.plant import Plant
+from sim.world import World, build
+
+ARM_RGBA: Final = (0.10, 0.45, 0.95, 0.45)
+ROVER_RGBA: Final = (1.0, 0.45, 0.05, 0.30)
+
+
+def save_shapes_picture(
+    params: Params,
+    output_rad: Array,
+    path: Path,
+    camera: str = "workspace",
+    size: tuple[int, int] = (1280, 720),
+) -> PictureResult:
+    """Save the arm at output angles (5), hanging on Mars, with the shapes of arm and rover around it.
+
+    Raises:
+        PictureError: the path cannot be written or there is no such camera.
+    """
+    config, world = configure(params), World()
+    at_rest = rest(config.arm, output_rad[:, None], world.gravity_N_m_s2)
+    spec = build(world, for_pictures=True)
+    _add(spec, config.space.arm, placed(config.space, at_rest.frames)[:, 0], ARM_RGBA)
+    _add(spec, config.space.rover, config.space.rover.X_CS, ROVER_RGBA)
+    plant = Plant(spec.compile())
+    plant.show(output_rad, at_rest.strain[:, :, 0])
+    mujoco.mj_forward(plant.model, plant.data)
+    return save_picture(plant.model, plant.data, camera, path, size)
+
+
+def _add(spec: mujoco.MjSpec, solids: Solids, X_RS: Pose, rgba: tuple[float, ...]) -> None:
+    """Solids as geoms that only look; a capsule of MuJoCo lies along z, ours along x."""
+    for k in range(solids.part.size):
+        R_WS, half, radius = FLIP[:, None] * X_RS.R[:, :, k], solids.half_m[:, k], solids.radius_m[k]
+        if solids.thin[k]:
+            kind, sizes = mujoco.mjtGeom.mjGEOM_CAPSULE, (radius, max(half[0], 1e-6), 0.0)
+            R_WS = R_WS[:, [1, 2, 0]]
+        else:
+            kind, sizes = mujoco.mjtGeom.mjGEOM_BOX, tuple(half)
+        geom = spec.worldbody.add_geom(type=kind, size=sizes, rgba=rgba, contype=0, conaffinity=0)
+        geom.pos = FLIP * (X_RS.p[:, k] + P_NR_M)
+        quaternion = np.empty(4)
+        mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(R_WS).ravel())
+        geom.quat = quaternion

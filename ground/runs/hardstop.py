@@ -1,0 +1,205 @@
+"""The hardstop job: one joint or all against their negative hardstops, once or many times."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import degrees
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.commands import Calibrate, CalibrateAll, Joints5
+from fsw.dictionary.joints import STOP_ORDER, Joint
+from fsw.dictionary.tuples import joints5
+from fsw.executive.hardstop_pose import stop_poses
+from ground.common.files import BadOutput, check_output
+from ground.common.progress import Progress
+from ground.common.requests import (
+    BadRequest,
+    check_apart,
+    check_seed,
+    chosen_arm,
+    chosen_effects,
+    tilted_world,
+)
+from ground.runs.hardstop_figure import save_hardstop_figure
+from sim.arms import BuiltArm, later
+from sim.effects.effect import Effect
+from sim.effects.environment import WARM_C, surroundings
+from sim.initialisation import Initialisation, InitialisationRun, stop_run
+from sim.loop import ClosedLoop, Setup
+from sim.sequence import Outcome
+from sim.stops import NoPlan, without_turret
+from sim.trials import varied
+from sim.world import World
+
+MOST_REPEATS: Final = 1000
+COLDEST_C, WARMEST_C = -130.0, 50.0
+EXPECTED_S: Final = 1500.0
+"""Of calibrating all joints, about; for the progress bar."""
+
+
+@dataclass(frozen=True, slots=True)
+class HardstopRequest:
+    """What is asked; degrees, degrees Celsius."""
+
+    joint: str | None = None
+    """None for all."""
+    repeat: int = 1
+    arm: str = "nominal"
+    scene: str = "mars"
+    tilt_roll_deg: float = 0.0
+    tilt_pitch_deg: float = 0.0
+    turret: bool = True
+    start_deg: tuple[float, ...] | None = None
+    """Where the joint begins; None for near its hardstop, in its pose."""
+    temperature_C: float | None = None
+    """None for a warm day, or for another one every time if there are several."""
+    seed: int = 0
+    params: Path | None = None
+    effects: tuple[str, ...] = ()
+    """As the command line writes them."""
+    picture: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HardstopReport:
+    """What came of it; a run for every repetition and joint, or one of all joints."""
+
+    request: HardstopRequest
+    runs: tuple[Initialisation, ...]
+    poses_rad: tuple[tuple[float, ...], ...]
+    """In which each joint runs to its hardstop, in the order of Joint; its own angle is where it waits."""
+    picture_problem: str | None
+
+    @property
+    def outcome(self) -> Outcome:
+        """That of the last run; the first that fails is the last."""
+        return self.runs[-1].outcome
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HardstopJob:
+    """A request that can be carried out."""
+
+    joints: tuple[Joint, ...]
+    arm: BuiltArm
+    world: World
+    start_rad: Joints5 | None
+    effects: tuple[Effect, ...]
+
+
+def hardstop(request: HardstopRequest, progress: Progress) -> HardstopReport:
+    """Find hardstops, and draw how if a picture is asked for.
+
+    Raises:
+        BadRequest: the request is wrong; nothing moved and nothing was written.
+    """
+    job = checked(request)
+    runs = tuple(_runs(request, job, progress))
+    problem = None
+    if request.picture is not None:
+        try:
+            problem = save_hardstop_figure(runs, request.picture)
+        except BadOutput as error:
+            raise BadRequest(str(error)) from error
+    poses = tuple(tuple(stop_poses(job.arm.params, joint)[-1]) for joint in Joint)
+    return HardstopReport(request, runs, poses, problem)
+
+
+def checked(request: HardstopRequest) -> HardstopJob:
+    """The job, after every check that can be made before anything moves or is written."""
+    check_seed(request.seed)
+    if not 1 <= request.repeat <= MOST_REPEATS:
+        raise BadRequest(f"repeat: {request.repeat} is not within 1 .. {MOST_REPEATS}")
+    if request.temperature_C is not None and request.repeat > 1:
+        raise BadRequest("temperature: is another in each of several repetitions; give no --temperature")
+    temperature_C = WARM_C if request.temperature_C is None else request.temperature_C
+    if not COLDEST_C <= temperature_C <= WARMEST_C:
+        raise BadRequest(
+            f"temperature: {temperature_C} degC is not within {COLDEST_C:g} .. {WARMEST_C:g} degC"
+        )
+    if request.picture is not None:
+        check_apart({"params": request.params, "picture": request.picture})
+        try:
+            check_output(request.picture, (".png",), "picture")
+        except BadOutput as error:
+            raise BadRequest(str(error)) from error
+    if request.start_deg is not None and (request.joint is None or request.repeat > 1):
+        raise BadRequest("start: is for one joint, once; give --joint and no --repeat")
+    world = tilted_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)
+    effects = chosen_effects(request.effects)
+    arm = chosen_arm(request.arm, request.params).with_effects(effects)
+    return HardstopJob(
+        joints=STOP_ORDER if request.joint is None else (_joint(request.joint),),
+        arm=arm if request.turret else _bare(arm, request),
+        world=world,
+        start_rad=None if request.start_deg is None else _start(arm, request.start_deg),
+        effects=(*surroundings(effects, temperature_C), *later(effects)),
+    )
+
+
+def _bare(arm: BuiltArm, request: HardstopRequest) -> BuiltArm:
+    try:
+        return without_turret(arm, on_earth=request.scene == "earth")
+    except NoPlan as error:
+        raise BadRequest(f"hardstop: no poses for Earth without a turret: {error}") from error
+
+
+def _start(arm: BuiltArm, start_deg: tuple[float, ...]) -> Joints5:
+    """A pose in which the arm could stand: between its hardstops."""
+    start = np.radians(start_deg)
+    for joint, angle_rad, of_joint in zip(Joint, start, arm.params.joints.in_order(), strict=True):
+        low, high = of_joint.hardstop_rad, of_joint.soft_max_rad
+        if not low <= angle_rad <= high:
+            raise BadRequest(
+                f"start: joint {joint.name.lower()}: {degrees(angle_rad):g} deg is outside "
+                f"{degrees(low):.1f} .. {degrees(high):.1f} deg"
+            )
+    return joints5(start)
+
+
+def _joint(name: str) -> Joint:
+    known = {joint.name.lower(): joint for joint in Joint}
+    if name.lower() not in known:
+        raise BadRequest(f"joint: {name!r} is not known; there are {', '.join(known)}")
+    return known[name.lower()]
+
+
+def _runs(request: HardstopRequest, job: HardstopJob, progress: Progress) -> Iterator[Initialisation]:
+    """One after the other until one fails."""
+    if request.joint is None and request.repeat == 1:
+        yield _all(request, job, progress)
+        return
+    total = request.repeat * len(job.joints)
+    for k in range(total):
+        repetition, joint = k // len(job.joints), job.joints[k % len(job.joints)]
+        progress(k, total, joint.name.lower())
+        if job.start_rad is not None:
+            setup = Setup(job.arm, job.world, job.start_rad, request.seed, effects=job.effects)
+            run = InitialisationRun(ClosedLoop(setup), Calibrate(joint))
+        elif request.repeat == 1:
+            run = stop_run(job.arm, joint, job.world, request.seed, job.effects)
+        else:
+            run = varied(job.arm, joint, job.world, request.seed + repetition)
+        result = run.finish()
+        if result.failure is not None:
+            raise result.failure
+        yield result
+        if result.outcome is not Outcome.DONE:
+            return
+
+
+def _all(request: HardstopRequest, job: HardstopJob, progress: Progress) -> Initialisation:
+    start_rad = job.arm.params.hardstop.start_rad
+    loop = ClosedLoop(Setup(job.arm, job.world, start_rad, request.seed, effects=job.effects))
+    run = InitialisationRun(loop, CalibrateAll())
+    for record in run:
+        if record.tick % CYCLE_HZ == 0:
+            seeking = loop.state.move.seek if loop.state.move is not None else None
+            doing = "moving" if seeking is None else seeking.joint.name.lower()
+            progress(record.tick / CYCLE_HZ, EXPECTED_S, doing)
+    if loop.failure is not None:
+        raise loop.failure
+    return run.result()

@@ -1,0 +1,111 @@
+"""The picture of a joint meeting its hardstop: current, speed and angle over time, and current over angle."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from fsw.dictionary.joints import STOP_ORDER, Joint
+from fsw.motion.seek import Stage
+from ground.render.figures import save_figure
+from sim.initialisation import Initialisation, Sample
+
+BEFORE_S: Final = 3.0
+"""How much of the long way to the hardstop is shown."""
+PAUSE_S: Final = 1.0
+"""Between two turns of a joint."""
+BLUE, ORANGE, GREEN, RED, GREY = "#31688e", "#d95f02", "#2a9d8f", "#c1121f", "0.6"
+COLOURS: Final = {
+    Stage.FREE: "0.8",
+    Stage.COARSE: GREY,
+    Stage.RETREAT: GREEN,
+    Stage.FINE: BLUE,
+    Stage.RELEASE: ORANGE,
+}
+NAMES: Final = {
+    Stage.FREE: "off, to begin with",
+    Stage.COARSE: "towards, until it stalls",
+    Stage.RETREAT: "back",
+    Stage.FINE: "towards, slowly",
+    Stage.RELEASE: "off, slowly",
+}
+
+
+def save_hardstop_figure(runs: Sequence[Initialisation], path: Path) -> str | None:
+    """Save the picture as PNG, the first run of each joint; the reason if matplotlib is not there.
+
+    Raises:
+        BadOutput: the file cannot be written.
+    """
+    seen = _by_joint(runs)
+    rows = max(len(seen), 1)
+
+    def draw(figure: Any) -> None:
+        figure.suptitle("Against the negative hardstop: motor current, speed and angle", fontsize=12)
+        panels = figure.subplots(rows, 4, squeeze=False)
+        for axes, (joint, samples) in zip(panels, seen.items(), strict=False):
+            _draw(axes, joint, samples)
+        drawn = dict(zip(*reversed(panels[0][0].get_legend_handles_labels()), strict=True))
+        if drawn:
+            figure.legend(drawn.values(), drawn.keys(), loc="outside lower center", ncols=len(drawn))
+
+    return save_figure(path, (15, 1.2 + 3.4 * rows), 90, draw)
+
+
+def _by_joint(runs: Sequence[Initialisation]) -> dict[Joint, list[Sample]]:
+    """The last turn of each joint in its first run, without most of the way there."""
+    seen: dict[Joint, list[Sample]] = {}
+    for joint in STOP_ORDER:
+        samples = next((turn for turn in (_last_turn(run, joint) for run in runs) if turn), None)
+        if samples is not None:
+            at_stop = [s.time_s for s in samples if s.stage > Stage.COARSE]
+            first_s = (at_stop[0] if at_stop else samples[-1].time_s) - BEFORE_S
+            seen[joint] = [s for s in samples if s.time_s >= first_s]
+    return seen
+
+
+def _last_turn(run: Initialisation, joint: Joint) -> list[Sample]:
+    samples = [s for s in run.samples if s.joint is joint]
+    pauses = [k for k, (a, b) in enumerate(pairwise(samples), 1) if b.time_s - a.time_s > PAUSE_S]
+    return samples[pauses[-1] :] if pauses else samples
+
+
+def _draw(axes: Any, joint: Joint, samples: list[Sample]) -> None:
+    current, speed, angle, press = axes
+    zero_s, last = samples[0].time_s, samples[-1]
+    name = joint.name.lower()
+    for stage in Stage:
+        part = [s for s in samples if s.stage is stage]
+        if not part:
+            continue
+        time_s = np.array([s.time_s for s in part]) - zero_s
+        angle_mrad = 1e3 * (np.array([s.angle_rad for s in part]) - last.angle_rad)
+        current_A = np.array([s.current_A for s in part])
+        style = {"color": COLOURS[stage], "linewidth": 0.9}
+        current.plot(time_s, current_A, label=NAMES[stage], **style)
+        speed.plot(time_s, 1e3 * np.array([s.speed_rad_s for s in part]), **style)
+        angle.plot(time_s, angle_mrad, **style)
+        if stage in (Stage.FINE, Stage.RELEASE):
+            press.plot(angle_mrad, current_A, ".", markersize=2, color=COLOURS[stage])
+    time_s = np.array([s.time_s for s in samples]) - zero_s
+    limit_A = np.array([s.limit_A for s in samples])
+    current.plot(time_s, limit_A, color=RED, linewidth=0.8, linestyle="--", label="current limit")
+    current.plot(time_s, -limit_A, color=RED, linewidth=0.8, linestyle="--")
+    for stall_s in _stalls(samples):
+        for panel in (current, speed, angle):
+            panel.axvline(stall_s - zero_s, color="black", linewidth=0.8, linestyle=":", label="stall")
+    current.set(title=f"{name}: current", xlabel="time [s]", ylabel="A")
+    speed.set(title=f"{name}: motor speed", xlabel="time [s]", ylabel="mrad/s")
+    angle.set(title=f"{name}: motor angle", xlabel="time [s]", ylabel="mrad from where it ends")
+    press.set(title=f"{name}: current over angle", xlabel="mrad from where it ends", ylabel="A")
+
+
+def _stalls(samples: list[Sample]) -> list[float]:
+    """When a stall was seen: the ends of the ways towards the hardstop."""
+    return [
+        a.time_s
+        for a, b in pairwise(samples)
+        if a.stage is not b.stage and a.stage in (Stage.COARSE, Stage.FINE)
+    ]

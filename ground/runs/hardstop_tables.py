@@ -1,0 +1,159 @@
+"""Hardstops that were found as tables for people and as documents for programs."""
+
+from math import degrees
+from typing import Any
+
+import numpy as np
+from rich.table import Table
+
+from fsw.dictionary.evrs import JointCalibrated, Severity
+from fsw.dictionary.joints import STOP_ORDER, Joint
+from ground.render.console import plain_console
+from ground.runs.hardstop import HardstopReport
+from ground.runs.hardstop_plan import StopPlan
+from ground.runs.tables import evr_json
+from sim.initialisation import Stop
+
+
+def hardstop_json(report: HardstopReport) -> dict[str, Any]:
+    """The result as a JSON document."""
+    request = report.request
+    return {
+        "outcome": report.outcome.value,
+        "arm": request.arm,
+        "scene": request.scene,
+        "turret": request.turret,
+        "repeat": request.repeat,
+        "seed": request.seed,
+        "tilt_deg": {"roll": request.tilt_roll_deg, "pitch": request.tilt_pitch_deg},
+        "temperature_C": request.temperature_C,
+        "joints": {joint.name.lower(): _joint_json(report, joint) for joint in _joints(report)},
+        "most_current_share_of_limit": max(float(run.most_current_share.max()) for run in report.runs),
+        "duration_s": sum(run.duration_s for run in report.runs),
+        "evrs": [evr_json(time_s, evr) for time_s, evr in report.runs[-1].evrs],
+        "picture": None
+        if request.picture is None or report.picture_problem is not None
+        else str(request.picture),
+        "picture_problem": report.picture_problem,
+    }
+
+
+def hardstop_table(report: HardstopReport) -> None:
+    """Print what was found, and what went wrong."""
+    console = plain_console()
+    request = report.request
+    table = Table(title=f"Hardstops of {request.arm} on {request.scene}: {report.outcome.value}")
+    many = request.repeat > 1
+    for name in (
+        "joint",
+        "zero error mrad",
+        *(("3 sigma mrad",) if many else ()),
+        "without wind-up mrad",
+        "half gap error mrad",
+        "load N m",
+        "most on stop N m",
+    ):
+        table.add_column(name, justify="left" if name == "joint" else "right")
+    for joint in _joints(report):
+        row = _joint_json(report, joint)
+        if row["found"] == 0:
+            table.add_row(joint.name.lower(), "not found")
+            continue
+        spread = (f"{row['zero_error_3_sigma_mrad']:.3f}",) if many else ()
+        table.add_row(
+            joint.name.lower(),
+            f"{row['zero_error_mrad']:+.3f}",
+            *spread,
+            f"{row['uncorrected_error_mrad']:+.3f}",
+            f"{row['half_gap_error_mrad']:+.3f}",
+            f"{row['load_Nm']:.1f}",
+            f"{row['most_torque_Nm']:.0f}",
+        )
+    console.print(table)
+    console.print("errors are against the true hardstop of this arm, which flight software cannot see")
+    if not many:
+        for run in report.runs:
+            for time_s, evr in run.evrs:
+                if isinstance(evr, JointCalibrated) or evr.severity >= Severity.WARNING_LO:
+                    console.print(f"{time_s:8.2f} s  {evr.message}", soft_wrap=True)
+    elif report.outcome != "done":
+        for time_s, evr in report.runs[-1].evrs:
+            console.print(f"{time_s:8.2f} s  {evr.message}", soft_wrap=True)
+    if request.picture is not None:
+        console.print(f"picture  {report.picture_problem or request.picture}", soft_wrap=True)
+
+
+def plan_json(plans: tuple[StopPlan, ...]) -> dict[str, Any]:
+    """The plans as a JSON document."""
+    return {
+        plan.place: {
+            "joints": {
+                joint.name.lower(): {
+                    "pose_deg": [degrees(angle) for angle in plan.loads.pose_rad[:, joint]],
+                    "torque_Nm": float(plan.loads.torque_Nm[joint]),
+                }
+                for joint in Joint
+            },
+            "order": [joint.name.lower() for joint in STOP_ORDER],
+            "start_deg": [degrees(angle) for angle in plan.params.hardstop.start_rad],
+            "park_deg": [degrees(angle) for angle in plan.params.hardstop.park_rad],
+            "again_deg": [degrees(angle) for angle in plan.params.hardstop.again_rad],
+            "clearance_mm": {
+                "rover_and_ground": 1e3 * plan.clearance.outside_m,
+                "itself": 1e3 * plan.clearance.self_m,
+            },
+        }
+        for plan in plans
+    }
+
+
+def plan_table(plans: tuple[StopPlan, ...]) -> None:
+    """Print where each joint meets its hardstop, and with what load."""
+    console = plain_console()
+    for plan in plans:
+        table = Table(title=f"At the hardstops, {plan.place}", title_justify="left")
+        for name in ("joint", "load N m", "azimuth", "elevation", "elbow", "wrist", "turret deg"):
+            table.add_column(name, justify="left" if name == "joint" else "right")
+        for joint in STOP_ORDER:
+            pose = [f"{degrees(angle):.1f}" for angle in plan.loads.pose_rad[:, joint]]
+            table.add_row(joint.name.lower(), f"{plan.loads.torque_Nm[joint]:.1f}", *pose)
+        console.print(table)
+        room = plan.clearance
+        console.print(
+            f"on the way at least {1e3 * room.outside_m:.0f} mm from rover and ground, "
+            f"{1e3 * room.self_m:.0f} mm from itself"
+        )
+
+
+def _joints(report: HardstopReport) -> list[Joint]:
+    asked = report.request.joint
+    return list(Joint) if asked is None else [Joint[asked.upper()]]
+
+
+def _joint_json(report: HardstopReport, joint: Joint) -> dict[str, Any]:
+    """Means over the repetitions, and their spread; what was found last counts."""
+    turns = [[stop for stop in run.stops if stop.joint is joint] for run in report.runs]
+    stops = [of_run[-1] for of_run in turns if of_run]
+    if not stops:
+        return {"found": 0}
+    error = 1e3 * np.array([stop.zero_error_rad for stop in stops])
+    uncorrected = 1e3 * np.array([stop.uncorrected_error_rad for stop in stops])
+    return {
+        "found": len(stops),
+        "zero_error_mrad": float(error.mean()),
+        "zero_error_3_sigma_mrad": _three_sigma(error),
+        "uncorrected_error_mrad": float(uncorrected.mean()),
+        "uncorrected_error_3_sigma_mrad": _three_sigma(uncorrected),
+        "half_gap_error_mrad": 1e3 * _mean(stops, "half_gap_error_rad"),
+        "load_Nm": _mean(stops, "load_Nm"),
+        "most_torque_Nm": max(float(run.most_torque_Nm[joint]) for run in report.runs),
+        "planned_pose_deg": [degrees(angle) for angle in report.poses_rad[joint]],
+    }
+
+
+def _mean(stops: list[Stop], name: str) -> float:
+    return float(np.mean([getattr(stop, name) for stop in stops]))
+
+
+def _three_sigma(values: np.ndarray) -> float | None:
+    return 3 * float(values.std(ddof=1)) if values.size > 1 else None

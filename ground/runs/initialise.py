@@ -1,0 +1,17 @@
+"""What comes before an arm is stowed: every joint has been at its hardstop."""
+
+from fsw.dictionary.joints import STOP_ORDER
+from ground.common.progress import Progress
+from sim.arms import BuiltArm
+from sim.initialisation import Initialisation, initialised
+
+
+def initialise(arm: BuiltArm, seed: int, progress: Progress) -> list[Initialisation]:
+    """Every joint at its hardstop, one after the other; the last one of the list may have failed."""
+    stops: list[Initialisation] = []
+    for run in initialised(arm, seed=seed):
+        if run.failure is not None:
+            raise run.failure
+        stops.append(run)
+        progress(len(stops), len(STOP_ORDER), "initialising")
+    return stops

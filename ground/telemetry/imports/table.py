@@ -1,0 +1,302 @@
+"""Tables from Parquet and text, column by column; nothing in the file is trusted."""
+
+import io
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+from pyarrow import csv, parquet, types
+
+from ground.telemetry.imports.errors import BadImport
+from ground.telemetry.imports.mapping import Csv
+from sim.scenario.names import did_you_mean
+
+PARQUET_MAGIC: Final = b"PAR1"
+PARQUET: Final = (".parquet", ".pq")
+TEXT: Final = (".csv", ".tsv", ".txt")
+MOST_CELLS: Final = 100_000_000
+"""Rows times columns that are read: ten hours at 64 Hz of forty columns."""
+SHOWN: Final = 20
+FOREIGN: Final = {
+    b"PK\x03\x04": "a zip file, as spreadsheets are",
+    b"\x89MCAP": "an MCAP log; read it with `marsarm log`",
+    b"\x1f\x8b": "compressed; unpack it first",
+    b"SQLite": "a database",
+    b"\x89HDF": "an HDF5 file",
+    b"\xff\xfe": "text in UTF-16",
+    b"\xfe\xff": "text in UTF-16",
+}
+"""By the first bytes."""
+
+WORDS: Final = {"true": True, "false": False, "1": True, "0": False}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Column:
+    """One column: numbers, flags or names, and in which rows it has a value."""
+
+    name: str
+    values: NDArray[Any]
+    """(n,): float64, int64 or bool, of names their index; anything where there is no value."""
+    given: NDArray[np.bool_]
+    words: tuple[str, ...] = ()
+    """Of names: each that there is, once."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """What is read of a table: the columns that are mapped."""
+
+    file: str
+    rows: int
+    _arrays: dict[str, Any]
+    _decimal: str
+    _is_text: bool
+    _order: NDArray[np.int64] | None = None
+    """Where each row was in the file; None for the same order."""
+
+    def wrong(self, what: str, row: int | None = None, column: str | None = None) -> BadImport:
+        """The error that says where in this table something is wrong; the first row below the header is 1."""
+        places = [] if row is None else [f"row {self.row_number(row)}"]
+        places += [] if column is None else [f"column {column!r}"]
+        return BadImport([": ".join([self.file, *([", ".join(places)] if places else []), what])])
+
+    def row_number(self, row: int) -> int:
+        """What a row of ours is called in the file."""
+        return int(row if self._order is None else self._order[row]) + 1
+
+    def in_order_of(self, keys: NDArray[Any]) -> "Table":
+        """The table with its rows in the order of these keys, one a row."""
+        order = np.argsort(keys, kind="stable")
+        arrays = {name: array.take(pa.array(order)) for name, array in self._arrays.items()}
+        return replace(self, _arrays=arrays, _order=order)
+
+    @property
+    def rows_moved(self) -> int:
+        """How often the rows, in order of time, do not go on with the next row of the file."""
+        return 0 if self._order is None else int(np.count_nonzero(np.diff(self._order) != 1))
+
+    def numbers(self, name: str) -> Column:
+        """A column of numbers or flags; BadImport where it is neither."""
+        array = self._arrays[name]
+        given = _given(array)
+        if not self._is_text:
+            return Column(name, self._plain(name, array), given)
+        text = self._decimal_point(pc.utf8_trim_whitespace(array))
+        for kind in (pa.int64(), pa.float64()):
+            try:
+                values = _filled(pc.cast(text, kind))
+            except pa.ArrowInvalid:
+                continue
+            self._check_finite(name, values, text)
+            return Column(name, values, given)
+        return Column(name, self._words(name, text), given)
+
+    def names(self, name: str) -> Column:
+        """A column of names; of numbers, these as words."""
+        array = self._arrays[name]
+        if types.is_integer(array.type) or types.is_floating(array.type) or types.is_boolean(array.type):
+            column = self.numbers(name)
+            said, where = np.unique(column.values, return_inverse=True)
+            return Column(name, where, column.given, tuple(str(word) for word in said.tolist()))
+        coded = array if types.is_dictionary(array.type) else array.dictionary_encode()
+        words = tuple(str(word).strip() for word in coded.dictionary.to_pylist())
+        return Column(name, _filled(coded.indices), _given(array), words or ("",))
+
+    def is_time(self, name: str) -> bool:
+        """Whether a column holds times, which know their unit."""
+        return bool(types.is_timestamp(self._arrays[name].type))
+
+    def moments_ns(self, name: str, form: str | None) -> Column:
+        """A column of times in nanoseconds, from text in this form or as the file has them."""
+        array = self._arrays[name]
+        given = _given(array)
+        try:
+            if types.is_dictionary(array.type):
+                array = array.dictionary_decode()
+            if form is not None:
+                read = pc.strptime(pc.utf8_trim_whitespace(array), form, "us", error_is_null=True)
+                bad = np.flatnonzero(given & ~_given(read))
+                if bad.size:
+                    row = int(bad[0])
+                    raise self.wrong(f"{array[row].as_py()!r:.60} is no time as {form!r} has it", row, name)
+                array = read
+            return Column(name, _filled(pc.cast(pc.cast(array, pa.timestamp("ns")), pa.int64())), given)
+        except pa.ArrowException as error:
+            raise self.wrong(f"is no time ({_short(error)})", column=name) from error
+
+    def _check_finite(self, name: str, values: NDArray[Any], text: Any) -> None:
+        """Refuse digits that are read as an infinity."""
+        for row in np.flatnonzero(np.isinf(values)):
+            word = text[int(row)].as_py()
+            if any(letter.isdigit() for letter in word):
+                raise self.wrong(f"{word!r:.60} is too large to be a number", int(row), name)
+
+    def _decimal_point(self, text: Any) -> Any:
+        return pc.replace_substring(text, self._decimal, ".") if self._decimal != "." else text
+
+    def _plain(self, name: str, array: Any) -> NDArray[Any]:
+        kind = array.type
+        if types.is_boolean(kind):
+            return _filled(array)
+        if not types.is_integer(kind) and not types.is_floating(kind):
+            held = "text" if types.is_dictionary(kind) else kind
+            raise self.wrong(f"holds {held}, not numbers or flags; map another column", column=name)
+        try:
+            return _filled(pc.cast(array, pa.int64() if types.is_integer(kind) else pa.float64()))
+        except pa.ArrowInvalid as error:
+            raise self.wrong(f"holds a number that is too large ({_short(error)})", column=name) from error
+
+    def _words(self, name: str, text: Any) -> NDArray[Any]:
+        """Flags, or the sentence about the first that is neither a flag nor a number."""
+        words = text.to_pylist()
+        if all(word is None or word.lower() in WORDS for word in words):
+            return np.array([word is not None and WORDS[word.lower()] for word in words], bool)
+        row = next(k for k, word in enumerate(words) if word is not None and not _is_number(word))
+        raise self.wrong(f"{words[row]!r:.60} is no number{_hint(words[row], self._decimal)}", row, name)
+
+
+def read_table(data: bytes, file: str, names: Sequence[str], form: Csv, cells: int = MOST_CELLS) -> Table:
+    """These columns of a table; `file` is its name, whose ending says what it is.
+
+    Raises:
+        BadImport: it is no such table, lacks a column, has no row, or is too large.
+    """
+    suffix = Path(file).suffix.lower()
+    if suffix not in (*PARQUET, *TEXT):
+        kinds = " or ".join((*PARQUET[:1], *TEXT))
+        raise BadImport([f"{file}: is no table that is known by its name; it must end in {kinds}"])
+    if not data:
+        raise BadImport([f"{file}: is an empty file; give a table with names over its columns"])
+    is_text = suffix in TEXT
+    if is_text and data.startswith(PARQUET_MAGIC):
+        raise BadImport([f"{file}: is Parquet; name it .parquet"])
+    if not is_text and not data.startswith(PARQUET_MAGIC):
+        raise BadImport([f"{file}: is {_foreign(data) or 'text'}, not Parquet"])
+    if is_text and (said := _foreign(data)) is not None:
+        raise BadImport([f"{file}: is {said}; give a table as text in UTF-8, or as Parquet"])
+    try:
+        arrays = (_from_text if is_text else _from_parquet)(data, file, names, form, cells)
+    except BadImport:
+        raise
+    except MemoryError as error:
+        raise BadImport([f"{file}: is too large for the memory; give it in parts"]) from error
+    except Exception as error:  # torn files end in a decoder, a decompressor, anywhere
+        kind = "text in columns" if is_text else "Parquet"
+        raise BadImport([f"{file}: cannot be read as {kind}: {_short(error)}"]) from error
+    rows = len(next(iter(arrays.values()))) if arrays else 0
+    if rows == 0:
+        raise BadImport([f"{file}: has no row; give a table with at least one"])
+    return Table(file, rows, arrays, form.decimal, is_text)
+
+
+def _from_parquet(data: bytes, file: str, names: Sequence[str], _: Csv, cells: int) -> dict[str, Any]:
+    with parquet.ParquetFile(io.BytesIO(data)) as source:
+        schema, rows = source.schema_arrow, source.metadata.num_rows
+    _check_names(file, names, schema.names)
+    _check_size(file, rows, len(names), cells)
+    kinds = {name: schema.field(name).type for name in names}
+    nested = [name for name, kind in kinds.items() if types.is_nested(kind)]
+    if nested:
+        raise BadImport([f"{file}: column {nested[0]!r} holds lists; give each number a column of its own"])
+    # A name that a small file says once may stand in a hundred million rows: keep it as a number.
+    words = [name for name, kind in kinds.items() if types.is_string(kind) or types.is_large_string(kind)]
+    source = parquet.ParquetFile(io.BytesIO(data), read_dictionary=words, page_checksum_verification=True)
+    with source:
+        table = source.read(columns=list(names), use_threads=False)
+    if len(table) != rows:
+        raise BadImport([f"{file}: says that it has {rows} rows, and has {len(table)}"])
+    table.validate(full=True)
+    return {name: table.column(name).combine_chunks() for name in names}
+
+
+def _from_text(data: bytes, file: str, names: Sequence[str], form: Csv, cells: int) -> dict[str, Any]:
+    text = data.removeprefix(b"\xef\xbb\xbf")
+    head = text.split(b"\n", 1)[0].rstrip(b"\r")
+    _check_size(file, text.count(b"\n"), len(names), cells)
+    there = _header(head, form.separator)
+    _check_names(file, names, there, f"; its separator is {form.separator!r}" if len(there) == 1 else "")
+    if not text[len(head) :].strip():
+        return {}
+    if text.endswith((b"\n\n", b"\n\r\n")):
+        text = text.rstrip(b"\r\n")  # only blank lines within a table are rows without a value
+    table = csv.read_csv(
+        io.BytesIO(text),
+        csv.ReadOptions(use_threads=False),
+        csv.ParseOptions(delimiter=form.separator, newlines_in_values=False, ignore_empty_lines=False),
+        csv.ConvertOptions(
+            column_types=dict.fromkeys(names, pa.string()),
+            include_columns=list(names),
+            null_values=[""],
+            strings_can_be_null=True,
+            quoted_strings_can_be_null=True,
+        ),
+    )
+    return {name: table.column(name).combine_chunks() for name in names}
+
+
+def _header(line: bytes, separator: str) -> list[str]:
+    import csv as plain
+
+    return next(plain.reader([line.decode("utf-8")], delimiter=separator), [])
+
+
+def _check_names(file: str, names: Sequence[str], there: list[str], hint: str = "") -> None:
+    known = there[:SHOWN] + (["..."] if len(there) > SHOWN else [])
+    problems = []
+    for name in dict.fromkeys(names):
+        if name not in there:
+            near, _, _ = did_you_mean(name, there).rpartition("there are ")
+            problems.append(f"{file}: there is no column {name!r}; {near}there are {', '.join(known)}{hint}")
+        elif there.count(name) > 1:
+            problems.append(f"{file}: there are {there.count(name)} columns {name!r}; give each its own name")
+    if problems:
+        raise BadImport(problems)
+
+
+def _check_size(file: str, rows: int, columns: int, cells: int) -> None:
+    if rows < 0 or rows * max(columns, 1) > cells:
+        raise BadImport(
+            [f"{file}: {rows} rows of {columns} columns are more than {cells} numbers; give it in parts"]
+        )
+
+
+def _foreign(data: bytes) -> str | None:
+    kind = next((said for magic, said in FOREIGN.items() if data.startswith(magic)), None)
+    return kind or ("no text: there are bytes of zero in it" if b"\0" in data[: 1 << 16] else None)
+
+
+def _given(array: Any) -> NDArray[np.bool_]:
+    return np.asarray(array.is_valid().to_numpy(zero_copy_only=False), bool)
+
+
+def _filled(array: Any) -> NDArray[Any]:
+    """The values, 0 where there is none: NaN would be a value."""
+    full = pc.fill_null(array, False if types.is_boolean(array.type) else 0)
+    values: NDArray[Any] = full.to_numpy(zero_copy_only=False)
+    return values
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def _hint(word: str, decimal: str) -> str:
+    if decimal == "." and re.fullmatch(r"[-+]?\d*,\d+", word):
+        return '; write decimal = "," under [csv]'
+    return "; write a number, true or false, or nothing"
+
+
+def _short(error: Exception) -> str:
+    text = " ".join(str(error).split()) or type(error).__name__
+    return text if len(text) <= 160 else f"{text[:157]}..."

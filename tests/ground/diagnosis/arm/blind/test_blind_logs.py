@@ -1,0 +1,158 @@
+"""Logs of blind cases: nothing in them tells what the plant was made of, and a log that does is not kept."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from fsw.dictionary.joints import Joint
+from ground.diagnosis.arm.blind import make
+from ground.diagnosis.arm.blind.background import background
+from ground.diagnosis.arm.blind.outside import all_outside
+from ground.diagnosis.arm.blind.sealed import KEYS, TellsTruth, check_sealed
+from ground.diagnosis.arm.logs import recording_in
+from ground.diagnosis.arm.record import conditions
+from ground.diagnosis.blind.folder import CASES
+from ground.diagnosis.blind.truth import TrueCase, Truth
+from ground.diagnosis.drawn import Seen
+from ground.telemetry.header import SESSION, flown_header, header_of
+from ground.telemetry.read import read_log
+from ground.telemetry.record import Recorder
+from sim.arms import arm_named
+from sim.diagnosis.campaign import loop_of, moments
+from sim.effects.built import left_by_calibration
+from sim.effects.effect import nominal_hardware
+from sim.effects.friction import CoulombFriction
+from sim.effects.joints import GearFriction
+from sim.effects.numerics import Numerics
+from sim.initialisation import true_reference
+from sim.scenario.effects import spec_of
+
+SESSIONS = tuple(one for one in make.all_sessions() if one.name == "cold")
+
+
+def cases(kinds: tuple[str, ...] = ("single", "outside")) -> dict[str, TrueCase]:
+    """One of each kind, of effects that need no campaign to be drawn."""
+    catalogue = [
+        Seen(make.told(one), 0.4, number)
+        for number, one in enumerate(make.raced(None))
+        if str(one) in ("coulomb-friction:elbow", "backlash-width:wrist")
+    ]
+    unknown = [one for (name, _), one in all_outside().items() if name == "dead-current"]
+    outside = [Seen(one.hypothesis, 0.4, None) for one in unknown]
+    truth = make.drawn_truth(10, 1, catalogue, outside)
+    return {kind: next(case for case in truth.cases if case.kind == kind) for kind in kinds}
+
+
+Recorded = tuple[Path, TrueCase]
+
+
+@pytest.fixture(scope="module", params=["single", "outside"])
+def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    folder, case = tmp_path_factory.mktemp("case"), cases()[request.param]
+    make.record_case(folder, case, SESSIONS)
+    return folder / "cold.mcap", case
+
+
+def test_every_arm_has_errors_of_its_own_and_is_computed_otherwise() -> None:
+    one, again, other = (background(np.random.default_rng(seed)) for seed in (1, 1, 2))
+    assert one == again != other
+    assert sum(isinstance(effect, GearFriction) for effect in one) == 5
+    assert any(isinstance(effect, Numerics) for effect in one)
+    assert len(one) == len(left_by_calibration(0)) + 11
+
+
+def test_a_blind_log_gives_nothing_away_and_can_be_compared(recorded: Recorded) -> None:
+    path, case = recorded
+    check_sealed(path, case)
+    log = read_log(path)
+    assert set(log.header) <= KEYS
+    assert "/truth" not in log.packets
+    here = recording_in(path)
+    assert (here.name, here.params.arm_name) == ("cold", "nominal")
+    assert not np.isclose(here.start.zero_rad, nominal_hardware().counter_zero_rad).any()
+
+
+def test_a_case_that_is_made_again_is_the_same(recorded: Recorded, tmp_path: Path) -> None:
+    path, case = recorded
+    make.record_case(tmp_path, case, SESSIONS)
+    one, again = read_log(path), read_log(tmp_path / path.name)
+    assert one.header == again.header
+    assert one.packets.keys() == again.packets.keys()
+    assert all(np.array_equal(one[topic], again[topic]) for topic in one.packets)
+
+
+CASE = TrueCase("case-000", "none", (), ("gear-stiffness:elbow:factor=1.0312345678",), 1234567890)
+LEAKS: dict[str, Callable[..., dict[str, str]]] = {
+    "says seed": lambda said: {**said, "seed": "1"},
+    "says arm, effects, mjcf_sha256, request, seed": lambda said: said,
+    "'calibrated:'": lambda said: {**said, "git": "calibrated:17"},
+    "'1234567890'": lambda said: {**said, "git": "1234567890"},
+    "'gear-stiffness'": lambda said: {**said, SESSION: '{"note": "gear-stiffness"}'},
+    "a number of its truth": lambda said: {**said, "commands": "[1.0312345678]"},
+}
+
+
+@pytest.mark.parametrize("words", LEAKS)
+def test_a_header_that_tells_is_refused(words: str, tmp_path: Path) -> None:
+    loop = loop_of(SESSIONS[0], arm_named("nominal"), true_reference(arm_named("nominal")), 1)
+    whole = words.startswith("says arm")
+    said = header_of(loop, "nominal", 1, {}, ()) if whole else flown_header(loop, ())
+    path = tmp_path / "x.mcap"
+    with Recorder(path, LEAKS[words]({**said, SESSION: conditions(SESSIONS[0])})) as recorder:
+        recorder.write(loop.cycle())
+    with pytest.raises(TellsTruth, match=words):
+        check_sealed(path, CASE)
+
+
+def test_the_plants_own_state_is_refused(tmp_path: Path) -> None:
+    loop = loop_of(SESSIONS[0], arm_named("nominal"), true_reference(arm_named("nominal")), 1)
+    loop.with_truth = True
+    path = tmp_path / "x.mcap"
+    with Recorder(path, {**flown_header(loop, ()), SESSION: conditions(SESSIONS[0])}) as recorder:
+        recorder.write(next(moments(loop, SESSIONS[0])).record)
+    with pytest.raises(TellsTruth, match="the plant's own state in /truth"):
+        check_sealed(path, CASE)
+
+
+def test_a_case_of_which_a_log_tells_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An initialisation without error would find the very friction that the case is about."""
+    monkeypatch.setattr(make, "blind_reference", true_reference)
+    monkeypatch.setattr(make, "all_sessions", lambda: SESSIONS)
+    case = replace(cases()["single"], background=(spec_of(CoulombFriction(Joint.ELEVATION, 12.0)),))
+    with pytest.raises(TellsTruth, match=r"flight software begins with friction_Nm"):
+        make._record(make._Job(tmp_path, case))
+    assert list((tmp_path / "cases").iterdir()) == []
+
+
+def test_a_case_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(make, "all_sessions", lambda: SESSIONS)
+    case = cases()["single"]
+
+    def stopped(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as broken:
+        broken.setattr(make, "check_sealed", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            make._record(make._Job(tmp_path, case))
+    assert list((tmp_path / "cases").iterdir()) == []
+    assert make._record(make._Job(tmp_path, case)) == case.name
+    assert [path.name for path in (tmp_path / "cases" / case.name).iterdir()] == ["cold.mcap"]
+
+
+def test_an_effect_from_outside_is_written_by_its_file_and_switched_on() -> None:
+    (effect,) = cases()["outside"].effects
+    assert effect.spec.startswith("sensors.py:DeadCurrent:")
+    made = make.true_effects(cases()["outside"])[-1]
+    assert {"dead_A": getattr(made, "dead_A", None)} == effect.values
+
+
+def test_a_session_that_comes_to_no_end_is_left_out(tmp_path: Path) -> None:
+    weak = ("servo-gain:elbow:factor=0.1", "coulomb-friction:elbow:torque_Nm=400")
+    case = TrueCase("case-000", "none", (), weak, 5)
+    make.record_case(tmp_path / CASES / case.name, case, SESSIONS)
+    assert list(tmp_path.rglob("*.mcap")) == []
+    assert list(make.left_out(tmp_path, Truth("00ff", (case,)), SESSIONS)) == ["case-000/cold"]

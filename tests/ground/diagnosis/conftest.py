@@ -1,0 +1,33 @@
+"""One small made-up campaign, ready for cases, that all tests share."""
+
+import numpy as np
+import pytest
+
+from ground.diagnosis.ready import ready
+from tests.ground.diagnosis import results as cases
+from tests.ground.diagnosis.worlds import found, world
+
+
+@pytest.fixture(scope="session")
+def made():
+    """A linear world."""
+    return world()
+
+
+@pytest.fixture(scope="session")
+def campaign(made):
+    """Ready for data; thresholds from its own simulated cases."""
+    return ready(found(made), seed=1, cases=80)
+
+
+@pytest.fixture(scope="session")
+def results(made, campaign):
+    """What is said of a case of each kind, by its name."""
+    kinds = (cases.named, cases.alike, cases.undecided, cases.nothing, cases.unknown, cases.beside)
+    return {kind.__name__: kind(made, campaign) for kind in kinds}
+
+
+@pytest.fixture
+def rng():
+    """The same draws in every test."""
+    return np.random.default_rng(7)

@@ -1,0 +1,100 @@
+"""What is said of made-up cases: one result of each verdict, as page and document get them."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from ground.diagnosis.closure import apart_from
+from ground.diagnosis.curved import Curved
+from ground.diagnosis.diagnose import Diagnosis, diagnose
+from ground.diagnosis.held_out import left_on, settings_of
+from ground.diagnosis.layout import Evidence
+from ground.diagnosis.next_motion import next_motion
+from ground.diagnosis.prepared import prepare
+from ground.diagnosis.result import Result, ToolGap
+from tests.ground.diagnosis.worlds import found
+
+NOTES = ("motion 3: encoder stale for 1.2 s from 4 s on",)
+FLOOR = ("place 1.a: 24 pairs of repeats differ by 1.1",)
+
+
+def result_of(made, campaign, seed, t=None, extra=None):
+    """A case of sizes t (K,); the same motions, measured again, are held out."""
+    rng = np.random.default_rng(seed)
+    measured = [made.measured(rng, t, extra, robot=seed) for _ in range(2)]
+    said = diagnose(campaign, Evidence(made.layout, measured[0]), seed=1)
+    apart = replace(made.layout, blocks=tuple(f"other {name}" for name in made.layout.blocks))
+    held = apart_from(campaign.prepared, replace(found(made), layout=apart))
+    change = Curved(held.found).change(settings_of(said))
+    closing = left_on(said, held, measured[1], change).closure(seed=1)
+    return Result(
+        campaign, said, closing, ToolGap(0.61, 0.12, 0.02), _motions(made, campaign, said), NOTES, FLOOR
+    )
+
+
+def named(made, campaign):
+    """One effect at six times its limit, which is alike to no other."""
+    one = next(h for h in range(20, 40) if len(campaign.confusable(h)) == 1)
+    return result_of(made, campaign, 1, _sized(made, campaign, one, 6.0))
+
+
+def alike(made, campaign):
+    """One effect at four times its limit, which is alike to another."""
+    return result_of(made, campaign, 1, _sized(made, campaign, 4, 4.0))
+
+
+def nothing(made, campaign):
+    """No effect."""
+    return result_of(made, campaign, 2)
+
+
+def unknown(made, campaign):
+    """Structure in one channel that no hypothesis imitates."""
+    return result_of(made, campaign, 3, extra=3.0 * _strange(made))
+
+
+def beside(made, campaign):
+    """The same beside an effect: what comes nearest is no name."""
+    return result_of(made, campaign, 3, _sized(made, campaign, 4, 8.0), _strange(made))
+
+
+def undecided(made, campaign):
+    """An effect not far above its limit, for which others may stand."""
+    return result_of(made, campaign, 4, _sized(made, campaign, 21, 1.7))
+
+
+def _strange(made):
+    c, layout = made.layout.condition, made.layout
+    return layout.sigma * (c[:, 1] * c[:, 3] + c[:, 4]) * (layout.channel == 6)
+
+
+def _sized(made, campaign, one, times):
+    return np.where(made.owner == one, times * campaign.limits[one].limit, 0.0)
+
+
+def _motions(made, campaign, said: Diagnosis):
+    """Candidates for what is confusable; one repeats what was done."""
+    alike_to = [one for finding in said.findings for one in finding.confusable]
+    if len(alike_to) < 2:
+        return ()
+    rng = np.random.default_rng(9)
+    kept = found(made)
+    other = kept.effect * rng.normal(size=kept.effect.shape)
+    ranks = np.bincount(made.owner)
+    return next_motion(
+        campaign.prepared,
+        {one: np.full(ranks[one], 2.0) for one in alike_to},
+        {"the same": campaign.prepared, "another": prepare(replace(kept, effect=other))},
+    )
+
+
+def as_of(result, hypothesis, values, verdict="named"):
+    """The same with a hypothesis and values in the place of those that were found."""
+    finding = result.diagnosis.findings[0]
+    nowhere = np.full(len(values), np.nan)
+    changed = replace(finding, values=np.array(values), least=nowhere, most=nowhere)
+    names = list(result.ready.found.hypotheses)
+    names[finding.hypothesis] = hypothesis
+    kept = replace(result.ready.found, hypotheses=tuple(names))
+    said = replace(result.diagnosis, findings=(changed,), verdict=verdict)
+    return replace(result, ready=replace(result.ready, found=kept), diagnosis=said)

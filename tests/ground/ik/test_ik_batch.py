@@ -1,0 +1,149 @@
+"""Inverse kinematics of many targets, from a file into a file."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+
+from fsw.kinematics.answers import Verdict, at_target
+from fsw.kinematics.branches import slot_name
+from ground.ik.model import PART
+from ground.ik.names import JOINTS, VERDICTS
+from ground.ik.tally import tally
+from ground.ik.write import writer
+from sim.workspace import approach_from, random_targets
+from tests.ground.command import marsarm
+from tests.ground.ik.batch import P_M, expected, save, solved
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".parquet"])
+def test_a_file_of_arrays_holds_every_answer_to_every_target(tmp_path, suffix):
+    save(tmp_path / f"in{suffix}")
+    solved(tmp_path / f"in{suffix}", tmp_path / "out.npz", tool="mahli", tilt_roll_deg=10.0)
+    answers = expected(tool="mahli", tilt_roll_deg=10.0)
+    slots = len(answers.verdict)
+    with np.load(tmp_path / "out.npz", allow_pickle=False) as file:
+        angles = answers.output_rad.transpose(2, 1, 0)
+        assert np.allclose(file["output_rad"], angles, atol=1e-9, equal_nan=True)
+        assert np.array_equal(file["verdict"], answers.verdict.T)
+        assert file["output_rad"].shape == (4, slots, 5)
+        assert [str(name) for name in file["branch_names"]] == [slot_name(slot) for slot in range(slots)]
+        assert tuple(file["verdict_names"]) == VERDICTS
+        outside = file["verdict"] == Verdict.OUTSIDE_LIMITS
+        assert np.all((file["joint"] >= 0) == outside)
+        assert np.all(file["excess"][outside] > 0.0)
+        assert file["forward_error"][file["verdict"] == Verdict.VALID].max() < 1e-8
+        assert json.loads(str(file["about"]))["tilt_roll_deg"] == 10.0
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".parquet"])
+def test_a_table_has_a_row_for_each_target_and_branch(tmp_path, suffix):
+    save(tmp_path / f"in{suffix}")
+    solved(tmp_path / f"in{suffix}", tmp_path / "out.parquet", compensate="off")
+    answers = expected(compensate="off")
+    rows = parquet.read_table(tmp_path / "out.parquet").to_pylist()
+    assert len(rows) == np.sum(answers.verdict != Verdict.ABSENT)
+    for row in rows:
+        slot = next(k for k in range(len(answers.verdict)) if slot_name(k) == row["branch"])
+        one = at_target(answers, row["target"])
+        angles = np.array([row[f"{joint}_rad"] for joint in JOINTS], dtype=float)
+        assert row["verdict"] == VERDICTS[one.verdict[slot]]
+        assert np.allclose(angles, one.output_rad[:, slot], atol=1e-9, equal_nan=True)
+        assert (row["limiting_joint"] is not None) == (row["verdict"] == "outside_limits")
+        assert (row["beyond_limit_rad"] is not None) == (row["verdict"] == "outside_limits")
+        assert (row["out_of_reach_m"] is not None) == (row["verdict"] == "out_of_reach")
+
+
+def test_targets_beyond_one_part_are_answered_as_if_they_were_alone(tmp_path):
+    p_m, angles = random_targets(np.random.default_rng(3), PART + 2)
+    approach = approach_from(angles).T
+    save(tmp_path / "in.npz", p_m.T, approach)
+    report = solved(tmp_path / "in.npz", tmp_path / "out.npz")
+    assert report.tally.targets == PART + 2
+    alone = expected(p_m.T[PART:], approach[PART:])
+    with np.load(tmp_path / "out.npz") as file:
+        assert file["verdict"].shape[0] == PART + 2
+        assert np.array_equal(file["verdict"][PART:, : len(alone.verdict)], alone.verdict.T)
+
+
+def test_the_same_targets_give_the_same_bytes(tmp_path):
+    save(tmp_path / "in.npz")
+    for suffix in (".npz", ".parquet"):
+        first, second = tmp_path / f"first{suffix}", tmp_path / f"second{suffix}"
+        solved(tmp_path / "in.npz", first)
+        solved(tmp_path / "in.npz", second)
+        assert first.read_bytes() == second.read_bytes()
+
+
+def more_slots(answers):
+    """The same answers with a second root of the first branch, at the first target only."""
+    verdict = np.full_like(answers.verdict, Verdict.ABSENT)
+    verdict[0, 0] = Verdict.VALID
+
+    def doubled(values):
+        return np.concatenate([values, values], axis=-2)
+
+    return replace(
+        answers,
+        output_rad=doubled(answers.output_rad),
+        torque_Nm=doubled(answers.torque_Nm),
+        verdict=np.concatenate([answers.verdict, verdict]),
+        joint=doubled(answers.joint),
+        excess=doubled(answers.excess),
+        error=doubled(answers.error),
+    )
+
+
+def test_parts_with_more_roots_than_others_fit_into_one_file(tmp_path):
+    few = expected()
+    many = more_slots(few)
+    slots = len(few.verdict)
+    for name in ("out.npz", "out.parquet"):
+        with writer(tmp_path / name, {}) as file:
+            file.add(few)
+            file.add(many)
+    with np.load(tmp_path / "out.npz") as file:
+        assert file["verdict"].shape == (8, 2 * slots)
+        assert np.all(file["verdict"][:4, slots:] == Verdict.ABSENT)
+        assert np.isnan(file["output_rad"][:4, slots:]).all()
+        assert file["verdict"][4, slots] == Verdict.VALID
+        assert np.array_equal(file["output_rad"][4, slots], few.output_rad[:, 0, 0], equal_nan=True)
+        assert file["branch_names"][slots] == slot_name(slots)
+    table = parquet.read_table(tmp_path / "out.parquet")
+    assert table.num_rows == 8 * slots + 1
+    assert table.to_pylist()[4 * slots : 6 * slots][slots]["branch"] == slot_name(slots)
+
+
+def test_roots_that_are_absent_are_not_counted():
+    few = expected()
+    counts, more = tally(few), tally(more_slots(few))
+    assert more.by_verdict.total() == counts.by_verdict.total() + 1
+    assert more.valid_by_branch[slot_name(len(few.verdict))] == 1
+    assert (counts + more).targets == 2 * len(P_M)
+
+
+def test_a_summary_for_programs_and_for_people(tmp_path):
+    save(tmp_path / "in.npz")
+    words = ("ik", "--batch", "in.npz", "--out", "out.parquet", "--tool", "portion")
+    done = marsarm(tmp_path, *words, "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    document = json.loads(done.stdout)
+    assert document["targets"] == 4
+    assert sum(document["targets_by_valid_branches"].values()) == pytest.approx(1.0)
+    assert sum(document["out_by_verdict"].values()) == pytest.approx(1.0)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in.npz", document["out"]]
+    done = marsarm(tmp_path, *words)  # replaces what was there
+    assert done.returncode == 0, done.stderr
+    for word in ("4 targets", "shoulder-out elbow-up wrist-up", "outside limits", "out.parquet"):
+        assert word in done.stdout
+
+
+def test_an_output_through_a_link_replaces_the_file_and_not_the_link(tmp_path):
+    save(tmp_path / "in.npz")
+    (tmp_path / "real.npz").write_text("old")
+    (tmp_path / "link.npz").symlink_to("real.npz")
+    solved(tmp_path / "in.npz", tmp_path / "link.npz")
+    assert (tmp_path / "link.npz").is_symlink()
+    assert (tmp_path / "real.npz").stat().st_size > 1000

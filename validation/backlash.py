@@ -1,0 +1,121 @@
+"""Where joints lie in their backlash after random moves: what is believed against what is true.
+
+Tours of settled poses at random tilts, in all branches, with reversals and small moves, each once with
+backlash compensation and once without.
+"""
+
+import json
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from typing import Any, Final
+
+import numpy as np
+
+from fsw.config import configure
+from fsw.dictionary.commands import Backlash
+from fsw.dictionary.joints import Joint
+from fsw.estimate.reference import Reference
+from sim.arms import arm_named
+from sim.initialisation import initial_reference
+from sim.tour import Settled, random_goals, tour
+from sim.world import World
+from validation.options import parser
+
+EXAMPLE = "example: python -m validation.backlash --tours 20 --poses 50 --arm nominal > backlash.json"
+MAX_TILT_RAD: Final = float(np.radians(30.0))
+LEAST_RATIO: Final = 10.0
+"""Of what backlash does to the tool: without compensation over with it."""
+
+
+def one_tour(arm_name: str, reference: Reference, backlash: Backlash, poses: int, seed: int) -> list[Settled]:
+    """The settled poses of a tour, its tilt and goals from the seed."""
+    arm = arm_named(arm_name)
+    rng = np.random.default_rng([seed, 4])
+    tilt, heading = rng.uniform(0.0, MAX_TILT_RAD), rng.uniform(-np.pi, np.pi)
+    world = World("mars", float(tilt * np.cos(heading)), float(tilt * np.sin(heading)))
+    goals = random_goals(configure(arm.params), rng, poses)
+    return list(tour(arm, reference, world, goals, backlash, seed))
+
+
+def summary(config_friction_Nm: np.ndarray, settled: Sequence[Settled]) -> dict[str, Any]:
+    """How often a side is claimed and how often rightly, and how far outputs and tool are off."""
+    claimed = np.array([s.side for s in settled])
+    true = np.array([s.true_side for s in settled])
+    loaded = np.abs([s.load_Nm for s in settled]) > config_friction_Nm
+    error = np.array([s.output_rad - s.goal_rad for s in settled])
+    known = claimed != 0
+    shift = np.linalg.norm([s.backlash_shift_m for s in settled], axis=1)
+    believed = np.array([s.gear_rad - s.believed_gear_rad for s in settled])
+    return {
+        "poses": len(settled),
+        "joint_poses": int(known.size),
+        "claimed_share": float(known.mean()),
+        "claimed_share_of_loaded": float(known[loaded].mean()),
+        "floating_share": float(1.0 - known.mean()),
+        "right_share_of_claimed": float((claimed == true)[known].mean()),
+        "wrong_claims": int(np.count_nonzero((claimed != true) & known)),
+        "output_error_rms_mrad": {"claimed": _rms_mrad(error[known]), "floating": _rms_mrad(error[~known])},
+        "believed_output_error_rms_mrad": {
+            "claimed": _rms_mrad(believed[known]),
+            "floating": _rms_mrad(believed[~known]),
+        },
+        "by_joint": {
+            joint.name.lower(): {
+                "claimed_share": float(known[:, joint].mean()),
+                "output_error_rms_mrad": _rms_mrad(error[known[:, joint], joint]),
+            }
+            for joint in Joint
+        },
+        "tool_error_from_backlash_mm": {
+            "rms": 1e3 * float(np.sqrt(np.mean(shift**2))),
+            "max": 1e3 * float(shift.max()),
+        },
+    }
+
+
+def campaign(arm_name: str, tours: int, poses: int, seed: int, workers: int) -> dict[str, Any]:
+    """All tours, with and without compensation; with the same numbers everything comes again."""
+    friction = configure(arm_named(arm_name).params).output_friction_Nm
+    result: dict[str, Any] = {"arm": arm_name, "tours": tours, "seed": seed}
+    modes: tuple[Backlash, ...] = ("on", "off")
+    # a fifth is enough to see what there is without compensation
+    jobs = [(mode, seed + k) for mode in modes for k in range(tours if mode == "on" else max(1, tours // 5))]
+    found: dict[str, list[Settled]] = {mode: [] for mode in modes}
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        arm, seeds = arm_named(arm_name), range(seed, seed + tours)
+        known = dict(zip(seeds, pool.map(initial_reference, [arm] * tours, seeds), strict=True))
+        running = [(mode, pool.submit(one_tour, arm_name, known[s], mode, poses, s)) for mode, s in jobs]
+        for done, (mode, future) in enumerate(running, 1):
+            found[mode].extend(future.result())
+            print(f"marsarm: {done} of {len(jobs)} tours", file=sys.stderr)
+    for mode in modes:
+        result[f"backlash_{mode}"] = summary(friction, found[mode])
+    tool = "tool_error_from_backlash_mm"
+    result["tool_error_ratio"] = result["backlash_off"][tool]["rms"] / result["backlash_on"][tool]["rms"]
+    wrong = sum(result[f"backlash_{mode}"]["wrong_claims"] for mode in modes)
+    result["in_bounds"] = wrong == 0 and result["tool_error_ratio"] > LEAST_RATIO
+    return result
+
+
+def _rms_mrad(error: np.ndarray) -> float | None:
+    return 1e3 * float(np.sqrt(np.mean(error**2))) if error.size else None
+
+
+def main() -> int:
+    """Print the result as JSON; exit status 1 if a side was claimed wrongly, or it hardly helps."""
+    options = parser("backlash", __doc__, EXAMPLE)
+    options.add_argument("--arm", default="nominal", help="nominal, as-built:SEED or calibrated:SEED")
+    options.add_argument("--tours", type=int, default=20, help="tours of each kind (default 20)")
+    options.add_argument("--poses", type=int, default=50, help="settled poses a tour (default 50)")
+    asked = options.parse_args()
+    if min(asked.tours, asked.poses, asked.workers) < 1 or asked.seed < 0:
+        options.error("tours, poses and workers are 1 or more, the seed is not negative")
+    found = campaign(asked.arm, asked.tours, asked.poses, asked.seed, asked.workers)
+    print(json.dumps(found, indent=2))
+    return 0 if found["in_bounds"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,133 @@
+"""How fast the closed loop runs, against a bare step of the model of commit 50fd31b, in one process.
+
+`plant-50fd31b.mjb` is that model as MuJoCo compiled it, without textures. It is kept so that a ratio of today
+can be compared with one of another day: a plant that becomes quicker does not move the yardstick.
+
+Example: python -m validation.closed_loop
+"""
+
+import json
+import time
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import mujoco
+import numpy as np
+
+import sim.loop
+from fsw.config import CYCLE_HZ
+from fsw.cycle import step
+from fsw.dictionary.joints import Tool
+from fsw.estimate.reference import Reference
+from sim.arms import arm_named
+from sim.initialisation import initial_reference
+from sim.loop import ClosedLoop, Setup
+from sim.placement import Placement, PlacementRun
+from sim.plant import JOINT_NAMES
+from sim.world import Surface, World
+
+REPEATS = 5
+BARE_STEPS = 40_000
+SETTLING_STEPS = 4_096
+KEPT = Path(__file__).with_name("plant-50fd31b.mjb")
+TARGET = Placement(Tool.APXS, (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
+
+
+@cache
+def reference() -> Reference:
+    return initial_reference(arm_named("nominal"))
+
+
+def closed_loop_of_a_placement(with_truth: bool = False) -> ClosedLoop:
+    """The arm at the ready pose in front of the target."""
+    arm = arm_named("nominal")
+    world = World(surface=Surface(TARGET.target_N_m, TARGET.normal_N))
+    return ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, reference=reference()), with_truth)
+
+
+@cache
+def _kept() -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The kept model at rest at the ready pose, held by its motors, brakes off."""
+    model = mujoco.MjModel.from_binary_path(str(KEPT))
+    data = mujoco.MjData(model)
+    ready = arm_named("nominal").params.poses.ready_rad
+    data.qpos[[model.joint(f"{name}_motor").qposadr[0] for name in JOINT_NAMES]] = ready
+    data.ctrl[0::2] = ready
+    mujoco.mj_step(model, data, SETTLING_STEPS)
+    return model, data
+
+
+def bare_step_s() -> float:
+    """Seconds a bare mj_step of the kept model, to which every speed is a ratio."""
+    model, data = _kept()
+    began = time.perf_counter()
+    mujoco.mj_step(model, data, BARE_STEPS)
+    return (time.perf_counter() - began) / BARE_STEPS
+
+
+def _realtime_factor() -> float:
+    """Mechanical time over wall time of a placement in the closed loop."""
+    loop = closed_loop_of_a_placement()
+    began = time.perf_counter()
+    cycles = sum(1 for _ in PlacementRun(loop, TARGET))
+    return cycles / CYCLE_HZ / (time.perf_counter() - began)
+
+
+def timed(function: Callable[..., Any], times_s: list[float]) -> Callable[..., Any]:
+    def run(*args: Any) -> Any:
+        began = time.perf_counter()
+        result = function(*args)
+        times_s.append(time.perf_counter() - began)
+        return result
+
+    return run
+
+
+def _shares_us() -> dict[str, list[float]]:
+    """Microseconds of every cycle of a placement, by part."""
+    parts: dict[str, list[float]] = {"fsw_step": [], "sense": [], "apply": [], "plant_step": []}
+    loop = closed_loop_of_a_placement()
+    loop.avionics.sense = timed(loop.avionics.sense, parts["sense"])  # type: ignore[method-assign]
+    loop.avionics.apply = timed(loop.avionics.apply, parts["apply"])  # type: ignore[method-assign]
+    loop.plant.step = timed(loop.plant.step, parts["plant_step"])  # type: ignore[method-assign]
+    sim.loop.step = timed(step, parts["fsw_step"])
+    try:
+        for _ in PlacementRun(loop, TARGET):
+            pass
+    finally:
+        sim.loop.step = step
+    return {name: [1e6 * t for t in times_s] for name, times_s in parts.items()}
+
+
+def closed_loop() -> dict[str, Any]:
+    """Rates and times; each ratio is the median of pairs measured one after the other."""
+    pairs = [(bare_step_s(), _realtime_factor()) for _ in range(REPEATS)]
+    bare_us = 1e6 * median(bare for bare, _ in pairs)
+    step_s = _kept()[0].opt.timestep
+    shares = _shares_us()
+    fsw = np.array(shares["fsw_step"])
+    means = {name: float(np.mean(times)) for name, times in shares.items()}
+    ours_us = means["fsw_step"] + means["sense"] + means["apply"]
+    return {
+        "bare_step_us": bare_us,
+        "ratio": median(factor * bare / step_s for bare, factor in pairs),
+        "realtime_factor": median(factor for _, factor in pairs),
+        "bare_steps": {
+            "fsw_step_median": float(np.median(fsw)) / bare_us,
+            "software_and_avionics_mean": ours_us / bare_us,
+            "plant_step_mean": means["plant_step"] / bare_us,
+        },
+        "fsw_step_us": {
+            "median": float(np.median(fsw)),
+            "p99": float(np.percentile(fsw, 99)),
+            "max": float(fsw.max()),
+        },
+        "mean_us_per_cycle": means,
+    }
+
+
+if __name__ == "__main__":
+    print(json.dumps(closed_loop(), indent=2))

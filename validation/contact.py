@@ -1,0 +1,132 @@
+"""Whether a tool that touches rests: APXS placements and tool changes to MAHLI on many calibrated arms.
+
+From half a second after the last change of set-point no contact is lost, no switch changes, and the force
+stays within 20 % of its mean over the last second; from two seconds on, or once the brakes hold, within 5 %.
+"""
+
+import json
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from itertools import chain
+
+import numpy as np
+
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.commands import Command, ToolChange
+from fsw.dictionary.joints import SWITCHES_OF, Tool
+from fsw.dictionary.tuples import joints5
+from sim.arms import arm_named
+from sim.campaign import random_placement
+from sim.contact import tool_forces
+from sim.initialisation import true_reference
+from sim.loop import ClosedLoop, Setup
+from sim.sequence import run_sequence
+from validation.options import parser
+from validation.tool_change import FIRST, MOST_DRAWS, SECOND, TILT_RAD, not_completed, placing
+
+SOON_S, LATER_S, HELD_S = 0.5, 2.0, 4.0
+SOON, LATER = 0.20, 0.05
+"""How far the force may be off its mean, as a share of it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """A tool that touched, from then until four seconds after its command."""
+
+    arm: str
+    tool: str
+    mean_N: float
+    """Over the last second."""
+    soon: float
+    """The most that the force is off the mean from 0.5 s on, as a share of it."""
+    later: float
+    """The same from 2 s on or once the brakes hold."""
+    lost: int
+    """Cycles without contact."""
+    switched: int
+    """Changes of a switch of the tool."""
+
+    @property
+    def in_bounds(self) -> bool:
+        """Whether it rests."""
+        return self.soon < SOON and self.later < LATER and self.lost == self.switched == 0
+
+
+def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: Tool, arm: str = "") -> Rest | str:
+    """How the tool rests that touches at the end of these commands; or the warning that ended them before.
+
+    The loop goes on until four seconds after the last command.
+    """
+    force_N, closed, asked, braked, evrs = [], [], [], [], []
+    commanded = run_sequence(loop, commands)
+    for record in chain(commanded, (loop.cycle() for _ in range(round(HELD_S * CYCLE_HZ)))):
+        evrs += record.outputs.evrs
+        force_N.append(float(np.linalg.norm(tool_forces(loop.plant)[tool])))
+        closed.append(record.sensors.switch_closed[list(SWITCHES_OF[tool])])
+        asked.append(record.outputs.drive.setpoint_count)
+        braked.append(loop.braked)
+    problem = not_completed(commands[-1], evrs)
+    if problem is not None:
+        return problem
+    last = int(np.flatnonzero(np.diff(np.array(asked), axis=0).any(axis=1))[-1]) + 1
+    soon = last + round(SOON_S * CYCLE_HZ)
+    later = min(last + round(LATER_S * CYCLE_HZ), max(soon, braked.index(True, last)))
+    force, mean_N = np.array(force_N), float(np.mean(force_N[-CYCLE_HZ:]))
+    off = np.abs(force - mean_N) / mean_N
+    changes = np.diff(np.array(closed[soon:]).astype(int), axis=0)
+    return Rest(
+        arm,
+        tool.name,
+        mean_N,
+        soon=float(off[soon:].max()),
+        later=float(off[later:].max()),
+        lost=int(np.sum(force[soon:] == 0.0)),
+        switched=int(np.abs(changes).sum()),
+    )
+
+
+def one_arm(seed: int) -> list[Rest]:
+    """A placement and a tool change of one arm, at the first target where both are carried out."""
+    name = f"calibrated:{seed}"
+    arm = arm_named(name)
+    for draw in range(1, MOST_DRAWS + 1):
+        world, seen = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
+        loop = ClosedLoop(Setup(arm, world, joints5(seen.standoff_rad), draw, true_reference(arm)))
+        first = rest_after(loop, (placing(seen),), FIRST, name)
+        second = rest_after(loop, (ToolChange(SECOND),), SECOND, name) if isinstance(first, Rest) else first
+        if isinstance(first, Rest) and isinstance(second, Rest):
+            return [first, second]
+    raise RuntimeError(f"{name}: no tool change was carried out at {MOST_DRAWS} targets")
+
+
+def document(arms: int, seed: int, workers: int) -> dict[str, object]:
+    """So many arms, and whether every contact rests."""
+    found: list[Rest] = []
+    with ProcessPoolExecutor(workers) as pool:
+        for k, rests in enumerate(pool.map(one_arm, range(seed, seed + arms)), start=1):
+            found += rests
+            print(f"\rcontacts: {k} of {arms} arms", end="", file=sys.stderr)
+    print(file=sys.stderr)
+    return {
+        "contacts": len(found),
+        "most_soon": max(rest.soon for rest in found),
+        "most_later": max(rest.later for rest in found),
+        "not_at_rest": [asdict(rest) for rest in found if not rest.in_bounds],
+        "in_bounds": all(rest.in_bounds for rest in found),
+    }
+
+
+def main() -> int:
+    """Print the result as JSON; exit status 1 if a contact does not rest."""
+    options = parser("contact", __doc__, "example: python -m validation.contact --arms 3")
+    options.add_argument("--arms", type=int, default=20, help="calibrated arms (default %(default)s)")
+    asked = options.parse_args()
+    found = document(asked.arms, asked.seed, asked.workers)
+    print(json.dumps(found, indent=2))
+    return 0 if found["in_bounds"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,220 @@
+"""What becomes of a log that is damaged: single bits flipped, and the file cut; run it as a program.
+
+Each damage must be harmless, every value as it was written, or be detected and its span told. Recovery must
+save every message of the chunks that are undamaged, and give no other value than was written.
+"""
+
+import argparse
+import json
+import sys
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.telemetry.chunks import HEAD
+from ground.telemetry.container import ChunkPlace, read_records
+from ground.telemetry.errors import LogError, LogNotReadable
+from ground.telemetry.loss import LogDamaged, Lost
+from ground.telemetry.messages import CHANNELS_KEY
+from ground.telemetry.read import Log, log_from
+from ground.telemetry.recover import recover
+from ground.telemetry.salvage import salvage
+from validation.recorded import recorded
+
+CUT_EVERY: Final = 4096
+CYCLES: Final = 320
+HERE: Final = Path("damaged.mcap")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Original:
+    """An undamaged file: its bytes, what is in them, and where its chunks with messages are."""
+
+    data: bytes
+    log: Log
+    chunks: tuple[ChunkPlace, ...]
+
+
+def original(data: bytes) -> Original:
+    """An undamaged file, closed or cut short."""
+    found = read_records(HERE, data)
+    chunks = (chunk for chunk, index in zip(found.chunks, found.indexes, strict=True) if index)
+    return Original(data, log_from(HERE, data), tuple(chunks))
+
+
+def same(log: Log, written: Log) -> bool:
+    """Whether a log holds all that was written, bit for bit."""
+    return (
+        log.header == written.header
+        and log.time_ns.keys() == written.time_ns.keys()
+        and all(np.array_equal(log.time_ns[topic], times) for topic, times in written.time_ns.items())
+        and all(log[topic].tobytes() == packets.tobytes() for topic, packets in written.packets.items())
+        and (log.evrs, log.commands) == (written.evrs, written.commands)
+    )
+
+
+def raw(packets: NDArray[np.void]) -> NDArray[np.uint8]:
+    """All bytes of packets, shape (n, bytes); numpy copies those between the fields only so."""
+    return packets.view(np.uint8).reshape(len(packets), packets.dtype.itemsize)
+
+
+def is_part(log: Log, written: Log) -> bool:
+    """Whether every message of a log was written so."""
+    for topic, packets in log.packets.items():
+        rows = np.searchsorted(written.time_ns[topic], log.time_ns[topic])
+        at_its_time = np.array_equal(written.time_ns[topic][rows % len(written[topic])], log.time_ns[topic])
+        if not at_its_time or not np.array_equal(raw(packets), raw(written[topic])[rows]):
+            return False
+    return set(log.evrs) <= set(written.evrs) and set(log.commands) <= set(written.commands)
+
+
+def times_in(damaged: bytes) -> dict[str, NDArray[np.uint64]]:
+    """Log times of all messages that are undamaged, by topic."""
+    found = salvage(damaged)
+    heads = np.concatenate([np.zeros(0, HEAD), *(chunk.heads for chunk in found.chunks)])
+    return {one.topic: heads["time_ns"][heads["channel"] == number] for number, one in found.channels.items()}
+
+
+def is_told(here_ns: Mapping[str, NDArray[np.uint64]], written: Log, lost: tuple[Lost, ...]) -> bool:
+    """Whether what was written and is not here, times by topic, is all within the spans that are told."""
+    for topic, times in written.time_ns.items():
+        here = here_ns.get(topic, np.zeros(0, np.uint64))
+        spans = [one for one in lost if one.topic in (topic, None)]
+        for time_ns in np.setdiff1d(times, here).tolist():
+            # Several EVRs may be of one cycle, so that the ends of a span belong to it.
+            if not any(
+                (one.after_ns is None or one.after_ns <= time_ns)
+                and (one.before_ns is None or time_ns <= one.before_ns)
+                for one in spans
+            ):
+                return False
+    return True
+
+
+def judged(made: Original, damaged: bytes, cut_ns: int | None = None) -> str:
+    """What a strict read makes of damage: "harmless", "detected", "refused", "cut" or what is wrong with it.
+
+    `cut_ns` is the log time up to which a file that was cut holds complete chunks.
+    """
+    try:
+        log = log_from(HERE, damaged)
+    except LogDamaged as error:
+        told = is_told(times_in(damaged), made.log, error.lost)
+        return "detected" if told else f"WRONG: its span is not told: {error}"
+    except LogNotReadable:
+        return "refused"
+    except LogError as error:
+        return f"WRONG: {error}"
+    if same(log, made.log):
+        return "harmless"
+    if cut_ns is None or not log.truncated:
+        return "WRONG: other values"
+    whole = all(
+        np.array_equal(log.time_ns.get(topic, np.zeros(0)), times[times <= cut_ns])
+        for topic, times in made.log.time_ns.items()
+    )
+    return "cut" if whole and is_part(log, made.log) else "WRONG: not all that is before the cut"
+
+
+def saved(made: Original, damaged: bytes, is_hit: list[bool], folder: Path) -> str:
+    """What recovery makes of damage: "saved", "nothing to save" or what is wrong; `is_hit` is by chunk."""
+    bad, good = folder / "bad.mcap", folder / "good.mcap"
+    bad.write_bytes(damaged)
+    try:
+        recovered = recover(bad, good, lambda *_: None)
+    except LogError as error:
+        # Where the header does not announce the channels, the first chunk alone says what messages mean.
+        is_mute = is_hit[0] and CHANNELS_KEY not in made.log.header
+        return "nothing to save" if all(is_hit) or is_mute else f"WRONG: {error}"
+    log = log_from(good, good.read_bytes())
+    if not is_part(log, made.log):
+        return "WRONG: other values"
+    missed = sum(map(len, made.log.time_ns.values())) - sum(recovered.saved.values())
+    spans = [(one.first_ns, one.last_ns) for one, hit in zip(made.chunks, is_hit, strict=True) if hit]
+    due = sum(
+        int(sum(((low <= times) & (times <= high)).sum() for times in made.log.time_ns.values()))
+        for low, high in spans
+    )
+    if missed > due:
+        return f"WRONG: {missed} messages missing, {due} were damaged"
+    return "saved" if is_told(log.time_ns, made.log, recovered.lost) else "WRONG: a loss is not told"
+
+
+def flips(made: Original, tries: int, seed: int) -> Iterator[tuple[int, int]]:
+    """Bytes and bits to flip."""
+    random = np.random.default_rng(seed)
+    yield from zip(random.integers(len(made.data), size=tries), random.integers(8, size=tries), strict=True)
+
+
+def flipped(made: Original, tries: int, seed: int, folder: Path) -> dict[str, Any]:
+    """Flip single bits, one at a time."""
+    reads, saves, wrong = Counter[str](), Counter[str](), []
+    for k, (at, bit) in enumerate(flips(made, tries, seed)):
+        damaged = bytearray(made.data)
+        damaged[at] ^= 1 << int(bit)
+        is_hit = [one.at <= at < one.end for one in made.chunks]
+        read, save = judged(made, bytes(damaged)), saved(made, bytes(damaged), is_hit, folder)
+        reads[read] += 1
+        saves[save] += 1
+        if "WRONG" in read + save:
+            wrong.append({"byte": int(at), "bit": int(bit), "read": read, "saved": save})
+        if k % 100 == 99:
+            print(f"{k + 1} of {tries} bits", file=sys.stderr)
+    return {"read": dict(reads), "recovered": dict(saves), "wrong": wrong}
+
+
+def truncated(made: Original, every: int, folder: Path) -> dict[str, Any]:
+    """Cut the file, at every so many bytes."""
+    reads, saves, wrong = Counter[str](), Counter[str](), []
+    for size in range(0, len(made.data), every):
+        damaged = made.data[:size]
+        is_hit = [one.end > size for one in made.chunks]
+        whole = [one.last_ns for one in made.chunks if one.end <= size]
+        read = judged(made, damaged, max(whole, default=-1))
+        save = saved(made, damaged, is_hit, folder)
+        reads[read] += 1
+        saves[save] += 1
+        if "WRONG" in read + save:
+            wrong.append({"size": size, "read": read, "saved": save})
+    return {"read": dict(reads), "recovered": dict(saves), "wrong": wrong}
+
+
+def campaign(cycles: int, tries: int, seed: int, chunk_s: float = 0.0) -> dict[str, Any]:
+    """A closed log and one cut short, damaged in every way."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        data = recorded(folder / "run.mcap", cycles, chunk_s).read_bytes()
+        whole = original(data)
+        begun = whole.chunks[len(whole.chunks) * 3 // 5]
+        cut = original(data[: (begun.begin + begun.end) // 2])
+        return {
+            "cycles": cycles,
+            "bytes": len(data),
+            "chunks": len(whole.chunks),
+            "bits_closed": flipped(whole, tries, seed, folder),
+            "bits_cut_short": flipped(cut, tries, seed + 1, folder),
+            "truncated": truncated(whole, CUT_EVERY, folder),
+        }
+
+
+def main() -> None:
+    """Damage and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cycles", type=int, default=CYCLES)
+    parser.add_argument("--tries", type=int, default=1000)
+    parser.add_argument("--seed", type=int, default=6)
+    asked = parser.parse_args()
+    found = campaign(asked.cycles, asked.tries, asked.seed)
+    print(json.dumps(found, indent=2))
+    wrong = [one for part in found.values() if isinstance(part, dict) for one in part["wrong"]]
+    sys.exit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,341 @@
+"""Random faults at random moments of random scenarios: how each ends, and what the arm does meanwhile.
+
+A run of each scenario is forked at random moments; a fault is injected into each fork, which goes on until it
+is braked, until its scenario is over, or for 45 s and until it rests. Then a move is asked for.
+"""
+
+import json
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from fsw.config import CYCLE_HZ
+from fsw.dictionary.commands import Command, MoveJoints, Stop
+from fsw.dictionary.evrs import CommandRefused, FaultResponse
+from fsw.dictionary.faults import Fault as FaultEvr
+from fsw.dictionary.joints import Joint
+from fsw.dictionary.modes import Mode
+from fsw.motion.move import Phase
+from fsw.protect.responses import Response
+from sim.arms import arm_named
+from sim.contact import hull_force_N, tool_forces
+from sim.effects.environment import PowerLoss
+from sim.effects.faults import (
+    BrakeStuck,
+    Fault,
+    HotMotor,
+    JointSeized,
+    MissedCycles,
+    RockGone,
+    SensorFault,
+    TiltStep,
+    WeakMotor,
+)
+from sim.initialisation import initial_reference
+from sim.loop import ClosedLoop
+from sim.record import CycleRecord
+from sim.scenario.file import load, shipped
+from sim.scenario.run import setup_of
+from sim.sequence import run_sequence
+from validation.options import parser
+
+GOES_ON_S = 45.0
+WIND_UP_RAD = 0.005
+AS_IT_SHOULD_BE = ("refusing", "stopped", "tolerated", "a later command refused")
+TILT_DEG = (6.0, -8.0)
+STILL: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+SENSORS = {
+    "encoder_count": 5,
+    "resolver_rad": 5,
+    "current_A": 5,
+    "winding_C": 5,
+    "switch_closed": 10,
+    "gravity_R_m_s2": 3,
+}
+SIZES = {
+    "encoder_count": (200.0, 200.0),
+    "resolver_rad": (0.02, 0.01),
+    "current_A": (1.0, 0.5),
+    "winding_C": (30.0, 10.0),
+    "switch_closed": (1.0, 0.5),
+    "gravity_R_m_s2": (0.2, 0.1),
+}
+"""Of a bias and of noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Injected:
+    """What came of one fault."""
+
+    scenario: str
+    fault: str
+    mode: str
+    """In which it began."""
+    found: str
+    """The first fault that flight software reported, or none."""
+    end: str
+    """One of AS_IT_SHOULD_BE, or what is not; stopped is braked and not refusing."""
+    braked: bool
+    guarded_N: float
+    """Largest force on a tool while it was guarded, retracted or stopped from that."""
+    free_N: float
+    """Likewise in free space."""
+    pressed_N: float
+    hull_N: float
+    """Largest force of the rover's hull on the arm, bit boxes apart."""
+    beyond_rad: float
+    """How far an output was beyond its soft limits and their margin; negative is inside."""
+
+
+def random_fault(rng: np.random.Generator, at_s: float, has_rock: bool) -> Fault:
+    """Any kind, any joint or sensor, of a size worth the name."""
+    joint = Joint(int(rng.integers(len(Joint))))
+    match int(rng.integers(12 if has_rock else 11)):
+        case 0:
+            return JointSeized(at_s, joint)
+        case 1:
+            return BrakeStuck(at_s, joint)
+        case 2:
+            return WeakMotor(at_s, joint)
+        case 3:
+            return PowerLoss(at_s)
+        case 4:
+            return MissedCycles(at_s, int(rng.integers(1, 33)))
+        case 5:
+            return TiltStep(at_s, *(float(v) for v in np.radians(rng.uniform(-20.0, 20.0, 2))))
+        case 6:
+            return HotMotor(at_s, joint, float(rng.uniform(60.0, 150.0)))
+        case 11:
+            return RockGone(at_s)
+        case _:
+            return _sensor_fault(rng, at_s)
+
+
+def _sensor_fault(rng: np.random.Generator, at_s: float) -> SensorFault:
+    sensor = str(rng.choice(list(SENSORS)))
+    kinds = ["frozen", "biased", "noisy"] + (
+        ["nan"] if sensor not in ("encoder_count", "switch_closed") else []
+    )
+    kind = str(rng.choice(kinds))
+    bias, noise = SIZES[sensor]
+    sizes = {"biased": float(rng.choice([-1.0, 1.0]) * bias), "noisy": noise}
+    return SensorFault(at_s, sensor, kind, int(rng.integers(SENSORS[sensor])), sizes.get(kind, 0.0))  # type: ignore[arg-type]
+
+
+def campaign(name: str, seed: int, count: int) -> list[Injected]:
+    """So many faults, each in a fork of one run of a scenario."""
+    scenario = load(name).tilted(*(float(v) for v in np.radians(TILT_DEG)))
+    arm = arm_named("nominal")
+    rng = np.random.default_rng([seed, *map(ord, name)])
+    setup = setup_of(scenario, arm, initial_reference(arm), seed)
+    length = sum(1 for _ in run_sequence(ClosedLoop(setup), scenario.commands))
+    ticks = Counter(int(tick) for tick in rng.integers(1, length, count))
+    loop, found, begun = ClosedLoop(setup), [], 0
+    for tick, record in enumerate(run_sequence(loop, scenario.commands)):
+        begun += len(record.commands)
+        for _ in range(ticks[tick]):
+            fault = random_fault(rng, loop.plant.data.time, scenario.world.surface is not None)
+            found.append(_injected(name, loop.fork((fault,)), fault, scenario.commands[begun:]))
+    return found
+
+
+def _injected(name: str, loop: ClosedLoop, fault: Fault, rest: tuple[Command, ...]) -> Injected:
+    began, move, watched = loop.state.mode, loop.state.move, _Watch(loop)
+    moving = move is not None and move.phase in (Phase.RELEASE, Phase.RUN)
+    last = loop.state.tick + round(GOES_ON_S * CYCLE_HZ)
+    for record in _carried_on(loop, rest):
+        watched.note(record)
+        at_rest = not record.outputs.joint.busy
+        if (watched.responses and at_rest) or record.tick >= last:
+            break
+    if not watched.responses and loop.state.move is not None:
+        watched.note(loop.cycle((Stop(),)))
+    while loop.state.move is not None:
+        watched.note(loop.cycle())
+    for _ in range(round(0.25 * CYCLE_HZ)):
+        watched.note(loop.cycle())
+    braked = loop.braked
+    asked = loop.cycle((MoveJoints(STILL, relative=True),)).outputs.evrs
+    refusing = any(isinstance(evr, CommandRefused) for evr in asked)
+    return Injected(
+        scenario=name,
+        fault=_spoken(fault),
+        mode=began.name,
+        found=watched.found[0] if watched.found else "none",
+        end=_end(loop, watched, braked, refusing, _must_be_found(loop, fault, moving)),
+        braked=braked,
+        guarded_N=watched.most_N["guarded"],
+        free_N=watched.most_N["free"],
+        pressed_N=watched.most_N["pressed"],
+        hull_N=watched.most_N["hull"],
+        beyond_rad=watched.beyond_rad,
+    )
+
+
+def _end(loop: ClosedLoop, watched: "_Watch", braked: bool, refusing: bool, must_be_found: bool) -> str:
+    """How it ended; AS_IT_SHOULD_BE tells which of these are."""
+    if loop.failure is not None:
+        return "software error"
+    if not braked:
+        return "not braked"
+    if loop.state.mode is Mode.FAULTED:
+        return "refusing" if refusing else "faulted and not refusing"
+    if watched.responses:
+        return "stopped" if set(watched.responses) == {Response.STOP_AND_BRAKE} else "not refusing"
+    if watched.refused:
+        return "a later command refused"
+    return "overlooked" if must_be_found or watched.astray else "tolerated"
+
+
+def _must_be_found(loop: ClosedLoop, fault: Fault, moving: bool) -> bool:
+    """Whether docs/faults.md tolerates no such fault, whatever the arm was doing then."""
+    bounds = loop.config.params.monitors
+    match fault:
+        case SensorFault(kind="nan"):
+            return True
+        case SensorFault(kind="frozen", sensor="resolver_rad" | "current_A" | "gravity_R_m_s2"):
+            return True
+        case SensorFault(kind="biased", sensor="resolver_rad", size=size):
+            # what is not known of a gear comes on top of the bound
+            return abs(size) > bounds.resolver_error_rad + 2 * float(loop.config.half_gap_rad.max())
+        case MissedCycles(count=count):
+            return count > bounds.missed_cycles
+        case HotMotor(temperature_C=temperature):
+            return temperature > bounds.winding_max_C
+        case PowerLoss() | TiltStep():
+            return moving
+        case _:
+            return False
+
+
+class _Watch:
+    """What is seen of the arm while a fault is in it."""
+
+    def __init__(self, loop: ClosedLoop):
+        self._loop, self._mode = loop, loop.state.mode
+        config = loop.config
+        # what the gap and the wind-up of a gear add to the motor's own limit
+        motor_rad = config.params.monitors.soft_limit_margin_rad
+        self._margin = motor_rad + float(config.half_gap_rad.max()) + WIND_UP_RAD
+        self.found: list[str] = []
+        self.responses: list[str] = []
+        self.refused = False
+        self.astray = False
+        """Whether a motor was far from its set-point for long: a fault that has an effect, whatever it is."""
+        self._off = 0
+        self.most_N = dict.fromkeys(("guarded", "free", "pressed", "hull"), 0.0)
+        self.beyond_rad = -np.inf
+
+    def note(self, record: CycleRecord) -> None:
+        """One cycle."""
+        loop, state, arm = self._loop, self._loop.state, self._loop.config.arm
+        for evr in record.outputs.evrs:
+            self.found += [type(evr).__name__] if isinstance(evr, FaultEvr) else []
+            self.responses += [evr.response] if isinstance(evr, FaultResponse) else []
+            self.refused |= isinstance(evr, CommandRefused)
+        self._mode = self._mode if state.mode is Mode.FAULTED else state.mode
+        self._follow()
+        presses = self._mode is Mode.PRELOAD
+        guarded = self._mode in (Mode.GUARDED, Mode.RETRACTING)
+        kind = "pressed" if presses else "guarded" if guarded else "free"
+        most_N = float(np.linalg.norm(tool_forces(loop.plant), axis=1).max())
+        self.most_N[kind] = max(self.most_N[kind], most_N)
+        self.most_N["hull"] = max(self.most_N["hull"], hull_force_N(loop.plant))
+        output = loop.plant.output_rad()
+        beyond = np.maximum(arm.soft_min_rad - output, output - arm.soft_max_rad).max() - self._margin
+        self.beyond_rad = max(self.beyond_rad, float(beyond))
+
+    def _follow(self) -> None:
+        """How long a driven motor has truly been farther from its set-point than is allowed, twice over."""
+        move, bounds = self._loop.state.move, self._loop.config.params.monitors
+        driven = move is not None and move.phase is Phase.RUN and not move.stopped
+        off_rad = 0.0
+        if move is not None and driven:
+            apart = np.abs(self._loop.plant.motor_rad() - move.hold.motor_rad)
+            off_rad = float(np.where(move.active, apart, 0.0).max())
+        self._off = self._off + 1 if off_rad > 2 * bounds.following_error_rad else 0
+        self.astray |= self._off > 2 * bounds.following_persistence
+
+
+def _carried_on(loop: ClosedLoop, rest: tuple[Command, ...]) -> Iterator[CycleRecord]:
+    """What was under way when the run was forked, and then what is still to come."""
+    record = loop.cycle()
+    yield record
+    while record.outputs.joint.busy:
+        record = loop.cycle()
+        yield record
+    yield from run_sequence(loop, rest)
+
+
+def _spoken(fault: Fault) -> str:
+    if isinstance(fault, SensorFault):
+        return f"{fault.sensor} {fault.kind}"
+    return type(fault).__name__
+
+
+def summary(cases: list[Injected]) -> dict[str, object]:
+    """The table by fault and scenario, and the worst of everything."""
+    table: dict[str, dict[str, dict[str, int]]] = {}
+    for case in cases:
+        cell = table.setdefault(case.fault, {}).setdefault(case.scenario, {})
+        cell[case.end] = cell.get(case.end, 0) + 1
+    astray = [asdict(case) for case in cases if case.end not in AS_IT_SHOULD_BE]
+    over = [
+        asdict(c)
+        for c in cases
+        if c.guarded_N > 50 or c.free_N > 250 or c.pressed_N > 400 or c.hull_N > 0 or c.beyond_rad > 0
+    ]
+    return {
+        "count": len(cases),
+        "ends": dict(Counter(case.end for case in cases)),
+        "not_as_it_should_be": astray,
+        "most_guarded_N": max(case.guarded_N for case in cases),
+        "most_free_N": max(case.free_N for case in cases),
+        "most_pressed_N": max(case.pressed_N for case in cases),
+        "most_hull_N": max(case.hull_N for case in cases),
+        "most_beyond_limits_rad": max(case.beyond_rad for case in cases),
+        "found": dict(Counter(case.found for case in cases)),
+        "table": {fault: table[fault] for fault in sorted(table)},
+        "over": over,
+        "tolerated": sorted({(case.fault, case.mode) for case in cases if case.end == "tolerated"}),
+        "in_bounds": not astray and not over,
+    }
+
+
+def document(count: int, seed: int, workers: int, only: str | None = None) -> dict[str, object]:
+    """So many faults over all scenarios, or in only one."""
+    names = [only] if only else list(shipped())
+    counts = Counter(str(name) for name in np.random.default_rng([seed, 60]).choice(names, count))
+    chunks = [
+        (name, 100 * seed + k, share) for name in names for k, share in enumerate(_shares(counts[name]))
+    ]
+    cases: list[Injected] = []
+    with ProcessPoolExecutor(workers) as pool:
+        for found in pool.map(campaign, *zip(*chunks, strict=True)):
+            cases += found
+            print(f"\rfaults: {len(cases)} of {count}", end="", file=sys.stderr)
+    print(file=sys.stderr)
+    return summary(cases)
+
+
+def _shares(count: int, most: int = 100) -> list[int]:
+    return [most] * (count // most) + ([count % most] if count % most else [])
+
+
+def main() -> int:
+    """Print the result as JSON; exit status 1 if one did not end as it should, or went too far."""
+    options = parser("faults", __doc__, "example: python -m validation.faults --count 60")
+    options.add_argument("--count", type=int, default=1000, help="faults in all (default %(default)s)")
+    options.add_argument("--only", choices=list(shipped()), help="one scenario, in place of all")
+    asked = options.parse_args()
+    found = document(asked.count, asked.seed, asked.workers, asked.only)
+    print(json.dumps(found, indent=2))
+    return 0 if found["in_bounds"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

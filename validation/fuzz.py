@@ -1,0 +1,246 @@
+"""Feeds what reads files of others with broken ones: an error that says so is right, anything else is a bug.
+
+With atheris installed, coverage guides the changes; without it a seeded mutator makes them blindly.
+"""
+
+import argparse
+import faulthandler
+import hashlib
+import importlib.util
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+import numpy as np
+
+from ground.telemetry.errors import LogError
+from ground.telemetry.inspect import channels_of, info_of, range_of
+from ground.telemetry.read import log_from
+from ground.telemetry.salvage import salvage
+from validation.fuzz_import import import_once, import_seeds, mutate_import
+from validation.mutate import Random, changed, changed_inside
+from validation.recorded import recorded
+
+MEMORY_BYTES: Final = 4 << 30
+"""Of address space, the libraries and their threads included."""
+SLOWEST_S: Final = 10.0
+"""For one input; the longest that the mutator makes takes a tenth of it."""
+MOST_BYTES: Final = 1 << 30
+"""By which the memory of the process may grow for one input."""
+SEED_CYCLES: Final = 24
+POOL: Final = 64
+"""Inputs that are changed, the seeds and those that were accepted."""
+
+
+class TooSlow(BaseException):
+    """An input took longer than any may; not an Exception, which a target may catch for a broken file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """Something that takes the bytes of a file: True if it accepted them, False if it refused."""
+
+    name: str
+    run: Callable[[bytes], bool]
+    seeds: Callable[[], list[bytes]]
+    """Files that it accepts, to begin with."""
+    mutate: Callable[[Random, bytes], bytes] = changed
+
+
+def fuzz_reader(data: bytes) -> bool:
+    """Read a log and look at all that is in it; then save what can be saved of it."""
+    path = Path("fuzz.mcap")
+    salvage(data)
+    try:
+        log = log_from(path, data)
+    except LogError:
+        return False
+    info_of(log)
+    for channel in channels_of(log):
+        range_of(channel)
+    return True
+
+
+def log_seeds() -> list[bytes]:
+    """A closed log, its beginning, and one without a cycle."""
+    with TemporaryDirectory() as folder:
+        data = recorded(Path(folder) / "run.mcap", SEED_CYCLES, 0.0).read_bytes()
+        empty = recorded(Path(folder) / "run.mcap", 0, 0.0).read_bytes()
+    return [data, data[: len(data) // 2], empty]
+
+
+def mutate_log(random: Random, data: bytes) -> bytes:
+    """Changes to the file, or inside its records."""
+    return (changed_inside if random.random() < 0.6 else changed)(random, data)
+
+
+TARGETS: Final = (
+    Target("reader", fuzz_reader, log_seeds, mutate_log),
+    Target("importer", import_once, import_seeds, mutate_import),
+)
+
+
+@contextmanager
+def bounded(seconds: float) -> Iterator[None]:
+    """Raise TooSlow when the block takes longer; end the process where that cannot be, within a library."""
+
+    def stop(*_: Any) -> None:
+        raise TooSlow(f"longer than {seconds} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    faulthandler.dump_traceback_later(3 * seconds, exit=True, file=sys.__stderr__ or sys.stderr)
+    try:
+        yield
+    finally:
+        faulthandler.cancel_dump_traceback_later()
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def fuzz(target: Target, seed: int, seconds: float, most: int | None = None) -> dict[str, Any]:
+    """Change the seeds blindly until time is over, or `most` are tried, or a bug is found.
+
+    Inputs that are accepted are changed again. Time and memory are measured out here, whatever a target says.
+    """
+    random = np.random.default_rng(seed)
+    pool, accepted, tries, slowest_s, largest_bytes = target.seeds(), 0, 0, 0.0, 0
+    end_s = time.monotonic() + seconds
+    while time.monotonic() < end_s and tries != most:
+        data = target.mutate(random, pool[int(random.integers(len(pool)))])
+        file = kept(target, data)  # before it is tried: some bugs end the process
+        began_s, bytes_before = time.monotonic(), peak_bytes()
+        try:
+            with bounded(SLOWEST_S):
+                is_accepted = target.run(data)
+            took_s, grown_bytes = time.monotonic() - began_s, peak_bytes() - bytes_before
+            check_cost(took_s, grown_bytes)
+        except (Exception, TooSlow):
+            return {"tries": tries, "failed": str(file), "why": traceback.format_exc()}
+        file.unlink()
+        slowest_s, largest_bytes = max(slowest_s, took_s), max(largest_bytes, grown_bytes)
+        tries += 1
+        accepted += is_accepted
+        if is_accepted and len(pool) < POOL:
+            pool.append(data)
+    return {
+        "guided": False,
+        "tries": tries,
+        "accepted": accepted,
+        "slowest_s": slowest_s,
+        "largest_bytes": largest_bytes,
+        "failed": None,
+    }
+
+
+def peak_bytes() -> int:
+    """The most memory that this process has had."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10  # KiB on Linux
+
+
+def check_cost(took_s: float, grown_bytes: int) -> None:
+    """Raise TooSlow or MemoryError where an input cost more than any may."""
+    if took_s > SLOWEST_S:
+        raise TooSlow(f"took {took_s:.1f} s, longer than {SLOWEST_S} s")
+    if grown_bytes > MOST_BYTES:
+        raise MemoryError(f"the process grew by {grown_bytes} bytes, by more than {MOST_BYTES}")
+
+
+def kept(target: Target, data: bytes) -> Path:
+    """Where the input was written that a target is given."""
+    path = Path(f"fuzz-{target.name}-{hashlib.sha256(data).hexdigest()[:12]}.bin")
+    path.write_bytes(data)
+    return path
+
+
+def guided(target: Target, seed: int, seconds: float) -> dict[str, Any]:
+    """Let atheris change the seeds, in a process of its own, which ends with it."""
+    with TemporaryDirectory() as folder:
+        for k, data in enumerate(target.seeds()):
+            (Path(folder) / str(k)).write_bytes(data)
+        command = [
+            sys.executable,
+            "-m",
+            "validation.fuzz",
+            "--inside",
+            target.name,
+            "--seed",
+            str(seed),
+            folder,
+        ]
+        limits = [
+            f"-max_total_time={max(1, round(seconds))}",
+            f"-seed={seed + 1}",  # 0 would be a random one
+            f"-timeout={SLOWEST_S:.0f}",
+            f"-rss_limit_mb={MEMORY_BYTES >> 21}",
+            f"-max_len={1 << 20}",
+            f"-artifact_prefix=fuzz-{target.name}-",
+            "-print_final_stats=1",
+        ]
+        ran = subprocess.run(
+            [*command, *limits], capture_output=True, text=True, errors="replace", check=False
+        )
+    counts = [line.split() for line in ran.stderr.splitlines() if "number_of_executed_units" in line]
+    said = "\n".join((ran.stdout[-4000:], ran.stderr[-4000:]))  # what was raised is in the first
+    return {
+        "guided": True,
+        "tries": int(counts[0][-1]) if counts else None,
+        "failed": None if ran.returncode == 0 else said,
+    }
+
+
+def inside(target: Target, seed: int, arguments: list[str]) -> None:
+    """Run atheris here; it ends the process."""
+    import atheris
+
+    def mutate(data: bytes, most: int, number: int) -> bytes:
+        random = np.random.default_rng((seed, number))
+        made = atheris.Mutate(data, most) if random.random() < 0.4 else target.mutate(random, data)
+        return bytes(made[:most])
+
+    atheris.instrument_all()
+    atheris.Setup([sys.argv[0], *arguments], lambda data: target.run(data) and None, custom_mutator=mutate)
+    atheris.Fuzz()
+
+
+def main() -> None:
+    """Fuzz all targets, or one, and print what came of it."""
+    names = [target.name for target in TARGETS]
+    parser = argparse.ArgumentParser(prog="python -m validation.fuzz", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=60.0, help="for all targets together (default 60)")
+    parser.add_argument("--seed", type=int, default=0, help="of the changes (default 0)")
+    parser.add_argument("--target", choices=names, help="one of them alone")
+    parser.add_argument("--blind", action="store_true", help="without atheris, even if it is there")
+    parser.add_argument("--inside", choices=names, help=argparse.SUPPRESS)
+    asked, rest = parser.parse_known_args()
+    if asked.inside:
+        inside(next(one for one in TARGETS if one.name == asked.inside), asked.seed, rest)
+        return
+    if rest:
+        parser.error(f"unknown: {' '.join(rest)}")
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    chosen = [one for one in TARGETS if asked.target in (None, one.name)]
+    has_atheris = importlib.util.find_spec("atheris") is not None and not asked.blind
+    if not has_atheris:
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+    found = {
+        one.name: (guided if has_atheris else fuzz)(one, asked.seed, asked.seconds / len(chosen))
+        for one in chosen
+    }
+    print(json.dumps({"atheris": has_atheris, "targets": found}, indent=2))
+    sys.exit(os.EX_OK if all(one["failed"] is None for one in found.values()) else 1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,185 @@
+"""A target for fuzzers of the importer, files that it accepts, and changes to them."""
+
+import io
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import csv, parquet
+
+from ground.telemetry.imports.errors import BadImport
+from ground.telemetry.imports.job import imported
+from ground.telemetry.read import read_log
+from ground.telemetry.table_log import write_table_log
+
+BETWEEN: Final = b"\n#---\n"
+"""What stands between the mapping and the table."""
+CELLS: Final = 50_000
+NOWHERE: Final = "/nowhere/m.toml"
+"""So that no path of a mapping leads to a file."""
+
+
+def import_once(data: bytes) -> bool:
+    """Import these bytes; whether they made a log. Anything raised is a bug."""
+    mapping, _, table = data.partition(BETWEEN)
+    name = "t.parquet" if table.startswith(b"PAR1") else "t.csv"
+    try:
+        made = imported(table, name, mapping, NOWHERE, cells=CELLS)
+    except BadImport as error:
+        if isinstance(error.__cause__, MemoryError):
+            raise MemoryError(str(error)) from error  # a small table asked for all of it
+        return False
+    file = io.BytesIO()
+    write_table_log(file, made.header, made.series, made.commands)
+    with NamedTemporaryFile(suffix=".mcap") as kept:
+        kept.write(file.getvalue())
+        kept.flush()
+        log = read_log(Path(kept.name))
+    for one in made.series:
+        assert log[one.topic].tobytes() == one.data.tobytes()
+    return True
+
+
+MAPPING = b"""[time]
+column = "t"
+unit = "s"
+grid = "linear"
+sort = true
+[csv]
+separator = ","
+[[channel]]
+name = "/joint.motor_rad"
+columns = ["a", "b", "c", "d", "e"]
+unit = "deg"
+gain = -1
+[[channel]]
+name = "/joint.mode"
+columns = "mode"
+[[channel]]
+name = "/imported/arm.on"
+columns = "on"
+unit = "bool"
+[[channel]]
+name = "/imported/arm.steps_count"
+columns = "n"
+unit = "count"
+"""
+WORDS = [b"nan", b"inf", b"-1", b"1e308", b"99999999999999999999", b"true", b"", b"\xff", b"\0", b"0", b'"']
+
+
+def tables() -> list[bytes]:
+    """One table, as text and as two kinds of Parquet."""
+    columns: dict[str, Any] = {name: np.linspace(-1, 1, 6) for name in "abcde"}
+    columns |= {
+        "t": np.arange(6) / 64,
+        "mode": ["STOWED"] * 6,
+        "on": [True, False] * 3,
+        "n": range(6),
+    }
+    text, binary, plain = io.BytesIO(), io.BytesIO(), io.BytesIO()
+    table = pa.table({k: pa.array(v) for k, v in columns.items()})
+    csv.write_csv(table, text)
+    parquet.write_table(table, binary)
+    parquet.write_table(table, plain, compression="none", use_dictionary=False, version="1.0")
+    return [text.getvalue(), binary.getvalue(), plain.getvalue()]
+
+
+def changed(data: bytes, rng: np.random.Generator) -> bytes:
+    """The bytes with one to four changes."""
+    made = bytearray(data)
+    for _ in range(rng.integers(1, 5)):
+        at = int(rng.integers(len(made) + 1))
+        end = min(len(made), at + int(rng.integers(1, 40)))
+        match int(rng.integers(6)):
+            case 0 if at < len(made):
+                made[at] ^= 1 << int(rng.integers(8))
+            case 1:
+                made[at:end] = b""
+            case 2:
+                made[at:at] = made[at:end]
+            case 3:
+                made[at:at] = WORDS[int(rng.integers(len(WORDS)))]
+            case 4:
+                made[at:end] = rng.bytes(end - at)
+            case 5:
+                del made[at:]
+    return bytes(made)
+
+
+ODD: list[Any] = [0.0, -0.0, 1.5, -1e308, 1e308, 5e-324, np.nan, np.inf, -np.inf, 2.0**53, 2.0**63, 1e-9]
+WHOLE = [0, 1, -1, 2**53 + 1, 2**63 - 1, -(2**63), 15_625_000]
+
+
+def some(rng: np.random.Generator, rows: int) -> Any:
+    """A column of any kind, odd values and holes in it."""
+    mask = rng.random(rows) < rng.choice([0.0, 0.0, 0.0, 0.3])
+    match int(rng.choice(6, p=[0.2, 0.15, 0.1, 0.03, 0.26, 0.26])):
+        case 0:
+            return pa.array(rng.choice(ODD, rows), mask=mask)
+        case 1:
+            return pa.array(np.array(WHOLE)[rng.integers(len(WHOLE), size=rows)], mask=mask)
+        case 2:
+            return pa.array(rng.random(rows) < 0.5, mask=mask)
+        case 3:
+            return pa.array([("STOWED", "nan", "", "1,5")[k] for k in rng.integers(4, size=rows)])
+        case _:
+            return pa.array(rng.normal(size=rows), mask=mask)
+
+
+def odd_case(rng: np.random.Generator) -> bytes:
+    """A mapping without a slip, more or less, and a table of odd columns."""
+    rows = int(rng.integers(1, 12))
+    columns = {name: some(rng, rows) for name in "abcden"}
+    steps = rng.choice([1 / 64, 1 / 100, 1e-3, 0.5, 1e9], rows, p=[0.4, 0.3, 0.1, 0.15, 0.05])
+    if rng.random() < 0.5:
+        steps = np.full(rows, 1 / 64)
+    columns["t"] = some(rng, rows) if rng.random() < 0.1 else pa.array(np.cumsum(np.ones(rows) * steps))
+
+    def one_of(*words: str) -> str:
+        return words[int(rng.integers(len(words)))]
+
+    field, unit = one_of("n_count count", "n_m mm", "n_C K", "n bool", "n %", "n_m K").split()
+    mapping = f"""[time]
+column = "t"
+unit = "{one_of("s", "s", "s", "s", "ms", "ns")}"
+grid = "{one_of("exact", "nearest", "hold", "linear", "linear")}"
+sort = {one_of("true", "false")}
+share = {one_of("0.01", "0.5", "0")}
+gap_s = {one_of("1", "60", "60", "0.001")}
+first_tick = {one_of("0", "5", "500000000000")}
+[[channel]]
+name = "{one_of("/joint.motor_rad", "/sensors.resolver_rad")}"
+columns = ["a", "b", "c", "d", "e"]
+unit = "{one_of("rad", "deg", "turn")}"
+gain = {one_of("1", "-1", "1e300", "[1, 2, 3, 4, 5]")}
+offset = {one_of("0", "1e300", "-1")}
+[[channel]]
+name = "/imported/x.{field}"
+columns = "n"
+unit = "{unit}"
+[[channel]]
+name = "/joint.mode"
+{one_of('columns = "n"', *['value = "STOWED"'] * 4)}
+"""
+    file = io.BytesIO()
+    (parquet.write_table if rng.random() < 0.5 else csv.write_csv)(pa.table(columns), file)
+    return mapping.encode() + BETWEEN + file.getvalue()
+
+
+def import_seeds() -> list[bytes]:
+    """Inputs that make a log."""
+    return [MAPPING + BETWEEN + table for table in tables()]
+
+
+def mutate_import(rng: np.random.Generator, data: bytes) -> bytes:
+    """The input with its mapping or its table changed, or another one altogether."""
+    mapping, _, table = data.partition(BETWEEN)
+    match int(rng.integers(3)):
+        case 0:
+            return changed(mapping, rng) + BETWEEN + table
+        case 1:
+            return mapping + BETWEEN + changed(table, rng)
+        case _:
+            return odd_case(rng)

@@ -1,0 +1,213 @@
+"""Hardstop initialisation again and again: how well it repeats, how far off it is, and what helps.
+
+As-built arms find every hardstop many times, each time at another temperature, with other friction, noise
+and pose: on Mars with the turret in the planned poses; and, a fifth as often, on Earth without it, in the
+poses of equal torque and in the poses of Mars, where the torque is another.
+"""
+
+import json
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from typing import Any, Final, Literal
+
+import numpy as np
+
+from fsw.dictionary.joints import Joint
+from sim.arms import BuiltArm, arm_named
+from sim.initialisation import Initialisation
+from sim.sequence import Outcome
+from sim.stops import without_turret
+from sim.trials import varied
+from sim.world import World
+from validation.options import parser
+
+EXAMPLE = "example: python -m validation.hardstops --arms 5 --repeats 50 > hardstops.json"
+ROUNDING: Final = 1e-9
+HARD_NM: Final = 340.0
+Place = Literal["mars", "earth", "earth, poses of mars"]
+PLACES: Final[tuple[Place, ...]] = ("mars", "earth", "earth, poses of mars")
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """One joint of one arm, once."""
+
+    place: Place
+    arm: int
+    joint: Joint
+    repetition: int
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """What came of it."""
+
+    trial: Trial
+    outcome: str
+    zero_error_mrad: float
+    uncorrected_mrad: float
+    half_gap_error_mrad: float
+    load_Nm: float
+    most_torque_Nm: float
+    most_current_share: float
+
+
+def arm_at(place: Place, seed: int) -> tuple[BuiltArm, World]:
+    """An as-built arm where it is to be initialised."""
+    arm = arm_named(f"as-built:{seed}")
+    if place == "mars":
+        return arm, World()
+    bare = without_turret(arm, on_earth=place == "earth")
+    return (bare if place == "earth" else pressing_harder(bare)), World("earth")
+
+
+def pressing_harder(arm: BuiltArm) -> BuiltArm:
+    """In the poses of Mars its load on Earth would leave the elevation too little to be felt by."""
+    elevation = replace(arm.params.joints.elevation, hardstop_press_Nm=HARD_NM)
+    return replace(arm, params=replace(arm.params, joints=replace(arm.params.joints, elevation=elevation)))
+
+
+def run(trial: Trial) -> Result:
+    """Carry out a trial."""
+    arm, world = arm_at(trial.place, trial.arm)
+    running = varied(arm, trial.joint, world, 1000 * trial.arm + trial.repetition)
+    return _result(trial, running.finish())
+
+
+def _result(trial: Trial, found: Initialisation) -> Result:
+    stop = found.stops[0] if found.outcome is Outcome.DONE else None
+    return Result(
+        trial,
+        found.outcome.value,
+        np.nan if stop is None else 1e3 * stop.zero_error_rad,
+        np.nan if stop is None else 1e3 * stop.uncorrected_error_rad,
+        np.nan if stop is None else 1e3 * stop.half_gap_error_rad,
+        np.nan if stop is None else stop.load_Nm,
+        float(found.most_torque_Nm[trial.joint]),
+        float(found.most_current_share[trial.joint]),
+    )
+
+
+def campaign(
+    arms: int, repeats: int, seed: int, workers: int, joints: Sequence[Joint] = tuple(Joint)
+) -> dict[str, Any]:
+    """All trials; with the same numbers everything comes again."""
+    trials = [
+        Trial(place, seed + arm, joint, repetition)
+        for place in PLACES
+        for arm in range(arms)
+        for joint in joints
+        for repetition in range(repeats if place == "mars" else max(2, repeats // 5))
+    ]
+    results: list[Result] = []
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        running = [pool.submit(run, trial) for trial in trials]
+        for done, future in enumerate(as_completed(running), 1):
+            results.append(future.result())
+            if done % 50 == 0 or done == len(trials):
+                print(f"marsarm: {done} of {len(trials)} trials", file=sys.stderr)
+    never = {
+        "failed": sum(r.outcome != "done" for r in results),
+        "above_rated_torque": sum(r.most_torque_Nm > _rated_Nm(r) for r in results),
+        "above_current_limit": sum(r.most_current_share > 1.0 + ROUNDING for r in results),
+    }
+    return {
+        "arms": arms,
+        "repeats": repeats,
+        "seed": seed,
+        "in_bounds": not any(never.values()),
+        **never,
+        "most_torque_Nm": {joint.name.lower(): _most(results, joint) for joint in joints},
+        "most_current_share_of_limit": max(r.most_current_share for r in results),
+        **{place: _place(results, place, joints) for place in PLACES},
+        "earth_less_mars_mrad": {
+            "equal torque": _apart(results, "earth", joints),
+            "other torque": _apart(results, "earth, poses of mars", joints),
+        },
+    }
+
+
+def _place(results: Sequence[Result], place: Place, joints: Sequence[Joint]) -> dict[str, Any]:
+    here = [r for r in results if r.trial.place == place]
+    return {joint.name.lower(): _joint([r for r in here if r.trial.joint is joint]) for joint in joints}
+
+
+def _joint(results: Sequence[Result]) -> dict[str, Any]:
+    """Repeatability within an arm, the worst arm's and pooled; and the arms' means."""
+    corrected, uncorrected = _by_arm(results, "zero_error_mrad"), _by_arm(results, "uncorrected_mrad")
+    means = np.nanmean(corrected, axis=1)
+    return {
+        "repeatability_3_sigma_mrad": _three_sigma(corrected),
+        "repeatability_3_sigma_worst_arm_mrad": _worst_three_sigma(corrected),
+        "mean_error_worst_arm_mrad": float(np.abs(means).max()),
+        "mean_error_rms_over_arms_mrad": float(np.sqrt(np.mean(means**2))),
+        "without_wind_up": {
+            "repeatability_3_sigma_mrad": _three_sigma(uncorrected),
+            "mean_error_worst_arm_mrad": float(np.abs(np.nanmean(uncorrected, axis=1)).max()),
+        },
+        "half_gap_error_rms_mrad": float(np.sqrt(np.nanmean([r.half_gap_error_mrad**2 for r in results]))),
+        "load_Nm": float(np.nanmean([r.load_Nm for r in results])),
+    }
+
+
+def _apart(results: Sequence[Result], place: Place, joints: Sequence[Joint]) -> dict[str, Any]:
+    """How far an arm's mean there is from its mean on Mars: corrected for wind-up, and not."""
+    found = {}
+    for joint in joints:
+        of_joint = [r for r in results if r.trial.joint is joint]
+        there, mars = ([r for r in of_joint if r.trial.place == p] for p in (place, "mars"))
+        apart = {}
+        for name in ("zero_error_mrad", "uncorrected_mrad"):
+            means = np.nanmean(_by_arm(there, name), axis=1) - np.nanmean(_by_arm(mars, name), axis=1)
+            apart[name.removesuffix("_mrad")] = float(np.abs(means).max())
+        found[joint.name.lower()] = apart
+    return found
+
+
+def _by_arm(results: Sequence[Result], name: str) -> np.ndarray:
+    """(arms, repetitions)."""
+    arms = sorted({r.trial.arm for r in results})
+    rows = [sorted((r for r in results if r.trial.arm == arm), key=_repetition) for arm in arms]
+    return np.array([[getattr(r, name) for r in row] for row in rows])
+
+
+def _repetition(result: Result) -> int:
+    return result.trial.repetition
+
+
+def _three_sigma(by_arm: np.ndarray) -> float:
+    return 3 * float(np.sqrt(np.mean(np.nanvar(by_arm, axis=1, ddof=1))))
+
+
+def _worst_three_sigma(by_arm: np.ndarray) -> float:
+    return 3 * float(np.nanstd(by_arm, axis=1, ddof=1).max())
+
+
+def _rated_Nm(result: Result) -> float:
+    return arm_named("nominal").params.joints.in_order()[result.trial.joint].hardstop_rated_Nm
+
+
+def _most(results: Sequence[Result], joint: Joint) -> float:
+    return max(r.most_torque_Nm for r in results if r.trial.joint is joint)
+
+
+def main() -> int:
+    """Print the result as JSON; exit status 1 if a joint failed, or was pressed or driven too hard."""
+    options = parser("hardstops", __doc__, EXAMPLE)
+    options.add_argument("--arms", type=int, default=5, help="as-built arms (default 5)")
+    options.add_argument("--repeats", type=int, default=50, help="times each (default 50)")
+    options.add_argument("--joint", choices=list(Joint.__members__), help="one of them, in place of all")
+    asked = options.parse_args()
+    if min(asked.arms, asked.workers) < 1 or asked.repeats < 2 or asked.seed < 0:
+        options.error("arms and workers are 1 or more, repeats 2 or more, the seed is not negative")
+    joints = (Joint[asked.joint],) if asked.joint else tuple(Joint)
+    result = campaign(asked.arms, asked.repeats, asked.seed, asked.workers, joints)
+    print(json.dumps(result, indent=2))
+    return 0 if result["in_bounds"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

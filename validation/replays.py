@@ -1,0 +1,112 @@
+"""Every scenario on several arms, recorded and replayed: not one output may differ, none be left out.
+
+Each run is an arm, a tilt and a seed of its own; the log is read back from its file. The rate is that of the
+replay, in units of real time and of the run that it replays.
+"""
+
+import json
+import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass
+from itertools import product
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from fsw.config import CYCLE_HZ
+from ground.common.requests import BadRequest
+from ground.replay.replay import ReplayRequest, replay
+from ground.replay.tables import verdict
+from ground.runs.artifacts import Files
+from ground.runs.scenario import RunRequest, run
+from sim.scenario.file import shipped
+from validation.options import parser
+
+TILT_DEG = (6.0, -4.0)
+"""Roll and pitch of the arms that are not nominal."""
+
+NOT_REPLAYED = "not replayed"
+"""The outcome of a run that was refused, or whose log was; it counts as not identical."""
+
+
+@dataclass(frozen=True, slots=True)
+class Replayed:
+    """One scenario on one arm."""
+
+    scenario: str
+    arm: str
+    outcome: str
+    verdict: str
+    identical: bool
+    ticks: int
+    log_bytes: int
+    times_real_time: float
+    times_the_run: float
+
+
+def silent(*_: object) -> None:
+    """No progress bar in a worker."""
+
+
+def one(scenario: str, arm: str) -> Replayed:
+    """Run a scenario on an arm, and replay its log."""
+    with TemporaryDirectory() as folder:
+        log = Path(folder) / "run.mcap"
+        seed = int(arm.partition(":")[2] or 0)
+        tilt_deg = None if arm == "nominal" else TILT_DEG
+        try:
+            ran = run(RunRequest(scenario, arm, tilt_deg, seed, Files(log)), silent)
+            began = time.perf_counter()
+            found = replay(ReplayRequest(log), silent).differences
+        except BadRequest as error:
+            return Replayed(scenario, arm, NOT_REPLAYED, str(error), False, 0, 0, 0.0, 0.0)
+        rate = found.ticks[0] / CYCLE_HZ / (time.perf_counter() - began)
+        return Replayed(
+            scenario=scenario,
+            arm=arm,
+            outcome=str(ran.result.outcome),
+            verdict=verdict(found),
+            identical=found.none and found.tolerance == 0.0,
+            ticks=found.ticks[0],
+            log_bytes=log.stat().st_size,
+            times_real_time=rate,
+            times_the_run=rate / ran.realtime_factor,
+        )
+
+
+def document(arms: int, seed: int, workers: int, only: str | None = None) -> dict[str, object]:
+    """Every scenario, or only one, on the nominal arm, and on so many calibrated and as-built ones."""
+    names = ["nominal", *(f"{k}:{seed + n}" for n in range(1, arms + 1) for k in ("calibrated", "as-built"))]
+    jobs = list(product([only] if only else shipped(), names))
+    ran: list[Replayed] = []
+    with ProcessPoolExecutor(workers) as pool:
+        for k, found in enumerate(pool.map(one, *zip(*jobs, strict=True)), start=1):
+            ran.append(found)
+            print(f"\rreplays: {k} of {len(jobs)}", end="", file=sys.stderr)
+    print(file=sys.stderr)
+    return summed(ran)
+
+
+def summed(ran: list[Replayed]) -> dict[str, object]:
+    """What came of all that was asked."""
+    return {
+        "asked": len(ran),
+        "replayed": sum(r.outcome != NOT_REPLAYED for r in ran),
+        "identical": sum(r.identical for r in ran),
+        "ticks": sum(r.ticks for r in ran),
+        "runs": [asdict(r) for r in ran],
+    }
+
+
+def main() -> None:
+    options = parser("replays", __doc__, "example: python -m validation.replays --arms 1")
+    options.add_argument("--arms", type=int, default=3, help="arms of each kind but nominal (default 3)")
+    options.add_argument("--only", choices=list(shipped()), help="one scenario, in place of all")
+    asked = options.parse_args()
+    found = document(asked.arms, asked.seed, asked.workers, asked.only)
+    print(json.dumps(found, indent=2))
+    sys.exit(found["identical"] != found["asked"])
+
+
+if __name__ == "__main__":
+    main()

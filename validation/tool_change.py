@@ -1,0 +1,201 @@
+"""Relative tool change: how far the second tool is from the first one's spot, and what absolute moves give.
+
+Calibrated arms are 50 K warmer or colder than flight software knows, and all their springs are a fifth softer
+or stiffer than it takes them to be. The APXS is placed, the tool changed to MAHLI, and on the same arm and
+target MAHLI placed by its coordinates alone. As-built arms are flown with the parameters of the drawing.
+"""
+
+import json
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from fsw.dictionary.commands import Command, PlaceTool, Retract, ToolChange
+from fsw.dictionary.evrs import CommandCompleted, Evr, Severity
+from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.dictionary.tuples import joints5, vector3
+from fsw.estimate.reference import Reference
+from fsw.kinematics.transforms import Array
+from sim.arms import BuiltArm, arm_named
+from sim.campaign import random_placement
+from sim.effects.built import SPRINGS
+from sim.effects.effect import Effect
+from sim.effects.geometry import FrameError, Warming
+from sim.effects.joints import GearStiffness
+from sim.effects.structure import LinkStiffness
+from sim.frames import p_R_from_N
+from sim.initialisation import initial_reference
+from sim.loop import ClosedLoop, Setup
+from sim.preview import Preview
+from sim.sequence import run_sequence
+from validation.options import parser
+
+WARMING_K = 50.0
+STIFFNESS = 1.2
+TILT_RAD = float(np.radians(30.0))
+POSES = 5
+FROM_SPOT_MM = 10.0
+"""What is asked of a tool change on a calibrated arm."""
+MOST_DRAWS = 25
+FIRST, SECOND = Tool.APXS, Tool.MAHLI
+
+
+@dataclass(frozen=True, slots=True)
+class Changed:
+    """One tool change, lateral distances [mm]."""
+
+    from_spot_mm: float
+    """Second tool, placed by the tool change, from where the first one truly touched."""
+    absolute_mm: float
+    """Second tool, placed by its coordinates, from the target."""
+    twice_absolute_mm: float
+    """Second tool, placed by its coordinates, from where the first one, placed likewise, truly touched."""
+    tool_frames_mm: float
+    """What the two tool frames' own errors make of the first of these."""
+    rest_mm: float
+    """What is left of it without them."""
+
+
+def unknown_to_flight(seed: int) -> tuple[Effect, ...]:
+    """Warmer or colder, softer or stiffer, everything alike."""
+    warm, stiff = np.random.default_rng([seed, 50]).choice([-1.0, 1.0], 2)
+    factor = float(STIFFNESS**stiff)
+    springs = [LinkStiffness(frame, factor) for frame in SPRINGS]
+    return (Warming(WARMING_K * float(warm)), *springs, *(GearStiffness(joint, factor) for joint in Joint))
+
+
+def one_arm(kind: str, seed: int, poses: int) -> tuple[list[Changed], list[str]]:
+    """The tool changes of one arm, and why others were not carried out; those are drawn again."""
+    name = f"{kind}:{seed}"
+    reference = initial_reference(arm_named(name))
+    found: list[Changed] = []
+    failed: list[str] = []
+    for draw in range(1, MOST_DRAWS + 1):
+        changed = one_target(name, reference, draw)
+        if isinstance(changed, Changed):
+            found.append(changed)
+        else:
+            failed.append(changed)
+        if len(found) == poses:
+            break
+    return found, failed
+
+
+def one_target(name: str, reference: Reference, draw: int) -> Changed | str:
+    """The tool change at a target of this arm, or why a command was not carried out."""
+    arm, seed = arm_named(name), int(name.partition(":")[2])
+    world, seen = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
+    effects = unknown_to_flight(seed) if name.startswith("calibrated") else ()
+    loop = ClosedLoop(Setup(arm, world, joints5(seen.standoff_rad), draw, reference, effects))
+    place = placing(seen)
+    target, axis = np.array(place.p_RoTo_R_m), np.array(place.approach_R)
+    first = _touched(loop, (place,))
+    if isinstance(first, str):
+        return f"{FIRST.name}: {first}"
+    again = replace(place, tool=SECOND, branch="AUTO")
+    relative = _touched(loop.fork(), (ToolChange(SECOND),))
+    absolute = _touched(loop.fork(), (Retract(FIRST, place.standoff_m), again))
+    if isinstance(relative, str):
+        return f"ToolChange: {relative}"
+    if isinstance(absolute, str):
+        return f"{SECOND.name} by coordinates: {absolute}"
+    (spot, R_1), (second, R_2) = first, relative
+    frames = R_2 @ _tool_shift(arm, SECOND) - R_1 @ _tool_shift(arm, FIRST)
+    return Changed(
+        from_spot_mm=_lateral_mm(second - spot, axis),
+        absolute_mm=_lateral_mm(absolute[0] - target, axis),
+        twice_absolute_mm=_lateral_mm(absolute[0] - spot, axis),
+        tool_frames_mm=_lateral_mm(frames, axis),
+        rest_mm=_lateral_mm(second - spot - frames, axis),
+    )
+
+
+def placing(seen: Preview) -> PlaceTool:
+    """The command that places the tool where the preview looked."""
+    target = p_R_from_N(np.array(seen.placement.target_N_m))
+    axis = -np.array(seen.placement.normal_N) / np.linalg.norm(seen.placement.normal_N)
+    return PlaceTool(seen.placement.tool, vector3(target), vector3(axis), branch=seen.placement.branch)
+
+
+def not_completed(command: Command, evrs: Sequence[Evr]) -> str | None:
+    """The warning that ended a command before its end; None if it was completed."""
+    if CommandCompleted(type(command).__name__) in evrs:
+        return None
+    return next((evr.message for evr in evrs if evr.severity >= Severity.WARNING_LO), "no reason")
+
+
+def _touched(loop: ClosedLoop, commands: tuple[Command, ...]) -> tuple[Array, Array] | str:
+    """True place and attitude of the tool that touches at the end, or the warning that ended it before."""
+    evrs = [evr for record in run_sequence(loop, commands) for evr in record.outputs.evrs]
+    problem = not_completed(commands[-1], evrs)
+    if problem is not None:
+        return problem
+    truth, tool = loop.plant.truth(), loop.state.tool
+    return truth.p_RoTo_R_m[tool], truth.R_RT[tool]
+
+
+def _tool_shift(arm: BuiltArm, tool: Tool) -> Array:
+    """By how much a tool's origin is off its place on the turret, in tool axes; for arms flown as drawn."""
+    return sum(
+        (
+            np.array(effect.screw[3:])
+            for effect in arm.effects
+            if isinstance(effect, FrameError) and effect.frame is Frame.TOOL and effect.tool is tool
+        ),
+        np.zeros(3),
+    )
+
+
+def _lateral_mm(apart_m: Array, axis: Array) -> float:
+    return 1e3 * float(np.linalg.norm(apart_m - (apart_m @ axis) * axis))
+
+
+def summary(changes: list[Changed]) -> dict[str, object]:
+    """Three times the root mean square of each lateral distance, and the largest."""
+    table = np.array([[getattr(c, name) for name in Changed.__slots__] for c in changes])
+    three_sigma = 3 * np.sqrt(np.mean(table**2, axis=0))
+    named = {
+        name: {"three_sigma": float(three), "most": float(most)}
+        for name, three, most in zip(Changed.__slots__, three_sigma, table.max(axis=0), strict=True)
+    }
+    return {"count": len(changes), **named}
+
+
+def document(
+    calibrated: int, as_built: int, seed: int, workers: int, poses: int = POSES
+) -> dict[str, object]:
+    """The tool changes of so many arms, and which were not carried out."""
+    found: dict[str, list[Changed]] = {}
+    failed: dict[str, list[str]] = {}
+    with ProcessPoolExecutor(workers) as pool:
+        for kind, count in (("calibrated", calibrated), ("as-built", as_built)):
+            found[kind], failed[kind] = [], []
+            arms = pool.map(one_arm, [kind] * count, range(seed, seed + count), [poses] * count)
+            for k, (changes, reasons) in enumerate(arms, start=1):
+                found[kind].extend(changes)
+                failed[kind].extend(reasons)
+                print(f"\rtool changes, {kind}: {k} of {count} arms", end="", file=sys.stderr)
+            print(file=sys.stderr)
+    measured = {kind: summary(changes) for kind, changes in found.items() if changes}
+    near = all(change.from_spot_mm <= FROM_SPOT_MM for change in found["calibrated"])
+    carried_out = len(found["calibrated"]) == calibrated * poses
+    return {**measured, "not_carried_out": failed, "in_bounds": near and carried_out}
+
+
+def main() -> int:
+    """Print the result as JSON; exit status 1 if a calibrated arm is too far from the spot."""
+    options = parser("tool_change", __doc__, "example: python -m validation.tool_change --as-built 0")
+    options.add_argument("--calibrated", type=int, default=50, help="calibrated arms (default %(default)s)")
+    options.add_argument("--as-built", type=int, default=20, help="as-built arms (default %(default)s)")
+    options.add_argument("--poses", type=int, default=POSES, help="of each arm (default %(default)s)")
+    asked = options.parse_args()
+    found = document(asked.calibrated, asked.as_built, asked.seed, asked.workers, asked.poses)
+    print(json.dumps(found, indent=2))
+    return 0 if found["in_bounds"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
