@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import cache
+from importlib.resources import files
 from pathlib import Path
 from typing import Final, Literal
 
@@ -16,7 +17,7 @@ from sim.rock import add_rock, lower_ground
 
 Scene = Literal["mars", "earth"]
 
-MJCF: Final = Path(__file__).resolve().parents[1] / "models" / "mjcf"
+MJCF: Final = Path(str(files("sim") / "models" / "mjcf"))
 GRAVITY_M_S2: Final = {"mars": 3.711, "earth": 9.81}
 BELOW_ROCK_M: Final = 0.1
 MAX_TILT_RAD: Final = float(np.radians(30.0))

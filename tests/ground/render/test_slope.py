@@ -7,10 +7,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from ground import evidence
 from ground.render.picture import PictureResult
 from ground.render.rays import Rays
 from ground.render.slope import tilt_rover
+from ground.runs import artifacts
 from ground.runs.artifacts import Files, Frames, Log, keep
 from sim.world import Scene, Surface, World, build
 
@@ -98,7 +98,7 @@ def test_the_picture_of_a_run_is_of_the_tilted_rover(monkeypatch: pytest.MonkeyP
         pictures.append(model)
         return PictureResult(None, "none")
 
-    monkeypatch.setattr(evidence, "save_picture", save)
+    monkeypatch.setattr(artifacts, "save_picture", save)
     world = tilted(10.0, -5.0)
     pose = np.zeros(build(world).compile().nq)
     keep(Files(picture=tmp_path / "x.png"), world, Frames(), pose, Log(None, None), lambda *_: None)

@@ -3,7 +3,7 @@
 import matplotlib.figure
 import pytest
 
-from ground.render import log_figure
+from ground.telemetry import figure as log_figure
 from ground.telemetry.inspect import channels_of
 from ground.telemetry.read import read_log
 from validation.recorded import recorded
