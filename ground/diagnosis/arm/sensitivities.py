@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 from typing import Final
@@ -14,7 +15,6 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 import fsw
-import ground
 import sim
 from fsw.config import digest
 from fsw.kinematics.transforms import Array
@@ -53,8 +53,12 @@ _NAMES: Final = TypeAdapter(Names)
 
 
 COMPARE: Final = (
-    "calibration/screws.py",
-    *(f"gap/{name}.py" for name in ("hypothesis", "layout", "prepared", "sensitivity", "whiten")),
+    "ground.calibration.screws",
+    "ground.diagnosis.hypothesis",
+    "ground.diagnosis.layout",
+    "ground.diagnosis.prepared",
+    "ground.diagnosis.sensitivity",
+    "ground.diagnosis.whiten",
 )
 """Modules beyond the simulator and this package that have a part in it."""
 NEARLY: Final = 0.1
@@ -270,7 +274,7 @@ def campaign_digest(logs: Logs, kinds: Names) -> str:
     total.update(model_digest(build(World()).compile()).encode())
     own = (
         *sorted(Path(__file__).parent.glob("*.py")),
-        *(Path(ground.__path__[0]) / name for name in COMPARE),
+        *(Path(str(import_module(name).__file__)) for name in COMPARE),
     )
     for source in (*sources_in(fsw), *sources_in(sim), *own):
         total.update(source.read_bytes())
