@@ -5,10 +5,10 @@ from dataclasses import dataclass, fields, is_dataclass
 
 import numpy as np
 
+from fsw.collision.geometry import CollisionGeometry, build_collision_geometry
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm, arm_from
 from fsw.kinematics.transforms import Array
-from fsw.protect.space import Space, space_from
 
 CYCLE_HZ = 64
 CYCLE_S = 1.0 / CYCLE_HZ
@@ -21,8 +21,8 @@ class Config:
     params: Params
     params_sha256: str
     arm: Arm
-    space: Space
-    """What the arm is not to meet."""
+    collision_geometry: CollisionGeometry
+    """Shapes that the arm is not to meet."""
     rad_per_count: Array
     """Output side."""
     half_gap_rad: Array
@@ -82,7 +82,7 @@ def configure(params: Params) -> Config:
         params=params,
         params_sha256=digest(params),
         arm=arm,
-        space=space_from(params, arm),
+        collision_geometry=build_collision_geometry(params, arm),
         rad_per_count=np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints]),
         half_gap_rad=np.array([0.5 * j.backlash_rad for j in joints]),
         hardstop_rad=hardstop,
