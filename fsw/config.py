@@ -5,10 +5,11 @@ from dataclasses import dataclass, fields, is_dataclass
 
 import numpy as np
 
+from fsw.collision.geometry import CollisionGeometry, build_collision_geometry
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import Arm, arm_from
 from fsw.kinematics.transforms import Array
-from fsw.protect.space import Space, space_from
+from fsw.protect.bounds import ProtectionBounds, compute_bounds
 
 CYCLE_HZ = 64
 CYCLE_S = 1.0 / CYCLE_HZ
@@ -21,8 +22,9 @@ class Config:
     params: Params
     params_sha256: str
     arm: Arm
-    space: Space
-    """What the arm is not to meet."""
+    collision_geometry: CollisionGeometry
+    """Shapes that the arm is not to meet."""
+    protection: ProtectionBounds
     rad_per_count: Array
     """Output side."""
     half_gap_rad: Array
@@ -35,17 +37,6 @@ class Config:
     acceleration_rad_s2: Array
     jerk_rad_s3: Array
     current_limit_A: Array
-    lowest_rad: Array
-    highest_rad: Array
-    """Motor angles that are never to be passed: the soft limits and their margin."""
-    lowest_seeking_rad: Array
-    """A row for each joint: the same while it seeks its hardstop."""
-    watched_low: tuple[float, ...]
-    """What no joint is to be below, as protect.motors lists it, one monitor after the other, (25,)."""
-    watched_high: tuple[float, ...]
-    """What none is to be above, likewise."""
-    setpoint_step_rad: Array
-    """The largest change of a set-point in a cycle."""
     brake_ticks: int
     settle_ticks: int
     settle_timeout_ticks: int
@@ -67,40 +58,23 @@ def _written(value: object) -> str:
 
 def configure(params: Params) -> Config:
     """The configuration of these parameters."""
-    joints, motion, bounds = params.joints.in_order(), params.motion, params.monitors
-    lowest = np.array([j.soft_min_rad - bounds.soft_limit_margin_rad for j in joints])
-    highest = np.array([j.soft_max_rad + bounds.soft_limit_margin_rad for j in joints])
-    current = np.array([j.current_limit_A for j in joints])
-    each = np.ones(len(joints))
-    behind = min(bounds.stall_error_rad, bounds.following_error_rad) * each
-    drawn = bounds.over_current_fraction * current
-    coldest, hottest = bounds.winding_min_C * each, bounds.winding_max_C * each
-    apart = bounds.resolver_error_rad * each
-    hardstop = np.array([j.hardstop_rad for j in joints])
-    arm = arm_from(params)
+    joints, motion, arm = params.joints.in_order(), params.motion, arm_from(params)
     return Config(
         params=params,
         params_sha256=digest(params),
         arm=arm,
-        space=space_from(params, arm),
+        collision_geometry=build_collision_geometry(params, arm),
+        protection=compute_bounds(params, arm, CYCLE_S),
         rad_per_count=np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints]),
         half_gap_rad=np.array([0.5 * j.backlash_rad for j in joints]),
-        hardstop_rad=hardstop,
+        hardstop_rad=np.array([j.hardstop_rad for j in joints]),
         output_friction_Nm=np.array([j.output_friction_Nm for j in joints]),
         load_error_Nm=np.array([j.load_error_Nm for j in joints]),
         torque_constant_Nm_A=np.array([j.torque_constant_Nm_A for j in joints]),
         speed_rad_s=np.array([j.speed_rad_s for j in joints]),
         acceleration_rad_s2=np.array([j.acceleration_rad_s2 for j in joints]),
         jerk_rad_s3=np.array([j.jerk_rad_s3 for j in joints]),
-        current_limit_A=current,
-        lowest_rad=lowest,
-        lowest_seeking_rad=np.where(
-            np.eye(len(joints), dtype=bool), hardstop - 2 * params.hardstop.window_rad, lowest
-        ),
-        highest_rad=highest,
-        watched_low=tuple(np.concatenate((lowest, -behind, -drawn, coldest, -apart)).tolist()),
-        watched_high=tuple(np.concatenate((highest, behind, drawn, hottest, apart)).tolist()),
-        setpoint_step_rad=np.array([bounds.setpoint_step_factor * CYCLE_S * j.speed_rad_s for j in joints]),
+        current_limit_A=np.array([j.current_limit_A for j in joints]),
         brake_ticks=ticks(motion.brake_delay_s),
         settle_ticks=ticks(motion.settle_time_s),
         settle_timeout_ticks=ticks(motion.settle_timeout_s),

@@ -13,17 +13,15 @@ from fsw.estimate.hardstop import Found
 from fsw.estimate.joints import JointEstimate
 from fsw.estimate.load import LoadEstimate
 from fsw.executive.commands import handle, proceed
+from fsw.executive.protection import MoveOutcome, apply_decision, describe_arm
 from fsw.executive.situation import Situation
 from fsw.kinematics.transforms import Array
 from fsw.messages import Outputs, Sensors
 from fsw.motion.drive import drive_for
 from fsw.motion.move import Phase, advance, pressing_in
 from fsw.motion.plan_press import Pressing
-from fsw.protect.guard import Guarded, guard
-from fsw.protect.monitors import MonitorState, watch
-from fsw.protect.motors import lowest_for
-from fsw.protect.readings import unusable
-from fsw.protect.setpoints import unsafe_setpoint
+from fsw.protect.protection import protect
+from fsw.protect.readings import check_readings
 from fsw.state import State, joint_channels
 
 
@@ -32,14 +30,19 @@ def step(
 ) -> tuple[State, Outputs]:
     """The state and the outputs after one cycle; everything follows from the arguments."""
     before, config = state, state.changed or config
-    bad = unusable(config, sensors)
-    usable = not bad
+    unusable = check_readings(config.protection, sensors)
+    usable = not unusable
     joints, load, tool_channels = _estimate(config, state, sensors, usable)
     state, joints, decided = _decide(config, state, joints, load, sensors, commands, usable)
     # at rest the last set-point is where the motors are, in today's encoder zero
     last_rad = joints.motor_rad if before.move is None else before.move.hold.motor_rad
     moved, joints, pressing, planned_gap_rad = _move(config, state, joints, load, sensors, usable)
-    seen, after = _protect(config, state, sensors, last_rad, bad, moved, joints, pressing)
+    lie = joints.lie
+    arm = describe_arm(moved.mode, state.tool, joints, lie[2], moved.move, pressing)
+    monitors, decision = protect(
+        config.protection, state.monitors, moved.fault, arm, sensors, last_rad, unusable, moved.evrs
+    )
+    after = moved if decision is None else apply_decision(config, moved, decision, joints)
     # built once, as a stage that changed a few fields of it would copy them all
     state = State(
         tick=before.tick + 1,
@@ -52,11 +55,11 @@ def step(
         pressing=pressing,
         sequence=after.sequence,
         fault=after.fault,
-        monitors=seen,
+        monitors=monitors,
         drive=drive_for(config, after.move, joints, state.drive),
         changed=state.changed,
     )
-    return state, _outputs(config, before, state, tool_channels, decided + after.evrs)
+    return state, _outputs(config, before, state, lie, tool_channels, decided + after.evrs)
 
 
 def _estimate(
@@ -94,7 +97,7 @@ def _decide(
 
 def _move(
     config: Config, state: State, joints: JointEstimate, load: LoadEstimate, sensors: Sensors, usable: bool
-) -> tuple[Guarded, JointEstimate, Pressing | None, Array]:
+) -> tuple[MoveOutcome, JointEstimate, Pressing | None, Array]:
     """The move under way, one cycle on, to be protected; with bad readings only the brakes go on."""
     mode, move, pressing, gap_rad = state.mode, state.move, state.pressing, state.planned_gap_rad
     evrs: tuple[Evr, ...] = ()
@@ -108,7 +111,7 @@ def _move(
         if result.stop is not None:
             joints, calibrated = _calibrate(config, joints, load, *result.stop)
             evrs = (calibrated, *evrs)
-    return Guarded(mode, move, state.sequence, state.fault, evrs), joints, pressing, gap_rad
+    return MoveOutcome(mode, move, state.sequence, state.fault, evrs), joints, pressing, gap_rad
 
 
 def _calibrate(
@@ -119,32 +122,12 @@ def _calibrate(
     return calibrated, found.event(joint, float((calibrated.motor_rad - joints.motor_rad)[joint]))
 
 
-def _protect(
-    config: Config,
-    state: State,
-    sensors: Sensors,
-    last_rad: Array,
-    bad: tuple[Evr, ...],
-    moved: Guarded,
-    joints: JointEstimate,
-    pressing: Pressing | None,
-) -> tuple[MonitorState, Guarded]:
-    """Monitors say what happened; the response may only reduce or stop."""
-    arm = (moved.mode, state.tool, moved.move, sensors, joints, pressing)
-    seen, found = watch(config, state.monitors, *arm, usable=not bad)
-    found = bad + found
-    if moved.move is not None:
-        found += unsafe_setpoint(config, lowest_for(config, moved.move), last_rad, moved.move.hold.motor_rad)
-    found += moved.evrs
-    return seen, guard(config, moved, last_rad, joints, found) if found else moved
-
-
 def _outputs(
-    config: Config, before: State, state: State, tool: ToolChannels | None, evrs: tuple[Evr, ...]
+    config: Config, before: State, state: State, lie: Array, tool: ToolChannels | None, evrs: tuple[Evr, ...]
 ) -> Outputs:
     """What leaves flight software in this cycle."""
     if before.tick == 0:
         evrs = (Booted(config.params_sha256), *evrs)
     if state.mode is not before.mode:
         evrs = (*evrs, ModeChanged(before.mode, state.mode))
-    return Outputs(state.drive, joint_channels(before.tick, state), tool, evrs)
+    return Outputs(state.drive, joint_channels(before.tick, state, lie), tool, evrs)

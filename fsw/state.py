@@ -6,18 +6,37 @@ import numpy as np
 
 from fsw.config import Config
 from fsw.dictionary.channels import JointChannels
+from fsw.dictionary.commands import Command
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
 from fsw.estimate.joints import JointEstimate, asleep
 from fsw.estimate.load import LoadEstimate, unloaded
 from fsw.estimate.reference import Reference, no_reference
-from fsw.executive.sequence import Sequence
 from fsw.kinematics.transforms import Array
 from fsw.messages import Drive, Outputs
 from fsw.motion.move import Move
 from fsw.motion.plan_press import Pressing
-from fsw.protect.guard import StandingFault
 from fsw.protect.monitors import MonitorState
+from fsw.protect.responses import StandingFault
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """Frozen record of a step that stands on the brakes for a while."""
+
+    duration_s: float
+    vibrate: bool
+
+
+Step = Command | Hold
+
+
+@dataclass(frozen=True, slots=True)
+class Sequence:
+    """Frozen record of what is still to come of a command that takes several moves."""
+
+    command: str
+    rest: tuple[Step, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +86,7 @@ def boot(config: Config, mode: Mode, reference: Reference | None = None) -> Stat
 
 def outputs_at_rest(state: State) -> Outputs:
     """What flight software would put out if nothing happened: the last drive, the channels as they are."""
-    return Outputs(state.drive, joint_channels(state.tick, state), None, ())
+    return Outputs(state.drive, joint_channels(state.tick, state, state.joints.lie), None, ())
 
 
 def last_setpoint(state: State) -> Array:
@@ -75,10 +94,10 @@ def last_setpoint(state: State) -> Array:
     return state.joints.motor_rad if state.move is None else state.move.hold.motor_rad
 
 
-def joint_channels(tick: int, state: State) -> JointChannels:
-    """The channels of a cycle that left this state."""
+def joint_channels(tick: int, state: State, lie: Array) -> JointChannels:
+    """Return the channels of a cycle that left this state; `lie` is that of its joint estimate, (3, 5)."""
     joints = state.joints
-    gap_rad, gap_side, gap_uncertainty_rad = joints.lie
+    gap_rad, gap_side, gap_uncertainty_rad = lie
     return JointChannels(
         tick=tick,
         mode=state.mode,

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
-from fsw.kinematics.transforms import Array, Flags
+from fsw.kinematics.transforms import Array
 
 LEAST, LIKELY, MOST = range(3)
 SLACK: Final = np.array([-1.0, 0.0, 1.0])
@@ -93,13 +93,6 @@ def lie_of(half_gap_rad: Array, gear_rad: Array) -> Array:
         side.append(1.0 if least >= flank else -1.0 if most <= -flank else 0.0)
         unsure.append(max(most - likely, likely - least))
     return np.array((gap, side, unsure))
-
-
-def held_on_side(half_gap_rad: Array, bounds: GearBounds, room_rad: Array) -> Flags:
-    """Which outputs (5) their likely load holds on a flank, with so much wind-up to spare."""
-    beyond = half_gap_rad + room_rad
-    held: Flags = (bounds.lowest_rad[:, LIKELY] > beyond) | (bounds.highest_rad[:, LIKELY] < -beyond)
-    return held
 
 
 def gap_of(half_gap_rad: Array, gear_rad: Array) -> Array:

@@ -44,7 +44,7 @@ from fsw.executive.checks import beyond, malformed
 from fsw.executive.hardstop_pose import unsafe, unsafe_for_all
 from fsw.executive.modes import EVENT_OF, TRANSITIONS, Event
 from fsw.executive.planning import PlannedMove, ahead, plan_for
-from fsw.executive.sequence import Sequence, calibrate_all
+from fsw.executive.sequence import calibrate_all
 from fsw.executive.settings import set_param, set_tilt
 from fsw.executive.situation import (
     Situation,
@@ -57,7 +57,7 @@ from fsw.executive.situation import (
     told,
     touches,
 )
-from fsw.executive.steps import Hold, Step, Stepped, spot, steps_of
+from fsw.executive.steps import Stepped, spot, steps_of
 from fsw.executive.stopping import clear_fault, sequence_over, stop_move
 from fsw.motion import seek
 from fsw.motion.move import Move
@@ -65,6 +65,7 @@ from fsw.motion.paths import Setpoint, StillPath
 from fsw.motion.plan import Refusal
 from fsw.motion.plan_press import Pressing, plan_press, press_limit_A, touched
 from fsw.motion.trim import PressFit
+from fsw.state import Hold, Sequence, Step
 
 
 def handle(config: Config, now: Situation, command: Step) -> Situation:

@@ -64,7 +64,7 @@ def _too_heavy(config: Config, joints: JointEstimate, joint: Joint, pose_rad: Ar
 def _outside(config: Config, at_rad: Array, joint: Joint, pose_rad: Array) -> str | None:
     tolerance = config.params.hardstop.pose_tolerance_rad
     low, high = pose_rad - tolerance, pose_rad + tolerance
-    low[joint] = config.lowest_seeking_rad[joint, joint]
+    low[joint] = config.protection.lowest_seeking_rad[joint, joint]
     beyond = np.maximum(low - at_rad, at_rad - high)
     if beyond.max() <= 0:
         return None

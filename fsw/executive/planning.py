@@ -9,13 +9,12 @@ from fsw.dictionary.commands import GuardedMove, MoveJoint, MoveJoints, MoveTool
 from fsw.dictionary.joints import Joint, Tool
 from fsw.estimate.joints import JointEstimate
 from fsw.executive.checks import malformed
-from fsw.executive.steps import Step
-from fsw.motion.clear import blocked
 from fsw.motion.compensation import Compensation
+from fsw.motion.path_check import check_paths
 from fsw.motion.plan import Plan, Refusal, joints_at, plan_joint, plan_poses
 from fsw.motion.plan_line import plan_guarded, plan_retract
 from fsw.motion.plan_tool import plan_tool
-from fsw.state import State
+from fsw.state import State, Step
 
 PlannedMove = Unstow | Stow | MoveJoint | MoveJoints | MoveTool | GuardedMove | Retract
 
@@ -34,7 +33,7 @@ def plan_for(
     if isinstance(plan, Refusal) or isinstance(command, MoveTool):
         return plan
     touching = command.tool if isinstance(command, GuardedMove | Retract) else None
-    meeting = blocked(config, joints, plan.paths, config.params.collision.padding_m, touching)
+    meeting = check_paths(config, joints, plan.paths, config.params.collision.padding_m, touching)
     return plan if meeting is None else Refusal(meeting)
 
 

@@ -1,24 +1,15 @@
-"""Commands that follow from one command, each begun when the one before is done."""
+"""Sequences of commands that follow from one command, each begun when the one before is done."""
 
-from dataclasses import dataclass
 from typing import Final
 
 from fsw.dictionary.commands import Calibrate, MoveJoint
 from fsw.dictionary.joints import STOP_ORDER, Joint
 from fsw.dictionary.params import Params
 from fsw.executive.hardstop_pose import AGAIN
-from fsw.executive.steps import Step
+from fsw.state import Sequence
 
 CLEAR_ORDER: Final = (Joint.AZIMUTH, Joint.TURRET, Joint.WRIST, Joint.ELBOW, Joint.ELEVATION)
 """In which the joints go from their parking places to the last turn: sideways first, down last."""
-
-
-@dataclass(frozen=True, slots=True)
-class Sequence:
-    """What is still to come of a command that takes several moves."""
-
-    command: str
-    rest: tuple[Step, ...]
 
 
 def calibrate_all(params: Params, anew: bool = False) -> Sequence:

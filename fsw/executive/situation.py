@@ -7,10 +7,9 @@ from fsw.dictionary.evrs import CommandRefused, Evr
 from fsw.dictionary.joints import SWITCHES_OF, Joint, Tool
 from fsw.dictionary.modes import Mode
 from fsw.executive.modes import Event, after
-from fsw.executive.steps import Step
 from fsw.messages import Flags
 from fsw.motion.plan_press import Pressing
-from fsw.state import State
+from fsw.state import State, Step
 
 
 @dataclass(frozen=True, slots=True, eq=False)

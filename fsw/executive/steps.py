@@ -1,13 +1,11 @@
 """Commands that take several moves: the moves, each as a command of its own."""
 
-from dataclasses import dataclass
 from typing import assert_never
 
 import numpy as np
 
 from fsw.config import Config
 from fsw.dictionary.commands import (
-    Command,
     Deflection,
     Dock,
     GuardedMove,
@@ -28,17 +26,8 @@ from fsw.motion.compensation import Compensation
 from fsw.motion.plan import Refusal
 from fsw.motion.plan_line import Line, from_here
 from fsw.motion.plan_process import gravity_pose
+from fsw.state import Hold, Step
 
-
-@dataclass(frozen=True, slots=True)
-class Hold:
-    """Stand on the brakes for a while."""
-
-    duration_s: float
-    vibrate: bool
-
-
-Step = Command | Hold
 Stepped = PlaceTool | ToolChange | MoveTeachPoint | Dock | Process
 
 

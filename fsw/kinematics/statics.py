@@ -6,7 +6,7 @@ import numpy as np
 
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import Frames, forward, tool_pose
-from fsw.kinematics.transforms import Array, cross, dot, each_link, rotate, rotate_back
+from fsw.kinematics.transforms import Array, Flags, cross, dot, each_link, rotate, rotate_back
 
 EQUILIBRIUM_TOLERANCE = 1e-11
 MAX_PASSES = 30
@@ -123,3 +123,22 @@ def _equilibrium(
         if np.all(step < EQUILIBRIUM_TOLERANCE):
             break
     return Equilibrium(output, strain, torque, forward(arm, output, strain), step < EQUILIBRIUM_TOLERANCE)
+
+
+def held_on_flank(
+    half_backlash_rad: Array, lowest_rad: Array, highest_rad: Array, margin_rad: Array
+) -> Flags:
+    """Return which outputs their load holds on a flank of the backlash.
+
+    Args:
+        half_backlash_rad: Half the width of the backlash, shape (5,).
+        lowest_rad: Lowest gear angle, output less motor, at which friction can hold the output, shape (5,).
+        highest_rad: Highest such gear angle, shape (5,).
+        margin_rad: Wind-up that the load must have to spare, shape (5,).
+
+    Returns:
+        True for outputs held on either flank, shape (5,).
+    """
+    beyond = half_backlash_rad + margin_rad
+    held: Flags = (lowest_rad > beyond) | (highest_rad < -beyond)
+    return held

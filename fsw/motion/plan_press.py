@@ -12,8 +12,8 @@ from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import Push, rest
 from fsw.kinematics.task import ROOT_TOLERANCE, task_error, task_jacobian
 from fsw.kinematics.transforms import Array
-from fsw.motion.clear import blocked
 from fsw.motion.compensation import Compensation
+from fsw.motion.path_check import check_paths
 from fsw.motion.paths import Travel
 from fsw.motion.plan import TOO_SOFT, Plan, Refusal, Stand, over_limits, worst_limit
 from fsw.motion.plan_knots import plan_through
@@ -135,7 +135,7 @@ def plan_press(
     # gaps are crossed under the believed force; what the model winds gears up beyond that is overdrive
     overdriven = output - (load_Nm - carried_Nm) / config.arm.gear_stiffness_Nm_rad[:, None]
     plan = plan_through(config, joints, overdriven, carried_Nm, Compensation(), travel)
-    meeting = blocked(config, joints, plan.paths, config.params.collision.padding_m, pressing.tool)
+    meeting = check_paths(config, joints, plan.paths, config.params.collision.padding_m, pressing.tool)
     if meeting is not None:
         return Refusal(meeting)
     per_N = (load_Nm[:, -1] - load_Nm[:, 0]) / (end_N - pressing.model_N)

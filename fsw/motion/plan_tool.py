@@ -15,8 +15,8 @@ from fsw.kinematics.chain import Frames, tool_pose
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array, Pose
-from fsw.motion.clear import blocked
 from fsw.motion.compensation import Compensation
+from fsw.motion.path_check import check_paths
 from fsw.motion.plan import Plan, Refusal, plan_to, standing
 from fsw.motion.plan_line import plan_straight
 
@@ -80,7 +80,7 @@ def _first_clear(
 
 
 def _if_clear(config: Config, joints: JointEstimate, plan: Plan) -> Plan | Refusal:
-    meeting = blocked(config, joints, plan.paths, config.params.collision.padding_m)
+    meeting = check_paths(config, joints, plan.paths, config.params.collision.padding_m)
     return plan if meeting is None else Refusal(meeting)
 
 

@@ -12,11 +12,11 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
-from fsw.estimate.gear import held_on_side
+from fsw.estimate.gear import LIKELY
 from fsw.estimate.joints import JointEstimate
 from fsw.estimate.load import LoadEstimate
 from fsw.kinematics.chain import joint_jacobian, tool_pose
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import held_on_flank, rest
 from fsw.kinematics.transforms import Array
 from fsw.messages import Flags, Sensors
 from fsw.motion.paths import Setpoint
@@ -88,7 +88,9 @@ def fitted(
     carried = resisting - config.torque_constant_Nm_A * sensors.current_A
     push = carried - (load.torque_Nm - load.of_push_Nm)
     # in its gap a gear passes nothing on
-    held = held_on_side(joints.reference.half_gap_rad, joints.bounds, np.zeros_like(push))
+    half, bounds = joints.reference.half_gap_rad, joints.bounds
+    lowest_rad, highest_rad = bounds.lowest_rad[:, LIKELY], bounds.highest_rad[:, LIKELY]
+    held = held_on_flank(half, lowest_rad, highest_rad, np.zeros_like(push))
     # its encoder counts: the friction of a motor that has yet to break away is not what it is in motion
     follows = joints.motor_rate_rad_s * hold.rate_rad_s > 0.5 * hold.rate_rad_s**2
     says = held & follows

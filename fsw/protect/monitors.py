@@ -1,6 +1,6 @@
-"""All monitors of a cycle: they say what happened and decide nothing. docs/faults.md lists them.
+"""Run all monitors of a cycle: they report what happened and decide nothing. docs/faults.md lists them.
 
-Each has a bound, and most a persistence: for how many cycles in a row the bound must be passed.
+Each has a bound, and most have a persistence: for how many cycles in a row the bound must be passed.
 """
 
 from dataclasses import dataclass, replace
@@ -9,25 +9,32 @@ from typing import Final
 
 import numpy as np
 
-from fsw.config import Config
 from fsw.dictionary.evrs import Evr
-from fsw.dictionary.joints import Tool
-from fsw.dictionary.modes import Mode
-from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
-from fsw.motion.move import Move, Phase
-from fsw.motion.plan_press import Pressing
 from fsw.protect import motors
-from fsw.protect.felt import Felt, felt
-from fsw.protect.readings import LIVE, LIVELY, frozen, lively, missed
-from fsw.protect.tilt import tilt
-from fsw.protect.touch import contact, contact_lost, preload_outside
+from fsw.protect.bounds import ProtectionBounds
+from fsw.protect.contact import (
+    ApproachState,
+    check_contact_kept,
+    check_press_force,
+    check_unexpected_contact,
+    monitor_approach,
+)
+from fsw.protect.readings import (
+    NOISY,
+    NONE_UNCHANGED,
+    check_cycle_count,
+    check_frozen,
+    check_tilt,
+    noisy_readings,
+)
+from fsw.protect.status import ArmStatus
 
 
 @dataclass(frozen=True, slots=True)
 class Counts:
-    """How many cycles in a row each persistent monitor has been beyond its bound."""
+    """Cycles in a row in which each persistent monitor has been beyond its bound."""
 
     following: int = 0
     stalled: int = 0
@@ -36,101 +43,95 @@ class Counts:
     resolver: int = 0
     tilt: int = 0
     contact: int = 0
-    preload: int = 0
+    press: int = 0
 
 
-QUIET: Final = Counts()
+ALL_ZERO: Final = Counts()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MonitorState:
-    """What monitors remember of the cycles before."""
+    """Frozen record of what monitors remember from cycle to cycle."""
 
-    counts: Counts = QUIET
+    counts: Counts = ALL_ZERO
     cycle: int | None = None
-    """The avionics' count when flight software was called last."""
-    readings: tuple[float, ...] = (inf,) * len(LIVELY)
-    """Of the sensors that have noise."""
-    same: tuple[int, ...] = LIVE
+    """Cycle count of the avionics when flight software was called last."""
+    readings: tuple[float, ...] = (inf,) * len(NOISY)
+    """Last readings of the sensors that have noise."""
+    unchanged: tuple[int, ...] = NONE_UNCHANGED
     """For how many cycles each of those readings has been the same."""
     planned_gravity_R: Array | None = None
-    """What gravity was when the move under way began."""
-    felt: Felt | None = None
+    """Gravity when the move under way began, (3,)."""
+    approach: ApproachState | None = None
 
 
-def watch(
-    config: Config,
-    last: MonitorState,
-    mode: Mode,
-    tool: Tool,
-    move: Move | None,
-    sensors: Sensors,
-    joints: JointEstimate,
-    pressing: Pressing | None,
-    usable: bool,
+def run_monitors(
+    bounds: ProtectionBounds, last: MonitorState, arm: ArmStatus, sensors: Sensors, usable: bool
 ) -> tuple[MonitorState, tuple[Evr, ...]]:
-    """The state for the next cycle and what was found; of unusable readings, only how many came."""
-    evrs = missed(config, last.cycle, sensors.cycle)
+    """Run the monitors on this cycle; unusable readings are only counted.
+
+    Returns:
+        The state for the next cycle, and what was found.
+    """
+    evrs = check_cycle_count(bounds, last.cycle, sensors.cycle)
     planned = None
-    if move is not None:
-        planned = joints.gravity_R_m_s2 if last.planned_gravity_R is None else last.planned_gravity_R
+    if arm.move is not None:
+        planned = arm.gravity_R_m_s2 if last.planned_gravity_R is None else last.planned_gravity_R
     if not usable:
         return replace(last, cycle=sensors.cycle, planned_gravity_R=planned), evrs
-    readings = lively(sensors)
-    same, dead = frozen(config, last.same, last.readings, readings)
-    counts, found = _watch_arm(config, last.counts, mode, tool, move, sensors, joints, pressing, planned)
-    touch, force = felt(config, last.felt, move, sensors, joints)
-    return MonitorState(counts, sensors.cycle, readings, same, planned, touch), evrs + dead + found + force
+    readings = noisy_readings(sensors)
+    unchanged, frozen = check_frozen(bounds, last.unchanged, last.readings, readings)
+    counts, found = _monitor_arm(bounds, last.counts, arm, sensors, planned)
+    approach, force = monitor_approach(bounds, last.approach, arm, sensors)
+    state = MonitorState(counts, sensors.cycle, readings, unchanged, planned, approach)
+    return state, evrs + frozen + found + force
 
 
-def _watch_arm(
-    config: Config,
+def _monitor_arm(
+    bounds: ProtectionBounds,
     last: Counts,
-    mode: Mode,
-    tool: Tool,
-    move: Move | None,
+    arm: ArmStatus,
     sensors: Sensors,
-    joints: JointEstimate,
-    pressing: Pressing | None,
     planned_gravity_R: Array | None,
 ) -> tuple[Counts, tuple[Evr, ...]]:
-    """The monitors that need readings to compute with."""
+    """Run the monitors that compute with readings."""
     evrs: tuple[Evr, ...] = ()
-    counts = QUIET
+    counts = ALL_ZERO
     if True in sensors.switch_closed.tolist():
-        evrs += contact(mode, tool, sensors.switch_closed)
-    if motors.beyond(config, move, sensors, joints):
-        counts, found = _watch_joints(config, last, move, sensors, joints)
+        evrs += check_unexpected_contact(arm.mode, arm.tool, sensors.switch_closed)
+    if motors.exceed_any_bound(bounds, arm, sensors):
+        counts, found = _monitor_joints(bounds, last, arm, sensors)
         evrs += found
-    if move is None or planned_gravity_R is None:
+    if arm.move is None or planned_gravity_R is None:
         return counts, evrs
     lost = outside = 0
-    tilted, turned = tilt(config, last.tilt, planned_gravity_R, joints.imu_R_m_s2)
+    tilted, turned = check_tilt(bounds, last.tilt, planned_gravity_R, arm.imu_R_m_s2)
     evrs += turned
-    if move.press is not None and not move.stopped and pressing is not None:
-        lost, gone = contact_lost(config, last.contact, pressing, sensors.switch_closed)
-        outside, force = preload_outside(config, last.preload, pressing, move.press.torque_per_N, joints)
-        evrs += gone + force
+    if arm.move.press is not None:
+        lost, contact = check_contact_kept(bounds, last.contact, arm.move.press, sensors.switch_closed)
+        outside, force = check_press_force(bounds, last.press, arm, arm.move.press)
+        evrs += contact + force
     if tilted or lost or outside:
-        counts = replace(counts, tilt=tilted, contact=lost, preload=outside)
+        counts = replace(counts, tilt=tilted, contact=lost, press=outside)
     return counts, evrs
 
 
-def _watch_joints(
-    config: Config, last: Counts, move: Move | None, sensors: Sensors, joints: JointEstimate
+def _monitor_joints(
+    bounds: ProtectionBounds, last: Counts, arm: ArmStatus, sensors: Sensors
 ) -> tuple[Counts, tuple[Evr, ...]]:
-    """The monitors of the joints, one by one."""
-    resolver, apart = motors.resolver(config, last.resolver, joints)
-    moving = move is not None and not move.stopped
-    winding, heat = motors.winding(config, last.winding, moving, sensors.winding_C)
+    """Run the monitors of the joints, one by one."""
+    move = arm.move
+    resolver, apart = motors.check_resolvers(bounds, last.resolver, arm)
+    is_moving = move is not None and not move.is_stopping
+    winding, heat = motors.check_windings(bounds, last.winding, is_moving, sensors.winding_C)
     if move is None:
         return Counts(winding=winding, resolver=resolver), apart + heat
-    evrs = apart + heat + motors.soft_limits(config, move, joints.motor_rad)
+    evrs = apart + heat + motors.check_soft_limits(bounds, move, arm.motor_rad)
     following = stalled = drawn = 0
-    if move.phase is not Phase.RELEASE:
-        error = np.abs(move.hold.motor_rad - joints.motor_rad)
-        stalled, still = motors.stalled(config, last.stalled, move, error, joints)
-        following, behind = motors.following(config, last.following, error)
-        drawn, high = motors.over_current(config, last.over_current, sensors.current_A)
+    if not move.is_releasing:
+        error = np.abs(move.setpoint_rad - arm.motor_rad)
+        stalled, still = motors.check_stall(bounds, last.stalled, move, error, arm.motor_rate_rad_s)
+        following, behind = motors.check_following(bounds, last.following, error)
+        drawn, high = motors.check_current(bounds, last.over_current, sensors.current_A)
         evrs += still + behind + high
     return Counts(following, stalled, drawn, winding, resolver), evrs

@@ -1,13 +1,14 @@
-"""Monitors of the joints: limits, following, stall, current, temperature, resolver against encoder.
+"""Monitors of the joints: set-points, soft limits, following, stall, current, temperature, resolver.
 
-Those with a persistence take how many cycles in a row they have been beyond their bound, and return it.
+A monitor with a persistence takes for how many cycles in a row its bound has been passed, and returns that
+count with this cycle.
 """
 
 from operator import ge, le
+from typing import Final
 
 import numpy as np
 
-from fsw.config import Config
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import (
     FollowingErrorHigh,
@@ -15,121 +16,157 @@ from fsw.dictionary.faults import (
     OverCurrent,
     OverTemperature,
     ResolverDisagrees,
+    SetpointUnsafe,
     SoftLimitPassed,
     UnderTemperature,
 )
 from fsw.dictionary.joints import Joint
-from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
-from fsw.motion.move import Move
+from fsw.protect.bounds import ProtectionBounds
+from fsw.protect.status import ArmStatus, MoveStatus
+
+ROUNDING_RAD: Final = 1e-9
 
 
-def beyond(config: Config, move: Move | None, sensors: Sensors, joints: JointEstimate) -> bool:
-    """Whether any joint is beyond a bound below; only then it is asked beyond which, and for how long."""
-    motor = joints.motor_rad
-    behind = motor - (motor if move is None else move.hold.motor_rad)
-    watched = (
+def check_setpoint(bounds: ProtectionBounds, move: MoveStatus, last_rad: Array) -> tuple[Evr, ...]:
+    """Check that a set-point is finite, inside the limits and no jump, whatever planned it.
+
+    Outside the limits it may still move inward: that is the way back.
+
+    Args:
+        bounds: Bounds of protection.
+        move: Move whose set-point is about to go out.
+        last_rad: Set-point that went out last, shape (5,).
+
+    Returns:
+        The fault of the first joint whose set-point must not go out.
+    """
+    limits = get_lowest(bounds, move).tolist(), bounds.highest_rad.tolist(), bounds.setpoint_step_rad.tolist()
+    each = zip(move.setpoint_rad.tolist(), last_rad.tolist(), *limits, strict=True)
+    for joint, (asked, last, lowest, highest, step) in enumerate(each):
+        # written so that NaN fails it
+        near = abs(asked - last) <= step
+        low_safe = asked >= lowest or asked >= last - ROUNDING_RAD
+        high_safe = asked <= highest or asked <= last + ROUNDING_RAD
+        if not (near and low_safe and high_safe):
+            return (SetpointUnsafe(Joint(joint), asked, last),)
+    return ()
+
+
+def get_lowest(bounds: ProtectionBounds, move: MoveStatus) -> Array:
+    """Return the lowest motor angles, (5,); a joint that seeks its hardstop goes beyond its soft limit."""
+    return bounds.lowest_rad if move.seeking is None else bounds.lowest_seeking_rad[move.seeking]
+
+
+def exceed_any_bound(bounds: ProtectionBounds, arm: ArmStatus, sensors: Sensors) -> bool:
+    """Check whether any joint is beyond a bound; only then the monitors below are run, one by one."""
+    motor = arm.motor_rad
+    lag = motor - (motor if arm.move is None else arm.move.setpoint_rad)
+    monitored = (
         *motor.tolist(),
-        *behind.tolist(),
+        *lag.tolist(),
         *sensors.current_A.tolist(),
         *sensors.winding_C.tolist(),
-        *joints.resolver_error_rad.tolist(),
+        *arm.resolver_error_rad.tolist(),
     )
-    return not (all(map(ge, watched, config.watched_low)) and all(map(le, watched, config.watched_high)))
+    return not (
+        all(map(ge, monitored, bounds.monitored_lowest)) and all(map(le, monitored, bounds.monitored_highest))
+    )
 
 
-def soft_limits(config: Config, move: Move, motor_rad: Array) -> tuple[Evr, ...]:
-    """A joint beyond a limit that is not being moved back; an arm at rest has nothing to be stopped."""
-    below, above = motor_rad < lowest_for(config, move), motor_rad > config.highest_rad
-    if not (below.any() or above.any()):
-        return ()
-    rate_rad_s = move.hold.rate_rad_s
+def check_soft_limits(bounds: ProtectionBounds, move: MoveStatus, motor_rad: Array) -> tuple[Evr, ...]:
+    """Check that no joint beyond a limit is moved farther out; an arm at rest has nothing to be stopped."""
+    below, above = motor_rad < get_lowest(bounds, move), motor_rad > bounds.highest_rad
+    rate_rad_s = move.setpoint_rate_rad_s
     below, above = below & (rate_rad_s < 0), above & (rate_rad_s > 0)
     if not (below.any() or above.any()):
         return ()
     joint = Joint(int(np.argmax(below | above)))
-    lowest = config.arm.soft_min_rad if move.seek is None else lowest_for(config, move)
-    limit = lowest[joint] if below[joint] else config.arm.soft_max_rad[joint]
+    lowest = bounds.arm.soft_min_rad if move.seeking is None else get_lowest(bounds, move)
+    limit = lowest[joint] if below[joint] else bounds.arm.soft_max_rad[joint]
     return (SoftLimitPassed(joint, float(motor_rad[joint]), float(limit)),)
 
 
-def lowest_for(config: Config, move: Move) -> Array:
-    """Motor angles not to be passed: a joint that seeks its hardstop goes beyond its soft limit."""
-    return config.lowest_rad if move.seek is None else config.lowest_seeking_rad[move.seek.joint]
-
-
-def following(config: Config, last: int, error_rad: Array) -> tuple[int, tuple[Evr, ...]]:
-    """A motor too far from its set-point."""
-    bounds = config.params.monitors
-    if error_rad.max() <= bounds.following_error_rad:
+def check_following(bounds: ProtectionBounds, count: int, error_rad: Array) -> tuple[int, tuple[Evr, ...]]:
+    """Check that no motor is too far from its set-point; `error_rad` is its distance, (5,)."""
+    monitors = bounds.monitors
+    if error_rad.max() <= monitors.following_error_rad:
         return 0, ()
-    if last + 1 < bounds.following_persistence:
-        return last + 1, ()
+    if count + 1 < monitors.following_persistence:
+        return count + 1, ()
     joint = Joint(int(error_rad.argmax()))
-    return last + 1, (FollowingErrorHigh(joint, float(error_rad[joint]), bounds.following_error_rad),)
+    return count + 1, (FollowingErrorHigh(joint, float(error_rad[joint]), monitors.following_error_rad),)
 
 
-def stalled(
-    config: Config, last: int, move: Move, error_rad: Array, joints: JointEstimate
+def check_stall(
+    bounds: ProtectionBounds, count: int, move: MoveStatus, error_rad: Array, rate_rad_s: Array
 ) -> tuple[int, tuple[Evr, ...]]:
-    """A motor that does not turn as it is to, so far from its set-point that it is no matter of friction.
+    """Check that every motor that is far from its set-point turns as it is asked to.
 
+    Nearer to its set-point a motor may be held by friction.
     A joint that seeks its hardstop is to stall, and is watched by its own rules.
+
+    Args:
+        bounds: Bounds of protection.
+        count: Cycles in a row in which a motor was too slow.
+        move: Move under way.
+        error_rad: Distance of each motor from its set-point, shape (5,).
+        rate_rad_s: Rate of each motor on the output side, shape (5,).
+
+    Returns:
+        The count with this cycle, and the fault.
     """
-    bounds = config.params.monitors
-    if move.seek is not None:
+    monitors = bounds.monitors
+    if move.seeking is not None:
         return 0, ()
-    asked = move.hold.rate_rad_s
-    short = bounds.stall_share * np.abs(asked) - joints.motor_rate_rad_s * np.sign(asked)
-    short = np.where(error_rad > bounds.stall_error_rad, short, 0.0)
+    asked = move.setpoint_rate_rad_s
+    short = monitors.stall_share * np.abs(asked) - rate_rad_s * np.sign(asked)
+    short = np.where(error_rad > monitors.stall_error_rad, short, 0.0)
     if short.max() <= 0:
         return 0, ()
-    if last + 1 < bounds.stall_persistence:
-        return last + 1, ()
+    if count + 1 < monitors.stall_persistence:
+        return count + 1, ()
     joint = Joint(int(short.argmax()))
-    return last + 1, (MotorStalled(joint, float(joints.motor_rate_rad_s[joint]), float(asked[joint])),)
+    return count + 1, (MotorStalled(joint, float(rate_rad_s[joint]), float(asked[joint])),)
 
 
-def over_current(config: Config, last: int, current_A: Array) -> tuple[int, tuple[Evr, ...]]:
-    """A motor that draws nearly all that it may."""
-    bounds = config.params.monitors
-    bound = bounds.over_current_fraction * config.current_limit_A
-    excess = np.abs(current_A) - bound
+def check_current(bounds: ProtectionBounds, count: int, current_A: Array) -> tuple[int, tuple[Evr, ...]]:
+    """Check that no motor draws nearly all that it may; `current_A` has shape (5,)."""
+    excess = np.abs(current_A) - bounds.over_current_A
     if excess.max() <= 0:
         return 0, ()
-    if last + 1 < bounds.over_current_persistence:
-        return last + 1, ()
+    if count + 1 < bounds.monitors.over_current_persistence:
+        return count + 1, ()
     joint = Joint(int(excess.argmax()))
-    return last + 1, (OverCurrent(joint, float(current_A[joint]), float(bound[joint])),)
+    return count + 1, (OverCurrent(joint, float(current_A[joint]), float(bounds.over_current_A[joint])),)
 
 
-def winding(config: Config, last: int, moving: bool, winding_C: Array) -> tuple[int, tuple[Evr, ...]]:
-    """A winding too hot, or too cold while the arm moves: at rest it may be as cold as it gets."""
-    bounds, read_C = config.params.monitors, winding_C.tolist()
+def check_windings(
+    bounds: ProtectionBounds, count: int, is_moving: bool, winding_C: Array
+) -> tuple[int, tuple[Evr, ...]]:
+    """Check that no winding, (5,), is too hot, or too cold in a move; at rest it may be any colder."""
+    monitors, read_C = bounds.monitors, winding_C.tolist()
     coldest, hottest = min(read_C), max(read_C)
-    hot = hottest > bounds.winding_max_C
-    if not hot and not (moving and coldest < bounds.winding_min_C):
+    hot = hottest > monitors.winding_max_C
+    if not hot and not (is_moving and coldest < monitors.winding_min_C):
         return 0, ()
-    if last + 1 < bounds.winding_persistence:
-        return last + 1, ()
+    if count + 1 < monitors.winding_persistence:
+        return count + 1, ()
     if hot:
-        return last + 1, (OverTemperature(Joint(read_C.index(hottest)), hottest, bounds.winding_max_C),)
-    return last + 1, (UnderTemperature(Joint(read_C.index(coldest)), coldest, bounds.winding_min_C),)
+        return count + 1, (OverTemperature(Joint(read_C.index(hottest)), hottest, monitors.winding_max_C),)
+    return count + 1, (UnderTemperature(Joint(read_C.index(coldest)), coldest, monitors.winding_min_C),)
 
 
-def resolver(config: Config, last: int, joints: JointEstimate) -> tuple[int, tuple[Evr, ...]]:
-    """A resolver away from the believed output of its joint by more than its bound and what is unknown."""
-    bounds = config.params.monitors
-    error_rad = np.abs(joints.resolver_error_rad)
-    if error_rad.max() <= bounds.resolver_error_rad:
-        return 0, ()
-    excess = error_rad - joints.uncertainty_rad - bounds.resolver_error_rad
-    excess = np.where(joints.reference.calibrated, excess, -np.inf)
+def check_resolvers(bounds: ProtectionBounds, count: int, arm: ArmStatus) -> tuple[int, tuple[Evr, ...]]:
+    """Check each resolver of a calibrated joint against the estimated output and its uncertainty."""
+    monitors = bounds.monitors
+    excess = np.abs(arm.resolver_error_rad) - arm.gear_uncertainty_rad - monitors.resolver_error_rad
+    excess = np.where(arm.calibrated, excess, -np.inf)
     if excess.max() <= 0:
         return 0, ()
-    if last + 1 < bounds.resolver_persistence:
-        return last + 1, ()
+    if count + 1 < monitors.resolver_persistence:
+        return count + 1, ()
     joint = Joint(int(excess.argmax()))
-    error = float(joints.resolver_error_rad[joint])
-    return last + 1, (ResolverDisagrees(joint, error, abs(error) - float(excess[joint])),)
+    error = float(arm.resolver_error_rad[joint])
+    return count + 1, (ResolverDisagrees(joint, error, abs(error) - float(excess[joint])),)

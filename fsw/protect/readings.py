@@ -1,42 +1,51 @@
-"""Monitors of the readings themselves: whether they are numbers, alive, and as many as there should be."""
+"""Monitors of the readings: finite, plausible, alive, as many as there should be; gravity as at the start."""
 
-from math import hypot, isfinite
+from math import atan2, hypot, isfinite, sin
 from operator import eq
 from typing import Final
 
-from fsw.config import Config
+import numpy as np
+
 from fsw.dictionary.evrs import CyclesSkipped, Evr
-from fsw.dictionary.faults import CyclesMissed, GravityImplausible, SensorFrozen, SensorNotFinite
+from fsw.dictionary.faults import (
+    CyclesMissed,
+    GravityImplausible,
+    SensorFrozen,
+    SensorNotFinite,
+    TiltChanged,
+)
+from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
+from fsw.protect.bounds import ProtectionBounds
 
-LIVELY: Final = ("resolver_rad",) * 5 + ("current_A",) * 5 + ("gravity_R_m_s2",) * 3
-"""Of which sensor each number is that is never the same for long, even at rest: it has noise."""
-LIVE: Final = (0,) * len(LIVELY)
-"""For how many cycles each of those has been the same, if none is."""
+NOISY: Final = ("resolver_rad",) * 5 + ("current_A",) * 5 + ("gravity_R_m_s2",) * 3
+"""Sensor of each number that has noise: it never stays the same for long, even at rest."""
+NONE_UNCHANGED: Final = (0,) * len(NOISY)
 ANALOG: Final = ("resolver_rad", "current_A", "winding_C", "gravity_R_m_s2")
-"""The sensors whose readings are real numbers."""
+"""Sensors whose readings are real numbers."""
 
 
-def unusable(config: Config, sensors: Sensors) -> tuple[Evr, ...]:
-    """Readings that nothing may be computed from.
+def check_readings(bounds: ProtectionBounds, sensors: Sensors) -> tuple[Evr, ...]:
+    """Find readings that nothing may be computed from: not finite, or no gravity.
 
-    This comes first: comparisons with NaN are all false and clip nothing, and a wild value stays in filters.
+    This comes first in a cycle. Comparisons with NaN are all false and clip nothing, and a wild value stays
+    in filters.
     """
-    # hypot warns of nothing, and is finite only if all its arguments are
-    if not isfinite(hypot(*lively(sensors), *sensors.winding_C.tolist())):
+    # hypot raises no warning, and is finite only if all its arguments are
+    if not isfinite(hypot(*noisy_readings(sensors), *sensors.winding_C.tolist())):
         found = tuple(
             SensorNotFinite(name) for name in ANALOG if not isfinite(hypot(*getattr(sensors, name).tolist()))
         )
         if found:
             return found
-    gravity, bounds = hypot(*sensors.gravity_R_m_s2.tolist()), config.params.monitors
-    if bounds.gravity_min_m_s2 <= gravity <= bounds.gravity_max_m_s2:
+    gravity, monitors = hypot(*sensors.gravity_R_m_s2.tolist()), bounds.monitors
+    if monitors.gravity_min_m_s2 <= gravity <= monitors.gravity_max_m_s2:
         return ()
-    return (GravityImplausible(gravity, bounds.gravity_min_m_s2, bounds.gravity_max_m_s2),)
+    return (GravityImplausible(gravity, monitors.gravity_min_m_s2, monitors.gravity_max_m_s2),)
 
 
-def lively(sensors: Sensors) -> tuple[float, ...]:
-    """The numbers that have noise, in the order of LIVELY."""
+def noisy_readings(sensors: Sensors) -> tuple[float, ...]:
+    """Return the numbers that have noise, in the order of NOISY."""
     return (
         *sensors.resolver_rad.tolist(),
         *sensors.current_A.tolist(),
@@ -44,23 +53,61 @@ def lively(sensors: Sensors) -> tuple[float, ...]:
     )
 
 
-def frozen(
-    config: Config, last: tuple[int, ...], before: tuple[float, ...], now: tuple[float, ...]
+def check_frozen(
+    bounds: ProtectionBounds, unchanged: tuple[int, ...], before: tuple[float, ...], now: tuple[float, ...]
 ) -> tuple[tuple[int, ...], tuple[Evr, ...]]:
-    """A number that stays the same to the last bit; for how many cycles each has, and what was found."""
+    """Check that no noisy reading stays the same to the last bit.
+
+    Args:
+        bounds: Bounds of protection.
+        unchanged: For how many cycles each reading had been the same, in the order of NOISY.
+        before: Noisy readings of the cycle before.
+        now: Noisy readings of this cycle.
+
+    Returns:
+        For how many cycles each reading has been the same, and the faults.
+    """
     if not any(map(eq, before, now)):
-        return LIVE, ()
-    same = tuple([count + 1 if a == b else 0 for a, b, count in zip(before, now, last, strict=True)])
-    bound = config.params.monitors.frozen_persistence
-    if max(same) < bound:
-        return same, ()
-    stands = {name: count for name, count in zip(LIVELY, same, strict=True) if count >= bound}
-    return same, tuple(SensorFrozen(name, count) for name, count in stands.items())
+        return NONE_UNCHANGED, ()
+    counts = tuple([n + 1 if a == b else 0 for a, b, n in zip(before, now, unchanged, strict=True)])
+    bound = bounds.monitors.frozen_persistence
+    if max(counts) < bound:
+        return counts, ()
+    frozen = {name: count for name, count in zip(NOISY, counts, strict=True) if count >= bound}
+    return counts, tuple(SensorFrozen(name, count) for name, count in frozen.items())
 
 
-def missed(config: Config, before: int | None, now: int) -> tuple[Evr, ...]:
-    """Cycles of the avionics in which flight software was not called: a few of them are only reported."""
+def check_cycle_count(bounds: ProtectionBounds, before: int | None, now: int) -> tuple[Evr, ...]:
+    """Find cycles of the avionics in which flight software was not called; a few are only reported."""
     if before is None or now <= before + 1:
         return ()
-    cycles, bound = now - before - 1, config.params.monitors.missed_cycles
+    cycles, bound = now - before - 1, bounds.monitors.missed_cycles
     return (CyclesSkipped(cycles),) if cycles <= bound else (CyclesMissed(cycles, bound),)
+
+
+def check_tilt(
+    bounds: ProtectionBounds, count: int, planned_R: Array, read_R: Array
+) -> tuple[int, tuple[Evr, ...]]:
+    """Check that gravity has the direction that the move under way was planned for.
+
+    Args:
+        bounds: Bounds of protection.
+        count: Cycles in a row in which the direction was beyond its bound.
+        planned_R: Gravity when the move began, in the rover frame, shape (3,); any length.
+        read_R: Gravity as it is read, in the rover frame, shape (3,); any length.
+
+    Returns:
+        The count with this cycle, and the fault.
+    """
+    monitors, near = bounds.monitors, sin(bounds.monitors.tilt_rad)
+    ax, ay, az = planned_R.tolist()
+    bx, by, bz = read_R.tolist()
+    # vectors this close cannot differ more in direction
+    if (bx - ax) ** 2 + (by - ay) ** 2 + (bz - az) ** 2 <= near * near * (ax * ax + ay * ay + az * az):
+        return 0, ()
+    turned = atan2(float(np.linalg.norm(np.cross(planned_R, read_R))), float(planned_R @ read_R))
+    if turned <= monitors.tilt_rad:
+        return 0, ()
+    if count + 1 < monitors.tilt_persistence:
+        return count + 1, ()
+    return count + 1, (TiltChanged(turned, monitors.tilt_rad),)

@@ -1,9 +1,12 @@
-"""What is done about what happened: one table, few responses. A response only reduces or stops."""
+"""Fault response: one table from faults to few responses. A response may only reduce or stop."""
 
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import Final
 
-from fsw.dictionary.evrs import Evr
+import numpy as np
+
+from fsw.dictionary.evrs import Evr, FaultResponse
 from fsw.dictionary.faults import (
     ContactInFreeSpace,
     ContactLost,
@@ -32,17 +35,20 @@ from fsw.dictionary.faults import (
     TiltChanged,
     UnderTemperature,
 )
+from fsw.dictionary.modes import Mode
+from fsw.kinematics.transforms import Array
+from fsw.protect.bounds import ProtectionBounds
 
 
 class Response(StrEnum):
-    """What can be done about a fault, the severest first; each ends the command and its sequence."""
+    """Responses to a fault, the severest first; each ends the command and its sequence."""
 
     POWER_OFF = "POWER_OFF"
-    """Brakes on and power off at once; refuse moves until cleared."""
+    """Apply the brakes and take the power off at once; refuse moves until cleared."""
     BRAKE_AND_REFUSE = "BRAKE_AND_REFUSE"
-    """Hold the motors where they are, brakes at once, then power off; refuse moves until cleared."""
+    """Hold the motors where they are, apply the brakes, then power off; refuse moves until cleared."""
     STOP_AND_BRAKE = "STOP_AND_BRAKE"
-    """Bring a move on its way to rest as a commanded stop does, any other at once; brakes on; no more."""
+    """Bring a move on its way to rest as a commanded stop does, any other at once; apply the brakes."""
 
 
 RESPONSE_TO: Final[dict[type[Fault], Response]] = {
@@ -75,7 +81,89 @@ RESPONSE_TO: Final[dict[type[Fault], Response]] = {
 """Every fault has its row; an EVR that is no fault has none."""
 
 
+EventKey = tuple[type[Evr], object]
+"""Class of an event, and the joint, sensor or switch that it is about."""
+
+
+@dataclass(frozen=True, slots=True)
+class StandingFault:
+    """Frozen record of a fault that the ground has not cleared: its mode and what has been reported since."""
+
+    mode: Mode
+    """Mode in which the fault happened."""
+    reported: frozenset[EventKey]
+
+    @property
+    def may_touch(self) -> bool:
+        """Return whether the arm may be in contact with something."""
+        on_contact = any(event is ContactInFreeSpace for event, _ in self.reported)
+        return on_contact or self.mode in (Mode.GUARDED, Mode.RETRACTING, Mode.PRELOAD)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decision:
+    """Frozen record of what is done about the events of a cycle."""
+
+    response: Response | None
+    """None where the move goes on as it is."""
+    fault: StandingFault | None
+    """Fault that stands after this cycle."""
+    evrs: tuple[Evr, ...]
+    """Events to report."""
+    hold_rad: Array
+    """Motor angles to hold where the response applies the brakes at once, (5,)."""
+
+
+def decide(
+    bounds: ProtectionBounds,
+    mode: Mode,
+    fault: StandingFault | None,
+    found: tuple[Evr, ...],
+    motor_rad: Array,
+    last_rad: Array,
+) -> Decision:
+    """Decide the response to the events of a cycle.
+
+    A standing fault is not answered again, for the arm is on its way to its brakes or on them. New kinds of
+    events are still reported, each once.
+
+    A motor that lags is not driven on, and a reading that is the fault is not driven to: the motors are held
+    where they read, but no farther from the last set-point than a motor may follow.
+
+    Args:
+        bounds: Bounds of protection.
+        mode: Mode of the arm.
+        fault: Fault that stands already.
+        found: Events of this cycle.
+        motor_rad: Motor angles, shape (5,).
+        last_rad: Set-point that went out last, shape (5,).
+
+    Returns:
+        The decision.
+    """
+    lag = bounds.monitors.following_error_rad
+    hold_rad = np.clip(motor_rad, last_rad - lag, last_rad + lag)
+    if fault is not None:
+        new = tuple(evr for evr in found if identify(evr) not in fault.reported)
+        reported = fault.reported.union(identify(evr) for evr in new)
+        return Decision(None, StandingFault(fault.mode, reported), new, hold_rad)
+    response = response_to(found)
+    if response is None:
+        return Decision(None, None, found, hold_rad)
+    evrs = (*found, FaultResponse(response.value))
+    if response is Response.STOP_AND_BRAKE:
+        return Decision(response, None, evrs, hold_rad)
+    fault = StandingFault(mode, frozenset(identify(evr) for evr in found))
+    return Decision(response, fault, evrs, hold_rad)
+
+
 def response_to(evrs: tuple[Evr, ...]) -> Response | None:
-    """The severest response that these events ask for, or None."""
+    """Return the severest response that these events ask for, or None."""
     asked = {RESPONSE_TO[type(evr)] for evr in evrs if isinstance(evr, Fault)}
     return next((response for response in Response if response in asked), None)
+
+
+def identify(evr: Evr) -> EventKey:
+    """Return the key by which two events are the same news."""
+    about = next((getattr(evr, name) for name in ("joint", "sensor", "switch") if hasattr(evr, name)), None)
+    return type(evr), about

@@ -6,12 +6,12 @@ from typing import Final
 import mujoco
 import numpy as np
 
+from fsw.collision.distance import place_shapes
+from fsw.collision.geometry import RoundedBoxes
 from fsw.config import configure
 from fsw.dictionary.params import Params
 from fsw.kinematics.statics import rest
 from fsw.kinematics.transforms import Array, Pose
-from fsw.protect.collision import placed
-from fsw.protect.space import Solids
 from ground.render.picture import PictureResult, save_picture
 from sim.frames import FLIP, P_NR_M
 from sim.plant import Plant
@@ -36,19 +36,20 @@ def save_shapes_picture(
     config, world = configure(params), World()
     at_rest = rest(config.arm, output_rad[:, None], world.gravity_N_m_s2)
     spec = build(world, for_pictures=True)
-    _add(spec, config.space.arm, placed(config.space, at_rest.frames)[:, 0], ARM_RGBA)
-    _add(spec, config.space.rover, config.space.rover.X_CS, ROVER_RGBA)
+    shapes = config.collision_geometry
+    _add(spec, shapes.arm, place_shapes(shapes, at_rest.frames)[:, 0], ARM_RGBA)
+    _add(spec, shapes.rover, shapes.rover.X_CS, ROVER_RGBA)
     plant = Plant(spec.compile())
     plant.show(output_rad, at_rest.strain[:, :, 0])
     mujoco.mj_forward(plant.model, plant.data)
     return save_picture(plant.model, plant.data, camera, path, size)
 
 
-def _add(spec: mujoco.MjSpec, solids: Solids, X_RS: Pose, rgba: tuple[float, ...]) -> None:
+def _add(spec: mujoco.MjSpec, solids: RoundedBoxes, X_RS: Pose, rgba: tuple[float, ...]) -> None:
     """Solids as geoms that only look; a capsule of MuJoCo lies along z, ours along x."""
     for k in range(solids.part.size):
         R_WS, half, radius = FLIP[:, None] * X_RS.R[:, :, k], solids.half_m[:, k], solids.radius_m[k]
-        if solids.thin[k]:
+        if solids.is_capsule[k]:
             kind, sizes = mujoco.mjtGeom.mjGEOM_CAPSULE, (radius, max(half[0], 1e-6), 0.0)
             R_WS = R_WS[:, [1, 2, 0]]
         else:

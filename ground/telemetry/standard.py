@@ -11,11 +11,11 @@ from typing import Final, NamedTuple, Self
 
 import numpy as np
 
+from fsw.collision.geometry import PARTS, TURRET_FRAME, RoundedBoxes
 from fsw.config import Config
 from fsw.dictionary.joints import Joint, Tool
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import IDENTITY, Array, Pose, inverse, rotation_x, rotation_z
-from fsw.protect.space import PARTS, TURRET_FRAME, Solids
 from ground.telemetry.cdr import STAMP, CdrWriter, stamp
 from sim.record import CycleRecord
 
@@ -129,17 +129,17 @@ class Standard:
             yield FRAMES, bytes(self._frames)
 
     def _markers(self, time_ns: int) -> bytes:
-        arm, space = self._arm, self._config.space
+        arm, shapes = self._arm, self._config.collision_geometry
         X_FL = inverse(links(arm))
         placed = []
-        for k, carrier in enumerate(space.arm.carrier):
-            name, X_CS = PARTS[space.arm.part[k]], space.arm.X_CS[k]
+        for k, carrier in enumerate(shapes.arm.carrier):
+            name, X_CS = PARTS[shapes.arm.part[k]], shapes.arm.X_CS[k]
             on_turret = carrier == TURRET_FRAME
             X = X_CS if on_turret else X_FL[carrier] @ X_CS
-            placed.append((name, "arm6" if on_turret else f"arm{carrier + 1}", X, space.arm, k, ARM_COLOUR))
+            placed.append((name, "arm6" if on_turret else f"arm{carrier + 1}", X, shapes.arm, k, ARM_COLOUR))
         placed += [
-            ("rover", ROVER, space.rover.X_CS[k], space.rover, k, ROVER_COLOUR)
-            for k in range(len(space.rover.part))
+            ("rover", ROVER, shapes.rover.X_CS[k], shapes.rover, k, ROVER_COLOUR)
+            for k in range(len(shapes.rover.part))
         ]
         out, count = CdrWriter(), 0
         out.add("I", 0)
@@ -189,11 +189,11 @@ def fill_frames(
         SEVEN.pack_into(message, place, *pose)
 
 
-def pieces(solids: Solids, k: int) -> Iterator[tuple[int, Pose, tuple[float, float, float]]]:
+def pieces(solids: RoundedBoxes, k: int) -> Iterator[tuple[int, Pose, tuple[float, float, float]]]:
     """What a rounded box is drawn of, in its own axes: kind, place and size; capsules lie along x."""
     half, radius = solids.half_m[:, k], float(solids.radius_m[k])
     width = 2 * radius
-    if not solids.thin[k]:
+    if not solids.is_capsule[k]:
         yield CUBE, IDENTITY, triple(2 * (half + radius))
         return
     if half[0] > 0:

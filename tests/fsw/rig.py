@@ -39,10 +39,10 @@ def beside_the_rover() -> Config:
 
 def in_the_open(config: Config) -> Config:
     """The rover and the ground are far away."""
-    space = config.space
-    X_CS = Pose(space.rover.X_CS.R, space.rover.X_CS.p + FAR_M)
-    far = replace(space, rover=replace(space.rover, X_CS=X_CS), ground_z_m=FAR_M)
-    return replace(config, space=far)
+    geometry = config.collision_geometry
+    X_CS = Pose(geometry.rover.X_CS.R, geometry.rover.X_CS.p + FAR_M)
+    far = replace(geometry, rover=replace(geometry.rover, X_CS=X_CS), ground_z_m=FAR_M)
+    return replace(config, collision_geometry=far)
 
 
 def with_params(**groups) -> Config:

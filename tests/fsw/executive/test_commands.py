@@ -35,8 +35,8 @@ from fsw.dictionary.evrs import (
 from fsw.dictionary.faults import HardstopMissed
 from fsw.dictionary.joints import STOP_ORDER, Joint, Switch, Tool
 from fsw.dictionary.modes import Mode
-from fsw.executive.sequence import Sequence
 from fsw.kinematics.branches import BRANCHES
+from fsw.state import Sequence
 from tests.fsw.executive.lab import (
     COMMANDS,
     CONFIG,
@@ -290,7 +290,7 @@ def test_a_joint_that_meets_no_hardstop_is_stopped_behind_the_place_of_it(joint)
 @pytest.mark.parametrize("beyond_m", [0.001, 0.01, 0.02])
 def test_a_stop_on_the_way_from_soft_limit_to_hardstop_is_no_fault(joint, beyond_m):
     rig = next_to_its_stop(joint)
-    lowest = CONFIG.lowest_rad[joint] - beyond_m
+    lowest = CONFIG.protection.lowest_rad[joint] - beyond_m
     rig.cycle(Calibrate(joint))
     while rig.state.joints.motor_rad[joint] > lowest:
         rig.cycle()

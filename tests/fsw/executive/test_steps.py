@@ -19,9 +19,10 @@ from fsw.dictionary.commands import (
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused, ContactMade, SpotTaken
 from fsw.dictionary.joints import Frame, Switch, Tool
 from fsw.dictionary.modes import Mode
-from fsw.executive.steps import Hold, steps_of
+from fsw.executive.steps import steps_of
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import rest
+from fsw.state import Hold
 from tests.fsw.executive.lab import CONFIG, HERE, TOUCHED, deployed, guarded_in_contact, refusal
 from tests.fsw.rig import Rig, floats
 

@@ -11,7 +11,7 @@ from fsw.dictionary.faults import GravityImplausible, SensorNotFinite
 from fsw.dictionary.joints import Tool
 from fsw.dictionary.modes import Mode
 from fsw.messages import Sensors
-from fsw.protect.readings import unusable
+from fsw.protect.readings import check_readings
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, quiet_sensors
 
 CONFIG = config_of()
@@ -148,7 +148,7 @@ def test_an_arm_on_its_brakes_faults_too(value):
 
 
 def found_in(**readings):
-    return unusable(CONFIG, quiet_sensors(np.zeros(5), **readings))
+    return check_readings(CONFIG.protection, quiet_sensors(np.zeros(5), **readings))
 
 
 @pytest.mark.parametrize(("name", "place"), PLACES)

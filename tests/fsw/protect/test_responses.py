@@ -32,10 +32,10 @@ from fsw.dictionary.faults import (
 from fsw.dictionary.joints import Joint, Switch
 from fsw.dictionary.modes import Mode
 from fsw.dictionary.params import MonitorParams
-from fsw.executive.sequence import Sequence
 from fsw.motion.move import Phase
 from fsw.motion.paths import Setpoint
-from fsw.protect.responses import RESPONSE_TO, Response, response_to
+from fsw.protect.responses import RESPONSE_TO, Response, StandingFault, identify, response_to
+from fsw.state import Sequence
 from tests.fsw.protect.lab import (
     BOUNDS,
     CONFIG,
@@ -99,6 +99,16 @@ def test_the_page_names_every_parameter_of_the_monitors_and_no_other():
     assert {name for name in names if "." in name} <= groups
 
 
+@pytest.mark.parametrize(
+    ("mode", "may_touch"),
+    [(Mode.FREE_SPACE, False), (Mode.GUARDED, True), (Mode.RETRACTING, True), (Mode.PRELOAD, True)],
+)
+def test_an_arm_may_touch_where_it_was_to_touch_and_where_it_did(mode, may_touch):
+    assert StandingFault(mode, frozenset()).may_touch is may_touch
+    touched = frozenset({identify(ContactInFreeSpace(Switch.DRT_1))})
+    assert StandingFault(mode, touched).may_touch
+
+
 def test_what_is_no_fault_has_no_response():
     quiet: tuple[Evr, ...] = (
         CommandCompleted("Stop"),
@@ -143,7 +153,7 @@ def seized(rig):
     return {"encoder_count": rig.stood}
 
 
-HIGHEST_RAD = CONFIG.highest_rad[Joint.ELBOW]
+HIGHEST_RAD = CONFIG.protection.highest_rad[Joint.ELBOW]
 PERSISTENT = {
     SensorNotFinite: (1, lambda rig: {"current_A": np.full(5, np.nan)}),
     GravityImplausible: (1, lambda rig: {"gravity_R_m_s2": np.zeros(3)}),

@@ -15,16 +15,21 @@ from fsw.dictionary.faults import SetpointUnsafe
 from fsw.dictionary.joints import Joint, Tool
 from fsw.dictionary.modes import Mode
 from fsw.motion.paths import Setpoint
-from fsw.protect.setpoints import unsafe_setpoint
+from fsw.protect.motors import check_setpoint
+from fsw.protect.status import MoveStatus
 from tests.fsw.rig import Rig, config_of, facing, floats
 
 CONFIG = config_of()
 BOUNDS = CONFIG.params.monitors
 LOW, HIGH = CONFIG.arm.soft_min_rad, CONFIG.arm.soft_max_rad
-LOWEST = CONFIG.lowest_rad
 STEP = BOUNDS.setpoint_step_factor * CYCLE_S * CONFIG.speed_rad_s
 START = facing(CONFIG, Tool.APXS)
 BAD = [float("nan"), float("inf"), float("-inf")]
+
+
+def unsafe_setpoint(last_rad, setpoint_rad, seeking=None):
+    move = MoveStatus(setpoint_rad, np.zeros(5), False, False, seeking, None, None)
+    return check_setpoint(CONFIG.protection, move, last_rad)
 
 
 def at(joint, value, pose=START):
@@ -34,7 +39,7 @@ def at(joint, value, pose=START):
 @pytest.mark.parametrize("joint", Joint)
 @pytest.mark.parametrize("value", BAD)
 def test_what_is_no_number_does_not_go_out(joint, value):
-    (evr,) = unsafe_setpoint(CONFIG, LOWEST, START, at(joint, value))
+    (evr,) = unsafe_setpoint(START, at(joint, value))
     assert isinstance(evr, SetpointUnsafe)
     assert evr.joint is joint
     assert evr.last_rad == START[joint]
@@ -42,7 +47,7 @@ def test_what_is_no_number_does_not_go_out(joint, value):
 
 @pytest.mark.parametrize("joint", Joint)
 def test_nothing_goes_out_after_what_was_no_number(joint):
-    assert unsafe_setpoint(CONFIG, LOWEST, at(joint, np.nan), START) != ()
+    assert unsafe_setpoint(at(joint, np.nan), START) != ()
 
 
 @pytest.mark.parametrize("joint", Joint)
@@ -50,7 +55,7 @@ def test_nothing_goes_out_after_what_was_no_number(joint):
 def test_a_jump_is_a_step_larger_than_speed_and_factor_allow(joint, sign):
     for share, said in ((0.999, False), (1.001, True), (1e6, True)):
         asked = at(joint, START[joint] + sign * share * STEP[joint])
-        found = unsafe_setpoint(CONFIG, LOWEST, START, asked)
+        found = unsafe_setpoint(START, asked)
         assert bool(found) is said
         if said:
             assert found == (SetpointUnsafe(joint, float(asked[joint]), float(START[joint])),)
@@ -71,19 +76,17 @@ def test_beyond_limit_and_margin_a_set_point_may_stay_or_go_back_but_not_out(joi
         (small, -small, False),
     ):
         last, asked = (at(joint, edge + outward * off) for off in (before, after))
-        assert bool(unsafe_setpoint(CONFIG, LOWEST, last, asked)) is said
+        assert bool(unsafe_setpoint(last, asked)) is said
 
 
 @pytest.mark.parametrize("joint", Joint)
 @pytest.mark.parametrize("other", Joint)
 def test_only_the_joint_that_seeks_its_hardstop_may_be_sent_there_and_not_far_beyond_it(joint, other):
-    lowest, params = CONFIG.lowest_seeking_rad[joint], CONFIG.params
+    params = CONFIG.params
     stop = params.joints.in_order()[other].hardstop_rad
     small = 0.1 * STEP[other]
     for angle, said in ((stop, other is not joint), (stop - 2 * params.hardstop.window_rad, True)):
-        found = unsafe_setpoint(
-            CONFIG, lowest, at(other, angle + 0.5 * small), at(other, angle - 0.5 * small)
-        )
+        found = unsafe_setpoint(at(other, angle + 0.5 * small), at(other, angle - 0.5 * small), joint)
         assert bool(found) is said
 
 
@@ -94,7 +97,7 @@ moves = hnp.arrays(float, 5, elements=st.floats(-1, 1))
 def test_inside_the_limits_every_step_a_move_can_make_goes_out(where, step):
     last = LOW + (0.05 + 0.45 * (where + 1)) * (HIGH - LOW)
     asked = np.clip(last + step * CYCLE_S * CONFIG.speed_rad_s, LOW, HIGH)
-    assert unsafe_setpoint(CONFIG, LOWEST, last, asked) == ()
+    assert unsafe_setpoint(last, asked) == ()
 
 
 def tampered(rig, setpoint_rad):

@@ -122,7 +122,7 @@ def test_markers_lie_where_the_collision_check_has_its_shapes(messages: Any) -> 
     ((_, shapes),) = messages["/arm_markers"]
     ((_, fixed),) = messages["/tf_static"]
     _, moving = messages["/tf"][0]
-    told, space = frames_in(fixed, moving), CONFIG.space
+    told, space = frames_in(fixed, moving), CONFIG.collision_geometry
     frames = forward(CONFIG.arm, ANGLES_RAD[0])
     markers = shapes["markers"]
     assert len({marker["id"] for marker in markers}) == len(markers)

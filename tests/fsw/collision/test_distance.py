@@ -7,8 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from fsw.collision.distance import box_distance, edges_distance, point_distance, segment_distance
 from fsw.kinematics.transforms import Pose, inverse, screw_exp
-from fsw.protect.boxes import box_to_box, edges_to_box, point_to_box, segment_to_box
 
 ALONG = np.linspace(0.0, 1.0, 2001)
 coordinates = hnp.arrays(float, 3, elements=st.floats(-2, 2).map(lambda x: round(x, 9)))
@@ -23,15 +23,15 @@ def one(v):
 @given(coordinates, coordinates, halves)
 def test_a_segment_is_as_far_from_a_box_as_the_nearest_of_its_points(p, along, half):
     points = p[:, None] + along[:, None] * ALONG
-    nearest = point_to_box(points, one(half)).min()
-    found = segment_to_box(one(p), one(along), one(half))[0]
+    nearest = point_distance(points, one(half)).min()
+    found = segment_distance(one(p), one(along), one(half))[0]
     assert found <= nearest + 1e-12
     assert found >= nearest - 0.5 * np.linalg.norm(along) / (ALONG.size - 1) - 1e-12
 
 
 @given(coordinates, halves)
 def test_a_segment_without_length_is_a_point(p, half):
-    assert segment_to_box(one(p), np.zeros((3, 1)), one(half))[0] == point_to_box(one(p), one(half))[0]
+    assert segment_distance(one(p), np.zeros((3, 1)), one(half))[0] == point_distance(one(p), one(half))[0]
 
 
 @given(coordinates, coordinates, coordinates, coordinates)
@@ -40,8 +40,8 @@ def test_two_segments_are_as_far_apart_either_way_round(p, along, other_p, other
     X = [segment_pose(p, along), segment_pose(other_p, other_along)]
     half = [one(np.array([0.5 * np.linalg.norm(v), 0, 0])) for v in (along, other_along)]
     X_AB = inverse(X[0]) @ X[1]
-    here = edges_to_box(X_AB, half[1], half[0], edges=1)[0]
-    there = edges_to_box(inverse(X_AB), half[0], half[1], edges=1)[0]
+    here = edges_distance(X_AB, half[1], half[0], edges=1)[0]
+    there = edges_distance(inverse(X_AB), half[0], half[1], edges=1)[0]
     assert here == pytest.approx(there, abs=1e-9)
 
 
@@ -59,10 +59,10 @@ def test_boxes_are_as_far_apart_either_way_round_and_no_farther_than_any_two_of_
     screw, half_A, half_B
 ):
     X_AB = screw_exp(one(screw))
-    here = box_to_box(X_AB, one(half_A), one(half_B))[0]
-    assert here == pytest.approx(box_to_box(inverse(X_AB), one(half_B), one(half_A))[0], abs=1e-12)
+    here = box_distance(X_AB, one(half_A), one(half_B))[0]
+    assert here == pytest.approx(box_distance(inverse(X_AB), one(half_B), one(half_A))[0], abs=1e-12)
     inside = np.random.default_rng(7).uniform(-1, 1, (3, 500)) * half_B[:, None]
-    assert here <= point_to_box(X_AB.R[..., 0] @ inside + X_AB.p, one(half_A)).min() + 1e-12
+    assert here <= point_distance(X_AB.R[..., 0] @ inside + X_AB.p, one(half_A)).min() + 1e-12
 
 
 def test_boxes_are_as_far_apart_as_mujoco_says():
@@ -72,7 +72,7 @@ def test_boxes_are_as_far_apart_as_mujoco_says():
         half_A, half_B, screw = rng.uniform(0.05, 0.6, 3), rng.uniform(0.05, 0.6, 3), rng.normal(size=6)
         X_AB = screw_exp(one(screw))
         apart = mujoco_distance(half_A, half_B, X_AB)
-        found = box_to_box(X_AB, one(half_A), one(half_B))[0]
+        found = box_distance(X_AB, one(half_A), one(half_B))[0]
         assert found == pytest.approx(max(apart, 0.0), abs=2e-6)
         compared += apart > 0
     assert compared > 50
@@ -95,9 +95,9 @@ def test_a_box_that_is_run_through_by_a_long_one_is_met():
     """No edge of the wide box, no corner of either is inside the other."""
     wide, long = one(np.array([1.0, 1.0, 0.1])), one(np.array([0.05, 0.05, 3.0]))
     X = screw_exp(one(np.array([0.02, 0.01, 0.3, 0.0, 0.0, 0.0])))
-    assert box_to_box(X, wide, long)[0] == 0.0
-    assert box_to_box(inverse(X), long, wide)[0] == 0.0
+    assert box_distance(X, wide, long)[0] == 0.0
+    assert box_distance(inverse(X), long, wide)[0] == 0.0
 
 
 def test_a_box_inside_another_is_met():
-    assert box_to_box(screw_exp(np.zeros((6, 1))), one(np.ones(3)), one(np.full(3, 0.1)))[0] == 0.0
+    assert box_distance(screw_exp(np.zeros((6, 1))), one(np.ones(3)), one(np.full(3, 0.1)))[0] == 0.0

@@ -5,7 +5,7 @@ from functools import lru_cache
 import mujoco
 import numpy as np
 
-from fsw.protect.space import OBSTACLES, PARTS
+from fsw.collision.geometry import OBSTACLES, PARTS
 from sim.plant import Plant
 from sim.world import World, build
 

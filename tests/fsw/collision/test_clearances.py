@@ -5,16 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fsw.collision.distance import DISPLAY_NAMES, compute_clearances, find_violation
+from fsw.collision.geometry import GROUND, OBSTACLES, PARTS
 from fsw.config import configure
 from fsw.dictionary.joints import Tool
 from fsw.kinematics.chain import forward
 from fsw.kinematics.statics import rest
-from fsw.protect.collision import SPOKEN, clearances, too_close
-from fsw.protect.space import GROUND, OBSTACLES, PARTS
-from tests.fsw.protect.space_oracle import FAR_M, mujoco_clearances, obstacle_of, part_of, plant
+from tests.fsw.collision.mujoco_reference import FAR_M, mujoco_clearances, obstacle_of, part_of, plant
 from tests.fsw.rig import MARS_R_m_s2, beside_the_rover, in_limits, with_params
 
 CONFIG = beside_the_rover()
+GEOMETRY = CONFIG.collision_geometry
 SHAPES = CONFIG.params.collision
 PADDING_M = SHAPES.padding_m
 LINKS = ("link2", "link3", "link4")
@@ -43,7 +44,10 @@ def compared():
     poses = in_limits(CONFIG, np.random.default_rng(31), 60)
     at_rest = hung(poses)
     same = with_params(collision={"arm": collides_only(SHAPES).arm})
-    ours, alike = (clearances(space, at_rest.frames, FAR_M) for space in (CONFIG.space, same.space))
+    ours, alike = (
+        compute_clearances(geometry, at_rest.frames, FAR_M)
+        for geometry in (GEOMETRY, same.collision_geometry)
+    )
     return ours, alike, mujoco_clearances(poses, at_rest.strain)
 
 
@@ -81,22 +85,24 @@ def test_parts_in_the_turret_frame_move_with_the_tools_of_the_parameters():
     longer = replace(CONFIG.params.tools.drill.transform, a_m=0.39)
     other = with_params(tools={"drill": replace(CONFIG.params.tools.drill, transform=longer)})
     X_FT, X_FT_longer = CONFIG.arm.X_FT[Tool.DRILL], other.arm.X_FT[Tool.DRILL]
-    of_drill = CONFIG.space.arm.part == PARTS.index("drill")
-    shift = (other.space.arm.X_CS.p - CONFIG.space.arm.X_CS.p)[:, of_drill]
+    of_drill = GEOMETRY.arm.part == PARTS.index("drill")
+    shift = (other.collision_geometry.arm.X_CS.p - GEOMETRY.arm.X_CS.p)[:, of_drill]
     np.testing.assert_allclose(shift, np.tile((X_FT_longer.p - X_FT.p)[:, None], shift.shape[1]), atol=1e-15)
 
 
 def test_distances_beyond_what_is_asked_for_are_left_out_and_the_others_are_the_same():
     frames = hung(in_limits(CONFIG, np.random.default_rng(32), 100)).frames
-    everything = clearances(CONFIG.space, frames, FAR_M)
-    near = clearances(CONFIG.space, frames, 0.05)
+    everything = compute_clearances(GEOMETRY, frames, FAR_M)
+    near = compute_clearances(GEOMETRY, frames, 0.05)
     np.testing.assert_array_equal(near, np.where(everything <= 0.05, everything, np.inf))
 
 
 def test_the_height_above_ground_follows_the_parameter():
     frames = hung(in_limits(CONFIG, np.random.default_rng(33), 20)).frames
     lower = configure(replace(CONFIG.params, collision=replace(SHAPES, ground_z_m=SHAPES.ground_z_m + 0.2)))
-    here, there = (clearances(config.space, frames, FAR_M)[:, GROUND] for config in (CONFIG, lower))
+    here, there = (
+        compute_clearances(config.collision_geometry, frames, FAR_M)[:, GROUND] for config in (CONFIG, lower)
+    )
     np.testing.assert_allclose(there, here + 0.2, atol=1e-12)
 
 
@@ -109,33 +115,33 @@ def lowered_onto_the_ground(steps=60):
 
 def test_a_way_into_the_ground_is_refused_with_part_obstacle_and_distance():
     frames = lowered_onto_the_ground()
-    close = too_close(CONFIG.space, frames, PADDING_M)
+    close = find_violation(GEOMETRY, frames, PADDING_M)
     assert close.obstacle == "ground"
-    apart = clearances(CONFIG.space, frames, FAR_M)
+    apart = compute_clearances(GEOMETRY, frames, FAR_M)
     assert apart[..., : close.first].min() >= PADDING_M
     assert apart[..., close.first].min() < PADDING_M
     assert close.distance_m == apart[PARTS.index(close.part), GROUND].min()
-    assert close.reason == f"the {SPOKEN.get(close.part, close.part)} meets the ground"
+    assert close.reason == f"the {DISPLAY_NAMES.get(close.part, close.part)} meets the ground"
 
 
 def test_what_does_not_meet_is_refused_by_how_close_it_comes():
-    height = clearances(CONFIG.space, lowered_onto_the_ground(), FAR_M)[:, GROUND].min(axis=0)
+    height = compute_clearances(GEOMETRY, lowered_onto_the_ground(), FAR_M)[:, GROUND].min(axis=0)
     few = int(np.flatnonzero(height < PADDING_M)[0]) + 1
     frames = lowered_onto_the_ground()
     until = type(frames)(frames.X_RL[:, :few], frames.X_LD, frames.X_RF[:, :few])
-    close = too_close(CONFIG.space, until, PADDING_M)
+    close = find_violation(GEOMETRY, until, PADDING_M)
     assert 0 < close.distance_m < PADDING_M
     assert close.reason == (
-        f"the {SPOKEN.get(close.part, close.part)} comes within {1e3 * close.distance_m:.1f} mm "
+        f"the {DISPLAY_NAMES.get(close.part, close.part)} comes within {1e3 * close.distance_m:.1f} mm "
         "of the ground, at least 15.0 mm are to be kept"
     )
 
 
 def test_a_tool_that_is_to_touch_may_come_as_close_as_it_likes_and_nothing_else_may():
     frames = lowered_onto_the_ground()
-    everything = clearances(CONFIG.space, frames, FAR_M)
+    everything = compute_clearances(GEOMETRY, frames, FAR_M)
     for tool in Tool:
-        apart = clearances(CONFIG.space, frames, FAR_M, touching=tool)
+        apart = compute_clearances(GEOMETRY, frames, FAR_M, touching=tool)
         exempt = PARTS.index(tool.name.lower())
         assert np.isinf(apart[exempt]).all()
         others = np.arange(len(PARTS)) != exempt
@@ -148,25 +154,25 @@ def backwards(frames):
 
 def test_the_way_out_of_the_padding_is_free_and_the_way_farther_in_is_not():
     frames = lowered_onto_the_ground(steps=200)
-    height = clearances(CONFIG.space, frames, FAR_M)[:, GROUND].min(axis=0)
+    height = compute_clearances(GEOMETRY, frames, FAR_M)[:, GROUND].min(axis=0)
     inside = np.flatnonzero((height > 0) & (height < PADDING_M))
     assert inside.size >= 2
     k = int(inside[0])
     part_way = type(frames)(frames.X_RL[:, : k + 1], frames.X_LD, frames.X_RF[:, : k + 1])
-    assert too_close(CONFIG.space, backwards(part_way), PADDING_M) is None
+    assert find_violation(GEOMETRY, backwards(part_way), PADDING_M) is None
     onward = type(frames)(frames.X_RL[:, k:], frames.X_LD, frames.X_RF[:, k:])
-    close = too_close(CONFIG.space, onward, PADDING_M)
+    close = find_violation(GEOMETRY, onward, PADDING_M)
     assert close.least_m == pytest.approx(height[k], abs=1e-4)
     assert close.first == 1
 
 
 def test_to_be_close_to_one_thing_gives_no_leave_to_come_close_to_another():
     """The path begins with a tool in the padding over the ground and ends at the mast."""
-    height = clearances(CONFIG.space, lowered_onto_the_ground(steps=200), FAR_M)[:, GROUND].min(axis=0)
+    height = compute_clearances(GEOMETRY, lowered_onto_the_ground(steps=200), FAR_M)[:, GROUND].min(axis=0)
     k = int(np.flatnonzero((height > 0) & (height < PADDING_M))[0])
     start = READY + np.array([0.0, 0.6 * k / 199, 0.0, 0.0, 0.0])
     way = np.column_stack([start, READY, pose_that_meets("mast")])
-    close = too_close(CONFIG.space, forward(CONFIG.arm, way), PADDING_M)
+    close = find_violation(GEOMETRY, forward(CONFIG.arm, way), PADDING_M)
     assert (close.first, close.obstacle) == (2, "mast")
 
 
@@ -174,7 +180,7 @@ def pose_that_meets(obstacle):
     """A random pose within the limits that meets this obstacle and nothing else."""
     poses = in_limits(CONFIG, np.random.default_rng(35), 20_000)
     for some in np.split(poses, 20, axis=1):
-        met = (clearances(CONFIG.space, forward(CONFIG.arm, some), 0.0) <= 0).any(axis=0)
+        met = (compute_clearances(GEOMETRY, forward(CONFIG.arm, some), 0.0) <= 0).any(axis=0)
         only = met[OBSTACLES.index(obstacle)] & (met.sum(axis=0) == 1)
         if only.any():
             return some[:, only.argmax()]
@@ -184,14 +190,14 @@ def pose_that_meets(obstacle):
 @pytest.mark.parametrize("obstacle", OBSTACLES)
 def test_whatever_the_arm_meets_is_named(obstacle):
     way = np.column_stack([READY, pose_that_meets(obstacle)])
-    close = too_close(CONFIG.space, forward(CONFIG.arm, way), PADDING_M)
+    close = find_violation(GEOMETRY, forward(CONFIG.arm, way), PADDING_M)
     assert close.obstacle == obstacle
     assert close.reason.endswith(f" meets the {obstacle.replace('_', ' ')}")
 
 
 @pytest.mark.parametrize("pose", [READY, STOWED], ids=["ready", "stowed"])
 def test_named_poses_are_clear_by_more_than_the_padding(pose):
-    assert too_close(CONFIG.space, hung(pose[:, None]).frames, PADDING_M) is None
+    assert find_violation(GEOMETRY, hung(pose[:, None]).frames, PADDING_M) is None
 
 
 def test_no_point_of_the_arm_is_farther_from_a_joint_than_its_lever():
@@ -200,4 +206,4 @@ def test_no_point_of_the_arm_is_farther_from_a_joint_than_its_lever():
         tip = np.einsum("ijn,j->in", frames.X_RF.R[:, :, 5], CONFIG.arm.X_FT[tool].p) + frames.X_RF.p[:, 5]
         for joint in range(5):
             away = np.linalg.norm(tip - frames.X_RL.p[:, joint + 1], axis=0)
-            assert (away <= CONFIG.space.lever_m[joint]).all()
+            assert (away <= GEOMETRY.lever_m[joint]).all()

@@ -7,23 +7,31 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from fsw.collision.distance import compute_clearances, find_violation
 from fsw.dictionary.commands import MoveJoints, MoveTool, Retract
 from fsw.dictionary.joints import Joint, Tool
 from fsw.kinematics.chain import forward
 from fsw.kinematics.statics import rest, settle
-from fsw.motion.clear import COARSE_M, STEP_M, SWAY_M, blocked, hanging, samples
 from fsw.motion.compensation import Compensation
+from fsw.motion.path_check import (
+    COARSE_STEP_M,
+    DEFLECTION_CHANGE_M,
+    FINE_STEP_M,
+    check_paths,
+    compute_deflected_frames,
+    sample_paths,
+)
 from fsw.motion.paths import joint_path
 from fsw.motion.plan import Plan, plan_poses
 from fsw.motion.plan_line import plan_guarded, plan_retract
 from fsw.motion.plan_tool import plan_tool
-from fsw.protect.collision import clearances, too_close
 from sim.clearance import FAR_M, Space
 from sim.stops import sweep_poses
 from sim.world import World
 from tests.fsw.rig import MARS_R_m_s2, Rig, beside_the_rover, config_of, facing, floats, in_limits
 
 CONFIG = beside_the_rover()
+GEOMETRY = CONFIG.collision_geometry
 PARAMS = CONFIG.params
 PADDING_M = PARAMS.collision.padding_m
 RUN_UP_MM = 4.0
@@ -51,8 +59,8 @@ def farthest_step(frames):
 @given(poses)
 def test_no_point_of_the_arm_moves_farther_than_a_step_between_two_samples_of_a_joint_move(pair):
     path = joint_path(CONFIG, *pair)
-    for step_m in (STEP_M, COARSE_M):
-        motor = samples(CONFIG, (path,), step_m)
+    for step_m in (FINE_STEP_M, COARSE_STEP_M):
+        motor = sample_paths(CONFIG, (path,), step_m)
         np.testing.assert_allclose(motor[:, [0, -1]], pair.T, atol=1e-9)
         assert farthest_step(forward(CONFIG.arm, motor)) <= step_m
 
@@ -63,12 +71,12 @@ def test_what_happens_between_two_samples_of_the_first_look_is_within_half_a_ste
     """Springs, gears and all: every pose of the way is that close to one that is looked at."""
     path = joint_path(CONFIG, *pair)
     seen, finely = (
-        points_of_arm(hanging(CONFIG, JOINTS, samples(CONFIG, (path,), step_m)))
-        for step_m in (COARSE_M, STEP_M)
+        points_of_arm(compute_deflected_frames(CONFIG, JOINTS, sample_paths(CONFIG, (path,), step_m)))
+        for step_m in (COARSE_STEP_M, FINE_STEP_M)
     )
     for pose in np.moveaxis(finely[:, :, ::5], -1, 0):
         away = np.linalg.norm(seen - pose[:, :, None], axis=0).max(axis=0).min()
-        assert away <= 0.5 * COARSE_M + SWAY_M
+        assert away <= 0.5 * COARSE_STEP_M + DEFLECTION_CHANGE_M
 
 
 def test_samples_of_a_straight_move_are_as_close():
@@ -78,8 +86,8 @@ def test_samples_of_a_straight_move_are_as_close():
         plan_retract(CONFIG, rig.state.joints, Retract(Tool.APXS, 0.15)),
     ):
         assert isinstance(plan, Plan)
-        motor = samples(CONFIG, plan.paths, STEP_M)
-        assert farthest_step(forward(CONFIG.arm, motor)) <= STEP_M
+        motor = sample_paths(CONFIG, plan.paths, FINE_STEP_M)
+        assert farthest_step(forward(CONFIG.arm, motor)) <= FINE_STEP_M
         assert motor.shape[1] >= 20
 
 
@@ -89,7 +97,7 @@ def test_the_arm_hangs_as_it_settles_with_every_gap_on_the_side_of_its_load():
     decided = np.abs(loads) > CONFIG.output_friction_Nm[:, None] + 1.0
     gap = np.where(decided, np.sign(loads), 0.0) * CONFIG.half_gap_rad[:, None]
     judge = points_of_arm(settle(CONFIG.arm, motor, gap, MARS_R_m_s2).frames)
-    found = points_of_arm(hanging(CONFIG, JOINTS, motor))
+    found = points_of_arm(compute_deflected_frames(CONFIG, JOINTS, motor))
     clear_cut = (decided | (np.abs(loads) < CONFIG.output_friction_Nm[:, None] - 1.0)).all(axis=0)
     assert clear_cut.sum() > 50
     assert np.abs(found - judge)[:, :, clear_cut].max() < 0.5e-3
@@ -108,9 +116,9 @@ def test_the_first_look_misses_nothing_that_a_close_look_finds():
     refused = 0
     for _ in range(40):
         paths = way(*in_limits(CONFIG, rng, 2).T)
-        frames = hanging(CONFIG, JOINTS, samples(CONFIG, paths, STEP_M))
-        found = blocked(CONFIG, JOINTS, paths, PADDING_M)
-        close = too_close(CONFIG.space, frames, PADDING_M)
+        frames = compute_deflected_frames(CONFIG, JOINTS, sample_paths(CONFIG, paths, FINE_STEP_M))
+        found = check_paths(CONFIG, JOINTS, paths, PADDING_M)
+        close = find_violation(GEOMETRY, frames, PADDING_M)
         assert (found is None) == (close is None)
         refused += found is not None
         if found is not None:
@@ -122,7 +130,7 @@ def test_the_first_look_misses_nothing_that_a_close_look_finds():
 def test_a_move_down_into_the_ground_is_refused_in_words():
     down = READY.copy()
     down[Joint.ELEVATION] += 0.7
-    said = blocked(CONFIG, JOINTS, way(READY, down), PADDING_M)
+    said = check_paths(CONFIG, JOINTS, way(READY, down), PADDING_M)
     assert "meets the ground; " in said
     share = float(said.rsplit("; ", 1)[1].split(" %")[0])
     assert 10 < share < 95
@@ -132,23 +140,26 @@ def test_the_share_of_the_way_that_is_clear_is_the_share_that_could_be_gone():
     down = READY.copy()
     down[Joint.ELEVATION] += 0.7
     share = (
-        float(blocked(CONFIG, JOINTS, way(READY, down), PADDING_M).rsplit("; ", 1)[1].split(" %")[0]) / 100
+        float(check_paths(CONFIG, JOINTS, way(READY, down), PADDING_M).rsplit("; ", 1)[1].split(" %")[0])
+        / 100
     )
     for part, clear in ((share - 0.02, True), (share + 0.02, False)):
         there = READY + part * (down - READY)
-        assert (blocked(CONFIG, JOINTS, way(READY, there), PADDING_M) is None) is clear
+        assert (check_paths(CONFIG, JOINTS, way(READY, there), PADDING_M) is None) is clear
 
 
 def test_from_within_the_padding_the_way_up_is_free_and_the_way_down_is_not():
     down = READY.copy()
     down[Joint.ELEVATION] += 0.7
     paths = way(READY, down)
-    motor = samples(CONFIG, paths, 1e-3)
-    height = clearances(CONFIG.space, hanging(CONFIG, JOINTS, motor), FAR_M)[:, -1].min(axis=0)
+    motor = sample_paths(CONFIG, paths, 1e-3)
+    height = compute_clearances(GEOMETRY, compute_deflected_frames(CONFIG, JOINTS, motor), FAR_M)[:, -1].min(
+        axis=0
+    )
     low = motor[:, np.flatnonzero(height < 0.6 * PADDING_M)[0]]
-    assert blocked(CONFIG, JOINTS, (joint_path(CONFIG, low, READY),), PADDING_M) is None
+    assert check_paths(CONFIG, JOINTS, (joint_path(CONFIG, low, READY),), PADDING_M) is None
     lower = low + np.array([0.0, 0.002, 0.0, 0.0, 0.0])
-    assert blocked(CONFIG, JOINTS, (joint_path(CONFIG, low, lower),), PADDING_M) is not None
+    assert check_paths(CONFIG, JOINTS, (joint_path(CONFIG, low, lower),), PADDING_M) is not None
 
 
 @pytest.mark.parametrize(("touching", "free"), [(Tool.APXS, True), (Tool.DRILL, False), (None, False)])
@@ -157,7 +168,7 @@ def test_only_the_tool_that_is_to_touch_may_reach_the_ground(touching, free):
     above = (2.0, 0.0, PARAMS.collision.ground_z_m - 0.01)
     plan = plan_tool(config_of(), JOINTS, MoveTool(Tool.APXS, above, (0.0, 0.0, 1.0)), Tool.APXS)
     assert isinstance(plan, Plan)
-    said = blocked(CONFIG, JOINTS, plan.paths, PADDING_M, touching)
+    said = check_paths(CONFIG, JOINTS, plan.paths, PADDING_M, touching)
     assert (said is None) is free
     if said is not None:
         assert "at least 15.0 mm are to be kept" in said
@@ -173,13 +184,13 @@ def test_the_way_between_stowed_and_ready_keeps_the_padding_both_ways():
     there = unstowing()
     back = way(READY, *PARAMS.poses.unstow_via_rad[::-1], PARAMS.poses.stowed_rad)
     for paths in (there, back):
-        assert blocked(CONFIG, JOINTS, paths, PADDING_M) is None
+        assert check_paths(CONFIG, JOINTS, paths, PADDING_M) is None
 
 
 def test_all_joints_are_calibrated_on_a_way_that_is_as_clear_as_mujoco_says():
     poses_rad = sweep_poses(PARAMS, 0.1)
     space = Space(PARAMS, World())
-    ours = clearances(CONFIG.space, rest(CONFIG.arm, poses_rad, MARS_R_m_s2).frames, FAR_M).min()
+    ours = compute_clearances(GEOMETRY, rest(CONFIG.arm, poses_rad, MARS_R_m_s2).frames, FAR_M).min()
     assert PADDING_M < ours <= space.clearance(poses_rad).outside_m + 1e-6
 
 
@@ -188,9 +199,9 @@ def test_where_the_arm_goes_by_command_is_what_is_looked_at():
     rig = Rig(CONFIG)
     goal = READY + np.array([0.1, 0.05, -0.1, 0.1, 0.2])
     rig.until_moving(MoveJoints(floats(goal)), cycles=8)
-    seen = points_of_arm(forward(CONFIG.arm, samples(CONFIG, rig.state.move.paths, STEP_M)))
+    seen = points_of_arm(forward(CONFIG.arm, sample_paths(CONFIG, rig.state.move.paths, FINE_STEP_M)))
     while rig.outputs.joint.busy:
         rig.cycle()
         motor = rig.state.joints.motor_rad[:, None]
         here = points_of_arm(forward(CONFIG.arm, motor))
-        assert np.linalg.norm(seen - here, axis=0).max(axis=0).min() <= 0.5 * STEP_M + 1e-4
+        assert np.linalg.norm(seen - here, axis=0).max(axis=0).min() <= 0.5 * FINE_STEP_M + 1e-4

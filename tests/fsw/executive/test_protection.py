@@ -1,4 +1,4 @@
-"""The last stage answers a fault once, and says of a standing fault what was not said yet."""
+"""A decision of protection changes mode, move and sequence; a standing fault is answered once."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,6 @@ import pytest
 from fsw.dictionary.commands import ClearFault, MoveJoints
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, FaultResponse
 from fsw.dictionary.faults import (
-    ContactInFreeSpace,
     ContactLost,
     GravityImplausible,
     NoContact,
@@ -14,13 +13,13 @@ from fsw.dictionary.faults import (
     OverTemperature,
     SensorNotFinite,
 )
-from fsw.dictionary.joints import Joint, Switch, Tool
+from fsw.dictionary.joints import Joint, Tool
 from fsw.dictionary.modes import Mode
 from fsw.executive.modes import TRANSITIONS, Event
-from fsw.executive.sequence import Sequence
+from fsw.executive.protection import MoveOutcome, apply_decision
 from fsw.motion.move import Phase
-from fsw.protect.guard import Guarded, StandingFault, guard, kind_of
-from fsw.state import last_setpoint
+from fsw.protect.responses import StandingFault, decide
+from fsw.state import Sequence, last_setpoint
 from tests.fsw.rig import Rig, config_of, facing, floats
 
 CONFIG = config_of()
@@ -37,14 +36,16 @@ def moving():
     return rig
 
 
-def guarded(rig, before, *found):
-    return guard(CONFIG, before, last_setpoint(rig.state), rig.state.joints, found)
+def respond(rig, before, *found):
+    joints, last_rad = rig.state.joints, last_setpoint(rig.state)
+    decision = decide(CONFIG.protection, before.mode, before.fault, found, joints.motor_rad, last_rad)
+    return apply_decision(CONFIG, before, decision, joints)
 
 
 @pytest.mark.parametrize("mode", Mode)
 def test_what_is_no_fault_changes_nothing_and_is_reported(mode):
     rig = moving()
-    after = guarded(rig, Guarded(mode, rig.state.move, None, None, ()), CommandCompleted("Stop"))
+    after = respond(rig, MoveOutcome(mode, rig.state.move, None, None, ()), CommandCompleted("Stop"))
     assert (after.mode, after.move, after.fault) == (mode, rig.state.move, None)
     assert after.evrs == (CommandCompleted("Stop"),)
 
@@ -53,7 +54,7 @@ def test_what_is_no_fault_changes_nothing_and_is_reported(mode):
 def test_a_stop_leaves_the_mode_to_the_end_of_the_move_and_drops_the_sequence(mode):
     rig = moving()
     sequence, lost = Sequence("CalibrateAll", ()), ContactLost(Tool.DRILL)
-    after = guarded(rig, Guarded(mode, rig.state.move, sequence, None, ()), lost)
+    after = respond(rig, MoveOutcome(mode, rig.state.move, sequence, None, ()), lost)
     assert (after.mode, after.sequence, after.fault) == (mode, None, None)
     assert after.move.stopped
     assert after.move.end_mode is TRANSITIONS[mode, Event.STOP]
@@ -62,9 +63,9 @@ def test_a_stop_leaves_the_mode_to_the_end_of_the_move_and_drops_the_sequence(mo
 
 def test_power_off_is_a_brake_without_power():
     rig = moving()
-    before = Guarded(Mode.FREE_SPACE, rig.state.move, None, None, ())
-    braked = guarded(rig, before, NoContact(0.1))
-    after = guarded(rig, before, OverTemperature(Joint.WRIST, 100.0, 90.0))
+    before = MoveOutcome(Mode.FREE_SPACE, rig.state.move, None, None, ())
+    braked = respond(rig, before, NoContact(0.1))
+    after = respond(rig, before, OverTemperature(Joint.WRIST, 100.0, 90.0))
     assert braked.move.active.all()
     assert not after.move.active.any()
     assert after.move.phase is braked.move.phase is Phase.BRAKE
@@ -72,21 +73,11 @@ def test_power_off_is_a_brake_without_power():
     assert after.evrs[-1] == FaultResponse("POWER_OFF")
 
 
-@pytest.mark.parametrize(
-    ("mode", "may_touch"),
-    [(Mode.FREE_SPACE, False), (Mode.GUARDED, True), (Mode.RETRACTING, True), (Mode.PRELOAD, True)],
-)
-def test_an_arm_may_touch_where_it_was_to_touch_and_where_it_did(mode, may_touch):
-    assert StandingFault(mode, frozenset()).may_touch is may_touch
-    touched = frozenset({kind_of(ContactInFreeSpace(Switch.DRT_1))})
-    assert StandingFault(mode, touched).may_touch
-
-
 @pytest.mark.parametrize("mode", Mode)
 def test_a_fault_brakes_the_move_and_remembers_where_it_happened(mode):
     rig = moving()
     found = (NoContact(0.1), CommandCompleted("Stop"))
-    after = guarded(rig, Guarded(mode, rig.state.move, None, None, ()), *found)
+    after = respond(rig, MoveOutcome(mode, rig.state.move, None, None, ()), *found)
     assert after.mode is Mode.FAULTED
     assert after.move.phase is Phase.BRAKE
     assert after.fault == StandingFault(mode, frozenset({(NoContact, None), (CommandCompleted, None)}))
@@ -95,16 +86,17 @@ def test_a_fault_brakes_the_move_and_remembers_where_it_happened(mode):
 
 def test_a_standing_fault_is_not_answered_again_but_what_is_new_is_reported_once():
     rig = moving()
-    first = guarded(rig, Guarded(Mode.FREE_SPACE, rig.state.move, None, None, ()), NoContact(0.1))
-    before = Guarded(first.mode, first.move, None, first.fault, ())
+    first = respond(rig, MoveOutcome(Mode.FREE_SPACE, rig.state.move, None, None, ()), NoContact(0.1))
+    before = MoveOutcome(first.mode, first.move, None, first.fault, ())
     drew = OverCurrent(Joint.WRIST, 3.0, 2.85)
-    assert guarded(rig, before, NoContact(0.2)) is before
-    after = guarded(rig, before, NoContact(0.2), drew)
+    again = respond(rig, before, NoContact(0.2))
+    assert (again.mode, again.move, again.fault, again.evrs) == (before.mode, before.move, before.fault, ())
+    after = respond(rig, before, NoContact(0.2), drew)
     assert after.evrs == (drew,)
     assert (after.mode, after.move) == (before.mode, before.move)
     reported = frozenset({(NoContact, None), (OverCurrent, Joint.WRIST)})
     assert after.fault == StandingFault(Mode.FREE_SPACE, reported)
-    assert guarded(rig, Guarded(after.mode, after.move, None, after.fault, ()), drew).evrs == ()
+    assert respond(rig, MoveOutcome(after.mode, after.move, None, after.fault, ()), drew).evrs == ()
 
 
 def test_each_kind_of_trouble_is_said_once_from_fault_to_clearing():

@@ -1,0 +1,284 @@
+"""Distances between rounded boxes, and the clearances of the arm to the rover and to level ground.
+
+A distance is exact for the shapes. Each shape encloses the part that it stands for, so a part is never closer
+than its shape. Batches are on the trailing axes.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.collision.geometry import GROUND, OBSTACLES, PARTS, CollisionGeometry
+from fsw.dictionary.joints import Tool
+from fsw.kinematics.chain import Frames
+from fsw.kinematics.transforms import Array, Pose, dot, inverse, rotate_back
+
+ROUNDING_M: Final = 1e-5
+"""A part that begins too close may come this much closer."""
+
+DISPLAY_NAMES: Final = {
+    "link2": "upper arm",
+    "link3": "forearm",
+    "link4": "wrist",
+    "link5": "turret joint",
+    "drt": "DRT",
+    "mahli": "MAHLI",
+    "apxs": "APXS",
+    "portion": "portion tube",
+}
+
+Indices = NDArray[np.intp]
+
+_ALONG: Final = np.repeat(np.eye(3), 4, axis=1)
+_SIDES: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)]).T
+_FROM: Final = np.stack(
+    [
+        np.concatenate([np.full(4, -1.0), _SIDES[0], _SIDES[0]]),
+        np.concatenate([_SIDES[0], np.full(4, -1.0), _SIDES[1]]),
+        np.concatenate([_SIDES[1], _SIDES[1], np.full(4, -1.0)]),
+    ]
+)
+"""Start points of the twelve edges of a cube of half size 1; `_ALONG` has their directions, first along x."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClearanceViolation:
+    """A part of the arm that comes too close to an obstacle on a path."""
+
+    part: str
+    obstacle: str
+    distance_m: float
+    """Least distance on the path; at most 0 where they meet."""
+    least_m: float
+    """Distance that was to be kept."""
+    first: int
+    """Index of the first pose that is too close."""
+
+    @property
+    def reason(self) -> str:
+        """Return the sentence for a refusal."""
+        part, obstacle = _display_name(self.part), _display_name(self.obstacle)
+        if self.distance_m <= 0:
+            return f"the {part} meets the {obstacle}"
+        return (
+            f"the {part} comes within {1e3 * self.distance_m:.1f} mm of the {obstacle}, "
+            f"at least {1e3 * self.least_m:.1f} mm are to be kept"
+        )
+
+
+def find_violation(
+    geometry: CollisionGeometry, frames: Frames, padding_m: float, touching: Tool | None = None
+) -> ClearanceViolation | None:
+    """Find the first pose of a path at which a part of the arm is too close to an obstacle.
+
+    A part that begins closer than the padding may stay as close or go away: that is the way out.
+
+    Args:
+        geometry: Shapes of arm and rover.
+        frames: Frames of the links in RMECH along the path, batch (n).
+        padding_m: Distance to be kept.
+        touching: Tool that is to touch, which may come as close as it likes.
+
+    Returns:
+        The violation, or None if there is none.
+    """
+    clearance = compute_clearances(geometry, frames, padding_m, touching)
+    least = np.minimum(padding_m, clearance[..., :1] - ROUNDING_M)
+    bad = clearance < least
+    if not bad.any():
+        return None
+    first = int(bad.any(axis=(0, 1)).argmax())
+    short = np.where(bad[..., first], clearance[..., first] - least[..., 0], np.inf)
+    part, obstacle = np.unravel_index(int(short.argmin()), short.shape)
+    return ClearanceViolation(
+        PARTS[part],
+        OBSTACLES[obstacle],
+        float(clearance[part, obstacle].min()),
+        float(least[part, obstacle, 0]),
+        first,
+    )
+
+
+def compute_clearances(
+    geometry: CollisionGeometry, frames: Frames, within_m: float, touching: Tool | None = None
+) -> Array:
+    """Compute the distance of each part of the arm to each obstacle.
+
+    Args:
+        geometry: Shapes of arm and rover.
+        frames: Frames of the links in RMECH, batch (n).
+        within_m: Distances beyond this are infinite in the result.
+        touching: Tool whose distances are infinite in the result.
+
+    Returns:
+        Distances in metres, shape (PARTS, OBSTACLES, n).
+    """
+    arm, X_RS = geometry.arm, place_shapes(geometry, frames)
+    clearance = np.full((len(PARTS), len(OBSTACLES), X_RS.p.shape[-1]), np.inf)
+    height = _compute_heights(geometry, X_RS)
+    low, at = np.nonzero(height < within_m)
+    np.minimum.at(clearance[:, GROUND], (arm.part[low], at), height[low, at])
+    near, hull, at = _find_neighbours(geometry, X_RS.p, within_m)
+    distance = _compute_distances(geometry, X_RS[near, at], near, hull)
+    np.minimum.at(clearance, (arm.part[near], geometry.rover.part[hull], at), distance)
+    if touching is not None:
+        clearance[PARTS.index(touching.name.lower())] = np.inf
+    clearance[clearance > within_m] = np.inf
+    return clearance
+
+
+def place_shapes(geometry: CollisionGeometry, frames: Frames) -> Pose:
+    """Place the shapes of the arm in RMECH.
+
+    Args:
+        geometry: Shapes of arm and rover.
+        frames: Frames of the links in RMECH, batch (n).
+
+    Returns:
+        Poses of the m shapes in RMECH, batch (m, n).
+    """
+    arm, X_RC = geometry.arm, _collect_carriers(frames)
+    R_RC = X_RC.R[:, :, arm.carrier]
+    p_RS = np.einsum("ijmn,jm->imn", R_RC, arm.X_CS.p) + X_RC.p[:, arm.carrier]
+    return Pose(np.einsum("ijmn,jkm->ikmn", R_RC, arm.X_CS.R), p_RS)
+
+
+def _collect_carriers(frames: Frames) -> Pose:
+    """Return the poses of links 1 to 5 and Arm6 in RMECH, batch (6, n)."""
+    link, end = frames.X_RL, frames.X_RF
+    return Pose(
+        np.concatenate([link.R[:, :, 1:], end.R[:, :, 5:]], axis=2),
+        np.concatenate([link.p[:, 1:], end.p[:, 5:]], axis=1),
+    )
+
+
+def _compute_heights(geometry: CollisionGeometry, X_RS: Pose) -> Array:
+    """Compute the height of the lowest point of each shape of the arm above level ground, (m, n)."""
+    arm = geometry.arm
+    lowest = X_RS.p[2] + np.einsum("kmn,km->mn", np.abs(X_RS.R[2]), arm.half_m) + arm.radius_m[:, None]
+    height: Array = geometry.ground_z_m - lowest
+    return height
+
+
+def _find_neighbours(geometry: CollisionGeometry, p_RS: Array, within_m: float) -> tuple[Indices, ...]:
+    """Find pairs of shapes of arm and rover that may be so close, and at which pose, by bounding spheres."""
+    arm, rover = geometry.arm, geometry.rover
+    found = []
+    for k in range(rover.part.size):
+        X_RO = rover.X_CS[k]
+        p_O = rotate_back(X_RO.R, p_RS - X_RO.p[:, None, None])
+        bound = point_distance(p_O, rover.half_m[:, k, None, None]) - arm.bounding_radius_m[:, None]
+        near, at = np.nonzero(bound < within_m + rover.radius_m[k])
+        found.append((near, np.full_like(near, k), at))
+    near, hull, at = (np.concatenate(column) for column in zip(*found, strict=True))
+    return near, hull, at
+
+
+def _compute_distances(geometry: CollisionGeometry, X_RS: Pose, near: Indices, hull: Indices) -> Array:
+    """Compute the distances (k) of pairs of shapes of the arm, at poses X_RS, and of the rover."""
+    X_RO, half_S, half_O = (
+        geometry.rover.X_CS[hull],
+        geometry.arm.half_m[:, near],
+        geometry.rover.half_m[:, hull],
+    )
+    X_OS = inverse(X_RO) @ X_RS
+    distance = np.empty(near.size)
+    line_S, line_O = geometry.arm.is_capsule[near], geometry.rover.is_capsule[hull]
+    one, other, both = line_S, ~line_S & line_O, ~line_S & ~line_O
+    distance[one] = edges_distance(X_OS[one], half_S[:, one], half_O[:, one], edges=1)
+    distance[other] = edges_distance(inverse(X_OS[other]), half_O[:, other], half_S[:, other], edges=1)
+    distance[both] = box_distance(X_OS[both], half_O[:, both], half_S[:, both])
+    return distance - geometry.arm.radius_m[near] - geometry.rover.radius_m[hull]
+
+
+def _display_name(name: str) -> str:
+    return DISPLAY_NAMES.get(name, name.replace("_", " "))
+
+
+def box_distance(X_AB: Pose, half_A_m: Array, half_B_m: Array) -> Array:
+    """Compute the distance of box A to box B.
+
+    One of the two nearest points lies on an edge of its box. A corner is the end of an edge.
+
+    Args:
+        X_AB: Pose of box B in the axes of box A, batch (n).
+        half_A_m: Half sizes of box A, shape (3, n).
+        half_B_m: Half sizes of box B, shape (3, n).
+
+    Returns:
+        Distances in metres, shape (n,); 0 where the boxes overlap.
+    """
+    X_BA = inverse(X_AB)
+    return np.minimum(edges_distance(X_AB, half_B_m, half_A_m), edges_distance(X_BA, half_A_m, half_B_m))
+
+
+def edges_distance(X_BE: Pose, half_E_m: Array, half_B_m: Array, edges: int = 12) -> Array:
+    """Compute the least distance of the edges of box E to box B.
+
+    Args:
+        X_BE: Pose of box E in the axes of box B, batch (n).
+        half_E_m: Half sizes of box E, shape (3, n).
+        half_B_m: Half sizes of box B, shape (3, n).
+        edges: Number of edges to look at; 1 for a box that has a length along x only.
+
+    Returns:
+        Distances in metres, shape (n,).
+    """
+    p_EoF_E = _FROM[:, :edges, None] * half_E_m[:, None]
+    along_E = 2 * _ALONG[:, :edges, None] * half_E_m[:, None]
+    p_B = np.einsum("ijn,jkn->ikn", X_BE.R, p_EoF_E) + X_BE.p[:, None]
+    along_B = np.einsum("ijn,jkn->ikn", X_BE.R, along_E)
+    nearest: Array = segment_distance(p_B, along_B, half_B_m[:, None]).min(axis=0)
+    return nearest
+
+
+def segment_distance(p_m: Array, along_m: Array, half_m: Array) -> Array:
+    """Compute the distance of segments to boxes about the origin.
+
+    The squared distance of the point p + t * along is convex in t. Its slope is linear between the values of
+    t at which the segment passes the plane of a face. The root of the slope lies between two adjacent ones.
+
+    Args:
+        p_m: Start of each segment in the axes of its box, shape (3, ...).
+        along_m: End less start of each segment, same shape.
+        half_m: Half sizes of each box, same shape.
+
+    Returns:
+        Distances in metres, shape (...).
+    """
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        passes = np.concatenate([(half_m - p_m) / along_m, (-half_m - p_m) / along_m])
+    bends = np.clip(np.nan_to_num(passes, nan=0.0), 0.0, 1.0)
+    bends = np.concatenate([bends, np.zeros((1, *bends.shape[1:])), np.ones((1, *bends.shape[1:]))])
+    slope = sum(along_m[k] * _outside(p_m[k] + bends * along_m[k], half_m[k]) for k in range(3))
+    before = np.where(slope <= 0, bends, 0.0).max(axis=0)
+    after = np.where(slope > 0, bends, 1.0).min(axis=0)
+    fall, rise = (dot(along_m, _outside(p_m + t * along_m, half_m)) for t in (before, after))
+    share = np.divide(-fall, rise - fall, out=np.zeros_like(rise), where=rise > fall)
+    t = before + np.clip(share, 0.0, 1.0) * (after - before)
+    apart = _outside(p_m + t * along_m, half_m)
+    distance: Array = np.sqrt(dot(apart, apart))
+    return distance
+
+
+def point_distance(p_m: Array, half_m: Array) -> Array:
+    """Compute the distance of points to boxes about the origin.
+
+    Args:
+        p_m: Points in the axes of their boxes, shape (3, ...).
+        half_m: Half sizes of the boxes, same shape.
+
+    Returns:
+        Distances in metres, shape (...); 0 inside.
+    """
+    apart = _outside(p_m, half_m)
+    distance: Array = np.sqrt(dot(apart, apart))
+    return distance
+
+
+def _outside(x_m: Array, half_m: Array) -> Array:
+    """Return the vector from the nearest point of a box."""
+    vector: Array = x_m - np.minimum(np.maximum(x_m, -half_m), half_m)
+    return vector

@@ -1,0 +1,126 @@
+"""Collision geometry: the shapes of arm and rover as arrays of rounded boxes, each fixed to a frame.
+
+A rounded box is all points within a radius of a box. A capsule is a rounded box whose box has a length only,
+a sphere one whose box is a point.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.dictionary.joints import Tool
+from fsw.dictionary.params import Params
+from fsw.dictionary.shapes import ArmShapes, Box, Capsule, RoverShapes, Shapes
+from fsw.kinematics.arm import Arm
+from fsw.kinematics.transforms import IDENTITY, Array, Flags, Pose, batched, cross, norm, rotation_z
+
+PARTS: Final = tuple(field.name for field in fields(ArmShapes))
+"""Parts of the arm, from the shoulder outward."""
+OBSTACLES: Final = (*(field.name for field in fields(RoverShapes)), "ground")
+GROUND: Final = OBSTACLES.index("ground")
+TURRET_FRAME: Final = 5
+FRAME_OF: Final = {"link2": 1, "link3": 2, "link4": 3, "link5": 4}
+"""Index of the link that carries a part, 0 for link 1; the other parts are on the turret, in frame Arm6."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoundedBoxes:
+    """Rounded boxes, batch (m); each belongs to a part and is fixed to a frame."""
+
+    part: NDArray[np.intp]
+    carrier: NDArray[np.intp]
+    """Index of the frame that each is fixed to."""
+    X_CS: Pose
+    """Pose in that frame; the box lies along the axes of S."""
+    half_m: Array
+    """Half sizes, (3, m)."""
+    radius_m: Array
+    bounding_radius_m: Array
+    """Distance of the farthest point from the centre."""
+
+    @property
+    def is_capsule(self) -> Flags:
+        """Return which boxes have a length only."""
+        is_capsule: Flags = (self.half_m[1] == 0) & (self.half_m[2] == 0)
+        return is_capsule
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CollisionGeometry:
+    """Shapes of the arm in the frames of its links, shapes of the rover in RMECH, and level ground."""
+
+    arm: RoundedBoxes
+    rover: RoundedBoxes
+    ground_z_m: float
+    lever_m: Array
+    """Upper bound of the distance of any point of the arm from each joint axis, (5,)."""
+
+
+def build_collision_geometry(params: Params, arm: Arm) -> CollisionGeometry:
+    """Build the collision geometry from the shapes of the parameters."""
+    shapes, tools = params.collision, {tool.name.lower(): arm.X_FT[tool] for tool in Tool}
+    arm_boxes = _collect(
+        (part, FRAME_OF.get(name, TURRET_FRAME), tools.get(name, IDENTITY), shape)
+        for part, name in enumerate(PARTS)
+        for shape in _shapes_of(getattr(shapes.arm, name))
+    )
+    rover_boxes = _collect(
+        (obstacle, 0, IDENTITY, shape)
+        for obstacle, name in enumerate(OBSTACLES[:GROUND])
+        for shape in _shapes_of(getattr(shapes.rover, name))
+    )
+    return CollisionGeometry(arm_boxes, rover_boxes, shapes.ground_z_m, _bound_levers(arm, arm_boxes))
+
+
+def _shapes_of(part: Shapes) -> tuple[Capsule | Box, ...]:
+    return (*part.capsules, *part.boxes)
+
+
+def _collect(placed: Iterable[tuple[int, int, Pose, Capsule | Box]]) -> RoundedBoxes:
+    """Collect shapes, each with its part, its carrier and the frame on the carrier that it is given in."""
+    parts, carriers, X_CP, shapes = zip(*placed, strict=True)
+    X_PS, halves, radii = zip(*map(_to_rounded_box, shapes), strict=True)
+    X_CS = [X @ Y for X, Y in zip(X_CP, X_PS, strict=True)]
+    half, radius = np.array(halves).T, np.array(radii)
+    return RoundedBoxes(
+        part=np.array(parts),
+        carrier=np.array(carriers),
+        X_CS=batched(X_CS),
+        half_m=half,
+        radius_m=radius,
+        bounding_radius_m=norm(half) + radius,
+    )
+
+
+def _to_rounded_box(shape: Capsule | Box) -> tuple[Pose, Array, float]:
+    """Convert a shape to a rounded box: pose in the frame of its part, half size and radius."""
+    if isinstance(shape, Box):
+        X_PS = Pose(rotation_z(np.array(shape.turn_rad)), np.array(shape.centre_m))
+        return X_PS, np.array(shape.half_m), 0.0
+    start, end = np.array(shape.from_m), np.array(shape.to_m)
+    length = float(np.linalg.norm(end - start))
+    X_PS = Pose(_rotation_along(end - start), 0.5 * (start + end))
+    return X_PS, np.array([0.5 * length, 0.0, 0.0]), shape.radius_m
+
+
+def _rotation_along(v: Array) -> Array:
+    """Return a rotation whose x axis is along a vector; the identity for a vector of nearly no length."""
+    length = np.linalg.norm(v)
+    if length < 1e-9:
+        return np.eye(3)
+    x = v / length
+    y = cross(np.eye(3)[int(np.abs(x).argmin())], x)
+    y /= np.linalg.norm(y)
+    return np.stack([x, y, cross(x, y)], axis=1)
+
+
+def _bound_levers(arm: Arm, boxes: RoundedBoxes) -> Array:
+    """Bound the distance of any shape from each joint axis, with the chain stretched out from the joint."""
+    link = norm(arm.X_CF.p + arm.p_LC_m)[1:]
+    to_carrier = np.concatenate([np.zeros(1), np.cumsum(link)])
+    beyond = to_carrier[boxes.carrier] + norm(boxes.X_CS.p) + boxes.bounding_radius_m
+    levers = [np.max(beyond - to_carrier[j], where=boxes.carrier >= j, initial=0.0) for j in range(5)]
+    return np.array(levers)

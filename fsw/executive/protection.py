@@ -1,0 +1,146 @@
+"""Tell protection about the arm in plain values, and apply its decision to the move."""
+
+from dataclasses import dataclass, replace
+from typing import assert_never
+
+import numpy as np
+
+from fsw.config import Config
+from fsw.dictionary.evrs import CommandAborted, Evr
+from fsw.dictionary.joints import Tool
+from fsw.dictionary.modes import Mode
+from fsw.estimate.gear import LIKELY
+from fsw.estimate.joints import JointEstimate
+from fsw.executive.modes import TRANSITIONS, Event
+from fsw.executive.stow import stop_event
+from fsw.kinematics.transforms import Array
+from fsw.motion.drive import NONE
+from fsw.motion.move import Move, Phase, gone, stop
+from fsw.motion.paths import LinePath, Setpoint
+from fsw.motion.plan_press import Pressing
+from fsw.protect.responses import Decision, Response, StandingFault
+from fsw.protect.status import ArmStatus, MoveStatus, PressStatus
+from fsw.state import Sequence
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MoveOutcome:
+    """Frozen record of mode, move, sequence and standing fault after a move has advanced, and its events."""
+
+    mode: Mode
+    move: Move | None
+    sequence: Sequence | None
+    fault: StandingFault | None
+    evrs: tuple[Evr, ...]
+
+
+def describe_arm(
+    mode: Mode,
+    tool: Tool,
+    joints: JointEstimate,
+    uncertainty_rad: Array,
+    move: Move | None,
+    pressing: Pressing | None,
+) -> ArmStatus:
+    """Describe the arm to protection in plain values.
+
+    Args:
+        mode: Mode of the arm.
+        tool: Tool of the last tool command.
+        joints: Estimate of the joints.
+        uncertainty_rad: Greatest error of the likely gear angles of that estimate, shape (5,).
+        move: Move under way.
+        pressing: Press of the tool that touches.
+
+    Returns:
+        The values that protection needs; arrays are those of the arguments, not copies.
+    """
+    reference = joints.reference
+    # built by position, which is faster, for this is done in every cycle
+    return ArmStatus(
+        mode,
+        tool,
+        reference.calibrated,
+        joints.motor_rad,
+        joints.motor_rate_rad_s,
+        joints.gear_rad[:, LIKELY],
+        joints.bounds.lowest_rad[:, LIKELY],
+        joints.bounds.highest_rad[:, LIKELY],
+        uncertainty_rad,
+        reference.half_gap_rad,
+        joints.resolver_error_rad,
+        reference.resolver_bias_rad,
+        joints.gravity_R_m_s2,
+        joints.imu_R_m_s2,
+        None if move is None else _describe_move(move, pressing),
+    )
+
+
+def _describe_move(move: Move, pressing: Pressing | None) -> MoveStatus:
+    press = None
+    if move.press is not None and not move.stopped and pressing is not None:
+        press = PressStatus(pressing.tool, pressing.force_N, move.press.torque_per_N, pressing.rest_rad)
+    return MoveStatus(
+        move.hold.motor_rad,
+        move.hold.rate_rad_s,
+        move.stopped,
+        move.phase is Phase.RELEASE,
+        None if move.seek is None else move.seek.joint,
+        move.guarded if _is_approaching(move) else None,
+        press,
+    )
+
+
+def _is_approaching(move: Move) -> bool:
+    """Return whether a guarded tool runs along its line and has not touched."""
+    if move.guarded is None or move.contact_at is not None or move.phase is not Phase.RUN:
+        return False
+    return isinstance(move.paths[0], LinePath)
+
+
+def apply_decision(
+    config: Config, before: MoveOutcome, decision: Decision, joints: JointEstimate
+) -> MoveOutcome:
+    """Apply the decision of protection to mode, move and sequence."""
+    match decision.response:
+        case None:
+            return MoveOutcome(before.mode, before.move, before.sequence, decision.fault, decision.evrs)
+        case Response.STOP_AND_BRAKE:
+            return _stop(config, before, decision, joints)
+        case Response.BRAKE_AND_REFUSE | Response.POWER_OFF:
+            return MoveOutcome(
+                TRANSITIONS[before.mode, Event.FAULT],
+                None if before.move is None else _brake(before.move, decision),
+                before.sequence,
+                decision.fault,
+                decision.evrs,
+            )
+        case _:
+            assert_never(decision.response)
+
+
+def _stop(config: Config, before: MoveOutcome, decision: Decision, joints: JointEstimate) -> MoveOutcome:
+    """Stop the move as a commanded stop does; a move that is being stopped already goes on as it is."""
+    sequence, move, evrs = before.sequence, before.move, decision.evrs
+    if sequence is not None:
+        evrs = (*evrs, CommandAborted(sequence.command))
+    if move is not None and not move.stopped:
+        move = stop(config, move, TRANSITIONS[before.mode, stop_event(config, before.mode, joints)])
+        if move.phase is Phase.SETTLE:
+            move = replace(move, phase=Phase.BRAKE, ticks=0)
+    return MoveOutcome(before.mode, move, None, decision.fault, evrs)
+
+
+def _brake(move: Move, decision: Decision) -> Move:
+    """Apply the brakes in this cycle and hold the motors where protection says."""
+    return replace(
+        move,
+        active=NONE if decision.response is Response.POWER_OFF else move.active,
+        phase=Phase.BRAKE,
+        travelled=gone(move),
+        ticks=0 if move.phase is not Phase.BRAKE else move.ticks,
+        hold=Setpoint(decision.hold_rad, np.zeros_like(decision.hold_rad)),
+        end_mode=Mode.FAULTED,
+        guarded=None,
+        stopped=True,
+    )

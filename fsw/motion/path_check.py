@@ -1,0 +1,115 @@
+"""Path collision check: the arm stays clear of rover and ground all along the paths of a plan."""
+
+from typing import Final
+
+import numpy as np
+
+from fsw.collision.distance import compute_clearances, find_violation
+from fsw.config import Config
+from fsw.dictionary.joints import Tool
+from fsw.estimate.gear import bounds_under
+from fsw.estimate.joints import JointEstimate
+from fsw.kinematics.chain import Frames, forward
+from fsw.kinematics.statics import rest
+from fsw.kinematics.transforms import Array
+from fsw.motion.paths import Path
+
+FINE_STEP_M: Final = 0.01
+"""No point of the arm moves farther between two poses that are checked."""
+COARSE_STEP_M: Final = 0.05
+"""The same for the coarse check, which suffices where nothing is near."""
+DEFLECTION_CHANGE_M: Final = 0.01
+"""Motion that changes of deflection and backlash add between two poses of the coarse check."""
+LEAST_POSES: Final = 9
+"""Least number of poses that are checked on a path."""
+
+
+def check_paths(
+    config: Config,
+    joints: JointEstimate,
+    paths: tuple[Path, ...],
+    padding_m: float,
+    touching: Tool | None = None,
+) -> str | None:
+    """Check that the deflected arm stays clear of rover and ground along paths.
+
+    Too close is closer than the padding, or closer than at the start if the start is within the padding.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints, of which gravity and backlash are used.
+        paths: Paths of the motors, one after the other.
+        padding_m: Distance to be kept.
+        touching: Tool that is to touch, which may come as close as it likes.
+
+    Returns:
+        The reason for a refusal, or None if the paths are clear.
+    """
+    coarse = compute_deflected_frames(config, joints, sample_paths(config, paths, COARSE_STEP_M))
+    near_m = padding_m + 0.5 * COARSE_STEP_M + DEFLECTION_CHANGE_M
+    if not np.isfinite(compute_clearances(config.collision_geometry, coarse, near_m, touching)).any():
+        return None
+    motor = sample_paths(config, paths, FINE_STEP_M)
+    close = find_violation(
+        config.collision_geometry, compute_deflected_frames(config, joints, motor), padding_m, touching
+    )
+    if close is None:
+        return None
+    return f"{close.reason}; {100 * _compute_share(config, motor, close.first):.0f} % of the way are clear"
+
+
+def sample_paths(config: Config, paths: tuple[Path, ...], step_m: float) -> Array:
+    """Sample motor angles along paths so finely that no point of the arm moves farther than a step.
+
+    Args:
+        config: Configuration of flight software.
+        paths: Paths of the motors, one after the other.
+        step_m: Farthest that a point of the rigid arm may move between two samples.
+
+    Returns:
+        Motor angles in radians on the output side, shape (5, n).
+    """
+    return np.concatenate([_sample_path(config, path, step_m) for path in paths], axis=1)
+
+
+def _sample_path(config: Config, path: Path, step_m: float) -> Array:
+    count = LEAST_POSES
+    while True:
+        times = np.linspace(0.0, path.duration_s, count)
+        motor = np.array([path.at(time_s).motor_rad for time_s in times]).T
+        steps = float(_bound_motion(config, motor).max()) / step_m
+        if steps <= 1:
+            return motor
+        count = int(np.ceil(1.1 * steps * count))
+
+
+def compute_deflected_frames(config: Config, joints: JointEstimate, motor_rad: Array) -> Frames:
+    """Compute the frames of the arm under gravity, with each output where its load presses it in its gear.
+
+    Where friction may hold an output anywhere in its gear, it is taken to be in the middle.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints, of which gravity and backlash are used.
+        motor_rad: Motor angles on the output side, shape (5, n).
+
+    Returns:
+        Frames of the links in RMECH, batch (n).
+    """
+    gravity = joints.gravity_R_m_s2
+    hung = rest(config.arm, motor_rad, gravity)
+    bounds = bounds_under(config, joints.reference.half_gap_rad, hung.torque_Nm)
+    output = motor_rad + 0.5 * (bounds.lowest_rad + bounds.highest_rad)
+    return forward(config.arm, output, hung.strain)
+
+
+def _bound_motion(config: Config, motor_rad: Array) -> Array:
+    """Bound how far any point of the arm moves from each pose (5, n) to the next if no joint turns back."""
+    moved: Array = config.collision_geometry.lever_m @ np.abs(np.diff(motor_rad, axis=1))
+    return moved
+
+
+def _compute_share(config: Config, motor_rad: Array, pose: int) -> float:
+    """Return the share of the way that lies before a pose."""
+    moved = _bound_motion(config, motor_rad)
+    return float(moved[:pose].sum() / max(moved.sum(), 1e-9))

@@ -1,0 +1,83 @@
+"""Bounds that protection applies, computed once from the parameters."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from fsw.dictionary.params import MonitorParams, Params
+from fsw.kinematics.arm import Arm
+from fsw.kinematics.transforms import Array
+
+LOAD_ERROR_FACTOR: Final = 5.0
+"""Times the error of a modelled load that a gear must be wound up to count on an approach."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProtectionBounds:
+    """Frozen record of bounds; joint arrays in the order of Joint, angles on the output side."""
+
+    monitors: MonitorParams
+    arm: Arm
+    press_step_N: float
+    """A tool that presses with more must have a switch closed."""
+    press_error_share: float
+    """Error of the believed force of a press, as a share of it."""
+    lowest_rad: Array
+    """Motor angles that are never to be passed: the soft limits and their margin, (5,)."""
+    highest_rad: Array
+    lowest_seeking_rad: Array
+    """Lowest motor angles while a joint seeks its hardstop, a row for each seeking joint, (5, 5)."""
+    setpoint_step_rad: Array
+    """Largest change of a set-point in a cycle, (5,)."""
+    over_current_A: Array
+    """Current that is nearly all that a motor may draw, (5,)."""
+    approach_wind_up_rad: Array
+    """Wind-up beyond the backlash from which a gear counts on an approach, (5,)."""
+    monitored_lowest: tuple[float, ...]
+    """Lower bounds of the values that `motors.exceed_any_bound` compares, in its order, (25,)."""
+    monitored_highest: tuple[float, ...]
+    """Upper bounds of the same values, (25,)."""
+
+
+def compute_bounds(params: Params, arm: Arm, cycle_s: float) -> ProtectionBounds:
+    """Compute the bounds of protection.
+
+    Args:
+        params: Parameters of flight software.
+        arm: Arm of these parameters.
+        cycle_s: Duration of a control cycle.
+
+    Returns:
+        The bounds.
+    """
+    joints, monitors = params.joints.in_order(), params.monitors
+    each = np.ones(len(joints))
+    lowest = np.array([j.soft_min_rad - monitors.soft_limit_margin_rad for j in joints])
+    highest = np.array([j.soft_max_rad + monitors.soft_limit_margin_rad for j in joints])
+    hardstop = np.array([j.hardstop_rad for j in joints])
+    lag = min(monitors.stall_error_rad, monitors.following_error_rad) * each
+    over_current = monitors.over_current_fraction * np.array([j.current_limit_A for j in joints])
+    coldest, hottest = monitors.winding_min_C * each, monitors.winding_max_C * each
+    resolver_error = monitors.resolver_error_rad * each
+    load_error = np.array([j.load_error_Nm for j in joints])
+    return ProtectionBounds(
+        monitors=monitors,
+        arm=arm,
+        press_step_N=params.preload.step_N,
+        press_error_share=params.preload.error_share,
+        lowest_rad=lowest,
+        highest_rad=highest,
+        lowest_seeking_rad=np.where(
+            np.eye(len(joints), dtype=bool), hardstop - 2 * params.hardstop.window_rad, lowest
+        ),
+        setpoint_step_rad=np.array([monitors.setpoint_step_factor * cycle_s * j.speed_rad_s for j in joints]),
+        over_current_A=over_current,
+        approach_wind_up_rad=LOAD_ERROR_FACTOR * load_error / arm.gear_stiffness_Nm_rad,
+        monitored_lowest=tuple(
+            np.concatenate((lowest, -lag, -over_current, coldest, -resolver_error)).tolist()
+        ),
+        monitored_highest=tuple(
+            np.concatenate((highest, lag, over_current, hottest, resolver_error)).tolist()
+        ),
+    )
