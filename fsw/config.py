@@ -7,7 +7,7 @@ import numpy as np
 
 from fsw.collision.geometry import CollisionGeometry, build_collision_geometry
 from fsw.dictionary.params import Params
-from fsw.kinematics.arm import Arm, arm_from
+from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.transforms import Array
 from fsw.protect.bounds import ProtectionBounds, compute_bounds
 
@@ -58,7 +58,7 @@ def _written(value: object) -> str:
 
 def configure(params: Params) -> Config:
     """The configuration of these parameters."""
-    joints, motion, arm = params.joints.in_order(), params.motion, arm_from(params)
+    joints, motion, arm = params.joints.in_order(), params.motion, build_arm(params)
     return Config(
         params=params,
         params_sha256=digest(params),

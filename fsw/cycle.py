@@ -5,13 +5,11 @@ from dataclasses import replace
 from fsw.config import Config
 from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.commands import Command
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Booted, Evr, ModeChanged
-from fsw.dictionary.joints import Joint
 from fsw.estimate import joints as joint_estimate
-from fsw.estimate import load as load_estimate
-from fsw.estimate.hardstop import Found
-from fsw.estimate.joints import JointEstimate
-from fsw.estimate.load import LoadEstimate
+from fsw.estimate.hardstop import HardstopFit
+from fsw.estimate.joints import JointEstimate, LoadEstimate
 from fsw.executive.commands import handle, proceed
 from fsw.executive.protection import MoveOutcome, apply_decision, describe_arm
 from fsw.executive.situation import Situation
@@ -37,7 +35,7 @@ def step(
     # at rest the last set-point is where the motors are, in today's encoder zero
     last_rad = joints.motor_rad if before.move is None else before.move.hold.motor_rad
     moved, joints, pressing, planned_gap_rad = _move(config, state, joints, load, sensors, usable)
-    lie = joints.lie
+    lie = joints.backlash_state
     arm = describe_arm(moved.mode, state.tool, joints, lie[2], moved.move, pressing)
     monitors, decision = protect(
         config.protection, state.monitors, moved.fault, arm, sensors, last_rad, unusable, moved.evrs
@@ -68,11 +66,13 @@ def _estimate(
     """Joint angles every cycle, load and tool pose every so often; bad readings leave the last estimate."""
     if not usable:
         return state.joints, state.load, None
-    joints = joint_estimate.update(config, state.joints, sensors)
+    joints = joint_estimate.update_joints(config, state.joints, sensors)
     if state.load.known and state.tick % config.params.motion.load_period != 0:
         return joints, state.load, None
     push = None if state.pressing is None else state.pressing.pushed
-    load, joints, channels = load_estimate.refresh(config, state.tick, state.tool, joints, state.load, push)
+    load, joints, channels = joint_estimate.update_load(
+        config, state.tick, state.tool, joints, state.load, push
+    )
     return joints, load, channels
 
 
@@ -115,11 +115,11 @@ def _move(
 
 
 def _calibrate(
-    config: Config, joints: JointEstimate, load: LoadEstimate, joint: Joint, found: Found
+    config: Config, joints: JointEstimate, load: LoadEstimate, joint: Joint, found: HardstopFit
 ) -> tuple[JointEstimate, Evr]:
     """The joints with the zero of one that has found its hardstop."""
-    calibrated = joint_estimate.calibrated(config, joints, load.torque_Nm, joint, found)
-    return calibrated, found.event(joint, float((calibrated.motor_rad - joints.motor_rad)[joint]))
+    calibrated = joint_estimate.apply_calibration(config, joints, load.torque_Nm, joint, found)
+    return calibrated, found.to_event(joint, float((calibrated.motor_rad - joints.motor_rad)[joint]))
 
 
 def _outputs(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from fsw.dictionary.channels import JointChannels, ToolChannels
 from fsw.dictionary.evrs import Evr
-from fsw.dictionary.limits import Limits
+from fsw.dictionary.types import Limits
 
 Floats = NDArray[np.float64]
 Counts = NDArray[np.int64]
@@ -36,7 +36,7 @@ class Sensors:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drive:
+class ActuatorCommand:
     """What flight software asks of the motor controllers and brakes; arrays in the order of Joint."""
 
     setpoint_count: Counts
@@ -57,7 +57,7 @@ class Drive:
 class Outputs:
     """What a cycle gives: the drive, the channels (tool channels only when refreshed) and the EVRs."""
 
-    drive: Drive
+    drive: ActuatorCommand
     joint: JointChannels
     tool: ToolChannels | None
     evrs: tuple[Evr, ...]

@@ -7,13 +7,11 @@ import numpy as np
 from fsw.config import Config
 from fsw.dictionary.channels import JointChannels
 from fsw.dictionary.commands import Command
-from fsw.dictionary.joints import Tool
-from fsw.dictionary.modes import Mode
-from fsw.estimate.joints import JointEstimate, asleep
-from fsw.estimate.load import LoadEstimate, unloaded
+from fsw.dictionary.enums import Mode, Tool
+from fsw.estimate.joints import JointEstimate, LoadEstimate, no_load, uninitialised_estimate
 from fsw.estimate.reference import Reference, no_reference
 from fsw.kinematics.transforms import Array
-from fsw.messages import Drive, Outputs
+from fsw.messages import ActuatorCommand, Outputs
 from fsw.motion.move import Move
 from fsw.motion.plan_press import Pressing
 from fsw.protect.monitors import MonitorState
@@ -59,7 +57,7 @@ class State:
     """Commands that are still to come of one that takes several."""
     fault: StandingFault | None
     monitors: MonitorState
-    drive: Drive
+    drive: ActuatorCommand
     changed: Config | None = None
     """The configuration with the parameters that were set since boot; None if none was."""
 
@@ -72,21 +70,23 @@ def boot(config: Config, mode: Mode, reference: Reference | None = None) -> Stat
         tick=0,
         mode=mode,
         tool=Tool.DRILL,
-        joints=asleep(config, no_reference(config) if reference is None else reference),
-        load=unloaded(n),
+        joints=uninitialised_estimate(config, no_reference(config) if reference is None else reference),
+        load=no_load(n),
         planned_gap_rad=np.zeros(n),
         move=None,
         pressing=None,
         sequence=None,
         fault=None,
         monitors=MonitorState(),
-        drive=Drive(np.zeros(n, np.int64), np.zeros(n), config.current_limit_A, off, off, vibrate=False),
+        drive=ActuatorCommand(
+            np.zeros(n, np.int64), np.zeros(n), config.current_limit_A, off, off, vibrate=False
+        ),
     )
 
 
 def outputs_at_rest(state: State) -> Outputs:
     """What flight software would put out if nothing happened: the last drive, the channels as they are."""
-    return Outputs(state.drive, joint_channels(state.tick, state, state.joints.lie), None, ())
+    return Outputs(state.drive, joint_channels(state.tick, state, state.joints.backlash_state), None, ())
 
 
 def last_setpoint(state: State) -> Array:

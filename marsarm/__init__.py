@@ -5,7 +5,7 @@ Everything else is imported from where it is: `fsw`, `sim` and `ground`.
 
 from fsw.config import Config, configure
 from fsw.cycle import step
-from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.enums import Joint, Tool
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.messages import Outputs, Sensors
 from fsw.state import State, boot

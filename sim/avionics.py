@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.joints import Joint, Switch
+from fsw.dictionary.enums import Joint, Switch
 from fsw.kinematics.transforms import Array
-from fsw.messages import Counts, Drive, Flags, Sensors
+from fsw.messages import ActuatorCommand, Counts, Flags, Sensors
 from sim.effects.effect import Effect, Hardware, drawn_scatter, gone_on, read_through
 from sim.frames import FLIP
 from sim.plant import RESISTANCE, Plant, evenly
@@ -43,7 +43,7 @@ class Avionics:
         self._closed = np.zeros(len(Switch), bool)
         self._brake_cycles = np.rint(hardware.brake_delay_s * CYCLE_HZ).astype(int)
         self._pending: dict[int, tuple[int, bool]] = {}
-        self._drive: Drive | None = None
+        self._drive: ActuatorCommand | None = None
         self._cycle = 0
         self._turret = model.body("turret").id
         self._shaken = False
@@ -143,7 +143,7 @@ class Avionics:
         self._winding_rise_K = self._winding_rise_K + left * (self._winding_rise_K - final_K)
         return self._winding_rise_K
 
-    def apply(self, drive: Drive) -> None:
+    def apply(self, drive: ActuatorCommand) -> None:
         """Take a drive: set-points at once, brakes after their delay."""
         data, model = self._plant.data, self._plant.model
         if data.time >= self._hardware.power_until_s:
@@ -186,7 +186,7 @@ class Avionics:
         data.xfrc_applied[turret, :3] = VIBRATION_N * on * (R_WB @ VIBRATION_TURN[self._cycle % 4])
         self._shaken = on
 
-    def _command_brakes(self, drive: Drive, last: Drive | None) -> None:
+    def _command_brakes(self, drive: ActuatorCommand, last: ActuatorCommand | None) -> None:
         for joint in Joint:
             on = not drive.brake_release[joint]
             if on != (last is None or not last.brake_release[joint]):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.estimate.reference import Reference
 from sim.arms import BuiltArm
 from sim.loop import ClosedLoop, Setup

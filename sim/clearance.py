@@ -7,8 +7,8 @@ import mujoco
 import numpy as np
 
 from fsw.dictionary.params import Params
-from fsw.kinematics.arm import Arm, arm_from
-from fsw.kinematics.statics import rest
+from fsw.kinematics.arm import Arm, build_arm
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from sim.plant import Plant
 from sim.world import World, build
@@ -30,7 +30,7 @@ class Space:
 
     def __init__(self, params: Params, world: World):
         self.plant = Plant(build(world).compile())
-        self.arm: Arm = arm_from(params)
+        self.arm: Arm = build_arm(params)
         self.gravity_R_m_s2 = world.gravity_N_m_s2
         model = self.plant.model
         arm = [geom for geom in range(model.ngeom) if model.geom_contype[geom] == 1]
@@ -40,7 +40,7 @@ class Space:
 
     def clearance(self, poses_rad: Array) -> Clearance:
         """The least over poses (5, n), the arm deflected by gravity."""
-        strain = np.moveaxis(rest(self.arm, poses_rad, self.gravity_R_m_s2).strain, -1, 0)
+        strain = np.moveaxis(settle_output(self.arm, poses_rad, self.gravity_R_m_s2).strain, -1, 0)
         outside = inside = FAR_M
         for output, bent in zip(poses_rad.T, strain, strict=True):
             self.plant.show(output, bent)

@@ -5,7 +5,7 @@ from typing import Final
 import mujoco
 import numpy as np
 
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.kinematics.transforms import Array
 from sim.frames import FLIP
 from sim.plant import Plant

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 from fsw.kinematics.transforms import Array
-from fsw.messages import Drive, Sensors
+from fsw.messages import ActuatorCommand, Sensors
 from sim.avionics import Avionics
 from sim.effects.effect import Effect, Hardware, fitted, nominal_hardware
 from sim.loop import SETTLE_S, hardware_rng
@@ -60,7 +60,7 @@ class DrivenArm:
             self.avionics.act if hardware.each_cycle else None,
         )
 
-    def readings(self, drives: Iterable[Drive]) -> Iterator[Sensors]:
+    def readings(self, drives: Iterable[ActuatorCommand]) -> Iterator[Sensors]:
         """What the sensors read before each drive is taken.
 
         Raises:

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array, down_from
+from fsw.kinematics.transforms import Array, gravity_direction
 
 P_NR_M: Final = np.array([0.09002, 0.0, -1.1205])
 """Origin of RMECH in RNAV."""
@@ -24,5 +24,5 @@ def p_R_from_N(p_N_m: Array) -> Array:
 
 def gravity_in_rover(roll_rad: float, pitch_rad: float, gravity_m_s2: float) -> Array:
     """Gravity in RNAV axes of a rover rolled (right side down) after it is pitched (nose up)."""
-    pull: Array = gravity_m_s2 * down_from(roll_rad, pitch_rad)
+    pull: Array = gravity_m_s2 * gravity_direction(roll_rad, pitch_rad)
     return pull

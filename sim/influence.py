@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
 
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from fsw.config import CYCLE_HZ, configure
 from fsw.dictionary.commands import Calibrate, CalibrateAll
+from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.evrs import Evr, JointCalibrated
-from fsw.dictionary.joints import STOP_ORDER, Joint
-from fsw.dictionary.tuples import joints5
+from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
 from fsw.executive.hardstop_pose import stop_poses
 from fsw.kinematics.transforms import Array
@@ -174,7 +174,7 @@ def initialised(arm: BuiltArm, world: World | None = None, seed: int = 0) -> Ite
     The last one's reference is what flight software then remembers: counters keep counting without power.
     """
     known = None
-    for joint in STOP_ORDER:
+    for joint in HARDSTOP_ORDER:
         result = stop_run(arm, joint, world or World(), seed, reference=known).finish()
         yield result
         if result.outcome is not Outcome.DONE:

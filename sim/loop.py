@@ -7,9 +7,10 @@ import numpy as np
 
 from fsw.config import Config, configure
 from fsw.cycle import step
-from fsw.dictionary.commands import Command, Joints5
+from fsw.dictionary.commands import Command
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import SoftwareError
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.types import Joints5
 from fsw.estimate.reference import Reference
 from fsw.messages import Outputs, Sensors
 from fsw.state import State, boot, outputs_at_rest

@@ -14,7 +14,7 @@ from typing import Any, Final
 from pydantic import TypeAdapter, ValidationError
 
 from fsw.dictionary.params import Params
-from fsw.dictionary.validity import not_an_arm, out_of_limits
+from fsw.dictionary.validity import check_arm, check_limits
 
 MOST_BYTES: Final = 1_000_000
 """Seventy times what all parameters need."""
@@ -49,8 +49,8 @@ def params_over(params: Params, path: Path) -> Params:
 
 def check_params(params: Params, name: str) -> None:
     """See that flight software would take these parameters; BadParams names every one at fault."""
-    _refuse(name, out_of_limits(params))
-    _refuse(name, not_an_arm(params))
+    _refuse(name, check_limits(params))
+    _refuse(name, check_arm(params))
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.commands import Command, GuardedMove, MoveTool, Retract, Unstow, Vector3
+from fsw.dictionary.commands import Command, GuardedMove, MoveTool, Retract, Unstow
+from fsw.dictionary.enums import Mode, Tool
 from fsw.dictionary.evrs import BranchChosen, CommandCompleted, ContactMade, Evr
-from fsw.dictionary.joints import Tool
-from fsw.dictionary.modes import Mode
-from fsw.dictionary.tuples import vector3
-from fsw.kinematics.transforms import angle_between, unit
+from fsw.dictionary.types import Vector3, vector3
+from fsw.kinematics.transforms import angle_between, normalize
 from sim.frames import p_R_from_N
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
@@ -64,7 +63,7 @@ class PlacementResult:
 
 def placement_moves(placement: Placement) -> tuple[tuple[MoveTool, ...], GuardedMove]:
     """To the standoff, and along the inward normal until it touches or has gone too far."""
-    normal = unit(placement.normal_N)
+    normal = normalize(placement.normal_N)
     target = p_R_from_N(np.array(placement.target_N_m))
     tool, approach, branch = placement.tool, vector3(-normal), placement.branch
     travel = placement.standoff_m + placement.overtravel_m
@@ -119,7 +118,7 @@ class PlacementRun:
 
     def _error(self, record: CycleRecord, height_m: float) -> PlacementError:
         placement, plant = self._placement, self._loop.plant
-        normal = unit(placement.normal_N)
+        normal = normalize(placement.normal_N)
         target = p_R_from_N(np.array(placement.target_N_m)) + height_m * normal
         truth = plant.truth()
         miss = truth.p_RoTo_R_m[placement.tool] - target

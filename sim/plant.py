@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.joints import Joint, Switch, Tool
+from fsw.dictionary.enums import Joint, Switch, Tool
 from fsw.kinematics.transforms import Array, Pose, screw_exp
 from sim.frames import FLIP, P_NR_M
 from sim.influence import NO_INFLUENCE, Influence

@@ -10,8 +10,8 @@ import mujoco
 import numpy as np
 
 from fsw.config import Config, configure
-from fsw.dictionary.joints import Tool
-from fsw.estimate.joints import JointEstimate, asleep
+from fsw.dictionary.enums import Tool
+from fsw.estimate.joints import JointEstimate, uninitialised_estimate
 from fsw.estimate.reference import no_reference
 from fsw.executive.planning import plan_for
 from fsw.kinematics.branches import BRANCHES
@@ -91,7 +91,7 @@ def _unstow(config: Config, joints: JointEstimate) -> Plan | Refusal:
 
 
 def _joints(config: Config, motor_rad: Array, gravity_R_m_s2: Array) -> JointEstimate:
-    joints = asleep(config, no_reference(config))
+    joints = uninitialised_estimate(config, no_reference(config))
     return replace(joints, motor_rad=motor_rad, imu_R_m_s2=gravity_R_m_s2)
 
 

@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint, Tool
 from fsw.kinematics.transforms import Array
 
 BODIES: Final = (

@@ -5,8 +5,8 @@ from enum import StrEnum
 from typing import cast
 
 from fsw.dictionary.commands import ClearFault, Command, Stop
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandRefused, FaultResponse
-from fsw.dictionary.modes import Mode
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
 

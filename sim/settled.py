@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.commands import Backlash
-from fsw.dictionary.joints import Frame, Tool
-from fsw.estimate.gear import LIKELY, bounds_under, gap_of, uncertain_loads
-from fsw.estimate.joints import asleep
+from fsw.dictionary.commands import BacklashMode
+from fsw.dictionary.enums import Frame, Tool
+from fsw.estimate.gear import LIKELY, bound_gear, bound_loads, clip_to_backlash
+from fsw.estimate.joints import uninitialised_estimate
 from fsw.estimate.reference import Reference
 from fsw.kinematics.chain import frame_jacobian, tool_pose
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, screw_exp
 from fsw.motion.compensation import Compensation
 from fsw.motion.plan import Stand, plan_to
@@ -47,7 +47,7 @@ def settled_move(
     goal_rad: Array,
     tool: Tool,
     gravity_R_m_s2: Array,
-    backlash: Backlash,
+    backlash: BacklashMode,
     scatter: Scatter,
 ) -> SettledMove:
     """The move from outputs (5) to outputs (5), as flight software believes them to be.
@@ -55,26 +55,29 @@ def settled_move(
     Displaced frames move the tool in proportion: they are small.
     """
     believed, true, reference = arm.believed, arm.true, arm.reference
-    hanging = rest(believed.arm, goal_rad, gravity_R_m_s2)
-    loads = uncertain_loads(believed, hanging.torque_Nm, gravity_R_m_s2)
-    lying = bounds_under(believed, reference.half_gap_rad, loads)
+    hanging = settle_output(believed.arm, goal_rad, gravity_R_m_s2)
+    loads = bound_loads(believed, hanging.torque_Nm, gravity_R_m_s2)
+    lying = bound_gear(believed, reference.half_gap_rad, loads)
     start = Stand(start_rad - lying.lowest_rad[:, LIKELY], lying.lowest_rad[:, LIKELY])
     joints = replace(
-        asleep(believed, reference), awake=True, motor_rad=start.motor_rad, imu_R_m_s2=gravity_R_m_s2
+        uninitialised_estimate(believed, reference),
+        initialised=True,
+        motor_rad=start.motor_rad,
+        imu_R_m_s2=gravity_R_m_s2,
     )
     plan = plan_to(believed, joints, start, goal_rad, hanging.torque_Nm, Compensation(backlash))
     off_rad = arm.off_rad + scatter.motor_rad
     motor = start.motor_rad + off_rad
-    torque = rest(true.arm, goal_rad, gravity_R_m_s2).torque_Nm
+    torque = settle_output(true.arm, goal_rad, gravity_R_m_s2).torque_Nm
     gear = start.gear_rad
-    bounds = bounds_under(true, true.half_gap_rad, torque)
+    bounds = bound_gear(true, true.half_gap_rad, torque)
     for knot in (*(path.at(path.duration_s).motor_rad for path in plan.paths), plan.end.motor_rad):
         gear = np.clip(gear - (knot + off_rad - motor), bounds.lowest_rad, bounds.highest_rad)
         motor = knot + off_rad
-    frames = rest(true.arm, motor + gear + scatter.gear_rad, gravity_R_m_s2).frames
+    frames = settle_output(true.arm, motor + gear + scatter.gear_rad, gravity_R_m_s2).frames
     X_RT = tool_pose(true.arm, frames, tool)
     bodies = [body_index(frame, tool) for frame in Frame]
     J = frame_jacobian(frames, X_RT)
     shift = np.einsum("ikj,kj->i", J, scatter.screw[:, bodies])
     moved = screw_exp(np.concatenate([shift[:3], np.zeros(3)]))
-    return SettledMove(Pose(moved.R @ X_RT.R, X_RT.p + shift[3:]), gap_of(true.half_gap_rad, gear))
+    return SettledMove(Pose(moved.R @ X_RT.R, X_RT.p + shift[3:]), clip_to_backlash(true.half_gap_rad, gear))

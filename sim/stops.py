@@ -13,14 +13,14 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from fsw.config import configure
-from fsw.dictionary.commands import Calibrate, Joints5, MoveJoint
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.commands import Calibrate, MoveJoint
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
-from fsw.dictionary.tuples import joints5
+from fsw.dictionary.types import Joints5, joints5
 from fsw.executive.hardstop_pose import stop_poses
 from fsw.executive.sequence import calibrate_all
-from fsw.kinematics.arm import arm_from
-from fsw.kinematics.statics import rest
+from fsw.kinematics.arm import build_arm
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm
 from sim.clearance import Clearance, Space
@@ -73,7 +73,7 @@ def stop_loads(params: Params, gravity_R_m_s2: Array) -> StopLoads:
     poses = np.array([stop_poses(params, joint)[-1] for joint in Joint]).T
     for joint, of_joint in zip(Joint, params.joints.in_order(), strict=True):
         poses[joint, joint] = of_joint.hardstop_rad
-    torques = rest(arm_from(params), poses, gravity_R_m_s2).torque_Nm
+    torques = settle_output(build_arm(params), poses, gravity_R_m_s2).torque_Nm
     return StopLoads(poses, np.diag(torques).copy())
 
 

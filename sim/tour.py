@@ -7,13 +7,12 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.commands import Backlash, MoveJoints
-from fsw.dictionary.joints import Tool
-from fsw.dictionary.tuples import joints5
+from fsw.dictionary.commands import BacklashMode, MoveJoints
+from fsw.dictionary.enums import Tool
+from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
-from fsw.kinematics.answers import Verdict
 from fsw.kinematics.branches import BRANCHES
-from fsw.kinematics.ik import inverse_kinematics
+from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm
 from sim.frames import p_R_from_N
@@ -58,7 +57,12 @@ class Settled:
 
 
 def tour(
-    arm: BuiltArm, reference: Reference, world: World, goals: Sequence[Array], backlash: Backlash, seed: int
+    arm: BuiltArm,
+    reference: Reference,
+    world: World,
+    goals: Sequence[Array],
+    backlash: BacklashMode,
+    seed: int,
 ) -> Iterator[Settled]:
     """The arm at rest at each goal (5), reached from the one before; it begins at the ready pose.
 
@@ -127,7 +131,7 @@ def pose_in_workspace(
             config.arm, tool, p_R_from_N(p_N_m[:, 0]), approach, np.zeros(3), np.zeros(5)
         )
         first_roots = answers.verdict[: len(BRANCHES)]
-        valid = np.flatnonzero(wanted & (first_roots == Verdict.VALID))
+        valid = np.flatnonzero(wanted & (first_roots == BranchVerdict.VALID))
         if valid.size:
             return _inside(config, np.asarray(answers.output_rad[:, rng.choice(valid)]))
 

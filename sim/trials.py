@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from sim.arms import BuiltArm
 from sim.effects.environment import Ambient, CurrentNoise
 from sim.effects.joints import GearFriction

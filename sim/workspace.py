@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.commands import Vector3
+from fsw.dictionary.types import Vector3
 from fsw.kinematics.transforms import Array
 
 CENTRE_X_M: Final = 2.1

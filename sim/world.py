@@ -9,8 +9,8 @@ from typing import Final, Literal
 import mujoco
 import numpy as np
 
-from fsw.dictionary.commands import Vector3
 from fsw.dictionary.params import Params
+from fsw.dictionary.types import Vector3
 from fsw.kinematics.transforms import Array
 from sim.frames import FLIP, P_NR_M, gravity_in_rover
 from sim.rock import add_rock, lower_ground

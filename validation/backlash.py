@@ -14,8 +14,8 @@ from typing import Any, Final
 import numpy as np
 
 from fsw.config import configure
-from fsw.dictionary.commands import Backlash
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.commands import BacklashMode
+from fsw.dictionary.enums import Joint
 from fsw.estimate.reference import Reference
 from sim.arms import arm_named
 from sim.initialisation import initial_reference
@@ -29,7 +29,9 @@ LEAST_RATIO: Final = 10.0
 """Of what backlash does to the tool: without compensation over with it."""
 
 
-def one_tour(arm_name: str, reference: Reference, backlash: Backlash, poses: int, seed: int) -> list[Settled]:
+def one_tour(
+    arm_name: str, reference: Reference, backlash: BacklashMode, poses: int, seed: int
+) -> list[Settled]:
     """The settled poses of a tour, its tilt and goals from the seed."""
     arm = arm_named(arm_name)
     rng = np.random.default_rng([seed, 4])
@@ -79,7 +81,7 @@ def campaign(arm_name: str, tours: int, poses: int, seed: int, workers: int) -> 
     """All tours, with and without compensation; with the same numbers everything comes again."""
     friction = configure(arm_named(arm_name).params).output_friction_Nm
     result: dict[str, Any] = {"arm": arm_name, "tours": tours, "seed": seed}
-    modes: tuple[Backlash, ...] = ("on", "off")
+    modes: tuple[BacklashMode, ...] = ("on", "off")
     # a fifth is enough to see what there is without compensation
     jobs = [(mode, seed + k) for mode in modes for k in range(tours if mode == "on" else max(1, tours // 5))]
     found: dict[str, list[Settled]] = {mode: [] for mode in modes}

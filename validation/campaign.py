@@ -9,9 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.kinematics.answers import Answers, Verdict
-from fsw.kinematics.ik import inverse_kinematics
-from fsw.kinematics.limits import beyond_limits
+from fsw.kinematics.ik import BranchVerdict, IkResult, inverse_kinematics
+from fsw.kinematics.soft_limits import limit_excess
 from fsw.kinematics.transforms import Array
 from validation.cases import CASES, Case, Trial, trials
 from validation.checks import CLEAR_SIGMA, SAME_RAD, apart, claimed, errors, smallest_singular_value
@@ -145,7 +144,7 @@ def run(chunk: Chunk) -> Tally:
     return tally
 
 
-def _answers(trial: Trial, p_m: Array, approach: Array) -> Answers:
+def _answers(trial: Trial, p_m: Array, approach: Array) -> IkResult:
     return inverse_kinematics(trial.arm, trial.tool, p_m, approach, trial.gravity_R_m_s2)
 
 
@@ -154,11 +153,11 @@ def _try_targets(tally: Tally, trial: Trial, chunk: Chunk, rng: np.random.Genera
     answers = _answers(trial, p_m, approach)
     tally.targets += n
     _check_roots(tally, trial, chunk, answers, p_m, approach, [Aim(int(k)).name for k in aim])
-    valid = (answers.verdict == Verdict.VALID).sum(axis=0)[aim == Aim.WORKSPACE]
+    valid = (answers.verdict == BranchVerdict.VALID).sum(axis=0)[aim == Aim.WORKSPACE]
     tally.workspace += valid.size
     tally.workspace_at_most_four += int((valid <= 4).sum())
     codes, counts = np.unique(answers.verdict, return_counts=True)
-    tally.verdicts.update({Verdict(int(c)).name: int(k) for c, k in zip(codes, counts, strict=True)})
+    tally.verdicts.update({BranchVerdict(int(c)).name: int(k) for c, k in zip(codes, counts, strict=True)})
 
 
 def _try_vectors(tally: Tally, trial: Trial, chunk: Chunk, rng: np.random.Generator, n: int) -> None:
@@ -174,7 +173,7 @@ def _try_vectors(tally: Tally, trial: Trial, chunk: Chunk, rng: np.random.Genera
     lost = np.flatnonzero(~(distance.min(axis=0) < SAME_RAD))
     if lost.size:
         answered = (error < chunk.case.tolerance_m).any(axis=0)
-        named = (answers.verdict == Verdict.SINGULAR).any(axis=0)
+        named = (answers.verdict == BranchVerdict.SINGULAR).any(axis=0)
         _sort_lost(tally, trial, chunk, q, lost, answered | named, distance.min(axis=0), near)
 
 
@@ -182,7 +181,7 @@ def _check_roots(
     tally: Tally,
     trial: Trial,
     chunk: Chunk,
-    answers: Answers,
+    answers: IkResult,
     p_m: Array,
     approach: Array,
     names: list[Any],
@@ -199,21 +198,21 @@ def _check_roots(
         root, left = answers.output_rad[:, branch, k], float(error[branch, k])
         target = {"p_RoTo_R_m": p_m[:, k], "approach_R": approach[:, k]}
         tally.note(trial, "off", names[k], chunk=chunk.index, root_rad=root, error=left, **target)
-    beyond = beyond_limits(trial.arm, answers.output_rad).max(axis=0)
-    tally.valid_outside_limits += int(((answers.verdict == Verdict.VALID) & ~(beyond <= 0)).sum())
+    beyond = limit_excess(trial.arm, answers.output_rad).max(axis=0)
+    tally.valid_outside_limits += int(((answers.verdict == BranchVerdict.VALID) & ~(beyond <= 0)).sum())
     return error
 
 
 def _check_verdicts(
-    tally: Tally, trial: Trial, answers: Answers, q: Array, distance: Array, names: list[str]
+    tally: Tally, trial: Trial, answers: IkResult, q: Array, distance: Array, names: list[str]
 ) -> None:
     same, at = distance.argmin(axis=0), np.arange(q.shape[1])
     found = distance[same, at] < SAME_RAD
-    inside = beyond_limits(trial.arm, q).max(axis=0) < -INSIDE_RAD
-    wrong = np.flatnonzero(found & inside & (answers.verdict[same, at] != Verdict.VALID))
+    inside = limit_excess(trial.arm, q).max(axis=0) < -INSIDE_RAD
+    wrong = np.flatnonzero(found & inside & (answers.verdict[same, at] != BranchVerdict.VALID))
     tally.not_called_valid += wrong.size
     for k in wrong[:EXAMPLES]:
-        verdict = Verdict(int(answers.verdict[same[k], k])).name
+        verdict = BranchVerdict(int(answers.verdict[same[k], k])).name
         tally.note(trial, "not called valid", names[k], vector_rad=q[:, k], verdict=verdict)
 
 

@@ -7,11 +7,10 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.joints import Tool
-from fsw.kinematics.arm import Arm, arm_from
+from fsw.dictionary.enums import Tool
+from fsw.kinematics.arm import Arm, build_arm, build_orthogonal_arm
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.shape import shape_of
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, rotation_x, rotation_y, rotation_z
 from sim.arms import arm_named
 from sim.frames import gravity_in_rover
@@ -65,7 +64,7 @@ class Trial:
         """X_RT of the tool for output angles (5, ...): of the arm at rest under this gravity, or rigid."""
         if self.gravity_R_m_s2 is None:
             return tool_pose(self.arm, forward(self.arm, output_rad), self.tool)
-        return tool_pose(self.arm, rest(self.arm, output_rad, self.gravity_R_m_s2).frames, self.tool)
+        return tool_pose(self.arm, settle_output(self.arm, output_rad, self.gravity_R_m_s2).frames, self.tool)
 
     @property
     def is_drawing(self) -> bool:
@@ -90,7 +89,7 @@ def trials(case: Case, rng: np.random.Generator) -> Iterator[Trial]:
 def arm_of(name: str) -> Arm:
     """nominal, calibrated:SEED, as-built:SEED or skew:SEED."""
     kind, _, seed = name.partition(":")
-    return skew_tool(int(seed)) if kind == "skew" else arm_from(arm_named(name).params)
+    return skew_tool(int(seed)) if kind == "skew" else build_arm(arm_named(name).params)
 
 
 def skew_tool(seed: int, offset_m: float = 0.06, tilt_rad: float = 0.8) -> Arm:
@@ -101,8 +100,8 @@ def skew_tool(seed: int, offset_m: float = 0.06, tilt_rad: float = 0.8) -> Arm:
     lean = rotation_y(rng.uniform(-tilt_rad, tilt_rad)) @ rotation_x(rng.uniform(-3, 3))
     p_m = clock @ [rng.uniform(0.2, 0.4), rng.uniform(-offset_m, offset_m), rng.uniform(-0.15, 0.0)]
     X_FT = Pose(clock @ lean, p_m)
-    shape = shape_of(arm.theta_rad, Pose(arm.X_CF.R, arm.X_CF.p + arm.p_LC_m), X_FT)
-    return replace(arm, X_FT=(X_FT,) * len(Tool), shapes=(shape,) * len(Tool))
+    shape = build_orthogonal_arm(arm.theta_rad, Pose(arm.X_CF.R, arm.X_CF.p + arm.p_LC_m), X_FT)
+    return replace(arm, X_FT=(X_FT,) * len(Tool), orthogonal=(shape,) * len(Tool))
 
 
 def _gravity(name: str, rng: np.random.Generator) -> Array | None:

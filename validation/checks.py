@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.kinematics.answers import Answers, Verdict
+from fsw.kinematics.ik import BranchVerdict, IkResult
 from fsw.kinematics.transforms import Array, Flags, dot, norm, wrap_angle
 from validation.cases import Trial
 
@@ -15,16 +15,16 @@ CLEAR_SIGMA: Final = 1e-4
 """A pose with a larger smallest singular value must be among the answers to its own target."""
 
 
-def claimed(answers: Answers) -> Flags:
+def claimed(answers: IkResult) -> Flags:
     """Roots (S, ...) that are said to meet the target.
 
     Where an arm hangs or is not square, a root far outside the limits has no angles and no error.
     """
-    has_angles = (answers.verdict == Verdict.VALID) | (answers.verdict == Verdict.OUTSIDE_LIMITS)
-    return has_angles & ((answers.verdict == Verdict.VALID) | np.isfinite(answers.error))
+    has_angles = (answers.verdict == BranchVerdict.VALID) | (answers.verdict == BranchVerdict.OUTSIDE_LIMITS)
+    return has_angles & ((answers.verdict == BranchVerdict.VALID) | np.isfinite(answers.error))
 
 
-def errors(trial: Trial, answers: Answers, p_m: Array, approach: Array) -> Array:
+def errors(trial: Trial, answers: IkResult, p_m: Array, approach: Array) -> Array:
     """(S, n): how far each claimed root leaves the tool, the larger of metres and radians; else NaN."""
     roots = claimed(answers)
     worst = np.full(roots.shape, np.nan)
@@ -35,7 +35,7 @@ def errors(trial: Trial, answers: Answers, p_m: Array, approach: Array) -> Array
     return worst
 
 
-def apart(answers: Answers, q: Array) -> Array:
+def apart(answers: IkResult, q: Array) -> Array:
     """(S, n): from each claimed root to the vector of its target, whole turns apart; else infinite."""
     distance = np.abs(wrap_angle(answers.output_rad - q[:, None])).max(axis=0)
     return np.where(claimed(answers), distance, np.inf)

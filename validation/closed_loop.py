@@ -20,7 +20,7 @@ import numpy as np
 import sim.loop
 from fsw.config import CYCLE_HZ
 from fsw.cycle import step
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.estimate.reference import Reference
 from sim.arms import arm_named
 from sim.initialisation import initial_reference

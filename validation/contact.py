@@ -15,8 +15,8 @@ import numpy as np
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command, ToolChange
-from fsw.dictionary.joints import SWITCHES_OF, Tool
-from fsw.dictionary.tuples import joints5
+from fsw.dictionary.enums import TOOL_SWITCHES, Tool
+from fsw.dictionary.types import joints5
 from sim.arms import arm_named
 from sim.campaign import random_placement
 from sim.contact import tool_forces
@@ -64,7 +64,7 @@ def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: Tool, arm: s
     for record in chain(commanded, (loop.cycle() for _ in range(round(HELD_S * CYCLE_HZ)))):
         evrs += record.outputs.evrs
         force_N.append(float(np.linalg.norm(tool_forces(loop.plant)[tool])))
-        closed.append(record.sensors.switch_closed[list(SWITCHES_OF[tool])])
+        closed.append(record.sensors.switch_closed[list(TOOL_SWITCHES[tool])])
         asked.append(record.outputs.drive.setpoint_count)
         braked.append(loop.braked)
     problem = not_completed(commands[-1], evrs)

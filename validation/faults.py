@@ -15,10 +15,9 @@ import numpy as np
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command, MoveJoints, Stop
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandRefused, FaultResponse
 from fsw.dictionary.faults import Fault as FaultEvr
-from fsw.dictionary.joints import Joint
-from fsw.dictionary.modes import Mode
 from fsw.motion.move import Phase
 from fsw.protect.responses import Response
 from sim.arms import arm_named

@@ -15,7 +15,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from sim.arms import BuiltArm, arm_named
 from sim.initialisation import Initialisation
 from sim.sequence import Outcome

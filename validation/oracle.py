@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.transforms import Array, wrap_angle

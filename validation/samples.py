@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.limits import beyond_limits, into_limits
+from fsw.kinematics.soft_limits import limit_excess, wrap_into_limits
 from fsw.kinematics.transforms import Array, cross, dot, norm
 from sim.frames import P_NR_M
 from sim.workspace import BOTTOM_Z_M, CENTRE_X_M, RADIUS_M, TOP_Z_M, WEDGE_SIDE_RAD
@@ -87,8 +87,8 @@ def vectors(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Kind
             q[joint, some] = _sharpened(trial, joint, q[:, some])
         q[joint, there] += log_distances(rng, there.size)
     _put_near_limits(q, np.flatnonzero(kind & Near.LIMIT), low, high, rng)
-    q = into_limits(trial.arm, q)
-    inside = beyond_limits(trial.arm, q).max(axis=0) <= 0  # NaN where there is no such pose
+    q = wrap_into_limits(trial.arm, q)
+    inside = limit_excess(trial.arm, q).max(axis=0) <= 0  # NaN where there is no such pose
     return np.where(inside, q, plain), np.where(inside, kind, int(Near.NOTHING))
 
 

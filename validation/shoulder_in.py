@@ -19,11 +19,11 @@ from typing import Any, Final
 import numpy as np
 
 from fsw.config import Config, configure
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.estimate.reference import Reference
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import rest, settle
+from fsw.kinematics.statics import settle, settle_output
 from ground.render.figures import save_figure
 from sim.arms import BuiltArm, arm_named
 from sim.effects.turret import StandInTurret
@@ -92,7 +92,7 @@ def predictions(
 
 def _predicted(config: Config, s: Settled, shoulder_in: bool) -> Predicted:
     pressed = settle(config.arm, s.motor_rad, config.half_gap_rad, s.gravity_R_m_s2)
-    believed = rest(config.arm, s.motor_rad + s.believed_gear_rad, s.gravity_R_m_s2)
+    believed = settle_output(config.arm, s.motor_rad + s.believed_gear_rad, s.gravity_R_m_s2)
     off = [
         1e3 * float(np.linalg.norm(tool_pose(config.arm, pose.frames, Tool.DRILL).p - s.p_RoTo_R_m))
         for pose in (pressed, believed)

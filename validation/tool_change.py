@@ -14,9 +14,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fsw.dictionary.commands import Command, PlaceTool, Retract, ToolChange
+from fsw.dictionary.enums import Frame, Joint, Tool
 from fsw.dictionary.evrs import CommandCompleted, Evr, Severity
-from fsw.dictionary.joints import Frame, Joint, Tool
-from fsw.dictionary.tuples import joints5, vector3
+from fsw.dictionary.types import joints5, vector3
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm, arm_named

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array, Numbers
+from fsw.kinematics.transforms import Array, Integers
 from ground.calibration.serial.amounts import wave_rad
 from ground.calibration.serial.request import SerialReport, SerialRequest, calibrate_serial
 from ground.calibration.serial.tables import serial_json
@@ -97,7 +97,7 @@ def _in_common(one: SerialReport, other: SerialReport, joint: int) -> dict[str, 
     }
 
 
-def _visits(report: SerialReport, joint: int) -> Numbers:
+def _visits(report: SerialReport, joint: int) -> Integers:
     """How many poses of the fit are within each degree."""
     degrees = np.degrees(report.part.joint_rad[joint])
     return np.bincount(np.floor(np.mod(degrees + 180, 360)).astype(int), minlength=360)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.collision.geometry import GROUND, OBSTACLES, PARTS, CollisionGeometry
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import Frames
 from fsw.kinematics.transforms import Array, Pose, dot, inverse, rotate_back
 

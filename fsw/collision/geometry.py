@@ -11,15 +11,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.collision_params import ArmGeometry, Box, Capsule, PartGeometry, RoverGeometry
+from fsw.dictionary.enums import Tool
 from fsw.dictionary.params import Params
-from fsw.dictionary.shapes import ArmShapes, Box, Capsule, RoverShapes, Shapes
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.transforms import IDENTITY, Array, Flags, Pose, batched, cross, norm, rotation_z
+from fsw.kinematics.transforms import IDENTITY, Array, Flags, Pose, cross, norm, rotation_z, stack_poses
 
-PARTS: Final = tuple(field.name for field in fields(ArmShapes))
+PARTS: Final = tuple(field.name for field in fields(ArmGeometry))
 """Parts of the arm, from the shoulder outward."""
-OBSTACLES: Final = (*(field.name for field in fields(RoverShapes)), "ground")
+OBSTACLES: Final = (*(field.name for field in fields(RoverGeometry)), "ground")
 GROUND: Final = OBSTACLES.index("ground")
 TURRET_FRAME: Final = 5
 FRAME_OF: Final = {"link2": 1, "link3": 2, "link4": 3, "link5": 4}
@@ -75,7 +75,7 @@ def build_collision_geometry(params: Params, arm: Arm) -> CollisionGeometry:
     return CollisionGeometry(arm_boxes, rover_boxes, shapes.ground_z_m, _bound_levers(arm, arm_boxes))
 
 
-def _shapes_of(part: Shapes) -> tuple[Capsule | Box, ...]:
+def _shapes_of(part: PartGeometry) -> tuple[Capsule | Box, ...]:
     return (*part.capsules, *part.boxes)
 
 
@@ -88,7 +88,7 @@ def _collect(placed: Iterable[tuple[int, int, Pose, Capsule | Box]]) -> RoundedB
     return RoundedBoxes(
         part=np.array(parts),
         carrier=np.array(carriers),
-        X_CS=batched(X_CS),
+        X_CS=stack_poses(X_CS),
         half_m=half,
         radius_m=radius,
         bounding_radius_m=norm(half) + radius,

@@ -6,9 +6,8 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.dictionary.joints import Tool
-from fsw.dictionary.limits import Limits
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.enums import Mode, Tool
+from fsw.dictionary.types import Limits
 
 
 @dataclass(frozen=True, slots=True, eq=False)

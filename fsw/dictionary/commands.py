@@ -3,16 +3,14 @@
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.enums import Joint, Tool
+from fsw.dictionary.types import Joints5, Vector3
 
-Vector3 = tuple[float, float, float]
-Joints5 = tuple[float, float, float, float, float]
-
-Backlash = Literal["off", "on"]
+BacklashMode = Literal["off", "on"]
 """Whether set-points allow for the gap, and moves end with every output on a known side of it."""
-Deflection = Literal["off", "absolute", "relative"]
+DeflectionMode = Literal["off", "absolute", "relative"]
 """What is done about gravity: nothing, all of it, or only how it differs from where the arm is now."""
-JointDeflection = Literal["off", "absolute"]
+JointDeflectionMode = Literal["off", "absolute"]
 """The same of a move that goes to angles: there is no tool to count from."""
 ROVER: Final = "ROVER"
 """The name of frame RMECH in a command."""
@@ -42,7 +40,7 @@ class MoveJoint:
     joint: Joint
     angle_rad: float
     """Of the output."""
-    backlash: Backlash = "on"
+    backlash: BacklashMode = "on"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +59,8 @@ class MoveJoints:
 
     angle_rad: Joints5
     """Of the outputs, order of Joint."""
-    backlash: Backlash = "on"
-    deflection: JointDeflection = "absolute"
+    backlash: BacklashMode = "on"
+    deflection: JointDeflectionMode = "absolute"
     """Whether wind-up of the gears is allowed for."""
     relative: bool = False
     """Whether the angles count from where the outputs are."""
@@ -87,8 +85,8 @@ class MoveTool:
     """Whether the tool moves in a straight line, turning evenly, or the joints move evenly."""
     line_m: float = 0.0
     """Straight travel along the approach that must remain possible from there."""
-    backlash: Backlash = "on"
-    deflection: Deflection = "absolute"
+    backlash: BacklashMode = "on"
+    deflection: DeflectionMode = "absolute"
     branch: str = "AUTO"
     """AUTO, or one of the names in kinematics.branches.BRANCHES."""
 
@@ -102,8 +100,8 @@ class GuardedMove:
     """Where the tool stops at the latest."""
     approach_R: Vector3
     """Direction of the tool's x axis, of any length."""
-    backlash: Backlash = "on"
-    deflection: Deflection = "absolute"
+    backlash: BacklashMode = "on"
+    deflection: DeflectionMode = "absolute"
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,8 +117,8 @@ class PlaceTool:
     """How far before the place the guarded move begins."""
     overtravel_m: float = 0.05
     """How far beyond the place contact may be looked for."""
-    backlash: Backlash = "on"
-    deflection: Deflection = "absolute"
+    backlash: BacklashMode = "on"
+    deflection: DeflectionMode = "absolute"
     branch: str = "AUTO"
     """AUTO, or one of the names in kinematics.branches.BRANCHES."""
 
@@ -149,8 +147,8 @@ class ToolChange:
     """How far beyond the spot contact may be looked for."""
     hover_m: float = 0.0
     """Distance at which to stop in front of the spot; 0 is to touch."""
-    backlash: Backlash = "on"
-    deflection: Deflection = "relative"
+    backlash: BacklashMode = "on"
+    deflection: DeflectionMode = "relative"
     branch: str = "AUTO"
     """AUTO, or one of the names in kinematics.branches.BRANCHES."""
 
@@ -167,8 +165,8 @@ class MoveTeachPoint:
     """Whether the tool looks along gravity, and stands off against it, whatever way it looked when taught."""
     straight: bool = False
     """Whether the tool moves in a straight line, turning evenly, or the joints move evenly."""
-    backlash: Backlash = "on"
-    deflection: Deflection = "absolute"
+    backlash: BacklashMode = "on"
+    deflection: DeflectionMode = "absolute"
 
 
 @dataclass(frozen=True, slots=True)
@@ -179,7 +177,7 @@ class Dock:
     """Its name in the parameters."""
     overtravel_m: float = 0.01
     """How far beyond the point contact may be looked for."""
-    backlash: Backlash = "on"
+    backlash: BacklashMode = "on"
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,8 +191,8 @@ class Process:
     """How long it is held."""
     vibrate: bool = True
     """Whether the turret's vibration motor runs meanwhile."""
-    backlash: Backlash = "on"
-    deflection: JointDeflection = "absolute"
+    backlash: BacklashMode = "on"
+    deflection: JointDeflectionMode = "absolute"
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,8 +202,8 @@ class Retract:
     tool: Tool
     distance_m: float
     """How far."""
-    backlash: Backlash = "on"
-    deflection: Deflection = "absolute"
+    backlash: BacklashMode = "on"
+    deflection: DeflectionMode = "absolute"
 
 
 @dataclass(frozen=True, slots=True)

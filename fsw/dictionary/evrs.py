@@ -4,8 +4,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import ClassVar
 
-from fsw.dictionary.joints import Joint, Switch, Tool
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.enums import Joint, Mode, Switch, Tool
 
 
 class Severity(IntEnum):

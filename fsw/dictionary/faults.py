@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 
+from fsw.dictionary.enums import Joint, Switch, Tool
 from fsw.dictionary.evrs import Evr, Severity
-from fsw.dictionary.joints import Joint, Switch, Tool
 
 
 @dataclass(frozen=True, slots=True)

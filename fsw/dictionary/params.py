@@ -7,15 +7,11 @@ SI units, named in the suffix. Limits are annotations; the loader and the ground
 from dataclasses import dataclass
 from typing import Annotated
 
-from fsw.dictionary.commands import Joints5, Vector3
-from fsw.dictionary.limits import Angle, Length, Limits
-from fsw.dictionary.shapes import CollisionParams
+from fsw.dictionary.collision_params import CollisionParams
+from fsw.dictionary.types import Angle, Joints5, Length, Limits, Matrix6, Row6, Vector3
 
-Row6 = tuple[float, float, float, float, float, float]
-Matrix6 = tuple[Row6, Row6, Row6, Row6, Row6, Row6]
-
-_NO_ROW: Row6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-RIGID: Matrix6 = (_NO_ROW, _NO_ROW, _NO_ROW, _NO_ROW, _NO_ROW, _NO_ROW)
+_ZERO_ROW: Row6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+RIGID: Matrix6 = (_ZERO_ROW, _ZERO_ROW, _ZERO_ROW, _ZERO_ROW, _ZERO_ROW, _ZERO_ROW)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +33,7 @@ class Transform6:
 
 
 @dataclass(frozen=True, slots=True)
-class Lump:
+class PointMass:
     """A point mass; its position is in the link frame, which turns with the link's joint."""
 
     mass_kg: Annotated[float, Limits(0.0, 200.0)] = 0.0
@@ -60,9 +56,9 @@ class LinkParams:
     """Where the spring sits."""
     compliance: Matrix6 = RIGID
     """What the spring gives, moment first; no units of one kind: rad/(N m), rad/N, m/(N m), m/N."""
-    near: Lump = Lump()
-    far: Lump = Lump()
-    expansion_1_K: Row6 = _NO_ROW
+    near: PointMass = PointMass()
+    far: PointMass = PointMass()
+    expansion_1_K: Row6 = _ZERO_ROW
     """Growth per kelvin at the link's end, in its end frame: rotation [rad/K], translation [m/K]."""
 
 
@@ -87,7 +83,7 @@ class ToolParams:
     """Where a tool frame stands on the turret interface, frame Arm6; tool x is the approach direction."""
 
     transform: Transform6
-    expansion_1_K: Row6 = _NO_ROW
+    expansion_1_K: Row6 = _ZERO_ROW
     """Growth per kelvin, in tool axes."""
 
 

@@ -7,48 +7,48 @@ from typing import Any, Final, get_type_hints
 
 import numpy as np
 
-from fsw.dictionary.limits import Limits
-from fsw.dictionary.params import Matrix6, Params, Tools, Transform6
-from fsw.dictionary.shapes import CollisionParams
+from fsw.dictionary.collision_params import CollisionParams
+from fsw.dictionary.params import Params, Tools, Transform6
+from fsw.dictionary.types import Limits, Matrix6
 
-OF_COMPONENTS: Final = {"_m": Limits(-5.0, 5.0), "_1_K": Limits(-1e-4, 1e-4)}
+COMPONENT_LIMITS: Final = {"_m": Limits(-5.0, 5.0), "_1_K": Limits(-1e-4, 1e-4)}
 """For the components of every vector, by the unit in its name."""
-SOFTEST: Final = 1e-4
-SHORTEST_LINK_M: Final = 0.2
+MAX_COMPLIANCE: Final = 1e-4
+MIN_LINK_M: Final = 0.2
 """Of upper arm and forearm: with none, the elbow moves nothing."""
-SQUARE_RAD: Final = {"arm2": 0.5 * math.pi, "arm3": 0.0, "arm4": 0.0, "arm5": -0.5 * math.pi, "arm6": 0.0}
+ORTHOGONAL_RAD: Final = {"arm2": 0.5 * math.pi, "arm3": 0.0, "arm4": 0.0, "arm5": -0.5 * math.pi, "arm6": 0.0}
 """Turn about x from each joint axis to the next, as the square arm has it; about y there is none."""
-MOST_SKEW_RAD: Final = 0.02
+MAX_SKEW_RAD: Final = 0.02
 """How far an axis may be from that: the inverse kinematics begin with the square arm,
 and lose some from 0.03 on."""
-LEAST_LEAN_RAD: Final = 0.5
+MIN_LEAN_RAD: Final = 0.5
 """How close to the turret axis a boresight may come; turning about it would have no effect."""
-DEEPEST_STOP_RAD: Final = 0.1
+MAX_STOP_DEPTH_RAD: Final = 0.1
 """How far below its soft limit a hardstop may be."""
-MOST_OF_RATED: Final = 0.5
+MAX_RATED_SHARE: Final = 0.5
 """Of the torque that a hardstop is made for; speed, noise and old friction need the rest."""
 ROUNDING: Final = 1e-12
 """Relative; what is left of arithmetic in a matrix that ought to be symmetric."""
 
 
-def out_of_limits(record: Any, place: str = "") -> Iterator[str]:
+def check_limits(record: Any, place: str = "") -> Iterator[str]:
     """Sentences about numbers outside their limits or not finite, and ranges that are upside down."""
     hints = get_type_hints(type(record), include_extras=True)
     for field in fields(record):
         value, where = getattr(record, field.name), f"{place}{field.name}"
         if is_dataclass(value):
-            yield from out_of_limits(value, f"{where}.")
+            yield from check_limits(value, f"{where}.")
             continue
         if isinstance(value, tuple) and value and is_dataclass(value[0]):
             for k, item in enumerate(value):
-                yield from out_of_limits(item, f"{where}.{k}.")
+                yield from check_limits(item, f"{where}.{k}.")
             continue
-        if not all(math.isfinite(v) for v in _numbers(value)):
+        if not all(math.isfinite(v) for v in _leaf_numbers(value)):
             yield f"{where}: must be finite, is {value}"
         for limits in getattr(hints[field.name], "__metadata__", ()):
             if isinstance(limits, Limits) and not limits.low <= value <= limits.high:
                 yield f"{where}: {value} is outside {limits.low} .. {limits.high}"
-        for unit, limits in OF_COMPONENTS.items():
+        for unit, limits in COMPONENT_LIMITS.items():
             if field.name.endswith(unit) and isinstance(value, tuple):
                 for k, component in enumerate(value):
                     if not limits.low <= component <= limits.high:
@@ -59,45 +59,45 @@ def out_of_limits(record: Any, place: str = "") -> Iterator[str]:
             yield f"{place}{low}: {getattr(record, low)} is not below {high} {getattr(record, high)}"
 
 
-def not_an_arm(params: Params) -> Iterator[str]:
+def check_arm(params: Params) -> Iterator[str]:
     """Sentences about numbers, each within its limits, that together are no arm that could be flown."""
     for field in fields(params.links):
         link, where = getattr(params.links, field.name), f"links.{field.name}"
-        problem = _no_spring(link.compliance)
+        problem = _check_compliance(link.compliance)
         if problem is not None:
             yield f"{where}.compliance: {problem}"
-        yield from _crooked(field.name, link.transform)
-    yield from _axial(params.tools)
-    yield from _poses_outside(params)
-    yield from _stops(params)
-    yield from _shapeless(params.collision)
+        yield from _check_axes(field.name, link.transform)
+    yield from _check_boresights(params.tools)
+    yield from _check_poses(params)
+    yield from _check_hardstops(params)
+    yield from _check_geometry(params.collision)
 
 
-def _crooked(name: str, link: Transform6) -> Iterator[str]:
+def _check_axes(name: str, link: Transform6) -> Iterator[str]:
     """Sentences about a link that leaves the chain without an elbow, or with axes that are not its own."""
     where = f"links.{name}.transform"
-    if name in ("arm3", "arm4") and link.a_m < SHORTEST_LINK_M:
-        yield f"{where}.a_m: {link.a_m} is below {SHORTEST_LINK_M}, the shortest link"
-    if name not in SQUARE_RAD:
+    if name in ("arm3", "arm4") and link.a_m < MIN_LINK_M:
+        yield f"{where}.a_m: {link.a_m} is below {MIN_LINK_M}, the shortest link"
+    if name not in ORTHOGONAL_RAD:
         return
     for angle, value, square in (
-        ("alpha_rad", link.alpha_rad, SQUARE_RAD[name]),
+        ("alpha_rad", link.alpha_rad, ORTHOGONAL_RAD[name]),
         ("beta_rad", link.beta_rad, 0.0),
     ):
-        if abs(value - square) > MOST_SKEW_RAD:
-            yield f"{where}.{angle}: {value} is not within {MOST_SKEW_RAD} of the square arm's {square:.6g}"
+        if abs(value - square) > MAX_SKEW_RAD:
+            yield f"{where}.{angle}: {value} is not within {MAX_SKEW_RAD} of the square arm's {square:.6g}"
 
 
-def _axial(tools: Tools) -> Iterator[str]:
+def _check_boresights(tools: Tools) -> Iterator[str]:
     """Sentences about tools that look along the turret axis."""
     for field in fields(tools):
         beta = getattr(tools, field.name).transform.beta_rad
-        if math.asin(abs(math.cos(beta))) < LEAST_LEAN_RAD:
+        if math.asin(abs(math.cos(beta))) < MIN_LEAN_RAD:
             where = f"tools.{field.name}.transform.beta_rad"
-            yield f"{where}: {beta} brings the boresight within {LEAST_LEAN_RAD} of the turret axis"
+            yield f"{where}: {beta} brings the boresight within {MIN_LEAN_RAD} of the turret axis"
 
 
-def _poses_outside(params: Params) -> Iterator[str]:
+def _check_poses(params: Params) -> Iterator[str]:
     """Sentences about named poses beyond the soft limits."""
     poses = {"poses.stowed_rad": params.poses.stowed_rad, "poses.ready_rad": params.poses.ready_rad}
     poses |= {f"poses.unstow_via_rad.{k}": via for k, via in enumerate(params.poses.unstow_via_rad)}
@@ -112,25 +112,25 @@ def _poses_outside(params: Params) -> Iterator[str]:
                 )
 
 
-def _stops(params: Params) -> Iterator[str]:
+def _check_hardstops(params: Params) -> Iterator[str]:
     """Sentences about hardstops that are not a little beyond the soft limits, or pressed on too hard."""
     room_rad = params.monitors.soft_limit_margin_rad
     for field, joint in zip(fields(params.joints), params.joints.in_order(), strict=True):
-        low, high = joint.soft_min_rad - DEEPEST_STOP_RAD, joint.soft_min_rad - room_rad
+        low, high = joint.soft_min_rad - MAX_STOP_DEPTH_RAD, joint.soft_min_rad - room_rad
         if not low <= joint.hardstop_rad <= high:
             yield (
                 f"joints.{field.name}.hardstop_rad: {joint.hardstop_rad} is not between {room_rad} and "
-                f"{DEEPEST_STOP_RAD} below soft_min_rad, {low:.6g} .. {high:.6g}"
+                f"{MAX_STOP_DEPTH_RAD} below soft_min_rad, {low:.6g} .. {high:.6g}"
             )
-        most_Nm = MOST_OF_RATED * joint.hardstop_rated_Nm
+        most_Nm = MAX_RATED_SHARE * joint.hardstop_rated_Nm
         if joint.hardstop_press_Nm > most_Nm:
             yield (
                 f"joints.{field.name}.hardstop_press_Nm: {joint.hardstop_press_Nm} is above {most_Nm:g}, "
-                f"{MOST_OF_RATED} of hardstop_rated_Nm"
+                f"{MAX_RATED_SHARE} of hardstop_rated_Nm"
             )
 
 
-def _shapeless(collision: CollisionParams) -> Iterator[str]:
+def _check_geometry(collision: CollisionParams) -> Iterator[str]:
     """Sentences about parts without a shape, and boxes that are inside out."""
     for place, parts in (("arm", collision.arm), ("rover", collision.rover)):
         for field in fields(parts):
@@ -142,12 +142,12 @@ def _shapeless(collision: CollisionParams) -> Iterator[str]:
                     yield f"{where}.boxes.{k}.half_m: {box.half_m} must be positive"
 
 
-def _no_spring(compliance: Matrix6) -> str | None:
+def _check_compliance(compliance: Matrix6) -> str | None:
     """Why no spring has this compliance; measured in units in which its diagonal is 1."""
     C = np.array(compliance)
-    if np.abs(C).max() > SOFTEST:
+    if np.abs(C).max() > MAX_COMPLIANCE:
         worst = C.flat[np.abs(C).argmax()]
-        return f"{worst} is outside {-SOFTEST} .. {SOFTEST} (rad or m, per N m or N), no link is as soft"
+        return f"{worst} is outside {-MAX_COMPLIANCE} .. {MAX_COMPLIANCE} (rad or m, per N m or N), no link is as soft"
     unit = np.sqrt(np.abs(np.diag(C)))
     scale = np.outer(unit, unit)
     lopsided = np.abs(C - C.T) > ROUNDING * scale
@@ -162,9 +162,9 @@ def _no_spring(compliance: Matrix6) -> str | None:
     return None
 
 
-def _numbers(value: Any) -> Iterator[float]:
+def _leaf_numbers(value: Any) -> Iterator[float]:
     if isinstance(value, tuple):
         for item in value:
-            yield from _numbers(item)
+            yield from _leaf_numbers(item)
     elif isinstance(value, float):
         yield value

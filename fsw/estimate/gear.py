@@ -21,8 +21,8 @@ from fsw.config import Config
 from fsw.kinematics.transforms import Array
 
 LEAST, LIKELY, MOST = range(3)
-SLACK: Final = np.array([-1.0, 0.0, 1.0])
-MARS_M_S2: Final = 3.711
+ERROR_SIGNS: Final = np.array([-1.0, 0.0, 1.0])
+MARS_GRAVITY_M_S2: Final = 3.711
 ON_FLANK_RAD: Final = 1e-6
 STILL_RAD: Final = 2e-5
 """An output that is to move less than this is left where it lies."""
@@ -36,7 +36,7 @@ class GearBounds:
     highest_rad: Array
 
 
-def bounds_under(config: Config, half_gap_rad: Array, load_Nm: Array) -> GearBounds:
+def bound_gear(config: Config, half_gap_rad: Array, load_Nm: Array) -> GearBounds:
     """The bounds under loads (5, ...), which pull the output to positive angles if they are positive."""
     friction, half = _rows(config.output_friction_Nm, load_Nm), _rows(half_gap_rad, load_Nm)
     stiffness = _rows(config.arm.gear_stiffness_Nm_rad, load_Nm)
@@ -47,31 +47,29 @@ def bounds_under(config: Config, half_gap_rad: Array, load_Nm: Array) -> GearBou
     )
 
 
-def uncertain_loads(
-    config: Config, load_Nm: Array, gravity_R_m_s2: Array, more_Nm: Array | None = None
-) -> Array:
+def bound_loads(config: Config, load_Nm: Array, gravity_R_m_s2: Array, more_Nm: Array | None = None) -> Array:
     """Modelled loads (5) at the least, likely and at the most, `more_Nm` (5) as uncertain on top; (5, 3)."""
     error = load_error(config, gravity_R_m_s2)
     if more_Nm is not None:
         error = error + more_Nm
-    loads: Array = load_Nm[:, None] + error[:, None] * SLACK
+    loads: Array = load_Nm[:, None] + error[:, None] * ERROR_SIGNS
     return loads
 
 
 def load_error(config: Config, gravity_R_m_s2: Array) -> Array:
     """How far modelled loads (5) may be from the true ones: in proportion to gravity, as most of it is."""
-    error: Array = config.load_error_Nm * (sqrt(float(gravity_R_m_s2 @ gravity_R_m_s2)) / MARS_M_S2)
+    error: Array = config.load_error_Nm * (sqrt(float(gravity_R_m_s2 @ gravity_R_m_s2)) / MARS_GRAVITY_M_S2)
     return error
 
 
-def gear_after(gear_rad: Array, motion_rad: Array, bounds: GearBounds) -> Array:
+def gear_after_motor_turn(gear_rad: Array, motion_rad: Array, bounds: GearBounds) -> Array:
     """The gear angles (5, 3) after the motors turned by so much (5)."""
     turned = gear_rad - motion_rad[:, None]
     after: Array = np.minimum(np.maximum(turned, bounds.lowest_rad), bounds.highest_rad)
     return after
 
 
-def gear_moved(gear_rad: Array, moved_rad: Array, bounds: GearBounds) -> Array:
+def gear_after_output_turn(gear_rad: Array, moved_rad: Array, bounds: GearBounds) -> Array:
     """The gear angles (5, ...) once the *outputs* have moved by so much: what a set-point must allow for."""
     dragged = np.where(moved_rad > 0, bounds.lowest_rad, bounds.highest_rad)
     held = np.clip(gear_rad, bounds.lowest_rad, bounds.highest_rad)
@@ -79,7 +77,7 @@ def gear_moved(gear_rad: Array, moved_rad: Array, bounds: GearBounds) -> Array:
     return moved
 
 
-def lie_of(half_gap_rad: Array, gear_rad: Array) -> Array:
+def locate_in_backlash(half_gap_rad: Array, gear_rad: Array) -> Array:
     """How the outputs lie in their gaps, for gear angles (5, 3).
 
     Returns:
@@ -95,7 +93,7 @@ def lie_of(half_gap_rad: Array, gear_rad: Array) -> Array:
     return np.array((gap, side, unsure))
 
 
-def gap_of(half_gap_rad: Array, gear_rad: Array) -> Array:
+def clip_to_backlash(half_gap_rad: Array, gear_rad: Array) -> Array:
     """The part of gear angles (5, ...) that is backlash: half the width on a flank."""
     half = _rows(half_gap_rad, gear_rad)
     gap: Array = np.minimum(np.maximum(gear_rad, -half), half)

@@ -19,8 +19,8 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import JointCalibrated
-from fsw.dictionary.joints import Joint
 from fsw.kinematics.transforms import Array
 
 RISE: Final = (0.2, 0.85)
@@ -28,17 +28,17 @@ RISE: Final = (0.2, 0.85)
 BEFORE_RAD: Final = 3e-4
 RUNNING_RAD: Final = 4e-3
 """From so far before contact, readings over such a way tell what running takes."""
-LATEST: Final = 5
+LATEST_READINGS: Final = 5
 PASSES: Final = 3
 BEYOND: Final = 0.3
 """The last share of the gap's width on the way back, where the output moves along."""
 PLATEAU: Final = (0.15, 0.7)
 """The share of the gap whose torque is taken for that of friction alone."""
-FEWEST: Final = 8
+MIN_READINGS: Final = 8
 """Readings that a line or a level is fitted to."""
-CLEAREST: Final = 0.5
+MAX_LOAD_SHARE: Final = 0.5
 """A load that pushes off the stop by more than this share of the output's friction hides the gap."""
-GAP_FACTOR: Final = (0.5, 2.0)
+BACKLASH_FACTOR: Final = (0.5, 2.0)
 """Of the drawing's width; what seems outside is no gap."""
 
 
@@ -49,7 +49,7 @@ class Readings:
     motor_rad: Array
     torque_Nm: Array
 
-    def with_one(self, motor_rad: float, torque_Nm: float) -> "Readings":
+    def append(self, motor_rad: float, torque_Nm: float) -> "Readings":
         """One reading more."""
         return Readings(np.append(self.motor_rad, motor_rad), np.append(self.torque_Nm, torque_Nm))
 
@@ -58,7 +58,7 @@ NO_READINGS: Final = Readings(np.zeros(0), np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True)
-class Pressed:
+class ContactLine:
     """A joint's run against its hardstop."""
 
     contact_rad: float
@@ -69,7 +69,7 @@ class Pressed:
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class HardstopFit:
     """What is known of a joint now."""
 
     stop_rad: float
@@ -77,9 +77,9 @@ class Found:
     running_Nm: float
     compliance_rad_Nm: float
     half_gap_rad: float
-    gap_measured: bool
+    backlash_measured: bool
 
-    def event(self, joint: Joint, moved_rad: float) -> JointCalibrated:
+    def to_event(self, joint: Joint, moved_rad: float) -> JointCalibrated:
         """What is reported of it, the joint's zero having moved by so much."""
         return JointCalibrated(
             joint,
@@ -87,11 +87,11 @@ class Found:
             self.running_Nm,
             1e6 * self.compliance_rad_Nm,
             2 * self.half_gap_rad,
-            self.gap_measured,
+            self.backlash_measured,
         )
 
 
-def pressed(config: Config, joint: int, load_Nm: float, towards: Readings) -> Pressed | None:
+def fit_contact_line(config: Config, joint: int, load_Nm: float, towards: Readings) -> ContactLine | None:
     """The line of a run towards the stop; None if there is none in it.
 
     `load_Nm` pulls the output to positive angles if positive. Of a load that pushes the output on its stop
@@ -99,12 +99,12 @@ def pressed(config: Config, joint: int, load_Nm: float, towards: Readings) -> Pr
     """
     params = config.params.joints.in_order()[joint]
     angle, push = towards.motor_rad, -towards.torque_Nm
-    if push.size < FEWEST:
+    if push.size < MIN_READINGS:
         return None
     relieved = max(0.0, -(load_Nm + params.output_friction_Nm))
-    gap = 2 * config.half_gap_rad[joint] * GAP_FACTOR[1] if relieved > 0 else 0.0
+    gap = 2 * config.half_gap_rad[joint] * BACKLASH_FACTOR[1] if relieved > 0 else 0.0
     low, high = (relieved + share * (params.hardstop_press_Nm - relieved) for share in RISE)
-    level = float(push[-LATEST:].mean()) - params.hardstop_press_Nm
+    level = float(push[-LATEST_READINGS:].mean()) - params.hardstop_press_Nm
     for _ in range(PASSES):
         line = _line(angle, push - level, low, high)
         if line is None:
@@ -112,10 +112,10 @@ def pressed(config: Config, joint: int, load_Nm: float, towards: Readings) -> Pr
         contact, compliance = line
         before = angle - (contact + gap + BEFORE_RAD)
         running = push[(before > 0) & (before < RUNNING_RAD)]
-        if running.size < FEWEST:
+        if running.size < MIN_READINGS:
             return None
         level = float(running.mean())
-    return Pressed(contact, level, compliance)
+    return ContactLine(contact, level, compliance)
 
 
 def _line(angle: Array, rise: Array, low: float, high: float) -> tuple[float, float] | None:
@@ -124,18 +124,20 @@ def _line(angle: Array, rise: Array, low: float, high: float) -> tuple[float, fl
     first = int(below[-1]) + 1 if below.size else 0
     above = np.flatnonzero(rise[first:] > high)
     last = first + (int(above[0]) if above.size else rise.size - first)
-    if last - first < FEWEST:
+    if last - first < MIN_READINGS:
         return None
     slope, offset = np.polyfit(angle[first:last], rise[first:last], 1)
     return (float(-offset / slope), float(-1.0 / slope)) if slope < 0 else None
 
 
-def gap_width(config: Config, joint: int, load_Nm: float, press: Pressed, away: Readings) -> float | None:
+def measure_backlash(
+    config: Config, joint: int, load_Nm: float, press: ContactLine, away: Readings
+) -> float | None:
     """The width of the gap crossed on the way back from the stop; None where none shows."""
     params = config.params.joints.in_order()[joint]
     friction, drawn = params.output_friction_Nm, 2 * float(config.half_gap_rad[joint])
     taken_up = friction - load_Nm
-    if taken_up < CLEAREST * friction:
+    if taken_up < MAX_LOAD_SHARE * friction:
         return None
     angle, push, compliance = away.motor_rad, away.torque_Nm, press.compliance_rad_Nm
     final = float(push[angle > angle.max() - BEYOND * drawn].mean())
@@ -143,12 +145,12 @@ def gap_width(config: Config, joint: int, load_Nm: float, press: Pressed, away: 
     for _ in range(PASSES):
         fallen = (crossing - push) / (crossing - push.min())
         on_line = (fallen > RISE[0]) & (fallen < RISE[1])
-        if np.count_nonzero(on_line) < FEWEST:
+        if np.count_nonzero(on_line) < MIN_READINGS:
             return None
         # the slope is that of pressing; only where the line lies is read here
         start = float(np.mean(angle[on_line] + (crossing - push[on_line]) * compliance))
         flat = (angle > start + PLATEAU[0] * drawn) & (angle < start + PLATEAU[1] * drawn)
-        if np.count_nonzero(flat) < FEWEST:
+        if np.count_nonzero(flat) < MIN_READINGS:
             return None
         crossing = float(push[flat].mean())
     beyond = angle > start + PLATEAU[1] * drawn
@@ -158,20 +160,22 @@ def gap_width(config: Config, joint: int, load_Nm: float, press: Pressed, away: 
     return half_way - 0.5 * (final - crossing) * gives - start
 
 
-def found(config: Config, joint: int, load_Nm: float, press: Pressed, width_rad: float | None) -> Found:
+def locate_hardstop(
+    config: Config, joint: int, load_Nm: float, press: ContactLine, width_rad: float | None
+) -> HardstopFit:
     """Where the stop is, given the line and the gap."""
     drawn = 2 * float(config.half_gap_rad[joint])
     measured = drawn if width_rad is None else width_rad
-    believable = width_rad is not None and GAP_FACTOR[0] < measured / drawn < GAP_FACTOR[1]
+    believable = width_rad is not None and BACKLASH_FACTOR[0] < measured / drawn < BACKLASH_FACTOR[1]
     half = 0.5 * (measured if believable else drawn)
     carried_Nm = load_Nm + float(config.output_friction_Nm[joint])
-    gear = press.compliance_rad_Nm * gear_share(config, joint)
-    return Found(
+    gear = press.compliance_rad_Nm * gear_compliance_share(config, joint)
+    return HardstopFit(
         stop_rad=press.contact_rad + half + carried_Nm * gear,
         running_Nm=press.running_Nm,
         compliance_rad_Nm=press.compliance_rad_Nm,
         half_gap_rad=half,
-        gap_measured=believable,
+        backlash_measured=believable,
     )
 
 
@@ -181,7 +185,7 @@ def series_compliance(config: Config, joint: int) -> float:
     return 1.0 / params.gear_stiffness_Nm_rad + 1.0 / params.hardstop_stiffness_Nm_rad
 
 
-def gear_share(config: Config, joint: int) -> float:
+def gear_compliance_share(config: Config, joint: int) -> float:
     """The gear's share of that; a measured compliance is divided likewise."""
     return 1.0 / (
         config.params.joints.in_order()[joint].gear_stiffness_Nm_rad * series_compliance(config, joint)

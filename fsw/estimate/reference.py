@@ -33,19 +33,19 @@ def no_reference(config: Config) -> Reference:
     return Reference(never, never, zeros, config.half_gap_rad, zeros, np.full(zeros.size, np.inf))
 
 
-def provisional(config: Config, reference: Reference, sensors: Sensors) -> Reference:
+def provisional_reference(config: Config, reference: Reference, sensors: Sensors) -> Reference:
     """The reference with joints that were never calibrated where their resolvers say: good to watch by."""
     read = sensors.resolver_rad - sensors.encoder_count * config.rad_per_count
     return replace(reference, zero_rad=np.where(reference.known, reference.zero_rad, read))
 
 
-def forgotten(reference: Reference, joint: int) -> Reference:
+def forget_joint(reference: Reference, joint: int) -> Reference:
     """The reference without a joint, whose numbers stay as provisional ones."""
     others = np.arange(reference.zero_rad.size) != joint
     return replace(reference, calibrated=reference.calibrated & others)
 
 
-def remembered(
+def record_calibration(
     reference: Reference,
     joint: int,
     zero_rad: float,

@@ -7,12 +7,12 @@ import numpy as np
 
 from fsw.dictionary.commands import (
     ROVER,
-    Backlash,
+    BacklashMode,
     Calibrate,
-    Deflection,
+    DeflectionMode,
     Dock,
     GuardedMove,
-    JointDeflection,
+    JointDeflectionMode,
     MoveJoint,
     MoveJoints,
     MoveTeachPoint,
@@ -25,10 +25,10 @@ from fsw.dictionary.commands import (
     Stow,
     ToolChange,
     Unstow,
-    Vector3,
 )
-from fsw.dictionary.joints import SWITCHES_OF, Frame, Joint, Tool
+from fsw.dictionary.enums import TOOL_SWITCHES, Frame, Joint, Tool
 from fsw.dictionary.params import Params
+from fsw.dictionary.types import Vector3
 from fsw.kinematics.branches import BRANCHES
 from fsw.motion.plan_tool import AUTO
 
@@ -134,7 +134,7 @@ def _malformed_move_tool(command: MoveTool) -> str | None:
 
 
 def _no_switch(tool: Tool) -> str | None:
-    return None if SWITCHES_OF[tool] else f"{tool.name} has no contact switch to end a guarded move"
+    return None if TOOL_SWITCHES[tool] else f"{tool.name} has no contact switch to end a guarded move"
 
 
 def _malformed_lengths(command: PlaceTool | ToolChange) -> str | None:
@@ -194,13 +194,13 @@ def _malformed_modes(
     | Process
     | Retract,
 ) -> str | None:
-    known = get_args(JointDeflection if isinstance(command, MoveJoints | Process) else Deflection)
+    known = get_args(JointDeflectionMode if isinstance(command, MoveJoints | Process) else DeflectionMode)
     if command.deflection in known:
         return _malformed_backlash(command.backlash)
     return f"deflection {command.deflection!r} is not known; there are {', '.join(known)}"
 
 
 def _malformed_backlash(backlash: str) -> str | None:
-    if backlash in get_args(Backlash):
+    if backlash in get_args(BacklashMode):
         return None
-    return f"backlash {backlash!r} is not known; there are {', '.join(get_args(Backlash))}"
+    return f"backlash {backlash!r} is not known; there are {', '.join(get_args(BacklashMode))}"

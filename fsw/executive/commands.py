@@ -27,6 +27,7 @@ from fsw.dictionary.commands import (
     ToolChange,
     Unstow,
 )
+from fsw.dictionary.enums import Joint, Mode, Tool
 from fsw.dictionary.evrs import (
     BranchChosen,
     CommandAborted,
@@ -36,10 +37,8 @@ from fsw.dictionary.evrs import (
     Preloaded,
     SpotTaken,
 )
-from fsw.dictionary.joints import Joint, Tool
-from fsw.dictionary.modes import Mode
-from fsw.dictionary.tuples import vector3
-from fsw.estimate.reference import forgotten
+from fsw.dictionary.types import vector3
+from fsw.estimate.reference import forget_joint
 from fsw.executive.checks import beyond, malformed
 from fsw.executive.hardstop_pose import unsafe, unsafe_for_all
 from fsw.executive.modes import EVENT_OF, TRANSITIONS, Event
@@ -170,7 +169,7 @@ def _calibrate(config: Config, now: Situation, command: Calibrate) -> Situation:
         active=np.arange(joints.motor_rad.size) == command.joint,
         seek=seek.begin(Joint(command.joint), joints, command.anew),
     )
-    joints = replace(joints, reference=forgotten(joints.reference, command.joint))
+    joints = replace(joints, reference=forget_joint(joints.reference, command.joint))
     state = replace(now.state, mode=mode, move=move, joints=joints)
     return told(replace(now, state=state), CommandAccepted(name_of(command)))
 

@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.joints import STOP_ORDER, Joint
+from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params
 from fsw.estimate.joints import JointEstimate
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 
 AGAIN: Final = Joint.ELEVATION
@@ -23,7 +23,7 @@ def stop_poses(params: Params, joint: Joint) -> tuple[Array, ...]:
 
     In the first those before it are parked, and it and those after it wait.
     """
-    parked = [STOP_ORDER.index(other) < STOP_ORDER.index(joint) for other in Joint]
+    parked = [HARDSTOP_ORDER.index(other) < HARDSTOP_ORDER.index(joint) for other in Joint]
     first = np.where(parked, params.hardstop.park_rad, params.hardstop.start_rad)
     return (first, np.array(params.hardstop.again_rad)) if joint is AGAIN else (first,)
 
@@ -42,16 +42,16 @@ def unsafe(config: Config, joints: JointEstimate, joint: Joint) -> str | None:
 
 def unsafe_for_all(config: Config, joints: JointEstimate) -> str | None:
     """Why the joints may not be calibrated one after the other from where the arm is, or None."""
-    turns = [(joint, pose) for joint in STOP_ORDER for pose in stop_poses(config.params, joint)]
+    turns = [(joint, pose) for joint in HARDSTOP_ORDER for pose in stop_poses(config.params, joint)]
     heavy = (_too_heavy(config, joints, joint, pose) for joint, pose in turns)
-    return unsafe(config, joints, STOP_ORDER[0]) or next((reason for reason in heavy if reason), None)
+    return unsafe(config, joints, HARDSTOP_ORDER[0]) or next((reason for reason in heavy if reason), None)
 
 
 def _too_heavy(config: Config, joints: JointEstimate, joint: Joint, pose_rad: Array) -> str | None:
     """Gravity that presses a joint on its hardstop leaves little of the torque by which it is to be felt."""
     params, pose = config.params.joints.in_order()[joint], pose_rad.copy()
     pose[joint] = params.hardstop_rad
-    press_Nm = -float(rest(config.arm, pose, joints.gravity_R_m_s2).torque_Nm[joint])
+    press_Nm = -float(settle_output(config.arm, pose, joints.gravity_R_m_s2).torque_Nm[joint])
     most_Nm = MOST_OF_PRESS * params.hardstop_press_Nm
     if press_Nm <= most_Nm:
         return None

@@ -18,7 +18,7 @@ from fsw.dictionary.commands import (
     ToolChange,
     Unstow,
 )
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.enums import Mode
 
 
 class Event(IntEnum):

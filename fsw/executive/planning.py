@@ -6,7 +6,7 @@ import numpy as np
 
 from fsw.config import Config
 from fsw.dictionary.commands import GuardedMove, MoveJoint, MoveJoints, MoveTool, Retract, Stow, Unstow
-from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.enums import Joint, Tool
 from fsw.estimate.joints import JointEstimate
 from fsw.executive.checks import malformed
 from fsw.motion.compensation import Compensation

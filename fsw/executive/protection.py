@@ -6,9 +6,8 @@ from typing import assert_never
 import numpy as np
 
 from fsw.config import Config
+from fsw.dictionary.enums import Mode, Tool
 from fsw.dictionary.evrs import CommandAborted, Evr
-from fsw.dictionary.joints import Tool
-from fsw.dictionary.modes import Mode
 from fsw.estimate.gear import LIKELY
 from fsw.estimate.joints import JointEstimate
 from fsw.executive.modes import TRANSITIONS, Event

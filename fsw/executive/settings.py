@@ -8,14 +8,14 @@ import numpy as np
 
 from fsw.config import Config, configure
 from fsw.dictionary.commands import SetParam, SetTilt
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import CommandAccepted, CommandCompleted, ParamSet, TiltSet
-from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import Params
-from fsw.dictionary.validity import not_an_arm, out_of_limits
-from fsw.estimate.reference import forgotten
+from fsw.dictionary.validity import check_arm, check_limits
+from fsw.estimate.reference import forget_joint
 from fsw.executive.checks import beyond
 from fsw.executive.situation import Situation, name_of, not_now, refused, told
-from fsw.kinematics.transforms import angle_between, down_from
+from fsw.kinematics.transforms import angle_between, gravity_direction
 
 COUNTED_FROM: Final = ("gear_ratio", "encoder_counts_per_turn", "hardstop_rad")
 """What an encoder zero rests on: a joint of which one of these changes is to be calibrated again."""
@@ -26,7 +26,7 @@ def set_tilt(config: Config, now: Situation, command: SetTilt) -> Situation:
     problem = not_now(now) or beyond(config.params, command)
     if problem is not None:
         return refused(now, command, problem)
-    down_R = down_from(command.roll_rad, command.pitch_rad)
+    down_R = gravity_direction(command.roll_rad, command.pitch_rad)
     joints, bound = now.state.joints, config.params.monitors.tilt_rad
     read = joints.imu_R_m_s2 / np.linalg.norm(joints.imu_R_m_s2)
     off = angle_between(read, down_R)
@@ -51,7 +51,7 @@ def set_param(config: Config, now: Situation, command: SetParam) -> Situation:
     group, *middle, leaf = command.name.split(".")
     if group == "joints" and leaf in COUNTED_FROM:
         joint = Joint[middle[0].upper()]
-        known = forgotten(state.joints.reference, joint)
+        known = forget_joint(state.joints.reference, joint)
         state = replace(state, joints=replace(state.joints, reference=known))
     evr = ParamSet(command.name, command.value, anew.params_sha256)
     return _done(replace(now, state=state), command, evr)
@@ -62,7 +62,7 @@ def params_with(params: Params, command: SetParam) -> Params | str:
     changed = _with(params, command.name.split("."), command)
     if isinstance(changed, str):
         return changed
-    return next((wrong for wrong in (*out_of_limits(changed), *not_an_arm(changed))), changed)
+    return next((wrong for wrong in (*check_limits(changed), *check_arm(changed))), changed)
 
 
 def _done(now: Situation, command: SetTilt | SetParam, evr: ParamSet | TiltSet) -> Situation:

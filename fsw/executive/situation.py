@@ -3,9 +3,8 @@
 from dataclasses import dataclass, replace
 
 from fsw.dictionary.commands import MoveJoint
+from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Mode, Tool
 from fsw.dictionary.evrs import CommandRefused, Evr
-from fsw.dictionary.joints import SWITCHES_OF, Joint, Tool
-from fsw.dictionary.modes import Mode
 from fsw.executive.modes import Event, after
 from fsw.messages import Flags
 from fsw.motion.plan_press import Pressing
@@ -26,7 +25,7 @@ class Situation:
 
 def touches(now: Situation, tool: Tool) -> bool:
     """Whether a contact switch of a tool is closed."""
-    return any(now.closed[switch] for switch in SWITCHES_OF[tool])
+    return any(now.closed[switch] for switch in TOOL_SWITCHES[tool])
 
 
 def pressing_of(now: Situation, tool: Tool) -> Pressing | None:

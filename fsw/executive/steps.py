@@ -6,7 +6,7 @@ import numpy as np
 
 from fsw.config import Config
 from fsw.dictionary.commands import (
-    Deflection,
+    DeflectionMode,
     Dock,
     GuardedMove,
     MoveJoints,
@@ -17,11 +17,11 @@ from fsw.dictionary.commands import (
     Retract,
     ToolChange,
 )
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.dictionary.params import TeachPoint
-from fsw.dictionary.tuples import joints5, vector3
+from fsw.dictionary.types import joints5, vector3
 from fsw.estimate.joints import JointEstimate
-from fsw.kinematics.transforms import Array, unit
+from fsw.kinematics.transforms import Array, normalize
 from fsw.motion.compensation import Compensation
 from fsw.motion.plan import Refusal
 from fsw.motion.plan_line import Line, from_here
@@ -69,7 +69,7 @@ def tool_of(point: TeachPoint) -> Tool:
 
 def spot(config: Config, joints: JointEstimate, touching: Tool, command: ToolChange) -> Line:
     """Where a tool change takes the touching tool to be: a line that has yet to go anywhere."""
-    deflection: Deflection = "off" if command.deflection == "off" else "absolute"
+    deflection: DeflectionMode = "off" if command.deflection == "off" else "absolute"
     return from_here(config, joints, touching, Compensation(command.backlash, deflection))
 
 
@@ -77,9 +77,9 @@ def _place(config: Config, joints: JointEstimate, tool: Tool, command: PlaceTool
     """Relative compensation counts from where the arm is now, for both moves: they aim at one place."""
     compensation = Compensation(command.backlash, command.deflection)
     p, approach = compensation.target(
-        config, joints, tool, np.array(command.p_RoTo_R_m), unit(np.array(command.approach_R))
+        config, joints, tool, np.array(command.p_RoTo_R_m), normalize(np.array(command.approach_R))
     )
-    deflection: Deflection = "off" if command.deflection == "off" else "absolute"
+    deflection: DeflectionMode = "off" if command.deflection == "off" else "absolute"
     end = vector3(p + command.overtravel_m * approach)
     touch = GuardedMove(command.tool, end, vector3(approach), command.backlash, deflection)
     return _to_standoff(command, p, approach, command.overtravel_m, deflection), touch
@@ -109,7 +109,7 @@ def _tool_change(
 
 
 def _to_standoff(
-    command: PlaceTool | ToolChange, p_m: Array, approach: Array, beyond_m: float, deflection: Deflection
+    command: PlaceTool | ToolChange, p_m: Array, approach: Array, beyond_m: float, deflection: DeflectionMode
 ) -> MoveTool:
     """To a standoff in front of a place, from where the tool can go straight on to so far beyond it."""
     return MoveTool(
@@ -128,7 +128,7 @@ def _to_point(config: Config, joints: JointEstimate, command: MoveTeachPoint) ->
     if isinstance(point, Refusal):
         return point
     gravity = joints.gravity_R_m_s2
-    approach = unit(gravity if command.along_gravity else np.array(point.approach_R))
+    approach = normalize(gravity if command.along_gravity else np.array(point.approach_R))
     p = np.array(point.p_RoTo_R_m) - command.away_m * approach
     move = MoveTool(
         tool_of(point),
@@ -147,6 +147,6 @@ def _dock(config: Config, command: Dock) -> tuple[Step, ...] | Refusal:
     point = taught(config, command.point)
     if isinstance(point, Refusal):
         return point
-    approach = unit(np.array(point.approach_R))
+    approach = normalize(np.array(point.approach_R))
     end = np.array(point.p_RoTo_R_m) + command.overtravel_m * approach
     return (GuardedMove(tool_of(point), vector3(end), vector3(approach), command.backlash),)

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 from fsw.config import Config
 from fsw.dictionary.commands import ClearFault, Stop
+from fsw.dictionary.enums import TOOL_SWITCHES, Mode, Switch, Tool
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, Evr, FaultCleared
-from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
-from fsw.dictionary.modes import Mode
 from fsw.executive.modes import TRANSITIONS, Event, after
 from fsw.executive.situation import Situation, name_of, pressing_of, refused, told
 from fsw.executive.stow import at_stow, stop_event
@@ -54,7 +53,7 @@ def _touching_tool(now: Situation) -> Tool:
     switches = [switch for switch in Switch if now.closed[switch]]
     if now.state.fault is not None:
         switches += [about for _, about in now.state.fault.reported if isinstance(about, Switch)]
-    touching = (tool for switch in switches for tool in Tool if switch in SWITCHES_OF[tool])
+    touching = (tool for switch in switches for tool in Tool if switch in TOOL_SWITCHES[tool])
     return next(touching, now.state.tool)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.enums import Mode
 from fsw.estimate.joints import JointEstimate
 from fsw.executive.modes import Event
 

@@ -1,12 +1,82 @@
 """The arm as arrays: what follows from the parameters once, so that no cycle computes it again."""
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.params import Lump, Params, Transform6
-from fsw.kinematics.shape import Shape, shape_of
-from fsw.kinematics.transforms import Array, Pose, batched, rotation_x, rotation_y, rotation_z, screw_exp
+from fsw.dictionary.params import Params, PointMass, Transform6
+from fsw.kinematics.transforms import Array, Pose, rotation_x, rotation_y, rotation_z, screw_exp, stack_poses
+
+ROUNDING: Final = 1e-12
+MIN_SKEW: Final = 1e-4
+MAX_SKEW: Final = 0.02
+"""A tool with less offset [m] and lean [cosine] is taken for radial, and aiming off does the rest: for a
+square arm, the closed form would lose digits; for another, it is only the place to start from."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OrthogonalArm:
+    """The lengths of the square arm with one tool, as the closed form sees them."""
+
+    X_R1: Pose
+    theta_rad: Array
+    out_m: float
+    down_m: float
+    upper_m: float
+    fore_m: float
+    wrist_m: float
+    lateral_m: float
+    along_m: float
+    """Turret axis: wrist centre to the foot of the tool's offset."""
+    radius_m: float
+    """Tool point along the boresight from that foot."""
+    offset_m: float
+    """Distance at which the boresight passes the turret axis; 0 for a radial tool."""
+    boresight_z: float
+    """Cosine of boresight and turret axis; 0 for a radial tool."""
+    clock_rad: float
+    is_exact: bool
+    """Whether this is the arm itself: its axes are square, and the tool is radial or taken as it is."""
+
+
+def build_orthogonal_arm(theta_rad: Array, X_LF: Pose, X_FT: Pose) -> OrthogonalArm:
+    """The shape of links that turn by theta (6,) and end in X_LF (batch 6), with a tool in frame Arm6."""
+    p = X_LF.p
+    (bx, by, bz), (px, py, pz) = X_FT.R[:, 0], X_FT.p
+    flat = bx * bx + by * by
+    radius = (px * bx + py * by) / flat
+    turn = rotation_z(theta_rad[0])
+    offset = (py * bx - px * by) / flat
+    skew = max(abs(offset), abs(bz))
+    is_square = _is_orthogonal(X_LF)
+    nearly_radial = MIN_SKEW if is_square else MAX_SKEW
+    least = nearly_radial if skew < nearly_radial else ROUNDING
+    offset, bz = (0.0 if abs(value) < least else value for value in (offset, bz))
+    return OrthogonalArm(
+        X_R1=Pose(turn @ X_LF.R[:, :, 0], turn @ p[:, 0]),
+        theta_rad=theta_rad[1:],
+        out_m=p[0, 1],
+        down_m=p[2, 1],
+        upper_m=p[0, 2],
+        fore_m=p[0, 3],
+        wrist_m=p[0, 4],
+        lateral_m=p[2, 2] + p[2, 3] + p[2, 4] - p[1, 1],
+        along_m=p[2, 5] + pz - radius * bz,
+        radius_m=radius,
+        offset_m=offset,
+        boresight_z=bz,
+        clock_rad=float(np.arctan2(by, bx)),
+        is_exact=is_square and not ROUNDING < skew < nearly_radial,
+    )
+
+
+def _is_orthogonal(X_LF: Pose) -> bool:
+    """Parallel and right-angled axes, no offsets beyond those of Shape."""
+    quarter = [np.pi / 2, 0.0, 0.0, -np.pi / 2, 0.0]
+    turns = np.stack([rotation_x(np.array(angle)) for angle in quarter], -1)
+    offsets = [*X_LF.p[1, 2:], *X_LF.p[0, 5:]]
+    return bool(np.abs(X_LF.R[:, :, 1:] - turns).max() < 1e-15 and np.abs(offsets).max() < 1e-15)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +112,7 @@ class Arm:
     gear_stiffness_Nm_rad: Array
     soft_min_rad: Array
     soft_max_rad: Array
-    shapes: tuple[Shape, ...]
+    orthogonal: tuple[OrthogonalArm, ...]
     """The nearest square arm with each tool, for the closed form of the inverse kinematics."""
 
     @property
@@ -51,13 +121,13 @@ class Arm:
         return Pose(self.RP_CF[:, :3], self.RP_CF[:, 3])
 
 
-def arm_from(params: Params) -> Arm:
+def build_arm(params: Params) -> Arm:
     """The arrays of this arm at calibration temperature."""
     links, joints, tools = params.links.in_order(), params.joints.in_order(), params.tools.in_order()
     theta = np.array([link.transform.theta_rad for link in links])
     centre = np.array([link.elastic_centre_m for link in links]).T
-    X_LF = batched([transform6(replace(link.transform, theta_rad=0.0)) for link in links])
-    X_FT = tuple(transform6(tool.transform) for tool in tools)
+    X_LF = stack_poses([transform6_to_pose(replace(link.transform, theta_rad=0.0)) for link in links])
+    X_FT = tuple(transform6_to_pose(tool.transform) for tool in tools)
     near_kg, far_kg = (np.array([getattr(link, side).mass_kg for link in links]) for side in ("near", "far"))
     return Arm(
         theta_rad=theta,
@@ -75,25 +145,25 @@ def arm_from(params: Params) -> Arm:
         gear_stiffness_Nm_rad=np.array([joint.gear_stiffness_Nm_rad for joint in joints]),
         soft_min_rad=np.array([joint.soft_min_rad for joint in joints]),
         soft_max_rad=np.array([joint.soft_max_rad for joint in joints]),
-        shapes=tuple(shape_of(theta, X_LF, tool) for tool in X_FT),
+        orthogonal=tuple(build_orthogonal_arm(theta, X_LF, tool) for tool in X_FT),
     )
 
 
-def warmed(arm: Arm, warming_K: float) -> Arm:
+def heat_arm(arm: Arm, warming_K: float) -> Arm:
     """The arm this much warmer than at calibration: paper equation 6, as finite transforms."""
     X_CF = arm.X_CF @ screw_exp(arm.expansion_F * warming_K)
-    tools = batched(arm.X_FT) @ screw_exp(arm.expansion_T * warming_K)
+    tools = stack_poses(arm.X_FT) @ screw_exp(arm.expansion_T * warming_K)
     X_FT = tuple(tools[k] for k in range(len(arm.X_FT)))
     X_LF = Pose(X_CF.R, X_CF.p + arm.p_LC_m)
     return replace(
         arm,
         RP_CF=_side_by_side(X_CF),
         X_FT=X_FT,
-        shapes=tuple(shape_of(arm.theta_rad, X_LF, tool) for tool in X_FT),
+        orthogonal=tuple(build_orthogonal_arm(arm.theta_rad, X_LF, tool) for tool in X_FT),
     )
 
 
-def transform6(t: Transform6) -> Pose:
+def transform6_to_pose(t: Transform6) -> Pose:
     """The general link transform, paper equation 1."""
     R_theta, R_beta, R_alpha = (
         rotation_z(np.array(t.theta_rad)),
@@ -104,7 +174,7 @@ def transform6(t: Transform6) -> Pose:
     return Pose(R_theta @ R_beta @ R_alpha, p_m)
 
 
-def transform6_from(X: Pose) -> Transform6:
+def pose_to_transform6(X: Pose) -> Transform6:
     """The six parameters of a pose whose x axis is not along the start frame's z."""
     R = X.R
     theta, beta, alpha = (
@@ -117,7 +187,7 @@ def transform6_from(X: Pose) -> Transform6:
     return Transform6(*(float(v) for v in (theta, z + a * np.sin(beta), beta, y, alpha, a)))
 
 
-def _positions(lumps: list[Lump]) -> Array:
+def _positions(lumps: list[PointMass]) -> Array:
     return np.array([lump.com_m for lump in lumps]).T
 
 

@@ -4,9 +4,9 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.joints import Joint
-from fsw.kinematics.shape import Shape
-from fsw.kinematics.transforms import Array, Numbers
+from fsw.dictionary.enums import Joint
+from fsw.kinematics.arm import OrthogonalArm
+from fsw.kinematics.transforms import Array, Integers
 
 BRANCHES: Final = tuple(
     f"shoulder-{shoulder} elbow-{elbow} wrist-{wrist}"
@@ -22,7 +22,7 @@ def slot_name(slot: int) -> str:
     return BRANCHES[branch] if count == 0 else f"{BRANCHES[branch]}, root {count + 1}"
 
 
-def signs_of(s: Shape, output_rad: Array) -> Array:
+def fold_distances(s: OrthogonalArm, output_rad: Array) -> Array:
     """How clearly poses (5, ...) are on either side of each fold, (3, ...): shoulder, elbow, wrist.
 
     Negative is out, up, up: the turret axis' foot ahead of the azimuth axis [m], the elbow above the line
@@ -38,7 +38,7 @@ def signs_of(s: Shape, output_rad: Array) -> Array:
     return np.stack([-ahead, np.where(x >= 0, -elbow, elbow), np.cos(q[Joint.TURRET] + s.clock_rad)])
 
 
-def branch_of(signs: Array) -> Numbers:
+def branch_index(signs: Array) -> Integers:
     """The index into BRANCHES for signs (3, ...)."""
-    index: Numbers = (signs >= 0).astype(np.int64).T @ np.array([4, 2, 1])
+    index: Integers = (signs >= 0).astype(np.int64).T @ np.array([4, 2, 1])
     return index.T

@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.transforms import IDENTITY, Array, Pose, adjoint, cross, each_link
+from fsw.kinematics.transforms import IDENTITY, Array, Pose, adjoint, cross, multiply_per_link
 
-COSINE: Final = tuple(np.array(1 / factorial) for factorial in (1, 2, 24, 720))
-SINE: Final = tuple(np.array(1 / factorial) for factorial in (1, 6, 120, 5040))
+COSINE_SERIES: Final = tuple(np.array(1 / factorial) for factorial in (1, 2, 24, 720))
+SINE_SERIES: Final = tuple(np.array(1 / factorial) for factorial in (1, 6, 120, 5040))
 """The coefficients of their series, as arrays: numpy would make arrays of numbers at every use."""
 
 
@@ -42,7 +42,7 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     X_LD = spring_pose(arm, np.zeros((6, 6, *ones)) if strain is None else strain)
     # a pose as (3, 4, ...), so that one product turns rotation and translation alike
     R_LD = X_LD.R.reshape(3, 3, 6, -1)
-    X_LF = each_link(arm.RP_CF.swapaxes(0, 1), R_LD).reshape(3, 4, *X_LD.R.shape[2:])
+    X_LF = multiply_per_link(arm.RP_CF.swapaxes(0, 1), R_LD).reshape(3, 4, *X_LD.R.shape[2:])
     X_LF[:, 3] += X_LD.p
     X_SF = np.empty((3, 4, 6, *batch))  # in the frame at the link's start, before its joint turns
     np.multiply(cosine, X_LF[0], out=X_SF[0])
@@ -84,7 +84,7 @@ def spring_pose(arm: Arm, strain: Array) -> Pose:
 
 def _small_cos_sin(x: Array) -> tuple[Array, Array]:
     """Cosine and sine by series, to 3e-13 up to 0.1 rad; in a batch ten times faster than the library's."""
-    x2, (c0, c2, c4, c6), (s1, s3, s5, s7) = x * x, COSINE, SINE
+    x2, (c0, c2, c4, c6), (s1, s3, s5, s7) = x * x, COSINE_SERIES, SINE_SERIES
     cosine = c0 - x2 * (c2 - x2 * (c4 - x2 * c6))
     sine = x * (s1 - x2 * (s3 - x2 * (s5 - x2 * s7)))
     return cosine, sine

@@ -11,13 +11,145 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from fsw.kinematics.arm import Arm
-from fsw.kinematics.azimuth import azimuth_near, azimuths, offset_azimuth_near, offset_azimuths
-from fsw.kinematics.branches import branch_of, signs_of
-from fsw.kinematics.records import values_of
-from fsw.kinematics.shape import Shape
+from fsw.kinematics.arm import Arm, OrthogonalArm
+from fsw.kinematics.batch import record_arrays
+from fsw.kinematics.branches import branch_index, fold_distances
 from fsw.kinematics.transforms import Array, rotate_back
+
+NEAR_CIRCLE: Final = 1e-3
+"""Eigenvalues this close to the unit circle are tried as angles."""
+POLISHING_STEPS: Final = 4
+SMALL_SINE2: Final = 1e-6
+"""Below it the root of sine^2 has lost its digits, and the sine follows from the lateral condition."""
+ROUNDING_M: Final = 1e-12
+ROUNDING_M2: Final = 1e-14
+"""What is left of arithmetic in a length, and in a difference of squares of lengths."""
+
+WRISTS: Final = np.array([-1.0, 1.0])
+
+
+def solve_azimuths(s: OrthogonalArm, foot: Array, a: Array) -> tuple[Array, Array, Array]:
+    """Azimuths for a radial tool, sines of the wrist, what is missing [m]: (shoulder, wrist, ...) each."""
+    lean, heading, missing = _lean(s, foot)
+    q1 = np.stack([heading + lean, heading + np.pi - lean])[:, None]
+    wrist = WRISTS.reshape(1, 2, *(1,) * heading.ndim)
+    sine = wrist * np.sqrt(np.maximum(_sine2(s, a, q1), 0.0))
+    return np.broadcast_to(q1, sine.shape), sine, np.broadcast_to(missing, sine.shape)
+
+
+def solve_azimuth_near(
+    s: OrthogonalArm, foot: Array, a: Array, wrist: Array, near_rad: Array
+) -> tuple[Array, Array, Array]:
+    """Likewise, (n,) each, on the side of the azimuths `near_rad` and the wrists with these signs."""
+    lean, heading, missing = _lean(s, foot)
+    ahead = foot[0] * np.cos(near_rad) + foot[1] * np.sin(near_rad) >= 0
+    q1 = heading + np.where(ahead, lean, np.pi - lean)
+    return q1, wrist * np.sqrt(np.maximum(_sine2(s, a, q1), 0.0)), missing
+
+
+def _lean(s: OrthogonalArm, foot: Array) -> tuple[Array, Array, Array]:
+    """Angle between the foot and the arm's plane, heading of the foot, and what is missing."""
+    rho = np.hypot(foot[0], foot[1])
+    lean = np.arcsin(np.clip(s.lateral_m / np.maximum(rho, 1e-300), -1.0, 1.0))
+    return lean, np.arctan2(foot[1], foot[0]), np.maximum(abs(s.lateral_m) - rho, 0.0)
+
+
+def solve_offset_azimuths(s: OrthogonalArm, foot: Array, a: Array) -> tuple[Array, Array, Array]:
+    """As azimuths, for a tool with an offset.
+
+    Squared, the condition is a trigonometric polynomial of degree two: its four roots, of both wrists
+    together, are eigenvalues of a companion matrix. Those on the unit circle are polished.
+    """
+    z = np.linalg.eigvals(_companion(s, foot, a))
+    q1: Array = np.moveaxis(np.angle(z), -1, 0).astype(np.float64)
+    wrist = np.where(s.offset_m * (s.lateral_m - _lateral(foot, q1)) >= 0, 1.0, -1.0)
+    is_angle = np.moveaxis(np.abs(np.abs(z) - 1.0) < NEAR_CIRCLE, -1, 0)
+    for _ in range(POLISHING_STEPS):
+        step = np.clip(_newton_step(s, foot, a, wrist, q1), -NEAR_CIRCLE, NEAR_CIRCLE)
+        q1 = q1 - np.where(is_angle, step, 0.0)
+    sine, missing = _offset_sine(s, foot, a, wrist, q1)
+    # by wrist, then from shoulder out to shoulder in
+    forward = foot[0] * np.cos(q1) + foot[1] * np.sin(q1)
+    order = np.lexsort((-forward, wrist), axis=0)
+    q1, sine, missing = (_in_pairs(np.take_along_axis(v, order, axis=0)) for v in (q1, sine, missing))
+    return q1, sine, missing
+
+
+def solve_offset_azimuth_near(
+    s: OrthogonalArm, foot: Array, a: Array, wrist: Array, near_rad: Array
+) -> tuple[Array, Array, Array]:
+    """As azimuth_near, for a tool with an offset: where Newton steps lead."""
+    q1 = near_rad
+    for _ in range(POLISHING_STEPS):
+        q1 = q1 - np.clip(_newton_step(s, foot, a, wrist, q1), -0.1, 0.1)
+    return q1, *_offset_sine(s, foot, a, wrist, q1)
+
+
+def _in_pairs(values: Array) -> Array:
+    """(4, ...), ordered by wrist and then by shoulder, as (shoulder, wrist, ...)."""
+    return np.swapaxes(values.reshape(2, 2, *values.shape[1:]), 0, 1)
+
+
+def _companion(s: OrthogonalArm, foot: Array, a: Array) -> NDArray[np.complex128]:
+    """(..., 4, 4), with the eigenvalues exp(i q1)."""
+    # lateral position and a_n are the imaginary parts of u z and v z, with z = exp(i q1)
+    u, v = foot[0] - 1j * foot[1], a[0] - 1j * a[1]
+    d2 = s.offset_m**2
+    # (lateral - Im(u z))^2 - d2 (1 - bz^2 - Im(v z)^2), times z^2
+    c4 = -(u * u + d2 * v * v) / 4
+    c3 = 1j * s.lateral_m * u
+    c2 = s.lateral_m**2 - d2 * (1 - s.boresight_z**2) + (np.abs(u) ** 2 + d2 * np.abs(v) ** 2) / 2
+    least = 1e-14 * (np.abs(u) ** 2 + d2)
+    c4 = np.where(np.abs(c4) < least, least, c4)
+    matrix = np.zeros((*u.shape, 4, 4), np.complex128)
+    matrix[..., 1, 0] = matrix[..., 2, 1] = matrix[..., 3, 2] = 1.0
+    for row, c in enumerate((np.conj(c4), np.conj(c3), c2, c3)):
+        matrix[..., row, 3] = -c / c4
+    return matrix
+
+
+def _lateral(foot: Array, q1: Array) -> Array:
+    lateral: Array = foot[0] * np.sin(q1) - foot[1] * np.cos(q1)
+    return lateral
+
+
+def _sine2(s: OrthogonalArm, a: Array, q1: Array) -> Array:
+    """1 - bz^2 - a_n^2, without the cancellation near 0 of a radial tool."""
+    forward = a[0] * np.cos(q1) + a[1] * np.sin(q1)
+    sine2: Array = forward * forward + a[2] * a[2] - s.boresight_z**2
+    return sine2
+
+
+def _offset_sine(s: OrthogonalArm, foot: Array, a: Array, wrist: Array, q1: Array) -> tuple[Array, Array]:
+    """The sine of the wrist, and by how much the lateral condition is missed [m]."""
+    sine2, short = _sine2(s, a, q1), s.lateral_m - _lateral(foot, q1)
+    sine = wrist * np.sqrt(np.maximum(sine2, 0.0))
+    small = np.abs(sine2) < SMALL_SINE2
+    squared = np.abs(short * short - s.offset_m**2 * sine2)
+    missing = np.abs(s.offset_m * sine - short)
+    missing = np.where(small, np.where(squared < ROUNDING_M2, 0.0, np.sqrt(squared)), missing)
+    return np.where(small, short / s.offset_m, sine), np.where(missing < ROUNDING_M, 0.0, missing)
+
+
+def _newton_step(s: OrthogonalArm, foot: Array, a: Array, wrist: Array, q1: Array) -> Array:
+    """The Newton step of the condition; where the sine is small, of its square, which is smooth there."""
+    c1, s1 = np.cos(q1), np.sin(q1)
+    a_n, a_e = a[0] * s1 - a[1] * c1, a[0] * c1 + a[1] * s1
+    forward = foot[0] * c1 + foot[1] * s1
+    short, sine2 = s.lateral_m - _lateral(foot, q1), _sine2(s, a, q1)
+    sine = wrist * np.sqrt(np.maximum(sine2, SMALL_SINE2))
+    plain = _ratio(s.offset_m * sine - short, forward - s.offset_m * a_n * a_e / sine)
+    d2 = s.offset_m**2
+    squared = _ratio(short * short - d2 * sine2, 2 * (d2 * a_n * a_e - short * forward))
+    return np.where(sine2 < SMALL_SINE2, squared, plain)
+
+
+def _ratio(value: Array, slope: Array) -> Array:
+    ratio: Array = value / np.where(np.abs(slope) < 1e-12, 1e-12, slope)
+    return ratio
+
 
 InPlane = tuple[Array, Array, Array]
 """Components of a vector as seen from the arm's plane: forward, along the pitch axis, down."""
@@ -54,23 +186,23 @@ def closed_form(
     Exact for an arm whose axes are square, whatever the tool; for a calibrated arm, the place to start from.
     `least_bend_rad` keeps the elbow that far from straight and folded, where two roots meet.
     """
-    s = arm.shapes[tool]
-    p, a = into_shoulder(s, p_RoTo_R_m, approach_R)
+    s = arm.orthogonal[tool]
+    p, a = to_shoulder_frame(s, p_RoTo_R_m, approach_R)
     foot = p - s.radius_m * a
-    find = azimuths if s.offset_m == 0.0 else offset_azimuths
+    find = solve_azimuths if s.offset_m == 0.0 else solve_offset_azimuths
     q1, sine, missing_shoulder = find(s, foot, a)  # (shoulder, wrist, ...)
-    foot_P, a_P = in_plane(q1, foot, a)
+    foot_P, a_P = to_arm_plane(q1, foot, a)
     t_e, t_z, missing_axis = turret_axis(s, a_P, sine)
-    reach = wrist_joint(s, foot_P, a_P, t_e, t_z)
+    reach = locate_wrist(s, foot_P, a_P, t_e, t_z)
     bend = np.clip(reach.bend_rad, least_bend_rad, np.pi - least_bend_rad)
     up = np.where(reach.x_m >= 0, bend, -bend)
     bend = np.stack([up, -up], axis=1)  # (shoulder, elbow, wrist, ...)
     both = Reach(reach.x_m[:, None], reach.z_m[:, None], bend, reach.missing_m[:, None])
-    q = pose_of(s, a_P[1][:, None], q1[:, None], t_e[:, None], t_z[:, None], sine[:, None], both)
+    q = joint_angles(s, a_P[1][:, None], q1[:, None], t_e[:, None], t_z[:, None], sine[:, None], both)
     missing_elbow = reach.missing_m
     free = np.abs(sine) < FREE_SINE
     if free.any():
-        missing_elbow = np.where(free, _missing_of_circle(s, foot_P, a_P), missing_elbow)
+        missing_elbow = np.where(free, _circle_shortfall(s, foot_P, a_P), missing_elbow)
     missing = np.maximum(np.maximum(missing_shoulder, missing_axis), missing_elbow)
     from_fold = np.empty((3, *bend.shape))
     from_fold[0] = np.abs(reach.x_m + s.out_m + s.wrist_m * t_z + s.along_m * t_e)[:, None]
@@ -83,51 +215,54 @@ def closed_form(
         from_fold[2].reshape(flat),
         from_fold.reshape(3, *flat),
     )
-    return roots if s.offset_m == 0.0 else _by_name(s, roots)
+    return roots if s.offset_m == 0.0 else _order_by_branch(s, roots)
 
 
-def _by_name(s: Shape, roots: Roots) -> Roots:
+def _order_by_branch(s: OrthogonalArm, roots: Roots) -> Roots:
     """The roots in the order of BRANCHES, where each of the eight is on another branch; else as they are."""
-    name = branch_of(signs_of(s, roots.output_rad))
+    name = branch_index(fold_distances(s, roots.output_rad))
     each = np.broadcast_to(np.arange(8).reshape(8, *(1,) * (name.ndim - 1)), name.shape)
     order = np.where(np.all(np.sort(name, axis=0) == each, axis=0), np.argsort(name, axis=0), each)
     return Roots(
-        *(np.take_along_axis(v, np.broadcast_to(order, v.shape), axis=-order.ndim) for v in values_of(roots))
+        *(
+            np.take_along_axis(v, np.broadcast_to(order, v.shape), axis=-order.ndim)
+            for v in record_arrays(roots)
+        )
     )
 
 
 def closed_form_branch(
-    s: Shape, p_RoTo_R_m: Array, approach_R: Array, near_rad: Array
+    s: OrthogonalArm, p_RoTo_R_m: Array, approach_R: Array, near_rad: Array
 ) -> tuple[Array, Array]:
     """The roots (5, n) of targets (3, n) on the branches of the poses `near_rad`, and what is missing."""
-    p, a = into_shoulder(s, p_RoTo_R_m, approach_R)
+    p, a = to_shoulder_frame(s, p_RoTo_R_m, approach_R)
     near = near_rad + s.theta_rad[:, None]
     foot = p - s.radius_m * a
     wrist = np.where(np.cos(near[4] + s.clock_rad) >= 0, 1.0, -1.0)
-    find = azimuth_near if s.offset_m == 0.0 else offset_azimuth_near
+    find = solve_azimuth_near if s.offset_m == 0.0 else solve_offset_azimuth_near
     q1, sine, missing_shoulder = find(s, foot, a, wrist, near[0])
-    foot_P, a_P = in_plane(q1, foot, a)
+    foot_P, a_P = to_arm_plane(q1, foot, a)
     t_e, t_z, missing_axis = turret_axis(s, a_P, sine)
-    reach = wrist_joint(s, foot_P, a_P, t_e, t_z)
+    reach = locate_wrist(s, foot_P, a_P, t_e, t_z)
     bend = np.where(np.sin(near[2]) >= 0, reach.bend_rad, -reach.bend_rad)
-    q = pose_of(s, a_P[1], q1, t_e, t_z, sine, replace(reach, bend_rad=bend))
+    q = joint_angles(s, a_P[1], q1, t_e, t_z, sine, replace(reach, bend_rad=bend))
     return q, np.maximum(np.maximum(missing_shoulder, missing_axis), reach.missing_m)
 
 
-def into_shoulder(s: Shape, p_R_m: Array, v_R: Array) -> tuple[Array, Array]:
+def to_shoulder_frame(s: OrthogonalArm, p_R_m: Array, v_R: Array) -> tuple[Array, Array]:
     """Points and directions (3, ...) of the rover frame in frame Arm1, in which the azimuth turns about z."""
     batch = (1,) * (p_R_m.ndim - 1)
     R, p = s.X_R1.R.reshape(3, 3, *batch), s.X_R1.p.reshape(3, *batch)
     return rotate_back(R, p_R_m - p), rotate_back(R, v_R)
 
 
-def in_plane(q1: Array, *vectors: Array) -> tuple[InPlane, ...]:
+def to_arm_plane(q1: Array, *vectors: Array) -> tuple[InPlane, ...]:
     """Vectors (3, ...) of frame Arm1 as seen from the arm's plane at some azimuths."""
     c, s = np.cos(q1), np.sin(q1)
     return tuple((v[0] * c + v[1] * s, v[0] * s - v[1] * c, v[2]) for v in vectors)
 
 
-def turret_axis(s: Shape, a: InPlane, sine: Array) -> tuple[Array, Array, Array]:
+def turret_axis(s: OrthogonalArm, a: InPlane, sine: Array) -> tuple[Array, Array, Array]:
     """Turret axis in the arm's plane, forward and down, and by how much there is none.
 
     The axis is z5 = (bz a_flat + sine n x a) / flat^2, with n the pitch axis, a_flat the approach's part in
@@ -157,7 +292,7 @@ class Reach:
     """By how much it is out of reach; the elbow is then straight or folded."""
 
 
-def wrist_joint(s: Shape, foot: InPlane, b: InPlane, t_e: Array, t_z: Array) -> Reach:
+def locate_wrist(s: OrthogonalArm, foot: InPlane, b: InPlane, t_e: Array, t_z: Array) -> Reach:
     """Where the wrist joint has to be for a foot on the turret axis, a boresight b and a turret axis.
 
     The bend is without its sign.
@@ -174,7 +309,7 @@ def wrist_joint(s: Shape, foot: InPlane, b: InPlane, t_e: Array, t_z: Array) -> 
     return Reach(x, z, np.arccos(np.clip(cosine, -1.0, 1.0)), missing)
 
 
-def _missing_of_circle(s: Shape, foot: InPlane, b: InPlane) -> Array:
+def _circle_shortfall(s: OrthogonalArm, foot: InPlane, b: InPlane) -> Array:
     """By how much the wrist joint, on a circle around the foot, is out of reach whatever the turret axis."""
     radius = np.hypot(s.along_m, s.wrist_m + s.offset_m * b[1])
     centre = np.hypot(foot[0] - s.out_m, foot[2] - s.down_m)
@@ -185,7 +320,9 @@ def _missing_of_circle(s: Shape, foot: InPlane, b: InPlane) -> Array:
     return missing
 
 
-def pose_of(s: Shape, b_n: Array, q1: Array, t_e: Array, t_z: Array, sine: Array, reach: Reach) -> Array:
+def joint_angles(
+    s: OrthogonalArm, b_n: Array, q1: Array, t_e: Array, t_z: Array, sine: Array, reach: Reach
+) -> Array:
     """Output angles (5, ...); b_n and sine are the boresight's parts square to the plane and, in it, to t."""
     lean = np.arctan2(s.fore_m * np.sin(reach.bend_rad), s.upper_m + s.fore_m * np.cos(reach.bend_rad))
     q = np.empty((5, *lean.shape))

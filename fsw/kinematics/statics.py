@@ -6,14 +6,47 @@ import numpy as np
 
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import Frames, forward, tool_pose
-from fsw.kinematics.transforms import Array, Flags, cross, dot, each_link, rotate, rotate_back
+from fsw.kinematics.transforms import (
+    Array,
+    Flags,
+    compose,
+    cross,
+    dot,
+    multiply_per_link,
+    rotate,
+    rotate_back,
+)
+
+
+def relative_target(
+    arm: Arm,
+    reference_tool: int,
+    reference_rad: Array,
+    gravity_R_m_s2: Array,
+    p_RoTo_R_m: Array,
+    approach_R: Array,
+) -> tuple[Array, Array]:
+    """The target to give to the absolute inverse if only the difference from a reference pose is to count.
+
+    At the reference pose (outputs, 5) the reference tool is known to be in place, whatever the deflection
+    there. So that deflection, the displacement of the tool from rigid to deflected, is counted to the world:
+    the target (3, ...) moves along with it.
+    """
+    rigid = tool_pose(arm, forward(arm, reference_rad), reference_tool)
+    deflected = tool_pose(arm, settle_output(arm, reference_rad, gravity_R_m_s2).frames, reference_tool)
+    turn = compose(deflected.R, np.swapaxes(rigid.R, 0, 1))
+    ones = (1,) * (p_RoTo_R_m.ndim - 1)
+    pivot, shifted = rigid.p.reshape(3, *ones), deflected.p.reshape(3, *ones)
+    turn = turn.reshape(3, 3, *ones)
+    return rotate(turn, p_RoTo_R_m - pivot) + shifted, rotate(turn, approach_R)
+
 
 EQUILIBRIUM_TOLERANCE = 1e-11
 MAX_PASSES = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Push:
+class ToolForce:
     """What a tool presses on pushes back, at the tool's origin."""
 
     tool: int
@@ -36,7 +69,9 @@ class Equilibrium:
     """(...) bool."""
 
 
-def load(arm: Arm, frames: Frames, gravity_R_m_s2: Array, push: Push | None = None) -> tuple[Array, Array]:
+def compute_load(
+    arm: Arm, frames: Frames, gravity_R_m_s2: Array, push: ToolForce | None = None
+) -> tuple[Array, Array]:
     """The strain that the springs take under the load of these frames, and the joint torques.
 
     Paper equations 4 and 5, with the load at the deflected pose. Gravity (3,) or (3, ...) in the rover frame;
@@ -67,7 +102,7 @@ def load(arm: Arm, frames: Frames, gravity_R_m_s2: Array, push: Push | None = No
         torque += arm_L_m[0, 1:] * push_L[1, 1:] - arm_L_m[1, 1:] * push_L[0, 1:]
         moment_L += cross(arm_L_m - X_LD.p, push_L)
         force_L += push_L
-    return _yield(arm, frames, moment_L, force_L), torque
+    return _deflect_springs(arm, frames, moment_L, force_L), torque
 
 
 def _outward_sum(per_link: Array) -> Array:
@@ -77,7 +112,7 @@ def _outward_sum(per_link: Array) -> Array:
     return per_link
 
 
-def _yield(arm: Arm, frames: Frames, moment_L: Array, force_L: Array) -> Array:
+def _deflect_springs(arm: Arm, frames: Frames, moment_L: Array, force_L: Array) -> Array:
     """Compliance times the load as the spring's own coordinates feel it: its later axes have turned.
 
     The axes are x, then y turned about x, then z turned about both, which is the far side's z axis.
@@ -89,23 +124,25 @@ def _yield(arm: Arm, frames: Frames, moment_L: Array, force_L: Array) -> Array:
     wrench[1] /= np.sqrt(z_axis[1] ** 2 + z_axis[2] ** 2)
     wrench[2] = dot(z_axis, moment_L)
     wrench[3:] = force_L
-    return each_link(arm.compliance, wrench.reshape(6, 6, -1)).reshape(wrench.shape)
+    return multiply_per_link(arm.compliance, wrench.reshape(6, 6, -1)).reshape(wrench.shape)
 
 
 def settle(
-    arm: Arm, motor_rad: Array, gap_rad: Array, gravity_R_m_s2: Array, push: Push | None = None
+    arm: Arm, motor_rad: Array, gap_rad: Array, gravity_R_m_s2: Array, push: ToolForce | None = None
 ) -> Equilibrium:
     """The rest pose for motor angles and gaps (5, ...): output = motor + gap + torque / stiffness."""
     return _equilibrium(arm, motor_rad + gap_rad, 1.0 / arm.gear_stiffness_Nm_rad, gravity_R_m_s2, push)
 
 
-def rest(arm: Arm, output_rad: Array, gravity_R_m_s2: Array, push: Push | None = None) -> Equilibrium:
+def settle_output(
+    arm: Arm, output_rad: Array, gravity_R_m_s2: Array, push: ToolForce | None = None
+) -> Equilibrium:
     """The rest pose for output angles (5, ...), whatever the gears do to hold them."""
     return _equilibrium(arm, output_rad, np.zeros_like(arm.gear_stiffness_Nm_rad), gravity_R_m_s2, push)
 
 
 def _equilibrium(
-    arm: Arm, anchor_rad: Array, gear_rad_Nm: Array, gravity_R_m_s2: Array, push: Push | None
+    arm: Arm, anchor_rad: Array, gear_rad_Nm: Array, gravity_R_m_s2: Array, push: ToolForce | None
 ) -> Equilibrium:
     """Fixed point of load and strain; each pass takes off a factor of twenty or more."""
     batch = anchor_rad.shape[1:]
@@ -114,7 +151,7 @@ def _equilibrium(
     output = anchor_rad
     for _ in range(MAX_PASSES):
         frames = forward(arm, output, strain)
-        new_strain, torque = load(arm, frames, gravity_R_m_s2, push)
+        new_strain, torque = compute_load(arm, frames, gravity_R_m_s2, push)
         new_output = anchor_rad + torque * gear
         step = np.maximum(
             np.max(np.abs(new_strain - strain), axis=(0, 1)), np.max(np.abs(new_output - output), axis=0)

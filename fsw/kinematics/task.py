@@ -7,7 +7,7 @@ import numpy as np
 
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.chain import Frames, forward, joint_jacobian, tool_pose
-from fsw.kinematics.statics import load
+from fsw.kinematics.statics import compute_load
 from fsw.kinematics.transforms import Array, Pose, cross, dot, rotate_back
 
 ROOT_TOLERANCE: Final = 5e-10
@@ -15,7 +15,7 @@ ROOT_TOLERANCE: Final = 5e-10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Tried:
+class PoseEvaluation:
     """What the hanging arm does at some joint angles, batch (n,)."""
 
     frames: Frames
@@ -25,24 +25,26 @@ class Tried:
     """(6, 6, n), under that load."""
     torque_Nm: Array
     """(5, n)."""
-    unrest: Array
+    strain_change: Array
     """(n,): by how much the load changed the strain that was assumed."""
 
 
-def try_pose(arm: Arm, tool: int, output_rad: Array, strain: Array | None, gravity_R_m_s2: Array) -> Tried:
+def evaluate_pose(
+    arm: Arm, tool: int, output_rad: Array, strain: Array | None, gravity_R_m_s2: Array
+) -> PoseEvaluation:
     """One pass of load and deflection at angles (5, n), from an assumed strain (6, 6, n) or from none."""
     frames = forward(arm, output_rad, strain)
     X_RT = tool_pose(arm, frames, tool)
     n = output_rad.shape[1]
     if not gravity_R_m_s2.any():
-        return Tried(frames, X_RT, np.zeros((6, 6, n)), np.zeros_like(output_rad), np.zeros(n))
-    new_strain, torque = load(arm, frames, gravity_R_m_s2)
+        return PoseEvaluation(frames, X_RT, np.zeros((6, 6, n)), np.zeros_like(output_rad), np.zeros(n))
+    new_strain, torque = compute_load(arm, frames, gravity_R_m_s2)
     change = new_strain if strain is None else new_strain - strain
-    unrest = np.abs(change).reshape(36, n).max(axis=0)
-    return Tried(frames, _sagged(frames, change, X_RT), new_strain, torque, unrest)
+    strain_change = np.abs(change).reshape(36, n).max(axis=0)
+    return PoseEvaluation(frames, _deflect_tool(frames, change, X_RT), new_strain, torque, strain_change)
 
 
-def _sagged(frames: Frames, change: Array, X_RT: Pose) -> Pose:
+def _deflect_tool(frames: Frames, change: Array, X_RT: Pose) -> Pose:
     """Where the tool will be when the springs have taken a small change of strain (6, 6, n): first order."""
     R_RL = frames.X_RL.R
     lever_L_m = rotate_back(R_RL, X_RT.p[:, None] - frames.X_RL.p) - frames.X_LD.p

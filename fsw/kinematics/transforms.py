@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-Numbers = NDArray[np.int64]
+Integers = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,7 +34,7 @@ class Pose:
         return Pose(self.R[(slice(None), slice(None), *where)], self.p[(slice(None), *where)])
 
 
-def batched(poses: Sequence[Pose]) -> Pose:
+def stack_poses(poses: Sequence[Pose]) -> Pose:
     """One or more poses as one, along a new last axis."""
     return Pose(np.stack([X.R for X in poses], -1), np.stack([X.p for X in poses], -1))
 
@@ -81,7 +81,7 @@ def cross(a: Array, b: Array) -> Array:
     return product
 
 
-def each_link(M: Array, v: Array) -> Array:
+def multiply_per_link(M: Array, v: Array) -> Array:
     """The products of the links' constant matrices (i, j, 6) with v (..., j, 6, n), as (..., i, 6, n).
 
     The matrices are the same for the whole batch, so that this is a matrix product a link.
@@ -97,14 +97,14 @@ def norm(v: Array) -> Array:
     return np.sqrt(dot(v, v))
 
 
-def down_from(roll_rad: float, pitch_rad: float) -> Array:
+def gravity_direction(roll_rad: float, pitch_rad: float) -> Array:
     """Gravity's direction (3,) in RMECH of a rover rolled (right side down) after it is pitched (nose up)."""
     R_WR = rotation_y(np.array(pitch_rad)) @ rotation_x(np.array(roll_rad))
     down: Array = R_WR.T @ np.array([0.0, 0.0, 1.0])
     return down
 
 
-def unit(v: Array | tuple[float, float, float]) -> Array:
+def normalize(v: Array | tuple[float, float, float]) -> Array:
     """A vector (3,) of length one in the same direction."""
     along: Array = np.asarray(v) / np.linalg.norm(v)
     return along

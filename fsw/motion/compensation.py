@@ -6,11 +6,11 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.commands import Backlash, Deflection
-from fsw.dictionary.joints import Tool
-from fsw.estimate.gear import gap_of, load_error
+from fsw.dictionary.commands import BacklashMode, DeflectionMode
+from fsw.dictionary.enums import Tool
+from fsw.estimate.gear import clip_to_backlash, load_error
 from fsw.estimate.joints import JointEstimate
-from fsw.kinematics.relative import relative_target
+from fsw.kinematics.statics import relative_target
 from fsw.kinematics.transforms import Array
 
 NO_GRAVITY: Final = np.zeros(3)
@@ -20,8 +20,8 @@ NO_GRAVITY: Final = np.zeros(3)
 class Compensation:
     """Whether a move allows for backlash, and what it does about deflection; wind-up counts as deflection."""
 
-    backlash: Backlash = "on"
-    deflection: Deflection = "absolute"
+    backlash: BacklashMode = "on"
+    deflection: DeflectionMode = "absolute"
 
     def gravity(self, joints: JointEstimate) -> Array:
         """The gravity under which the arm is taken to hang: none if it is taken to be rigid."""
@@ -29,14 +29,14 @@ class Compensation:
 
     def allowance(self, joints: JointEstimate, gear_rad: Array) -> Array:
         """The part of gear angles (5, ...) by which set-points are shifted."""
-        wind_up = gear_rad - gap_of(joints.reference.half_gap_rad, gear_rad)
+        wind_up = gear_rad - clip_to_backlash(joints.reference.half_gap_rad, gear_rad)
         gap = self.gap(joints, gear_rad)
         allowed: Array = gap if self.deflection == "off" else gap + wind_up
         return allowed
 
     def gap(self, joints: JointEstimate, gear_rad: Array) -> Array:
         """The part of that which is backlash."""
-        gap = gap_of(joints.reference.half_gap_rad, gear_rad)
+        gap = clip_to_backlash(joints.reference.half_gap_rad, gear_rad)
         return gap if self.backlash == "on" else np.zeros_like(gap)
 
     def target(

@@ -7,13 +7,11 @@ from typing import Final
 import numpy as np
 
 from fsw.config import CYCLE_S, Config
+from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Mode, Switch, Tool
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, Evr, ForceFelt, Preloaded
 from fsw.dictionary.faults import NoContact, NotSettled
-from fsw.dictionary.joints import SWITCHES_OF, Joint, Switch, Tool
-from fsw.dictionary.modes import Mode
-from fsw.estimate.hardstop import Found
-from fsw.estimate.joints import JointEstimate
-from fsw.estimate.load import LoadEstimate
+from fsw.estimate.hardstop import HardstopFit
+from fsw.estimate.joints import JointEstimate, LoadEstimate
 from fsw.kinematics.transforms import Array
 from fsw.messages import Flags, Sensors
 from fsw.motion import seek as seeking
@@ -74,7 +72,7 @@ class Advance:
     move: Move | None
     evrs: tuple[Evr, ...] = ()
     end_mode: Mode | None = None
-    stop: tuple[Joint, Found] | None = None
+    stop: tuple[Joint, HardstopFit] | None = None
     """The hardstop that was found, and whose."""
     gap_rad: Array | None = None
     """The backlash that new paths allow for at their end; None without new paths."""
@@ -114,7 +112,7 @@ def _pressed(move: Move) -> tuple[Evr, ...]:
     return (Preloaded(pressing.tool, pressing.force_N),)
 
 
-def _found(move: Move) -> tuple[Joint, Found] | None:
+def _found(move: Move) -> tuple[Joint, HardstopFit] | None:
     if move.seek is None or move.seek.found is None:
         return None
     return move.seek.joint, move.seek.found
@@ -135,7 +133,7 @@ def stop(config: Config, move: Move, end_mode: Mode) -> Move:
 
 def closed_switch(tool: Tool, closed: Flags) -> Switch | None:
     """The first closed contact switch of a tool."""
-    return next((switch for switch in SWITCHES_OF[tool] if closed[switch]), None)
+    return next((switch for switch in TOOL_SWITCHES[tool] if closed[switch]), None)
 
 
 def _seek(

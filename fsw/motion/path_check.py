@@ -6,11 +6,11 @@ import numpy as np
 
 from fsw.collision.distance import compute_clearances, find_violation
 from fsw.config import Config
-from fsw.dictionary.joints import Tool
-from fsw.estimate.gear import bounds_under
+from fsw.dictionary.enums import Tool
+from fsw.estimate.gear import bound_gear
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.chain import Frames, forward
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from fsw.motion.paths import Path
 
@@ -97,8 +97,8 @@ def compute_deflected_frames(config: Config, joints: JointEstimate, motor_rad: A
         Frames of the links in RMECH, batch (n).
     """
     gravity = joints.gravity_R_m_s2
-    hung = rest(config.arm, motor_rad, gravity)
-    bounds = bounds_under(config, joints.reference.half_gap_rad, hung.torque_Nm)
+    hung = settle_output(config.arm, motor_rad, gravity)
+    bounds = bound_gear(config, joints.reference.half_gap_rad, hung.torque_Nm)
     output = motor_rad + 0.5 * (bounds.lowest_rad + bounds.highest_rad)
     return forward(config.arm, output, hung.strain)
 

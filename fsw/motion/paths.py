@@ -7,7 +7,7 @@ import numpy as np
 from ruckig import InputParameter, Result, Ruckig, Trajectory
 
 from fsw.config import CYCLE_S, Config
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.transforms import Array, norm
 

@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.joints import Joint
-from fsw.estimate.gear import LIKELY, bounds_under, gear_moved
+from fsw.dictionary.enums import Joint
+from fsw.estimate.gear import LIKELY, bound_gear, gear_after_output_turn
 from fsw.estimate.joints import JointEstimate
-from fsw.kinematics.limits import beyond_limits, outside
-from fsw.kinematics.statics import rest
+from fsw.kinematics.soft_limits import describe_outside, limit_excess
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from fsw.motion.compensation import Compensation, last_motion
 from fsw.motion.paths import Path, joint_path
@@ -73,7 +73,7 @@ def plan_poses(
     for k, pose in enumerate(poses):
         if over_limits(config, pose) > 0:
             return Refusal(worst_limit(config, pose))
-        hanging = rest(config.arm, pose, joints.gravity_R_m_s2)
+        hanging = settle_output(config.arm, pose, joints.gravity_R_m_s2)
         if not hanging.converged:
             return Refusal(TOO_SOFT)
         last = k == len(poses) - 1
@@ -91,8 +91,8 @@ def plan_joint(
     pose[joint] = angle_rad
     arm = config.arm
     if not arm.soft_min_rad[joint] <= angle_rad <= arm.soft_max_rad[joint]:
-        return Refusal(outside(arm, joint, angle_rad))
-    hanging = rest(arm, pose, joints.gravity_R_m_s2)
+        return Refusal(describe_outside(arm, joint, angle_rad))
+    hanging = settle_output(arm, pose, joints.gravity_R_m_s2)
     if not hanging.converged:
         return Refusal(TOO_SOFT)
     return plan_to(config, joints, standing(joints), pose, hanging.torque_Nm, compensation, only=joint)
@@ -114,8 +114,8 @@ def plan_to(
     itself, the move first goes as far beyond as that takes. With `only`, the other motors stay.
     """
     moving = np.array([only in (None, joint) for joint in Joint])
-    bounds = bounds_under(config, joints.reference.half_gap_rad, load_Nm)
-    gear = gear_moved(start.gear_rad, output_rad - start.output_rad, bounds)
+    bounds = bound_gear(config, joints.reference.half_gap_rad, load_Nm)
+    gear = gear_after_output_turn(start.gear_rad, output_rad - start.output_rad, bounds)
     if compensation.backlash == "off" or not on_known_side:
         motor = np.where(moving, output_rad - compensation.allowance(joints, gear), start.motor_rad)
         path = joint_path(config, start.motor_rad, motor)
@@ -123,7 +123,7 @@ def plan_to(
     run_up = bounds.highest_rad - bounds.lowest_rad + config.params.motion.approach_rad
     direction = moving * last_motion(config, load_Nm, joints.gravity_R_m_s2)
     direction = _allowed(config, output_rad, run_up, direction)
-    gear = np.where(direction == 0, gear, gear_moved(gear, direction, bounds))
+    gear = np.where(direction == 0, gear, gear_after_output_turn(gear, direction, bounds))
     motor = np.where(moving, output_rad - compensation.allowance(joints, gear), start.motor_rad)
     short = (direction != 0) & (direction * (motor - start.motor_rad) < run_up)
     before = [np.where(short, motor - direction * run_up, motor)] if short.any() else []
@@ -141,11 +141,11 @@ def _allowed(config: Config, output_rad: Array, run_up_rad: Array, direction: Ar
 
 def over_limits(config: Config, output_rad: Array) -> Array:
     """By how much the worst joint of (5, ...) is beyond its soft limit; negative is inside."""
-    over: Array = beyond_limits(config.arm, output_rad).max(axis=0)
+    over: Array = limit_excess(config.arm, output_rad).max(axis=0)
     return over
 
 
 def worst_limit(config: Config, output_rad: Array) -> str:
     """The sentence about the joint of a pose (5) that is farthest beyond its soft limit."""
-    joint = Joint(int(np.argmax(beyond_limits(config.arm, output_rad))))
-    return outside(config.arm, joint, output_rad[joint])
+    joint = Joint(int(np.argmax(limit_excess(config.arm, output_rad))))
+    return describe_outside(config.arm, joint, output_rad[joint])

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from fsw.config import Config
-from fsw.estimate.gear import STILL_RAD, bounds_under, gear_moved
+from fsw.estimate.gear import STILL_RAD, bound_gear, gear_after_output_turn
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.transforms import Array
 from fsw.motion.compensation import Compensation
@@ -37,11 +37,11 @@ def plan_through(
         paths.append(joint_path(config, here.motor_rad, first))
         knots = [first]
     for k, moved in enumerate(np.diff(output_rad).T, start=1):
-        bounds = bounds_under(config, joints.reference.half_gap_rad, load_Nm[:, k])
+        bounds = bound_gear(config, joints.reference.half_gap_rad, load_Nm[:, k])
         wound = (load_Nm[:, k] - load_Nm[:, k - 1]) / stiffness
         # many knots that are each too little to drag an output add up
         unmade = unmade + moved
-        new_gear = gear_moved(gear + wound, unmade, bounds)
+        new_gear = gear_after_output_turn(gear + wound, unmade, bounds)
         unmade = np.where(np.abs(unmade) > STILL_RAD, 0.0, unmade)
         allowance = compensation.allowance(joints, new_gear)
         crossed = allowance - compensation.allowance(joints, gear + wound)

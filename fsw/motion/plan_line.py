@@ -6,11 +6,11 @@ import numpy as np
 
 from fsw.config import Config
 from fsw.dictionary.commands import GuardedMove, MoveTool, Retract
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.refine import Refined, refine
-from fsw.kinematics.statics import rest
+from fsw.kinematics.newton import NewtonRoots, refine_roots
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, norm
 from fsw.motion.compensation import Compensation
 from fsw.motion.paths import Travel
@@ -84,7 +84,7 @@ def from_here(config: Config, joints: JointEstimate, tool: Tool, compensation: C
     """A line that has yet to go anywhere, so that its plan begins without a step."""
     gravity = compensation.gravity(joints)
     output = joints.motor_rad + compensation.allowance(joints, standing(joints).gear_rad)
-    X_RT = tool_pose(config.arm, rest(config.arm, output, gravity).frames, tool)
+    X_RT = tool_pose(config.arm, settle_output(config.arm, output, gravity).frames, tool)
     axis = X_RT.R[:, 0]
     return Line(tool, compensation, gravity, output, X_RT.p, axis, X_RT.p, axis)
 
@@ -127,24 +127,26 @@ def _planned(config: Config, joints: JointEstimate, line: Line, speed_m_s: float
     return plan_through(config, joints, found.output_rad, found.torque_Nm, line.compensation, travel)
 
 
-def _followed(config: Config, line: Line, share: Array) -> Refined:
+def _followed(config: Config, line: Line, share: Array) -> NewtonRoots:
     """Outputs at each share (k,) of the line: all at once, or knot by knot where that loses the branch."""
     p_m = line.p_m[:, None] + share * (line.end_p_m - line.p_m)[:, None]
     axes = line.axis[:, None] + share * (line.end_axis - line.axis)[:, None]
     axes /= norm(axes)
     start = np.tile(line.output_rad[:, None], share.size)
-    found = refine(config.arm, line.tool, p_m, axes, line.gravity_R_m_s2, start)
+    found = refine_roots(config.arm, line.tool, p_m, axes, line.gravity_R_m_s2, start)
     steps = np.abs(np.diff(found.output_rad, prepend=line.output_rad[:, None]))
     if np.all(found.converged) and steps.max() < KNOT_RAD:
         return found
-    knots: list[Refined] = []
+    knots: list[NewtonRoots] = []
     last = before = line.output_rad
     for k in range(share.size):
-        knot = refine(config.arm, line.tool, p_m[:, k], axes[:, k], line.gravity_R_m_s2, 2 * last - before)
+        knot = refine_roots(
+            config.arm, line.tool, p_m[:, k], axes[:, k], line.gravity_R_m_s2, 2 * last - before
+        )
         followed = knot.converged & (np.abs(knot.output_rad - last).max() < KNOT_RAD)
         knots.append(replace(knot, converged=followed))
         before, last = last, knot.output_rad
-    return Refined(
+    return NewtonRoots(
         output_rad=np.stack([knot.output_rad for knot in knots], axis=-1),
         torque_Nm=np.stack([knot.torque_Nm for knot in knots], axis=-1),
         error=np.stack([knot.error for knot in knots]),

@@ -6,10 +6,10 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import Push, rest
+from fsw.kinematics.statics import ToolForce, settle_output
 from fsw.kinematics.task import ROOT_TOLERANCE, task_error, task_jacobian
 from fsw.kinematics.transforms import Array
 from fsw.motion.compensation import Compensation
@@ -56,13 +56,13 @@ class Pressing:
         """With what it is believed to press."""
         return self.share * self.model_N
 
-    def push(self, force_N: Array | float) -> Push:
+    def push(self, force_N: Array | float) -> ToolForce:
         """What comes back of a force or forces (...)."""
         column = self.axis_R.reshape(3, *(1,) * np.ndim(force_N))
-        return Push(self.tool, -column * force_N)
+        return ToolForce(self.tool, -column * force_N)
 
     @property
-    def pushed(self) -> Push:
+    def pushed(self) -> ToolForce:
         """What comes back of the force as it is believed to be."""
         return self.push(self.force_N)
 
@@ -101,9 +101,9 @@ def firm_N(config: Config) -> float:
 def touched(config: Config, joints: JointEstimate, tool: Tool) -> Pressing:
     """A tool that touches with what closes its switch: so little pushes it that friction does not count."""
     arm, gravity, force_N = config.arm, joints.gravity_R_m_s2, config.params.motion.switch_force_N
-    free = tool_pose(arm, rest(arm, joints.output_rad, gravity).frames, tool)
-    push = Push(tool, -free.R[:, 0] * force_N)
-    pushed = tool_pose(arm, rest(arm, joints.output_rad, gravity, push).frames, tool)
+    free = tool_pose(arm, settle_output(arm, joints.output_rad, gravity).frames, tool)
+    push = ToolForce(tool, -free.R[:, 0] * force_N)
+    pushed = tool_pose(arm, settle_output(arm, joints.output_rad, gravity, push).frames, tool)
     return Pressing(tool, pushed.p, pushed.R[:, 0], force_N, joints.resolver_error_rad)
 
 
@@ -126,8 +126,8 @@ def plan_press(
     if np.any(over > 0):
         k = int(np.argmax(over > 0))
         return Refusal(f"at {pressing.share * forces[k]:.1f} N, {worst_limit(config, output[:, k])}")
-    pushed = rest(config.arm, output, joints.gravity_R_m_s2, pressing.push(forces))
-    carried = rest(config.arm, output, joints.gravity_R_m_s2, pressing.push(pressing.share * forces))
+    pushed = settle_output(config.arm, output, joints.gravity_R_m_s2, pressing.push(forces))
+    carried = settle_output(config.arm, output, joints.gravity_R_m_s2, pressing.push(pressing.share * forces))
     if not (np.all(pushed.converged) and np.all(carried.converged)):
         return Refusal(TOO_SOFT)
     load_Nm, carried_Nm = pushed.torque_Nm, carried.torque_Nm
@@ -165,7 +165,7 @@ def _outputs(config: Config, joints: JointEstimate, pressing: Pressing, forces: 
     p, axis = pressing.p_RoTo_R_m[:, None], pressing.axis_R[:, None]
     output = np.tile(joints.output_rad[:, None], forces.size)
     for _ in range(STEPS):
-        hanging = rest(arm, output, joints.gravity_R_m_s2, push)
+        hanging = settle_output(arm, output, joints.gravity_R_m_s2, push)
         X_RT = tool_pose(arm, hanging.frames, tool)
         error = task_error(X_RT, p, axis)
         if np.abs(error).max() < ROOT_TOLERANCE:

@@ -4,11 +4,11 @@ import numpy as np
 
 from fsw.config import Config
 from fsw.dictionary.commands import Process
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.limits import into_limits
-from fsw.kinematics.statics import rest
+from fsw.kinematics.soft_limits import wrap_into_limits
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, angle_between
 from fsw.motion.compensation import Compensation
 from fsw.motion.plan import Refusal, over_limits, worst_limit
@@ -48,7 +48,7 @@ def _pose(
     """The pose with gravity on this side of the plane of wrist and turret axis."""
     arm, pose = config.arm, joints.output_rad.copy()
     for _ in range(PASSES):
-        frames = rest(arm, pose, gravity_R_m_s2).frames
+        frames = settle_output(arm, pose, gravity_R_m_s2).frames
         R_RT = tool_pose(arm, frames, command.tool).R
         off_rad = float(np.linalg.norm(R_RT.T @ down_R - down_T))
         if off_rad < CLOSE_RAD:
@@ -58,7 +58,7 @@ def _pose(
         between_R = _between(wrist_R, turret_R, down_R, pointed_R, side)
         pose[Joint.WRIST] += _turn(wrist_R, between_R, down_R)
         pose[Joint.TURRET] += _turn(turret_R, pointed_R, between_R)
-        pose[Joint.WRIST :] = into_limits(arm, pose, joints.output_rad)[Joint.WRIST :]
+        pose[Joint.WRIST :] = wrap_into_limits(arm, pose, joints.output_rad)[Joint.WRIST :]
     return Refusal(
         _beyond_wrist(wrist_R, turret_R, down_R, pointed_R)
         or f"no pose found: gravity would be {off_rad:.6g} rad off"

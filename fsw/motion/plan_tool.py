@@ -7,13 +7,12 @@ from numpy.typing import NDArray
 
 from fsw.config import Config
 from fsw.dictionary.commands import ROVER, MoveTool
-from fsw.dictionary.joints import Frame, Tool
+from fsw.dictionary.enums import Frame, Tool
 from fsw.estimate.joints import JointEstimate
-from fsw.kinematics.answers import Answers, Verdict, at_target, why
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import Frames, tool_pose
-from fsw.kinematics.ik import inverse_kinematics
-from fsw.kinematics.statics import rest
+from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_kinematics, select_result
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose
 from fsw.motion.compensation import Compensation
 from fsw.motion.path_check import check_paths
@@ -47,7 +46,7 @@ def plan_tool(
     answers = inverse_kinematics(
         config.arm, command.tool, targets, approaches, compensation.gravity(joints), joints.motor_rad
     )
-    valid = np.all(answers.verdict == Verdict.VALID, axis=-1)
+    valid = np.all(answers.verdict == BranchVerdict.VALID, axis=-1)
     names = [BRANCHES[slot % len(BRANCHES)] for slot in range(len(valid))]
     wanted = np.array([command.branch in (AUTO, name) for name in names])
     if not np.any(valid & wanted):
@@ -69,7 +68,7 @@ def _first_clear(
     met = []
     for slot in np.argsort(turns_s)[: np.count_nonzero(np.isfinite(turns_s))]:
         pose = output_rad[:, slot]
-        load_Nm = rest(config.arm, pose, joints.gravity_R_m_s2).torque_Nm
+        load_Nm = settle_output(config.arm, pose, joints.gravity_R_m_s2).torque_Nm
         plan = _if_clear(
             config, joints, plan_to(config, joints, standing(joints), pose, load_Nm, compensation)
         )
@@ -90,7 +89,7 @@ def _in_rover(
     """Position and unit approach in RMECH."""
     p_m, approach = np.array(command.p_FoTo_F_m), np.array(command.approach_F)
     if command.frame != ROVER:
-        frames = rest(config.arm, joints.output_rad, compensation.gravity(joints)).frames
+        frames = settle_output(config.arm, joints.output_rad, compensation.gravity(joints)).frames
         X_RF = _frame(config, frames, command.frame)
         p_m, approach = X_RF.R @ p_m + X_RF.p, X_RF.R @ approach
     return p_m, approach / np.linalg.norm(approach)
@@ -104,12 +103,12 @@ def _frame(config: Config, frames: Frames, name: str) -> Pose:
     return Pose(frames.X_RF.R[:, :, k], frames.X_RF.p[:, k])
 
 
-def _why_none(config: Config, tool: Tool, answers: Answers, wanted: NDArray[np.bool_]) -> str:
+def _why_none(config: Config, tool: Tool, answers: IkResult, wanted: NDArray[np.bool_]) -> str:
     """Of the branches asked for, the reason of the nearest: at the target, else at the end of the line."""
     for place, name in ((0, "the target"), (1, "the end of the approach")):
         verdict, excess = answers.verdict[:, place], answers.excess[:, place]
-        if not np.any(wanted & (verdict == Verdict.VALID)):
+        if not np.any(wanted & (verdict == BranchVerdict.VALID)):
             # by verdict first, a limit is nearer than reach, then by how much
             nearest = int(np.lexsort((excess, verdict, ~wanted))[0])
-            return f"{tool.name}: {name}: {why(config.arm, at_target(answers, place), nearest)}"
+            return f"{tool.name}: {name}: {describe_slot(config.arm, select_result(answers, place), nearest)}"
     return f"{tool.name}: no branch asked for reaches the target and the end of the approach alike"

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ, CYCLE_S, Config
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import (
     CurrentImplausible,
@@ -17,16 +18,15 @@ from fsw.dictionary.faults import (
     NoHardstop,
     StalledEarly,
 )
-from fsw.dictionary.joints import Joint
 from fsw.dictionary.params import JointParams
 from fsw.estimate.hardstop import (
     NO_READINGS,
-    Found,
-    Pressed,
+    ContactLine,
+    HardstopFit,
     Readings,
-    found,
-    gap_width,
-    pressed,
+    fit_contact_line,
+    locate_hardstop,
+    measure_backlash,
     series_compliance,
 )
 from fsw.estimate.joints import JointEstimate
@@ -97,9 +97,9 @@ class Seek:
     """Of the load, what pushes the joint on its hardstop."""
     retreat: JointPath | None = None
     towards: Readings = NO_READINGS
-    press: Pressed | None = None
+    press: ContactLine | None = None
     away: Readings = NO_READINGS
-    found: Found | None = None
+    found: HardstopFit | None = None
     """Set when all is done."""
 
 
@@ -263,7 +263,7 @@ def _fine(now: Now, seek: Seek) -> Sought:
             torque_Nm = float(np.abs(seek.towards.torque_Nm).mean())
             seek = replace(seek, running_A=torque_Nm / now.params.torque_constant_Nm_A)
         return _run(now, seek, -fine)
-    press = pressed(now.config, seek.joint, now.load_Nm, seek.towards)
+    press = fit_contact_line(now.config, seek.joint, now.load_Nm, seek.towards)
     ratio = now.config.params.hardstop.stiffness_ratio
     drawn = series_compliance(now.config, seek.joint)
     if press is None:
@@ -285,7 +285,9 @@ def _release(now: Now, seek: Seek) -> Sought:
     )
     if now.motor_rad < enough:
         return _run(now, seek, now.config.params.hardstop.fine_speed_rad_s)
-    result = found(now.config, j, now.load_Nm, press, gap_width(now.config, j, now.load_Nm, press, seek.away))
+    result = locate_hardstop(
+        now.config, j, now.load_Nm, press, measure_backlash(now.config, j, now.load_Nm, press, seek.away)
+    )
     moved, bound = result.stop_rad - now.params.hardstop_rad, now.config.params.hardstop.moved_rad
     if seek.known and abs(moved) > bound:
         return _failed(now, seek, HardstopMoved(j, moved, bound))
@@ -324,7 +326,7 @@ def _entered(now: Now, seek: Seek, stage: Stage) -> Seek:
 
 
 def _read(now: Now, readings: Readings) -> Readings:
-    return readings.with_one(now.motor_rad, now.current_A * now.params.torque_constant_Nm_A)
+    return readings.append(now.motor_rad, now.current_A * now.params.torque_constant_Nm_A)
 
 
 def _speed(now: Now, seek: Seek) -> float:

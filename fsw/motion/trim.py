@@ -13,10 +13,9 @@ import numpy as np
 
 from fsw.config import Config
 from fsw.estimate.gear import LIKELY
-from fsw.estimate.joints import JointEstimate
-from fsw.estimate.load import LoadEstimate
+from fsw.estimate.joints import JointEstimate, LoadEstimate
 from fsw.kinematics.chain import joint_jacobian, tool_pose
-from fsw.kinematics.statics import held_on_flank, rest
+from fsw.kinematics.statics import held_on_flank, settle_output
 from fsw.kinematics.transforms import Array
 from fsw.messages import Flags, Sensors
 from fsw.motion.paths import Setpoint
@@ -86,7 +85,7 @@ def fitted(
     friction = joints.reference.friction_Nm
     resisting = np.where(np.isfinite(friction), friction, 0.0) * np.sign(hold.rate_rad_s)
     carried = resisting - config.torque_constant_Nm_A * sensors.current_A
-    push = carried - (load.torque_Nm - load.of_push_Nm)
+    push = carried - (load.torque_Nm - load.press_torque_Nm)
     # in its gap a gear passes nothing on
     half, bounds = joints.reference.half_gap_rad, joints.bounds
     lowest_rad, highest_rad = bounds.lowest_rad[:, LIKELY], bounds.highest_rad[:, LIKELY]
@@ -94,7 +93,7 @@ def fitted(
     # its encoder counts: the friction of a motor that has yet to break away is not what it is in motion
     follows = joints.motor_rate_rad_s * hold.rate_rad_s > 0.5 * hold.rate_rad_s**2
     says = held & follows
-    return fit.after(pressing.model_N, load.of_push_Nm / pressing.share, push, says)
+    return fit.after(pressing.model_N, load.press_torque_Nm / pressing.share, push, says)
 
 
 def felt_share(config: Config, fit: PressFit, joints: JointEstimate, pressing: Pressing) -> FeltShare | None:
@@ -125,7 +124,7 @@ def felt_share(config: Config, fit: PressFit, joints: JointEstimate, pressing: P
 
 def _levers_across(config: Config, joints: JointEstimate, pressing: Pressing) -> Array:
     """Loads (5, 3) by a newton along the tool's y axis, by one along z, and by a newton metre about x."""
-    frames = rest(config.arm, joints.output_rad, joints.gravity_R_m_s2, pressing.pushed).frames
+    frames = settle_output(config.arm, joints.output_rad, joints.gravity_R_m_s2, pressing.pushed).frames
     X_RT = tool_pose(config.arm, frames, pressing.tool)
     J = joint_jacobian(frames, X_RT.p)
     return np.column_stack((J[3:].T @ X_RT.R[:, 1:], J[:3].T @ X_RT.R[:, 0]))

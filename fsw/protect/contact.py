@@ -14,10 +14,9 @@ from typing import Final
 
 import numpy as np
 
+from fsw.dictionary.enums import TOOL_SWITCHES, Mode, Switch, Tool
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import ContactInFreeSpace, ContactLost, PreloadOutside
-from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
-from fsw.dictionary.modes import Mode
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.statics import held_on_flank
 from fsw.kinematics.transforms import Array, Flags
@@ -47,7 +46,7 @@ def check_unexpected_contact(mode: Mode, tool: Tool, closed: Flags) -> tuple[Evr
     """
     expected: tuple[Switch, ...] = ()
     if mode in MAY_TOUCH:
-        expected = tuple(Switch) if mode is Mode.FAULTED else SWITCHES_OF[tool]
+        expected = tuple(Switch) if mode is Mode.FAULTED else TOOL_SWITCHES[tool]
     found = next((switch for switch in Switch if closed[switch] and switch not in expected), None)
     return () if found is None else (ContactInFreeSpace(found),)
 
@@ -70,7 +69,7 @@ def check_contact_kept(
         The count with this cycle, and the fault.
     """
     is_firm = press.force_N > bounds.press_step_N
-    if not is_firm or any(closed[switch] for switch in SWITCHES_OF[press.tool]):
+    if not is_firm or any(closed[switch] for switch in TOOL_SWITCHES[press.tool]):
         return 0, ()
     lost = count + 1 >= bounds.monitors.contact_persistence
     return count + 1, (ContactLost(press.tool),) if lost else ()

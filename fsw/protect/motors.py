@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import (
     FollowingErrorHigh,
@@ -20,7 +21,6 @@ from fsw.dictionary.faults import (
     SoftLimitPassed,
     UnderTemperature,
 )
-from fsw.dictionary.joints import Joint
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from fsw.protect.bounds import ProtectionBounds

@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import Evr, FaultResponse
 from fsw.dictionary.faults import (
     ContactInFreeSpace,
@@ -35,7 +36,6 @@ from fsw.dictionary.faults import (
     TiltChanged,
     UnderTemperature,
 )
-from fsw.dictionary.modes import Mode
 from fsw.kinematics.transforms import Array
 from fsw.protect.bounds import ProtectionBounds
 

@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass
 
-from fsw.dictionary.joints import Joint, Tool
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.enums import Joint, Mode, Tool
 from fsw.kinematics.transforms import Array, Flags
 
 

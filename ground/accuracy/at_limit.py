@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array, Flags
 from ground.accuracy.budget import COVERAGE
 from ground.accuracy.combine import TOTAL, paper_rule

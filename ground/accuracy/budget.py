@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.kinematics.transforms import Array, Flags
 from ground.accuracy.combine import (
     PARTS,

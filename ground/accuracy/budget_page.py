@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.dictionary.joints import Frame
+from fsw.dictionary.enums import Frame
 from ground.accuracy.budget import COMPONENTS, Budget
 from ground.accuracy.budget_request import BudgetReport
 from ground.accuracy.budget_tables import RULES, shown

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from fsw.config import configure, digest
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from ground.accuracy.budget import Budget, budget
 from ground.accuracy.paper import TABLE_3, TABLE_4, Row
 from ground.accuracy.reproduce import Reproduced, reproduce

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from fsw.dictionary.joints import Frame
+from fsw.dictionary.enums import Frame
 from ground.accuracy.budget import COMPONENTS, Budget
 from ground.accuracy.budget_request import BudgetReport
 from ground.accuracy.reproduce import Reproduced

@@ -4,8 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from fsw.dictionary.joints import Frame, Joint, Tool
-from fsw.dictionary.tuples import row6
+from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.dictionary.types import row6
 from fsw.kinematics.transforms import Array
 from ground.accuracy.sources import Case, ErrorModel, Source, Spread, is_compensated
 from sim.effects.effect import Effect

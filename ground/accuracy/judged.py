@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.kinematics.transforms import Array
 from ground.accuracy.at_limit import AtLimit, at_limit, backlash_sum, without_adding
 from ground.accuracy.budget import COMPONENTS, COVERAGE, Budget, ToolBudget, by_source, tool_budget

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from fsw.config import digest
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.dictionary.params import Params
 from ground.accuracy.places import Measured
 from ground.accuracy.sources import error_model

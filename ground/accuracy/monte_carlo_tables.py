@@ -7,7 +7,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from ground.accuracy.at_limit import AtLimit
 from ground.accuracy.budget import COMPONENTS, COVERAGE
 from ground.accuracy.budget_tables import RULES, shown

@@ -6,11 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.dictionary.params import Params
-from fsw.kinematics.arm import arm_from
+from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose
 from ground.accuracy.poses import workspace_poses
 from sim.world import World
@@ -54,12 +54,12 @@ Moved = Callable[[Place], tuple[Pose, Array]]
 
 def random_places(params: Params, tool: Tool, count: int, seed: np.random.SeedSequence) -> list[Place]:
     """Poses over workspace and branches, as flight software believes the arm to hang on Mars."""
-    arm, gravity = arm_from(params), World().gravity_N_m_s2
+    arm, gravity = build_arm(params), World().gravity_N_m_s2
     rng = np.random.default_rng(seed)
     poses = workspace_poses(arm, tool, gravity, ENOUGH * count, int(rng.integers(2**31)))
     # neighbours are branches of one target
     output = poses.output_rad[:, rng.choice(ENOUGH * count, count, replace=False)]
-    X_RT = tool_pose(arm, rest(arm, output, gravity).frames, tool)
+    X_RT = tool_pose(arm, settle_output(arm, output, gravity).frames, tool)
     away = AWAY_RAD * rng.choice([-1.0, 1.0], output.shape)
     low, high = (limit[:, None] for limit in (arm.soft_min_rad + INSIDE_RAD, arm.soft_max_rad - INSIDE_RAD))
     start = np.clip(output + away, low, high)

@@ -5,10 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.joints import Tool
-from fsw.kinematics.answers import Verdict
+from fsw.dictionary.enums import Tool
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.ik import inverse_kinematics
+from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import Array
 from sim.frames import p_R_from_N
 from sim.workspace import approach_from, random_targets
@@ -35,7 +34,7 @@ def workspace_poses(arm: Arm, tool: Tool, gravity_R_m_s2: Array, count: int, see
     while outputs.shape[1] < count:
         p_N_m, angles = random_targets(rng, -(-count // BRANCHES_A_TARGET))
         answers = inverse_kinematics(arm, tool, p_R_from_N(p_N_m.T).T, approach_from(angles), gravity_R_m_s2)
-        valid = answers.verdict.T == Verdict.VALID  # target by target
+        valid = answers.verdict.T == BranchVerdict.VALID  # target by target
         found = np.moveaxis(answers.output_rad, 1, -1)[:, valid]
         outputs = np.concatenate([outputs, found], axis=1)
         targets = np.concatenate([targets, p_N_m[:, np.nonzero(valid)[0]]], axis=1)

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fsw.config import Config
-from fsw.dictionary.joints import Frame
+from fsw.dictionary.enums import Frame
 from fsw.kinematics.chain import Frames, frame_jacobian, tool_pose
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, adjoint, rotate
 from ground.accuracy.poses import Poses
 from ground.accuracy.sources import Source
@@ -52,7 +52,7 @@ class Sensitivity:
 def sensitivity(config: Config, poses: Poses, gravity_R_m_s2: Array) -> Sensitivity:
     """What moves the tool of the hanging arm at these poses."""
     arm = config.arm
-    hanging = rest(arm, poses.output_rad, gravity_R_m_s2)
+    hanging = settle_output(arm, poses.output_rad, gravity_R_m_s2)
     X_RT = tool_pose(arm, hanging.frames, poses.tool)
     J = frame_jacobian(hanging.frames, X_RT)
     expansion = np.concatenate([arm.expansion_F, arm.expansion_T[:, [poses.tool]]], axis=1)

@@ -8,9 +8,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from fsw.config import Config
-from fsw.dictionary.commands import Vector3
-from fsw.dictionary.joints import Frame, Tool
-from fsw.dictionary.tuples import vector3
+from fsw.dictionary.enums import Frame, Tool
+from fsw.dictionary.types import Vector3, vector3
 from fsw.kinematics.transforms import Array
 from ground.accuracy.budget import COVERAGE
 from ground.accuracy.combine import bounds, paper_rule

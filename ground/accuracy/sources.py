@@ -13,8 +13,8 @@ from typing import Final, Literal
 import numpy as np
 from pydantic import TypeAdapter
 
-from fsw.dictionary.commands import Vector3
-from fsw.dictionary.joints import Frame
+from fsw.dictionary.enums import Frame
+from fsw.dictionary.types import Vector3
 from fsw.kinematics.transforms import Array
 
 Spread = Literal["normal", "uniform", "either side"]

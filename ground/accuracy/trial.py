@@ -6,8 +6,8 @@ from typing import Final, Literal
 import numpy as np
 
 from fsw.config import configure
-from fsw.dictionary.commands import Backlash
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.commands import BacklashMode
+from fsw.dictionary.enums import Tool
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
 from ground.accuracy.drawn import drawn_effects
@@ -36,7 +36,7 @@ def drawn_trial(
     rng = np.random.default_rng(draw)
     tool = Tool(int(rng.integers(len(Tool))))
     effects = drawn_effects(model, case, tool, rng)
-    backlash: Backlash = "on" if is_compensated(case.sources.get("backlash", 0.0)) else "off"
+    backlash: BacklashMode = "on" if is_compensated(case.sources.get("backlash", 0.0)) else "off"
     arm = BuiltArm("drawn", effects, params)
     moved = by_statics(arm, backlash) if how == "statics" else by_closed_loop(arm, _believed(arm), backlash)
     return measured(moved, random_places(params, tool, places, own))

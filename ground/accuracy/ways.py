@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 
 from fsw.config import configure
-from fsw.dictionary.commands import Backlash, MoveTool
+from fsw.dictionary.commands import BacklashMode, MoveTool
 from fsw.dictionary.params import Params
-from fsw.dictionary.tuples import joints5, vector3
+from fsw.dictionary.types import joints5, vector3
 from fsw.estimate.reference import Reference, no_reference
 from fsw.kinematics.transforms import Array, Pose
 from ground.accuracy.places import Moved, Place
@@ -21,7 +21,7 @@ from sim.settled import StaticArm, settled_move
 from sim.world import World
 
 
-def by_closed_loop(arm: BuiltArm, reference: Reference, backlash: Backlash) -> Moved:
+def by_closed_loop(arm: BuiltArm, reference: Reference, backlash: BacklashMode) -> Moved:
     """Plant and flight software, in free air.
 
     The move raises RuntimeError if it does not come to its end.
@@ -41,7 +41,7 @@ def by_closed_loop(arm: BuiltArm, reference: Reference, backlash: Backlash) -> M
     return moved
 
 
-def by_statics(arm: BuiltArm, backlash: Backlash) -> Moved:
+def by_statics(arm: BuiltArm, backlash: BacklashMode) -> Moved:
     """The equilibrium of the arm, its gears as the move leaves them; initialised without any error."""
     believed, true = configure(arm.params), configure(knowing(arm.effects, _drawing()))
     static = StaticArm(believed, true, no_reference(believed), true.hardstop_rad - believed.hardstop_rad)

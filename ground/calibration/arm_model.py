@@ -6,11 +6,11 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.joints import Frame, Joint
+from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Params
-from fsw.kinematics.arm import Arm, arm_from
+from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.statics import Equilibrium, settle
-from fsw.kinematics.transforms import Array, Flags, Numbers, Pose, screw_exp, skew
+from fsw.kinematics.transforms import Array, Flags, Integers, Pose, screw_exp, skew
 from ground.calibration.arm_numbers import (
     CENTRES,
     FRAMES,
@@ -95,11 +95,11 @@ def _on_one_side(believed: Believed) -> Believed:
     return replace(believed, gap_rad=np.broadcast_to(side * half, believed.gap_rad.shape))
 
 
-def turrets(believed: Believed) -> list[tuple[float | None, Numbers]]:
+def turrets(believed: Believed) -> list[tuple[float | None, Integers]]:
     """The turrets in use, None for the arm's own, each with its poses."""
     kinds = np.unique(believed.turret_kg)
     own = np.isnan(believed.turret_kg)
-    found: list[tuple[float | None, Numbers]] = [
+    found: list[tuple[float | None, Integers]] = [
         (float(kg), np.flatnonzero(believed.turret_kg == kg)) for kg in kinds if np.isfinite(kg)
     ]
     return [*found, *([(None, np.flatnonzero(own))] if own.any() else [])]
@@ -114,7 +114,7 @@ def modelled(nominal: Params, x: Array, believed: Believed) -> Pose:
     return in_order(parts, believed.motor_rad.shape[1])
 
 
-def in_order(parts: Iterable[tuple[Numbers, Pose]], n: int) -> Pose:
+def in_order(parts: Iterable[tuple[Integers, Pose]], n: int) -> Pose:
     """One batch (n,) of poses that come in parts, each with the numbers of its own."""
     X = Pose(np.empty((3, 3, n)), np.empty((3, n)))
     for where, part in parts:
@@ -140,7 +140,7 @@ class Held:
 
 
 def _held(nominal: Params, x: Array, turret_kg: float | None, at: Believed) -> Held:
-    arm, X_RD = numbered_arm(arm_from(hung_with(nominal, turret_kg)), x, turret_kg is not None)
+    arm, X_RD = numbered_arm(build_arm(hung_with(nominal, turret_kg)), x, turret_kg is not None)
     gap = at.gap_rad * np.exp(x[GAPS])[:, None] - at.held_Nm / arm.gear_stiffness_Nm_rad[:, None]
     gravity_D = X_RD.R.T @ at.gravity_R_m_s2
     rest = settle(arm, at.motor_rad, gap, gravity_D)
@@ -155,7 +155,7 @@ def _screw(x: Array, frame: Frame) -> Array:
 class Hung:
     """The poses with one turret, at rest, and what moves them."""
 
-    where: Numbers
+    where: Integers
     """Which of all they are."""
     at: Believed
     stand_in: bool

@@ -6,10 +6,10 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.joints import Frame, Joint
+from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import LinkParams, Params
-from fsw.dictionary.tuples import row6, vector3
-from fsw.kinematics.arm import Arm, transform6, transform6_from
+from fsw.dictionary.types import row6, vector3
+from fsw.kinematics.arm import Arm, pose_to_transform6, transform6_to_pose
 from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_exp
 from ground.calibration.problem import Parameter
 from sim.effects.built import BACKLASH, COM_M, FRAME_M, FRAME_RAD, MASS, SPRINGS, STIFFNESS, ZERO_RAD
@@ -147,8 +147,8 @@ def with_zeros_as_hardstops(params: Params, x: Array) -> tuple[Array, Params]:
 
 def _end_turned(link: LinkParams, angle_rad: float) -> LinkParams:
     """A link whose end frame is turned about z; its spring and its masses stay where they are."""
-    end = transform6(link.transform) @ Pose(rotation_z(np.array(angle_rad)), np.zeros(3))
-    transform = transform6_from(end)
+    end = transform6_to_pose(link.transform) @ Pose(rotation_z(np.array(angle_rad)), np.zeros(3))
+    transform = pose_to_transform6(end)
     back = rotation_z(np.array(link.transform.theta_rad - transform.theta_rad))
     return replace(
         link,

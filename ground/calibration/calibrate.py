@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from fsw.dictionary.params import Params
-from fsw.kinematics.transforms import Array, Flags, Numbers
+from fsw.kinematics.transforms import Array, Flags, Integers
 from ground.calibration.arm_model import arm_model
 from ground.calibration.arm_numbers import FRAMES, arm_parameters
 from ground.calibration.data import Campaign
@@ -97,7 +97,7 @@ def _near(nominal: Params, campaign: Campaign, used: Flags, with_backlash: bool)
     return fit(parameters, arm_model(nominal, campaign, near, with_backlash, ~used), near.values, used)
 
 
-def held_out(group: Numbers) -> Flags:
+def held_out(group: Integers) -> Flags:
     """Every fifth pose of each group, (n,)."""
     held = np.zeros(group.size, bool)
     for name in np.unique(group):

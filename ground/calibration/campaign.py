@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fsw.dictionary.commands import MoveJoints
-from fsw.dictionary.joints import STOP_ORDER
-from fsw.dictionary.tuples import joints5
-from fsw.estimate.gear import LIKELY, gap_of
+from fsw.dictionary.enums import HARDSTOP_ORDER
+from fsw.dictionary.types import joints5
+from fsw.estimate.gear import LIKELY, clip_to_backlash
 from fsw.estimate.reference import Reference
 from ground.calibration.data import Campaign
 from ground.calibration.frames import FewTargets
@@ -48,7 +48,7 @@ def earth_reference(arm: BuiltArm, progress: Progress) -> Reference:
     runs = []
     for run in initialised(without_turret(arm, on_earth=True), World("earth")):
         runs.append(run)
-        progress(len(runs), len(STOP_ORDER), "hardstops")
+        progress(len(runs), len(HARDSTOP_ORDER), "hardstops")
     if runs[-1].outcome is not Outcome.DONE:
         raise CampaignFailed(f"{arm.name} was not initialised: {runs[-1].evrs[-1][1].message}")
     return runs[-1].reference
@@ -93,7 +93,7 @@ def _row(loop: ClosedLoop, group: Group, k: int, tracker: Tracker, rng: np.rando
     seen = surveyed(tracker, loop.plant, group.roll_rad, turret_pose(loop.plant), rng)
     joints, arm = loop.state.joints, loop.config.arm
     gear = joints.gear_rad[:, LIKELY]
-    gap = gap_of(joints.reference.half_gap_rad, gear)
+    gap = clip_to_backlash(joints.reference.half_gap_rad, gear)
     return Row(
         group=k,
         branch=branch_name(loop.config, joints.output_rad),

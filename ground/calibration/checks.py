@@ -5,9 +5,9 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
-from fsw.kinematics.transforms import Array, Flags, Numbers, Pose, inverse
+from fsw.kinematics.transforms import Array, Flags, Integers, Pose, inverse
 from ground.calibration.arm_model import modelled
 from ground.calibration.arm_numbers import arm_parameters
 from ground.calibration.calibrate import Calibration
@@ -155,7 +155,7 @@ def _about_tracker(campaign: Campaign) -> Iterator[str]:
         )
 
 
-def _measured_again(campaign: Campaign) -> Numbers:
+def _measured_again(campaign: Campaign) -> Integers:
     """Poses whose measurement is that of an earlier one, to the last digit."""
     X = campaign.measured.X_RT
     numbers = np.concatenate([X.p, X.R.reshape(9, -1)])
@@ -250,6 +250,6 @@ def _about_fit(found: Fit, frames: Seen, verdict: Judged) -> Iterator[str]:
         )
 
 
-def _poses(which: Numbers) -> str:
+def _poses(which: Integers) -> str:
     named = ", ".join(str(int(k)) for k in which[:6])
     return f"pose {named}" if which.size == 1 else f"poses {named}{' ...' if which.size > 6 else ''}"

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fsw.kinematics.records import at_targets
-from fsw.kinematics.transforms import Array, Flags, Numbers
+from fsw.kinematics.batch import select_targets
+from fsw.kinematics.transforms import Array, Flags, Integers
 from ground.calibration.screws import Measured
 
 
@@ -26,9 +26,9 @@ class Believed:
     turret_kg: Array
     """Mass of the stand-in turret, (n,); NaN for the arm's own turret."""
 
-    def at(self, poses: Flags | Numbers) -> "Believed":
+    def at(self, poses: Flags | Integers) -> "Believed":
         """Some of the poses."""
-        return at_targets(self, poses)
+        return select_targets(self, poses)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,13 +36,13 @@ class Campaign:
     """Poses of one campaign, in the order in which they were taken."""
 
     arm_name: str
-    group: Numbers
+    group: Integers
     """Which part of the campaign a pose belongs to, (n,)."""
     branch: tuple[str, ...]
     """Of the inverse kinematics, by name."""
     believed: Believed
     measured: Measured
-    targets_seen: Numbers
+    targets_seen: Integers
     """How many targets on ground, rover and turret the tracker saw, (3, n)."""
     misfit_m: Array
     """Root mean square by which the targets seen were not where a rigid body has them, (n,)."""
@@ -54,7 +54,7 @@ class Campaign:
         """How many poses."""
         return self.group.size
 
-    def at(self, poses: Flags | Numbers) -> "Campaign":
+    def at(self, poses: Flags | Integers) -> "Campaign":
         """Some of the poses, in order."""
         where = np.flatnonzero(poses) if poses.dtype == bool else poses
         return Campaign(

@@ -17,7 +17,7 @@ import numpy as np
 
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.statics import Equilibrium
-from fsw.kinematics.transforms import Array, Numbers, Pose, adjoint, cross, inverse
+from fsw.kinematics.transforms import Array, Integers, Pose, adjoint, cross, inverse
 
 LINKS, JOINTS = 6, 5
 TURN, STRAIN, SCREW = 0, JOINTS, JOINTS + 6 * LINKS
@@ -93,7 +93,7 @@ def motion(hang: Hanging, dQ_dx: Array, direct: Array, screw_dx: Array) -> Array
     return np.moveaxis(to_T @ twist_R, 0, 1)
 
 
-def _screws(arm: Arm, rest: Equilibrium, X_FT: Pose) -> tuple[Array, Numbers]:
+def _screws(arm: Arm, rest: Equilibrium, X_FT: Pose) -> tuple[Array, Integers]:
     """Screws (COUNT, 6, n) of the coordinates, and the place of each along the arm, a whole number."""
     frames, n = rest.frames, rest.output_rad.shape[-1]
     R_RL, p_RL = frames.X_RL.R, frames.X_RL.p

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from fsw.config import digest
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.dictionary.params import Params
-from fsw.kinematics.arm import transform6_from
+from fsw.kinematics.arm import pose_to_transform6
 from fsw.kinematics.transforms import Pose
 from ground.calibration.arm_numbers import with_zeros_as_hardstops
 from ground.calibration.calibrate import Calibration, rms_m
@@ -27,7 +27,7 @@ def calibrated_params(found: Calibration, tools: dict[Tool, Pose] | None = None)
     _, params = with_zeros_as_hardstops(found.nominal, found.best.values)
     for tool, X_FT in (tools or {}).items():
         name = tool.name.lower()
-        changed = replace(getattr(params.tools, name), transform=transform6_from(X_FT))
+        changed = replace(getattr(params.tools, name), transform=pose_to_transform6(X_FT))
         params = replace(params, tools=replace(params.tools, **{name: changed}))
     return replace(params, arm_name=found.campaign.arm_name)
 

@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config, configure
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.dictionary.params import Params
-from fsw.kinematics.branches import BRANCHES, branch_of, signs_of
+from fsw.kinematics.branches import BRANCHES, branch_index, fold_distances
 from fsw.kinematics.transforms import Array
 from sim.clearance import Space
 from sim.effects.turret import hung_with
@@ -76,4 +76,4 @@ def nearest_next(config: Config, start_rad: Array, goals: list[Array]) -> list[A
 
 def branch_name(config: Config, output_rad: Array) -> str:
     """The branch of the inverse kinematics that a pose (5,) is on."""
-    return BRANCHES[int(branch_of(signs_of(config.arm.shapes[Tool.DRILL], output_rad)))]
+    return BRANCHES[int(branch_index(fold_distances(config.arm.orthogonal[Tool.DRILL], output_rad)))]

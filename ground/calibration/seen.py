@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array, Flags, Numbers
+from fsw.kinematics.transforms import Array, Flags, Integers
 from ground.calibration.problem import Linearised, Parameter
 
 SEEN: Final = 10.0
@@ -62,7 +62,7 @@ class Seen:
         groups = _connected(part, together)
         return tuple(self._group(group, projector) for group in groups)
 
-    def _group(self, group: Numbers, projector: Array) -> Confused:
+    def _group(self, group: Integers, projector: Array) -> Confused:
         unseen = round(float(np.trace(projector[np.ix_(group, group)])))
         return Confused(tuple(self.parameters[k].name for k in group), group.size - unseen)
 
@@ -84,7 +84,7 @@ def _tall(J: Array) -> tuple[Array, Array, Array]:
     return U, s, Vt
 
 
-def _connected(members: Numbers, linked: Flags) -> list[Numbers]:
+def _connected(members: Integers, linked: Flags) -> list[Integers]:
     """Members (k,) in groups that are linked, directly or through others; in order."""
     left, groups = list(members), []
     while left:

@@ -10,10 +10,10 @@ from typing import Final
 import numpy as np
 
 from fsw.config import Config, configure
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.estimate.gear import load_error
-from fsw.kinematics.statics import rest, settle
+from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.transforms import Array
 from fsw.motion.compensation import last_motion
 from ground.calibration.campaign import CampaignPlan
@@ -77,7 +77,7 @@ def _scene(arm: BuiltArm, plan: CampaignPlan, k: int) -> _Scene:
 
 def _settled(scene: _Scene, goal: Array, rng: np.random.Generator) -> Row | None:
     group, known, gravity = scene.group, scene.known, scene.gravity_R_m_s2
-    load = rest(known.arm, goal, gravity).torque_Nm
+    load = settle_output(known.arm, goal, gravity).torque_Nm
     dragged = last_motion(known, load, gravity)
     held = known.output_friction_Nm * np.where(dragged == 0, rng.choice([-1.0, 1.0], len(Joint)), dragged)
     sure = np.abs(np.abs(load) - known.output_friction_Nm) > load_error(known, gravity)

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array, Pose, batched
+from fsw.kinematics.transforms import Array, Pose, stack_poses
 from ground.calibration.data import Believed, Campaign
 from ground.calibration.frames import Built, built_frame, seen_from
 from ground.calibration.screws import Measured
@@ -89,7 +89,7 @@ def campaign_from(arm_name: str, rows: Sequence[Row]) -> Campaign:
         branch=tuple(row.branch for row in rows),
         believed=believed,
         measured=Measured(
-            batched([row.seen.X_RT for row in rows]), np.stack([row.seen.covariance for row in rows])
+            stack_poses([row.seen.X_RT for row in rows]), np.stack([row.seen.covariance for row in rows])
         ),
         targets_seen=np.array([row.seen.targets_seen for row in rows]).T,
         misfit_m=np.array([row.seen.misfit_m for row in rows]),

@@ -10,7 +10,7 @@ import pyarrow as pa
 from pyarrow import csv, parquet
 from scipy.spatial.transform import Rotation
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.transforms import Array, Pose
 from ground.calibration.checks import BadData

@@ -7,7 +7,7 @@ import numpy as np
 from rich.table import Table
 
 from fsw.config import digest
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
 from ground.calibration.calibrate import Calibration, rms_m
 from ground.calibration.parameter_file import data_sha256

@@ -7,7 +7,7 @@ import numpy as np
 
 from fsw.config import configure
 from fsw.estimate.reference import Reference
-from fsw.kinematics.arm import arm_from
+from fsw.kinematics.arm import build_arm
 from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import Array, Pose
 from ground.calibration.arm_model import arm_model, in_order, turrets
@@ -39,7 +39,7 @@ def true_poses(arm: BuiltArm, believed: Believed, off_rad: Array) -> Pose:
     motor = believed.motor_rad + off_rad[:, None]
     parts = []
     for turret_kg, where in turrets(believed):
-        truth = arm_from(hung_with(params, turret_kg))
+        truth = build_arm(hung_with(params, turret_kg))
         at = believed.at(where)
         gap = np.sign(at.gap_rad) * half - at.held_Nm / truth.gear_stiffness_Nm_rad[:, None]
         parts.append((where, settle(truth, motor[:, where], gap, at.gravity_R_m_s2).frames.X_RF[5]))

@@ -8,9 +8,9 @@ import numpy as np
 
 from fsw.config import configure
 from fsw.dictionary.commands import MoveTool
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.dictionary.params import Params
-from fsw.dictionary.tuples import vector3
+from fsw.dictionary.types import vector3
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array, angle_between
 from ground.calibration.campaign import CampaignFailed, earth_reference

@@ -82,7 +82,7 @@ def field_texts(kind: type) -> dict[str, str]:
 
 @cache
 def alias_texts(module: str) -> dict[str, str]:
-    """What a module says of each of its own names, such as `Backlash`."""
+    """What a module says of each of its own names, such as `BacklashMode`."""
     return _below(ast.parse(inspect.getsource(sys.modules[module])).body)
 
 

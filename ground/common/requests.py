@@ -8,8 +8,8 @@ from typing import Final, Literal, cast
 
 import numpy as np
 
-from fsw.dictionary.commands import Vector3
 from fsw.dictionary.params import Params
+from fsw.dictionary.types import Vector3
 from sim.arms import BuiltArm, UnknownArm, arm_named
 from sim.effects.effect import Effect
 from sim.params import BadParams, params_over_nominal

@@ -12,9 +12,9 @@ from fsw.dictionary import commands, evrs, faults
 from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import Fault
-from fsw.dictionary.limits import Limits
 from fsw.dictionary.params import Params
-from fsw.dictionary.validity import OF_COMPONENTS
+from fsw.dictionary.types import Limits
+from fsw.dictionary.validity import COMPONENT_LIMITS
 from fsw.protect.responses import RESPONSE_TO
 from ground.common.fields import alias_texts, class_text, field_texts, unit_of
 from ground.telemetry.events import as_json
@@ -155,7 +155,7 @@ def _field(kind: type, own: str, hint: Any, name: str, default: Any) -> FieldEnt
 def _limits(kind: type, name: str, hint: Any) -> Limits | None:
     """The limits of a number, or those of each component of a parameter's vector."""
     own = (one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Limits))
-    of_vector = (limits for unit, limits in OF_COMPONENTS.items() if name.endswith(unit))
+    of_vector = (limits for unit, limits in COMPONENT_LIMITS.items() if name.endswith(unit))
     is_vector = get_origin(hint) is tuple and kind.__module__ != commands.__name__
     return next(own, None) or (next(of_vector, None) if is_vector else None)
 

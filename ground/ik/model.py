@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Final
 
 from fsw.config import digest
-from fsw.dictionary.joints import Tool
-from fsw.kinematics.answers import Answers
-from fsw.kinematics.arm import Arm, arm_from, warmed
-from fsw.kinematics.ik import inverse_kinematics
+from fsw.dictionary.enums import Tool
+from fsw.kinematics.arm import Arm, build_arm, heat_arm
+from fsw.kinematics.ik import IkResult, inverse_kinematics
 from fsw.kinematics.transforms import Array
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest, chosen_arm, tilted_world
@@ -62,13 +61,13 @@ class ArmModel:
         level = asked.tilt_roll_deg == asked.tilt_pitch_deg == 0.0
         return words + f", hanging in the gravity of {asked.gravity.title()}" + ("" if level else tilted)
 
-    def in_parts(self, targets: Targets, progress: Progress) -> Iterator[Answers]:
+    def in_parts(self, targets: Targets, progress: Progress) -> Iterator[IkResult]:
         """The answers to many targets, some at a time, (S, n) each; S may differ."""
         for start in range(0, len(targets), PART):
             progress(start, len(targets), "solving")
             yield self.answers(targets.part(start, PART))
 
-    def answers(self, targets: Targets) -> Answers:
+    def answers(self, targets: Targets) -> IkResult:
         """Every branch of every target, (S, n)."""
         return inverse_kinematics(
             self.arm, self.tool, targets.p_RoTo_R_m, targets.approach_R, self.gravity_R_m_s2
@@ -93,7 +92,7 @@ def checked_model(request: ModelRequest) -> ArmModel:
         )
     params = chosen_arm(request.arm, request.params).params
     gravity = world.gravity_N_m_s2 if request.compensate == "absolute" else None
-    return ArmModel(request, warmed(arm_from(params), request.warming_K), tool, gravity, digest(params))
+    return ArmModel(request, heat_arm(build_arm(params), request.warming_K), tool, gravity, digest(params))
 
 
 def _tool(name: str) -> Tool:

@@ -2,8 +2,8 @@
 
 from typing import Final
 
-from fsw.dictionary.joints import Joint
-from fsw.kinematics.answers import Verdict
+from fsw.dictionary.enums import Joint
+from fsw.kinematics.ik import BranchVerdict
 
 JOINTS: Final = tuple(joint.name.lower() for joint in Joint)
-VERDICTS: Final = tuple(verdict.name.lower() for verdict in Verdict)
+VERDICTS: Final = tuple(verdict.name.lower() for verdict in BranchVerdict)

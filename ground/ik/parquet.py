@@ -8,8 +8,8 @@ import pyarrow as pa
 from numpy.typing import NDArray
 from pyarrow import parquet
 
-from fsw.kinematics.answers import Answers, Verdict
 from fsw.kinematics.branches import slot_name
+from fsw.kinematics.ik import BranchVerdict, IkResult
 from ground.ik.names import JOINTS, VERDICTS
 
 NAMES: Final = pa.dictionary(pa.int8(), pa.string())
@@ -36,12 +36,12 @@ class ParquetWriter:
         self._writer = parquet.ParquetWriter(file, schema, write_page_checksum=True)
         self._next = 0
 
-    def add(self, answers: Answers) -> None:
+    def add(self, answers: IkResult) -> None:
         """Write the answers of the next targets, (S, n); what a target has not is null."""
         slots, count = answers.verdict.shape
-        target, slot = np.nonzero(answers.verdict.T != Verdict.ABSENT)
+        target, slot = np.nonzero(answers.verdict.T != BranchVerdict.ABSENT)
         verdict, excess = answers.verdict[slot, target], answers.excess[slot, target]
-        outside, away = verdict == Verdict.OUTSIDE_LIMITS, verdict == Verdict.OUT_OF_REACH
+        outside, away = verdict == BranchVerdict.OUTSIDE_LIMITS, verdict == BranchVerdict.OUT_OF_REACH
         columns = [
             pa.array(self._next + target),
             _named(slot, [slot_name(k) for k in range(slots)]),

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.kinematics.answers import Verdict
+from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import Array
 from ground.common.progress import Progress
 from ground.ik.model import ArmModel
@@ -33,6 +33,6 @@ def sample(model: ArmModel, count: int, seed: int, progress: Progress) -> tuple[
     targets = Targets(p_R_from_N(p_N_m.T).T, approach_from(angles))
     valid, counted = [], Tally()
     for answers in model.in_parts(targets, progress):
-        valid.append((answers.verdict == Verdict.VALID).sum(axis=0))
+        valid.append((answers.verdict == BranchVerdict.VALID).sum(axis=0))
         counted += tally(answers)
     return ReachSamples(p_N_m, angles, np.concatenate(valid)), counted

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from fsw.dictionary.commands import Vector3
-from fsw.kinematics.answers import Answers, at_target
+from fsw.dictionary.types import Vector3
+from fsw.kinematics.ik import IkResult, select_result
 from ground.common.files import BadOutput, check_output
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest, check_apart
@@ -36,7 +36,7 @@ class IkReport:
 
     request: IkRequest
     model: ArmModel
-    answers: Answers
+    answers: IkResult
     """(S,)."""
 
 
@@ -57,7 +57,7 @@ def solve(request: IkRequest, progress: Progress) -> IkReport | BatchReport:
     """
     model = checked_model(request.model)
     if request.batch is None and request.out is None:
-        return IkReport(request, model, at_target(model.answers(_one_target(request)), 0))
+        return IkReport(request, model, select_result(model.answers(_one_target(request)), 0))
     if request.batch is None or request.out is None:
         raise BadRequest("batch and out: give both, the file with the targets and the one for the answers")
     if request.position_m is not None or request.approach is not None:

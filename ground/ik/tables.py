@@ -7,8 +7,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from fsw.kinematics.answers import Verdict, why
 from fsw.kinematics.branches import slot_name
+from fsw.kinematics.ik import BranchVerdict, describe_slot
 from ground.ik.model import ArmModel
 from ground.ik.names import JOINTS, VERDICTS
 from ground.ik.reach import ReachReport
@@ -92,7 +92,7 @@ def reach_table(report: ReachReport) -> None:
 
 
 def _slots(report: IkReport) -> list[int]:
-    return [int(slot) for slot in np.flatnonzero(report.answers.verdict != Verdict.ABSENT)]
+    return [int(slot) for slot in np.flatnonzero(report.answers.verdict != BranchVerdict.ABSENT)]
 
 
 def _branch(report: IkReport, slot: int) -> dict[str, Any]:
@@ -103,7 +103,7 @@ def _branch(report: IkReport, slot: int) -> dict[str, Any]:
         float(answers.error[slot]),
         float(answers.excess[slot]),
     )
-    said = why(report.model.arm, answers, slot).removeprefix(f"{name}: ")
+    said = describe_slot(report.model.arm, answers, slot).removeprefix(f"{name}: ")
     return {
         "branch": name,
         "verdict": verdict,

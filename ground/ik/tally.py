@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.dictionary.joints import Joint
-from fsw.kinematics.answers import Answers, Verdict
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.branches import BRANCHES, slot_name
+from fsw.kinematics.ik import BranchVerdict, IkResult
 from ground.ik.names import VERDICTS
 
 
@@ -48,12 +48,12 @@ class Tally:
         return self.by_verdict.total() - self.by_verdict["valid"]
 
 
-def tally(answers: Answers) -> Tally:
+def tally(answers: IkResult) -> Tally:
     """The counts of a batch (n,)."""
-    valid = answers.verdict == Verdict.VALID
-    outside = answers.verdict == Verdict.OUTSIDE_LIMITS
+    valid = answers.verdict == BranchVerdict.VALID
+    outside = answers.verdict == BranchVerdict.OUTSIDE_LIMITS
     verdicts = Counter(
-        {VERDICTS[k]: int(count) for k, count in _counted(answers.verdict) if k != Verdict.ABSENT}
+        {VERDICTS[k]: int(count) for k, count in _counted(answers.verdict) if k != BranchVerdict.ABSENT}
     )
     return Tally(
         Counter(dict(_counted(valid.sum(axis=0)))),

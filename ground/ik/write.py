@@ -11,8 +11,8 @@ from typing import IO, Any, BinaryIO, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.kinematics.answers import Answers, Verdict
 from fsw.kinematics.branches import slot_name
+from fsw.kinematics.ik import BranchVerdict, IkResult
 from ground.common.files import written_whole
 from ground.ik.names import JOINTS, VERDICTS
 
@@ -20,7 +20,7 @@ NO_JOINT: Final = -1
 
 FIELDS: Final[dict[str, tuple[type, float, tuple[int, ...]]]] = {
     "output_rad": (np.float64, np.nan, (5,)),
-    "verdict": (np.int8, Verdict.ABSENT, ()),
+    "verdict": (np.int8, BranchVerdict.ABSENT, ()),
     "joint": (np.int8, NO_JOINT, ()),
     "excess": (np.float64, 0.0, ()),
     "forward_error": (np.float64, np.nan, ()),
@@ -31,7 +31,7 @@ FIELDS: Final[dict[str, tuple[type, float, tuple[int, ...]]]] = {
 class Writer(Protocol):
     """Takes the answers of a batch, part by part."""
 
-    def add(self, answers: Answers) -> None:
+    def add(self, answers: IkResult) -> None:
         """Write the answers of the next targets, (S, n)."""
 
 
@@ -64,11 +64,11 @@ class NpzWriter:
         self._parts: list[tuple[int, int]] = []
         """Targets and slots of each part."""
 
-    def add(self, answers: Answers) -> None:
+    def add(self, answers: IkResult) -> None:
         """Write the answers of the next targets, (S, n)."""
         slots, count = answers.verdict.shape
         self._parts.append((count, slots))
-        outside = answers.verdict == Verdict.OUTSIDE_LIMITS
+        outside = answers.verdict == BranchVerdict.OUTSIDE_LIMITS
         arrays = {
             "output_rad": answers.output_rad.transpose(2, 1, 0),
             "verdict": answers.verdict.T,

@@ -10,7 +10,7 @@ from fsw.collision.distance import place_shapes
 from fsw.collision.geometry import RoundedBoxes
 from fsw.config import configure
 from fsw.dictionary.params import Params
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose
 from ground.render.picture import PictureResult, save_picture
 from sim.frames import FLIP, P_NR_M
@@ -34,7 +34,7 @@ def save_shapes_picture(
         PictureError: the path cannot be written or there is no such camera.
     """
     config, world = configure(params), World()
-    at_rest = rest(config.arm, output_rad[:, None], world.gravity_N_m_s2)
+    at_rest = settle_output(config.arm, output_rad[:, None], world.gravity_N_m_s2)
     spec = build(world, for_pictures=True)
     shapes = config.collision_geometry
     _add(spec, shapes.arm, place_shapes(shapes, at_rest.frames)[:, 0], ARM_RGBA)

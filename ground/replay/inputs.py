@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from fsw.config import digest
 from fsw.dictionary.commands import Command
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
-from fsw.dictionary.validity import not_an_arm, out_of_limits
+from fsw.dictionary.validity import check_arm, check_limits
 from fsw.estimate.reference import Reference
 from fsw.messages import Sensors
 from ground.telemetry.format import COMMAND_TOPIC, TICK_NS
@@ -90,7 +90,7 @@ def _start(log: Log, notes: list[str]) -> tuple[Params, Mode, Reference | None]:
             "its parameters do not match their own digest: the header was changed; "
             "give the log as it was written"
         )
-    wrong = [*out_of_limits(params), *not_an_arm(params)]
+    wrong = [*check_limits(params), *check_arm(params)]
     if wrong:
         raise NotPlain(f"params: {wrong[0]}")
     boot = _document(log, "boot")

@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.commands import Calibrate, CalibrateAll, Joints5
-from fsw.dictionary.joints import STOP_ORDER, Joint
-from fsw.dictionary.tuples import joints5
+from fsw.dictionary.commands import Calibrate, CalibrateAll
+from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
+from fsw.dictionary.types import Joints5, joints5
 from fsw.executive.hardstop_pose import stop_poses
 from ground.common.files import BadOutput, check_output
 from ground.common.progress import Progress
@@ -132,7 +132,7 @@ def checked(request: HardstopRequest) -> HardstopJob:
     effects = chosen_effects(request.effects)
     arm = chosen_arm(request.arm, request.params).with_effects(effects)
     return HardstopJob(
-        joints=STOP_ORDER if request.joint is None else (_joint(request.joint),),
+        joints=HARDSTOP_ORDER if request.joint is None else (_joint(request.joint),),
         arm=arm if request.turret else _bare(arm, request),
         world=world,
         start_rad=None if request.start_deg is None else _start(arm, request.start_deg),

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.dictionary.joints import STOP_ORDER, Joint
+from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.motion.seek import Stage
 from ground.render.figures import save_figure
 from sim.initialisation import Initialisation, Sample
@@ -57,7 +57,7 @@ def save_hardstop_figure(runs: Sequence[Initialisation], path: Path) -> str | No
 def _by_joint(runs: Sequence[Initialisation]) -> dict[Joint, list[Sample]]:
     """The last turn of each joint in its first run, without most of the way there."""
     seen: dict[Joint, list[Sample]] = {}
-    for joint in STOP_ORDER:
+    for joint in HARDSTOP_ORDER:
         samples = next((turn for turn in (_last_turn(run, joint) for run in runs) if turn), None)
         if samples is not None:
             at_stop = [s.time_s for s in samples if s.stage > Stage.COARSE]

@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from rich.table import Table
 
+from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.evrs import JointCalibrated, Severity
-from fsw.dictionary.joints import STOP_ORDER, Joint
 from ground.render.console import plain_console
 from ground.runs.hardstop import HardstopReport
 from ground.runs.hardstop_plan import StopPlan
@@ -94,7 +94,7 @@ def plan_json(plans: tuple[StopPlan, ...]) -> dict[str, Any]:
                 }
                 for joint in Joint
             },
-            "order": [joint.name.lower() for joint in STOP_ORDER],
+            "order": [joint.name.lower() for joint in HARDSTOP_ORDER],
             "start_deg": [degrees(angle) for angle in plan.params.hardstop.start_rad],
             "park_deg": [degrees(angle) for angle in plan.params.hardstop.park_rad],
             "again_deg": [degrees(angle) for angle in plan.params.hardstop.again_rad],
@@ -114,7 +114,7 @@ def plan_table(plans: tuple[StopPlan, ...]) -> None:
         table = Table(title=f"At the hardstops, {plan.place}", title_justify="left")
         for name in ("joint", "load N m", "azimuth", "elevation", "elbow", "wrist", "turret deg"):
             table.add_column(name, justify="left" if name == "joint" else "right")
-        for joint in STOP_ORDER:
+        for joint in HARDSTOP_ORDER:
             pose = [f"{degrees(angle):.1f}" for angle in plan.loads.pose_rad[:, joint]]
             table.add_row(joint.name.lower(), f"{plan.loads.torque_Nm[joint]:.1f}", *pose)
         console.print(table)

@@ -1,6 +1,6 @@
 """What comes before an arm is stowed: every joint has been at its hardstop."""
 
-from fsw.dictionary.joints import STOP_ORDER
+from fsw.dictionary.enums import HARDSTOP_ORDER
 from ground.common.progress import Progress
 from sim.arms import BuiltArm
 from sim.initialisation import Initialisation, initialised
@@ -13,5 +13,5 @@ def initialise(arm: BuiltArm, seed: int, progress: Progress) -> list[Initialisat
         if run.failure is not None:
             raise run.failure
         stops.append(run)
-        progress(len(stops), len(STOP_ORDER), "initialising")
+        progress(len(stops), len(HARDSTOP_ORDER), "initialising")
     return stops

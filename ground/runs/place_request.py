@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from fsw.dictionary.commands import Vector3
-from fsw.dictionary.joints import SWITCHES_OF, Tool
+from fsw.dictionary.enums import TOOL_SWITCHES, Tool
+from fsw.dictionary.types import Vector3
 from ground.common.requests import (
     WORKSPACE,
     BadRequest,
@@ -81,7 +81,7 @@ def checked(request: PlaceRequest) -> PlaceJob:
 
 
 def _tool(name: str) -> Tool:
-    known = {tool.name.lower(): tool for tool in Tool if SWITCHES_OF[tool]}
+    known = {tool.name.lower(): tool for tool in Tool if TOOL_SWITCHES[tool]}
     if name.lower() not in known:
         raise BadRequest(
             f"tool: {name!r} cannot be placed; the tools with contact switches are {', '.join(known)}"

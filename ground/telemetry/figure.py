@@ -7,8 +7,8 @@ from typing import Any, Final, get_type_hints
 
 import numpy as np
 
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import Severity
-from fsw.dictionary.joints import Joint
 from ground.render.figures import save_figure
 from ground.telemetry.events import EvrEntry
 from ground.telemetry.format import TICK_NS

@@ -15,7 +15,7 @@ import numpy as np
 
 from fsw.config import digest
 from fsw.dictionary.commands import Command
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
 from ground.telemetry.plain import to_plain

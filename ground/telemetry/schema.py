@@ -10,8 +10,8 @@ from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from fsw.dictionary.joints import Joint, Switch, Tool
-from fsw.dictionary.limits import Limits
+from fsw.dictionary.enums import Joint, Switch, Tool
+from fsw.dictionary.types import Limits
 from ground.common.fields import field_texts, unit_of
 from ground.telemetry.errors import SchemaError
 

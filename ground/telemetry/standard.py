@@ -13,7 +13,7 @@ import numpy as np
 
 from fsw.collision.geometry import PARTS, TURRET_FRAME, RoundedBoxes
 from fsw.config import Config
-from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.enums import Joint, Tool
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import IDENTITY, Array, Pose, inverse, rotation_x, rotation_z
 from ground.telemetry.cdr import STAMP, CdrWriter, stamp

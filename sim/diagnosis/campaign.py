@@ -7,12 +7,12 @@ from typing import Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ, configure
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.dictionary.params import Params
-from fsw.dictionary.tuples import joints5
+from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import rest, settle
+from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm
 from sim.diagnosis.motions import Session, placement, pose_tours, sweeps, together
@@ -66,7 +66,7 @@ def placements(params: Params) -> list[Session]:
     for name, tool, pose_deg in PLACES:
         start = np.radians(pose_deg)
         gravity = World("mars").gravity_N_m_s2
-        side = np.sign(rest(config.arm, start, gravity).torque_Nm)
+        side = np.sign(settle_output(config.arm, start, gravity).torque_Nm)
         hanging = settle(config.arm, start, side * config.half_gap_rad, gravity)
         X_RT = tool_pose(config.arm, hanging.frames, tool)
         found.append(placement(name, tool, start, X_RT.p, X_RT.R[:, 0]))

@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 
 from fsw.dictionary.commands import Command, GuardedMove, MoveJoint, MoveJoints, Preload, SetParam
-from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.enums import Joint, Tool
 from fsw.dictionary.params import Params
-from fsw.dictionary.tuples import joints5, vector3
+from fsw.dictionary.types import joints5, vector3
 from fsw.kinematics.transforms import Array
 from sim.effects.environment import WARM_C
 from sim.frames import p_R_from_N

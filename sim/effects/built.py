@@ -4,9 +4,8 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.joints import Frame, Joint, Tool
-from fsw.dictionary.params import Row6
-from fsw.dictionary.tuples import row6
+from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.dictionary.types import Row6, row6
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError
 from sim.effects.joints import (

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from sim.effects.effect import EachCycle, Hardware
 from sim.effects.size import Size
 from sim.influence import Influence, at_joint

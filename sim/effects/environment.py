@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 import mujoco
 import numpy as np
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from sim.effects.effect import Effect, Hardware
 from sim.effects.size import Size, When

@@ -5,7 +5,7 @@ from typing import Annotated, Final, Literal
 
 import numpy as np
 
-from fsw.dictionary.joints import Joint, Switch
+from fsw.dictionary.enums import Joint, Switch
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from sim.effects.effect import Hardware, Timed, at_index

@@ -6,7 +6,7 @@ from typing import Annotated
 import mujoco
 import numpy as np
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from sim.effects.effect import EachCycle, Effect, Hardware
 from sim.effects.pace import Pace, pace_now, speed_rad_s

@@ -7,10 +7,10 @@ from typing import Annotated
 import mujoco
 import numpy as np
 
-from fsw.dictionary.joints import Frame, Tool
-from fsw.dictionary.params import LinkParams, Lump, Params, Row6, Transform6
-from fsw.dictionary.tuples import row6, vector3
-from fsw.kinematics.arm import transform6, transform6_from
+from fsw.dictionary.enums import Frame, Tool
+from fsw.dictionary.params import LinkParams, Params, PointMass, Transform6
+from fsw.dictionary.types import Row6, row6, vector3
+from fsw.kinematics.arm import pose_to_transform6, transform6_to_pose
 from fsw.kinematics.transforms import Pose, inverse, rotation_z, screw_exp
 from sim.effects.effect import Effect, knowing
 from sim.effects.matrices import turned
@@ -62,7 +62,7 @@ class FrameError(Effect):
         """
         theta = np.array(old.transform.theta_rad - new.transform.theta_rad)
         back = Pose(rotation_z(theta), np.zeros(3))
-        moved = back @ transform6(new.transform) @ inverse(transform6(old.transform))
+        moved = back @ transform6_to_pose(new.transform) @ inverse(transform6_to_pose(old.transform))
         spring = moved if self.frame is Frame.ARM1 else back
         far = moved if self.frame in (Frame.ARM1, Frame.ARM6) else back
         return replace(
@@ -74,7 +74,7 @@ class FrameError(Effect):
         )
 
     def _displaced(self, transform: Transform6) -> Transform6:
-        return transform6_from(transform6(transform) @ screw_exp(np.array(self.screw)))
+        return pose_to_transform6(transform6_to_pose(transform) @ screw_exp(np.array(self.screw)))
 
     def _body(self) -> str:
         return BODIES[body_index(self.frame, self.tool)]
@@ -142,5 +142,5 @@ def check_tool(frame: Frame, tool: Tool | None) -> None:
         raise ValueError(f"tool: frame {frame.name.lower()} has none; leave it out")
 
 
-def _placed(lump: Lump, X: Pose) -> Lump:
+def _placed(lump: PointMass, X: Pose) -> PointMass:
     return replace(lump, com_m=vector3(X.R @ np.array(lump.com_m) + X.p))

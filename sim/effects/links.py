@@ -6,10 +6,10 @@ from typing import Annotated, Final, Literal
 import mujoco
 import numpy as np
 
-from fsw.dictionary.joints import Frame, Tool
+from fsw.dictionary.enums import Frame, Tool
 from fsw.dictionary.params import Params
-from fsw.dictionary.tuples import row6
-from fsw.kinematics.arm import transform6
+from fsw.dictionary.types import row6
+from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import Array
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError
@@ -132,7 +132,7 @@ class ThermalGradient(_OneFrame):
     def _along(self) -> tuple[Array, Array]:
         """The link from start to end [m], and its growth [m/K], in axes of its end."""
         link = link_of(nominal_params(), self.frame)
-        X = transform6(link.transform)
+        X = transform6_to_pose(link.transform)
         return X.R.T @ X.p, np.array(link.expansion_1_K[3:])
 
 

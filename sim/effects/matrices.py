@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from fsw.dictionary.params import Matrix6
-from fsw.dictionary.tuples import row6
+from fsw.dictionary.types import Matrix6, row6
 from fsw.kinematics.transforms import Array
 
 

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from sim.effects.effect import EachCycle, Effect, Hardware
 from sim.effects.size import Factor, Size

@@ -5,8 +5,8 @@ from typing import Annotated
 
 import numpy as np
 
-from fsw.dictionary.joints import Frame, Joint, Tool
-from fsw.dictionary.params import Row6
+from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.dictionary.types import Row6
 from fsw.kinematics.transforms import Array
 from sim.effects.effect import EachMove
 from sim.effects.geometry import check_tool

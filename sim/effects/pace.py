@@ -6,7 +6,7 @@ the cycle, always the same, is not the speed that it goes with.
 
 from dataclasses import dataclass
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from sim.plant import Plant
 
 

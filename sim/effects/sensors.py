@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Final, Literal
 
 import numpy as np
 
-from fsw.dictionary.joints import Frame, Joint
+from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, rotation_x, rotation_y
 from fsw.messages import Sensors

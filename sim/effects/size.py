@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from fsw.dictionary.limits import Limits
+from fsw.dictionary.types import Limits
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

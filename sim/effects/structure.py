@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 import mujoco
 import numpy as np
 
-from fsw.dictionary.commands import Vector3
-from fsw.dictionary.joints import Frame
-from fsw.dictionary.params import Lump, Params
+from fsw.dictionary.enums import Frame
+from fsw.dictionary.params import Params, PointMass
+from fsw.dictionary.types import Vector3
 from sim.effects.effect import Effect
 from sim.effects.matrices import scaled, softened
 from sim.effects.size import Compliance, Factor, Size
@@ -146,9 +146,9 @@ class LinkMass(Effect):
         changed = replace(link, near=self._lump(link.near), far=self._lump(link.far))
         return with_link(params, self.frame, changed)
 
-    def _lump(self, lump: Lump) -> Lump:
+    def _lump(self, lump: PointMass) -> PointMass:
         x, y, z = (c + s for c, s in zip(lump.com_m, self.shift_m, strict=True))
-        return Lump(lump.mass_kg * self.factor, (x, y, z))
+        return PointMass(lump.mass_kg * self.factor, (x, y, z))
 
 
 def _refuse_rigid(frame: Frame) -> None:

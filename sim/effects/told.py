@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from fsw.dictionary.joints import Frame, Joint
+from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import JointParams, LinkParams, Params
 
 

@@ -6,9 +6,9 @@ from typing import Annotated, Literal
 import mujoco
 import numpy as np
 
-from fsw.dictionary.joints import Frame
-from fsw.dictionary.params import Lump, Params
-from fsw.dictionary.tuples import vector3
+from fsw.dictionary.enums import Frame
+from fsw.dictionary.params import Params, PointMass
+from fsw.dictionary.types import vector3
 from fsw.kinematics.transforms import Array
 from sim.effects.effect import Effect
 from sim.effects.size import Size
@@ -81,9 +81,9 @@ def _set_mass(spec: mujoco.MjSpec, mass_kg: float) -> None:
     turret.mass = mass_kg
 
 
-def _lump(params: Params) -> Lump:
+def _lump(params: Params) -> PointMass:
     return link_of(params, Frame.ARM6).far
 
 
-def _with_lump(params: Params, lump: Lump) -> Params:
+def _with_lump(params: Params, lump: PointMass) -> Params:
     return with_link(params, Frame.ARM6, replace(link_of(params, Frame.ARM6), far=lump))

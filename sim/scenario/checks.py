@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from math import pi
 from typing import Annotated, Final
 
-from fsw.dictionary.commands import Vector3
-from fsw.dictionary.joints import Tool
-from fsw.dictionary.limits import Limits
+from fsw.dictionary.enums import Tool
+from fsw.dictionary.types import Limits, Vector3
 
 Number = Annotated[int, Limits(1, 1000)]
 """Of a command."""

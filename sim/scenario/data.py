@@ -3,8 +3,9 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from fsw.dictionary.commands import Command, Vector3
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.commands import Command
+from fsw.dictionary.enums import Tool
+from fsw.dictionary.types import Vector3
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.effects.environment import WARM_C

@@ -10,8 +10,8 @@ from typing import Annotated, Any, Final, TypeVar
 import numpy as np
 
 from fsw.dictionary.commands import Command, Preload, SetParam, SetTilt
-from fsw.dictionary.limits import Limits
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.enums import Mode
+from fsw.dictionary.types import Limits
 from fsw.executive.checks import beyond
 from fsw.executive.settings import params_with
 from sim.arms import UnknownArm, arm_named

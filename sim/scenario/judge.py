@@ -7,10 +7,9 @@ from typing import Final, assert_never
 
 import numpy as np
 
+from fsw.dictionary.enums import TOOL_SWITCHES, Mode, Switch, Tool
 from fsw.dictionary.evrs import CommandAborted, CommandRefused
-from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
-from fsw.dictionary.modes import Mode
-from fsw.kinematics.transforms import Array, angle_between, unit
+from fsw.kinematics.transforms import Array, angle_between, normalize
 from fsw.protect.responses import RESPONSE_TO, Response
 from sim.frames import p_R_from_N
 from sim.scenario.checks import (
@@ -85,7 +84,7 @@ def _measured(check: Check, scenario: Scenario, stowed_rad: Array, trace: Trace)
             return _preloaded(check, _normal(scenario), trace)
         case Loaded():
             point = _taught(scenario, check.point)
-            away = -unit(point.approach_N)
+            away = -normalize(point.approach_N)
             return (_force(trace, away, check.after, point.tool, check.force_N, check.share),)
         case GravityHeld():
             return (_gravity_held(check, scenario.world.gravity_N_m_s2, trace),)
@@ -131,7 +130,7 @@ def _preloaded(check: Preloaded, normal: Array, trace: Trace) -> tuple[Measured,
     normals = [float(m.force_R_N[check.tool] @ normal) for m in moments]
     pressed = [(m, f) for m, f in zip(moments, normals, strict=True) if f >= check.pressed_N]
     ratios = [_lateral(m.force_R_N[check.tool], normal) / f for m, f in pressed]
-    slips = [slip for switch in SWITCHES_OF[check.tool] for slip in _slips(moments, switch, normal, check)]
+    slips = [slip for switch in TOOL_SWITCHES[check.tool] for slip in _slips(moments, switch, normal, check)]
     return (
         _force(trace, normal, check.after, check.tool, check.force_N, check.share),
         Measured("most force", _most(normals), "N", high=check.most_N),
@@ -233,7 +232,7 @@ def _lateral(v: Array, normal: Array) -> float:
 
 def _normal(scenario: Scenario) -> Array:
     """Of the surface, out of it, of length one."""
-    return unit(_surface(scenario).normal_N)
+    return normalize(_surface(scenario).normal_N)
 
 
 def _surface(scenario: Scenario) -> Surface:

@@ -19,8 +19,7 @@ from fsw.dictionary.commands import (
     Stow,
     ToolChange,
 )
-from fsw.dictionary.joints import Tool
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.enums import Mode, Tool
 from fsw.executive.modes import EVENT_OF, Event, after
 from sim.scenario.names import upper_snake
 

@@ -7,7 +7,7 @@ from enum import IntEnum
 from types import UnionType
 from typing import Annotated, Any, Final, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from fsw.dictionary.limits import Limits
+from fsw.dictionary.types import Limits
 from sim.scenario.names import Words, did_you_mean, one_of, spoken, words_of
 from sim.scenario.toml_lines import Place
 

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fsw.config import CYCLE_HZ, CYCLE_S
-from fsw.dictionary.commands import Joints5, MoveJoints
+from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.evrs import CommandRefused, Evr
+from fsw.dictionary.types import Joints5
 from fsw.estimate.reference import Reference
 from sim.arms import BuiltArm, later
 from sim.effects.environment import surroundings

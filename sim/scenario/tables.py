@@ -6,11 +6,10 @@ from typing import Annotated, Any, Final, get_args
 
 import numpy as np
 
-from fsw.dictionary.commands import ROVER, Command, Dock, Vector3
+from fsw.dictionary.commands import ROVER, Command, Dock
+from fsw.dictionary.enums import TOOL_SWITCHES, Tool
 from fsw.dictionary.faults import Fault
-from fsw.dictionary.joints import SWITCHES_OF, Tool
-from fsw.dictionary.limits import Limits
-from fsw.dictionary.tuples import vector3
+from fsw.dictionary.types import Limits, Vector3, vector3
 from fsw.executive.checks import FRAMES as COMMAND_FRAMES
 from fsw.executive.checks import MoveCommand, malformed, malformed_direction
 from fsw.kinematics.branches import BRANCHES
@@ -112,7 +111,7 @@ def command_of(
         changed["frame"] = ROVER if frame in ROVER_FRAMES else frame
     command = replace(command, **changed)
     problem = malformed(command) if isinstance(command, MoveCommand) else None
-    if isinstance(command, Dock) and not SWITCHES_OF[points[command.point]]:
+    if isinstance(command, Dock) and not TOOL_SWITCHES[points[command.point]]:
         problem = f"the {points[command.point].name.lower()} has no contact switch to dock with"
     if problem is not None:
         findings.say(place, f"{table[TYPE]}: {problem}")

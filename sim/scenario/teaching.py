@@ -11,12 +11,11 @@ from fsw.dictionary.channels import ToolChannels
 from fsw.dictionary.commands import MoveTool
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.params import TeachPoint
-from fsw.dictionary.tuples import joints5, vector3
+from fsw.dictionary.types import joints5, vector3
 from fsw.estimate.reference import Reference
-from fsw.kinematics.answers import Verdict
-from fsw.kinematics.arm import arm_from
+from fsw.kinematics.arm import build_arm
 from fsw.kinematics.branches import BRANCHES
-from fsw.kinematics.ik import inverse_kinematics
+from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import Array
 from fsw.motion.plan_tool import AUTO
 from sim.arms import BuiltArm
@@ -80,10 +79,10 @@ def _taught(arm: BuiltArm, reference: Reference, point: Taught, world: World, se
 def _near(arm: BuiltArm, point: Taught, p_R_m: Array, axis: Array, world: World) -> Array:
     """A pose beside the place, on the branch asked for; of several the nearest to the ready pose."""
     ready = np.array(arm.params.poses.ready_rad)
-    answers = inverse_kinematics(arm_from(arm.params), point.tool, p_R_m, axis, world.gravity_N_m_s2, ready)
+    answers = inverse_kinematics(build_arm(arm.params), point.tool, p_R_m, axis, world.gravity_N_m_s2, ready)
     poses = [
         answers.output_rad[:, slot]
-        for slot in np.flatnonzero(answers.verdict == Verdict.VALID)
+        for slot in np.flatnonzero(answers.verdict == BranchVerdict.VALID)
         if point.branch in (AUTO, BRANCHES[slot % len(BRANCHES)])
     ]
     if not poses:

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fsw.dictionary.enums import TOOL_SWITCHES, Mode, Switch, Tool
 from fsw.dictionary.evrs import CommandRefused, Evr
-from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
-from fsw.dictionary.modes import Mode
 from fsw.kinematics.transforms import Array
 from sim.contact import tool_forces
 from sim.loop import ClosedLoop
@@ -96,5 +95,5 @@ def moment(loop: ClosedLoop, record: CycleRecord, command: int) -> Moment:
 
 def touches(moment: Moment, tool: Tool) -> bool:
     """Whether a contact switch of a tool is closed."""
-    closed: NDArray[np.bool_] = moment.closed[[Switch(switch) for switch in SWITCHES_OF[tool]]]
+    closed: NDArray[np.bool_] = moment.closed[[Switch(switch) for switch in TOOL_SWITCHES[tool]]]
     return bool(closed.any())

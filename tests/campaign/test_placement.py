@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.estimate.reference import Reference
 from sim.arms import arm_named
 from sim.campaign import random_placement, run_placement

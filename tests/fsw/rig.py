@@ -8,13 +8,12 @@ import numpy as np
 from fsw.config import Config, configure
 from fsw.cycle import step
 from fsw.dictionary.commands import Command, GuardedMove, MoveTool
+from fsw.dictionary.enums import Joint, Mode, Tool
 from fsw.dictionary.evrs import Evr
-from fsw.dictionary.joints import Joint, Tool
-from fsw.dictionary.modes import Mode
 from fsw.estimate.gear import LIKELY
 from fsw.estimate.reference import Reference, no_reference
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Pose
 from fsw.messages import Outputs, Sensors
 from fsw.state import State, boot
@@ -166,7 +165,7 @@ class Rig:
     def tool_pose(self, tool: Tool) -> Pose:
         """X_RT as flight software believes it, at rest."""
         joints = self.state.joints
-        here = rest(self.config.arm, joints.output_rad, joints.gravity_R_m_s2)
+        here = settle_output(self.config.arm, joints.output_rad, joints.gravity_R_m_s2)
         return tool_pose(self.config.arm, here.frames, tool)
 
     def here(self, tool: Tool, ahead_m: float = 0.0, **fields) -> MoveTool:

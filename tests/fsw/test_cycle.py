@@ -9,9 +9,8 @@ import pytest
 from fsw.config import CYCLE_HZ, configure, digest, ticks
 from fsw.cycle import step
 from fsw.dictionary.commands import Calibrate, MoveJoints, Retract, Stop, Unstow
+from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Mode, Tool
 from fsw.dictionary.evrs import Booted, CommandRefused
-from fsw.dictionary.joints import SWITCHES_OF, Joint, Tool
-from fsw.dictionary.modes import Mode
 from fsw.state import boot, outputs_at_rest
 from sim.params import nominal_params
 from tests.fsw.rig import Rig, alive, config_of, facing, floats, quiet_sensors, with_params
@@ -114,7 +113,7 @@ def test_before_the_first_cycle_brakes_are_on_and_power_is_off():
     for values in (outputs.drive.power_on, outputs.drive.brake_release, outputs.drive.setpoint_rate_rad_s):
         assert not values.any()
     assert outputs.evrs == ()
-    assert not state.joints.awake
+    assert not state.joints.initialised
 
 
 def test_without_calibrated_joints_nothing_moves_but_the_tool_pose_that_resolvers_make_likely_is_told():
@@ -170,7 +169,7 @@ def test_the_configuration_is_what_the_parameters_say():
     np.testing.assert_array_equal(config.current_limit_A, [5, 5, 5, 3, 3])
 
 
-@pytest.mark.parametrize("tool", [tool for tool in Tool if SWITCHES_OF[tool]])
+@pytest.mark.parametrize("tool", [tool for tool in Tool if TOOL_SWITCHES[tool]])
 def test_a_guarded_move_to_a_near_surface_is_planned_for_every_tool_with_switches(tool):
     rig = Rig(CONFIG, start_rad=facing(CONFIG, tool))
     rig.cycle(rig.touch(tool, 0.05))

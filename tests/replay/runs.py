@@ -25,7 +25,7 @@ from fsw.dictionary.commands import (
     ToolChange,
     Unstow,
 )
-from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.enums import Joint, Tool
 from sim.arms import BuiltArm, arm_named
 from sim.effects.effect import Effect
 from sim.effects.faults import MissedCycles, SensorFault

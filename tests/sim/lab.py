@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from sim.initialisation import true_reference as true_reference
 from sim.loop import ClosedLoop
 from sim.plant import JOINT_NAMES, Plant

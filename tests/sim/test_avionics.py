@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from fsw.config import CYCLE_HZ, configure
-from fsw.dictionary.joints import SWITCHES_OF, Joint, Switch, Tool
-from fsw.messages import Drive
+from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Switch, Tool
+from fsw.messages import ActuatorCommand
 from sim.avionics import Avionics
 from sim.effects.effect import Hardware, nominal_hardware
 from sim.effects.environment import PowerLoss
@@ -30,10 +30,12 @@ def avionics_of(plant: Plant, hardware: Hardware | None = None, seed: int = 5) -
     return Avionics(plant, hardware or nominal_hardware(), np.random.default_rng([seed, 2]))
 
 
-def drive_to(motor_rad: lab.Array, **changes: lab.Array) -> Drive:
+def drive_to(motor_rad: lab.Array, **changes: lab.Array) -> ActuatorCommand:
     """Power on, brakes released, and the set-points at these angles."""
     count = np.rint((motor_rad - COUNTER_ZERO_RAD) / CONFIG.rad_per_count).astype(np.int64)
-    return replace(Drive(count, np.zeros(5), CONFIG.current_limit_A, ALL, ALL, vibrate=False), **changes)
+    return replace(
+        ActuatorCommand(count, np.zeros(5), CONFIG.current_limit_A, ALL, ALL, vibrate=False), **changes
+    )
 
 
 @pytest.fixture
@@ -222,7 +224,7 @@ def test_a_switch_closes_above_its_force_and_no_other_with_it(ready: Plant, swit
     np.testing.assert_array_equal(np.flatnonzero(sensors.sense().switch_closed), [switch])
 
 
-@pytest.mark.parametrize("tool", [tool for tool in Tool if SWITCHES_OF[tool]])
+@pytest.mark.parametrize("tool", [tool for tool in Tool if TOOL_SWITCHES[tool]])
 def test_a_tool_on_a_wall_closes_the_switches_whose_pads_bear_the_load(ready: Plant, tool: Tool) -> None:
     """The wall stands half a millimetre in front of the tool, and gravity pulls towards it."""
     mujoco.mj_resetData(ready.model, ready.data)
@@ -249,7 +251,7 @@ def test_a_tool_on_a_wall_closes_the_switches_whose_pads_bear_the_load(ready: Pl
     force_N = pad_forces_N(pressed)
     assert force_N.sum() > 20.0
     assert force_N.sum() == pytest.approx(pressed.truth().contact_force_N)
-    assert set(np.flatnonzero(force_N)) <= set(SWITCHES_OF[tool])
+    assert set(np.flatnonzero(force_N)) <= set(TOOL_SWITCHES[tool])
     np.testing.assert_array_equal(avionics_of(pressed).sense().switch_closed, force_N > 2.0)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fsw.config import digest
-from fsw.dictionary.joints import Frame, Joint, Tool
-from fsw.kinematics.arm import arm_from
+from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import adjoint, inverse
 from sim.arms import UnknownArm, arm_named
@@ -139,10 +139,10 @@ def test_a_calibration_leaves_a_tenth_of_what_it_found() -> None:
     for seed in range(40):
         perfect = knowing(as_built(seed), nominal_params())
         for kind in ("as-built", "calibrated"):
-            believed = arm_from(arm_named(f"{kind}:{seed}").params)
+            believed = build_arm(arm_named(f"{kind}:{seed}").params)
             p = [
                 tool_pose(arm, forward(arm, lab.READY_RAD), Tool.APXS).p
-                for arm in (arm_from(perfect), believed)
+                for arm in (build_arm(perfect), believed)
             ]
             miss[kind].append(float(np.linalg.norm(p[1] - p[0])))
     rms = {kind: np.sqrt(np.mean(np.square(values))) for kind, values in miss.items()}
@@ -177,7 +177,7 @@ def test_there_are_26_identifiable_axes_of_42() -> None:
 @pytest.fixture(scope="module")
 def screws() -> lab.Array:
     """How every frame axis moves the tool in its own axes, for 60 poses: shape (360, 42), m and rad."""
-    arm = arm_from(nominal_params())
+    arm = build_arm(nominal_params())
     rng = np.random.default_rng(17)
     rows = []
     for _ in range(60):
@@ -214,13 +214,13 @@ def test_no_other_axis_tells_anything_new(screws: lab.Array, place: tuple[Frame,
 def test_the_columns_are_what_frame_errors_do(screws: lab.Array, frame: Frame) -> None:
     """The first pose against finite differences through the flight parameters."""
     params = nominal_params()
-    arm = arm_from(params)
+    arm = build_arm(params)
     pose = np.random.default_rng(17).uniform(arm.soft_min_rad, arm.soft_max_rad)
     X = tool_pose(arm, forward(arm, pose), Tool.APXS)
     for axis in range(6):
         step = 1e-6 * np.eye(6)[axis]
         tool = Tool.APXS if frame is Frame.TOOL else None
-        other = arm_from(FrameError(frame, tuple(float(s) for s in step), tool).on_params(params))
+        other = build_arm(FrameError(frame, tuple(float(s) for s in step), tool).on_params(params))
         moved = inverse(X) @ tool_pose(other, forward(other, pose), Tool.APXS)
         screw = np.array([moved.R[2, 1], moved.R[0, 2], moved.R[1, 0], *moved.p]) / 1e-6
         np.testing.assert_allclose(screws[:6, 6 * frame + axis], screw, rtol=0, atol=1e-5)

@@ -6,15 +6,15 @@ import pytest
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import GuardedMove, MoveJoints
+from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Tool
 from fsw.dictionary.evrs import ContactMade
 from fsw.dictionary.faults import (
     ContactInFreeSpace,
     PreloadOutside,
 )
-from fsw.dictionary.joints import SWITCHES_OF, Joint, Tool
-from fsw.dictionary.tuples import joints5
+from fsw.dictionary.types import joints5
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from sim.arms import arm_named
 from sim.effects.faults import (
     RockGone,
@@ -34,7 +34,7 @@ NOW_S = 0.0
 def facing_rock(tool, motor_rad, effects=(), ahead_m=0.0, pose_rad=None):
     """The arm at a pose, and a rock some way ahead of where the tool is in the one that faces it."""
     arm, pose = arm_named("nominal"), facing(CONFIG, tool) if pose_rad is None else pose_rad
-    X_RT = tool_pose(CONFIG.arm, rest(CONFIG.arm, pose, MARS_R_m_s2).frames, tool)
+    X_RT = tool_pose(CONFIG.arm, settle_output(CONFIG.arm, pose, MARS_R_m_s2).frames, tool)
     p_N = X_RT.p + ahead_m * X_RT.R[:, 0] + P_NR_M
     world = World(surface=Surface(floats(p_N), floats(-X_RT.R[:, 0])))
     setup = Setup(arm, world, joints5(motor_rad), reference=lab.true_reference(arm), effects=effects)
@@ -57,7 +57,7 @@ def peak_force_N(loop, command) -> tuple[float, list]:
     return peak, evrs
 
 
-TOUCHING = [tool for tool in Tool if SWITCHES_OF[tool]]
+TOUCHING = [tool for tool in Tool if TOOL_SWITCHES[tool]]
 
 
 def guarded_with_dead(tool, switches) -> tuple[float, list]:
@@ -68,7 +68,7 @@ def guarded_with_dead(tool, switches) -> tuple[float, list]:
     return peak_force_N(loop, GuardedMove(tool, floats(X_RT.p + 0.07 * axis), floats(axis)))
 
 
-@pytest.mark.parametrize(("tool", "dead"), [(tool, s) for tool in TOUCHING for s in SWITCHES_OF[tool]])
+@pytest.mark.parametrize(("tool", "dead"), [(tool, s) for tool in TOUCHING for s in TOOL_SWITCHES[tool]])
 def test_a_guarded_tool_meets_a_rock_with_less_than_50_N_whichever_switch_is_dead(tool, dead):
     peak, evrs = guarded_with_dead(tool, (dead,))
     assert any(isinstance(evr, ContactMade | PreloadOutside) for evr in evrs)
@@ -77,7 +77,7 @@ def test_a_guarded_tool_meets_a_rock_with_less_than_50_N_whichever_switch_is_dea
 
 @pytest.mark.parametrize("tool", TOUCHING)
 def test_a_guarded_tool_whose_switches_are_all_dead_is_felt_before_it_presses_with_100_N(tool):
-    peak, evrs = guarded_with_dead(tool, SWITCHES_OF[tool])
+    peak, evrs = guarded_with_dead(tool, TOOL_SWITCHES[tool])
     assert any(isinstance(evr, PreloadOutside) for evr in evrs)
     assert 0.0 < peak < 100.0
 
@@ -102,10 +102,10 @@ def test_joints_at_full_speed_that_drive_a_tool_into_a_rock_press_with_less_than
 ):
     turned = facing(CONFIG, tool)
     pose = with_turret_of(STRETCHED_RAD, turned) if stretched else turned
-    axis = tool_pose(CONFIG.arm, rest(CONFIG.arm, pose, MARS_R_m_s2).frames, tool).R[:, 0]
+    axis = tool_pose(CONFIG.arm, settle_output(CONFIG.arm, pose, MARS_R_m_s2).frames, tool).R[:, 0]
 
     def along_m(step):
-        frames = rest(CONFIG.arm, pose + step, MARS_R_m_s2).frames
+        frames = settle_output(CONFIG.arm, pose + step, MARS_R_m_s2).frames
         return tool_pose(CONFIG.arm, frames, tool).p @ axis
 
     moved = 1e-4 * np.eye(5)

@@ -3,7 +3,7 @@
 import pytest
 
 from fsw.dictionary.commands import GuardedMove
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from sim.arms import arm_named
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsw.dictionary.joints import Tool
-from fsw.kinematics.answers import Verdict
-from fsw.kinematics.arm import Arm, arm_from
+from fsw.dictionary.enums import Tool
+from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.ik import inverse_kinematics
+from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.statics import settle
 from sim.frames import FLIP
 from sim.params import nominal_params
@@ -49,7 +48,7 @@ def arm_with(turret_kg: float) -> Arm:
     """The arm that flight software believes in, with another turret on it."""
     arm6 = PARAMS.links.arm6
     arm6 = replace(arm6, far=replace(arm6.far, mass_kg=turret_kg))
-    return arm_from(replace(PARAMS, links=replace(PARAMS.links, arm6=arm6)))
+    return build_arm(replace(PARAMS, links=replace(PARAMS.links, arm6=arm6)))
 
 
 def plant_with(turret_kg: float) -> Plant:
@@ -77,7 +76,7 @@ def cases(turret_kg: float) -> tuple[Case, ...]:
     pose = rng.uniform(arm.soft_min_rad, arm.soft_max_rad, (1000, 5)).T
     X_RT = tool_pose(arm, forward(arm, pose), Tool.DRILL)
     answers = inverse_kinematics(arm, Tool.DRILL, X_RT.p, X_RT.R[:, 0])
-    valid = [iter(np.flatnonzero(verdicts == Verdict.VALID)) for verdicts in answers.verdict]
+    valid = [iter(np.flatnonzero(verdicts == BranchVerdict.VALID)) for verdicts in answers.verdict]
     drawn: list[Case] = []
     while len(drawn) < POSES_PER_TURRET:
         branch, scene = len(drawn) % len(BRANCHES), SCENES[len(drawn) // len(BRANCHES) % 2]

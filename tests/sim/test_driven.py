@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import MoveJoint
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.messages import Sensors
 from sim.arms import arm_named
 from sim.diagnosis.campaign import moments, on_counts

@@ -4,9 +4,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint, Tool
 from fsw.dictionary.params import Params
-from fsw.kinematics.arm import Arm, arm_from
+from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
 from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import Pose, inverse
@@ -37,7 +37,7 @@ from sim.world import World
 from tests.sim import lab
 
 PARAMS = nominal_params()
-NOMINAL = arm_from(PARAMS)
+NOMINAL = build_arm(PARAMS)
 SCREW = (0.011, -0.007, 0.013, 0.004, -0.006, 0.005)
 FRAMES = [(frame, None) for frame in Frame if frame is not Frame.TOOL] + [(Frame.TOOL, tool) for tool in Tool]
 SPRING_FRAMES = [Frame.ARM1, Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5]
@@ -93,7 +93,7 @@ def test_a_frame_error_displaces_its_frame_by_its_screw_and_is_known_exactly(
     effect = FrameError(frame, SCREW, tool)
     plant = built(effect)
     assert rigid_difference_m(plant, NOMINAL) > 1e-3
-    assert rigid_difference_m(plant, arm_from(known(effect))) < 1e-12
+    assert rigid_difference_m(plant, build_arm(known(effect))) < 1e-12
 
 
 @pytest.mark.parametrize(("frame", "tool"), FRAMES)
@@ -104,7 +104,7 @@ def test_the_screw_of_a_frame_error_is_in_the_frames_own_axes(frame: Frame, tool
         frames = forward(arm, lab.LEFT_RAD)
         return frames.X_RF[frame] if tool is None else tool_pose(arm, frames, tool)
 
-    X, X_new = pose(NOMINAL), pose(arm_from(known(FrameError(frame, small, tool))))
+    X, X_new = pose(NOMINAL), pose(build_arm(known(FrameError(frame, small, tool))))
     moved = inverse(X) @ X_new
     screw = (moved.R[2, 1], moved.R[0, 2], moved.R[1, 0], *moved.p)
     np.testing.assert_allclose(screw, small, rtol=0, atol=1e-10)
@@ -146,7 +146,7 @@ def test_the_loaded_arm_with_a_frame_error_rests_where_flight_software_says(
 ) -> None:
     """Springs and masses that go with the frame in the plant go with it in the flight parameters."""
     effect = FrameError(frame, tuple(0.2 * s for s in SCREW), tool)
-    assert rest_difference_m(built(effect, world=TILTED_EARTH), arm_from(known(effect))) < 1e-6
+    assert rest_difference_m(built(effect, world=TILTED_EARTH), build_arm(known(effect))) < 1e-6
 
 
 def drawn_stops(params: Params) -> lab.Array:
@@ -165,7 +165,7 @@ def test_a_hardstop_off_its_place_is_an_error_of_the_zero_until_flight_software_
     assert rigid_difference_m(plant, NOMINAL, -shift) > 1e-3
     left = drawn_stops(known(effect)) - plant.stop_rad()
     np.testing.assert_allclose(left, 0.0, atol=1e-12)
-    assert rigid_difference_m(plant, arm_from(known(effect)), left) < 1e-12
+    assert rigid_difference_m(plant, build_arm(known(effect)), left) < 1e-12
 
 
 @pytest.mark.parametrize("joint", Joint)
@@ -192,7 +192,7 @@ def test_a_link_of_other_stiffness_sags_otherwise_as_flight_software_then_says(f
     effect = LinkStiffness(frame, 0.6)
     plant = built(effect, world=TILTED_EARTH)
     assert rest_difference_m(plant, NOMINAL) > 3e-4
-    assert rest_difference_m(plant, arm_from(known(effect))) < 1e-7
+    assert rest_difference_m(plant, build_arm(known(effect))) < 1e-7
 
 
 @pytest.mark.parametrize("frame", [*SPRING_FRAMES[1:], Frame.ARM6])
@@ -202,7 +202,7 @@ def test_a_link_of_other_mass_sags_otherwise_as_flight_software_then_says(frame:
     nominal = lab.plant()
     assert plant.model.body_mass.sum() > nominal.model.body_mass.sum() + 1.0
     assert rest_difference_m(plant, NOMINAL) > 1e-4
-    assert rest_difference_m(plant, arm_from(known(effect))) < 1e-7
+    assert rest_difference_m(plant, build_arm(known(effect))) < 1e-7
 
 
 @pytest.mark.parametrize("mass_kg", [0.0, 8.0, 19.0])
@@ -216,7 +216,7 @@ def test_an_arm_with_another_turret_sags_as_flight_software_then_says(mass_kg: f
     for_each_kg = [m.body_inertia[turret] / m.body_mass[turret] for m in (plant.model, nominal.model)]
     np.testing.assert_allclose(*for_each_kg, rtol=1e-12)
     assert rest_difference_m(plant, NOMINAL) > 1e-3
-    assert rest_difference_m(plant, arm_from(known(effect))) < 1e-6
+    assert rest_difference_m(plant, build_arm(known(effect))) < 1e-6
 
 
 @pytest.mark.parametrize("joint", [Joint.ELEVATION, Joint.ELBOW, Joint.WRIST])
@@ -226,7 +226,7 @@ def test_a_gear_of_other_backlash_or_stiffness_lets_the_tool_sag_as_flight_softw
 ) -> None:
     effect = kind(joint, 0.6)
     plant = built(effect, world=TILTED_EARTH)
-    arm = arm_from(known(effect))
+    arm = build_arm(known(effect))
     lab.load(plant, lab.LEFT_RAD, duration_s=2.0, rest_s=2.0)
     believed = getattr(known(effect).joints, joint.name.lower())
     half_gap = believed.backlash_rad / 2
@@ -256,9 +256,9 @@ def test_gear_friction_is_on_the_motor_and_flight_software_has_no_word_for_it(jo
 def test_effects_add_up_in_any_order_of_different_places() -> None:
     effects = (FrameError(Frame.ARM3, SCREW), LinkStiffness(Frame.ARM3, 0.8), LinkMass(Frame.ARM3, 1.1))
     one, other = known(*effects), known(*effects[::-1])
-    assert arm_from(one).theta_rad.tolist() == arm_from(other).theta_rad.tolist()
-    np.testing.assert_allclose(arm_from(one).compliance, arm_from(other).compliance)
-    np.testing.assert_allclose(arm_from(one).far_kg, arm_from(other).far_kg)
+    assert build_arm(one).theta_rad.tolist() == build_arm(other).theta_rad.tolist()
+    np.testing.assert_allclose(build_arm(one).compliance, build_arm(other).compliance)
+    np.testing.assert_allclose(build_arm(one).far_kg, build_arm(other).far_kg)
 
 
 def motor_friction(plant: Plant) -> tuple[lab.Array, lab.Array]:

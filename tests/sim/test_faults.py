@@ -8,6 +8,7 @@ import pytest
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import MoveJoints
+from fsw.dictionary.enums import Joint, Switch
 from fsw.dictionary.evrs import CommandCompleted, CyclesSkipped, FaultResponse
 from fsw.dictionary.faults import (
     CyclesMissed,
@@ -22,9 +23,8 @@ from fsw.dictionary.faults import (
     TiltChanged,
     UnderTemperature,
 )
-from fsw.dictionary.joints import Joint, Switch
-from fsw.dictionary.tuples import joints5
-from fsw.messages import Drive, Sensors
+from fsw.dictionary.types import joints5
+from fsw.messages import ActuatorCommand, Sensors
 from fsw.protect.responses import RESPONSE_TO, Response
 from sim.arms import arm_named
 from sim.avionics import VIBRATION_N, Avionics
@@ -309,7 +309,7 @@ def test_the_vibration_motor_pulls_all_around_in_the_plane_of_the_turret_and_sto
     plant = lab.plant()
     plant.place(lab.READY_RAD, 0.5)
     sensors, body = avionics_with(plant=plant), plant.model.body("turret").id
-    off = Drive(sensors.encoder_count(), np.zeros(5), np.full(5, 3.0), NONE, NONE, vibrate=False)
+    off = ActuatorCommand(sensors.encoder_count(), np.zeros(5), np.full(5, 3.0), NONE, NONE, vibrate=False)
     pulls = []
     for _ in range(8):
         sensors.sense()
@@ -333,7 +333,7 @@ def test_without_power_nothing_vibrates():
     plant = lab.plant()
     plant.place(lab.READY_RAD, 0.5)
     sensors = avionics_with(PowerLoss(plant.data.time + 0.5 / CYCLE_HZ), plant=plant)
-    shaking = Drive(sensors.encoder_count(), np.zeros(5), np.full(5, 3.0), NONE, NONE, vibrate=True)
+    shaking = ActuatorCommand(sensors.encoder_count(), np.zeros(5), np.full(5, 3.0), NONE, NONE, vibrate=True)
     sensors.apply(shaking)
     assert plant.data.xfrc_applied.any()
     plant.step()

@@ -7,9 +7,8 @@ import pytest
 
 from fsw.dictionary import evrs, faults
 from fsw.dictionary.commands import Calibrate, Stop
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, FaultResponse
-from fsw.dictionary.joints import Joint
-from fsw.dictionary.modes import Mode
 from fsw.estimate.reference import no_reference
 from fsw.messages import Sensors
 from fsw.motion.seek import Stage

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from fsw.config import configure
-from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.enums import Joint, Tool
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import Pose, rotation_z
 from sim.params import nominal_params

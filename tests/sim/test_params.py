@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from fsw.config import digest
-from fsw.dictionary.validity import out_of_limits
+from fsw.dictionary.validity import check_limits
 from sim.params import BadParams, _nominal_text, _validated, nominal_params, params_over_nominal
 
 
@@ -23,7 +23,7 @@ def written(folder: Path, text: str) -> Path:
 
 
 def test_nominal_parameters_are_within_their_limits() -> None:
-    assert list(out_of_limits(nominal_params())) == []
+    assert list(check_limits(nominal_params())) == []
 
 
 def test_a_file_replaces_what_it_names_and_nothing_else(tmp_path: Path) -> None:

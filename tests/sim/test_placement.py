@@ -6,11 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.dictionary.commands import Vector3
+from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Mode, Tool
 from fsw.dictionary.evrs import CommandCompleted, ContactMade
 from fsw.dictionary.faults import ContactInFreeSpace, NoContact
-from fsw.dictionary.joints import SWITCHES_OF, Joint, Tool
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.types import Vector3
 from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementResult, PlacementRun
@@ -80,7 +79,7 @@ def test_the_way_from_the_stowed_pose_is_looked_at_where_the_arm_starts_there() 
     assert re.search(r"\w+ meets \w+ on the way from the stowed to the ready pose", problem), problem
 
 
-@pytest.mark.parametrize("tool", [tool for tool in Tool if SWITCHES_OF[tool]])
+@pytest.mark.parametrize("tool", [tool for tool in Tool if TOOL_SWITCHES[tool]])
 def test_along_the_guarded_line_the_pads_may_meet_the_rock_and_nothing_else(
     tool: Tool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -115,7 +114,7 @@ def test_the_nominal_arm_places_the_apxs_from_the_ready_pose(surface: tuple[Vect
     assert not any(isinstance(evr, ContactInFreeSpace) for evr in evrs)
     touched = [evr.switch for evr in evrs if isinstance(evr, ContactMade)]
     assert touched
-    assert set(touched) <= set(SWITCHES_OF[Tool.APXS])
+    assert set(touched) <= set(TOOL_SWITCHES[Tool.APXS])
     assert CommandCompleted("Retract") in evrs
     assert result.contact is not None
     assert result.contact.total_m < 1e-3

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import PlaceTool, Preload, Retract
+from fsw.dictionary.enums import Joint, Mode, Tool
 from fsw.dictionary.evrs import FaultResponse, Preloaded
 from fsw.dictionary.faults import ContactLost, PreloadOutside
-from fsw.dictionary.joints import Joint, Tool
-from fsw.dictionary.modes import Mode
-from fsw.kinematics.arm import arm_from
+from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import Push, rest
+from fsw.kinematics.statics import ToolForce, settle_output
 from sim.arms import arm_named
 from sim.contact import tool_forces
 from sim.effects.faults import RockGone, SensorFault
@@ -32,7 +31,7 @@ PLACE = PlaceTool(Tool.DRILL, tuple(p_R_from_N(np.array(POINT_N_M)).tolist()), t
 
 @pytest.mark.parametrize("force_R_N", [(0.0, 0.0, -200.0), (120.0, -80.0, 0.0), (-50.0, 60.0, 90.0)])
 def test_a_push_on_a_tool_moves_it_as_it_does_in_the_plant(force_R_N):
-    arm, pose = arm_from(nominal_params()), np.radians([-20.0, -65.0, 100.0, 30.0, 80.0])
+    arm, pose = build_arm(nominal_params()), np.radians([-20.0, -65.0, 100.0, 30.0, 80.0])
     world = tilted(5.0, -8.0)
     free = load(plant(world, edit=soon_at_rest), pose)
     before = free.truth()
@@ -46,9 +45,9 @@ def test_a_push_on_a_tool_moves_it_as_it_does_in_the_plant(force_R_N):
     run(free, 6.0, pushed)
     run(free, 6.0, lambda _: pushed(1.0))
     after = free.truth()
-    push = Push(Tool.DRILL, np.array(force_R_N))
+    push = ToolForce(Tool.DRILL, np.array(force_R_N))
     ours = [
-        tool_pose(arm, rest(arm, truth.output_rad, world.gravity_N_m_s2, p).frames, Tool.DRILL).p
+        tool_pose(arm, settle_output(arm, truth.output_rad, world.gravity_N_m_s2, p).frames, Tool.DRILL).p
         for truth, p in ((before, None), (after, push))
     ]
     moved = after.p_RoTo_R_m[Tool.DRILL] - before.p_RoTo_R_m[Tool.DRILL]

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import MoveJoints
+from fsw.dictionary.enums import Frame, Joint, Tool
 from fsw.dictionary.evrs import CommandCompleted
-from fsw.dictionary.joints import Frame, Joint, Tool
-from fsw.dictionary.tuples import joints5
-from fsw.kinematics.arm import arm_from
+from fsw.dictionary.types import joints5
+from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
 from sim.arms import arm_named
 from sim.effects.moves import FramePlay, ServoError, Windup
@@ -118,7 +118,7 @@ def test_a_displaced_frame_moves_what_it_carries_and_the_next_draw_begins_where_
         plant.scattered(scatter)
     plant.show(lab.READY_RAD, np.zeros((6, 6)))
     moved = plant.truth().p_RoTo_R_m[Tool.APXS] - before
-    arm = arm_from(NOMINAL.params)
+    arm = build_arm(NOMINAL.params)
     frames = forward(arm, lab.READY_RAD)
     J = frame_jacobian(frames, tool_pose(arm, frames, Tool.APXS))
     assert np.allclose(moved, (J[:, :, Frame.ARM4] @ scatter.screw[:, Frame.ARM4])[3:], atol=3e-7)

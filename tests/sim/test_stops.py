@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import STOP_ORDER, Joint
+from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params
 from fsw.executive.hardstop_pose import stop_poses
 from sim.arms import arm_named
@@ -42,7 +42,7 @@ def run_from(params: Params, joint: Joint, pose_rad: np.ndarray) -> np.ndarray:
 
 
 def test_the_order_has_every_joint_once() -> None:
-    assert sorted(STOP_ORDER) == list(Joint)
+    assert sorted(HARDSTOP_ORDER) == list(Joint)
 
 
 @pytest.mark.parametrize(("world", "whole"), [(MARS, True), (EARTH, False)], ids=["mars", "earth"])

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from sim.plant import REFERENCE_STEP_S, Plant
 from tests.sim import lab
 

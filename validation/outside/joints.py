@@ -6,7 +6,7 @@ from typing import Annotated, Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from sim.effects.effect import EachCycle, Hardware
 from sim.effects.size import Size
 from sim.influence import Influence, at_joint

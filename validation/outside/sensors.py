@@ -6,7 +6,7 @@ from typing import Annotated, Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 from sim.effects.effect import Effect, Hardware, nominal_hardware

@@ -5,7 +5,7 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from fsw.dictionary.limits import Limits
+from fsw.dictionary.types import Limits
 from fsw.kinematics.transforms import Array
 
 SIX: Final = ("theta", "d", "beta", "b", "alpha", "a")

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from fsw.kinematics.transforms import Array, Flags, Numbers
+from fsw.kinematics.transforms import Array, Flags, Integers
 from ground.calibration.fit import UNSEEN, Fit
 
 BLOCKS: Final = 5
@@ -22,7 +22,7 @@ class HeldOut:
 
     square_m2: Array
     """(n,)."""
-    block: Numbers
+    block: Integers
     """(n,)."""
 
     @property
@@ -53,7 +53,7 @@ class CrossValidation:
         self._r = fitted.at.residual[used]
         self._sigma_m = position_sigma_m
         n = self._r.shape[0]
-        self.block: Numbers = np.arange(n) * BLOCKS // n
+        self.block: Integers = np.arange(n) * BLOCKS // n
         self._penalty = (prior * scale) ** 2 + UNSEEN**2
         self._pull = (prior * scale) ** 2 * fitted.values / scale
         self._H = np.array([self._square(self._J[self.block == k]) for k in range(BLOCKS)])

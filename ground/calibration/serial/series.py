@@ -5,7 +5,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array, Flags, Numbers, Pose
+from fsw.kinematics.transforms import Array, Flags, Integers, Pose
 
 STILL_RAD: Final = 1e-3
 """A joint that moved less since the pose before has not shown from which side it came."""
@@ -24,7 +24,7 @@ class Series:
     """The target M in the tracker's frame T, batch (n,)."""
     air_C: Array | None
     """(n,)."""
-    row: Numbers
+    row: Integers
     """What each pose is called in its table: the first row below the header is 1."""
 
     @property
@@ -32,7 +32,7 @@ class Series:
         """How many poses."""
         return self.row.size
 
-    def at(self, poses: Flags | Numbers) -> "Series":
+    def at(self, poses: Flags | Integers) -> "Series":
         """Some of the poses; from where each was reached stays known."""
         air = None if self.air_C is None else self.air_C[poses]
         return Series(

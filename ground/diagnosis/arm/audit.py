@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ, digest
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
 from ground.diagnosis.arm.logs import NotForDiagnosis, Recording, recording_in

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from fsw.config import configure
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array, Pose, inverse
 from fsw.messages import Sensors
 from ground.calibration.screws import screw_log

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array, Flags
 from ground.diagnosis.arm.bound import changed
 from ground.diagnosis.arm.campaign import none_of

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ, Config
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 from ground.diagnosis.arm.logs import Recording
 from ground.diagnosis.arm.segments import BIN_TICKS, Segment, binned, segments_in
@@ -168,5 +168,5 @@ def _loads(recording: Recording, config: Config, segments: tuple[Segment, ...]) 
         return np.zeros(0)
     mids = np.array([(s.first + s.end) // 2 for s in segments])
     poses = recording.motor_rad()[:, mids]
-    torque = rest(config.arm, poses, recording.world.gravity_N_m_s2).torque_Nm
+    torque = settle_output(config.arm, poses, recording.world.gravity_N_m_s2).torque_Nm
     return np.array([torque[s.joint, k] for k, s in enumerate(segments)])

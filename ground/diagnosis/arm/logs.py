@@ -12,7 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
-from fsw.messages import Drive, Sensors
+from fsw.messages import ActuatorCommand, Sensors
 from ground.diagnosis.arm.tracked import Tracked, none_tracked, read_tracked
 from ground.replay.inputs import NotReplayable, inputs_in
 from ground.telemetry.errors import LogError
@@ -54,7 +54,7 @@ class Recording:
     start: Start
     rad_per_count: Array
     drive: Mapping[str, NDArray[Any]]
-    drives: tuple[Drive, ...]
+    drives: tuple[ActuatorCommand, ...]
     """The same tick by tick; what does not change is the same array, as flight software hands it on."""
     sensors: Mapping[str, NDArray[Any]]
     tracked: Tracked
@@ -97,7 +97,7 @@ def recording_in(path: Path) -> Recording:
             f"an initialisation, or give boot.reference in the [start] of the import"
         )
     ticks = min(inputs.ticks, len(_drive(log)))
-    drive = {f.name: _drive(log)[f.name][:ticks] for f in fields(Drive)}
+    drive = {f.name: _drive(log)[f.name][:ticks] for f in fields(ActuatorCommand)}
     sensors = {f.name: inputs.sensors[f.name][:ticks] for f in fields(Sensors)}
     joints = inputs.params.joints.in_order()
     rad_per_count = np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints])
@@ -158,7 +158,7 @@ def world_seen(gravity_R_m_s2: Array, path: Path) -> World:
     return World(cast(Scene, scene), float(np.arctan2(y, z)), float(np.arcsin(np.clip(-x, -1.0, 1.0))))
 
 
-def _drives(drive: Mapping[str, NDArray[Any]]) -> Iterator[Drive]:
+def _drives(drive: Mapping[str, NDArray[Any]]) -> Iterator[ActuatorCommand]:
     anew = {name: _anew(values) for name, values in drive.items()}
     last: dict[str, Any] = {}
     for tick in range(len(drive[COUNTS])):
@@ -166,7 +166,7 @@ def _drives(drive: Mapping[str, NDArray[Any]]) -> Iterator[Drive]:
             if anew[name][tick]:
                 value = values[tick]
                 last[name] = value.copy() if isinstance(value, np.ndarray) else value.item()
-        yield Drive(**last)
+        yield ActuatorCommand(**last)
 
 
 def _anew(values: NDArray[Any]) -> list[bool]:

@@ -12,10 +12,10 @@ from typing import Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ, Config, configure
-from fsw.dictionary.joints import Joint
-from fsw.estimate.gear import bounds_under
-from fsw.kinematics.statics import rest
-from fsw.kinematics.transforms import Array, Pose, batched
+from fsw.dictionary.enums import Joint
+from fsw.estimate.gear import bound_gear
+from fsw.kinematics.statics import settle_output
+from fsw.kinematics.transforms import Array, Pose, stack_poses
 from ground.diagnosis.arm.logs import Recording
 from ground.diagnosis.arm.segments import rests_in, segments_in
 from ground.diagnosis.arm.stepped import stepped
@@ -103,7 +103,7 @@ def _stepped(knots: Knots, effects: Sequence[Effect]) -> Resting:
     for reading in (found.readings[tick] for tick in ticks):
         motor = reading.encoder_count * recording.rad_per_count + recording.start.zero_rad
         apart.append(reading.resolver_rad - motor)
-    return Resting(np.stack(apart, -1), batched([found.X_RF[tick] for tick in ticks]))
+    return Resting(np.stack(apart, -1), stack_poses([found.X_RF[tick] for tick in ticks]))
 
 
 def _rests(knots: Knots, config: Config, hardware: Hardware, effects: Sequence[Effect]) -> Resting:
@@ -114,18 +114,18 @@ def _rests(knots: Knots, config: Config, hardware: Hardware, effects: Sequence[E
     motor = knots.motor_rad - (off_rad + lost_rad)[:, None]
     plant = _acting(recording.world, tuple(effects)) if hardware.each_cycle else None
     half = config.half_gap_rad
-    load = rest(config.arm, motor, gravity).torque_Nm
+    load = settle_output(config.arm, motor, gravity).torque_Nm
     gear, driven = np.zeros(5), motor[:, 0]
     outputs = np.zeros_like(motor)
     for k, at in enumerate(motor.T):
         hardware, more = (hardware, NO_INFLUENCE) if plant is None else _acted(plant, hardware, at, gear)
         before, driven = driven, at + more.gear_rad
-        bounds = bounds_under(config, half, load[:, k] + more.output_Nm)
+        bounds = bound_gear(config, half, load[:, k] + more.output_Nm)
         gear = np.clip(gear - (driven - before), bounds.lowest_rad, bounds.highest_rad)
         outputs[:, k] = driven + gear
     looked = list(knots.rests)
     outputs = outputs[:, looked]
-    frames = rest(config.arm, outputs, gravity).frames
+    frames = settle_output(config.arm, outputs, gravity).frames
     resolver = outputs + hardware.resolver_bias_rad[:, None]
     for warped in hardware.warped:
         resolver += np.stack([warped.error_rad(output) for output in outputs.T], axis=-1)

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from fsw.estimate.reference import Reference
-from fsw.kinematics.transforms import Array, Pose, batched
+from fsw.kinematics.transforms import Array, Pose, stack_poses
 from ground.calibration.frames import FewTargets
 from ground.calibration.survey import surveyed
 from ground.common.progress import Progress
@@ -84,4 +84,4 @@ def _stacked(rows: list[tuple[int, Pose, Array]]) -> Tracked:
     if not rows:
         return none_tracked()
     ticks, poses, sigmas = zip(*rows, strict=True)
-    return Tracked(np.array(ticks, np.int64), batched(poses), np.stack(sigmas, -1))
+    return Tracked(np.array(ticks, np.int64), stack_poses(poses), np.stack(sigmas, -1))

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
 from ground.diagnosis.arm.logs import Recording
 

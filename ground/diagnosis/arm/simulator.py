@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
 from ground.diagnosis.arm.campaign import Compared, all_of, predicted_values
 from ground.diagnosis.arm.features import CONDITIONS, UNITS, Moving, channel_of

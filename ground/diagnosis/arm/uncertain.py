@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from fsw.dictionary.joints import Frame, Joint, Tool
-from fsw.dictionary.tuples import row6
+from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.dictionary.types import row6
 from ground.diagnosis.hypothesis import FACTOR, Nuisance
 from sim.effects.built import (
     IDENTIFIABLE,

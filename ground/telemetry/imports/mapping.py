@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.commands import Command
-from fsw.dictionary.limits import Limits
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
+from fsw.dictionary.types import Limits
 from fsw.estimate.reference import Reference
 from ground.telemetry.imports.targets import Target
 from ground.telemetry.imports.units import Conversion

@@ -9,11 +9,9 @@ from typing import Annotated, Any, Final
 import numpy as np
 
 from fsw.config import CYCLE_HZ, configure
-from fsw.dictionary.commands import Joints5
-from fsw.dictionary.joints import Joint, Tool
-from fsw.dictionary.limits import Limits
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.enums import Joint, Mode, Tool
 from fsw.dictionary.params import Params
+from fsw.dictionary.types import Joints5, Limits
 from fsw.estimate.reference import Reference
 from fsw.executive.steps import tool_of
 from ground.telemetry.imports.mapping import Asked, Start

@@ -8,7 +8,7 @@ from typing import Final, get_type_hints
 
 import numpy as np
 
-from fsw.dictionary.joints import Joint, Switch
+from fsw.dictionary.enums import Joint, Switch
 from ground.common.fields import SYMBOLS, unit_of
 from ground.telemetry.imports.units import UNITS, Conversion
 from ground.telemetry.schema import ROS_NAME, Field, Layout, bare, layout_of

@@ -8,9 +8,9 @@ import pytest
 from fsw.collision.distance import DISPLAY_NAMES, compute_clearances, find_violation
 from fsw.collision.geometry import GROUND, OBSTACLES, PARTS
 from fsw.config import configure
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from tests.fsw.collision.mujoco_reference import FAR_M, mujoco_clearances, obstacle_of, part_of, plant
 from tests.fsw.rig import MARS_R_m_s2, beside_the_rover, in_limits, with_params
 
@@ -35,7 +35,7 @@ def collides_only(shapes):
 
 
 def hung(poses_rad):
-    return rest(CONFIG.arm, poses_rad, MARS_R_m_s2)
+    return settle_output(CONFIG.arm, poses_rad, MARS_R_m_s2)
 
 
 @pytest.fixture(scope="module")

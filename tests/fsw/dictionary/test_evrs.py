@@ -9,9 +9,8 @@ from pathlib import Path
 import pytest
 
 from fsw.dictionary import commands, evrs, faults
+from fsw.dictionary.enums import Joint, Mode, Switch, Tool
 from fsw.dictionary.evrs import Evr, Severity
-from fsw.dictionary.joints import Joint, Switch, Tool
-from fsw.dictionary.modes import Mode
 
 EVRS = [
     kind

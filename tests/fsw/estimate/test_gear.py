@@ -10,13 +10,13 @@ from fsw.estimate.gear import (
     LIKELY,
     MOST,
     STILL_RAD,
-    bounds_under,
-    gap_of,
-    gear_after,
-    gear_moved,
-    lie_of,
+    bound_gear,
+    bound_loads,
+    clip_to_backlash,
+    gear_after_motor_turn,
+    gear_after_output_turn,
     load_error,
-    uncertain_loads,
+    locate_in_backlash,
 )
 from tests.fsw.rig import MARS_R_m_s2, config_of
 
@@ -35,7 +35,7 @@ histories = st.lists(st.tuples(motions, loads, shares), min_size=1, max_size=12)
 
 
 def bounds(load_Nm):
-    return bounds_under(CONFIG, HALF, uncertain_loads(CONFIG, load_Nm, MARS_R_m_s2))
+    return bound_gear(CONFIG, HALF, bound_loads(CONFIG, load_Nm, MARS_R_m_s2))
 
 
 def anywhere():
@@ -64,23 +64,21 @@ def test_the_true_gear_angle_is_always_inside_and_no_side_is_claimed_that_it_is_
     truth, believed = start * HALF, anywhere()
     for motion, load, error in history:
         truth = true_gear(truth, motion, load + error * ERROR)
-        believed = gear_after(believed, motion, bounds(load))
+        believed = gear_after_motor_turn(believed, motion, bounds(load))
         assert (believed[:, LEAST] <= truth + 1e-12).all()
         assert (truth <= believed[:, MOST] + 1e-12).all()
-        side = lie_of(HALF, believed)[1]
+        side = locate_in_backlash(HALF, believed)[1]
         assert (side * truth >= np.abs(side) * (HALF - 2e-6)).all()
 
 
 @given(gears, loads, motions)
 def test_least_likely_and_most_stay_in_order(gear, load, motion):
-    assert (np.diff(gear_after(gear, motion, bounds(load)), axis=1) >= 0).all()
+    assert (np.diff(gear_after_motor_turn(gear, motion, bounds(load)), axis=1) >= 0).all()
 
 
 @given(loads, loads)
 def test_bounds_are_monotone_in_the_load_and_leave_room_for_friction(one, other):
-    low, high = (
-        bounds_under(CONFIG, HALF, load) for load in (np.minimum(one, other), np.maximum(one, other))
-    )
+    low, high = (bound_gear(CONFIG, HALF, load) for load in (np.minimum(one, other), np.maximum(one, other)))
     assert (low.lowest_rad <= high.lowest_rad).all()
     assert (low.highest_rad <= high.highest_rad).all()
     assert (high.highest_rad - high.lowest_rad >= 2 * FRICTION / STIFFNESS - 1e-15).all()
@@ -88,14 +86,14 @@ def test_bounds_are_monotone_in_the_load_and_leave_room_for_friction(one, other)
 
 @given(gears, loads, motions)
 def test_a_motor_that_stands_changes_nothing_twice(gear, load, motion):
-    once = gear_after(gear, motion, bounds(load))
-    np.testing.assert_array_equal(gear_after(once, np.zeros(5), bounds(load)), once)
+    once = gear_after_motor_turn(gear, motion, bounds(load))
+    np.testing.assert_array_equal(gear_after_motor_turn(once, np.zeros(5), bounds(load)), once)
 
 
 @given(gears, loads, motions)
 def test_between_the_bounds_the_output_stands_still(gear, load, motion):
     under = bounds(load)
-    after = gear_after(gear, motion, under)
+    after = gear_after_motor_turn(gear, motion, under)
     held = (after > under.lowest_rad) & (after < under.highest_rad)
     np.testing.assert_allclose((after + motion[:, None])[held], gear[held], atol=1e-15)
 
@@ -103,45 +101,47 @@ def test_between_the_bounds_the_output_stands_still(gear, load, motion):
 @given(gears, loads, st.floats(0, 0.005), st.floats(0, 0.005))
 def test_a_motion_in_one_direction_may_be_taken_in_parts(gear, load, first, second):
     under = bounds(load)
-    gear = gear_after(gear, np.zeros(5), under)
+    gear = gear_after_motor_turn(gear, np.zeros(5), under)
     for sign in (1.0, -1.0):
         parts = gear
         for motion in (first, second):
-            parts = gear_after(parts, np.full(5, sign * motion), under)
-        whole = gear_after(gear, np.full(5, sign * (first + second)), under)
+            parts = gear_after_motor_turn(parts, np.full(5, sign * motion), under)
+        whole = gear_after_motor_turn(gear, np.full(5, sign * (first + second)), under)
         np.testing.assert_allclose(parts, whole, atol=1e-15)
 
 
 @given(gears, loads, st.sampled_from([-1.0, 1.0]))
 def test_an_output_that_was_dragged_is_known_but_for_the_error_of_the_load(gear, load, direction):
-    after = gear_after(gear, np.full(5, 0.1 * direction), bounds(load))
+    after = gear_after_motor_turn(gear, np.full(5, 0.1 * direction), bounds(load))
     taken_up = load - direction * FRICTION
     decided = np.abs(taken_up) > ERROR
     np.testing.assert_allclose(after[:, LIKELY], true_gear(gear[:, 0], 0.1 * direction, load), atol=1e-15)
-    np.testing.assert_array_equal(lie_of(HALF, after)[1][decided], np.sign(taken_up)[decided])
+    np.testing.assert_array_equal(locate_in_backlash(HALF, after)[1][decided], np.sign(taken_up)[decided])
     width = after[:, MOST] - after[:, LEAST]
     np.testing.assert_allclose(width[decided], (2 * ERROR / STIFFNESS)[decided], atol=1e-15)
 
 
 @given(gears, loads, st.sampled_from([-1.0, 1.0]))
 def test_without_an_error_of_the_load_dragging_leaves_no_doubt(gear, load, direction):
-    certain = bounds_under(CONFIG, HALF, np.tile(load[:, None], 3))
-    after = gear_after(gear, np.full(5, 0.1 * direction), certain)
+    certain = bound_gear(CONFIG, HALF, np.tile(load[:, None], 3))
+    after = gear_after_motor_turn(gear, np.full(5, 0.1 * direction), certain)
     np.testing.assert_array_equal(after[:, LEAST], after[:, MOST])
 
 
 @given(gears, loads)
 def test_a_load_beyond_friction_and_error_holds_the_output_on_its_flank(gear, load):
-    after = gear_after(gear, np.zeros(5), bounds(load))
+    after = gear_after_motor_turn(gear, np.zeros(5), bounds(load))
     loaded = np.abs(load) > FRICTION + ERROR
-    np.testing.assert_array_equal(lie_of(HALF, after)[1][loaded], np.sign(load)[loaded])
+    np.testing.assert_array_equal(locate_in_backlash(HALF, after)[1][loaded], np.sign(load)[loaded])
 
 
 @given(loads)
 def test_there_and_back_the_gear_angle_is_another_by_twice_the_friction_and_the_gap_if_it_is_crossed(load):
     """Hysteresis: from above the gear bears the load and friction, from below the load less friction."""
-    forth = gear_after(anywhere(), np.full(5, 0.1), bounds(load))[:, LIKELY]
-    back = gear_after(forth[:, None], np.full(5, -0.1), bounds_under(CONFIG, HALF, load[:, None]))[:, 0]
+    forth = gear_after_motor_turn(anywhere(), np.full(5, 0.1), bounds(load))[:, LIKELY]
+    back = gear_after_motor_turn(forth[:, None], np.full(5, -0.1), bound_gear(CONFIG, HALF, load[:, None]))[
+        :, 0
+    ]
     crossed = (load > -FRICTION) & (load < FRICTION)
     np.testing.assert_allclose(torque_Nm(back) - torque_Nm(forth), 2 * FRICTION, atol=1e-8)
     np.testing.assert_allclose(
@@ -153,10 +153,10 @@ def test_there_and_back_the_gear_angle_is_another_by_twice_the_friction_and_the_
 def test_what_is_planned_is_what_a_motor_that_far_leaves(gear, load, moved):
     """Where the outputs are to move, the planned gear angles are those at which the motors' way ends."""
     under = bounds(load)
-    planned = gear_moved(gear, moved[:, None], under)
+    planned = gear_after_output_turn(gear, moved[:, None], under)
     for column in range(3):
         turned = moved - (planned - gear)[:, column]
-        reached = gear_after(gear, turned, under)[:, column]
+        reached = gear_after_motor_turn(gear, turned, under)[:, column]
         far = np.abs(moved) > STILL_RAD
         np.testing.assert_allclose(reached[far], planned[far, column], atol=1e-15)
 
@@ -164,13 +164,14 @@ def test_what_is_planned_is_what_a_motor_that_far_leaves(gear, load, moved):
 @given(gears, loads)
 def test_an_output_that_is_not_to_move_stays_where_it_lies_unless_its_load_drags_it(gear, load):
     np.testing.assert_array_equal(
-        gear_moved(gear, np.zeros((5, 1)), bounds(load)), gear_after(gear, np.zeros(5), bounds(load))
+        gear_after_output_turn(gear, np.zeros((5, 1)), bounds(load)),
+        gear_after_motor_turn(gear, np.zeros(5), bounds(load)),
     )
 
 
 @given(gears)
 def test_the_gap_is_the_gear_angle_inside_the_backlash(gear):
-    gap = gap_of(HALF, gear)
+    gap = clip_to_backlash(HALF, gear)
     inside = np.abs(gear) <= HALF[:, None]
     np.testing.assert_array_equal(gap[inside], gear[inside])
     np.testing.assert_array_equal(np.abs(gap)[~inside], np.tile(HALF[:, None], 3)[~inside])

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Joint
-from fsw.estimate.hardstop import Readings, found, gap_width, pressed
+from fsw.dictionary.enums import Joint
+from fsw.estimate.hardstop import Readings, fit_contact_line, locate_hardstop, measure_backlash
 from tests.fsw.rig import config_of
 
 CONFIG = config_of()
@@ -69,23 +69,25 @@ def test_stop_compliance_and_gap_are_found_whatever_friction_and_stiffness_are(j
     gear = 1.15 * drawn.gear_stiffness_Nm_rad
     for seed, friction in ((1, 60.0), (2, 400.0)):
         towards, away = run(joint, load, gap, gear, stop, friction, seed)
-        press = pressed(CONFIG, joint, load, towards)
+        press = fit_contact_line(CONFIG, joint, load, towards)
         assert press is not None
         assert press.compliance_rad_Nm == pytest.approx(1 / gear + 1 / stop, rel=0.06)
-        width = gap_width(CONFIG, joint, load, press, away)
+        width = measure_backlash(CONFIG, joint, load, press, away)
         assert width == pytest.approx(gap, abs=0.12e-3)
-        assert found(CONFIG, joint, load, press, width).stop_rad == pytest.approx(STOP_RAD, abs=0.15e-3)
+        assert locate_hardstop(CONFIG, joint, load, press, width).stop_rad == pytest.approx(
+            STOP_RAD, abs=0.15e-3
+        )
 
 
 def test_a_load_that_lifts_the_output_off_its_stop_hides_the_gap():
     drawn = CONFIG.params.joints.in_order()[Joint.ELEVATION]
     towards, away = run(Joint.ELEVATION, 40.0, drawn.backlash_rad, 1e5, 2e5, 200.0, 3)
-    press = pressed(CONFIG, Joint.ELEVATION, 40.0, towards)
+    press = fit_contact_line(CONFIG, Joint.ELEVATION, 40.0, towards)
     assert press is not None
-    width = gap_width(CONFIG, Joint.ELEVATION, 40.0, press, away)
+    width = measure_backlash(CONFIG, Joint.ELEVATION, 40.0, press, away)
     assert width is None
-    result = found(CONFIG, Joint.ELEVATION, 40.0, press, width)
-    assert not result.gap_measured
+    result = locate_hardstop(CONFIG, Joint.ELEVATION, 40.0, press, width)
+    assert not result.backlash_measured
     assert 2 * result.half_gap_rad == drawn.backlash_rad
     assert result.stop_rad == pytest.approx(STOP_RAD, abs=0.05e-3)
 
@@ -93,9 +95,9 @@ def test_a_load_that_lifts_the_output_off_its_stop_hides_the_gap():
 @pytest.mark.parametrize("width", [None, 1e-4, 2e-2, -1e-3])
 def test_a_width_that_is_no_gap_leaves_the_drawing_s(width):
     towards, _ = run(Joint.WRIST, 0.0, 4e-3, 5e4, 2e5, 40.0, 4)
-    press = pressed(CONFIG, Joint.WRIST, 0.0, towards)
+    press = fit_contact_line(CONFIG, Joint.WRIST, 0.0, towards)
     assert press is not None
-    result = found(CONFIG, Joint.WRIST, 0.0, press, width)
+    result = locate_hardstop(CONFIG, Joint.WRIST, 0.0, press, width)
     assert 2 * result.half_gap_rad == pytest.approx(2 * CONFIG.half_gap_rad[Joint.WRIST])
 
 
@@ -103,8 +105,8 @@ def test_readings_without_a_rise_have_no_line():
     rng = np.random.default_rng(5)
     angle = np.linspace(0.03, 0.0, 800)
     flat = Readings(angle, -40.0 + rng.standard_normal(800))
-    assert pressed(CONFIG, Joint.WRIST, 0.0, flat) is None
+    assert fit_contact_line(CONFIG, Joint.WRIST, 0.0, flat) is None
 
 
 def test_a_few_readings_have_no_line():
-    assert pressed(CONFIG, Joint.WRIST, 0.0, Readings(np.zeros(3), np.zeros(3))) is None
+    assert fit_contact_line(CONFIG, Joint.WRIST, 0.0, Readings(np.zeros(3), np.zeros(3))) is None

@@ -9,11 +9,17 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from fsw.config import CYCLE_HZ
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.estimate.gear import LIKELY
-from fsw.estimate.hardstop import Found
-from fsw.estimate.joints import RESOLVER_FILTER_S, asleep, calibrated, loaded, update
-from fsw.estimate.reference import Reference, forgotten, no_reference
+from fsw.estimate.hardstop import HardstopFit
+from fsw.estimate.joints import (
+    RESOLVER_FILTER_S,
+    apply_calibration,
+    apply_load,
+    uninitialised_estimate,
+    update_joints,
+)
+from fsw.estimate.reference import Reference, forget_joint, no_reference
 from tests.fsw.rig import MARS_R_m_s2, config_of, quiet_sensors
 
 CONFIG = config_of()
@@ -27,19 +33,19 @@ counts = hnp.arrays(np.int64, 5, elements=st.integers(-(10**7), 10**7))
 
 
 def awake(count, reference=REMEMBERED, **readings):
-    return update(CONFIG, asleep(CONFIG, reference), quiet_sensors(count, **readings))
+    return update_joints(CONFIG, uninitialised_estimate(CONFIG, reference), quiet_sensors(count, **readings))
 
 
 def resting(count=(100, 200, 300, 400, 500)):
     """Joints under a load, and what their sensors read."""
-    joints = loaded(CONFIG, awake(np.array(count)), LOADS_NM)
+    joints = apply_load(CONFIG, awake(np.array(count)), LOADS_NM)
     sensors = quiet_sensors(count, resolver_rad=joints.output_rad + BIAS)
     return joints, sensors
 
 
 def test_before_the_first_reading_nothing_is_known():
-    joints = asleep(CONFIG, REMEMBERED)
-    assert not joints.awake
+    joints = uninitialised_estimate(CONFIG, REMEMBERED)
+    assert not joints.initialised
     np.testing.assert_array_equal(joints.side, 0)
     assert (joints.uncertainty_rad > 100 * HALF).all()
 
@@ -47,10 +53,10 @@ def test_before_the_first_reading_nothing_is_known():
 @given(counts)
 def test_a_calibrated_joint_is_where_its_encoder_and_its_zero_say(count):
     joints = awake(count, resolver_rad=np.full(5, 9.0))
-    assert joints.awake
+    assert joints.initialised
     np.testing.assert_array_equal(joints.motor_rad, count * CONFIG.rad_per_count + ZERO)
     np.testing.assert_array_equal(joints.motor_rate_rad_s, 0)
-    again = update(CONFIG, joints, quiet_sensors(count))
+    again = update_joints(CONFIG, joints, quiet_sensors(count))
     np.testing.assert_array_equal(again.motor_rad, joints.motor_rad)
     np.testing.assert_array_equal(again.motor_rate_rad_s, 0)
 
@@ -62,7 +68,7 @@ def test_a_joint_that_is_not_calibrated_is_where_its_resolver_said_at_first_and_
     read = np.array([0.2, -0.4, 0.6, -0.8, 1.0])
     joints = awake(count, no_reference(CONFIG), resolver_rad=read)
     np.testing.assert_allclose(joints.motor_rad, read, atol=1e-11)
-    joints = update(CONFIG, joints, quiet_sensors(count + moved, resolver_rad=np.full(5, 9.0)))
+    joints = update_joints(CONFIG, joints, quiet_sensors(count + moved, resolver_rad=np.full(5, 9.0)))
     np.testing.assert_allclose(joints.motor_rad, read + moved * CONFIG.rad_per_count, atol=1e-11)
     assert not joints.reference.calibrated.any()
 
@@ -70,7 +76,7 @@ def test_a_joint_that_is_not_calibrated_is_where_its_resolver_said_at_first_and_
 @pytest.mark.parametrize("joint", Joint)
 def test_what_is_remembered_of_a_joint_is_used_and_kept_for_comparison_when_it_no_longer_counts(joint):
     count, this = np.array([100, 200, 300, 400, 500]), np.arange(5) == joint
-    joints = awake(count, forgotten(REMEMBERED, joint))
+    joints = awake(count, forget_joint(REMEMBERED, joint))
     np.testing.assert_array_equal(joints.reference.calibrated, ~this)
     assert joints.reference.known.all()
     np.testing.assert_allclose(joints.motor_rad, count * CONFIG.rad_per_count + ZERO, atol=1e-15)
@@ -79,7 +85,7 @@ def test_what_is_remembered_of_a_joint_is_used_and_kept_for_comparison_when_it_n
 def test_one_count_is_one_step_of_the_motor_over_the_gear_ratio():
     count = np.array([10, -20, 30, -40, 50])
     before = awake(count)
-    joints = update(CONFIG, before, quiet_sensors(count + 1))
+    joints = update_joints(CONFIG, before, quiet_sensors(count + 1))
     step = 2 * np.pi / 256 / np.array([7520, 7520, 7520, 4624, 4624])
     np.testing.assert_allclose(joints.motor_rad - before.motor_rad, step, atol=1e-15)
     np.testing.assert_allclose(joints.motor_rate_rad_s, step * CYCLE_HZ, atol=1e-12)
@@ -103,14 +109,14 @@ def test_after_its_calibration_a_joint_met_its_hardstop_where_the_drawing_has_it
     """The output that met its stop at this angle in the old zero is `off_rad` from there in the new one."""
     before, sensors = resting()
     stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
-    found = Found(stop + off_rad, 30.0, 1.5e-5, 1.1 * HALF[joint], gap_measured=True)
-    after = calibrated(CONFIG, before, LOADS_NM, joint, found)
+    found = HardstopFit(stop + off_rad, 30.0, 1.5e-5, 1.1 * HALF[joint], backlash_measured=True)
+    after = apply_calibration(CONFIG, before, LOADS_NM, joint, found)
     this = np.arange(5) == joint
     np.testing.assert_allclose(after.motor_rad - before.motor_rad, np.where(this, -off_rad, 0.0), atol=1e-12)
     np.testing.assert_array_equal(after.reference.half_gap_rad, np.where(this, 1.1 * HALF, 0.9 * HALF))
     np.testing.assert_array_equal(after.gear_rad[~this], before.gear_rad[~this])
     np.testing.assert_array_equal(after.reference.zero_rad[~this], ZERO[~this])
-    next_one = update(CONFIG, after, sensors)
+    next_one = update_joints(CONFIG, after, sensors)
     np.testing.assert_allclose(next_one.motor_rad, after.motor_rad, atol=1e-12)
     np.testing.assert_allclose(next_one.motor_rate_rad_s, 0, atol=1e-9)
     # the joint has just been dragged off its stop
@@ -122,13 +128,13 @@ def test_a_calibration_learns_the_bias_of_its_resolver_from_what_it_reads(joint)
     joints, sensors = resting()
     sensors = replace(sensors, resolver_rad=sensors.resolver_rad + 1e-3)
     for _ in range(10 * CYCLE_HZ):
-        joints = update(CONFIG, joints, sensors)
+        joints = update_joints(CONFIG, joints, sensors)
     np.testing.assert_allclose(joints.resolver_error_rad, 1e-3, atol=1e-9)
     stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
-    found = Found(stop + 2e-3, 30.0, 1.5e-5, HALF[joint], gap_measured=False)
-    joints = calibrated(CONFIG, joints, LOADS_NM, joint, found)
+    found = HardstopFit(stop + 2e-3, 30.0, 1.5e-5, HALF[joint], backlash_measured=False)
+    joints = apply_calibration(CONFIG, joints, LOADS_NM, joint, found)
     for _ in range(10 * CYCLE_HZ):
-        joints = update(CONFIG, joints, sensors)
+        joints = update_joints(CONFIG, joints, sensors)
     expected = np.where(np.arange(5) == joint, 0.0, 1e-3)
     np.testing.assert_allclose(joints.resolver_error_rad, expected, atol=1e-9)
     learned = sensors.resolver_rad[joint] - joints.output_rad[joint]
@@ -140,8 +146,8 @@ def test_a_joint_calibrated_for_the_first_time_is_calibrated_from_then_on(joint)
     count = np.array([100, 200, 300, 400, 500])
     joints = awake(count, no_reference(CONFIG))
     stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
-    found = Found(stop, 30.0, 1.5e-5, HALF[joint], gap_measured=True)
-    joints = calibrated(CONFIG, joints, LOADS_NM, joint, found)
+    found = HardstopFit(stop, 30.0, 1.5e-5, HALF[joint], backlash_measured=True)
+    joints = apply_calibration(CONFIG, joints, LOADS_NM, joint, found)
     np.testing.assert_array_equal(joints.reference.calibrated, np.arange(5) == joint)
 
 
@@ -149,7 +155,7 @@ def test_the_resolver_error_is_smoothed():
     joints, sensors = resting()
     wrong = replace(sensors, resolver_rad=sensors.resolver_rad + 0.01)
     for _ in range(round(RESOLVER_FILTER_S * CYCLE_HZ)):
-        joints = update(CONFIG, joints, wrong)
+        joints = update_joints(CONFIG, joints, wrong)
     np.testing.assert_allclose(joints.resolver_error_rad, 0.01 * (1 - np.exp(-1)), rtol=0.03)
 
 
@@ -160,6 +166,6 @@ def test_gravity_is_as_first_read_and_then_filtered():
     joints = awake(count)
     tilted = np.array([0.5, 0.0, 3.68])
     for _ in range(CYCLE_HZ):
-        joints = update(CONFIG, joints, quiet_sensors(count, gravity_R_m_s2=tilted))
+        joints = update_joints(CONFIG, joints, quiet_sensors(count, gravity_R_m_s2=tilted))
     share = (joints.gravity_R_m_s2[0] - MARS_R_m_s2[0]) / 0.5
     assert abs(share - (1 - np.exp(-1))) < 0.01

@@ -26,9 +26,8 @@ from fsw.dictionary.commands import (
     ToolChange,
     Unstow,
 )
+from fsw.dictionary.enums import Joint, Mode, Switch, Tool
 from fsw.dictionary.evrs import CommandRefused
-from fsw.dictionary.joints import Joint, Switch, Tool
-from fsw.dictionary.modes import Mode
 from fsw.dictionary.params import TeachPoint
 from fsw.motion.move import NEAR_N
 from tests.fsw.rig import Rig, config_of, facing, floats, with_params

@@ -21,6 +21,7 @@ from fsw.dictionary.commands import (
     ToolChange,
     Unstow,
 )
+from fsw.dictionary.enums import HARDSTOP_ORDER, Joint, Mode, Switch, Tool
 from fsw.dictionary.evrs import (
     BranchChosen,
     CommandAborted,
@@ -33,8 +34,6 @@ from fsw.dictionary.evrs import (
     ModeChanged,
 )
 from fsw.dictionary.faults import HardstopMissed
-from fsw.dictionary.joints import STOP_ORDER, Joint, Switch, Tool
-from fsw.dictionary.modes import Mode
 from fsw.kinematics.branches import BRANCHES
 from fsw.state import Sequence
 from tests.fsw.executive.lab import (
@@ -242,7 +241,7 @@ def test_a_joint_is_not_calibrated_from_when_it_begins_to_look_for_its_hardstop_
 
 @pytest.mark.parametrize("kind", [Calibrate, CalibrateAll])
 @pytest.mark.parametrize("calibrated", [True, False])
-@pytest.mark.parametrize("joint", STOP_ORDER[1:])
+@pytest.mark.parametrize("joint", HARDSTOP_ORDER[1:])
 def test_a_joint_looks_for_its_hardstop_only_where_the_others_are_out_of_its_way(kind, calibrated, joint):
     tolerance = CONFIG.params.hardstop.pose_tolerance_rad
     for off_rad, refused in ((0.9 * tolerance, False), (1.1 * tolerance, True)):
@@ -305,7 +304,7 @@ def test_all_joints_are_calibrated_by_commands_of_their_own():
     rig.evrs.clear()
     rig.cycle(CalibrateAll())
     assert rig.evrs[:2] == [CommandAccepted("CalibrateAll"), CommandAccepted("Calibrate")]
-    assert rig.state.move.seek.joint is STOP_ORDER[0]
+    assert rig.state.move.seek.joint is HARDSTOP_ORDER[0]
     assert rig.outputs.joint.busy
 
 

@@ -21,8 +21,8 @@ from fsw.dictionary.commands import (
     ToolChange,
     Unstow,
 )
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAccepted, CommandCompleted, CommandRefused
-from fsw.dictionary.modes import Mode
 from fsw.executive.modes import EVENT_OF, after
 from tests.fsw.executive import lab
 from tests.fsw.executive.lab import COMMANDS, SITUATIONS, TOUCHED, TOUCHING

@@ -2,7 +2,7 @@
 
 import pytest
 
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.enums import Mode
 from fsw.executive.modes import TRANSITIONS, Event, after
 
 NO = None

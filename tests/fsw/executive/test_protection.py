@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import ClearFault, MoveJoints
+from fsw.dictionary.enums import Joint, Mode, Tool
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, FaultResponse
 from fsw.dictionary.faults import (
     ContactLost,
@@ -13,8 +14,6 @@ from fsw.dictionary.faults import (
     OverTemperature,
     SensorNotFinite,
 )
-from fsw.dictionary.joints import Joint, Tool
-from fsw.dictionary.modes import Mode
 from fsw.executive.modes import TRANSITIONS, Event
 from fsw.executive.protection import MoveOutcome, apply_decision
 from fsw.motion.move import Phase

@@ -5,8 +5,8 @@ import pytest
 
 from fsw.config import digest
 from fsw.dictionary.commands import MoveJoint, MoveJoints, SetParam, SetTilt
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.evrs import CommandCompleted, CommandRefused, ParamSet, TiltSet
-from fsw.dictionary.joints import Joint
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, floats
 
 CONFIG = config_of()

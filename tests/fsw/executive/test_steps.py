@@ -16,12 +16,11 @@ from fsw.dictionary.commands import (
     Stow,
     ToolChange,
 )
+from fsw.dictionary.enums import Frame, Mode, Switch, Tool
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused, ContactMade, SpotTaken
-from fsw.dictionary.joints import Frame, Switch, Tool
-from fsw.dictionary.modes import Mode
 from fsw.executive.steps import steps_of
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from fsw.state import Hold
 from tests.fsw.executive.lab import CONFIG, HERE, TOUCHED, deployed, guarded_in_contact, refusal
 from tests.fsw.rig import Rig, floats
@@ -184,7 +183,7 @@ def test_relative_angles_count_from_where_the_outputs_are():
 def test_a_place_may_be_given_in_any_frame_of_the_arm_as_it_stands(name):
     rig = deployed()
     X_RT = rig.tool_pose(Tool.APXS)
-    frames = rest(CONFIG.arm, rig.state.joints.output_rad, rig.state.joints.gravity_R_m_s2).frames
+    frames = settle_output(CONFIG.arm, rig.state.joints.output_rad, rig.state.joints.gravity_R_m_s2).frames
     R, p = np.eye(3), np.zeros(3)
     if name == "MAHLI":
         X = tool_pose(CONFIG.arm, frames, Tool.MAHLI)

@@ -5,12 +5,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from fsw.dictionary.joints import Joint, Tool
-from fsw.kinematics.answers import Answers, Verdict, why
+from fsw.dictionary.enums import Joint, Tool
 from fsw.kinematics.branches import BRANCHES, slot_name
-from fsw.kinematics.ik import inverse_kinematics
-from fsw.kinematics.limits import beyond_limits
-from fsw.kinematics.singular import SAME_RAD as TWICE_RAD
+from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_kinematics
+from fsw.kinematics.near_singular import SAME_RAD as TWICE_RAD
+from fsw.kinematics.soft_limits import limit_excess
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 from validation.cases import HANGING_M, RIGID_M, Trial, arm_of
@@ -30,7 +29,7 @@ class Made:
     q: np.ndarray
     p: np.ndarray
     a: np.ndarray
-    answers: Answers
+    answers: IkResult
     sigma: np.ndarray
     """Smallest singular value of the task Jacobian, of the tool as it hangs."""
 
@@ -72,11 +71,11 @@ def assert_makers_found(made: Made) -> None:
     assert clear.any()
     lost = np.flatnonzero(clear & ~(distance.min(axis=0) < SAME_RAD))
     assert not lost.size, [(made.q[:, k].tolist(), made.sigma[k]) for k in lost[:3]]
-    at = np.flatnonzero(clear & (beyond_limits(made.trial.arm, made.q).max(axis=0) < -INSIDE_RAD))
-    assert (made.answers.verdict[distance.argmin(axis=0)[at], at] == Verdict.VALID).all()
+    at = np.flatnonzero(clear & (limit_excess(made.trial.arm, made.q).max(axis=0) < -INSIDE_RAD))
+    assert (made.answers.verdict[distance.argmin(axis=0)[at], at] == BranchVerdict.VALID).all()
 
 
-def between_answers(answers: Answers) -> np.ndarray:
+def between_answers(answers: IkResult) -> np.ndarray:
     """The distance of the closest two answers of each target, turns apart; infinite below two."""
     q = answers.output_rad
     slots = np.arange(q.shape[1])
@@ -85,42 +84,44 @@ def between_answers(answers: Answers) -> np.ndarray:
     return np.where(np.isnan(distance), np.inf, distance).min(axis=(0, 1))
 
 
-def assert_no_root_twice(answers: Answers) -> None:
+def assert_no_root_twice(answers: IkResult) -> None:
     assert between_answers(answers).min(initial=np.inf) > TWICE_RAD
 
 
-def assert_consistent(arm, answers: Answers) -> None:
+def assert_consistent(arm, answers: IkResult) -> None:
     """What the words of Answers promise, whatever the target."""
     angles, verdict, excess = answers.output_rad, answers.verdict, answers.excess
     assert verdict.shape == answers.joint.shape == excess.shape == answers.error.shape
     assert angles.shape == answers.torque_Nm.shape == (5, *verdict.shape)
     assert verdict.shape[0] % len(BRANCHES) == 0
-    assert not np.isin(verdict[: len(BRANCHES)], Verdict.ABSENT).any()
-    further = (Verdict.VALID, Verdict.OUTSIDE_LIMITS, Verdict.ABSENT)
+    assert not np.isin(verdict[: len(BRANCHES)], BranchVerdict.ABSENT).any()
+    further = (BranchVerdict.VALID, BranchVerdict.OUTSIDE_LIMITS, BranchVerdict.ABSENT)
     assert np.isin(verdict[len(BRANCHES) :], further).all()
     is_root = claimed(answers)
     assert np.isfinite(angles[:, is_root]).all()
     assert np.isnan(angles[:, ~is_root]).all()
     assert np.isfinite(answers.torque_Nm).all()
     assert not answers.torque_Nm[:, ~is_root].any()
-    assert np.isfinite(answers.error[is_root | (verdict == Verdict.NOT_CONVERGED)]).all()
-    over = beyond_limits(arm, angles)
-    assert (over[:, verdict == Verdict.VALID] <= 0).all()
-    out = is_root & (verdict == Verdict.OUTSIDE_LIMITS)
+    assert np.isfinite(answers.error[is_root | (verdict == BranchVerdict.NOT_CONVERGED)]).all()
+    over = limit_excess(arm, angles)
+    assert (over[:, verdict == BranchVerdict.VALID] <= 0).all()
+    out = is_root & (verdict == BranchVerdict.OUTSIDE_LIMITS)
     np.testing.assert_array_equal(excess[out], over[:, out].max(axis=0))
     np.testing.assert_array_equal(answers.joint[out], over[:, out].argmax(axis=0))
     assert np.isfinite(excess).all()
     assert (excess >= 0).all()
-    assert (excess[np.isin(verdict, (Verdict.OUTSIDE_LIMITS, Verdict.OUT_OF_REACH))] > 0).all()
-    assert not excess[np.isin(verdict, (Verdict.VALID, Verdict.NOT_CONVERGED, Verdict.ABSENT))].any()
-    at_fault = answers.joint[verdict == Verdict.SINGULAR]
+    assert (excess[np.isin(verdict, (BranchVerdict.OUTSIDE_LIMITS, BranchVerdict.OUT_OF_REACH))] > 0).all()
+    assert not excess[
+        np.isin(verdict, (BranchVerdict.VALID, BranchVerdict.NOT_CONVERGED, BranchVerdict.ABSENT))
+    ].any()
+    at_fault = answers.joint[verdict == BranchVerdict.SINGULAR]
     assert np.isin(at_fault, (Joint.AZIMUTH, Joint.ELBOW, Joint.WRIST)).all()
 
 
-def assert_sentences(arm, answers: Answers) -> None:
+def assert_sentences(arm, answers: IkResult) -> None:
     """Of a single target."""
     for slot in range(answers.verdict.shape[0]):
-        sentence = why(arm, answers, slot)
+        sentence = describe_slot(arm, answers, slot)
         assert sentence.startswith(f"{slot_name(slot)}: ")
         assert "nan" not in sentence
         assert "inf" not in sentence

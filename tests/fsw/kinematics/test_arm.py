@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.enums import Joint, Tool
 from fsw.dictionary.params import Transform6
-from fsw.kinematics.arm import transform6, transform6_from, warmed
+from fsw.kinematics.arm import heat_arm, pose_to_transform6, transform6_to_pose
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import Pose, rotation_x, rotation_y, rotation_z
 from tests.fsw.rig import config_of, in_limits, matrix
@@ -73,7 +73,7 @@ def drawn_tool(tool: Tool) -> np.ndarray:
 @given(turns, lengths, st.floats(-1.5, 1.5), lengths, turns, lengths)
 def test_six_parameters_come_back_from_their_transform(theta, d, beta, b, alpha, a):
     given_numbers = Transform6(theta, d, beta, b, alpha, a)
-    back = transform6_from(transform6(given_numbers))
+    back = pose_to_transform6(transform6_to_pose(given_numbers))
     for name in Transform6.__slots__:
         assert getattr(back, name) == pytest.approx(getattr(given_numbers, name), abs=1e-11 / np.cos(beta))
 
@@ -88,7 +88,7 @@ def test_the_link_transform_is_equation_1_of_the_paper(theta, d, beta, b, alpha,
         @ turn(rotation_x(np.array(alpha)))
         @ translation([a, 0, 0])
     )
-    X = transform6(Transform6(theta, d, beta, b, alpha, a))
+    X = transform6_to_pose(Transform6(theta, d, beta, b, alpha, a))
     np.testing.assert_allclose(matrix(X), expected, atol=1e-12)
 
 
@@ -98,18 +98,20 @@ def test_a_transform_comes_back_from_its_six_parameters(seed):
     theta, alpha = rng.uniform(-np.pi, np.pi, 2)
     R = rotation_z(theta) @ rotation_y(rng.uniform(-1.5, 1.5)) @ rotation_x(alpha)
     X = Pose(R, rng.uniform(-2, 2, 3))
-    np.testing.assert_allclose(matrix(transform6(transform6_from(X))), matrix(X), atol=1e-11)
+    np.testing.assert_allclose(matrix(transform6_to_pose(pose_to_transform6(X))), matrix(X), atol=1e-11)
 
 
 @pytest.mark.parametrize("joint", Joint)
 def test_the_nominal_links_are_the_dh_table_of_the_drawing(joint):
     link = config_of().params.links.in_order()[joint + 1]
-    np.testing.assert_allclose(matrix(transform6(link.transform)), dh(0.0, *DH[joint]), atol=1e-15)
+    np.testing.assert_allclose(matrix(transform6_to_pose(link.transform)), dh(0.0, *DH[joint]), atol=1e-15)
 
 
 def test_the_azimuth_joint_stands_where_the_drawing_has_it():
     base = config_of().params.links.arm1
-    np.testing.assert_allclose(matrix(transform6(base.transform)), translation(SHOULDER_R_M), atol=1e-15)
+    np.testing.assert_allclose(
+        matrix(transform6_to_pose(base.transform)), translation(SHOULDER_R_M), atol=1e-15
+    )
 
 
 @pytest.mark.parametrize("tool", Tool)
@@ -185,14 +187,14 @@ def test_a_hundred_kelvin_move_the_drill_by_the_hand_calculation(pose_deg, piece
     np.testing.assert_allclose(cold, sum(length * way for _, length, way in pieces), atol=1e-14)
     grown_m = sum(100.0 * expansion * length * way for expansion, length, way in pieces)
     np.testing.assert_allclose(1e3 * grown_m, sum_mm, atol=1e-6)
-    np.testing.assert_allclose(tool_position(warmed(arm, 100.0), q, Tool.DRILL) - cold, grown_m, atol=1e-13)
+    np.testing.assert_allclose(tool_position(heat_arm(arm, 100.0), q, Tool.DRILL) - cold, grown_m, atol=1e-13)
 
 
 @pytest.mark.parametrize("tool", Tool)
 @pytest.mark.parametrize("warming_K", [100.0, -130.0])
 def test_warming_scales_the_titanium_about_the_shoulder_and_the_body_about_the_rover(tool, warming_K):
     arm = config_of().arm
-    warm = warmed(arm, warming_K)
+    warm = heat_arm(arm, warming_K)
     shoulder = np.array(SHOULDER_R_M)[:, None]
     q = in_limits(config_of(), np.random.default_rng(6), 50)
     cold = tool_position(arm, q, tool)
@@ -202,7 +204,7 @@ def test_warming_scales_the_titanium_about_the_shoulder_and_the_body_about_the_r
 
 def test_no_warming_is_the_same_arm():
     arm = config_of("calibrated:3").arm
-    same = warmed(arm, 0.0)
+    same = heat_arm(arm, 0.0)
     q = in_limits(config_of(), np.random.default_rng(7), 10)
     for tool in Tool:
         np.testing.assert_allclose(tool_position(same, q, tool), tool_position(arm, q, tool), atol=1e-15)
@@ -213,7 +215,7 @@ def test_a_warm_tool_turns_as_its_screw_says():
     arm = config_of().arm
     expansion = np.zeros((6, 5))
     expansion[2, Tool.APXS] = 1e-3
-    warm = warmed(replace(arm, expansion_T=expansion), 100.0)
+    warm = heat_arm(replace(arm, expansion_T=expansion), 100.0)
     X, Y = arm.X_FT[Tool.APXS], warm.X_FT[Tool.APXS]
     np.testing.assert_allclose(X.R.T @ Y.R, rotation_z(np.array(0.1)), atol=1e-15)
     np.testing.assert_array_equal(Y.p, X.p)

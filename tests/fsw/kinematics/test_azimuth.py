@@ -3,10 +3,15 @@
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Tool
-from fsw.kinematics.azimuth import azimuth_near, azimuths, offset_azimuth_near, offset_azimuths
+from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.closed_form import into_shoulder
+from fsw.kinematics.closed_form import (
+    solve_azimuth_near,
+    solve_azimuths,
+    solve_offset_azimuth_near,
+    solve_offset_azimuths,
+    to_shoulder_frame,
+)
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import config_of, in_limits
 from validation.cases import Trial, skew_tool
@@ -16,16 +21,16 @@ N = 1000
 DRAWING = config_of().arm
 SKEW = skew_tool(3)
 ARMS = pytest.mark.parametrize(
-    ("arm", "find"), [(DRAWING, azimuths), (SKEW, offset_azimuths)], ids=["radial", "offset"]
+    ("arm", "find"), [(DRAWING, solve_azimuths), (SKEW, solve_offset_azimuths)], ids=["radial", "offset"]
 )
 
 
 def feet(arm, q):
     """Foot on the turret axis and approach in frame Arm1; azimuth and sine of the poses behind them."""
-    s = arm.shapes[Tool.DRILL]
+    s = arm.orthogonal[Tool.DRILL]
     frames = forward(arm, q)
     X = tool_pose(arm, frames, Tool.DRILL)
-    p, a = into_shoulder(s, X.p, X.R[:, 0])
+    p, a = to_shoulder_frame(s, X.p, X.R[:, 0])
     n, z5 = frames.X_RF.R[:, 2, 1], frames.X_RF.R[:, 2, 4]
     sine = np.sum(np.cross(n, X.R[:, 0], axis=0) * z5, axis=0)
     return s, p - s.radius_m * a, a, q[0] + s.theta_rad[0], sine
@@ -68,7 +73,7 @@ def test_the_azimuth_and_the_sine_of_the_pose_are_among_them(arm, find):
 @ARMS
 def test_near_the_wrist_s_fold_its_sine_is_that_of_the_pose(arm, find, sine):
     """Its square has lost half its digits there; the azimuth has not."""
-    s = arm.shapes[Tool.DRILL]
+    s = arm.orthogonal[Tool.DRILL]
     q = in_limits(config_of(), np.random.default_rng(4), N)
     lean = np.sqrt(1 - s.boresight_z**2)
     q[4] = np.arccos(sine / lean) - s.clock_rad
@@ -81,7 +86,9 @@ def test_near_the_wrist_s_fold_its_sine_is_that_of_the_pose(arm, find, sine):
 
 
 @pytest.mark.parametrize(
-    ("arm", "near"), [(DRAWING, azimuth_near), (SKEW, offset_azimuth_near)], ids=["radial", "offset"]
+    ("arm", "near"),
+    [(DRAWING, solve_azimuth_near), (SKEW, solve_offset_azimuth_near)],
+    ids=["radial", "offset"],
 )
 def test_from_beside_an_azimuth_one_comes_back_to_it(arm, near):
     rng = np.random.default_rng(5)
@@ -98,8 +105,8 @@ def test_from_beside_an_azimuth_one_comes_back_to_it(arm, near):
 
 
 def test_a_foot_nearer_than_the_lateral_offset_is_missing_the_difference():
-    s = DRAWING.shapes[Tool.DRILL]
-    _, _, missing = azimuths(s, np.array([0.03, 0.04, 0.5]), np.array([1.0, 0.0, 0.0]))
+    s = DRAWING.orthogonal[Tool.DRILL]
+    _, _, missing = solve_azimuths(s, np.array([0.03, 0.04, 0.5]), np.array([1.0, 0.0, 0.0]))
     np.testing.assert_allclose(missing, abs(s.lateral_m) - 0.05, atol=1e-15)
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Tool
-from fsw.kinematics.branches import BRANCHES, branch_of, signs_of, slot_name
+from fsw.dictionary.enums import Tool
+from fsw.kinematics.branches import BRANCHES, branch_index, fold_distances, slot_name
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import closed_form
 from tests.fsw.rig import config_of, in_limits
@@ -47,9 +47,9 @@ def test_out_is_the_shoulder_whose_azimuth_looks_toward_the_foot_of_the_turret_a
     X = tool_pose(ARM, frames, tool)
     foot = X.p - RADIUS_M[tool] * X.R[:, 0]
     ahead_m = np.sum(frames.X_RF.R[:, 0, 1] * (foot - frames.X_RF.p[:, 0]), axis=0)
-    signs = signs_of(ARM.shapes[tool], q)
+    signs = fold_distances(ARM.orthogonal[tool], q)
     np.testing.assert_allclose(signs[0], -ahead_m, atol=1e-12)
-    np.testing.assert_array_equal(named("shoulder-out", branch_of(signs)), ahead_m > 0)
+    np.testing.assert_array_equal(named("shoulder-out", branch_index(signs)), ahead_m > 0)
 
 
 def test_up_is_the_elbow_above_the_line_from_shoulder_to_wrist():
@@ -60,9 +60,9 @@ def test_up_is_the_elbow_above_the_line_from_shoulder_to_wrist():
     chord = wrist - shoulder
     share = np.sum((elbow - shoulder) * chord, axis=0) / np.sum(chord * chord, axis=0)
     above_m = (shoulder + share * chord - elbow)[2]
-    signs = signs_of(ARM.shapes[Tool.APXS], q)
+    signs = fold_distances(ARM.orthogonal[Tool.APXS], q)
     clear = np.abs(above_m) > 1e-9
-    up = named("elbow-up", branch_of(signs))
+    up = named("elbow-up", branch_index(signs))
     np.testing.assert_array_equal(up[clear], (above_m > 0)[clear])
     np.testing.assert_allclose(np.abs(signs[1]), np.abs(np.sin(q[2])), atol=1e-12)
     assert 0.2 < up.mean() < 0.8
@@ -75,9 +75,9 @@ def test_the_wrists_carry_the_turret_axis_on_either_side_of_the_approach(tool):
     X = tool_pose(ARM, frames, tool)
     n, z5 = frames.X_RF.R[:, 2, 1], frames.X_RF.R[:, 2, 4]
     sine = np.sum(np.cross(n, X.R[:, 0], axis=0) * z5, axis=0)
-    signs = signs_of(ARM.shapes[tool], q)
+    signs = fold_distances(ARM.orthogonal[tool], q)
     np.testing.assert_allclose(signs[2], sine, atol=1e-12)
-    np.testing.assert_array_equal(named("wrist-up", branch_of(signs)), sine < 0)
+    np.testing.assert_array_equal(named("wrist-up", branch_index(signs)), sine < 0)
 
 
 @pytest.mark.parametrize("tool", Tool)
@@ -85,19 +85,19 @@ def test_the_roots_of_the_square_arm_are_on_the_branches_of_their_slots(tool):
     q = poses()
     X = tool_pose(ARM, forward(ARM, q), tool)
     roots = closed_form(ARM, tool, X.p, X.R[:, 0])
-    signs = signs_of(ARM.shapes[tool], roots.output_rad)
+    signs = fold_distances(ARM.orthogonal[tool], roots.output_rad)
     clear = (roots.missing_m == 0) & (np.abs(signs).min(axis=0) > 1e-6)
     assert clear.mean() > 0.5
     slot = np.broadcast_to(np.arange(8)[:, None], clear.shape)
-    np.testing.assert_array_equal(branch_of(signs)[clear], slot[clear])
+    np.testing.assert_array_equal(branch_index(signs)[clear], slot[clear])
 
 
 def test_a_batch_of_poses_is_on_the_branches_of_its_single_poses():
-    q, s = poses(24), config_of("calibrated:3").arm.shapes[Tool.DRT]
-    many = branch_of(signs_of(s, q.reshape(5, 2, 3, 4)))
+    q, s = poses(24), config_of("calibrated:3").arm.orthogonal[Tool.DRT]
+    many = branch_index(fold_distances(s, q.reshape(5, 2, 3, 4)))
     assert many.shape == (2, 3, 4)
     for k, index in enumerate(np.ndindex(2, 3, 4)):
-        one = branch_of(signs_of(s, q[:, k]))
+        one = branch_index(fold_distances(s, q[:, k]))
         assert one.shape == ()
         assert one == many[index]
-    assert branch_of(np.zeros((3, 0))).shape == (0,)
+    assert branch_index(np.zeros((3, 0))).shape == (0,)

@@ -9,8 +9,8 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Tool
-from fsw.kinematics.limits import beyond_limits
+from fsw.dictionary.enums import Tool
+from fsw.kinematics.soft_limits import limit_excess
 from validation.campaign import Chunk, Tally, plan, run
 from validation.cases import CASES, Trial, arm_of, trials
 from validation.checks import smallest_singular_value, task_jacobian
@@ -86,7 +86,7 @@ def test_vectors_of_the_campaign_are_inside_their_limits_and_many_are_near_doubl
     rng = np.random.default_rng(1)
     for trial in trials(case, rng):
         q, near = vectors(trial, rng, 2000)
-        assert (beyond_limits(trial.arm, q) <= 0).all()
+        assert (limit_excess(trial.arm, q) <= 0).all()
         for flag in (Near.ELBOW, Near.WRIST, Near.SHOULDER):
             there = (near & flag) > 0
             assert there.sum() > 100

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Frame, Joint, Tool
-from fsw.kinematics.arm import transform6
+from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.chain import (
     forward,
     frame_jacobian,
@@ -50,7 +50,7 @@ def test_the_strained_arm_is_the_product_of_links_and_springs(name):
         for i, link in enumerate(config.params.links.in_order()):
             about_z = turn(rotation_z(np.array(link.transform.theta_rad)))
             centre = np.array(link.elastic_centre_m)
-            rest = np.linalg.inv(about_z) @ matrix(transform6(link.transform))
+            rest = np.linalg.inv(about_z) @ matrix(transform6_to_pose(link.transform))
             X = X @ turn(rotation_z(np.array(0.0 if i == 0 else q[i - 1]))) @ about_z
             np.testing.assert_allclose(matrix(frames.X_RL[i]), X, atol=1e-12)
             X = X @ translation(centre) @ spring(strain[:, i]) @ translation(-centre) @ rest

@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Tool
-from fsw.kinematics.answers import FREE_SINE
-from fsw.kinematics.branches import signs_of
+from fsw.dictionary.enums import Tool
+from fsw.kinematics.arm import build_orthogonal_arm
+from fsw.kinematics.branches import fold_distances
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import closed_form, closed_form_branch
-from fsw.kinematics.shape import shape_of
+from fsw.kinematics.ik import FREE_SINE
 from fsw.kinematics.task import task_error, task_jacobian
 from fsw.kinematics.transforms import Pose, rotation_y, wrap_angle
 from tests.fsw.rig import config_of, in_limits
@@ -29,8 +29,8 @@ SAME_RAD = 1e-6
 def with_tool(R, p_m):
     """The arm of the drawing with this tool frame instead of its tools."""
     X_FT, X_LF = Pose(np.array(R), np.array(p_m)), Pose(ARM.X_CF.R, ARM.X_CF.p + ARM.p_LC_m)
-    shape = shape_of(ARM.theta_rad, X_LF, X_FT)
-    return replace(ARM, X_FT=(X_FT,) * len(Tool), shapes=(shape,) * len(Tool))
+    shape = build_orthogonal_arm(ARM.theta_rad, X_LF, X_FT)
+    return replace(ARM, X_FT=(X_FT,) * len(Tool), orthogonal=(shape,) * len(Tool))
 
 
 def targets_of(arm, q, tool=TOOL):
@@ -53,16 +53,16 @@ def worst_error(arm, roots, p, a, tool=TOOL):
 
 @pytest.mark.parametrize("tool", Tool)
 def test_the_drawing_is_square_and_its_tools_radial(tool):
-    s = ARM.shapes[tool]
+    s = ARM.orthogonal[tool]
     assert s.is_exact
     # as exactly as the tool table's angles
     assert abs(s.offset_m) < 1e-15
     assert abs(s.boresight_z) < 1e-15
-    assert not config_of("calibrated:3").arm.shapes[tool].is_exact
+    assert not config_of("calibrated:3").arm.orthogonal[tool].is_exact
 
 
 def test_a_tool_alone_does_not_make_the_arm_less_square():
-    assert skew_tool(1).shapes[TOOL].is_exact
+    assert skew_tool(1).orthogonal[TOOL].is_exact
 
 
 @pytest.mark.parametrize("tool", Tool)
@@ -83,7 +83,7 @@ def tool_of_the_drawing_but(offset_m=0.0, lean_rad=0.0):
 
 
 def test_shape_reads_offset_and_lean_of_a_tool():
-    s = tool_of_the_drawing_but(0.03, 0.2).shapes[TOOL]
+    s = tool_of_the_drawing_but(0.03, 0.2).orthogonal[TOOL]
     assert abs(s.offset_m) == pytest.approx(0.03 / np.cos(0.2), rel=1e-12)
     assert abs(s.boresight_z) == pytest.approx(np.sin(0.2), rel=1e-12)
 
@@ -162,11 +162,11 @@ def test_a_bend_kept_from_straight_is_kept():
 @pytest.mark.parametrize("arm", [ARM, skew_tool(3)], ids=["drawing", "skew"])
 def test_on_the_branch_of_a_pose_is_the_pose_that_made_the_target(arm):
     """Also from somewhat beside it, on the same side of every fold."""
-    s, rng = arm.shapes[TOOL], np.random.default_rng(8)
+    s, rng = arm.orthogonal[TOOL], np.random.default_rng(8)
     q = in_limits(config_of(), rng, N)
     p, a, _ = targets_of(arm, q)
     near = q + rng.uniform(-0.01, 0.01, q.shape)
-    clear = np.abs(signs_of(s, q)).min(axis=0) > 0.15
+    clear = np.abs(fold_distances(s, q)).min(axis=0) > 0.15
     assert clear.sum() > N / 2
     at, missing = closed_form_branch(s, p[:, clear], a[:, clear], near[:, clear])
     assert np.abs(wrap_angle(at - q[:, clear])).max() < SAME_RAD

@@ -8,7 +8,7 @@ import pytest
 
 pytest.importorskip("eaik.pybindings.EAIK", reason="EAIK is not installed; `make oracle` installs it")
 
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from validation.cases import Trial, arm_of
 from validation.oracle import KINDS, Eaik, compare, different, interface_poses, random_targets
 

@@ -7,16 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsw.dictionary.joints import Joint, Tool
-from fsw.kinematics.answers import Answers, Verdict, at_target, why
-from fsw.kinematics.arm import warmed
-from fsw.kinematics.branches import BRANCHES, signs_of, slot_name
+from fsw.dictionary.enums import Joint, Tool
+from fsw.kinematics.arm import heat_arm
+from fsw.kinematics.branches import BRANCHES, fold_distances, slot_name
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import FREE_SINE, closed_form
-from fsw.kinematics.ik import CHUNK, inverse_kinematics
-from fsw.kinematics.limits import beyond_limits, into_limits, outside
-from fsw.kinematics.refine import refine
-from fsw.kinematics.statics import rest
+from fsw.kinematics.ik import CHUNK, BranchVerdict, IkResult, describe_slot, inverse_kinematics, select_result
+from fsw.kinematics.newton import refine_roots
+from fsw.kinematics.soft_limits import describe_outside, limit_excess, wrap_into_limits
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.task import task_error
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.kinematics.lab import (
@@ -44,7 +43,7 @@ RIGID_M, LOADED_M = 1e-9, 1e-6
 
 def pose_of(arm, q, tool, gravity=None):
     """The tool of the rigid or of the hanging arm."""
-    frames = forward(arm, q) if gravity is None else rest(arm, q, gravity).frames
+    frames = forward(arm, q) if gravity is None else settle_output(arm, q, gravity).frames
     return tool_pose(arm, frames, tool)
 
 
@@ -87,7 +86,7 @@ def test_the_pose_that_made_a_target_is_among_its_answers_and_valid(tool):
     assert clear.mean() > 0.99
     assert distance.min(axis=0)[clear].max() < SAME_RAD
     same = distance.argmin(axis=0)
-    assert (answers.verdict[same, np.arange(N)][clear] == Verdict.VALID).all()
+    assert (answers.verdict[same, np.arange(N)][clear] == BranchVerdict.VALID).all()
 
 
 @pytest.mark.parametrize("gravity", GRAVITIES)
@@ -96,12 +95,12 @@ def test_the_pose_that_made_a_target_is_among_its_answers_and_valid(tool):
 def test_answers_for_the_warm_arm_put_the_warm_tool_on_its_target(name, tool, gravity):
     """A hundred kelvin above calibration; with the same angles the cold arm misses by millimetres."""
     cold, pull = config_of(name).arm, GRAVITIES[gravity]
-    warm = warmed(cold, 100.0)
+    warm = heat_arm(cold, 100.0)
     trial = Trial(f"{name}, warm", warm, tool, pull)
     made = made_from(trial, in_limits(config_of(), np.random.default_rng(100 + tool), 100))
     assert_makers_found(made)
     answers = made.answers
-    valid = where_verdict(answers, Verdict.VALID)
+    valid = where_verdict(answers, BranchVerdict.VALID)
     p, a = (of_roots(v, valid) for v in (made.p, made.a))
     missed, cold_missed = (
         task_error(pose_of(arm, answers.output_rad[:, valid], tool, pull), p, a) for arm in (warm, cold)
@@ -116,7 +115,7 @@ def test_answers_for_the_warm_arm_put_the_warm_tool_on_its_target(name, tool, gr
 def test_every_root_of_the_hanging_arm_meets_its_target_valid_or_not(name, tool, gravity):
     made = anywhere(name, gravity, tool, N_LOADED)
     arm, answers, there = made.trial.arm, made.answers, claimed(made.answers)
-    at_rest = rest(arm, answers.output_rad[:, there], GRAVITIES[gravity])
+    at_rest = settle_output(arm, answers.output_rad[:, there], GRAVITIES[gravity])
     p, a = (of_roots(v, there) for v in (made.p, made.a))
     error = np.abs(task_error(tool_pose(arm, at_rest.frames, tool), p, a)).max(axis=0)
     assert error.max() < 1e-7
@@ -140,15 +139,15 @@ def test_roots_that_were_not_followed_are_outside_the_limits_by_about_as_much_as
     """Newton from the square arm's root leads to the root; it is outside, and the estimate is near."""
     made = anywhere(name, gravity, Tool.DRILL, N_LOADED)
     arm, pull = made.trial.arm, GRAVITIES[gravity]
-    guessed = where_verdict(made.answers, Verdict.OUTSIDE_LIMITS) & ~claimed(made.answers)
+    guessed = where_verdict(made.answers, BranchVerdict.OUTSIDE_LIMITS) & ~claimed(made.answers)
     slot, target = np.nonzero(guessed)
     assert slot.size > 100
     p, a = made.p[:, target], made.a[:, target]
     start = closed_form(arm, Tool.DRILL, made.p, made.a).output_rad[:, slot, target]
-    found = refine(arm, Tool.DRILL, p, a, pull, start)
+    found = refine_roots(arm, Tool.DRILL, p, a, pull, start)
     near = found.converged & (np.abs(wrap_angle(found.output_rad - start)).max(axis=0) < 0.2)
     assert near.mean() > 0.9
-    over = beyond_limits(arm, into_limits(arm, found.output_rad[:, near])).max(axis=0)
+    over = limit_excess(arm, wrap_into_limits(arm, found.output_rad[:, near])).max(axis=0)
     assert (over > 0).all()
     np.testing.assert_allclose(made.answers.excess[guessed][near], over, rtol=0, atol=0.1)
 
@@ -188,7 +187,7 @@ def test_every_verdict_but_singular_occurs_at_random_targets():
     _, p, a, answers = random_case(Tool.APXS)
     far = inverse_kinematics(ARM, Tool.APXS, p + np.array([[1.0], [0.0], [0.0]]), a)
     seen = set(answers.verdict.ravel()) | set(far.verdict.ravel())
-    assert seen == {Verdict.VALID, Verdict.OUTSIDE_LIMITS, Verdict.OUT_OF_REACH}
+    assert seen == {BranchVerdict.VALID, BranchVerdict.OUTSIDE_LIMITS, BranchVerdict.OUT_OF_REACH}
 
 
 @pytest.mark.parametrize("push_m", [0.001, 0.05, 0.5])
@@ -199,18 +198,18 @@ def test_a_target_beyond_the_straight_arm_is_out_of_reach_by_that_much(push_m):
     chord = frames.X_RF.p[:, 3] - frames.X_RF.p[:, 1]
     p, a = targets_of(q, Tool.DRILL)
     answers = inverse_kinematics(ARM, Tool.DRILL, p + push_m * chord / np.linalg.norm(chord), a)
-    assert not where_verdict(answers, Verdict.VALID).any()
-    missing = answers.excess[where_verdict(answers, Verdict.OUT_OF_REACH)]
+    assert not where_verdict(answers, BranchVerdict.VALID).any()
+    missing = answers.excess[where_verdict(answers, BranchVerdict.OUT_OF_REACH)]
     assert missing.min() == pytest.approx(push_m, rel=1e-9)
     branch = int(np.flatnonzero(answers.excess == missing.min())[0])
-    assert why(ARM, answers, branch) == f"{BRANCHES[branch]}: out of reach by {push_m:.3f} m"
+    assert describe_slot(ARM, answers, branch) == f"{BRANCHES[branch]}: out of reach by {push_m:.3f} m"
 
 
 def test_a_target_inside_the_shoulder_cylinder_says_so():
     # the turret axis would pass 0.01 m from the azimuth axis; the wrist's offset keeps it 0.1664 m away
     p = np.array([1.11285 + 0.36, -0.4515 + 0.01, 1.0])
     answers = inverse_kinematics(ARM, Tool.DRILL, p, np.array([1.0, 0.0, 0.0]))
-    assert where_verdict(answers, Verdict.OUT_OF_REACH).all()
+    assert where_verdict(answers, BranchVerdict.OUT_OF_REACH).all()
     np.testing.assert_allclose(answers.excess, 0.1664 - 0.01, atol=1e-12)
 
 
@@ -242,12 +241,12 @@ def test_what_is_returned_near_double_roots_and_singular_directions_is_right(nam
     p, a = targets_of(q, Tool.APXS, arm, pull)
     answers = inverse_kinematics(arm, Tool.APXS, p, a, pull)
     assert_consistent(arm, answers)
-    valid = where_verdict(answers, Verdict.VALID)
+    valid = where_verdict(answers, BranchVerdict.VALID)
     p, a = (of_roots(v, valid) for v in (p, a))
     error = np.abs(task_error(pose_of(arm, answers.output_rad[:, valid], Tool.APXS, pull), p, a))
     assert error.max() < (RIGID_M if pull is None else LOADED_M)
     for k in range(0, 400, 7):
-        assert_sentences(arm, at_target(answers, k))
+        assert_sentences(arm, select_result(answers, k))
 
 
 def along_the_pitch_axis(tool):
@@ -264,13 +263,13 @@ def along_the_pitch_axis(tool):
 def test_an_approach_along_the_pitch_axis_is_singular_for_that_shoulder_of_the_rigid_arm(tool):
     answers = inverse_kinematics(ARM, tool, *along_the_pitch_axis(tool))
     out = np.array(["shoulder-out" in name for name in BRANCHES])
-    assert where_verdict(answers, Verdict.SINGULAR)[out].all()
-    assert not where_verdict(answers, Verdict.SINGULAR)[~out].any()
+    assert where_verdict(answers, BranchVerdict.SINGULAR)[out].all()
+    assert not where_verdict(answers, BranchVerdict.SINGULAR)[~out].any()
     assert np.isnan(answers.output_rad[:, out]).all()
     assert (answers.joint[out] == Joint.WRIST).all()
     assert (answers.excess[out] < FREE_SINE).all()
     for branch in np.flatnonzero(out):
-        assert why(ARM, answers, branch) == (
+        assert describe_slot(ARM, answers, branch) == (
             f"{BRANCHES[branch]}: singular, the approach is parallel to the pitch axes "
             "and the wrist pitch is free"
         )
@@ -289,15 +288,15 @@ def test_where_the_rigid_arm_has_a_family_the_hanging_arm_has_single_poses(tool,
     assert slot.size >= 2
     trial = trial_of("nominal", gravity, tool)
     assert (smallest_singular_value(trial, answers.output_rad[:, slot]) > 1e-6).all()
-    assert_no_root_twice(Answers(*(getattr(answers, k)[..., None] for k in Answers.__slots__)))
+    assert_no_root_twice(IkResult(*(getattr(answers, k)[..., None] for k in IkResult.__slots__)))
 
 
 @pytest.mark.parametrize("gravity", ["mars", "tilted"])
 def test_no_branch_of_the_hanging_arm_is_said_to_have_a_free_wrist(gravity):
     """It has a pose or none, but no family."""
     answers = inverse_kinematics(ARM, Tool.DRILL, *along_the_pitch_axis(Tool.DRILL), GRAVITIES[gravity])
-    for branch in np.flatnonzero(where_verdict(answers, Verdict.SINGULAR)):
-        assert "singular, no pose" in why(ARM, answers, branch)
+    for branch in np.flatnonzero(where_verdict(answers, BranchVerdict.SINGULAR)):
+        assert "singular, no pose" in describe_slot(ARM, answers, branch)
 
 
 @pytest.mark.parametrize("off_rad", [0.0, 1e-15, 1e-12, 1e-9])
@@ -309,10 +308,10 @@ def test_a_pose_with_its_approach_along_the_pitch_axes_is_answered_or_its_family
     q[Joint.TURRET] = (0.5 * np.pi + off_rad - np.arctan2(boresight[1], boresight[0])) % (2 * np.pi)
     p, a = targets_of(q, tool)
     answers = inverse_kinematics(ARM, tool, p, a)
-    shoulder = np.where(signs_of(ARM.shapes[tool], q)[0] < 0, 0, 4)
+    shoulder = np.where(fold_distances(ARM.orthogonal[tool], q)[0] < 0, 0, 4)
     of_shoulder = answers.verdict[shoulder + np.arange(4)[:, None], np.arange(q.shape[1])]
     met = apart(answers, q).min(axis=0) < SAME_RAD
-    assert (met | (of_shoulder == Verdict.SINGULAR).any(axis=0)).all()
+    assert (met | (of_shoulder == BranchVerdict.SINGULAR).any(axis=0)).all()
 
 
 @pytest.mark.parametrize("tool", Tool)
@@ -347,7 +346,7 @@ UNREACHABLE = [
 def test_an_unreachable_target_is_eight_sentences_and_no_exception(name, gravity, p, a):
     arm = arm_of(name)
     answers = inverse_kinematics(arm, Tool.DRILL, np.array(p), np.array(a), GRAVITIES[gravity])
-    assert where_verdict(answers, Verdict.OUT_OF_REACH).all()
+    assert where_verdict(answers, BranchVerdict.OUT_OF_REACH).all()
     assert_consistent(arm, answers)
     assert_sentences(arm, answers)
 
@@ -375,9 +374,9 @@ def test_the_sentence_about_a_limit_names_joint_angle_and_limits():
     )
     read = 0
     for k in range(200):
-        one = at_target(answers, k)
-        for branch in np.flatnonzero(one.verdict == Verdict.OUTSIDE_LIMITS):
-            told = pattern.fullmatch(why(ARM, one, int(branch)))
+        one = select_result(answers, k)
+        for branch in np.flatnonzero(one.verdict == BranchVerdict.OUTSIDE_LIMITS):
+            told = pattern.fullmatch(describe_slot(ARM, one, int(branch)))
             assert Joint[told["joint"].upper()] == one.joint[branch]
             angle, low, high = (float(told[word]) for word in ("angle", "low", "high"))
             assert max(low - angle, angle - high) == pytest.approx(np.degrees(one.excess[branch]), abs=0.11)
@@ -387,8 +386,8 @@ def test_the_sentence_about_a_limit_names_joint_angle_and_limits():
 
 def test_a_valid_branch_says_so():
     q, _, _, answers = random_case(Tool.APXS, 1)
-    one, branch = at_target(answers, 0), int(apart(answers, q)[:, 0].argmin())
-    assert why(ARM, one, branch) == f"{BRANCHES[branch]}: valid"
+    one, branch = select_result(answers, 0), int(apart(answers, q)[:, 0].argmin())
+    assert describe_slot(ARM, one, branch) == f"{BRANCHES[branch]}: valid"
 
 
 @pytest.mark.parametrize("tool", [Tool.APXS, Tool.MAHLI])
@@ -398,7 +397,7 @@ def test_a_batch_of_rigid_targets_is_its_single_targets_bit_for_bit_in_any_shape
     shaped = inverse_kinematics(ARM, tool, p.reshape(3, 5, 30), a.reshape(3, 5, 30))
     for k in range(n):
         one = inverse_kinematics(ARM, tool, p[:, k], a[:, k])
-        for name in Answers.__slots__:
+        for name in IkResult.__slots__:
             several = getattr(answers, name)[..., k]
             np.testing.assert_array_equal(several, getattr(one, name))
             np.testing.assert_array_equal(several, getattr(shaped, name)[..., k // 30, k % 30])
@@ -416,7 +415,7 @@ def test_targets_of_more_than_one_chunk_are_answered_as_those_of_one():
     for part, alone in ((slice(CHUNK, None), made.answers), (slice(0, N_LOADED), easy.answers)):
         slots = alone.verdict.shape[0]
         np.testing.assert_array_equal(answers.verdict[:slots, part], alone.verdict)
-        assert (answers.verdict[slots:, part] == Verdict.ABSENT).all()
+        assert (answers.verdict[slots:, part] == BranchVerdict.ABSENT).all()
     assert_consistent(made.trial.arm, answers)
 
 
@@ -425,10 +424,10 @@ def test_a_batch_of_hanging_targets_is_its_single_targets(name):
     made = anywhere(name, "mars", Tool.DRT, N_LOADED)
     for k in range(0, N_LOADED, 4):
         one = inverse_kinematics(made.trial.arm, Tool.DRT, made.p[:, k], made.a[:, k], MARS_R_m_s2)
-        own, many = one.verdict.shape[0], at_target(made.answers, k)
+        own, many = one.verdict.shape[0], select_result(made.answers, k)
         for word in ("verdict", "joint"):
             np.testing.assert_array_equal(getattr(many, word)[:own], getattr(one, word))
-        assert (many.verdict[own:] == Verdict.ABSENT).all()
+        assert (many.verdict[own:] == BranchVerdict.ABSENT).all()
         np.testing.assert_allclose(many.output_rad[:, :own], one.output_rad, rtol=0, atol=1e-6)
         for word, bound in (("excess", 1e-6), ("error", 1e-9)):
             np.testing.assert_allclose(getattr(many, word)[:own], getattr(one, word), rtol=0, atol=bound)
@@ -438,7 +437,7 @@ def test_a_batch_of_hanging_targets_is_its_single_targets(name):
 def test_gravity_that_is_all_zeros_is_no_gravity(name):
     made = near_double_roots(name, "rigid", Tool.APXS, 60)
     answers = inverse_kinematics(made.trial.arm, Tool.APXS, made.p, made.a, np.zeros(3))
-    for word in Answers.__slots__:
+    for word in IkResult.__slots__:
         np.testing.assert_array_equal(getattr(answers, word), getattr(made.answers, word))
 
 
@@ -470,8 +469,8 @@ def test_where_two_turns_fit_the_nearer_one_is_taken():
     q = np.array([0.0, -1.0, 1.0, high, 1.0])
     for near, expected in ((high - 0.5, high), (low + 0.5, low), (3.0, high), (-3.0, low)):
         start = np.array([0.0, -1.0, 1.0, near, 1.0])
-        assert into_limits(ARM, q, start)[3] == pytest.approx(expected, abs=1e-12)
-        assert into_limits(ARM, q[:, None, None], start)[3, 0, 0] == pytest.approx(expected, abs=1e-12)
+        assert wrap_into_limits(ARM, q, start)[3] == pytest.approx(expected, abs=1e-12)
+        assert wrap_into_limits(ARM, q[:, None, None], start)[3, 0, 0] == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize("gravity", GRAVITIES)
@@ -484,7 +483,7 @@ def test_the_answer_in_the_turn_next_to_where_the_arm_is(gravity):
         same = np.where(
             claimed(answers), np.abs(wrap_angle(answers.output_rad.T - q)).max(axis=1), 9.0
         ).argmin()
-        assert answers.verdict[same] == Verdict.VALID
+        assert answers.verdict[same] == BranchVerdict.VALID
         np.testing.assert_allclose(answers.output_rad[:, same], q, atol=1e-6)
 
 
@@ -495,10 +494,10 @@ def test_a_turret_near_either_end_of_its_travel_is_brought_inside():
         for turn in (-2, -1, 0, 1, 2):
             q = np.array([0.0, -1.0, 1.0, 1.0, angle + turn * 2 * np.pi])
             for near in (None, np.array([0.0, -1.0, 1.0, 1.0, high]), np.array([0.0, -1.0, 1.0, 1.0, low])):
-                assert into_limits(ARM, q, near)[4] == pytest.approx(angle, abs=1e-12)
+                assert wrap_into_limits(ARM, q, near)[4] == pytest.approx(angle, abs=1e-12)
     for share in (0.2, 0.8):
         gap = high + share * (low + 2 * np.pi - high)
-        over = beyond_limits(ARM, into_limits(ARM, np.array([0.0, -1.0, 1.0, 1.0, gap])))[4]
+        over = limit_excess(ARM, wrap_into_limits(ARM, np.array([0.0, -1.0, 1.0, 1.0, gap])))[4]
         # the turn that is least outside
         assert over == pytest.approx(min(share, 1 - share) * (low + 2 * np.pi - high), abs=1e-12)
 
@@ -509,7 +508,7 @@ def test_whatever_the_turn_what_comes_out_is_the_same_angle_and_inside_if_any_tu
     rng = np.random.default_rng(seed)
     q, near = rng.uniform(-20, 20, (5, 4)), rng.uniform(-7, 7, 5)
     for start in (None, near):
-        out = into_limits(ARM, q, start)
+        out = wrap_into_limits(ARM, q, start)
         np.testing.assert_allclose(wrap_angle(out - q + 1.0), 1.0, atol=1e-11)
         turns = out[None] + 2 * np.pi * np.arange(-6, 7)[:, None, None]
         low, high = ARM.soft_min_rad[:, None], ARM.soft_max_rad[:, None]
@@ -522,7 +521,7 @@ def test_whatever_the_turn_what_comes_out_is_the_same_angle_and_inside_if_any_tu
 
 
 def test_the_sentence_of_a_limit_is_in_degrees():
-    assert outside(ARM, Joint.ELBOW, 3.0) == (
+    assert describe_outside(ARM, Joint.ELBOW, 3.0) == (
         "joint elbow: 171.9 deg is outside its soft limits -164.2 .. 164.2 deg"
     )
 
@@ -532,5 +531,5 @@ def test_only_a_limit_rejects_a_branch():
     counts = np.zeros(8, int)
     for tool in Tool:
         _, _, _, answers = random_case(tool)
-        counts += where_verdict(answers, Verdict.VALID).sum(axis=1)
+        counts += where_verdict(answers, BranchVerdict.VALID).sum(axis=1)
     assert (counts > 0).all()

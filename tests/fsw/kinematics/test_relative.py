@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Tool
-from fsw.kinematics.answers import Verdict
+from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.ik import inverse_kinematics
-from fsw.kinematics.refine import refine
-from fsw.kinematics.relative import relative_target
-from tests.fsw.kinematics.test_refine import RIGID, hanging, hanging_targets
+from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
+from fsw.kinematics.newton import refine_roots
+from fsw.kinematics.statics import relative_target
+from tests.fsw.kinematics.test_newton import RIGID, hanging, hanging_targets
 from tests.fsw.rig import MARS_R_m_s2, config_of
 
 REFERENCE = np.array([0.3, -1.0, 1.6, 2.1, 1.2])
@@ -27,7 +26,7 @@ def test_relative_to_the_reference_pose_the_target_there_is_the_reference_pose(n
     hung = hanging(config, REFERENCE, MARS_R_m_s2, tool)
     np.testing.assert_allclose(p, hung.p, atol=1e-14)
     np.testing.assert_allclose(a, hung.R[:, 0], atol=1e-14)
-    found = refine(config.arm, tool, p, a, MARS_R_m_s2, REFERENCE + 0.01)
+    found = refine_roots(config.arm, tool, p, a, MARS_R_m_s2, REFERENCE + 0.01)
     assert found.converged
     np.testing.assert_allclose(found.output_rad, REFERENCE, atol=1e-8)
 
@@ -47,9 +46,9 @@ def test_only_the_difference_of_deflection_counts():
     q = REFERENCE[:, None] + rng.uniform(-0.01, 0.01, (5, 20))
     drawn = tool_pose(config.arm, forward(config.arm, q), Tool.APXS)
     p, a = drawn.p, drawn.R[:, 0]
-    absolute = refine(config.arm, Tool.APXS, p, a, MARS_R_m_s2, q)
+    absolute = refine_roots(config.arm, Tool.APXS, p, a, MARS_R_m_s2, q)
     target = relative_target(config.arm, Tool.APXS, REFERENCE, MARS_R_m_s2, p, a)
-    relative = refine(config.arm, Tool.APXS, *target, MARS_R_m_s2, q)
+    relative = refine_roots(config.arm, Tool.APXS, *target, MARS_R_m_s2, q)
     assert absolute.converged.all()
     assert relative.converged.all()
     whole, rest_of_it = (np.abs(found.output_rad - q).max(axis=0) for found in (absolute, relative))
@@ -63,14 +62,14 @@ def test_over_one_spot_the_shifts_of_two_tools_relative_to_each_other_cancel():
     spot = tool_pose(arm, forward(arm, REFERENCE), Tool.APXS)
     p, a = spot.p, spot.R[:, 0]
     answers = inverse_kinematics(arm, Tool.DRT, p, a)
-    there = answers.output_rad[:, np.flatnonzero(answers.verdict == Verdict.VALID)[-1]]
+    there = answers.output_rad[:, np.flatnonzero(answers.verdict == BranchVerdict.VALID)[-1]]
     shifts = []
     for tool, pose, other, other_pose in (
         (Tool.DRT, there, Tool.APXS, REFERENCE),
         (Tool.APXS, REFERENCE, Tool.DRT, there),
     ):
         target = relative_target(arm, other, other_pose, MARS_R_m_s2, p, a)
-        found = refine(arm, tool, *target, MARS_R_m_s2, pose)
+        found = refine_roots(arm, tool, *target, MARS_R_m_s2, pose)
         assert found.converged
         shifts.append(tool_pose(arm, forward(arm, found.output_rad), tool).p - p)
     assert np.linalg.norm(shifts[0]) > 2e-7

@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Joint, Tool
-from fsw.kinematics.answers import Answers, Verdict, at_target
-from fsw.kinematics.branches import BRANCHES, branch_of, signs_of
-from fsw.kinematics.ik import inverse_kinematics
-from fsw.kinematics.limits import beyond_limits
-from fsw.kinematics.refine import refine
-from fsw.kinematics.statics import rest
+from fsw.dictionary.enums import Joint, Tool
+from fsw.kinematics.branches import BRANCHES, branch_index, fold_distances
+from fsw.kinematics.ik import BranchVerdict, IkResult, inverse_kinematics, select_result
+from fsw.kinematics.newton import refine_roots
+from fsw.kinematics.soft_limits import limit_excess
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.task import ROOT_TOLERANCE, task_error
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.kinematics.lab import (
@@ -66,7 +65,7 @@ def test_every_root_meets_its_target_and_no_root_is_there_twice(name, gravity, t
 def test_a_target_that_a_pose_made_has_a_root_or_a_singular_branch(name, gravity, tool):
     """On the double root itself two roots may have gone together, to within what the errors allow."""
     made = near_double_roots(name, gravity, tool, N)
-    named = made.answers.verdict == Verdict.SINGULAR
+    named = made.answers.verdict == BranchVerdict.SINGULAR
     assert (claimed(made.answers) | named).any(axis=0).all()
 
 
@@ -74,9 +73,9 @@ def test_a_target_that_a_pose_made_has_a_root_or_a_singular_branch(name, gravity
 def test_every_slot_keeps_its_word_and_none_is_without_an_answer(name, gravity, tool):
     made = near_double_roots(name, gravity, tool, N)
     assert_consistent(made.trial.arm, made.answers)
-    assert not (made.answers.verdict == Verdict.NOT_CONVERGED).any()
+    assert not (made.answers.verdict == BranchVerdict.NOT_CONVERGED).any()
     for k in range(0, N, 5):
-        assert_sentences(made.trial.arm, at_target(made.answers, k))
+        assert_sentences(made.trial.arm, select_result(made.answers, k))
 
 
 @radial
@@ -86,29 +85,29 @@ def test_torques_are_those_of_the_arm_at_rest(name, gravity, tool):
     if pull is None:
         assert not made.answers.torque_Nm.any()
     else:
-        at_rest = rest(made.trial.arm, made.answers.output_rad[:, there], pull)
+        at_rest = settle_output(made.trial.arm, made.answers.output_rad[:, there], pull)
         np.testing.assert_allclose(made.answers.torque_Nm[:, there], at_rest.torque_Nm, rtol=0, atol=1e-4)
 
 
 @radial
 def test_a_root_clear_of_the_folds_is_in_a_slot_of_its_own_branch(name, gravity, tool):
     made = near_double_roots(name, gravity, tool, N)
-    shape, q = made.trial.arm.shapes[tool], made.answers.output_rad
+    shape, q = made.trial.arm.orthogonal[tool], made.answers.output_rad
     upper = q[Joint.ELEVATION] + shape.theta_rad[Joint.ELEVATION]
     fore = upper + q[Joint.ELBOW] + shape.theta_rad[Joint.ELBOW]
     ahead_m = np.abs(shape.upper_m * np.cos(upper) + shape.fore_m * np.cos(fore))
-    signs = signs_of(shape, q)
+    signs = fold_distances(shape, q)
     clear = claimed(made.answers) & (np.abs(signs).min(axis=0) > 0.1) & (ahead_m > OVERHEAD_M)
     assert clear.sum() > 50
     slot = np.broadcast_to(np.arange(q.shape[1])[:, None], clear.shape)
-    np.testing.assert_array_equal(branch_of(signs)[clear], slot[clear] % len(BRANCHES))
+    np.testing.assert_array_equal(branch_index(signs)[clear], slot[clear] % len(BRANCHES))
 
 
 def test_some_branches_next_to_double_roots_have_several_roots_and_some_roots_are_gone():
     """Otherwise the tests above would not try what they are for."""
     makers = [near_double_roots(*case, N) for case in RADIAL]
     assert sum(claimed(made.answers)[len(BRANCHES) :].sum() for made in makers) > 30
-    gone = [made.answers.joint[made.answers.verdict == Verdict.SINGULAR] for made in makers]
+    gone = [made.answers.joint[made.answers.verdict == BranchVerdict.SINGULAR] for made in makers]
     assert set(np.concatenate(gone)) == {Joint.AZIMUTH, Joint.ELBOW, Joint.WRIST}
 
 
@@ -123,8 +122,8 @@ def test_newton_from_a_few_hundred_random_starts_finds_no_root_that_the_answers_
     some = np.arange(0, N, 15)
     start = in_limits(config_of(), np.random.default_rng(9), 300 * some.size)
     of = np.repeat(some, 300)
-    found = refine(arm, tool, made.p[:, of], made.a[:, of], pull, start)
-    inside = found.converged & (beyond_limits(arm, wrap_into(arm, found.output_rad)).max(axis=0) < -1e-4)
+    found = refine_roots(arm, tool, made.p[:, of], made.a[:, of], pull, start)
+    inside = found.converged & (limit_excess(arm, wrap_into(arm, found.output_rad)).max(axis=0) < -1e-4)
     q, of = found.output_rad[:, inside], of[inside]
     assert q.shape[1] > 100
     clear = smallest_singular_value(made.trial, q) > CLEAR_SIGMA
@@ -167,14 +166,14 @@ OVERHEAD = [
 def test_with_the_wrist_right_over_the_elevation_joint_every_slot_has_an_answer_or_a_reason(name, gravity, q):
     made = made_from(trial_of(name, gravity, Tool.DRILL), np.array(q)[:, None])
     assert_makers_found(made)
-    assert not (made.answers.verdict == Verdict.NOT_CONVERGED).any()
-    assert_sentences(made.trial.arm, at_target(made.answers, 0))
+    assert not (made.answers.verdict == BranchVerdict.NOT_CONVERGED).any()
+    assert_sentences(made.trial.arm, select_result(made.answers, 0))
 
 
 @pytest.mark.parametrize(("name", "gravity", "tool"), SKEW)
 def test_every_slot_of_a_hanging_skew_tool_has_an_answer_or_a_reason(name, gravity, tool):
     made = near_double_roots(name, gravity, tool, N)
-    assert not (made.answers.verdict == Verdict.NOT_CONVERGED).any()
+    assert not (made.answers.verdict == BranchVerdict.NOT_CONVERGED).any()
     assert_consistent(made.trial.arm, made.answers)
 
 
@@ -184,8 +183,8 @@ def test_a_batch_of_hard_targets_is_its_single_targets(name, gravity, tool):
     made = near_double_roots(name, gravity, tool, N)
     for k in range(0, N, 4):
         one = inverse_kinematics(made.trial.arm, tool, made.p[:, k], made.a[:, k], made.trial.gravity_R_m_s2)
-        many, own = at_target(made.answers, k), one.verdict.shape[0]
-        assert (many.verdict[own:] == Verdict.ABSENT).all()
+        many, own = select_result(made.answers, k), one.verdict.shape[0]
+        assert (many.verdict[own:] == BranchVerdict.ABSENT).all()
         same = many.verdict[:own] == one.verdict
         for slot in np.flatnonzero(~same):
             found = one if claimed(one)[slot] else many
@@ -238,5 +237,5 @@ def test_no_further_slots_are_made_where_no_branch_needs_them():
     for gravity in GRAVITIES:
         trial = trial_of("nominal", gravity, Tool.APXS)
         q = np.array([[0.1, -1.0, 1.2, 1.0, 1.0]]).T
-        answers: Answers = made_from(trial, q).answers
+        answers: IkResult = made_from(trial, q).answers
         assert answers.verdict.shape == (8, 1)

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Joint, Tool
-from fsw.kinematics.arm import Arm, warmed
+from fsw.dictionary.enums import Joint, Tool
+from fsw.kinematics.arm import Arm, heat_arm
 from fsw.kinematics.chain import Frames, forward, tool_pose
-from fsw.kinematics.statics import rest, settle
+from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.transforms import Pose
 from tests.fsw.rig import config_of
 
@@ -62,7 +62,7 @@ def stiffer(factor: float) -> Arm:
 
 LINES = {
     "rigid": drill(forward(ARM, ENCODER_RAD)),
-    "links": drill(rest(ARM, ENCODER_RAD, GRAVITY_R_m_s2).frames),
+    "links": drill(settle_output(ARM, ENCODER_RAD, GRAVITY_R_m_s2).frames),
     "wound up": hanging(np.zeros(5)),
     "deflected": across(),
     "J1 across": across(Joint.AZIMUTH),
@@ -70,10 +70,10 @@ LINES = {
     "both across": across(Joint.AZIMUTH, Joint.TURRET),
     "whole gap": hanging((LOADED_SIDE - 1.0) * HALF_GAP_RAD),
     "rigid, resolvers": drill(forward(ARM, RESOLVER_RAD)),
-    "links, resolvers": drill(rest(ARM, RESOLVER_RAD, GRAVITY_R_m_s2).frames),
+    "links, resolvers": drill(settle_output(ARM, RESOLVER_RAD, GRAVITY_R_m_s2).frames),
     "stiffer": hanging(LOADED_SIDE * HALF_GAP_RAD, stiffer(1.2)),
     "softer": hanging(LOADED_SIDE * HALF_GAP_RAD, stiffer(1 / 1.2)),
-    "colder": hanging(LOADED_SIDE * HALF_GAP_RAD, warmed(ARM, -60.0)),
+    "colder": hanging(LOADED_SIDE * HALF_GAP_RAD, heat_arm(ARM, -60.0)),
 }
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.chain import forward
-from fsw.kinematics.statics import load, rest, settle
+from fsw.kinematics.statics import compute_load, settle, settle_output
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 
 EARTH_R_m_s2 = np.array([0.0, 0.0, 9.81])
@@ -47,7 +47,7 @@ def test_joint_torque_is_the_slope_of_the_potential_energy(name, gravity):
     config, h = config_of(name), 1e-5
     for q in in_limits(config, np.random.default_rng(1), 10).T:
         for arm in (rigid(config.arm), config.arm):
-            at_rest = rest(arm, q, gravity)
+            at_rest = settle_output(arm, q, gravity)
             for joint in range(5):
                 e = h * np.eye(5)[joint]
                 up = potential_J(arm, forward(arm, q + e, at_rest.strain), gravity)
@@ -61,7 +61,7 @@ def test_at_rest_the_total_energy_is_stationary_in_every_spring_coordinate(name)
     arm = config.arm
     for q in in_limits(config, np.random.default_rng(2), 4).T:
         for gravity in (EARTH_R_m_s2, TILTED_R_m_s2):
-            here = rest(arm, q, gravity)
+            here = settle_output(arm, q, gravity)
 
             def energy(strain, q=q, gravity=gravity):
                 return potential_J(arm, forward(arm, q, strain), gravity) + spring_J(arm, strain)
@@ -80,8 +80,8 @@ def test_torque_of_the_rigid_arm_is_linear_in_gravity():
     config = config_of("calibrated:3")
     arm = rigid(config.arm)
     q = in_limits(config, np.random.default_rng(3), 50)
-    a, b = (rest(arm, q, g).torque_Nm for g in (MARS_R_m_s2, TILTED_R_m_s2))
-    both = rest(arm, q, 2.0 * MARS_R_m_s2 - 3.0 * TILTED_R_m_s2).torque_Nm
+    a, b = (settle_output(arm, q, g).torque_Nm for g in (MARS_R_m_s2, TILTED_R_m_s2))
+    both = settle_output(arm, q, 2.0 * MARS_R_m_s2 - 3.0 * TILTED_R_m_s2).torque_Nm
     np.testing.assert_allclose(both, 2.0 * a - 3.0 * b, atol=1e-10)
 
 
@@ -99,7 +99,7 @@ def test_small_loads_at_two_places_deflect_each_other_alike():
     small = 1e-4
     strains, wrenches = [], []
     for gravity in (small * MARS_R_m_s2, small * np.array([1.0, 2.0, 0.5])):
-        strain = rest(config.arm, q, gravity).strain
+        strain = settle_output(config.arm, q, gravity).strain
         strains.append(strain)
         links = zip(compliances(config.arm), strain.T, strict=True)
         wrenches.append(np.stack([np.linalg.pinv(C) @ s for C, s in links], axis=-1))
@@ -122,7 +122,7 @@ def test_the_equilibrium_converges_everywhere_inside_the_limits_on_mars_and_on_e
     for gravity in (MARS_R_m_s2, EARTH_R_m_s2, TILTED_R_m_s2):
         here = settle(config.arm, q, np.zeros_like(q), gravity)
         assert here.converged.all()
-        again, torque = load(config.arm, here.frames, gravity)
+        again, torque = compute_load(config.arm, here.frames, gravity)
         np.testing.assert_allclose(again, here.strain, atol=1e-10)
         np.testing.assert_allclose(torque, here.torque_Nm, atol=1e-5)
 
@@ -140,7 +140,7 @@ def test_settling_at_the_output_is_settling_at_the_motor_that_leads_there():
     config = config_of("calibrated:3")
     motor = in_limits(config, np.random.default_rng(8), 30)
     here = settle(config.arm, motor, np.zeros_like(motor), EARTH_R_m_s2)
-    same = rest(config.arm, here.output_rad, EARTH_R_m_s2)
+    same = settle_output(config.arm, here.output_rad, EARTH_R_m_s2)
     np.testing.assert_allclose(same.strain, here.strain, atol=1e-10)
     np.testing.assert_allclose(same.torque_Nm, here.torque_Nm, atol=1e-5)
 
@@ -161,10 +161,10 @@ def test_a_batch_of_arms_at_rest_is_its_single_arms(name):
 def test_one_pass_of_the_load_is_that_of_a_single_arm():
     config, rng = config_of("calibrated:3"), np.random.default_rng(10)
     q, strain = in_limits(config, rng, 8), rng.normal(0, 0.01, (6, 6, 8))
-    new_strain, torque = load(config.arm, forward(config.arm, q, strain), TILTED_R_m_s2)
+    new_strain, torque = compute_load(config.arm, forward(config.arm, q, strain), TILTED_R_m_s2)
     for k in range(8):
         frames = forward(config.arm, q[:, k], strain[..., k])
-        one_strain, one_torque = load(config.arm, frames, TILTED_R_m_s2)
+        one_strain, one_torque = compute_load(config.arm, frames, TILTED_R_m_s2)
         np.testing.assert_allclose(new_strain[..., k], one_strain, rtol=1e-13, atol=1e-15)
         np.testing.assert_allclose(torque[:, k], one_torque, rtol=1e-13, atol=1e-12)
 
@@ -189,7 +189,7 @@ def test_a_strain_is_rotation_first_and_the_links_come_second():
     compliance = np.zeros_like(config.arm.compliance)
     compliance[2, 2, 2] = 1e-9
     arm = replace(config.arm, compliance=compliance)
-    here = rest(arm, np.zeros(5), MARS_R_m_s2)
+    here = settle_output(arm, np.zeros(5), MARS_R_m_s2)
     assert set(zip(*np.nonzero(here.strain), strict=True)) == {(2, 2)}
     # beyond the spring: half the upper arm's own mass 0.2132 m out, and all that it carries
     beyond_m = 0.827 - 0.4135
@@ -204,6 +204,6 @@ def test_straight_out_on_mars_the_elevation_joint_carries_what_the_mass_table_sa
     # mass [kg] times horizontal distance from the elevation axis [m], from the table of links
     lever_kg_m = 15 * 0.42 + 11 * (0.827 + 0.33) + 9.5 * (0.827 + 0.785 - 0.08)
     lever_kg_m += 35.5 * (0.827 + 0.785 - 0.144 + 0.02)
-    torque = rest(arm, q, MARS_R_m_s2).torque_Nm[1]
+    torque = settle_output(arm, q, MARS_R_m_s2).torque_Nm[1]
     # positive elevation pitches the straight arm down, as gravity does
     assert torque == pytest.approx(3.711 * lever_kg_m, rel=1e-6)

@@ -5,11 +5,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.statics import rest
-from fsw.kinematics.task import task_error, task_jacobian, try_pose
-from tests.fsw.kinematics.test_refine import RIGID, TILTED_R_m_s2, hanging_targets
+from fsw.kinematics.statics import settle_output
+from fsw.kinematics.task import evaluate_pose, task_error, task_jacobian
+from tests.fsw.kinematics.test_newton import RIGID, TILTED_R_m_s2, hanging_targets
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
 
 
@@ -44,16 +44,16 @@ def test_on_its_target_the_error_is_nothing_and_a_tool_that_looks_the_other_way_
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
 @pytest.mark.parametrize("gravity", [MARS_R_m_s2, TILTED_R_m_s2], ids=["mars", "tilted"])
 def test_looking_again_with_the_strain_that_was_found_leads_to_the_arm_at_rest(name, gravity):
-    """Every pass leaves a small share of the unrest before it; the tool is told to first order in it."""
+    """Every pass leaves a small share of the strain_change before it; the tool is told to first order in it."""
     arm = config_of(name).arm
     q = in_limits(config_of(), np.random.default_rng(6), 50)
-    at_rest = rest(arm, q, gravity)
+    at_rest = settle_output(arm, q, gravity)
     there = tool_pose(arm, at_rest.frames, Tool.APXS).p
     tried, strain, off = None, None, []
     for _ in range(8):
-        tried = try_pose(arm, Tool.APXS, q, strain, gravity)
+        tried = evaluate_pose(arm, Tool.APXS, q, strain, gravity)
         strain = tried.strain
-        off.append((tried.unrest.max(), np.abs(tried.X_RT.p - there).max()))
+        off.append((tried.strain_change.max(), np.abs(tried.X_RT.p - there).max()))
     for before, after in pairwise(off[:5]):
         assert after[0] < 0.15 * before[0]
     assert off[0][1] < 2e-3
@@ -65,10 +65,10 @@ def test_looking_again_with_the_strain_that_was_found_leads_to_the_arm_at_rest(n
 def test_without_gravity_a_look_is_at_the_rigid_arm():
     arm = config_of("calibrated:3").arm
     q = in_limits(config_of(), np.random.default_rng(7), 20)
-    tried = try_pose(arm, Tool.MAHLI, q, None, RIGID)
+    tried = evaluate_pose(arm, Tool.MAHLI, q, None, RIGID)
     rigid = tool_pose(arm, forward(arm, q), Tool.MAHLI)
     np.testing.assert_array_equal(tried.X_RT.p, rigid.p)
     np.testing.assert_array_equal(tried.X_RT.R, rigid.R)
     assert not tried.strain.any()
     assert not tried.torque_Nm.any()
-    assert not tried.unrest.any()
+    assert not tried.strain_change.any()

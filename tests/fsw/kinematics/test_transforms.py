@@ -12,7 +12,6 @@ from fsw.kinematics.transforms import (
     Pose,
     adjoint,
     angle_between,
-    batched,
     compose,
     cross,
     dot,
@@ -25,6 +24,7 @@ from fsw.kinematics.transforms import (
     rotation_z,
     screw_exp,
     skew,
+    stack_poses,
     wrap_angle,
 )
 from tests.fsw.rig import matrix
@@ -191,7 +191,7 @@ def test_the_angle_between_two_vectors_is_that_of_the_turn_between_them(angle):
 
 def test_poses_made_one_are_those_that_they_were():
     X = screw_exp(many(6, 3))
-    again = batched([X[index] for index in np.ndindex(BATCH)])
+    again = stack_poses([X[index] for index in np.ndindex(BATCH)])
     for k, index in enumerate(np.ndindex(BATCH)):
         assert_same(again[k], X[index], atol=0)
 

@@ -3,10 +3,10 @@
 import numpy as np
 
 from fsw.config import Config
-from fsw.estimate.gear import LIKELY, bounds_under, gear_after
+from fsw.estimate.gear import LIKELY, bound_gear, gear_after_motor_turn
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Pose
 from fsw.motion.plan import Plan
 from tests.fsw.rig import MARS_R_m_s2
@@ -26,12 +26,12 @@ def gears_along(config: Config, gear_rad: np.ndarray, motor_rad: np.ndarray) -> 
     """The gear angles (n, 5) of motors that turn through these angles (n, 5), from the first one's."""
     gears = np.tile(gear_rad, (len(motor_rad), 1))
     for _ in range(3):  # the loads are those of the outputs, which are the motors' nearly
-        loads = rest(config.arm, (motor_rad + gears).T, MARS_R_m_s2).torque_Nm
-        bounds = [bounds_under(config, config.half_gap_rad, load[:, None]) for load in loads.T]
+        loads = settle_output(config.arm, (motor_rad + gears).T, MARS_R_m_s2).torque_Nm
+        bounds = [bound_gear(config, config.half_gap_rad, load[:, None]) for load in loads.T]
         turns = np.diff(motor_rad, axis=0, prepend=motor_rad[:1])
         gear, gears = gear_rad[:, None], np.empty_like(gears)
         for k, (turn, under) in enumerate(zip(turns, bounds, strict=True)):
-            gear = gear_after(gear, turn, under)
+            gear = gear_after_motor_turn(gear, turn, under)
             gears[k] = gear[:, 0]
     return gears
 
@@ -46,4 +46,4 @@ def gear_at_end(config: Config, joints: JointEstimate, plan: Plan, n: int = 400)
 
 def tool_at(config: Config, output_rad: np.ndarray, tool: int, gravity_R_m_s2=MARS_R_m_s2) -> Pose:
     """X_RT at rest with the outputs (5, ...) at these angles."""
-    return tool_pose(config.arm, rest(config.arm, output_rad, gravity_R_m_s2).frames, tool)
+    return tool_pose(config.arm, settle_output(config.arm, output_rad, gravity_R_m_s2).frames, tool)

@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Mode, Tool
 from fsw.dictionary.evrs import CommandCompleted
-from fsw.dictionary.joints import SWITCHES_OF, Joint, Tool
-from fsw.dictionary.modes import Mode
-from fsw.estimate.load import unloaded
+from fsw.estimate.joints import no_load
 from fsw.motion.drive import drive_for
 from fsw.motion.move import Move, Phase, advance, closed_switch, stop
 from fsw.motion.paths import Setpoint, StopPath, joint_path
@@ -17,7 +16,7 @@ from tests.fsw.rig import Rig, config_of, quiet_sensors
 
 CONFIG = config_of()
 READY = np.array(CONFIG.params.poses.ready_rad)
-NO_LOAD = unloaded(5)
+NO_LOAD = no_load(5)
 SENSORS = quiet_sensors(np.zeros(5))
 
 
@@ -88,7 +87,7 @@ def test_a_stop_in_any_phase_ends_early_and_forgets_the_contact(phase):
 
 def test_a_tool_without_switches_never_touches():
     assert closed_switch(Tool.PORTION, np.ones(10, bool)) is None
-    for tool, switches in SWITCHES_OF.items():
+    for tool, switches in TOOL_SWITCHES.items():
         for switch in switches:
             assert closed_switch(tool, np.arange(10) == switch) is switch
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from fsw.collision.distance import compute_clearances, find_violation
 from fsw.dictionary.commands import MoveJoints, MoveTool, Retract
-from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.enums import Joint, Tool
 from fsw.kinematics.chain import forward
-from fsw.kinematics.statics import rest, settle
+from fsw.kinematics.statics import settle, settle_output
 from fsw.motion.compensation import Compensation
 from fsw.motion.path_check import (
     COARSE_STEP_M,
@@ -190,7 +190,7 @@ def test_the_way_between_stowed_and_ready_keeps_the_padding_both_ways():
 def test_all_joints_are_calibrated_on_a_way_that_is_as_clear_as_mujoco_says():
     poses_rad = sweep_poses(PARAMS, 0.1)
     space = Space(PARAMS, World())
-    ours = compute_clearances(GEOMETRY, rest(CONFIG.arm, poses_rad, MARS_R_m_s2).frames, FAR_M).min()
+    ours = compute_clearances(GEOMETRY, settle_output(CONFIG.arm, poses_rad, MARS_R_m_s2).frames, FAR_M).min()
     assert PADDING_M < ours <= space.clearance(poses_rad).outside_m + 1e-6
 
 

@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 
 from fsw.config import CYCLE_S
 from fsw.dictionary.commands import GuardedMove, Retract
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.motion.paths import JointPath, LinePath, Setpoint, Travel, joint_path, line_path, stop_path
 from fsw.motion.plan import Plan
 from fsw.motion.plan_line import plan_guarded, plan_retract

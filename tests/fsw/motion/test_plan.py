@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import GuardedMove, MoveJoints, MoveTool, Retract
-from fsw.dictionary.joints import Joint, Tool
-from fsw.kinematics.answers import Verdict
+from fsw.dictionary.enums import Joint, Tool
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.ik import inverse_kinematics
-from fsw.kinematics.refine import refine
+from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
+from fsw.kinematics.newton import refine_roots
 from fsw.kinematics.statics import settle
 from fsw.motion.compensation import Compensation
 from fsw.motion.plan import Plan, Refusal, over_limits, plan_joint, plan_poses
@@ -255,7 +254,11 @@ def test_a_line_out_of_reach_says_where_it_ends():
     axes = np.repeat(X.R[:, [0]], 3, axis=1)
     answers = inverse_kinematics(CONFIG.arm, Tool.APXS, p, axes, MARS_R_m_s2)
     branch = np.nanargmin(np.abs(answers.output_rad[..., 0] - pose[:, None]).max(axis=0))
-    assert list(answers.verdict[branch]) == [Verdict.VALID, Verdict.VALID, Verdict.OUT_OF_REACH]
+    assert list(answers.verdict[branch]) == [
+        BranchVerdict.VALID,
+        BranchVerdict.VALID,
+        BranchVerdict.OUT_OF_REACH,
+    ]
 
 
 def longest(config):
@@ -321,7 +324,7 @@ def test_a_line_that_can_be_followed_knot_by_knot_is_planned(tool, pose, length_
     joints, X = rig.state.joints, rig.tool_pose(tool)
     at = joints.output_rad
     for s in np.linspace(0.0, length_m, int(200 * length_m) + 1):
-        found = refine(CONFIG.arm, tool, X.p + s * X.R[:, 0], X.R[:, 0], MARS_R_m_s2, at)
+        found = refine_roots(CONFIG.arm, tool, X.p + s * X.R[:, 0], X.R[:, 0], MARS_R_m_s2, at)
         if not found.converged or np.abs(found.output_rad - at).max() > 0.1:
             pytest.fail(f"cannot be followed beyond {s} m; take another example")
         at = found.output_rad
@@ -342,7 +345,7 @@ def test_a_line_that_newton_from_its_start_loses_is_followed_on_its_branch_to_it
     at = joints.output_rad
     ahead_m = np.arange(0.0, length_m + 1e-9, CONFIG.params.motion.line_step_m)
     p, axes = X.p[:, None] + ahead_m * X.R[:, [0]], np.tile(X.R[:, [0]], ahead_m.size)
-    at_once = refine(CONFIG.arm, tool, p, axes, MARS_R_m_s2, np.tile(at[:, None], ahead_m.size))
+    at_once = refine_roots(CONFIG.arm, tool, p, axes, MARS_R_m_s2, np.tile(at[:, None], ahead_m.size))
     assert not at_once.converged.all() or np.abs(np.diff(at_once.output_rad)).max() > 0.15
     plan = plan_guarded(CONFIG, joints, rig.touch(tool, length_m))
     for path in plan.paths:

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import ClearFault, Preload, Retract, Stop
+from fsw.dictionary.enums import Mode, Tool
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused, Preloaded
-from fsw.dictionary.joints import Tool
-from fsw.dictionary.modes import Mode
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
 from tests.fsw.rig import Rig
 
@@ -22,7 +21,7 @@ def tool_under_force(rig: Rig):
     """The tool of the arm as flight software believes it, what it presses on pushing back."""
     state, arm = rig.state, rig.config.arm
     push = None if state.pressing is None else state.pressing.pushed
-    here = rest(arm, state.joints.output_rad, state.joints.imu_R_m_s2, push)
+    here = settle_output(arm, state.joints.output_rad, state.joints.imu_R_m_s2, push)
     return tool_pose(arm, here.frames, Tool.APXS)
 
 
@@ -61,13 +60,13 @@ def test_every_joint_carries_the_force_times_its_lever():
     rig = pressed_with(300.0)
     press = rig.state.pressing
     axis, p = press.axis_R, press.p_RoTo_R_m
-    here = rest(rig.config.arm, rig.state.joints.output_rad, rig.state.joints.imu_R_m_s2).frames
+    here = settle_output(rig.config.arm, rig.state.joints.output_rad, rig.state.joints.imu_R_m_s2).frames
     z, origin = here.X_RL.R[:, 2, 1:], here.X_RL.p[:, 1:]
     levers = np.einsum("ij,ij->j", z, np.cross((p[:, None] - origin).T, -axis).T)
-    pushed = rest(
+    pushed = settle_output(
         rig.config.arm, rig.state.joints.output_rad, rig.state.joints.imu_R_m_s2, press.pushed
     ).torque_Nm
-    free = rest(rig.config.arm, rig.state.joints.output_rad, rig.state.joints.imu_R_m_s2).torque_Nm
+    free = settle_output(rig.config.arm, rig.state.joints.output_rad, rig.state.joints.imu_R_m_s2).torque_Nm
     np.testing.assert_allclose(pushed - free, 300.0 * levers, atol=0.06 * np.abs(300.0 * levers).max())
 
 

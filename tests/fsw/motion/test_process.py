@@ -7,9 +7,9 @@ import pytest
 
 from fsw.config import Config
 from fsw.dictionary.commands import Process
-from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.enums import Joint, Tool
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from fsw.motion.plan import Refusal
 from fsw.motion.plan_process import gravity_pose
 from tests.fsw.rig import Rig, config_of, floats, in_limits
@@ -25,7 +25,7 @@ def tilted(rng: np.random.Generator, most_rad: float) -> np.ndarray:
 
 def down_in(config: Config, output_rad: np.ndarray, gravity: np.ndarray, tool: Tool) -> np.ndarray:
     """Gravity in a tool of the hanging arm."""
-    hanging = tool_pose(config.arm, rest(config.arm, output_rad, gravity).frames, tool).R
+    hanging = tool_pose(config.arm, settle_output(config.arm, output_rad, gravity).frames, tool).R
     return hanging.T @ gravity / np.linalg.norm(gravity)
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import Calibrate, CalibrateAll, MoveJoint
+from fsw.dictionary.enums import HARDSTOP_ORDER, Joint, Mode
 from fsw.dictionary.evrs import (
     CommandAborted,
     CommandAccepted,
@@ -19,8 +20,6 @@ from fsw.dictionary.faults import (
     NoHardstop,
     StalledEarly,
 )
-from fsw.dictionary.joints import STOP_ORDER, Joint
-from fsw.dictionary.modes import Mode
 from fsw.executive.hardstop_pose import AGAIN
 from fsw.motion.seek import Stage
 from tests.fsw.motion.stops import StopRig
@@ -151,7 +150,7 @@ def test_all_joints_are_calibrated_one_after_the_other_and_then_wait_where_they_
     rig = StopRig(CONFIG, START, ZERO_ERROR_RAD, calibrated=False)
     evrs = rig.run(CalibrateAll(), at_most=60_000)
     assert CommandCompleted("CalibrateAll") in evrs
-    assert [evr.joint for evr in of(evrs, JointCalibrated)] == [*STOP_ORDER, AGAIN]
+    assert [evr.joint for evr in of(evrs, JointCalibrated)] == [*HARDSTOP_ORDER, AGAIN]
     assert evrs.count(CommandAccepted("MoveJoint")) == len(Joint) + 1
     assert rig.outputs.joint.calibrated.all()
     assert rig.state.mode is Mode.DEPLOYED

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import Preload
+from fsw.dictionary.enums import Tool
 from fsw.dictionary.evrs import ForceFelt, Preloaded
-from fsw.dictionary.joints import Tool
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.motion.move import NEAR_N, Phase
 from fsw.motion.plan_press import plan_press, touched

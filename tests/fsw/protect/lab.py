@@ -3,8 +3,8 @@
 import numpy as np
 
 from fsw.dictionary.commands import MoveJoints
+from fsw.dictionary.enums import Switch, Tool
 from fsw.dictionary.evrs import FaultResponse
-from fsw.dictionary.joints import Switch, Tool
 from fsw.protect.responses import Response
 from tests.fsw.rig import Rig, config_of, facing, floats
 

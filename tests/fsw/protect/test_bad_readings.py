@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import ClearFault, MoveJoints, Retract, Stop
+from fsw.dictionary.enums import Mode, Tool
 from fsw.dictionary.evrs import CommandAborted, CommandRefused, FaultResponse, ModeChanged
 from fsw.dictionary.faults import GravityImplausible, SensorNotFinite
-from fsw.dictionary.joints import Tool
-from fsw.dictionary.modes import Mode
 from fsw.messages import Sensors
 from fsw.protect.readings import check_readings
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, quiet_sensors
@@ -232,7 +231,7 @@ def test_with_bad_readings_nothing_is_known_until_the_first_good_ones(name):
     rig = Rig(CONFIG, start_rad=START, calibrated=False)
     for _ in range(3):
         rig.cycle(**spoilt(name, 0, BAD[0]))
-        assert not rig.state.joints.awake
+        assert not rig.state.joints.initialised
     rig.cycle()
     np.testing.assert_allclose(rig.state.joints.motor_rad, START, atol=1e-5)
 

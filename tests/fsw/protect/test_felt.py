@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
+from fsw.dictionary.enums import TOOL_SWITCHES, Mode, Tool
 from fsw.dictionary.faults import Fault, PreloadOutside
-from fsw.dictionary.joints import SWITCHES_OF, Tool
-from fsw.dictionary.modes import Mode
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from tests.fsw.protect.lab import BOUNDS, CONFIG, REFUSED, braked, closed, found, in_guarded_motion, moving
 from tests.fsw.rig import MARS_R_m_s2
 
-PRESSING = [tool for tool in Tool if SWITCHES_OF[tool]]
+PRESSING = [tool for tool in Tool if TOOL_SWITCHES[tool]]
 LATEST = 40
 
 
@@ -20,7 +19,7 @@ def wind_up_rad_N(rig, tool):
     output, axis = rig.state.joints.output_rad, rig.tool_pose(tool).R[:, 0]
 
     def along_m(step):
-        X_RT = tool_pose(CONFIG.arm, rest(CONFIG.arm, output + step, MARS_R_m_s2).frames, tool)
+        X_RT = tool_pose(CONFIG.arm, settle_output(CONFIG.arm, output + step, MARS_R_m_s2).frames, tool)
         return X_RT.p @ axis
 
     torque = np.array([along_m(-step) - along_m(step) for step in 1e-5 * np.eye(5)]) / 2e-5
@@ -63,7 +62,7 @@ def test_a_large_force_is_felt_within_three_cycles():
 
 def test_with_a_switch_closed_a_force_is_as_it_should_be():
     rig = in_guarded_motion()
-    contact = closed(SWITCHES_OF[Tool.APXS][0])
+    contact = closed(TOOL_SWITCHES[Tool.APXS][0])
     pushed(rig, Tool.APXS, 2.0 * BOUNDS.guarded_force_N, LATEST, **contact)
     assert not found(rig, Fault)
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import MoveJoints
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted
 from fsw.dictionary.faults import (
     Fault,
@@ -15,8 +16,6 @@ from fsw.dictionary.faults import (
     SoftLimitPassed,
     UnderTemperature,
 )
-from fsw.dictionary.joints import Joint
-from fsw.dictionary.modes import Mode
 from fsw.motion.move import Phase
 from tests.fsw.protect.lab import (
     BOUNDS,

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import ClearFault, MoveJoints
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CyclesSkipped
 from fsw.dictionary.faults import CyclesMissed, Fault, SensorFrozen
-from fsw.dictionary.joints import Joint
-from fsw.dictionary.modes import Mode
 from tests.fsw.protect.lab import BOUNDS, CONFIG, REFUSED, START, STOPPED, braked, found, moving
 from tests.fsw.rig import MARS_R_m_s2, Rig, alive, floats
 

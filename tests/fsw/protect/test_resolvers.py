@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from fsw.config import CYCLE_HZ
+from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.faults import ResolverDisagrees
-from fsw.dictionary.joints import Joint
-from fsw.dictionary.modes import Mode
 from tests.fsw.protect.lab import BOUNDS, CONFIG, REFUSED, START, found, moving, resolver_off
 from tests.fsw.rig import Rig, alive
 

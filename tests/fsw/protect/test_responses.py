@@ -10,6 +10,7 @@ import pytest
 from fsw.config import ticks
 from fsw.dictionary import faults
 from fsw.dictionary.commands import ClearFault, MoveJoints, Stop, Unstow
+from fsw.dictionary.enums import Joint, Mode, Switch
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused, ContactMade, Evr
 from fsw.dictionary.faults import (
     ContactInFreeSpace,
@@ -29,8 +30,6 @@ from fsw.dictionary.faults import (
     TiltChanged,
     UnderTemperature,
 )
-from fsw.dictionary.joints import Joint, Switch
-from fsw.dictionary.modes import Mode
 from fsw.dictionary.params import MonitorParams
 from fsw.motion.move import Phase
 from fsw.motion.paths import Setpoint

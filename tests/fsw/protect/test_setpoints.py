@@ -10,10 +10,9 @@ from hypothesis.extra import numpy as hnp
 
 from fsw.config import CYCLE_S
 from fsw.dictionary.commands import MoveJoints
+from fsw.dictionary.enums import Joint, Mode, Tool
 from fsw.dictionary.evrs import CommandAborted, FaultResponse
 from fsw.dictionary.faults import SetpointUnsafe
-from fsw.dictionary.joints import Joint, Tool
-from fsw.dictionary.modes import Mode
 from fsw.motion.paths import Setpoint
 from fsw.protect.motors import check_setpoint
 from fsw.protect.status import MoveStatus

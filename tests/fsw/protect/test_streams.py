@@ -6,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsw.dictionary.commands import ClearFault, MoveJoints, Retract, Stop
+from fsw.dictionary.enums import Mode, Tool
 from fsw.dictionary.evrs import Evr
-from fsw.dictionary.joints import Tool
-from fsw.dictionary.modes import Mode
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, in_limits
 
 CONFIG = config_of()

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import MoveJoints
+from fsw.dictionary.enums import Mode
 from fsw.dictionary.faults import Fault, TiltChanged
-from fsw.dictionary.modes import Mode
 from tests.fsw.protect.lab import BOUNDS, CONFIG, REFUSED, START, braked, found, moving
 from tests.fsw.rig import MARS_R_m_s2, Rig, alive, floats
 

@@ -8,13 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fsw.dictionary.commands import ClearFault, Preload, Retract, Stop
+from fsw.dictionary.enums import TOOL_SWITCHES, Mode, Switch, Tool
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, ContactMade, FaultResponse
 from fsw.dictionary.faults import ContactInFreeSpace, ContactLost, NoContact, PreloadOutside
-from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
-from fsw.dictionary.modes import Mode
 from fsw.executive.protection import describe_arm
 from fsw.kinematics.chain import tool_pose
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from fsw.motion.plan import Refusal
 from fsw.motion.plan_press import firm_N
 from fsw.protect.contact import (
@@ -56,9 +55,9 @@ def test_a_contact_while_the_arm_stands_deployed_faults():
     assert ContactInFreeSpace(Switch.DRT_2) in rig.evrs
 
 
-@pytest.mark.parametrize("tool", [tool for tool in Tool if SWITCHES_OF[tool]])
+@pytest.mark.parametrize("tool", [tool for tool in Tool if TOOL_SWITCHES[tool]])
 def test_a_guarded_move_ends_at_the_contact_of_its_own_tool(tool):
-    for switch in SWITCHES_OF[tool]:
+    for switch in TOOL_SWITCHES[tool]:
         rig = in_guarded_motion(tool)
         rate = np.abs(rig.outputs.drive.setpoint_rate_rad_s).max()
         rig.cycle(**closed(switch))
@@ -139,7 +138,7 @@ def test_the_travel_at_contact_is_how_far_the_tool_went():
     assert evr.travel_m == pytest.approx(went, abs=3e-4)
 
 
-@pytest.mark.parametrize("switch", [s for s in Switch if s not in SWITCHES_OF[Tool.APXS]])
+@pytest.mark.parametrize("switch", [s for s in Switch if s not in TOOL_SWITCHES[Tool.APXS]])
 def test_the_contact_of_another_tool_in_a_guarded_move_is_a_fault(switch):
     rig = in_guarded_motion(Tool.APXS)
     rig.cycle(**closed(switch))
@@ -178,7 +177,7 @@ def test_an_arm_that_faulted_in_contact_can_be_cleared_and_then_retracted():
     assert CommandCompleted("Retract") in rig.run()
 
 
-PRESSING = [tool for tool in Tool if SWITCHES_OF[tool]]
+PRESSING = [tool for tool in Tool if TOOL_SWITCHES[tool]]
 
 
 def pressed(tool, force_N=300.0, per_N=NOT_OFF, at_touch_rad=NOT_OFF):
@@ -191,7 +190,7 @@ def force_error_N(per_N, arm, at_touch_rad=NOT_OFF):
 
 @pytest.mark.parametrize("tool", PRESSING)
 def test_a_contact_is_lost_when_no_switch_of_the_tool_has_been_closed_for_exactly_its_persistence(tool):
-    others = [switch for switch in Switch if switch not in SWITCHES_OF[tool]]
+    others = [switch for switch in Switch if switch not in TOOL_SWITCHES[tool]]
     count = 0
     for cycle in range(1, 2 * BOUNDS.contact_persistence):
         count, evrs = check_contact_kept(
@@ -202,7 +201,7 @@ def test_a_contact_is_lost_when_no_switch_of_the_tool_has_been_closed_for_exactl
 
 @pytest.mark.parametrize("tool", PRESSING)
 def test_one_closed_switch_is_contact_whichever_it_is_and_counting_begins_anew(tool):
-    for switch in SWITCHES_OF[tool]:
+    for switch in TOOL_SWITCHES[tool]:
         assert check_contact_kept(CONFIG.protection, 100, pressed(tool), closed(switch)["switch_closed"]) == (
             0,
             (),
@@ -216,10 +215,10 @@ def test_a_tool_that_hardly_presses_may_have_its_switches_open():
 
 def torque_per_N(tool):
     """By virtual work: how far each joint moves the tool along its axis, by finite differences."""
-    X = tool_pose(CONFIG.arm, rest(CONFIG.arm, START, MARS_R_m_s2).frames, tool)
+    X = tool_pose(CONFIG.arm, settle_output(CONFIG.arm, START, MARS_R_m_s2).frames, tool)
 
     def along_m(step):
-        X_RT = tool_pose(CONFIG.arm, rest(CONFIG.arm, START + step, MARS_R_m_s2).frames, tool)
+        X_RT = tool_pose(CONFIG.arm, settle_output(CONFIG.arm, START + step, MARS_R_m_s2).frames, tool)
         return X_RT.p @ X.R[:, 0]
 
     return np.array([along_m(-step) - along_m(step) for step in 1e-5 * np.eye(5)]) / 2e-5

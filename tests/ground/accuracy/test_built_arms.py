@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.random import SeedSequence
 
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from ground.accuracy.places import measured, random_places
 from ground.accuracy.ways import by_closed_loop, by_statics
 from sim.arms import arm_named

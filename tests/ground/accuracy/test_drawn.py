@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.config import configure
-from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint, Tool
 from fsw.kinematics.transforms import Array, Pose
 from ground.accuracy.drawn import Z_TURN, drawn_effects, effects_of
 from ground.accuracy.places import error_in_tool, random_places

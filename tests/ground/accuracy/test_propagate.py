@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from fsw.config import configure
-from fsw.dictionary.joints import Tool
-from fsw.kinematics.arm import Arm, warmed
+from fsw.dictionary.enums import Tool
+from fsw.kinematics.arm import Arm, heat_arm
 from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.statics import rest
+from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, rotate_back
 from ground.accuracy.poses import Poses, workspace_poses
 from ground.accuracy.propagate import Sensitivity, sensitivity
@@ -35,14 +35,14 @@ def moved(poses: Poses) -> Sensitivity:
 
 def shift(before: Arm, after: Arm, poses: Poses, output_rad: Array) -> Array:
     """Shift (3, n) in tool axes of the tool at motors that stand where they put `before` at the poses."""
-    here = tool_pose(before, rest(before, poses.output_rad, MARS).frames, poses.tool)
-    there = tool_pose(after, rest(after, output_rad, MARS).frames, poses.tool)
+    here = tool_pose(before, settle_output(before, poses.output_rad, MARS).frames, poses.tool)
+    there = tool_pose(after, settle_output(after, output_rad, MARS).frames, poses.tool)
     return rotate_back(here.R, there.p - here.p)
 
 
 def test_poses_are_as_many_as_asked_for_and_put_the_tool_on_its_target(poses):
     assert poses.output_rad.shape == (5, 60)
-    p_R = tool_pose(ARM, rest(ARM, poses.output_rad, MARS).frames, poses.tool).p
+    p_R = tool_pose(ARM, settle_output(ARM, poses.output_rad, MARS).frames, poses.tool).p
     assert np.allclose(p_R - poses.p_NoTo_N_m, (p_R - poses.p_NoTo_N_m)[:, :1], atol=1e-6)
 
 
@@ -57,7 +57,7 @@ def test_a_softer_arm_sags_by_its_share_more(poses, moved):
         compliance=ARM.compliance * (1 + SMALL),
         gear_stiffness_Nm_rad=ARM.gear_stiffness_Nm_rad / (1 + SMALL),
     )
-    torque = rest(ARM, poses.output_rad, MARS).torque_Nm
+    torque = settle_output(ARM, poses.output_rad, MARS).torque_Nm
     wound = poses.output_rad + SMALL * torque / ARM.gear_stiffness_Nm_rad[:, None]
     expected = SMALL * moved.sag.sum(axis=1)[3:]
     # the load itself moves with the arm, which the paper's equation 9 leaves out
@@ -67,7 +67,7 @@ def test_a_softer_arm_sags_by_its_share_more(poses, moved):
 def test_a_warmer_arm_grows(poses, moved):
     rigid = np.zeros((6, 6, 60))
     before = tool_pose(ARM, forward(ARM, poses.output_rad, rigid), poses.tool)
-    warm = warmed(ARM, 1.0)
+    warm = heat_arm(ARM, 1.0)
     after = tool_pose(warm, forward(warm, poses.output_rad, rigid), poses.tool)
     grown = moved.growth_1_K.sum(axis=1)[3:]
     # the hanging arm lies a few milliradians beside the rigid one

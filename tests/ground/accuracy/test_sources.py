@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Frame
+from fsw.dictionary.enums import Frame
 from ground.accuracy.sources import CUMULANTS_OF, error_model
 
 MODEL = error_model()

@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from fsw.kinematics.arm import arm_from
+from fsw.kinematics.arm import build_arm
 from fsw.kinematics.transforms import Pose
 from ground.calibration.calibrate import Calibration, calibrate
 from ground.calibration.campaign import CampaignPlan
@@ -27,7 +27,7 @@ def calibration(seed: int = 1) -> Calibration:
 
 
 def truth(seed: int):
-    return arm_from(true_params(arm_named(f"as-built:{seed}")))
+    return build_arm(true_params(arm_named(f"as-built:{seed}")))
 
 
 def quiet(*_) -> None:

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Joint
-from fsw.kinematics.arm import arm_from
+from fsw.dictionary.enums import Joint
+from fsw.kinematics.arm import build_arm
 from fsw.kinematics.statics import settle
-from fsw.kinematics.transforms import down_from
+from fsw.kinematics.transforms import gravity_direction
 from ground.calibration.arm_model import arm_model, hung, modelled, moved_by_joints
 from ground.calibration.arm_numbers import GAPS, ZEROS, arm_parameters, arm_with, with_zeros_as_hardstops
 from ground.calibration.data import Believed
@@ -63,7 +63,7 @@ def test_the_arm_of_the_model_is_the_arm_of_the_parameter_file(model):
     X = modelled(NOMINAL, x, believed)
     for kg in (8.0, 19.0):
         where = np.flatnonzero(believed.turret_kg == kg)
-        arm = arm_from(StandInTurret(kg).on_params(arm_with(NOMINAL, x)))
+        arm = build_arm(StandInTurret(kg).on_params(arm_with(NOMINAL, x)))
         at = believed.at(where)
         gap = at.gap_rad * np.exp(x[GAPS])[:, None] - at.held_Nm / arm.gear_stiffness_Nm_rad[:, None]
         frames = settle(arm, at.motor_rad, gap, at.gravity_R_m_s2).frames
@@ -73,7 +73,7 @@ def test_the_arm_of_the_model_is_the_arm_of_the_parameter_file(model):
 
 def test_without_any_difference_the_arm_is_the_drawing():
     assert arm_with(NOMINAL, np.zeros(SCALE.size)) == NOMINAL or np.allclose(
-        arm_from(arm_with(NOMINAL, np.zeros(SCALE.size))).RP_CF, arm_from(NOMINAL).RP_CF, atol=1e-15
+        build_arm(arm_with(NOMINAL, np.zeros(SCALE.size))).RP_CF, build_arm(NOMINAL).RP_CF, atol=1e-15
     )
 
 
@@ -82,9 +82,9 @@ def test_zeros_in_the_hardstops_are_the_same_arm_at_angles_that_are_so_much_larg
     zero, shifted = with_zeros_as_hardstops(NOMINAL, x)
     np.testing.assert_array_equal(zero, x[list(ZEROS)])
     motor = np.random.default_rng(3).uniform(-1, 1, (5, 40))
-    gravity, gap = 9.81 * down_from(0.3, 0.1), 1e-3 * np.ones((5, 1))
-    one = settle(arm_from(arm_with(NOMINAL, x)), motor, gap, gravity).frames.X_RF
-    other = settle(arm_from(shifted), motor + zero[:, None], gap, gravity).frames.X_RF
+    gravity, gap = 9.81 * gravity_direction(0.3, 0.1), 1e-3 * np.ones((5, 1))
+    one = settle(build_arm(arm_with(NOMINAL, x)), motor, gap, gravity).frames.X_RF
+    other = settle(build_arm(shifted), motor + zero[:, None], gap, gravity).frames.X_RF
     np.testing.assert_allclose(one.p[:, 5], other.p[:, 5], atol=1e-6)
     np.testing.assert_allclose(one.R[:, :, 5], other.R[:, :, 5], atol=1e-6)
     for joint, new, old in zip(Joint, shifted.joints.in_order(), NOMINAL.joints.in_order(), strict=True):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.kinematics.arm import arm_from
+from fsw.kinematics.arm import build_arm
 from ground.calibration.page import save_calibration_page
 from ground.calibration.parameter_file import calibrated_params, parameter_text
 from ground.calibration.request import CalibrateRequest, calibrate_report
@@ -32,8 +32,8 @@ def test_the_command_writes_parameters_that_flight_software_loads(table, tmp_pat
     assert document["arm"] == "as-built:1"
     assert document["rank"]["frames"] == 26
     loaded = params_over_nominal(tmp_path / "arm.toml")
-    ours = arm_from(calibrated_params(calibration()))
-    np.testing.assert_allclose(arm_from(loaded).RP_CF, ours.RP_CF, atol=1e-9)
+    ours = build_arm(calibrated_params(calibration()))
+    np.testing.assert_allclose(build_arm(loaded).RP_CF, ours.RP_CF, atol=1e-9)
     assert loaded.arm_name == "as-built:1"
 
 

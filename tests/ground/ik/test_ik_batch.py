@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
-from fsw.kinematics.answers import Verdict, at_target
 from fsw.kinematics.branches import slot_name
+from fsw.kinematics.ik import BranchVerdict, select_result
 from ground.ik.model import PART
 from ground.ik.names import JOINTS, VERDICTS
 from ground.ik.tally import tally
@@ -31,10 +31,10 @@ def test_a_file_of_arrays_holds_every_answer_to_every_target(tmp_path, suffix):
         assert file["output_rad"].shape == (4, slots, 5)
         assert [str(name) for name in file["branch_names"]] == [slot_name(slot) for slot in range(slots)]
         assert tuple(file["verdict_names"]) == VERDICTS
-        outside = file["verdict"] == Verdict.OUTSIDE_LIMITS
+        outside = file["verdict"] == BranchVerdict.OUTSIDE_LIMITS
         assert np.all((file["joint"] >= 0) == outside)
         assert np.all(file["excess"][outside] > 0.0)
-        assert file["forward_error"][file["verdict"] == Verdict.VALID].max() < 1e-8
+        assert file["forward_error"][file["verdict"] == BranchVerdict.VALID].max() < 1e-8
         assert json.loads(str(file["about"]))["tilt_roll_deg"] == 10.0
 
 
@@ -44,10 +44,10 @@ def test_a_table_has_a_row_for_each_target_and_branch(tmp_path, suffix):
     solved(tmp_path / f"in{suffix}", tmp_path / "out.parquet", compensate="off")
     answers = expected(compensate="off")
     rows = parquet.read_table(tmp_path / "out.parquet").to_pylist()
-    assert len(rows) == np.sum(answers.verdict != Verdict.ABSENT)
+    assert len(rows) == np.sum(answers.verdict != BranchVerdict.ABSENT)
     for row in rows:
         slot = next(k for k in range(len(answers.verdict)) if slot_name(k) == row["branch"])
-        one = at_target(answers, row["target"])
+        one = select_result(answers, row["target"])
         angles = np.array([row[f"{joint}_rad"] for joint in JOINTS], dtype=float)
         assert row["verdict"] == VERDICTS[one.verdict[slot]]
         assert np.allclose(angles, one.output_rad[:, slot], atol=1e-9, equal_nan=True)
@@ -79,8 +79,8 @@ def test_the_same_targets_give_the_same_bytes(tmp_path):
 
 def more_slots(answers):
     """The same answers with a second root of the first branch, at the first target only."""
-    verdict = np.full_like(answers.verdict, Verdict.ABSENT)
-    verdict[0, 0] = Verdict.VALID
+    verdict = np.full_like(answers.verdict, BranchVerdict.ABSENT)
+    verdict[0, 0] = BranchVerdict.VALID
 
     def doubled(values):
         return np.concatenate([values, values], axis=-2)
@@ -106,9 +106,9 @@ def test_parts_with_more_roots_than_others_fit_into_one_file(tmp_path):
             file.add(many)
     with np.load(tmp_path / "out.npz") as file:
         assert file["verdict"].shape == (8, 2 * slots)
-        assert np.all(file["verdict"][:4, slots:] == Verdict.ABSENT)
+        assert np.all(file["verdict"][:4, slots:] == BranchVerdict.ABSENT)
         assert np.isnan(file["output_rad"][:4, slots:]).all()
-        assert file["verdict"][4, slots] == Verdict.VALID
+        assert file["verdict"][4, slots] == BranchVerdict.VALID
         assert np.array_equal(file["output_rad"][4, slots], few.output_rad[:, 0, 0], equal_nan=True)
         assert file["branch_names"][slots] == slot_name(slots)
     table = parquet.read_table(tmp_path / "out.parquet")

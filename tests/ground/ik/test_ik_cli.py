@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Tool
-from fsw.kinematics.arm import arm_from, warmed
+from fsw.dictionary.enums import Tool
+from fsw.kinematics.arm import build_arm, heat_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle
 from ground.common.requests import BadRequest
@@ -43,7 +43,7 @@ def misses(X_RT, position, approach) -> tuple[float, float]:
 def test_the_rigid_arm_points_every_tool_where_it_was_asked(tool):
     document = answer(tool=tool, compensate="off")
     assert document["valid"] > 0
-    arm = arm_from(arm_named("nominal").params)
+    arm = build_arm(arm_named("nominal").params)
     X_RT = tool_pose(arm, forward(arm, valid_poses(document)), Tool[tool.upper()])
     assert max(misses(X_RT, POSITION, APPROACH)) < 1e-9
 
@@ -51,7 +51,7 @@ def test_the_rigid_arm_points_every_tool_where_it_was_asked(tool):
 @pytest.mark.parametrize("gravity", ["mars", "earth"])
 def test_the_tilted_hanging_arm_meets_its_target_where_the_rigid_one_would_not(gravity):
     world = World(gravity, np.radians(15.0), np.radians(-12.0))
-    arm = arm_from(arm_named("calibrated:3").params)
+    arm = build_arm(arm_named("calibrated:3").params)
     asked = {"tool": "drill", "arm": "calibrated:3", "gravity": gravity}
     compensated = valid_poses(answer(tilt_roll_deg=15.0, tilt_pitch_deg=-12.0, **asked))
     rigid = valid_poses(answer(compensate="off", **asked))
@@ -68,7 +68,7 @@ def test_the_tilted_hanging_arm_meets_its_target_where_the_rigid_one_would_not(g
 
 def test_a_warm_arm_is_answered_as_the_warm_arm_that_it_is():
     document = answer(tool="mahli", compensate="off", warming_K=60.0)
-    arm = warmed(arm_from(arm_named("nominal").params), 60.0)
+    arm = heat_arm(build_arm(arm_named("nominal").params), 60.0)
     X_RT = tool_pose(arm, forward(arm, valid_poses(document)), Tool.MAHLI)
     assert max(misses(X_RT, POSITION, APPROACH)) < 1e-9
 

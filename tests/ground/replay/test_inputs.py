@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from ground.replay.inputs import NotReplayable, inputs_in
 from ground.telemetry.events import CommandEntry
 from ground.telemetry.format import TICK_NS

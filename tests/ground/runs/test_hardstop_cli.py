@@ -5,7 +5,7 @@ import json
 import PIL.Image
 import pytest
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from ground.common.requests import BadRequest
 from ground.runs.hardstop import HardstopRequest, hardstop
 from ground.runs.hardstop_plan import plan_stops

@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.faults import StalledEarly
-from fsw.dictionary.joints import Joint
 from ground.runs.artifacts import Files
 from ground.runs.place import place
 from ground.runs.place_request import PlaceRequest

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import GuardedMove, Stop
+from fsw.dictionary.enums import Switch, Tool
 from fsw.dictionary.evrs import Booted, ContactMade
-from fsw.dictionary.joints import Switch, Tool
 from ground.telemetry.record import Recorder
 from ground.telemetry.schema import PER_JOINT, SHAPES
 from ground.telemetry.topics import required

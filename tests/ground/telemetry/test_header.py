@@ -7,8 +7,7 @@ from functools import cache
 import pytest
 
 from fsw.dictionary.commands import MoveJoint, Stop
-from fsw.dictionary.joints import Joint
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.enums import Joint, Mode
 from ground.telemetry.header import asked, begins_with, flown_header, header_of, model_digest
 from sim.arms import arm_named
 from sim.effects.friction import CoulombFriction

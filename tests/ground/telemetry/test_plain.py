@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from fsw.config import configure, digest
 from fsw.dictionary.commands import Command, MoveJoint, SetParam
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference, no_reference
 from ground.telemetry.events import CommandEntry, command_entry

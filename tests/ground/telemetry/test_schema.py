@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from fsw.dictionary.limits import Limits
+from fsw.dictionary.types import Limits
 from ground.telemetry import schema
 from ground.telemetry.errors import SchemaError
 from ground.telemetry.pack import HEAD, Packer, Source

@@ -11,7 +11,7 @@ import pytest
 from mcap.reader import make_reader
 
 from fsw.config import configure
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import Pose
 from ground.telemetry.read import read_log

@@ -6,7 +6,7 @@ from functools import cache
 import mujoco
 import numpy as np
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from sim.avionics import Avionics
 from sim.effects.effect import Effect, Hardware, fitted, gone_on, nominal_hardware
 from sim.plant import ALL_ACTUATORS, Plant

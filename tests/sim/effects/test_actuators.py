@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from sim.effects.cables import FlexCable
 from sim.effects.effect import Effect
 from sim.effects.environment import COLD_C, Ambient

@@ -3,7 +3,7 @@
 import pytest
 
 import sim.effects.friction
-from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint, Tool
 from sim.effects.catalogue import catalogue, departed, effects_in, hypotheses
 from sim.effects.describe import all_places, parameters_of, place_named, sentence_of
 from sim.effects.effect import Effect

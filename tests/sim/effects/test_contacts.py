@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Tool
-from fsw.dictionary.tuples import vector3
+from fsw.dictionary.enums import Tool
+from fsw.dictionary.types import vector3
 from sim.effects.contacts import ContactStiffness, SurfacePosition
 from sim.effects.effect import Effect
 from sim.frames import P_NR_M

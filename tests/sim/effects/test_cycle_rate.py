@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import MoveJoints
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from sim.arms import arm_named
 from sim.effects.cables import FlexCable
 from sim.effects.catalogue import catalogue

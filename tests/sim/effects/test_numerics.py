@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from sim.effects.catalogue import hypotheses
 from sim.effects.numerics import Numerics
 from sim.scenario.effects import effect_from, spec_of

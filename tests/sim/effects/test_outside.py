@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
 from sim.scenario.effects import BadEffect, effect_from, spec_of

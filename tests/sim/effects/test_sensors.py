@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.messages import Sensors
 from sim.effects.effect import Effect, nominal_hardware
 from sim.effects.joints import ResolverBias

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Frame, Joint, Tool
-from fsw.kinematics.arm import arm_from
+from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
-from fsw.kinematics.statics import rest, settle
+from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.transforms import Pose
 from sim.effects.effect import Effect
 from sim.effects.geometry import LinkWarming, Warming
@@ -19,7 +19,7 @@ from tests.sim import lab
 from tests.sim.effects import bench
 
 PARAMS = nominal_params()
-ARM = arm_from(PARAMS)
+ARM = build_arm(PARAMS)
 TILTED = lab.tilted(15, -10, "earth")
 """Every joint carries a load: none lies anywhere in its gap."""
 GRAVITY = TILTED.gravity_N_m_s2
@@ -130,7 +130,7 @@ def drawn_m() -> lab.Array:
 
 def wrenches() -> lab.Array:
     """What each of the first five springs carries as drawn, by its strain: C x wrench = strain."""
-    hanging = rest(ARM, lab.LEFT_RAD, GRAVITY)
+    hanging = settle_output(ARM, lab.LEFT_RAD, GRAVITY)
     return np.array([hanging.strain[:3, k] / np.diag(ARM.compliance[:3, :3, k]) for k in range(5)]).T
 
 
@@ -138,7 +138,7 @@ def wrenches() -> lab.Array:
 def test_a_softer_link_moves_the_tool_by_jacobian_compliance_and_moment(effect, drawn_m) -> None:
     """u = J C tau: the spring yields by compliance times moment, and the tool turns about the spring."""
     frame, axis, compliance = effect.where()
-    hanging = rest(ARM, lab.LEFT_RAD, GRAVITY)
+    hanging = settle_output(ARM, lab.LEFT_RAD, GRAVITY)
     X_RL, tool = hanging.frames.X_RL, tool_pose(ARM, hanging.frames, TOOL)
     spring_R = X_RL.R[:, :, frame] @ ARM.p_LC_m[:, frame] + X_RL.p[:, frame]
     turn_R = X_RL.R[:, axis, frame] * compliance * wrenches()[axis, frame]
@@ -164,7 +164,7 @@ def test_flight_software_that_is_told_of_an_effect_knows_where_the_arm_rests(eff
     there = plant.truth().p_RoTo_R_m[TOOL]
 
     def missed_m(params) -> float:
-        arm = arm_from(params)
+        arm = build_arm(params)
         said = settle(arm, plant.motor_rad(), plant.gap_rad(), GRAVITY)
         return float(np.linalg.norm(tool_pose(arm, said.frames, TOOL).p - there))
 
@@ -176,15 +176,15 @@ def test_flight_software_that_is_told_of_an_effect_knows_where_the_arm_rests(eff
 def test_flight_software_that_is_told_of_a_lost_count_knows_where_the_tools_are(joint: Joint) -> None:
     effect = EncoderZero(joint, 3e-3)
     believed = lab.LEFT_RAD + 3e-3 * (np.arange(5) == joint)
-    true, arm = forward(ARM, lab.LEFT_RAD), arm_from(effect.on_params(PARAMS))
+    true, arm = forward(ARM, lab.LEFT_RAD), build_arm(effect.on_params(PARAMS))
     poses: list[Pose] = [tool_pose(ARM, true, TOOL), tool_pose(arm, forward(arm, believed), TOOL)]
     np.testing.assert_allclose(poses[1].p, poses[0].p, atol=1e-12)
     np.testing.assert_allclose(poses[1].R, poses[0].R, atol=1e-12)
 
 
 def test_a_heavier_turret_weighs_on_the_elevation_by_its_weight_times_its_lever() -> None:
-    hanging = rest(ARM, lab.LEFT_RAD, GRAVITY)
-    heavier = rest(arm_from(TurretMass(2.0).on_params(PARAMS)), lab.LEFT_RAD, GRAVITY)
+    hanging = settle_output(ARM, lab.LEFT_RAD, GRAVITY)
+    heavier = settle_output(build_arm(TurretMass(2.0).on_params(PARAMS)), lab.LEFT_RAD, GRAVITY)
     X = hanging.frames.X_RL
     centre = X.R[:, :, 5] @ np.array(PARAMS.links.arm6.far.com_m) + X.p[:, 5]
     axis, origin = hanging.frames.X_RL.R[:, 2, 2], hanging.frames.X_RL.p[:, 2]

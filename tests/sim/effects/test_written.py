@@ -4,7 +4,7 @@ from math import pi
 
 import pytest
 
-from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint, Tool
 from sim.arms import arm_named
 from sim.effects.friction import CoulombFriction, StribeckFriction
 from sim.effects.geometry import FrameError

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from fsw.config import configure
-from fsw.dictionary.joints import SWITCHES_OF, Tool
+from fsw.dictionary.enums import TOOL_SWITCHES, Tool
 from fsw.kinematics.ik import inverse_kinematics
 from sim.arms import arm_named
 from sim.contact import tool_forces
@@ -48,7 +48,7 @@ def test_a_pressed_tool_is_pushed_out_of_the_rock_and_no_other_is(contact):
 
 def test_the_normal_force_is_what_the_touch_sensors_feel(contact):
     plant, tool, normal = contact
-    sensors = [plant.model.sensor(switch.name.lower()).id for switch in SWITCHES_OF[tool]]
+    sensors = [plant.model.sensor(switch.name.lower()).id for switch in TOOL_SWITCHES[tool]]
     felt = plant.data.sensordata[plant.model.sensor_adr[sensors]].sum()
     assert tool_forces(plant)[tool] @ normal == pytest.approx(felt, rel=1e-6)
 

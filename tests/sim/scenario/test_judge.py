@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import MoveJoints, Preload
+from fsw.dictionary.enums import TOOL_SWITCHES, Mode, Switch, Tool
 from fsw.dictionary.faults import NoContact
-from fsw.dictionary.joints import SWITCHES_OF, Switch, Tool
-from fsw.dictionary.modes import Mode
 from fsw.kinematics.transforms import rotation_x, rotation_y
 from sim.frames import P_NR_M
 from sim.scenario.checks import (
@@ -76,7 +75,7 @@ def at(
     p[tool], force[tool] = np.asarray(p_N_m) - P_NR_M, force_N
     if R is not None:
         axes[tool] = R
-    closed = np.isin(np.arange(len(Switch)), SWITCHES_OF[tool][:1]) & touching
+    closed = np.isin(np.arange(len(Switch)), TOOL_SWITCHES[tool][:1]) & touching
     return Moment(command, p, axes, force, closed, np.tile(p[tool], (len(Switch), 1)), vibrates)
 
 

@@ -23,8 +23,7 @@ from fsw.dictionary.commands import (
     ToolChange,
     Unstow,
 )
-from fsw.dictionary.joints import Joint, Tool
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.enums import Joint, Mode, Tool
 from sim.scenario.modes import EVENTS, modes_after, refusals
 
 UP = (0.0, 0.0, 1.0)

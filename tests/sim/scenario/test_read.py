@@ -19,7 +19,7 @@ from fsw.dictionary.commands import (
     Process,
     Retract,
 )
-from fsw.dictionary.joints import Joint, Tool
+from fsw.dictionary.enums import Joint, Tool
 from sim.effects.environment import PowerLoss
 from sim.frames import P_NR_M
 from sim.scenario.checks import Check, Docked, GravityHeld, Placed

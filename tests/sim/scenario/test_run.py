@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 
 from fsw.dictionary.commands import ClearFault, MoveJoint, Preload, Stop
+from fsw.dictionary.enums import Joint, Tool
 from fsw.dictionary.evrs import CommandAccepted, CommandRefused, FaultCleared, FaultResponse
 from fsw.dictionary.faults import SensorNotFinite
-from fsw.dictionary.joints import Joint, Tool
 from sim.arms import arm_named
 from sim.effects.environment import PowerLoss
 from sim.effects.faults import MissedCycles, SensorFault

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.commands import MoveTeachPoint
+from fsw.dictionary.enums import Tool
 from fsw.dictionary.evrs import CommandCompleted
-from fsw.dictionary.joints import Tool
 from sim.arms import arm_named
 from sim.effects.environment import NothingToTouch
 from sim.frames import p_R_from_N

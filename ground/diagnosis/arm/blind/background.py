@@ -4,7 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from sim.effects.built import left_by_calibration
 from sim.effects.effect import Effect
 from sim.effects.joints import GearFriction

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array, batched, inverse
+from fsw.kinematics.transforms import Array, inverse, stack_poses
 from ground.calibration.screws import screw_log
 from ground.diagnosis.arm.campaign import Compared, Posed
 from ground.diagnosis.arm.features import Moving, measured
@@ -40,7 +40,7 @@ def _posed(one: Posed, effects: Sequence[Effect], manner: Manner) -> Array:
     resolvers = _resolvers(one, with_it) - _resolvers(one, without)
     if not ends:
         return np.asarray(resolvers.ravel())
-    before, after = (batched([found.X_RF[end] for end in ends]) for found in (without, with_it))
+    before, after = (stack_poses([found.X_RF[end] for end in ends]) for found in (without, with_it))
     return np.concatenate([resolvers.ravel(), screw_log(inverse(before) @ after).ravel()])
 
 

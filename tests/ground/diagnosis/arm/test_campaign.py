@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Frame, Joint, Tool
+from fsw.dictionary.enums import Frame, Joint, Tool
 from ground.common.pool import on_this_machine
 from ground.diagnosis.arm.blind.outside import all_outside
 from ground.diagnosis.arm.bound import asked_again, bound, keys_of

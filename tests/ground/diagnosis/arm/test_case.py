@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Frame, Joint
+from fsw.dictionary.enums import Frame, Joint
 from ground.common.pool import on_this_machine
 from ground.diagnosis.arm import sensitivities, settled
 from ground.diagnosis.arm.bound import Bound, asked_again

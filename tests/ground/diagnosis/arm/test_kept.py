@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsw.kinematics.transforms import IDENTITY, batched
+from fsw.kinematics.transforms import IDENTITY, stack_poses
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest
 from ground.diagnosis.arm import diagnosed, logs, recorded
@@ -68,7 +68,7 @@ def test_what_is_no_table_of_thresholds_is_refused(tmp_path: Path, text: str) ->
 
 
 def test_poses_of_a_tracker_come_back(tmp_path: Path) -> None:
-    seen = Tracked(np.array([7, 90]), batched([IDENTITY, IDENTITY]), np.full((6, 2), 1e-5))
+    seen = Tracked(np.array([7, 90]), stack_poses([IDENTITY, IDENTITY]), np.full((6, 2), 1e-5))
     for one in (seen, none_tracked()):
         write_tracked(tmp_path / "t.csv", one)
         again = read_tracked(tmp_path / "t.csv")
@@ -129,7 +129,7 @@ def test_a_table_that_is_none_of_poses_is_refused(
     tmp_path: Path, change: Callable[[str], str], said: str
 ) -> None:
     path = tmp_path / "t.csv"
-    write_tracked(path, Tracked(np.array([7]), batched([IDENTITY]), np.full((6, 1), 1e-5)))
+    write_tracked(path, Tracked(np.array([7]), stack_poses([IDENTITY]), np.full((6, 1), 1e-5)))
     path.write_text(change(path.read_text()))
     with pytest.raises(BadTracker, match=said):
         read_tracked(path)

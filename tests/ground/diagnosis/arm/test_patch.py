@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from ground.common.requests import chosen_effects
 from ground.diagnosis.arm.patch import NothingToWrite, found_effects, new_params, save_new_params, save_patch
 from ground.diagnosis.arm.simulator import raced, told

@@ -13,7 +13,7 @@ from pyarrow import csv
 
 from fsw.config import configure, digest
 from fsw.cycle import step
-from fsw.dictionary.modes import Mode
+from fsw.dictionary.enums import Mode
 from fsw.messages import Sensors
 from fsw.state import boot
 from ground.common.requests import BadRequest

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from ground.diagnosis.arm.blind import make
 from ground.diagnosis.arm.blind.background import background
 from ground.diagnosis.arm.blind.outside import all_outside

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from fsw.dictionary.joints import Frame, Joint
+from fsw.dictionary.enums import Frame, Joint
 from ground.diagnosis.arm.blind.stepped import change
 from ground.diagnosis.arm.campaign import compared, predicted_values
 from ground.diagnosis.arm.logs import Recording

@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from fsw.dictionary.commands import Vector3
-from fsw.dictionary.limits import Angle, Limits
+from fsw.dictionary.types import Angle, Limits, Vector3
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +31,7 @@ class Box:
 
 
 @dataclass(frozen=True, slots=True)
-class Shapes:
+class PartGeometry:
     """What a part is inside of."""
 
     capsules: tuple[Capsule, ...] = ()
@@ -40,37 +39,37 @@ class Shapes:
 
 
 @dataclass(frozen=True, slots=True)
-class ArmShapes:
+class ArmGeometry:
     """The parts of the arm: links in their frames before their springs, the turret in Arm6, tools in theirs.
 
     The housing of azimuth and elevation is not among them: it turns between the plates of its bracket.
     """
 
-    link2: Shapes
-    link3: Shapes
-    link4: Shapes
-    link5: Shapes
-    turret: Shapes
-    drill: Shapes
-    drt: Shapes
-    mahli: Shapes
-    apxs: Shapes
-    portion: Shapes
+    link2: PartGeometry
+    link3: PartGeometry
+    link4: PartGeometry
+    link5: PartGeometry
+    turret: PartGeometry
+    drill: PartGeometry
+    drt: PartGeometry
+    mahli: PartGeometry
+    apxs: PartGeometry
+    portion: PartGeometry
 
 
 @dataclass(frozen=True, slots=True)
-class RoverShapes:
+class RoverGeometry:
     """The parts of the rover, in RMECH."""
 
-    chassis: Shapes
-    shoulder_bracket: Shapes
-    bit_box_1: Shapes
-    bit_box_2: Shapes
-    port_wheels: Shapes
-    starboard_wheels: Shapes
-    mast: Shapes
-    mast_head: Shapes
-    antenna: Shapes
+    chassis: PartGeometry
+    shoulder_bracket: PartGeometry
+    bit_box_1: PartGeometry
+    bit_box_2: PartGeometry
+    port_wheels: PartGeometry
+    starboard_wheels: PartGeometry
+    mast: PartGeometry
+    mast_head: PartGeometry
+    antenna: PartGeometry
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,5 +80,5 @@ class CollisionParams:
     """Distance that parts keep from each other."""
     ground_z_m: Annotated[float, Limits(0.0, 5.0)]
     """Height of level ground in RMECH; z points down."""
-    arm: ArmShapes
-    rover: RoverShapes
+    arm: ArmGeometry
+    rover: RoverGeometry

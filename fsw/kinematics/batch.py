@@ -10,33 +10,33 @@ from numpy.typing import NDArray
 Record = TypeVar("Record")
 
 
-def values_of(record: Any) -> tuple[NDArray[Any], ...]:
+def record_arrays(record: Any) -> tuple[NDArray[Any], ...]:
     """The arrays of a record."""
     return tuple(getattr(record, field.name) for field in fields(record))
 
 
-def at_targets(record: Record, where: Any) -> Record:
+def select_targets(record: Record, where: Any) -> Record:
     """A record of arrays (..., n) at some of the targets."""
-    return type(record)(*(values[..., where] for values in values_of(record)))
+    return type(record)(*(values[..., where] for values in record_arrays(record)))
 
 
-def concatenated(parts: Sequence[Record]) -> Record:
+def concatenate_records(parts: Sequence[Record]) -> Record:
     """Records of arrays (..., n), one after the other."""
     if len(parts) == 1:
         return parts[0]
-    columns = zip(*(values_of(part) for part in parts), strict=True)
+    columns = zip(*(record_arrays(part) for part in parts), strict=True)
     return type(parts[0])(*(np.concatenate(column, axis=-1) for column in columns))
 
 
-def replaced(record: Record, where: NDArray[np.intp], others: Record) -> Record:
+def replace_targets(record: Record, where: NDArray[np.intp], others: Record) -> Record:
     """A record of arrays (..., n), with others (..., k) in the place of the targets `where`."""
-    columns = [values.copy() for values in values_of(record)]
-    for values, new in zip(columns, values_of(others), strict=True):
+    columns = [values.copy() for values in record_arrays(record)]
+    for values, new in zip(columns, record_arrays(others), strict=True):
         values[..., where] = new
     return type(record)(*columns)
 
 
-def extended(values: NDArray[Any], slots: int, fill: float) -> NDArray[Any]:
+def pad_slots(values: NDArray[Any], slots: int, fill: float) -> NDArray[Any]:
     """Values (..., slots, n) with at least so many slots, the new ones filled."""
     more = slots - values.shape[-2]
     if more <= 0:

@@ -4,6 +4,19 @@ from enum import IntEnum
 from typing import Final
 
 
+class Mode(IntEnum):
+    """What the arm is doing; which events change it is in fsw/executive/modes.py."""
+
+    STOWED = 0
+    DEPLOYED = 1
+    FREE_SPACE = 2
+    GUARDED = 3
+    RETRACTING = 4
+    FAULTED = 5
+    PRELOAD = 6
+    """A tool is pressed on something; it moves only to press more or less."""
+
+
 class Joint(IntEnum):
     """The five joints, from the rover outward."""
 
@@ -14,7 +27,7 @@ class Joint(IntEnum):
     TURRET = 4
 
 
-STOP_ORDER: Final = (Joint.TURRET, Joint.WRIST, Joint.ELEVATION, Joint.ELBOW, Joint.AZIMUTH)
+HARDSTOP_ORDER: Final = (Joint.TURRET, Joint.WRIST, Joint.ELEVATION, Joint.ELBOW, Joint.AZIMUTH)
 """In which the joints find their hardstops; the short ways that this takes are clear of the rover."""
 
 
@@ -55,7 +68,7 @@ class Switch(IntEnum):
     DRT_2 = 9
 
 
-SWITCHES_OF: Final[dict[Tool, tuple[Switch, ...]]] = {
+TOOL_SWITCHES: Final[dict[Tool, tuple[Switch, ...]]] = {
     Tool.DRILL: (Switch.DRILL_1, Switch.DRILL_2),
     Tool.DRT: (Switch.DRT_1, Switch.DRT_2),
     Tool.MAHLI: (Switch.MAHLI_1A, Switch.MAHLI_1B, Switch.MAHLI_2A, Switch.MAHLI_2B),

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.kinematics.arm import Arm
-from fsw.kinematics.records import at_targets
-from fsw.kinematics.task import ROOT_TOLERANCE, task_error, task_jacobian, try_pose
+from fsw.kinematics.batch import select_targets
+from fsw.kinematics.task import ROOT_TOLERANCE, evaluate_pose, task_error, task_jacobian
 from fsw.kinematics.transforms import Array, Flags, norm, wrap_angle
 
 TASK_TOLERANCE: Final = 1e-11
@@ -19,7 +19,7 @@ PASSES: Final = 2
 """Of load and deflection at every look; with one, the strain lags by more than a double root's slope."""
 PATIENCE: Final = 15
 """A start that is not close to a root after so many steps is given up, and any after as many more."""
-HOPELESS: Final = 1e-3
+HOPELESS_ERROR: Final = 1e-3
 DAMPING: Final = 1e-12
 CURVATURE: Final = 8.0
 """Of the task, along steps of length one [m, rad]: its largest second derivative is 3.5 for these links.
@@ -32,7 +32,7 @@ BLOCK: Final = 8000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Refined:
+class NewtonRoots:
     """Joint angles that put the tool on its target, batch axes trailing."""
 
     output_rad: Array
@@ -44,7 +44,7 @@ class Refined:
     converged: Flags
 
 
-def refine(
+def refine_roots(
     arm: Arm,
     tool: int,
     p_RoTo_R_m: Array,
@@ -53,7 +53,7 @@ def refine(
     start_rad: Array,
     patience: int = PATIENCE,
     target: NDArray[np.intp] | None = None,
-) -> Refined:
+) -> NewtonRoots:
     """Newton steps from `start_rad` (5, ...) until the tool stands at p with its x axis along the approach.
 
     Target (3, ...) and gravity (3,); zero gravity gives the rigid arm. The load is brought up to date in
@@ -68,18 +68,18 @@ def refine(
     p, a = (np.broadcast_to(_column(v, batch), (3, *batch)).reshape(3, -1) for v in (p_RoTo_R_m, approach_R))
     start = start_rad.reshape(5, -1)
     n = start.shape[1]
-    done = Refined(start.astype(float), np.zeros_like(start), np.full(n, np.inf), np.zeros(n, bool))
+    done = NewtonRoots(start.astype(float), np.zeros_like(start), np.full(n, np.inf), np.zeros(n, bool))
     finite = np.flatnonzero(np.isfinite(start).all(axis=0))
     for block in np.split(finite, range(BLOCK, finite.size, BLOCK)):
         _refine_block(_Newton(arm, tool, p, a, gravity_R_m_s2), block, done, patience, target)
     values = (done.output_rad, done.torque_Nm, done.error, done.error < ROOT_TOLERANCE)
-    return Refined(*(v.reshape((*v.shape[:-1], *batch)) for v in values))
+    return NewtonRoots(*(v.reshape((*v.shape[:-1], *batch)) for v in values))
 
 
 def _refine_block(
     newton: "_Newton",
     where: NDArray[np.intp],
-    done: Refined,
+    done: NewtonRoots,
     patience: int,
     target: NDArray[np.intp] | None,
 ) -> None:
@@ -91,23 +91,23 @@ def _refine_block(
         J_inv = damped_inverse(at.J + at.load_J)
         step = -np.einsum("ij...,j...->i...", J_inv, at.residual)
         if target is not None:
-            first = _first_of_each(at, J_inv, step, target[at.where])
+            first = _first_of_each_root(at, J_inv, step, target[at.where])
             if not first.all():
-                at, step = at_targets(at, first), step[:, first]
+                at, step = select_targets(at, first), step[:, first]
         step *= np.minimum(1.0, LONGEST_STEP_RAD / np.maximum(np.max(np.abs(step), axis=0), 1e-300))
-        at = newton.moved(at, step)
+        at = newton.take_step(at, step)
         error = at.error()
         done.output_rad[:, at.where] = at.output_rad
         done.torque_Nm[:, at.where], done.error[at.where] = at.torque_Nm, error
         going = (error >= TASK_TOLERANCE) | (np.max(np.abs(step), axis=0) >= STEP_TOLERANCE_RAD)
-        going &= np.isfinite(error) & ((count < patience) | (error < HOPELESS))
+        going &= np.isfinite(error) & ((count < patience) | (error < HOPELESS_ERROR))
         if not going.any():
             return
         if not going.all():
-            at = at_targets(at, going)
+            at = select_targets(at, going)
 
 
-def _first_of_each(at: "_Iterate", J_inv: Array, step: Array, target: NDArray[np.intp]) -> Flags:
+def _first_of_each_root(at: "_Iterate", J_inv: Array, step: Array, target: NDArray[np.intp]) -> Flags:
     """Which iterates are the first, of those of a target, that certainly lead to their root.
 
     Kantorovich: with CERTAIN a root is within 6/5 of the step of an iterate, and no other is within
@@ -115,7 +115,7 @@ def _first_of_each(at: "_Iterate", J_inv: Array, step: Array, target: NDArray[np
     """
     bound = CURVATURE * np.sqrt(np.einsum("ij...,ij...->...", J_inv, J_inv))
     length = norm(step)
-    certain = np.flatnonzero((bound * length < CERTAIN) & (at.unrest < length))
+    certain = np.flatnonzero((bound * length < CERTAIN) & (at.strain_change < length))
     end = wrap_angle(at.output_rad + step)[:, certain]
     order = np.lexsort((end[0] + end[1] + end[2], target[certain]))
     certain, end = certain[order], end[:, order]
@@ -135,7 +135,7 @@ class _Iterate:
     output_rad: Array
     strain: Array
     torque_Nm: Array
-    unrest: Array
+    strain_change: Array
     residual: Array
     """(5, n), of the task."""
     J: Array
@@ -145,7 +145,7 @@ class _Iterate:
 
     def error(self) -> Array:
         """The larger of what is missing at the tool and what the strains still change."""
-        worst: Array = np.maximum(np.max(np.abs(self.residual), axis=0), self.unrest)
+        worst: Array = np.maximum(np.max(np.abs(self.residual), axis=0), self.strain_change)
         return worst
 
 
@@ -161,10 +161,10 @@ class _Newton:
 
     def begin(self, output_rad: Array, where: NDArray[np.intp]) -> _Iterate:
         """The starts, their springs under load."""
-        strain = try_pose(self.arm, self.tool, output_rad, None, self.gravity_R_m_s2).strain
+        strain = evaluate_pose(self.arm, self.tool, output_rad, None, self.gravity_R_m_s2).strain
         return self._at(where, output_rad, strain, np.zeros((5, 5, where.size)))
 
-    def moved(self, at: _Iterate, step: Array) -> _Iterate:
+    def take_step(self, at: _Iterate, step: Array) -> _Iterate:
         """The state after a step, with what it taught about the load (Broyden's update)."""
         new = self._at(at.where, at.output_rad + step, at.strain, at.load_J)
         expected = np.einsum("ij...,j...->i...", 0.5 * (at.J + new.J) + at.load_J, step)
@@ -172,16 +172,16 @@ class _Newton:
         return replace(new, load_J=at.load_J + surprise[:, None] * step[None])
 
     def _at(self, where: NDArray[np.intp], output_rad: Array, strain: Array, load_J: Array) -> _Iterate:
-        tried = try_pose(self.arm, self.tool, output_rad, strain, self.gravity_R_m_s2)
+        tried = evaluate_pose(self.arm, self.tool, output_rad, strain, self.gravity_R_m_s2)
         for _ in range(PASSES - 1 if self.gravity_R_m_s2.any() else 0):
-            tried = try_pose(self.arm, self.tool, output_rad, tried.strain, self.gravity_R_m_s2)
+            tried = evaluate_pose(self.arm, self.tool, output_rad, tried.strain, self.gravity_R_m_s2)
         p, a = self.p[:, where], self.a[:, where]
         return _Iterate(
             where,
             output_rad,
             tried.strain,
             tried.torque_Nm,
-            tried.unrest,
+            tried.strain_change,
             task_error(tried.X_RT, p, a),
             task_jacobian(tried.frames, tried.X_RT, a),
             load_J,

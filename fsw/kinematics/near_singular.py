@@ -6,14 +6,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.kinematics.arm import Arm
-from fsw.kinematics.branches import BRANCHES, branch_of, signs_of
-from fsw.kinematics.records import at_targets, extended, replaced
-from fsw.kinematics.refine import refine
-from fsw.kinematics.scan import Grid, scan
-from fsw.kinematics.shape import Shape
-from fsw.kinematics.suspects import Suspects
-from fsw.kinematics.task import ROOT_TOLERANCE, task_error, try_pose
+from fsw.kinematics.arm import Arm, OrthogonalArm
+from fsw.kinematics.batch import pad_slots, replace_targets, select_targets
+from fsw.kinematics.branches import BRANCHES, branch_index, fold_distances
+from fsw.kinematics.grid_search import Grid, search_grid
+from fsw.kinematics.newton import refine_roots
+from fsw.kinematics.singularity_candidates import SingularityCandidates
+from fsw.kinematics.task import ROOT_TOLERANCE, evaluate_pose, task_error
 from fsw.kinematics.transforms import Array, Flags, wrap_angle
 
 SAME_RAD: Final = 2e-5
@@ -28,15 +27,15 @@ UNFOLLOWED_RAD: Final = 0.15
 
 
 @dataclass(frozen=True, slots=True)
-class Search:
+class SearchEffort:
     """How hard to look."""
 
     grid: Grid
     patience: int
 
 
-QUICK: Final = Search(Grid(azimuths=8, pitches=24), patience=15)
-THOROUGH: Final = Search(Grid(azimuths=24, pitches=64), patience=40)
+QUICK: Final = SearchEffort(Grid(azimuths=8, pitches=24), patience=15)
+THOROUGH: Final = SearchEffort(Grid(azimuths=24, pitches=64), patience=40)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,66 +47,68 @@ class FoundRoots:
     error: Array
 
 
-def roots_near_singularity(
+def find_near_singular_roots(
     arm: Arm,
     tool: int,
     p_RoTo_R_m: Array,
     approach_R: Array,
     gravity_R_m_s2: Array,
-    suspects: Suspects,
+    candidates: SingularityCandidates,
     known: FoundRoots,
 ) -> FoundRoots:
-    """The known roots of targets (3, n) and all others near suspects, as far as the scan resolves them.
+    """The known roots of targets (3, n) and all others near candidates, as far as the scan resolves them.
 
-    Roots come and go in pairs, so that the real arm has an odd number of them near an odd number of suspects.
+    Roots come and go in pairs, so that the real arm has an odd number of them near an odd number of candidates.
     Where it has not, one was missed, and the search is repeated thoroughly.
     """
-    targets = _Targets(arm, tool, p_RoTo_R_m, approach_R, gravity_R_m_s2, suspects)
+    targets = _Targets(arm, tool, p_RoTo_R_m, approach_R, gravity_R_m_s2, candidates)
     found, odd = targets.search(QUICK, known)
     again = np.flatnonzero(odd)
     if not again.size:
         return found
-    more, _ = targets.only(again).search(THOROUGH, at_targets(found, again))
+    more, _ = targets.only(again).search(THOROUGH, select_targets(found, again))
     slots = max(found.error.shape[0], more.error.shape[0])
-    return replaced(_with_slots(found, slots), again, _with_slots(more, slots))
+    return replace_targets(_pad_roots(found, slots), again, _pad_roots(more, slots))
 
 
-def _with_slots(found: FoundRoots, slots: int) -> FoundRoots:
+def _pad_roots(found: FoundRoots, slots: int) -> FoundRoots:
     return FoundRoots(
-        extended(found.output_rad, slots, np.nan),
-        extended(found.torque_Nm, slots, 0.0),
-        extended(found.error, slots, np.nan),
+        pad_slots(found.output_rad, slots, np.nan),
+        pad_slots(found.torque_Nm, slots, 0.0),
+        pad_slots(found.error, slots, np.nan),
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Targets:
-    """Targets (3, n) with suspects."""
+    """Targets (3, n) with candidates."""
 
     arm: Arm
     tool: int
     p: Array
     a: Array
     gravity_R_m_s2: Array
-    suspects: Suspects
+    candidates: SingularityCandidates
 
     def only(self, where: NDArray[np.intp]) -> "_Targets":
-        """Some of them, every suspect to be scanned."""
-        suspects = at_targets(self.suspects, where)
-        every = replace(suspects, is_scanned=suspects.is_suspect)
+        """Some of them, every candidate to be scanned."""
+        candidates = select_targets(self.candidates, where)
+        every = replace(candidates, is_searched=candidates.is_candidate)
         return _Targets(self.arm, self.tool, self.p[:, where], self.a[:, where], self.gravity_R_m_s2, every)
 
-    def search(self, search: Search, known: FoundRoots) -> tuple[FoundRoots, Flags]:
-        """All roots, and which targets lack one; known roots that are no suspects stay as they are."""
-        suspect = extended(self.suspects.is_suspect, known.error.shape[0], True)
+    def search(self, search: SearchEffort, known: FoundRoots) -> tuple[FoundRoots, Flags]:
+        """All roots, and which targets lack one; known roots that are no candidates stay as they are."""
+        candidate = pad_slots(self.candidates.is_candidate, known.error.shape[0], True)
         is_known = np.isfinite(known.error) & np.isfinite(known.output_rad[0])
-        trusted, doubtful = is_known & ~suspect, is_known & suspect
-        starts = scan(self.arm, self.tool, self.p, self.a, self.gravity_R_m_s2, self.suspects, search.grid)
+        trusted, doubtful = is_known & ~candidate, is_known & candidate
+        starts = search_grid(
+            self.arm, self.tool, self.p, self.a, self.gravity_R_m_s2, self.candidates, search.grid
+        )
         start = np.concatenate([known.output_rad[:, doubtful], starts.output_rad], axis=1)
         of = np.concatenate([np.nonzero(doubtful)[1], starts.target])
         in_order = np.argsort(of, kind="stable")
         start, of = start[:, in_order], of[in_order]
-        refined = refine(
+        refined = refine_roots(
             self.arm, self.tool, self.p[:, of], self.a[:, of], self.gravity_R_m_s2, start, search.patience, of
         )
         new = refined.converged
@@ -119,7 +120,7 @@ class _Targets:
         root = self._distinct(q, error, target, slot)
         q, torque, error, target, slot = (v[..., root] for v in (q, torque, error, target, slot))
         odd = self._is_odd(trusted, q[:, slot < 0], target[slot < 0])
-        slot = _slots(self.arm.shapes[self.tool], self.suspects, q, target, slot)
+        slot = _assign_slots(self.arm.orthogonal[self.tool], self.candidates, q, target, slot)
         return self._in_slots(q, torque, error, target, slot), odd
 
     def _distinct(
@@ -150,19 +151,19 @@ class _Targets:
         """Whether poses (5, k) are roots, within rounding."""
         strain = None
         for _ in range(CHECK_PASSES):
-            tried = try_pose(self.arm, self.tool, q, strain, self.gravity_R_m_s2)
+            tried = evaluate_pose(self.arm, self.tool, q, strain, self.gravity_R_m_s2)
             strain = tried.strain
         error = np.max(np.abs(task_error(tried.X_RT, self.p[:, target], self.a[:, target])), axis=0)
         meets: Flags = error < 2 * ROOT_TOLERANCE
         return meets
 
     def _is_odd(self, trusted: Flags, q: Array, target: NDArray[np.intp]) -> Flags:
-        """Whether the number of new roots (5, k) of a target is not that of its suspects, but for pairs."""
-        s = self.suspects
-        unfollowed = s.exists & ~s.is_suspect & ~trusted[: len(BRANCHES)]
-        is_one = (_apart(s, q, target) < UNFOLLOWED_RAD) & unfollowed[:, target].T
+        """Whether the number of new roots (5, k) of a target is not that of its candidates, but for pairs."""
+        s = self.candidates
+        unfollowed = s.exists & ~s.is_candidate & ~trusted[: len(BRANCHES)]
+        is_one = (_distance_to_orthogonal(s, q, target) < UNFOLLOWED_RAD) & unfollowed[:, target].T
         number = np.bincount(target[~is_one.any(axis=1)], minlength=self.p.shape[1])
-        odd: Flags = (number - (s.exists & s.is_suspect).sum(axis=0)) % 2 == 1
+        odd: Flags = (number - (s.exists & s.is_candidate).sum(axis=0)) % 2 == 1
         return odd
 
     def _in_slots(
@@ -180,28 +181,32 @@ class _Targets:
         return nothing
 
 
-def _apart(suspects: Suspects, q: Array, target: NDArray[np.intp]) -> Array:
+def _distance_to_orthogonal(candidates: SingularityCandidates, q: Array, target: NDArray[np.intp]) -> Array:
     """(k, 8): how far poses (5, k) are from the square arm's roots of their targets."""
-    square = np.swapaxes(suspects.output_rad[:, :, target], 1, 2)
+    square = np.swapaxes(candidates.output_rad[:, :, target], 1, 2)
     apart: Array = np.max(np.abs(wrap_angle(q[:, :, None] - square)), axis=0)
     return apart
 
 
-def _slots(
-    s: Shape, suspects: Suspects, q: Array, target: NDArray[np.intp], known: NDArray[np.int64]
+def _assign_slots(
+    s: OrthogonalArm,
+    candidates: SingularityCandidates,
+    q: Array,
+    target: NDArray[np.intp],
+    known: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """The slot of every root (5, k): that of a suspect, of its branch or near it, else a further one.
+    """The slot of every root (5, k): that of a candidate, of its branch or near it, else a further one.
 
     Roots whose slot is known keep it. -1 where a branch is full.
     """
     slot = known.copy()
     new = np.flatnonzero(known < 0)
-    apart = _apart(suspects, q[:, new], target[new])
+    apart = _distance_to_orthogonal(candidates, q[:, new], target[new])
     # a root that was not followed, as it is far outside the limits, may have been found by the way
-    unfollowed = suspects.exists & ~suspects.is_suspect
+    unfollowed = candidates.exists & ~candidates.is_candidate
     near_one: Flags = np.logical_and(unfollowed[:, target[new]].T, apart < UNFOLLOWED_RAD)
-    apart[~(suspects.is_suspect[:, target[new]].T | near_one)] = np.inf
-    home = branch_of(signs_of(s, q[:, new]))
+    apart[~(candidates.is_candidate[:, target[new]].T | near_one)] = np.inf
+    home = branch_index(fold_distances(s, q[:, new]))
     of_branch: Flags = np.equal(np.arange(len(BRANCHES)), home[:, None])
     taken = {(int(k), int(branch)) for k, branch in zip(target[known >= 0], known[known >= 0], strict=True)}
     at_home: Flags = np.where(np.any(near_one, axis=1, keepdims=True), near_one, of_branch)

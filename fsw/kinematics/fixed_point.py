@@ -11,20 +11,20 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.closed_form import closed_form_branch
-from fsw.kinematics.limits import beyond_limits, into_limits
-from fsw.kinematics.task import try_pose
+from fsw.kinematics.soft_limits import limit_excess, wrap_into_limits
+from fsw.kinematics.task import evaluate_pose
 from fsw.kinematics.transforms import Array, Flags, norm
 
-HANGING_TOLERANCE: Final = 2e-8
+DEFLECTED_TOLERANCE: Final = 2e-8
 RIGID_TOLERANCE: Final = 2e-10
 """Of a root: position [m], axis [rad] and what strains still change. Less, by the square, where it is ..."""
-CLEAR: Final = 0.3
+CLEAR_OF_FOLD: Final = 0.3
 """... not so far from every fold, for there the angles follow the tool by more."""
-MAX_SHOTS: Final = 12
-COMES_IN_RAD: Final = 0.03
+MAX_ITERATIONS: Final = 12
+LIMIT_MARGIN_RAD: Final = 0.03
 """After the first shot, how far outside the limits a root may be and still come in."""
 NEAR_FOLD: Final = 0.2
 """The same with the elbow this close to straight or folded [sine], where one shot tells less."""
@@ -33,7 +33,7 @@ BLOCK: Final = 6000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Aimed:
+class FixedPointRoots:
     """Roots of the real arm, (n,) last."""
 
     output_rad: Array
@@ -44,11 +44,11 @@ class Aimed:
     """(n,): the larger of position error [m] and axis error [rad]; infinite where not tried."""
     followed: Flags
     """Not given up after the first shot."""
-    first_miss: Array
+    first_error: Array
     """(n,): the error of the first shot: how far the real arm is from the square one there; else 0."""
 
 
-def aim_off(
+def solve_fixed_point(
     arm: Arm,
     tool: int,
     p: Array,
@@ -57,26 +57,28 @@ def aim_off(
     start_rad: Array,
     clear: Array,
     wanted: Flags,
-) -> Aimed:
+) -> FixedPointRoots:
     """The roots of targets (3, n) on the branches of the square arm's roots (5, n), where wanted.
 
     `clear` (n,) is how far these are from the nearest fold.
     """
     n = wanted.size
-    allowed = tolerance(gravity_R_m_s2) * np.minimum(clear / CLEAR, 1.0) ** 2
-    aimed = Aimed(start_rad.copy(), np.zeros_like(start_rad), np.full(n, np.inf), wanted.copy(), np.zeros(n))
+    allowed = root_tolerance(gravity_R_m_s2) * np.minimum(clear / CLEAR_OF_FOLD, 1.0) ** 2
+    aimed = FixedPointRoots(
+        start_rad.copy(), np.zeros_like(start_rad), np.full(n, np.inf), wanted.copy(), np.zeros(n)
+    )
     chosen = np.flatnonzero(wanted)
     for block in np.split(chosen, range(BLOCK, chosen.size, BLOCK)):
-        _aim_block(arm, tool, p[:, block], a[:, block], gravity_R_m_s2, allowed[block], block, aimed)
+        _solve_block(arm, tool, p[:, block], a[:, block], gravity_R_m_s2, allowed[block], block, aimed)
     return aimed
 
 
-def tolerance(gravity_R_m_s2: Array) -> float:
+def root_tolerance(gravity_R_m_s2: Array) -> float:
     """Of the roots of an arm that hangs or, without gravity, is rigid."""
-    return HANGING_TOLERANCE if gravity_R_m_s2.any() else RIGID_TOLERANCE
+    return DEFLECTED_TOLERANCE if gravity_R_m_s2.any() else RIGID_TOLERANCE
 
 
-def _aim_block(
+def _solve_block(
     arm: Arm,
     tool: int,
     p: Array,
@@ -84,15 +86,15 @@ def _aim_block(
     gravity: Array,
     allowed: Array,
     where: NDArray[np.intp],
-    aimed: Aimed,
+    aimed: FixedPointRoots,
 ) -> None:
     """Shots at the targets `where`, written into `aimed`, until they miss by less than allowed."""
     q, aim = aimed.output_rad[:, where], np.concatenate([p, a])
     strain = None
-    for shot in range(MAX_SHOTS):
-        tried = try_pose(arm, tool, q, strain, gravity)
+    for shot in range(MAX_ITERATIONS):
+        tried = evaluate_pose(arm, tool, q, strain, gravity)
         miss = np.concatenate([tried.X_RT.p - p, tried.X_RT.R[:, 0] - a])
-        error = np.maximum(np.max(np.abs(miss), axis=0), tried.unrest)
+        error = np.maximum(np.max(np.abs(miss), axis=0), tried.strain_change)
         aimed.torque_Nm[:, where], aimed.error[where] = tried.torque_Nm, error
         going = error >= allowed
         if not going.any():
@@ -102,11 +104,11 @@ def _aim_block(
             where, allowed = where[going], allowed[going]
             p, a, aim, miss, q, strain = (v[..., going] for v in (p, a, aim, miss, q, strain))
         aim = aim - miss
-        q, _ = closed_form_branch(arm.shapes[tool], aim[:3], aim[3:] / norm(aim[3:]), q)
+        q, _ = closed_form_branch(arm.orthogonal[tool], aim[:3], aim[3:] / norm(aim[3:]), q)
         aimed.output_rad[:, where] = q
         if shot == 0:
-            aimed.first_miss[where] = error[going]
-            follow = _may_come_in(arm, tool, q)
+            aimed.first_error[where] = error[going]
+            follow = _may_enter_limits(arm, tool, q)
             aimed.followed[where] = follow
             if not follow.any():
                 return
@@ -114,9 +116,9 @@ def _aim_block(
             p, a, aim, q, strain = (v[..., follow] for v in (p, a, aim, q, strain))
 
 
-def _may_come_in(arm: Arm, tool: int, q: Array) -> Flags:
+def _may_enter_limits(arm: Arm, tool: int, q: Array) -> Flags:
     """Which roots (5, k), known to one shot, may be inside the limits."""
-    elbow = np.sin(q[Joint.ELBOW] + arm.shapes[tool].theta_rad[Joint.ELBOW])
-    margin = np.where(np.abs(elbow) < NEAR_FOLD, NEAR_FOLD, COMES_IN_RAD)
-    may: Flags = beyond_limits(arm, into_limits(arm, q)).max(axis=0) < margin
+    elbow = np.sin(q[Joint.ELBOW] + arm.orthogonal[tool].theta_rad[Joint.ELBOW])
+    margin = np.where(np.abs(elbow) < NEAR_FOLD, NEAR_FOLD, LIMIT_MARGIN_RAD)
+    may: Flags = limit_excess(arm, wrap_into_limits(arm, q)).max(axis=0) < margin
     return may

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 
-from fsw.dictionary.joints import Joint
+from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import Array, wrap_angle
 
 
-def into_limits(arm: Arm, q: Array, near_rad: Array | None = None) -> Array:
+def wrap_into_limits(arm: Arm, q: Array, near_rad: Array | None = None) -> Array:
     """The same angles (5, ...) in the turn inside the soft limits, the nearest to `near_rad` (5,) if two fit.
 
     Where no turn fits, the turn that is least outside.
@@ -22,33 +22,31 @@ def into_limits(arm: Arm, q: Array, near_rad: Array | None = None) -> Array:
     return np.where(inside, best, middle + wrap_angle(q - middle))
 
 
-def beyond_limits(arm: Arm, q: Array) -> Array:
+def limit_excess(arm: Arm, q: Array) -> Array:
     """By how much each joint of (5, ...) is beyond its soft limits; negative is inside."""
     low, high = _limits(arm, q)
     return np.maximum(low - q, q - high)
 
 
-def outside(arm: Arm, joint: Joint, angle_rad: float) -> str:
+def describe_outside(arm: Arm, joint: Joint, angle_rad: float) -> str:
     """The sentence about a joint outside its soft limits, with as many digits as show that it is."""
     low, high = arm.soft_min_rad[joint], arm.soft_max_rad[joint]
     places = max(1, 1 - math.floor(math.log10(np.degrees(max(low - angle_rad, angle_rad - high, 1e-12)))))
     angle = f"{np.degrees(angle_rad):.{min(places, 9)}f} deg"
-    return f"joint {joint.name.lower()}: {angle} is outside {_range(arm, joint, min(places, 9))}"
+    return f"joint {joint.name.lower()}: {angle} is outside {_describe_range(arm, joint, min(places, 9))}"
 
 
-def digits(value: float, places: int) -> str:
+def format_digits(value: float, places: int) -> str:
     """A positive number with so many places, or as many as show that it is not 0."""
     return f"{value:.{max(places, -math.floor(math.log10(max(value, 1e-12))))}f}"
 
 
-def about_outside(arm: Arm, joint: Joint, beyond_rad: float) -> str:
+def describe_estimated_outside(arm: Arm, joint: Joint, beyond_rad: float) -> str:
     """Likewise, where the angle was only estimated."""
-    return (
-        f"joint {joint.name.lower()}: about {np.degrees(beyond_rad):.1f} deg outside {_range(arm, joint, 1)}"
-    )
+    return f"joint {joint.name.lower()}: about {np.degrees(beyond_rad):.1f} deg outside {_describe_range(arm, joint, 1)}"
 
 
-def _range(arm: Arm, joint: Joint, places: int) -> str:
+def _describe_range(arm: Arm, joint: Joint, places: int) -> str:
     low_deg, high_deg = np.degrees(arm.soft_min_rad[joint]), np.degrees(arm.soft_max_rad[joint])
     return f"its soft limits {low_deg:.{places}f} .. {high_deg:.{places}f} deg"
 

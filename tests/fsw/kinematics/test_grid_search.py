@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.kinematics.closed_form import closed_form
-from fsw.kinematics.scan import scan
-from fsw.kinematics.singular import MOST_ROOTS, QUICK, FoundRoots, roots_near_singularity
-from fsw.kinematics.suspects import Suspects
+from fsw.kinematics.grid_search import search_grid
+from fsw.kinematics.near_singular import MOST_ROOTS, QUICK, FoundRoots, find_near_singular_roots
+from fsw.kinematics.singularity_candidates import SingularityCandidates
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.kinematics.lab import CLEAR_SIGMA, SAME_RAD, near_double_roots
 
@@ -22,7 +22,7 @@ CASES = pytest.mark.parametrize(
 def all_suspect(made):
     roots = closed_form(made.trial.arm, made.trial.tool, made.p, made.a)
     every = np.ones(roots.missing_m.shape, bool)
-    return Suspects(roots.output_rad, roots.from_fold, roots.missing_m == 0, every, every, every)
+    return SingularityCandidates(roots.output_rad, roots.from_fold, roots.missing_m == 0, every, every, every)
 
 
 def pull_of(made):
@@ -36,7 +36,9 @@ def nothing_known(n):
 @CASES
 def test_there_are_starts_for_every_target_and_one_near_every_maker(name, gravity):
     made = near_double_roots(name, gravity, Tool.DRILL, N)
-    starts = scan(made.trial.arm, Tool.DRILL, made.p, made.a, pull_of(made), all_suspect(made), QUICK.grid)
+    starts = search_grid(
+        made.trial.arm, Tool.DRILL, made.p, made.a, pull_of(made), all_suspect(made), QUICK.grid
+    )
     assert np.isfinite(starts.output_rad).all()
     assert set(starts.target) == set(range(N))
     nearest = [
@@ -49,8 +51,8 @@ def test_there_are_starts_for_every_target_and_one_near_every_maker(name, gravit
 def test_without_suspects_there_are_no_starts():
     made = near_double_roots("nominal", "mars", Tool.DRILL, N)
     none = np.zeros((8, N), bool)
-    suspects = replace(all_suspect(made), is_suspect=none, is_scanned=none, wrist_is_free=none)
-    starts = scan(made.trial.arm, Tool.DRILL, made.p, made.a, pull_of(made), suspects, QUICK.grid)
+    candidates = replace(all_suspect(made), is_candidate=none, is_searched=none, wrist_is_free=none)
+    starts = search_grid(made.trial.arm, Tool.DRILL, made.p, made.a, pull_of(made), candidates, QUICK.grid)
     assert starts.output_rad.shape == (5, 0)
     assert starts.target.shape == (0,)
 
@@ -58,7 +60,7 @@ def test_without_suspects_there_are_no_starts():
 @CASES
 def test_with_nothing_known_the_makers_are_found(name, gravity):
     made = near_double_roots(name, gravity, Tool.DRILL, N)
-    found = roots_near_singularity(
+    found = find_near_singular_roots(
         made.trial.arm, Tool.DRILL, made.p, made.a, pull_of(made), all_suspect(made), nothing_known(N)
     )
     slots = found.error.shape[0]
@@ -76,8 +78,10 @@ def test_known_roots_that_are_not_suspects_are_kept_as_they_are():
     known = made.answers
     first = FoundRoots(known.output_rad[:, :8], known.torque_Nm[:, :8], known.error[:8])
     none = np.zeros((8, N), bool)
-    suspects = replace(all_suspect(made), is_suspect=none, is_scanned=none, wrist_is_free=none)
-    kept = roots_near_singularity(made.trial.arm, Tool.DRILL, made.p, made.a, pull_of(made), suspects, first)
+    candidates = replace(all_suspect(made), is_candidate=none, is_searched=none, wrist_is_free=none)
+    kept = find_near_singular_roots(
+        made.trial.arm, Tool.DRILL, made.p, made.a, pull_of(made), candidates, first
+    )
     for k in range(N):
         before, after = (set(v.output_rad[0, :, k][np.isfinite(v.error[:, k])]) for v in (first, kept))
         assert before == after

@@ -14,17 +14,22 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from fsw.dictionary.joints import Joint
-from fsw.kinematics.arm import Arm
-from fsw.kinematics.closed_form import closed_form, in_plane, into_shoulder, pose_of, wrist_joint
-from fsw.kinematics.refine import damped_inverse
-from fsw.kinematics.shape import Shape
-from fsw.kinematics.suspects import Suspects
-from fsw.kinematics.task import task_error, task_jacobian, try_pose
+from fsw.dictionary.enums import Joint
+from fsw.kinematics.arm import Arm, OrthogonalArm
+from fsw.kinematics.closed_form import (
+    closed_form,
+    joint_angles,
+    locate_wrist,
+    to_arm_plane,
+    to_shoulder_frame,
+)
+from fsw.kinematics.newton import damped_inverse
+from fsw.kinematics.singularity_candidates import SingularityCandidates
+from fsw.kinematics.task import evaluate_pose, task_error, task_jacobian
 from fsw.kinematics.transforms import Array, Flags, norm, wrap_angle
 
 PITCH_RANGE_RAD: Final = 1.0
-"""How far from the pitch of a suspect with a wrist that is not free a node may be."""
+"""How far from the pitch of a candidate with a wrist that is not free a node may be."""
 LATERAL_M: Final = 0.1
 """How far from its lateral offset the wrist centre of a node may be."""
 CLOSE_M: Final = 0.5
@@ -60,7 +65,7 @@ class Grid:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Starts:
+class NewtonStarts:
     """Where to begin, (k) last."""
 
     output_rad: Array
@@ -69,61 +74,65 @@ class Starts:
     """(k,): of which target."""
 
 
-def scan(
+def search_grid(
     arm: Arm,
     tool: int,
     p_RoTo_R_m: Array,
     approach_R: Array,
     gravity_R_m_s2: Array,
-    suspects: Suspects,
+    candidates: SingularityCandidates,
     grid: Grid,
-) -> Starts:
-    """Starts close to every root of targets (3, n) that is near one of the suspects."""
-    nodes, at, on_grid = _nodes(arm.shapes[tool], p_RoTo_R_m, approach_R, suspects, grid)
+) -> NewtonStarts:
+    """Starts close to every root of targets (3, n) that is near one of the candidates."""
+    nodes, at, on_grid = _nodes(arm.orthogonal[tool], p_RoTo_R_m, approach_R, candidates, grid)
     target = np.unravel_index(at, on_grid)[0]
     conditions = np.full((2, math.prod(on_grid)), np.nan)
     for block in np.split(np.arange(at.size), range(BLOCK, at.size, BLOCK)):
         p, a = p_RoTo_R_m[:, target[block]], approach_R[:, target[block]]
-        nodes[:, block], conditions[:, at[block]] = _look(arm, tool, p, a, gravity_R_m_s2, nodes[:, block])
+        nodes[:, block], conditions[:, at[block]] = _evaluate_nodes(
+            arm, tool, p, a, gravity_R_m_s2, nodes[:, block]
+        )
     near = _zero_lines_pass(conditions, at, on_grid)
     # where the elbow is nearly straight, few nodes can reach: the square arm's own roots, from either side
-    bent = closed_form(arm, tool, p_RoTo_R_m, approach_R, CLEAR_BEND_RAD).output_rad[:, suspects.is_suspect]
-    return Starts(
+    bent = closed_form(arm, tool, p_RoTo_R_m, approach_R, CLEAR_BEND_RAD).output_rad[
+        :, candidates.is_candidate
+    ]
+    return NewtonStarts(
         np.concatenate([bent, nodes[:, near]], axis=1),
-        np.concatenate([np.nonzero(suspects.is_suspect)[1], target[near]]),
+        np.concatenate([np.nonzero(candidates.is_candidate)[1], target[near]]),
     )
 
 
 def _nodes(
-    s: Shape, p_m: Array, approach: Array, suspects: Suspects, grid: Grid
+    s: OrthogonalArm, p_m: Array, approach: Array, candidates: SingularityCandidates, grid: Grid
 ) -> tuple[Array, NDArray[np.intp], tuple[int, ...]]:
     """Poses (5, k) of the square arm at the nodes worth a look, where on the grid they are, and its shape.
 
     The places are those on the flat grid. It has one azimuth more, which is empty, so that the indices of
     neighbours may wrap at both ends.
     """
-    p, a = into_shoulder(s, p_m, approach)
+    p, a = to_shoulder_frame(s, p_m, approach)
     q1 = _azimuths(s, p - s.radius_m * a, grid)[..., None]
     p, a = (v.reshape(3, -1, 1, 1, 1) for v in (p, a))
     t_e, t_z = -np.sin(grid.pitch_rad()), np.cos(grid.pitch_rad())
     lean = (a[0] * np.cos(q1) + a[1] * np.sin(q1)) * t_e + a[2] * t_z
-    worth = (np.abs(lean - s.boresight_z) < MOST_LEAN) & _near_suspects(s, suspects, grid.pitch_rad())
+    worth = (np.abs(lean - s.boresight_z) < MOST_LEAN) & _near_candidates(s, candidates, grid.pitch_rad())
     k, shoulder, azimuth, pitch = np.nonzero(worth)
     p, a, q1 = p[:, k, 0, 0, 0], a[:, k, 0, 0, 0], q1[k, shoulder, azimuth, 0]
     t_e, t_z, lean = t_e[pitch], t_z[pitch], lean[k, shoulder, azimuth, pitch]
     z5 = np.stack([t_e * np.cos(q1), t_e * np.sin(q1), t_z])
     look = a - lean * z5
     b = s.boresight_z * z5 + np.sqrt(1 - s.boresight_z**2) / norm(look) * look
-    foot_P, b_P = in_plane(q1, p - s.radius_m * b, b)
+    foot_P, b_P = to_arm_plane(q1, p - s.radius_m * b, b)
     sine = b_P[0] * t_z - b_P[2] * t_e
     lateral = foot_P[1] + s.offset_m * sine - s.lateral_m
-    reach = wrist_joint(s, foot_P, b_P, t_e, t_z)
+    reach = locate_wrist(s, foot_P, b_P, t_e, t_z)
     bend = np.clip(reach.bend_rad, LEAST_BEND_RAD, np.pi - LEAST_BEND_RAD)
     # far from the fold of the shoulder the lateral condition is nearly linear in the azimuth
     aside = np.where(np.hypot(foot_P[0], foot_P[1]) < CLOSE_M, 1.5 * LATERAL_M, 0.5 * LATERAL_M)
     near = np.flatnonzero((np.abs(lateral) < aside) & (reach.missing_m < REACH_M))
     elbows = [
-        pose_of(s, b_P[1], q1, t_e, t_z, sine, replace(reach, bend_rad=side * bend))[:, near]
+        joint_angles(s, b_P[1], q1, t_e, t_z, sine, replace(reach, bend_rad=side * bend))[:, near]
         for side in (1, -1)
     ]
     on_grid = (*worth.shape[:2], grid.azimuths + 1, grid.pitches, 2)
@@ -131,17 +140,17 @@ def _nodes(
     return np.concatenate(elbows, axis=1), np.concatenate([place, place + 1]), on_grid
 
 
-def _near_suspects(s: Shape, suspects: Suspects, pitch_rad: Array) -> Flags:
-    """Which nodes, (n, shoulder, 1, pitch), have the shoulder of a scanned suspect and a pitch near its."""
-    q = suspects.output_rad
+def _near_candidates(s: OrthogonalArm, candidates: SingularityCandidates, pitch_rad: Array) -> Flags:
+    """Which nodes, (n, shoulder, 1, pitch), have the shoulder of a scanned candidate and a pitch near its."""
+    q = candidates.output_rad
     pitch = np.sum(q[Joint.ELEVATION : Joint.TURRET] + s.theta_rad[1:4, None, None], axis=0)
     apart = np.abs(wrap_angle(pitch_rad.reshape(-1, 1, 1) - pitch))
-    near = suspects.is_scanned & (suspects.wrist_is_free | (apart < PITCH_RANGE_RAD))
+    near = candidates.is_searched & (candidates.wrist_is_free | (apart < PITCH_RANGE_RAD))
     by_shoulder: Flags = np.any(near.reshape(pitch_rad.size, 2, 4, -1), axis=2)
     return np.moveaxis(by_shoulder, (0, 2), (2, 0))[:, :, None]
 
 
-def _azimuths(s: Shape, foot: Array, grid: Grid) -> Array:
+def _azimuths(s: OrthogonalArm, foot: Array, grid: Grid) -> Array:
     """Azimuths (n, shoulder, azimuth) around those at which the foot is at its lateral offset."""
     rho, heading = np.hypot(foot[0], foot[1]), np.arctan2(foot[1], foot[0])
     low, high = (
@@ -155,15 +164,15 @@ def _azimuths(s: Shape, foot: Array, grid: Grid) -> Array:
     return azimuth
 
 
-def _look(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, q: Array) -> tuple[Array, Array]:
+def _evaluate_nodes(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, q: Array) -> tuple[Array, Array]:
     """Nodes (5, k) with planar arm and turret put right to first order, and the two conditions (2, k)."""
-    tried = try_pose(arm, tool, q, None, gravity)
-    to_turret_axis, s = _toward_turret_axis(arm, tool), arm.shapes[tool]
+    tried = evaluate_pose(arm, tool, q, None, gravity)
+    to_turret_axis, s = _toward_turret_axis(arm, tool), arm.orthogonal[tool]
     q1 = q[Joint.AZIMUTH] + s.theta_rad[Joint.AZIMUTH]
 
     def split(v: Array) -> tuple[Array, Array]:
         """In-plane position and look, to be put right; lateral position and turret axis, the conditions."""
-        ((forward, lateral, down),) = in_plane(q1, np.einsum("ji,j...->i...", s.X_R1.R, v[:3]))
+        ((forward, lateral, down),) = to_arm_plane(q1, np.einsum("ji,j...->i...", s.X_R1.R, v[:3]))
         axis, look = np.einsum("ij,j...->i...", to_turret_axis, v[3:])
         return np.stack([forward, down, look]), np.stack([lateral, axis])
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from fsw.dictionary.joints import Tool
+from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.closed_form import closed_form
-from fsw.kinematics.limits import beyond_limits, into_limits
-from fsw.kinematics.refine import TASK_TOLERANCE, refine
-from fsw.kinematics.statics import rest, settle
+from fsw.kinematics.newton import TASK_TOLERANCE, refine_roots
+from fsw.kinematics.soft_limits import limit_excess, wrap_into_limits
+from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.task import ROOT_TOLERANCE, task_error
 from fsw.kinematics.transforms import dot, wrap_angle
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
@@ -28,7 +28,7 @@ def hanging_targets(config, tool, n, gravity):
 
 
 def hanging(config, output_rad, gravity, tool):
-    return tool_pose(config.arm, rest(config.arm, output_rad, gravity).frames, tool)
+    return tool_pose(config.arm, settle_output(config.arm, output_rad, gravity).frames, tool)
 
 
 @pytest.mark.parametrize("name", ARMS)
@@ -37,9 +37,9 @@ def test_the_settled_arm_meets_the_target_that_refine_was_given(name, tool):
     config = config_of(name)
     _, p, a = hanging_targets(config, tool, 60, MARS_R_m_s2)
     p, a = (np.repeat(v[:, None], 8, axis=1) for v in (p, a))
-    start = into_limits(config.arm, closed_form(config.arm, tool, p[:, 0], a[:, 0]).output_rad)
-    found = refine(config.arm, tool, p, a, MARS_R_m_s2, start)
-    valid = beyond_limits(config.arm, start).max(axis=0) <= 0
+    start = wrap_into_limits(config.arm, closed_form(config.arm, tool, p[:, 0], a[:, 0]).output_rad)
+    found = refine_roots(config.arm, tool, p, a, MARS_R_m_s2, start)
+    valid = limit_excess(config.arm, start).max(axis=0) <= 0
     assert (found.converged & valid).any(axis=0).mean() > 0.9
     ok = found.converged
     motor = found.output_rad - found.torque_Nm / config.arm.gear_stiffness_Nm_rad[:, None, None]
@@ -63,7 +63,7 @@ def test_flight_parameters_of_the_calibrated_arm_are_not_the_drawing():
 def test_without_gravity_refine_answers_for_the_rigid_arm(name):
     config = config_of(name)
     q, p, a = hanging_targets(config, Tool.APXS, 40, RIGID)
-    found = refine(config.arm, Tool.APXS, p, a, RIGID, q + 0.01)
+    found = refine_roots(config.arm, Tool.APXS, p, a, RIGID, q + 0.01)
     assert found.converged.all()
     assert not found.torque_Nm.any()
     X = tool_pose(config.arm, forward(config.arm, found.output_rad), Tool.APXS)
@@ -76,8 +76,8 @@ def test_deflection_matters_by_millimetres():
     _, p, a = hanging_targets(config, Tool.DRILL, 40, MARS_R_m_s2)
     start = closed_form(config.arm, Tool.DRILL, p, a).output_rad
     p, a = (np.repeat(v[:, None], 8, axis=1) for v in (p, a))
-    loaded = refine(config.arm, Tool.DRILL, p, a, MARS_R_m_s2, start)
-    stiff = refine(config.arm, Tool.DRILL, p, a, RIGID, start)
+    loaded = refine_roots(config.arm, Tool.DRILL, p, a, MARS_R_m_s2, start)
+    stiff = refine_roots(config.arm, Tool.DRILL, p, a, RIGID, start)
     both = loaded.converged & stiff.converged
     shift = np.abs(loaded.output_rad - stiff.output_rad)[:, both].max(axis=0)
     assert 1e-3 < np.median(shift) < 0.05
@@ -86,12 +86,12 @@ def test_deflection_matters_by_millimetres():
 def test_the_error_is_what_is_left_at_the_tool_and_the_torque_that_of_the_arm_at_rest():
     config = config_of("calibrated:3")
     q, p, a = hanging_targets(config, Tool.MAHLI, 30, TILTED_R_m_s2)
-    found = refine(config.arm, Tool.MAHLI, p, a, TILTED_R_m_s2, q + 0.02)
+    found = refine_roots(config.arm, Tool.MAHLI, p, a, TILTED_R_m_s2, q + 0.02)
     assert found.converged.all()
     assert (found.error < TASK_TOLERANCE).all()
     X = hanging(config, found.output_rad, TILTED_R_m_s2, Tool.MAHLI)
     assert np.abs(task_error(X, p, a)).max() < 1e-10
-    at_rest = rest(config.arm, found.output_rad, TILTED_R_m_s2)
+    at_rest = settle_output(config.arm, found.output_rad, TILTED_R_m_s2)
     np.testing.assert_allclose(found.torque_Nm, at_rest.torque_Nm, atol=1e-6)
 
 
@@ -103,7 +103,7 @@ def test_next_to_a_double_root_what_converges_meets_its_target(name, gravity):
     q = in_limits(config_of(), rng, 200, shrink=0.1)
     q[2] = 10.0 ** rng.uniform(-6, -2, 200) * rng.choice([-1, 1], 200)
     X = hanging(config, q, gravity, Tool.APXS)
-    found = refine(config.arm, Tool.APXS, X.p, X.R[:, 0], gravity, q + 0.03)
+    found = refine_roots(config.arm, Tool.APXS, X.p, X.R[:, 0], gravity, q + 0.03)
     assert found.converged.mean() > 0.9
     np.testing.assert_array_equal(found.converged, found.error < ROOT_TOLERANCE)
     ok = found.converged
@@ -114,7 +114,7 @@ def test_next_to_a_double_root_what_converges_meets_its_target(name, gravity):
 def test_a_tool_that_points_the_other_way_is_no_answer():
     config = config_of()
     q, p, a = hanging_targets(config, Tool.DRILL, 30, RIGID)
-    found = refine(config.arm, Tool.DRILL, p, -a, RIGID, q)
+    found = refine_roots(config.arm, Tool.DRILL, p, -a, RIGID, q)
     X = tool_pose(config.arm, forward(config.arm, found.output_rad), Tool.DRILL)
     faces = dot(X.R[:, 0], -a) > 0.999
     assert not (found.converged & ~faces).any()
@@ -128,7 +128,7 @@ def test_a_target_out_of_reach_does_not_converge_and_raises_nothing(name, gravit
     config = config_of(name)
     q, p, a = hanging_targets(config, Tool.APXS, 20, MARS_R_m_s2)
     for far in (p + 3.0, p + np.array([[0], [0], [50.0]]), 1e4 * p):
-        found = refine(config.arm, Tool.APXS, far, a, gravity, q)
+        found = refine_roots(config.arm, Tool.APXS, far, a, gravity, q)
         assert not found.converged.any()
         assert (found.error[np.isfinite(found.error)] > 0.1).all()
 
@@ -139,7 +139,7 @@ def test_a_start_that_is_not_finite_does_not_converge_and_leaves_its_neighbours_
     start = q.copy()
     start[:, 3] = np.nan
     start[2, 5] = np.inf
-    found = refine(config.arm, Tool.APXS, p, a, MARS_R_m_s2, start)
+    found = refine_roots(config.arm, Tool.APXS, p, a, MARS_R_m_s2, start)
     np.testing.assert_array_equal(np.flatnonzero(~found.converged), [3, 5])
     assert np.isinf(found.error[[3, 5]]).all()
     assert not found.torque_Nm[:, [3, 5]].any()
@@ -150,9 +150,9 @@ def test_unreachable_neighbours_do_not_change_what_converges():
     q, p, a = hanging_targets(config, Tool.APXS, 12, MARS_R_m_s2)
     mixed = p.copy()
     mixed[:, ::3] += 2.0
-    found = refine(config.arm, Tool.APXS, mixed, a, MARS_R_m_s2, q + 0.01)
+    found = refine_roots(config.arm, Tool.APXS, mixed, a, MARS_R_m_s2, q + 0.01)
     np.testing.assert_array_equal(found.converged, np.arange(12) % 3 != 0)
-    alone = refine(config.arm, Tool.APXS, p, a, MARS_R_m_s2, q + 0.01)
+    alone = refine_roots(config.arm, Tool.APXS, p, a, MARS_R_m_s2, q + 0.01)
     np.testing.assert_allclose(
         found.output_rad[:, found.converged], alone.output_rad[:, found.converged], atol=1e-9
     )
@@ -163,7 +163,7 @@ def test_a_batch_of_targets_is_its_single_targets(name):
     config = config_of(name)
     q, p, a = hanging_targets(config, Tool.APXS, 12, MARS_R_m_s2)
     shape = (2, 6)
-    many = refine(
+    many = refine_roots(
         config.arm, Tool.APXS, p.reshape(3, *shape), a.reshape(3, *shape), MARS_R_m_s2,
         (q + 0.01).reshape(5, *shape),
     )  # fmt: skip
@@ -171,7 +171,7 @@ def test_a_batch_of_targets_is_its_single_targets(name):
     assert many.output_rad.shape == many.torque_Nm.shape == (5, *shape)
     for index in np.ndindex(shape):
         k = np.ravel_multi_index(index, shape)
-        one = refine(config.arm, Tool.APXS, p[:, k], a[:, k], MARS_R_m_s2, q[:, k] + 0.01)
+        one = refine_roots(config.arm, Tool.APXS, p[:, k], a[:, k], MARS_R_m_s2, q[:, k] + 0.01)
         assert one.converged.shape == ()
         assert one.converged
         np.testing.assert_allclose(many.output_rad[:, *index], one.output_rad, rtol=0, atol=1e-12)
@@ -181,7 +181,7 @@ def test_one_target_may_have_many_starts():
     config = config_of()
     q, p, a = hanging_targets(config, Tool.APXS, 1, MARS_R_m_s2)
     starts = q + np.linspace(-0.02, 0.02, 7)
-    found = refine(config.arm, Tool.APXS, p[:, 0], a[:, 0], MARS_R_m_s2, starts)
+    found = refine_roots(config.arm, Tool.APXS, p[:, 0], a[:, 0], MARS_R_m_s2, starts)
     assert found.converged.all()
     np.testing.assert_allclose(found.output_rad, np.repeat(q, 7, axis=1), atol=1e-8)
 
@@ -196,7 +196,7 @@ def test_of_the_starts_that_lead_to_one_root_of_a_target_one_is_followed_and_no_
     order = np.argsort(target, kind="stable")
     start, target = start[:, order], target[order]
     arguments = (config.arm, Tool.DRILL, p[:, target], a[:, target], gravity, start)
-    every, few = refine(*arguments), refine(*arguments, target=target)
+    every, few = refine_roots(*arguments), refine_roots(*arguments, target=target)
     assert few.converged.sum() < 0.5 * every.converged.sum()
     for k in range(40):
         found, kept = (r.output_rad[:, r.converged & (target == k)] for r in (every, few))

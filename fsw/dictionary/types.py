@@ -1,0 +1,40 @@
+"""Value types of commands, channels and parameters: limits, vectors, and arrays as tuples of floats."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Annotated
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """The closed range in which a number is believable."""
+
+    low: float
+    high: float
+
+
+Length = Annotated[float, Limits(-5.0, 5.0)]
+Angle = Annotated[float, Limits(-6.5, 6.5)]
+
+Vector3 = tuple[float, float, float]
+Joints5 = tuple[float, float, float, float, float]
+Row6 = tuple[float, float, float, float, float, float]
+Matrix6 = tuple[Row6, Row6, Row6, Row6, Row6, Row6]
+
+
+def vector3(values: Iterable[float]) -> Vector3:
+    """Three numbers."""
+    x, y, z = (float(value) for value in values)
+    return (x, y, z)
+
+
+def joints5(values: Iterable[float]) -> Joints5:
+    """One number a joint, in the order of Joint."""
+    a, b, c, d, e = (float(value) for value in values)
+    return (a, b, c, d, e)
+
+
+def row6(values: Iterable[float]) -> Row6:
+    """A screw, or a row of a compliance."""
+    a, b, c, d, e, f = (float(value) for value in values)
+    return (a, b, c, d, e, f)
