@@ -10,14 +10,13 @@ from fsw.dictionary.evrs import Booted, Evr, ModeChanged
 from fsw.estimate import joints as joint_estimate
 from fsw.estimate.hardstop import HardstopFit
 from fsw.estimate.joints import JointEstimate, LoadEstimate
-from fsw.executive.commands import handle, proceed
+from fsw.executive.commands import continue_sequence, handle
+from fsw.executive.context import CommandContext
 from fsw.executive.protection import MoveOutcome, apply_decision, describe_arm
-from fsw.executive.situation import Situation
 from fsw.kinematics.transforms import Array
 from fsw.messages import Outputs, Sensors
-from fsw.motion.drive import drive_for
-from fsw.motion.move import Phase, advance, pressing_in
-from fsw.motion.plan_press import Pressing
+from fsw.motion.move import Phase, advance_move, command_actuators, move_preload
+from fsw.motion.preload import PreloadState
 from fsw.protect.protection import protect
 from fsw.protect.readings import check_readings
 from fsw.state import State, joint_channels
@@ -27,16 +26,16 @@ def step(
     config: Config, state: State, sensors: Sensors, commands: tuple[Command, ...]
 ) -> tuple[State, Outputs]:
     """The state and the outputs after one cycle; everything follows from the arguments."""
-    before, config = state, state.changed or config
+    before, config = state, state.changed_config or config
     unusable = check_readings(config.protection, sensors)
     usable = not unusable
     joints, load, tool_channels = _estimate(config, state, sensors, usable)
     state, joints, decided = _decide(config, state, joints, load, sensors, commands, usable)
     # at rest the last set-point is where the motors are, in today's encoder zero
-    last_rad = joints.motor_rad if before.move is None else before.move.hold.motor_rad
-    moved, joints, pressing, planned_gap_rad = _move(config, state, joints, load, sensors, usable)
+    last_rad = joints.motor_rad if before.move is None else before.move.setpoint.motor_rad
+    moved, joints, preload, planned_gap_rad = _move(config, state, joints, load, sensors, usable)
     lie = joints.backlash_state
-    arm = describe_arm(moved.mode, state.tool, joints, lie[2], moved.move, pressing)
+    arm = describe_arm(moved.mode, state.tool, joints, lie[2], moved.move, preload)
     monitors, decision = protect(
         config.protection, state.monitors, moved.fault, arm, sensors, last_rad, unusable, moved.evrs
     )
@@ -50,14 +49,14 @@ def step(
         load=load,
         planned_gap_rad=planned_gap_rad,
         move=after.move,
-        pressing=pressing,
+        preload=preload,
         sequence=after.sequence,
         fault=after.fault,
         monitors=monitors,
-        drive=drive_for(config, after.move, joints, state.drive),
-        changed=state.changed,
+        drive=command_actuators(config, after.move, joints, state.drive),
+        changed_config=state.changed_config,
     )
-    return state, _outputs(config, before, state, lie, tool_channels, decided + after.evrs)
+    return state, _make_outputs(config, before, state, lie, tool_channels, decided + after.evrs)
 
 
 def _estimate(
@@ -69,7 +68,7 @@ def _estimate(
     joints = joint_estimate.update_joints(config, state.joints, sensors)
     if state.load.known and state.tick % config.params.motion.load_period != 0:
         return joints, state.load, None
-    push = None if state.pressing is None else state.pressing.pushed
+    push = None if state.preload is None else state.preload.reaction
     load, joints, channels = joint_estimate.update_load(
         config, state.tick, state.tool, joints, state.load, push
     )
@@ -88,33 +87,33 @@ def _decide(
     """Commands change what the arm is about to do, and what is known of its joints."""
     if not commands and (state.sequence is None or state.move is not None):
         return state, joints, ()
-    now = Situation(replace(state, joints=joints, load=load), usable, closed=sensors.switch_closed)
+    context = CommandContext(replace(state, joints=joints, load=load), usable, closed=sensors.switch_closed)
     for command in commands:
-        now = handle(now.state.changed or config, now, command)
-    now = proceed(now.state.changed or config, now)
-    return now.state, now.state.joints, now.evrs
+        context = handle(context.state.changed_config or config, context, command)
+    context = continue_sequence(context.state.changed_config or config, context)
+    return context.state, context.state.joints, context.evrs
 
 
 def _move(
     config: Config, state: State, joints: JointEstimate, load: LoadEstimate, sensors: Sensors, usable: bool
-) -> tuple[MoveOutcome, JointEstimate, Pressing | None, Array]:
+) -> tuple[MoveOutcome, JointEstimate, PreloadState | None, Array]:
     """The move under way, one cycle on, to be protected; with bad readings only the brakes go on."""
-    mode, move, pressing, gap_rad = state.mode, state.move, state.pressing, state.planned_gap_rad
+    mode, move, preload, gap_rad = state.mode, state.move, state.preload, state.planned_gap_rad
     evrs: tuple[Evr, ...] = ()
     if move is not None and (usable or move.phase is Phase.BRAKE):
-        result = advance(config, move, joints, load, sensors)
-        if move.press is not None:
-            pressing = pressing_in(result.move or move)
+        result = advance_move(config, move, joints, load, sensors)
+        if move.preload_change is not None:
+            preload = move_preload(result.move or move)
         move, evrs = result.move, result.evrs
         mode = mode if result.end_mode is None else result.end_mode
         gap_rad = gap_rad if result.gap_rad is None else result.gap_rad
-        if result.stop is not None:
-            joints, calibrated = _calibrate(config, joints, load, *result.stop)
+        if result.found_hardstop is not None:
+            joints, calibrated = _apply_homing(config, joints, load, *result.found_hardstop)
             evrs = (calibrated, *evrs)
-    return MoveOutcome(mode, move, state.sequence, state.fault, evrs), joints, pressing, gap_rad
+    return MoveOutcome(mode, move, state.sequence, state.fault, evrs), joints, preload, gap_rad
 
 
-def _calibrate(
+def _apply_homing(
     config: Config, joints: JointEstimate, load: LoadEstimate, joint: Joint, found: HardstopFit
 ) -> tuple[JointEstimate, Evr]:
     """The joints with the zero of one that has found its hardstop."""
@@ -122,7 +121,7 @@ def _calibrate(
     return calibrated, found.to_event(joint, float((calibrated.motor_rad - joints.motor_rad)[joint]))
 
 
-def _outputs(
+def _make_outputs(
     config: Config, before: State, state: State, lie: Array, tool: ToolChannels | None, evrs: tuple[Evr, ...]
 ) -> Outputs:
     """What leaves flight software in this cycle."""

@@ -13,7 +13,7 @@ from fsw.estimate.reference import Reference, no_reference
 from fsw.kinematics.transforms import Array
 from fsw.messages import ActuatorCommand, Outputs
 from fsw.motion.move import Move
-from fsw.motion.plan_press import Pressing
+from fsw.motion.preload import PreloadState
 from fsw.protect.monitors import MonitorState
 from fsw.protect.responses import StandingFault
 
@@ -26,7 +26,7 @@ class Hold:
     vibrate: bool
 
 
-Step = Command | Hold
+SequenceStep = Command | Hold
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class Sequence:
     """Frozen record of what is still to come of a command that takes several moves."""
 
     command: str
-    rest: tuple[Step, ...]
+    remaining: tuple[SequenceStep, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,14 +51,14 @@ class State:
     """Where the set-points assume the outputs to lie in their backlash."""
     move: Move | None
     """None while the arm stands on its brakes."""
-    pressing: Pressing | None
+    preload: PreloadState | None
     """What the tool that touches was pressed with last; None since it has been moved."""
     sequence: Sequence | None
     """Commands that are still to come of one that takes several."""
     fault: StandingFault | None
     monitors: MonitorState
     drive: ActuatorCommand
-    changed: Config | None = None
+    changed_config: Config | None = None
     """The configuration with the parameters that were set since boot; None if none was."""
 
 
@@ -74,7 +74,7 @@ def boot(config: Config, mode: Mode, reference: Reference | None = None) -> Stat
         load=no_load(n),
         planned_gap_rad=np.zeros(n),
         move=None,
-        pressing=None,
+        preload=None,
         sequence=None,
         fault=None,
         monitors=MonitorState(),
@@ -91,7 +91,7 @@ def outputs_at_rest(state: State) -> Outputs:
 
 def last_setpoint(state: State) -> Array:
     """The motor angles that were asked for last: a move's set-point, or where the brakes hold the motors."""
-    return state.joints.motor_rad if state.move is None else state.move.hold.motor_rad
+    return state.joints.motor_rad if state.move is None else state.move.setpoint.motor_rad
 
 
 def joint_channels(tick: int, state: State, lie: Array) -> JointChannels:

@@ -12,9 +12,9 @@ from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.evrs import Evr, JointCalibrated
 from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
-from fsw.executive.hardstop_pose import stop_poses
+from fsw.executive.homing_poses import homing_start_poses
 from fsw.kinematics.transforms import Array
-from fsw.motion.seek import Stage
+from fsw.motion.homing import HomingStage
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect, fitted, nominal_hardware
 from sim.loop import ClosedLoop, Setup
@@ -47,7 +47,7 @@ class Sample:
 
     time_s: float
     joint: Joint
-    stage: Stage
+    stage: HomingStage
     angle_rad: float
     speed_rad_s: float
     current_A: float
@@ -101,8 +101,8 @@ class InitialisationRun:
             self._evrs.append((time_s, evr))
             if isinstance(evr, JointCalibrated):
                 self._stops.append(self._found(evr))
-        if state.move is not None and state.move.seek is not None:
-            seek = state.move.seek
+        if state.move is not None and state.move.homing is not None:
+            seek = state.move.homing
             j = seek.joint
             self._samples.append(
                 Sample(
@@ -120,7 +120,7 @@ class InitialisationRun:
         plant, state, config, j = self.loop.plant, self.loop.state, self.loop.config, evr.joint
         drawn_rad = config.params.joints.in_order()[j].hardstop_rad
         zero_error = float((state.joints.motor_rad - plant.motor_rad() + plant.stop_rad())[j]) - drawn_rad
-        stalled_rad = min(s.angle_rad for s in self._samples if s.joint is j and s.stage is Stage.FINE)
+        stalled_rad = min(s.angle_rad for s in self._samples if s.joint is j and s.stage is HomingStage.FINE)
         uncorrected = drawn_rad - stalled_rad - float(config.half_gap_rad[j])
         return Stop(
             joint=j,
@@ -162,7 +162,7 @@ def stop_run(
     before_stop_rad: float = BEFORE_STOP_RAD,
 ) -> InitialisationRun:
     """One joint about to look for its hardstop in its last pose, the others so far (5) away from there."""
-    pose = stop_poses(arm.params, joint)[-1] + (0.0 if away_rad is None else away_rad)
+    pose = homing_start_poses(arm.params, joint)[-1] + (0.0 if away_rad is None else away_rad)
     pose[joint] = arm.params.joints.in_order()[joint].hardstop_rad + before_stop_rad
     loop = ClosedLoop(Setup(arm, world, joints5(pose), seed, reference, effects))
     return InitialisationRun(loop, Calibrate(joint))

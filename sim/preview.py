@@ -13,14 +13,14 @@ from fsw.config import Config, configure
 from fsw.dictionary.enums import Tool
 from fsw.estimate.joints import JointEstimate, uninitialised_estimate
 from fsw.estimate.reference import no_reference
-from fsw.executive.planning import plan_for
+from fsw.executive.planning import plan_command
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import Equilibrium, settle
 from fsw.kinematics.transforms import Array
 from fsw.motion.compensation import Compensation
 from fsw.motion.paths import Path
-from fsw.motion.plan import Plan, Refusal, joints_at, plan_poses
+from fsw.motion.plan import Plan, Refusal, estimate_at, plan_poses
 from fsw.motion.plan_tool import AUTO, plan_tool
 from sim.arms import BuiltArm
 from sim.placement import Placement, placement_moves
@@ -116,9 +116,9 @@ def _try(config: Config, plant: Plant, joints: JointEstimate, placement: Placeme
         if hit is not None:
             return _no(placement, f"{plan.branch}: {hit} on the way to the standoff")
         duration += sum(path.duration_s for path in plan.paths)
-        joints = joints_at(joints, plan.end)
+        joints = estimate_at(joints, plan.end)
         placement = replace(placement, branch=plan.branch or AUTO)
-    line = plan_for(config, joints, placement.tool, touch)
+    line = plan_command(config, joints, placement.tool, touch)
     if isinstance(line, Refusal):
         return _no(placement, line.reason)
     hit = _first_hit(plant, _approach(config, joints, line, placement), TOUCH_CLEARANCE_M, placement.tool)

@@ -17,7 +17,7 @@ from fsw.kinematics.chain import frame_jacobian, tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, screw_exp
 from fsw.motion.compensation import Compensation
-from fsw.motion.plan import Stand, plan_to
+from fsw.motion.plan import JointPositions, plan_joint_move
 from sim.scatter import Scatter, body_index
 
 
@@ -58,14 +58,14 @@ def settled_move(
     hanging = settle_output(believed.arm, goal_rad, gravity_R_m_s2)
     loads = bound_loads(believed, hanging.torque_Nm, gravity_R_m_s2)
     lying = bound_gear(believed, reference.half_gap_rad, loads)
-    start = Stand(start_rad - lying.lowest_rad[:, LIKELY], lying.lowest_rad[:, LIKELY])
+    start = JointPositions(start_rad - lying.lowest_rad[:, LIKELY], lying.lowest_rad[:, LIKELY])
     joints = replace(
         uninitialised_estimate(believed, reference),
         initialised=True,
         motor_rad=start.motor_rad,
         imu_R_m_s2=gravity_R_m_s2,
     )
-    plan = plan_to(believed, joints, start, goal_rad, hanging.torque_Nm, Compensation(backlash))
+    plan = plan_joint_move(believed, joints, start, goal_rad, hanging.torque_Nm, Compensation(backlash))
     off_rad = arm.off_rad + scatter.motor_rad
     motor = start.motor_rad + off_rad
     torque = settle_output(true.arm, goal_rad, gravity_R_m_s2).torque_Nm

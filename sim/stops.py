@@ -17,8 +17,8 @@ from fsw.dictionary.commands import Calibrate, MoveJoint
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, joints5
-from fsw.executive.hardstop_pose import stop_poses
-from fsw.executive.sequence import calibrate_all
+from fsw.executive.expansion import expand_calibrate_all
+from fsw.executive.homing_poses import homing_start_poses
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
@@ -70,7 +70,7 @@ class NoPlan(ValueError):
 
 def stop_loads(params: Params, gravity_R_m_s2: Array) -> StopLoads:
     """What each joint carries at its hardstop."""
-    poses = np.array([stop_poses(params, joint)[-1] for joint in Joint]).T
+    poses = np.array([homing_start_poses(params, joint)[-1] for joint in Joint]).T
     for joint, of_joint in zip(Joint, params.joints.in_order(), strict=True):
         poses[joint, joint] = of_joint.hardstop_rad
     torques = settle_output(build_arm(params), poses, gravity_R_m_s2).torque_Nm
@@ -81,7 +81,7 @@ def way(params: Params) -> list[Array]:
     """Every pose (5) between two motions while all joints are calibrated; each motion is of one joint."""
     stops = configure(params).hardstop_rad
     poses = [np.array(params.hardstop.start_rad)]
-    for command in calibrate_all(params).rest:
+    for command in expand_calibrate_all(params).remaining:
         pose = poses[-1].copy()
         match command:
             case Calibrate(joint=joint):

@@ -254,7 +254,7 @@ class _Watch:
         driven = move is not None and move.phase is Phase.RUN and not move.stopped
         off_rad = 0.0
         if move is not None and driven:
-            apart = np.abs(self._loop.plant.motor_rad() - move.hold.motor_rad)
+            apart = np.abs(self._loop.plant.motor_rad() - move.setpoint.motor_rad)
             off_rad = float(np.where(move.active, apart, 0.0).max())
         self._off = self._off + 1 if off_rad > 2 * bounds.following_error_rad else 0
         self.astray |= self._off > 2 * bounds.following_persistence

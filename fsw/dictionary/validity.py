@@ -147,7 +147,8 @@ def _check_compliance(compliance: Matrix6) -> str | None:
     C = np.array(compliance)
     if np.abs(C).max() > MAX_COMPLIANCE:
         worst = C.flat[np.abs(C).argmax()]
-        return f"{worst} is outside {-MAX_COMPLIANCE} .. {MAX_COMPLIANCE} (rad or m, per N m or N), no link is as soft"
+        limits = f"{-MAX_COMPLIANCE} .. {MAX_COMPLIANCE}"
+        return f"{worst} is outside {limits} (rad or m, per N m or N), no link is as soft"
     unit = np.sqrt(np.abs(np.diag(C)))
     scale = np.outer(unit, unit)
     lopsided = np.abs(C - C.T) > ROUNDING * scale

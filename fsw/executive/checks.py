@@ -32,12 +32,16 @@ from fsw.dictionary.types import Vector3
 from fsw.kinematics.branches import BRANCHES
 from fsw.motion.plan_tool import AUTO
 
-FARTHEST_M = 1e6
-FARTHEST_RAD = 1.6
+MAX_POSITION_M = 1e6
+MAX_ATTITUDE_RAD = 1.6
 
-FRAMES = (ROVER, *(frame.name for frame in Frame if frame is not Frame.TOOL), *(tool.name for tool in Tool))
-LONGEST_M = 1.0
-LONGEST_S = 3600.0
+FRAME_NAMES = (
+    ROVER,
+    *(frame.name for frame in Frame if frame is not Frame.TOOL),
+    *(tool.name for tool in Tool),
+)
+MAX_LENGTH_M = 1.0
+MAX_DURATION_S = 3600.0
 
 MoveCommand = (
     Calibrate
@@ -60,57 +64,55 @@ MoveCommand = (
 ToolCommand = MoveTool | GuardedMove | PlaceTool | Preload | ToolChange | Process | Retract
 
 
-def malformed(command: MoveCommand) -> str | None:
+def check_arguments(command: MoveCommand) -> str | None:
     """What is wrong with the command's own numbers and words."""
-    no_tool = _malformed_tool(command.tool) if isinstance(command, ToolCommand) else None
+    no_tool = _check_tool(command.tool) if isinstance(command, ToolCommand) else None
     if no_tool is not None:
         return no_tool
     match command:
         case Unstow() | Stow():
             return None
         case Calibrate(joint=joint):
-            return _malformed_joint(joint)
+            return _check_joint(joint)
         case MoveJoint(joint=joint, angle_rad=angle):
             finite = None if isfinite(angle) else "the joint angle is not finite"
-            return finite or _malformed_joint(joint) or _malformed_backlash(command.backlash)
+            return finite or _check_joint(joint) or _check_backlash(command.backlash)
         case MoveJoints(angle_rad=angles):
             finite = None if np.all(np.isfinite(angles)) else "a joint angle is not finite"
-            return finite or _malformed_modes(command)
+            return finite or _check_compensation(command)
         case MoveTool():
-            return _malformed_move_tool(command)
+            return _check_move_tool(command)
         case GuardedMove():
-            problem = _no_switch(command.tool) or _malformed_target(
-                command.end_p_RoTo_R_m, command.approach_R
-            )
-            return problem or _malformed_modes(command)
+            problem = _check_switch(command.tool) or _check_target(command.end_p_RoTo_R_m, command.approach_R)
+            return problem or _check_compensation(command)
         case PlaceTool():
-            problem = _no_switch(command.tool) or _malformed_target(command.p_RoTo_R_m, command.approach_R)
-            problem = problem or _malformed_lengths(command) or _malformed_modes(command)
-            return problem or _malformed_branch(command.branch)
+            problem = _check_switch(command.tool) or _check_target(command.p_RoTo_R_m, command.approach_R)
+            problem = problem or _check_lengths(command) or _check_compensation(command)
+            return problem or _check_branch_name(command.branch)
         case ToolChange():
-            problem = _no_switch(command.tool) if command.hover_m == 0 else None
+            problem = _check_switch(command.tool) if command.hover_m == 0 else None
             if not 0 <= command.hover_m < command.standoff_m:
                 problem = problem or f"hover_m {command.hover_m} m is not below the standoff, nor 0"
-            problem = problem or _malformed_lengths(command) or _malformed_modes(command)
-            return problem or _malformed_branch(command.branch)
+            problem = problem or _check_lengths(command) or _check_compensation(command)
+            return problem or _check_branch_name(command.branch)
         case MoveTeachPoint():
-            return _malformed_length("away_m", command.away_m, least_m=0.0) or _malformed_modes(command)
+            return _check_length("away_m", command.away_m, least_m=0.0) or _check_compensation(command)
         case Dock():
-            problem = _malformed_length("overtravel_m", command.overtravel_m)
-            return problem or _malformed_backlash(command.backlash)
+            problem = _check_length("overtravel_m", command.overtravel_m)
+            return problem or _check_backlash(command.backlash)
         case Preload():
             return None if isfinite(command.force_N) else "the force is not finite"
         case Process():
-            if not 0 <= command.duration_s <= LONGEST_S:
-                return f"duration_s {command.duration_s} s is outside 0 .. {LONGEST_S:g} s"
-            return malformed_direction("gravity_T", command.gravity_T) or _malformed_modes(command)
+            if not 0 <= command.duration_s <= MAX_DURATION_S:
+                return f"duration_s {command.duration_s} s is outside 0 .. {MAX_DURATION_S:g} s"
+            return check_vector("gravity_T", command.gravity_T) or _check_compensation(command)
         case Retract(distance_m=d):
-            return _malformed_length("distance_m", d) or _malformed_modes(command)
+            return _check_length("distance_m", d) or _check_compensation(command)
         case _:
             assert_never(command)
 
 
-def beyond(params: Params, command: Preload | SetTilt) -> str | None:
+def check_bounds(params: Params, command: Preload | SetTilt) -> str | None:
     """What is wrong with a command's numbers by these parameters, or by what a rover can be asked."""
     match command:
         case Preload(force_N=force):
@@ -118,73 +120,73 @@ def beyond(params: Params, command: Preload | SetTilt) -> str | None:
             inside, said = 0 <= force <= most_N, f"force {force:g} N is outside 0 .. {most_N:g} N"
         case SetTilt():
             angles = (command.roll_rad, command.pitch_rad)
-            inside = all(abs(angle) <= FARTHEST_RAD for angle in angles)
-            said = f"roll and pitch must be within {FARTHEST_RAD} rad"
+            inside = all(abs(angle) <= MAX_ATTITUDE_RAD for angle in angles)
+            said = f"roll and pitch must be within {MAX_ATTITUDE_RAD} rad"
     return None if inside else said
 
 
-def _malformed_move_tool(command: MoveTool) -> str | None:
-    if command.frame not in FRAMES:
-        return f"frame {command.frame!r} is not known; there are {', '.join(FRAMES)}"
+def _check_move_tool(command: MoveTool) -> str | None:
+    if command.frame not in FRAME_NAMES:
+        return f"frame {command.frame!r} is not known; there are {', '.join(FRAME_NAMES)}"
     if command.straight and command.branch != AUTO:
         return f"a straight move stays on the branch that the arm is on; leave branch {AUTO}"
-    problem = _malformed_branch(command.branch) or _malformed_length("line_m", command.line_m, least_m=0.0)
-    problem = problem or _malformed_target(command.p_FoTo_F_m, command.approach_F)
-    return problem or _malformed_modes(command)
+    problem = _check_branch_name(command.branch) or _check_length("line_m", command.line_m, least_m=0.0)
+    problem = problem or _check_target(command.p_FoTo_F_m, command.approach_F)
+    return problem or _check_compensation(command)
 
 
-def _no_switch(tool: Tool) -> str | None:
+def _check_switch(tool: Tool) -> str | None:
     return None if TOOL_SWITCHES[tool] else f"{tool.name} has no contact switch to end a guarded move"
 
 
-def _malformed_lengths(command: PlaceTool | ToolChange) -> str | None:
-    standoff = _malformed_length("standoff_m", command.standoff_m)
-    return standoff or _malformed_length("overtravel_m", command.overtravel_m)
+def _check_lengths(command: PlaceTool | ToolChange) -> str | None:
+    standoff = _check_length("standoff_m", command.standoff_m)
+    return standoff or _check_length("overtravel_m", command.overtravel_m)
 
 
-def _malformed_length(name: str, length_m: float, least_m: float | None = None) -> str | None:
+def _check_length(name: str, length_m: float, least_m: float | None = None) -> str | None:
     """A length is at most a metre, and at least this or above nothing."""
     enough = length_m > 0 if least_m is None else length_m >= least_m
-    if enough and length_m <= LONGEST_M:
+    if enough and length_m <= MAX_LENGTH_M:
         return None
     least = "more than 0" if least_m is None else f"at least {least_m:g}"
-    return f"{name} {length_m} m must be {least} and at most {LONGEST_M:g} m"
+    return f"{name} {length_m} m must be {least} and at most {MAX_LENGTH_M:g} m"
 
 
-def _malformed_branch(branch: str) -> str | None:
+def _check_branch_name(branch: str) -> str | None:
     if branch in (AUTO, *BRANCHES):
         return None
     return f"branch {branch!r} is not known; there are {AUTO}, {', '.join(BRANCHES)}"
 
 
-def _malformed_joint(joint: object) -> str | None:
+def _check_joint(joint: object) -> str | None:
     if isinstance(joint, int) and joint in tuple(Joint):
         return None
     return f"joint {joint!r} is not known; there are {', '.join(joint.name.lower() for joint in Joint)}"
 
 
-def _malformed_tool(tool: object) -> str | None:
+def _check_tool(tool: object) -> str | None:
     if isinstance(tool, Tool):
         return None
     return f"tool {tool!r} is not known; there are {', '.join(tool.name.lower() for tool in Tool)}"
 
 
-def _malformed_target(p_m: Vector3, approach: Vector3) -> str | None:
+def _check_target(p_m: Vector3, approach: Vector3) -> str | None:
     if not (np.all(np.isfinite(p_m)) and np.all(np.isfinite(approach))):
         return "position or approach is not finite"
-    if max(map(abs, p_m)) > FARTHEST_M:
-        return f"the position is farther than {FARTHEST_M:g} m away"
-    return malformed_direction("the approach", approach)
+    if max(map(abs, p_m)) > MAX_POSITION_M:
+        return f"the position is farther than {MAX_POSITION_M:g} m away"
+    return check_vector("the approach", approach)
 
 
-def malformed_direction(name: str, direction: Vector3) -> str | None:
+def check_vector(name: str, direction: Vector3) -> str | None:
     """What is wrong with the numbers of a direction of this name."""
     if not np.all(np.isfinite(direction)):
         return f"{name} is not finite"
     return None if 1e-9 < max(map(abs, direction)) < 1e9 else f"{name} has no length"
 
 
-def _malformed_modes(
+def _check_compensation(
     command: MoveJoints
     | MoveTool
     | GuardedMove
@@ -196,11 +198,11 @@ def _malformed_modes(
 ) -> str | None:
     known = get_args(JointDeflectionMode if isinstance(command, MoveJoints | Process) else DeflectionMode)
     if command.deflection in known:
-        return _malformed_backlash(command.backlash)
+        return _check_backlash(command.backlash)
     return f"deflection {command.deflection!r} is not known; there are {', '.join(known)}"
 
 
-def _malformed_backlash(backlash: str) -> str | None:
+def _check_backlash(backlash: str) -> str | None:
     if backlash in get_args(BacklashMode):
         return None
     return f"backlash {backlash!r} is not known; there are {', '.join(get_args(BacklashMode))}"

@@ -27,252 +27,325 @@ from fsw.dictionary.commands import (
     ToolChange,
     Unstow,
 )
-from fsw.dictionary.enums import Joint, Mode, Tool
+from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Mode, Switch, Tool
 from fsw.dictionary.evrs import (
     BranchChosen,
     CommandAborted,
     CommandAccepted,
     CommandCompleted,
     Evr,
+    FaultCleared,
     Preloaded,
     SpotTaken,
 )
 from fsw.dictionary.types import vector3
 from fsw.estimate.reference import forget_joint
-from fsw.executive.checks import beyond, malformed
-from fsw.executive.hardstop_pose import unsafe, unsafe_for_all
-from fsw.executive.modes import EVENT_OF, TRANSITIONS, Event
-from fsw.executive.planning import PlannedMove, ahead, plan_for
-from fsw.executive.sequence import calibrate_all
-from fsw.executive.settings import set_param, set_tilt
-from fsw.executive.situation import (
-    Situation,
-    name_of,
-    not_calibrated,
-    not_in_mode,
-    not_now,
-    pressing_of,
-    refused,
-    told,
-    touches,
+from fsw.executive.checks import check_arguments, check_bounds
+from fsw.executive.context import (
+    CommandContext,
+    check_calibrated,
+    check_mode,
+    check_ready,
+    command_name,
+    in_contact,
+    refuse,
+    tool_preload,
+    with_events,
 )
-from fsw.executive.steps import Stepped, spot, steps_of
-from fsw.executive.stopping import clear_fault, sequence_over, stop_move
-from fsw.motion import seek
-from fsw.motion.move import Move
-from fsw.motion.paths import Setpoint, StillPath
+from fsw.executive.expansion import CompoundCommand, expand_calibrate_all, expand_command, locate_spot
+from fsw.executive.homing_poses import check_homing, check_homing_all
+from fsw.executive.modes import EVENT_OF, TRANSITIONS, ModeEvent, is_stowed, next_mode, stop_event
+from fsw.executive.planning import SingleMoveCommand, check_steps, plan_command
+from fsw.executive.settings import set_param, set_tilt
+from fsw.motion import homing
+from fsw.motion.move import Move, stop_early
+from fsw.motion.paths import HoldPath, Setpoint
 from fsw.motion.plan import Refusal
-from fsw.motion.plan_press import Pressing, plan_press, press_limit_A, touched
-from fsw.motion.trim import PressFit
-from fsw.state import Hold, Sequence, Step
+from fsw.motion.preload import (
+    ForceFit,
+    PreloadState,
+    holding_force_N,
+    model_contact,
+    plan_preload,
+    preload_limit_A,
+)
+from fsw.state import Hold, Sequence, SequenceStep
 
 
-def handle(config: Config, now: Situation, command: Step) -> Situation:
+def clear_fault(config: Config, context: CommandContext, command: ClearFault) -> CommandContext:
+    """Commands are accepted again."""
+    mode = next_mode(context.state.mode, _clear_event(config, context))
+    if mode is None:
+        return refuse(context, command, "no fault stands")
+    if context.state.move is not None:
+        return refuse(context, command, "the arm is still being stopped")
+    if context.state.sequence is not None:
+        context = end_sequence(context, CommandAborted(context.state.sequence.command))
+    tool = _touching_tool(context) if mode is Mode.GUARDED else context.state.tool
+    state = replace(context.state, mode=mode, tool=tool, preload=tool_preload(context, tool), fault=None)
+    context = replace(context, state=state)
+    return with_events(context, FaultCleared(), CommandCompleted(command_name(command)))
+
+
+def stop_move(config: Config, context: CommandContext, command: Stop) -> CommandContext:
+    """The move under way, if there is one, comes to rest early."""
+    if context.state.sequence is not None:
+        context = end_sequence(context, CommandAborted(context.state.sequence.command))
+    context = with_events(context, CommandCompleted(command_name(command)))
+    if context.state.move is None or context.state.mode is Mode.FAULTED:
+        return context
+    stopping = stop_early(
+        config,
+        context.state.move,
+        TRANSITIONS[context.state.mode, stop_event(config, context.state.mode, context.state.joints)],
+    )
+    return replace(context, state=replace(context.state, move=stopping))
+
+
+def end_sequence(context: CommandContext, evr: Evr) -> CommandContext:
+    """The situation without its sequence."""
+    return with_events(replace(context, state=replace(context.state, sequence=None)), evr)
+
+
+def _touching_tool(context: CommandContext) -> Tool:
+    """The tool whose switch is closed, or was when it should not; else the one that was to touch."""
+    switches = [switch for switch in Switch if context.closed[switch]]
+    if context.state.fault is not None:
+        switches += [about for _, about in context.state.fault.reported if isinstance(about, Switch)]
+    touching = (tool for switch in switches for tool in Tool if switch in TOOL_SWITCHES[tool])
+    return next(touching, context.state.tool)
+
+
+def _clear_event(config: Config, context: CommandContext) -> ModeEvent:
+    """What is cleared depends on where the arm stands: where it may touch, no free move; stowed, only unstow.
+
+    An arm that faulted in a guarded move, in a retraction or on a contact may touch, whatever its switches
+    say now; one that pressed may press.
+    """
+    fault = context.state.fault
+    if context.state.preload is not None and context.state.preload.force_N > holding_force_N(config):
+        return ModeEvent.CLEAR_PRESSED
+    if context.closed.any() or (fault is not None and fault.may_touch):
+        return ModeEvent.CLEAR_TOUCHING
+    return ModeEvent.CLEAR_STOWED if is_stowed(config, context.state.joints) else ModeEvent.CLEAR
+
+
+def handle(config: Config, context: CommandContext, command: SequenceStep) -> CommandContext:
     """The situation after a command: changed if it was accepted, with a reason if it was refused."""
     match command:
         case CalibrateAll():
-            return _calibrate_all(config, now, command)
+            return _begin_calibrate_all(config, context, command)
         case Calibrate():
-            return _calibrate(config, now, command)
+            return _begin_calibrate(config, context, command)
         case ClearFault():
-            return clear_fault(config, now, command)
+            return clear_fault(config, context, command)
         case Stop():
-            return stop_move(config, now, command)
+            return stop_move(config, context, command)
         case SetTilt():
-            return set_tilt(config, now, command)
+            return set_tilt(config, context, command)
         case SetParam():
-            return set_param(config, now, command)
+            return set_param(config, context, command)
         case Preload():
-            return _press(config, now, command)
+            return _begin_preload(config, context, command)
         case Hold():
-            return _hold(config, now, command)
+            return _begin_hold(config, context, command)
         case PlaceTool() | ToolChange() | MoveTeachPoint() | Dock() | Process():
-            return _begin_steps(config, now, command)
+            return _begin_sequence(config, context, command)
         case Unstow() | Stow() | MoveJoint() | MoveJoints() | MoveTool() | GuardedMove() | Retract():
-            return _begin_move(config, now, command)
+            return _begin_move(config, context, command)
         case _:
             assert_never(command)
 
 
-def proceed(config: Config, now: Situation) -> Situation:
+def continue_sequence(config: Config, context: CommandContext) -> CommandContext:
     """The situation after the next step of a sequence, if its last one is done."""
-    sequence = now.state.sequence
-    if sequence is None or now.state.move is not None:
-        return now
-    if now.state.mode is Mode.FAULTED:
-        return sequence_over(now, CommandAborted(sequence.command))
-    if not sequence.rest:
-        return sequence_over(now, CommandCompleted(sequence.command))
-    rest = replace(sequence, rest=sequence.rest[1:])
-    begun = handle(config, replace(now, state=replace(now.state, sequence=None)), sequence.rest[0])
+    sequence = context.state.sequence
+    if sequence is None or context.state.move is not None:
+        return context
+    if context.state.mode is Mode.FAULTED:
+        return end_sequence(context, CommandAborted(sequence.command))
+    if not sequence.remaining:
+        return end_sequence(context, CommandCompleted(sequence.command))
+    remaining = replace(sequence, remaining=sequence.remaining[1:])
+    begun = handle(
+        config, replace(context, state=replace(context.state, sequence=None)), sequence.remaining[0]
+    )
     if begun.state.move is None:
-        return sequence_over(begun, CommandAborted(sequence.command))
-    return replace(begun, state=replace(begun.state, sequence=rest))
+        return end_sequence(begun, CommandAborted(sequence.command))
+    return replace(begun, state=replace(begun.state, sequence=remaining))
 
 
-def _begin_steps(config: Config, now: Situation, command: Stepped) -> Situation:
+def _begin_sequence(config: Config, context: CommandContext, command: CompoundCommand) -> CommandContext:
     """Every step is planned from the end of the one before it, and only then does the first begin."""
-    state = now.state
-    problem = not_now(now) or not_calibrated(now, command) or malformed(command)
-    problem = problem or not_in_mode(now, EVENT_OF[type(command)])
+    state = context.state
+    problem = check_ready(context) or check_calibrated(context, command) or check_arguments(command)
+    problem = problem or check_mode(context, EVENT_OF[type(command)])
     if isinstance(command, ToolChange):
-        problem = problem or _no_tool_change(now, command)
+        problem = problem or _check_tool_change(context, command)
     if isinstance(command, Dock):
-        problem = problem or _other_tool_touches(now, None)
+        problem = problem or _check_other_tool(context, None)
     if problem is not None:
-        return refused(now, command, problem)
-    steps = steps_of(config, state.joints, state.tool, command)
+        return refuse(context, command, problem)
+    steps = expand_command(config, state.joints, state.tool, command)
     if isinstance(steps, Refusal):
-        return refused(now, command, steps.reason)
-    problem = ahead(config, state, steps)
+        return refuse(context, command, steps.reason)
+    problem = check_steps(config, state, steps)
     if problem is not None:
-        return refused(now, command, problem)
-    evrs: tuple[Evr, ...] = (CommandAccepted(name_of(command)),)
+        return refuse(context, command, problem)
+    evrs: tuple[Evr, ...] = (CommandAccepted(command_name(command)),)
     if isinstance(command, ToolChange):
-        evrs = (*evrs, SpotTaken(state.tool, *vector3(spot(config, state.joints, state.tool, command).p_m)))
-    sequence = Sequence(name_of(command), steps)
-    return told(replace(now, state=replace(state, sequence=sequence)), *evrs)
+        evrs = (
+            *evrs,
+            SpotTaken(state.tool, *vector3(locate_spot(config, state.joints, state.tool, command).p_m)),
+        )
+    sequence = Sequence(command_name(command), steps)
+    return with_events(replace(context, state=replace(state, sequence=sequence)), *evrs)
 
 
-def _no_tool_change(now: Situation, command: ToolChange) -> str | None:
-    if command.tool is now.state.tool:
+def _check_tool_change(context: CommandContext, command: ToolChange) -> str | None:
+    if command.tool is context.state.tool:
         return f"{command.tool.name} is the tool that touches"
-    if touches(now, now.state.tool):
+    if in_contact(context, context.state.tool):
         return None
-    return f"{now.state.tool.name} touches nothing: there is no spot to go back to"
+    return f"{context.state.tool.name} touches nothing: there is no spot to go back to"
 
 
-def _other_tool_touches(now: Situation, tool: Tool | None) -> str | None:
+def _check_other_tool(context: CommandContext, tool: Tool | None) -> str | None:
     """Where one tool may touch, no other is moved onto or off anything."""
-    if now.state.mode in (Mode.GUARDED, Mode.PRELOAD) and tool is not now.state.tool:
-        return f"{now.state.tool.name} is the tool that may touch; retract it first"
+    if context.state.mode in (Mode.GUARDED, Mode.PRELOAD) and tool is not context.state.tool:
+        return f"{context.state.tool.name} is the tool that may touch; retract it first"
     return None
 
 
-def _calibrate_all(config: Config, now: Situation, command: CalibrateAll) -> Situation:
-    problem = not_now(now) or not_in_mode(now, Event.MOVE_FREE) or unsafe_for_all(config, now.state.joints)
+def _begin_calibrate_all(config: Config, context: CommandContext, command: CalibrateAll) -> CommandContext:
+    problem = (
+        check_ready(context)
+        or check_mode(context, ModeEvent.MOVE_FREE)
+        or check_homing_all(config, context.state.joints)
+    )
     if problem is not None:
-        return refused(now, command, problem)
-    begun = replace(now, state=replace(now.state, sequence=calibrate_all(config.params, command.anew)))
-    return told(begun, CommandAccepted(name_of(command)))
+        return refuse(context, command, problem)
+    begun = replace(
+        context, state=replace(context.state, sequence=expand_calibrate_all(config.params, command.anew))
+    )
+    return with_events(begun, CommandAccepted(command_name(command)))
 
 
-def _calibrate(config: Config, now: Situation, command: Calibrate) -> Situation:
-    problem = not_now(now) or malformed(command) or not_in_mode(now, Event.MOVE_FREE)
-    problem = problem or unsafe(config, now.state.joints, Joint(command.joint))
+def _begin_calibrate(config: Config, context: CommandContext, command: Calibrate) -> CommandContext:
+    problem = check_ready(context) or check_arguments(command) or check_mode(context, ModeEvent.MOVE_FREE)
+    problem = problem or check_homing(config, context.state.joints, Joint(command.joint))
     if problem is not None:
-        return refused(now, command, problem)
-    joints, mode = now.state.joints, TRANSITIONS[now.state.mode, Event.MOVE_FREE]
-    move = _at_rest(config, now, command, TRANSITIONS[mode, Event.DONE])
+        return refuse(context, command, problem)
+    joints, mode = context.state.joints, TRANSITIONS[context.state.mode, ModeEvent.MOVE_FREE]
+    move = _new_move(config, context, command, TRANSITIONS[mode, ModeEvent.DONE])
     move = replace(
         move,
         active=np.arange(joints.motor_rad.size) == command.joint,
-        seek=seek.begin(Joint(command.joint), joints, command.anew),
+        homing=homing.begin_homing(Joint(command.joint), joints, command.anew),
     )
     joints = replace(joints, reference=forget_joint(joints.reference, command.joint))
-    state = replace(now.state, mode=mode, move=move, joints=joints)
-    return told(replace(now, state=state), CommandAccepted(name_of(command)))
+    state = replace(context.state, mode=mode, move=move, joints=joints)
+    return with_events(replace(context, state=state), CommandAccepted(command_name(command)))
 
 
-def _begin_move(config: Config, now: Situation, command: PlannedMove) -> Situation:
-    problem = not_now(now) or malformed(command) or not_calibrated(now, command)
-    problem = problem or not_in_mode(now, EVENT_OF[type(command)])
+def _begin_move(config: Config, context: CommandContext, command: SingleMoveCommand) -> CommandContext:
+    problem = check_ready(context) or check_arguments(command) or check_calibrated(context, command)
+    problem = problem or check_mode(context, EVENT_OF[type(command)])
     if isinstance(command, GuardedMove | Retract):
-        problem = problem or _other_tool_touches(now, command.tool)
+        problem = problem or _check_other_tool(context, command.tool)
     if problem is not None:
-        return refused(now, command, problem)
-    plan = plan_for(config, now.state.joints, now.state.tool, command)
+        return refuse(context, command, problem)
+    plan = plan_command(config, context.state.joints, context.state.tool, command)
     if isinstance(plan, Refusal):
-        return refused(now, command, plan.reason)
-    mode = TRANSITIONS[now.state.mode, EVENT_OF[type(command)]]
-    done = Event.DONE_STOWED if isinstance(command, Stow) else Event.DONE
-    tool = command.tool if isinstance(command, MoveTool | GuardedMove | Retract) else now.state.tool
+        return refuse(context, command, plan.reason)
+    mode = TRANSITIONS[context.state.mode, EVENT_OF[type(command)]]
+    done = ModeEvent.DONE_STOWED if isinstance(command, Stow) else ModeEvent.DONE
+    tool = command.tool if isinstance(command, MoveTool | GuardedMove | Retract) else context.state.tool
     move = replace(
-        _at_rest(config, now, command, TRANSITIONS[mode, done]),
+        _new_move(config, context, command, TRANSITIONS[mode, done]),
         paths=plan.paths,
-        guarded=tool if isinstance(command, GuardedMove) else None,
+        guarded_tool=tool if isinstance(command, GuardedMove) else None,
     )
     if isinstance(command, MoveJoint):
         move = replace(move, active=np.arange(move.active.size) == command.joint)
-    evrs: tuple[Evr, ...] = (CommandAccepted(name_of(command)),)
+    evrs: tuple[Evr, ...] = (CommandAccepted(command_name(command)),)
     if plan.branch is not None:
         evrs = (*evrs, BranchChosen(tool, plan.branch))
     # a guarded move of a tool that touches already does not press it on
-    stays = isinstance(command, GuardedMove) and touches(now, tool)
-    pressing = pressing_of(now, tool) if stays else None
+    stays = isinstance(command, GuardedMove) and in_contact(context, tool)
+    preload = tool_preload(context, tool) if stays else None
     state = replace(
-        now.state, mode=mode, tool=tool, move=move, pressing=pressing, planned_gap_rad=plan.gap_rad
+        context.state, mode=mode, tool=tool, move=move, preload=preload, planned_gap_rad=plan.gap_rad
     )
-    return told(replace(now, state=state), *evrs)
+    return with_events(replace(context, state=state), *evrs)
 
 
-def _press(config: Config, now: Situation, command: Preload) -> Situation:
-    state = now.state
-    problem = not_now(now) or not_calibrated(now, command) or malformed(command)
-    problem = problem or not_in_mode(now, Event.PRESS) or _other_tool_touches(now, command.tool)
-    problem = problem or beyond(config.params, command)
-    if problem is None and command.force_N > 0 and not touches(now, command.tool):
+def _begin_preload(config: Config, context: CommandContext, command: Preload) -> CommandContext:
+    state = context.state
+    problem = check_ready(context) or check_calibrated(context, command) or check_arguments(command)
+    problem = problem or check_mode(context, ModeEvent.PRESS) or _check_other_tool(context, command.tool)
+    problem = problem or check_bounds(config.params, command)
+    if problem is None and command.force_N > 0 and not in_contact(context, command.tool):
         problem = f"{command.tool.name} touches nothing: there is nothing to press on"
     if problem is not None:
-        return refused(now, command, problem)
-    pressing = state.pressing or touched(config, state.joints, command.tool)
-    if (
-        state.mode is Mode.PRELOAD
-        and command.force_N == 0
-        and pressing.force_N < config.params.preload.step_N
-    ):
-        return _let_go(now, command, pressing)
-    if abs(command.force_N - pressing.force_N) < config.params.preload.step_N:
-        return refused(now, command, f"{command.tool.name} is pressed with {pressing.force_N:.1f} N as it is")
-    planned = plan_press(config, state.joints, pressing, command.force_N)
+        return refuse(context, command, problem)
+    preload = state.preload or model_contact(config, state.joints, command.tool)
+    if state.mode is Mode.PRELOAD and command.force_N == 0 and preload.force_N < config.params.preload.step_N:
+        return _finish_release(context, command, preload)
+    if abs(command.force_N - preload.force_N) < config.params.preload.step_N:
+        return refuse(
+            context, command, f"{command.tool.name} is pressed with {preload.force_N:.1f} N as it is"
+        )
+    planned = plan_preload(config, state.joints, preload, command.force_N)
     if isinstance(planned, Refusal):
-        return refused(now, command, planned.reason)
+        return refuse(context, command, planned.reason)
     plan, press = planned
-    done = Event.DONE_RELEASED if command.force_N == 0 else Event.DONE
+    done = ModeEvent.DONE_RELEASED if command.force_N == 0 else ModeEvent.DONE
     move = replace(
-        _at_rest(config, now, command, TRANSITIONS[Mode.PRELOAD, done]),
+        _new_move(config, context, command, TRANSITIONS[Mode.PRELOAD, done]),
         paths=plan.paths,
-        press=press,
-        fit=PressFit() if press.change_N > 0 else None,
-        limit_A=press_limit_A(config, state.joints, press),
+        preload_change=press,
+        force_fit=ForceFit() if press.change_N > 0 else None,
+        current_limit_A=preload_limit_A(config, state.joints, press),
     )
-    state = replace(state, mode=Mode.PRELOAD, move=move, pressing=pressing, planned_gap_rad=plan.gap_rad)
-    return told(replace(now, state=state), CommandAccepted(name_of(command)))
+    state = replace(state, mode=Mode.PRELOAD, move=move, preload=preload, planned_gap_rad=plan.gap_rad)
+    return with_events(replace(context, state=state), CommandAccepted(command_name(command)))
 
 
-def _let_go(now: Situation, command: Preload, pressing: Pressing) -> Situation:
+def _finish_release(context: CommandContext, command: Preload, preload: PreloadState) -> CommandContext:
     """A release that was stopped near its end: what is left of the force is no more than that of a touch."""
-    name, mode = name_of(command), TRANSITIONS[Mode.PRELOAD, Event.DONE_RELEASED]
-    pressed = Preloaded(pressing.tool, pressing.force_N)
-    now = replace(now, state=replace(now.state, mode=mode))
-    return told(now, CommandAccepted(name), pressed, CommandCompleted(name))
+    name, mode = command_name(command), TRANSITIONS[Mode.PRELOAD, ModeEvent.DONE_RELEASED]
+    pressed = Preloaded(preload.tool, preload.force_N)
+    context = replace(context, state=replace(context.state, mode=mode))
+    return with_events(context, CommandAccepted(name), pressed, CommandCompleted(name))
 
 
-def _hold(config: Config, now: Situation, command: Hold) -> Situation:
-    problem = not_now(now) or not_in_mode(now, Event.MOVE_FREE)
+def _begin_hold(config: Config, context: CommandContext, command: Hold) -> CommandContext:
+    problem = check_ready(context) or check_mode(context, ModeEvent.MOVE_FREE)
     if problem is not None:
-        return refused(now, command, problem)
-    mode = TRANSITIONS[now.state.mode, Event.MOVE_FREE]
-    still = _at_rest(config, now, command, TRANSITIONS[mode, Event.DONE])
+        return refuse(context, command, problem)
+    mode = TRANSITIONS[context.state.mode, ModeEvent.MOVE_FREE]
+    still = _new_move(config, context, command, TRANSITIONS[mode, ModeEvent.DONE])
     move = replace(
         still,
         active=np.zeros_like(still.active),
-        paths=(StillPath(command.duration_s, still.hold.motor_rad),),
+        paths=(HoldPath(command.duration_s, still.setpoint.motor_rad),),
         vibrate=command.vibrate,
     )
-    return told(
-        replace(now, state=replace(now.state, mode=mode, move=move)), CommandAccepted(name_of(command))
+    return with_events(
+        replace(context, state=replace(context.state, mode=mode, move=move)),
+        CommandAccepted(command_name(command)),
     )
 
 
-def _at_rest(config: Config, now: Situation, command: Step, end_mode: Mode) -> Move:
+def _new_move(config: Config, context: CommandContext, command: SequenceStep, end_mode: Mode) -> Move:
     """A move of all joints that has yet to go anywhere."""
-    motor = now.state.joints.motor_rad
+    motor = context.state.joints.motor_rad
     return Move(
-        command=name_of(command),
+        command=command_name(command),
         end_mode=end_mode,
         active=np.ones(motor.size, bool),
-        limit_A=config.current_limit_A,
+        current_limit_A=config.current_limit_A,
         paths=(),
-        hold=Setpoint(motor, np.zeros_like(motor)),
+        setpoint=Setpoint(motor, np.zeros_like(motor)),
     )

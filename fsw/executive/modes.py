@@ -1,8 +1,11 @@
-"""The mode machine: a pure table of what may follow what."""
+"""Mode machine: which event changes which mode, and which event a stop is."""
 
 from enum import IntEnum
 from typing import Final
 
+import numpy as np
+
+from fsw.config import Config
 from fsw.dictionary.commands import (
     Command,
     Dock,
@@ -19,9 +22,10 @@ from fsw.dictionary.commands import (
     Unstow,
 )
 from fsw.dictionary.enums import Mode
+from fsw.estimate.joints import JointEstimate
 
 
-class Event(IntEnum):
+class ModeEvent(IntEnum):
     """What can change the mode."""
 
     UNSTOW = 0
@@ -48,51 +52,63 @@ class Event(IntEnum):
     """Cleared where a tool may press."""
 
 
-TRANSITIONS: Final[dict[tuple[Mode, Event], Mode]] = {
-    (Mode.STOWED, Event.UNSTOW): Mode.FREE_SPACE,
-    (Mode.DEPLOYED, Event.MOVE_FREE): Mode.FREE_SPACE,
-    (Mode.DEPLOYED, Event.MOVE_GUARDED): Mode.GUARDED,
-    (Mode.DEPLOYED, Event.MOVE_BACK): Mode.RETRACTING,
-    (Mode.GUARDED, Event.MOVE_GUARDED): Mode.GUARDED,
-    (Mode.GUARDED, Event.MOVE_BACK): Mode.RETRACTING,
-    (Mode.FREE_SPACE, Event.DONE): Mode.DEPLOYED,
-    (Mode.GUARDED, Event.DONE): Mode.GUARDED,
-    (Mode.RETRACTING, Event.DONE): Mode.DEPLOYED,
-    (Mode.FAULTED, Event.CLEAR): Mode.DEPLOYED,
-    (Mode.FAULTED, Event.CLEAR_STOWED): Mode.STOWED,
-    (Mode.FAULTED, Event.CLEAR_TOUCHING): Mode.GUARDED,
-    (Mode.FREE_SPACE, Event.STOP): Mode.DEPLOYED,
-    (Mode.FREE_SPACE, Event.STOP_STOWED): Mode.STOWED,
-    (Mode.GUARDED, Event.STOP): Mode.GUARDED,
-    (Mode.RETRACTING, Event.STOP): Mode.GUARDED,
-    (Mode.FREE_SPACE, Event.DONE_STOWED): Mode.STOWED,
-    (Mode.GUARDED, Event.PRESS): Mode.PRELOAD,
-    (Mode.PRELOAD, Event.PRESS): Mode.PRELOAD,
-    (Mode.PRELOAD, Event.DONE): Mode.PRELOAD,
-    (Mode.PRELOAD, Event.DONE_RELEASED): Mode.GUARDED,
-    (Mode.PRELOAD, Event.STOP): Mode.PRELOAD,
-    (Mode.FAULTED, Event.CLEAR_PRESSED): Mode.PRELOAD,
-    **{(mode, Event.FAULT): Mode.FAULTED for mode in Mode},
+TRANSITIONS: Final[dict[tuple[Mode, ModeEvent], Mode]] = {
+    (Mode.STOWED, ModeEvent.UNSTOW): Mode.FREE_SPACE,
+    (Mode.DEPLOYED, ModeEvent.MOVE_FREE): Mode.FREE_SPACE,
+    (Mode.DEPLOYED, ModeEvent.MOVE_GUARDED): Mode.GUARDED,
+    (Mode.DEPLOYED, ModeEvent.MOVE_BACK): Mode.RETRACTING,
+    (Mode.GUARDED, ModeEvent.MOVE_GUARDED): Mode.GUARDED,
+    (Mode.GUARDED, ModeEvent.MOVE_BACK): Mode.RETRACTING,
+    (Mode.FREE_SPACE, ModeEvent.DONE): Mode.DEPLOYED,
+    (Mode.GUARDED, ModeEvent.DONE): Mode.GUARDED,
+    (Mode.RETRACTING, ModeEvent.DONE): Mode.DEPLOYED,
+    (Mode.FAULTED, ModeEvent.CLEAR): Mode.DEPLOYED,
+    (Mode.FAULTED, ModeEvent.CLEAR_STOWED): Mode.STOWED,
+    (Mode.FAULTED, ModeEvent.CLEAR_TOUCHING): Mode.GUARDED,
+    (Mode.FREE_SPACE, ModeEvent.STOP): Mode.DEPLOYED,
+    (Mode.FREE_SPACE, ModeEvent.STOP_STOWED): Mode.STOWED,
+    (Mode.GUARDED, ModeEvent.STOP): Mode.GUARDED,
+    (Mode.RETRACTING, ModeEvent.STOP): Mode.GUARDED,
+    (Mode.FREE_SPACE, ModeEvent.DONE_STOWED): Mode.STOWED,
+    (Mode.GUARDED, ModeEvent.PRESS): Mode.PRELOAD,
+    (Mode.PRELOAD, ModeEvent.PRESS): Mode.PRELOAD,
+    (Mode.PRELOAD, ModeEvent.DONE): Mode.PRELOAD,
+    (Mode.PRELOAD, ModeEvent.DONE_RELEASED): Mode.GUARDED,
+    (Mode.PRELOAD, ModeEvent.STOP): Mode.PRELOAD,
+    (Mode.FAULTED, ModeEvent.CLEAR_PRESSED): Mode.PRELOAD,
+    **{(mode, ModeEvent.FAULT): Mode.FAULTED for mode in Mode},
 }
 """A pair that is not here is refused."""
 
-EVENT_OF: Final[dict[type[Command], Event]] = {
-    Unstow: Event.UNSTOW,
-    Stow: Event.MOVE_FREE,
-    MoveJoint: Event.MOVE_FREE,
-    MoveJoints: Event.MOVE_FREE,
-    MoveTool: Event.MOVE_FREE,
-    GuardedMove: Event.MOVE_GUARDED,
-    Retract: Event.MOVE_BACK,
-    PlaceTool: Event.MOVE_FREE,
-    ToolChange: Event.MOVE_BACK,
-    MoveTeachPoint: Event.MOVE_FREE,
-    Dock: Event.MOVE_GUARDED,
-    Process: Event.MOVE_FREE,
+EVENT_OF: Final[dict[type[Command], ModeEvent]] = {
+    Unstow: ModeEvent.UNSTOW,
+    Stow: ModeEvent.MOVE_FREE,
+    MoveJoint: ModeEvent.MOVE_FREE,
+    MoveJoints: ModeEvent.MOVE_FREE,
+    MoveTool: ModeEvent.MOVE_FREE,
+    GuardedMove: ModeEvent.MOVE_GUARDED,
+    Retract: ModeEvent.MOVE_BACK,
+    PlaceTool: ModeEvent.MOVE_FREE,
+    ToolChange: ModeEvent.MOVE_BACK,
+    MoveTeachPoint: ModeEvent.MOVE_FREE,
+    Dock: ModeEvent.MOVE_GUARDED,
+    Process: ModeEvent.MOVE_FREE,
 }
 """What a move begins with."""
 
 
-def after(mode: Mode, event: Event) -> Mode | None:
+def next_mode(mode: Mode, event: ModeEvent) -> Mode | None:
     """The next mode, or None if the event is not allowed in this one."""
     return TRANSITIONS.get((mode, event))
+
+
+def stop_event(config: Config, mode: Mode, joints: JointEstimate) -> ModeEvent:
+    """Which stop it is: an arm that has not left the stowed pose stays stowed."""
+    still_stowed = mode is Mode.FREE_SPACE and is_stowed(config, joints)
+    return ModeEvent.STOP_STOWED if still_stowed else ModeEvent.STOP
+
+
+def is_stowed(config: Config, joints: JointEstimate) -> bool:
+    """Whether every joint is known to be in its stowed place."""
+    off = np.abs(joints.motor_rad - config.params.poses.stowed_rad).max()
+    return bool(joints.reference.calibrated.all() and off < config.params.motion.stowed_rad)

@@ -8,28 +8,27 @@ from fsw.config import Config
 from fsw.dictionary.commands import GuardedMove, MoveJoint, MoveJoints, MoveTool, Retract, Stow, Unstow
 from fsw.dictionary.enums import Joint, Tool
 from fsw.estimate.joints import JointEstimate
-from fsw.executive.checks import malformed
+from fsw.executive.checks import check_arguments
 from fsw.motion.compensation import Compensation
 from fsw.motion.path_check import check_paths
-from fsw.motion.plan import Plan, Refusal, joints_at, plan_joint, plan_poses
-from fsw.motion.plan_line import plan_guarded, plan_retract
-from fsw.motion.plan_tool import plan_tool
-from fsw.state import State, Step
+from fsw.motion.plan import Plan, Refusal, estimate_at, plan_joint, plan_poses
+from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
+from fsw.state import State, SequenceStep
 
-PlannedMove = Unstow | Stow | MoveJoint | MoveJoints | MoveTool | GuardedMove | Retract
+SingleMoveCommand = Unstow | Stow | MoveJoint | MoveJoints | MoveTool | GuardedMove | Retract
 
 
-def plan_for(
+def plan_command(
     config: Config,
     joints: JointEstimate,
     tool: Tool,
-    command: PlannedMove,
+    command: SingleMoveCommand,
 ) -> Plan | Refusal:
     """The plan of a move from where the joints are, clear of rover and ground all the way.
 
     `tool` is that of the last tool command.
     """
-    plan = _plan(config, joints, tool, command)
+    plan = _plan_motion(config, joints, tool, command)
     if isinstance(plan, Refusal) or isinstance(command, MoveTool):
         return plan
     touching = command.tool if isinstance(command, GuardedMove | Retract) else None
@@ -37,7 +36,9 @@ def plan_for(
     return plan if meeting is None else Refusal(meeting)
 
 
-def _plan(config: Config, joints: JointEstimate, tool: Tool, command: PlannedMove) -> Plan | Refusal:
+def _plan_motion(
+    config: Config, joints: JointEstimate, tool: Tool, command: SingleMoveCommand
+) -> Plan | Refusal:
     match command:
         case Unstow():
             poses = config.params.poses
@@ -63,18 +64,18 @@ def _plan(config: Config, joints: JointEstimate, tool: Tool, command: PlannedMov
             assert_never(command)
 
 
-def ahead(config: Config, state: State, steps: tuple[Step, ...]) -> str | None:
+def check_steps(config: Config, state: State, steps: tuple[SequenceStep, ...]) -> str | None:
     """Why one of these steps, each from the end of the one before it, can not be; None if all can."""
     joints, tool = state.joints, state.tool
     for step in steps:
-        if not isinstance(step, PlannedMove):
+        if not isinstance(step, SingleMoveCommand):
             continue
-        problem = malformed(step)
+        problem = check_arguments(step)
         if problem is not None:
             return f"{type(step).__name__}: {problem}"
-        plan = plan_for(config, joints, tool, step)
+        plan = plan_command(config, joints, tool, step)
         if isinstance(plan, Refusal):
             return f"{type(step).__name__}: {plan.reason}"
-        joints = joints_at(joints, plan.end)
+        joints = estimate_at(joints, plan.end)
         tool = step.tool if isinstance(step, MoveTool | GuardedMove | Retract) else tool
     return None

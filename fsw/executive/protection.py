@@ -10,13 +10,11 @@ from fsw.dictionary.enums import Mode, Tool
 from fsw.dictionary.evrs import CommandAborted, Evr
 from fsw.estimate.gear import LIKELY
 from fsw.estimate.joints import JointEstimate
-from fsw.executive.modes import TRANSITIONS, Event
-from fsw.executive.stow import stop_event
+from fsw.executive.modes import TRANSITIONS, ModeEvent, stop_event
 from fsw.kinematics.transforms import Array
-from fsw.motion.drive import NONE
-from fsw.motion.move import Move, Phase, gone, stop
+from fsw.motion.move import NO_JOINTS, Move, Phase, distance_travelled, stop_early
 from fsw.motion.paths import LinePath, Setpoint
-from fsw.motion.plan_press import Pressing
+from fsw.motion.preload import PreloadState
 from fsw.protect.responses import Decision, Response, StandingFault
 from fsw.protect.status import ArmStatus, MoveStatus, PressStatus
 from fsw.state import Sequence
@@ -39,7 +37,7 @@ def describe_arm(
     joints: JointEstimate,
     uncertainty_rad: Array,
     move: Move | None,
-    pressing: Pressing | None,
+    pressing: PreloadState | None,
 ) -> ArmStatus:
     """Describe the arm to protection in plain values.
 
@@ -75,24 +73,26 @@ def describe_arm(
     )
 
 
-def _describe_move(move: Move, pressing: Pressing | None) -> MoveStatus:
+def _describe_move(move: Move, pressing: PreloadState | None) -> MoveStatus:
     press = None
-    if move.press is not None and not move.stopped and pressing is not None:
-        press = PressStatus(pressing.tool, pressing.force_N, move.press.torque_per_N, pressing.rest_rad)
+    if move.preload_change is not None and not move.stopped and pressing is not None:
+        press = PressStatus(
+            pressing.tool, pressing.force_N, move.preload_change.torque_per_N, pressing.resolver_offset_rad
+        )
     return MoveStatus(
-        move.hold.motor_rad,
-        move.hold.rate_rad_s,
+        move.setpoint.motor_rad,
+        move.setpoint.rate_rad_s,
         move.stopped,
         move.phase is Phase.RELEASE,
-        None if move.seek is None else move.seek.joint,
-        move.guarded if _is_approaching(move) else None,
+        None if move.homing is None else move.homing.joint,
+        move.guarded_tool if _is_approaching(move) else None,
         press,
     )
 
 
 def _is_approaching(move: Move) -> bool:
     """Return whether a guarded tool runs along its line and has not touched."""
-    if move.guarded is None or move.contact_at is not None or move.phase is not Phase.RUN:
+    if move.guarded_tool is None or move.contact_travel is not None or move.phase is not Phase.RUN:
         return False
     return isinstance(move.paths[0], LinePath)
 
@@ -108,7 +108,7 @@ def apply_decision(
             return _stop(config, before, decision, joints)
         case Response.BRAKE_AND_REFUSE | Response.POWER_OFF:
             return MoveOutcome(
-                TRANSITIONS[before.mode, Event.FAULT],
+                TRANSITIONS[before.mode, ModeEvent.FAULT],
                 None if before.move is None else _brake(before.move, decision),
                 before.sequence,
                 decision.fault,
@@ -124,7 +124,7 @@ def _stop(config: Config, before: MoveOutcome, decision: Decision, joints: Joint
     if sequence is not None:
         evrs = (*evrs, CommandAborted(sequence.command))
     if move is not None and not move.stopped:
-        move = stop(config, move, TRANSITIONS[before.mode, stop_event(config, before.mode, joints)])
+        move = stop_early(config, move, TRANSITIONS[before.mode, stop_event(config, before.mode, joints)])
         if move.phase is Phase.SETTLE:
             move = replace(move, phase=Phase.BRAKE, ticks=0)
     return MoveOutcome(before.mode, move, None, decision.fault, evrs)
@@ -134,12 +134,12 @@ def _brake(move: Move, decision: Decision) -> Move:
     """Apply the brakes in this cycle and hold the motors where protection says."""
     return replace(
         move,
-        active=NONE if decision.response is Response.POWER_OFF else move.active,
+        active=NO_JOINTS if decision.response is Response.POWER_OFF else move.active,
         phase=Phase.BRAKE,
-        travelled=gone(move),
+        travelled=distance_travelled(move),
         ticks=0 if move.phase is not Phase.BRAKE else move.ticks,
-        hold=Setpoint(decision.hold_rad, np.zeros_like(decision.hold_rad)),
+        setpoint=Setpoint(decision.hold_rad, np.zeros_like(decision.hold_rad)),
         end_mode=Mode.FAULTED,
-        guarded=None,
+        guarded_tool=None,
         stopped=True,
     )

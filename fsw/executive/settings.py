@@ -13,63 +13,69 @@ from fsw.dictionary.evrs import CommandAccepted, CommandCompleted, ParamSet, Til
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
 from fsw.estimate.reference import forget_joint
-from fsw.executive.checks import beyond
-from fsw.executive.situation import Situation, name_of, not_now, refused, told
+from fsw.executive.checks import check_bounds
+from fsw.executive.context import CommandContext, check_ready, command_name, refuse, with_events
 from fsw.kinematics.transforms import angle_between, gravity_direction
 
-COUNTED_FROM: Final = ("gear_ratio", "encoder_counts_per_turn", "hardstop_rad")
+ENCODER_ZERO_PARAMS: Final = ("gear_ratio", "encoder_counts_per_turn", "hardstop_rad")
 """What an encoder zero rests on: a joint of which one of these changes is to be calibrated again."""
 
 
-def set_tilt(config: Config, now: Situation, command: SetTilt) -> Situation:
+def set_tilt(config: Config, context: CommandContext, command: SetTilt) -> CommandContext:
     """Gravity lies as this attitude says, from now on."""
-    problem = not_now(now) or beyond(config.params, command)
+    problem = check_ready(context) or check_bounds(config.params, command)
     if problem is not None:
-        return refused(now, command, problem)
+        return refuse(context, command, problem)
     down_R = gravity_direction(command.roll_rad, command.pitch_rad)
-    joints, bound = now.state.joints, config.params.monitors.tilt_rad
+    joints, bound = context.state.joints, config.params.monitors.tilt_rad
     read = joints.imu_R_m_s2 / np.linalg.norm(joints.imu_R_m_s2)
     off = angle_between(read, down_R)
     if off > bound:
-        return refused(
-            now, command, f"the IMU reads gravity {off:.4f} rad from there, at most {bound:.4f} are allowed"
+        return refuse(
+            context,
+            command,
+            f"the IMU reads gravity {off:.4f} rad from there, at most {bound:.4f} are allowed",
         )
-    state = replace(now.state, joints=replace(joints, down_R=down_R))
-    return _done(replace(now, state=state), command, TiltSet(off))
+    state = replace(context.state, joints=replace(joints, down_R=down_R))
+    return _complete(replace(context, state=state), command, TiltSet(off))
 
 
-def set_param(config: Config, now: Situation, command: SetParam) -> Situation:
+def set_param(config: Config, context: CommandContext, command: SetParam) -> CommandContext:
     """Flight software goes on with another value of one parameter."""
-    problem = not_now(now)
+    problem = check_ready(context)
     if problem is not None:
-        return refused(now, command, problem)
-    changed = params_with(config.params, command)
+        return refuse(context, command, problem)
+    changed = replace_param(config.params, command)
     if isinstance(changed, str):
-        return refused(now, command, changed)
+        return refuse(context, command, changed)
     anew = configure(changed)
-    state = replace(now.state, changed=anew)
+    state = replace(context.state, changed_config=anew)
     group, *middle, leaf = command.name.split(".")
-    if group == "joints" and leaf in COUNTED_FROM:
+    if group == "joints" and leaf in ENCODER_ZERO_PARAMS:
         joint = Joint[middle[0].upper()]
         known = forget_joint(state.joints.reference, joint)
         state = replace(state, joints=replace(state.joints, reference=known))
     evr = ParamSet(command.name, command.value, anew.params_sha256)
-    return _done(replace(now, state=state), command, evr)
+    return _complete(replace(context, state=state), command, evr)
 
 
-def params_with(params: Params, command: SetParam) -> Params | str:
+def replace_param(params: Params, command: SetParam) -> Params | str:
     """The parameters with one of them set, or why it can not be."""
-    changed = _with(params, command.name.split("."), command)
+    changed = _replace_field(params, command.name.split("."), command)
     if isinstance(changed, str):
         return changed
     return next((wrong for wrong in (*check_limits(changed), *check_arm(changed))), changed)
 
 
-def _done(now: Situation, command: SetTilt | SetParam, evr: ParamSet | TiltSet) -> Situation:
-    return told(now, CommandAccepted(name_of(command)), evr, CommandCompleted(name_of(command)))
+def _complete(
+    context: CommandContext, command: SetTilt | SetParam, evr: ParamSet | TiltSet
+) -> CommandContext:
+    return with_events(
+        context, CommandAccepted(command_name(command)), evr, CommandCompleted(command_name(command))
+    )
 
 
-def _with(record: Any, names: list[str], command: SetParam) -> Params | str:
+def _replace_field(record: Any, names: list[str], command: SetParam) -> Params | str:
     """The record with the number at this place replaced, or why not."""
     name, *rest = names
     known = [field.name for field in fields(record)]
@@ -77,7 +83,7 @@ def _with(record: Any, names: list[str], command: SetParam) -> Params | str:
         return f"{command.name}: {name!r} is not a parameter; there are {', '.join(known)}"
     value = getattr(record, name)
     if rest and is_dataclass(value):
-        inner = _with(value, rest, command)
+        inner = _replace_field(value, rest, command)
         return inner if isinstance(inner, str) else replace(record, **{name: inner})
     if rest or not isinstance(value, int | float):
         return f"{command.name}: not one number; only single numbers can be set"

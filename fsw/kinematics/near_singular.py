@@ -58,7 +58,7 @@ def find_near_singular_roots(
 ) -> FoundRoots:
     """The known roots of targets (3, n) and all others near candidates, as far as the scan resolves them.
 
-    Roots come and go in pairs, so that the real arm has an odd number of them near an odd number of candidates.
+    Roots come and go in pairs, so the real arm has an odd number of them near an odd number of candidates.
     Where it has not, one was missed, and the search is repeated thoroughly.
     """
     targets = _Targets(arm, tool, p_RoTo_R_m, approach_R, gravity_R_m_s2, candidates)

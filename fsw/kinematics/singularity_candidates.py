@@ -18,8 +18,8 @@ NEAR_LIMITS_RAD: Final = 0.35
 CANDIDATE_MARGIN: Final = 0.04
 ERROR_FACTOR: Final = 3.0
 """A root this close to a fold of the shoulder [m] or elbow [sine], or an approach this close to the pitch
-axes [sine] is a candidate: that much, and so many times what the wrist has to move after the first shot, or for
-the pitch axes what that shot missed by."""
+axes [sine] is a candidate: that much, and so many times what the wrist has to move after the first iteration,
+or for the pitch axes the error of that iteration."""
 RIGID_ERROR: Final = 0.01
 ERROR_S2: Final = 0.01
 """Where there was no shot, what it is taken to miss: that much, and so much for each m/s2 of gravity."""

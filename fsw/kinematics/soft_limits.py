@@ -43,7 +43,8 @@ def format_digits(value: float, places: int) -> str:
 
 def describe_estimated_outside(arm: Arm, joint: Joint, beyond_rad: float) -> str:
     """Likewise, where the angle was only estimated."""
-    return f"joint {joint.name.lower()}: about {np.degrees(beyond_rad):.1f} deg outside {_describe_range(arm, joint, 1)}"
+    limits = _describe_range(arm, joint, 1)
+    return f"joint {joint.name.lower()}: about {np.degrees(beyond_rad):.1f} deg outside {limits}"
 
 
 def _describe_range(arm: Arm, joint: Joint, places: int) -> str:

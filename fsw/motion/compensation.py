@@ -30,11 +30,11 @@ class Compensation:
     def allowance(self, joints: JointEstimate, gear_rad: Array) -> Array:
         """The part of gear angles (5, ...) by which set-points are shifted."""
         wind_up = gear_rad - clip_to_backlash(joints.reference.half_gap_rad, gear_rad)
-        gap = self.gap(joints, gear_rad)
+        gap = self.backlash_allowance(joints, gear_rad)
         allowed: Array = gap if self.deflection == "off" else gap + wind_up
         return allowed
 
-    def gap(self, joints: JointEstimate, gear_rad: Array) -> Array:
+    def backlash_allowance(self, joints: JointEstimate, gear_rad: Array) -> Array:
         """The part of that which is backlash."""
         gap = clip_to_backlash(joints.reference.half_gap_rad, gear_rad)
         return gap if self.backlash == "on" else np.zeros_like(gap)
@@ -50,7 +50,7 @@ class Compensation:
         )
 
 
-def last_motion(config: Config, load_Nm: Array, gravity_R_m_s2: Array) -> Array:
+def final_direction(config: Config, load_Nm: Array, gravity_R_m_s2: Array) -> Array:
     """In which direction outputs (5) should come to rest under these loads so that their side is known.
 
     0 where the load decides. Otherwise from the negative side, unless the load may be enough to push an

@@ -1,4 +1,4 @@
-"""A move from brake release to brakes on, one phase after the other."""
+"""Run a move from brake release to brakes on, and command the actuators for it."""
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -13,15 +13,25 @@ from fsw.dictionary.faults import NoContact, NotSettled
 from fsw.estimate.hardstop import HardstopFit
 from fsw.estimate.joints import JointEstimate, LoadEstimate
 from fsw.kinematics.transforms import Array
-from fsw.messages import Flags, Sensors
-from fsw.motion import seek as seeking
+from fsw.messages import ActuatorCommand, Flags, Sensors
+from fsw.motion.homing import Homing, advance_homing, homing_limit_A
 from fsw.motion.paths import LinePath, Path, Setpoint, stop_path
-from fsw.motion.plan import Refusal, joints_at
-from fsw.motion.plan_press import SURE, Press, Pressing, firm_N, plan_press, press_limit_A, touched
-from fsw.motion.seek import Seek, limit_A
-from fsw.motion.trim import PressFit, corrected, felt_share, fitted
+from fsw.motion.plan import Refusal, estimate_at
+from fsw.motion.preload import (
+    ESTIMATED_RATIO_STD,
+    ForceFit,
+    PreloadChange,
+    PreloadState,
+    correct_preload,
+    estimate_force_ratio,
+    holding_force_N,
+    model_contact,
+    plan_preload,
+    preload_limit_A,
+    update_force_fit,
+)
 
-NEAR_N: Final = 3.0
+MIN_CORRECTION_N: Final = 3.0
 """A press is not trimmed by less."""
 
 
@@ -42,17 +52,17 @@ class Move:
     end_mode: Mode
     active: Flags
     """The joints that are released; the others stay on their brakes, without power."""
-    limit_A: Array
+    current_limit_A: Array
     paths: tuple[Path, ...]
-    hold: Setpoint
+    setpoint: Setpoint
     """The set-point of this cycle."""
-    guarded: Tool | None = None
+    guarded_tool: Tool | None = None
     """Whose contact ends the move; None for a move that is not to touch."""
-    contact_at: float | None = None
+    contact_travel: float | None = None
     """How far a guarded move had come when a switch closed."""
-    seek: Seek | None = None
-    press: Press | None = None
-    fit: PressFit | None = None
+    homing: Homing | None = None
+    preload_change: PreloadChange | None = None
+    force_fit: ForceFit | None = None
     """What the currents tell of a press; None once it has been trimmed by it."""
     vibrate: bool = False
     stopped: bool = False
@@ -60,193 +70,213 @@ class Move:
     phase: Phase = Phase.RELEASE
     ticks: int = 0
     """Cycles in this phase, and for RUN in this path."""
-    calm_ticks: int = 0
+    settled_ticks: int = 0
     travelled: float = 0.0
     """Along the paths over knots that are done."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Advance:
+class MoveUpdate:
     """A move one cycle on: the move or None when it is over, what happened, and what it ends in."""
 
     move: Move | None
     evrs: tuple[Evr, ...] = ()
     end_mode: Mode | None = None
-    stop: tuple[Joint, HardstopFit] | None = None
+    found_hardstop: tuple[Joint, HardstopFit] | None = None
     """The hardstop that was found, and whose."""
     gap_rad: Array | None = None
     """The backlash that new paths allow for at their end; None without new paths."""
 
 
-def advance(
+def advance_move(
     config: Config, move: Move, joints: JointEstimate, load: LoadEstimate, sensors: Sensors
-) -> Advance:
+) -> MoveUpdate:
     """The move in this cycle."""
     match move.phase:
         case Phase.RELEASE:
             if move.ticks < config.brake_ticks:
-                return Advance(_on(move, move.hold))
-            return Advance(_enter(move, Phase.RUN))
+                return MoveUpdate(_next_cycle(move, move.setpoint))
+            return MoveUpdate(_enter_phase(move, Phase.RUN))
         case Phase.RUN:
-            if move.seek is not None:
-                return _seek(config, move, move.seek, joints, load.torque_Nm, sensors)
-            if move.press is not None:
-                return _press(config, move, move.press, joints, load, sensors)
-            return _run(config, move, joints, sensors)
+            if move.homing is not None:
+                return _advance_homing(config, move, move.homing, joints, load.torque_Nm, sensors)
+            if move.preload_change is not None:
+                return _advance_preload(config, move, move.preload_change, joints, load, sensors)
+            return _follow_paths(config, move, joints, sensors)
         case Phase.SETTLE:
             return _settle(config, move, joints)
         case Phase.BRAKE:
             if move.ticks < config.brake_ticks:
-                return Advance(_on(move, move.hold))
+                return MoveUpdate(_next_cycle(move, move.setpoint))
             if move.stopped:
-                return Advance(None, (CommandAborted(move.command),), move.end_mode)
-            return Advance(
-                None, (*_pressed(move), CommandCompleted(move.command)), move.end_mode, _found(move)
+                return MoveUpdate(None, (CommandAborted(move.command),), move.end_mode)
+            return MoveUpdate(
+                None,
+                (*_preload_events(move), CommandCompleted(move.command)),
+                move.end_mode,
+                _homing_result(move),
             )
 
 
-def _pressed(move: Move) -> tuple[Evr, ...]:
-    if move.press is None or move.guarded is not None:
+def _preload_events(move: Move) -> tuple[Evr, ...]:
+    if move.preload_change is None or move.guarded_tool is not None:
         return ()
-    pressing = move.press.after(gone(move))
-    return (Preloaded(pressing.tool, pressing.force_N),)
+    preload = move.preload_change.state_after(distance_travelled(move))
+    return (Preloaded(preload.tool, preload.force_N),)
 
 
-def _found(move: Move) -> tuple[Joint, HardstopFit] | None:
-    if move.seek is None or move.seek.found is None:
+def _homing_result(move: Move) -> tuple[Joint, HardstopFit] | None:
+    if move.homing is None or move.homing.found is None:
         return None
-    return move.seek.joint, move.seek.found
+    return move.homing.joint, move.homing.found
 
 
-def stop(config: Config, move: Move, end_mode: Mode) -> Move:
+def stop_early(config: Config, move: Move, end_mode: Mode) -> Move:
     """The move brought to rest early; a joint that seeks its hardstop is slow, and may be stalled: brakes."""
-    stopped = replace(move, stopped=True, end_mode=end_mode, guarded=None)
+    stopped = replace(move, stopped=True, end_mode=end_mode, guarded_tool=None)
     if move.phase is Phase.RELEASE:
-        return _enter(stopped, Phase.BRAKE)
-    if move.phase is Phase.RUN and move.seek is not None:
-        held = Setpoint(move.hold.motor_rad, np.zeros_like(move.hold.rate_rad_s))
-        return _enter(replace(stopped, hold=held), Phase.BRAKE)
+        return _enter_phase(stopped, Phase.BRAKE)
+    if move.phase is Phase.RUN and move.homing is not None:
+        held = Setpoint(move.setpoint.motor_rad, np.zeros_like(move.setpoint.rate_rad_s))
+        return _enter_phase(replace(stopped, setpoint=held), Phase.BRAKE)
     if move.phase is Phase.RUN:
-        return replace(stopped, paths=(stop_path(config, move.hold),), ticks=0, travelled=gone(move))
+        return replace(
+            stopped, paths=(stop_path(config, move.setpoint),), ticks=0, travelled=distance_travelled(move)
+        )
     return stopped
 
 
-def closed_switch(tool: Tool, closed: Flags) -> Switch | None:
+def find_closed_switch(tool: Tool, closed: Flags) -> Switch | None:
     """The first closed contact switch of a tool."""
     return next((switch for switch in TOOL_SWITCHES[tool] if closed[switch]), None)
 
 
-def _seek(
-    config: Config, move: Move, seek: Seek, joints: JointEstimate, load_Nm: Array, sensors: Sensors
-) -> Advance:
-    sought = seeking.advance(config, seek, move.hold, joints, load_Nm, sensors)
-    j, limit = seek.joint, limit_A(config, sought.seek)
-    limits = move.limit_A
-    if limits[j] != limit:  # an unchanged limit is the same array, see drive.py
+def _advance_homing(
+    config: Config, move: Move, homing: Homing, joints: JointEstimate, load_Nm: Array, sensors: Sensors
+) -> MoveUpdate:
+    update = advance_homing(config, homing, move.setpoint, joints, load_Nm, sensors)
+    j, limit = homing.joint, homing_limit_A(config, update.homing)
+    limits = move.current_limit_A
+    if limits[j] != limit:  # an unchanged limit is the same array, see command_actuators
         limits = np.where(move.active, limit, limits)
-    move = replace(move, seek=sought.seek, hold=sought.hold, limit_A=limits, ticks=move.ticks + 1)
-    return Advance(move if sought.seek.found is None else _enter(move, Phase.SETTLE), sought.evrs)
+    move = replace(
+        move, homing=update.homing, setpoint=update.setpoint, current_limit_A=limits, ticks=move.ticks + 1
+    )
+    return MoveUpdate(move if update.homing.found is None else _enter_phase(move, Phase.SETTLE), update.evrs)
 
 
-def _run(config: Config, move: Move, joints: JointEstimate, sensors: Sensors) -> Advance:
-    if move.guarded is not None and move.contact_at is None:
-        switch = closed_switch(move.guarded, sensors.switch_closed)
+def _follow_paths(config: Config, move: Move, joints: JointEstimate, sensors: Sensors) -> MoveUpdate:
+    if move.guarded_tool is not None and move.contact_travel is None:
+        switch = find_closed_switch(move.guarded_tool, sensors.switch_closed)
         if switch is not None:
-            return _firmed(config, move, move.guarded, joints, ContactMade(switch, gone(move)))
+            return _press_on_contact(
+                config, move, move.guarded_tool, joints, ContactMade(switch, distance_travelled(move))
+            )
     path, time_s = move.paths[0], (move.ticks + 1) * CYCLE_S
-    running = _on(move, path.at(time_s))
+    running = _next_cycle(move, path.at(time_s))
     if time_s < path.duration_s:
-        return Advance(running)
+        return MoveUpdate(running)
     running = replace(running, travelled=_travel(move, path.duration_s))
     if len(move.paths) > 1:
-        return Advance(replace(running, paths=move.paths[1:], ticks=0))
-    if move.guarded is not None and move.contact_at is None:
-        return Advance(move, (NoContact(_travel(move, time_s)),))
-    return Advance(_enter(running, Phase.SETTLE))
+        return MoveUpdate(replace(running, paths=move.paths[1:], ticks=0))
+    if move.guarded_tool is not None and move.contact_travel is None:
+        return MoveUpdate(move, (NoContact(_travel(move, time_s)),))
+    return MoveUpdate(_enter_phase(running, Phase.SETTLE))
 
 
-def _firmed(config: Config, move: Move, tool: Tool, joints: JointEstimate, made: ContactMade) -> Advance:
+def _press_on_contact(
+    config: Config, move: Move, tool: Tool, joints: JointEstimate, made: ContactMade
+) -> MoveUpdate:
     """A guarded move whose tool has touched: it stops, and presses just enough to stay in contact.
 
     A tool that touched before it moved is pressed already. One whose press is refused stays where its switch
     closed.
     """
-    still = Setpoint(move.hold.motor_rad, np.zeros_like(move.hold.rate_rad_s))
-    move = replace(move, hold=still, contact_at=made.travel_m)
-    settling = Advance(_enter(move, Phase.SETTLE), (made,))
+    still = Setpoint(move.setpoint.motor_rad, np.zeros_like(move.setpoint.rate_rad_s))
+    move = replace(move, setpoint=still, contact_travel=made.travel_m)
+    settling = MoveUpdate(_enter_phase(move, Phase.SETTLE), (made,))
     if made.travel_m == 0:
         return settling
     here = replace(joints, motor_rad=still.motor_rad)
-    touch = touched(config, here, tool)
+    touch = model_contact(config, here, tool)
     # as if its stiffness were sure: of so little it cannot be too much
-    planned = plan_press(config, here, replace(touch, share_unsure=SURE), firm_N(config))
+    planned = plan_preload(
+        config, here, replace(touch, force_ratio_std=ESTIMATED_RATIO_STD), holding_force_N(config)
+    )
     if isinstance(planned, Refusal):
         return settling
     plan, press = planned
     on = replace(
         move,
-        limit_A=press_limit_A(config, here, press),
+        current_limit_A=preload_limit_A(config, here, press),
         paths=plan.paths,
-        press=replace(press, start=touch),
+        preload_change=replace(press, start=touch),
         ticks=0,
         travelled=0.0,
     )
-    return Advance(on, (made,), gap_rad=plan.gap_rad)
+    return MoveUpdate(on, (made,), gap_rad=plan.gap_rad)
 
 
-def _press(
-    config: Config, move: Move, press: Press, joints: JointEstimate, load: LoadEstimate, sensors: Sensors
-) -> Advance:
+def _advance_preload(
+    config: Config,
+    move: Move,
+    preload_change: PreloadChange,
+    joints: JointEstimate,
+    load: LoadEstimate,
+    sensors: Sensors,
+) -> MoveUpdate:
     """A press runs along its overdrive, and once more by what the currents told on the way."""
-    fit = move.fit
+    fit = move.force_fit
     if fit is not None and not move.stopped:
-        pressing, rate_N_s = press.after(gone(move)), _travel_rate(move)
-        fit = fitted(config, fit, pressing, rate_N_s, move.hold, joints, load, sensors)
-        move = replace(move, fit=fit)
-    done = _run(config, move, joints, sensors)
+        preload, rate_N_s = preload_change.state_after(distance_travelled(move)), _travel_rate(move)
+        fit = update_force_fit(config, fit, preload, rate_N_s, move.setpoint, joints, load, sensors)
+        move = replace(move, force_fit=fit)
+    done = _follow_paths(config, move, joints, sensors)
     if done.move is None or done.move.phase is not Phase.SETTLE or fit is None or move.stopped:
         return done
-    return _trimmed(config, done.move, press, fit, joints) or done
+    return _correct_force(config, done.move, preload_change, fit, joints) or done
 
 
-def _trimmed(
-    config: Config, move: Move, press: Press, fit: PressFit, joints: JointEstimate
-) -> Advance | None:
+def _correct_force(
+    config: Config, move: Move, press: PreloadChange, fit: ForceFit, joints: JointEstimate
+) -> MoveUpdate | None:
     """The press as it was felt, with another leg to go if it is not near enough; None on the way back."""
     if press.change_N <= 0:
         return None
     heard: tuple[Evr, ...] = ()
-    planned_for = press.after(gone(move))
-    felt = felt_share(config, fit, joints, planned_for)
-    pressing = replace(planned_for, share_unsure=SURE)
+    planned_for = press.state_after(distance_travelled(move))
+    felt = estimate_force_ratio(config, fit, joints, planned_for)
+    preload = replace(planned_for, force_ratio_std=ESTIMATED_RATIO_STD)
     if felt is not None:
-        pressing = corrected(press, felt)
+        preload = correct_preload(press, felt)
         heard = (ForceFelt(press.start.tool, felt.along, felt.across),)
-    settled = replace(press, start=pressing, end_model_N=pressing.model_N)
-    near = abs(press.wanted_N - pressing.force_N) < NEAR_N
+    settled = replace(press, start=preload, end_model_N=preload.model_N)
+    near = abs(press.target_N - preload.force_N) < MIN_CORRECTION_N
     # from where the plan left off: a gap by which an estimate differs from it would be crossed to and fro;
     # its gears are wound up by the force as it is believed to be now
-    wound = press.torque_per_N * (pressing.force_N - planned_for.force_N)
+    wound = press.torque_per_N * (preload.force_N - planned_for.force_N)
     end = replace(press.end, gear_rad=press.end.gear_rad + wound / config.arm.gear_stiffness_Nm_rad)
-    stands = joints_at(joints, end)
-    planned = None if near else plan_press(config, stands, pressing, press.wanted_N)
+    stands = estimate_at(joints, end)
+    planned = None if near else plan_preload(config, stands, preload, press.target_N)
     if planned is None or isinstance(planned, Refusal):
-        return Advance(replace(move, press=settled, fit=None), heard)
+        return MoveUpdate(replace(move, preload_change=settled, force_fit=None), heard)
     plan, rest = planned
-    again = PressFit(fit.legs - 1) if fit.legs > 0 else None
-    on = replace(move, phase=Phase.RUN, paths=plan.paths, press=rest, fit=again, ticks=0, travelled=0.0)
-    return Advance(on, heard, gap_rad=plan.gap_rad)
+    again = ForceFit(fit.legs_left - 1) if fit.legs_left > 0 else None
+    on = replace(
+        move, phase=Phase.RUN, paths=plan.paths, preload_change=rest, force_fit=again, ticks=0, travelled=0.0
+    )
+    return MoveUpdate(on, heard, gap_rad=plan.gap_rad)
 
 
-def gone(move: Move) -> float:
+def distance_travelled(move: Move) -> float:
     """How far a move has come on its paths over knots."""
     running = move.phase is Phase.RUN and bool(move.paths)
     return _travel(move, move.ticks * CYCLE_S) if running else move.travelled
 
 
-def pressing_in(move: Move) -> Pressing | None:
+def move_preload(move: Move) -> PreloadState | None:
     """What a move presses with by now."""
-    return None if move.press is None else move.press.after(gone(move))
+    return None if move.preload_change is None else move.preload_change.state_after(distance_travelled(move))
 
 
 def _travel(move: Move, time_s: float) -> float:
@@ -259,44 +289,74 @@ def _travel_rate(move: Move) -> float:
     return path.travel_at(move.ticks * CYCLE_S)[1] if isinstance(path, LinePath) else 0.0
 
 
-def _settle(config: Config, move: Move, joints: JointEstimate) -> Advance:
+def _settle(config: Config, move: Move, joints: JointEstimate) -> MoveUpdate:
     motion = config.params.motion
-    error = np.abs(joints.motor_rad - move.hold.motor_rad)
+    error = np.abs(joints.motor_rad - move.setpoint.motor_rad)
     calm = (
         error.max() < motion.settle_error_rad
         and np.abs(joints.motor_rate_rad_s).max() < motion.settle_rate_rad_s
     )
-    calm_ticks = move.calm_ticks + 1 if calm else 0
+    calm_ticks = move.settled_ticks + 1 if calm else 0
     if calm_ticks >= config.settle_ticks:
-        return Advance(_enter(move, Phase.BRAKE))
+        return MoveUpdate(_enter_phase(move, Phase.BRAKE))
     if move.ticks >= config.settle_timeout_ticks:
         joint = Joint(int(error.argmax()))
-        return Advance(move, (NotSettled(joint, float(error[joint])),))
-    return Advance(replace(move, calm_ticks=calm_ticks, ticks=move.ticks + 1))
+        return MoveUpdate(move, (NotSettled(joint, float(error[joint])),))
+    return MoveUpdate(replace(move, settled_ticks=calm_ticks, ticks=move.ticks + 1))
 
 
-def _enter(move: Move, phase: Phase) -> Move:
-    return replace(move, phase=phase, ticks=0, calm_ticks=0)
+def _enter_phase(move: Move, phase: Phase) -> Move:
+    return replace(move, phase=phase, ticks=0, settled_ticks=0)
 
 
-def _on(move: Move, hold: Setpoint) -> Move:
+def _next_cycle(move: Move, setpoint: Setpoint) -> Move:
     """The move one cycle on in its phase; not by `replace`, which looks at every field first."""
     return Move(
         move.command,
         move.end_mode,
         move.active,
-        move.limit_A,
+        move.current_limit_A,
         move.paths,
-        hold,
-        move.guarded,
-        move.contact_at,
-        move.seek,
-        move.press,
-        move.fit,
+        setpoint,
+        move.guarded_tool,
+        move.contact_travel,
+        move.homing,
+        move.preload_change,
+        move.force_fit,
         move.vibrate,
         move.stopped,
         move.phase,
         move.ticks + 1,
-        move.calm_ticks,
+        move.settled_ticks,
         move.travelled,
+    )
+
+
+NO_JOINTS: Final[Flags] = np.zeros(len(Joint), bool)
+NO_JOINTS.flags.writeable = False
+
+
+def command_actuators(
+    config: Config, move: Move | None, joints: JointEstimate, last: ActuatorCommand
+) -> ActuatorCommand:
+    """Brakes on and power off without a move; its joints powered while it lasts, released until it brakes."""
+    if move is None:
+        if not (last.power_on.any() or last.vibrate):
+            return last
+        return ActuatorCommand(
+            last.setpoint_count,
+            np.zeros(NO_JOINTS.size),
+            config.current_limit_A,
+            NO_JOINTS,
+            NO_JOINTS,
+            vibrate=False,
+        )
+    # unchanged flags and limits are the same arrays, so that nobody compares them
+    release = NO_JOINTS if move.phase is Phase.BRAKE else move.active
+    count = np.rint((move.setpoint.motor_rad - joints.reference.zero_rad) / config.rad_per_count).astype(
+        np.int64
+    )
+    vibrate = move.vibrate and move.phase is Phase.RUN
+    return ActuatorCommand(
+        count, move.setpoint.rate_rad_s, move.current_limit_A, move.active, release, vibrate
     )

@@ -11,7 +11,7 @@ from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.transforms import Array, norm
 
-WAY_SHARES: Final = np.linspace(0.0, 1.0, 9)
+SPEED_SAMPLES: Final = np.linspace(0.0, 1.0, 9)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +72,7 @@ class LinePath:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StillPath:
+class HoldPath:
     """Every joint stays where it is for a while."""
 
     duration_s: float
@@ -99,23 +99,25 @@ class StopPath:
         )
 
 
-Path = JointPath | LinePath | StillPath | StopPath
+Path = JointPath | LinePath | HoldPath | StopPath
 
 
 def joint_path(config: Config, start_rad: Array, end_rad: Array) -> JointPath:
     """The fastest jerk-limited move between two poses at rest that neither joints nor tools forbid."""
-    speed_rad_s = config.speed_rad_s * _share_of_speed(config, start_rad, end_rad)
-    trajectory = _plan(start_rad, end_rad, speed_rad_s, config.acceleration_rad_s2, config.jerk_rad_s3)
+    speed_rad_s = config.speed_rad_s * _speed_share(config, start_rad, end_rad)
+    trajectory = _plan_trajectory(
+        start_rad, end_rad, speed_rad_s, config.acceleration_rad_s2, config.jerk_rad_s3
+    )
     return JointPath(trajectory.duration, trajectory)
 
 
-def _share_of_speed(config: Config, start_rad: Array, end_rad: Array) -> float:
+def _speed_share(config: Config, start_rad: Array, end_rad: Array) -> float:
     """At which the drill, which reaches farthest, is no faster than tools may be on an even way there."""
     way = end_rad - start_rad
     longest_s = float(np.max(np.abs(way) / config.speed_rad_s))
     if longest_s < CYCLE_S:
         return 1.0
-    poses = start_rad[:, None] + way[:, None] * WAY_SHARES
+    poses = start_rad[:, None] + way[:, None] * SPEED_SAMPLES
     frames = forward(config.arm, poses)
     J = joint_jacobian(frames, tool_pose(config.arm, frames, Tool.DRILL).p)[3:]
     fastest = float(norm(np.einsum("ijk,j->ik", J, way / longest_s)).max())
@@ -126,10 +128,10 @@ def line_path(config: Config, knots_rad: Array, travel: Travel) -> LinePath:
     """A way over motor knots (k, 5) at equal spacing along it, no joint above its speed."""
     step = travel.length / (len(knots_rad) - 1)
     coefficients = _cubics(knots_rad)
-    steepest = np.max(_steepest(coefficients) / config.speed_rad_s) / step
+    steepest = np.max(_max_slopes(coefficients) / config.speed_rad_s) / step
     speed = min(travel.speed, 1.0 / max(float(steepest), 1e-9))
     bounds = (np.array([bound]) for bound in (speed, travel.acceleration, travel.jerk))
-    trajectory = _plan(np.zeros(1), np.array([travel.length]), *bounds)
+    trajectory = _plan_trajectory(np.zeros(1), np.array([travel.length]), *bounds)
     return LinePath(trajectory.duration, trajectory, step, coefficients)
 
 
@@ -141,7 +143,7 @@ def stop_path(config: Config, start: Setpoint) -> StopPath:
     return StopPath(max(duration, CYCLE_S), start)
 
 
-def _plan(start: Array, end: Array, speed: Array, acceleration: Array, jerk: Array) -> Trajectory:
+def _plan_trajectory(start: Array, end: Array, speed: Array, acceleration: Array, jerk: Array) -> Trajectory:
     request = InputParameter(len(start))
     request.current_position = start
     request.target_position = end
@@ -155,7 +157,7 @@ def _plan(start: Array, end: Array, speed: Array, acceleration: Array, jerk: Arr
     return trajectory
 
 
-def _steepest(coefficients: Array) -> Array:
+def _max_slopes(coefficients: Array) -> Array:
     """The largest slope of each joint along the cubics, in rad per knot spacing: at the ends or between."""
     a, b, c, _ = np.moveaxis(coefficients, 1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -11,15 +11,15 @@ from fsw.kinematics.soft_limits import wrap_into_limits
 from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, angle_between
 from fsw.motion.compensation import Compensation
-from fsw.motion.plan import Refusal, over_limits, worst_limit
+from fsw.motion.plan import Refusal, describe_worst_limit, worst_limit_excess
 
-PASSES = 40
+MAX_DEFLECTION_PASSES = 40
 """Of turning wrist and turret and bending the arm anew. Each takes off a factor of 80 or more, times the sine
 of the angle of gravity to the plane of both axes: in that plane the two turns of the wrist meet."""
-CLOSE_RAD = 1e-9
+DIRECTION_TOLERANCE_RAD = 1e-9
 
 
-def gravity_pose(config: Config, joints: JointEstimate, command: Process) -> Array | Refusal:
+def find_gravity_pose(config: Config, joints: JointEstimate, command: Process) -> Array | Refusal:
     """Outputs (5) that differ in wrist and turret from where they are, so that gravity lies along gravity_T.
 
     Of the two turns of the wrist that do, the nearer one within the limits.
@@ -28,15 +28,15 @@ def gravity_pose(config: Config, joints: JointEstimate, command: Process) -> Arr
     gravity = compensation.gravity(joints)
     down_R = joints.gravity_R_m_s2 / np.linalg.norm(joints.gravity_R_m_s2)
     down_T = np.array(command.gravity_T) / np.linalg.norm(command.gravity_T)
-    poses = [_pose(config, joints, command, down_R, down_T, gravity, side) for side in (1.0, -1.0)]
+    poses = [_solve_side(config, joints, command, down_R, down_T, gravity, side) for side in (1.0, -1.0)]
     found = [pose for pose in poses if not isinstance(pose, Refusal)]
-    inside = [pose for pose in found if over_limits(config, pose) <= 0]
+    inside = [pose for pose in found if worst_limit_excess(config, pose) <= 0]
     if inside:
         return min(inside, key=lambda pose: float(np.abs(pose - joints.output_rad).max()))
-    return Refusal(worst_limit(config, found[0])) if found else poses[0]
+    return Refusal(describe_worst_limit(config, found[0])) if found else poses[0]
 
 
-def _pose(
+def _solve_side(
     config: Config,
     joints: JointEstimate,
     command: Process,
@@ -47,25 +47,27 @@ def _pose(
 ) -> Array | Refusal:
     """The pose with gravity on this side of the plane of wrist and turret axis."""
     arm, pose = config.arm, joints.output_rad.copy()
-    for _ in range(PASSES):
+    for _ in range(MAX_DEFLECTION_PASSES):
         frames = settle_output(arm, pose, gravity_R_m_s2).frames
         R_RT = tool_pose(arm, frames, command.tool).R
         off_rad = float(np.linalg.norm(R_RT.T @ down_R - down_T))
-        if off_rad < CLOSE_RAD:
+        if off_rad < DIRECTION_TOLERANCE_RAD:
             return pose
         wrist_R, turret_R = frames.X_RL.R[:, 2, Joint.WRIST + 1], frames.X_RL.R[:, 2, Joint.TURRET + 1]
         pointed_R = R_RT @ down_T
-        between_R = _between(wrist_R, turret_R, down_R, pointed_R, side)
-        pose[Joint.WRIST] += _turn(wrist_R, between_R, down_R)
-        pose[Joint.TURRET] += _turn(turret_R, pointed_R, between_R)
+        between_R = _intermediate_direction(wrist_R, turret_R, down_R, pointed_R, side)
+        pose[Joint.WRIST] += _angle_about(wrist_R, between_R, down_R)
+        pose[Joint.TURRET] += _angle_about(turret_R, pointed_R, between_R)
         pose[Joint.WRIST :] = wrap_into_limits(arm, pose, joints.output_rad)[Joint.WRIST :]
     return Refusal(
-        _beyond_wrist(wrist_R, turret_R, down_R, pointed_R)
+        _describe_wrist_range(wrist_R, turret_R, down_R, pointed_R)
         or f"no pose found: gravity would be {off_rad:.6g} rad off"
     )
 
 
-def _between(wrist_R: Array, turret_R: Array, down_R: Array, pointed_R: Array, side: float) -> Array:
+def _intermediate_direction(
+    wrist_R: Array, turret_R: Array, down_R: Array, pointed_R: Array, side: float
+) -> Array:
     """What the turret can make of the pointed direction and the wrist can turn down; else what is nearest.
 
     It has the angle of down to the wrist axis and that of the pointed direction to the turret axis. The axes
@@ -81,13 +83,13 @@ def _between(wrist_R: Array, turret_R: Array, down_R: Array, pointed_R: Array, s
     return between
 
 
-def _turn(axis_R: Array, start_R: Array, end_R: Array) -> float:
+def _angle_about(axis_R: Array, start_R: Array, end_R: Array) -> float:
     """The angle about an axis from one direction to another, as seen along the axis."""
     along = float(axis_R @ start_R) * float(axis_R @ end_R)
     return float(np.arctan2(axis_R @ np.cross(start_R, end_R), start_R @ end_R - along))
 
 
-def _beyond_wrist(wrist_R: Array, turret_R: Array, down_R: Array, pointed_R: Array) -> str:
+def _describe_wrist_range(wrist_R: Array, turret_R: Array, down_R: Array, pointed_R: Array) -> str:
     """What the wrist can do, where that is not enough; else nothing."""
     wanted = angle_between(turret_R, pointed_R)
     to_down, to_turret = angle_between(wrist_R, down_R), angle_between(wrist_R, turret_R)

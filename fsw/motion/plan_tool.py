@@ -1,23 +1,171 @@
-"""From a tool target to a joint move: branch choice and compensation."""
+"""Plan moves of a tool: straight lines, and joint moves to an inverse-kinematics branch."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fsw.config import Config
-from fsw.dictionary.commands import ROVER, MoveTool
+from fsw.dictionary.commands import ROVER, GuardedMove, MoveTool, Retract
 from fsw.dictionary.enums import Frame, Tool
 from fsw.estimate.joints import JointEstimate
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import Frames, tool_pose
 from fsw.kinematics.ik import BranchVerdict, IkResult, describe_slot, inverse_kinematics, select_result
+from fsw.kinematics.newton import NewtonRoots, refine_roots
 from fsw.kinematics.statics import settle_output
-from fsw.kinematics.transforms import Array, Pose
+from fsw.kinematics.transforms import Array, Pose, norm
 from fsw.motion.compensation import Compensation
 from fsw.motion.path_check import check_paths
-from fsw.motion.plan import Plan, Refusal, plan_to, standing
-from fsw.motion.plan_line import plan_straight
+from fsw.motion.paths import Travel
+from fsw.motion.plan import (
+    Plan,
+    Refusal,
+    describe_worst_limit,
+    likely_positions,
+    plan_joint_move,
+    plan_over_knots,
+    worst_limit_excess,
+)
+
+MAX_KNOT_STEP_RAD = 0.2
+"""A joint that moves more than this between two knots has not stayed on its branch."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Line:
+    """A straight tool move, from the pose that the motor angles have under the plan's assumptions."""
+
+    tool: Tool
+    compensation: Compensation
+    gravity_R_m_s2: Array
+    output_rad: Array
+    """At the start."""
+    p_m: Array
+    axis: Array
+    """Where the tool looks at the start."""
+    end_p_m: Array
+    end_axis: Array
+
+    @property
+    def length_m(self) -> float:
+        """From start to end."""
+        return float(np.linalg.norm(self.end_p_m - self.p_m))
+
+
+def plan_guarded(config: Config, joints: JointEstimate, command: GuardedMove) -> Plan | Refusal:
+    """A straight line from where the tool stands to the end of the guarded travel, the way the tool looks."""
+    compensation = Compensation(command.backlash, command.deflection)
+    line = start_line(config, joints, command.tool, compensation)
+    approach = np.array(command.approach_R) / np.linalg.norm(command.approach_R)
+    end_p_m, approach = compensation.target(
+        config, joints, command.tool, np.array(command.end_p_RoTo_R_m), approach
+    )
+    line = replace(line, end_p_m=end_p_m, end_axis=approach)
+    problem = _check_line_length(config, line) or _check_line_direction(config, line)
+    if problem is not None:
+        return Refusal(problem)
+    return _plan_line(config, joints, line, config.params.motion.guarded_speed_m_s)
+
+
+def plan_straight(
+    config: Config, joints: JointEstimate, command: MoveTool, p_RoTo_R_m: Array, approach_R: Array
+) -> Plan | Refusal:
+    """A straight line to a place, while the tool turns evenly to look along an approach."""
+    line = start_line(config, joints, command.tool, Compensation(command.backlash, command.deflection))
+    line = replace(line, end_p_m=p_RoTo_R_m, end_axis=approach_R)
+    problem = _check_line_length(config, line)
+    if problem is not None:
+        return Refusal(problem)
+    return _plan_line(config, joints, line, config.params.motion.retract_speed_m_s)
+
+
+def plan_retract(config: Config, joints: JointEstimate, command: Retract) -> Plan | Refusal:
+    """A straight line back along the tool's axis."""
+    compensation = Compensation(command.backlash, command.deflection)
+    line = start_line(config, joints, command.tool, compensation)
+    line = replace(line, end_p_m=line.p_m - command.distance_m * line.axis)
+    problem = _check_line_length(config, line)
+    if problem is not None:
+        return Refusal(problem)
+    return _plan_line(config, joints, line, config.params.motion.retract_speed_m_s)
+
+
+def start_line(config: Config, joints: JointEstimate, tool: Tool, compensation: Compensation) -> Line:
+    """A line that has yet to go anywhere, so that its plan begins without a step."""
+    gravity = compensation.gravity(joints)
+    output = joints.motor_rad + compensation.allowance(joints, likely_positions(joints).gear_rad)
+    X_RT = tool_pose(config.arm, settle_output(config.arm, output, gravity).frames, tool)
+    axis = X_RT.R[:, 0]
+    return Line(tool, compensation, gravity, output, X_RT.p, axis, X_RT.p, axis)
+
+
+def _check_line_length(config: Config, line: Line) -> str | None:
+    longest = config.params.motion.line_max_m
+    if line.length_m < 1e-6:
+        return "the straight move has no length"
+    if line.length_m > longest:
+        return f"the straight move is {line.length_m:.3g} m long, the longest allowed is {longest} m"
+    return None
+
+
+def _check_line_direction(config: Config, line: Line) -> str | None:
+    """A guarded move goes where its tool looks: elsewhere its contact switch would not be what touches."""
+    most = config.params.motion.line_turn_rad
+    for name, direction in (("the approach", line.end_axis), ("the way to the end", line.end_p_m - line.p_m)):
+        off = float(np.arccos(np.clip(line.axis @ direction / np.linalg.norm(direction), -1.0, 1.0)))
+        if off > most:
+            return (
+                f"{name} is {np.degrees(off):.1f} deg from where the tool looks, "
+                f"at most {np.degrees(most):.1f} deg are allowed"
+            )
+    return None
+
+
+def _plan_line(config: Config, joints: JointEstimate, line: Line, speed_m_s: float) -> Plan | Refusal:
+    share = np.linspace(0.0, 1.0, int(np.ceil(line.length_m / config.params.motion.line_step_m)) + 1)
+    found = _follow_line(config, line, share)
+    over = worst_limit_excess(config, found.output_rad)
+    if not np.all(found.converged):
+        reached_m = share[np.argmin(found.converged)] * line.length_m
+        return Refusal(f"the straight move leaves the reach of the arm after {reached_m:.3f} m")
+    if np.any(over > 0):
+        k = int(np.argmax(over > 0))
+        along_m = share[k] * line.length_m
+        return Refusal(
+            f"{along_m:.3f} m along the line, {describe_worst_limit(config, found.output_rad[:, k])}"
+        )
+    motion = config.params.motion
+    travel = Travel(line.length_m, speed_m_s, motion.line_acceleration_m_s2, motion.line_jerk_m_s3)
+    return plan_over_knots(config, joints, found.output_rad, found.torque_Nm, line.compensation, travel)
+
+
+def _follow_line(config: Config, line: Line, share: Array) -> NewtonRoots:
+    """Outputs at each share (k,) of the line: all at once, or knot by knot where that loses the branch."""
+    p_m = line.p_m[:, None] + share * (line.end_p_m - line.p_m)[:, None]
+    axes = line.axis[:, None] + share * (line.end_axis - line.axis)[:, None]
+    axes /= norm(axes)
+    start = np.tile(line.output_rad[:, None], share.size)
+    found = refine_roots(config.arm, line.tool, p_m, axes, line.gravity_R_m_s2, start)
+    steps = np.abs(np.diff(found.output_rad, prepend=line.output_rad[:, None]))
+    if np.all(found.converged) and steps.max() < MAX_KNOT_STEP_RAD:
+        return found
+    knots: list[NewtonRoots] = []
+    last = before = line.output_rad
+    for k in range(share.size):
+        knot = refine_roots(
+            config.arm, line.tool, p_m[:, k], axes[:, k], line.gravity_R_m_s2, 2 * last - before
+        )
+        followed = knot.converged & (np.abs(knot.output_rad - last).max() < MAX_KNOT_STEP_RAD)
+        knots.append(replace(knot, converged=followed))
+        before, last = last, knot.output_rad
+    return NewtonRoots(
+        output_rad=np.stack([knot.output_rad for knot in knots], axis=-1),
+        torque_Nm=np.stack([knot.torque_Nm for knot in knots], axis=-1),
+        error=np.stack([knot.error for knot in knots]),
+        converged=np.stack([knot.converged for knot in knots]),
+    )
+
 
 AUTO = "AUTO"
 
@@ -31,7 +179,7 @@ def plan_tool(
     to `reference`, or else to the tool itself, a target moves along with that tool's deflection of now.
     """
     compensation = Compensation(command.backlash, command.deflection)
-    p_m, approach = _in_rover(config, joints, command, compensation)
+    p_m, approach = _target_in_rover(config, joints, command, compensation)
     along = np.array([0.0, command.line_m])
     targets, approaches = compensation.target(
         config,
@@ -42,7 +190,7 @@ def plan_tool(
     )
     if command.straight:
         plan = plan_straight(config, joints, command, targets[:, 0], approaches[:, 0])
-        return plan if isinstance(plan, Refusal) else _if_clear(config, joints, plan)
+        return plan if isinstance(plan, Refusal) else _refuse_blocked(config, joints, plan)
     answers = inverse_kinematics(
         config.arm, command.tool, targets, approaches, compensation.gravity(joints), joints.motor_rad
     )
@@ -50,12 +198,12 @@ def plan_tool(
     names = [BRANCHES[slot % len(BRANCHES)] for slot in range(len(valid))]
     wanted = np.array([command.branch in (AUTO, name) for name in names])
     if not np.any(valid & wanted):
-        return Refusal(_why_none(config, command.tool, answers, wanted))
+        return Refusal(_explain_refusal(config, command.tool, answers, wanted))
     output = np.where(valid & wanted, answers.output_rad[..., 0], np.nan)
-    return _first_clear(config, joints, command, compensation, output, names)
+    return _plan_first_clear(config, joints, command, compensation, output, names)
 
 
-def _first_clear(
+def _plan_first_clear(
     config: Config,
     joints: JointEstimate,
     command: MoveTool,
@@ -69,8 +217,10 @@ def _first_clear(
     for slot in np.argsort(turns_s)[: np.count_nonzero(np.isfinite(turns_s))]:
         pose = output_rad[:, slot]
         load_Nm = settle_output(config.arm, pose, joints.gravity_R_m_s2).torque_Nm
-        plan = _if_clear(
-            config, joints, plan_to(config, joints, standing(joints), pose, load_Nm, compensation)
+        plan = _refuse_blocked(
+            config,
+            joints,
+            plan_joint_move(config, joints, likely_positions(joints), pose, load_Nm, compensation),
         )
         if not isinstance(plan, Refusal):
             return replace(plan, branch=names[slot])
@@ -78,24 +228,24 @@ def _first_clear(
     return Refusal(f"{command.tool.name}: {met[0]}")
 
 
-def _if_clear(config: Config, joints: JointEstimate, plan: Plan) -> Plan | Refusal:
+def _refuse_blocked(config: Config, joints: JointEstimate, plan: Plan) -> Plan | Refusal:
     meeting = check_paths(config, joints, plan.paths, config.params.collision.padding_m)
     return plan if meeting is None else Refusal(meeting)
 
 
-def _in_rover(
+def _target_in_rover(
     config: Config, joints: JointEstimate, command: MoveTool, compensation: Compensation
 ) -> tuple[Array, Array]:
     """Position and unit approach in RMECH."""
     p_m, approach = np.array(command.p_FoTo_F_m), np.array(command.approach_F)
     if command.frame != ROVER:
         frames = settle_output(config.arm, joints.output_rad, compensation.gravity(joints)).frames
-        X_RF = _frame(config, frames, command.frame)
+        X_RF = _frame_pose(config, frames, command.frame)
         p_m, approach = X_RF.R @ p_m + X_RF.p, X_RF.R @ approach
     return p_m, approach / np.linalg.norm(approach)
 
 
-def _frame(config: Config, frames: Frames, name: str) -> Pose:
+def _frame_pose(config: Config, frames: Frames, name: str) -> Pose:
     """An arm frame or a tool, by its name."""
     if name in Tool.__members__:
         return tool_pose(config.arm, frames, Tool[name])
@@ -103,7 +253,7 @@ def _frame(config: Config, frames: Frames, name: str) -> Pose:
     return Pose(frames.X_RF.R[:, :, k], frames.X_RF.p[:, k])
 
 
-def _why_none(config: Config, tool: Tool, answers: IkResult, wanted: NDArray[np.bool_]) -> str:
+def _explain_refusal(config: Config, tool: Tool, answers: IkResult, wanted: NDArray[np.bool_]) -> str:
     """Of the branches asked for, the reason of the nearest: at the target, else at the end of the line."""
     for place, name in ((0, "the target"), (1, "the end of the approach")):
         verdict, excess = answers.verdict[:, place], answers.excess[:, place]

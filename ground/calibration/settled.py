@@ -15,7 +15,7 @@ from fsw.dictionary.params import Params
 from fsw.estimate.gear import load_error
 from fsw.kinematics.statics import settle, settle_output
 from fsw.kinematics.transforms import Array
-from fsw.motion.compensation import last_motion
+from fsw.motion.compensation import final_direction
 from ground.calibration.campaign import CampaignPlan
 from ground.calibration.data import Campaign
 from ground.calibration.frames import FewTargets
@@ -78,7 +78,7 @@ def _scene(arm: BuiltArm, plan: CampaignPlan, k: int) -> _Scene:
 def _settled(scene: _Scene, goal: Array, rng: np.random.Generator) -> Row | None:
     group, known, gravity = scene.group, scene.known, scene.gravity_R_m_s2
     load = settle_output(known.arm, goal, gravity).torque_Nm
-    dragged = last_motion(known, load, gravity)
+    dragged = final_direction(known, load, gravity)
     held = known.output_friction_Nm * np.where(dragged == 0, rng.choice([-1.0, 1.0], len(Joint)), dragged)
     sure = np.abs(np.abs(load) - known.output_friction_Nm) > load_error(known, gravity)
     side = np.where(load > held, 1.0, -1.0)

@@ -12,7 +12,7 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Calibrate, CalibrateAll
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.types import Joints5, joints5
-from fsw.executive.hardstop_pose import stop_poses
+from fsw.executive.homing_poses import homing_start_poses
 from ground.common.files import BadOutput, check_output
 from ground.common.progress import Progress
 from ground.common.requests import (
@@ -104,7 +104,7 @@ def hardstop(request: HardstopRequest, progress: Progress) -> HardstopReport:
             problem = save_hardstop_figure(runs, request.picture)
         except BadOutput as error:
             raise BadRequest(str(error)) from error
-    poses = tuple(tuple(stop_poses(job.arm.params, joint)[-1]) for joint in Joint)
+    poses = tuple(tuple(homing_start_poses(job.arm.params, joint)[-1]) for joint in Joint)
     return HardstopReport(request, runs, poses, problem)
 
 
@@ -197,7 +197,7 @@ def _all(request: HardstopRequest, job: HardstopJob, progress: Progress) -> Init
     run = InitialisationRun(loop, CalibrateAll())
     for record in run:
         if record.tick % CYCLE_HZ == 0:
-            seeking = loop.state.move.seek if loop.state.move is not None else None
+            seeking = loop.state.move.homing if loop.state.move is not None else None
             doing = "moving" if seeking is None else seeking.joint.name.lower()
             progress(record.tick / CYCLE_HZ, EXPECTED_S, doing)
     if loop.failure is not None:

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
-from fsw.motion.seek import Stage
+from fsw.motion.homing import HomingStage
 from ground.render.figures import save_figure
 from sim.initialisation import Initialisation, Sample
 
@@ -18,18 +18,18 @@ PAUSE_S: Final = 1.0
 """Between two turns of a joint."""
 BLUE, ORANGE, GREEN, RED, GREY = "#31688e", "#d95f02", "#2a9d8f", "#c1121f", "0.6"
 COLOURS: Final = {
-    Stage.FREE: "0.8",
-    Stage.COARSE: GREY,
-    Stage.RETREAT: GREEN,
-    Stage.FINE: BLUE,
-    Stage.RELEASE: ORANGE,
+    HomingStage.FREE: "0.8",
+    HomingStage.COARSE: GREY,
+    HomingStage.RETREAT: GREEN,
+    HomingStage.FINE: BLUE,
+    HomingStage.RELEASE: ORANGE,
 }
 NAMES: Final = {
-    Stage.FREE: "off, to begin with",
-    Stage.COARSE: "towards, until it stalls",
-    Stage.RETREAT: "back",
-    Stage.FINE: "towards, slowly",
-    Stage.RELEASE: "off, slowly",
+    HomingStage.FREE: "off, to begin with",
+    HomingStage.COARSE: "towards, until it stalls",
+    HomingStage.RETREAT: "back",
+    HomingStage.FINE: "towards, slowly",
+    HomingStage.RELEASE: "off, slowly",
 }
 
 
@@ -60,7 +60,7 @@ def _by_joint(runs: Sequence[Initialisation]) -> dict[Joint, list[Sample]]:
     for joint in HARDSTOP_ORDER:
         samples = next((turn for turn in (_last_turn(run, joint) for run in runs) if turn), None)
         if samples is not None:
-            at_stop = [s.time_s for s in samples if s.stage > Stage.COARSE]
+            at_stop = [s.time_s for s in samples if s.stage > HomingStage.COARSE]
             first_s = (at_stop[0] if at_stop else samples[-1].time_s) - BEFORE_S
             seen[joint] = [s for s in samples if s.time_s >= first_s]
     return seen
@@ -76,7 +76,7 @@ def _draw(axes: Any, joint: Joint, samples: list[Sample]) -> None:
     current, speed, angle, press = axes
     zero_s, last = samples[0].time_s, samples[-1]
     name = joint.name.lower()
-    for stage in Stage:
+    for stage in HomingStage:
         part = [s for s in samples if s.stage is stage]
         if not part:
             continue
@@ -87,7 +87,7 @@ def _draw(axes: Any, joint: Joint, samples: list[Sample]) -> None:
         current.plot(time_s, current_A, label=NAMES[stage], **style)
         speed.plot(time_s, 1e3 * np.array([s.speed_rad_s for s in part]), **style)
         angle.plot(time_s, angle_mrad, **style)
-        if stage in (Stage.FINE, Stage.RELEASE):
+        if stage in (HomingStage.FINE, HomingStage.RELEASE):
             press.plot(angle_mrad, current_A, ".", markersize=2, color=COLOURS[stage])
     time_s = np.array([s.time_s for s in samples]) - zero_s
     limit_A = np.array([s.limit_A for s in samples])
@@ -107,5 +107,5 @@ def _stalls(samples: list[Sample]) -> list[float]:
     return [
         a.time_s
         for a, b in pairwise(samples)
-        if a.stage is not b.stage and a.stage in (Stage.COARSE, Stage.FINE)
+        if a.stage is not b.stage and a.stage in (HomingStage.COARSE, HomingStage.FINE)
     ]

@@ -12,8 +12,8 @@ import numpy as np
 from fsw.dictionary.commands import Command, Preload, SetParam, SetTilt
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.types import Limits
-from fsw.executive.checks import beyond
-from fsw.executive.settings import params_with
+from fsw.executive.checks import check_bounds
+from fsw.executive.settings import replace_param
 from sim.arms import UnknownArm, arm_named
 from sim.effects.environment import WARM_C
 from sim.params import nominal_params
@@ -255,9 +255,9 @@ def _senseless(commands: tuple[Command, ...]) -> Iterator[tuple[int, str]]:
     for number, command in enumerate(commands, start=1):
         problem: str | None = None
         if isinstance(command, SetParam):
-            changed = params_with(params, command)
+            changed = replace_param(params, command)
             params, problem = (params, changed) if isinstance(changed, str) else (changed, None)
         elif isinstance(command, Preload | SetTilt):
-            problem = beyond(params, command)
+            problem = check_bounds(params, command)
         if problem is not None:
             yield number, problem

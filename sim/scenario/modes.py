@@ -20,27 +20,27 @@ from fsw.dictionary.commands import (
     ToolChange,
 )
 from fsw.dictionary.enums import Mode, Tool
-from fsw.executive.modes import EVENT_OF, Event, after
+from fsw.executive.modes import EVENT_OF, ModeEvent, next_mode
 from sim.scenario.names import upper_snake
 
-_FREE: Final = (Event.MOVE_FREE, Event.DONE)
-_GUARDED: Final = (Event.MOVE_GUARDED, Event.DONE)
-_BACK: Final = (Event.MOVE_BACK, Event.DONE)
-_PRESS: Final = (Event.PRESS, Event.DONE)
-_RELEASE: Final = (Event.PRESS, Event.DONE_RELEASED)
+_FREE: Final = (ModeEvent.MOVE_FREE, ModeEvent.DONE)
+_GUARDED: Final = (ModeEvent.MOVE_GUARDED, ModeEvent.DONE)
+_BACK: Final = (ModeEvent.MOVE_BACK, ModeEvent.DONE)
+_PRESS: Final = (ModeEvent.PRESS, ModeEvent.DONE)
+_RELEASE: Final = (ModeEvent.PRESS, ModeEvent.DONE_RELEASED)
 
-EVENTS: Final[dict[type[Command], tuple[Event, ...]]] = {
-    **{kind: (event, Event.DONE) for kind, event in EVENT_OF.items()},
+EVENTS: Final[dict[type[Command], tuple[ModeEvent, ...]]] = {
+    **{kind: (event, ModeEvent.DONE) for kind, event in EVENT_OF.items()},
     Calibrate: _FREE,
     CalibrateAll: _FREE,
-    Stow: (Event.MOVE_FREE, Event.DONE_STOWED),
+    Stow: (ModeEvent.MOVE_FREE, ModeEvent.DONE_STOWED),
     PlaceTool: (*_FREE, *_GUARDED),
     Preload: _PRESS,
     ToolChange: (*_BACK, *_FREE, *_GUARDED),
     SetTilt: (),
     SetParam: (),
     Stop: (),
-    ClearFault: (Event.CLEAR,),
+    ClearFault: (ModeEvent.CLEAR,),
 }
 """What a command that goes well does to the mode, step by step; `_events` knows those with a choice."""
 
@@ -48,7 +48,7 @@ EVENTS: Final[dict[type[Command], tuple[Event, ...]]] = {
 Modes = frozenset[Mode]
 
 _CLEARED: Final[Modes] = frozenset(
-    Mode(mode) for event in Event if (mode := after(Mode.FAULTED, event)) not in (None, Mode.FAULTED)
+    Mode(mode) for event in ModeEvent if (mode := next_mode(Mode.FAULTED, event)) not in (None, Mode.FAULTED)
 )
 """Where a cleared fault leaves the arm depends on where it stands, which cannot be known beforehand."""
 
@@ -85,7 +85,7 @@ def refusals(
 
 def moves(command: Command) -> bool:
     """Whether a command moves the arm."""
-    return EVENTS[type(command)] not in ((), (Event.CLEAR,))
+    return EVENTS[type(command)] not in ((), (ModeEvent.CLEAR,))
 
 
 def modes_after(modes: Modes, command: Command) -> Modes:
@@ -97,13 +97,13 @@ def modes_after(modes: Modes, command: Command) -> Modes:
     return _through(modes, _events(command))
 
 
-def _through(modes: Modes, events: tuple[Event, ...]) -> Modes:
+def _through(modes: Modes, events: tuple[ModeEvent, ...]) -> Modes:
     for event in events:
-        modes = frozenset(reached for mode in modes if (reached := after(mode, event)) is not None)
+        modes = frozenset(reached for mode in modes if (reached := next_mode(mode, event)) is not None)
     return modes
 
 
-def _events(command: Command) -> tuple[Event, ...]:
+def _events(command: Command) -> tuple[ModeEvent, ...]:
     match command:
         case Preload(force_N=force):
             return _RELEASE if force == 0 else _PRESS

@@ -10,8 +10,8 @@ from fsw.dictionary.commands import ROVER, Command, Dock
 from fsw.dictionary.enums import TOOL_SWITCHES, Tool
 from fsw.dictionary.faults import Fault
 from fsw.dictionary.types import Limits, Vector3, vector3
-from fsw.executive.checks import FRAMES as COMMAND_FRAMES
-from fsw.executive.checks import MoveCommand, malformed, malformed_direction
+from fsw.executive.checks import FRAME_NAMES as COMMAND_FRAMES
+from fsw.executive.checks import MoveCommand, check_arguments, check_vector
 from fsw.kinematics.branches import BRANCHES
 from fsw.motion.plan_tool import AUTO
 from sim.effects.effect import Effect, Timed
@@ -80,7 +80,7 @@ def check_near(name: str, p_m: Vector3, place: Place, findings: Findings) -> Non
 
 def check_direction(name: str, direction: Vector3, place: Place, findings: Findings) -> None:
     """Refuse a direction that is none."""
-    if malformed_direction(name, direction) is not None:
+    if check_vector(name, direction) is not None:
         findings.say(
             (*place, name), f"{name}: has no length; write a direction, of any length in 1e-9 .. 1e9"
         )
@@ -110,7 +110,7 @@ def command_of(
     if "frame" in names:
         changed["frame"] = ROVER if frame in ROVER_FRAMES else frame
     command = replace(command, **changed)
-    problem = malformed(command) if isinstance(command, MoveCommand) else None
+    problem = check_arguments(command) if isinstance(command, MoveCommand) else None
     if isinstance(command, Dock) and not TOOL_SWITCHES[points[command.point]]:
         problem = f"the {points[command.point].name.lower()} has no contact switch to dock with"
     if problem is not None:

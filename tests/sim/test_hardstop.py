@@ -11,7 +11,7 @@ from fsw.dictionary.enums import Joint, Mode
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, FaultResponse
 from fsw.estimate.reference import no_reference
 from fsw.messages import Sensors
-from fsw.motion.seek import Stage
+from fsw.motion.homing import HomingStage
 from fsw.state import boot
 from sim.arms import arm_named
 from sim.effects.environment import Ambient, PowerLoss
@@ -110,8 +110,8 @@ def test_a_joint_that_was_left_pressed_on_its_hardstop_is_not_pressed_any_harder
         stop_run(arm_named("nominal"), joint, World(), effects=(Ambient(temperature_C),)) for _ in range(2)
     )
     for _ in run:
-        seek = run.loop.state.move.seek if run.loop.state.move is not None else None
-        if seek is not None and seek.stage is Stage.RETREAT:
+        seek = run.loop.state.move.homing if run.loop.state.move is not None else None
+        if seek is not None and seek.stage is HomingStage.RETREAT:
             break
     record = run.loop.cycle((Stop(),))
     while record.outputs.joint.busy:
@@ -190,7 +190,7 @@ def test_with_a_current_sensor_that_lies_nothing_is_pressed_too_hard_or_for_ever
         assert not result.reference.calibrated[joint]
 
 
-@pytest.mark.parametrize("stage", Stage)
+@pytest.mark.parametrize("stage", HomingStage)
 def test_power_lost_half_way_leaves_nothing_half_set(stage):
     arm = arm_named("nominal")
     whole = finished(stop_run(arm, Joint.TURRET, World()))

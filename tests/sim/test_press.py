@@ -62,7 +62,7 @@ def half_pressed() -> ClosedLoop:
     """The drill on its rock, pressed with half of what it is to be; never run on itself."""
     loop = on_the_rock()
     for _ in run_sequence(loop, (PLACE, Preload(Tool.DRILL, 300.0))):
-        if loop.state.pressing is not None and loop.state.pressing.force_N > 150.0:
+        if loop.state.preload is not None and loop.state.preload.force_N > 150.0:
             return loop
     raise AssertionError("the press did not come so far")
 
@@ -107,7 +107,7 @@ def test_the_drill_presses_with_the_force_and_neither_slips_nor_leans():
     cycles = run_sequence(loop, commands)
     for record in cycles:
         assert not any(isinstance(evr, FaultResponse) for evr in record.outputs.evrs)
-        if loop.state.pressing is not None:
+        if loop.state.preload is not None:
             forces.append(tool_forces(loop.plant)[Tool.DRILL])
             places.append(loop.plant.truth().p_RoTo_R_m[Tool.DRILL])
             if any(isinstance(evr, Preloaded) for evr in record.outputs.evrs):

@@ -7,7 +7,7 @@ import pytest
 
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params
-from fsw.executive.hardstop_pose import stop_poses
+from fsw.executive.homing_poses import homing_start_poses
 from sim.arms import arm_named
 from sim.clearance import Space
 from sim.stops import (
@@ -59,7 +59,7 @@ def test_a_joint_has_room_to_run_wherever_it_is_allowed_to(joint, world, whole, 
     params = WHOLE if whole else bare
     space, most = Space(params, world), params.hardstop.pose_tolerance_rad
     rng = np.random.default_rng([15, joint])
-    for pose in stop_poses(params, joint):
+    for pose in homing_start_poses(params, joint):
         for _ in range(20):
             found = space.clearance(run_from(params, joint, pose + rng.uniform(-most, most, 5)))
             assert min(found.outside_m, found.self_m) > CLEARANCE_M

@@ -13,7 +13,7 @@ from fsw.dictionary.enums import Joint, Mode, Tool
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, Limits
 from fsw.estimate.reference import Reference
-from fsw.executive.steps import tool_of
+from fsw.executive.expansion import teach_point_tool
 from ground.telemetry.imports.mapping import Asked, Start
 from sim.params import BadParams, nominal_params, params_over_nominal
 from sim.scenario.record import Findings, record_of, table_of
@@ -71,7 +71,7 @@ def start_of(data: dict[str, Any], folder: Path, findings: Findings) -> Start | 
     if start is None or params is None:
         return None
     reference = _reference(table, params, findings)
-    points = {point.name: tool_of(point) for point in params.teach}
+    points = {point.name: teach_point_tool(point) for point in params.teach}
     commands = [_command(table, place, findings, points) for place, table in asked]
     in_order = sorted((one for one in commands if one is not None), key=lambda one: one.tick)
     return Start(params, start.mode, reference, tuple(in_order))

@@ -29,7 +29,7 @@ from fsw.dictionary.commands import (
 from fsw.dictionary.enums import Joint, Mode, Switch, Tool
 from fsw.dictionary.evrs import CommandRefused
 from fsw.dictionary.params import TeachPoint
-from fsw.motion.move import NEAR_N
+from fsw.motion.move import MIN_CORRECTION_N
 from tests.fsw.rig import Rig, config_of, facing, floats, with_params
 
 START = facing(config_of(), Tool.APXS)
@@ -106,26 +106,26 @@ def faulted():
     return rig
 
 
-def pressing():
+def preloading():
     rig = guarded_in_contact()
     rig.cycle(Preload(Tool.APXS, 50.0), **TOUCHED)
-    while rig.state.pressing.force_N < 10.0:
+    while rig.state.preload.force_N < 10.0:
         rig.cycle(**TOUCHED)
     return rig
 
 
-def pressed():
-    rig = pressing()
+def preloaded():
+    rig = preloading()
     rig.run(**TOUCHED)
-    assert abs(rig.state.pressing.force_N - 50.0) < NEAR_N
+    assert abs(rig.state.preload.force_N - 50.0) < MIN_CORRECTION_N
     return rig
 
 
 SITUATIONS = [
     stowed, uncalibrated, deployed, moving_free, guarded_moving, guarded_in_contact, retracting,
-    calibrating, pressing, pressed, being_stopped_by_a_fault, faulted,
+    calibrating, preloading, preloaded, being_stopped_by_a_fault, faulted,
 ]  # fmt: skip
-TOUCHING = (guarded_in_contact, pressing, pressed)
+TOUCHING = (guarded_in_contact, preloading, preloaded)
 """The situations in which a switch is closed."""
 
 

@@ -112,7 +112,7 @@ def test_a_joint_may_be_given_by_its_number():
     assert "joint elbow: 171.9 deg is outside" in refusal(rig, MoveJoint(number, 3.0))
     assert CommandCompleted("MoveJoint") in rig.run(MoveJoint(number, float(START[number]) + 0.01))
     rig.cycle(Calibrate(number))
-    assert rig.state.move.seek.joint is Joint.ELBOW
+    assert rig.state.move.homing.joint is Joint.ELBOW
 
 
 def test_a_joint_that_may_not_be_calibrated_where_it_is_may_be_given_by_its_number_too():
@@ -304,7 +304,7 @@ def test_all_joints_are_calibrated_by_commands_of_their_own():
     rig.evrs.clear()
     rig.cycle(CalibrateAll())
     assert rig.evrs[:2] == [CommandAccepted("CalibrateAll"), CommandAccepted("Calibrate")]
-    assert rig.state.move.seek.joint is HARDSTOP_ORDER[0]
+    assert rig.state.move.homing.joint is HARDSTOP_ORDER[0]
     assert rig.outputs.joint.busy
 
 

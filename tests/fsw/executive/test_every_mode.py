@@ -23,7 +23,7 @@ from fsw.dictionary.commands import (
 )
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAccepted, CommandCompleted, CommandRefused
-from fsw.executive.modes import EVENT_OF, after
+from fsw.executive.modes import EVENT_OF, next_mode
 from tests.fsw.executive import lab
 from tests.fsw.executive.lab import COMMANDS, SITUATIONS, TOUCHED, TOUCHING
 
@@ -66,8 +66,8 @@ REFUSED = {
     | {Dock: "APXS is the tool that may touch; retract it first"},
     lab.retracting: under_way("Retract"),
     lab.calibrating: under_way("Calibrate"),
-    lab.pressing: under_way("Preload"),
-    lab.pressed: in_mode("PRELOAD", Preload),
+    lab.preloading: under_way("Preload"),
+    lab.preloaded: in_mode("PRELOAD", Preload),
     lab.being_stopped_by_a_fault: FAULT | {ClearFault: "the arm is still being stopped"},
     lab.faulted: FAULT,
 }
@@ -98,10 +98,10 @@ def test_every_command_in_every_situation(situation, kind):
         assert CommandAccepted(name) not in rig.evrs
         assert (rig.state.move is None) is (before.move is None)
         assert rig.state.joints.reference is before.joints.reference
-        kept = ("sequence", "fault", "changed", "tool")
+        kept = ("sequence", "fault", "changed_config", "tool")
         assert all(getattr(rig.state, field) is getattr(before, field) for field in kept)
     else:
         assert not refused
         assert CommandAccepted(name) in rig.evrs or CommandCompleted(name) in rig.evrs
         if kind in EVENT_OF:
-            assert rig.state.mode is after(before.mode, EVENT_OF[kind])
+            assert rig.state.mode is next_mode(before.mode, EVENT_OF[kind])

@@ -3,7 +3,7 @@
 import pytest
 
 from fsw.dictionary.enums import Mode
-from fsw.executive.modes import TRANSITIONS, Event, after
+from fsw.executive.modes import TRANSITIONS, ModeEvent, next_mode
 
 NO = None
 STOW, DEPL, FREE, GUARD, BACK, FAULT, PRESS = Mode
@@ -18,45 +18,47 @@ TABLE = {
     Mode.FAULTED: (NO, NO, NO, NO, NO, FAULT, DEPL, STOW, GUARD, NO, NO, NO, NO, NO, PRESS),
     Mode.PRELOAD: (NO, NO, NO, NO, PRESS, FAULT, NO, NO, NO, PRESS, NO, NO, PRESS, GUARD, NO),
 }
-MOVES = {Event.UNSTOW, Event.MOVE_FREE, Event.MOVE_GUARDED, Event.MOVE_BACK, Event.PRESS}
-CLEARING = {Event.CLEAR, Event.CLEAR_STOWED, Event.CLEAR_TOUCHING, Event.CLEAR_PRESSED}
+MOVES = {ModeEvent.UNSTOW, ModeEvent.MOVE_FREE, ModeEvent.MOVE_GUARDED, ModeEvent.MOVE_BACK, ModeEvent.PRESS}
+CLEARING = {ModeEvent.CLEAR, ModeEvent.CLEAR_STOWED, ModeEvent.CLEAR_TOUCHING, ModeEvent.CLEAR_PRESSED}
 
 
 @pytest.mark.parametrize("mode", Mode)
-@pytest.mark.parametrize("event", Event)
+@pytest.mark.parametrize("event", ModeEvent)
 def test_every_event_in_every_mode(mode, event):
-    assert after(mode, event) is TABLE[mode][event]
+    assert next_mode(mode, event) is TABLE[mode][event]
 
 
 def test_the_table_speaks_of_every_mode_and_event():
     assert set(TABLE) == set(Mode)
-    assert all(len(row) == len(Event) for row in TABLE.values())
+    assert all(len(row) == len(ModeEvent) for row in TABLE.values())
 
 
 def test_any_mode_can_fault_and_only_a_cleared_fault_leaves_it():
-    assert all(after(mode, Event.FAULT) is Mode.FAULTED for mode in Mode)
-    ways_out = {event for event in Event if after(Mode.FAULTED, event) not in (None, Mode.FAULTED)}
+    assert all(next_mode(mode, ModeEvent.FAULT) is Mode.FAULTED for mode in Mode)
+    ways_out = {event for event in ModeEvent if next_mode(Mode.FAULTED, event) not in (None, Mode.FAULTED)}
     assert ways_out == CLEARING
-    assert all(after(mode, event) is None for mode in Mode for event in CLEARING if mode is not Mode.FAULTED)
+    assert all(
+        next_mode(mode, event) is None for mode in Mode for event in CLEARING if mode is not Mode.FAULTED
+    )
 
 
 def test_a_stowed_arm_moves_only_by_unstowing_and_only_a_stowed_arm_unstows():
-    assert {event for event in MOVES if after(Mode.STOWED, event) is not None} == {Event.UNSTOW}
-    assert {mode for mode in Mode if after(mode, Event.UNSTOW) is not None} == {Mode.STOWED}
+    assert {event for event in MOVES if next_mode(Mode.STOWED, event) is not None} == {ModeEvent.UNSTOW}
+    assert {mode for mode in Mode if next_mode(mode, ModeEvent.UNSTOW) is not None} == {Mode.STOWED}
 
 
 def test_every_move_ends_somewhere():
-    moving = {after(mode, event) for mode in Mode for event in MOVES} - {None}
-    assert all(after(mode, Event.DONE) is not None for mode in moving)
+    moving = {next_mode(mode, event) for mode in Mode for event in MOVES} - {None}
+    assert all(next_mode(mode, ModeEvent.DONE) is not None for mode in moving)
 
 
 def test_exactly_the_modes_in_which_an_arm_moves_can_be_stopped():
-    moving = {after(mode, event) for mode in Mode for event in MOVES} - {None}
-    assert {mode for mode in Mode if after(mode, Event.STOP) is not None} == moving
+    moving = {next_mode(mode, event) for mode in Mode for event in MOVES} - {None}
+    assert {mode for mode in Mode if next_mode(mode, ModeEvent.STOP) is not None} == moving
 
 
 def test_a_stop_never_takes_an_arm_that_may_touch_into_free_space():
-    assert {after(mode, Event.STOP) for mode in (Mode.GUARDED, Mode.RETRACTING)} == {Mode.GUARDED}
+    assert {next_mode(mode, ModeEvent.STOP) for mode in (Mode.GUARDED, Mode.RETRACTING)} == {Mode.GUARDED}
 
 
 def test_every_mode_is_left_by_some_event_and_reached_by_another():

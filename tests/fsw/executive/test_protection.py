@@ -14,7 +14,7 @@ from fsw.dictionary.faults import (
     OverTemperature,
     SensorNotFinite,
 )
-from fsw.executive.modes import TRANSITIONS, Event
+from fsw.executive.modes import TRANSITIONS, ModeEvent
 from fsw.executive.protection import MoveOutcome, apply_decision
 from fsw.motion.move import Phase
 from fsw.protect.responses import StandingFault, decide
@@ -49,14 +49,14 @@ def test_what_is_no_fault_changes_nothing_and_is_reported(mode):
     assert after.evrs == (CommandCompleted("Stop"),)
 
 
-@pytest.mark.parametrize("mode", [mode for mode in Mode if (mode, Event.STOP) in TRANSITIONS])
+@pytest.mark.parametrize("mode", [mode for mode in Mode if (mode, ModeEvent.STOP) in TRANSITIONS])
 def test_a_stop_leaves_the_mode_to_the_end_of_the_move_and_drops_the_sequence(mode):
     rig = moving()
     sequence, lost = Sequence("CalibrateAll", ()), ContactLost(Tool.DRILL)
     after = respond(rig, MoveOutcome(mode, rig.state.move, sequence, None, ()), lost)
     assert (after.mode, after.sequence, after.fault) == (mode, None, None)
     assert after.move.stopped
-    assert after.move.end_mode is TRANSITIONS[mode, Event.STOP]
+    assert after.move.end_mode is TRANSITIONS[mode, ModeEvent.STOP]
     assert after.evrs == (lost, FaultResponse("STOP_AND_BRAKE"), CommandAborted("CalibrateAll"))
 
 

@@ -18,7 +18,7 @@ def refusal(rig: Rig, command) -> str:
     rig.cycle(command)
     (evr,) = rig.evrs
     assert isinstance(evr, CommandRefused)
-    assert rig.state.changed is before.changed
+    assert rig.state.changed_config is before.changed_config
     assert rig.state.joints.down_R is before.joints.down_R
     return evr.reason
 
@@ -26,7 +26,7 @@ def refusal(rig: Rig, command) -> str:
 def test_a_parameter_takes_effect_and_the_digest_of_all_is_told():
     rig = Rig(CONFIG)
     rig.run(SetParam("joints.turret.speed_rad_s", 0.02))
-    changed = rig.state.changed
+    changed = rig.state.changed_config
     assert changed.speed_rad_s[Joint.TURRET] == 0.02
     assert digest(changed.params) == changed.params_sha256 != CONFIG.params_sha256
     assert rig.evrs[-2:] == [
@@ -47,14 +47,14 @@ def test_two_parameters_may_be_set_one_after_the_other():
     rig = Rig(CONFIG)
     rig.run(SetParam("collision.ground_z_m", 1.3))
     rig.run(SetParam("hardstop.moved_rad", 0.003))
-    params = rig.state.changed.params
+    params = rig.state.changed_config.params
     assert (params.collision.ground_z_m, params.hardstop.moved_rad) == (1.3, 0.003)
 
 
 def test_two_parameters_may_be_set_in_the_same_cycle_and_neither_is_lost():
     rig = Rig(CONFIG)
     rig.cycle(SetParam("collision.ground_z_m", 1.3), SetParam("hardstop.moved_rad", 0.003))
-    params = rig.state.changed.params
+    params = rig.state.changed_config.params
     assert (params.collision.ground_z_m, params.hardstop.moved_rad) == (1.3, 0.003)
 
 

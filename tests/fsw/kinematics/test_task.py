@@ -44,7 +44,7 @@ def test_on_its_target_the_error_is_nothing_and_a_tool_that_looks_the_other_way_
 @pytest.mark.parametrize("name", ["nominal", "calibrated:3"])
 @pytest.mark.parametrize("gravity", [MARS_R_m_s2, TILTED_R_m_s2], ids=["mars", "tilted"])
 def test_looking_again_with_the_strain_that_was_found_leads_to_the_arm_at_rest(name, gravity):
-    """Every pass leaves a small share of the strain_change before it; the tool is told to first order in it."""
+    """Every pass leaves a small share of the strain change before it; the pose is of first order in it."""
     arm = config_of(name).arm
     q = in_limits(config_of(), np.random.default_rng(6), 50)
     at_rest = settle_output(arm, q, gravity)

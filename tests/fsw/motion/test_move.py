@@ -8,8 +8,7 @@ import pytest
 from fsw.dictionary.enums import TOOL_SWITCHES, Joint, Mode, Tool
 from fsw.dictionary.evrs import CommandCompleted
 from fsw.estimate.joints import no_load
-from fsw.motion.drive import drive_for
-from fsw.motion.move import Move, Phase, advance, closed_switch, stop
+from fsw.motion.move import Move, Phase, advance_move, command_actuators, find_closed_switch, stop_early
 from fsw.motion.paths import Setpoint, StopPath, joint_path
 from fsw.state import boot
 from tests.fsw.rig import Rig, config_of, quiet_sensors
@@ -33,7 +32,7 @@ def move_by(angle_rad: float, **fields) -> Move:
 def following(move):
     """Joints that are where the set-point is."""
     joints = Rig(CONFIG).state.joints
-    return replace(joints, motor_rad=move.hold.motor_rad, motor_rate_rad_s=move.hold.rate_rad_s)
+    return replace(joints, motor_rad=move.setpoint.motor_rad, motor_rate_rad_s=move.setpoint.rate_rad_s)
 
 
 def test_the_phases_follow_one_another_to_the_end():
@@ -41,7 +40,7 @@ def test_the_phases_follow_one_another_to_the_end():
     while move is not None:
         if not phases or phases[-1] is not move.phase:
             phases.append(move.phase)
-        result = advance(CONFIG, move, following(move), NO_LOAD, SENSORS)
+        result = advance_move(CONFIG, move, following(move), NO_LOAD, SENSORS)
         move, ticks = result.move, ticks + 1
         assert ticks < 2000
     assert phases == list(Phase)
@@ -52,8 +51,8 @@ def test_the_phases_follow_one_another_to_the_end():
 def test_the_set_point_goes_from_the_start_to_the_end_of_the_path_without_a_jump():
     move, seen = move_by(0.02), []
     while move is not None:
-        seen.append(move.hold.motor_rad)
-        move = advance(CONFIG, move, following(move), NO_LOAD, SENSORS).move
+        seen.append(move.setpoint.motor_rad)
+        move = advance_move(CONFIG, move, following(move), NO_LOAD, SENSORS).move
     seen = np.array(seen)
     np.testing.assert_array_equal(seen[0], READY)
     np.testing.assert_allclose(seen[-1], READY + 0.02, atol=1e-12)
@@ -65,18 +64,18 @@ def test_paths_run_one_after_the_other_each_to_its_end():
     move = replace(move_by(0.0), paths=(there, back))
     highest = -np.inf
     while move is not None:
-        highest = max(highest, move.hold.motor_rad[0] - READY[0])
+        highest = max(highest, move.setpoint.motor_rad[0] - READY[0])
         last = move
-        move = advance(CONFIG, move, following(move), NO_LOAD, SENSORS).move
+        move = advance_move(CONFIG, move, following(move), NO_LOAD, SENSORS).move
     assert highest == pytest.approx(0.01)
-    np.testing.assert_allclose(last.hold.motor_rad, READY, atol=1e-12)
+    np.testing.assert_allclose(last.setpoint.motor_rad, READY, atol=1e-12)
 
 
 @pytest.mark.parametrize("phase", Phase)
 def test_a_stop_in_any_phase_ends_early_and_forgets_the_contact(phase):
-    stopped = stop(CONFIG, move_by(0.5, phase=phase, guarded=Tool.APXS), Mode.GUARDED)
+    stopped = stop_early(CONFIG, move_by(0.5, phase=phase, guarded_tool=Tool.APXS), Mode.GUARDED)
     assert stopped.stopped
-    assert stopped.guarded is None
+    assert stopped.guarded_tool is None
     assert stopped.end_mode is Mode.GUARDED
     expected = {Phase.RELEASE: Phase.BRAKE}.get(phase, phase)
     assert stopped.phase is expected
@@ -86,15 +85,15 @@ def test_a_stop_in_any_phase_ends_early_and_forgets_the_contact(phase):
 
 
 def test_a_tool_without_switches_never_touches():
-    assert closed_switch(Tool.PORTION, np.ones(10, bool)) is None
+    assert find_closed_switch(Tool.PORTION, np.ones(10, bool)) is None
     for tool, switches in TOOL_SWITCHES.items():
         for switch in switches:
-            assert closed_switch(tool, np.arange(10) == switch) is switch
+            assert find_closed_switch(tool, np.arange(10) == switch) is switch
 
 
 def test_without_a_move_brakes_are_on_and_power_is_off():
     state = boot(CONFIG, Mode.DEPLOYED)
-    drive = drive_for(CONFIG, None, state.joints, state.drive)
+    drive = command_actuators(CONFIG, None, state.joints, state.drive)
     assert not drive.power_on.any()
     assert not drive.brake_release.any()
 
@@ -104,7 +103,7 @@ def test_without_a_move_brakes_are_on_and_power_is_off():
 def test_the_joints_that_a_move_does_not_take_stay_braked_without_power(phase, joint):
     rig, alone = Rig(CONFIG), np.arange(5) == joint
     move = replace(move_by(0.1, phase=phase), active=alone)
-    drive = drive_for(CONFIG, move, rig.state.joints, rig.state.drive)
+    drive = command_actuators(CONFIG, move, rig.state.joints, rig.state.drive)
     np.testing.assert_array_equal(drive.power_on, alone)
     np.testing.assert_array_equal(drive.brake_release, alone & (phase is not Phase.BRAKE))
 
@@ -112,15 +111,15 @@ def test_the_joints_that_a_move_does_not_take_stay_braked_without_power(phase, j
 @pytest.mark.parametrize("phase", Phase)
 def test_power_is_on_in_every_phase_and_the_brakes_are_off_in_all_but_the_last(phase):
     rig = Rig(CONFIG)
-    drive = drive_for(CONFIG, move_by(0.1, phase=phase), rig.state.joints, rig.state.drive)
+    drive = command_actuators(CONFIG, move_by(0.1, phase=phase), rig.state.joints, rig.state.drive)
     assert drive.power_on.all()
     assert (drive.brake_release == (phase is not Phase.BRAKE)).all()
 
 
 def test_set_points_are_the_counts_nearest_to_the_angle():
     rig = Rig(CONFIG)
-    move = replace(move_by(0.1), hold=Setpoint(READY + 1e-4, np.zeros(5)))
-    drive = drive_for(CONFIG, move, rig.state.joints, rig.state.drive)
+    move = replace(move_by(0.1), setpoint=Setpoint(READY + 1e-4, np.zeros(5)))
+    drive = command_actuators(CONFIG, move, rig.state.joints, rig.state.drive)
     back = drive.setpoint_count * CONFIG.rad_per_count + rig.state.joints.reference.zero_rad
     assert (np.abs(back - READY - 1e-4) <= CONFIG.rad_per_count / 2 * (1 + 1e-6)).all()
 
@@ -131,10 +130,10 @@ def test_calm_is_counted_anew_after_the_last_motion():
     for upset in (0, 3):
         settling = move
         for joints in [calm] * upset + [replace(calm, motor_rad=calm.motor_rad + 1e-3)]:
-            settling = advance(CONFIG, settling, joints, NO_LOAD, SENSORS).move
+            settling = advance_move(CONFIG, settling, joints, NO_LOAD, SENSORS).move
         cycles = 0
         while settling.phase is Phase.SETTLE:
-            settling = advance(CONFIG, settling, calm, NO_LOAD, SENSORS).move
+            settling = advance_move(CONFIG, settling, calm, NO_LOAD, SENSORS).move
             cycles += 1
         assert cycles == CONFIG.settle_ticks
 
@@ -142,9 +141,11 @@ def test_calm_is_counted_anew_after_the_last_motion():
 def test_a_stop_goes_on_from_the_set_point_without_a_jump():
     move = move_by(0.5)
     for _ in range(300):
-        move = advance(CONFIG, move, following(move), NO_LOAD, SENSORS).move
-    rate = move.hold.rate_rad_s
-    braking = advance(CONFIG, stop(CONFIG, move, Mode.DEPLOYED), following(move), NO_LOAD, SENSORS).move
-    step = braking.hold.motor_rad - move.hold.motor_rad
-    np.testing.assert_allclose(step, (rate + braking.hold.rate_rad_s) / 2 / 64, atol=1e-12)
-    assert (braking.hold.rate_rad_s < rate).all()
+        move = advance_move(CONFIG, move, following(move), NO_LOAD, SENSORS).move
+    rate = move.setpoint.rate_rad_s
+    braking = advance_move(
+        CONFIG, stop_early(CONFIG, move, Mode.DEPLOYED), following(move), NO_LOAD, SENSORS
+    ).move
+    step = braking.setpoint.motor_rad - move.setpoint.motor_rad
+    np.testing.assert_allclose(step, (rate + braking.setpoint.rate_rad_s) / 2 / 64, atol=1e-12)
+    assert (braking.setpoint.rate_rad_s < rate).all()

@@ -23,8 +23,7 @@ from fsw.motion.path_check import (
 )
 from fsw.motion.paths import joint_path
 from fsw.motion.plan import Plan, plan_poses
-from fsw.motion.plan_line import plan_guarded, plan_retract
-from fsw.motion.plan_tool import plan_tool
+from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
 from sim.clearance import FAR_M, Space
 from sim.stops import sweep_poses
 from sim.world import World

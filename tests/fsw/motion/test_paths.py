@@ -14,7 +14,7 @@ from fsw.dictionary.commands import GuardedMove, Retract
 from fsw.dictionary.enums import Tool
 from fsw.motion.paths import JointPath, LinePath, Setpoint, Travel, joint_path, line_path, stop_path
 from fsw.motion.plan import Plan
-from fsw.motion.plan_line import plan_guarded, plan_retract
+from fsw.motion.plan_tool import plan_guarded, plan_retract
 from tests.fsw.motion.lab import gears_along, likely, sampled, tool_at
 from tests.fsw.rig import Rig, config_of, facing, floats, in_limits, with_params
 

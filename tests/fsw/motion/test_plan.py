@@ -14,9 +14,8 @@ from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.newton import refine_roots
 from fsw.kinematics.statics import settle
 from fsw.motion.compensation import Compensation
-from fsw.motion.plan import Plan, Refusal, over_limits, plan_joint, plan_poses
-from fsw.motion.plan_line import plan_guarded, plan_retract
-from fsw.motion.plan_tool import AUTO, plan_tool
+from fsw.motion.plan import Plan, Refusal, plan_joint, plan_poses, worst_limit_excess
+from fsw.motion.plan_tool import AUTO, plan_guarded, plan_retract, plan_tool
 from tests.fsw.motion.lab import gear_at_end, tool_at
 from tests.fsw.rig import MARS_R_m_s2, Rig, config_of, facing, floats, in_limits
 
@@ -51,7 +50,7 @@ def test_every_reachable_target_is_planned_and_met_by_the_settled_arm(tool):
         X = tool_at(CONFIG, plan.end.output_rad, tool)
         np.testing.assert_allclose(X.p, command.p_FoTo_F_m, atol=MEETS)
         np.testing.assert_allclose(X.R[:, 0], command.approach_F, atol=MEETS)
-        assert over_limits(CONFIG, plan.end.output_rad) <= 1e-9
+        assert worst_limit_excess(CONFIG, plan.end.output_rad) <= 1e-9
 
 
 @pytest.mark.parametrize("tool", Tool)
@@ -328,7 +327,7 @@ def test_a_line_that_can_be_followed_knot_by_knot_is_planned(tool, pose, length_
         if not found.converged or np.abs(found.output_rad - at).max() > 0.1:
             pytest.fail(f"cannot be followed beyond {s} m; take another example")
         at = found.output_rad
-    assert over_limits(CONFIG, at) < 0
+    assert worst_limit_excess(CONFIG, at) < 0
     assert isinstance(plan_guarded(CONFIG, joints, rig.touch(tool, length_m)), Plan)
 
 

@@ -11,7 +11,7 @@ from fsw.dictionary.enums import Joint, Tool
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.motion.plan import Refusal
-from fsw.motion.plan_process import gravity_pose
+from fsw.motion.plan_process import find_gravity_pose
 from tests.fsw.rig import Rig, config_of, floats, in_limits
 
 CONFIG = config_of()
@@ -41,7 +41,7 @@ def test_what_wrist_and_turret_can_bring_about_is_found_exactly_whether_the_arm_
         there = np.append(joints.output_rad[: Joint.WRIST], other[Joint.WRIST :])
         tool = Tool(int(rng.integers(len(Tool))))
         wanted = down_in(config, there, gravity, tool)
-        answer = gravity_pose(config, joints, Process(tool, floats(wanted), 1.0))
+        answer = find_gravity_pose(config, joints, Process(tool, floats(wanted), 1.0))
         assert not isinstance(answer, Refusal), answer.reason
         assert np.linalg.norm(down_in(config, answer, gravity, tool) - wanted) < 1e-9
         np.testing.assert_array_equal(answer[: Joint.WRIST], joints.output_rad[: Joint.WRIST])
@@ -59,7 +59,7 @@ def test_what_is_refused_is_out_of_reach_of_the_wrist_or_beyond_a_limit(arm):
         gravity = tilted(rng, np.radians(20.0))
         joints = replace(rig.state.joints, motor_rad=pose, imu_R_m_s2=gravity)
         wanted, tool = rng.standard_normal(3), Tool(int(rng.integers(len(Tool))))
-        answer = gravity_pose(config, joints, Process(tool, floats(wanted), 1.0))
+        answer = find_gravity_pose(config, joints, Process(tool, floats(wanted), 1.0))
         if isinstance(answer, Refusal):
             assert "the wrist can bring it to" in answer.reason or "is outside" in answer.reason
             continue
@@ -73,7 +73,7 @@ def test_what_the_wrist_cannot_do_with_this_azimuth_is_refused_with_what_it_can(
     gravity = 3.711 * np.array([0.0, np.sin(0.3), np.cos(0.3)])
     joints = replace(rig.state.joints, imu_R_m_s2=gravity)
     axis_T = CONFIG.arm.X_FT[Tool.PORTION].R[2]
-    answer = gravity_pose(CONFIG, joints, Process(Tool.PORTION, floats(axis_T), 1.0, deflection="off"))
+    answer = find_gravity_pose(CONFIG, joints, Process(Tool.PORTION, floats(axis_T), 1.0, deflection="off"))
     assert isinstance(answer, Refusal)
     assert "with this azimuth the wrist can bring it to 17.2 .. 162.8 deg" in answer.reason
     wrist = np.linspace(-np.pi, np.pi, 721)

@@ -102,7 +102,7 @@ def seize(rig, joint):
 
 
 def lag_rad(rig, joint):
-    return abs(rig.state.move.hold.motor_rad - rig.state.joints.motor_rad)[joint]
+    return abs(rig.state.move.setpoint.motor_rad - rig.state.joints.motor_rad)[joint]
 
 
 @pytest.mark.parametrize("joint", Joint)
@@ -130,7 +130,7 @@ def test_a_joint_that_seizes_is_stalled_before_it_is_too_far_behind_however_slow
 
 def slowed(rig, share):
     """The arm turns this share of what it is asked, from a lag that is beyond the bound already."""
-    asked = rig.state.move.hold.rate_rad_s
+    asked = rig.state.move.setpoint.rate_rad_s
     rig.slowed = getattr(rig, "slowed", rig.count - 400.0) + share * asked / 64 / CONFIG.rad_per_count
     return {"encoder_count": np.rint(rig.slowed).astype(int)}
 

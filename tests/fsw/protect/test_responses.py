@@ -140,7 +140,7 @@ def tamper(rig):
 
         @staticmethod
         def at(time_s):
-            return Setpoint(rig.state.move.hold.motor_rad + 0.1, np.zeros(5))
+            return Setpoint(rig.state.move.setpoint.motor_rad + 0.1, np.zeros(5))
 
     rig.state = replace(rig.state, move=replace(rig.state.move, paths=(Wrong(),), ticks=0))
     return {}
@@ -380,10 +380,10 @@ def test_an_arm_beyond_a_soft_limit_can_be_cleared_and_moved_back(joint, end):
 @pytest.mark.parametrize("off_rad", [-0.3, -0.0025, 0.0015, 0.0025, 5.0])
 def test_a_fault_holds_what_is_read_but_no_farther_from_the_set_point_than_a_motor_may_follow(joint, off_rad):
     rig = moving()
-    last = rig.state.move.hold.motor_rad
+    last = rig.state.move.setpoint.motor_rad
     rig.cycle(**off_set_point(rig, joint, off_rad), switch_closed=closed(Switch.DRT_1)["switch_closed"])
     assert rig.state.mode is Mode.FAULTED
-    held = rig.state.move.hold.motor_rad - last
+    held = rig.state.move.setpoint.motor_rad - last
     bound = BOUNDS.following_error_rad
     assert held[joint] == pytest.approx(np.clip(off_rad, -bound, bound), abs=2e-5)
     assert braked(rig)

@@ -118,7 +118,7 @@ def test_a_wrong_path_ends_at_the_brakes_in_the_same_cycle_and_never_reaches_the
     rig = Rig(CONFIG, start_rad=START)
     rig.until_moving(MoveJoints(floats(START + 0.05)))
     before = rig.outputs.drive.setpoint_count
-    last = rig.state.move.hold.motor_rad
+    last = rig.state.move.setpoint.motor_rad
     asked = at(joint, np.nan if wrong == "nan" else last[joint] + 0.1, last)
     rig.state = tampered(rig, asked)
     rig.evrs.clear()

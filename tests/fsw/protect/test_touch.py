@@ -15,7 +15,7 @@ from fsw.executive.protection import describe_arm
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.motion.plan import Refusal
-from fsw.motion.plan_press import firm_N
+from fsw.motion.preload import holding_force_N
 from fsw.protect.contact import (
     FULL_LEVER_M,
     LEAST_LEVER_M,
@@ -66,8 +66,8 @@ def test_a_guarded_move_ends_at_the_contact_of_its_own_tool(tool):
         assert evr.switch is switch
         assert 0 < evr.travel_m < 0.05
         rig.run(**closed(switch))
-        assert rig.state.pressing.tool is tool
-        assert rig.state.pressing.force_N == pytest.approx(firm_N(CONFIG))
+        assert rig.state.preload.tool is tool
+        assert rig.state.preload.force_N == pytest.approx(holding_force_N(CONFIG))
         assert rig.outputs.joint.planned_gap_rad == pytest.approx(rig.outputs.joint.gap_rad, abs=1e-5)
         assert not rig.outputs.drive.setpoint_rate_rad_s.any()
         assert CommandCompleted("GuardedMove") in rig.evrs
@@ -89,25 +89,25 @@ def test_a_stop_while_a_contact_is_made_firm_keeps_what_it_presses_with():
         rig.cycle(**closed(Switch.APXS_1))
     rig.run(Stop(), **closed(Switch.APXS_1))
     assert rig.state.mode is Mode.GUARDED
-    assert CONFIG.params.motion.switch_force_N <= rig.state.pressing.force_N < firm_N(CONFIG)
+    assert CONFIG.params.motion.switch_force_N <= rig.state.preload.force_N < holding_force_N(CONFIG)
 
 
 def test_a_guarded_move_that_touches_before_it_moves_presses_no_further():
     rig = in_guarded_motion(Tool.APXS)
     rig.run(**closed(Switch.APXS_1))
-    pressing, motor_rad = rig.state.pressing, rig.state.joints.motor_rad
+    pressing, motor_rad = rig.state.preload, rig.state.joints.motor_rad
     rig.run(rig.touch(Tool.APXS, 0.05), **closed(Switch.APXS_1))
-    assert rig.state.pressing is pressing
+    assert rig.state.preload is pressing
     assert rig.state.joints.motor_rad == pytest.approx(motor_rad, abs=CONFIG.params.motion.settle_error_rad)
 
 
 def test_a_touch_that_may_not_press_stays_where_its_switch_closed(monkeypatch):
-    monkeypatch.setattr("fsw.motion.move.plan_press", lambda *_: Refusal("for this test"))
+    monkeypatch.setattr("fsw.motion.move.plan_preload", lambda *_: Refusal("for this test"))
     rig = in_guarded_motion(Tool.APXS)
     rig.cycle(**closed(Switch.APXS_1))
     rig.run(**closed(Switch.APXS_1))
     assert CommandCompleted("GuardedMove") in rig.evrs
-    assert rig.state.pressing is None
+    assert rig.state.preload is None
 
 
 def test_a_touch_can_be_released_before_it_is_pressed():
@@ -115,7 +115,7 @@ def test_a_touch_can_be_released_before_it_is_pressed():
     rig.run(**closed(Switch.APXS_1))
     rig.run(Preload(Tool.APXS, 0.0), **closed(Switch.APXS_1))
     assert CommandCompleted("Preload") in rig.evrs
-    assert rig.state.pressing.force_N == 0.0
+    assert rig.state.preload.force_N == 0.0
 
 
 def test_a_fault_by_the_contact_of_another_tool_ends_what_the_first_pressed_with():
@@ -125,7 +125,7 @@ def test_a_fault_by_the_contact_of_another_tool_ends_what_the_first_pressed_with
     rig.run(**closed(Switch.DRT_1))
     rig.run(ClearFault(), **closed(Switch.DRT_1))
     assert rig.state.tool is Tool.DRT
-    assert rig.state.pressing is None
+    assert rig.state.preload is None
 
 
 def test_the_travel_at_contact_is_how_far_the_tool_went():

@@ -20,8 +20,8 @@ from fsw.dictionary.faults import (
     NoHardstop,
     StalledEarly,
 )
-from fsw.executive.hardstop_pose import AGAIN
-from fsw.motion.seek import Stage
+from fsw.executive.homing_poses import HOMED_TWICE
+from fsw.motion.homing import HomingStage
 from tests.fsw.motion.stops import StopRig
 from tests.fsw.rig import config_of, floats, with_params
 
@@ -129,7 +129,7 @@ def test_a_motor_that_neither_turns_nor_draws_current_is_stuck(joint):
 
 def test_a_stall_without_a_rise_of_torque_is_unclear():
     rig = StopRig(CONFIG, START)
-    rig.until(Calibrate(Joint.WRIST), lambda: rig.state.move.seek.stage is Stage.FINE)
+    rig.until(Calibrate(Joint.WRIST), lambda: rig.state.move.homing.stage is HomingStage.FINE)
     rig.seized = True
     evrs = rig.run(at_most=2000)
     assert HardstopUnclear(Joint.WRIST) in evrs
@@ -138,7 +138,7 @@ def test_a_stall_without_a_rise_of_torque_is_unclear():
 
 def test_a_current_that_cannot_be_is_not_believed():
     rig = StopRig(CONFIG, START)
-    rig.until(Calibrate(Joint.WRIST), lambda: rig.state.move.seek.stage is Stage.COARSE)
+    rig.until(Calibrate(Joint.WRIST), lambda: rig.state.move.homing.stage is HomingStage.COARSE)
     evrs = rig.run(at_most=200, current_A=np.full(5, -2.9))
     (evr,) = of(evrs, CurrentImplausible)
     assert isinstance(evr, CurrentImplausible)
@@ -150,7 +150,7 @@ def test_all_joints_are_calibrated_one_after_the_other_and_then_wait_where_they_
     rig = StopRig(CONFIG, START, ZERO_ERROR_RAD, calibrated=False)
     evrs = rig.run(CalibrateAll(), at_most=60_000)
     assert CommandCompleted("CalibrateAll") in evrs
-    assert [evr.joint for evr in of(evrs, JointCalibrated)] == [*HARDSTOP_ORDER, AGAIN]
+    assert [evr.joint for evr in of(evrs, JointCalibrated)] == [*HARDSTOP_ORDER, HOMED_TWICE]
     assert evrs.count(CommandAccepted("MoveJoint")) == len(Joint) + 1
     assert rig.outputs.joint.calibrated.all()
     assert rig.state.mode is Mode.DEPLOYED

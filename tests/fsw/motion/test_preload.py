@@ -20,7 +20,7 @@ STAYS_M = 2e-5
 def tool_under_force(rig: Rig):
     """The tool of the arm as flight software believes it, what it presses on pushing back."""
     state, arm = rig.state, rig.config.arm
-    push = None if state.pressing is None else state.pressing.pushed
+    push = None if state.preload is None else state.preload.reaction
     here = settle_output(arm, state.joints.output_rad, state.joints.imu_R_m_s2, push)
     return tool_pose(arm, here.frames, Tool.APXS)
 
@@ -37,9 +37,9 @@ def test_the_force_rises_and_the_tool_ends_where_it_touched():
     rig.cycle(Preload(Tool.APXS, 300.0), **TOUCHED)
     while rig.outputs.joint.busy:
         rig.cycle(**TOUCHED)
-        forces.append(rig.state.pressing.force_N)
+        forces.append(rig.state.preload.force_N)
     assert np.all(np.diff(forces) > -1e-9)
-    touched, ends = rig.state.pressing, tool_under_force(rig)
+    touched, ends = rig.state.preload, tool_under_force(rig)
     assert np.linalg.norm(ends.p - touched.p_RoTo_R_m) < STAYS_M
     assert np.abs(ends.R[:, 0] - touched.axis_R).max() < STAYS_M
     assert Preloaded(Tool.APXS, 300.0) in rig.evrs
@@ -49,22 +49,22 @@ def test_the_force_rises_and_the_tool_ends_where_it_touched():
 def test_a_force_is_changed_and_released_the_way_it_came():
     rig = pressed_with(200.0)
     rig.run(Preload(Tool.APXS, 80.0), **TOUCHED)
-    assert (rig.state.mode, rig.state.pressing.force_N) == (Mode.PRELOAD, 80.0)
+    assert (rig.state.mode, rig.state.preload.force_N) == (Mode.PRELOAD, 80.0)
     assert CommandCompleted("Preload") in rig.run(Preload(Tool.APXS, 0.0), **TOUCHED)
-    assert (rig.state.mode, rig.state.pressing.force_N) == (Mode.GUARDED, 0.0)
+    assert (rig.state.mode, rig.state.preload.force_N) == (Mode.GUARDED, 0.0)
     rig.cycle(Retract(Tool.APXS, 0.02), **TOUCHED)
-    assert (rig.state.mode, rig.state.pressing) == (Mode.RETRACTING, None)
+    assert (rig.state.mode, rig.state.preload) == (Mode.RETRACTING, None)
 
 
 def test_every_joint_carries_the_force_times_its_lever():
     rig = pressed_with(300.0)
-    press = rig.state.pressing
+    press = rig.state.preload
     axis, p = press.axis_R, press.p_RoTo_R_m
     here = settle_output(rig.config.arm, rig.state.joints.output_rad, rig.state.joints.imu_R_m_s2).frames
     z, origin = here.X_RL.R[:, 2, 1:], here.X_RL.p[:, 1:]
     levers = np.einsum("ij,ij->j", z, np.cross((p[:, None] - origin).T, -axis).T)
     pushed = settle_output(
-        rig.config.arm, rig.state.joints.output_rad, rig.state.joints.imu_R_m_s2, press.pushed
+        rig.config.arm, rig.state.joints.output_rad, rig.state.joints.imu_R_m_s2, press.reaction
     ).torque_Nm
     free = settle_output(rig.config.arm, rig.state.joints.output_rad, rig.state.joints.imu_R_m_s2).torque_Nm
     np.testing.assert_allclose(pushed - free, 300.0 * levers, atol=0.06 * np.abs(300.0 * levers).max())
@@ -111,7 +111,7 @@ def test_nothing_is_pressed_where_no_switch_is_closed_nor_with_another_tool():
 def test_a_press_that_ends_early_is_remembered_and_can_be_released(end):
     rig = guarded_in_contact()
     rig.cycle(Preload(Tool.APXS, 200.0), **TOUCHED)
-    while rig.state.pressing.force_N < 100.0:
+    while rig.state.preload.force_N < 100.0:
         rig.cycle(**TOUCHED)
     if end == "stop":
         evrs = rig.run(Stop(), **TOUCHED)
@@ -122,20 +122,20 @@ def test_a_press_that_ends_early_is_remembered_and_can_be_released(end):
         assert rig.state.mode is Mode.FAULTED
         rig.cycle(ClearFault(), **TOUCHED)
     assert rig.state.mode is Mode.PRELOAD
-    assert 95.0 < rig.state.pressing.force_N < 120.0
+    assert 95.0 < rig.state.preload.force_N < 120.0
     rig.run(Preload(Tool.APXS, 0.0), **TOUCHED)
-    assert (rig.state.mode, rig.state.pressing.force_N) == (Mode.GUARDED, 0.0)
+    assert (rig.state.mode, rig.state.preload.force_N) == (Mode.GUARDED, 0.0)
 
 
 @pytest.mark.parametrize("left_N", [6.0, 0.0])
 def test_a_release_that_is_stopped_near_its_end_can_be_ended_and_the_tool_taken_off(left_N):
     rig = pressed_with(100.0)
     rig.cycle(Preload(Tool.APXS, 0.0), **TOUCHED)
-    while rig.state.pressing.force_N > left_N:
+    while rig.state.preload.force_N > left_N:
         rig.cycle(**TOUCHED)
     rig.run(Stop(), **TOUCHED)
     assert rig.state.mode is Mode.PRELOAD
-    stopped = rig.state.pressing.force_N
+    stopped = rig.state.preload.force_N
     assert stopped <= left_N
     evrs = rig.run(Preload(Tool.APXS, 0.0), **TOUCHED)
     assert Preloaded(Tool.APXS, stopped) in evrs

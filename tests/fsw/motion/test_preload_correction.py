@@ -9,9 +9,8 @@ from fsw.dictionary.commands import Preload
 from fsw.dictionary.enums import Tool
 from fsw.dictionary.evrs import ForceFelt, Preloaded
 from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
-from fsw.motion.move import NEAR_N, Phase
-from fsw.motion.plan_press import plan_press, touched
-from fsw.motion.trim import PressFit, felt_share
+from fsw.motion.move import MIN_CORRECTION_N, Phase
+from fsw.motion.preload import ForceFit, estimate_force_ratio, model_contact, plan_preload
 from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
 
 FRICTION_NM = np.array([170.0, 170.0, 170.0, 39.0, 39.0])
@@ -59,11 +58,11 @@ def currents(rig, stiffness: float, friction: float, offset_Nm: float, across) -
     move = state.move
     if move.phase is not Phase.RUN:
         return np.full(5, 1e-9 * state.tick)
-    of_model = move.press.torque_per_N * state.pressing.model_N
-    per_N = (stiffness - 1.0) * move.press.torque_per_N + levers_across(rig) @ np.array(across)
+    of_model = move.preload_change.torque_per_N * state.preload.model_N
+    per_N = (stiffness - 1.0) * move.preload_change.torque_per_N + levers_across(rig) @ np.array(across)
     # the load that flight software believes in holds the believed push already
-    extra = per_N * state.pressing.model_N + (1 - state.pressing.share) * of_model
-    resisting = friction * FRICTION_NM * np.sign(move.hold.rate_rad_s)
+    extra = per_N * state.preload.model_N + (1 - state.preload.force_ratio) * of_model
+    resisting = friction * FRICTION_NM * np.sign(move.setpoint.rate_rad_s)
     torque = resisting - state.load.torque_Nm - extra + offset_Nm
     return torque / config.torque_constant_Nm_A + 1e-9 * state.tick
 
@@ -72,7 +71,7 @@ def levers_across(rig) -> np.ndarray:
     """Loads (5, 2) by a newton along the tool's y axis, and by one along its z axis."""
     arm, state = rig.config.arm, rig.state
     frames = forward(arm, state.joints.output_rad)
-    X_RT = tool_pose(arm, frames, state.pressing.tool)
+    X_RT = tool_pose(arm, frames, state.preload.tool)
     return joint_jacobian(frames, X_RT.p)[3:].T @ X_RT.R[:, 1:]
 
 
@@ -82,8 +81,8 @@ def test_the_share_of_the_force_is_felt_and_made_up_for(stiffness, friction, off
     rig = pressed(stiffness, friction, offset_Nm)
     for felt in heard(rig):
         assert felt.along == pytest.approx(stiffness, abs=0.03)
-    assert rig.state.pressing.model_N * stiffness == pytest.approx(200.0, rel=0.04)
-    assert preloads(rig) == [pytest.approx(200.0, abs=NEAR_N)]
+    assert rig.state.preload.model_N * stiffness == pytest.approx(200.0, rel=0.04)
+    assert preloads(rig) == [pytest.approx(200.0, abs=MIN_CORRECTION_N)]
 
 
 @pytest.mark.parametrize("stiffness", [0.8, 1.15])
@@ -91,14 +90,16 @@ def test_what_was_felt_is_remembered_by_the_presses_that_follow(stiffness):
     rig = pressed(stiffness, force_N=100.0)
     for force_N in (200.0, 300.0, 150.0):
         press(rig, force_N, stiffness)
-        assert rig.state.pressing.model_N * stiffness == pytest.approx(force_N, rel=0.04)
-    assert preloads(rig) == [pytest.approx(force_N, abs=NEAR_N) for force_N in (100.0, 200.0, 300.0, 150.0)]
+        assert rig.state.preload.model_N * stiffness == pytest.approx(force_N, rel=0.04)
+    assert preloads(rig) == [
+        pytest.approx(force_N, abs=MIN_CORRECTION_N) for force_N in (100.0, 200.0, 300.0, 150.0)
+    ]
 
 
 def test_an_arm_as_stiff_as_believed_is_pressed_once():
     rig = pressed(1.0)
     assert [felt.along for felt in heard(rig)] == [pytest.approx(1.0, abs=0.01)] * 2
-    assert rig.state.pressing.model_N == pytest.approx(200.0, abs=NEAR_N)
+    assert rig.state.preload.model_N == pytest.approx(200.0, abs=MIN_CORRECTION_N)
 
 
 @pytest.mark.parametrize("across", [(0.15, 0.0), (0.0, -0.2)])
@@ -112,16 +113,16 @@ def test_a_force_across_is_told_from_the_one_along(across):
 @pytest.mark.parametrize(("share", "is_believed"), [(0.3, False), (0.8, True), (3.0, False)])
 def test_what_cannot_be_is_not_believed(share, is_believed):
     rig = guarded_in_contact()
-    joints, pressing = rig.state.joints, touched(rig.config, rig.state.joints, Tool.APXS)
-    per_N = plan_press(rig.config, joints, pressing, 300.0)[1].torque_per_N
-    fit = PressFit(legs=0)
+    joints, pressing = rig.state.joints, model_contact(rig.config, rig.state.joints, Tool.APXS)
+    per_N = plan_preload(rig.config, joints, pressing, 300.0)[1].torque_per_N
+    fit = ForceFit(legs_left=0)
     for model_N in np.linspace(20.0, 280.0, 1000):
-        fit = fit.after(model_N, per_N * model_N, share * per_N * model_N, np.ones(5, bool))
-    felt = felt_share(rig.config, fit, joints, pressing)
+        fit = fit.add_cycle(model_N, per_N * model_N, share * per_N * model_N, np.ones(5, bool))
+    felt = estimate_force_ratio(rig.config, fit, joints, pressing)
     assert (felt is not None) == is_believed
 
 
 def test_nothing_felt_tells_nothing():
     rig = guarded_in_contact()
-    pressing = touched(rig.config, rig.state.joints, Tool.APXS)
-    assert felt_share(rig.config, PressFit(), rig.state.joints, pressing) is None
+    pressing = model_contact(rig.config, rig.state.joints, Tool.APXS)
+    assert estimate_force_ratio(rig.config, ForceFit(), rig.state.joints, pressing) is None

@@ -18,7 +18,7 @@ from fsw.dictionary.commands import (
 )
 from fsw.dictionary.enums import Frame, Mode, Switch, Tool
 from fsw.dictionary.evrs import CommandAborted, CommandCompleted, CommandRefused, ContactMade, SpotTaken
-from fsw.executive.steps import steps_of
+from fsw.executive.expansion import expand_command
 from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle_output
 from fsw.state import Hold
@@ -32,7 +32,7 @@ def test_a_placement_is_a_standoff_and_a_guarded_line_through_the_place():
     p, approach = np.array(HERE.p_RoTo_R_m), np.array(HERE.approach_R)
     command = PlaceTool(Tool.APXS, HERE.p_RoTo_R_m, floats(3 * approach), 0.04, 0.02)
     rig = deployed()
-    to_standoff, touch = steps_of(CONFIG, rig.state.joints, rig.state.tool, command)
+    to_standoff, touch = expand_command(CONFIG, rig.state.joints, rig.state.tool, command)
     assert isinstance(to_standoff, MoveTool)
     assert isinstance(touch, GuardedMove)
     np.testing.assert_allclose(to_standoff.p_FoTo_F_m, p - 0.04 * approach, atol=1e-12)
@@ -63,7 +63,9 @@ def test_a_step_that_cannot_be_is_found_before_the_first_begins():
 def test_a_tool_change_counts_from_where_the_touching_tool_is_believed_to_be():
     rig = guarded_in_contact()
     X = rig.tool_pose(Tool.APXS)
-    back, to_standoff, touch = steps_of(CONFIG, rig.state.joints, rig.state.tool, ToolChange(Tool.MAHLI))
+    back, to_standoff, touch = expand_command(
+        CONFIG, rig.state.joints, rig.state.tool, ToolChange(Tool.MAHLI)
+    )
     assert back == Retract(Tool.APXS, 0.10, "on", "absolute")
     np.testing.assert_allclose(to_standoff.p_FoTo_F_m, X.p - 0.10 * X.R[:, 0], atol=2e-5)
     np.testing.assert_allclose(touch.approach_R, X.R[:, 0], atol=1e-5)
@@ -73,7 +75,7 @@ def test_a_tool_change_counts_from_where_the_touching_tool_is_believed_to_be():
 def test_without_compensation_a_tool_change_counts_from_the_rigid_arm():
     rig = guarded_in_contact()
     command = ToolChange(Tool.MAHLI, deflection="off")
-    back, to_standoff, touch = steps_of(CONFIG, rig.state.joints, rig.state.tool, command)
+    back, to_standoff, touch = expand_command(CONFIG, rig.state.joints, rig.state.tool, command)
     assert {back.deflection, to_standoff.deflection, touch.deflection} == {"off"}
     hanging = rig.tool_pose(Tool.APXS)
     spot = np.array(to_standoff.p_FoTo_F_m) + 0.10 * np.array(to_standoff.approach_F)
@@ -83,7 +85,7 @@ def test_without_compensation_a_tool_change_counts_from_the_rigid_arm():
 def test_a_tool_that_is_not_to_touch_stops_in_front_of_the_spot():
     rig = guarded_in_contact()
     command = ToolChange(Tool.PORTION, hover_m=0.03)
-    *_, to_standoff, hover = steps_of(CONFIG, rig.state.joints, rig.state.tool, command)
+    *_, to_standoff, hover = expand_command(CONFIG, rig.state.joints, rig.state.tool, command)
     assert hover.straight
     apart = np.array(hover.p_FoTo_F_m) - np.array(to_standoff.p_FoTo_F_m)
     np.testing.assert_allclose(apart, 0.07 * np.array(hover.approach_F), atol=1e-12)
@@ -122,9 +124,9 @@ def test_the_tool_that_touches_is_not_changed_for_itself():
 def test_a_taught_point_is_stood_off_along_its_approach_or_against_gravity():
     rig = deployed()
     p, approach = np.array(HERE.p_RoTo_R_m), np.array(HERE.approach_R)
-    (move,) = steps_of(CONFIG, rig.state.joints, rig.state.tool, MoveTeachPoint("here", 0.05))
+    (move,) = expand_command(CONFIG, rig.state.joints, rig.state.tool, MoveTeachPoint("here", 0.05))
     np.testing.assert_allclose(move.p_FoTo_F_m, p - 0.05 * approach, atol=1e-12)
-    (move,) = steps_of(
+    (move,) = expand_command(
         CONFIG, rig.state.joints, rig.state.tool, MoveTeachPoint("here", 0.05, along_gravity=True)
     )
     np.testing.assert_allclose(move.p_FoTo_F_m, p - [0, 0, 0.05], atol=1e-9)
@@ -138,7 +140,7 @@ def test_a_point_that_was_not_taught_is_refused_with_those_that_were(command):
 
 def test_docking_goes_straight_on_beyond_the_taught_point_until_it_touches():
     rig = deployed()
-    (touch,) = steps_of(CONFIG, rig.state.joints, rig.state.tool, Dock("here", 0.02))
+    (touch,) = expand_command(CONFIG, rig.state.joints, rig.state.tool, Dock("here", 0.02))
     np.testing.assert_allclose(
         touch.end_p_RoTo_R_m, np.array(HERE.p_RoTo_R_m) + 0.02 * np.array(HERE.approach_R), atol=1e-12
     )
@@ -152,7 +154,7 @@ def test_docking_goes_straight_on_beyond_the_taught_point_until_it_touches():
 def test_the_turret_vibrates_on_its_brakes_while_it_is_held_against_gravity():
     rig = deployed()
     rig.cycle(Process(Tool.PORTION, (1.0, 0.0, 0.2), 2.0))
-    assert isinstance(rig.state.sequence.rest[-1], Hold)
+    assert isinstance(rig.state.sequence.remaining[-1], Hold)
     vibrating = 0
     while rig.outputs.joint.busy:
         drive = rig.cycle().drive
