@@ -1,13 +1,100 @@
-"""The arms that can be simulated, by name: what they are made of and what flight software believes."""
+"""The arms that can be simulated, by name, and their random manufacturing tolerances."""
 
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Final
 
+import numpy as np
+
+from fsw.dictionary.enums import Frame, Joint, Tool
 from fsw.dictionary.params import Params
-from sim.effects.built import as_built, left_by_calibration
-from sim.effects.effect import Effect, knowing
+from fsw.dictionary.types import Row6, row6
+from sim.effects.effect import Effect, params_with_effects
+from sim.effects.geometry import FrameError
+from sim.effects.joints import (
+    BacklashWidth,
+    GearFriction,
+    GearStiffness,
+    HardstopAngle,
+    HardstopStiffness,
+    ResolverBias,
+)
+from sim.effects.structure import LinkMass, LinkStiffness
 from sim.params import nominal_params
+
+# one sigma each, assumed; see models/mjcf/PROVENANCE.md
+FRAME_SIGMA_RAD, FRAME_SIGMA_M = 2e-3, 1.5e-3
+ZERO_SIGMA_RAD: Final = 4e-3
+RESOLVER_SIGMA_RAD: Final = 2e-3
+STIFFNESS_SIGMA, BACKLASH_SIGMA, MASS_SIGMA, FRICTION_SIGMA = 0.20, 0.10, 0.03, 0.20
+COM_SIGMA_M: Final = 5e-3
+CALIBRATED_FRAME_SIGMA_RAD, CALIBRATED_FRAME_SIGMA_M = 0.25e-3, 0.15e-3
+CALIBRATED_ZERO_SIGMA_RAD, CALIBRATED_STIFFNESS_SIGMA = 0.2e-3, 0.03
+
+SPRING_FRAMES: Final = (Frame.ARM1, Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5)
+IDENTIFIABLE_AXES: Final[dict[Frame, tuple[int, ...]]] = {
+    Frame.ARM1: (0, 1, 2, 3, 4, 5),
+    Frame.ARM2: (0, 1, 2, 3),
+    Frame.ARM3: (0, 1, 2, 3),
+    Frame.ARM4: (0, 1, 2, 3),
+    Frame.ARM5: (0, 3),
+    Frame.ARM6: (),
+    Frame.TOOL: (0, 1, 2, 3, 4, 5),
+}
+"""Frame screw axes that tool poses can tell apart: 26 of 42, the tool's first, then from the rover out."""
+
+
+def draw_tolerances(seed: int) -> tuple[Effect, ...]:
+    """An arm as it leaves the workshop."""
+    rng = np.random.default_rng([seed, 0])
+    effects: list[Effect] = []
+    for frame, tool in _all_frames():
+        effects.append(FrameError(frame, _draw_screw(rng, FRAME_SIGMA_RAD, FRAME_SIGMA_M), tool))
+    for joint in Joint:
+        effects.append(HardstopAngle(joint, -ZERO_SIGMA_RAD * rng.standard_normal()))
+        effects.append(ResolverBias(joint, RESOLVER_SIGMA_RAD * rng.standard_normal()))
+        effects.append(BacklashWidth(joint, _draw_factor(rng, BACKLASH_SIGMA)))
+        effects.append(GearStiffness(joint, _draw_factor(rng, STIFFNESS_SIGMA)))
+        effects.append(GearFriction(joint, _draw_factor(rng, FRICTION_SIGMA)))
+    for frame in SPRING_FRAMES:
+        effects.append(LinkStiffness(frame, _draw_factor(rng, STIFFNESS_SIGMA)))
+    for frame in (*SPRING_FRAMES[1:], Frame.ARM6):
+        x, y, z = (float(v) for v in COM_SIGMA_M * rng.standard_normal(3))
+        effects.append(LinkMass(frame, _draw_factor(rng, MASS_SIGMA), (x, y, z)))
+    for joint in Joint:
+        effects.append(HardstopStiffness(joint, _draw_factor(rng, STIFFNESS_SIGMA)))
+    return tuple(effects)
+
+
+def draw_calibration_errors(seed: int) -> tuple[Effect, ...]:
+    """By how much flight parameters still miss the truth of arm `seed` after a calibration."""
+    rng = np.random.default_rng([seed, 1])
+    effects: list[Effect] = []
+    for frame, tool in _all_frames():
+        seen = np.isin(np.arange(6), IDENTIFIABLE_AXES[frame])
+        screw = np.where(seen, _draw_screw(rng, CALIBRATED_FRAME_SIGMA_RAD, CALIBRATED_FRAME_SIGMA_M), 0.0)
+        effects.append(FrameError(frame, row6(screw), tool))
+    for joint in Joint:
+        effects.append(HardstopAngle(joint, -CALIBRATED_ZERO_SIGMA_RAD * rng.standard_normal()))
+        effects.append(GearStiffness(joint, _draw_factor(rng, CALIBRATED_STIFFNESS_SIGMA)))
+    for frame in SPRING_FRAMES:
+        effects.append(LinkStiffness(frame, _draw_factor(rng, CALIBRATED_STIFFNESS_SIGMA)))
+    return tuple(effects)
+
+
+def _all_frames() -> list[tuple[Frame, Tool | None]]:
+    inner: list[tuple[Frame, Tool | None]] = [(frame, None) for frame in Frame if frame is not Frame.TOOL]
+    return inner + [(Frame.TOOL, tool) for tool in Tool]
+
+
+def _draw_factor(rng: np.random.Generator, sigma: float) -> float:
+    """Log-normal about one: a stiffness drawn at random stays positive."""
+    return float(np.exp(sigma * rng.standard_normal()))
+
+
+def _draw_screw(rng: np.random.Generator, angle_rad: float, length_m: float) -> Row6:
+    return row6(rng.standard_normal(6) * np.repeat([angle_rad, length_m], 3))
 
 
 class UnknownArm(ValueError):
@@ -24,12 +111,12 @@ class BuiltArm:
 
     def with_effects(self, effects: Iterable[Effect]) -> "BuiltArm":
         """The same arm with more effects, as far as it has them when its joints look for their hardstops."""
-        return replace(self, effects=(*self.effects, *(effect for effect in effects if effect.of_the_arm)))
+        return replace(self, effects=(*self.effects, *(effect for effect in effects if effect.built_in)))
 
 
-def later(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+def effects_of_run(effects: Iterable[Effect]) -> tuple[Effect, ...]:
     """Those that no arm is built with: it has them only once a run begins."""
-    return tuple(effect for effect in effects if not effect.of_the_arm)
+    return tuple(effect for effect in effects if not effect.built_in)
 
 
 def arm_named(name: str, params: Params | None = None) -> BuiltArm:
@@ -44,7 +131,7 @@ def arm_named(name: str, params: Params | None = None) -> BuiltArm:
     if match is None:
         raise UnknownArm(f"arm {name!r} is not known; write nominal, as-built:SEED or calibrated:SEED")
     seed = int(match[2])
-    effects = as_built(seed)
+    effects = draw_tolerances(seed)
     if match[1] == "calibrated":
-        believed = knowing((*effects, *left_by_calibration(seed)), believed)
+        believed = params_with_effects((*effects, *draw_calibration_errors(seed)), believed)
     return BuiltArm(name, effects, replace(believed, arm_name=name))

@@ -13,13 +13,19 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint, Switch
 from fsw.kinematics.transforms import Array
 from fsw.messages import ActuatorCommand, Counts, Flags, Sensors
-from sim.effects.effect import Effect, Hardware, drawn_scatter, gone_on, read_through
+from sim.effects.effect import (
+    Effect,
+    Hardware,
+    apply_cycle_effects,
+    apply_sensor_errors,
+    draw_move_disturbance,
+)
 from sim.frames import FLIP
-from sim.plant import RESISTANCE, Plant, evenly
+from sim.plant import RESISTANCE, Plant, as_slice
 
 UNPOWERED: Final = np.zeros(len(Joint), bool)
 VIBRATION_N: Final = 10.0
-VIBRATION_TURN: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+VIBRATION_AXES: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """In turret axes, one a cycle: 16 Hz about the turret's axis."""
 
 
@@ -39,7 +45,7 @@ class Avionics:
         self._resistance_Ohm = model.actuator_gainprm[motors, RESISTANCE].copy()
         self._winding_rise_K = np.zeros(len(motors))
         self._winding_time_s = plant.data.time
-        self._touch = evenly(model.sensor_adr[switches])
+        self._touch = as_slice(model.sensor_adr[switches])
         self._closed = np.zeros(len(Switch), bool)
         self._brake_cycles = np.rint(hardware.brake_delay_s * CYCLE_HZ).astype(int)
         self._pending: dict[int, tuple[int, bool]] = {}
@@ -47,9 +53,9 @@ class Avionics:
         self._cycle = 0
         self._turret = model.body("turret").id
         self._shaken = False
-        self._look_ahead()
+        self._update_constants()
 
-    def _look_ahead(self) -> None:
+    def _update_constants(self) -> None:
         """What follows from model and hardware, which change only when something happens to them."""
         self._next_s = min((effect.at_s for effect in self._hardware.timed), default=np.inf)
         self._gravity_R = FLIP * self._plant.model.opt.gravity + self._hardware.gravity_bias_R_m_s2
@@ -58,7 +64,7 @@ class Avionics:
         self._noise_sigma = np.repeat(sigma, (5, 5, 3))
         self._winding_K_A2 = self._resistance_Ohm * hardware.winding_K_W
 
-    def on(self, plant: Plant) -> "Avionics":
+    def for_plant(self, plant: Plant) -> "Avionics":
         """The same avionics with a copy of their plant."""
         other = copy(self)
         other._plant, other._pending = plant, dict(self._pending)
@@ -68,7 +74,7 @@ class Avionics:
     def inject(self, effect: Effect) -> None:
         """Let something happen to avionics and plant, now or when it is time."""
         self._hardware = effect.on_hardware(self._hardware)
-        self._look_ahead()
+        self._update_constants()
 
     def missed_cycles(self) -> int:
         """For how many cycles flight software is not called now; asked for once, they are over."""
@@ -77,25 +83,25 @@ class Avionics:
             self._hardware = replace(self._hardware, missed_cycles=0)
         return missed
 
-    def _happen(self) -> None:
+    def _start_due_effects(self) -> None:
         """All that is due."""
         now_s, timed = self._plant.data.time, self._hardware.timed
         self._hardware = replace(self._hardware, timed=tuple(e for e in timed if e.at_s > now_s))
         for effect in timed:
             if effect.at_s <= now_s:
                 self._hardware = effect.begin(self._plant, self._hardware)
-        self._look_ahead()
+        self._update_constants()
 
     def sense(self) -> Sensors:
         """The readings of this moment."""
         if self._plant.data.time >= self._next_s:
-            self._happen()
+            self._start_due_effects()
         plant, hardware, data = self._plant, self._hardware, self._plant.data
         noise = self._rng.standard_normal(13) * self._noise_sigma
         current = plant.motor_current_A()
         resolver = plant.output_rad() + hardware.resolver_bias_rad + noise[:5]
-        for warped in hardware.warped:
-            resolver += warped.error_rad(plant.output_rad())
+        for error in hardware.resolver_errors:
+            resolver += error.error_rad(plant.output_rad())
         self._cycle += 1
         step_rad = hardware.resolver_step_rad
         sensors = Sensors(
@@ -103,13 +109,13 @@ class Avionics:
             encoder_count=self.encoder_count(),
             resolver_rad=np.rint(resolver / step_rad) * step_rad if step_rad else resolver,
             current_A=current + noise[5:10],
-            winding_C=hardware.ambient_C + self._heated(current),
-            switch_closed=self._switched(data.sensordata[self._touch]),
+            winding_C=hardware.ambient_C + self._update_winding_rise(current),
+            switch_closed=self._update_switches(data.sensordata[self._touch]),
             gravity_R_m_s2=self._gravity_R + noise[10:],
         )
-        if hardware.spoilt:
-            sensors, begun = read_through(hardware.spoilt, sensors, self._rng)
-            self._hardware = replace(hardware, spoilt=begun)
+        if hardware.sensor_errors:
+            sensors, begun = apply_sensor_errors(hardware.sensor_errors, sensors, self._rng)
+            self._hardware = replace(hardware, sensor_errors=begun)
         return sensors
 
     @property
@@ -124,16 +130,16 @@ class Avionics:
 
     def _zero_rad(self) -> Array:
         """Where the motors stand when their counters read 0."""
-        zero: Array = self._hardware.counter_zero_rad + self._plant.scatter.motor_rad
+        zero: Array = self._hardware.counter_zero_rad + self._plant.move_disturbance.motor_rad
         return zero
 
-    def _switched(self, force_N: Array) -> Flags:
+    def _update_switches(self, force_N: Array) -> Flags:
         """Which switches are closed: a snap-action switch opens at less force than it closes at."""
         hardware = self._hardware
         self._closed = force_N > np.where(self._closed, hardware.switch_release_N, hardware.switch_force_N)
         return self._closed
 
-    def _heated(self, current_A: Array) -> Array:
+    def _update_winding_rise(self, current_A: Array) -> Array:
         """Rise of the windings by now: MuJoCo's own heats with the unlimited current and never cools."""
         now_s, hardware = self._plant.data.time, self._hardware
         final_K = current_A * current_A * self._winding_K_A2
@@ -171,19 +177,19 @@ class Avionics:
 
     def act(self) -> None:
         """Let the effects that act in every cycle do so."""
-        self._hardware = gone_on(self._plant, self._hardware)
+        self._hardware = apply_cycle_effects(self._plant, self._hardware)
 
     def _begin_move(self) -> None:
         """Another draw of all that a move leaves to chance; what presses on something stays where it is."""
-        drawn = drawn_scatter(self._hardware.each_move, self._move_rng)
+        drawn = draw_move_disturbance(self._hardware.each_move, self._move_rng)
         if not self._plant.data.ncon:
-            self._plant.scattered(drawn)
+            self._plant.set_move_disturbance(drawn)
 
     def _shake(self, on: bool) -> None:
         """The unbalance of the vibration motor, a quarter of a turn farther; nothing once it is off."""
         data, turret = self._plant.data, self._turret
         R_WB = data.xmat[turret].reshape(3, 3)
-        data.xfrc_applied[turret, :3] = VIBRATION_N * on * (R_WB @ VIBRATION_TURN[self._cycle % 4])
+        data.xfrc_applied[turret, :3] = VIBRATION_N * on * (R_WB @ VIBRATION_AXES[self._cycle % 4])
         self._shaken = on
 
     def _command_brakes(self, drive: ActuatorCommand, last: ActuatorCommand | None) -> None:

@@ -13,7 +13,7 @@ from fsw.kinematics.transforms import Array
 from sim.plant import Plant
 from sim.world import World, build
 
-FAR_M: Final = 0.3
+MAX_CLEARANCE_M: Final = 0.3
 """Clearances above this are not told apart."""
 
 
@@ -25,7 +25,7 @@ class Clearance:
     self_m: float
 
 
-class Space:
+class ClearanceModel:
     """The arm in a world, to measure how close it comes to anything."""
 
     def __init__(self, params: Params, world: World):
@@ -36,12 +36,12 @@ class Space:
         arm = [geom for geom in range(model.ngeom) if model.geom_contype[geom] == 1]
         others = [geom for geom in range(model.ngeom) if model.geom_contype[geom] == 2]
         self._outside = np.array([(a, b) for a in arm for b in others])
-        self._self = np.array([(a, b) for a in arm for b in arm if _far_apart(model, a, b)])
+        self._self = np.array([(a, b) for a in arm for b in arm if _are_separate(model, a, b)])
 
     def clearance(self, poses_rad: Array) -> Clearance:
         """The least over poses (5, n), the arm deflected by gravity."""
         strain = np.moveaxis(settle_output(self.arm, poses_rad, self.gravity_R_m_s2).strain, -1, 0)
-        outside = inside = FAR_M
+        outside = inside = MAX_CLEARANCE_M
         for output, bent in zip(poses_rad.T, strain, strict=True):
             self.plant.show(output, bent)
             outside = self._least(self._outside, outside)
@@ -64,12 +64,12 @@ class Space:
         return least_m
 
 
-def _far_apart(model: mujoco.MjModel, one: int, other: int) -> bool:
+def _are_separate(model: mujoco.MjModel, one: int, other: int) -> bool:
     """Whether two geoms of the arm are not on one link or on neighbours; the turret and its tools are one."""
-    return _link(model, other) - _link(model, one) >= 2
+    return _link_number(model, other) - _link_number(model, one) >= 2
 
 
-def _link(model: mujoco.MjModel, geom: int) -> int:
+def _link_number(model: mujoco.MjModel, geom: int) -> int:
     body = model.geom_bodyid[geom]
     while not model.body(body).name.removeprefix("link").isdigit():
         body = model.body_parentid[body]

@@ -1,4 +1,4 @@
-"""Finding the hardstops of an arm in the closed loop, watched from outside."""
+"""Hardstop initialisation of an arm in the closed loop, and repeated homing of one joint on random days."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -16,19 +16,21 @@ from fsw.executive.homing_poses import homing_start_poses
 from fsw.kinematics.transforms import Array
 from fsw.motion.homing import HomingStage
 from sim.arms import BuiltArm
-from sim.effects.effect import Effect, fitted, nominal_hardware
+from sim.effects.effect import Effect, apply_effects, nominal_hardware
+from sim.effects.environment import Ambient, CurrentNoise
+from sim.effects.joints import GearFriction
 from sim.loop import ClosedLoop, Setup
 from sim.plant import JOINT_NAMES, Plant
 from sim.record import CycleRecord
-from sim.sequence import Outcome, run_sequence, watched
+from sim.sequence import Outcome, observe_cycles, run_sequence
 from sim.world import World, build
 
-BEFORE_STOP_RAD: Final = 0.05
+START_DISTANCE_RAD: Final = 0.05
 """Where a joint begins that is only to be measured: the long way to its hardstop tells nothing."""
 
 
 @dataclass(frozen=True, slots=True)
-class Stop:
+class HardstopResult:
     """A hardstop that was found, against the true one."""
 
     joint: Joint
@@ -42,7 +44,7 @@ class Stop:
 
 
 @dataclass(frozen=True, slots=True)
-class Sample:
+class HomingSample:
     """A seeking joint in one cycle; angles and speeds of the motor, output side."""
 
     time_s: float
@@ -55,15 +57,15 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Initialisation:
+class InitialisationResult:
     """What came of it."""
 
     outcome: Outcome
     duration_s: float
     evrs: tuple[tuple[float, Evr], ...]
     """Time [s] and event."""
-    stops: tuple[Stop, ...]
-    samples: tuple[Sample, ...]
+    stops: tuple[HardstopResult, ...]
+    samples: tuple[HomingSample, ...]
     reference: Reference
     """What flight software remembers after it."""
     most_torque_Nm: Array
@@ -82,14 +84,14 @@ class InitialisationRun:
         self._command = command
         self._outcome = Outcome.SOFTWARE_ERROR
         self._evrs: list[tuple[float, Evr]] = []
-        self._stops: list[Stop] = []
-        self._samples: list[Sample] = []
+        self._stops: list[HardstopResult] = []
+        self._samples: list[HomingSample] = []
         self._torque_Nm = np.zeros(len(Joint))
         self._current_share = np.zeros(len(Joint))
 
     def __iter__(self) -> Iterator[CycleRecord]:
         """Every cycle, as it happens."""
-        self._outcome = yield from watched(run_sequence(self.loop, (self._command,)), self._note)
+        self._outcome = yield from observe_cycles(run_sequence(self.loop, (self._command,)), self._note)
 
     def _note(self, record: CycleRecord) -> None:
         plant, state, time_s = self.loop.plant, self.loop.state, record.tick / CYCLE_HZ
@@ -100,12 +102,12 @@ class InitialisationRun:
         for evr in record.outputs.evrs:
             self._evrs.append((time_s, evr))
             if isinstance(evr, JointCalibrated):
-                self._stops.append(self._found(evr))
+                self._stops.append(self._hardstop_result(evr))
         if state.move is not None and state.move.homing is not None:
             seek = state.move.homing
             j = seek.joint
             self._samples.append(
-                Sample(
+                HomingSample(
                     time_s,
                     j,
                     seek.stage,
@@ -116,13 +118,13 @@ class InitialisationRun:
                 )
             )
 
-    def _found(self, evr: JointCalibrated) -> Stop:
+    def _hardstop_result(self, evr: JointCalibrated) -> HardstopResult:
         plant, state, config, j = self.loop.plant, self.loop.state, self.loop.config, evr.joint
         drawn_rad = config.params.joints.in_order()[j].hardstop_rad
         zero_error = float((state.joints.motor_rad - plant.motor_rad() + plant.stop_rad())[j]) - drawn_rad
         stalled_rad = min(s.angle_rad for s in self._samples if s.joint is j and s.stage is HomingStage.FINE)
         uncorrected = drawn_rad - stalled_rad - float(config.half_gap_rad[j])
-        return Stop(
+        return HardstopResult(
             joint=j,
             zero_error_rad=zero_error,
             uncorrected_error_rad=zero_error + uncorrected - evr.moved_rad,
@@ -130,15 +132,15 @@ class InitialisationRun:
             load_Nm=float(state.load.torque_Nm[j]),
         )
 
-    def finish(self) -> Initialisation:
+    def finish(self) -> InitialisationResult:
         """Run to the end, and say what came of it."""
         for _ in self:
             pass
         return self.result()
 
-    def result(self) -> Initialisation:
+    def result(self) -> InitialisationResult:
         """What came of it; after the last cycle."""
-        return Initialisation(
+        return InitialisationResult(
             outcome=self._outcome,
             duration_s=self.loop.plant.data.time,
             evrs=tuple(self._evrs),
@@ -151,7 +153,7 @@ class InitialisationRun:
         )
 
 
-def stop_run(
+def prepare_homing(
     arm: BuiltArm,
     joint: Joint,
     world: World,
@@ -159,7 +161,7 @@ def stop_run(
     effects: tuple[Effect, ...] = (),
     reference: Reference | None = None,
     away_rad: Array | None = None,
-    before_stop_rad: float = BEFORE_STOP_RAD,
+    before_stop_rad: float = START_DISTANCE_RAD,
 ) -> InitialisationRun:
     """One joint about to look for its hardstop in its last pose, the others so far (5) away from there."""
     pose = homing_start_poses(arm.params, joint)[-1] + (0.0 if away_rad is None else away_rad)
@@ -168,14 +170,16 @@ def stop_run(
     return InitialisationRun(loop, Calibrate(joint))
 
 
-def initialised(arm: BuiltArm, world: World | None = None, seed: int = 0) -> Iterator[Initialisation]:
+def initialise_joints(
+    arm: BuiltArm, world: World | None = None, seed: int = 0
+) -> Iterator[InitialisationResult]:
     """Every joint measured at its hardstop, each taken near it beforehand; ends with the first that fails.
 
     The last one's reference is what flight software then remembers: counters keep counting without power.
     """
     known = None
     for joint in HARDSTOP_ORDER:
-        result = stop_run(arm, joint, world or World(), seed, reference=known).finish()
+        result = prepare_homing(arm, joint, world or World(), seed, reference=known).finish()
         yield result
         if result.outcome is not Outcome.DONE:
             return
@@ -188,7 +192,7 @@ def initial_reference(arm: BuiltArm, seed: int = 0) -> Reference:
     Raises:
         RuntimeError: one was not found.
     """
-    *_, last = initialised(arm, seed=seed)
+    *_, last = initialise_joints(arm, seed=seed)
     if last.outcome is not Outcome.DONE:
         raise RuntimeError(f"{arm.name} was not initialised: {last.evrs[-1][1].message}")
     return last.reference
@@ -197,7 +201,7 @@ def initial_reference(arm: BuiltArm, seed: int = 0) -> Reference:
 def true_reference(arm: BuiltArm) -> Reference:
     """What an initialisation without any error would leave; the hardstops' own errors of place stay."""
     spec = build(World())
-    hardware = fitted(arm.effects, spec, nominal_hardware())
+    hardware = apply_effects(arm.effects, spec, nominal_hardware())
     plant = Plant(spec.compile())
     off_place = configure(arm.params).hardstop_rad - plant.stop_rad()
     return Reference(
@@ -207,4 +211,34 @@ def true_reference(arm: BuiltArm) -> Reference:
         half_gap_rad=plant.half_gap_rad,
         resolver_bias_rad=hardware.resolver_bias_rad - off_place,
         friction_Nm=np.array([spec.joint(f"{name}_motor").frictionloss for name in JOINT_NAMES]),
+    )
+
+
+RANDOM_TEMPERATURE_C = (-55.0, 10.0)
+DAILY_FRICTION_SIGMA = 0.1
+"""One sigma of what friction changes from day to day, log-normal."""
+RANDOM_NOISE_A = (0.01, 0.04)
+RANDOM_OFFSET_RAD = 0.05
+RANDOM_DISTANCE_RAD = (0.02, 0.15)
+
+
+def prepare_random_homing(arm: BuiltArm, joint: Joint, world: World, seed: int) -> InitialisationRun:
+    """One joint about to look for its hardstop: temperature, friction, noise and pose are of that day."""
+    rng = np.random.default_rng([seed, joint, 5])
+    friction = tuple(
+        GearFriction(j, float(np.exp(DAILY_FRICTION_SIGMA * rng.standard_normal()))) for j in Joint
+    )
+    effects = (
+        Ambient(rng.uniform(*RANDOM_TEMPERATURE_C)),
+        CurrentNoise(rng.uniform(*RANDOM_NOISE_A)),
+        *friction,
+    )
+    return prepare_homing(
+        arm,
+        joint,
+        world,
+        seed,
+        effects,
+        away_rad=rng.uniform(-RANDOM_OFFSET_RAD, RANDOM_OFFSET_RAD, len(Joint)),
+        before_stop_rad=rng.uniform(*RANDOM_DISTANCE_RAD),
     )

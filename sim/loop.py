@@ -16,12 +16,11 @@ from fsw.messages import Outputs, Sensors
 from fsw.state import State, boot, outputs_at_rest
 from sim.arms import BuiltArm
 from sim.avionics import Avionics
-from sim.effects.effect import Effect, fitted, nominal_hardware
-from sim.effects.faults import Fault
+from sim.effects.effect import Effect, apply_effects, nominal_hardware
+from sim.effects.faults import InjectedFault
 from sim.plant import Plant
-from sim.record import CycleRecord
-from sim.truth import Truth
-from sim.world import World, build, told_of
+from sim.record import CycleRecord, Truth
+from sim.world import World, build, params_in_world
 
 SETTLE_S = 16.0
 
@@ -51,8 +50,8 @@ class ClosedLoop:
         spec = build(setup.world)
         if setup.time_step_s is not None:
             spec.option.timestep = setup.time_step_s
-        hardware = fitted((*setup.arm.effects, *setup.effects), spec, nominal_hardware())
-        self.config: Config = configure(told_of(setup.world, setup.arm.params))
+        hardware = apply_effects((*setup.arm.effects, *setup.effects), spec, nominal_hardware())
+        self.config: Config = configure(params_in_world(setup.world, setup.arm.params))
         self.plant = Plant(spec.compile())
         self.avionics = Avionics(self.plant, hardware, hardware_rng(setup.seed))
         self.with_truth = with_truth
@@ -64,14 +63,14 @@ class ClosedLoop:
         self._outputs = outputs_at_rest(self.state)
         self._truth: Truth | None = None
 
-    def fork(self, faults: tuple[Fault, ...] = ()) -> "ClosedLoop":
+    def fork(self, faults: tuple[InjectedFault, ...] = ()) -> "ClosedLoop":
         """The same run, to go on by itself: bit by bit as this one, or with faults injected.
 
         A fork that is never run is a snapshot.
         """
         other = copy(self)
-        other.plant = self.plant.copied()
-        other.avionics = self.avionics.on(other.plant)
+        other.plant = self.plant.duplicate()
+        other.avionics = self.avionics.for_plant(other.plant)
         for fault in faults:
             other.avionics.inject(fault)
         return other
@@ -89,7 +88,9 @@ class ClosedLoop:
         sensors = self.avionics.sense()
         truth = self.truth() if self.with_truth else None
         tick = self.state.tick
-        self.state, outputs, self.failure = stepped(self.config, self.state, self._outputs, sensors, commands)
+        self.state, outputs, self.failure = step_flight_software(
+            self.config, self.state, self._outputs, sensors, commands
+        )
         self._outputs = outputs
         self._drive()
         while self.failure is not None and self.avionics.brakes_move:
@@ -120,7 +121,7 @@ def hardware_rng(seed: int) -> np.random.Generator:
     return np.random.default_rng([seed, 2])
 
 
-def stepped(
+def step_flight_software(
     config: Config, state: State, last: Outputs, sensors: Sensors, commands: tuple[Command, ...]
 ) -> tuple[State, Outputs, Exception | None]:
     """One cycle of flight software, whose last outputs these were; and what ended it, if it ended."""

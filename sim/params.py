@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
 
-MOST_BYTES: Final = 1_000_000
+MAX_BYTES: Final = 1_000_000
 """Seventy times what all parameters need."""
 
 
@@ -26,7 +26,7 @@ class BadParams(ValueError):
 
 def nominal_params() -> Params:
     """The parameters of the drawing."""
-    return _nominal(_nominal_text())
+    return _load_nominal(_nominal_text())
 
 
 def params_over_nominal(path: Path) -> Params:
@@ -35,7 +35,7 @@ def params_over_nominal(path: Path) -> Params:
     Raises:
         BadParams: the file cannot be read, or names or values in it are wrong.
     """
-    return _validated(_merged(tomllib.loads(_nominal_text()), _read(path)), str(path))
+    return _validate(_merge(tomllib.loads(_nominal_text()), _read_toml(path)), str(path))
 
 
 def params_over(params: Params, path: Path) -> Params:
@@ -44,7 +44,7 @@ def params_over(params: Params, path: Path) -> Params:
     Raises:
         BadParams: the file cannot be read, or names or values in it are wrong.
     """
-    return _validated(_merged(asdict(params), _read(path)), str(path))
+    return _validate(_merge(asdict(params), _read_toml(path)), str(path))
 
 
 def check_params(params: Params, name: str) -> None:
@@ -53,12 +53,12 @@ def check_params(params: Params, name: str) -> None:
     _refuse(name, check_arm(params))
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read_toml(path: Path) -> dict[str, Any]:
     if os.path.exists(path) and not os.path.isfile(path):  # a pipe would be waited for, a device has no end
         raise BadParams(f"{path}: cannot be read: it is not a regular file; give the path of a TOML file")
     try:
-        if path.stat().st_size > MOST_BYTES:
-            raise BadParams(f"{path}: is too large for parameters; {MOST_BYTES} bytes are the most")
+        if path.stat().st_size > MAX_BYTES:
+            raise BadParams(f"{path}: is too large for parameters; {MAX_BYTES} bytes are the most")
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise BadParams(f"{path}: cannot be read: {error}") from error
@@ -71,25 +71,25 @@ def _nominal_text() -> str:
 
 
 @lru_cache(maxsize=1)
-def _nominal(text: str) -> Params:
+def _load_nominal(text: str) -> Params:
     """Checked once: effects and simulations ask thousands of times."""
-    return _validated(tomllib.loads(text), "nominal.toml")
+    return _validate(tomllib.loads(text), "nominal.toml")
 
 
-def _merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
+def _merge(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
     merged = dict(base)
     for key, value in over.items():
         both = isinstance(value, dict) and isinstance(base.get(key), dict)
-        merged[key] = _merged(base[key], value) if both else value
+        merged[key] = _merge(base[key], value) if both else value
     return merged
 
 
-def _validated(table: dict[str, Any], name: str) -> Params:
-    _refuse(name, _dates(table))
+def _validate(table: dict[str, Any], name: str) -> Params:
+    _refuse(name, _find_dates(table))
     try:
         params = _ADAPTER.validate_json(json.dumps(table), strict=True, extra="forbid")
     except ValidationError as error:
-        lines = [f"{name}: {'.'.join(str(p) for p in e['loc'])}: {_said(e)}" for e in error.errors()]
+        lines = [f"{name}: {'.'.join(str(p) for p in e['loc'])}: {_error_text(e)}" for e in error.errors()]
         raise BadParams("\n".join(lines)) from error
     check_params(params, name)
     return params
@@ -101,19 +101,19 @@ def _refuse(name: str, problems: Iterator[str]) -> None:
         raise BadParams("\n".join(lines))
 
 
-def _said(error: Any) -> str:
+def _error_text(error: Any) -> str:
     """What pydantic says, without the words of a call."""
     unknown = error["type"] in ("unexpected_keyword_argument", "extra_forbidden")
     return "is not a parameter" if unknown else str(error["msg"])
 
 
-def _dates(value: Any, place: str = "") -> Iterator[str]:
+def _find_dates(value: Any, place: str = "") -> Iterator[str]:
     """Sentences about dates and times, which TOML has and parameters have not."""
     if isinstance(value, date | time):
         yield f"{place}: {value} is a date or a time; no parameter is one"
     elif isinstance(value, dict | list):
         for key, item in value.items() if isinstance(value, dict) else enumerate(value):
-            yield from _dates(item, f"{place}.{key}" if place else str(key))
+            yield from _find_dates(item, f"{place}.{key}" if place else str(key))
 
 
 _ADAPTER = TypeAdapter(Params)

@@ -14,7 +14,7 @@ from fsw.kinematics.transforms import angle_between, normalize
 from sim.frames import p_R_from_N
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
-from sim.sequence import Outcome, run_sequence, stop_sequence, watched
+from sim.sequence import Outcome, observe_cycles, run_sequence, stop_sequence
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,11 +101,11 @@ class PlacementRun:
 
     def __iter__(self) -> Iterator[CycleRecord]:
         """Every cycle, as it happens."""
-        self._outcome = yield from watched(run_sequence(self._loop, self.commands), self._note)
+        self._outcome = yield from observe_cycles(run_sequence(self._loop, self.commands), self._note)
 
     def stopping(self) -> Iterator[CycleRecord]:
         """Every cycle of a stop, in place of those that were still to come."""
-        self._outcome = yield from watched(stop_sequence(self._loop), self._note)
+        self._outcome = yield from observe_cycles(stop_sequence(self._loop), self._note)
 
     def _note(self, record: CycleRecord) -> None:
         for evr in record.outputs.evrs:

@@ -11,15 +11,14 @@ from numpy.typing import NDArray
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint, Switch, Tool
 from fsw.kinematics.transforms import Array, Pose, screw_exp
+from sim.disturbance import FRAME_BODIES, NO_DISTURBANCE, Disturbance, MoveDisturbance, no_move_disturbance
 from sim.frames import FLIP, P_NR_M
-from sim.influence import NO_INFLUENCE, Influence
-from sim.scatter import BODIES, Scatter, no_scatter
-from sim.truth import Truth
+from sim.record import Truth
 
 JOINT_NAMES = tuple(joint.name.lower() for joint in Joint)
 
-SPRINGS = ("rover", "link1", "link2", "link3", "link4")
-AXES = ("rx", "ry", "rz", "tx", "ty", "tz")
+SPRING_NAMES = ("rover", "link1", "link2", "link3", "link4")
+SCREW_AXES = ("rx", "ry", "rz", "tx", "ty", "tz")
 """Of screws and springs: turns, then shifts."""
 
 HARD_FRICTION = 1e-4
@@ -56,9 +55,9 @@ class Addresses:
     motor: NDArray[np.intp]
     """Hinges, as all joints of the arm have one degree of freedom: in positions and in speeds alike."""
     gear: NDArray[np.intp]
-    gaps: NDArray[np.intp]
+    gear_tendons: NDArray[np.intp]
     """Tendons of the gears."""
-    outputs: NDArray[np.intp]
+    output_tendons: NDArray[np.intp]
     """Tendons of the outputs, with friction and hardstops."""
     actuators: NDArray[np.intp]
     brake: NDArray[np.intp]
@@ -73,7 +72,7 @@ class Addresses:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Live:
+class StateViews:
     """Numbers of a plant as MuJoCo has them: views, which change with every step; in the order of Joint."""
 
     motor_rad: Array
@@ -99,7 +98,7 @@ class Plant:
         self.model = model = copy(model)  # it is changed below: two plants of one model are alike
         self.data = mujoco.MjData(model)
         rate_gain = model.actuator_gainprm[:, RATE_GAIN].copy()
-        gear_excess_s = damp_as_reference(model)
+        gear_excess_s = match_reference_damping(model)
         self._rate_share = rate_gain / model.actuator_gainprm[:, RATE_GAIN]
         self._lead_s = (model.opt.timestep - REFERENCE_STEP_S) / 2
         self.steps_per_cycle = round(1.0 / (CYCLE_HZ * model.opt.timestep))
@@ -110,40 +109,45 @@ class Plant:
         self.at = Addresses(
             motor=np.array([model.joint(f"{name}_motor").qposadr[0] for name in JOINT_NAMES]),
             gear=np.array([model.joint(f"{name}_gear").qposadr[0] for name in JOINT_NAMES]),
-            gaps=np.array([model.tendon(f"{name}_gear").id for name in JOINT_NAMES]),
-            outputs=np.array([model.tendon(f"{name}_output").id for name in JOINT_NAMES]),
+            gear_tendons=np.array([model.tendon(f"{name}_gear").id for name in JOINT_NAMES]),
+            output_tendons=np.array([model.tendon(f"{name}_output").id for name in JOINT_NAMES]),
             actuators=np.array([model.actuator(name).id for name in JOINT_NAMES]),
             brake=np.array([model.equality(f"{name}_brake").id for name in JOINT_NAMES]),
-            springs=np.array([[model.joint(f"{s}_{axis}").qposadr[0] for axis in AXES] for s in SPRINGS]),
+            springs=np.array(
+                [[model.joint(f"{s}_{axis}").qposadr[0] for axis in SCREW_AXES] for s in SPRING_NAMES]
+            ),
             tools=np.array([model.site(tool.name.lower()).id for tool in Tool]),
             pads=np.array([model.site(switch.name.lower()).id for switch in Switch]),
-            bodies=np.array([model.body(name).id for name in BODIES]),
+            bodies=np.array([model.body(name).id for name in FRAME_BODIES]),
         )
         self._built_quat = model.body_quat[self.at.bodies]
-        self._built = Pose(rotations(self._built_quat), model.body_pos[self.at.bodies].T.copy())
-        self._bands_rad = model.tendon_lengthspring[self.at.gaps].copy()
-        damping, stiffness = model.tendon_damping[self.at.gaps], model.tendon_stiffness[self.at.gaps]
-        self._gap_damping_Nms_rad = damping.copy()
+        self._built = Pose(rotation_matrices(self._built_quat), model.body_pos[self.at.bodies].T.copy())
+        self._bands_rad = model.tendon_lengthspring[self.at.gear_tendons].copy()
+        damping, stiffness = (
+            model.tendon_damping[self.at.gear_tendons],
+            model.tendon_stiffness[self.at.gear_tendons],
+        )
+        self._free_damping_Nms_rad = damping.copy()
         self._flank_damping_Nms_rad = damping - gear_excess_s * stiffness
         self._on_flank = np.zeros(len(Joint), bool).tobytes()
         self._friction_Nm = model.dof_frictionloss[self.at.motor].copy()
         self._damping_Nms_rad = model.dof_damping[self.at.motor].copy()
         self._gains = model.actuator_gainprm[self.at.actuators, GAINS].copy()
-        self.scatter = no_scatter()
-        self.influence = NO_INFLUENCE
+        self.move_disturbance = no_move_disturbance()
+        self.disturbance = NO_DISTURBANCE
         self.model.tendon_invweight0[model.tendon_frictionloss > 0] *= HARD_FRICTION
         self.torque_constant_Nm_A = model.actuator_gainprm[self.at.actuators, MOTOR_CONSTANT].copy()
-        self._live = self._views()
+        self._views = self._make_views()
 
-    def _views(self) -> Live:
-        data, motors, gears = self.data, evenly(self.at.motor), evenly(self.at.gear)
-        gaps, actuators = evenly(self.at.gaps), evenly(self.at.actuators)
-        low_rad, high_rad = self.model.tendon_lengthspring[gaps].T
-        return Live(
+    def _make_views(self) -> StateViews:
+        data, motors, gears = self.data, as_slice(self.at.motor), as_slice(self.at.gear)
+        gear_tendons, actuators = as_slice(self.at.gear_tendons), as_slice(self.at.actuators)
+        low_rad, high_rad = self.model.tendon_lengthspring[gear_tendons].T
+        return StateViews(
             motor_rad=data.qpos[motors],
             motor_rate_rad_s=data.qvel[motors],
             gear_rad=data.qpos[gears],
-            gear_length_rad=data.ten_length[gaps],
+            gear_length_rad=data.ten_length[gear_tendons],
             low_flank_rad=low_rad,
             high_flank_rad=high_rad,
             servo_angle_rad=data.actuator_length[actuators],
@@ -152,43 +156,43 @@ class Plant:
             warnings=data.warning.number,
         )
 
-    def copied(self) -> "Plant":
+    def duplicate(self) -> "Plant":
         """The same plant in the same state, to go on by itself."""
         other = copy(self)
         other.model, other.data = copy(self.model), copy(self.data)
-        other._live = other._views()
+        other._views = other._make_views()
         return other
 
     @property
     def half_gap_rad(self) -> Array:
         """Half the width of each joint's backlash."""
-        low, high = self.model.tendon_lengthspring[self.at.gaps].T
+        low, high = self.model.tendon_lengthspring[self.at.gear_tendons].T
         return np.asarray((high - low) / 2)
 
-    def scattered(self, scatter: Scatter) -> None:
+    def set_move_disturbance(self, move: MoveDisturbance) -> None:
         """Let frames and gears stand that far off where they were built."""
-        X = self._built @ screw_exp(scatter.screw)
+        X = self._built @ screw_exp(move.screw)
         quat = self._built_quat.copy()
-        for k in np.flatnonzero(scatter.screw.any(axis=0)):
+        for k in np.flatnonzero(move.screw.any(axis=0)):
             mujoco.mju_mat2Quat(quat[k], X.R[:, :, k].ravel())
         self.model.body_pos[self.at.bodies] = X.p.T
         self.model.body_quat[self.at.bodies] = quat
-        self.scatter = scatter
+        self.move_disturbance = move
         self._shift_gears()
 
-    def influenced(self, influence: Influence) -> None:
+    def set_disturbance(self, disturbance: Disturbance) -> None:
         """Let joints, from now on, be by that much other than they were built."""
         model, at = self.model, self.at
-        model.dof_frictionloss[at.motor] = np.maximum(self._friction_Nm + influence.friction_Nm, 0.0)
-        model.dof_damping[at.motor] = np.maximum(self._damping_Nms_rad + influence.damping_Nms_rad, 0.0)
-        model.actuator_gainprm[at.actuators, GAINS] = self._gains * (1.0 + influence.servo[:, None])
-        self.data.qfrc_applied[at.motor] = self.data.qfrc_applied[at.gear] = influence.output_Nm
-        self.influence = influence
+        model.dof_frictionloss[at.motor] = np.maximum(self._friction_Nm + disturbance.friction_Nm, 0.0)
+        model.dof_damping[at.motor] = np.maximum(self._damping_Nms_rad + disturbance.damping_Nms_rad, 0.0)
+        model.actuator_gainprm[at.actuators, GAINS] = self._gains * (1.0 + disturbance.servo[:, None])
+        self.data.qfrc_applied[at.motor] = self.data.qfrc_applied[at.gear] = disturbance.output_Nm
+        self.disturbance = disturbance
         self._shift_gears()
 
     def _shift_gears(self) -> None:
-        shift_rad = self.scatter.gear_rad + self.influence.gear_rad
-        self.model.tendon_lengthspring[self.at.gaps] = self._bands_rad + shift_rad[:, None]
+        shift_rad = self.move_disturbance.gear_rad + self.disturbance.gear_rad
+        self.model.tendon_lengthspring[self.at.gear_tendons] = self._bands_rad + shift_rad[:, None]
 
     def place(self, motor_rad: Array, settle_s: float, begin: Callable[[], None] | None = None) -> None:
         """Put the motors at these angles with the brakes on, and let the arm come to rest under gravity.
@@ -215,7 +219,7 @@ class Plant:
     def show(self, output_rad: Array, strain: Array) -> None:
         """Bring geometry, and nothing else, to output angles (5) and spring strains (6, springs or more)."""
         self.data.qpos[self.at.motor] = output_rad
-        self.data.qpos[self.at.springs] = strain[:, : len(SPRINGS)].T
+        self.data.qpos[self.at.springs] = strain[:, : len(SPRING_NAMES)].T
         mujoco.mj_kinematics(self.model, self.data)
 
     def brake(self, joint: int, on: bool) -> None:
@@ -243,31 +247,33 @@ class Plant:
 
     def damp_gears(self) -> None:
         """Let gears be damped as the reference step computes them: other on a flank than in the gap."""
-        live = self._live
-        on_flank = (live.gear_length_rad < live.low_flank_rad) | (live.gear_length_rad > live.high_flank_rad)
+        views = self._views
+        on_flank = (views.gear_length_rad < views.low_flank_rad) | (
+            views.gear_length_rad > views.high_flank_rad
+        )
         if (seen := on_flank.tobytes()) != self._on_flank:
             self._on_flank = seen
-            damping = np.where(on_flank, self._flank_damping_Nms_rad, self._gap_damping_Nms_rad)
-            self.model.tendon_damping[self.at.gaps] = damping
+            damping = np.where(on_flank, self._flank_damping_Nms_rad, self._free_damping_Nms_rad)
+            self.model.tendon_damping[self.at.gear_tendons] = damping
 
     def update_motors(self) -> None:
         """Compute the motors' torques of this moment: those of the last step are of its beginning."""
-        live = self._live
-        live.servo_angle_rad[:], live.servo_rate_rad_s[:] = live.motor_rad, live.motor_rate_rad_s
+        views = self._views
+        views.servo_angle_rad[:], views.servo_rate_rad_s[:] = views.motor_rad, views.motor_rate_rad_s
         mujoco.mj_fwdActuation(self.model, self.data)
 
     def _check(self) -> None:
-        if np.count_nonzero(self._live.warnings):
-            names = [mujoco.mjtWarning(i).name for i in np.flatnonzero(self._live.warnings)]
+        if np.count_nonzero(self._views.warnings):
+            names = [mujoco.mjtWarning(i).name for i in np.flatnonzero(self._views.warnings)]
             raise PlantDiverged(f"MuJoCo warned of {', '.join(names)} at {self.data.time:.3f} s")
 
     def motor_rad(self) -> Array:
         """True motor angles, output side."""
-        return self._live.motor_rad.copy()
+        return self._views.motor_rad.copy()
 
     def output_rad(self) -> Array:
         """True output angles: motor, backlash and wind-up."""
-        output: Array = self._live.motor_rad + self._live.gear_rad
+        output: Array = self._views.motor_rad + self._views.gear_rad
         return output
 
     def gap_rad(self) -> Array:
@@ -277,22 +283,24 @@ class Plant:
 
     def gear_torque_Nm(self) -> Array:
         """What the gears' springs carry: positive where the load pulls an output to positive angles."""
-        torque: Array = self.model.tendon_stiffness[self.at.gaps] * (self._gear_rad() - self.gap_rad())
+        torque: Array = self.model.tendon_stiffness[self.at.gear_tendons] * (
+            self._gear_rad() - self.gap_rad()
+        )
         return torque
 
     def _gear_rad(self) -> Array:
         """Outputs beyond motors, less what shifts their gears."""
-        gear: Array = self._live.gear_rad - self.scatter.gear_rad - self.influence.gear_rad
+        gear: Array = self._views.gear_rad - self.move_disturbance.gear_rad - self.disturbance.gear_rad
         return gear
 
     def stop_rad(self) -> Array:
         """Output angles of the negative hardstops."""
-        return np.asarray(self.model.tendon_lengthspring[self.at.outputs, 0])
+        return np.asarray(self.model.tendon_lengthspring[self.at.output_tendons, 0])
 
     def stop_torque_Nm(self) -> Array:
         """What the outputs press on their negative hardstops with."""
         pressed = self.stop_rad() - self.output_rad()
-        torque: Array = self.model.tendon_stiffness[self.at.outputs] * np.maximum(pressed, 0.0)
+        torque: Array = self.model.tendon_stiffness[self.at.output_tendons] * np.maximum(pressed, 0.0)
         return torque
 
     def built_friction(self) -> tuple[Array, Array]:
@@ -301,7 +309,7 @@ class Plant:
 
     def motor_current_A(self) -> Array:
         """True motor currents."""
-        current: Array = self._live.motor_torque_Nm / self.torque_constant_Nm_A
+        current: Array = self._views.motor_torque_Nm / self.torque_constant_Nm_A
         return current
 
     def tool_shift(self, tool: Tool, output_rad: Array) -> Array:
@@ -341,7 +349,7 @@ class Plant:
         return total
 
 
-def damp_as_reference(model: mujoco.MjModel) -> float:
+def match_reference_damping(model: mujoco.MjModel) -> float:
     """Take the damping that the integrator adds, beyond that of the reference step, off springs and servos.
 
     `discrete` computes a spring as it is at the end of a step h, which adds its stiffness times h to its
@@ -358,7 +366,7 @@ def damp_as_reference(model: mujoco.MjModel) -> float:
     return excess_s
 
 
-def evenly(addresses: NDArray[np.intp]) -> slice:
+def as_slice(addresses: NDArray[np.intp]) -> slice:
     """Addresses that lie evenly, as the slice that reads them without a copy."""
     places = slice(addresses[0], addresses[-1] + 1, addresses[1] - addresses[0])
     if not np.array_equal(np.arange(addresses[-1] + 1)[places], addresses):
@@ -366,7 +374,7 @@ def evenly(addresses: NDArray[np.intp]) -> slice:
     return places
 
 
-def rotations(quat: Array) -> Array:
+def rotation_matrices(quat: Array) -> Array:
     """Of MuJoCo's quaternions (n, 4), as (3, 3, n)."""
     R = np.zeros((len(quat), 9))
     for row, q in zip(R, quat, strict=True):

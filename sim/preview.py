@@ -1,6 +1,6 @@
-"""Looking ahead, as a planner would: is there a branch for a placement that touches nothing else?
+"""Preview of placements: is there a branch and a path that touch nothing else?
 
-It knows what flight software knows, the nominal model of rover and terrain, and nothing of the built arm.
+It knows what flight software knows: the nominal model of rover and terrain. It does not know the built arm.
 """
 
 from dataclasses import dataclass, replace
@@ -12,7 +12,7 @@ import numpy as np
 from fsw.config import Config, configure
 from fsw.dictionary.enums import Tool
 from fsw.estimate.joints import JointEstimate, uninitialised_estimate
-from fsw.estimate.reference import no_reference
+from fsw.estimate.reference import Reference, no_reference
 from fsw.executive.planning import plan_command
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.chain import tool_pose
@@ -23,9 +23,11 @@ from fsw.motion.paths import Path
 from fsw.motion.plan import Plan, Refusal, estimate_at, plan_poses
 from fsw.motion.plan_tool import AUTO, plan_tool
 from sim.arms import BuiltArm
-from sim.placement import Placement, placement_moves
+from sim.loop import ClosedLoop, Setup
+from sim.placement import Placement, PlacementResult, PlacementRun, placement_moves
 from sim.plant import Plant
-from sim.world import World, build, told_of
+from sim.workspace import random_surface
+from sim.world import Surface, World, build, params_in_world
 
 VIA_M: Final = 0.25
 CLEARANCE_M: Final = 0.03
@@ -50,96 +52,98 @@ class Preview:
     """Motor angles at the standoff."""
 
 
-def preview(arm: BuiltArm, world: World, placement: Placement, stowed: bool = False) -> Preview:
+def preview_placement(arm: BuiltArm, world: World, placement: Placement, stowed: bool = False) -> Preview:
     """The first free way from the ready pose: straight to the standoff on any branch, or else from above.
 
     From the stowed pose the way to the ready pose must be free too, and it is the same for every branch.
     """
-    config = configure(told_of(world, arm.params))
+    config = configure(params_in_world(world, arm.params))
     spec = build(world)
     for geom in spec.geoms:
         geom.margin = 0.5 * CLEARANCE_M
     plant = Plant(spec.compile())
     ready = np.array(arm.params.poses.ready_rad)
-    joints = _joints(config, ready, world.gravity_N_m_s2)
+    joints = _joint_estimate(config, ready, world.gravity_N_m_s2)
     if stowed:
-        hit = _unstow_hit(config, plant, joints)
+        hit = _unstow_collision(config, plant, joints)
         if hit is not None:
-            return _no(placement, f"{hit} on the way from the stowed to the ready pose")
+            return _infeasible(placement, f"{hit} on the way from the stowed to the ready pose")
     tried = []
     for via_m in (0.0, VIA_M):
         for branch in (AUTO, *BRANCHES):
-            found = _try(config, plant, joints, replace(placement, branch=branch, via_m=via_m))
+            found = _check_branch(config, plant, joints, replace(placement, branch=branch, via_m=via_m))
             if found.problem is None:
                 return found
             tried.append(found)
     return tried[0]
 
 
-def unstow_s(arm: BuiltArm) -> float:
+def unstow_duration_s(arm: BuiltArm) -> float:
     """How long the arm takes from the stowed to the ready pose."""
     config = configure(arm.params)
-    plan = _unstow(config, _joints(config, np.array(arm.params.poses.ready_rad), np.zeros(3)))
+    plan = _plan_unstow(config, _joint_estimate(config, np.array(arm.params.poses.ready_rad), np.zeros(3)))
     return 0.0 if isinstance(plan, Refusal) else sum(path.duration_s for path in plan.paths)
 
 
-def _unstow(config: Config, joints: JointEstimate) -> Plan | Refusal:
+def _plan_unstow(config: Config, joints: JointEstimate) -> Plan | Refusal:
     poses = config.params.poses
     way = [np.array(pose) for pose in (*poses.unstow_via_rad, poses.ready_rad)]
     stowed = replace(joints, motor_rad=np.array(poses.stowed_rad))
     return plan_poses(config, stowed, way, Compensation())
 
 
-def _joints(config: Config, motor_rad: Array, gravity_R_m_s2: Array) -> JointEstimate:
+def _joint_estimate(config: Config, motor_rad: Array, gravity_R_m_s2: Array) -> JointEstimate:
     joints = uninitialised_estimate(config, no_reference(config))
     return replace(joints, motor_rad=motor_rad, imu_R_m_s2=gravity_R_m_s2)
 
 
-def _unstow_hit(config: Config, plant: Plant, joints: JointEstimate) -> str | None:
-    plan = _unstow(config, joints)
+def _unstow_collision(config: Config, plant: Plant, joints: JointEstimate) -> str | None:
+    plan = _plan_unstow(config, joints)
     if isinstance(plan, Refusal):
         return plan.reason
-    ways = (_poses(config, joints, path) for path in plan.paths)
-    hits = (_first_hit(plant, way, STOW_CLEARANCE_M) for way in ways)
+    ways = (_path_poses(config, joints, path) for path in plan.paths)
+    hits = (_first_collision(plant, way, STOW_CLEARANCE_M) for way in ways)
     return next((hit for hit in hits if hit is not None), None)
 
 
-def _try(config: Config, plant: Plant, joints: JointEstimate, placement: Placement) -> Preview:
+def _check_branch(config: Config, plant: Plant, joints: JointEstimate, placement: Placement) -> Preview:
     moves, touch = placement_moves(placement)
     duration = 0.0
     for move in moves:
         plan = plan_tool(config, joints, move)
         if isinstance(plan, Refusal):
-            return _no(placement, plan.reason)
-        ways = [_poses(config, joints, path) for path in plan.paths]
-        hit = next((hit for hit in (_first_hit(plant, way, CLEARANCE_M) for way in ways) if hit), None)
+            return _infeasible(placement, plan.reason)
+        ways = [_path_poses(config, joints, path) for path in plan.paths]
+        hit = next((hit for hit in (_first_collision(plant, way, CLEARANCE_M) for way in ways) if hit), None)
         if hit is not None:
-            return _no(placement, f"{plan.branch}: {hit} on the way to the standoff")
+            return _infeasible(placement, f"{plan.branch}: {hit} on the way to the standoff")
         duration += sum(path.duration_s for path in plan.paths)
         joints = estimate_at(joints, plan.end)
         placement = replace(placement, branch=plan.branch or AUTO)
     line = plan_command(config, joints, placement.tool, touch)
     if isinstance(line, Refusal):
-        return _no(placement, line.reason)
-    hit = _first_hit(plant, _approach(config, joints, line, placement), TOUCH_CLEARANCE_M, placement.tool)
+        return _infeasible(placement, line.reason)
+    hit = _first_collision(
+        plant, _guarded_poses(config, joints, line, placement), TOUCH_CLEARANCE_M, placement.tool
+    )
     if hit is not None:
-        return _no(placement, f"{placement.branch}: {hit} on the way from the standoff to the target")
+        return _infeasible(placement, f"{placement.branch}: {hit} on the way from the standoff to the target")
     duration += sum(path.duration_s for path in line.paths)
     return Preview(placement, None, duration, joints.motor_rad)
 
 
-def _no(placement: Placement, problem: str) -> Preview:
+def _infeasible(placement: Placement, problem: str) -> Preview:
     return Preview(placement, problem, 0.0, np.zeros(5))
 
 
-def _poses(config: Config, joints: JointEstimate, path: Path) -> Equilibrium:
+def _path_poses(config: Config, joints: JointEstimate, path: Path) -> Equilibrium:
     start, end = path.at(0.0).motor_rad, path.at(path.duration_s).motor_rad
     samples = int(np.abs(end - start).max() / SPACING_RAD) + 2
     way = np.array([path.at(t).motor_rad for t in np.linspace(0, path.duration_s, samples)]).T
     return settle(config.arm, way, np.zeros_like(way), joints.gravity_R_m_s2)
 
 
-def _approach(config: Config, joints: JointEstimate, line: Plan, placement: Placement) -> Equilibrium:
+def _guarded_poses(config: Config, joints: JointEstimate, line: Plan, placement: Placement) -> Equilibrium:
     """The poses along a guarded line up to the target; what lies beyond it is only looked for."""
     samples = round((placement.standoff_m + placement.overtravel_m) / SPACING_M)
     way = [path.at(t).motor_rad for path in line.paths for t in np.linspace(0, path.duration_s, samples)]
@@ -151,7 +155,7 @@ def _approach(config: Config, joints: JointEstimate, line: Plan, placement: Plac
     return settle(config.arm, motor[:, before], gap, joints.gravity_R_m_s2)
 
 
-def _first_hit(
+def _first_collision(
     plant: Plant, poses: Equilibrium, clearance_m: float, touching: Tool | None = None
 ) -> str | None:
     """Which two geoms come too close first at these poses; the pads of a tool may touch the rock face."""
@@ -161,12 +165,12 @@ def _first_hit(
         mujoco.mj_collision(model, data)
         for contact in data.contact:
             names = [_geom_name(model, geom) for geom in contact.geom]
-            if contact.dist < clearance_m and not _meant(names, touching):
+            if contact.dist < clearance_m and not _is_intended(names, touching):
                 return " meets ".join(names)
     return None
 
 
-def _meant(names: list[str], touching: Tool | None) -> bool:
+def _is_intended(names: list[str], touching: Tool | None) -> bool:
     """Whether a tool meets the rock face with its pads."""
     if touching is None or "rock_face" not in names:
         return False
@@ -178,3 +182,27 @@ def _geom_name(model: mujoco.MjModel, geom: int) -> str:
     """A geom by its name, or by the part of the arm that carries it."""
     name: str = model.geom(geom).name or model.body(model.geom_bodyid[geom]).name
     return name
+
+
+def random_placement(seed: int, arm: BuiltArm, tool: Tool, max_tilt_rad: float) -> tuple[World, Preview]:
+    """The first placement of this seed that a planner accepts: point, normal and tilt (either way) random."""
+    rng = np.random.default_rng([seed, 3])
+    while True:
+        point, normal = random_surface(rng)
+        tilt, heading = rng.uniform(0.0, max_tilt_rad), rng.uniform(-np.pi, np.pi)
+        roll, pitch = float(tilt * np.cos(heading)), float(tilt * np.sin(heading))
+        world = World("mars", roll, pitch, Surface(point, normal))
+        seen = preview_placement(arm, world, Placement(tool, point, normal))
+        if seen.problem is None:
+            return world, seen
+
+
+def run_placement(
+    arm: BuiltArm, reference: Reference, world: World, placement: Placement, seed: int
+) -> PlacementResult:
+    """A placement in the closed loop, from the ready pose."""
+    loop = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, seed, reference))
+    run = PlacementRun(loop, placement)
+    for _ in run:
+        pass
+    return run.result()

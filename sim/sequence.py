@@ -21,7 +21,7 @@ class Outcome(StrEnum):
     SOFTWARE_ERROR = "software error"
 
 
-def watched(
+def observe_cycles(
     cycles: Generator[CycleRecord, None, Outcome], note: Callable[[CycleRecord], None]
 ) -> Generator[CycleRecord, None, Outcome]:
     """The same cycles, each noted before it is handed on."""

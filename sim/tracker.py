@@ -10,16 +10,16 @@ from fsw.kinematics.transforms import IDENTITY, Array, Flags, Pose, rotation_z, 
 from sim.frames import FLIP, P_NR_M
 from sim.plant import Plant
 
-CONE_RAD: Final = float(np.radians(75.0))
+VISIBLE_CONE_RAD: Final = float(np.radians(75.0))
 """How far from its axis a nest lets its ball be seen; assumed."""
-OFF_M: Final = 0.02
+NEST_OFFSET_M: Final = 0.02
 """Balls stand off what their nests are glued on."""
-FIXED_M: Final = 0.05
+TRACKER_CLEARANCE_M: Final = 0.05
 """Rays that meet nothing so close to the tracker are free."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Targets:
+class TrackerTargets:
     """Nests on one body B, whose places in it are known."""
 
     p_BoQ_B_m: Array
@@ -47,16 +47,16 @@ class Tracker:
         return self.sigma_m + self.sigma_per_m * distance_m
 
 
-TYPICAL: Final = Tracker()
+TYPICAL_TRACKER: Final = Tracker()
 
 
-def _targets(*nests: tuple[float, float, float, float, float, float]) -> Targets:
+def _make_targets(*nests: tuple[float, float, float, float, float, float]) -> TrackerTargets:
     table = np.array(nests).T
     axis = table[3:] / np.linalg.norm(table[3:], axis=0)
-    return Targets(table[:3] + OFF_M * axis, axis)
+    return TrackerTargets(table[:3] + NEST_OFFSET_M * axis, axis)
 
 
-GROUND: Final = _targets(
+GROUND_TARGETS: Final = _make_targets(
     (3.4, -2.6, 0.0, 0.3, 0.3, -1.0),
     (3.6, 1.6, 0.0, 0.3, -0.6, -1.0),
     (0.6, -2.4, 0.0, 1.0, 0.3, -0.6),
@@ -65,7 +65,7 @@ GROUND: Final = _targets(
     (1.4, -2.8, -0.5, 1.0, 0.5, -0.4),
 )
 """In the ground frame, which is RNAV of a level rover at rest."""
-ROVER: Final = _targets(
+ROVER_TARGETS: Final = _make_targets(
     (0.87, -0.58, -1.28, 1.0, -0.2, -0.3),
     (0.87, 0.58, -1.28, 1.0, -0.2, -0.3),
     (0.60, -0.62, -1.45, 1.0, -0.5, -0.3),
@@ -78,7 +78,7 @@ ROVER: Final = _targets(
 """In RNAV, on masts where the arm is seldom in the way."""
 
 
-def _around_turret() -> Targets:
+def _turret_rings() -> TrackerTargets:
     """Rings of nests about the turret's axis, in Arm6; the farthest looks away from the arm."""
     nests = []
     for height_m, radius_m, first, up in (
@@ -91,15 +91,15 @@ def _around_turret() -> Targets:
             angle = 2 * np.pi * (k + first) / 6
             x, y = np.cos(angle), np.sin(angle)
             nests.append((radius_m * x, radius_m * y, height_m, x, y, up))
-    return _targets(*nests)
+    return _make_targets(*nests)
 
 
-TURRET: Final = _around_turret()
+TURRET_TARGETS: Final = _turret_rings()
 """On the stand-in turret, an open frame: what hides them is the arm, not the turret."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shots:
+class TargetReadings:
     """What the tracker measured of the targets on one body."""
 
     p_WoQ_W_m: Array
@@ -108,7 +108,7 @@ class Shots:
     """(k,)."""
 
     @property
-    def seen(self) -> Flags:
+    def visible(self) -> Flags:
         """(k,)."""
         return np.asarray(np.isfinite(self.p_WoQ_W_m[0]))
 
@@ -127,9 +127,9 @@ def turret_pose(plant: Plant) -> Pose:
     return Pose(FLIP[:, None] * plant.data.xmat[body].reshape(3, 3), p_N - P_NR_M)
 
 
-def shots(
+def measure_targets(
     tracker: Tracker, plant: Plant, X_GN: Pose, X_RF: Pose, rng: np.random.Generator
-) -> tuple[Shots, Shots, Shots]:
+) -> tuple[TargetReadings, TargetReadings, TargetReadings]:
     """Every target on ground, rover and turret that can be seen, measured once.
 
     The turret's interface is at X_RF; the plant is asked what is in the way.
@@ -138,28 +138,28 @@ def shots(
     """
     X_GF = X_GN @ Pose(np.eye(3), P_NR_M) @ X_RF
     return (
-        _shot(tracker, plant, X_GN, GROUND, IDENTITY, rng),
-        _shot(tracker, plant, X_GN, ROVER, X_GN, rng),
-        _shot(tracker, plant, X_GN, TURRET, X_GF, rng),
+        _measure_body(tracker, plant, X_GN, GROUND_TARGETS, IDENTITY, rng),
+        _measure_body(tracker, plant, X_GN, ROVER_TARGETS, X_GN, rng),
+        _measure_body(tracker, plant, X_GN, TURRET_TARGETS, X_GF, rng),
     )
 
 
-def _shot(
-    tracker: Tracker, plant: Plant, X_GN: Pose, targets: Targets, X_GB: Pose, rng: np.random.Generator
-) -> Shots:
+def _measure_body(
+    tracker: Tracker, plant: Plant, X_GN: Pose, targets: TrackerTargets, X_GB: Pose, rng: np.random.Generator
+) -> TargetReadings:
     p_G = X_GB.R @ targets.p_BoQ_B_m + X_GB.p[:, None]
     way = np.array(tracker.p_GoWo_G_m)[:, None] - p_G
     distance = np.linalg.norm(way, axis=0)
-    facing = np.einsum("ik,ik->k", X_GB.R @ targets.axis_B, way / distance) > np.cos(CONE_RAD)
-    clear = np.array([_clear(plant, X_GN, p, w) for p, w in zip(p_G.T, way.T, strict=True)])
+    facing = np.einsum("ik,ik->k", X_GB.R @ targets.axis_B, way / distance) > np.cos(VISIBLE_CONE_RAD)
+    clear = np.array([_is_unobstructed(plant, X_GN, p, w) for p, w in zip(p_G.T, way.T, strict=True)])
     sigma = tracker.noise_m(distance)
     noisy = p_G + sigma * rng.standard_normal(p_G.shape)
     X_GW = tracker.X_GW
     p_W = X_GW.R.T @ (noisy - X_GW.p[:, None])
-    return Shots(np.where(facing & clear, p_W, np.nan), sigma)
+    return TargetReadings(np.where(facing & clear, p_W, np.nan), sigma)
 
 
-def _clear(plant: Plant, X_GN: Pose, p_G: Array, way_G: Array) -> bool:
+def _is_unobstructed(plant: Plant, X_GN: Pose, p_G: Array, way_G: Array) -> bool:
     """Whether nothing but the turret and the floor stands on the way (3,) from a point to the tracker."""
     model, data = plant.model, plant.data
     start = FLIP * (X_GN.R.T @ (p_G - X_GN.p))
@@ -168,14 +168,14 @@ def _clear(plant: Plant, X_GN: Pose, p_G: Array, way_G: Array) -> bool:
     along, travelled, hit = along / length, 0.0, np.zeros(1, np.int32)
     while True:
         step = mujoco.mj_ray(model, data, start + travelled * along, along, None, 1, -1, hit)
-        if step < 0 or travelled + step > length - FIXED_M:
+        if step < 0 or travelled + step > length - TRACKER_CLEARANCE_M:
             return True
-        if not _see_through(plant, int(hit[0])):
+        if not _is_transparent(plant, int(hit[0])):
             return False
         travelled += step + 1e-3
 
 
-def _see_through(plant: Plant, geom: int) -> bool:
+def _is_transparent(plant: Plant, geom: int) -> bool:
     """The stand-in is a frame; the floor is where the rover stands, not where this model has it."""
     model = plant.model
     body, turret = int(model.geom_bodyid[geom]), model.body("turret").id

@@ -29,11 +29,11 @@ def random_targets(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
     The first angle is how far the approach points below horizontal, the second how far to the right.
     """
     radius, heading, height, down, side = rng.random((count, 5)).T
-    radius, heading = RADIUS_M * np.sqrt(radius), _between(heading, -np.pi, np.pi)
-    height = _between(height, TOP_Z_M, BOTTOM_Z_M)
+    radius, heading = RADIUS_M * np.sqrt(radius), _interpolate(heading, -np.pi, np.pi)
+    height = _interpolate(height, TOP_Z_M, BOTTOM_Z_M)
     point = np.array([CENTRE_X_M + radius * np.cos(heading), radius * np.sin(heading), height])
     return point, np.array(
-        [_between(down, 0.0, WEDGE_DOWN_RAD), _between(side, -WEDGE_SIDE_RAD, WEDGE_SIDE_RAD)]
+        [_interpolate(down, 0.0, WEDGE_DOWN_RAD), _interpolate(side, -WEDGE_SIDE_RAD, WEDGE_SIDE_RAD)]
     )
 
 
@@ -43,6 +43,6 @@ def approach_from(angles_rad: Array) -> Array:
     return np.array([np.cos(down) * np.cos(side), np.cos(down) * np.sin(side), np.sin(down)])
 
 
-def _between(share: Array, low: float, high: float) -> Array:
+def _interpolate(share: Array, low: float, high: float) -> Array:
     between: Array = low + (high - low) * share
     return between

@@ -19,7 +19,7 @@ from fsw.dictionary.enums import Joint
 from fsw.estimate.reference import Reference
 from sim.arms import arm_named
 from sim.initialisation import initial_reference
-from sim.tour import Settled, random_goals, tour
+from sim.pose_sequence import RestState, random_goals, visit_poses
 from sim.world import World
 from validation.options import parser
 
@@ -31,17 +31,17 @@ LEAST_RATIO: Final = 10.0
 
 def one_tour(
     arm_name: str, reference: Reference, backlash: BacklashMode, poses: int, seed: int
-) -> list[Settled]:
+) -> list[RestState]:
     """The settled poses of a tour, its tilt and goals from the seed."""
     arm = arm_named(arm_name)
     rng = np.random.default_rng([seed, 4])
     tilt, heading = rng.uniform(0.0, MAX_TILT_RAD), rng.uniform(-np.pi, np.pi)
     world = World("mars", float(tilt * np.cos(heading)), float(tilt * np.sin(heading)))
     goals = random_goals(configure(arm.params), rng, poses)
-    return list(tour(arm, reference, world, goals, backlash, seed))
+    return list(visit_poses(arm, reference, world, goals, backlash, seed))
 
 
-def summary(config_friction_Nm: np.ndarray, settled: Sequence[Settled]) -> dict[str, Any]:
+def summary(config_friction_Nm: np.ndarray, settled: Sequence[RestState]) -> dict[str, Any]:
     """How often a side is claimed and how often rightly, and how far outputs and tool are off."""
     claimed = np.array([s.side for s in settled])
     true = np.array([s.true_side for s in settled])
@@ -84,7 +84,7 @@ def campaign(arm_name: str, tours: int, poses: int, seed: int, workers: int) -> 
     modes: tuple[BacklashMode, ...] = ("on", "off")
     # a fifth is enough to see what there is without compensation
     jobs = [(mode, seed + k) for mode in modes for k in range(tours if mode == "on" else max(1, tours // 5))]
-    found: dict[str, list[Settled]] = {mode: [] for mode in modes}
+    found: dict[str, list[RestState]] = {mode: [] for mode in modes}
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         arm, seeds = arm_named(arm_name), range(seed, seed + tours)
         known = dict(zip(seeds, pool.map(initial_reference, [arm] * tours, seeds), strict=True))

@@ -18,10 +18,10 @@ from fsw.dictionary.commands import Command, ToolChange
 from fsw.dictionary.enums import TOOL_SWITCHES, Tool
 from fsw.dictionary.types import joints5
 from sim.arms import arm_named
-from sim.campaign import random_placement
 from sim.contact import tool_forces
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
+from sim.preview import random_placement
 from sim.sequence import run_sequence
 from validation.options import parser
 from validation.tool_change import FIRST, MOST_DRAWS, SECOND, TILT_RAD, not_completed, placing

@@ -25,8 +25,8 @@ from sim.contact import hull_force_N, tool_forces
 from sim.effects.environment import PowerLoss
 from sim.effects.faults import (
     BrakeStuck,
-    Fault,
     HotMotor,
+    InjectedFault,
     JointSeized,
     MissedCycles,
     RockGone,
@@ -37,8 +37,8 @@ from sim.effects.faults import (
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
-from sim.scenario.file import load, shipped
-from sim.scenario.run import setup_of
+from sim.scenario.file import built_in_scenarios, load_scenario
+from sim.scenario.run import scenario_setup
 from sim.sequence import run_sequence
 from validation.options import parser
 
@@ -90,7 +90,7 @@ class Injected:
     """How far an output was beyond its soft limits and their margin; negative is inside."""
 
 
-def random_fault(rng: np.random.Generator, at_s: float, has_rock: bool) -> Fault:
+def random_fault(rng: np.random.Generator, at_s: float, has_rock: bool) -> InjectedFault:
     """Any kind, any joint or sensor, of a size worth the name."""
     joint = Joint(int(rng.integers(len(Joint))))
     match int(rng.integers(12 if has_rock else 11)):
@@ -127,10 +127,10 @@ def _sensor_fault(rng: np.random.Generator, at_s: float) -> SensorFault:
 
 def campaign(name: str, seed: int, count: int) -> list[Injected]:
     """So many faults, each in a fork of one run of a scenario."""
-    scenario = load(name).tilted(*(float(v) for v in np.radians(TILT_DEG)))
+    scenario = load_scenario(name).tilted(*(float(v) for v in np.radians(TILT_DEG)))
     arm = arm_named("nominal")
     rng = np.random.default_rng([seed, *map(ord, name)])
-    setup = setup_of(scenario, arm, initial_reference(arm), seed)
+    setup = scenario_setup(scenario, arm, initial_reference(arm), seed)
     length = sum(1 for _ in run_sequence(ClosedLoop(setup), scenario.commands))
     ticks = Counter(int(tick) for tick in rng.integers(1, length, count))
     loop, found, begun = ClosedLoop(setup), [], 0
@@ -142,7 +142,7 @@ def campaign(name: str, seed: int, count: int) -> list[Injected]:
     return found
 
 
-def _injected(name: str, loop: ClosedLoop, fault: Fault, rest: tuple[Command, ...]) -> Injected:
+def _injected(name: str, loop: ClosedLoop, fault: InjectedFault, rest: tuple[Command, ...]) -> Injected:
     began, move, watched = loop.state.mode, loop.state.move, _Watch(loop)
     moving = move is not None and move.phase in (Phase.RELEASE, Phase.RUN)
     last = loop.state.tick + round(GOES_ON_S * CYCLE_HZ)
@@ -190,7 +190,7 @@ def _end(loop: ClosedLoop, watched: "_Watch", braked: bool, refusing: bool, must
     return "overlooked" if must_be_found or watched.astray else "tolerated"
 
 
-def _must_be_found(loop: ClosedLoop, fault: Fault, moving: bool) -> bool:
+def _must_be_found(loop: ClosedLoop, fault: InjectedFault, moving: bool) -> bool:
     """Whether docs/faults.md tolerates no such fault, whatever the arm was doing then."""
     bounds = loop.config.params.monitors
     match fault:
@@ -270,7 +270,7 @@ def _carried_on(loop: ClosedLoop, rest: tuple[Command, ...]) -> Iterator[CycleRe
     yield from run_sequence(loop, rest)
 
 
-def _spoken(fault: Fault) -> str:
+def _spoken(fault: InjectedFault) -> str:
     if isinstance(fault, SensorFault):
         return f"{fault.sensor} {fault.kind}"
     return type(fault).__name__
@@ -307,7 +307,7 @@ def summary(cases: list[Injected]) -> dict[str, object]:
 
 def document(count: int, seed: int, workers: int, only: str | None = None) -> dict[str, object]:
     """So many faults over all scenarios, or in only one."""
-    names = [only] if only else list(shipped())
+    names = [only] if only else list(built_in_scenarios())
     counts = Counter(str(name) for name in np.random.default_rng([seed, 60]).choice(names, count))
     chunks = [
         (name, 100 * seed + k, share) for name in names for k, share in enumerate(_shares(counts[name]))
@@ -329,7 +329,7 @@ def main() -> int:
     """Print the result as JSON; exit status 1 if one did not end as it should, or went too far."""
     options = parser("faults", __doc__, "example: python -m validation.faults --count 60")
     options.add_argument("--count", type=int, default=1000, help="faults in all (default %(default)s)")
-    options.add_argument("--only", choices=list(shipped()), help="one scenario, in place of all")
+    options.add_argument("--only", choices=list(built_in_scenarios()), help="one scenario, in place of all")
     asked = options.parse_args()
     found = document(asked.count, asked.seed, asked.workers, asked.only)
     print(json.dumps(found, indent=2))

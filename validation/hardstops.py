@@ -17,10 +17,9 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from sim.arms import BuiltArm, arm_named
-from sim.initialisation import Initialisation
+from sim.hardstop_loads import without_turret
+from sim.initialisation import InitialisationResult, prepare_random_homing
 from sim.sequence import Outcome
-from sim.stops import without_turret
-from sim.trials import varied
 from sim.world import World
 from validation.options import parser
 
@@ -73,11 +72,11 @@ def pressing_harder(arm: BuiltArm) -> BuiltArm:
 def run(trial: Trial) -> Result:
     """Carry out a trial."""
     arm, world = arm_at(trial.place, trial.arm)
-    running = varied(arm, trial.joint, world, 1000 * trial.arm + trial.repetition)
+    running = prepare_random_homing(arm, trial.joint, world, 1000 * trial.arm + trial.repetition)
     return _result(trial, running.finish())
 
 
-def _result(trial: Trial, found: Initialisation) -> Result:
+def _result(trial: Trial, found: InitialisationResult) -> Result:
     stop = found.stops[0] if found.outcome is Outcome.DONE else None
     return Result(
         trial,

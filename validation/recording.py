@@ -29,8 +29,8 @@ from ground.telemetry.standard import EVERY
 from sim.arms import arm_named
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
-from sim.scenario.file import load
-from sim.scenario.run import ScenarioRun, setup_of
+from sim.scenario.file import load_scenario
+from sim.scenario.run import ScenarioRun, scenario_setup
 from validation.closed_loop import bare_step_s, reference, timed
 
 SCENARIO = "contact-science"
@@ -107,8 +107,8 @@ def _in_turns(path: Path) -> Iterator[tuple[Stretch, Stretch, float]]:
 
     Of the means from one sample to the next it is the median: the machine may give time to others.
     """
-    arm, scenario = arm_named("nominal"), load(SCENARIO)
-    loop = ClosedLoop(setup_of(scenario, arm, reference(), 0))
+    arm, scenario = arm_named("nominal"), load_scenario(SCENARIO)
+    loop = ClosedLoop(scenario_setup(scenario, arm, reference(), 0))
     truth_s = list[float]()
     loop.plant.truth = timed(loop.plant.truth, truth_s)  # type: ignore[method-assign]
     cycles = iter(ScenarioRun(loop, scenario))

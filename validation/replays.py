@@ -19,7 +19,7 @@ from ground.replay.replay import ReplayRequest, replay
 from ground.replay.tables import verdict
 from ground.runs.artifacts import Files
 from ground.runs.scenario import RunRequest, run
-from sim.scenario.file import shipped
+from sim.scenario.file import built_in_scenarios
 from validation.options import parser
 
 TILT_DEG = (6.0, -4.0)
@@ -77,7 +77,7 @@ def one(scenario: str, arm: str) -> Replayed:
 def document(arms: int, seed: int, workers: int, only: str | None = None) -> dict[str, object]:
     """Every scenario, or only one, on the nominal arm, and on so many calibrated and as-built ones."""
     names = ["nominal", *(f"{k}:{seed + n}" for n in range(1, arms + 1) for k in ("calibrated", "as-built"))]
-    jobs = list(product([only] if only else shipped(), names))
+    jobs = list(product([only] if only else built_in_scenarios(), names))
     ran: list[Replayed] = []
     with ProcessPoolExecutor(workers) as pool:
         for k, found in enumerate(pool.map(one, *zip(*jobs, strict=True)), start=1):
@@ -101,7 +101,7 @@ def summed(ran: list[Replayed]) -> dict[str, object]:
 def main() -> None:
     options = parser("replays", __doc__, "example: python -m validation.replays --arms 1")
     options.add_argument("--arms", type=int, default=3, help="arms of each kind but nominal (default 3)")
-    options.add_argument("--only", choices=list(shipped()), help="one scenario, in place of all")
+    options.add_argument("--only", choices=list(built_in_scenarios()), help="one scenario, in place of all")
     asked = options.parse_args()
     found = document(asked.arms, asked.seed, asked.workers, asked.only)
     print(json.dumps(found, indent=2))

@@ -17,11 +17,10 @@ from fsw.estimate.reference import Reference
 from sim.arms import arm_named
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop
-from sim.scenario.checks import Check, Preloaded
-from sim.scenario.data import Scenario
-from sim.scenario.file import load, shipped
-from sim.scenario.run import ScenarioRun, setup_of
-from sim.scenario.teaching import taught
+from sim.scenario.data import Check, Preloaded, Scenario
+from sim.scenario.file import built_in_scenarios, load_scenario
+from sim.scenario.run import ScenarioRun, scenario_setup
+from sim.scenario.teaching import teach
 from sim.sequence import Outcome
 from validation.options import parser
 
@@ -53,13 +52,13 @@ def on_arm(name: str, names: tuple[str, ...]) -> list[Ran]:
 
 def ran_on(name: str, scenario_name: str, reference: Reference) -> Ran:
     """A scenario on one arm, taught its places; both of them say which way the rover is tilted."""
-    seed, k = int(name.partition(":")[2] or 0), list(shipped()).index(scenario_name)
+    seed, k = int(name.partition(":")[2] or 0), list(built_in_scenarios()).index(scenario_name)
     tilt = np.radians(TILT_DEG.get(scenario_name, SAMPLING_TILT_DEG)) * (1 - 1e-9)
     heading = float(np.random.default_rng([seed, k, 70]).uniform(-np.pi, np.pi))
     # of a roll and a pitch that together tilt by so much
     roll = float(np.arcsin(np.sin(tilt) * np.sin(heading)))
     pitch = float(np.arctan(np.tan(tilt) * np.cos(heading)))
-    scenario = _bounds_for(name, load(scenario_name).tilted(roll, pitch))
+    scenario = _bounds_for(name, load_scenario(scenario_name).tilted(roll, pitch))
     return _run(scenario, name, seed, reference)
 
 
@@ -73,8 +72,8 @@ def _bounds_for(arm: str, scenario: Scenario) -> Scenario:
 
 def _run(scenario: Scenario, name: str, seed: int, reference: Reference) -> Ran:
     arm = arm_named(name)
-    arm = taught(arm, reference, scenario.taught, scenario.world)
-    loop = ClosedLoop(setup_of(scenario, arm, reference, seed))
+    arm = teach(arm, reference, scenario.taught, scenario.world)
+    loop = ClosedLoop(scenario_setup(scenario, arm, reference, seed))
     run = ScenarioRun(loop, scenario)
     for _ in run:
         pass
@@ -87,10 +86,10 @@ def _run(scenario: Scenario, name: str, seed: int, reference: Reference) -> Ran:
         ),
         outcome=str(result.outcome),
         passed=result.passed,
-        failed=tuple(f"{m.check}: {m.name} {m.value:.6g} {m.unit}" for m in result.measured if not m.passed),
+        failed=tuple(f"{m.check}: {m.name} {m.value:.6g} {m.unit}" for m in result.checks if not m.passed),
         measured={
             f"{m.check}: {m.name} [{m.unit}]": m.value
-            for m in result.measured
+            for m in result.checks
             if m.unit or m.name.startswith("lateral over")
         },
         faults=tuple(evr.message for _, evr in result.evrs if isinstance(evr, Fault)),
@@ -126,7 +125,7 @@ def document(
     calibrated: int, as_built: int, seed: int, workers: int, only: str | None = None
 ) -> dict[str, object]:
     """Every scenario, or only one, on the nominal arm and on so many others."""
-    names = (only,) if only else tuple(shipped())
+    names = (only,) if only else tuple(built_in_scenarios())
     arms = ["nominal"]
     arms += [f"calibrated:{seed + k}" for k in range(1, calibrated + 1)]
     arms += [f"as-built:{seed + k}" for k in range(1, as_built + 1)]
@@ -154,7 +153,7 @@ def main() -> int:
     )
     options.add_argument("--calibrated", type=int, default=20, help="calibrated arms (default %(default)s)")
     options.add_argument("--as-built", type=int, default=20, help="as-built arms (default %(default)s)")
-    options.add_argument("--only", choices=list(shipped()), help="one scenario, in place of all")
+    options.add_argument("--only", choices=list(built_in_scenarios()), help="one scenario, in place of all")
     asked = options.parse_args()
     found = document(asked.calibrated, asked.as_built, asked.seed, asked.workers, asked.only)
     print(json.dumps(found, indent=2))

@@ -26,9 +26,9 @@ from fsw.kinematics.chain import tool_pose
 from fsw.kinematics.statics import settle, settle_output
 from ground.render.figures import save_figure
 from sim.arms import BuiltArm, arm_named
-from sim.effects.turret import StandInTurret
+from sim.effects.structure import StandInTurret
 from sim.initialisation import initial_reference
-from sim.tour import Settled, pose_in_workspace, tour
+from sim.pose_sequence import RestState, pose_in_workspace, visit_poses
 from sim.world import World
 from validation.options import parser
 
@@ -76,7 +76,7 @@ def group(index: int, seed: int, poses: int, reference: Reference) -> list[Predi
     inside = round(SHOULDER_IN * poses)
     shoulders = ["out"] * (poses - inside) + ["in"] * inside
     goals = [pose_in_workspace(config, rng, Tool.DRILL, WITH_SHOULDER[shoulder]) for shoulder in shoulders]
-    settled = tour(arm, reference, world, goals, "off", seed)
+    settled = visit_poses(arm, reference, world, goals, "off", seed)
     return [_predicted(config, s, shoulder == "in") for s, shoulder in zip(settled, shoulders, strict=True)]
 
 
@@ -90,7 +90,7 @@ def predictions(
         return list(pool.map(one_group, range(groups)))
 
 
-def _predicted(config: Config, s: Settled, shoulder_in: bool) -> Predicted:
+def _predicted(config: Config, s: RestState, shoulder_in: bool) -> Predicted:
     pressed = settle(config.arm, s.motor_rad, config.half_gap_rad, s.gravity_R_m_s2)
     believed = settle_output(config.arm, s.motor_rad + s.believed_gear_rad, s.gravity_R_m_s2)
     off = [

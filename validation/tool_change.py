@@ -19,9 +19,7 @@ from fsw.dictionary.evrs import CommandCompleted, Evr, Severity
 from fsw.dictionary.types import joints5, vector3
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
-from sim.arms import BuiltArm, arm_named
-from sim.campaign import random_placement
-from sim.effects.built import SPRINGS
+from sim.arms import SPRING_FRAMES, BuiltArm, arm_named
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError, Warming
 from sim.effects.joints import GearStiffness
@@ -29,7 +27,7 @@ from sim.effects.structure import LinkStiffness
 from sim.frames import p_R_from_N
 from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop, Setup
-from sim.preview import Preview
+from sim.preview import Preview, random_placement
 from sim.sequence import run_sequence
 from validation.options import parser
 
@@ -63,7 +61,7 @@ def unknown_to_flight(seed: int) -> tuple[Effect, ...]:
     """Warmer or colder, softer or stiffer, everything alike."""
     warm, stiff = np.random.default_rng([seed, 50]).choice([-1.0, 1.0], 2)
     factor = float(STIFFNESS**stiff)
-    springs = [LinkStiffness(frame, factor) for frame in SPRINGS]
+    springs = [LinkStiffness(frame, factor) for frame in SPRING_FRAMES]
     return (Warming(WARMING_K * float(warm)), *springs, *(GearStiffness(joint, factor) for joint in Joint))
 
 

@@ -8,7 +8,7 @@ from fsw.dictionary.evrs import CommandRefused, Evr
 from fsw.executive.modes import ModeEvent, next_mode
 from fsw.messages import Flags
 from fsw.motion.preload import PreloadState
-from fsw.state import State, SequenceStep
+from fsw.state import SequenceStep, State
 
 
 @dataclass(frozen=True, slots=True, eq=False)

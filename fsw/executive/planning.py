@@ -13,7 +13,7 @@ from fsw.motion.compensation import Compensation
 from fsw.motion.path_check import check_paths
 from fsw.motion.plan import Plan, Refusal, estimate_at, plan_joint, plan_poses
 from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
-from fsw.state import State, SequenceStep
+from fsw.state import SequenceStep, State
 
 SingleMoveCommand = Unstow | Stow | MoveJoint | MoveJoints | MoveTool | GuardedMove | Retract
 

@@ -11,7 +11,7 @@ from ground.accuracy.sources import Case, ErrorModel, Source, Spread, is_compens
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError, LinkWarming
 from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle
-from sim.effects.moves import FramePlay, ServoError, Windup
+from sim.effects.move_disturbances import FramePlay, ServoError, Windup
 from sim.effects.structure import LinkStiffness
 
 Z_TURN = 2

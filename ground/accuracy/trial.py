@@ -16,8 +16,7 @@ from ground.accuracy.sources import Case, ErrorModel, is_compensated
 from ground.accuracy.ways import by_closed_loop, by_statics
 from sim.arms import BuiltArm, arm_named
 from sim.effects.environment import Ambient
-from sim.initialisation import initial_reference, true_reference
-from sim.trials import TEMPERATURE_C
+from sim.initialisation import RANDOM_TEMPERATURE_C, initial_reference, true_reference
 
 How = Literal["closed-loop", "statics"]
 OF_THE_ARM: Final = ("assembly", "calibration", "deflection", "zero_offset", "backlash")
@@ -60,7 +59,7 @@ def built_trial(
     rng = np.random.default_rng(draw)
     tool = Tool(int(rng.integers(len(Tool))))
     added = {name: factor for name, factor in case.sources.items() if name not in OF_THE_ARM}
-    cold = Ambient(float(rng.uniform(*TEMPERATURE_C)))
+    cold = Ambient(float(rng.uniform(*RANDOM_TEMPERATURE_C)))
     arm = arm_named(name, params)
     effects = (cold, *drawn_effects(model, replace(case, sources=added), tool, rng))
     there = replace(arm, effects=(*arm.effects, *effects))

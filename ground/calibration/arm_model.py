@@ -30,8 +30,8 @@ from ground.calibration.hanging import JOINTS, SCREW, STRAIN, Hanging, hanging, 
 from ground.calibration.noise import whitener_of
 from ground.calibration.problem import Linearised
 from ground.calibration.screws import Measured, error_screw, linearised
-from sim.effects.built import SPRINGS
-from sim.effects.turret import hung_with
+from sim.arms import SPRING_FRAMES
+from sim.effects.structure import params_with_stand_in
 
 COUNT: Final = len(arm_parameters())
 
@@ -140,7 +140,7 @@ class Held:
 
 
 def _held(nominal: Params, x: Array, turret_kg: float | None, at: Believed) -> Held:
-    arm, X_RD = numbered_arm(build_arm(hung_with(nominal, turret_kg)), x, turret_kg is not None)
+    arm, X_RD = numbered_arm(build_arm(params_with_stand_in(nominal, turret_kg)), x, turret_kg is not None)
     gap = at.gap_rad * np.exp(x[GAPS])[:, None] - at.held_Nm / arm.gear_stiffness_Nm_rad[:, None]
     gravity_D = X_RD.R.T @ at.gravity_R_m_s2
     rest = settle(arm, at.motor_rad, gap, gravity_D)
@@ -227,7 +227,7 @@ def _by_springs(hang: Hanging, x: Array, at: Believed) -> Array:
         stiffness = hang.arm.gear_stiffness_Nm_rad[joint]
         direct[joint, :, GEARS.start + joint] = -carried_Nm[joint] / stiffness
         direct[joint, :, GAPS.start + joint] = at.gap_rad[joint] * np.exp(x[GAPS.start + joint])
-    for k, frame in enumerate(SPRINGS):
+    for k, frame in enumerate(SPRING_FRAMES):
         start = STRAIN + 6 * frame
         direct[start : start + 6, :, LINKS.start + k] = -rest.strain[:, frame]
     return direct

@@ -12,12 +12,21 @@ from fsw.dictionary.types import row6, vector3
 from fsw.kinematics.arm import Arm, pose_to_transform6, transform6_to_pose
 from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_exp
 from ground.calibration.problem import Parameter
-from sim.effects.built import BACKLASH, COM_M, FRAME_M, FRAME_RAD, MASS, SPRINGS, STIFFNESS, ZERO_RAD
+from sim.arms import (
+    BACKLASH_SIGMA,
+    COM_SIGMA_M,
+    FRAME_SIGMA_M,
+    FRAME_SIGMA_RAD,
+    MASS_SIGMA,
+    SPRING_FRAMES,
+    STIFFNESS_SIGMA,
+    ZERO_SIGMA_RAD,
+)
+from sim.effects.flight_params import rotate_matrix
 from sim.effects.geometry import FrameError
 from sim.effects.joints import BacklashWidth, GearStiffness
-from sim.effects.matrices import turned
 from sim.effects.structure import LinkMass, LinkStiffness
-from sim.plant import AXES
+from sim.plant import SCREW_AXES
 
 MASSES: Final = (Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5, Frame.ARM6)
 FIXTURE_RAD, FIXTURE_M = 1e-4, 5e-5
@@ -37,23 +46,30 @@ def arm_parameters() -> tuple[Parameter, ...]:
     """All of them; sigmas are those that arms are built with. Factors are natural logarithms."""
     return (
         *_frame_screws(),
-        *(Parameter(f"gear.{j.name.lower()}", "ln", STIFFNESS, STIFFNESS) for j in Joint),
-        *(Parameter(f"spring.{f.name.lower()}", "ln", STIFFNESS, STIFFNESS) for f in SPRINGS),
-        *(Parameter(f"backlash.{j.name.lower()}", "ln", BACKLASH, BACKLASH) for j in Joint),
-        *(Parameter(f"mass.{f.name.lower()}", "ln", MASS, MASS) for f in MASSES),
-        *(Parameter(f"centre.{f.name.lower()}.{axis}", "m", COM_M, COM_M) for f in MASSES for axis in "xyz"),
+        *(Parameter(f"gear.{j.name.lower()}", "ln", STIFFNESS_SIGMA, STIFFNESS_SIGMA) for j in Joint),
+        *(
+            Parameter(f"spring.{f.name.lower()}", "ln", STIFFNESS_SIGMA, STIFFNESS_SIGMA)
+            for f in SPRING_FRAMES
+        ),
+        *(Parameter(f"backlash.{j.name.lower()}", "ln", BACKLASH_SIGMA, BACKLASH_SIGMA) for j in Joint),
+        *(Parameter(f"mass.{f.name.lower()}", "ln", MASS_SIGMA, MASS_SIGMA) for f in MASSES),
+        *(
+            Parameter(f"centre.{f.name.lower()}.{axis}", "m", COM_SIGMA_M, COM_SIGMA_M)
+            for f in MASSES
+            for axis in "xyz"
+        ),
     )
 
 
 def _frame_screws() -> Iterator[Parameter]:
     for frame in Frame:
-        for k, axis in enumerate(AXES):
-            scale = FRAME_RAD if k < 3 else FRAME_M
+        for k, axis in enumerate(SCREW_AXES):
+            scale = FRAME_SIGMA_RAD if k < 3 else FRAME_SIGMA_M
             sigma = scale
             if frame is Frame.TOOL:
                 sigma = FIXTURE_RAD if k < 3 else FIXTURE_M
             elif 6 * frame + k in ZEROS:
-                sigma = float(np.hypot(FRAME_RAD, ZERO_RAD))
+                sigma = float(np.hypot(FRAME_SIGMA_RAD, ZERO_SIGMA_RAD))
             yield Parameter(f"{frame.name.lower()}.{axis}", "rad" if k < 3 else "m", scale, sigma)
 
 
@@ -66,7 +82,7 @@ def arm_with(params: Params, x: Array) -> Params:
     for joint in Joint:
         params = GearStiffness(joint, float(factor[GEARS][joint])).on_params(params)
         params = BacklashWidth(joint, float(factor[GAPS][joint])).on_params(params)
-    for k, frame in enumerate(SPRINGS):
+    for k, frame in enumerate(SPRING_FRAMES):
         params = LinkStiffness(frame, float(factor[LINKS][k])).on_params(params)
     for k, frame in enumerate(MASSES):
         shift = vector3(x[CENTRES][3 * k : 3 * k + 3])
@@ -91,7 +107,7 @@ def numbered_arm(drawn: Arm, x: Array, stand_in: bool) -> tuple[Arm, Pose]:
         far_kg[frame] *= 1.0 if frame is Frame.ARM6 and stand_in else factor[MASS_OF][k]
         near[:, frame] += x[CENTRES][3 * k : 3 * k + 3]
         far[:, frame] += x[CENTRES][3 * k : 3 * k + 3]
-    for k, frame in enumerate(SPRINGS):
+    for k, frame in enumerate(SPRING_FRAMES):
         compliance[:, :, frame] /= factor[LINKS][k]
     turn = turret_turn(drawn, x)
     far[:, Frame.ARM6] = turn.R @ far[:, Frame.ARM6] + turn.p
@@ -154,7 +170,7 @@ def _end_turned(link: LinkParams, angle_rad: float) -> LinkParams:
         link,
         transform=transform,
         elastic_centre_m=vector3(back @ np.array(link.elastic_centre_m)),
-        compliance=turned(link.compliance, back),
+        compliance=rotate_matrix(link.compliance, back),
         near=replace(link.near, com_m=vector3(back @ np.array(link.near.com_m))),
         far=replace(link.far, com_m=vector3(back @ np.array(link.far.com_m))),
     )

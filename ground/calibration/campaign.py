@@ -16,13 +16,13 @@ from ground.calibration.poses import PAPER_GROUPS, Group, branch_name, group_pos
 from ground.calibration.survey import Row, campaign_from, surveyed
 from ground.common.progress import Progress
 from sim.arms import BuiltArm
-from sim.effects.turret import StandInTurret
-from sim.free_air import in_free_air, rested_after
-from sim.initialisation import initialised
+from sim.effects.structure import StandInTurret
+from sim.hardstop_loads import without_turret
+from sim.initialisation import initialise_joints
 from sim.loop import ClosedLoop, Setup
+from sim.pose_sequence import free_air_loop, run_and_rest
 from sim.sequence import Outcome
-from sim.stops import without_turret
-from sim.tracker import TYPICAL, Tracker, turret_pose
+from sim.tracker import TYPICAL_TRACKER, Tracker, turret_pose
 from sim.world import World
 
 
@@ -35,7 +35,7 @@ class CampaignPlan:
     """What is done, and with what."""
 
     groups: tuple[Group, ...] = PAPER_GROUPS
-    tracker: Tracker = TYPICAL
+    tracker: Tracker = TYPICAL_TRACKER
     seed: int = 0
 
 
@@ -46,7 +46,7 @@ def earth_reference(arm: BuiltArm, progress: Progress) -> Reference:
         CampaignFailed: a hardstop was not found.
     """
     runs = []
-    for run in initialised(without_turret(arm, on_earth=True), World("earth")):
+    for run in initialise_joints(without_turret(arm, on_earth=True), World("earth")):
         runs.append(run)
         progress(len(runs), len(HARDSTOP_ORDER), "hardstops")
     if runs[-1].outcome is not Outcome.DONE:
@@ -77,9 +77,9 @@ def group_rows(arm: BuiltArm, reference: Reference, plan: CampaignPlan, k: int) 
     turret = () if group.turret_kg is None else (StandInTurret(group.turret_kg),)
     known = replace(arm, params=group.params(arm.params))
     setup = Setup(known, world, known.params.poses.ready_rad, plan.seed, reference, turret)
-    loop = in_free_air(setup)  # the way between two poses was cleared by people
+    loop = free_air_loop(setup)  # the way between two poses was cleared by people
     for goal in goals:
-        problem = rested_after(loop, MoveJoints(joints5(goal), "on"))
+        problem = run_and_rest(loop, MoveJoints(joints5(goal), "on"))
         if problem is not None:
             raise CampaignFailed(f"{arm.name}: no way to {np.degrees(goal)} deg: {problem}")
         try:

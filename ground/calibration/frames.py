@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.transforms import Array, Pose, adjoint, inverse, skew
-from sim.tracker import Shots, Targets
+from sim.tracker import TargetReadings, TrackerTargets
 
 FEWEST: Final = 3
 """Targets that a frame can be built from, if they are not on one line."""
@@ -30,13 +30,13 @@ class Built:
     count: int
 
 
-def built_frame(targets: Targets, shots: Shots, name: str) -> Built:
+def built_frame(targets: TrackerTargets, shots: TargetReadings, name: str) -> Built:
     """The body's frame in the tracker's, from the targets seen: weighted least squares (Kabsch).
 
     Raises:
         FewTargets: fewer than three, or all on one line.
     """
-    seen = shots.seen
+    seen = shots.visible
     b, q, weight = targets.p_BoQ_B_m[:, seen], shots.p_WoQ_W_m[:, seen], shots.sigma_m[seen] ** -2
     count = int(np.count_nonzero(seen))
     if count < FEWEST:

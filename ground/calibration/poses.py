@@ -10,9 +10,9 @@ from fsw.dictionary.enums import Tool
 from fsw.dictionary.params import Params
 from fsw.kinematics.branches import BRANCHES, branch_index, fold_distances
 from fsw.kinematics.transforms import Array
-from sim.clearance import Space
-from sim.effects.turret import hung_with
-from sim.tour import pose_in_workspace
+from sim.clearance import ClearanceModel
+from sim.effects.structure import params_with_stand_in
+from sim.pose_sequence import pose_in_workspace
 from sim.world import World
 
 SHOULDER_IN: Final = 0.3
@@ -31,7 +31,7 @@ class Group:
 
     def params(self, params: Params) -> Params:
         """Flight parameters of the arm with this turret."""
-        return hung_with(params, self.turret_kg)
+        return params_with_stand_in(params, self.turret_kg)
 
 
 PAPER_GROUPS: Final = tuple(
@@ -49,14 +49,16 @@ def resized(groups: tuple[Group, ...], poses: int) -> tuple[Group, ...]:
 def group_poses(params: Params, group: Group, scene: World, rng: np.random.Generator) -> list[Array]:
     """Goals (5) of joint angles, in an order in which the way between them is short, from the ready pose."""
     config = configure(group.params(params))
-    space = Space(config.params, scene)
+    space = ClearanceModel(config.params, scene)
     inside = round(SHOULDER_IN * group.count)
     branches = [IN] * inside + [OUT] * (group.count - inside)
     goals = [_clear_pose(config, space, rng, names) for names in branches]
     return nearest_next(config, np.array(config.params.poses.ready_rad), goals)
 
 
-def _clear_pose(config: Config, space: Space, rng: np.random.Generator, names: tuple[str, ...]) -> Array:
+def _clear_pose(
+    config: Config, space: ClearanceModel, rng: np.random.Generator, names: tuple[str, ...]
+) -> Array:
     while True:
         pose = pose_in_workspace(config, rng, Tool.DRILL, names)
         clearance = space.clearance(pose[:, None])

@@ -22,8 +22,8 @@ from ground.calibration.frames import FewTargets
 from ground.calibration.poses import Group, branch_name, group_poses
 from ground.calibration.survey import Row, campaign_from, surveyed
 from sim.arms import BuiltArm
-from sim.clearance import Space
-from sim.effects.effect import knowing
+from sim.clearance import ClearanceModel
+from sim.effects.effect import params_with_effects
 from sim.effects.joints import HardstopAngle
 from sim.plant import Plant
 from sim.tracker import Tracker
@@ -70,7 +70,7 @@ def _scene(arm: BuiltArm, plan: CampaignPlan, k: int) -> _Scene:
         true=configure(group.params(true_params(arm))),
         off_rad=stops_off(arm),
         gravity_R_m_s2=World("earth", tilt_roll_rad=group.roll_rad).gravity_N_m_s2,
-        plant=Space(known, World("earth")).plant,
+        plant=ClearanceModel(known, World("earth")).plant,
         tracker=plan.tracker,
     )
 
@@ -106,7 +106,7 @@ def _settled(scene: _Scene, goal: Array, rng: np.random.Generator) -> Row | None
 
 def true_params(arm: BuiltArm) -> Params:
     """The flight parameters that know every effect of the arm; not for flight software."""
-    return knowing(arm.effects, arm.params)
+    return params_with_effects(arm.effects, arm.params)
 
 
 def stops_off(arm: BuiltArm) -> Array:

@@ -12,7 +12,7 @@ from ground.calibration.frames import Built, built_frame, seen_from
 from ground.calibration.screws import Measured
 from sim.frames import P_NR_M
 from sim.plant import Plant
-from sim.tracker import GROUND, ROVER, TURRET, Tracker, rover_pose, shots
+from sim.tracker import GROUND_TARGETS, ROVER_TARGETS, TURRET_TARGETS, Tracker, measure_targets, rover_pose
 
 X_NR: Final = Pose(np.eye(3), P_NR_M)
 SWAY_RAD, SWAY_M = 2e-4, 1e-3
@@ -55,12 +55,14 @@ def surveyed(
         FewTargets: too few targets on a body are in sight.
     """
     sway = rng.standard_normal(6) * np.repeat([SWAY_RAD, SWAY_M], 3)
-    of_bodies = shots(tracker, plant, rover_pose(roll_rad, sway), X_RF, rng)
-    named = zip((GROUND, ROVER, TURRET), of_bodies, ("ground", "rover", "turret"), strict=True)
+    of_bodies = measure_targets(tracker, plant, rover_pose(roll_rad, sway), X_RF, rng)
+    named = zip(
+        (GROUND_TARGETS, ROVER_TARGETS, TURRET_TARGETS), of_bodies, ("ground", "rover", "turret"), strict=True
+    )
     ground, rover, turret = (built_frame(targets, shot, name) for targets, shot, name in named)
     X_RT, covariance = seen_from(rover, turret, X_NR)
     frames = (ground, rover, turret)
-    sigma = [shot.sigma_m[shot.seen] for shot in of_bodies]
+    sigma = [shot.sigma_m[shot.visible] for shot in of_bodies]
     return Surveyed(
         X_RT, covariance, (ground.count, rover.count, turret.count), _misfit(frames, sigma), ground.X_WB
     )

@@ -16,7 +16,7 @@ from ground.calibration.data import Believed
 from ground.calibration.screws import Measured
 from ground.calibration.settled import stops_off, true_params
 from sim.arms import BuiltArm
-from sim.effects.turret import hung_with
+from sim.effects.structure import params_with_stand_in
 from sim.initialisation import true_reference
 
 TOLD: Final = 0.5
@@ -39,7 +39,7 @@ def true_poses(arm: BuiltArm, believed: Believed, off_rad: Array) -> Pose:
     motor = believed.motor_rad + off_rad[:, None]
     parts = []
     for turret_kg, where in turrets(believed):
-        truth = build_arm(hung_with(params, turret_kg))
+        truth = build_arm(params_with_stand_in(params, turret_kg))
         at = believed.at(where)
         gap = np.sign(at.gap_rad) * half - at.held_Nm / truth.gear_stiffness_Nm_rad[:, None]
         parts.append((where, settle(truth, motor[:, where], gap, at.gravity_R_m_s2).frames.X_RF[5]))

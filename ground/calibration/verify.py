@@ -20,8 +20,8 @@ from sim.effects.effect import Effect
 from sim.effects.environment import Ambient
 from sim.effects.geometry import Warming
 from sim.frames import p_R_from_N
-from sim.free_air import in_free_air, rested_after
 from sim.loop import Setup
+from sim.pose_sequence import free_air_loop, run_and_rest
 from sim.workspace import approach_from, random_targets
 from sim.world import World
 
@@ -84,7 +84,7 @@ class Run:
         self, arm: BuiltArm, reference: Reference, world: World, effects: tuple[Effect, ...], seed: int
     ):
         ready = arm.params.poses.ready_rad
-        self._loop = in_free_air(Setup(arm, world, ready, seed, reference, effects))
+        self._loop = free_air_loop(Setup(arm, world, ready, seed, reference, effects))
         self._rng = np.random.default_rng([seed, 4])
 
     def misses(self, targets: int) -> Iterator[tuple[Tool, Array]]:
@@ -97,7 +97,7 @@ class Run:
         for _ in range(MOST_TRIES):
             p_N_m, angles = random_targets(self._rng, 1)
             target, approach = p_R_from_N(p_N_m[:, 0]), approach_from(angles)[:, 0]
-            problem = rested_after(self._loop, MoveTool(tool, vector3(target), vector3(approach)))
+            problem = run_and_rest(self._loop, MoveTool(tool, vector3(target), vector3(approach)))
             if problem is None:
                 return self._looked_at(tool, target, approach)
         raise CampaignFailed(f"no target in {MOST_TRIES} could be reached: {problem}")

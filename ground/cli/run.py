@@ -77,7 +77,7 @@ def scenarios(as_json: JsonOption = False) -> None:
     Example: marsarm scenarios --json
     """
     from ground.runs.scenario_tables import scenarios_json, scenarios_table
-    from sim.scenario.file import load, shipped
+    from sim.scenario.file import built_in_scenarios, load_scenario
 
-    found = tuple(load(name) for name in shipped())
+    found = tuple(load_scenario(name) for name in built_in_scenarios())
     show({"scenarios": scenarios_json(found)}, as_json, lambda: scenarios_table(found))

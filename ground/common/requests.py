@@ -13,8 +13,8 @@ from fsw.dictionary.types import Vector3
 from sim.arms import BuiltArm, UnknownArm, arm_named
 from sim.effects.effect import Effect
 from sim.params import BadParams, params_over_nominal
-from sim.scenario.effect_file import effects_in
-from sim.scenario.effects import BadEffect, effect_from
+from sim.scenario.effect_file import read_effect_file
+from sim.scenario.effects import BadEffect, parse_effect_text
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World
 
 FARTHEST_M: Final = 100.0
@@ -81,7 +81,7 @@ def chosen_effects(texts: tuple[str, ...]) -> tuple[Effect, ...]:
     problems: list[str] = []
     for text in texts:
         try:
-            effects += effects_in(Path(text)) if text.endswith(".toml") else (effect_from(text),)
+            effects += read_effect_file(Path(text)) if text.endswith(".toml") else (parse_effect_text(text),)
         except BadEffect as error:
             problems.append(str(error))
     if problems:

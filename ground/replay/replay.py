@@ -20,7 +20,7 @@ from ground.telemetry.errors import LogError
 from ground.telemetry.plain import to_plain
 from ground.telemetry.processor import cpu_features
 from ground.telemetry.read import Log, read_log
-from sim.loop import stepped
+from sim.loop import step_flight_software
 from sim.params import BadParams, params_over
 from sim.scenario.names import did_you_mean
 
@@ -90,7 +90,7 @@ def outputs_for(inputs: Inputs, params: Params, progress: Progress) -> list[Outp
     given: list[Outputs] = []
     for tick in range(inputs.ticks):
         sensors, commands = inputs.sensors_at(tick), inputs.commands.get(tick, ())
-        state, last, failure = stepped(config, state, last, sensors, commands)
+        state, last, failure = step_flight_software(config, state, last, sensors, commands)
         given.append(last)
         if failure is not None:
             break

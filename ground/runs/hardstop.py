@@ -24,14 +24,13 @@ from ground.common.requests import (
     tilted_world,
 )
 from ground.runs.hardstop_figure import save_hardstop_figure
-from sim.arms import BuiltArm, later
+from sim.arms import BuiltArm, effects_of_run
 from sim.effects.effect import Effect
-from sim.effects.environment import WARM_C, surroundings
-from sim.initialisation import Initialisation, InitialisationRun, stop_run
+from sim.effects.environment import WARM_C, default_ambient
+from sim.hardstop_loads import NoPlan, without_turret
+from sim.initialisation import InitialisationResult, InitialisationRun, prepare_homing, prepare_random_homing
 from sim.loop import ClosedLoop, Setup
 from sim.sequence import Outcome
-from sim.stops import NoPlan, without_turret
-from sim.trials import varied
 from sim.world import World
 
 MOST_REPEATS: Final = 1000
@@ -68,7 +67,7 @@ class HardstopReport:
     """What came of it; a run for every repetition and joint, or one of all joints."""
 
     request: HardstopRequest
-    runs: tuple[Initialisation, ...]
+    runs: tuple[InitialisationResult, ...]
     poses_rad: tuple[tuple[float, ...], ...]
     """In which each joint runs to its hardstop, in the order of Joint; its own angle is where it waits."""
     picture_problem: str | None
@@ -136,7 +135,7 @@ def checked(request: HardstopRequest) -> HardstopJob:
         arm=arm if request.turret else _bare(arm, request),
         world=world,
         start_rad=None if request.start_deg is None else _start(arm, request.start_deg),
-        effects=(*surroundings(effects, temperature_C), *later(effects)),
+        effects=(*default_ambient(effects, temperature_C), *effects_of_run(effects)),
     )
 
 
@@ -167,7 +166,7 @@ def _joint(name: str) -> Joint:
     return known[name.lower()]
 
 
-def _runs(request: HardstopRequest, job: HardstopJob, progress: Progress) -> Iterator[Initialisation]:
+def _runs(request: HardstopRequest, job: HardstopJob, progress: Progress) -> Iterator[InitialisationResult]:
     """One after the other until one fails."""
     if request.joint is None and request.repeat == 1:
         yield _all(request, job, progress)
@@ -180,9 +179,9 @@ def _runs(request: HardstopRequest, job: HardstopJob, progress: Progress) -> Ite
             setup = Setup(job.arm, job.world, job.start_rad, request.seed, effects=job.effects)
             run = InitialisationRun(ClosedLoop(setup), Calibrate(joint))
         elif request.repeat == 1:
-            run = stop_run(job.arm, joint, job.world, request.seed, job.effects)
+            run = prepare_homing(job.arm, joint, job.world, request.seed, job.effects)
         else:
-            run = varied(job.arm, joint, job.world, request.seed + repetition)
+            run = prepare_random_homing(job.arm, joint, job.world, request.seed + repetition)
         result = run.finish()
         if result.failure is not None:
             raise result.failure
@@ -191,7 +190,7 @@ def _runs(request: HardstopRequest, job: HardstopJob, progress: Progress) -> Ite
             return
 
 
-def _all(request: HardstopRequest, job: HardstopJob, progress: Progress) -> Initialisation:
+def _all(request: HardstopRequest, job: HardstopJob, progress: Progress) -> InitialisationResult:
     start_rad = job.arm.params.hardstop.start_rad
     loop = ClosedLoop(Setup(job.arm, job.world, start_rad, request.seed, effects=job.effects))
     run = InitialisationRun(loop, CalibrateAll())

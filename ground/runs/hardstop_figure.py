@@ -10,7 +10,7 @@ import numpy as np
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.motion.homing import HomingStage
 from ground.render.figures import save_figure
-from sim.initialisation import Initialisation, Sample
+from sim.initialisation import HomingSample, InitialisationResult
 
 BEFORE_S: Final = 3.0
 """How much of the long way to the hardstop is shown."""
@@ -33,7 +33,7 @@ NAMES: Final = {
 }
 
 
-def save_hardstop_figure(runs: Sequence[Initialisation], path: Path) -> str | None:
+def save_hardstop_figure(runs: Sequence[InitialisationResult], path: Path) -> str | None:
     """Save the picture as PNG, the first run of each joint; the reason if matplotlib is not there.
 
     Raises:
@@ -54,9 +54,9 @@ def save_hardstop_figure(runs: Sequence[Initialisation], path: Path) -> str | No
     return save_figure(path, (15, 1.2 + 3.4 * rows), 90, draw)
 
 
-def _by_joint(runs: Sequence[Initialisation]) -> dict[Joint, list[Sample]]:
+def _by_joint(runs: Sequence[InitialisationResult]) -> dict[Joint, list[HomingSample]]:
     """The last turn of each joint in its first run, without most of the way there."""
-    seen: dict[Joint, list[Sample]] = {}
+    seen: dict[Joint, list[HomingSample]] = {}
     for joint in HARDSTOP_ORDER:
         samples = next((turn for turn in (_last_turn(run, joint) for run in runs) if turn), None)
         if samples is not None:
@@ -66,13 +66,13 @@ def _by_joint(runs: Sequence[Initialisation]) -> dict[Joint, list[Sample]]:
     return seen
 
 
-def _last_turn(run: Initialisation, joint: Joint) -> list[Sample]:
+def _last_turn(run: InitialisationResult, joint: Joint) -> list[HomingSample]:
     samples = [s for s in run.samples if s.joint is joint]
     pauses = [k for k, (a, b) in enumerate(pairwise(samples), 1) if b.time_s - a.time_s > PAUSE_S]
     return samples[pauses[-1] :] if pauses else samples
 
 
-def _draw(axes: Any, joint: Joint, samples: list[Sample]) -> None:
+def _draw(axes: Any, joint: Joint, samples: list[HomingSample]) -> None:
     current, speed, angle, press = axes
     zero_s, last = samples[0].time_s, samples[-1]
     name = joint.name.lower()
@@ -102,7 +102,7 @@ def _draw(axes: Any, joint: Joint, samples: list[Sample]) -> None:
     press.set(title=f"{name}: current over angle", xlabel="mrad from where it ends", ylabel="A")
 
 
-def _stalls(samples: list[Sample]) -> list[float]:
+def _stalls(samples: list[HomingSample]) -> list[float]:
     """When a stall was seen: the ends of the ways towards the hardstop."""
     return [
         a.time_s

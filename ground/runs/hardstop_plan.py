@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from fsw.dictionary.params import Params
 from ground.common.requests import BadRequest
 from ground.runs.hardstop import HardstopRequest, checked
-from sim.clearance import Clearance, Space
-from sim.stops import StopLoads, clearances, stop_loads
+from sim.clearance import Clearance, ClearanceModel
+from sim.hardstop_loads import HardstopLoads, compute_hardstop_loads, sweep_clearance
 from sim.world import World
 
 
@@ -16,7 +16,7 @@ class StopPlan:
 
     place: str
     params: Params
-    loads: StopLoads
+    loads: HardstopLoads
     clearance: Clearance
 
 
@@ -38,5 +38,5 @@ def plan_stops(request: HardstopRequest) -> tuple[StopPlan, ...]:
 
 
 def _plan(place: str, params: Params, world: World) -> StopPlan:
-    loads = stop_loads(params, world.gravity_N_m_s2)
-    return StopPlan(place, params, loads, clearances(params, Space(params, world)))
+    loads = compute_hardstop_loads(params, world.gravity_N_m_s2)
+    return StopPlan(place, params, loads, sweep_clearance(params, ClearanceModel(params, world)))

@@ -12,7 +12,7 @@ from ground.render.console import plain_console
 from ground.runs.hardstop import HardstopReport
 from ground.runs.hardstop_plan import StopPlan
 from ground.runs.tables import evr_json
-from sim.initialisation import Stop
+from sim.initialisation import HardstopResult
 
 
 def hardstop_json(report: HardstopReport) -> dict[str, Any]:
@@ -151,7 +151,7 @@ def _joint_json(report: HardstopReport, joint: Joint) -> dict[str, Any]:
     }
 
 
-def _mean(stops: list[Stop], name: str) -> float:
+def _mean(stops: list[HardstopResult], name: str) -> float:
     return float(np.mean([getattr(stop, name) for stop in stops]))
 
 

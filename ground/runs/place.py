@@ -10,8 +10,8 @@ from ground.runs.artifacts import Frames, Kept, doing, keep, nothing_kept, open_
 from ground.runs.initialise import initialise
 from ground.runs.place_request import PlaceRequest, checked
 from ground.telemetry.header import header_of
-from sim.arms import BuiltArm, later
-from sim.initialisation import Initialisation
+from sim.arms import BuiltArm, effects_of_run
+from sim.initialisation import InitialisationResult
 from sim.loop import ClosedLoop, Setup
 from sim.placement import PlacementResult, PlacementRun
 from sim.sequence import Outcome
@@ -39,7 +39,9 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
     if stops[-1].outcome is not Outcome.DONE:
         return _not_initialised(request, job.arm, stops)
     stowed_rad = job.arm.params.poses.stowed_rad
-    setup = Setup(job.arm, job.world, stowed_rad, request.seed, stops[-1].reference, later(job.effects))
+    setup = Setup(
+        job.arm, job.world, stowed_rad, request.seed, stops[-1].reference, effects_of_run(job.effects)
+    )
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     run = PlacementRun(loop, job.placement)
     header = header_of(loop, job.arm.name, request.seed, asdict(request), run.commands, job.effects)
@@ -68,7 +70,7 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
     )
 
 
-def _not_initialised(request: PlaceRequest, arm: BuiltArm, stops: list[Initialisation]) -> PlaceReport:
+def _not_initialised(request: PlaceRequest, arm: BuiltArm, stops: list[InitialisationResult]) -> PlaceReport:
     failed = stops[-1]
     result = PlacementResult(failed.outcome, None, failed.duration_s, None, None, failed.evrs)
     kept = nothing_kept(request.files)

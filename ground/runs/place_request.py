@@ -22,7 +22,7 @@ from ground.runs.artifacts import NO_FILES, Files, check_files
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
 from sim.placement import Placement
-from sim.preview import preview, unstow_s
+from sim.preview import preview_placement, unstow_duration_s
 from sim.world import Surface, World, inside_rover
 
 
@@ -72,12 +72,12 @@ def checked(request: PlaceRequest) -> PlaceJob:
     if inside_rover(request.target_m):
         raise BadRequest(f"target: {numbers(request.target_m)} m is inside the rover; {WORKSPACE}")
     check_files(request.files, params=request.params)
-    seen = preview(arm, world, Placement(tool, request.target_m, normal), stowed=True)
+    seen = preview_placement(arm, world, Placement(tool, request.target_m, normal), stowed=True)
     if seen.problem is not None:
         raise BadRequest(f"target: {numbers(request.target_m)} m cannot be reached: {seen.problem}")
     if not request.has_surface:
         world = level
-    return PlaceJob(arm, world, seen.placement, seen.duration_s + unstow_s(arm), effects)
+    return PlaceJob(arm, world, seen.placement, seen.duration_s + unstow_duration_s(arm), effects)
 
 
 def _tool(name: str) -> Tool:

@@ -22,12 +22,12 @@ from ground.runs.artifacts import (
 from ground.runs.initialise import initialise
 from ground.telemetry.header import header_of
 from sim.arms import BuiltArm
-from sim.initialisation import Initialisation
+from sim.initialisation import InitialisationResult
 from sim.loop import ClosedLoop
 from sim.scenario.data import Scenario
-from sim.scenario.file import BadScenario, load
-from sim.scenario.run import ScenarioResult, ScenarioRun, setup_of
-from sim.scenario.teaching import NotTaught, taught
+from sim.scenario.file import BadScenario, load_scenario
+from sim.scenario.run import ScenarioResult, ScenarioRun, scenario_setup
+from sim.scenario.teaching import NotTaught, teach
 from sim.sequence import Outcome
 
 
@@ -78,10 +78,10 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
     reference = stops[-1].reference
     progress(0, 1, "teaching")
     try:
-        arm = taught(arm, reference, scenario.taught, scenario.world, request.seed)
+        arm = teach(arm, reference, scenario.taught, scenario.world, request.seed)
     except NotTaught as error:
         raise BadRequest(f"scenario {scenario.name}: {error}") from error
-    setup = setup_of(scenario, arm, reference, request.seed)
+    setup = scenario_setup(scenario, arm, reference, request.seed)
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     judged = ScenarioRun(loop, scenario)
     header = header_of(loop, arm.name, request.seed, asdict(request), scenario.commands, scenario.effects)
@@ -115,7 +115,7 @@ def _checked(request: RunRequest) -> tuple[Scenario, BuiltArm]:
     """The scenario on its arm, after every check that can be made before anything moves or is written."""
     check_seed(request.seed)
     try:
-        scenario = load(request.scenario)
+        scenario = load_scenario(request.scenario)
     except BadScenario as error:
         raise BadRequest(str(error)) from error
     arm = chosen_arm(scenario.arm if request.arm is None else request.arm, None)
@@ -125,7 +125,7 @@ def _checked(request: RunRequest) -> tuple[Scenario, BuiltArm]:
     scenario = replace(scenario, effects=(*scenario.effects, *chosen_effects(request.effects)))
     read = Path(request.scenario)
     check_files(request.files, scenario=read if read.suffix == ".toml" else None)
-    return scenario, scenario.fitted(arm)
+    return scenario, scenario.fit_arm(arm)
 
 
 def _shown(scenario: Scenario) -> int:
@@ -135,7 +135,7 @@ def _shown(scenario: Scenario) -> int:
 
 
 def _not_initialised(
-    request: RunRequest, scenario: Scenario, arm: BuiltArm, stops: list[Initialisation]
+    request: RunRequest, scenario: Scenario, arm: BuiltArm, stops: list[InitialisationResult]
 ) -> RunReport:
     failed = stops[-1]
     result = ScenarioResult(failed.outcome, 0, failed.duration_s, (), failed.evrs)

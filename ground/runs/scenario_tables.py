@@ -11,8 +11,8 @@ from ground.render.console import WARNED, cell, plain_console
 from ground.runs.scenario import RunReport
 from ground.runs.tables import evr_json, kept_json, kept_table
 from sim.scenario.data import Scenario
-from sim.scenario.effects import spec_of
-from sim.scenario.judge import Measured
+from sim.scenario.effects import effect_text
+from sim.scenario.judge import CheckResult
 from sim.scenario.names import upper_snake
 
 SHOWN: Final = {"m": ("mm", 1e3), "rad": ("deg", degrees(1.0))}
@@ -28,12 +28,12 @@ def run_json(report: RunReport) -> dict[str, Any]:
         "passed": report.passed,
         "arm": report.arm,
         "commands_begun": result.command,
-        "checks": [_measured_json(measured) for measured in result.measured],
+        "checks": [_measured_json(measured) for measured in result.checks],
         "duration_s": result.duration_s,
         "realtime_factor": report.realtime_factor,
         "tilt_deg": {"roll": degrees(world.tilt_roll_rad), "pitch": degrees(world.tilt_pitch_rad)},
         "seed": report.request.seed,
-        "effects": [spec_of(effect) for effect in report.scenario.effects],
+        "effects": [effect_text(effect) for effect in report.scenario.effects],
         "params_sha256": report.params_sha256,
         "evrs": [evr_json(time_s, evr) for time_s, evr in (*result.evrs, *report.kept.events)],
         "log": None if report.request.files.log is None else str(report.request.files.log),
@@ -51,7 +51,7 @@ def run_table(report: RunReport) -> None:
     )
     for name in ("check", "", "measured", "bound", ""):
         table.add_column(name, justify="right" if name in ("measured", "bound") else "left")
-    for measured in result.measured:
+    for measured in result.checks:
         table.add_row(*_cells(measured))
     console.print(table)
     number = result.command
@@ -88,7 +88,7 @@ def scenarios_table(scenarios: tuple[Scenario, ...]) -> None:
         plain_console().print(f"{scenario.name:<{width}}  {scenario.sentence}", soft_wrap=True)
 
 
-def _measured_json(measured: Measured) -> dict[str, Any]:
+def _measured_json(measured: CheckResult) -> dict[str, Any]:
     value, low, high, unit = _in_unit(measured)
     return {
         "check": measured.check,
@@ -101,7 +101,7 @@ def _measured_json(measured: Measured) -> dict[str, Any]:
     }
 
 
-def _cells(measured: Measured) -> tuple[str | Text, ...]:
+def _cells(measured: CheckResult) -> tuple[str | Text, ...]:
     value, low, high, unit = _in_unit(measured)
     end = cell("ok", "") if measured.passed else cell("NOT", WARNED)
     if low == high == 1.0:
@@ -111,7 +111,7 @@ def _cells(measured: Measured) -> tuple[str | Text, ...]:
     return measured.check, measured.name, said, f"{most} {unit}".rstrip(), end
 
 
-def _in_unit(measured: Measured) -> tuple[float, float, float, str]:
+def _in_unit(measured: CheckResult) -> tuple[float, float, float, str]:
     unit, factor = SHOWN.get(measured.unit, (measured.unit, 1.0))
     return factor * measured.value, factor * measured.low, factor * measured.high, unit
 

@@ -22,7 +22,7 @@ from ground.telemetry.plain import to_plain
 from ground.telemetry.processor import cpu_features
 from sim.effects.effect import Effect
 from sim.loop import ClosedLoop
-from sim.scenario.effects import spec_of
+from sim.scenario.effects import effect_text
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 GIT_TIMEOUT_S: Final = 5.0
@@ -50,7 +50,7 @@ def header_of(
         "arm": arm,
         "seed": str(seed),
         "request": json.dumps(request, default=str, sort_keys=True),
-        "effects": json.dumps([spec_of(effect) for effect in effects]),
+        "effects": json.dumps([effect_text(effect) for effect in effects]),
         "mjcf_sha256": model_digest(loop.plant.model),
     }
 

@@ -6,9 +6,8 @@ from typing import Annotated
 import numpy as np
 
 from fsw.dictionary.enums import Joint
-from sim.effects.effect import EachCycle, Hardware
-from sim.effects.size import Size
-from sim.influence import Influence, at_joint
+from sim.disturbance import Disturbance, at_joint
+from sim.effects.effect import EachCycle, Hardware, ParameterSpec
 from sim.plant import Plant
 
 
@@ -20,10 +19,10 @@ class FlexCable(EachCycle):
     """
 
     joint: Joint
-    stiffness_Nm_rad: Annotated[float, Size(0.0, 50.0, unit="N m/rad", typical=0.5, neutral=0.0)]
-    drag_Nm: Annotated[float, Size(0.0, 30.0, unit="N m", typical=1.0, neutral=0.0)]
-    laid_rad: Annotated[float, Size(-6.5, 6.5, unit="rad", typical=0.0)] = 0.0
-    give_rad: Annotated[float, Size(1e-2, 1.0, unit="rad", typical=0.05)] = 0.05
+    stiffness_Nm_rad: Annotated[float, ParameterSpec(0.0, 50.0, unit="N m/rad", typical=0.5, neutral=0.0)]
+    drag_Nm: Annotated[float, ParameterSpec(0.0, 30.0, unit="N m", typical=1.0, neutral=0.0)]
+    laid_rad: Annotated[float, ParameterSpec(-6.5, 6.5, unit="rad", typical=0.0)] = 0.0
+    give_rad: Annotated[float, ParameterSpec(1e-2, 1.0, unit="rad", typical=0.05)] = 0.05
 
     def begin(self, plant: Plant, hardware: Hardware) -> tuple[float, float]:
         """Output angle, and the share of the drag: none after a long rest."""
@@ -31,11 +30,11 @@ class FlexCable(EachCycle):
 
     def cycle(
         self, plant: Plant, hardware: Hardware, state: tuple[float, float]
-    ) -> tuple[tuple[float, float], Influence]:
+    ) -> tuple[tuple[float, float], Disturbance]:
         """The drag by how far the output has turned since, whatever its speed."""
         (before_rad, share), now_rad = state, float(plant.output_rad()[self.joint])
         moved_rad = now_rad - before_rad
         way = float(np.sign(moved_rad))
         share = way + (share - way) * float(np.exp(-abs(moved_rad) / self.give_rad)) if way else share
         torque_Nm = -self.stiffness_Nm_rad * (now_rad - self.laid_rad) - self.drag_Nm * share
-        return (now_rad, share), Influence(output_Nm=at_joint(self.joint, torque_Nm))
+        return (now_rad, share), Disturbance(output_Nm=at_joint(self.joint, torque_Nm))

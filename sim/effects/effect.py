@@ -1,44 +1,63 @@
-"""An effect: one way in which a built arm differs from the drawing."""
+"""Base classes of effects: each is one way in which a built arm differs from the drawing."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar, Protocol
+from typing import Annotated, Any, ClassVar, Protocol
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from fsw.dictionary.params import Params
+from fsw.dictionary.types import Limits
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
-from sim.effects.size import When
-from sim.influence import Influence
+from sim.disturbance import Disturbance, MoveDisturbance, no_move_disturbance
 from sim.plant import Plant
-from sim.scatter import Scatter, no_scatter
 
 
-class Spoilt(Protocol):
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParameterSpec(Limits):
+    """The bounds of a parameter, its unit, and how far from neutral it is typically."""
+
+    unit: str
+    typical: float
+    """Departure from neutral; of a parameter without a neutral value, the value."""
+    neutral: float | None = None
+    """Where the effect changes nothing; None for a parameter that only shapes what others bring about."""
+
+
+Factor = Annotated[float, ParameterSpec(0.1, 10.0, unit="1", typical=0.2, neutral=1.0)]
+"""Of what the drawing says."""
+SmallAngle = Annotated[float, ParameterSpec(-0.1, 0.1, unit="rad", typical=2e-3, neutral=0.0)]
+SmallLength = Annotated[float, ParameterSpec(-0.1, 0.1, unit="m", typical=1.5e-3, neutral=0.0)]
+Compliance = Annotated[float, ParameterSpec(0.0, 1e-3, unit="rad/(N m)", typical=5e-6, neutral=0.0)]
+TemperatureRise = Annotated[float, ParameterSpec(-200.0, 200.0, unit="K", typical=30.0, neutral=0.0)]
+StartTime = Annotated[float, ParameterSpec(0.0, 1e5, unit="s", typical=10.0)]
+
+
+class SensorError(Protocol):
     """Something wrong with a sensor."""
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
         """The readings as they come, of what they would be."""
 
-    def held(self, sensors: Sensors) -> "Spoilt":
+    def update(self, sensors: Sensors) -> "SensorError":
         """The same, knowing what was read when it began."""
 
 
-def read_through(
-    spoilt: tuple[Spoilt, ...], sensors: Sensors, rng: np.random.Generator
-) -> tuple[Sensors, tuple[Spoilt, ...]]:
+def apply_sensor_errors(
+    sensor_errors: tuple[SensorError, ...], sensors: Sensors, rng: np.random.Generator
+) -> tuple[Sensors, tuple[SensorError, ...]]:
     """The readings with all that is wrong with them, in the order in which it began; and what that knows."""
     begun = []
-    for one in spoilt:
-        begun.append(one.held(sensors))
+    for one in sensor_errors:
+        begun.append(one.update(sensors))
         sensors = begun[-1].read(sensors, rng)
     return sensors, tuple(begun)
 
 
-class Warped(Protocol):
+class ResolverError(Protocol):
     """Something wrong with a resolver that depends on how its joint stands."""
 
     def error_rad(self, output_rad: Array) -> Array:
@@ -46,7 +65,7 @@ class Warped(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Running:
+class ActiveEffect:
     """An effect that acts in every cycle, and what it remembers."""
 
     effect: "EachCycle"
@@ -86,15 +105,15 @@ class Hardware:
     """Brakes that, once on, do not release."""
     missed_cycles: int
     """For how many cycles from now on flight software is not called."""
-    spoilt: tuple["Spoilt", ...]
+    sensor_errors: tuple["SensorError", ...]
     """What is wrong with sensors by now."""
     timed: tuple["Timed", ...]
     """What is still to happen."""
     each_move: tuple["EachMove", ...]
     """What is drawn anew for every move."""
-    warped: tuple["Warped", ...]
+    resolver_errors: tuple["ResolverError", ...]
     """What is wrong with resolvers, beyond a bias."""
-    each_cycle: tuple["Running", ...]
+    each_cycle: tuple["ActiveEffect", ...]
     """What acts on the plant in every cycle."""
 
 
@@ -118,10 +137,10 @@ def nominal_hardware() -> Hardware:
         power_until_s=np.inf,
         brake_stuck=np.zeros(5, bool),
         missed_cycles=0,
-        spoilt=(),
+        sensor_errors=(),
         timed=(),
         each_move=(),
-        warped=(),
+        resolver_errors=(),
         each_cycle=(),
     )
 
@@ -135,7 +154,7 @@ class Effect:
     calibration would write.
     """
 
-    of_the_arm: ClassVar[bool] = True
+    built_in: ClassVar[bool] = True
     """Whether the arm has it when its joints look for their hardstops, or only once a run begins."""
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
@@ -154,8 +173,8 @@ class Effect:
 class Timed(Effect):
     """An effect that begins at a moment of the run, with the first cycle that is not before it."""
 
-    of_the_arm: ClassVar[bool] = False
-    at_s: When
+    built_in: ClassVar[bool] = False
+    at_s: StartTime
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """It is to come."""
@@ -174,7 +193,7 @@ class EachMove(Effect):
         """It is to be drawn."""
         return replace(hardware, each_move=(*hardware.each_move, self))
 
-    def scatter(self, rng: np.random.Generator) -> Scatter:
+    def draw(self, rng: np.random.Generator) -> MoveDisturbance:
         """How far off the arm comes to stand this time."""
         raise NotImplementedError
 
@@ -188,13 +207,13 @@ class EachCycle(Effect):
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """It is to act."""
-        return replace(hardware, each_cycle=(*hardware.each_cycle, Running(self)))
+        return replace(hardware, each_cycle=(*hardware.each_cycle, ActiveEffect(self)))
 
     def begin(self, plant: Plant, hardware: Hardware) -> Any:
         """What it remembers at first; nothing unless overridden."""
         return None
 
-    def cycle(self, plant: Plant, hardware: Hardware, state: Any) -> tuple[Any, Influence]:
+    def cycle(self, plant: Plant, hardware: Hardware, state: Any) -> tuple[Any, Disturbance]:
         """What it remembers from now on, and what it does to the plant in this cycle.
 
         What it changes of the plant itself it must set anew in every cycle.
@@ -202,7 +221,7 @@ class EachCycle(Effect):
         raise NotImplementedError
 
 
-def fitted(effects: Iterable[Effect], spec: mujoco.MjSpec, hardware: Hardware) -> Hardware:
+def apply_effects(effects: Iterable[Effect], spec: mujoco.MjSpec, hardware: Hardware) -> Hardware:
     """Change the MuJoCo model as all of these effects do, one after the other; the avionics and sensors."""
     for effect in effects:
         effect.on_model(spec)
@@ -210,37 +229,37 @@ def fitted(effects: Iterable[Effect], spec: mujoco.MjSpec, hardware: Hardware) -
     return hardware
 
 
-def knowing(effects: Iterable[Effect], params: Params) -> Params:
+def params_with_effects(effects: Iterable[Effect], params: Params) -> Params:
     """The flight parameters that know all of these effects."""
     for effect in effects:
         params = effect.on_params(params)
     return params
 
 
-def gone_on(plant: Plant, hardware: Hardware) -> Hardware:
+def apply_cycle_effects(plant: Plant, hardware: Hardware) -> Hardware:
     """Let what acts in every cycle act on the plant in this one; the avionics and sensors after it."""
-    hardware, total = acted(plant, hardware)
-    plant.influenced(total)
+    hardware, total = evaluate_cycle_effects(plant, hardware)
+    plant.set_disturbance(total)
     return hardware
 
 
-def acted(plant: Plant, hardware: Hardware) -> tuple[Hardware, Influence]:
+def evaluate_cycle_effects(plant: Plant, hardware: Hardware) -> tuple[Hardware, Disturbance]:
     """The avionics and sensors after this cycle, and all that acts on the plant in it; it is yet to act."""
-    total, running = Influence(), []
+    total, running = Disturbance(), []
     for one in hardware.each_cycle:
         before = one.state if one.begun else one.effect.begin(plant, hardware)
         state, influence = one.effect.cycle(plant, hardware, before)
         total += influence
-        running.append(Running(one.effect, state, True))
+        running.append(ActiveEffect(one.effect, state, True))
     return replace(hardware, each_cycle=tuple(running)), total
 
 
-def drawn_scatter(effects: Iterable[EachMove], rng: np.random.Generator) -> Scatter:
+def draw_move_disturbance(effects: Iterable[EachMove], rng: np.random.Generator) -> MoveDisturbance:
     """What one move leaves to chance, by all of these effects."""
-    return sum((effect.scatter(rng) for effect in effects), no_scatter())
+    return sum((effect.draw(rng) for effect in effects), no_move_disturbance())
 
 
-def at_index(values: Array, index: int, value: float) -> Array:
+def with_element(values: Array, index: int, value: float) -> Array:
     """A copy with one element replaced."""
     changed = values.copy()
     changed[index] = value

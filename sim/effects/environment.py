@@ -1,4 +1,4 @@
-"""What cold does to the actuators, and what noise does to their currents."""
+"""Surroundings of the arm: temperature, power, current noise, and the surfaces that it touches."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -9,22 +9,50 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
-from sim.effects.effect import Effect, Hardware
-from sim.effects.size import Size, When
+from sim.effects.effect import Effect, Hardware, ParameterSpec, StartTime
+
+
+@dataclass(frozen=True, slots=True)
+class ContactStiffness(Effect):
+    """What is touched is so many times as stiff under a pad."""
+
+    factor: Annotated[float, ParameterSpec(0.05, 20.0, unit="1", typical=0.5, neutral=1.0)]
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """Pads have their stiffness and damping in MuJoCo's direct format; the damping ratio stays."""
+        for geom in spec.geoms:
+            if geom.name.endswith("_pad"):
+                geom.solref = geom.solref * np.array([self.factor, self.factor**0.5])
+
+
+@dataclass(frozen=True, slots=True)
+class SurfacePosition(Effect):
+    """The rock's face is nearer than it was seen, along its normal."""
+
+    offset_m: Annotated[float, ParameterSpec(-0.05, 0.05, unit="m", typical=3e-3, neutral=0.0)]
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """Shift the rock, if there is one."""
+        rock = spec.body("rock")
+        if rock is not None:
+            R = np.zeros(9)
+            mujoco.mju_quat2Mat(R, rock.quat)
+            rock.pos = rock.pos + self.offset_m * R.reshape(3, 3)[:, 2]
+
 
 WARM_C = 20.0
 COLD_C = -55.0
 COULOMB_COLD = 2.5
 """Times the friction when warm, at the cold end."""
 VISCOUS_COLD = 8.0
-FAR_M = 1e3
+NO_PADDING_M = 1e3
 
 
 @dataclass(frozen=True, slots=True)
 class Ambient(Effect):
     """The temperature of the actuators: their grease stiffens in the cold, exponentially."""
 
-    temperature_C: Annotated[float, Size(-130.0, 50.0, unit="degC", typical=-30.0, neutral=WARM_C)]
+    temperature_C: Annotated[float, ParameterSpec(-130.0, 50.0, unit="degC", typical=-30.0, neutral=WARM_C)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Scale Coulomb and viscous friction of motors and gears."""
@@ -39,7 +67,7 @@ class Ambient(Effect):
         return replace(hardware, ambient_C=np.full(len(Joint), self.temperature_C))
 
 
-def surroundings(effects: Iterable[Effect], temperature_C: float) -> tuple[Effect, ...]:
+def default_ambient(effects: Iterable[Effect], temperature_C: float) -> tuple[Effect, ...]:
     """An ambient of this temperature, unless one is among the effects."""
     return () if any(isinstance(effect, Ambient) for effect in effects) else (Ambient(temperature_C),)
 
@@ -48,7 +76,7 @@ def surroundings(effects: Iterable[Effect], temperature_C: float) -> tuple[Effec
 class CurrentNoise(Effect):
     """White noise of the current sensors, one sigma."""
 
-    current_A: Annotated[float, Size(0.0, 1.0, unit="A", typical=0.02)]
+    current_A: Annotated[float, ParameterSpec(0.0, 1.0, unit="A", typical=0.02)]
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """In place of what the sensors have."""
@@ -59,8 +87,8 @@ class CurrentNoise(Effect):
 class PowerLoss(Effect):
     """The motors lose their power, and the brakes fall in."""
 
-    of_the_arm: ClassVar[bool] = False
-    at_s: When
+    built_in: ClassVar[bool] = False
+    at_s: StartTime
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """From then on, for good."""
@@ -78,5 +106,5 @@ class NothingToTouch(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Nothing is to be kept clear of."""
-        nothing = replace(params.collision, padding_m=-FAR_M)
+        nothing = replace(params.collision, padding_m=-NO_PADDING_M)
         return replace(params, collision=nothing)

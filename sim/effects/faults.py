@@ -8,22 +8,21 @@ import numpy as np
 from fsw.dictionary.enums import Joint, Switch
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
-from sim.effects.effect import Hardware, Timed, at_index
+from sim.effects.effect import Hardware, ParameterSpec, Timed, with_element
 from sim.effects.environment import PowerLoss
-from sim.effects.size import Size
 from sim.frames import FLIP, gravity_in_rover
 from sim.plant import MOTOR_CONSTANT, Plant
 
 SensorName = Literal[
     "encoder_count", "resolver_rad", "current_A", "winding_C", "switch_closed", "gravity_R_m_s2"
 ]
-SensorKind = Literal["frozen", "biased", "noisy", "nan"]
-NO_NAN: Final = ("encoder_count", "switch_closed")
-COUNT_OF: Final = {"switch_closed": len(Switch), "gravity_R_m_s2": 3}
+SensorFaultKind = Literal["frozen", "biased", "noisy", "nan"]
+INTEGER_SENSORS: Final = ("encoder_count", "switch_closed")
+CHANNEL_COUNTS: Final = {"switch_closed": len(Switch), "gravity_R_m_s2": 3}
 """Of what is not one for each joint."""
-Lean = Annotated[float, Size(-0.6, 0.6, unit="rad", typical=0.05)]
+TiltAngle = Annotated[float, ParameterSpec(-0.6, 0.6, unit="rad", typical=0.05)]
 """What a rover stands on without falling over."""
-CLOSED: Final = 0.5
+CLOSED_THRESHOLD: Final = 0.5
 """A switch that reads more than this, bias and noise added to 0 or 1, is closed."""
 
 
@@ -37,14 +36,14 @@ class SensorFault(Timed):
     """
 
     sensor: SensorName
-    kind: SensorKind
+    kind: SensorFaultKind
     index: int | None = None
-    size: Annotated[float, Size(-1e6, 1e6, unit="of the sensor", typical=1.0)] = 0.0
+    size: Annotated[float, ParameterSpec(-1e6, 1e6, unit="of the sensor", typical=1.0)] = 0.0
 
     def __post_init__(self) -> None:
-        if self.kind == "nan" and self.sensor in NO_NAN:
+        if self.kind == "nan" and self.sensor in INTEGER_SENSORS:
             raise ValueError(f"{self.sensor} cannot read nan; write frozen, biased or noisy")
-        last = COUNT_OF.get(self.sensor, len(Joint)) - 1
+        last = CHANNEL_COUNTS.get(self.sensor, len(Joint)) - 1
         if self.index is not None and not 0 <= self.index <= last:
             raise ValueError(f"index: {self.index} is outside 0 .. {last}, as there are of {self.sensor}")
         sized = self.kind in ("biased", "noisy")
@@ -55,27 +54,27 @@ class SensorFault(Timed):
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """From now on."""
-        return replace(hardware, spoilt=(*hardware.spoilt, SpoiltSensor(self)))
+        return replace(hardware, sensor_errors=(*hardware.sensor_errors, ActiveSensorFault(self)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SpoiltSensor:
+class ActiveSensorFault:
     """A sensor fault that has begun."""
 
     fault: SensorFault
-    stood: Array | None = None
+    initial_reading: Array | None = None
     """What it read when it began."""
 
-    def held(self, sensors: Sensors) -> "SpoiltSensor":
+    def update(self, sensors: Sensors) -> "ActiveSensorFault":
         """The same, knowing what was read when it began."""
-        return self if self.stood is not None else replace(self, stood=self._of(sensors))
+        return self if self.initial_reading is not None else replace(self, initial_reading=self._of(sensors))
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
         """The readings as they come, of what they would be."""
         true, fault = self._of(sensors), self.fault
         match fault.kind:
             case "frozen":
-                wrong = true if self.stood is None else self.stood
+                wrong = true if self.initial_reading is None else self.initial_reading
             case "biased":
                 wrong = true + fault.size
             case "noisy":
@@ -88,7 +87,7 @@ class SpoiltSensor:
             case "encoder_count":
                 return replace(sensors, encoder_count=np.rint(wrong).astype(np.int64))
             case "switch_closed":
-                return replace(sensors, switch_closed=wrong > CLOSED)
+                return replace(sensors, switch_closed=wrong > CLOSED_THRESHOLD)
             case "resolver_rad":
                 return replace(sensors, resolver_rad=wrong)
             case "current_A":
@@ -112,7 +111,7 @@ class JointSeized(Timed):
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """Locked where it is, whatever its brake is asked."""
         plant.brake(self.joint, True)
-        return _never_released(hardware, self.joint)
+        return _jam_brake(hardware, self.joint)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +122,7 @@ class BrakeStuck(Timed):
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """From the next time that it is on."""
-        return _never_released(hardware, self.joint)
+        return _jam_brake(hardware, self.joint)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +130,7 @@ class WeakMotor(Timed):
     """A motor that turns a current into less torque; its current is read right."""
 
     joint: Joint
-    factor: Annotated[float, Size(0.0, 1.0, unit="1", typical=-0.5, neutral=1.0)] = 0.5
+    factor: Annotated[float, ParameterSpec(0.0, 1.0, unit="1", typical=-0.5, neutral=1.0)] = 0.5
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """Scale the motor constant."""
@@ -139,7 +138,7 @@ class WeakMotor(Timed):
         plant.model.actuator_gainprm[actuator, MOTOR_CONSTANT] *= self.factor
         plant.model.actuator_forcerange[actuator] *= self.factor
         constant = plant.torque_constant_Nm_A
-        plant.torque_constant_Nm_A = at_index(constant, self.joint, self.factor * constant[self.joint])
+        plant.torque_constant_Nm_A = with_element(constant, self.joint, self.factor * constant[self.joint])
         return hardware
 
 
@@ -148,18 +147,18 @@ class HotMotor(Timed):
     """A motor in surroundings of this temperature: its heater does not go off."""
 
     joint: Joint
-    temperature_C: Annotated[float, Size(-150.0, 250.0, unit="degC", typical=100.0)]
+    temperature_C: Annotated[float, ParameterSpec(-150.0, 250.0, unit="degC", typical=100.0)]
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """The winding is that much hotter at once."""
-        return replace(hardware, ambient_C=at_index(hardware.ambient_C, self.joint, self.temperature_C))
+        return replace(hardware, ambient_C=with_element(hardware.ambient_C, self.joint, self.temperature_C))
 
 
 @dataclass(frozen=True, slots=True)
 class MissedCycles(Timed):
     """Flight software is not called for some cycles, and the motor controllers hold the last drive."""
 
-    count: Annotated[int, Size(1, 6400, unit="cycle", typical=8)]
+    count: Annotated[int, ParameterSpec(1, 6400, unit="cycle", typical=8)]
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """With the next cycle."""
@@ -170,8 +169,8 @@ class MissedCycles(Timed):
 class TiltStep(Timed):
     """The rover slips into another attitude."""
 
-    roll_rad: Lean
-    pitch_rad: Lean
+    roll_rad: TiltAngle
+    pitch_rad: TiltAngle
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
         """Gravity turns in the rover's frame."""
@@ -191,7 +190,7 @@ class RockGone(Timed):
         return hardware
 
 
-Fault = (
+InjectedFault = (
     SensorFault
     | JointSeized
     | BrakeStuck
@@ -205,7 +204,7 @@ Fault = (
 """What can be injected into a run that is under way."""
 
 
-def _never_released(hardware: Hardware, joint: Joint) -> Hardware:
+def _jam_brake(hardware: Hardware, joint: Joint) -> Hardware:
     stuck = hardware.brake_stuck.copy()
     stuck[joint] = True
     return replace(hardware, brake_stuck=stuck)

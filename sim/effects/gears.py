@@ -1,4 +1,7 @@
-"""Gears that lose torque, that give back less than they take, and that do not turn evenly."""
+"""Friction of motors, gears and outputs; hysteresis, efficiency and transmission error of gears.
+
+Torques and speeds are those of the output side.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -8,15 +11,139 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
-from sim.effects.effect import EachCycle, Effect, Hardware
-from sim.effects.pace import Pace, pace_now, speed_rad_s
-from sim.effects.size import Size
-from sim.effects.told import joint_of, with_joint
-from sim.influence import Influence, at_joint
+from sim.disturbance import Disturbance, at_joint
+from sim.effects.effect import EachCycle, Effect, Hardware, ParameterSpec
+from sim.effects.environment import COLD_C, WARM_C
+from sim.effects.flight_params import joint_of, with_joint
 from sim.plant import Plant
 
-Wave = Annotated[float, Size(-0.01, 0.01, unit="rad", typical=3e-4, neutral=0.0)]
-Turns = Annotated[int, Size(1, 100, unit="1", typical=1)]
+
+@dataclass(frozen=True, slots=True)
+class MotorSample:
+    """Where a motor was when it was looked at last."""
+
+    time_s: float
+    angle_rad: float
+
+
+def sample_motor(plant: Plant, joint: Joint) -> MotorSample:
+    """Where it is."""
+    return MotorSample(float(plant.data.time), float(plant.motor_rad()[joint]))
+
+
+def mean_speed_rad_s(before: MotorSample, now: MotorSample) -> float:
+    """Compute the mean speed between two samples, output side; 0 if no time has passed.
+
+    A set-point that is held for a cycle makes the speed of the motor ripple within the cycle.
+    The speed at one moment of the cycle is therefore not the mean speed.
+    """
+    elapsed_s = now.time_s - before.time_s
+    return (now.angle_rad - before.angle_rad) / elapsed_s if elapsed_s > 0 else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class CoulombFriction(Effect):
+    """Motor and gear resist with so much more torque, whatever their speed."""
+
+    joint: Joint
+    torque_Nm: Annotated[float, ParameterSpec(-100.0, 400.0, unit="N m", typical=20.0, neutral=0.0)]
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """On the motor hinge; what is taken off leaves at least nothing."""
+        motor = spec.joint(f"{self.joint.name.lower()}_motor")
+        motor.frictionloss = max(motor.frictionloss + self.torque_Nm, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class ViscousFriction(Effect):
+    """Motor and gear resist with so much more torque for their speed."""
+
+    joint: Joint
+    damping_Nms_rad: Annotated[
+        float, ParameterSpec(-200.0, 2e4, unit="N m s/rad", typical=300.0, neutral=0.0)
+    ]
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """On the motor hinge; what is taken off leaves at least nothing."""
+        motor = spec.joint(f"{self.joint.name.lower()}_motor")
+        motor.damping[0] = max(motor.damping[0] + self.damping_Nms_rad, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class StribeckFriction(EachCycle):
+    """Motor and gear resist more while they are slow: so much more at rest, a factor e less at the speed."""
+
+    joint: Joint
+    torque_Nm: Annotated[float, ParameterSpec(-100.0, 200.0, unit="N m", typical=20.0, neutral=0.0)]
+    speed_rad_s: Annotated[float, ParameterSpec(1e-4, 0.1, unit="rad/s", typical=2e-3)] = 2e-3
+
+    def begin(self, plant: Plant, hardware: Hardware) -> MotorSample:
+        """From where the motor stands."""
+        return sample_motor(plant, self.joint)
+
+    def cycle(self, plant: Plant, hardware: Hardware, state: MotorSample) -> tuple[MotorSample, Disturbance]:
+        """At the speed of the cycle that has passed."""
+        now = sample_motor(plant, self.joint)
+        slow = float(np.exp(-((mean_speed_rad_s(state, now) / self.speed_rad_s) ** 2)))
+        return now, Disturbance(friction_Nm=at_joint(self.joint, self.torque_Nm * slow))
+
+
+@dataclass(frozen=True, slots=True)
+class LoadFriction(EachCycle):
+    """Motor and gear resist with a share of the torque that the gear carries."""
+
+    joint: Joint
+    share: Annotated[float, ParameterSpec(0.0, 1.0, unit="1", typical=0.1, neutral=0.0)]
+
+    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
+        """Under the load of this moment."""
+        load_Nm = abs(float(plant.gear_torque_Nm()[self.joint]))
+        return None, Disturbance(friction_Nm=at_joint(self.joint, self.share * load_Nm))
+
+
+@dataclass(frozen=True, slots=True)
+class ColdFriction(EachCycle):
+    """In the cold motor and gear resist more than the drawing says: at -55 degC times a factor."""
+
+    joint: Joint
+    factor: Annotated[float, ParameterSpec(0.1, 10.0, unit="1", typical=0.3, neutral=1.0)]
+
+    def begin(self, plant: Plant, hardware: Hardware) -> Disturbance:
+        """By the temperature around the motor, exponentially, of what the drawing has there."""
+        share = (WARM_C - float(hardware.ambient_C[self.joint])) / (WARM_C - COLD_C)
+        more = self.factor**share - 1.0
+        friction_Nm, damping_Nms_rad = plant.built_friction()
+        return Disturbance(
+            friction_Nm=at_joint(self.joint, more * float(friction_Nm[self.joint])),
+            damping_Nms_rad=at_joint(self.joint, more * float(damping_Nms_rad[self.joint])),
+        )
+
+    def cycle(self, plant: Plant, hardware: Hardware, state: Disturbance) -> tuple[Disturbance, Disturbance]:
+        """Grease keeps the temperature that it began with."""
+        return state, state
+
+
+@dataclass(frozen=True, slots=True)
+class OutputFriction(Effect):
+    """Bearing and seal of an output resist with so much more torque, beyond the gear."""
+
+    joint: Joint
+    torque_Nm: Annotated[float, ParameterSpec(-3.0, 100.0, unit="N m", typical=5.0, neutral=0.0)]
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """On motor and gear hinge together."""
+        output = spec.tendon(f"{self.joint.name.lower()}_output")
+        output.frictionloss = max(output.frictionloss + self.torque_Nm, 0.0)
+
+    def on_params(self, params: Params) -> Params:
+        """The true friction of the output."""
+        joint = joint_of(params, self.joint)
+        friction_Nm = max(joint.output_friction_Nm + self.torque_Nm, 0.0)
+        return with_joint(params, self.joint, replace(joint, output_friction_Nm=friction_Nm))
+
+
+WaveAmplitude = Annotated[float, ParameterSpec(-0.01, 0.01, unit="rad", typical=3e-4, neutral=0.0)]
+WavesPerTurn = Annotated[int, ParameterSpec(1, 100, unit="1", typical=1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +151,7 @@ class GearHysteresis(Effect):
     """A gear winds up and back along two curves: friction between motor and output, beside its spring."""
 
     joint: Joint
-    torque_Nm: Annotated[float, Size(0.0, 200.0, unit="N m", typical=10.0, neutral=0.0)]
+    torque_Nm: Annotated[float, ParameterSpec(0.0, 200.0, unit="N m", typical=10.0, neutral=0.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """On the gear's tendon, as hard as that of the output is."""
@@ -46,18 +173,18 @@ class GearEfficiency(EachCycle):
     """The efficiency of a gear, times a factor: it loses torque against its load, and holds it up with it."""
 
     joint: Joint
-    factor: Annotated[float, Size(0.3, 1.2, unit="1", typical=-0.1, neutral=1.0)]
+    factor: Annotated[float, ParameterSpec(0.3, 1.2, unit="1", typical=-0.1, neutral=1.0)]
 
-    def begin(self, plant: Plant, hardware: Hardware) -> Pace:
+    def begin(self, plant: Plant, hardware: Hardware) -> MotorSample:
         """From where the motor stands."""
-        return pace_now(plant, self.joint)
+        return sample_motor(plant, self.joint)
 
-    def cycle(self, plant: Plant, hardware: Hardware, state: Pace) -> tuple[Pace, Influence]:
+    def cycle(self, plant: Plant, hardware: Hardware, state: MotorSample) -> tuple[MotorSample, Disturbance]:
         """Load over efficiency where the motor drives it, load times efficiency where it drives the motor."""
-        load_Nm, now = float(plant.gear_torque_Nm()[self.joint]), pace_now(plant, self.joint)
-        drives = load_Nm * speed_rad_s(state, now) < 0
+        load_Nm, now = float(plant.gear_torque_Nm()[self.joint]), sample_motor(plant, self.joint)
+        drives = load_Nm * mean_speed_rad_s(state, now) < 0
         lost = 1.0 / self.factor - 1.0 if drives else 1.0 - self.factor
-        return now, Influence(friction_Nm=at_joint(self.joint, lost * abs(load_Nm)))
+        return now, Disturbance(friction_Nm=at_joint(self.joint, lost * abs(load_Nm)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,13 +192,13 @@ class TransmissionError(EachCycle):
     """An output is ahead of where its motor should have it by a wave, so many times a turn of the output."""
 
     joint: Joint
-    cosine_rad: Wave
-    sine_rad: Wave
+    cosine_rad: WaveAmplitude
+    sine_rad: WaveAmplitude
     """With the cosine it makes any amplitude and phase."""
-    turns: Turns = 1
+    turns: WavesPerTurn = 1
 
-    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Influence]:
+    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
         """By the angle at which the motor is."""
         angle = self.turns * float(plant.motor_rad()[self.joint])
         ahead_rad = self.cosine_rad * np.cos(angle) + self.sine_rad * np.sin(angle)
-        return None, Influence(gear_rad=at_joint(self.joint, float(ahead_rad)))
+        return None, Disturbance(gear_rad=at_joint(self.joint, float(ahead_rad)))

@@ -12,13 +12,11 @@ from fsw.dictionary.params import LinkParams, Params, PointMass, Transform6
 from fsw.dictionary.types import Row6, row6, vector3
 from fsw.kinematics.arm import pose_to_transform6, transform6_to_pose
 from fsw.kinematics.transforms import Pose, inverse, rotation_z, screw_exp
-from sim.effects.effect import Effect, knowing
-from sim.effects.matrices import turned
-from sim.effects.size import Size, Warmth
-from sim.effects.told import link_of, with_link
+from sim.disturbance import FRAME_BODIES, body_index
+from sim.effects.effect import Effect, ParameterSpec, TemperatureRise, params_with_effects
+from sim.effects.flight_params import link_of, rotate_matrix, with_link
 from sim.params import nominal_params
-from sim.plant import rotations
-from sim.scatter import BODIES, body_index
+from sim.plant import rotation_matrices
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,7 +24,7 @@ class FrameError(Effect):
     """A frame displaced by a small screw in its own axes: rx, ry, rz [rad], tx, ty, tz [m]."""
 
     frame: Frame
-    screw: Annotated[Row6, Size(-0.1, 0.1, unit="rad, m", typical=2e-3, neutral=0.0)]
+    screw: Annotated[Row6, ParameterSpec(-0.1, 0.1, unit="rad, m", typical=2e-3, neutral=0.0)]
     tool: Tool | None = None
     """Which tool, for the frame TOOL."""
 
@@ -38,7 +36,7 @@ class FrameError(Effect):
         if not any(self.screw):
             return
         body = spec.body(self._body())
-        X = Pose(rotations(body.quat[None])[:, :, 0], body.pos) @ screw_exp(np.array(self.screw))
+        X = Pose(rotation_matrices(body.quat[None])[:, :, 0], body.pos) @ screw_exp(np.array(self.screw))
         quat = np.zeros(4)
         mujoco.mju_mat2Quat(quat, X.R.ravel())
         body.pos, body.quat = X.p, quat
@@ -68,16 +66,16 @@ class FrameError(Effect):
         return replace(
             new,
             elastic_centre_m=vector3(spring.R @ np.array(old.elastic_centre_m) + spring.p),
-            compliance=turned(old.compliance, spring.R),
-            near=_placed(old.near, back),
-            far=_placed(old.far, far),
+            compliance=rotate_matrix(old.compliance, spring.R),
+            near=_transform_lump(old.near, back),
+            far=_transform_lump(old.far, far),
         )
 
     def _displaced(self, transform: Transform6) -> Transform6:
         return pose_to_transform6(transform6_to_pose(transform) @ screw_exp(np.array(self.screw)))
 
     def _body(self) -> str:
-        return BODIES[body_index(self.frame, self.tool)]
+        return FRAME_BODIES[body_index(self.frame, self.tool)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +83,7 @@ class LinkWarming(Effect):
     """What ends in a frame grown as the drawing's materials do, without flight software being told."""
 
     frame: Frame
-    warming_K: Warmth
+    warming_K: TemperatureRise
     tool: Tool | None = None
     """Which tool, for the frame TOOL."""
 
@@ -109,7 +107,7 @@ class LinkWarming(Effect):
 class Warming(Effect):
     """Every link and tool grown by the same warming."""
 
-    warming_K: Warmth
+    warming_K: TemperatureRise
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """One after the other."""
@@ -118,7 +116,7 @@ class Warming(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Likewise."""
-        return knowing(self._parts(), params)
+        return params_with_effects(self._parts(), params)
 
     def _parts(self) -> list[LinkWarming]:
         inner = [LinkWarming(frame, self.warming_K) for frame in Frame if frame is not Frame.TOOL]
@@ -142,5 +140,5 @@ def check_tool(frame: Frame, tool: Tool | None) -> None:
         raise ValueError(f"tool: frame {frame.name.lower()} has none; leave it out")
 
 
-def _placed(lump: PointMass, X: Pose) -> PointMass:
+def _transform_lump(lump: PointMass, X: Pose) -> PointMass:
     return replace(lump, com_m=vector3(X.R @ np.array(lump.com_m) + X.p))

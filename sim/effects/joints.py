@@ -8,10 +8,9 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
-from sim.effects.effect import Effect, Hardware
-from sim.effects.size import Factor, Size, SmallAngle
-from sim.effects.told import joint_of, with_joint
-from sim.influence import at_joint
+from sim.disturbance import at_joint
+from sim.effects.effect import Effect, Factor, Hardware, ParameterSpec, SmallAngle
+from sim.effects.flight_params import joint_of, with_joint
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,7 +70,7 @@ class BacklashWidth(Effect):
     """The dead band of a gear, times a factor."""
 
     joint: Joint
-    factor: Annotated[float, Size(0.0, 5.0, unit="1", typical=0.1, neutral=1.0)]
+    factor: Annotated[float, ParameterSpec(0.0, 5.0, unit="1", typical=0.1, neutral=1.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Scale the dead band of the gear tendon."""

@@ -11,22 +11,21 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import row6
 from fsw.kinematics.arm import transform6_to_pose
 from fsw.kinematics.transforms import Array
-from sim.effects.effect import Effect
+from sim.effects.effect import Effect, ParameterSpec, SmallAngle, SmallLength
+from sim.effects.flight_params import link_of
 from sim.effects.geometry import FrameError
-from sim.effects.size import Size, SmallAngle, SmallLength
-from sim.effects.told import link_of
 from sim.params import nominal_params
 
 Axis = Literal["x", "y", "z"]
-AXES: Final = ("x", "y", "z")
+AXIS_NAMES: Final = ("x", "y", "z")
 WIDTH_M: Final = 0.1
 """Of a link, between the side that is warm and the one that is cold; assumed."""
-ALONG: Final = 0.9
+PARALLEL_COSINE: Final = 0.9
 """Cosine from which on a link is taken to lie along an axis."""
 
 
 @dataclass(frozen=True, slots=True)
-class _OneFrame(Effect):
+class _FrameEffect(Effect):
     """An effect that is an error of one frame."""
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
@@ -44,7 +43,7 @@ class _OneFrame(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class LinkLength(_OneFrame):
+class LinkLength(_FrameEffect):
     """The link that ends in a frame is longer along an axis of that frame."""
 
     frame: Frame
@@ -60,7 +59,7 @@ class LinkLength(_OneFrame):
 
 
 @dataclass(frozen=True, slots=True)
-class LinkAngle(_OneFrame):
+class LinkAngle(_FrameEffect):
     """The link that ends in a frame is turned about an axis of that frame."""
 
     frame: Frame
@@ -76,7 +75,7 @@ class LinkAngle(_OneFrame):
 
 
 @dataclass(frozen=True, slots=True)
-class ToolOffset(_OneFrame):
+class ToolOffset(_FrameEffect):
     """A tool sits farther along an axis of its own."""
 
     tool: Tool
@@ -89,7 +88,7 @@ class ToolOffset(_OneFrame):
 
 
 @dataclass(frozen=True, slots=True)
-class ToolTurn(_OneFrame):
+class ToolTurn(_FrameEffect):
     """A tool is turned about an axis of its own."""
 
     tool: Tool
@@ -102,7 +101,7 @@ class ToolTurn(_OneFrame):
 
 
 @dataclass(frozen=True, slots=True)
-class ThermalGradient(_OneFrame):
+class ThermalGradient(_FrameEffect):
     """The link that ends in a frame is warmer on one side, and bends about an axis of that frame.
 
     It bends to an arc of its growth over its width, so that its end is turned by that and shifted by half of
@@ -111,13 +110,13 @@ class ThermalGradient(_OneFrame):
 
     frame: Frame
     axis: Axis
-    gradient_K: Annotated[float, Size(-50.0, 50.0, unit="K", typical=5.0, neutral=0.0)]
+    gradient_K: Annotated[float, ParameterSpec(-50.0, 50.0, unit="K", typical=5.0, neutral=0.0)]
 
     def __post_init__(self) -> None:
         _refuse_tool(self.frame, "tool-turn")
-        p, axis = self._along()[0], AXES.index(self.axis)
-        if abs(p[axis]) > ALONG * np.linalg.norm(p):
-            others = " and ".join(other for other in AXES if other != self.axis)
+        p, axis = self._along()[0], AXIS_NAMES.index(self.axis)
+        if abs(p[axis]) > PARALLEL_COSINE * np.linalg.norm(p):
+            others = " and ".join(other for other in AXIS_NAMES if other != self.axis)
             raise ValueError(
                 f"axis: {self.frame.name.lower()} lies along {self.axis}; it bends about {others}"
             )
@@ -125,7 +124,7 @@ class ThermalGradient(_OneFrame):
     def error(self) -> FrameError:
         """A turn, and the shift of the end."""
         p, growth_K = self._along()
-        axis = np.array([self.axis == other for other in AXES], float)
+        axis = np.array([self.axis == other for other in AXIS_NAMES], float)
         turn = self.gradient_K / WIDTH_M * float(np.linalg.norm(np.cross(axis, growth_K))) * axis
         return FrameError(self.frame, row6(np.concatenate([turn, 0.5 * np.cross(turn, p)])))
 
@@ -137,11 +136,11 @@ class ThermalGradient(_OneFrame):
 
 
 def _shift(axis: Axis) -> Array:
-    return np.array([0.0, 0.0, 0.0, *(axis == other for other in AXES)])
+    return np.array([0.0, 0.0, 0.0, *(axis == other for other in AXIS_NAMES)])
 
 
 def _turn(axis: Axis) -> Array:
-    return np.array([*(axis == other for other in AXES), 0.0, 0.0, 0.0])
+    return np.array([*(axis == other for other in AXIS_NAMES), 0.0, 0.0, 0.0])
 
 
 def _refuse_tool(frame: Frame, instead: str) -> None:

@@ -9,10 +9,9 @@ import numpy as np
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
-from sim.effects.effect import EachCycle, Effect, Hardware
-from sim.effects.size import Factor, Size
-from sim.effects.told import joint_of, with_joint
-from sim.influence import Influence
+from sim.disturbance import Disturbance
+from sim.effects.effect import EachCycle, Effect, Factor, Hardware, ParameterSpec
+from sim.effects.flight_params import joint_of, with_joint
 from sim.plant import GAINS, MOTOR_CONSTANT, Plant
 
 BUS_V: Final = 28.0
@@ -46,7 +45,7 @@ class ServoGain(Effect):
     """The gains of a motor controller, all times a factor."""
 
     joint: Joint
-    factor: Annotated[float, Size(0.1, 3.0, unit="1", typical=0.2, neutral=1.0)]
+    factor: Annotated[float, ParameterSpec(0.1, 3.0, unit="1", typical=0.2, neutral=1.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Scale those of position, integral and rate."""
@@ -58,21 +57,21 @@ class CommandDelay(EachCycle):
     """Set-points come to a motor controller late; between two of them it has what lies between."""
 
     joint: Joint
-    delay_s: Annotated[float, Size(0.0, 0.5, unit="s", typical=0.03, neutral=0.0)]
+    delay_s: Annotated[float, ParameterSpec(0.0, 0.5, unit="s", typical=0.03, neutral=0.0)]
 
     def begin(self, plant: Plant, hardware: Hardware) -> Setpoints:
         """The arm stands: what there is has been there for long."""
         return (self._given(plant),) * (int(self.delay_s * CYCLE_HZ) + 2)
 
-    def cycle(self, plant: Plant, hardware: Hardware, state: Setpoints) -> tuple[Setpoints, Influence]:
+    def cycle(self, plant: Plant, hardware: Hardware, state: Setpoints) -> tuple[Setpoints, Disturbance]:
         """The newest goes in, and one of before goes out; on the brake there is nothing to wait for."""
         if plant.data.eq_active[plant.at.brake[self.joint]]:
-            return (self._given(plant),) * len(state), Influence()
+            return (self._given(plant),) * len(state), Disturbance()
         state = (self._given(plant), *state[:-1])
         whole, part = divmod(self.delay_s * CYCLE_HZ, 1.0)
         newer, older = (np.array(state[int(whole) + k]) for k in (0, 1))
         plant.data.ctrl[self._inputs()] = (1.0 - part) * newer + part * older
-        return state, Influence()
+        return state, Disturbance()
 
     def _given(self, plant: Plant) -> tuple[float, float]:
         angle_rad, rate_rad_s = plant.data.ctrl[self._inputs()]
@@ -89,13 +88,13 @@ class BusSag(EachCycle):
     The voltage of a cycle is that under the currents with which it begins.
     """
 
-    resistance_Ohm: Annotated[float, Size(0.0, 5.0, unit="Ohm", typical=0.5, neutral=0.0)]
+    resistance_Ohm: Annotated[float, ParameterSpec(0.0, 5.0, unit="Ohm", typical=0.5, neutral=0.0)]
 
-    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Influence]:
+    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
         """By the currents of this moment."""
         total_A = float(np.abs(plant.motor_current_A()).sum())
         lost = min(self.resistance_Ohm * total_A / BUS_V, 1.0)
-        return None, Influence(servo=np.full(len(Joint), -lost))
+        return None, Disturbance(servo=np.full(len(Joint), -lost))
 
 
 def _scale(motor: mujoco.MjsActuator, which: int | slice, factor: float) -> None:

@@ -5,10 +5,9 @@ from typing import Annotated, Final, Literal
 
 import mujoco
 
-from sim.effects.effect import Effect
-from sim.effects.size import Size
+from sim.effects.effect import Effect, ParameterSpec
 
-PASSES: Final = 30
+SOLVER_ITERATIONS: Final = 30
 """Of the dual solver, which goes on to its last: three times as many flip a count here and there."""
 
 
@@ -21,7 +20,7 @@ class Numerics(Effect):
     """
 
     gears: Literal["implicit", "explicit"]
-    finer: Annotated[int, Size(2, 20, unit="1", typical=2)] = 2
+    finer: Annotated[int, ParameterSpec(2, 20, unit="1", typical=2)] = 2
     """In how many steps one of the model's is computed; the explicit scheme diverges in fewer than six."""
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
@@ -29,4 +28,4 @@ class Numerics(Effect):
         spec.option.timestep /= self.finer
         if self.gears == "explicit":
             spec.option.solver = mujoco.mjtSolver.mjSOL_PGS
-            spec.option.iterations = PASSES
+            spec.option.iterations = SOLVER_ITERATIONS

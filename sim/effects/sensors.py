@@ -9,34 +9,33 @@ from fsw.dictionary.enums import Frame, Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, rotation_x, rotation_y
 from fsw.messages import Sensors
-from sim.effects.effect import Effect, Hardware, at_index
-from sim.effects.gears import Wave
-from sim.effects.size import Factor, Size, SmallAngle
-from sim.effects.told import link_of, with_link
-from sim.influence import at_joint
+from sim.disturbance import at_joint
+from sim.effects.effect import Effect, Factor, Hardware, ParameterSpec, SmallAngle, with_element
+from sim.effects.flight_params import link_of, with_link
+from sim.effects.gears import WaveAmplitude
 
-_TURN: Final = {"x": rotation_x, "y": rotation_y}
+_ROTATION_ABOUT: Final = {"x": rotation_x, "y": rotation_y}
 
 
 @dataclass(frozen=True, slots=True)
-class _Reading(Effect):
+class _ReadingError(Effect):
     """An effect on what is read, noise and all."""
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """From the beginning."""
-        return replace(hardware, spoilt=(*hardware.spoilt, self))
+        return replace(hardware, sensor_errors=(*hardware.sensor_errors, self))
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
         """The readings as they come, of what they would be."""
         raise NotImplementedError
 
-    def held(self, sensors: Sensors) -> "_Reading":
+    def update(self, sensors: Sensors) -> "_ReadingError":
         """The same: nothing is remembered."""
         return self
 
 
 @dataclass(frozen=True, slots=True)
-class CurrentGain(_Reading):
+class CurrentGain(_ReadingError):
     """A current sensor reads so many times the current."""
 
     joint: Joint
@@ -49,11 +48,11 @@ class CurrentGain(_Reading):
 
 
 @dataclass(frozen=True, slots=True)
-class CurrentBias(_Reading):
+class CurrentBias(_ReadingError):
     """A current sensor reads too much by a current."""
 
     joint: Joint
-    current_A: Annotated[float, Size(-2.0, 2.0, unit="A", typical=0.05, neutral=0.0)]
+    current_A: Annotated[float, ParameterSpec(-2.0, 2.0, unit="A", typical=0.05, neutral=0.0)]
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
         """Shifted."""
@@ -64,7 +63,7 @@ class CurrentBias(_Reading):
 class EncoderZero(Effect):
     """An encoder lost count since its joint was at its hardstop: it reads too much, by an angle."""
 
-    of_the_arm: ClassVar[bool] = False
+    built_in: ClassVar[bool] = False
     joint: Joint
     offset_rad: SmallAngle
 
@@ -89,11 +88,11 @@ class CounterStart(Effect):
     """An encoder's counter began at another angle of its motor; its joint has been at its hardstop since."""
 
     joint: Joint
-    angle_rad: Annotated[float, Size(-6.5, 6.5, unit="rad", typical=1.0)]
+    angle_rad: Annotated[float, ParameterSpec(-6.5, 6.5, unit="rad", typical=1.0)]
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """The counter reads 0 there."""
-        zero = at_index(hardware.counter_zero_rad, self.joint, self.angle_rad)
+        zero = with_element(hardware.counter_zero_rad, self.joint, self.angle_rad)
         return replace(hardware, counter_zero_rad=zero)
 
 
@@ -102,13 +101,13 @@ class ResolverEccentricity(Effect):
     """A resolver is off its axis: it reads too much by a wave, once a turn of the output."""
 
     joint: Joint
-    cosine_rad: Wave
-    sine_rad: Wave
+    cosine_rad: WaveAmplitude
+    sine_rad: WaveAmplitude
     """With the cosine it makes any amplitude and phase."""
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """From the beginning."""
-        return replace(hardware, warped=(*hardware.warped, self))
+        return replace(hardware, resolver_errors=(*hardware.resolver_errors, self))
 
     def error_rad(self, output_rad: Array) -> Array:
         """What each resolver (5) reads too much at these outputs (5)."""
@@ -117,13 +116,13 @@ class ResolverEccentricity(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class GravityDirection(_Reading):
+class GravityDirection(_ReadingError):
     """The rover's IMU is mounted askew: it sees gravity turned about an axis of the rover."""
 
     axis: Literal["x", "y"]
-    angle_rad: Annotated[float, Size(-0.1, 0.1, unit="rad", typical=5e-3, neutral=0.0)]
+    angle_rad: Annotated[float, ParameterSpec(-0.1, 0.1, unit="rad", typical=5e-3, neutral=0.0)]
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
         """Turned."""
-        R = _TURN[self.axis](np.array(self.angle_rad))
+        R = _ROTATION_ABOUT[self.axis](np.array(self.angle_rad))
         return replace(sensors, gravity_R_m_s2=R @ sensors.gravity_R_m_s2)

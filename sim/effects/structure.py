@@ -1,4 +1,4 @@
-"""Links and the rover's body that are softer, stiffer or heavier than the drawing says."""
+"""Compliance and mass of the links, of the body of the rover and of the turret."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
@@ -8,13 +8,12 @@ import numpy as np
 
 from fsw.dictionary.enums import Frame
 from fsw.dictionary.params import Params, PointMass
-from fsw.dictionary.types import Vector3
-from sim.effects.effect import Effect
-from sim.effects.matrices import scaled, softened
-from sim.effects.size import Compliance, Factor, Size
-from sim.effects.told import link_of, with_link
-from sim.plant import AXES as SPRING_AXES
-from sim.plant import SPRINGS
+from fsw.dictionary.types import Vector3, vector3
+from fsw.kinematics.transforms import Array
+from sim.effects.effect import Compliance, Effect, Factor, ParameterSpec
+from sim.effects.flight_params import add_compliance, link_of, scale_matrix, with_link
+from sim.plant import SCREW_AXES as SPRING_AXES
+from sim.plant import SPRING_NAMES
 
 _LUMPS_OF = (
     ("arm1",),
@@ -39,7 +38,7 @@ class LinkStiffness(Effect):
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Scale the six joint springs and their damping."""
         for axis in SPRING_AXES:
-            joint = spec.joint(f"{SPRINGS[self.frame]}_{axis}")
+            joint = spec.joint(f"{SPRING_NAMES[self.frame]}_{axis}")
             joint.stiffness *= self.factor
             joint.damping *= self.factor
 
@@ -47,18 +46,18 @@ class LinkStiffness(Effect):
         """Compliance divided by the factor."""
         link = link_of(params, self.frame)
         return with_link(
-            params, self.frame, replace(link, compliance=scaled(link.compliance, 1 / self.factor))
+            params, self.frame, replace(link, compliance=scale_matrix(link.compliance, 1 / self.factor))
         )
 
 
 @dataclass(frozen=True, slots=True)
-class _Softer(Effect):
+class _AddedCompliance(Effect):
     """An effect that is compliance about one axis of one spring, on top of what it has."""
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """In series with the spring that is there."""
         frame, axis, compliance_rad_Nm = self.where()
-        joint = spec.joint(f"{SPRINGS[frame]}_{SPRING_AXES[axis]}")
+        joint = spec.joint(f"{SPRING_NAMES[frame]}_{SPRING_AXES[axis]}")
         softer = 1.0 / (1.0 + compliance_rad_Nm * joint.stiffness[0])
         joint.stiffness *= softer
         joint.damping *= softer
@@ -67,7 +66,7 @@ class _Softer(Effect):
         """An element of the compliance."""
         frame, axis, compliance_rad_Nm = self.where()
         link = link_of(params, frame)
-        changed = replace(link, compliance=softened(link.compliance, axis, compliance_rad_Nm))
+        changed = replace(link, compliance=add_compliance(link.compliance, axis, compliance_rad_Nm))
         return with_link(params, frame, changed)
 
     def where(self) -> tuple[Frame, int, float]:
@@ -76,7 +75,7 @@ class _Softer(Effect):
 
 
 @dataclass(frozen=True, slots=True)
-class LinkTorsion(_Softer):
+class LinkTorsion(_AddedCompliance):
     """The link that ends in a frame twists more, about the x axis of its spring."""
 
     frame: Frame
@@ -92,7 +91,7 @@ class LinkTorsion(_Softer):
 
 
 @dataclass(frozen=True, slots=True)
-class LinkBending(_Softer):
+class LinkBending(_AddedCompliance):
     """The link that ends in a frame bends more, about an axis of its spring: in link 1 y is pitch, else z."""
 
     frame: Frame
@@ -109,7 +108,7 @@ class LinkBending(_Softer):
 
 
 @dataclass(frozen=True, slots=True)
-class RoverCompliance(_Softer):
+class RoverCompliance(_AddedCompliance):
     """The rover's body under the arm gives way more, about an axis of RMECH."""
 
     axis: Literal["x", "y", "z"]
@@ -125,8 +124,12 @@ class LinkMass(Effect):
     """The mass of the link that ends in a frame, times a factor, its centre shifted in link axes."""
 
     frame: Frame
-    factor: Annotated[float, Size(0.1, 10.0, unit="1", typical=0.05, neutral=1.0)]
-    shift_m: Annotated[Vector3, Size(-0.1, 0.1, unit="m", typical=5e-3, neutral=0.0)] = (0.0, 0.0, 0.0)
+    factor: Annotated[float, ParameterSpec(0.1, 10.0, unit="1", typical=0.05, neutral=1.0)]
+    shift_m: Annotated[Vector3, ParameterSpec(-0.1, 0.1, unit="m", typical=5e-3, neutral=0.0)] = (
+        0.0,
+        0.0,
+        0.0,
+    )
 
     def __post_init__(self) -> None:
         if self.frame is Frame.TOOL:
@@ -152,11 +155,86 @@ class LinkMass(Effect):
 
 
 def _refuse_rigid(frame: Frame) -> None:
-    if frame >= len(SPRINGS):
-        known = ", ".join(Frame(k).name.lower() for k in range(len(SPRINGS)))
+    if frame >= len(SPRING_NAMES):
+        known = ", ".join(Frame(k).name.lower() for k in range(len(SPRING_NAMES)))
         raise ValueError(f"frame: {frame.name.lower()} has no spring; there are {known}")
 
 
 def _refuse_rover(frame: Frame) -> None:
     if frame is Frame.ARM1:
         raise ValueError("frame: the spring of arm1 is the rover's; take rover-compliance")
+
+
+MIN_MASS_KG = 1e-4
+"""MuJoCo wants some mass where there is none."""
+
+
+@dataclass(frozen=True, slots=True)
+class StandInTurret(Effect):
+    """What hangs on the turret interface has this mass, with its centre where the turret has it."""
+
+    mass_kg: Annotated[float, ParameterSpec(0.0, 60.0, unit="kg", typical=19.0)]
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """Set the mass and scale the inertia with it."""
+        _set_mass(spec, self.mass_kg)
+
+    def on_params(self, params: Params) -> Params:
+        """The far lump of the last link."""
+        return _with_turret_lump(params, replace(_turret_lump(params), mass_kg=self.mass_kg))
+
+
+@dataclass(frozen=True, slots=True)
+class TurretMass(Effect):
+    """The turret is heavier, with its centre where it was."""
+
+    extra_kg: Annotated[float, ParameterSpec(-20.0, 20.0, unit="kg", typical=1.0, neutral=0.0)]
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """Add to the mass, and scale the inertia with it."""
+        _set_mass(spec, float(spec.body("turret").mass) + self.extra_kg)
+
+    def on_params(self, params: Params) -> Params:
+        """The far lump of the last link."""
+        lump = _turret_lump(params)
+        return _with_turret_lump(params, replace(lump, mass_kg=lump.mass_kg + self.extra_kg))
+
+
+@dataclass(frozen=True, slots=True)
+class TurretCentre(Effect):
+    """The turret's centre of mass is farther along an axis of frame Arm6."""
+
+    axis: Literal["x", "y", "z"]
+    shift_m: Annotated[float, ParameterSpec(-0.1, 0.1, unit="m", typical=5e-3, neutral=0.0)]
+
+    def on_model(self, spec: mujoco.MjSpec) -> None:
+        """Shift the mass."""
+        turret = spec.body("turret")
+        turret.ipos = turret.ipos + self._shift()
+
+    def on_params(self, params: Params) -> Params:
+        """The far lump of the last link."""
+        lump = _turret_lump(params)
+        return _with_turret_lump(params, replace(lump, com_m=vector3(np.array(lump.com_m) + self._shift())))
+
+    def _shift(self) -> Array:
+        return np.array([self.shift_m * (self.axis == axis) for axis in "xyz"])
+
+
+def params_with_stand_in(params: Params, stand_in_kg: float | None) -> Params:
+    """Flight parameters of the arm with a stand-in of this mass; None for its own turret."""
+    return params if stand_in_kg is None else StandInTurret(stand_in_kg).on_params(params)
+
+
+def _set_mass(spec: mujoco.MjSpec, mass_kg: float) -> None:
+    turret, mass_kg = spec.body("turret"), max(mass_kg, MIN_MASS_KG)
+    turret.inertia = turret.inertia * (mass_kg / turret.mass)
+    turret.mass = mass_kg
+
+
+def _turret_lump(params: Params) -> PointMass:
+    return link_of(params, Frame.ARM6).far
+
+
+def _with_turret_lump(params: Params, lump: PointMass) -> Params:
+    return with_link(params, Frame.ARM6, replace(link_of(params, Frame.ARM6), far=lump))

@@ -5,19 +5,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from sim.effects.catalogue import catalogue
-from sim.effects.describe import name_of, parameters_of, places_of
+from sim.effects.catalogue import catalogue, effect_name, parameters_of, place_fields_of
 from sim.effects.effect import Effect
-from sim.scenario.effects import BadEffect, written
-from sim.scenario.names import spoken
-from sim.scenario.record import TYPE, Findings
-from sim.scenario.tables import effect_of, tables
-from sim.scenario.toml_lines import NotToml, parsed
+from sim.scenario.effects import BadEffect, parameter_key
+from sim.scenario.names import shorten
+from sim.scenario.toml_lines import NotToml, parse_toml
+from sim.scenario.toml_record import TYPE_KEY, Findings
+from sim.scenario.toml_tables import list_tables, read_effect
 
-LIST: Final = "effect"
+TABLE_NAME: Final = "effect"
 
 
-def effects_in(path: Path) -> tuple[Effect, ...]:
+def read_effect_file(path: Path) -> tuple[Effect, ...]:
     """The effects that a file says.
 
     Raises:
@@ -26,7 +25,7 @@ def effects_in(path: Path) -> tuple[Effect, ...]:
     if path.exists() and not path.is_file():
         raise BadEffect(f"{path}: is no regular file; give the path of a .toml file")
     try:
-        data, lines = parsed(path.read_text(encoding="utf-8-sig"))
+        data, lines = parse_toml(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
         raise BadEffect(f"{path}: cannot be read ({error.strerror})") from error
     except NotToml as error:
@@ -35,44 +34,50 @@ def effects_in(path: Path) -> tuple[Effect, ...]:
         raise BadEffect(f"{path}: cannot be read as text ({error})") from error
     findings = Findings(lines)
     for key in data:
-        if key != LIST:
-            findings.say((key,), f"{spoken(key)}: is not of a file of effects; there is only [[{LIST}]]")
-    found = [effect_of(table, place, findings) for place, table in tables(data, LIST, findings)]
+        if key != TABLE_NAME:
+            findings.report(
+                (key,), f"{shorten(key)}: is not of a file of effects; there is only [[{TABLE_NAME}]]"
+            )
+    found = [read_effect(table, place, findings) for place, table in list_tables(data, TABLE_NAME, findings)]
     if findings.problems:
         told = [f"{path}:{problem.line}: {problem.text}" for problem in sorted(findings.problems)]
         raise BadEffect("\n".join(told))
     return tuple(effect for effect in found if effect is not None)
 
 
-def file_text(effects: Sequence[Effect], said: Sequence[str]) -> str:
+def effect_file_text(effects: Sequence[Effect], said: Sequence[str]) -> str:
     """The file that says these effects exactly, under what is to be said of them, a comment a line."""
     lines = [f"# {line}" for line in said]
     for effect in effects:
-        lines += ["", f"[[{LIST}]]", *(f"{key} = {_toml(value)}" for key, value in table_of(effect).items())]
+        lines += [
+            "",
+            f"[[{TABLE_NAME}]]",
+            *(f"{key} = {_format_toml(value)}" for key, value in effect_table(effect).items()),
+        ]
     return "\n".join([*lines, ""])
 
 
-def table_of(effect: Effect) -> dict[str, Any]:
+def effect_table(effect: Effect) -> dict[str, Any]:
     """The table that says this effect exactly."""
     kind = type(effect)
-    name = name_of(kind)
+    name = effect_name(kind)
     if catalogue().get(name) is not kind:
         name = f"{sys.modules[kind.__module__].__file__}:{kind.__name__}"
-    places = {where.field: getattr(effect, where.field) for where in places_of(kind)}
-    words = {field: _word(kind, field, value) for field, value in places.items() if value is not None}
+    places = {where.field: getattr(effect, where.field) for where in place_fields_of(kind)}
+    words = {field: _place_name(kind, field, value) for field, value in places.items() if value is not None}
     values = {p.field: getattr(effect, p.field) for p in parameters_of(kind)}
-    numbers = {written(kind, field): value for field, value in values.items() if value is not None}
-    return {TYPE: name, **words, **numbers}
+    numbers = {parameter_key(kind, field): value for field, value in values.items() if value is not None}
+    return {TYPE_KEY: name, **words, **numbers}
 
 
-def _word(kind: type[Effect], field: str, value: Any) -> str:
-    members = next(where.members for where in places_of(kind) if where.field == field)
+def _place_name(kind: type[Effect], field: str, value: Any) -> str:
+    members = next(where.members for where in place_fields_of(kind) if where.field == field)
     return next(name for name, member in members.items() if member == value)
 
 
-def _toml(value: Any) -> str:
+def _format_toml(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, tuple):
-        return f"[{', '.join(map(_toml, value))}]"
+        return f"[{', '.join(map(_format_toml, value))}]"
     return f'"{value}"' if isinstance(value, str) else repr(value)

@@ -17,30 +17,29 @@ from fsw.executive.settings import replace_param
 from sim.arms import UnknownArm, arm_named
 from sim.effects.environment import WARM_C
 from sim.params import nominal_params
-from sim.scenario.checks import Check, Done, Faulted, Recovered
-from sim.scenario.data import Injection, Scenario, Start, Taught
-from sim.scenario.faults import stops
-from sim.scenario.modes import refusals
-from sim.scenario.names import did_you_mean, spoken
-from sim.scenario.record import Findings, Problem, record_of, table_of
-from sim.scenario.tables import (
+from sim.scenario.data import Check, Done, Faulted, Injection, Recovered, Scenario, StartPose, TaughtPoint
+from sim.scenario.mode_check import find_refusals
+from sim.scenario.names import did_you_mean, shorten
+from sim.scenario.toml_lines import NotToml, parse_toml
+from sim.scenario.toml_record import Findings, Problem, read_record, require_table
+from sim.scenario.toml_tables import (
     check_direction,
-    check_near,
-    check_of,
-    command_of,
-    effect_of,
-    fault_of,
-    tables,
-    taught_of,
+    check_distance,
+    list_tables,
+    prevents_completion,
+    read_check,
+    read_command,
+    read_effect,
+    read_fault,
+    read_taught_point,
 )
-from sim.scenario.toml_lines import NotToml, parsed
 from sim.world import MAX_TILT_RAD, Scene, Surface, World
 
 T = TypeVar("T")
 
-LISTS: Final = ("teach", "command", "fault", "effect", "check")
-NEEDED: Final = ("command", "check")
-MOST_SHOWN: Final = 50
+TABLE_LISTS: Final = ("teach", "command", "fault", "effect", "check")
+REQUIRED_LISTS: Final = ("command", "check")
+MAX_SHOWN: Final = 50
 """Problems in a message."""
 
 
@@ -50,24 +49,24 @@ class BadScenario(ValueError):
     def __init__(self, file: str, problems: list[Problem]):
         self.problems = tuple(sorted(problems))
         lines = [f"{file}:{p.line}: {p.text}" if p.line else f"{file}: {p.text}" for p in self.problems]
-        more = len(lines) - MOST_SHOWN
+        more = len(lines) - MAX_SHOWN
         if more > 0:
-            lines = [*lines[:MOST_SHOWN], f"{file}: and {more} more"]
+            lines = [*lines[:MAX_SHOWN], f"{file}: and {more} more"]
         super().__init__("\n".join(lines))
 
 
 @dataclass(frozen=True, slots=True)
-class _Head:
+class _ScenarioHead:
     """What a file says before its first table."""
 
     title: str
     sentence: str
     arm: str = "nominal"
-    start: Start = "stowed"
+    start: StartPose = "stowed"
 
 
 @dataclass(frozen=True, slots=True)
-class _World:
+class _WorldTable:
     """The table [world]."""
 
     scene: Scene = "mars"
@@ -82,22 +81,22 @@ class _World:
         return World(self.scene, self.tilt_roll_rad, self.tilt_pitch_rad, self.surface)
 
 
-def shipped() -> dict[str, str]:
+def built_in_scenarios() -> dict[str, str]:
     """The text of every scenario that comes with the house, by name."""
     folder = resources.files("sim").joinpath("scenarios")
     files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
     return {file.name.removesuffix(".toml"): file.read_text(encoding="utf-8") for file in files}
 
 
-def load(name: str) -> Scenario:
+def load_scenario(name: str) -> Scenario:
     """A scenario that comes with the house, by name, or that of a TOML file, by path.
 
     Raises:
         BadScenario: there is none, it cannot be read, or something in it is wrong.
     """
-    texts = shipped()
+    texts = built_in_scenarios()
     if name in texts:
-        return scenario_from(texts[name], name, f"{name}.toml")
+        return parse_scenario(texts[name], name, f"{name}.toml")
     path = Path(name)
     if path.suffix.lower() != ".toml":
         hint = f"{did_you_mean(name, texts)}, or give the path of a .toml file"
@@ -110,43 +109,45 @@ def load(name: str) -> Scenario:
         raise BadScenario(name, [Problem(0, f"cannot be read ({error.strerror})")]) from error
     except ValueError as error:
         raise BadScenario(name, [Problem(0, f"cannot be read as text ({error})")]) from error
-    return scenario_from(text, path.stem, name)
+    return parse_scenario(text, path.stem, name)
 
 
-def scenario_from(text: str, name: str, file: str) -> Scenario:
+def parse_scenario(text: str, name: str, file: str) -> Scenario:
     """The scenario that a TOML text says; `file` is how messages call it.
 
     Raises:
         BadScenario: something in it is wrong; the message has every problem, by line.
     """
     try:
-        data, lines = parsed(text)
+        data, lines = parse_toml(text)
     except NotToml as error:
         raise BadScenario(file, [Problem(error.line, str(error))]) from error
     findings = Findings(lines)
-    scenario = _scenario(data, name, findings)
+    scenario = _read_scenario(data, name, findings)
     if scenario is None or findings.problems:
         raise BadScenario(file, findings.problems)
     return scenario
 
 
-def _scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario | None:
-    head = _head(data, findings)
-    world = _world(data, findings)
-    taught = [taught_of(table, place, findings) for place, table in tables(data, "teach", findings)]
+def _read_scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario | None:
+    head = _read_head(data, findings)
+    world = _read_world(data, findings)
+    taught = [
+        read_taught_point(table, place, findings) for place, table in list_tables(data, "teach", findings)
+    ]
     _check_taught(taught, findings)
     points = {point.name: point.tool for point in taught if point is not None}
-    asked = list(tables(data, "command", findings))
-    commands = [command_of(table, place, findings, points) for place, table in asked]
+    asked = list(list_tables(data, "command", findings))
+    commands = [read_command(table, place, findings, points) for place, table in asked]
     touchable = world is None or world.surface is not None
     faults = [
-        fault_of(table, place, findings, len(asked), touchable)
-        for place, table in tables(data, "fault", findings)
+        read_fault(table, place, findings, len(asked), touchable)
+        for place, table in list_tables(data, "fault", findings)
     ]
-    effects = [effect_of(table, place, findings) for place, table in tables(data, "effect", findings)]
+    effects = [read_effect(table, place, findings) for place, table in list_tables(data, "effect", findings)]
     checks = [
-        check_of(table, place, findings, tuple(points), len(asked), touchable)
-        for place, table in tables(data, "check", findings)
+        read_check(table, place, findings, tuple(points), len(asked), touchable)
+        for place, table in list_tables(data, "check", findings)
     ]
     _check_ending(checks, findings)
     if head is not None:
@@ -158,65 +159,67 @@ def _scenario(data: dict[str, Any], name: str, findings: Findings) -> Scenario |
         title=head.title,
         sentence=head.sentence,
         world=world.built,
-        commands=_all(commands),
-        checks=_all(checks),
+        commands=_without_none(commands),
+        checks=_without_none(checks),
         start=head.start,
         arm=head.arm,
         temperature_C=world.temperature_C,
-        taught=_all(taught),
-        faults=_all(faults),
-        effects=_all(effects),
+        taught=_without_none(taught),
+        faults=_without_none(faults),
+        effects=_without_none(effects),
     )
 
 
-def _all(items: list[T | None]) -> tuple[T, ...]:
+def _without_none(items: list[T | None]) -> tuple[T, ...]:
     return tuple(item for item in items if item is not None)
 
 
-def _head(data: dict[str, Any], findings: Findings) -> _Head | None:
-    own = [field.name for field in fields(_Head)]
-    known = (*own, "world", *LISTS)
+def _read_head(data: dict[str, Any], findings: Findings) -> _ScenarioHead | None:
+    own = [field.name for field in fields(_ScenarioHead)]
+    known = (*own, "world", *TABLE_LISTS)
     for key in data:
         if key not in known:
-            findings.say((key,), f"{spoken(key)}: is not known here; {did_you_mean(key, known)}")
-    for what in NEEDED:
+            findings.report((key,), f"{shorten(key)}: is not known here; {did_you_mean(key, known)}")
+    for what in REQUIRED_LISTS:
         if not data.get(what):
-            findings.say((), f"{what}: is missing; write [[{what}]] and its keys below, once for each")
-    head = record_of(_Head, {key: data[key] for key in own if key in data}, (), findings)
+            findings.report((), f"{what}: is missing; write [[{what}]] and its keys below, once for each")
+    head = read_record(_ScenarioHead, {key: data[key] for key in own if key in data}, (), findings)
     if head is not None:
         if not head.title.strip():
-            findings.say(("title",), "title: is empty; give the scenario a name for people")
+            findings.report(("title",), "title: is empty; give the scenario a name for people")
         try:
             arm_named(head.arm)
         except UnknownArm as error:
-            findings.say(("arm",), f"arm: {error}")
+            findings.report(("arm",), f"arm: {error}")
     return head
 
 
-def _world(data: dict[str, Any], findings: Findings) -> _World | None:
-    table = table_of(data.get("world", {}), ("world",), findings)
-    world = None if table is None else record_of(_World, table, ("world",), findings)
+def _read_world(data: dict[str, Any], findings: Findings) -> _WorldTable | None:
+    table = require_table(data.get("world", {}), ("world",), findings)
+    world = None if table is None else read_record(_WorldTable, table, ("world",), findings)
     if world is None:
         return None
     if world.surface is not None:
         place = ("world", "surface")
         check_direction("normal", world.surface.normal_N, place, findings)
-        check_near("position", world.surface.p_N_m, place, findings)
+        check_distance("position", world.surface.p_N_m, place, findings)
     most = max(abs(world.tilt_roll_rad), abs(world.tilt_pitch_rad), world.built.tilt_rad)
     if most > MAX_TILT_RAD + 1e-12:
         most_deg, limit_deg = np.degrees(most), np.degrees(MAX_TILT_RAD)
         text = f"world: tilts the rover by {most_deg:.4g} deg; the arm is used up to {limit_deg:g} deg"
-        findings.say(("world",), text)
+        findings.report(("world",), text)
     return world
 
 
-def _check_taught(taught: list[Taught | None], findings: Findings) -> None:
+def _check_taught(taught: list[TaughtPoint | None], findings: Findings) -> None:
     names: list[str] = []
     for k, point in enumerate(taught):
         if point is None:
             continue
         if not point.name or point.name in names:
-            findings.say(("teach", k, "name"), f"name: {point.name!r} is empty or taken; give each its own")
+            findings.report(
+                ("teach", k, "name"), f"name: {point.name!r} is empty or taken; give each its own"
+            )
         names.append(point.name)
 
 
@@ -227,29 +230,29 @@ def _check_ending(checks: list[Check | None], findings: Findings) -> None:
     ends = {type(check) for check in checks} & {Done, Faulted, Recovered}
     if not ends:
         text = 'check: none says how the scenario ends; add one of type "done", "faulted" or "recovered"'
-        findings.say(("check", 0), text)
+        findings.report(("check", 0), text)
     elif Done in ends and len(ends) > 1:
         text = 'check: "done" asks for no fault; write "recovered" for a sequence that goes on after one'
-        findings.say(("check", 0), text)
+        findings.report(("check", 0), text)
 
 
 def _check_sequence(
-    start: Start, commands: list[Command | None], faults: list[Injection | None], findings: Findings
+    start: StartPose, commands: list[Command | None], faults: list[Injection | None], findings: Findings
 ) -> None:
     """Refuse a sequence that flight software would be bound to refuse halfway, as far as it can be read."""
-    known: tuple[Command, ...] = _all(list(takewhile(lambda command: command is not None, commands)))
-    there = _all(faults)
-    bound = [fault.during for fault in there if stops(fault.fault)]
+    known: tuple[Command, ...] = _without_none(list(takewhile(lambda command: command is not None, commands)))
+    there = _without_none(faults)
+    bound = [fault.during for fault in there if prevents_completion(fault.fault)]
     faulting = [number for number in bound if number is not None]
     timed = any(fault.during is None for fault in there) or None in faults
     during = [fault.during for fault in there if fault.during is not None]
     troubled = range(1, len(known) + 1) if timed else during
     mode = Mode.STOWED if start == "stowed" else Mode.DEPLOYED
-    for number, problem in (*refusals(known, mode, faulting, troubled), *_senseless(known)):
-        findings.say(("command", number - 1), f"command {number}: {problem}")
+    for number, problem in (*find_refusals(known, mode, faulting, troubled), *_invalid_commands(known)):
+        findings.report(("command", number - 1), f"command {number}: {problem}")
 
 
-def _senseless(commands: tuple[Command, ...]) -> Iterator[tuple[int, str]]:
+def _invalid_commands(commands: tuple[Command, ...]) -> Iterator[tuple[int, str]]:
     """Commands, by their number from 1, that flight software refuses for their own numbers and words."""
     params = nominal_params()
     for number, command in enumerate(commands, start=1):

@@ -7,7 +7,7 @@ from difflib import get_close_matches
 from math import pi
 from typing import Any, Final
 
-UNITS: Final[dict[str, dict[str, float]]] = {
+UNIT_FACTORS: Final[dict[str, dict[str, float]]] = {
     "rad": {"rad": 1.0, "deg": pi / 180},
     "m": {"m": 1.0, "mm": 1e-3},
     "N": {"N": 1.0},
@@ -18,7 +18,7 @@ UNITS: Final[dict[str, dict[str, float]]] = {
 }
 """By the suffix of a field: what may stand for it in a file, and how much of the SI unit that is."""
 
-LONGEST: Final = 60
+MAX_SHOWN_LENGTH: Final = 60
 """Words of a file in a sentence."""
 
 _POSITION: Final = re.compile(r"p_(?:[A-Z]o[A-Z]o_)?[A-Z]_m$")
@@ -27,7 +27,7 @@ _FRAME: Final = re.compile(r"_[A-Z]$")
 
 
 @dataclass(frozen=True, slots=True)
-class Words:
+class FieldKeys:
     """How one field is written."""
 
     field: str
@@ -39,15 +39,15 @@ class Words:
         return " or ".join(self.factors)
 
 
-def words_of(field: str, kind: Any) -> Words:
+def field_keys(field: str, kind: Any) -> FieldKeys:
     """How a field of this type is written: no letters of frames, `position` for p, and any unit that fits."""
     name = _POSITION.sub("position_m", field)
     if kind is not float:  # of a number, a capital at the end is a unit
         name = _FRAME.sub("", name)
     stem, _, unit = name.rpartition("_")
-    if not stem or unit not in UNITS or _PER.search(stem):  # a unit over another is written in one way
-        return Words(field, name, {name: 1.0})
-    return Words(field, stem, {f"{stem}_{said}": factor for said, factor in UNITS[unit].items()})
+    if not stem or unit not in UNIT_FACTORS or _PER.search(stem):  # a unit over another is written in one way
+        return FieldKeys(field, name, {name: 1.0})
+    return FieldKeys(field, stem, {f"{stem}_{said}": factor for said, factor in UNIT_FACTORS[unit].items()})
 
 
 def is_position(field: str) -> bool:
@@ -55,10 +55,10 @@ def is_position(field: str) -> bool:
     return _POSITION.search(field) is not None
 
 
-def spoken(key: str) -> str:
+def shorten(key: str) -> str:
     """A key of a file, short and legible enough for a sentence."""
     text = key if key.isprintable() else repr(key)
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 3]}..."
+    return text if len(text) <= MAX_SHOWN_LENGTH else f"{text[: MAX_SHOWN_LENGTH - 3]}..."
 
 
 def upper_snake(kind: type) -> str:
@@ -66,7 +66,7 @@ def upper_snake(kind: type) -> str:
     return re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).upper()
 
 
-def one_of(known: Iterable[str]) -> str:
+def list_choices(known: Iterable[str]) -> str:
     """These names for the end of a sentence."""
     return f"there are {', '.join(known) or 'none'}"
 
@@ -77,4 +77,4 @@ def did_you_mean(said: str, known: Iterable[str]) -> str:
     near = {part.lower(): name for name in names for part in name.split(" or ")}
     close = get_close_matches(said.lower(), near, n=1)
     meant = f"did you mean {near[close[0]]}? " if close else ""
-    return meant + one_of(names)
+    return meant + list_choices(names)

@@ -10,16 +10,16 @@ from fsw.dictionary.commands import MoveJoints
 from fsw.dictionary.evrs import CommandRefused, Evr
 from fsw.dictionary.types import Joints5
 from fsw.estimate.reference import Reference
-from sim.arms import BuiltArm, later
-from sim.effects.environment import surroundings
+from sim.arms import BuiltArm, effects_of_run
+from sim.effects.environment import default_ambient
 from sim.loop import ClosedLoop, Setup
 from sim.record import CycleRecord
 from sim.scenario.data import Scenario
-from sim.scenario.judge import Measured, judged
-from sim.scenario.trace import Ending, Moment, Trace, moment
-from sim.sequence import Outcome, run_sequence, stop_sequence, watched
+from sim.scenario.judge import CheckResult, evaluate_checks
+from sim.scenario.trace import Ending, Snapshot, Trace, take_snapshot
+from sim.sequence import Outcome, observe_cycles, run_sequence, stop_sequence
 
-NO_STEP: Joints5 = (0.0, 0.0, 0.0, 0.0, 0.0)
+NO_MOTION: Joints5 = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,23 +30,27 @@ class ScenarioResult:
     command: int
     """The number of the last command that began."""
     duration_s: float
-    measured: tuple[Measured, ...]
+    checks: tuple[CheckResult, ...]
     evrs: tuple[tuple[float, Evr], ...]
     """Time [s] and event."""
 
     @property
     def passed(self) -> bool:
         """Whether every check is; a run that was stopped, or was not judged, has not passed."""
-        judged = self.outcome is not Outcome.STOPPED and bool(self.measured)
-        return judged and all(measured.passed for measured in self.measured)
+        complete = self.outcome is not Outcome.STOPPED and bool(self.checks)
+        return complete and all(check.passed for check in self.checks)
 
 
-def setup_of(scenario: Scenario, arm: BuiltArm, reference: Reference, seed: int) -> Setup:
+def scenario_setup(scenario: Scenario, arm: BuiltArm, reference: Reference, seed: int) -> Setup:
     """How a scenario begins, with an arm fitted for it, its joints known and its places taught."""
     poses = arm.params.poses
     start = poses.stowed_rad if scenario.start == "stowed" else poses.ready_rad
     timed = (injection.fault for injection in scenario.faults if injection.during is None)
-    effects = (*surroundings(arm.effects, scenario.temperature_C), *timed, *later(scenario.effects))
+    effects = (
+        *default_ambient(arm.effects, scenario.temperature_C),
+        *timed,
+        *effects_of_run(scenario.effects),
+    )
     return Setup(arm, scenario.world, start, seed, reference, effects)
 
 
@@ -56,7 +60,7 @@ class ScenarioRun:
     def __init__(self, loop: ClosedLoop, scenario: Scenario):
         self._loop = loop
         self._scenario = scenario
-        self._moments: list[Moment] = []
+        self._snapshots: list[Snapshot] = []
         self._evrs: list[tuple[float, Evr]] = []
         self._outcome = Outcome.SOFTWARE_ERROR
         self._braked = self._refuses = False
@@ -67,16 +71,16 @@ class ScenarioRun:
     def __iter__(self) -> Iterator[CycleRecord]:
         """Every cycle, as it happens; after a fault, one more in which a move is asked for."""
         sequence = run_sequence(self._loop, self._scenario.commands)
-        self._outcome = yield from watched(sequence, self._note)
+        self._outcome = yield from observe_cycles(sequence, self._note)
         self._braked = self._loop.braked
         if self._outcome is Outcome.FAULTED:
-            record = self._loop.cycle((MoveJoints(NO_STEP, relative=True),))
+            record = self._loop.cycle((MoveJoints(NO_MOTION, relative=True),))
             self._refuses = any(isinstance(evr, CommandRefused) for evr in record.outputs.evrs)
             yield record
 
     def stopping(self) -> Iterator[CycleRecord]:
         """Every cycle of a stop, in place of those that were still to come."""
-        self._outcome = yield from watched(stop_sequence(self._loop), self._watch)
+        self._outcome = yield from observe_cycles(stop_sequence(self._loop), self._watch)
 
     def _note(self, record: CycleRecord) -> None:
         if record.commands:
@@ -86,7 +90,7 @@ class ScenarioRun:
 
     def _watch(self, record: CycleRecord) -> None:
         self._evrs += [(record.tick / CYCLE_HZ, evr) for evr in record.outputs.evrs]
-        self._moments.append(moment(self._loop, record, self.command))
+        self._snapshots.append(take_snapshot(self._loop, record, self.command))
 
     @property
     def _came(self) -> int:
@@ -111,15 +115,15 @@ class ScenarioRun:
             output_rad=plant.output_rad(),
             braked=self._braked,
             refuses=self._refuses,
-            to_come=len(self._scenario.faults) - self._came,
+            pending_faults=len(self._scenario.faults) - self._came,
             evrs=tuple(self._evrs),
         )
         stowed = np.array(self._loop.config.params.poses.stowed_rad)
-        trace = Trace(tuple(self._moments), ending)
+        trace = Trace(tuple(self._snapshots), ending)
         return ScenarioResult(
             outcome=self._outcome,
             command=self.command,
             duration_s=plant.data.time,
-            measured=judged(self._scenario, stowed, trace),
+            checks=evaluate_checks(self._scenario, stowed, trace),
             evrs=ending.evrs,
         )

@@ -22,15 +22,15 @@ from sim.arms import BuiltArm
 from sim.effects.environment import NothingToTouch
 from sim.frames import p_R_from_N
 from sim.loop import ClosedLoop, Setup
-from sim.scenario.data import Taught
+from sim.scenario.data import TaughtPoint
 from sim.sequence import run_sequence
 from sim.world import World
 
-PASSES: Final = 3
+TEACH_PASSES: Final = 3
 """Moves to the front of a place, each aimed off by what the one before missed."""
-AWAY_M: Final = 0.05
+SURVEY_DISTANCE_M: Final = 0.05
 """How far in front of a place it is surveyed, clear of what is there."""
-NEAR_RAD: Final = 0.01
+TEACH_OFFSET_RAD: Final = 0.01
 """How far from a place every joint begins."""
 REST_S: Final = 1.0
 
@@ -39,29 +39,31 @@ class NotTaught(RuntimeError):
     """A place that the arm could not be led to."""
 
 
-def taught(
-    arm: BuiltArm, reference: Reference, points: tuple[Taught, ...], world: World, seed: int = 0
+def teach(
+    arm: BuiltArm, reference: Reference, points: tuple[TaughtPoint, ...], world: World, seed: int = 0
 ) -> BuiltArm:
     """The arm with these places among its parameters.
 
     Raises:
         NotTaught: flight software refuses to go to one, or does not come to its end.
     """
-    found = tuple(_taught(arm, reference, point, world, seed) for point in points)
+    found = tuple(_teach_point(arm, reference, point, world, seed) for point in points)
     names = {point.name for point in found}
     kept = tuple(point for point in arm.params.teach if point.name not in names)
     return replace(arm, params=replace(arm.params, teach=(*kept, *found)))
 
 
-def _taught(arm: BuiltArm, reference: Reference, point: Taught, world: World, seed: int) -> TeachPoint:
+def _teach_point(
+    arm: BuiltArm, reference: Reference, point: TaughtPoint, world: World, seed: int
+) -> TeachPoint:
     axis = np.array(point.approach_N) / np.linalg.norm(point.approach_N)
-    wanted = p_R_from_N(np.array(point.p_N_m)) - AWAY_M * axis
-    start = _near(arm, point, wanted, axis, world)
+    wanted = p_R_from_N(np.array(point.p_N_m)) - SURVEY_DISTANCE_M * axis
+    start = _pose_near(arm, point, wanted, axis, world)
     level = replace(world, surface=None)
     loop = ClosedLoop(Setup(arm, level, joints5(start), seed, reference, (NothingToTouch(),)))
     aim, towards = wanted, axis
-    for _ in range(PASSES):
-        believed = _led(loop, point, aim, towards)
+    for _ in range(TEACH_PASSES):
+        believed = _move_tool_to(loop, point, aim, towards)
         truth = loop.plant.truth()
         missed = wanted - truth.p_RoTo_R_m[point.tool]
         turned = axis - truth.R_RT[point.tool][:, 0]
@@ -70,13 +72,13 @@ def _taught(arm: BuiltArm, reference: Reference, point: Taught, world: World, se
     return TeachPoint(
         name=point.name,
         tool=point.tool.name.lower(),
-        p_RoTo_R_m=vector3(believed.p_RoTo_R_m + missed + AWAY_M * approach),
+        p_RoTo_R_m=vector3(believed.p_RoTo_R_m + missed + SURVEY_DISTANCE_M * approach),
         approach_R=vector3(approach),
         branch=point.branch,
     )
 
 
-def _near(arm: BuiltArm, point: Taught, p_R_m: Array, axis: Array, world: World) -> Array:
+def _pose_near(arm: BuiltArm, point: TaughtPoint, p_R_m: Array, axis: Array, world: World) -> Array:
     """A pose beside the place, on the branch asked for; of several the nearest to the ready pose."""
     ready = np.array(arm.params.poses.ready_rad)
     answers = inverse_kinematics(build_arm(arm.params), point.tool, p_R_m, axis, world.gravity_N_m_s2, ready)
@@ -88,10 +90,10 @@ def _near(arm: BuiltArm, point: Taught, p_R_m: Array, axis: Array, world: World)
     if not poses:
         raise NotTaught(f"{arm.name}: {point.name} is out of reach of the {point.tool.name.lower()}")
     nearest = min(poses, key=lambda pose: float(np.abs(pose - ready).max()))
-    return np.asarray(nearest + NEAR_RAD * np.sign(ready - nearest))
+    return np.asarray(nearest + TEACH_OFFSET_RAD * np.sign(ready - nearest))
 
 
-def _led(loop: ClosedLoop, point: Taught, p_R_m: Array, axis: Array) -> ToolChannels:
+def _move_tool_to(loop: ClosedLoop, point: TaughtPoint, p_R_m: Array, axis: Array) -> ToolChannels:
     """What flight software believes of the tool, at rest after a move."""
     command = MoveTool(point.tool, vector3(p_R_m), vector3(axis), branch=point.branch)
     evrs = [evr for record in run_sequence(loop, (command,)) for evr in record.outputs.evrs]
@@ -99,9 +101,9 @@ def _led(loop: ClosedLoop, point: Taught, p_R_m: Array, axis: Array) -> ToolChan
         raise loop.failure
     if CommandCompleted("MoveTool") not in evrs:
         raise NotTaught(f"{point.name}: {evrs[-1].message}")
-    return [tool for tool in _rest(loop) if tool is not None][-1]
+    return [tool for tool in _observe_rest(loop) if tool is not None][-1]
 
 
-def _rest(loop: ClosedLoop) -> Iterator[ToolChannels | None]:
+def _observe_rest(loop: ClosedLoop) -> Iterator[ToolChannels | None]:
     for _ in range(round(REST_S * CYCLE_HZ)):
         yield loop.cycle().outputs.tool

@@ -4,7 +4,7 @@ import re
 import tomllib
 from typing import Any, Final
 
-Place = tuple[str | int, ...]
+TomlPath = tuple[str | int, ...]
 """The keys and indices that lead to a value."""
 
 _BLANK: Final = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
@@ -25,14 +25,14 @@ class NotToml(ValueError):
         self.line = line
 
 
-def parsed(text: str) -> tuple[dict[str, Any], dict[Place, int]]:
+def parse_toml(text: str) -> tuple[dict[str, Any], dict[TomlPath, int]]:
     """What a text says, and the line of every key, table and element of it.
 
     Raises:
         NotToml: Python's parser does not take it.
     """
     try:
-        return tomllib.loads(text), lines_of(text)
+        return tomllib.loads(text), find_lines(text)
     except tomllib.TOMLDecodeError as error:
         said = re.fullmatch(r"(.*) \(at (?:line (\d+), column \d+|end of document)\)", str(error), re.DOTALL)
         if said is None:
@@ -42,7 +42,7 @@ def parsed(text: str) -> tuple[dict[str, Any], dict[Place, int]]:
         raise NotToml(1, str(error)) from error
 
 
-def lines_of(text: str) -> dict[Place, int]:
+def find_lines(text: str) -> dict[TomlPath, int]:
     """The line, from 1, of every key, table and element of this TOML text, which the parser has accepted."""
     return _Finder(text).places
 
@@ -51,14 +51,14 @@ class _Finder:
     """A reader that goes through a text once and notes where things begin."""
 
     def __init__(self, text: str):
-        self.places: dict[Place, int] = {(): 1}
+        self.places: dict[TomlPath, int] = {(): 1}
         self._text = text.replace("\r\n", "\n")
         self._at = 0
-        self._counts: dict[Place, int] = {}
+        self._counts: dict[TomlPath, int] = {}
         self._file()
 
     def _file(self) -> None:
-        table: Place = ()
+        table: TomlPath = ()
         self._skip(_BLANK)
         while self._at < len(self._text):
             if self._next("[["):
@@ -69,13 +69,13 @@ class _Finder:
                 self._pair(table)
             self._skip(_BLANK)
 
-    def _header(self, opening: str) -> Place:
+    def _header(self, opening: str) -> TomlPath:
         """Read a header; a list of tables counts its elements, and a name under one means the last."""
         begun = self._at
         self._at += len(opening)
         names = self._names()
         self._at += len(opening)
-        place: Place = ()
+        place: TomlPath = ()
         for k, name in enumerate(names):
             place = (*place, name)
             self._note(place, begun)
@@ -86,7 +86,7 @@ class _Finder:
                 self._note(place, begun)
         return place
 
-    def _pair(self, table: Place) -> None:
+    def _pair(self, table: TomlPath) -> None:
         begun = self._at
         place = (*table, *self._names())
         for k in range(len(table) + 1, len(place) + 1):
@@ -107,7 +107,7 @@ class _Finder:
                 return names
             self._at += 1
 
-    def _value(self, place: Place) -> None:
+    def _value(self, place: TomlPath) -> None:
         if self._next("["):
             self._array(place)
         elif self._next("{"):
@@ -117,7 +117,7 @@ class _Finder:
         else:
             self._skip(_OTHER)
 
-    def _array(self, place: Place) -> None:
+    def _array(self, place: TomlPath) -> None:
         self._at += 1
         count = 0
         self._skip(_BLANK)
@@ -128,7 +128,7 @@ class _Finder:
             self._comma()
         self._at += 1
 
-    def _inline(self, place: Place) -> None:
+    def _inline(self, place: TomlPath) -> None:
         self._at += 1
         self._skip(_BLANK)
         while not self._next("}"):
@@ -152,5 +152,5 @@ class _Finder:
         self._at = match.end()
         return match[0]
 
-    def _note(self, place: Place, at: int) -> None:
+    def _note(self, place: TomlPath, at: int) -> None:
         self.places.setdefault(place, self._text.count("\n", 0, at) + 1)

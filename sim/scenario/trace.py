@@ -15,7 +15,7 @@ from sim.sequence import Outcome
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Moment:
+class Snapshot:
     """The plant at the end of a cycle; tools in the order of Tool, vectors in RMECH axes."""
 
     command: int
@@ -48,7 +48,7 @@ class Ending:
     """Whether a move that was asked for after the end was refused."""
     evrs: tuple[tuple[float, Evr], ...]
     """Time [s] and event."""
-    to_come: int = 0
+    pending_faults: int = 0
     """How many of the scenario's faults have not come."""
 
     @property
@@ -62,27 +62,27 @@ class Ending:
 class Trace:
     """A whole scenario."""
 
-    moments: tuple[Moment, ...]
+    snapshots: tuple[Snapshot, ...]
     ending: Ending
 
-    def during(self, command: int) -> tuple[Moment, ...]:
+    def during(self, command: int) -> tuple[Snapshot, ...]:
         """The cycles of a command; none if it did not begin."""
-        return tuple(moment for moment in self.moments if moment.command == command)
+        return tuple(moment for moment in self.snapshots if moment.command == command)
 
-    def since(self, command: int) -> tuple[Moment, ...]:
+    def since(self, command: int) -> tuple[Snapshot, ...]:
         """The cycles from the beginning of a command to the end of the scenario."""
-        return tuple(moment for moment in self.moments if moment.command >= command)
+        return tuple(moment for moment in self.snapshots if moment.command >= command)
 
-    def at_end_of(self, command: int) -> Moment | None:
+    def at_end_of(self, command: int) -> Snapshot | None:
         """The last cycle of a command, or None if it did not begin."""
         found = self.during(command)
         return found[-1] if found else None
 
 
-def moment(loop: ClosedLoop, record: CycleRecord, command: int) -> Moment:
+def take_snapshot(loop: ClosedLoop, record: CycleRecord, command: int) -> Snapshot:
     """The plant as it is after a cycle."""
     plant, truth = loop.plant, loop.truth()
-    return Moment(
+    return Snapshot(
         command=command,
         p_RoTo_R_m=truth.p_RoTo_R_m,
         R_RT=truth.R_RT,
@@ -93,7 +93,7 @@ def moment(loop: ClosedLoop, record: CycleRecord, command: int) -> Moment:
     )
 
 
-def touches(moment: Moment, tool: Tool) -> bool:
+def is_touching(moment: Snapshot, tool: Tool) -> bool:
     """Whether a contact switch of a tool is closed."""
     closed: NDArray[np.bool_] = moment.closed[[Switch(switch) for switch in TOOL_SWITCHES[tool]]]
     return bool(closed.any())

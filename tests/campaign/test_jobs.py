@@ -4,7 +4,7 @@ import pytest
 
 from sim.arms import arm_named
 from sim.initialisation import true_reference
-from sim.scenario.file import shipped
+from sim.scenario.file import built_in_scenarios
 from validation.scenarios import ran_on
 from validation.tool_change import Changed, one_target
 
@@ -13,7 +13,7 @@ MISSES = {("calibrated:3", "sampling")}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(shipped()))
+@pytest.mark.parametrize("name", sorted(built_in_scenarios()))
 @pytest.mark.parametrize("arm_name", ["calibrated:1", "calibrated:2", "calibrated:3"])
 def test_a_job_is_done_on_an_arm_whose_parameters_are_its_own(name, arm_name, request):
     if (arm_name, name) in MISSES:
@@ -22,7 +22,7 @@ def test_a_job_is_done_on_an_arm_whose_parameters_are_its_own(name, arm_name, re
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", sorted(shipped()))
+@pytest.mark.parametrize("name", sorted(built_in_scenarios()))
 def test_an_arm_that_is_not_calibrated_refuses_no_job(name):
     """The drawing's parameters on another arm."""
     ran = ran_on("as-built:1", name, true_reference(arm_named("as-built:1")))

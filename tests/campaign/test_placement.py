@@ -8,8 +8,8 @@ import pytest
 from fsw.dictionary.enums import Tool
 from fsw.estimate.reference import Reference
 from sim.arms import arm_named
-from sim.campaign import random_placement, run_placement
-from sim.initialisation import initialised
+from sim.initialisation import initialise_joints
+from sim.preview import random_placement, run_placement
 from sim.sequence import Outcome
 
 MAX_TILT_RAD = np.radians(20.0)
@@ -19,7 +19,7 @@ TARGETS = range(3)
 @cache
 def found_at_its_hardstops(name: str) -> Reference:
     """What flight software remembers of an arm after every joint was at its hardstop."""
-    runs = list(initialised(arm_named(name)))
+    runs = list(initialise_joints(arm_named(name)))
     assert [run.outcome for run in runs] == 5 * [Outcome.DONE]
     return runs[-1].reference
 

@@ -10,7 +10,7 @@ from fsw.kinematics.arm import Arm, build_arm
 from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
 from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import Pose, inverse
-from sim.effects.effect import Effect, knowing, nominal_hardware
+from sim.effects.effect import Effect, nominal_hardware, params_with_effects
 from sim.effects.environment import (
     COLD_C,
     COULOMB_COLD,
@@ -29,8 +29,7 @@ from sim.effects.joints import (
     HardstopStiffness,
     ResolverBias,
 )
-from sim.effects.structure import LinkMass, LinkStiffness
-from sim.effects.turret import StandInTurret
+from sim.effects.structure import LinkMass, LinkStiffness, StandInTurret
 from sim.params import nominal_params
 from sim.plant import Plant
 from sim.world import World
@@ -54,7 +53,7 @@ def built(*effects: Effect, world: World | None = None) -> Plant:
 
 
 def known(*effects: Effect) -> Params:
-    return knowing(effects, PARAMS)
+    return params_with_effects(effects, PARAMS)
 
 
 def rigid_difference_m(plant: Plant, arm: Arm, motor_error_rad: lab.Array | None = None) -> float:

@@ -16,9 +16,8 @@ from fsw.state import boot
 from sim.arms import arm_named
 from sim.effects.environment import Ambient, PowerLoss
 from sim.effects.joints import GearFriction, HardstopAngle, HardstopStiffness
-from sim.initialisation import Initialisation, InitialisationRun, stop_run
+from sim.initialisation import InitialisationResult, InitialisationRun, prepare_homing, prepare_random_homing
 from sim.sequence import Outcome
-from sim.trials import varied
 from sim.world import World
 from tests.sim import lab
 
@@ -50,7 +49,7 @@ class Shifted:
         return current_A + self.offset_A
 
 
-def finished(run: InitialisationRun) -> Initialisation:
+def finished(run: InitialisationRun) -> InitialisationResult:
     """The run to its end; nothing may ever exceed its limits."""
     for _ in run:
         pass
@@ -75,7 +74,7 @@ def failed(run: InitialisationRun, event: type[evrs.Evr], joint: Joint) -> None:
 
 @pytest.mark.parametrize("joint", Joint)
 def test_every_joint_of_the_nominal_arm_finds_its_zero_and_its_gap(joint):
-    run = stop_run(arm_named("nominal"), joint, World())
+    run = prepare_homing(arm_named("nominal"), joint, World())
     before = run.loop.plant.motor_rad()
     result = finished(run)
     assert result.outcome is Outcome.DONE
@@ -91,14 +90,17 @@ def test_every_joint_of_the_nominal_arm_finds_its_zero_and_its_gap(joint):
 @pytest.mark.parametrize("arm", ["as-built:3", "as-built:4"])
 @pytest.mark.parametrize("joint", Joint)
 def test_an_as_built_joint_in_the_cold_finds_its_zero(arm, joint):
-    result = finished(stop_run(arm_named(arm), joint, World(), effects=(Ambient(COLD_C),)))
+    result = finished(prepare_homing(arm_named(arm), joint, World(), effects=(Ambient(COLD_C),)))
     assert abs(result.stops[0].zero_error_rad) < 0.3e-3
     # without wind-up it would be milliradians
     assert abs(result.stops[0].uncorrected_error_rad) > 1e-3
 
 
 def test_a_joint_repeats_on_other_days():
-    runs = [finished(varied(arm_named("as-built:1"), Joint.ELBOW, World(), seed)) for seed in range(4)]
+    runs = [
+        finished(prepare_random_homing(arm_named("as-built:1"), Joint.ELBOW, World(), seed))
+        for seed in range(4)
+    ]
     errors = np.array([run.stops[0].zero_error_rad for run in runs])
     assert np.ptp(errors) < 0.3e-3
 
@@ -107,7 +109,8 @@ def test_a_joint_repeats_on_other_days():
 @pytest.mark.parametrize("joint", [Joint.WRIST, Joint.AZIMUTH])
 def test_a_joint_that_was_left_pressed_on_its_hardstop_is_not_pressed_any_harder(joint, temperature_C):
     ordinary, run = (
-        stop_run(arm_named("nominal"), joint, World(), effects=(Ambient(temperature_C),)) for _ in range(2)
+        prepare_homing(arm_named("nominal"), joint, World(), effects=(Ambient(temperature_C),))
+        for _ in range(2)
     )
     for _ in run:
         seek = run.loop.state.move.homing if run.loop.state.move is not None else None
@@ -127,14 +130,14 @@ def test_a_joint_that_was_left_pressed_on_its_hardstop_is_not_pressed_any_harder
 
 def test_a_snag_on_the_way_is_a_stall_too_early():
     snag = (HardstopAngle(Joint.TURRET, 0.1),)
-    run = stop_run(arm_named("nominal"), Joint.TURRET, World(), effects=snag, before_stop_rad=0.15)
+    run = prepare_homing(arm_named("nominal"), Joint.TURRET, World(), effects=snag, before_stop_rad=0.15)
     failed(run, faults.StalledEarly, Joint.TURRET)
 
 
 def test_a_hardstop_that_is_not_there_is_missed():
     gone = (HardstopAngle(Joint.TURRET, -0.3),)
     failed(
-        stop_run(arm_named("nominal"), Joint.TURRET, World(), effects=gone),
+        prepare_homing(arm_named("nominal"), Joint.TURRET, World(), effects=gone),
         faults.HardstopMissed,
         Joint.TURRET,
     )
@@ -143,21 +146,23 @@ def test_a_hardstop_that_is_not_there_is_missed():
 def test_something_soft_in_its_place_is_no_hardstop():
     soft = (HardstopStiffness(Joint.TURRET, 0.15),)
     failed(
-        stop_run(arm_named("nominal"), Joint.TURRET, World(), effects=soft), faults.NoHardstop, Joint.TURRET
+        prepare_homing(arm_named("nominal"), Joint.TURRET, World(), effects=soft),
+        faults.NoHardstop,
+        Joint.TURRET,
     )
 
 
 def test_a_hardstop_that_moved_since_last_time_is_not_believed():
     arm = arm_named("nominal")
-    known = finished(stop_run(arm, Joint.TURRET, World())).reference
+    known = finished(prepare_homing(arm, Joint.TURRET, World())).reference
     moved = (HardstopAngle(Joint.TURRET, 4e-3),)
-    run = stop_run(arm, Joint.TURRET, World(), effects=moved, reference=known)
+    run = prepare_homing(arm, Joint.TURRET, World(), effects=moved, reference=known)
     failed(run, faults.HardstopMoved, Joint.TURRET)
     # nor the second time, until the ground says so
     left = run.loop.state.joints.reference
-    again = stop_run(arm, Joint.TURRET, World(), effects=moved, reference=left)
+    again = prepare_homing(arm, Joint.TURRET, World(), effects=moved, reference=left)
     failed(again, faults.HardstopMoved, Joint.TURRET)
-    loop = stop_run(arm, Joint.TURRET, World(), effects=moved, reference=left).loop
+    loop = prepare_homing(arm, Joint.TURRET, World(), effects=moved, reference=left).loop
     result = finished(InitialisationRun(loop, Calibrate(Joint.TURRET, anew=True)))
     assert result.outcome is Outcome.DONE
     assert result.reference.zero_rad[Joint.TURRET] != pytest.approx(known.zero_rad[Joint.TURRET], abs=3e-3)
@@ -165,14 +170,14 @@ def test_a_hardstop_that_moved_since_last_time_is_not_believed():
 
 def test_a_seized_motor_is_stuck():
     seized = (GearFriction(Joint.TURRET, 50.0),)
-    run = stop_run(arm_named("nominal"), Joint.TURRET, World(), effects=seized, before_stop_rad=0.1)
+    run = prepare_homing(arm_named("nominal"), Joint.TURRET, World(), effects=seized, before_stop_rad=0.1)
     failed(run, faults.MotorStuck, Joint.TURRET)
 
 
 @pytest.mark.parametrize("reads", [Stuck(3.5), Stuck(-3.5), Stuck(0.0), Scaled(0.6), Shifted(0.5)], ids=str)
 @pytest.mark.parametrize("joint", [Joint.ELBOW, Joint.TURRET])
 def test_with_a_current_sensor_that_lies_nothing_is_pressed_too_hard_or_for_ever(joint, reads):
-    run = stop_run(arm_named("nominal"), joint, World())
+    run = prepare_homing(arm_named("nominal"), joint, World())
     sense = run.loop.avionics.sense
 
     def lying() -> Sensors:
@@ -193,11 +198,11 @@ def test_with_a_current_sensor_that_lies_nothing_is_pressed_too_hard_or_for_ever
 @pytest.mark.parametrize("stage", HomingStage)
 def test_power_lost_half_way_leaves_nothing_half_set(stage):
     arm = arm_named("nominal")
-    whole = finished(stop_run(arm, Joint.TURRET, World()))
+    whole = finished(prepare_homing(arm, Joint.TURRET, World()))
     times_s = [s.time_s for s in whole.samples if s.stage is stage]
     lost = (PowerLoss(float(np.median(times_s))),)
     known = whole.reference
-    run = stop_run(arm, Joint.TURRET, World(), effects=lost, reference=known)
+    run = prepare_homing(arm, Joint.TURRET, World(), effects=lost, reference=known)
     result = finished(run)
     assert result.outcome is Outcome.FAULTED
     assert not result.reference.calibrated[Joint.TURRET]
@@ -206,7 +211,7 @@ def test_power_lost_half_way_leaves_nothing_half_set(stage):
 
 
 def test_flight_software_that_starts_anew_half_way_knows_nothing_of_the_joint():
-    run = stop_run(arm_named("nominal"), Joint.TURRET, World())
+    run = prepare_homing(arm_named("nominal"), Joint.TURRET, World())
     for k, _ in enumerate(run):
         if k == 1000:
             break
@@ -217,7 +222,7 @@ def test_flight_software_that_starts_anew_half_way_knows_nothing_of_the_joint():
 
 
 def test_a_stop_command_half_way_leaves_the_joint_uncalibrated():
-    run = stop_run(arm_named("nominal"), Joint.TURRET, World())
+    run = prepare_homing(arm_named("nominal"), Joint.TURRET, World())
     for k, _ in enumerate(run):
         if k == 1000:
             break
@@ -231,8 +236,8 @@ def test_a_stop_command_half_way_leaves_the_joint_uncalibrated():
 
 def test_a_joint_found_twice_is_found_in_the_same_place():
     arm = arm_named("as-built:2")
-    first = finished(stop_run(arm, Joint.WRIST, World(), seed=1))
-    second = finished(stop_run(arm, Joint.WRIST, World(), seed=2, reference=first.reference))
+    first = finished(prepare_homing(arm, Joint.WRIST, World(), seed=1))
+    second = finished(prepare_homing(arm, Joint.WRIST, World(), seed=2, reference=first.reference))
     assert second.outcome is Outcome.DONE
     assert CommandCompleted("Calibrate") in [evr for _, evr in second.evrs]
     zeros = first.reference.zero_rad[Joint.WRIST], second.reference.zero_rad[Joint.WRIST]
@@ -240,7 +245,7 @@ def test_a_joint_found_twice_is_found_in_the_same_place():
 
 
 def test_what_is_remembered_is_a_boot_s_whole_knowledge():
-    config = stop_run(arm_named("nominal"), Joint.WRIST, World()).loop.config
+    config = prepare_homing(arm_named("nominal"), Joint.WRIST, World()).loop.config
     assert not boot(config, Mode.DEPLOYED).joints.reference.calibrated.any()
     known = replace(no_reference(config), calibrated=np.ones(5, bool), known=np.ones(5, bool))
     assert boot(config, Mode.DEPLOYED, known).joints.reference is known

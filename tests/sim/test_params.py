@@ -13,7 +13,7 @@ import pytest
 
 from fsw.config import digest
 from fsw.dictionary.validity import check_limits
-from sim.params import BadParams, _nominal_text, _validated, nominal_params, params_over_nominal
+from sim.params import BadParams, _nominal_text, _validate, nominal_params, params_over_nominal
 
 
 def written(folder: Path, text: str) -> Path:
@@ -270,7 +270,7 @@ def test_what_is_missing_is_named(missing: str) -> None:
         group = group[key]
     del group[name]
     with pytest.raises(BadParams, match=rf"nominal\.toml: {re.escape(missing)}: Field required"):
-        _validated(table, "nominal.toml")
+        _validate(table, "nominal.toml")
 
 
 def test_any_number_that_is_not_one_is_named() -> None:
@@ -284,7 +284,7 @@ def test_any_number_that_is_not_one_is_named() -> None:
         group[place[-1]] = float("nan")
         field = ".".join(str(key) for key in place[: 1 + _last_name(place)])
         with pytest.raises(BadParams, match=rf"nominal\.toml: {re.escape(field)}\b"):
-            _validated(table, "nominal.toml")
+            _validate(table, "nominal.toml")
 
 
 def nominal_table() -> dict[str, Any]:

@@ -13,7 +13,7 @@ from fsw.dictionary.types import Vector3
 from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementResult, PlacementRun
-from sim.preview import CLEARANCE_M, VIA_M, Preview, preview
+from sim.preview import CLEARANCE_M, VIA_M, Preview, preview_placement
 from sim.sequence import Outcome
 from sim.world import Surface, World
 from tests.sim import lab
@@ -25,7 +25,7 @@ BEHIND_AN_EDGE: tuple[Vector3, Vector3] = ((2.166, -0.129, -0.127), (-0.927, 0.2
 
 
 def seen(surface: tuple[Vector3, Vector3], tool: Tool = Tool.APXS) -> Preview:
-    return preview(NOMINAL, World(surface=Surface(*surface)), Placement(tool, *surface))
+    return preview_placement(NOMINAL, World(surface=Surface(*surface)), Placement(tool, *surface))
 
 
 def place(placement: Placement, world: World) -> tuple[ClosedLoop, PlacementResult]:
@@ -72,9 +72,9 @@ def test_the_way_from_the_stowed_pose_is_looked_at_where_the_arm_starts_there() 
     world, placement = World(surface=Surface(*OPEN)), Placement(Tool.APXS, *OPEN)
     poses = replace(NOMINAL.params.poses, unstow_via_rad=((-3.0, 0.0, 0.0, 0.0, 0.0),))
     through_the_rover = replace(NOMINAL, params=replace(NOMINAL.params, poses=poses))
-    assert preview(NOMINAL, world, placement, stowed=True).problem is None
-    assert preview(through_the_rover, world, placement).problem is None
-    problem = preview(through_the_rover, world, placement, stowed=True).problem
+    assert preview_placement(NOMINAL, world, placement, stowed=True).problem is None
+    assert preview_placement(through_the_rover, world, placement).problem is None
+    problem = preview_placement(through_the_rover, world, placement, stowed=True).problem
     assert problem is not None
     assert re.search(r"\w+ meets \w+ on the way from the stowed to the ready pose", problem), problem
 
@@ -84,7 +84,7 @@ def test_along_the_guarded_line_the_pads_may_meet_the_rock_and_nothing_else(
     tool: Tool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert seen(OPEN, tool).problem is None
-    monkeypatch.setattr("sim.preview._meant", lambda names, touching: False)
+    monkeypatch.setattr("sim.preview._is_intended", lambda names, touching: False)
     problem = seen(OPEN, tool).problem
     assert problem is not None
     assert re.search(
@@ -105,7 +105,7 @@ def test_along_the_guarded_line_the_body_of_the_tool_is_looked_at(monkeypatch: p
 @pytest.mark.parametrize("surface", [OPEN, BEHIND_AN_EDGE], ids=["open", "behind an edge"])
 def test_the_nominal_arm_places_the_apxs_from_the_ready_pose(surface: tuple[Vector3, Vector3]) -> None:
     world = World(tilt_roll_rad=0.1, tilt_pitch_rad=-0.15, surface=Surface(*surface))
-    found = preview(NOMINAL, world, Placement(Tool.APXS, *surface))
+    found = preview_placement(NOMINAL, world, Placement(Tool.APXS, *surface))
     assert found.problem is None
     loop, result = place(found.placement, world)
     evrs = [evr for _, evr in result.evrs]

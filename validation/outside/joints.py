@@ -7,12 +7,11 @@ import numpy as np
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
-from sim.effects.effect import EachCycle, Hardware
-from sim.effects.size import Size
-from sim.influence import Influence, at_joint
+from sim.disturbance import Disturbance, at_joint
+from sim.effects.effect import EachCycle, Hardware, ParameterSpec
 from sim.plant import Plant
 
-Torque = Annotated[float, Size(0.0, 400.0, unit="N m", typical=20.0, neutral=0.0)]
+Torque = Annotated[float, ParameterSpec(0.0, 400.0, unit="N m", typical=20.0, neutral=0.0)]
 LOAD_NM: Final = 100.0
 
 
@@ -22,12 +21,12 @@ class TightSpots(EachCycle):
 
     joint: Joint
     torque_Nm: Torque
-    apart_rad: Annotated[float, Size(1e-3, 6.3, unit="rad", typical=0.06)] = 0.06
+    apart_rad: Annotated[float, ParameterSpec(1e-3, 6.3, unit="rad", typical=0.06)] = 0.06
 
-    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Influence]:
+    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
         """By where the output is."""
         share = np.sin(np.pi * float(plant.output_rad()[self.joint]) / self.apart_rad) ** 4
-        return None, Influence(friction_Nm=at_joint(self.joint, self.torque_Nm * float(share)))
+        return None, Disturbance(friction_Nm=at_joint(self.joint, self.torque_Nm * float(share)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,17 +35,17 @@ class DraggingBrake(EachCycle):
 
     joint: Joint
     torque_Nm: Torque
-    fades_s: Annotated[float, Size(0.01, 100.0, unit="s", typical=1.5)] = 1.5
+    fades_s: Annotated[float, ParameterSpec(0.01, 100.0, unit="s", typical=1.5)] = 1.5
 
     def begin(self, plant: Plant, hardware: Hardware) -> float:
         """What it drags with: all of it while it is on."""
         return self.torque_Nm
 
-    def cycle(self, plant: Plant, hardware: Hardware, state: float) -> tuple[float, Influence]:
+    def cycle(self, plant: Plant, hardware: Hardware, state: float) -> tuple[float, Disturbance]:
         """A little less than in the cycle before."""
         if plant.data.eq_active[plant.at.brake[self.joint]]:
-            return self.torque_Nm, Influence()
-        return state * float(np.exp(-1.0 / (CYCLE_HZ * self.fades_s))), Influence(
+            return self.torque_Nm, Disturbance()
+        return state * float(np.exp(-1.0 / (CYCLE_HZ * self.fades_s))), Disturbance(
             friction_Nm=at_joint(self.joint, state)
         )
 
@@ -57,7 +56,7 @@ class GreaseAside(EachCycle):
 
     joint: Joint
     torque_Nm: Torque
-    way_rad: Annotated[float, Size(1e-3, 6.3, unit="rad", typical=0.04)] = 0.04
+    way_rad: Annotated[float, ParameterSpec(1e-3, 6.3, unit="rad", typical=0.04)] = 0.04
 
     def begin(self, plant: Plant, hardware: Hardware) -> tuple[float, float]:
         """Where the motor is, and how far it has turned."""
@@ -65,12 +64,12 @@ class GreaseAside(EachCycle):
 
     def cycle(
         self, plant: Plant, hardware: Hardware, state: tuple[float, float]
-    ) -> tuple[tuple[float, float], Influence]:
+    ) -> tuple[tuple[float, float], Disturbance]:
         """By the way so far, both ways alike."""
         (before_rad, way_rad), now_rad = state, float(plant.motor_rad()[self.joint])
         way_rad += abs(now_rad - before_rad)
         more_Nm = self.torque_Nm * float(np.exp(-way_rad / self.way_rad))
-        return (now_rad, way_rad), Influence(friction_Nm=at_joint(self.joint, more_Nm))
+        return (now_rad, way_rad), Disturbance(friction_Nm=at_joint(self.joint, more_Nm))
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,14 +77,14 @@ class StiffeningGear(EachCycle):
     """A gear stiffens as it is loaded: under 100 N m it has wound up by a share less, under 200 by two."""
 
     joint: Joint
-    share: Annotated[float, Size(0.0, 1.0, unit="1", typical=0.1, neutral=0.0)]
+    share: Annotated[float, ParameterSpec(0.0, 1.0, unit="1", typical=0.1, neutral=0.0)]
 
-    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Influence]:
+    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
         """Back by a part of what its spring has given way."""
         torque_Nm = float(plant.gear_torque_Nm()[self.joint])
-        wound_rad = torque_Nm / float(plant.model.tendon_stiffness[plant.at.gaps[self.joint]])
+        wound_rad = torque_Nm / float(plant.model.tendon_stiffness[plant.at.gear_tendons[self.joint]])
         less_rad = -wound_rad * self.share * min(abs(torque_Nm) / LOAD_NM, 3.0)
-        return None, Influence(gear_rad=at_joint(self.joint, less_rad))
+        return None, Disturbance(gear_rad=at_joint(self.joint, less_rad))
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,13 +92,13 @@ class SnaggingCable(EachCycle):
     """A cable comes taut at an angle of the output: beyond it is a spring, before it nothing."""
 
     joint: Joint
-    stiffness_Nm_rad: Annotated[float, Size(0.0, 500.0, unit="N m/rad", typical=10.0, neutral=0.0)]
-    taut_rad: Annotated[float, Size(-6.5, 6.5, unit="rad", typical=1.5)] = 1.5
+    stiffness_Nm_rad: Annotated[float, ParameterSpec(0.0, 500.0, unit="N m/rad", typical=10.0, neutral=0.0)]
+    taut_rad: Annotated[float, ParameterSpec(-6.5, 6.5, unit="rad", typical=1.5)] = 1.5
 
-    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Influence]:
+    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
         """By how far it is beyond."""
         beyond_rad = max(float(plant.output_rad()[self.joint]) - self.taut_rad, 0.0)
-        return None, Influence(output_Nm=at_joint(self.joint, -self.stiffness_Nm_rad * beyond_rad))
+        return None, Disturbance(output_Nm=at_joint(self.joint, -self.stiffness_Nm_rad * beyond_rad))
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,11 +106,11 @@ class LeakyIntegral(EachCycle):
     """The integral of a motor controller leaks away, by a share a second."""
 
     joint: Joint
-    leak_1_s: Annotated[float, Size(0.0, 20.0, unit="1/s", typical=0.2, neutral=0.0)]
+    leak_1_s: Annotated[float, ParameterSpec(0.0, 20.0, unit="1/s", typical=0.2, neutral=0.0)]
 
-    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Influence]:
+    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
         """What a cycle takes of it."""
         if self.leak_1_s:
             at = plant.model.actuator_actadr[plant.at.actuators[self.joint]]
             plant.data.act[at] *= float(np.exp(-self.leak_1_s / CYCLE_HZ))
-        return None, Influence()
+        return None, Disturbance()

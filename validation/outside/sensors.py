@@ -9,9 +9,8 @@ from fsw.config import CYCLE_HZ
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
-from sim.effects.effect import Effect, Hardware, nominal_hardware
-from sim.effects.size import Size
-from sim.influence import at_joint
+from sim.disturbance import at_joint
+from sim.effects.effect import Effect, Hardware, ParameterSpec, nominal_hardware
 
 RAD_PER_COUNT: Final = nominal_hardware().rad_per_count
 
@@ -22,9 +21,9 @@ class _Reading(Effect):
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """From the beginning."""
-        return replace(hardware, spoilt=(*hardware.spoilt, self))
+        return replace(hardware, sensor_errors=(*hardware.sensor_errors, self))
 
-    def held(self, sensors: Sensors) -> "_Reading":
+    def update(self, sensors: Sensors) -> "_Reading":
         """Nothing is remembered, unless overridden."""
         return self
 
@@ -34,8 +33,8 @@ class TorqueRipple(_Reading):
     """A motor makes more torque of a current at some angles of its gear's wave than at others."""
 
     joint: Joint
-    share: Annotated[float, Size(0.0, 0.8, unit="1", typical=0.05, neutral=0.0)]
-    turns: Annotated[int, Size(1, 10000, unit="1", typical=150)] = 150
+    share: Annotated[float, ParameterSpec(0.0, 0.8, unit="1", typical=0.05, neutral=0.0)]
+    turns: Annotated[int, ParameterSpec(1, 10000, unit="1", typical=150)] = 150
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
         """The current that it takes, by the angle that the encoder counts."""
@@ -49,7 +48,7 @@ class DeadCurrent(_Reading):
     """A current sensor reads nothing of the first part of a current, either way."""
 
     joint: Joint
-    dead_A: Annotated[float, Size(0.0, 2.0, unit="A", typical=0.05, neutral=0.0)]
+    dead_A: Annotated[float, ParameterSpec(0.0, 2.0, unit="A", typical=0.05, neutral=0.0)]
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
         """What is beyond."""
@@ -63,14 +62,14 @@ class SluggishCurrent(Effect):
     """A current sensor follows with a time constant."""
 
     joint: Joint
-    lag_s: Annotated[float, Size(0.0, 10.0, unit="s", typical=0.1, neutral=0.0)]
+    lag_s: Annotated[float, ParameterSpec(0.0, 10.0, unit="s", typical=0.1, neutral=0.0)]
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """From the beginning; a sensor without a lag reads what is, bit for bit."""
         if not self.lag_s:
             return hardware
         share = -float(np.expm1(-1.0 / (CYCLE_HZ * self.lag_s)))
-        return replace(hardware, spoilt=(*hardware.spoilt, _Sluggish(self.joint, share)))
+        return replace(hardware, sensor_errors=(*hardware.sensor_errors, _Sluggish(self.joint, share)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +80,7 @@ class _Sluggish:
     share: float
     last_A: float = 0.0
 
-    def held(self, sensors: Sensors) -> "_Sluggish":
+    def update(self, sensors: Sensors) -> "_Sluggish":
         """A step nearer to what it is."""
         rest_A = float(sensors.current_A[self.joint]) - self.last_A
         return replace(self, last_A=self.last_A + self.share * rest_A)
@@ -97,11 +96,11 @@ class OvalResolver(Effect):
     """A resolver's rotor is oval: it reads too much by a wave twice a turn."""
 
     joint: Joint
-    amplitude_rad: Annotated[float, Size(-0.01, 0.01, unit="rad", typical=3e-4, neutral=0.0)]
+    amplitude_rad: Annotated[float, ParameterSpec(-0.01, 0.01, unit="rad", typical=3e-4, neutral=0.0)]
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """From the beginning."""
-        return replace(hardware, warped=(*hardware.warped, self))
+        return replace(hardware, resolver_errors=(*hardware.resolver_errors, self))
 
     def error_rad(self, output_rad: Array) -> Array:
         """What each resolver (5) reads too much at these outputs (5)."""
@@ -113,11 +112,13 @@ class LateResolver(Effect):
     """A resolver is read out late; between two readings it says what lies between."""
 
     joint: Joint
-    delay_s: Annotated[float, Size(0.0, 0.5, unit="s", typical=0.01, neutral=0.0)]
+    delay_s: Annotated[float, ParameterSpec(0.0, 0.5, unit="s", typical=0.01, neutral=0.0)]
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
         """From the beginning."""
-        return replace(hardware, spoilt=(*hardware.spoilt, _Late(self.joint, self.delay_s * CYCLE_HZ)))
+        return replace(
+            hardware, sensor_errors=(*hardware.sensor_errors, _Late(self.joint, self.delay_s * CYCLE_HZ))
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +129,7 @@ class _Late:
     cycles: float
     before_rad: tuple[float, ...] = ()
 
-    def held(self, sensors: Sensors) -> "_Late":
+    def update(self, sensors: Sensors) -> "_Late":
         """One more; the arm stood before the first."""
         now_rad, whole = float(sensors.resolver_rad[self.joint]), int(self.cycles) + 2
         return replace(self, before_rad=(now_rad, *(self.before_rad or (now_rad,) * whole))[:whole])

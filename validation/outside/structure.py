@@ -5,13 +5,12 @@ from typing import Annotated, Final, Literal
 
 import numpy as np
 
-from sim.effects.effect import EachCycle, Hardware
-from sim.effects.size import Size
-from sim.influence import Influence
-from sim.plant import SPRINGS, Plant
+from sim.disturbance import Disturbance
+from sim.effects.effect import EachCycle, Hardware, ParameterSpec
+from sim.plant import SPRING_NAMES, Plant
 
 STRONG_M_S2: Final = 3.711
-Angle = Annotated[float, Size(-0.02, 0.02, unit="rad", typical=2e-4, neutral=0.0)]
+Angle = Annotated[float, ParameterSpec(-0.02, 0.02, unit="rad", typical=2e-4, neutral=0.0)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,13 +19,13 @@ class SettlingRover(EachCycle):
 
     axis: Literal["x", "y", "z"]
     angle_rad: Angle
-    settles_s: Annotated[float, Size(0.1, 1e4, unit="s", typical=8.0)] = 8.0
+    settles_s: Annotated[float, ParameterSpec(0.1, 1e4, unit="s", typical=8.0)] = 8.0
 
-    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Influence]:
+    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
         """More and more slowly."""
         turned_rad = -self.angle_rad * float(np.expm1(-plant.data.time / self.settles_s))
         plant.model.qpos_spring[plant.at.springs[0]["xyz".index(self.axis)]] = turned_rad
-        return None, Influence()
+        return None, Disturbance()
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,14 +35,14 @@ class RockingLink(EachCycle):
     link: Literal["link1", "link2", "link3", "link4"]
     axis: Literal["y", "z"]
     play_rad: Angle
-    sharp: Annotated[float, Size(0.1, 100.0, unit="1", typical=8.0)] = 8.0
+    sharp: Annotated[float, ParameterSpec(0.1, 100.0, unit="1", typical=8.0)] = 8.0
 
-    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Influence]:
+    def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
         """By the side alone, as soon as gravity has one."""
         body = plant.model.body(f"{self.link}_far").id
         pull_B = plant.data.xmat[body].reshape(3, 3).T @ plant.model.opt.gravity
         across = float(pull_B["xyz".index("z" if self.axis == "y" else "y")])
         side = float(np.tanh(self.sharp * across / STRONG_M_S2))
-        spring = plant.at.springs[SPRINGS.index(self.link)]["xyz".index(self.axis)]
+        spring = plant.at.springs[SPRING_NAMES.index(self.link)]["xyz".index(self.axis)]
         plant.model.qpos_spring[spring] = self.play_rad * side
-        return None, Influence()
+        return None, Disturbance()

@@ -6,9 +6,9 @@ from typing import Any, Final
 
 from ground.calibration.serial.arm import Link, Repeats, SerialArm, Uncertain
 from sim.scenario.names import did_you_mean
-from sim.scenario.record import Findings, record_of
-from sim.scenario.tables import tables
-from sim.scenario.toml_lines import NotToml, parsed
+from sim.scenario.toml_lines import NotToml, parse_toml
+from sim.scenario.toml_record import Findings, read_record
+from sim.scenario.toml_tables import list_tables
 
 LINKS: Final = "link"
 MOST_LINKS: Final = 20
@@ -35,12 +35,12 @@ def arm_from_toml(text: str, file: str) -> SerialArm:
         BadArmFile: something in it is wrong; the message has every problem, by line.
     """
     try:
-        data, lines = parsed(text)
+        data, lines = parse_toml(text)
     except NotToml as error:
         raise BadArmFile(f"{file}:{error.line}: {error}") from error
     findings = Findings(lines)
-    head = record_of(_Head, {k: v for k, v in data.items() if k != LINKS}, (), findings)
-    links = [record_of(Link, table, place, findings) for place, table in tables(data, LINKS, findings)]
+    head = read_record(_Head, {k: v for k, v in data.items() if k != LINKS}, (), findings)
+    links = [read_record(Link, table, place, findings) for place, table in list_tables(data, LINKS, findings)]
     _check_links([one for one in links if one is not None], bool(data.get(LINKS)), findings)
     if head is None or findings.problems:
         raise BadArmFile("\n".join(f"{file}:{p.line}: {p.text}" for p in sorted(findings.problems)))
@@ -61,13 +61,15 @@ def arm_to_toml(arm: SerialArm, about: Iterable[str]) -> str:
 
 def _check_links(links: list[Link], is_given: bool, findings: Findings) -> None:
     if not is_given:
-        findings.say((), "link: is missing; write [[link]] and its keys below, once for each from the base")
+        findings.report(
+            (), "link: is missing; write [[link]] and its keys below, once for each from the base"
+        )
     if len(links) > MOST_LINKS:
-        findings.say(("link",), f"link: there are {len(links)}; an arm has at most {MOST_LINKS} here")
+        findings.report(("link",), f"link: there are {len(links)}; an arm has at most {MOST_LINKS} here")
     names = [one.name for one in links]
     for k, name in enumerate(names):
         if name in names[:k] or name in ("base", "target"):
-            findings.say(("link", k), f"name: {name!r} is taken already; give each link its own")
+            findings.report(("link", k), f"name: {name!r} is taken already; give each link its own")
 
 
 def unknown_words(said: Iterable[str], known: Iterable[str], what: str) -> str | None:

@@ -15,8 +15,8 @@ from ground.telemetry.imports.table import Table, read_table
 from ground.telemetry.imports.times import in_order
 from ground.telemetry.imports.units import UNITS
 from sim.scenario.names import did_you_mean
-from sim.scenario.record import Findings, record_of
-from sim.scenario.toml_lines import NotToml, parsed
+from sim.scenario.toml_lines import NotToml, parse_toml
+from sim.scenario.toml_record import Findings, read_record
 
 STUCK: Final = 3
 """So many poses in a row, exactly alike though the arm moved: the tracker had lost its target."""
@@ -60,11 +60,11 @@ def mapping_from_toml(text: str, file: str) -> TrackerMapping:
         BadImport: something in it is wrong; the message has every problem, by line.
     """
     try:
-        data, lines = parsed(text)
+        data, lines = parse_toml(text)
     except NotToml as error:
         raise BadImport([f"{file}:{error.line}: {error}"]) from error
     findings = Findings(lines)
-    said = record_of(TrackerMapping, data, (), findings)
+    said = read_record(TrackerMapping, data, (), findings)
     if said is not None:
         _check_quantities(said, findings)
     if said is None or findings.problems:
@@ -85,9 +85,9 @@ def _check_quantities(said: TrackerMapping, findings: Findings) -> None:
             continue
         if one.unit not in UNITS[kind]:
             known = did_you_mean(one.unit, UNITS[kind])
-            findings.say((name, "unit"), f"unit: {one.unit!r} does not fit; {known}")
+            findings.report((name, "unit"), f"unit: {one.unit!r} does not fit; {known}")
         if count is not None and len(one.columns) != count:
-            findings.say((name, "columns"), f"columns: {len(one.columns)} given; {name} takes {count}")
+            findings.report((name, "columns"), f"columns: {len(one.columns)} given; {name} takes {count}")
 
 
 def series_from_table(data: bytes, file: str, mapping: TrackerMapping) -> Series:

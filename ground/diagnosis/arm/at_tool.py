@@ -9,7 +9,7 @@ from fsw.kinematics.transforms import Array, skew
 from ground.diagnosis.layout import Ints
 from ground.diagnosis.result import ToolGap
 from sim.params import nominal_params
-from sim.plant import AXES
+from sim.plant import SCREW_AXES
 
 
 def tool_gap(keys: Sequence[str], before: Array, after: Array, sigma: Array) -> ToolGap | None:
@@ -34,5 +34,5 @@ def _screws(keys: Sequence[str]) -> Ints:
     for row, key in enumerate(keys):
         rest, _, axis = key.rpartition("/")
         known.setdefault(rest, {})[axis] = row
-    whole = [[one[axis] for axis in AXES] for one in known.values() if one.keys() >= set(AXES)]
-    return np.array(whole, np.intp).reshape(-1, len(AXES))
+    whole = [[one[axis] for axis in SCREW_AXES] for one in known.values() if one.keys() >= set(SCREW_AXES)]
+    return np.array(whole, np.intp).reshape(-1, len(SCREW_AXES))

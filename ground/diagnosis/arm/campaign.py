@@ -15,13 +15,13 @@ from ground.diagnosis.arm.features import RESOLVER, SHIFT, TURN, Columns, Featur
 from ground.diagnosis.arm.logs import Recording
 from ground.diagnosis.arm.poses import Knots, Resting, knots_in, read_resolvers, resting
 from ground.diagnosis.arm.stepped import columns, stepped, stepped_once
-from sim.driven import Manner
-from sim.effects.effect import Effect, Hardware, nominal_hardware, read_through
-from sim.effects.friction import OutputFriction
+from sim.effects.effect import Effect, Hardware, apply_sensor_errors, nominal_hardware
+from sim.effects.gears import OutputFriction
+from sim.open_loop import SimulationOptions
 from sim.params import nominal_params
-from sim.plant import AXES
+from sim.plant import SCREW_AXES
 
-READ: Final = frozenset({"resolver_bias_rad", "warped", "spoilt"})
+READ: Final = frozenset({"resolver_bias_rad", "resolver_errors", "sensor_errors"})
 """Of hardware, what nothing but readings hangs on."""
 UNSURE: Final = 0.3
 """Share of the outputs' friction: a load so near to it may or may not have dragged an output over its gap."""
@@ -102,7 +102,7 @@ def none_of(_: Moving) -> bool:
 def predicted_values(
     campaign: Compared,
     effects: Sequence[Effect],
-    manner: Manner,
+    manner: SimulationOptions,
     wanted: Callable[[Moving], bool] = all_of,
 ) -> Array:
     """What the simulator has with these effects, (m,); NaN for moving recordings that are not wanted.
@@ -121,7 +121,7 @@ def predicted_values(
     return np.concatenate(values)
 
 
-def driven(recording: Recording, effects: Sequence[Effect], manner: Manner) -> Columns:
+def driven(recording: Recording, effects: Sequence[Effect], manner: SimulationOptions) -> Columns:
     """The sensors of an arm with these effects under the recorded drive, by tick; a manner without noise."""
     readers = [effect for effect in effects if only_reads(effect)]
     acting = tuple(effect for effect in effects if effect not in readers)
@@ -144,9 +144,9 @@ def _reread(readings: Sequence[Sensors], readers: Sequence[Effect]) -> Iterator[
     hardware, rng = nominal_hardware(), np.random.default_rng(0)
     for effect in readers:
         hardware = effect.on_hardware(hardware)
-    spoilt = hardware.spoilt
+    sensor_errors = hardware.sensor_errors
     for one in readings:
-        sensors, spoilt = read_through(spoilt, _resolved(one, hardware), rng)
+        sensors, sensor_errors = apply_sensor_errors(sensor_errors, _resolved(one, hardware), rng)
         yield sensors
 
 
@@ -154,8 +154,8 @@ def _resolved(sensors: Sensors, hardware: Hardware) -> Sensors:
     """Without noise a resolver reads its output, with what is wrong with it."""
     output_rad = sensors.resolver_rad
     resolver_rad = output_rad + hardware.resolver_bias_rad
-    for warped in hardware.warped:
-        resolver_rad = resolver_rad + warped.error_rad(output_rad)
+    for error in hardware.resolver_errors:
+        resolver_rad = resolver_rad + error.error_rad(output_rad)
     return replace(sensors, resolver_rad=resolver_rad)
 
 
@@ -172,7 +172,7 @@ def _posed(knots: Knots, nominal: Resting, *others: Resting) -> Posed:
             name = joint.name.lower()
             features.append(Feature(RESOLVER, name, "rest", recording.block, condition, f"rest {r}/{name}"))
     condition = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
-    for axis, named in enumerate(AXES):
+    for axis, named in enumerate(SCREW_AXES):
         channel = TURN if axis < 3 else SHIFT
         for r, _ in seen:
             features.append(

@@ -1,6 +1,6 @@
 """Columns of the sensitivities: differences of the arm's simulator beside nominal.
 
-Under a recorded drive a difference stays in the joint that it comes from (sim/driven.py). So one kind of
+Under a recorded drive a difference stays in the joint that it comes from (sim/open_loop.py). So one kind of
 effect is simulated at several joints at once, and each has the motion of its own joint.
 """
 

@@ -18,7 +18,7 @@ from ground.replay.inputs import NotReplayable, inputs_in
 from ground.telemetry.errors import LogError
 from ground.telemetry.header import SESSION
 from ground.telemetry.read import Log, read_log
-from sim.driven import Start
+from sim.open_loop import RecordedStart
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, Scene, World
 
 DRIVE: Final = "/drive"
@@ -51,7 +51,7 @@ class Recording:
     world: World
     temperature_C: float
     params: Params
-    start: Start
+    start: RecordedStart
     rad_per_count: Array
     drive: Mapping[str, NDArray[Any]]
     drives: tuple[ActuatorCommand, ...]
@@ -103,7 +103,7 @@ def recording_in(path: Path) -> Recording:
     rad_per_count = np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints])
     reference: Reference = inputs.reference
     world = said.world or world_seen(inputs.sensors["gravity_R_m_s2"].mean(axis=0), path)
-    start = Start(
+    start = RecordedStart(
         world,
         sensors["encoder_count"][0] * rad_per_count + reference.zero_rad,
         reference.zero_rad,

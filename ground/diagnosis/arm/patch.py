@@ -9,11 +9,11 @@ from ground.common.params_text import params_text
 from ground.diagnosis.arm.simulator import raced, switched_on, told
 from ground.diagnosis.result import Result
 from ground.diagnosis.told import others
-from sim.effects.describe import flight_knows, name_of
+from sim.effects.catalogue import effect_name, has_flight_parameter
 from sim.effects.effect import Effect
 from sim.params import BadParams, check_params, nominal_params
-from sim.scenario.effect_file import file_text
-from sim.scenario.effects import spec_of
+from sim.scenario.effect_file import effect_file_text
+from sim.scenario.effects import effect_text
 
 
 class NothingToWrite(Exception):
@@ -43,7 +43,7 @@ def save_patch(result: Result, path: Path) -> None:
     """
     effects = found_effects(result)
     with written_whole(path, "patch") as file:
-        file.write(file_text(effects, _said(result)).encode())
+        file.write(effect_file_text(effects, _said(result)).encode())
 
 
 def new_params(base: Params, effects: tuple[Effect, ...]) -> Params:
@@ -56,7 +56,7 @@ def new_params(base: Params, effects: tuple[Effect, ...]) -> Params:
     for effect in effects:
         params = effect.on_params(params)
     if params == base:
-        names = ", ".join(spec_of(effect) for effect in effects)
+        names = ", ".join(effect_text(effect) for effect in effects)
         raise NothingToWrite(f"flight parameters have no word for {names}")
     try:
         check_params(params, "flight software would not take them")
@@ -74,10 +74,10 @@ def save_new_params(result: Result, base: Params, path: Path) -> None:
     """
     effects = found_effects(result)
     params = new_params(base, effects)
-    silent = [name_of(type(effect)) for effect in effects if not flight_knows(type(effect))]
+    silent = [effect_name(type(effect)) for effect in effects if not has_flight_parameter(type(effect))]
     said = [
         "Flight parameters that know what a diagnosis found; those that are not here are nominal.",
-        *(f"Effect: {spec_of(effect)}" for effect in effects),
+        *(f"Effect: {effect_text(effect)}" for effect in effects),
         *(f"They have no word for {name}." for name in silent),
     ]
     with written_whole(path, "new-params") as file:

@@ -20,10 +20,10 @@ from ground.diagnosis.arm.logs import Recording
 from ground.diagnosis.arm.segments import rests_in, segments_in
 from ground.diagnosis.arm.stepped import stepped
 from ground.diagnosis.arm.tracked import none_tracked
-from sim.effects.effect import Effect, Hardware, acted, nominal_hardware
+from sim.disturbance import NO_DISTURBANCE, Disturbance
+from sim.effects.effect import Effect, Hardware, evaluate_cycle_effects, nominal_hardware
 from sim.effects.gears import GearHysteresis
 from sim.effects.numerics import Numerics
-from sim.influence import NO_INFLUENCE, Influence
 from sim.params import nominal_params
 from sim.plant import Plant
 from sim.world import World, build
@@ -118,7 +118,7 @@ def _rests(knots: Knots, config: Config, hardware: Hardware, effects: Sequence[E
     gear, driven = np.zeros(5), motor[:, 0]
     outputs = np.zeros_like(motor)
     for k, at in enumerate(motor.T):
-        hardware, more = (hardware, NO_INFLUENCE) if plant is None else _acted(plant, hardware, at, gear)
+        hardware, more = (hardware, NO_DISTURBANCE) if plant is None else _acted(plant, hardware, at, gear)
         before, driven = driven, at + more.gear_rad
         bounds = bound_gear(config, half, load[:, k] + more.output_Nm)
         gear = np.clip(gear - (driven - before), bounds.lowest_rad, bounds.highest_rad)
@@ -127,8 +127,8 @@ def _rests(knots: Knots, config: Config, hardware: Hardware, effects: Sequence[E
     outputs = outputs[:, looked]
     frames = settle_output(config.arm, outputs, gravity).frames
     resolver = outputs + hardware.resolver_bias_rad[:, None]
-    for warped in hardware.warped:
-        resolver += np.stack([warped.error_rad(output) for output in outputs.T], axis=-1)
+    for error in hardware.resolver_errors:
+        resolver += np.stack([error.error_rad(output) for output in outputs.T], axis=-1)
     return Resting(resolver - knots.motor_rad[:, looked], frames.X_RF[5])
 
 
@@ -141,7 +141,9 @@ def _acting(world: World, effects: tuple[Effect, ...]) -> Plant:
     return Plant(spec.compile())
 
 
-def _acted(plant: Plant, hardware: Hardware, motor_rad: Array, gear_rad: Array) -> tuple[Hardware, Influence]:
+def _acted(
+    plant: Plant, hardware: Hardware, motor_rad: Array, gear_rad: Array
+) -> tuple[Hardware, Disturbance]:
     """What acts in every cycle, asked at a knot: how far it shifts gears, and its torque on outputs."""
     plant.data.qpos[plant.at.motor], plant.data.qpos[plant.at.gear] = motor_rad, gear_rad
-    return acted(plant, hardware)
+    return evaluate_cycle_effects(plant, hardware)

@@ -16,16 +16,15 @@ from ground.telemetry.header import SESSION, flown_header
 from ground.telemetry.plain import to_plain
 from ground.telemetry.record import Recorder
 from sim.arms import BuiltArm
-from sim.diagnosis.campaign import loop_of, moments
-from sim.diagnosis.motions import Session
+from sim.diagnosis_campaign import DiagnosisSession, run_session, start_session
 from sim.effects.effect import Effect
 from sim.loop import ClosedLoop
-from sim.tracker import TYPICAL, turret_pose
+from sim.tracker import TYPICAL_TRACKER, turret_pose
 
 
 def record_campaign(
     folder: Path,
-    sessions: Sequence[Session],
+    sessions: Sequence[DiagnosisSession],
     arm: BuiltArm,
     reference: Reference,
     seed: int,
@@ -41,19 +40,19 @@ def record_campaign(
     paths = []
     for number, session in enumerate(sessions):
         progress(number, len(sessions), session.name)
-        loop = loop_of(
+        loop = start_session(
             session, arm, reference, int(np.random.default_rng([seed, number]).integers(2**31)), effects
         )
         paths.append(_record(folder / f"{session.name}.mcap", session, loop, seed + number))
     return paths
 
 
-def _record(path: Path, session: Session, loop: ClosedLoop, seed: int) -> Path:
+def _record(path: Path, session: DiagnosisSession, loop: ClosedLoop, seed: int) -> Path:
     rng = np.random.default_rng([seed, 7])
     header = {**flown_header(loop, session.commands), SESSION: conditions(session)}
     rows: list[tuple[int, Pose, Array]] = []
     with Recorder(path, header) as recorder:
-        for moment in moments(loop, session):
+        for moment in run_session(loop, session):
             recorder.write(moment.record)
             if moment.rested and session.tracked:
                 rows += _looked(loop, session, moment.record.tick, rng)
@@ -62,19 +61,21 @@ def _record(path: Path, session: Session, loop: ClosedLoop, seed: int) -> Path:
     return path
 
 
-def conditions(session: Session) -> str:
+def conditions(session: DiagnosisSession) -> str:
     """What those who did it know of a session, in JSON."""
     known = {"name": session.name, "block": session.block, "temperature_C": session.temperature_C}
     return json.dumps({**known, "world": to_plain(session.world)})
 
 
 def _looked(
-    loop: ClosedLoop, session: Session, tick: int, rng: np.random.Generator
+    loop: ClosedLoop, session: DiagnosisSession, tick: int, rng: np.random.Generator
 ) -> list[tuple[int, Pose, Array]]:
     """The turret as the tracker sees it at the start of the next cycle; nothing if it does not."""
     loop.plant.truth()  # brings the kinematics up to date
     try:
-        seen = surveyed(TYPICAL, loop.plant, session.world.tilt_roll_rad, turret_pose(loop.plant), rng)
+        seen = surveyed(
+            TYPICAL_TRACKER, loop.plant, session.world.tilt_roll_rad, turret_pose(loop.plant), rng
+        )
     except FewTargets:
         return []
     return [(tick, seen.X_RT, np.sqrt(np.diag(seen.covariance)))]

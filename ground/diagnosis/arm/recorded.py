@@ -9,8 +9,8 @@ from ground.common.files import beside, check_place
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest, check_seed, chosen_arm, chosen_effects
 from ground.diagnosis.arm.record import record_campaign
-from sim.arms import later
-from sim.diagnosis.campaign import HELD_OUT, SessionFailed, sessions
+from sim.arms import effects_of_run
+from sim.diagnosis_campaign import HELD_OUT_SESSIONS, SessionFailed, campaign_sessions
 from sim.initialisation import true_reference
 from sim.plant import PlantDiverged
 
@@ -51,13 +51,13 @@ def recorded(request: RecordRequest, progress: Progress) -> list[Path]:
     """
     effects = chosen_effects(request.effects)
     arm = chosen_arm(request.arm, request.params).with_effects(effects)
-    begun = later(effects)
-    wanted, reference, paths = sessions(arm.params), true_reference(arm), []
+    begun = effects_of_run(effects)
+    wanted, reference, paths = campaign_sessions(arm.params), true_reference(arm), []
     try:
         with beside(request.out.resolve()) as part:
             for number, session in enumerate(wanted):
                 progress(number, len(wanted), session.name)
-                folder = part / APART if session.name in HELD_OUT else part
+                folder = part / APART if session.name in HELD_OUT_SESSIONS else part
                 seed = request.seed + number
                 made = record_campaign(folder, [session], arm, reference, seed, lambda *_: None, begun)
                 paths += [request.out / log.relative_to(part) for log in made]

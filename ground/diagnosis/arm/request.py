@@ -11,11 +11,10 @@ from typing import Final
 from fsw.dictionary.params import Params
 from ground.common.requests import BadRequest, check_seed, chosen_effects
 from ground.diagnosis.arm.simulator import raced
-from sim.effects.catalogue import catalogue
-from sim.effects.describe import name_of
+from sim.effects.catalogue import catalogue, effect_name
 from sim.effects.effect import Effect
 from sim.params import BadParams, nominal_params, params_over_nominal
-from sim.scenario.names import spoken
+from sim.scenario.names import shorten
 
 NEAREST: Final = 3
 """Names that may have been meant."""
@@ -114,7 +113,7 @@ def _digest(path: Path) -> str:
 
 def _kinds(names: str) -> tuple[str, ...]:
     """In the order of the catalogue."""
-    known = {name_of(one.kind) for one in raced(None)}
+    known = {effect_name(one.kind) for one in raced(None)}
     wanted = {name.strip() for name in names.split(",")}
     problems = [_unknown(name, known) for name in sorted(wanted - known)]
     if problems:
@@ -130,4 +129,4 @@ def _unknown(name: str, known: set[str]) -> str:
         )
     near = get_close_matches(name.lower(), sorted(known), n=NEAREST, cutoff=0.4)
     meant = f"did you mean {' or '.join(near)}? " if near else ""
-    return f"catalogue: effect {spoken(name)!r} is not known; {meant}`marsarm effects` lists what there is"
+    return f"catalogue: effect {shorten(name)!r} is not known; {meant}`marsarm effects` lists what there is"

@@ -14,22 +14,19 @@ from ground.diagnosis.arm.uncertain import Uncertain, left_uncertain
 from ground.diagnosis.hypothesis import FACTOR, Hypothesis, Nuisance, Parameter
 from ground.diagnosis.layout import Ints, Layout
 from ground.diagnosis.simulator import Settings
-from sim.driven import Manner
 from sim.effects import catalogue
-from sim.effects import describe as described
-from sim.effects.contacts import ContactStiffness, SurfacePosition
-from sim.effects.describe import name_of, place_named
-from sim.effects.effect import EachMove, Effect
-from sim.effects.environment import Ambient
+from sim.effects.catalogue import effect_name, effect_place_text
+from sim.effects.effect import EachMove, Effect, ParameterSpec
+from sim.effects.environment import Ambient, ContactStiffness, SurfacePosition
 from sim.effects.geometry import FrameError, LinkWarming, Warming
 from sim.effects.joints import HardstopStiffness
 from sim.effects.links import LinkAngle, LinkLength, ThermalGradient, ToolOffset, ToolTurn
-from sim.effects.size import Size
 from sim.effects.structure import LinkBending, LinkStiffness, LinkTorsion, RoverCompliance
+from sim.open_loop import SimulationOptions
 
-BRIEFLY: Final = Manner(settle_s=4.0)
+BRIEFLY: Final = SimulationOptions(settle_s=4.0)
 """The arm settles before a recording for less long than in the closed loop: enough for differences."""
-CALMLY: Final = Manner(settle_s=8.0)
+CALMLY: Final = SimulationOptions(settle_s=8.0)
 """Long enough for what a case is compared with."""
 ONLY_POSED: Final = (
     *(LinkLength, LinkAngle, ThermalGradient, LinkWarming, Warming, FrameError, ToolOffset, ToolTurn),
@@ -48,10 +45,10 @@ class ArmSimulator:
     campaign: Compared
     layout: Layout
     """Its m features, with their floor."""
-    made: Mapping[Hypothesis, catalogue.Hypothesis]
+    made: Mapping[Hypothesis, catalogue.EffectHypothesis]
     """What each hypothesis switches on."""
     uncertain: tuple[Uncertain, ...]
-    manner: Manner
+    manner: SimulationOptions
     patch: tuple[Effect, ...]
     """Always on."""
 
@@ -88,7 +85,7 @@ def arm_simulator(
     campaign: Compared,
     sigma: Array,
     kinds: Mapping[str, type[Effect]] | None = None,
-    manner: Manner = BRIEFLY,
+    manner: SimulationOptions = BRIEFLY,
     patch: tuple[Effect, ...] = (),
 ) -> ArmSimulator:
     """With a floor (m,); `kinds` are hypotheses, by default the catalogue's."""
@@ -113,30 +110,30 @@ class Touched:
         return joint is None or any(segment.joint is Joint(joint) for segment in one.segments)
 
 
-def raced(kinds: Mapping[str, type[Effect]] | None) -> Iterator[catalogue.Hypothesis]:
+def raced(kinds: Mapping[str, type[Effect]] | None) -> Iterator[catalogue.EffectHypothesis]:
     """The catalogue's hypotheses that may be a cause: no chance from move to move, nor what logs tell."""
     return (one for one in catalogue.hypotheses(kinds) if not issubclass(one.kind, (EachMove, Ambient)))
 
 
-def told(one: catalogue.Hypothesis) -> Hypothesis:
+def told(one: catalogue.EffectHypothesis) -> Hypothesis:
     """In the words of the diagnosis; parameters that are many numbers stay as they are by default.
 
     Of a factor that is one where nothing is changed, it is told the logarithm: there it is symmetric.
     """
-    parameters = [p for p in (*one.sizes, *one.shapes) if p.size is not None and p.count == 1]
+    parameters = [p for p in (*one.amplitudes, *one.shape_parameters) if p.spec is not None and p.count == 1]
     return Hypothesis(
-        name_of(one.kind),
-        place_named(one.kind, dict(one.place)) or "arm",
-        tuple(_told(p, p.size) for p in parameters if p.size is not None),
+        effect_name(one.kind),
+        effect_place_text(one.kind, dict(one.place)) or "arm",
+        tuple(_told(p, p.spec) for p in parameters if p.spec is not None),
     )
 
 
-def is_factor(size: Size) -> bool:
+def is_factor(size: ParameterSpec) -> bool:
     """Whether it multiplies something, and cannot be 0."""
     return size.neutral == 1.0 and size.low > 0.0
 
 
-def _told(parameter: described.Parameter, size: Size) -> Parameter:
+def _told(parameter: catalogue.ParameterField, size: ParameterSpec) -> Parameter:
     if is_factor(size):
         ends = float(np.log(size.low)), float(np.log(size.high))
         return Parameter(parameter.field, FACTOR, *ends, float(np.log1p(size.typical)), 0.0)
@@ -144,7 +141,7 @@ def _told(parameter: described.Parameter, size: Size) -> Parameter:
     return Parameter(parameter.field, size.unit, size.low, size.high, typical, size.neutral)
 
 
-def switched_on(made: catalogue.Hypothesis, hypothesis: Hypothesis, values: Array) -> Effect:
+def switched_on(made: catalogue.EffectHypothesis, hypothesis: Hypothesis, values: Array) -> Effect:
     """The effect that a hypothesis, as told, is with these values of its parameters."""
     named = zip(hypothesis.parameters, values, strict=True)
     return made.effect(**{p.name: _valued(made, p.name, float(v)) for p, v in named})
@@ -179,10 +176,10 @@ def _numbers(names: tuple[str, ...], of: list[str]) -> Ints:
     return np.array([number[name] for name in of], np.intp)
 
 
-def _valued(made: catalogue.Hypothesis, field: str, value: float) -> float:
+def _valued(made: catalogue.EffectHypothesis, field: str, value: float) -> float:
     """As the effect has it: a factor for a logarithm, a whole number where it has one."""
-    parameter = next(p for p in (*made.sizes, *made.shapes) if p.field == field)
-    if parameter.size is not None and is_factor(parameter.size):
+    parameter = next(p for p in (*made.amplitudes, *made.shape_parameters) if p.field == field)
+    if parameter.spec is not None and is_factor(parameter.spec):
         return float(np.exp(value))
     whole = isinstance(parameter.default, int) and not isinstance(parameter.default, bool)
     return round(value) if whole else value

@@ -11,10 +11,10 @@ from fsw.kinematics.transforms import Pose
 from fsw.messages import Sensors
 from ground.diagnosis.arm.features import Columns
 from ground.diagnosis.arm.logs import Recording
-from sim.arms import later
-from sim.driven import QUIET, DrivenArm, Manner
+from sim.arms import effects_of_run
 from sim.effects.effect import Effect
 from sim.effects.environment import Ambient
+from sim.open_loop import NOISE_FREE, OpenLoopArm, SimulationOptions
 from sim.tracker import turret_pose
 
 FIELDS: Final = tuple(Sensors.__dataclass_fields__)
@@ -32,7 +32,7 @@ class Stepped:
 def stepped(
     recording: Recording,
     effects: Sequence[Effect],
-    manner: Manner = QUIET,
+    manner: SimulationOptions = NOISE_FREE,
     looked: frozenset[int] = frozenset(),
 ) -> Stepped:
     """An arm with these effects, looked at after so many cycles.
@@ -40,7 +40,7 @@ def stepped(
     Raises:
         PlantDiverged: MuJoCo counted a warning.
     """
-    arm = DrivenArm(recording.start, in_order(recording, effects), manner)
+    arm = OpenLoopArm(recording.start, in_order(recording, effects), manner)
     readings: list[Sensors] = []
     poses: dict[int, Pose] = {}
     for reading in arm.readings(recording.drives):
@@ -54,7 +54,10 @@ def stepped(
 
 @lru_cache(maxsize=64)
 def stepped_once(
-    recording: Recording, effects: tuple[Effect, ...], manner: Manner, looked: frozenset[int] = frozenset()
+    recording: Recording,
+    effects: tuple[Effect, ...],
+    manner: SimulationOptions,
+    looked: frozenset[int] = frozenset(),
 ) -> Stepped:
     """The same, kept for who asks again: about effects on readings alone, or about an arm without any."""
     return stepped(recording, effects, manner, looked)
@@ -62,8 +65,8 @@ def stepped_once(
 
 def in_order(recording: Recording, effects: Sequence[Effect]) -> tuple[Effect, ...]:
     """What the arm is made of, what is around it, and what came later: the cold changes friction there is."""
-    built = (effect for effect in effects if effect.of_the_arm)
-    return (*built, Ambient(recording.temperature_C), *later(effects))
+    built = (effect for effect in effects if effect.built_in)
+    return (*built, Ambient(recording.temperature_C), *effects_of_run(effects))
 
 
 def columns(readings: Sequence[Sensors]) -> Columns:
@@ -71,6 +74,6 @@ def columns(readings: Sequence[Sensors]) -> Columns:
     return {name: np.array([getattr(one, name) for one in readings]) for name in FIELDS}
 
 
-def _turret(arm: DrivenArm) -> Pose:
+def _turret(arm: OpenLoopArm) -> Pose:
     arm.plant.truth()  # brings the kinematics up to date
     return turret_pose(arm.plant)

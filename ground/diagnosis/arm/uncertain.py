@@ -10,23 +10,23 @@ import numpy as np
 from fsw.dictionary.enums import Frame, Joint, Tool
 from fsw.dictionary.types import row6
 from ground.diagnosis.hypothesis import FACTOR, Nuisance
-from sim.effects.built import (
-    IDENTIFIABLE,
-    LEFT_FRAME_M,
-    LEFT_FRAME_RAD,
-    LEFT_STIFFNESS,
-    LEFT_ZERO_RAD,
-    SPRINGS,
+from sim.arms import (
+    CALIBRATED_FRAME_SIGMA_M,
+    CALIBRATED_FRAME_SIGMA_RAD,
+    CALIBRATED_STIFFNESS_SIGMA,
+    CALIBRATED_ZERO_SIGMA_RAD,
+    IDENTIFIABLE_AXES,
+    SPRING_FRAMES,
 )
-from sim.effects.describe import name_of
+from sim.effects.catalogue import effect_name
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError
 from sim.effects.joints import GearFriction, GearStiffness, HardstopAngle, ResolverBias
 from sim.effects.numerics import Numerics
 from sim.effects.sensors import CurrentBias, EncoderZero
 from sim.effects.structure import LinkStiffness
-from sim.plant import AXES
-from sim.trials import FRICTION
+from sim.initialisation import DAILY_FRICTION_SIGMA
+from sim.plant import SCREW_AXES
 
 NUMERICS: Final = {
     "time step": Numerics("implicit", 2),
@@ -34,7 +34,7 @@ NUMERICS: Final = {
     "scheme and time step": Numerics("explicit", 8),
 }
 """Other ways to compute the plant; the explicit one diverges in steps that are not much finer."""
-STICKIER: Final = 2.0 * FRICTION
+STICKIER: Final = 2.0 * DAILY_FRICTION_SIGMA
 """How a plant is computed tells more where friction is more: asked so far to both sides, ln."""
 COUNT_RAD: Final = 3.3e-6
 """A count of an encoder: where in it a set-point falls is chance, the same all along."""
@@ -60,14 +60,14 @@ class Uncertain:
 
 
 def left_uncertain() -> Iterator[Uncertain]:
-    """What a calibration leaves (sim.effects.built), and what friction is on another day."""
+    """What a calibration leaves (sim.arms), and what friction is on another day."""
     yield from _of_frames()
     for joint in Joint:
-        yield _at(joint, "zero", "rad", LEFT_ZERO_RAD, HardstopAngle)
-        yield _at(joint, "gear stiffness", FACTOR, LEFT_STIFFNESS, GearStiffness)
-        yield _at(joint, "friction", FACTOR, FRICTION, GearFriction)
-    for frame in SPRINGS:
-        yield _at(frame, "link stiffness", FACTOR, LEFT_STIFFNESS, LinkStiffness)
+        yield _at(joint, "zero", "rad", CALIBRATED_ZERO_SIGMA_RAD, HardstopAngle)
+        yield _at(joint, "gear stiffness", FACTOR, CALIBRATED_STIFFNESS_SIGMA, GearStiffness)
+        yield _at(joint, "friction", FACTOR, DAILY_FRICTION_SIGMA, GearFriction)
+    for frame in SPRING_FRAMES:
+        yield _at(frame, "link stiffness", FACTOR, CALIBRATED_STIFFNESS_SIGMA, LinkStiffness)
     for joint in Joint:
         yield _at(joint, "counter", "rad", COUNT_RAD, EncoderZero)
         name = joint.name.lower()
@@ -83,10 +83,10 @@ def _of_frames() -> Iterator[Uncertain]:
     """Turns and shifts of frames, the last of them with every tool."""
     inner: list[tuple[Frame, Tool | None]] = [(f, None) for f in Frame if f is not Frame.TOOL]
     for frame, tool in (*inner, *((Frame.TOOL, tool) for tool in Tool)):
-        for axis in IDENTIFIABLE[frame]:
+        for axis in IDENTIFIABLE_AXES[frame]:
             named = (frame.name if tool is None else tool.name).lower()
-            unit, sigma = ("rad", LEFT_FRAME_RAD) if axis < 3 else ("m", LEFT_FRAME_M)
-            word = AXES[axis]
+            unit, sigma = ("rad", CALIBRATED_FRAME_SIGMA_RAD) if axis < 3 else ("m", CALIBRATED_FRAME_SIGMA_M)
+            word = SCREW_AXES[axis]
             yield Uncertain(
                 Nuisance(f"frame {named}.{word}", unit, sigma),
                 partial(_displaced, frame, tool, axis),
@@ -125,7 +125,7 @@ def _at(
     name = place.name.lower()
     said = f"{word} {name} of a session" if each_block else f"{word} {name}"
     effect = partial(_times, kind, place) if unit == FACTOR else partial(kind, place)
-    return Uncertain(Nuisance(said, unit, sigma, each_block), effect, f"{name_of(kind)} at {name}")
+    return Uncertain(Nuisance(said, unit, sigma, each_block), effect, f"{effect_name(kind)} at {name}")
 
 
 def _times(kind: Callable[[Any, float], Effect], place: Joint | Frame, logarithm: float) -> Effect:

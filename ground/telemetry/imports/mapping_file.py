@@ -14,9 +14,9 @@ from ground.telemetry.imports.targets import IMPORTED, Target, conversions, free
 from ground.telemetry.imports.units import Conversion, known_units
 from ground.telemetry.imports.values import in_units
 from sim.scenario.names import did_you_mean
-from sim.scenario.record import Findings, record_of, table_of
-from sim.scenario.tables import tables
-from sim.scenario.toml_lines import NotToml, Place, parsed
+from sim.scenario.toml_lines import NotToml, TomlPath, parse_toml
+from sim.scenario.toml_record import Findings, read_record, require_table
+from sim.scenario.toml_tables import list_tables
 
 T = TypeVar("T")
 
@@ -53,7 +53,7 @@ def mapping_from(text: str, file: str, folder: Path) -> Mapping:
     if len(text) > MOST_MAPPING_BYTES:
         raise BadImport([f"{file}: has {len(text)} characters; a mapping has at most {MOST_MAPPING_BYTES}"])
     try:
-        data, lines = parsed(text)
+        data, lines = parse_toml(text)
     except NotToml as error:
         raise BadImport([f"{file}:{error.line}: {error}"]) from error
     findings = Findings(lines)
@@ -66,13 +66,13 @@ def mapping_from(text: str, file: str, folder: Path) -> Mapping:
 def _mapping(data: dict[str, Any], file: str, folder: Path, findings: Findings) -> Mapping | None:
     for key in data:
         if key not in KNOWN:
-            findings.say((key,), f"{key}: is not known here; {did_you_mean(key, KNOWN)}")
-    head = record_of(_Head, {key: data[key] for key in ("arm",) if key in data}, (), findings)
+            findings.report((key,), f"{key}: is not known here; {did_you_mean(key, KNOWN)}")
+    head = read_record(_Head, {key: data[key] for key in ("arm",) if key in data}, (), findings)
     time = _record(Time, data, "time", findings)
     csv = _record(Csv, data, "csv", findings)
-    channels = [_channel(table, place, findings) for place, table in tables(data, "channel", findings)]
+    channels = [_channel(table, place, findings) for place, table in list_tables(data, "channel", findings)]
     if not data.get("channel"):
-        findings.say((), "channel: is missing; write [[channel]] and its keys below, once for each")
+        findings.report((), "channel: is missing; write [[channel]] and its keys below, once for each")
     _check_apart([channel for channel in channels if channel is not None], findings)
     start = start_of(data, folder, findings)
     session = _record(Session, data, "session", findings) if "session" in data else None
@@ -82,19 +82,19 @@ def _mapping(data: dict[str, Any], file: str, folder: Path, findings: Findings) 
 
 
 def _record(kind: type[T], data: dict[str, Any], name: str, findings: Findings) -> T | None:
-    table = table_of(data.get(name, {}), (name,), findings)
-    return None if table is None else record_of(kind, table, (name,), findings)
+    table = require_table(data.get(name, {}), (name,), findings)
+    return None if table is None else read_record(kind, table, (name,), findings)
 
 
-def _channel(table: dict[str, Any], place: Place, findings: Findings) -> Channel | None:
+def _channel(table: dict[str, Any], place: TomlPath, findings: Findings) -> Channel | None:
     before = len(findings.problems)
     listed = {k: [v] if k in LISTED and not isinstance(v, list) else v for k, v in table.items()}
     constant = listed.pop("value", None)
-    said = record_of(_Channel, listed, place, findings)
+    said = read_record(_Channel, listed, place, findings)
     if said is None:
         return None
     if (said.columns is None) == (constant is None):
-        findings.say(place, f"{said.name}: give columns, or value for what never changes; one of the two")
+        findings.report(place, f"{said.name}: give columns, or value for what never changes; one of the two")
         return None
     target = _target(said, table, place, findings)
     if target is None:
@@ -106,7 +106,7 @@ def _channel(table: dict[str, Any], place: Place, findings: Findings) -> Channel
     if said.columns is not None:
         _check_columns(said.columns, target, place, findings)
     if target.members is not None and (said.gain, said.offset) != ((1.0,), (0.0,)):
-        findings.say(place, f"{target.name}: is a name; it has neither gain nor offset")
+        findings.report(place, f"{target.name}: is a name; it has neither gain nor offset")
     kept = None if constant is None else _constant(constant, target, place, findings)
     if len(findings.problems) > before:
         return None
@@ -116,33 +116,33 @@ def _channel(table: dict[str, Any], place: Place, findings: Findings) -> Channel
     return channel
 
 
-def _check_finite(channel: Channel, at: Place, findings: Findings) -> None:
+def _check_finite(channel: Channel, at: TomlPath, findings: Findings) -> None:
     """Refuse a constant that its gain, offset or unit makes infinite."""
     if not isinstance(channel.constant, np.ndarray) or channel.target.field.kind != "<f8":
         return
     with np.errstate(over="ignore", invalid="ignore"):
         is_finite = np.isfinite(in_units(channel, channel.constant, slice(None))).all()
     if not is_finite:
-        findings.say(at, "value: is too large for its gain, offset and unit; are they right?")
+        findings.report(at, "value: is too large for its gain, offset and unit; are they right?")
 
 
-def _target(said: _Channel, table: dict[str, Any], place: Place, findings: Findings) -> Target | None:
+def _target(said: _Channel, table: dict[str, Any], place: TomlPath, findings: Findings) -> Target | None:
     known = targets()
     if said.name in known:
         return known[said.name]
     at = (*place, "name")
     if not said.name.startswith(IMPORTED):
-        findings.say(at, f"name: {said.name!r} is not known; {_near(said.name)}")
+        findings.report(at, f"name: {said.name!r} is not known; {_near(said.name)}")
         return None
     if said.unit is None or said.unit not in known_units():
-        findings.say((*place, "unit"), f"unit: {_unit_wanted(said.unit, known_units())}")
+        findings.report((*place, "unit"), f"unit: {_unit_wanted(said.unit, known_units())}")
         return None
     columns = said.columns or ("value",)
     single = not isinstance(table.get("columns", table.get("value")), list)
     target = free_target(said.name, len(columns), said.unit, single)
     if isinstance(target, Target):
         return target
-    findings.say(at, f"name: {said.name}: {target}")
+    findings.report(at, f"name: {said.name}: {target}")
     return None
 
 
@@ -153,17 +153,17 @@ def _near(name: str) -> str:
     )
 
 
-def _conversion(said: _Channel, target: Target, place: Place, findings: Findings) -> Conversion:
+def _conversion(said: _Channel, target: Target, place: TomlPath, findings: Findings) -> Conversion:
     at = (*place, "unit")
     if target.members is not None:
         if said.unit is not None:
-            findings.say(at, f"unit: {target.name} is a name or its number; leave it out")
+            findings.report(at, f"unit: {target.name} is a name or its number; leave it out")
         return Conversion()
     known = conversions(target.unit or "1")
     if said.unit is None and target.unit in ("bool", "cycle", "count", "1"):
         return Conversion()  # nothing else could be meant
     if said.unit not in known:
-        findings.say(at, f"unit: {_unit_wanted(said.unit, known)}; {target.name} is kept in {target.unit}")
+        findings.report(at, f"unit: {_unit_wanted(said.unit, known)}; {target.name} is kept in {target.unit}")
         return Conversion()
     return known[said.unit]
 
@@ -175,36 +175,36 @@ def _unit_wanted(unit: str | None, known: Any) -> str:
 
 
 def _per_column(
-    name: str, values: tuple[float, ...], target: Target, place: Place, findings: Findings
+    name: str, values: tuple[float, ...], target: Target, place: TomlPath, findings: Findings
 ) -> Any:
     if len(values) not in (1, target.size):
-        findings.say(
+        findings.report(
             (*place, name), f"{name}: {len(values)} given; {target.name} takes one for all, or {target.each}"
         )
         return np.ones(target.size)
     return np.broadcast_to(np.array(values, np.float64), (target.size,))
 
 
-def _check_columns(columns: tuple[str, ...], target: Target, place: Place, findings: Findings) -> None:
+def _check_columns(columns: tuple[str, ...], target: Target, place: TomlPath, findings: Findings) -> None:
     at = (*place, "columns")
     if len(columns) != target.size:
-        findings.say(at, f"columns: {len(columns)} given; {target.name} takes {target.each}")
+        findings.report(at, f"columns: {len(columns)} given; {target.name} takes {target.each}")
     for name in sorted({name for name in columns if columns.count(name) > 1}):
-        findings.say(at, f"columns: {name!r} is there twice; each number has a column of its own")
+        findings.report(at, f"columns: {name!r} is there twice; each number has a column of its own")
 
 
-def _constant(value: Any, target: Target, place: Place, findings: Findings) -> Any:
+def _constant(value: Any, target: Target, place: TomlPath, findings: Findings) -> Any:
     """The constant as it is given, one for each element; TICK where it is the number of the cycle."""
     at = (*place, "value")
     if value == TICK and target.unit == "cycle":
         return TICK
     items = value if isinstance(value, list) else [value] * target.size
     if len(items) != target.size:
-        findings.say(at, f"value: {len(items)} given; {target.name} takes {target.each}")
+        findings.report(at, f"value: {len(items)} given; {target.name} takes {target.each}")
         return None
     problem = next((p for p in (_not_a_value(item, target) for item in items) if p is not None), None)
     if problem is not None:
-        findings.say(at, f"value: {problem}")
+        findings.report(at, f"value: {problem}")
         return None
     if target.members is not None:
         items = [target.member(item) for item in items]
@@ -239,5 +239,7 @@ def _check_apart(channels: list[Channel], findings: Findings) -> None:
         name = channel.target.name.lower()
         if name in seen:
             place = next(p for p, line in findings.lines.items() if line == channel.line and p)
-            findings.say(place, f"{channel.target.name}: is mapped in line {seen[name]} already; map it once")
+            findings.report(
+                place, f"{channel.target.name}: is mapped in line {seen[name]} already; map it once"
+            )
         seen.setdefault(name, channel.line)

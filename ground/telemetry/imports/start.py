@@ -16,9 +16,9 @@ from fsw.estimate.reference import Reference
 from fsw.executive.expansion import teach_point_tool
 from ground.telemetry.imports.mapping import Asked, Start
 from sim.params import BadParams, nominal_params, params_over_nominal
-from sim.scenario.record import Findings, record_of, table_of
-from sim.scenario.tables import command_of, tables
-from sim.scenario.toml_lines import Place
+from sim.scenario.toml_lines import TomlPath
+from sim.scenario.toml_record import Findings, read_record, require_table
+from sim.scenario.toml_tables import list_tables, read_command
 
 Flags5 = tuple[bool, bool, bool, bool, bool]
 NONE: Final = (0.0,) * len(Joint)
@@ -55,18 +55,18 @@ class _At:
 
 def start_of(data: dict[str, Any], folder: Path, findings: Findings) -> Start | None:
     """What flight software began with; None where the mapping does not say, or says it wrongly."""
-    asked = list(tables(data, "command", findings))
+    asked = list(list_tables(data, "command", findings))
     if "start" not in data:
         if asked:
-            findings.say(("command",), "command: is for a table that is to be replayed; write [start] too")
+            findings.report(("command",), "command: is for a table that is to be replayed; write [start] too")
         return None
-    table = table_of(data["start"], ("start",), findings)
+    table = require_table(data["start"], ("start",), findings)
     if table is None:
         return None
     own = {key: value for key, value in table.items() if key != "reference"}
     if isinstance(own.get("mode"), str):
         own["mode"] = own["mode"].lower()  # as names in columns, in capitals or not
-    start = record_of(_Start, own, ("start",), findings)
+    start = read_record(_Start, own, ("start",), findings)
     params = None if start is None else _params(start.params, folder, findings)
     if start is None or params is None:
         return None
@@ -85,7 +85,7 @@ def _params(name: str | None, folder: Path, findings: Findings) -> Params | None
         return params_over_nominal(path)
     except (BadParams, OSError, ValueError) as error:
         for line in str(error).splitlines():
-            findings.say(("start", "params"), f"params: {line}")
+            findings.report(("start", "params"), f"params: {line}")
     return None
 
 
@@ -94,8 +94,8 @@ def _reference(table: dict[str, Any], params: Params, findings: Findings) -> Ref
     if "reference" not in table:
         return None
     place = ("start", "reference")
-    inner = table_of(table["reference"], place, findings)
-    said = None if inner is None else record_of(_Reference, inner, place, findings)
+    inner = require_table(table["reference"], place, findings)
+    said = None if inner is None else read_record(_Reference, inner, place, findings)
     if said is None:
         return None
     known = np.array(said.calibrated if said.known is None else said.known)
@@ -112,11 +112,11 @@ def _reference(table: dict[str, Any], params: Params, findings: Findings) -> Ref
 
 
 def _command(
-    table: dict[str, Any], place: Place, findings: Findings, points: Mapping[str, Tool]
+    table: dict[str, Any], place: TomlPath, findings: Findings, points: Mapping[str, Tool]
 ) -> Asked | None:
-    at = record_of(_At, {"at_s": table["at_s"]} if "at_s" in table else {}, place, findings)
+    at = read_record(_At, {"at_s": table["at_s"]} if "at_s" in table else {}, place, findings)
     rest = {key: value for key, value in table.items() if key != "at_s"}
-    command = command_of(rest, place, findings, points)
+    command = read_command(rest, place, findings, points)
     if at is None or command is None:
         return None
     return Asked(math.ceil(at.at_s * CYCLE_HZ - ROUNDING), command, findings.lines[place])

@@ -24,8 +24,8 @@ from fsw.motion.path_check import (
 from fsw.motion.paths import joint_path
 from fsw.motion.plan import Plan, plan_poses
 from fsw.motion.plan_tool import plan_guarded, plan_retract, plan_tool
-from sim.clearance import FAR_M, Space
-from sim.stops import sweep_poses
+from sim.clearance import MAX_CLEARANCE_M, ClearanceModel
+from sim.hardstop_loads import sweep_poses
 from sim.world import World
 from tests.fsw.rig import MARS_R_m_s2, Rig, beside_the_rover, config_of, facing, floats, in_limits
 
@@ -152,9 +152,9 @@ def test_from_within_the_padding_the_way_up_is_free_and_the_way_down_is_not():
     down[Joint.ELEVATION] += 0.7
     paths = way(READY, down)
     motor = sample_paths(CONFIG, paths, 1e-3)
-    height = compute_clearances(GEOMETRY, compute_deflected_frames(CONFIG, JOINTS, motor), FAR_M)[:, -1].min(
-        axis=0
-    )
+    height = compute_clearances(GEOMETRY, compute_deflected_frames(CONFIG, JOINTS, motor), MAX_CLEARANCE_M)[
+        :, -1
+    ].min(axis=0)
     low = motor[:, np.flatnonzero(height < 0.6 * PADDING_M)[0]]
     assert check_paths(CONFIG, JOINTS, (joint_path(CONFIG, low, READY),), PADDING_M) is None
     lower = low + np.array([0.0, 0.002, 0.0, 0.0, 0.0])
@@ -188,8 +188,10 @@ def test_the_way_between_stowed_and_ready_keeps_the_padding_both_ways():
 
 def test_all_joints_are_calibrated_on_a_way_that_is_as_clear_as_mujoco_says():
     poses_rad = sweep_poses(PARAMS, 0.1)
-    space = Space(PARAMS, World())
-    ours = compute_clearances(GEOMETRY, settle_output(CONFIG.arm, poses_rad, MARS_R_m_s2).frames, FAR_M).min()
+    space = ClearanceModel(PARAMS, World())
+    ours = compute_clearances(
+        GEOMETRY, settle_output(CONFIG.arm, poses_rad, MARS_R_m_s2).frames, MAX_CLEARANCE_M
+    ).min()
     assert PADDING_M < ours <= space.clearance(poses_rad).outside_m + 1e-6
 
 

@@ -16,12 +16,12 @@ from ground.accuracy.sources import error_model
 from ground.accuracy.ways import by_closed_loop, by_statics
 from sim.arms import BuiltArm, arm_named
 from sim.avionics import move_rng
-from sim.effects.effect import EachMove, Effect, drawn_scatter
+from sim.disturbance import body_index
+from sim.effects.effect import EachMove, Effect, draw_move_disturbance
 from sim.effects.geometry import FrameError, LinkWarming
 from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle
 from sim.initialisation import true_reference
 from sim.loop import hardware_rng
-from sim.scatter import body_index
 from sim.world import World
 
 MODEL = error_model()
@@ -51,7 +51,7 @@ def predicted(found: Iterable[Effect], gap: Array) -> Array:
     """The screw in tool axes (6,) by the sensitivities, to what was drawn."""
     found, moved = list(found), here()
     theta, shares = np.zeros((6, len(Frame))), np.zeros(len(Frame))
-    by_chance = drawn_scatter(
+    by_chance = draw_move_disturbance(
         [effect for effect in found if isinstance(effect, EachMove)], move_rng(hardware_rng(PLACE.seed))
     )
     theta += by_chance.screw[:, [body_index(frame, TOOL) for frame in Frame]]
@@ -143,7 +143,7 @@ def test_what_is_drawn_keeps_within_its_magnitude():
     source = MODEL.source["isolator_hysteresis"]
     (play,) = effects_of(source, 1.0, TOOL, np.random.default_rng(0))
     scatters = [
-        play.scatter(np.random.default_rng(k)).screw[:, body_index(Frame.TOOL, TOOL)] for k in range(300)
+        play.draw(np.random.default_rng(k)).screw[:, body_index(Frame.TOOL, TOOL)] for k in range(300)
     ]
     most = np.abs(scatters).max(axis=0) / source.theta[:, Frame.TOOL]
     assert np.all((most > 0.95) & (most <= 1.0))

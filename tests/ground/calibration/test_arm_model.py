@@ -13,7 +13,7 @@ from ground.calibration.arm_model import arm_model, hung, modelled, moved_by_joi
 from ground.calibration.arm_numbers import GAPS, ZEROS, arm_parameters, arm_with, with_zeros_as_hardstops
 from ground.calibration.data import Believed
 from ground.calibration.screws import Measured, error_screw
-from sim.effects.turret import StandInTurret
+from sim.effects.structure import StandInTurret
 from tests.ground.calibration.lab import NOMINAL, campaign
 
 PARAMETERS = arm_parameters()

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from ground.telemetry.read import read_log
-from sim.scenario.file import shipped
+from sim.scenario.file import built_in_scenarios
 from tests.ground.command import marsarm
 
 SHORT = """\
@@ -149,9 +149,9 @@ def test_the_scenarios_are_listed_with_a_line_each(tmp_path):
     done = marsarm(tmp_path, "scenarios")
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
-    assert [line.split()[0] for line in lines] == list(shipped())
+    assert [line.split()[0] for line in lines] == list(built_in_scenarios())
     listed = json.loads(marsarm(tmp_path, "scenarios", "--json").stdout)["scenarios"]
-    assert [scenario["name"] for scenario in listed] == list(shipped())
+    assert [scenario["name"] for scenario in listed] == list(built_in_scenarios())
     assert all(scenario["sentence"] in line for scenario, line in zip(listed, lines, strict=True))
     assert "TOOL_CHANGE" in {scenario["name"]: scenario for scenario in listed}["tool-change"]["commands"]
 

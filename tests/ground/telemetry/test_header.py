@@ -10,7 +10,7 @@ from fsw.dictionary.commands import MoveJoint, Stop
 from fsw.dictionary.enums import Joint, Mode
 from ground.telemetry.header import asked, begins_with, flown_header, header_of, model_digest
 from sim.arms import arm_named
-from sim.effects.friction import CoulombFriction
+from sim.effects.gears import CoulombFriction
 from sim.effects.geometry import Warming
 from sim.loop import ClosedLoop, Setup
 from sim.world import World

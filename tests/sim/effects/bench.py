@@ -8,7 +8,7 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint
 from sim.avionics import Avionics
-from sim.effects.effect import Effect, Hardware, fitted, gone_on, nominal_hardware
+from sim.effects.effect import Effect, Hardware, apply_cycle_effects, apply_effects, nominal_hardware
 from sim.plant import ALL_ACTUATORS, Plant
 from sim.world import World, build
 from tests.sim import lab
@@ -35,7 +35,7 @@ def built(
             geom.contype = geom.conaffinity = 0
     if calm:
         lab.soon_at_rest(spec)
-    hardware = fitted(effects, spec, nominal_hardware())
+    hardware = apply_effects(effects, spec, nominal_hardware())
     return Plant(spec.compile()), hardware
 
 
@@ -89,7 +89,7 @@ def turned(
 
     def look() -> None:
         if state[0].each_cycle:
-            state[0] = gone_on(plant, state[0])
+            state[0] = apply_cycle_effects(plant, state[0])
 
     plant.place(start_rad, 4.0, look)
     plant.model.opt.disableactuator = ALL_ACTUATORS & ~(2 << joint)

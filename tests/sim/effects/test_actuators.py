@@ -9,15 +9,17 @@ from fsw.dictionary.enums import Joint
 from sim.effects.cables import FlexCable
 from sim.effects.effect import Effect
 from sim.effects.environment import COLD_C, Ambient
-from sim.effects.friction import (
+from sim.effects.gears import (
     ColdFriction,
     CoulombFriction,
+    GearEfficiency,
+    GearHysteresis,
     LoadFriction,
     OutputFriction,
     StribeckFriction,
+    TransmissionError,
     ViscousFriction,
 )
-from sim.effects.gears import GearEfficiency, GearHysteresis, TransmissionError
 from sim.effects.joints import GearStiffness
 from sim.effects.motors import BUS_V, BusSag, CommandDelay, MotorConstant, ServoGain
 from sim.plant import GAINS
@@ -151,7 +153,7 @@ def test_the_bus_sags_by_its_resistance_times_all_currents_and_the_gains_with_it
     plant, hardware = bench.built(effect)
     drawn = plant.model.actuator_gainprm[plant.at.actuators, GAINS].copy()
     plant.data.actuator_force[:] = [228.6, -114.3, 0.0, 86.33, 0.0]
-    bench.gone_on(plant, hardware)
+    bench.apply_cycle_effects(plant, hardware)
     share = plant.model.actuator_gainprm[plant.at.actuators, GAINS] / drawn
     np.testing.assert_allclose(share, 1.0 - 2.0 * 2.5 / BUS_V, rtol=1e-12)
 
@@ -179,7 +181,9 @@ def test_a_transmission_error_moves_the_output_of_a_standing_motor_by_its_wave(t
         output = []
         for effects in ((), (effect,)):
             plant, hardware = bench.built(*effects, calm=True)
-            plant.place(pose, 2.0, lambda plant=plant, hardware=hardware: bench.gone_on(plant, hardware))
+            plant.place(
+                pose, 2.0, lambda plant=plant, hardware=hardware: bench.apply_cycle_effects(plant, hardware)
+            )
             output.append(plant.output_rad()[Joint.ELBOW])
         said = times * (3e-4 * np.cos(5 * angle) - 2e-4 * np.sin(5 * angle))
         assert output[1] - output[0] == pytest.approx(said, rel=3e-3, abs=1e-7)

@@ -2,14 +2,22 @@
 
 import pytest
 
-import sim.effects.friction
+import sim.effects.gears
 from fsw.dictionary.enums import Frame, Joint, Tool
-from sim.effects.catalogue import catalogue, departed, effects_in, hypotheses
-from sim.effects.describe import all_places, parameters_of, place_named, sentence_of
+from sim.effects.catalogue import (
+    all_places,
+    catalogue,
+    effect_classes_in,
+    effect_place_text,
+    effect_summary,
+    hypotheses,
+    parameters_of,
+    scaled_value,
+)
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError
 from sim.effects.structure import LinkBending
-from sim.scenario.effects import effect_from, spec_of, written
+from sim.scenario.effects import effect_text, parameter_key, parse_effect_text
 
 KINDS = pytest.mark.parametrize("kind", catalogue().values(), ids=catalogue())
 HYPOTHESES = tuple(hypotheses())
@@ -29,15 +37,15 @@ def test_all_that_was_asked_for_is_there_and_can_be_raced() -> None:
 
 
 def test_every_effect_of_a_file_is_in_the_catalogue_by_its_name() -> None:
-    names = [kind.__name__ for kind in effects_in(sim.effects.friction)]
+    names = [kind.__name__ for kind in effect_classes_in(sim.effects.gears)]
     assert names[:2] == ["CoulombFriction", "ViscousFriction"]
-    assert set(effects_in(sim.effects.friction)) <= set(catalogue().values())
+    assert set(effect_classes_in(sim.effects.gears)) <= set(catalogue().values())
     assert not [name for name in catalogue() if name.startswith("-") or name != name.lower()]
 
 
 @KINDS
 def test_an_effect_says_in_a_sentence_what_it_is(kind: type[Effect]) -> None:
-    sentence = sentence_of(kind)
+    sentence = effect_summary(kind)
     assert sentence.endswith(".")
     assert 15 < len(sentence) < 120
 
@@ -45,7 +53,7 @@ def test_an_effect_says_in_a_sentence_what_it_is(kind: type[Effect]) -> None:
 @KINDS
 def test_a_parameter_has_the_unit_of_its_name(kind: type[Effect]) -> None:
     for parameter in parameters_of(kind):
-        size = parameter.size
+        size = parameter.spec
         if size is None:
             assert parameter.field == "index"
         elif size.unit not in ("1", "rad, m", "of the sensor", "cycle"):
@@ -57,10 +65,10 @@ def test_a_parameter_has_the_unit_of_its_name(kind: type[Effect]) -> None:
 @KINDS
 def test_the_typical_size_of_a_parameter_twice_over_is_within_its_bounds(kind: type[Effect]) -> None:
     for parameter in parameters_of(kind):
-        size = parameter.size
-        if size is not None and parameter.is_sized:
+        size = parameter.spec
+        if size is not None and parameter.is_amplitude:
             assert size.low <= size.neutral <= size.high
-            assert size.low <= departed(parameter, 2.0) <= size.high or kind.__name__ == "WeakMotor"
+            assert size.low <= scaled_value(parameter, 2.0) <= size.high or kind.__name__ == "WeakMotor"
         elif size is not None:
             assert size.low <= size.typical <= size.high
 
@@ -70,7 +78,7 @@ def test_every_hypothesis_comes_back_from_what_is_written_of_it(times: float) ->
     for hypothesis in HYPOTHESES:
         effect = hypothesis.typical(times)
         if within(effect):
-            assert effect_from(spec_of(effect)) == effect
+            assert parse_effect_text(effect_text(effect)) == effect
 
 
 @KINDS
@@ -79,12 +87,12 @@ def test_every_effect_comes_back_from_what_is_written_of_it(kind: type[Effect]) 
     assert places
     for place in (places[0], places[-1]):
         effect = kind(**place, **{p.field: value_of(p) for p in parameters_of(kind)})
-        assert effect_from(spec_of(effect)) == effect
+        assert parse_effect_text(effect_text(effect)) == effect
 
 
 def value_of(parameter) -> object:
     """Neither neutral nor round."""
-    size = parameter.size
+    size = parameter.spec
     if size is None or isinstance(parameter.default, int):
         return parameter.default
     if size.unit == "cycle":
@@ -96,7 +104,7 @@ def value_of(parameter) -> object:
 
 
 def within(effect: Effect) -> bool:
-    sizes = {p.field: p.size for p in parameters_of(type(effect)) if p.size is not None and p.count == 1}
+    sizes = {p.field: p.spec for p in parameters_of(type(effect)) if p.spec is not None and p.count == 1}
     return all(size.low <= getattr(effect, field) <= size.high for field, size in sizes.items())
 
 
@@ -110,8 +118,8 @@ def test_hypotheses_are_all_different_and_have_names_of_their_own() -> None:
 
 def test_a_hypothesis_has_one_place_and_its_sizes_open() -> None:
     (one,) = (hypothesis for hypothesis in HYPOTHESES if str(hypothesis) == "flex-cable:wrist")
-    assert [p.field for p in one.sizes] == ["stiffness_Nm_rad", "drag_Nm"]
-    assert [p.field for p in one.shapes] == ["laid_rad", "give_rad"]
+    assert [p.field for p in one.amplitudes] == ["stiffness_Nm_rad", "drag_Nm"]
+    assert [p.field for p in one.shape_parameters] == ["laid_rad", "give_rad"]
     effect = one.effect(drag_Nm=2.0)
     assert (effect.joint, effect.stiffness_Nm_rad, effect.drag_Nm) == (Joint.WRIST, 0.0, 2.0)
 
@@ -124,12 +132,12 @@ def test_places_that_a_class_refuses_are_none() -> None:
     }
     of_tools = [place["tool"] for place in all_places(FrameError) if place["frame"] is Frame.TOOL]
     assert of_tools == list(Tool)
-    assert place_named(FrameError, {"frame": Frame.TOOL, "tool": Tool.MAHLI}) == "tool.mahli"
+    assert effect_place_text(FrameError, {"frame": Frame.TOOL, "tool": Tool.MAHLI}) == "tool.mahli"
 
 
 def test_parameters_are_written_in_units_of_the_house() -> None:
-    assert written(catalogue()["ambient"], "temperature_C") == "temperature_degC"
-    assert written(catalogue()["link-bending"], "compliance_rad_Nm") == "compliance_rad_Nm"
+    assert parameter_key(catalogue()["ambient"], "temperature_C") == "temperature_degC"
+    assert parameter_key(catalogue()["link-bending"], "compliance_rad_Nm") == "compliance_rad_Nm"
 
 
 @KINDS

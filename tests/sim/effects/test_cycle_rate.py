@@ -11,8 +11,7 @@ from sim.arms import arm_named
 from sim.effects.cables import FlexCable
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import EachCycle
-from sim.effects.friction import ColdFriction, LoadFriction, StribeckFriction
-from sim.effects.gears import GearEfficiency, TransmissionError
+from sim.effects.gears import ColdFriction, GearEfficiency, LoadFriction, StribeckFriction, TransmissionError
 from sim.effects.motors import BusSag, CommandDelay
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup

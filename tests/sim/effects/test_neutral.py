@@ -8,7 +8,7 @@ import numpy as np
 from fsw.dictionary.commands import MoveJoints
 from sim.arms import BuiltArm, arm_named
 from sim.effects.catalogue import hypotheses
-from sim.effects.effect import Effect, knowing, nominal_hardware
+from sim.effects.effect import Effect, nominal_hardware, params_with_effects
 from sim.effects.environment import Ambient
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
@@ -36,7 +36,7 @@ def test_the_model_is_the_same() -> None:
 
 
 def test_flight_parameters_are_the_same() -> None:
-    assert knowing(NEUTRAL, NOMINAL.params) == NOMINAL.params
+    assert params_with_effects(NEUTRAL, NOMINAL.params) == NOMINAL.params
 
 
 @cache

@@ -6,7 +6,7 @@ import pytest
 from fsw.dictionary.enums import Joint
 from sim.effects.catalogue import hypotheses
 from sim.effects.numerics import Numerics
-from sim.scenario.effects import effect_from, spec_of
+from sim.scenario.effects import effect_text, parse_effect_text
 from tests.sim import lab
 from tests.sim.effects import bench
 
@@ -19,7 +19,7 @@ def test_it_is_no_hypothesis() -> None:
 
 def test_it_comes_back_from_what_is_written_of_it() -> None:
     for one in (Numerics("implicit", 2), Numerics("explicit", 6)):
-        assert effect_from(spec_of(one)) == one
+        assert parse_effect_text(effect_text(one)) == one
 
 
 @pytest.mark.parametrize("gears", ["implicit", "explicit"])

@@ -92,5 +92,5 @@ def test_an_imu_mounted_askew_sees_gravity_turned(axis: str, sign: float, times:
 
 
 def test_a_lost_count_is_not_there_when_joints_look_for_their_hardstops() -> None:
-    assert not EncoderZero.of_the_arm
-    assert ResolverBias.of_the_arm
+    assert not EncoderZero.built_in
+    assert ResolverBias.built_in

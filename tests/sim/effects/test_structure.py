@@ -12,8 +12,7 @@ from sim.effects.effect import Effect
 from sim.effects.geometry import LinkWarming, Warming
 from sim.effects.links import WIDTH_M, LinkAngle, LinkLength, ThermalGradient, ToolOffset, ToolTurn
 from sim.effects.sensors import EncoderZero
-from sim.effects.structure import LinkBending, LinkTorsion, RoverCompliance
-from sim.effects.turret import TurretCentre, TurretMass
+from sim.effects.structure import LinkBending, LinkTorsion, RoverCompliance, TurretCentre, TurretMass
 from sim.params import nominal_params
 from tests.sim import lab
 from tests.sim.effects import bench

@@ -3,21 +3,21 @@
 import pytest
 
 from sim.effects.catalogue import hypotheses
-from sim.scenario.effect_file import effects_in, file_text
+from sim.scenario.effect_file import effect_file_text, read_effect_file
 from sim.scenario.effects import BadEffect
 
 
 def test_every_effect_comes_back_exactly(tmp_path):
     effects = tuple(hypothesis.typical(1.0 / 3.0) for hypothesis in hypotheses())
     path = tmp_path / "found.toml"
-    path.write_text(file_text(effects, ["said"]))
-    assert effects_in(path) == effects
+    path.write_text(effect_file_text(effects, ["said"]))
+    assert read_effect_file(path) == effects
 
 
 def test_a_file_of_no_effects_switches_nothing_on(tmp_path):
     path = tmp_path / "found.toml"
-    path.write_text(file_text((), ["said"]))
-    assert effects_in(path) == ()
+    path.write_text(effect_file_text((), ["said"]))
+    assert read_effect_file(path) == ()
 
 
 @pytest.mark.parametrize(
@@ -34,12 +34,12 @@ def test_what_is_wrong_is_told_by_its_line(tmp_path, text, said):
     path = tmp_path / "found.toml"
     path.write_text(text)
     with pytest.raises(BadEffect) as refused:
-        effects_in(path)
+        read_effect_file(path)
     assert said in str(refused.value)
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(BadEffect, match="cannot be read"):
-        effects_in(tmp_path / "none.toml")
+        read_effect_file(tmp_path / "none.toml")
     with pytest.raises(BadEffect, match="no regular file"):
-        effects_in(tmp_path)
+        read_effect_file(tmp_path)

@@ -11,7 +11,7 @@ from fsw.dictionary.enums import TOOL_SWITCHES, Mode, Switch, Tool
 from fsw.dictionary.faults import NoContact
 from fsw.kinematics.transforms import rotation_x, rotation_y
 from sim.frames import P_NR_M
-from sim.scenario.checks import (
+from sim.scenario.data import (
     Check,
     Docked,
     Done,
@@ -23,11 +23,12 @@ from sim.scenario.checks import (
     Preloaded,
     Released,
     SameSpot,
+    Scenario,
     Stowed,
+    TaughtPoint,
 )
-from sim.scenario.data import Scenario, Taught
-from sim.scenario.judge import Measured, judged
-from sim.scenario.trace import Ending, Moment, Trace
+from sim.scenario.judge import CheckResult, evaluate_checks
+from sim.scenario.trace import Ending, Snapshot, Trace
 from sim.sequence import Outcome
 from sim.world import Surface, World
 
@@ -35,10 +36,10 @@ STOWED_RAD = np.array([1.5, -0.3, -2.8, 3.1, 0.6])
 POINT_N = np.array([2.0, 0.1, -0.2])
 UP_N = (0.0, 0.0, -1.0)
 """The surface lies level; its normal points up."""
-INLET = Taught("inlet", Tool.PORTION, (0.6, 0.1, -1.2), (0.0, 0.0, 1.0))
-BOX = Taught("box", Tool.DRILL, (0.94, 0.28, -0.86), (-1.0, 0.0, 0.0))
+INLET = TaughtPoint("inlet", Tool.PORTION, (0.6, 0.1, -1.2), (0.0, 0.0, 1.0))
+BOX = TaughtPoint("box", Tool.DRILL, (0.94, 0.28, -0.86), (-1.0, 0.0, 0.0))
 ENDING = Ending(Outcome.DONE, Mode.DEPLOYED, STOWED_RAD + 1.0, True, False, ())
-REST = Moment(
+REST = Snapshot(
     command=1,
     p_RoTo_R_m=np.zeros((5, 3)),
     R_RT=np.tile(np.eye(3), (5, 1, 1)),
@@ -69,19 +70,19 @@ def at(
     R: np.ndarray | None = None,
     touching: bool = True,
     vibrates: bool = False,
-) -> Moment:
+) -> Snapshot:
     """A moment with one tool somewhere."""
     p, force, axes = REST.p_RoTo_R_m.copy(), REST.force_R_N.copy(), REST.R_RT.copy()
     p[tool], force[tool] = np.asarray(p_N_m) - P_NR_M, force_N
     if R is not None:
         axes[tool] = R
     closed = np.isin(np.arange(len(Switch)), TOOL_SWITCHES[tool][:1]) & touching
-    return Moment(command, p, axes, force, closed, np.tile(p[tool], (len(Switch), 1)), vibrates)
+    return Snapshot(command, p, axes, force, closed, np.tile(p[tool], (len(Switch), 1)), vibrates)
 
 
 def verdict(
-    check: Check, *moments: Moment, ending: Ending = ENDING, world: World | None = None
-) -> dict[str, Measured]:
+    check: Check, *moments: Snapshot, ending: Ending = ENDING, world: World | None = None
+) -> dict[str, CheckResult]:
     """What is measured for a check, by name."""
     surface = Surface((float(POINT_N[0]), float(POINT_N[1]), float(POINT_N[2])), UP_N)
     scenario = Scenario(
@@ -93,7 +94,7 @@ def verdict(
         checks=(check,),
         taught=(INLET, BOX),
     )
-    found = judged(scenario, STOWED_RAD, Trace(moments, ending))
+    found = evaluate_checks(scenario, STOWED_RAD, Trace(moments, ending))
     return {measured.name: measured for measured in found}
 
 
@@ -156,7 +157,7 @@ def test_same_spot_counts_from_where_the_first_tool_truly_was():
     assert all(measured.passed for measured in found.values())
 
 
-def press(normal_N: float, lateral_N: float = 0.0, slip_m: float = 0.0, command: int = 2) -> Moment:
+def press(normal_N: float, lateral_N: float = 0.0, slip_m: float = 0.0, command: int = 2) -> Snapshot:
     """The drill pressed on the surface: the world pushes it up."""
     return at(Tool.DRILL, POINT_N + off_by(slip_m, 0.0, 0.0), command, (lateral_N, 0.0, -normal_N))
 

@@ -22,13 +22,17 @@ from fsw.dictionary.commands import (
 from fsw.dictionary.enums import Joint, Tool
 from sim.effects.environment import PowerLoss
 from sim.frames import P_NR_M
-from sim.scenario.checks import Check, Docked, GravityHeld, Placed
-from sim.scenario.data import Injection, Scenario, Taught
-from sim.scenario.faults import FAULTS
-from sim.scenario.file import load, scenario_from, shipped
-from sim.scenario.names import UNITS, upper_snake, words_of
-from sim.scenario.record import Findings, record_of
-from sim.scenario.tables import CHECKS, COMMANDS, INJECTED, command_of
+from sim.scenario.data import Check, Docked, GravityHeld, Injection, Placed, Scenario, TaughtPoint
+from sim.scenario.file import built_in_scenarios, load_scenario, parse_scenario
+from sim.scenario.names import UNIT_FACTORS, field_keys, upper_snake
+from sim.scenario.toml_record import Findings, read_record
+from sim.scenario.toml_tables import (
+    CHECK_CLASSES,
+    COMMAND_CLASSES,
+    FAULT_CLASS_BY_NAME,
+    FAULT_CLASSES,
+    read_command,
+)
 from sim.world import Surface
 
 HEAD = 'title = "T"\nsentence = "S."\nstart = "ready"\n'
@@ -50,12 +54,12 @@ SAMPLES = {
 
 
 def scenario(text: str) -> Scenario:
-    return scenario_from(HEAD + text, "test", "test.toml")
+    return parse_scenario(HEAD + text, "test", "test.toml")
 
 
 def command(**table: object) -> Command:
     findings = Findings(NOTHING_FOUND)
-    found = command_of(table, (), findings, {"inlet": Tool.DRILL})
+    found = read_command(table, (), findings, {"inlet": Tool.DRILL})
     assert not findings.problems
     assert found is not None
     return found
@@ -76,7 +80,7 @@ def sample(hint: object, name: str, k: int) -> object:
 
 
 @pytest.mark.parametrize(
-    "kind", [*get_args(Command), *get_args(Check), *FAULTS], ids=lambda kind: kind.__name__
+    "kind", [*get_args(Command), *get_args(Check), *FAULT_CLASSES], ids=lambda kind: kind.__name__
 )
 @pytest.mark.parametrize("unit", [0, 1], ids=["SI", "another unit"])
 def test_every_field_of_every_dataclass_can_be_said_and_comes_back(kind, unit):
@@ -84,7 +88,7 @@ def test_every_field_of_every_dataclass_can_be_said_and_comes_back(kind, unit):
     table, wanted = {}, {}
     for k, field in enumerate(fields(kind)):
         said = sample(hints[field.name], field.name, k)
-        keys = list(words_of(field.name, hints[field.name]).factors.items())
+        keys = list(field_keys(field.name, hints[field.name]).factors.items())
         key, factor = keys[unit % len(keys)]
         table[key] = said
         if field.name in ("tool", "first_tool", "joint"):
@@ -94,7 +98,7 @@ def test_every_field_of_every_dataclass_can_be_said_and_comes_back(kind, unit):
         else:
             wanted[field.name] = said * factor if isinstance(said, float) else said
     findings = Findings(NOTHING_FOUND)
-    assert record_of(kind, table, (), findings) == kind(**wanted)
+    assert read_record(kind, table, (), findings) == kind(**wanted)
     assert not findings.problems
 
 
@@ -104,7 +108,7 @@ def test_a_command_that_says_what_it_must_has_the_defaults_of_its_dataclass(kind
     table = {}
     for k, field in enumerate(fields(kind)):
         if field.default is MISSING:
-            key = next(iter(words_of(field.name, hints[field.name]).factors))
+            key = next(iter(field_keys(field.name, hints[field.name]).factors))
             table[key] = sample(hints[field.name], field.name, k)
     found = command(type=upper_snake(kind), **table)
     assert type(found) is kind
@@ -114,28 +118,28 @@ def test_a_command_that_says_what_it_must_has_the_defaults_of_its_dataclass(kind
 
 
 def test_every_command_check_and_fault_has_a_name_in_the_file():
-    assert set(COMMANDS.values()) == set(get_args(Command))
-    assert set(CHECKS.values()) == set(get_args(Check))
-    assert set(INJECTED.values()) == set(FAULTS)
-    assert {"MOVE_TOOL", "CALIBRATE_ALL", "MOVE_TEACH_POINT"} <= set(COMMANDS)
-    assert {"same_spot", "over_inlet"} <= set(CHECKS)
+    assert set(COMMAND_CLASSES.values()) == set(get_args(Command))
+    assert set(CHECK_CLASSES.values()) == set(get_args(Check))
+    assert set(FAULT_CLASS_BY_NAME.values()) == set(FAULT_CLASSES)
+    assert {"MOVE_TOOL", "CALIBRATE_ALL", "MOVE_TEACH_POINT"} <= set(COMMAND_CLASSES)
+    assert {"same_spot", "over_inlet"} <= set(CHECK_CLASSES)
 
 
 def test_the_words_of_a_field_leave_out_the_letters_of_its_frames():
     vector = tuple[float, float, float]
-    assert str(words_of("p_RoTo_R_m", vector)) == "position_m or position_mm"
-    assert str(words_of("end_p_RoTo_R_m", vector)) == "end_position_m or end_position_mm"
-    assert str(words_of("p_N_m", vector)) == "position_m or position_mm"
-    assert str(words_of("approach_R", vector)) == "approach"
-    assert str(words_of("gravity_T", vector)) == "gravity"
-    assert str(words_of("force_N", float)) == "force_N"
-    assert str(words_of("angle_rad", float)) == "angle_rad or angle_deg"
-    assert str(words_of("temperature_C", float)) == "temperature_degC"
+    assert str(field_keys("p_RoTo_R_m", vector)) == "position_m or position_mm"
+    assert str(field_keys("end_p_RoTo_R_m", vector)) == "end_position_m or end_position_mm"
+    assert str(field_keys("p_N_m", vector)) == "position_m or position_mm"
+    assert str(field_keys("approach_R", vector)) == "approach"
+    assert str(field_keys("gravity_T", vector)) == "gravity"
+    assert str(field_keys("force_N", float)) == "force_N"
+    assert str(field_keys("angle_rad", float)) == "angle_rad or angle_deg"
+    assert str(field_keys("temperature_C", float)) == "temperature_degC"
 
 
-@pytest.mark.parametrize("suffix", UNITS)
+@pytest.mark.parametrize("suffix", UNIT_FACTORS)
 def test_every_unit_of_the_house_is_one_of_its_own(suffix):
-    assert 1.0 in UNITS[suffix].values()
+    assert 1.0 in UNIT_FACTORS[suffix].values()
 
 
 def test_positions_are_in_rnav_unless_another_frame_is_said():
@@ -236,16 +240,16 @@ evr = "FollowingErrorHigh"
     (point,) = found.taught
     assert point.p_N_m == pytest.approx((0.94, 0.28, -0.86))
     assert (point.name, point.tool, point.approach_N) == ("box", Tool.DRILL, (-1.0, 0.0, 0.0))
-    assert isinstance(point, Taught)
+    assert isinstance(point, TaughtPoint)
     assert found.commands[2] == Process(Tool.PORTION, (1.0, 0.0, 0.0), 5.0)
     assert found.faults == (Injection(PowerLoss(2.5), 3), Injection(PowerLoss(900.0)))
     assert found.checks[:2] == (Placed(1, Tool.APXS, 7.0 * 1e-3), Docked(2, "box"))
     assert found.checks[2] == GravityHeld(3, Tool.PORTION, (1.0, 0.0, 0.0), 2.0 * pi / 180)
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", built_in_scenarios())
 def test_every_scenario_of_the_house_loads_and_says_how_it_ends(name):
-    found = load(name)
+    found = load_scenario(name)
     assert found.name == name
     assert found.title
     assert found.sentence.endswith(".")
@@ -253,7 +257,7 @@ def test_every_scenario_of_the_house_loads_and_says_how_it_ends(name):
 
 
 def test_the_five_jobs_of_the_arm_are_there():
-    assert set(shipped()) >= {
+    assert set(built_in_scenarios()) >= {
         "contact-science",
         "tool-change",
         "sampling",

@@ -2,20 +2,20 @@
 
 import pytest
 
-from sim.scenario.file import BadScenario, load, scenario_from, shipped
+from sim.scenario.file import BadScenario, built_in_scenarios, load_scenario, parse_scenario
 from tests.sim.scenario.bad import BAD, GOOD
 
 
 def problems(text: str) -> tuple[tuple[int, str], ...]:
     with pytest.raises(BadScenario) as refused:
-        scenario_from(text, "test", "some/test.toml")
+        parse_scenario(text, "test", "some/test.toml")
     said = str(refused.value).splitlines()
     assert said == [f"some/test.toml:{p.line}: {p.text}" for p in refused.value.problems]
     return tuple((p.line, p.text) for p in refused.value.problems)
 
 
 def test_the_file_that_is_spoilt_here_is_good():
-    assert len(scenario_from(GOOD, "test", "test.toml").commands) == 4
+    assert len(parse_scenario(GOOD, "test", "test.toml").commands) == 4
 
 
 @pytest.mark.parametrize("case", BAD)
@@ -64,20 +64,20 @@ def test_a_scenario_that_is_not_there_is_told_with_the_names_that_are():
     with pytest.raises(
         BadScenario, match="there is no such scenario; did you mean sampling\\? there are bit-ex"
     ):
-        load("samplin")
+        load_scenario("samplin")
 
 
 def test_a_file_that_is_not_there_or_no_text_is_told(tmp_path):
     with pytest.raises(BadScenario, match=r"none\.toml: cannot be read .*No such file"):
-        load(str(tmp_path / "none.toml"))
+        load_scenario(str(tmp_path / "none.toml"))
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(BadScenario, match=r"bytes\.toml: cannot be read as text"):
-        load(str(tmp_path / "bytes.toml"))
+        load_scenario(str(tmp_path / "bytes.toml"))
 
 
-@pytest.mark.parametrize("name", shipped())
+@pytest.mark.parametrize("name", built_in_scenarios())
 def test_any_key_of_a_scenario_of_the_house_that_is_misspelt_is_found_on_its_line(name):
-    lines = shipped()[name].splitlines()
+    lines = built_in_scenarios()[name].splitlines()
     keys = [k for k, line in enumerate(lines) if " = " in line and line[:4] not in ("type", "# ")]
     for k in keys:
         spoilt = [*lines]

@@ -12,9 +12,8 @@ from sim.arms import arm_named
 from sim.effects.environment import PowerLoss
 from sim.effects.faults import MissedCycles, SensorFault
 from sim.loop import ClosedLoop
-from sim.scenario.checks import Done, Faulted, Recovered
-from sim.scenario.data import Injection, Scenario
-from sim.scenario.run import ScenarioResult, ScenarioRun, setup_of
+from sim.scenario.data import Done, Faulted, Injection, Recovered, Scenario
+from sim.scenario.run import ScenarioResult, ScenarioRun, scenario_setup
 from sim.sequence import Outcome
 from sim.world import World
 from tests.sim import lab
@@ -30,7 +29,7 @@ def scenario(*commands, checks=DONE, faults=()) -> Scenario:
 
 
 def run(made: Scenario) -> ScenarioResult:
-    judged = ScenarioRun(ClosedLoop(setup_of(made, NOMINAL, REFERENCE, 1)), made)
+    judged = ScenarioRun(ClosedLoop(scenario_setup(made, NOMINAL, REFERENCE, 1)), made)
     ticks = [record.tick for record in judged]
     assert ticks == list(range(len(ticks)))
     return judged.result()
@@ -54,13 +53,13 @@ def test_without_power_the_arm_is_braked_and_refuses():
     cut = Injection(PowerLoss(1.0), during=2)
     result = run(scenario(A_LITTLE, BACK, A_LITTLE, checks=(Faulted("FollowingErrorHigh"),), faults=(cut,)))
     assert (result.outcome, result.command) == (Outcome.FAULTED, 2)
-    assert [measured.name for measured in result.measured] == [
+    assert [measured.name for measured in result.checks] == [
         "FollowingErrorHigh",
         "braked",
         "refuses",
         "every fault came",
     ]
-    assert all(measured.passed for measured in result.measured[1:]), result.evrs
+    assert all(measured.passed for measured in result.checks[1:]), result.evrs
 
 
 def test_a_fault_during_a_command_comes_so_long_after_it_began():
@@ -88,7 +87,7 @@ def test_a_fault_that_is_not_cleared_ends_the_scenario_before_the_next_command()
 
 def test_the_temperature_of_a_scenario_is_that_of_the_windings():
     cold = replace(scenario(A_LITTLE), temperature_C=-40.0)
-    loop = ClosedLoop(setup_of(cold, NOMINAL, REFERENCE, 1))
+    loop = ClosedLoop(scenario_setup(cold, NOMINAL, REFERENCE, 1))
     assert loop.avionics.sense().winding_C == pytest.approx(-40.0)
 
 
@@ -100,9 +99,9 @@ def test_a_command_that_a_fault_ended_was_not_carried_out_even_if_the_sequence_g
     cut = Injection(PowerLoss(0.5))
     checks = (Done(), Recovered("MotorStalled"))
     result = run(scenario(A_LITTLE, ClearFault(), Stop(), checks=checks, faults=(cut,)))
-    done, came, went_on, every = result.measured
+    done, came, went_on, every = result.checks
     assert not done.passed
-    assert all(measured.passed for measured in (came, went_on, every)), result.measured
+    assert all(measured.passed for measured in (came, went_on, every)), result.checks
 
 
 def test_after_a_fault_that_only_stops_there_is_nothing_to_clear_and_stop_goes_on():
@@ -117,4 +116,4 @@ def test_after_a_fault_that_only_stops_there_is_nothing_to_clear_and_stop_goes_o
 def test_a_fault_that_never_came_is_told():
     late = Injection(PowerLoss(1e4))
     result = run(scenario(A_LITTLE, faults=(late,)))
-    assert [m.name for m in result.measured if not m.passed] == ["every fault came"]
+    assert [m.name for m in result.checks if not m.passed] == ["every fault came"]

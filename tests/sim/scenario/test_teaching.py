@@ -10,22 +10,22 @@ from sim.arms import arm_named
 from sim.effects.environment import NothingToTouch
 from sim.frames import p_R_from_N
 from sim.loop import ClosedLoop, Setup
-from sim.scenario.data import Taught
-from sim.scenario.teaching import NotTaught, taught
+from sim.scenario.data import TaughtPoint
+from sim.scenario.teaching import NotTaught, teach
 from sim.sequence import run_sequence
 from sim.world import World
 from tests.sim import lab
 
-AIR = Taught("air", Tool.APXS, (2.0, 0.2, -0.5), (0.3, 0.0, 1.0))
+AIR = TaughtPoint("air", Tool.APXS, (2.0, 0.2, -0.5), (0.3, 0.0, 1.0))
 """Where nothing is in the way."""
 WORLD = World(tilt_roll_rad=0.1, tilt_pitch_rad=-0.2)
 
 
-def missed_m(name: str, point: Taught = AIR) -> tuple[float, float, float]:
+def missed_m(name: str, point: TaughtPoint = AIR) -> tuple[float, float, float]:
     """How far the true tool is from its place [m] and axis [rad], and how far off it is believed [m]."""
     arm = arm_named(name)
     reference = lab.true_reference(arm)
-    known = taught(arm, reference, (point,), WORLD)
+    known = teach(arm, reference, (point,), WORLD)
     setup = Setup(known, WORLD, arm.params.poses.ready_rad, 1, reference, (NothingToTouch(),))
     loop = ClosedLoop(setup)
     evrs = [evr for record in run_sequence(loop, (MoveTeachPoint("air"),)) for evr in record.outputs.evrs]
@@ -58,13 +58,13 @@ def test_a_built_arm_that_believes_to_be_elsewhere_comes_back_to_the_true_place(
 def test_places_of_the_drawing_stay_and_those_of_the_same_name_are_taught_anew():
     arm = arm_named("nominal")
     names = [point.name for point in arm.params.teach]
-    anew = Taught(names[0], AIR.tool, AIR.p_N_m, AIR.approach_N)
-    known = taught(arm, lab.true_reference(arm), (anew,), World())
+    anew = TaughtPoint(names[0], AIR.tool, AIR.p_N_m, AIR.approach_N)
+    known = teach(arm, lab.true_reference(arm), (anew,), World())
     assert sorted(point.name for point in known.params.teach) == sorted(names)
 
 
 def test_a_place_out_of_reach_is_told():
     arm = arm_named("nominal")
-    far = Taught("far", Tool.DRILL, (9.0, 0.0, 0.0), (1.0, 0.0, 0.0))
+    far = TaughtPoint("far", Tool.DRILL, (9.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     with pytest.raises(NotTaught, match="nominal: far is out of reach of the drill"):
-        taught(arm, lab.true_reference(arm), (far,), World())
+        teach(arm, lab.true_reference(arm), (far,), World())

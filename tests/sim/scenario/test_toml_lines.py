@@ -5,8 +5,8 @@ import tomllib
 
 import pytest
 
-from sim.scenario.file import shipped
-from sim.scenario.toml_lines import Place, lines_of
+from sim.scenario.file import built_in_scenarios
+from sim.scenario.toml_lines import TomlPath, find_lines
 
 TEXT = '''\
 # a comment with [brackets] = and "quotes"
@@ -42,7 +42,7 @@ y = []
 z = -inf
 '''
 
-WHERE: dict[Place, int] = {
+WHERE: dict[TomlPath, int] = {
     ("title",): 2,
     ("many",): 3,
     ("many", 0): 4,
@@ -83,19 +83,21 @@ def places_of(value, place=()):
 
 @pytest.mark.parametrize("place", WHERE)
 def test_every_value_has_its_line(place):
-    assert lines_of(TEXT)[place] == WHERE[place]
+    assert find_lines(TEXT)[place] == WHERE[place]
 
 
-@pytest.mark.parametrize("text", [TEXT, *shipped().values()], ids=["a bit of everything", *shipped()])
+@pytest.mark.parametrize(
+    "text", [TEXT, *built_in_scenarios().values()], ids=["a bit of everything", *built_in_scenarios()]
+)
 def test_whatever_the_parser_finds_has_a_line_and_nothing_else_has(text):
-    found = lines_of(text)
+    found = find_lines(text)
     wanted = set(places_of(tomllib.loads(text)))
     assert set(found) == wanted | {()}
     assert all(1 <= line <= text.count("\n") + 1 for line in found.values())
 
 
 def test_windows_line_ends_count_once():
-    assert lines_of(TEXT.replace("\n", "\r\n")) == lines_of(TEXT)
+    assert find_lines(TEXT.replace("\n", "\r\n")) == find_lines(TEXT)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -110,5 +112,5 @@ def test_random_tables_with_comments_and_blank_lines_are_found_where_they_were_w
         for key in range(rng.randint(0, 4)):
             wanted["t", table, f"k{key}"] = text.count("\n") + 1
             text += f"{' ' * rng.randint(0, 2)}k{key}{' ' * rng.randint(0, 2)}= {rng.choice(values)}\n"
-    found = lines_of(text)
+    found = find_lines(text)
     assert {place: found[place] for place in wanted} == wanted

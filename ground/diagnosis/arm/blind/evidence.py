@@ -11,13 +11,15 @@ from ground.common.requests import BadRequest
 from ground.diagnosis.arm.case import Asked
 from ground.diagnosis.arm.reference import Reference, reference
 from ground.diagnosis.blind.evidence import Features, Kept, Measured
-from sim.diagnosis.campaign import HELD_OUT
+from sim.diagnosis_campaign import HELD_OUT_SESSIONS
 
 
 def split(folder: Path) -> tuple[list[Path], list[Path]]:
     """A folder's logs: those that a diagnosis is made of, and those that are held out."""
     logs = sorted(folder.glob("*.mcap"))
-    return [log for log in logs if log.stem not in HELD_OUT], [log for log in logs if log.stem in HELD_OUT]
+    return [log for log in logs if log.stem not in HELD_OUT_SESSIONS], [
+        log for log in logs if log.stem in HELD_OUT_SESSIONS
+    ]
 
 
 def known(campaign: Path, run: Runner, progress: Progress) -> Reference:

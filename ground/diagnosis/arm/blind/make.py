@@ -23,13 +23,12 @@ from ground.diagnosis.blind.folder import CAMPAIGN, CASES, PART, case_name, writ
 from ground.diagnosis.blind.plan import Planned, planned
 from ground.diagnosis.blind.truth import TrueCase, TrueEffect, Truth, seal, sealed_before
 from ground.diagnosis.drawn import Drawn, Seen
-from sim.arms import arm_named, later
-from sim.diagnosis.campaign import SessionFailed, sessions
-from sim.diagnosis.motions import Session
+from sim.arms import arm_named, effects_of_run
+from sim.diagnosis_campaign import DiagnosisSession, SessionFailed, campaign_sessions
 from sim.effects.effect import Effect
 from sim.initialisation import true_reference
 from sim.plant import PlantDiverged
-from sim.scenario.effects import spec_of
+from sim.scenario.effects import effect_text
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +86,7 @@ def _made(
     return Made(truth.digest(), cases, len(jobs), tuple(left_out(folder, truth, all_sessions())))
 
 
-def left_out(folder: Path, truth: Truth, wanted: Sequence[Session]) -> Iterator[str]:
+def left_out(folder: Path, truth: Truth, wanted: Sequence[DiagnosisSession]) -> Iterator[str]:
     """Sessions of which there is no log."""
     for case in truth.cases:
         for session in wanted:
@@ -130,7 +129,7 @@ def _seen(campaign: Path, seed: int, run: Runner, progress: Progress) -> tuple[l
 
 def _true_case(number: int, plan: Planned, seed: int) -> TrueCase:
     rng = np.random.default_rng([seed, 10, number])
-    specs = tuple(spec_of(effect) for effect in background(rng))
+    specs = tuple(effect_text(effect) for effect in background(rng))
     effects = tuple(_true_effect(one, plan.kind == "outside") for one in plan.effects)
     return TrueCase(case_name(number), plan.kind, effects, specs, int(rng.integers(10**9, 2**31)))
 
@@ -145,7 +144,7 @@ def _true_effect(one: Drawn, outside: bool) -> TrueEffect:
 
 def _spec(name: tuple[str, str], values: Array) -> str:
     made = next(one for one in raced(None) if (told(one).effect, told(one).place) == name)
-    return spec_of(switched_on(made, told(made), values))
+    return effect_text(switched_on(made, told(made), values))
 
 
 def _record(job: _Job) -> str:
@@ -164,12 +163,12 @@ def _record(job: _Job) -> str:
     return job.case.name
 
 
-def record_case(folder: Path, case: TrueCase, wanted: Sequence[Session]) -> None:
+def record_case(folder: Path, case: TrueCase, wanted: Sequence[DiagnosisSession]) -> None:
     """Logs of some sessions; one whose motion does not come to its end has none."""
     effects = true_effects(case)
     nominal = arm_named("nominal")
     arm = nominal.with_effects(effects)
-    begun = later(effects)
+    begun = effects_of_run(effects)
     reference = blind_reference(arm)
     seeds = np.random.default_rng(case.seed).integers(2**31, size=len(wanted))
     for session, seed in zip(wanted, seeds, strict=True):
@@ -185,6 +184,6 @@ def true_effects(case: TrueCase) -> tuple[Effect, ...]:
 
 
 @cache
-def all_sessions() -> tuple[Session, ...]:
+def all_sessions() -> tuple[DiagnosisSession, ...]:
     """Of the campaign, once in each process."""
-    return sessions(arm_named("nominal").params)
+    return campaign_sessions(arm_named("nominal").params)

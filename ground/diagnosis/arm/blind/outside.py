@@ -26,8 +26,7 @@ from ground.diagnosis.plain import finite
 from ground.diagnosis.prepared import Prepared
 from sim.effects import catalogue
 from sim.effects.effect import Effect
-from sim.scenario.effects import BadEffect, effect_from, spec_of
-from sim.scenario.outside import effects_in_file
+from sim.scenario.effects import BadEffect, effect_classes_in_file, effect_text, parse_effect_text
 
 PLACES: Final = 2
 """Of each kind that are asked: limits of all would take as long as the cases."""
@@ -39,11 +38,11 @@ class Outside:
     """An effect of one size at a place."""
 
     hypothesis: Hypothesis
-    made: catalogue.Hypothesis
+    made: catalogue.EffectHypothesis
 
     def spec(self, values: Array) -> str:
         """What switches it on, the file by its name in the folder."""
-        text = spec_of(switched_on(self.made, self.hypothesis, values))
+        text = effect_text(switched_on(self.made, self.hypothesis, values))
         return text.removeprefix(f"{FOLDER}/")
 
 
@@ -68,7 +67,7 @@ def all_outside() -> dict[tuple[str, str], Outside]:
     files = sorted(FOLDER.glob("*.py"))
     if not files:
         raise BadRequest(f"{FOLDER}: holds no effects; cases are made in a clone of the repository")
-    kinds = {kind.__name__: kind for file in files for kind in effects_in_file(str(file))}
+    kinds = {kind.__name__: kind for file in files for kind in effect_classes_in_file(str(file))}
     found = (Outside(told(made), made) for made in catalogue.hypotheses(kinds))
     return {(one.hypothesis.effect, one.hypothesis.place): one for one in found}
 
@@ -76,7 +75,7 @@ def all_outside() -> dict[tuple[str, str], Outside]:
 def effect_in(spec: str) -> Effect:
     """The effect that a spec says, be it of the catalogue or of the folder."""
     try:
-        return effect_from(str(FOLDER / spec) if ".py:" in spec else spec)
+        return parse_effect_text(str(FOLDER / spec) if ".py:" in spec else spec)
     except BadEffect as error:
         raise BadRequest(str(error)) from error
 

@@ -16,11 +16,11 @@ from ground.diagnosis.arm.features import Moving, measured
 from ground.diagnosis.arm.logs import Recording
 from ground.diagnosis.arm.poses import read_resolvers
 from ground.diagnosis.arm.stepped import Stepped, columns, stepped, stepped_once
-from sim.driven import Manner
 from sim.effects.effect import Effect
+from sim.open_loop import SimulationOptions
 
 
-def change(campaign: Compared, effects: Sequence[Effect], manner: Manner) -> Array:
+def change(campaign: Compared, effects: Sequence[Effect], manner: SimulationOptions) -> Array:
     """By how much effects change the features, (m,)."""
     return np.concatenate(
         [_moving(one, effects, manner) for one in campaign.moving]
@@ -28,12 +28,12 @@ def change(campaign: Compared, effects: Sequence[Effect], manner: Manner) -> Arr
     )
 
 
-def _moving(one: Moving, effects: Sequence[Effect], manner: Manner) -> Array:
+def _moving(one: Moving, effects: Sequence[Effect], manner: SimulationOptions) -> Array:
     with_it, without = _both(one.recording, effects, manner)
     return measured(one, columns(with_it.readings)) - measured(one, columns(without.readings))
 
 
-def _posed(one: Posed, effects: Sequence[Effect], manner: Manner) -> Array:
+def _posed(one: Posed, effects: Sequence[Effect], manner: SimulationOptions) -> Array:
     recording = one.knots.recording
     ends = [one.knots.tick[one.knots.rests[r]] + 1 for r, _ in one.seen]
     with_it, without = _both(recording, effects, manner, frozenset(ends))
@@ -45,7 +45,10 @@ def _posed(one: Posed, effects: Sequence[Effect], manner: Manner) -> Array:
 
 
 def _both(
-    recording: Recording, effects: Sequence[Effect], manner: Manner, looked: frozenset[int] = frozenset()
+    recording: Recording,
+    effects: Sequence[Effect],
+    manner: SimulationOptions,
+    looked: frozenset[int] = frozenset(),
 ) -> tuple[Stepped, Stepped]:
     """With effects, and without: that is asked again for every effect."""
     return stepped(recording, effects, manner, looked), stepped_once(recording, (), manner, looked)

@@ -7,7 +7,7 @@ import pytest
 from ground.diagnosis.arm.logs import Recording, recording_in
 from ground.diagnosis.arm.record import record_campaign
 from sim.arms import arm_named
-from sim.diagnosis.campaign import sessions
+from sim.diagnosis_campaign import campaign_sessions
 from sim.initialisation import true_reference
 
 SHOWN = ("poses-level-1", "poses-level-1-again", "place-apxs")
@@ -17,7 +17,7 @@ SHOWN = ("poses-level-1", "poses-level-1-again", "place-apxs")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     """Of the nominal arm."""
     arm = arm_named("nominal")
-    chosen = [session for session in sessions(arm.params) if session.name in SHOWN]
+    chosen = [session for session in campaign_sessions(arm.params) if session.name in SHOWN]
     folder = tmp_path_factory.mktemp("campaign")
     return record_campaign(folder, chosen, arm, true_reference(arm), 4, lambda *_: None)
 

@@ -6,9 +6,9 @@ import pytest
 from fsw.config import configure
 from ground.diagnosis.arm.at_tool import tool_gap
 from sim.params import nominal_params
-from sim.plant import AXES
+from sim.plant import SCREW_AXES
 
-KEYS = [f"poses/rest 0/{axis}" for axis in reversed(AXES)] + ["poses/rest 1/rx", "poses/rest 0/elbow"]
+KEYS = [f"poses/rest 0/{axis}" for axis in reversed(SCREW_AXES)] + ["poses/rest 1/rx", "poses/rest 0/elbow"]
 
 
 def off(**screw: float) -> np.ndarray:

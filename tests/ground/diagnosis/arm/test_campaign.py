@@ -32,7 +32,7 @@ from sim.effects.effect import Effect
 from sim.effects.joints import GearStiffness, ResolverBias
 from sim.effects.links import LinkLength, ToolOffset
 from sim.effects.sensors import CurrentGain, EncoderZero, ResolverEccentricity
-from sim.effects.turret import TurretMass
+from sim.effects.structure import TurretMass
 from sim.params import nominal_params
 
 BASE = nominal_params()

@@ -19,9 +19,8 @@ from ground.diagnosis.arm.reference import Reference, reference
 from ground.diagnosis.arm.request import DiagnoseRequest
 from ground.diagnosis.result import Result
 from ground.diagnosis.sensitivity import Sensitivities
-from sim.arms import arm_named
-from sim.diagnosis.campaign import sessions
-from sim.effects.built import LEFT_FRAME_M
+from sim.arms import CALIBRATED_FRAME_SIGMA_M, arm_named
+from sim.diagnosis_campaign import campaign_sessions
 from sim.effects.effect import Effect
 from sim.effects.geometry import FrameError
 from sim.effects.joints import ResolverBias
@@ -41,7 +40,7 @@ def silent(*_: object) -> None:
 
 def recorded(folder: Path, effects: tuple[Effect, ...], seed: int) -> Logs:
     arm = arm_named("nominal").with_effects(effects)
-    chosen = [one for one in sessions(arm.params) if one.name in FITTED + APART]
+    chosen = [one for one in campaign_sessions(arm.params) if one.name in FITTED + APART]
     paths = record_campaign(folder, chosen, arm, true_reference(arm_named("nominal")), seed, silent)
     return [p for p in paths if p.stem in FITTED], [p for p in paths if p.stem in APART]
 
@@ -93,7 +92,7 @@ def test_nuisances_do_not_take_the_place_of_an_effect_that_they_are_like(
     here = asked(fitted, apart, against)
     shifts = [e.screw[3:] for e in here.case.arm.patch if isinstance(e, FrameError) and e.frame is Frame.ARM3]
     assert shifts
-    assert np.abs(shifts).max() < 4.0 * LEFT_FRAME_M
+    assert np.abs(shifts).max() < 4.0 * CALIBRATED_FRAME_SIGMA_M
 
 
 def test_the_simulator_is_asked_only_about_nuisances_that_an_arm_may_have(
@@ -109,7 +108,7 @@ def test_the_simulator_is_asked_only_about_nuisances_that_an_arm_may_have(
 
     monkeypatch.setattr(settled, "asked_again", noted)
     asked([recording_in(path) for path in logs[0]], [], against)
-    assert 9.0 * LEFT_FRAME_M < np.abs(shifts).max() < 10.1 * LEFT_FRAME_M
+    assert 9.0 * CALIBRATED_FRAME_SIGMA_M < np.abs(shifts).max() < 10.1 * CALIBRATED_FRAME_SIGMA_M
 
 
 def test_a_rival_that_is_no_arm_has_lost(

@@ -18,7 +18,7 @@ from ground.diagnosis.arm.sensitivities import keys_in, keys_path
 from ground.diagnosis.arm.tracked import BadTracker, Tracked, none_tracked, read_tracked, write_tracked
 from ground.diagnosis.thresholds import Thresholds
 from ground.diagnosis.trust import Signs, Trust
-from sim.diagnosis.campaign import SessionFailed
+from sim.diagnosis_campaign import SessionFailed
 
 
 @pytest.mark.parametrize("text", [None, "", '["a", "b"', "3", '["a"]', "[1, 2]"])

@@ -7,7 +7,7 @@ from fsw.dictionary.enums import Joint
 from ground.common.requests import chosen_effects
 from ground.diagnosis.arm.patch import NothingToWrite, found_effects, new_params, save_new_params, save_patch
 from ground.diagnosis.arm.simulator import raced, told
-from sim.effects.friction import CoulombFriction
+from sim.effects.gears import CoulombFriction
 from sim.effects.joints import GearStiffness
 from sim.params import nominal_params, params_over_nominal
 from tests.ground.diagnosis.results import as_of

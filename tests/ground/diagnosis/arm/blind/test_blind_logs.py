@@ -20,15 +20,14 @@ from ground.diagnosis.drawn import Seen
 from ground.telemetry.header import SESSION, flown_header, header_of
 from ground.telemetry.read import read_log
 from ground.telemetry.record import Recorder
-from sim.arms import arm_named
-from sim.diagnosis.campaign import loop_of, moments
-from sim.effects.built import left_by_calibration
+from sim.arms import arm_named, draw_calibration_errors
+from sim.diagnosis_campaign import run_session, start_session
 from sim.effects.effect import nominal_hardware
-from sim.effects.friction import CoulombFriction
+from sim.effects.gears import CoulombFriction
 from sim.effects.joints import GearFriction
 from sim.effects.numerics import Numerics
 from sim.initialisation import true_reference
-from sim.scenario.effects import spec_of
+from sim.scenario.effects import effect_text
 
 SESSIONS = tuple(one for one in make.all_sessions() if one.name == "cold")
 
@@ -61,7 +60,7 @@ def test_every_arm_has_errors_of_its_own_and_is_computed_otherwise() -> None:
     assert one == again != other
     assert sum(isinstance(effect, GearFriction) for effect in one) == 5
     assert any(isinstance(effect, Numerics) for effect in one)
-    assert len(one) == len(left_by_calibration(0)) + 11
+    assert len(one) == len(draw_calibration_errors(0)) + 11
 
 
 def test_a_blind_log_gives_nothing_away_and_can_be_compared(recorded: Recorded) -> None:
@@ -97,7 +96,7 @@ LEAKS: dict[str, Callable[..., dict[str, str]]] = {
 
 @pytest.mark.parametrize("words", LEAKS)
 def test_a_header_that_tells_is_refused(words: str, tmp_path: Path) -> None:
-    loop = loop_of(SESSIONS[0], arm_named("nominal"), true_reference(arm_named("nominal")), 1)
+    loop = start_session(SESSIONS[0], arm_named("nominal"), true_reference(arm_named("nominal")), 1)
     whole = words.startswith("says arm")
     said = header_of(loop, "nominal", 1, {}, ()) if whole else flown_header(loop, ())
     path = tmp_path / "x.mcap"
@@ -108,11 +107,11 @@ def test_a_header_that_tells_is_refused(words: str, tmp_path: Path) -> None:
 
 
 def test_the_plants_own_state_is_refused(tmp_path: Path) -> None:
-    loop = loop_of(SESSIONS[0], arm_named("nominal"), true_reference(arm_named("nominal")), 1)
+    loop = start_session(SESSIONS[0], arm_named("nominal"), true_reference(arm_named("nominal")), 1)
     loop.with_truth = True
     path = tmp_path / "x.mcap"
     with Recorder(path, {**flown_header(loop, ()), SESSION: conditions(SESSIONS[0])}) as recorder:
-        recorder.write(next(moments(loop, SESSIONS[0])).record)
+        recorder.write(next(run_session(loop, SESSIONS[0])).record)
     with pytest.raises(TellsTruth, match="the plant's own state in /truth"):
         check_sealed(path, CASE)
 
@@ -121,7 +120,7 @@ def test_a_case_of_which_a_log_tells_is_not_kept(tmp_path: Path, monkeypatch: py
     """An initialisation without error would find the very friction that the case is about."""
     monkeypatch.setattr(make, "blind_reference", true_reference)
     monkeypatch.setattr(make, "all_sessions", lambda: SESSIONS)
-    case = replace(cases()["single"], background=(spec_of(CoulombFriction(Joint.ELEVATION, 12.0)),))
+    case = replace(cases()["single"], background=(effect_text(CoulombFriction(Joint.ELEVATION, 12.0)),))
     with pytest.raises(TellsTruth, match=r"flight software begins with friction_Nm"):
         make._record(make._Job(tmp_path, case))
     assert list((tmp_path / "cases").iterdir()) == []

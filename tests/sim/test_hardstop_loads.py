@@ -9,15 +9,15 @@ from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.params import Params
 from fsw.executive.homing_poses import homing_start_poses
 from sim.arms import arm_named
-from sim.clearance import Space
-from sim.stops import (
-    CLEARANCE_M,
-    COMPARED,
-    EQUAL_NM,
+from sim.clearance import ClearanceModel
+from sim.hardstop_loads import (
+    EQUALISED_JOINTS,
+    HARDSTOP_CLEARANCE_M,
+    LOAD_TOLERANCE_NM,
     NoPlan,
-    clearances,
-    equalised,
-    stop_loads,
+    compute_hardstop_loads,
+    equalise_loads,
+    sweep_clearance,
     sweep_poses,
     without_turret,
 )
@@ -48,21 +48,21 @@ def test_the_order_has_every_joint_once() -> None:
 @pytest.mark.parametrize(("world", "whole"), [(MARS, True), (EARTH, False)], ids=["mars", "earth"])
 def test_on_the_whole_way_the_arm_is_clear_of_rover_ground_and_itself(world, whole, bare) -> None:
     params = WHOLE if whole else bare
-    space = Space(params, world)
-    found = clearances(params, space)
-    assert min(found.outside_m, found.self_m) > 2 * CLEARANCE_M
+    space = ClearanceModel(params, world)
+    found = sweep_clearance(params, space)
+    assert min(found.outside_m, found.self_m) > 2 * HARDSTOP_CLEARANCE_M
 
 
 @pytest.mark.parametrize(("world", "whole"), [(MARS, True), (EARTH, False)], ids=["mars", "earth"])
 @pytest.mark.parametrize("joint", Joint)
 def test_a_joint_has_room_to_run_wherever_it_is_allowed_to(joint, world, whole, bare) -> None:
     params = WHOLE if whole else bare
-    space, most = Space(params, world), params.hardstop.pose_tolerance_rad
+    space, most = ClearanceModel(params, world), params.hardstop.pose_tolerance_rad
     rng = np.random.default_rng([15, joint])
     for pose in homing_start_poses(params, joint):
         for _ in range(20):
             found = space.clearance(run_from(params, joint, pose + rng.uniform(-most, most, 5)))
-            assert min(found.outside_m, found.self_m) > CLEARANCE_M
+            assert min(found.outside_m, found.self_m) > HARDSTOP_CLEARANCE_M
 
 
 def test_the_way_goes_to_every_hardstop(bare) -> None:
@@ -72,7 +72,7 @@ def test_the_way_goes_to_every_hardstop(bare) -> None:
 
 
 def test_gravity_presses_gently_on_every_hardstop_or_not_at_all() -> None:
-    torques = stop_loads(WHOLE, MARS.gravity_N_m_s2).torque_Nm
+    torques = compute_hardstop_loads(WHOLE, MARS.gravity_N_m_s2).torque_Nm
     press = np.array([joint.hardstop_press_Nm for joint in WHOLE.joints.in_order()])
     friction = np.array([joint.output_friction_Nm for joint in WHOLE.joints.in_order()])
     assert np.all(torques < friction)
@@ -80,22 +80,24 @@ def test_gravity_presses_gently_on_every_hardstop_or_not_at_all() -> None:
 
 
 def test_the_torques_are_the_same_on_earth_without_a_turret(bare) -> None:
-    mars = stop_loads(WHOLE, MARS.gravity_N_m_s2).torque_Nm
-    earth = stop_loads(bare, EARTH.gravity_N_m_s2).torque_Nm
-    np.testing.assert_allclose(earth, mars, atol=EQUAL_NM + 0.6)
-    np.testing.assert_allclose(earth[list(COMPARED)], mars[list(COMPARED)], atol=EQUAL_NM)
+    mars = compute_hardstop_loads(WHOLE, MARS.gravity_N_m_s2).torque_Nm
+    earth = compute_hardstop_loads(bare, EARTH.gravity_N_m_s2).torque_Nm
+    np.testing.assert_allclose(earth, mars, atol=LOAD_TOLERANCE_NM + 0.6)
+    np.testing.assert_allclose(
+        earth[list(EQUALISED_JOINTS)], mars[list(EQUALISED_JOINTS)], atol=LOAD_TOLERANCE_NM
+    )
 
 
 def test_in_the_poses_of_mars_they_are_others() -> None:
     params = without_turret(NOMINAL, on_earth=False).params
-    mars = stop_loads(WHOLE, MARS.gravity_N_m_s2).torque_Nm
-    earth = stop_loads(params, EARTH.gravity_N_m_s2).torque_Nm
+    mars = compute_hardstop_loads(WHOLE, MARS.gravity_N_m_s2).torque_Nm
+    earth = compute_hardstop_loads(params, EARTH.gravity_N_m_s2).torque_Nm
     assert np.abs(earth - mars).max() > 50
 
 
 def test_torques_that_no_pose_has_are_refused(bare) -> None:
     with pytest.raises(NoPlan, match="N m at best"):
-        equalised(bare, EARTH.gravity_N_m_s2, np.full(5, -2000.0))
+        equalise_loads(bare, EARTH.gravity_N_m_s2, np.full(5, -2000.0))
 
 
 def test_the_turret_that_is_not_there_is_known_to_be_gone() -> None:

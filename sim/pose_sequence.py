@@ -1,33 +1,64 @@
-"""Tours of poses in free air: where the joints come to rest, what flight software believes, what is true."""
+"""Pose sequences in free air: rest positions of the joints, estimated and true."""
 
 from collections.abc import Collection, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from fsw.config import Config
-from fsw.dictionary.commands import BacklashMode, MoveJoints
+from fsw.config import CYCLE_HZ, Config
+from fsw.dictionary.commands import BacklashMode, Command, MoveJoints
 from fsw.dictionary.enums import Tool
+from fsw.dictionary.evrs import CommandCompleted
 from fsw.dictionary.types import joints5
 from fsw.estimate.reference import Reference
 from fsw.kinematics.branches import BRANCHES
 from fsw.kinematics.ik import BranchVerdict, inverse_kinematics
 from fsw.kinematics.transforms import Array
 from sim.arms import BuiltArm
+from sim.effects.environment import NothingToTouch
 from sim.frames import p_R_from_N
-from sim.free_air import in_free_air, rested_after
 from sim.loop import ClosedLoop, Setup
+from sim.sequence import run_sequence
 from sim.workspace import approach_from, random_targets
 from sim.world import World
 
-SMALL_RAD: Final = 0.02
-INSIDE_RAD: Final = 0.02
+WAKE_S: Final = 1.0
+"""Before the first move, to know gravity."""
+REST_S: Final = 2.0
+"""On the brakes, before anything is looked at."""
+
+
+def free_air_loop(setup: Setup) -> ClosedLoop:
+    """The run without rover, ground and rocks, which flight software knows; awake."""
+    free = NothingToTouch()
+    arm = replace(setup.arm, params=free.on_params(setup.arm.params))
+    loop = ClosedLoop(replace(setup, arm=arm, effects=(*setup.effects, free)))
+    _run_idle(loop, WAKE_S)
+    return loop
+
+
+def run_and_rest(loop: ClosedLoop, command: Command) -> str | None:
+    """Carry out a command and let the arm rest; or say why it did not come to its end."""
+    evrs = [evr for record in run_sequence(loop, (command,)) for evr in record.outputs.evrs]
+    if CommandCompleted(type(command).__name__) not in evrs:
+        return evrs[-1].message
+    _run_idle(loop, REST_S)
+    return None
+
+
+def _run_idle(loop: ClosedLoop, duration_s: float) -> None:
+    for _ in range(round(duration_s * CYCLE_HZ)):
+        loop.cycle()
+
+
+MAX_STEP_RAD: Final = 0.02
+SOFT_LIMIT_MARGIN_RAD: Final = 0.02
 """How far random poses keep from the soft limits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Settled:
+class RestState:
     """The arm at rest after a move; joint arrays in the order of Joint, positions in RMECH."""
 
     goal_rad: Array
@@ -56,31 +87,31 @@ class Settled:
         return side
 
 
-def tour(
+def visit_poses(
     arm: BuiltArm,
     reference: Reference,
     world: World,
     goals: Sequence[Array],
     backlash: BacklashMode,
     seed: int,
-) -> Iterator[Settled]:
+) -> Iterator[RestState]:
     """The arm at rest at each goal (5), reached from the one before; it begins at the ready pose.
 
     Raises:
         RuntimeError: a move did not come to its end.
     """
-    loop = in_free_air(Setup(arm, world, arm.params.poses.ready_rad, seed, reference))
+    loop = free_air_loop(Setup(arm, world, arm.params.poses.ready_rad, seed, reference))
     for goal in goals:
-        problem = rested_after(loop, MoveJoints(joints5(goal), backlash))
+        problem = run_and_rest(loop, MoveJoints(joints5(goal), backlash))
         if problem is not None:
             raise RuntimeError(f"{arm.name}: no way to {np.degrees(goal)} deg: {problem}")
-        yield _settled(loop, goal)
+        yield _rest_state(loop, goal)
 
 
-def _settled(loop: ClosedLoop, goal_rad: Array) -> Settled:
+def _rest_state(loop: ClosedLoop, goal_rad: Array) -> RestState:
     plant, state = loop.plant, loop.state
     joints, truth = state.joints, plant.truth()
-    return Settled(
+    return RestState(
         goal_rad=goal_rad,
         output_rad=truth.output_rad,
         gear_rad=truth.output_rad - truth.motor_rad,
@@ -102,21 +133,21 @@ def random_goals(config: Config, rng: np.random.Generator, count: int) -> list[A
     while len(goals) <= count:
         match rng.integers(10):
             case 0:
-                goals.append(_anywhere(config, rng))
+                goals.append(_random_pose(config, rng))
             case 1 | 2:
                 tool = Tool(int(rng.integers(len(Tool))))
                 goals.append(pose_in_workspace(config, rng, tool, BRANCHES))
             case 3:
                 goals.append(goals[-2] if len(goals) > 1 else goals[-1])
             case _:
-                step = rng.uniform(-SMALL_RAD, SMALL_RAD, 5) * rng.integers(0, 2, 5)
-                goals.append(_inside(config, goals[-1] + step))
+                step = rng.uniform(-MAX_STEP_RAD, MAX_STEP_RAD, 5) * rng.integers(0, 2, 5)
+                goals.append(_clip_to_limits(config, goals[-1] + step))
     return goals[1:]
 
 
-def _anywhere(config: Config, rng: np.random.Generator) -> Array:
+def _random_pose(config: Config, rng: np.random.Generator) -> Array:
     arm = config.arm
-    return rng.uniform(arm.soft_min_rad + INSIDE_RAD, arm.soft_max_rad - INSIDE_RAD)
+    return rng.uniform(arm.soft_min_rad + SOFT_LIMIT_MARGIN_RAD, arm.soft_max_rad - SOFT_LIMIT_MARGIN_RAD)
 
 
 def pose_in_workspace(
@@ -133,9 +164,9 @@ def pose_in_workspace(
         first_roots = answers.verdict[: len(BRANCHES)]
         valid = np.flatnonzero(wanted & (first_roots == BranchVerdict.VALID))
         if valid.size:
-            return _inside(config, np.asarray(answers.output_rad[:, rng.choice(valid)]))
+            return _clip_to_limits(config, np.asarray(answers.output_rad[:, rng.choice(valid)]))
 
 
-def _inside(config: Config, pose: Array) -> Array:
+def _clip_to_limits(config: Config, pose: Array) -> Array:
     arm = config.arm
-    return np.clip(pose, arm.soft_min_rad + INSIDE_RAD, arm.soft_max_rad - INSIDE_RAD)
+    return np.clip(pose, arm.soft_min_rad + SOFT_LIMIT_MARGIN_RAD, arm.soft_max_rad - SOFT_LIMIT_MARGIN_RAD)

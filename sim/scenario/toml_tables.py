@@ -16,91 +16,107 @@ from fsw.kinematics.branches import BRANCHES
 from fsw.motion.plan_tool import AUTO
 from sim.effects.effect import Effect, Timed
 from sim.effects.environment import PowerLoss
-from sim.effects.faults import Fault as Injected
-from sim.effects.faults import RockGone
+from sim.effects.faults import InjectedFault, RockGone, SensorFault
 from sim.frames import p_R_from_N
-from sim.scenario.checks import Check, GravityHeld, Placed, Preloaded, SameSpot
-from sim.scenario.data import Injection, Taught
-from sim.scenario.effects import BadEffect, kind_named
-from sim.scenario.faults import FAULTS
+from sim.scenario.data import Check, GravityHeld, Injection, Placed, Preloaded, SameSpot, TaughtPoint
+from sim.scenario.effects import BadEffect, find_effect_class
 from sim.scenario.names import did_you_mean, is_position, upper_snake
-from sim.scenario.record import TYPE, Findings, kind_of, record_of
-from sim.scenario.toml_lines import Place
+from sim.scenario.toml_lines import TomlPath
+from sim.scenario.toml_record import TYPE_KEY, Findings, read_kind, read_record
+
+FAULT_CLASSES: Final[tuple[type[InjectedFault], ...]] = get_args(InjectedFault)
+"""Each is a frozen dataclass with a time `at_s`; that and its fields are what a file says of it."""
+
+
+def prevents_completion(fault: InjectedFault) -> bool:
+    """Whether no command that moves can come to its end with this fault."""
+    match fault:
+        case PowerLoss() | SensorFault(kind="nan"):
+            return True
+        case _:
+            return False
+
 
 RNAV: Final = "RNAV"
 ROVER_FRAMES: Final = (RNAV, "RMECH")
 """The frames of the rover; where nothing is said, positions are in the first."""
 FRAMES: Final = (*ROVER_FRAMES, *(frame for frame in COMMAND_FRAMES if frame != ROVER))
-FARTHEST_M: Final = 20.0
-COMMANDS: Final[dict[str, type[Command]]] = {upper_snake(kind): kind for kind in get_args(Command)}
-CHECKS: Final[dict[str, type[Check]]] = {upper_snake(kind).lower(): kind for kind in get_args(Check)}
-INJECTED: Final[dict[str, type[Injected]]] = {upper_snake(kind): kind for kind in FAULTS}
+MAX_DISTANCE_M: Final = 20.0
+COMMAND_CLASSES: Final[dict[str, type[Command]]] = {upper_snake(kind): kind for kind in get_args(Command)}
+CHECK_CLASSES: Final[dict[str, type[Check]]] = {upper_snake(kind).lower(): kind for kind in get_args(Check)}
+FAULT_CLASS_BY_NAME: Final[dict[str, type[InjectedFault]]] = {
+    upper_snake(kind): kind for kind in FAULT_CLASSES
+}
 
 
 @dataclass(frozen=True, slots=True)
-class _At:
+class _AtTime:
     """When a fault comes."""
 
     at_s: Annotated[float, Limits(0.0, 1e5)]
 
 
 @dataclass(frozen=True, slots=True)
-class _During:
+class _DuringCommand:
     """When a fault comes that comes during a command."""
 
     during: int
     after_s: Annotated[float, Limits(0.0, 1e5)]
 
 
-def tables(data: dict[str, Any], what: str, findings: Findings) -> Iterator[tuple[Place, dict[str, Any]]]:
+def list_tables(
+    data: dict[str, Any], what: str, findings: Findings
+) -> Iterator[tuple[TomlPath, dict[str, Any]]]:
     """Each table of a list of tables, with its place."""
     found = data.get(what, [])
     if isinstance(found, list) and all(isinstance(table, dict) for table in found):
         yield from (((what, k), table) for k, table in enumerate(found))
     else:
         text = f"{what}: is no list of tables; write [[{what}]] and its keys below, once for each"
-        findings.say((what,), text)
+        findings.report((what,), text)
 
 
-def taught_of(table: dict[str, Any], place: Place, findings: Findings) -> Taught | None:
+def read_taught_point(table: dict[str, Any], place: TomlPath, findings: Findings) -> TaughtPoint | None:
     """A place that is taught, or None and problems."""
-    point = record_of(Taught, table, place, findings, {"branch": (AUTO, *BRANCHES)})
+    point = read_record(TaughtPoint, table, place, findings, {"branch": (AUTO, *BRANCHES)})
     if point is not None:
         check_direction("approach", point.approach_N, place, findings)
-        check_near("position", point.p_N_m, place, findings)
+        check_distance("position", point.p_N_m, place, findings)
     return point
 
 
-def check_near(name: str, p_m: Vector3, place: Place, findings: Findings) -> None:
+def check_distance(name: str, p_m: Vector3, place: TomlPath, findings: Findings) -> None:
     """Refuse a point that no arm comes near."""
-    if max(map(abs, p_m)) > FARTHEST_M:
-        text = f"{name}: is more than {FARTHEST_M:g} m away; the workspace is around 2.1, 0, -0.3 in RNAV"
-        findings.say((*place, name), text)
+    if max(map(abs, p_m)) > MAX_DISTANCE_M:
+        text = f"{name}: is more than {MAX_DISTANCE_M:g} m away; the workspace is around 2.1, 0, -0.3 in RNAV"
+        findings.report((*place, name), text)
 
 
-def check_direction(name: str, direction: Vector3, place: Place, findings: Findings) -> None:
+def check_direction(name: str, direction: Vector3, place: TomlPath, findings: Findings) -> None:
     """Refuse a direction that is none."""
     if check_vector(name, direction) is not None:
-        findings.say(
+        findings.report(
             (*place, name), f"{name}: has no length; write a direction, of any length in 1e-9 .. 1e9"
         )
 
 
-def command_of(
-    table: dict[str, Any], place: Place, findings: Findings, points: Mapping[str, Tool]
+def read_command(
+    table: dict[str, Any], place: TomlPath, findings: Findings, points: Mapping[str, Tool]
 ) -> Command | None:
     """A command, its positions in RMECH, or None and problems; `points` are the taught places' tools."""
-    kind = kind_of(COMMANDS, table, place, findings)
+    kind = read_kind(COMMAND_CLASSES, table, place, findings)
     if kind is None:
         return None
     names = [field.name for field in fields(kind)]
     positions = [name for name in names if is_position(name)]
     frames = FRAMES if "frame" in names else ROVER_FRAMES
-    rest = {key: value for key, value in table.items() if key != TYPE}
+    rest = {key: value for key, value in table.items() if key != TYPE_KEY}
     frame = rest.pop("frame", RNAV) if positions else None
-    command = record_of(kind, rest, place, findings, {"branch": (AUTO, *BRANCHES), "point": tuple(points)})
+    command = read_record(kind, rest, place, findings, {"branch": (AUTO, *BRANCHES), "point": tuple(points)})
     if frame is not None and frame not in frames:
-        findings.say((*place, "frame"), f"frame: {frame!r} is not known; {did_you_mean(str(frame), frames)}")
+        findings.report(
+            (*place, "frame"), f"frame: {frame!r} is not known; {did_you_mean(str(frame), frames)}"
+        )
         return None
     if command is None:
         return None
@@ -114,75 +130,79 @@ def command_of(
     if isinstance(command, Dock) and not TOOL_SWITCHES[points[command.point]]:
         problem = f"the {points[command.point].name.lower()} has no contact switch to dock with"
     if problem is not None:
-        findings.say(place, f"{table[TYPE]}: {problem}")
+        findings.report(place, f"{table[TYPE_KEY]}: {problem}")
     return command
 
 
-def fault_of(
-    table: dict[str, Any], place: Place, findings: Findings, commands: int, has_surface: bool
+def read_fault(
+    table: dict[str, Any], place: TomlPath, findings: Findings, commands: int, has_surface: bool
 ) -> Injection | None:
     """A fault and when it comes, or None and problems; there are so many commands."""
-    kind = kind_of(INJECTED, table, place, findings)
+    kind = read_kind(FAULT_CLASS_BY_NAME, table, place, findings)
     if kind is None:
         return None
-    rest = {key: value for key, value in table.items() if key != TYPE}
+    rest = {key: value for key, value in table.items() if key != TYPE_KEY}
     when: dict[str, Any] = {key: rest.pop(key) for key in ("during", "after_s") if key in rest}
     if "at_s" in rest and when:
         text = "at_s: counts from the beginning; give it alone, or during and after_s"
-        findings.say((*place, "at_s"), text)
+        findings.report((*place, "at_s"), text)
         return None
-    at: _At | _During | None
+    at: _AtTime | _DuringCommand | None
     if "at_s" in rest:
-        at = record_of(_At, {"at_s": rest.pop("at_s")}, place, findings)
+        at = read_record(_AtTime, {"at_s": rest.pop("at_s")}, place, findings)
     elif when:
-        at = record_of(_During, when, place, findings)
+        at = read_record(_DuringCommand, when, place, findings)
     else:
-        findings.say(place, "at_s: is missing; or give during, the number of a command, and after_s")
+        findings.report(place, "at_s: is missing; or give during, the number of a command, and after_s")
         return None
-    fault = record_of(kind, {**rest, "at_s": 0.0}, place, findings)
+    fault = read_record(kind, {**rest, "at_s": 0.0}, place, findings)
     if isinstance(fault, RockGone) and not has_surface:
-        findings.say(place, f"{table[TYPE]}: there is no rock; write [world.surface]")
-    if isinstance(at, _During):
+        findings.report(place, f"{table[TYPE_KEY]}: there is no rock; write [world.surface]")
+    if isinstance(at, _DuringCommand):
         _check_number("during", at.during, commands, place, findings)
     if fault is None or at is None:
         return None
-    if isinstance(at, _During):
+    if isinstance(at, _DuringCommand):
         return Injection(replace(fault, at_s=at.after_s), at.during)
     return Injection(replace(fault, at_s=at.at_s))
 
 
-def effect_of(table: dict[str, Any], place: Place, findings: Findings) -> Effect | None:
+def read_effect(table: dict[str, Any], place: TomlPath, findings: Findings) -> Effect | None:
     """An effect that is there from the beginning, or None and problems."""
-    if not isinstance(table.get(TYPE), str):
-        findings.say(place, f'{TYPE}: is missing; write the name of an effect, such as "coulomb-friction"')
+    if not isinstance(table.get(TYPE_KEY), str):
+        findings.report(
+            place, f'{TYPE_KEY}: is missing; write the name of an effect, such as "coulomb-friction"'
+        )
         return None
     try:
-        kind = kind_named(table[TYPE])
+        kind = find_effect_class(table[TYPE_KEY])
     except BadEffect as error:
-        findings.say((*place, TYPE), f"{TYPE}: {error}")
+        findings.report((*place, TYPE_KEY), f"{TYPE_KEY}: {error}")
         return None
     if issubclass(kind, Timed | PowerLoss):
-        findings.say((*place, TYPE), f"{TYPE}: {table[TYPE]} comes at a moment; write it as [[fault]]")
+        findings.report(
+            (*place, TYPE_KEY), f"{TYPE_KEY}: {table[TYPE_KEY]} comes at a moment; write it as [[fault]]"
+        )
         return None
-    rest = {key: value for key, value in table.items() if key != TYPE}
-    return record_of(kind, rest, place, findings)
+    rest = {key: value for key, value in table.items() if key != TYPE_KEY}
+    return read_record(kind, rest, place, findings)
 
 
-def check_of(
+def read_check(
     table: dict[str, Any],
-    place: Place,
+    place: TomlPath,
     findings: Findings,
     points: tuple[str, ...],
     commands: int,
     has_surface: bool,
 ) -> Check | None:
     """What success means, or None and problems."""
-    kind = kind_of(CHECKS, table, place, findings)
+    kind = read_kind(CHECK_CLASSES, table, place, findings)
     if kind is None:
         return None
-    rest = {key: value for key, value in table.items() if key != TYPE}
+    rest = {key: value for key, value in table.items() if key != TYPE_KEY}
     faults = tuple(sorted({fault.__name__ for fault in Fault.__subclasses__()}))  # slots make two of each
-    check = record_of(kind, rest, place, findings, {"point": points, "evr": faults})
+    check = read_record(kind, rest, place, findings, {"point": points, "evr": faults})
     if check is None:
         return None
     for name in ("after", "first_after", "during"):
@@ -191,11 +211,11 @@ def check_of(
     if isinstance(check, GravityHeld):
         check_direction("gravity", check.gravity_T, place, findings)
     if isinstance(check, Placed | Preloaded | SameSpot) and not has_surface:
-        findings.say(place, f"{table[TYPE]}: there is nothing to touch; write [world.surface]")
+        findings.report(place, f"{table[TYPE_KEY]}: there is nothing to touch; write [world.surface]")
     return check
 
 
-def _check_number(name: str, number: int, commands: int, place: Place, findings: Findings) -> None:
+def _check_number(name: str, number: int, commands: int, place: TomlPath, findings: Findings) -> None:
     if not 1 <= number <= commands:
         text = f"{name}: there is no command {number}; they are numbered 1 to {commands}"
-        findings.say((*place, name), text)
+        findings.report((*place, name), text)

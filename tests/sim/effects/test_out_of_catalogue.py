@@ -8,15 +8,16 @@ import numpy as np
 import pytest
 
 from sim.arms import BuiltArm, arm_named
-from sim.diagnosis.campaign import loop_of, moments, sessions
-from sim.effects.catalogue import Hypothesis, catalogue, hypotheses
+from sim.diagnosis_campaign import campaign_sessions, run_session, start_session
+from sim.effects.catalogue import EffectHypothesis, catalogue, hypotheses
 from sim.effects.effect import Effect
 from sim.initialisation import true_reference
-from sim.scenario.effects import effect_from, spec_of
-from sim.scenario.outside import effects_in_file
+from sim.scenario.effects import effect_classes_in_file, effect_text, parse_effect_text
 
 FOLDER = Path(__file__).parents[3] / "validation" / "outside"
-KINDS = {kind.__name__: kind for file in sorted(FOLDER.glob("*.py")) for kind in effects_in_file(str(file))}
+KINDS = {
+    kind.__name__: kind for file in sorted(FOLDER.glob("*.py")) for kind in effect_classes_in_file(str(file))
+}
 NOMINAL = arm_named("nominal")
 AT = {"SettlingRover": "y", "RockingLink": "link3.z"}
 """Where it shows in the session below; at the elbow if not named."""
@@ -39,7 +40,7 @@ SHOWN: dict[str, tuple[str, ...]] = {
 EACH = pytest.mark.parametrize("name", KINDS)
 
 
-def at(name: str) -> Hypothesis:
+def at(name: str) -> EffectHypothesis:
     place = AT.get(name, "elbow")
     return next(one for one in hypotheses({name: KINDS[name]}) if str(one).endswith(place))
 
@@ -47,10 +48,10 @@ def at(name: str) -> Hypothesis:
 @cache
 def ran(*effects: Effect) -> dict[str, np.ndarray]:
     """Readings of the first seconds of a session in which all joints move, and where the turret went."""
-    session = next(one for one in sessions(NOMINAL.params) if one.name == "poses-level-1")
-    loop = loop_of(session, BuiltArm("nominal", effects, NOMINAL.params), true_reference(NOMINAL), 3)
+    session = next(one for one in campaign_sessions(NOMINAL.params) if one.name == "poses-level-1")
+    loop = start_session(session, BuiltArm("nominal", effects, NOMINAL.params), true_reference(NOMINAL), 3)
     rows: dict[str, list[np.ndarray]] = {name: [] for name in ("current_A", "encoder_count", "resolver_rad")}
-    for number, moment in enumerate(moments(loop, session)):
+    for number, moment in enumerate(run_session(loop, session)):
         for name, row in rows.items():
             row.append(getattr(moment.record.sensors, name))
         if number == 250:
@@ -71,8 +72,8 @@ def test_there_are_a_dozen_and_all_are_tested() -> None:
 def test_no_catalogue_has_it_and_it_comes_back_from_what_is_written_of_it(name: str) -> None:
     assert not {str(one).split(":")[0] for one in hypotheses({name: KINDS[name]})} & set(catalogue())
     for one in hypotheses({name: KINDS[name]}):
-        assert len(one.sizes) == 1
-        assert effect_from(spec_of(one.typical())) == one.typical()
+        assert len(one.amplitudes) == 1
+        assert parse_effect_text(effect_text(one.typical())) == one.typical()
 
 
 @EACH

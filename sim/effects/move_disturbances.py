@@ -8,10 +8,9 @@ import numpy as np
 from fsw.dictionary.enums import Frame, Joint, Tool
 from fsw.dictionary.types import Row6
 from fsw.kinematics.transforms import Array
-from sim.effects.effect import EachMove
+from sim.disturbance import MoveDisturbance, body_index, no_move_disturbance
+from sim.effects.effect import EachMove, ParameterSpec
 from sim.effects.geometry import check_tool
-from sim.effects.size import Size
-from sim.scatter import Scatter, body_index, no_scatter
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,16 +21,16 @@ class FramePlay(EachMove):
     """
 
     frame: Frame
-    within: Annotated[Row6, Size(0.0, 0.1, unit="rad, m", typical=3e-5, neutral=0.0)]
+    within: Annotated[Row6, ParameterSpec(0.0, 0.1, unit="rad, m", typical=3e-5, neutral=0.0)]
     tool: Tool | None = None
     """Which tool, for the frame TOOL."""
 
     def __post_init__(self) -> None:
         check_tool(self.frame, self.tool)
 
-    def scatter(self, rng: np.random.Generator) -> Scatter:
+    def draw(self, rng: np.random.Generator) -> MoveDisturbance:
         """Every axis by itself."""
-        drawn = no_scatter()
+        drawn = no_move_disturbance()
         drawn.screw[:, body_index(self.frame, self.tool)] = self.within * rng.uniform(-1.0, 1.0, 6)
         return drawn
 
@@ -41,12 +40,12 @@ class Windup(EachMove):
     """Friction inside a gear leaves it twisted, one way or the other."""
 
     joint: Joint
-    within_rad: Annotated[float, Size(0.0, 0.1, unit="rad", typical=1e-4, neutral=0.0)]
+    within_rad: Annotated[float, ParameterSpec(0.0, 0.1, unit="rad", typical=1e-4, neutral=0.0)]
 
-    def scatter(self, rng: np.random.Generator) -> Scatter:
+    def draw(self, rng: np.random.Generator) -> MoveDisturbance:
         """The dead band of the gear shifted."""
-        drawn = no_scatter()
-        drawn.gear_rad[self.joint] = _within(rng, self.within_rad)
+        drawn = no_move_disturbance()
+        drawn.gear_rad[self.joint] = _draw_uniform(rng, self.within_rad)
         return drawn
 
 
@@ -55,14 +54,14 @@ class ServoError(EachMove):
     """A motor comes to rest beside where its encoder says: lost counts, an ill-tuned controller."""
 
     joint: Joint
-    within_rad: Annotated[float, Size(0.0, 0.1, unit="rad", typical=1e-4, neutral=0.0)]
+    within_rad: Annotated[float, ParameterSpec(0.0, 0.1, unit="rad", typical=1e-4, neutral=0.0)]
 
-    def scatter(self, rng: np.random.Generator) -> Scatter:
+    def draw(self, rng: np.random.Generator) -> MoveDisturbance:
         """Set-points and readings off by the same angle."""
-        drawn = no_scatter()
-        drawn.motor_rad[self.joint] = _within(rng, self.within_rad)
+        drawn = no_move_disturbance()
+        drawn.motor_rad[self.joint] = _draw_uniform(rng, self.within_rad)
         return drawn
 
 
-def _within(rng: np.random.Generator, most: float) -> Array:
+def _draw_uniform(rng: np.random.Generator, most: float) -> Array:
     return np.asarray(rng.uniform(-most, most))

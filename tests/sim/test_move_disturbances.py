@@ -12,11 +12,11 @@ from fsw.dictionary.types import joints5
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward, frame_jacobian, tool_pose
 from sim.arms import arm_named
-from sim.effects.moves import FramePlay, ServoError, Windup
+from sim.disturbance import FRAME_BODIES, body_index, no_move_disturbance
+from sim.effects.move_disturbances import FramePlay, ServoError, Windup
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, PlacementRun
-from sim.scatter import BODIES, body_index, no_scatter
 from sim.world import Surface, World
 from tests.sim import lab
 
@@ -41,7 +41,7 @@ def move(loop: ClosedLoop, by_rad: float) -> list:
 
 
 def drawn(loop: ClosedLoop) -> np.ndarray:
-    scatter = loop.plant.scatter
+    scatter = loop.plant.move_disturbance
     return np.concatenate([scatter.screw.ravel(), scatter.gear_rad, scatter.motor_rad])
 
 
@@ -89,7 +89,7 @@ def test_flight_software_does_not_see_where_its_encoders_are_wrong():
     assert not [evr for evr in move(loop, 0.01) if evr.severity.name.startswith(("WARNING", "FATAL"))]
     believed, true = loop.state.joints.motor_rad, loop.plant.motor_rad()
     assert (true - believed)[Joint.WRIST] == pytest.approx(
-        loop.plant.scatter.motor_rad[Joint.WRIST], abs=1e-5
+        loop.plant.move_disturbance.motor_rad[Joint.WRIST], abs=1e-5
     )
 
 
@@ -112,31 +112,31 @@ def test_a_displaced_frame_moves_what_it_carries_and_the_next_draw_begins_where_
     plant = lab.plant()
     plant.show(lab.READY_RAD, np.zeros((6, 6)))
     before = plant.truth().p_RoTo_R_m[Tool.APXS]
-    scatter = no_scatter()
+    scatter = no_move_disturbance()
     scatter.screw[:, body_index(Frame.ARM4, None)] = (1e-4, -2e-4, 3e-4, 1e-4, 2e-4, -1e-4)
     for _ in range(2):
-        plant.scattered(scatter)
+        plant.set_move_disturbance(scatter)
     plant.show(lab.READY_RAD, np.zeros((6, 6)))
     moved = plant.truth().p_RoTo_R_m[Tool.APXS] - before
     arm = build_arm(NOMINAL.params)
     frames = forward(arm, lab.READY_RAD)
     J = frame_jacobian(frames, tool_pose(arm, frames, Tool.APXS))
     assert np.allclose(moved, (J[:, :, Frame.ARM4] @ scatter.screw[:, Frame.ARM4])[3:], atol=3e-7)
-    plant.scattered(no_scatter())
+    plant.set_move_disturbance(no_move_disturbance())
     plant.show(lab.READY_RAD, np.zeros((6, 6)))
     assert np.allclose(plant.truth().p_RoTo_R_m[Tool.APXS], before, atol=1e-12)
 
 
 def test_a_shifted_gear_is_not_taken_for_a_gap():
     plant = lab.plant()
-    plant.scattered(replace(no_scatter(), gear_rad=np.full(5, 3e-4)))
+    plant.set_move_disturbance(replace(no_move_disturbance(), gear_rad=np.full(5, 3e-4)))
     assert np.allclose(plant.half_gap_rad, lab.HALF_GAP_RAD)
     plant.data.qpos[plant.at.gear] = lab.HALF_GAP_RAD + 3e-4
     assert np.allclose(plant.gap_rad(), lab.HALF_GAP_RAD)
 
 
 def test_bodies_are_those_of_the_frames():
-    assert len(BODIES) == 11
+    assert len(FRAME_BODIES) == 11
     assert [body_index(frame, None) for frame in list(Frame)[:6]] == list(range(6))
     with pytest.raises(ValueError, match="names its tool"):
         body_index(Frame.TOOL, None)

@@ -9,14 +9,13 @@ from fsw.dictionary.commands import MoveJoint
 from fsw.dictionary.enums import Joint
 from fsw.messages import Sensors
 from sim.arms import arm_named
-from sim.diagnosis.campaign import moments, on_counts
-from sim.diagnosis.motions import Session
-from sim.driven import DrivenArm, Manner, Start
+from sim.diagnosis_campaign import DiagnosisSession, round_to_counts, run_session
 from sim.effects.effect import Effect
-from sim.effects.friction import CoulombFriction, ViscousFriction
+from sim.effects.gears import CoulombFriction, ViscousFriction
 from sim.effects.sensors import CurrentBias, EncoderZero
 from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
+from sim.open_loop import OpenLoopArm, RecordedStart, SimulationOptions
 from sim.record import CycleRecord
 from sim.world import World
 
@@ -25,28 +24,30 @@ REFERENCE = true_reference(ARM)
 JOINTS = ARM.params.joints.in_order()
 SEED = 3
 NOISE_A = 0.02
-BRIEF = Manner(settle_s=2.0)
+BRIEF = SimulationOptions(settle_s=2.0)
 
 
 @pytest.fixture(scope="module")
-def run() -> tuple[Start, list[CycleRecord]]:
+def run() -> tuple[RecordedStart, list[CycleRecord]]:
     """Wrist there and back by two degrees."""
     ready = np.array(ARM.params.poses.ready_rad)
     rad_per_count = np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in JOINTS])
-    start = on_counts(ready, REFERENCE.zero_rad, rad_per_count)
+    start = round_to_counts(ready, REFERENCE.zero_rad, rad_per_count)
     moves = tuple(MoveJoint(Joint.WRIST, float(ready[Joint.WRIST] + by), "off") for by in (0.03, 0.0))
-    session = Session("wrist", "wrist", World(), 20.0, tuple(start), moves, tracked=False)
+    session = DiagnosisSession("wrist", "wrist", World(), 20.0, tuple(start), moves, tracked=False)
     loop = ClosedLoop(Setup(ARM, World(), tuple(start), SEED, REFERENCE))
-    records = [moment.record for moment in moments(loop, session)]
+    records = [moment.record for moment in run_session(loop, session)]
     counts = records[0].sensors.encoder_count
     hardstops = np.array([joint.hardstop_rad for joint in JOINTS])
     motor = counts * rad_per_count + REFERENCE.zero_rad
-    return Start(World(), motor, REFERENCE.zero_rad, hardstops), records
+    return RecordedStart(World(), motor, REFERENCE.zero_rad, hardstops), records
 
 
-def driven(run: tuple[Start, list[CycleRecord]], manner: Manner, *effects: Effect) -> list[Sensors]:
+def driven(
+    run: tuple[RecordedStart, list[CycleRecord]], manner: SimulationOptions, *effects: Effect
+) -> list[Sensors]:
     start, records = run
-    return list(DrivenArm(start, effects, manner).readings(record.outputs.drive for record in records))
+    return list(OpenLoopArm(start, effects, manner).readings(record.outputs.drive for record in records))
 
 
 def difference(name: str, one: list[Sensors], other: list[Sensors]) -> np.ndarray:
@@ -54,23 +55,23 @@ def difference(name: str, one: list[Sensors], other: list[Sensors]) -> np.ndarra
 
 
 def test_the_same_plant_under_the_same_drive_reads_the_same_bit_for_bit(
-    run: tuple[Start, list[CycleRecord]],
+    run: tuple[RecordedStart, list[CycleRecord]],
 ) -> None:
-    for now, record in zip(driven(run, Manner(SEED)), run[1], strict=True):
+    for now, record in zip(driven(run, SimulationOptions(SEED)), run[1], strict=True):
         for field in fields(Sensors):
             np.testing.assert_array_equal(getattr(now, field.name), getattr(record.sensors, field.name))
 
 
 def test_without_noise_it_reads_the_mean_of_what_it_reads_with_noise(
-    run: tuple[Start, list[CycleRecord]],
+    run: tuple[RecordedStart, list[CycleRecord]],
 ) -> None:
-    apart = difference("current_A", [r.sensors for r in run[1]], driven(run, Manner()))
+    apart = difference("current_A", [r.sensors for r in run[1]], driven(run, SimulationOptions()))
     assert np.abs(apart.mean(axis=0)).max() < 4 * NOISE_A / np.sqrt(len(apart))
     assert apart.std() == pytest.approx(NOISE_A, rel=0.05)
 
 
 def test_a_difference_shows_in_its_own_joint_and_while_that_moves(
-    run: tuple[Start, list[CycleRecord]],
+    run: tuple[RecordedStart, list[CycleRecord]],
 ) -> None:
     nominal = driven(run, BRIEF)
     apart = difference("current_A", driven(run, BRIEF, CoulombFriction(Joint.WRIST, 10.0)), nominal)
@@ -83,19 +84,23 @@ def test_a_difference_shows_in_its_own_joint_and_while_that_moves(
     assert not apart[:-1][~powered[:-1] & ~np.roll(powered, 1)[:-1], Joint.WRIST].any()
 
 
-def test_what_is_wrong_at_a_joint_on_its_brake_is_not_seen(run: tuple[Start, list[CycleRecord]]) -> None:
+def test_what_is_wrong_at_a_joint_on_its_brake_is_not_seen(
+    run: tuple[RecordedStart, list[CycleRecord]],
+) -> None:
     nominal = driven(run, BRIEF)
     apart = difference("current_A", driven(run, BRIEF, ViscousFriction(Joint.ELBOW, 300.0)), nominal)
     assert np.abs(apart).max() < 0.01 * NOISE_A
 
 
-def test_a_sensor_that_reads_too_much_does_so_at_rest_too(run: tuple[Start, list[CycleRecord]]) -> None:
+def test_a_sensor_that_reads_too_much_does_so_at_rest_too(
+    run: tuple[RecordedStart, list[CycleRecord]],
+) -> None:
     nominal = driven(run, BRIEF)
     apart = difference("current_A", driven(run, BRIEF, CurrentBias(Joint.ELBOW, 0.05)), nominal)
     np.testing.assert_allclose(apart, 0.05 * (np.arange(5) == Joint.ELBOW) * np.ones_like(apart), atol=1e-15)
 
 
-def test_an_encoder_that_lost_count_shows_in_no_motion(run: tuple[Start, list[CycleRecord]]) -> None:
+def test_an_encoder_that_lost_count_shows_in_no_motion(run: tuple[RecordedStart, list[CycleRecord]]) -> None:
     nominal = driven(run, BRIEF)
     lost = driven(run, BRIEF, EncoderZero(Joint.WRIST, 2e-3))
     np.testing.assert_array_equal(lost[0].encoder_count, nominal[0].encoder_count)

@@ -29,7 +29,7 @@ _BACK: Final = (ModeEvent.MOVE_BACK, ModeEvent.DONE)
 _PRESS: Final = (ModeEvent.PRESS, ModeEvent.DONE)
 _RELEASE: Final = (ModeEvent.PRESS, ModeEvent.DONE_RELEASED)
 
-EVENTS: Final[dict[type[Command], tuple[ModeEvent, ...]]] = {
+COMMAND_EVENTS: Final[dict[type[Command], tuple[ModeEvent, ...]]] = {
     **{kind: (event, ModeEvent.DONE) for kind, event in EVENT_OF.items()},
     Calibrate: _FREE,
     CalibrateAll: _FREE,
@@ -54,7 +54,7 @@ _CLEARED: Final[Modes] = frozenset(
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
+class SequenceState:
     """Where a sequence has come to."""
 
     modes: Modes
@@ -65,7 +65,7 @@ class Standing:
     """The number of the command that an injected fault ended."""
 
 
-def refusals(
+def find_refusals(
     commands: Sequence[Command], start: Mode, faulting: Collection[int] = (), troubled: Collection[int] = ()
 ) -> Iterator[tuple[int, str]]:
     """The number of each command that would be refused, and what would be right.
@@ -73,19 +73,19 @@ def refusals(
     `faulting` are the numbers of commands that are bound to end in a fault, if they move at all, `troubled`
     of those that may.
     """
-    standing = Standing(frozenset({start}))
+    standing = SequenceState(frozenset({start}))
     for number, command in enumerate(commands, 1):
-        problem = _refused(standing, command)
+        problem = _refusal_reason(standing, command)
         if problem is not None:
             yield number, problem
-        standing = _after(standing, command, number if number in faulting else None)
-        if number in troubled and moves(command):
+        standing = _next_state(standing, command, number if number in faulting else None)
+        if number in troubled and is_motion(command):
             standing = replace(standing, modes=standing.modes | {Mode.FAULTED})
 
 
-def moves(command: Command) -> bool:
+def is_motion(command: Command) -> bool:
     """Whether a command moves the arm."""
-    return EVENTS[type(command)] not in ((), (ModeEvent.CLEAR,))
+    return COMMAND_EVENTS[type(command)] not in ((), (ModeEvent.CLEAR,))
 
 
 def modes_after(modes: Modes, command: Command) -> Modes:
@@ -94,10 +94,10 @@ def modes_after(modes: Modes, command: Command) -> Modes:
         return _CLEARED if Mode.FAULTED in modes else frozenset()
     if isinstance(command, ToolChange):
         modes &= {Mode.GUARDED}  # what touches nothing may move back, but has no spot to come back to
-    return _through(modes, _events(command))
+    return _apply_events(modes, _events(command))
 
 
-def _through(modes: Modes, events: tuple[ModeEvent, ...]) -> Modes:
+def _apply_events(modes: Modes, events: tuple[ModeEvent, ...]) -> Modes:
     for event in events:
         modes = frozenset(reached for mode in modes if (reached := next_mode(mode, event)) is not None)
     return modes
@@ -110,13 +110,13 @@ def _events(command: Command) -> tuple[ModeEvent, ...]:
         case ToolChange(hover_m=hover) if hover > 0:
             return (*_BACK, *_FREE)
         case _:
-            return EVENTS[type(command)]
+            return COMMAND_EVENTS[type(command)]
 
 
-def _refused(standing: Standing, command: Command) -> str | None:
+def _refusal_reason(standing: SequenceState, command: Command) -> str | None:
     name, modes = upper_snake(type(command)), standing.modes
     if modes == {Mode.FAULTED} and not isinstance(command, ClearFault | Stop):
-        asks = "asks for motion" if moves(command) else "comes"
+        asks = "asks for motion" if is_motion(command) else "comes"
         return (
             f"{name} {asks} while the fault of command {standing.faulted_in} stands; "
             "put CLEAR_FAULT before it"
@@ -126,7 +126,7 @@ def _refused(standing: Standing, command: Command) -> str | None:
             return f"{name}: no fault is known to stand; leave it out, or inject a fault during a command"
         # a fault that may have come would have ended the sequence
         here = " or ".join(mode.name for mode in sorted(modes - {Mode.FAULTED}))
-        return f"{name} is refused in mode {here}; before it comes {_ways(modes, command)}"
+        return f"{name} is refused in mode {here}; before it comes {_enabling_commands(modes, command)}"
     if isinstance(command, ToolChange) and command.tool is standing.tool:
         return f"{name}: {command.tool.name.lower()} is the tool that touches already; name another"
     wrong_tool = isinstance(command, GuardedMove | Retract | Preload) and command.tool is not standing.tool
@@ -136,27 +136,27 @@ def _refused(standing: Standing, command: Command) -> str | None:
     return None
 
 
-def _after(standing: Standing, command: Command, fault: int | None) -> Standing:
-    if fault is not None and moves(command):
-        return Standing(frozenset({Mode.FAULTED}), faulted_in=fault)
+def _next_state(standing: SequenceState, command: Command, fault: int | None) -> SequenceState:
+    if fault is not None and is_motion(command):
+        return SequenceState(frozenset({Mode.FAULTED}), faulted_in=fault)
     if standing.modes == {Mode.FAULTED} and not isinstance(command, ClearFault):
         return standing
     # one that is refused was told already; go on as if what is missing had been there
     modes = modes_after(standing.modes, command) or modes_after(frozenset(Mode), command)
     if not modes <= {Mode.GUARDED, Mode.PRELOAD}:
-        return Standing(modes, faulted_in=standing.faulted_in)
+        return SequenceState(modes, faulted_in=standing.faulted_in)
     if isinstance(command, GuardedMove | PlaceTool | ToolChange):
         return replace(standing, modes=modes, tool=command.tool)
     return replace(standing, modes=modes)
 
 
-def _ways(modes: Modes, command: Command) -> str:
+def _enabling_commands(modes: Modes, command: Command) -> str:
     """The commands after which this one may begin, as far as one command leads there."""
     fit = frozenset(mode for mode in Mode if modes_after(frozenset({mode}), command))
     ways = [
         upper_snake(kind) + (" of force 0" if events is _RELEASE else "")
         for kind in get_args(Command)
-        for events in ((_PRESS, _RELEASE) if kind is Preload else (EVENTS[kind],))
-        if events and kind not in (ClearFault, ToolChange) and _through(modes, events) & fit
+        for events in ((_PRESS, _RELEASE) if kind is Preload else (COMMAND_EVENTS[kind],))
+        if events and kind not in (ClearFault, ToolChange) and _apply_events(modes, events) & fit
     ]
     return " or ".join(ways) or f"what leads to mode {' or '.join(mode.name for mode in sorted(fit))}"

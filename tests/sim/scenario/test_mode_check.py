@@ -24,7 +24,7 @@ from fsw.dictionary.commands import (
     Unstow,
 )
 from fsw.dictionary.enums import Joint, Mode, Tool
-from sim.scenario.modes import EVENTS, modes_after, refusals
+from sim.scenario.mode_check import COMMAND_EVENTS, find_refusals, modes_after
 
 UP = (0.0, 0.0, 1.0)
 HERE = (2.0, 0.0, 0.8)
@@ -104,23 +104,23 @@ REFUSED = {
 @pytest.mark.parametrize("case", FINE)
 def test_what_flight_software_does_is_not_refused(case):
     start, commands = FINE[case]
-    assert not list(refusals(commands, start))
+    assert not list(find_refusals(commands, start))
 
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_flight_software_refuses_is_told_with_its_number_and_what_comes_before(case):
     start, commands, number, said = REFUSED[case]
-    ((found, problem),) = refusals(commands, start)
+    ((found, problem),) = find_refusals(commands, start)
     assert found == number
     assert said in problem
 
 
 def test_every_command_has_its_events():
-    assert set(EVENTS) == set(get_args(Command))
+    assert set(COMMAND_EVENTS) == set(get_args(Command))
 
 
 @pytest.mark.parametrize(
-    "kind", [kind for kind in get_args(Command) if EVENTS[kind]], ids=lambda k: k.__name__
+    "kind", [kind for kind in get_args(Command) if COMMAND_EVENTS[kind]], ids=lambda k: k.__name__
 )
 def test_every_command_that_changes_the_mode_can_begin_in_some_mode_and_not_in_another(kind):
     sample = (
@@ -140,7 +140,7 @@ def test_every_command_that_changes_the_mode_can_begin_in_some_mode_and_not_in_a
 
 def test_after_a_fault_that_is_bound_to_come_motion_waits_for_the_fault_to_be_cleared():
     commands = (MOVE, PLACE, MOVE, SetTilt(0.0, 0.0), ClearFault(), MOVE)
-    found = dict(refusals(commands, Mode.DEPLOYED, faulting=[1]))
+    found = dict(find_refusals(commands, Mode.DEPLOYED, faulting=[1]))
     assert set(found) == {2, 3, 4}
     assert (
         found[2]
@@ -151,17 +151,17 @@ def test_after_a_fault_that_is_bound_to_come_motion_waits_for_the_fault_to_be_cl
 
 def test_where_a_cleared_fault_leaves_the_arm_is_not_guessed():
     for after_it in ((BACK,), (MOVE,), (Unstow(),), (RELEASE, BACK, MOVE)):
-        assert not list(refusals((PLACE, ClearFault(), *after_it), Mode.DEPLOYED, faulting=[1]))
+        assert not list(find_refusals((PLACE, ClearFault(), *after_it), Mode.DEPLOYED, faulting=[1]))
 
 
 def test_a_command_that_does_not_move_cannot_fault():
-    assert not list(refusals((SetTilt(0.0, 0.0), MOVE), Mode.DEPLOYED, faulting=[1]))
+    assert not list(find_refusals((SetTilt(0.0, 0.0), MOVE), Mode.DEPLOYED, faulting=[1]))
 
 
 def test_a_fault_that_may_end_a_command_may_be_cleared_and_need_not_come():
     cleared, ignored = (MOVE, ClearFault(), MOVE), (MOVE, MOVE)
-    assert list(refusals(cleared, Mode.DEPLOYED, troubled=(1,))) == []
-    assert list(refusals(ignored, Mode.DEPLOYED, troubled=(1,))) == []
-    ((number, problem),) = refusals((Stop(), ClearFault()), Mode.DEPLOYED, troubled=(1,))
+    assert list(find_refusals(cleared, Mode.DEPLOYED, troubled=(1,))) == []
+    assert list(find_refusals(ignored, Mode.DEPLOYED, troubled=(1,))) == []
+    ((number, problem),) = find_refusals((Stop(), ClearFault()), Mode.DEPLOYED, troubled=(1,))
     assert number == 2
     assert problem.startswith("CLEAR_FAULT: no fault is known to stand")

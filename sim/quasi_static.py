@@ -18,7 +18,7 @@ from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array, Pose, screw_exp
 from fsw.motion.compensation import Compensation
 from fsw.motion.plan import JointPositions, plan_joint_move
-from sim.scatter import Scatter, body_index
+from sim.disturbance import MoveDisturbance, body_index
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +33,7 @@ class StaticArm:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SettledMove:
+class QuasiStaticMove:
     """The arm at rest after a move."""
 
     X_RT: Pose
@@ -41,15 +41,15 @@ class SettledMove:
     """Where the outputs lie in their gaps, (5,)."""
 
 
-def settled_move(
+def solve_quasi_static_move(
     arm: StaticArm,
     start_rad: Array,
     goal_rad: Array,
     tool: Tool,
     gravity_R_m_s2: Array,
     backlash: BacklashMode,
-    scatter: Scatter,
-) -> SettledMove:
+    disturbance: MoveDisturbance,
+) -> QuasiStaticMove:
     """The move from outputs (5) to outputs (5), as flight software believes them to be.
 
     Displaced frames move the tool in proportion: they are small.
@@ -66,7 +66,7 @@ def settled_move(
         imu_R_m_s2=gravity_R_m_s2,
     )
     plan = plan_joint_move(believed, joints, start, goal_rad, hanging.torque_Nm, Compensation(backlash))
-    off_rad = arm.off_rad + scatter.motor_rad
+    off_rad = arm.off_rad + disturbance.motor_rad
     motor = start.motor_rad + off_rad
     torque = settle_output(true.arm, goal_rad, gravity_R_m_s2).torque_Nm
     gear = start.gear_rad
@@ -74,10 +74,12 @@ def settled_move(
     for knot in (*(path.at(path.duration_s).motor_rad for path in plan.paths), plan.end.motor_rad):
         gear = np.clip(gear - (knot + off_rad - motor), bounds.lowest_rad, bounds.highest_rad)
         motor = knot + off_rad
-    frames = settle_output(true.arm, motor + gear + scatter.gear_rad, gravity_R_m_s2).frames
+    frames = settle_output(true.arm, motor + gear + disturbance.gear_rad, gravity_R_m_s2).frames
     X_RT = tool_pose(true.arm, frames, tool)
     bodies = [body_index(frame, tool) for frame in Frame]
     J = frame_jacobian(frames, X_RT)
-    shift = np.einsum("ikj,kj->i", J, scatter.screw[:, bodies])
+    shift = np.einsum("ikj,kj->i", J, disturbance.screw[:, bodies])
     moved = screw_exp(np.concatenate([shift[:3], np.zeros(3)]))
-    return SettledMove(Pose(moved.R @ X_RT.R, X_RT.p + shift[3:]), clip_to_backlash(true.half_gap_rad, gear))
+    return QuasiStaticMove(
+        Pose(moved.R @ X_RT.R, X_RT.p + shift[3:]), clip_to_backlash(true.half_gap_rad, gear)
+    )

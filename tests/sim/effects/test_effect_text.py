@@ -6,14 +6,14 @@ import pytest
 
 from fsw.dictionary.enums import Frame, Joint, Tool
 from sim.arms import arm_named
-from sim.effects.friction import CoulombFriction, StribeckFriction
+from sim.effects.gears import CoulombFriction, StribeckFriction
 from sim.effects.geometry import FrameError
 from sim.effects.links import LinkAngle, ToolOffset
 from sim.effects.sensors import EncoderZero
 from sim.effects.structure import LinkMass
-from sim.scenario.effects import BadEffect, effect_from
-from sim.scenario.file import BadScenario, scenario_from
-from sim.scenario.run import setup_of
+from sim.scenario.effects import BadEffect, parse_effect_text
+from sim.scenario.file import BadScenario, parse_scenario
+from sim.scenario.run import scenario_setup
 from tests.sim import lab
 
 RIGHT = {
@@ -55,13 +55,13 @@ WRONG = {
 
 @pytest.mark.parametrize("text", RIGHT)
 def test_what_is_written_rightly_is_read(text: str) -> None:
-    assert effect_from(text) == RIGHT[text]
+    assert parse_effect_text(text) == RIGHT[text]
 
 
 @pytest.mark.parametrize("text", WRONG)
 def test_what_is_written_wrongly_is_refused_with_what_would_be_right(text: str) -> None:
     with pytest.raises(BadEffect, match=WRONG[text].replace("[", r"\[")):
-        effect_from(text)
+        parse_effect_text(text)
 
 
 SCENARIO = """
@@ -83,11 +83,11 @@ type = "done"
 
 
 def test_a_scenario_switches_effects_on_from_the_beginning_or_once_the_run_begins() -> None:
-    scenario = scenario_from(SCENARIO.replace("offset_mrad = 1", "offset_deg = 0.1"), "still", "still.toml")
+    scenario = parse_scenario(SCENARIO.replace("offset_mrad = 1", "offset_deg = 0.1"), "still", "still.toml")
     nominal = arm_named("nominal")
-    arm = scenario.fitted(nominal)
+    arm = scenario.fit_arm(nominal)
     assert arm.effects == (CoulombFriction(Joint.ELBOW, 25.0),)
-    setup = setup_of(scenario, arm, lab.true_reference(nominal), 0)
+    setup = scenario_setup(scenario, arm, lab.true_reference(nominal), 0)
     assert [type(effect) for effect in setup.effects if effect in scenario.effects] == [EncoderZero]
 
 
@@ -116,4 +116,4 @@ def test_a_scenario_switches_effects_on_from_the_beginning_or_once_the_run_begin
 def test_an_effect_in_a_scenario_is_refused_by_its_line(wrong: str, right: str, said: str) -> None:
     text = SCENARIO.lstrip().replace("offset_mrad = 1", "offset_deg = 0.1")
     with pytest.raises(BadScenario, match=said):
-        scenario_from(text.replace(wrong, right), "still", "still.toml")
+        parse_scenario(text.replace(wrong, right), "still", "still.toml")

@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 from fsw.kinematics.transforms import Array
 from fsw.messages import ActuatorCommand, Sensors
 from sim.avionics import Avionics
-from sim.effects.effect import Effect, Hardware, fitted, nominal_hardware
+from sim.effects.effect import Effect, Hardware, apply_effects, nominal_hardware
 from sim.loop import SETTLE_S, hardware_rng
 from sim.plant import Plant
 from sim.world import World, build
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Start:
+class RecordedStart:
     """Where a recorded run began; joint arrays (5,)."""
 
     world: World
@@ -30,7 +30,7 @@ class Start:
 
 
 @dataclass(frozen=True, slots=True)
-class Manner:
+class SimulationOptions:
     """How a run is simulated."""
 
     seed: int | None = None
@@ -38,15 +38,17 @@ class Manner:
     settle_s: float = SETTLE_S
 
 
-QUIET = Manner()
+NOISE_FREE = SimulationOptions()
 
 
-class DrivenArm:
+class OpenLoopArm:
     """An arm at its start, about to be driven."""
 
-    def __init__(self, start: Start, effects: Iterable[Effect], manner: Manner = QUIET):
+    def __init__(
+        self, start: RecordedStart, effects: Iterable[Effect], manner: SimulationOptions = NOISE_FREE
+    ):
         spec = build(start.world)
-        hardware = fitted(effects, spec, replace(nominal_hardware(), counter_zero_rad=start.zero_rad))
+        hardware = apply_effects(effects, spec, replace(nominal_hardware(), counter_zero_rad=start.zero_rad))
         self.plant = Plant(spec.compile())
         # a hardstop that is not where it was taken to be has shifted the zero that was found there
         off_rad = start.hardstop_rad - self.plant.stop_rad()

@@ -10,9 +10,15 @@ from fsw.dictionary.enums import Frame, Joint, Tool
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import adjoint, inverse
-from sim.arms import UnknownArm, arm_named
-from sim.effects.built import IDENTIFIABLE, SPRINGS, as_built, left_by_calibration
-from sim.effects.effect import knowing
+from sim.arms import (
+    IDENTIFIABLE_AXES,
+    SPRING_FRAMES,
+    UnknownArm,
+    arm_named,
+    draw_calibration_errors,
+    draw_tolerances,
+)
+from sim.effects.effect import params_with_effects
 from sim.effects.geometry import FrameError
 from sim.effects.joints import (
     BacklashWidth,
@@ -28,7 +34,7 @@ from tests.sim import lab
 
 SEEDS = range(200)
 AXES = [(frame, axis) for frame in Frame for axis in range(6)]
-SEEN = [(frame, axis) for frame in Frame for axis in IDENTIFIABLE[frame]]
+SEEN = [(frame, axis) for frame in Frame for axis in IDENTIFIABLE_AXES[frame]]
 UNSEEN = [place for place in AXES if place not in SEEN]
 
 
@@ -37,7 +43,7 @@ def drawn() -> dict[str, lab.Array]:
     """Every number of 200 arms, by what it is."""
     values: dict[str, list[float]] = defaultdict(list)
     for seed in SEEDS:
-        for effect in as_built(seed):
+        for effect in draw_tolerances(seed):
             match effect:
                 case FrameError(screw=screw):
                     values["frame_rad"] += screw[:3]
@@ -91,7 +97,7 @@ def test_two_hundred_arms_have_the_stated_spread(
 
 
 def test_every_place_of_the_arm_is_drawn_once() -> None:
-    effects = as_built(0)
+    effects = draw_tolerances(0)
     frames = [(e.frame, e.tool) for e in effects if isinstance(e, FrameError)]
     assert frames == [(f, None) for f in Frame if f is not Frame.TOOL] + [(Frame.TOOL, t) for t in Tool]
     for kind in (
@@ -103,20 +109,20 @@ def test_every_place_of_the_arm_is_drawn_once() -> None:
         GearFriction,
     ):
         assert [e.joint for e in effects if isinstance(e, kind)] == list(Joint)
-    assert tuple(e.frame for e in effects if isinstance(e, LinkStiffness)) == SPRINGS
-    assert [e.frame for e in effects if isinstance(e, LinkMass)] == [*SPRINGS[1:], Frame.ARM6]
+    assert tuple(e.frame for e in effects if isinstance(e, LinkStiffness)) == SPRING_FRAMES
+    assert [e.frame for e in effects if isinstance(e, LinkMass)] == [*SPRING_FRAMES[1:], Frame.ARM6]
 
 
 @pytest.mark.parametrize("seed", [0, 1, 199, 999_999_999])
 def test_the_same_seed_is_the_same_arm_and_another_another(seed: int) -> None:
-    assert as_built(seed) == as_built(seed)
-    assert left_by_calibration(seed) == left_by_calibration(seed)
-    assert as_built(seed) != as_built(seed + 1)
+    assert draw_tolerances(seed) == draw_tolerances(seed)
+    assert draw_calibration_errors(seed) == draw_calibration_errors(seed)
+    assert draw_tolerances(seed) != draw_tolerances(seed + 1)
 
 
 def test_an_as_built_arm_flies_with_the_parameters_of_the_drawing() -> None:
     nominal, built = arm_named("nominal"), arm_named("as-built:7")
-    assert built.effects == as_built(7)
+    assert built.effects == draw_tolerances(7)
     assert built.params.arm_name == "as-built:7"
     for group in ("links", "tools", "joints", "hardstop", "poses", "motion", "monitors"):
         assert getattr(built.params, group) == getattr(nominal.params, group)
@@ -128,7 +134,7 @@ def test_a_calibrated_arm_is_the_same_arm_and_flies_with_other_parameters() -> N
     built, calibrated = arm_named("as-built:7"), arm_named("calibrated:7")
     assert calibrated.effects == built.effects
     assert digest(calibrated.params) != digest(built.params)
-    perfect = knowing(calibrated.effects, nominal_params())
+    perfect = params_with_effects(calibrated.effects, nominal_params())
     assert calibrated.params.links != perfect.links
     assert calibrated.params.tools != perfect.tools
 
@@ -137,7 +143,7 @@ def test_a_calibration_leaves_a_tenth_of_what_it_found() -> None:
     """Over 40 arms: the tool where perfect and calibrated parameters put it, for the same joint angles."""
     miss: dict[str, list[float]] = defaultdict(list)
     for seed in range(40):
-        perfect = knowing(as_built(seed), nominal_params())
+        perfect = params_with_effects(draw_tolerances(seed), nominal_params())
         for kind in ("as-built", "calibrated"):
             believed = build_arm(arm_named(f"{kind}:{seed}").params)
             p = [

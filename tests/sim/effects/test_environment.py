@@ -5,8 +5,8 @@ import pytest
 
 from fsw.dictionary.enums import Tool
 from fsw.dictionary.types import vector3
-from sim.effects.contacts import ContactStiffness, SurfacePosition
 from sim.effects.effect import Effect
+from sim.effects.environment import ContactStiffness, SurfacePosition
 from sim.frames import P_NR_M
 from sim.plant import Plant
 from sim.world import Surface, World

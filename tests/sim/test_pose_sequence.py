@@ -5,7 +5,7 @@ import pytest
 
 from fsw.config import configure
 from sim.arms import arm_named
-from sim.tour import Settled, random_goals, tour
+from sim.pose_sequence import RestState, random_goals, visit_poses
 from sim.world import World
 from tests.sim import lab
 
@@ -15,23 +15,23 @@ TILTED = World("mars", np.radians(15.0), np.radians(-20.0))
 POSES = 14
 
 
-def settled(backlash: str, arm_name: str = "nominal", poses: int = POSES) -> list[Settled]:
+def settled(backlash: str, arm_name: str = "nominal", poses: int = POSES) -> list[RestState]:
     arm = arm_named(arm_name)
     goals = random_goals(configure(arm.params), np.random.default_rng(41), poses)
-    return list(tour(arm, lab.true_reference(arm), TILTED, goals, backlash, seed=41))
+    return list(visit_poses(arm, lab.true_reference(arm), TILTED, goals, backlash, seed=41))
 
 
 @pytest.fixture(scope="module")
-def compensated() -> list[Settled]:
+def compensated() -> list[RestState]:
     return settled("on")
 
 
 @pytest.fixture(scope="module")
-def uncompensated() -> list[Settled]:
+def uncompensated() -> list[RestState]:
     return settled("off", poses=POSES // 2)
 
 
-def error_rad(poses: list[Settled]) -> np.ndarray:
+def error_rad(poses: list[RestState]) -> np.ndarray:
     return np.array([pose.output_rad - pose.goal_rad for pose in poses])
 
 

@@ -1,0 +1,283 @@
+"""Sessions of motions for diagnosis, and how one is carried out in the closed loop.
+
+Each motion is short and separates a few effects from the others. A session begins at rest on the brakes.
+Poses of the tables are in degrees.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from fsw.config import CYCLE_HZ, configure
+from fsw.dictionary.commands import Command, GuardedMove, MoveJoint, MoveJoints, Preload, SetParam
+from fsw.dictionary.enums import Joint, Tool
+from fsw.dictionary.params import Params
+from fsw.dictionary.types import joints5, vector3
+from fsw.estimate.reference import Reference
+from fsw.kinematics.chain import tool_pose
+from fsw.kinematics.statics import settle, settle_output
+from fsw.kinematics.transforms import Array
+from sim.arms import BuiltArm
+from sim.effects.effect import Effect
+from sim.effects.environment import WARM_C, Ambient
+from sim.frames import p_R_from_N
+from sim.loop import ClosedLoop, Setup
+from sim.record import CycleRecord
+from sim.sequence import Outcome, run_sequence
+from sim.world import Surface, World
+
+Degrees5 = tuple[int, int, int, int, int]
+
+ROLL_RAD: Final = float(np.radians(20.0))
+SESSION_COLD_C: Final = -50.0
+FAST_RAD, SLOW_RAD, TURN_RAD = (float(np.radians(deg)) for deg in (5.0, 0.75, 0.75))
+SLOW_FRACTION: Final = 0.2
+"""Of the speed that a joint has."""
+OUTSTRETCHED: Final[Degrees5] = (0, -40, 60, 60, 60)
+HELD_OUT_POSE: Final[Degrees5] = (-20, -60, 80, 90, 120)
+POSES: Final[tuple[tuple[Degrees5, Degrees5], ...]] = (
+    ((-44, -90, 102, -154, 227), (-39, -95, 97, -161, 233)),
+    ((32, -86, 68, 53, 65), (26, -91, 61, 60, 61)),
+    ((37, -39, -34, -162, 140), (41, -43, -27, -167, 147)),
+    ((54, -41, -50, 61, 30), (48, -48, -56, 66, 35)),
+    ((60, -84, -113, 100, 151), (65, -80, -119, 105, 155)),
+    ((13, -111, -75, 197, 290), (9, -115, -68, 201, 283)),
+    ((59, -115, 44, 2, 237), (63, -108, 37, -5, 241)),
+    ((-45, -149, 78, 120, 34), (-52, -143, 71, 116, 29)),
+)
+"""One for each branch of the inverse kinematics, in their order, and one a little way on."""
+TILTED_POSES: Final[tuple[tuple[Degrees5, Degrees5], ...]] = (
+    ((10, -130, 95, 123, 220), (17, -126, 89, 117, 213)),
+    ((-70, -14, 18, -2, 313), (-74, -7, 11, 3, 306)),
+    ((54, -42, -30, 181, 125), (47, -38, -34, 187, 119)),
+    ((-89, -152, 109, 192, 7), (-83, -146, 104, 188, 3)),
+    ((-84, -112, -30, -176, 233), (-89, -108, -36, -181, 229)),
+    ((-90, -95, -137, -172, 313), (-86, -102, -133, -166, 308)),
+    ((-64, -137, 90, 15, 141), (-59, -144, 96, 19, 148)),
+    ((-27, -110, 21, 69, 6), (-21, -117, 26, 76, -1)),
+)
+"""Others on the same branches, with the rover rolled."""
+PRESS_N: Final = 60.0
+STANDOFF_M: Final = 0.02
+"""How far in front of a rock a placement begins."""
+OVERTRAVEL_M: Final = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisSession:
+    """One log: where it begins, what is asked, and under which conditions."""
+
+    name: str
+    block: str
+    """Repeats of one motion are one block."""
+    world: World
+    temperature_C: float
+    start_rad: tuple[float, ...]
+    """Outputs, (5,)."""
+    commands: tuple[Command, ...]
+    tracked: bool
+    """Whether a laser tracker looks at the turret wherever the arm rests."""
+
+
+def pose_sessions() -> list[DiagnosisSession]:
+    """Two poses on every branch, level and rolled; the first pair of each a second time."""
+    found = []
+    for named, pairs, roll_rad in (("level", POSES, 0.0), ("rolled", TILTED_POSES, ROLL_RAD)):
+        for number, (here, there) in enumerate(pairs, 1):
+            for again in ("", "-again") if number == 1 else ("",):
+                block = f"poses-{named}-{number}"
+                found.append(
+                    DiagnosisSession(
+                        block + again,
+                        block,
+                        World("mars", roll_rad),
+                        WARM_C,
+                        _radians(here),
+                        (MoveJoints(joints5(np.radians(there)), "off"),),
+                        tracked=True,
+                    )
+                )
+    return found
+
+
+def sweep_sessions(params: Params) -> list[DiagnosisSession]:
+    """Each joint alone from outstretched: there and back fast, slowly, and to and fro; elevation twice."""
+    found = []
+    for joint in Joint:
+        for again in ("", "-again") if joint is Joint.ELEVATION else ("",):
+            name = joint.name.lower()
+            roll_rad = ROLL_RAD if joint in (Joint.AZIMUTH, Joint.TURRET) else 0.0
+            found.append(
+                DiagnosisSession(
+                    f"sweep-{name}{again}",
+                    f"sweep-{name}",
+                    World("mars", roll_rad),
+                    WARM_C,
+                    _radians(OUTSTRETCHED),
+                    _sweep(params, joint),
+                    tracked=False,
+                )
+            )
+    return found
+
+
+def coordinated_sessions() -> list[DiagnosisSession]:
+    """All joints at once, there and back: in the cold, twice; warm, to compare; and both from elsewhere."""
+    return [
+        DiagnosisSession(
+            name, block, World("mars"), temperature_C, _radians(pose), _there_and_back(pose), False
+        )
+        for name, block, temperature_C, pose in (
+            ("cold", "cold", SESSION_COLD_C, OUTSTRETCHED),
+            ("cold-again", "cold", SESSION_COLD_C, OUTSTRETCHED),
+            ("warm", "warm", WARM_C, OUTSTRETCHED),
+            ("elsewhere-cold", "elsewhere-cold", SESSION_COLD_C, HELD_OUT_POSE),
+            ("elsewhere-warm", "elsewhere-warm", WARM_C, HELD_OUT_POSE),
+        )
+    ]
+
+
+def placement_session(
+    name: str, tool: Tool, start_rad: Array, p_RoTo_R_m: Array, approach_R: Array
+) -> DiagnosisSession:
+    """Onto a rock in front of a tool that is at rest there: touch and press."""
+    touch = p_RoTo_R_m + STANDOFF_M * approach_R
+    p_N = touch - p_R_from_N(np.zeros(3))
+    world = World("mars", surface=Surface(vector3(p_N), vector3(-approach_R)))
+    end = vector3(touch + OVERTRAVEL_M * approach_R)
+    commands: tuple[Command, ...] = (
+        GuardedMove(tool, end, vector3(approach_R)),
+        Preload(tool, PRESS_N),
+    )
+    return DiagnosisSession(name, name, world, WARM_C, joints5(start_rad), commands, False)
+
+
+def _there_and_back(pose: Degrees5) -> tuple[Command, ...]:
+    start = np.array(_radians(pose))
+    there = start + np.radians([5.0, -5.0, 5.0, -10.0, 10.0])
+    return MoveJoints(joints5(there), "off"), MoveJoints(joints5(start), "off")
+
+
+def _sweep(params: Params, joint: Joint) -> tuple[Command, ...]:
+    here = _radians(OUTSTRETCHED)[joint]
+    out_rad, slow_rad, turn_rad = here - FAST_RAD, here - SLOW_RAD, here - TURN_RAD
+    return (
+        MoveJoint(joint, out_rad, "off"),
+        MoveJoint(joint, here, "off"),
+        _at_speed(params, joint, SLOW_FRACTION),
+        MoveJoint(joint, slow_rad, "off"),
+        MoveJoint(joint, here, "off"),
+        _at_speed(params, joint, 1.0),
+        MoveJoint(joint, turn_rad, "off"),
+        MoveJoint(joint, here, "off"),
+    )
+
+
+def _at_speed(params: Params, joint: Joint, share: float) -> SetParam:
+    speed_rad_s = params.joints.in_order()[joint].speed_rad_s
+    return SetParam(f"joints.{joint.name.lower()}.speed_rad_s", share * speed_rad_s)
+
+
+def _radians(pose: Degrees5) -> tuple[float, ...]:
+    return joints5(np.radians(pose))
+
+
+SESSION_SETTLE_S: Final = 8.0
+"""On the brakes before a session: longer changes no reading by as much as its noise."""
+SESSION_REST_S: Final = 1.0
+"""At rest before a motion and after it."""
+PLACEMENTS: Final = (
+    ("place-drill", Tool.DRILL, (0.0, -50.0, 100.0, 130.0, 90.0)),
+    ("place-apxs", Tool.APXS, (0.0, -50.0, 100.0, 130.0, 90.0)),
+)
+"""Names, tools, and the poses [deg] from which a rock is touched."""
+HELD_OUT_SESSIONS: Final = (
+    "poses-level-5",
+    "poses-level-8",
+    "poses-rolled-3",
+    "poses-rolled-7",
+    "elsewhere-cold",
+    "elsewhere-warm",
+)
+"""Sessions on which a diagnosis is tried that was made of the others."""
+
+
+class SessionFailed(RuntimeError):
+    """A motion of a session did not come to its end."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionCycle:
+    """One cycle of a session; `rested` says that the arm has stood still for long enough to be measured."""
+
+    record: CycleRecord
+    rested: bool
+
+
+def campaign_sessions(params: Params) -> tuple[DiagnosisSession, ...]:
+    """The whole campaign, in order, for an arm with these flight parameters."""
+    return (*pose_sessions(), *sweep_sessions(params), *coordinated_sessions(), *placement_sessions(params))
+
+
+def placement_sessions(params: Params) -> list[DiagnosisSession]:
+    """Each on a rock in front of the tool where it is believed to hang."""
+    config, found = configure(params), []
+    for name, tool, pose_deg in PLACEMENTS:
+        start = np.radians(pose_deg)
+        gravity = World("mars").gravity_N_m_s2
+        side = np.sign(settle_output(config.arm, start, gravity).torque_Nm)
+        hanging = settle(config.arm, start, side * config.half_gap_rad, gravity)
+        X_RT = tool_pose(config.arm, hanging.frames, tool)
+        found.append(placement_session(name, tool, start, X_RT.p, X_RT.R[:, 0]))
+    return found
+
+
+def start_session(
+    session: DiagnosisSession,
+    arm: BuiltArm,
+    reference: Reference,
+    seed: int,
+    effects: tuple[Effect, ...] = (),
+) -> ClosedLoop:
+    """The closed loop about to carry out a session; motors begin at a whole count, as encoders read them."""
+    config = configure(arm.params)
+    start = round_to_counts(np.array(session.start_rad), reference.zero_rad, config.rad_per_count)
+    ambient = Ambient(session.temperature_C)
+    setup = Setup(
+        arm, session.world, joints5(start), seed, reference, (ambient, *effects), settle_s=SESSION_SETTLE_S
+    )
+    return ClosedLoop(setup)
+
+
+def round_to_counts(motor_rad: Array, zero_rad: Array, rad_per_count: Array) -> Array:
+    """The nearest angles (5,) at which encoders read whole counts."""
+    count = np.rint((motor_rad - zero_rad) / rad_per_count).astype(np.int64)
+    whole: Array = count * rad_per_count + zero_rad
+    return whole
+
+
+def run_session(loop: ClosedLoop, session: DiagnosisSession) -> Iterator[SessionCycle]:
+    """Every cycle of a session: a rest, and after each command another.
+
+    Raises:
+        SessionFailed: a command was refused or ended in a fault.
+    """
+    yield from _rest_cycles(loop)
+    for command in session.commands:
+        cycles = run_sequence(loop, (command,))
+        while True:
+            try:
+                yield SessionCycle(next(cycles), rested=False)
+            except StopIteration as end:
+                if end.value is not Outcome.DONE:
+                    raise SessionFailed(f"session {session.name}: {command} was {end.value}") from None
+                break
+        yield from _rest_cycles(loop)
+
+
+def _rest_cycles(loop: ClosedLoop) -> Iterator[SessionCycle]:
+    ticks = round(SESSION_REST_S * CYCLE_HZ)
+    for tick in range(ticks):
+        yield SessionCycle(loop.cycle(), rested=tick == ticks - 1)
