@@ -17,14 +17,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.telemetry.chunks import HEAD
-from ground.telemetry.container import ChunkPlace, read_records
+from ground.telemetry.chunks import MESSAGE_DTYPE
 from ground.telemetry.errors import LogError, LogNotReadable
-from ground.telemetry.loss import LogDamaged, Lost
-from ground.telemetry.messages import CHANNELS_KEY
-from ground.telemetry.read import Log, log_from
+from ground.telemetry.lost_messages import LogDamaged, LostMessages
+from ground.telemetry.mcap_reader import ChunkLocation, read_records
+from ground.telemetry.read import Log, parse_log
 from ground.telemetry.recover import recover
 from ground.telemetry.salvage import salvage
+from ground.telemetry.topic_arrays import CHANNELS_KEY
 from validation.recorded import recorded
 
 CUT_EVERY: Final = 4096
@@ -38,14 +38,14 @@ class Original:
 
     data: bytes
     log: Log
-    chunks: tuple[ChunkPlace, ...]
+    chunks: tuple[ChunkLocation, ...]
 
 
 def original(data: bytes) -> Original:
     """An undamaged file, closed or cut short."""
     found = read_records(HERE, data)
     chunks = (chunk for chunk, index in zip(found.chunks, found.indexes, strict=True) if index)
-    return Original(data, log_from(HERE, data), tuple(chunks))
+    return Original(data, parse_log(HERE, data), tuple(chunks))
 
 
 def same(log: Log, written: Log) -> bool:
@@ -77,11 +77,11 @@ def is_part(log: Log, written: Log) -> bool:
 def times_in(damaged: bytes) -> dict[str, NDArray[np.uint64]]:
     """Log times of all messages that are undamaged, by topic."""
     found = salvage(damaged)
-    heads = np.concatenate([np.zeros(0, HEAD), *(chunk.heads for chunk in found.chunks)])
+    heads = np.concatenate([np.zeros(0, MESSAGE_DTYPE), *(chunk.heads for chunk in found.chunks)])
     return {one.topic: heads["time_ns"][heads["channel"] == number] for number, one in found.channels.items()}
 
 
-def is_told(here_ns: Mapping[str, NDArray[np.uint64]], written: Log, lost: tuple[Lost, ...]) -> bool:
+def is_told(here_ns: Mapping[str, NDArray[np.uint64]], written: Log, lost: tuple[LostMessages, ...]) -> bool:
     """Whether what was written and is not here, times by topic, is all within the spans that are told."""
     for topic, times in written.time_ns.items():
         here = here_ns.get(topic, np.zeros(0, np.uint64))
@@ -103,7 +103,7 @@ def judged(made: Original, damaged: bytes, cut_ns: int | None = None) -> str:
     `cut_ns` is the log time up to which a file that was cut holds complete chunks.
     """
     try:
-        log = log_from(HERE, damaged)
+        log = parse_log(HERE, damaged)
     except LogDamaged as error:
         told = is_told(times_in(damaged), made.log, error.lost)
         return "detected" if told else f"WRONG: its span is not told: {error}"
@@ -132,7 +132,7 @@ def saved(made: Original, damaged: bytes, is_hit: list[bool], folder: Path) -> s
         # Where the header does not announce the channels, the first chunk alone says what messages mean.
         is_mute = is_hit[0] and CHANNELS_KEY not in made.log.header
         return "nothing to save" if all(is_hit) or is_mute else f"WRONG: {error}"
-    log = log_from(good, good.read_bytes())
+    log = parse_log(good, good.read_bytes())
     if not is_part(log, made.log):
         return "WRONG: other values"
     missed = sum(map(len, made.log.time_ns.values())) - sum(recovered.saved.values())

@@ -25,8 +25,8 @@ from typing import Any, Final
 import numpy as np
 
 from ground.telemetry.errors import LogError
-from ground.telemetry.inspect import channels_of, info_of, range_of
-from ground.telemetry.read import log_from
+from ground.telemetry.inspection import range_of, select_channels, summarize_log
+from ground.telemetry.read import parse_log
 from ground.telemetry.salvage import salvage
 from validation.fuzz_import import import_once, import_seeds, mutate_import
 from validation.mutate import Random, changed, changed_inside
@@ -63,11 +63,11 @@ def fuzz_reader(data: bytes) -> bool:
     path = Path("fuzz.mcap")
     salvage(data)
     try:
-        log = log_from(path, data)
+        log = parse_log(path, data)
     except LogError:
         return False
-    info_of(log)
-    for channel in channels_of(log):
+    summarize_log(log)
+    for channel in select_channels(log):
         range_of(channel)
     return True
 

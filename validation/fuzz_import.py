@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import csv, parquet
 
-from ground.telemetry.imports.errors import BadImport
-from ground.telemetry.imports.job import imported
+from ground.telemetry.imports.files import BadImport
+from ground.telemetry.imports.job import convert_table
+from ground.telemetry.imports.log_file import write_table_log
 from ground.telemetry.read import read_log
-from ground.telemetry.table_log import write_table_log
 
 BETWEEN: Final = b"\n#---\n"
 """What stands between the mapping and the table."""
@@ -26,7 +26,7 @@ def import_once(data: bytes) -> bool:
     mapping, _, table = data.partition(BETWEEN)
     name = "t.parquet" if table.startswith(b"PAR1") else "t.csv"
     try:
-        made = imported(table, name, mapping, NOWHERE, cells=CELLS)
+        made = convert_table(table, name, mapping, NOWHERE, cells=CELLS)
     except BadImport as error:
         if isinstance(error.__cause__, MemoryError):
             raise MemoryError(str(error)) from error  # a small table asked for all of it

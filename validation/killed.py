@@ -29,7 +29,7 @@ import numpy as np
 from ground.common.files import BadOutput
 from ground.telemetry.errors import LogError
 from ground.telemetry.read import Log, read_log
-from ground.telemetry.record import Recorder
+from ground.telemetry.recorder import Recorder
 from ground.telemetry.recover import recover
 from sim.loop import ClosedLoop
 from sim.placement import PlacementRun

@@ -11,8 +11,8 @@ from mcap.data_stream import RecordBuilder
 from mcap.records import Metadata
 from mcap.writer import MCAP0_MAGIC
 
-from ground.telemetry.container import CHUNK_HEAD, RECORD_HEAD, ChunkPlace, chunk_at, records
 from ground.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
+from ground.telemetry.mcap_reader import CHUNK_HEAD, RECORD_HEAD, ChunkLocation, iter_records, parse_chunk
 
 Random = np.random.Generator
 NUMBERS: Final = (
@@ -96,13 +96,13 @@ def changed_inside(random: Random, data: bytes) -> bytes:
     return data[: chunk.at] + packed(changed(random, plain), chunk) + data[chunk.end :]
 
 
-def parts(data: bytes) -> tuple[list[ChunkPlace], dict[str, tuple[int, int]]]:
+def parts(data: bytes) -> tuple[list[ChunkLocation], dict[str, tuple[int, int]]]:
     """Chunks, and where the format and header records begin and end, as far as they can be told."""
     chunks, metadata = [], {}
-    for at, opcode, body in records(data, len(MCAP0_MAGIC)):
+    for at, opcode, body in iter_records(data, len(MCAP0_MAGIC)):
         try:
             if opcode == 6:
-                chunks.append(chunk_at(data, at, len(body)))
+                chunks.append(parse_chunk(data, at, len(body)))
         except (ValueError, struct.error):
             continue
         for name in (FORMAT_RECORD, HEADER_RECORD):
@@ -111,7 +111,7 @@ def parts(data: bytes) -> tuple[list[ChunkPlace], dict[str, tuple[int, int]]]:
     return chunks, metadata
 
 
-def packed(plain: bytes, like: ChunkPlace) -> bytes:
+def packed(plain: bytes, like: ChunkLocation) -> bytes:
     """A chunk record of these records, at the times of another."""
     inner = zstandard.ZstdCompressor().compress(plain)
     head = CHUNK_HEAD.pack(like.first_ns, like.last_ns, len(plain), zlib.crc32(plain), 4, b"zstd", len(inner))

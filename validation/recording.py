@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.telemetry.record import Recorder
-from ground.telemetry.standard import EVERY
+from ground.telemetry.recorder import Recorder
+from ground.telemetry.ros_messages import SAMPLE_CYCLES
 from sim.arms import arm_named
 from sim.loop import ClosedLoop
 from sim.record import CycleRecord
@@ -122,7 +122,11 @@ def _in_turns(path: Path) -> Iterator[tuple[Stretch, Stretch, float]]:
         if len(recorded.cycles_us) < STRETCH:
             return
         spent_s = np.array(truth_s[:STRETCH]) + 1e-6 * recorded.writes_us
-        yield without, recorded, float(np.median(spent_s.reshape(-1, EVERY).mean(axis=1))) / bare_step_s()
+        yield (
+            without,
+            recorded,
+            float(np.median(spent_s.reshape(-1, SAMPLE_CYCLES).mean(axis=1))) / bare_step_s(),
+        )
 
 
 def _stretch(cycles: Iterator[CycleRecord], recorder: Recorder | None) -> Stretch:

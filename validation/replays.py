@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from fsw.config import CYCLE_HZ
 from ground.common.requests import BadRequest
 from ground.replay.replay import ReplayRequest, replay
-from ground.replay.tables import verdict
+from ground.replay.tables import verdict_line
 from ground.runs.artifacts import Files
 from ground.runs.scenario import RunRequest, run
 from sim.scenario.file import built_in_scenarios
@@ -65,8 +65,8 @@ def one(scenario: str, arm: str) -> Replayed:
             scenario=scenario,
             arm=arm,
             outcome=str(ran.result.outcome),
-            verdict=verdict(found),
-            identical=found.none and found.tolerance == 0.0,
+            verdict=verdict_line(found),
+            identical=found.identical and found.tolerance == 0.0,
             ticks=found.ticks[0],
             log_bytes=log.stat().st_size,
             times_real_time=rate,

@@ -17,8 +17,7 @@ from ground.calibration.checks import BadData
 from ground.calibration.data import Believed, Campaign
 from ground.calibration.screws import Measured
 from ground.common.files import written_whole
-from ground.telemetry.imports.errors import BadImport
-from ground.telemetry.imports.files import MOST_TABLE_BYTES, file_bytes
+from ground.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file
 
 JOINTS: Final = tuple(joint.name.lower() for joint in Joint)
 PAIRS: Final = tuple((i, j) for i in range(6) for j in range(i, 6))
@@ -64,7 +63,7 @@ def read_campaign(path: Path) -> Campaign:
         BadData: it cannot be read or is too large, or columns or values are not what they should be.
     """
     try:
-        data = BytesIO(file_bytes(path, MOST_TABLE_BYTES))
+        data = BytesIO(read_file(path, MAX_TABLE_BYTES))
         table = csv.read_csv(data) if path.suffix.lower() == ".csv" else parquet.read_table(data)
     except BadImport as error:
         raise BadData(str(error)) from error

@@ -25,15 +25,15 @@ def dictionary(
     Example: marsarm dictionary 'joints.elbow.*'
     """
     from ground.common.requests import BadRequest
-    from ground.dictionary.entries import dictionary as whole_dictionary
-    from ground.dictionary.narrow import narrowed
+    from ground.dictionary.entries import build_dictionary as whole_dictionary
+    from ground.dictionary.entries import filter_dictionary
     from ground.dictionary.tables import dictionary_json, dictionary_markdown, dictionary_tables
 
     if as_json and markdown:
         end("dictionary: --json and --markdown exclude each other; give one of the two", BAD_INPUT, as_json)
     whole = whole_dictionary()
     try:
-        part = whole if pattern is None else narrowed(whole, pattern)
+        part = whole if pattern is None else filter_dictionary(whole, pattern)
     except BadRequest as error:
         end(str(error), BAD_INPUT, as_json)
     if markdown:

@@ -55,12 +55,12 @@ def channels(
 
     Example: marsarm log channels run.mcap '/joint.*_rad'
     """
-    from ground.telemetry.inspect import channels_of
+    from ground.telemetry.inspection import select_channels
     from ground.telemetry.tables import channels_json, channels_table
 
     with _bad_input(as_json):
         read = _read(log, start, stop)
-        found = channels_of(read, glob or ())
+        found = select_channels(read, glob or ())
     show(channels_json(read, found), as_json, lambda: channels_table(found))
 
 
@@ -86,12 +86,12 @@ def plot(
     from ground.common.requests import check_apart
     from ground.render.words import counted
     from ground.telemetry.figure import save_log_figure
-    from ground.telemetry.inspect import channels_of
+    from ground.telemetry.inspection import select_channels
 
     with _bad_input(as_json):
         check_apart({"LOG": log, "out": check_output(out, (".png",), "out")})
         read = _read(log, start, stop)
-        found = channels_of(read, channel)
+        found = select_channels(read, channel)
         missing = save_log_figure(found, read.evrs, out)
     if missing is not None:
         end(f"out {out}: not drawn, {missing}", BAD_INPUT, as_json)
@@ -120,12 +120,12 @@ def export(
     """
     from ground.common.progress_bar import progress_bar
     from ground.telemetry.export import export as carry_out
-    from ground.telemetry.tables import exported_json, exported_table
+    from ground.telemetry.tables import export_json, export_table
 
     with _bad_input(as_json), progress_bar() as progress:
         read = _read(log, start, stop)
         files = carry_out(read, out, topic or (), progress, ".csv" if as_csv else ".parquet")
-    show(exported_json(read, files), as_json, lambda: exported_table(read, files))
+    show(export_json(read, files), as_json, lambda: export_table(read, files))
 
 
 @log_app.command()
@@ -140,11 +140,11 @@ def recover(
     """
     from ground.common.progress_bar import progress_bar
     from ground.telemetry.recover import recover as carry_out
-    from ground.telemetry.tables import recovered_json, recovered_table
+    from ground.telemetry.tables import recovery_json, recovery_table
 
     with _bad_input(as_json), progress_bar() as progress:
         recovered = carry_out(bad, good, progress)
-    show(recovered_json(bad, good, recovered), as_json, lambda: recovered_table(good, recovered))
+    show(recovery_json(bad, good, recovered), as_json, lambda: recovery_table(good, recovered))
 
 
 @contextmanager
@@ -153,24 +153,24 @@ def _bad_input(as_json: bool) -> Iterator[None]:
     from ground.common.files import BadOutput
     from ground.common.requests import BadRequest
     from ground.telemetry.errors import LogError
-    from ground.telemetry.figure import TooMuch
-    from ground.telemetry.inspect import NoSuchChannel
+    from ground.telemetry.figure import TooManyChannels
+    from ground.telemetry.inspection import NoSuchChannel
 
     try:
         yield
-    except (LogError, NoSuchChannel, BadOutput, BadRequest, TooMuch) as error:
+    except (LogError, NoSuchChannel, BadOutput, BadRequest, TooManyChannels) as error:
         end(str(error), BAD_INPUT, as_json)
 
 
 def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) -> "Log":
     """The log between two times; NoSuchChannel where there is nothing."""
-    from ground.telemetry.inspect import NoSuchChannel, bound_ns
-    from ground.telemetry.loss import behind_text
+    from ground.telemetry.inspection import NoSuchChannel, bound_ns
+    from ground.telemetry.lost_messages import trailing_bytes_text
     from ground.telemetry.read import read_log
 
     read = read_log(log, None, bound_ns("from", start_s), bound_ns("to", stop_s))
     if not read.time_ns and (start_s, stop_s) != (None, None):
         raise NoSuchChannel(f"log {log} has nothing in the time from {start_s} s to {stop_s} s")
     if read.behind:
-        print(f"log {log}: {behind_text(read.behind)}", file=sys.stderr)
+        print(f"log {log}: {trailing_bytes_text(read.behind)}", file=sys.stderr)
     return read

@@ -27,8 +27,7 @@ def import_log(
     """
     from ground.common.progress_bar import progress_bar
     from ground.common.requests import BadRequest
-    from ground.telemetry.imports.job import ImportRequest, import_table
-    from ground.telemetry.imports.tables import import_json, import_tables
+    from ground.telemetry.imports.job import ImportRequest, import_json, import_table, import_tables
 
     try:
         with progress_bar() as progress:

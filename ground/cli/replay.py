@@ -44,5 +44,5 @@ def replay(
     except BadRequest as error:
         end(str(error), BAD_INPUT, as_json)
     show(replay_json(report), as_json, lambda: replay_table(report))
-    if not report.differences.none:
+    if not report.differences.identical:
         raise typer.Exit(ARM_SAFE)

@@ -1,10 +1,11 @@
-"""The dictionary: every command, EVR, channel and parameter, read from the classes of flight software."""
+"""The part of the dictionary that a pattern names."""
 
-from collections.abc import Iterator
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from enum import IntEnum
+from fnmatch import fnmatchcase
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -17,15 +18,16 @@ from fsw.dictionary.types import Limits
 from fsw.dictionary.validity import COMPONENT_LIMITS
 from fsw.protect.responses import RESPONSE_TO
 from ground.common.fields import alias_texts, class_text, field_texts, unit_of
-from ground.telemetry.events import as_json
-from ground.telemetry.schema import shape_of
-from ground.telemetry.topics import PACKET_TOPICS, Topic
+from ground.common.requests import BadRequest
+from ground.telemetry.events import json_value
+from ground.telemetry.schema import array_shape
+from ground.telemetry.topics import PACKET_TOPICS, Topic, channel_matches, channel_name
 from sim.params import nominal_params
-from sim.scenario.names import upper_snake
+from sim.scenario.names import did_you_mean, upper_snake
 
 
 @dataclass(frozen=True, slots=True)
-class FieldEntry:
+class FieldDefinition:
     """One number, flag, name or array of them."""
 
     name: str
@@ -40,23 +42,23 @@ class FieldEntry:
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class Definition:
     """A command, an EVR or a packet of channels, with its fields."""
 
     name: str
     text: str
-    fields: tuple[FieldEntry, ...]
+    fields: tuple[FieldDefinition, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class CommandEntry(Entry):
+class CommandDefinition(Definition):
     """A command has another name in scenario files."""
 
     scenario_name: str
 
 
 @dataclass(frozen=True, slots=True)
-class EvrEntry(Entry):
+class EvrDefinition(Definition):
     """An EVR also says how much it matters."""
 
     severity: str
@@ -66,7 +68,7 @@ class EvrEntry(Entry):
 
 
 @dataclass(frozen=True, slots=True)
-class PacketEntry(Entry):
+class PacketDefinition(Definition):
     """A packet is a topic of a log; truth is the plant's own, which flight software never sees."""
 
     is_truth: bool
@@ -76,27 +78,27 @@ class PacketEntry(Entry):
 class Dictionary:
     """All words that flight and ground share."""
 
-    commands: tuple[CommandEntry, ...]
-    evrs: tuple[EvrEntry, ...]
-    packets: tuple[PacketEntry, ...]
-    parameters: tuple[FieldEntry, ...]
+    commands: tuple[CommandDefinition, ...]
+    evrs: tuple[EvrDefinition, ...]
+    packets: tuple[PacketDefinition, ...]
+    parameters: tuple[FieldDefinition, ...]
 
 
-def dictionary() -> Dictionary:
+def build_dictionary() -> Dictionary:
     """The dictionary of this version."""
     return Dictionary(
         commands=tuple(_command(kind) for kind in get_args(Command)),
-        evrs=tuple(_evr(kind) for kind in _events()),
+        evrs=tuple(_evr(kind) for kind in _evr_types()),
         packets=tuple(_packet(topic) for topic, _ in PACKET_TOPICS),
         parameters=tuple(_parameters(Params, nominal_params(), "")),
     )
 
 
-def _command(kind: type) -> CommandEntry:
-    return CommandEntry(kind.__name__, class_text(kind), tuple(_fields(kind)), upper_snake(kind))
+def _command(kind: type) -> CommandDefinition:
+    return CommandDefinition(kind.__name__, class_text(kind), tuple(_fields(kind)), upper_snake(kind))
 
 
-def _events() -> Iterator[type[Evr]]:
+def _evr_types() -> Iterator[type[Evr]]:
     """Every event, in the order of the source."""
     for module in (evrs, faults):
         for kind in vars(module).values():
@@ -105,9 +107,9 @@ def _events() -> Iterator[type[Evr]]:
                 yield kind
 
 
-def _evr(kind: type[Evr]) -> EvrEntry:
+def _evr(kind: type[Evr]) -> EvrDefinition:
     response = RESPONSE_TO.get(kind) if issubclass(kind, Fault) else None
-    return EvrEntry(
+    return EvrDefinition(
         name=kind.__name__,
         text=class_text(kind),
         fields=tuple(_fields(kind)),
@@ -117,20 +119,20 @@ def _evr(kind: type[Evr]) -> EvrEntry:
     )
 
 
-def _packet(topic: Topic) -> PacketEntry:
+def _packet(topic: Topic) -> PacketDefinition:
     told = tuple(one for one in _fields(topic.packet) if one.name in topic.field_names)
-    return PacketEntry(topic.name, class_text(topic.packet), told, topic.is_truth)
+    return PacketDefinition(topic.name, class_text(topic.packet), told, topic.is_truth)
 
 
-def _fields(kind: type) -> Iterator[FieldEntry]:
+def _fields(kind: type) -> Iterator[FieldDefinition]:
     """The fields of a command, an EVR or a packet."""
     hints = get_type_hints(kind, include_extras=True)
     for field in fields(kind):
-        default = None if field.default is MISSING else as_json(field.default)
+        default = None if field.default is MISSING else json_value(field.default)
         yield _field(kind, field.name, hints[field.name], field.name, default)
 
 
-def _parameters(kind: type, nominal: Any, place: str) -> Iterator[FieldEntry]:
+def _parameters(kind: type, nominal: Any, place: str) -> Iterator[FieldDefinition]:
     """The numbers and names below a parameter group, by dotted name; * is any element of a list."""
     hints = get_type_hints(kind, include_extras=True)
     for field in fields(kind):
@@ -141,15 +143,15 @@ def _parameters(kind: type, nominal: Any, place: str) -> Iterator[FieldEntry]:
         elif get_origin(hint) is tuple and is_dataclass(get_args(hint)[0]):
             yield from _parameters(get_args(hint)[0], None, f"{name}.*.")
         else:
-            yield _field(kind, field.name, hint, name, None if value is None else as_json(value))
+            yield _field(kind, field.name, hint, name, None if value is None else json_value(value))
 
 
-def _field(kind: type, own: str, hint: Any, name: str, default: Any) -> FieldEntry:
-    unit = unit_of(own) if is_number(hint) else None
+def _field(kind: type, own: str, hint: Any, name: str, default: Any) -> FieldDefinition:
+    unit = unit_of(own) if is_numeric_type(hint) else None
     limits = _limits(kind, own, hint)
-    text = field_texts(kind).get(own) or _text_of_type(kind, own)
+    text = field_texts(kind).get(own) or _type_text(kind, own)
     low, high = (None, None) if limits is None else (limits.low, limits.high)
-    return FieldEntry(name, type_name(kind, own, hint), unit, low, high, text, default)
+    return FieldDefinition(name, type_name(kind, own, hint), unit, low, high, text, default)
 
 
 def _limits(kind: type, name: str, hint: Any) -> Limits | None:
@@ -160,7 +162,7 @@ def _limits(kind: type, name: str, hint: Any) -> Limits | None:
     return next(own, None) or (next(of_vector, None) if is_vector else None)
 
 
-def _text_of_type(kind: type, name: str) -> str:
+def _type_text(kind: type, name: str) -> str:
     """What is said of the type: of an enumeration, or of a name such as Backlash."""
     hint = get_type_hints(kind)[name]
     if isinstance(hint, type) and issubclass(hint, IntEnum):
@@ -174,13 +176,13 @@ def _alias(kind: type, name: str) -> str | None:
     return values.get(get_type_hints(kind)[name])
 
 
-def is_number(hint: Any) -> bool:
+def is_numeric_type(hint: Any) -> bool:
     """Whether an annotation is of numbers that a unit could be of."""
     kind = _bare(hint)
     if get_origin(kind) is np.ndarray:
         return get_args(get_args(kind)[1])[0] is not np.bool_
     if get_origin(kind) is tuple:
-        return is_number(get_args(kind)[0])
+        return is_numeric_type(get_args(kind)[0])
     return kind in (int, float)
 
 
@@ -188,7 +190,7 @@ def type_name(owner: type, name: str, hint: Any) -> str:
     """A type in words that say how many there are of what."""
     kind = _bare(hint)
     if get_origin(kind) is np.ndarray:
-        shape = ", ".join(map(str, shape_of(owner, name)))
+        shape = ", ".join(map(str, array_shape(owner, name)))
         return f"{np.dtype(get_args(get_args(kind)[1])[0]).name}[{shape}]"
     if get_origin(kind) is tuple:
         return _tuple_name(kind)
@@ -215,3 +217,56 @@ def _bare(hint: Any) -> Any:
     if get_origin(hint) is UnionType:
         return next(one for one in get_args(hint) if one is not NoneType)
     return hint
+
+
+E = TypeVar("E", bound=Definition)
+
+
+def filter_dictionary(whole: Dictionary, pattern: str) -> Dictionary:
+    """The entries whose names match, whole, and of the others the fields that do; capitals do not count.
+
+    A field is called by its own name or after its entry's, as /sensors.current_A or /sensors/current_A.
+
+    Raises:
+        BadRequest: nothing matches.
+    """
+    part = Dictionary(
+        commands=tuple(_matching_entries(whole.commands, pattern)),
+        evrs=tuple(_matching_entries(whole.evrs, pattern)),
+        packets=tuple(_matching_entries(whole.packets, pattern)),
+        parameters=tuple(one for one in whole.parameters if _matches(one.name, pattern)),
+    )
+    if not any((part.commands, part.evrs, part.packets, part.parameters)):
+        raise BadRequest(f"dictionary: nothing is called {pattern!r}; {_suggest_name(whole, pattern)}")
+    return part
+
+
+def _matching_entries(entries: Iterable[E], pattern: str) -> Iterator[E]:
+    for entry in entries:
+        names = (entry.name, entry.scenario_name) if isinstance(entry, CommandDefinition) else (entry.name,)
+        if any(_matches(name, pattern) for name in names):
+            yield entry
+            continue
+        told = tuple(one for one in entry.fields if _field_matches(entry, one.name, pattern))
+        if told:
+            yield replace(entry, fields=told)
+
+
+def _field_matches(entry: Definition, field: str, pattern: str) -> bool:
+    return _matches(field, pattern) or channel_matches(entry.name.lower(), field.lower(), pattern.lower())
+
+
+def _matches(name: str, pattern: str) -> bool:
+    return fnmatchcase(name.lower(), pattern.lower())
+
+
+def _suggest_name(whole: Dictionary, pattern: str) -> str:
+    """What was probably meant, and how to find it; all names would be a page."""
+    entries: list[Definition] = [*whole.commands, *whole.evrs, *whole.packets]
+    names = [entry.name for entry in entries] + [one.name for one in whole.parameters]
+    names += [channel_name(packet.name, one.name) for packet in whole.packets for one in packet.fields]
+    meant, _, _ = did_you_mean(pattern, names).rpartition("there are ")
+    return (
+        f"{meant}`marsarm dictionary` lists all there is, "
+        "and a pattern is written as '*tilt*', where * stands for any letters"
+    )

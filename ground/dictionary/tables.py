@@ -9,10 +9,10 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from ground.dictionary.entries import Dictionary, Entry, EvrEntry, FieldEntry, PacketEntry
+from ground.dictionary.entries import Definition, Dictionary, EvrDefinition, FieldDefinition, PacketDefinition
 
 COLUMNS: Final = ("name", "type", "unit", "limits", "default", "text")
-FIELD: Final = re.compile(r"\{e\.(\w+)[^}]*\}")
+FIELD_PATTERN: Final = re.compile(r"\{e\.(\w+)[^}]*\}")
 """Of an EVR's text: what is filled in, and how it is written."""
 
 
@@ -53,14 +53,14 @@ def _markdown(whole: Dictionary) -> Iterator[str]:
         yield from _markdown_table(whole.parameters)
 
 
-def _markdown_table(fields: Iterable[FieldEntry]) -> Iterator[str]:
+def _markdown_table(fields: Iterable[FieldDefinition]) -> Iterator[str]:
     yield f"\n| {' | '.join(COLUMNS)} |\n|{'---|' * len(COLUMNS)}"
     for one in fields:
         yield "| " + " | ".join(cell.replace("|", "\\|").replace("*", "\\*") for cell in _cells(one)) + " |"
 
 
-def _sections(whole: Dictionary) -> Iterator[tuple[str, tuple[Entry, ...]]]:
-    sections: dict[str, tuple[Entry, ...]] = {
+def _sections(whole: Dictionary) -> Iterator[tuple[str, tuple[Definition, ...]]]:
+    sections: dict[str, tuple[Definition, ...]] = {
         "commands": whole.commands,
         "event reports": whole.evrs,
         "channels": whole.packets,
@@ -68,26 +68,26 @@ def _sections(whole: Dictionary) -> Iterator[tuple[str, tuple[Entry, ...]]]:
     yield from ((title, entries) for title, entries in sections.items() if entries)
 
 
-def _heading(entry: Entry) -> str:
+def _heading(entry: Definition) -> str:
     match entry:
-        case EvrEntry():
+        case EvrDefinition():
             return f"{entry.name} ({entry.severity})"
-        case PacketEntry(is_truth=True):
+        case PacketDefinition(is_truth=True):
             return f"{entry.name} (truth: the plant's own; flight software never sees it)"
         case _:
             return entry.name
 
 
-def _sentence(entry: Entry) -> str:
+def _sentence(entry: Definition) -> str:
     text = " ".join(entry.text.split())
-    if not isinstance(entry, EvrEntry):
+    if not isinstance(entry, EvrDefinition):
         return text
     done = "" if entry.response is None else f" Response: {entry.response}."
-    message = FIELD.sub(r"{\1}", entry.message)
+    message = FIELD_PATTERN.sub(r"{\1}", entry.message)
     return f'{text} "{message}"{done}'
 
 
-def _table(fields: Iterable[FieldEntry]) -> Table:
+def _table(fields: Iterable[FieldDefinition]) -> Table:
     table = Table(show_edge=False, pad_edge=False)
     rows = [_cells(one) for one in fields]
     used = [k for k in range(len(COLUMNS)) if any(row[k] for row in rows)]
@@ -98,12 +98,12 @@ def _table(fields: Iterable[FieldEntry]) -> Table:
     return table
 
 
-def _cells(one: FieldEntry) -> tuple[str, ...]:
+def _cells(one: FieldDefinition) -> tuple[str, ...]:
     limits = "" if one.low is None or one.high is None else f"{one.low:g} .. {one.high:g}"
-    return one.name, one.type, one.unit or "", limits, _shown(one.default), " ".join(one.text.split())
+    return one.name, one.type, one.unit or "", limits, _default_text(one.default), " ".join(one.text.split())
 
 
-def _shown(default: Any) -> str:
+def _default_text(default: Any) -> str:
     """A default, unless it is too long for a table."""
     match default:
         case None:
@@ -115,6 +115,6 @@ def _shown(default: Any) -> str:
         case list() if len(default) > 6 or any(isinstance(item, list) for item in default):
             return "..."
         case list():
-            return " ".join(_shown(item) for item in default)
+            return " ".join(_default_text(item) for item in default)
         case _:
             return str(default)

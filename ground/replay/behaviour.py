@@ -13,14 +13,14 @@ from ground.telemetry.events import EvrEntry, evr_entry
 from ground.telemetry.read import Log
 from ground.telemetry.topics import PACKET_TOPICS, Topic
 
-OUTPUTS: Final = "outputs."
+OUTPUTS_PREFIX: Final = "outputs."
 OUTPUT_TOPICS: Final[tuple[Topic, ...]] = tuple(
-    topic for topic, _ in PACKET_TOPICS if topic.path.startswith(OUTPUTS)
+    topic for topic, _ in PACKET_TOPICS if topic.path.startswith(OUTPUTS_PREFIX)
 )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Series:
+class TopicSeries:
     """The packets of one topic."""
 
     ticks: NDArray[np.int64]
@@ -35,11 +35,11 @@ class Behaviour:
 
     ticks: int
     """How many cycles, from tick 0."""
-    series: Mapping[str, Series]
+    series: Mapping[str, TopicSeries]
     evrs: tuple[EvrEntry, ...]
 
 
-def behaviour_in(log: Log, ticks: int) -> Behaviour:
+def behaviour_from_log(log: Log, ticks: int) -> Behaviour:
     """What a log holds of the first so many ticks."""
     series = {}
     for topic in OUTPUT_TOPICS:
@@ -47,21 +47,25 @@ def behaviour_in(log: Log, ticks: int) -> Behaviour:
             end = int(np.searchsorted(log.ticks(topic.name), ticks))
             packets = log[topic.name][:end]
             names = [name for name in topic.field_names if name in (packets.dtype.names or ())]
-            series[topic.name] = Series(log.ticks(topic.name)[:end], {name: packets[name] for name in names})
+            series[topic.name] = TopicSeries(
+                log.ticks(topic.name)[:end], {name: packets[name] for name in names}
+            )
     return Behaviour(ticks, series, tuple(evr for evr in log.evrs if evr.tick < ticks))
 
 
-def behaviour_of(outputs: Sequence[Outputs]) -> Behaviour:
+def behaviour_from_outputs(outputs: Sequence[Outputs]) -> Behaviour:
     """What a run gave, cycle by cycle from tick 0."""
     series = {}
     for topic in OUTPUT_TOPICS:
-        packet_of = attrgetter(topic.path.removeprefix(OUTPUTS))
+        packet_of = attrgetter(topic.path.removeprefix(OUTPUTS_PREFIX))
         packets = [
             (tick, packet) for tick, out in enumerate(outputs) if (packet := packet_of(out)) is not None
         ]
         if packets:
             ticks = np.array([tick for tick, _ in packets], np.int64)
-            series[topic.name] = Series(ticks, _columns(topic.field_names, [packet for _, packet in packets]))
+            series[topic.name] = TopicSeries(
+                ticks, _columns(topic.field_names, [packet for _, packet in packets])
+            )
     evrs = tuple(evr_entry(tick, evr) for tick, out in enumerate(outputs) for evr in out.evrs)
     return Behaviour(len(outputs), series, evrs)
 

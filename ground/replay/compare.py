@@ -8,16 +8,64 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.replay.apart import apart
-from ground.replay.behaviour import Behaviour, Series
-from ground.replay.evrs import EvrDifference, evr_differences
-from ground.telemetry.channel_name import channel_name
+from ground.replay.behaviour import Behaviour, TopicSeries
+from ground.replay.compare_evrs import EvrDifference, evr_differences
 from ground.telemetry.format import EVR_TOPIC
+from ground.telemetry.topics import channel_name
+
+MIN_DIFFERENCE: Final = np.finfo(np.float64).smallest_subnormal.item()
+"""How far apart 0.0 and -0.0 are: they are not the same."""
+
+
+def array_difference(a: NDArray[Any], b: NDArray[Any], tolerance: float) -> NDArray[np.float64]:
+    """How far apart numbers are, shape of both; 0 where they are the same, and nowhere else.
+
+    Infinite where only one is a number, LEAST where no number says by how much, as of 0.0 and -0.0.
+    """
+    with np.errstate(invalid="ignore", over="ignore"):
+        off = _distance(a, b)
+    if {a.dtype.kind, b.dtype.kind} == {"f"}:
+        same = _floats_equal(a, b, off, tolerance)
+    else:
+        same = _exactly_equal(a, b)
+    return np.where(same, 0.0, np.where(np.isnan(off), np.inf, np.maximum(off, MIN_DIFFERENCE)))
+
+
+def _distance(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
+    """Of whole numbers, that of the integers: as floats, large neighbours are one number."""
+    if not (_is_integer(a) and _is_integer(b)):
+        return np.abs(a.astype(np.float64) - b.astype(np.float64))
+    c, d = a.astype(np.uint64), b.astype(np.uint64)  # negative ones wrap, and so does their difference
+    return np.where(a > b, c - d, d - c).astype(np.float64)
+
+
+def _floats_equal(
+    a: NDArray[Any], b: NDArray[Any], off: NDArray[np.float64], tolerance: float
+) -> NDArray[np.bool_]:
+    a, b = a.astype(np.float64), b.astype(np.float64)
+    both_nan = np.isnan(a) & np.isnan(b)
+    if tolerance == 0.0:
+        same: NDArray[np.bool_] = a.view(np.int64) == b.view(np.int64)
+    else:
+        same = (a == b) | (np.isfinite(off) & (off <= tolerance * np.maximum(1.0, np.abs(a))))
+    return np.asarray(same | both_nan)
+
+
+def _exactly_equal(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
+    """Numbers of any two kinds; Python compares an int with a float without rounding it."""
+    if _is_integer(a) and _is_integer(b):
+        return np.asarray(a == b)
+    return np.asarray(a.astype(object) == b.astype(object), np.bool_)
+
+
+def _is_integer(numbers: NDArray[Any]) -> bool:
+    return numbers.dtype.kind in "biu"
+
 
 BEFORE, AFTER = 8, 24
 """Ticks of the topic that are kept before and from the first difference on."""
 
-Chosen = Callable[[str, str], bool]
+ChannelFilter = Callable[[str, str], bool]
 """Whether to compare a field of a topic."""
 Number = float | int | bool
 
@@ -75,7 +123,7 @@ class Differences:
     """Sentences about what only one side can tell."""
 
     @property
-    def none(self) -> bool:
+    def identical(self) -> bool:
         """Whether all that was compared is the same."""
         same_length = self.ticks[0] == self.ticks[1]
         return same_length and not (self.lengths or self.evrs or self.channels)
@@ -91,8 +139,8 @@ def every_channel(topic: str, field: str) -> bool:
     return True
 
 
-def compare(
-    recorded: Behaviour, replayed: Behaviour, tolerance: float = 0.0, chosen: Chosen = every_channel
+def compare_behaviours(
+    recorded: Behaviour, replayed: Behaviour, tolerance: float = 0.0, chosen: ChannelFilter = every_channel
 ) -> Differences:
     """What is not the same; NaN is the same as NaN.
 
@@ -107,7 +155,7 @@ def compare(
     untold = [
         f"{topic}: not recorded; not compared" for topic in (*lacking, *([EVR_TOPIC] if foreign else []))
     ]
-    lengths = [_length(topic, recorded, replayed) for topic in topics]
+    lengths = [_length_difference(topic, recorded, replayed) for topic in topics]
     channels, compared = [], 0
     for topic in topics:
         ours, theirs = recorded.series.get(topic), replayed.series.get(topic)
@@ -117,12 +165,14 @@ def compare(
         untold += sentences
         for name in (name for name in comparable if chosen(topic, name)):
             compared += 1
-            channels.append(_channel(channel_name(topic, name), name, ours, theirs, tolerance))
+            channels.append(_channel_difference(channel_name(topic, name), name, ours, theirs, tolerance))
     return Differences(
         tolerance=tolerance,
         ticks=(recorded.ticks, replayed.ticks),
         lengths=tuple(
-            one for one in (*lengths, None if foreign else _evr_length(recorded, replayed)) if one is not None
+            one
+            for one in (*lengths, None if foreign else _evr_length_difference(recorded, replayed))
+            if one is not None
         ),
         evrs=() if foreign else evr_differences(recorded.evrs, replayed.evrs, tolerance),
         channels=tuple(one for one in channels if one is not None),
@@ -132,7 +182,7 @@ def compare(
     )
 
 
-def _comparable(topic: str, ours: Series, theirs: Series) -> tuple[list[str], list[str]]:
+def _comparable(topic: str, ours: TopicSeries, theirs: TopicSeries) -> tuple[list[str], list[str]]:
     """The fields that both sides have, in one shape; and sentences about the others."""
     lone = sorted(ours.fields.keys() ^ theirs.fields.keys())
     both = [name for name in ours.fields if name in theirs.fields]
@@ -147,7 +197,7 @@ def _comparable(topic: str, ours: Series, theirs: Series) -> tuple[list[str], li
 NO_TICKS: Final = np.zeros(0, np.int64)
 
 
-def _length(topic: str, recorded: Behaviour, replayed: Behaviour) -> LengthDifference | None:
+def _length_difference(topic: str, recorded: Behaviour, replayed: Behaviour) -> LengthDifference | None:
     ours, theirs = (
         side.series[topic].ticks if topic in side.series else NO_TICKS for side in (recorded, replayed)
     )
@@ -155,7 +205,7 @@ def _length(topic: str, recorded: Behaviour, replayed: Behaviour) -> LengthDiffe
     return LengthDifference(topic, len(ours), len(theirs), int(lone[0])) if lone.size else None
 
 
-def _evr_length(recorded: Behaviour, replayed: Behaviour) -> LengthDifference | None:
+def _evr_length_difference(recorded: Behaviour, replayed: Behaviour) -> LengthDifference | None:
     ours, theirs = recorded.evrs, replayed.evrs
     if len(ours) == len(theirs):
         return None
@@ -167,8 +217,8 @@ def _evr_length(recorded: Behaviour, replayed: Behaviour) -> LengthDifference | 
     return LengthDifference(EVR_TOPIC, len(ours), len(theirs), first)
 
 
-def _channel(
-    channel: str, name: str, ours: Series, theirs: Series, tolerance: float
+def _channel_difference(
+    channel: str, name: str, ours: TopicSeries, theirs: TopicSeries, tolerance: float
 ) -> ChannelDifference | None:
     """Where a channel differs at the ticks that both sides have; None where nowhere."""
     ticks, mine, yours = np.intersect1d(ours.ticks, theirs.ticks, return_indices=True)
@@ -177,7 +227,7 @@ def _channel(
         return None
     shape = a.shape[1:]
     a, b = (side.reshape(len(ticks), -1) for side in (a, b))
-    off = apart(a, b, tolerance)
+    off = array_difference(a, b, tolerance)
     profile = off.max(axis=1)
     if not profile.any():
         return None

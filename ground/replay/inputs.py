@@ -16,16 +16,16 @@ from fsw.dictionary.validity import check_arm, check_limits
 from fsw.estimate.reference import Reference
 from fsw.messages import Sensors
 from ground.telemetry.format import COMMAND_TOPIC, TICK_NS
-from ground.telemetry.loss import Lost, behind_text
-from ground.telemetry.plain import NotPlain, command_from, from_plain
+from ground.telemetry.json_codec import BadJson, command_from_json, record_from_json
+from ground.telemetry.lost_messages import LostMessages, trailing_bytes_text
 from ground.telemetry.read import Log
-from ground.telemetry.schema import PER_JOINT, layout_of
+from ground.telemetry.schema import PER_JOINT, packet_layout
 from sim.params import nominal_params
 
 SENSOR_TOPIC: Final = "/sensors"
-GIVEN: Final = (None, SENSOR_TOPIC, COMMAND_TOPIC)
+REQUIRED_TOPICS: Final = (None, SENSOR_TOPIC, COMMAND_TOPIC)
 """Topics without which a replay ends; what is lost of the others is a difference of length."""
-NEEDED: Final = ("params", "params_sha256", "boot")
+REQUIRED_KEYS: Final = ("params", "params_sha256", "boot")
 
 
 class NotReplayable(ValueError):
@@ -54,7 +54,7 @@ class Inputs:
         return Sensors(**row)
 
 
-def inputs_in(log: Log) -> Inputs:
+def inputs_from_log(log: Log) -> Inputs:
     """What a log holds of what went into flight software.
 
     A log cut short, or with a gap, is good up to the last tick that is surely whole.
@@ -62,63 +62,63 @@ def inputs_in(log: Log) -> Inputs:
     Raises:
         NotReplayable: it lacks something, or something in it is unknown to today's flight software.
     """
-    notes: list[str] = [] if not log.behind else [behind_text(log.behind)]
+    notes: list[str] = [] if not log.behind else [trailing_bytes_text(log.behind)]
     try:
-        params, mode, reference = _start(log, notes)
+        params, mode, reference = _start_conditions(log, notes)
         commands: dict[int, tuple[Command, ...]] = {}
         for entry in log.commands:
-            command = command_from(entry.name, entry.fields, notes)
+            command = command_from_json(entry.name, entry.fields, notes)
             commands[entry.tick] = (*commands.get(entry.tick, ()), command)
-    except (NotPlain, ValueError, RecursionError) as error:
+    except (BadJson, ValueError, RecursionError) as error:
         raise NotReplayable(f"log {log.path}: {error}") from error
-    ticks = _whole_ticks(log, notes)
-    return Inputs(params, mode, reference, _sensors(log), commands, ticks, tuple(notes))
+    ticks = _count_whole_ticks(log, notes)
+    return Inputs(params, mode, reference, _sensor_columns(log), commands, ticks, tuple(notes))
 
 
-def _start(log: Log, notes: list[str]) -> tuple[Params, Mode, Reference | None]:
-    lacking = [name for name in NEEDED if name not in log.header]
+def _start_conditions(log: Log, notes: list[str]) -> tuple[Params, Mode, Reference | None]:
+    lacking = [name for name in REQUIRED_KEYS if name not in log.header]
     if lacking:
-        raise NotPlain(
+        raise BadJson(
             f"its header has no {', '.join(lacking)}, so nobody knows what flight software began with; "
             f"record it with this marsarm, or import it with a [start]"
         )
-    written = _document(log, "params")
+    written = _header_document(log, "params")
     seen = len(notes)
-    params: Params = from_plain(Params, written, "params", notes, nominal_params())
+    params: Params = record_from_json(Params, written, "params", notes, nominal_params())
     if len(notes) == seen and digest(params) != log.header["params_sha256"]:
-        raise NotPlain(
+        raise BadJson(
             "its parameters do not match their own digest: the header was changed; "
             "give the log as it was written"
         )
     wrong = [*check_limits(params), *check_arm(params)]
     if wrong:
-        raise NotPlain(f"params: {wrong[0]}")
-    boot = _document(log, "boot")
+        raise BadJson(f"params: {wrong[0]}")
+    boot = _header_document(log, "boot")
     if not isinstance(boot, dict) or not {"mode", "reference"} <= boot.keys():
-        raise NotPlain("boot: must be mode and reference")
-    mode: Mode = from_plain(Mode, boot["mode"], "boot.mode", notes)
-    return params, mode, _reference(boot["reference"], notes)
+        raise BadJson("boot: must be mode and reference")
+    mode: Mode = record_from_json(Mode, boot["mode"], "boot.mode", notes)
+    return params, mode, _decode_reference(boot["reference"], notes)
 
 
-def _document(log: Log, name: str) -> Any:
+def _header_document(log: Log, name: str) -> Any:
     try:
         return json.loads(log.header[name])
     except ValueError as error:
-        raise NotPlain(f"{name}: is not JSON ({error}); give the log as it was written") from error
+        raise BadJson(f"{name}: is not JSON ({error}); give the log as it was written") from error
 
 
-def _reference(value: Any, notes: list[str]) -> Reference | None:
+def _decode_reference(value: Any, notes: list[str]) -> Reference | None:
     if value is None:
         return None
-    reference: Reference = from_plain(Reference, value, "boot.reference", notes)
+    reference: Reference = record_from_json(Reference, value, "boot.reference", notes)
     for field in fields(reference):
         shape = getattr(reference, field.name).shape
         if shape != PER_JOINT:
-            raise NotPlain(f"boot.reference.{field.name}: has shape {shape}, {PER_JOINT} would be right")
+            raise BadJson(f"boot.reference.{field.name}: has shape {shape}, {PER_JOINT} would be right")
     return reference
 
 
-def _whole_ticks(log: Log, notes: list[str]) -> int:
+def _count_whole_ticks(log: Log, notes: list[str]) -> int:
     """How many ticks from 0 on are surely all there."""
     if SENSOR_TOPIC not in log.packets:
         raise NotReplayable(
@@ -133,7 +133,9 @@ def _whole_ticks(log: Log, notes: list[str]) -> int:
     gaps = np.flatnonzero(np.diff(ticks) != 1)
     end = len(ticks) if gaps.size == 0 else int(gaps[0]) + 1
     notes += [f"recovered: {one.sentence}" for one in log.lost]
-    end = min(end, *(_last_before(one) + 1 for one in log.lost if one.topic in GIVEN), len(ticks))
+    end = min(
+        end, *(_last_tick_before(one) + 1 for one in log.lost if one.topic in REQUIRED_TOPICS), len(ticks)
+    )
     if end == len(ticks) and not log.truncated:
         return end
     if end == 1:
@@ -143,16 +145,16 @@ def _whole_ticks(log: Log, notes: list[str]) -> int:
     return end - 1
 
 
-def _last_before(lost: Lost) -> int:
+def _last_tick_before(lost: LostMessages) -> int:
     """The tick of the last message of its topic before what was lost; with none, the first tick."""
     return 0 if lost.after_ns is None else lost.after_ns // TICK_NS
 
 
-def _sensors(log: Log) -> dict[str, NDArray[Any]]:
+def _sensor_columns(log: Log) -> dict[str, NDArray[Any]]:
     """The columns of the sensor packets, each of the type and shape that flight software takes."""
     packets = log[SENSOR_TOPIC]
     columns = {}
-    for field in layout_of(Sensors, [field.name for field in fields(Sensors)]).fields:
+    for field in packet_layout(Sensors, [field.name for field in fields(Sensors)]).fields:
         where = f"log {log.path}: {SENSOR_TOPIC}.{field.name}"
         if field.name not in (packets.dtype.names or ()):
             raise NotReplayable(

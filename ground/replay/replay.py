@@ -12,19 +12,19 @@ from fsw.messages import Outputs
 from fsw.state import boot, outputs_at_rest
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest
-from ground.replay.behaviour import OUTPUT_TOPICS, Behaviour, behaviour_in, behaviour_of
-from ground.replay.compare import Differences, compare
-from ground.replay.inputs import Inputs, NotReplayable, inputs_in
-from ground.telemetry.channel_name import channel_name, is_channel_meant
+from ground.replay.behaviour import OUTPUT_TOPICS, Behaviour, behaviour_from_log, behaviour_from_outputs
+from ground.replay.compare import Differences, compare_behaviours
+from ground.replay.inputs import Inputs, NotReplayable, inputs_from_log
 from ground.telemetry.errors import LogError
-from ground.telemetry.plain import to_plain
-from ground.telemetry.processor import cpu_features
+from ground.telemetry.header import cpu_features
+from ground.telemetry.json_codec import record_to_json
 from ground.telemetry.read import Log, read_log
+from ground.telemetry.topics import channel_matches, channel_name
 from sim.loop import step_flight_software
 from sim.params import BadParams, params_over
 from sim.scenario.names import did_you_mean
 
-ELSEWHERE: Final = 1e-12
+OTHER_PROCESSOR_TOLERANCE: Final = 1e-12
 """What numbers may differ by on a processor whose kernels round sums in another order."""
 
 
@@ -60,29 +60,29 @@ def replay(request: ReplayRequest, progress: Progress) -> ReplayReport:
     """
     try:
         log = read_log(request.log)
-        inputs = inputs_in(log)
+        inputs = inputs_from_log(log)
         params = inputs.params if request.params is None else params_over(inputs.params, request.params)
     except (LogError, NotReplayable, BadParams) as error:
         raise BadRequest(str(error)) from error
-    recorded = behaviour_in(log, inputs.ticks)
+    recorded = behaviour_from_log(log, inputs.ticks)
     _check_channel(request.channel, recorded)
-    same = made_here(log)
-    differences = compare(
+    same = is_same_processor(log)
+    differences = compare_behaviours(
         recorded,
-        behaviour_of(outputs_for(inputs, params, progress)),
-        tolerance=0.0 if same else ELSEWHERE,
-        chosen=partial(is_channel_meant, pattern=request.channel),
+        behaviour_from_outputs(run_flight_software(inputs, params, progress)),
+        tolerance=0.0 if same else OTHER_PROCESSOR_TOLERANCE,
+        chosen=partial(channel_matches, pattern=request.channel),
     )
-    if differences.none and differences.nothing_compared:
+    if differences.identical and differences.nothing_compared:
         raise BadRequest(
             f"log {request.log}: nothing to compare: flight software ran through its sensors, but the log "
             f"holds no event and no channel of {', '.join(t.name for t in OUTPUT_TOPICS)} to compare with"
         )
-    changed = tuple(_changed(to_plain(inputs.params), to_plain(params), ""))
+    changed = tuple(_changed_values(record_to_json(inputs.params), record_to_json(params), ""))
     return ReplayReport(request, dict(log.header), differences, changed, inputs.notes, same)
 
 
-def outputs_for(inputs: Inputs, params: Params, progress: Progress) -> list[Outputs]:
+def run_flight_software(inputs: Inputs, params: Params, progress: Progress) -> list[Outputs]:
     """What today's flight software makes of these inputs, cycle by cycle; it ends with a software error."""
     config = configure(params)
     state = boot(config, inputs.mode, inputs.reference)
@@ -99,7 +99,7 @@ def outputs_for(inputs: Inputs, params: Params, progress: Progress) -> list[Outp
     return given
 
 
-def made_here(log: Log) -> bool:
+def is_same_processor(log: Log) -> bool:
     """Whether a log was made on a processor with the instruction sets and kernels of this one."""
     return log.header.get("cpu") == json.dumps(cpu_features())
 
@@ -108,13 +108,15 @@ def _check_channel(pattern: str, recorded: Behaviour) -> None:
     """A pattern must fit a channel that is recorded; if none is, one that flight software puts out."""
     channels = [(topic, name) for topic, series in recorded.series.items() for name in series.fields]
     channels = channels or [(topic.name, name) for topic in OUTPUT_TOPICS for name in topic.field_names]
-    if not any(is_channel_meant(topic, name, pattern) for topic, name in channels):
+    if not any(channel_matches(topic, name, pattern) for topic, name in channels):
         names = [channel_name(topic, name) for topic, name in channels]
         raise BadRequest(f"channel: nothing is called {pattern!r}; {did_you_mean(pattern, names)}")
 
 
-def _changed(before: Any, after: Any, place: str) -> list[str]:
+def _changed_values(before: Any, after: Any, place: str) -> list[str]:
     """A sentence for each value that differs between two records in JSON's words."""
     if isinstance(before, dict) and isinstance(after, dict):
-        return [line for k in before for line in _changed(before[k], after[k], f"{place}.{k}".lstrip("."))]
+        return [
+            line for k in before for line in _changed_values(before[k], after[k], f"{place}.{k}".lstrip("."))
+        ]
     return [] if before == after else [f"{place}: {before!r:.80} is {after!r:.80} now"]

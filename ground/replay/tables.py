@@ -12,11 +12,11 @@ from fsw.config import CYCLE_HZ
 from ground.render.waveform import size_line, value_lines
 from ground.render.words import counted
 from ground.replay.compare import ChannelDifference, Differences
-from ground.replay.evrs import EvrDifference
+from ground.replay.compare_evrs import EvrDifference
 from ground.replay.replay import ReplayReport
 from ground.telemetry.events import EvrEntry
 
-MOST_EVRS: Final = 30
+MAX_EVRS: Final = 30
 """Lines for people; the document has all."""
 
 
@@ -37,15 +37,15 @@ def replay_json(report: ReplayReport) -> dict[str, Any]:
 def differences_json(found: Differences) -> dict[str, Any]:
     """What differs between two runs, for a document."""
     return {
-        "identical": found.none,
+        "identical": found.identical,
         "tolerance": found.tolerance,
         "ticks": {"recorded": found.ticks[0], "replayed": found.ticks[1]},
         "evrs": [
             {
                 "kind": one.kind.value,
                 "tick": one.tick,
-                "recorded": _evr(one.recorded),
-                "replayed": _evr(one.replayed),
+                "recorded": _evr_document(one.recorded),
+                "replayed": _evr_document(one.replayed),
             }
             for one in found.evrs
         ],
@@ -53,7 +53,7 @@ def differences_json(found: Differences) -> dict[str, Any]:
             {"topic": n.topic, "recorded": n.recorded, "replayed": n.replayed, "first_tick": n.first_tick}
             for n in found.lengths
         ],
-        "channels": [_channel(one) for one in found.channels],
+        "channels": [_channel_document(one) for one in found.channels],
         "channels_compared": found.channels_compared,
         "not_compared": list(found.not_compared),
     }
@@ -62,7 +62,7 @@ def differences_json(found: Differences) -> dict[str, Any]:
 def replay_table(report: ReplayReport) -> None:
     """Print a replay: events first, then lengths, then channel by channel."""
     console = Console(highlight=False)
-    console.print(f"{report.request.log}: {verdict(report.differences)}", soft_wrap=True, markup=False)
+    console.print(f"{report.request.log}: {verdict_line(report.differences)}", soft_wrap=True, markup=False)
     made = report.header
     console.print(
         f"recorded  by marsarm {made.get('marsarm')}, git {made.get('git')}, numpy {made.get('numpy')}",
@@ -80,10 +80,10 @@ def replay_table(report: ReplayReport) -> None:
     differences_table(console, report.differences)
 
 
-def verdict(found: Differences) -> str:
+def verdict_line(found: Differences) -> str:
     """One line that says whether two runs are the same."""
     ticks = f"{counted(found.ticks[0], 'tick')}, {found.ticks[0] / CYCLE_HZ:.1f} s"
-    if found.none:
+    if found.identical:
         same = "identical" if found.tolerance == 0 else f"the same to {found.tolerance:g}"
         return f"{same}: {ticks}, {counted(found.channels_compared, 'channel')}"
     return (
@@ -97,10 +97,10 @@ def differences_table(console: Console, found: Differences) -> None:
     """Print what differs."""
     for line in found.not_compared:
         console.print(f"note      {line}", soft_wrap=True, markup=False)
-    for one in found.evrs[:MOST_EVRS]:
+    for one in found.evrs[:MAX_EVRS]:
         console.print(_evr_line(one), soft_wrap=True)
-    if len(found.evrs) > MOST_EVRS:
-        console.print(f"event     and {len(found.evrs) - MOST_EVRS} more; --json lists all")
+    if len(found.evrs) > MAX_EVRS:
+        console.print(f"event     and {len(found.evrs) - MAX_EVRS} more; --json lists all")
     for n in found.lengths:
         console.print(
             f"length    {n.topic}: {n.recorded} recorded, {n.replayed} replayed, apart from tick "
@@ -115,12 +115,12 @@ def differences_table(console: Console, found: Differences) -> None:
 def _channel_lines(c: ChannelDifference) -> Iterator[str]:
     """A channel: where it differs, how that goes over time, and the values around the first tick."""
     yield (
-        f"channel   {_named(c.channel, c.component)}: from tick {c.first_tick} on, at {c.ticks} of "
+        f"channel   {_component_name(c.channel, c.component)}: from tick {c.first_tick} on, at {c.ticks} of "
         f"{c.compared} ticks, by up to {c.greatest:.3g} at tick {c.greatest_tick}"
     )
     yield f"          {'difference over time':<20}  {size_line(c.profile)}"
     lines = value_lines(c.recorded.astype(np.float64), c.replayed.astype(np.float64))
-    where = "" if c.component == c.first_component else f" of {_named(c.channel, c.first_component)}"
+    where = "" if c.component == c.first_component else f" of {_component_name(c.channel, c.first_component)}"
     for side, line, value in zip(("recorded", "replayed"), lines, c.at_first, strict=True):
         yield f"          {f'{side} at first':<20}  {line}  {value!r} at tick {c.first_tick}{where}"
 
@@ -135,39 +135,39 @@ def _evr_line(one: EvrDifference) -> str:
     return f"{line}  ->  {later}{one.replayed.name}: {escape(one.replayed.message)}"
 
 
-def _evr(evr: EvrEntry | None) -> dict[str, Any] | None:
+def _evr_document(evr: EvrEntry | None) -> dict[str, Any] | None:
     if evr is None:
         return None
-    return {"tick": evr.tick, "name": evr.name, "message": evr.message, "fields": _plain(evr.fields)}
+    return {"tick": evr.tick, "name": evr.name, "message": evr.message, "fields": _finite_json(evr.fields)}
 
 
-def _channel(one: ChannelDifference) -> dict[str, Any]:
+def _channel_document(one: ChannelDifference) -> dict[str, Any]:
     return {
         "channel": one.channel,
         "first_tick": one.first_tick,
         "first_component": list(one.first_component),
-        "at_first": {"recorded": _plain(one.at_first[0]), "replayed": _plain(one.at_first[1])},
+        "at_first": {"recorded": _finite_json(one.at_first[0]), "replayed": _finite_json(one.at_first[1])},
         "ticks": one.ticks,
         "compared": one.compared,
-        "greatest": _plain(one.greatest),
+        "greatest": _finite_json(one.greatest),
         "greatest_tick": one.greatest_tick,
         "component": list(one.component),
         "waveform": size_line(one.profile),
         "around_first": {
-            "recorded": _plain(one.recorded.tolist()),
-            "replayed": _plain(one.replayed.tolist()),
+            "recorded": _finite_json(one.recorded.tolist()),
+            "replayed": _finite_json(one.replayed.tolist()),
         },
     }
 
 
-def _named(channel: str, component: tuple[int, ...]) -> str:
+def _component_name(channel: str, component: tuple[int, ...]) -> str:
     return channel + "".join(f"[{k}]" for k in component)
 
 
-def _plain(value: Any) -> Any:
+def _finite_json(value: Any) -> Any:
     """The value as strict JSON has it: what is no number becomes its name."""
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: _finite_json(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_plain(item) for item in value]
+        return [_finite_json(item) for item in value]
     return str(value) if isinstance(value, float) and not isfinite(value) else value

@@ -17,7 +17,7 @@ from ground.common.requests import BadRequest, check_apart
 from ground.render.picture import PictureError, PictureResult, check_path, save_movie, save_picture
 from ground.render.slope import tilt_rover
 from ground.telemetry.errors import LogNotWritable
-from ground.telemetry.record import Recorder
+from ground.telemetry.recorder import Recorder
 from sim.plant import Plant
 from sim.record import CycleRecord
 from sim.world import World, build

@@ -9,7 +9,7 @@ from ground.common.progress import Progress
 from ground.runs.artifacts import Frames, Kept, doing, keep, nothing_kept, open_log, recorded
 from ground.runs.initialise import initialise
 from ground.runs.place_request import PlaceRequest, checked
-from ground.telemetry.header import header_of
+from ground.telemetry.header import run_header
 from sim.arms import BuiltArm, effects_of_run
 from sim.initialisation import InitialisationResult
 from sim.loop import ClosedLoop, Setup
@@ -44,7 +44,7 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
     )
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     run = PlacementRun(loop, job.placement)
-    header = header_of(loop, job.arm.name, request.seed, asdict(request), run.commands, job.effects)
+    header = run_header(loop, job.arm.name, request.seed, asdict(request), run.commands, job.effects)
     log = open_log(request.files.log, header, loop.config)
     frames = Frames()
     started = time.perf_counter()

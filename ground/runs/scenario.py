@@ -20,7 +20,7 @@ from ground.runs.artifacts import (
     recorded,
 )
 from ground.runs.initialise import initialise
-from ground.telemetry.header import header_of
+from ground.telemetry.header import run_header
 from sim.arms import BuiltArm
 from sim.initialisation import InitialisationResult
 from sim.loop import ClosedLoop
@@ -84,7 +84,7 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
     setup = scenario_setup(scenario, arm, reference, request.seed)
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
     judged = ScenarioRun(loop, scenario)
-    header = header_of(loop, arm.name, request.seed, asdict(request), scenario.commands, scenario.effects)
+    header = run_header(loop, arm.name, request.seed, asdict(request), scenario.commands, scenario.effects)
     log = open_log(request.files.log, header, loop.config)
     frames, shown, total = Frames(), _shown(scenario), len(scenario.commands)
     started = time.perf_counter()

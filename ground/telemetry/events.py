@@ -8,9 +8,8 @@ from typing import Any, Final, Self, get_type_hints
 
 from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Evr, Severity
-from ground.telemetry.cdr import CdrWriter, stamp
 from ground.telemetry.errors import SchemaError
-from ground.telemetry.schema import ENCAPSULATION, aligned
+from ground.telemetry.schema import ENCAPSULATION, CdrWriter, align, ros_time
 
 LOG_LEVELS: Final = {
     Severity.DIAGNOSTIC: 10,
@@ -25,7 +24,7 @@ LOG_LEVELS: Final = {
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class LogEntry:
     """A line of the log: whole numbers and strings; the kinds below say which."""
 
     @classmethod
@@ -52,11 +51,11 @@ class Entry:
         at = len(ENCAPSULATION)
         for kind in get_type_hints(cls).values():
             if kind is int:
-                at = aligned(at, 8)
+                at = align(at, 8)
                 values += struct.unpack_from("<q", message, at)
                 at += 8
             else:
-                at = aligned(at, 4)
+                at = align(at, 4)
                 (length,) = struct.unpack_from("<I", message, at)
                 values.append(message[at + 4 : at + 4 + length - 1].decode())
                 at += 4 + length
@@ -66,7 +65,7 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True)
-class EvrEntry(Entry):
+class EvrEntry(LogEntry):
     """An event report of flight software."""
 
     tick: int
@@ -82,7 +81,7 @@ class EvrEntry(Entry):
 
 
 @dataclass(frozen=True, slots=True)
-class CommandEntry(Entry):
+class CommandEntry(LogEntry):
     """A command that flight software was given."""
 
     tick: int
@@ -95,7 +94,7 @@ class CommandEntry(Entry):
         return dict(json.loads(self.fields_json))
 
 
-def as_json(value: Any) -> Any:
+def json_value(value: Any) -> Any:
     """A command's or EVR's field in JSON's words; NaN and infinities stay, as Python's JSON has them.
 
     Raises:
@@ -107,7 +106,7 @@ def as_json(value: Any) -> Any:
         case None | bool() | int() | float() | str():
             return value
         case tuple() | list():
-            return [as_json(item) for item in value]
+            return [json_value(item) for item in value]
         case _ if hasattr(value, "tolist"):  # numpy arrays and scalars
             return value.tolist()
         case _:
@@ -116,7 +115,7 @@ def as_json(value: Any) -> Any:
 
 def json_fields(event: Evr | Command) -> dict[str, Any]:
     """The fields of a command or EVR in JSON's words."""
-    return {f.name: as_json(getattr(event, f.name)) for f in fields(event)}
+    return {f.name: json_value(getattr(event, f.name)) for f in fields(event)}
 
 
 def evr_entry(tick: int, evr: Evr) -> EvrEntry:
@@ -129,7 +128,7 @@ def command_entry(tick: int, command: Command) -> CommandEntry:
     return CommandEntry(tick, type(command).__name__, json.dumps(json_fields(command)))
 
 
-def log_line(time_ns: int, evr: Evr) -> bytes:
+def rosout_message(time_ns: int, evr: Evr) -> bytes:
     """An EVR as a rcl_interfaces/Log, for the log panels of others."""
-    out = CdrWriter().add("iI", *stamp(time_ns)).add("B", LOG_LEVELS[evr.severity])
+    out = CdrWriter().add("iI", *ros_time(time_ns)).add("B", LOG_LEVELS[evr.severity])
     return bytes(out.text(evr.name).text(evr.message).text("").text("").add("I", 0).data)

@@ -22,31 +22,31 @@ from ground.common.progress import Progress
 from ground.common.requests import check_apart
 from ground.telemetry.events import CommandEntry, EvrEntry
 from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, TICK_NS, TRUTH_TEXT
-from ground.telemetry.inspect import NoSuchChannel, place_text, severity_name
+from ground.telemetry.inspection import NoSuchChannel, index_text, severity_name
 from ground.telemetry.read import Log
 
-Column = NDArray[np.generic] | Sequence[str]
-SUFFIXES: Final = (".parquet", ".csv")
+ColumnValues = NDArray[np.generic] | Sequence[str]
+TABLE_SUFFIXES: Final = (".parquet", ".csv")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Table:
+class TopicTable:
     """A topic as columns of one length: time_ns, tick, and each number of each field."""
 
     topic: str
-    columns: Mapping[str, Column]
+    columns: Mapping[str, ColumnValues]
     units: Mapping[str, str]
     is_truth: bool
 
 
-def ends(shape: tuple[int, ...]) -> list[str]:
+def index_suffixes(shape: tuple[int, ...]) -> list[str]:
     """How the columns of a field of this shape are told apart: [2], [0,1]; in the order of its numbers."""
-    return [place_text(place) for place in np.ndindex(*shape)]
+    return [index_text(place) for place in np.ndindex(*shape)]
 
 
-def table_of(log: Log, topic: str) -> Table:
+def topic_table(log: Log, topic: str) -> TopicTable:
     """A topic of a log as a table."""
-    columns: dict[str, Column] = {"time_ns": log.time_ns[topic], "tick": log.time_ns[topic] // TICK_NS}
+    columns: dict[str, ColumnValues] = {"time_ns": log.time_ns[topic], "tick": log.time_ns[topic] // TICK_NS}
     units = {"time_ns": "ns"}
     if topic == EVR_TOPIC:
         columns |= _evr_columns(log.evrs)
@@ -57,16 +57,16 @@ def table_of(log: Log, topic: str) -> Table:
         for field in packets.dtype.names or ():
             values, unit = packets[field], unit_of(field)
             numbers = values.reshape(len(values), prod(values.shape[1:]))
-            for k, end in enumerate(ends(values.shape[1:])):
+            for k, end in enumerate(index_suffixes(values.shape[1:])):
                 # A packet has a tick of its own as well; both are kept.
                 name = f"{field}{end}" if field not in columns else f"packet.{field}{end}"
                 columns[name] = np.ascontiguousarray(numbers[:, k])
                 if unit is not None:
                     units[name] = unit
-    return Table(topic, columns, units, topic in log.truth)
+    return TopicTable(topic, columns, units, topic in log.truth)
 
 
-def _evr_columns(evrs: Sequence[EvrEntry]) -> dict[str, Column]:
+def _evr_columns(evrs: Sequence[EvrEntry]) -> dict[str, ColumnValues]:
     return {
         "severity": [severity_name(evr.severity) for evr in evrs],
         "name": [evr.name for evr in evrs],
@@ -75,7 +75,7 @@ def _evr_columns(evrs: Sequence[EvrEntry]) -> dict[str, Column]:
     }
 
 
-def _command_columns(commands: Sequence[CommandEntry]) -> dict[str, Column]:
+def _command_columns(commands: Sequence[CommandEntry]) -> dict[str, ColumnValues]:
     return {
         "name": [command.name for command in commands],
         "fields_json": [command.fields_json for command in commands],
@@ -94,19 +94,19 @@ def export(
         BadOutput: a file cannot be written, or is asked to hold several tables.
         BadRequest: a file is that of the log.
     """
-    chosen = _chosen(log, topics)
-    files = _files(out, chosen, kind)
+    chosen = _select_topics(log, topics)
+    files = _output_files(out, chosen, kind)
     for topic, path in files.items():
         check_apart({"LOG": log.path, f"out ({topic})": path})
     header = json.dumps(dict(log.header))
-    made = _made_folder(out)
+    made = _make_folder(out)
     try:
         with ExitStack() as all_whole:
             for k, (topic, path) in enumerate(files.items()):
                 progress(k, len(files), topic)
                 file = all_whole.enter_context(written_whole(path, "out"))
                 write = write_csv if path.suffix == ".csv" else write_parquet
-                write(table_of(log, topic), header, file)
+                write(topic_table(log, topic), header, file)
     except BaseException:
         if made:
             out.rmdir()
@@ -114,9 +114,9 @@ def export(
     return files
 
 
-def _made_folder(out: Path) -> bool:
+def _make_folder(out: Path) -> bool:
     """Make the folder if there is none, and whether it was made; BadOutput where it cannot be."""
-    if out.suffix in SUFFIXES or os.path.isdir(out):
+    if out.suffix in TABLE_SUFFIXES or os.path.isdir(out):
         return False
     try:
         out.mkdir()
@@ -126,7 +126,7 @@ def _made_folder(out: Path) -> bool:
     return True
 
 
-def _chosen(log: Log, topics: Sequence[str]) -> list[str]:
+def _select_topics(log: Log, topics: Sequence[str]) -> list[str]:
     missing = [topic for topic in topics if topic not in log.time_ns]
     if missing:
         has = ", ".join(sorted(log.time_ns))
@@ -134,9 +134,9 @@ def _chosen(log: Log, topics: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(topics)) or sorted(log.time_ns)
 
 
-def _files(out: Path, topics: Sequence[str], kind: str) -> dict[str, Path]:
+def _output_files(out: Path, topics: Sequence[str], kind: str) -> dict[str, Path]:
     """Where each topic goes, after every check that can be made before anything is written."""
-    if out.suffix in SUFFIXES and not os.path.isdir(out):  # unlike Path.is_dir, False for any bad name
+    if out.suffix in TABLE_SUFFIXES and not os.path.isdir(out):  # unlike Path.is_dir, False for any bad name
         if kind == ".csv" != out.suffix:
             raise BadOutput(f"out {out}: with --csv its name must end in .csv, or be that of a folder")
         if len(topics) != 1:
@@ -144,7 +144,7 @@ def _files(out: Path, topics: Sequence[str], kind: str) -> dict[str, Path]:
                 f"out {out}: one file holds one table, and {len(topics)} topics are asked for; "
                 f"name one with --topic, or give a folder"
             )
-        return {topics[0]: check_output(out, SUFFIXES, "out")}
+        return {topics[0]: check_output(out, TABLE_SUFFIXES, "out")}
     if not os.path.isdir(out) and (os.path.exists(out) or out.suffix):
         raise BadOutput(
             f"out {out}: must end in .parquet or .csv, or be a folder; the name of a new one has no dot"
@@ -153,11 +153,11 @@ def _files(out: Path, topics: Sequence[str], kind: str) -> dict[str, Path]:
     files = {topic: out / (topic.strip("/").replace("/", "_") + kind) for topic in topics}
     if os.path.isdir(out):
         for path in files.values():
-            check_output(path, SUFFIXES, "out")
+            check_output(path, TABLE_SUFFIXES, "out")
     return files
 
 
-def write_parquet(table: Table, header: str, file: BinaryIO) -> None:
+def write_parquet(table: TopicTable, header: str, file: BinaryIO) -> None:
     """Write a table whose metadata has the log's header and the units; every bit of a number is kept."""
     fields, arrays = [], []
     for name, column in table.columns.items():
@@ -172,17 +172,17 @@ def write_parquet(table: Table, header: str, file: BinaryIO) -> None:
     pq.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields, metadata)), file)
 
 
-def write_csv(table: Table, header: str, file: BinaryIO) -> None:
+def write_csv(table: TopicTable, header: str, file: BinaryIO) -> None:
     """Write a table with a line of names; a number reads back exactly. The header has no place in it."""
     text = TextIOWrapper(file, "utf-8", newline="")
     out = csv.writer(text, lineterminator="\n")
     out.writerow(table.columns)
-    out.writerows(zip(*map(_words, table.columns.values()), strict=True))
+    out.writerows(zip(*map(_csv_values, table.columns.values()), strict=True))
     text.flush()
     text.detach()
 
 
-def _words(column: Column) -> Sequence[Any]:
+def _csv_values(column: ColumnValues) -> Sequence[Any]:
     """Floats in the fewest digits that read back exactly, which `csv` asks `repr` for; flags as 0 and 1."""
     if isinstance(column, np.ndarray):
         words: list[Any] = (column.astype(np.int8) if column.dtype.kind == "b" else column).tolist()

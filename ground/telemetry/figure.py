@@ -12,51 +12,51 @@ from fsw.dictionary.evrs import Severity
 from ground.render.figures import save_figure
 from ground.telemetry.events import EvrEntry
 from ground.telemetry.format import TICK_NS
-from ground.telemetry.inspect import Channel, place_text
+from ground.telemetry.inspection import ChannelSeries, index_text
 from ground.telemetry.topics import PACKET_TOPICS
 
-MOST: Final = 12
+MAX_PANELS: Final = 12
 """Panels in a picture; more cannot be read."""
-LEGEND: Final = 9
+MAX_LEGEND: Final = 9
 """Lines in a panel that are named."""
-SHOWN: Final = 12
+MAX_EVR_NAMES: Final = 12
 """Event reports whose names fit above the panels."""
 COLOURS: Final = {"warning": "#c1121f", "command": "#31688e", "other": "0.75"}
 
 
-class TooMuch(ValueError):
+class TooManyChannels(ValueError):
     """More is asked for than a picture can show."""
 
 
-def save_log_figure(channels: Sequence[Channel], evrs: Sequence[EvrEntry], path: Path) -> str | None:
+def save_log_figure(channels: Sequence[ChannelSeries], evrs: Sequence[EvrEntry], path: Path) -> str | None:
     """Save the picture as PNG; the reason if matplotlib is not there to draw it.
 
     Raises:
         TooMuch: more channels than a picture can show.
         BadOutput: the file cannot be written.
     """
-    if len(channels) > MOST:
-        raise TooMuch(
-            f"{len(channels)} channels are asked for; a picture has room for {MOST}; "
+    if len(channels) > MAX_PANELS:
+        raise TooManyChannels(
+            f"{len(channels)} channels are asked for; a picture has room for {MAX_PANELS}; "
             f"name fewer, such as {channels[0].name}, or draw several"
         )
 
     def draw(figure: Any) -> None:
         panels = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]
         for axes, channel in zip(panels, channels, strict=True):
-            _draw(axes, channel)
+            _draw_channel(axes, channel)
             for evr in sorted(evrs, key=lambda evr: evr.severity):  # the graver cover the others
-                axes.axvline(_time_s(evr), color=COLOURS[_kind(evr)], linewidth=0.8, zorder=0)
-        _name_evrs(panels[0], evrs)
+                axes.axvline(_time_s(evr), color=COLOURS[_colour_key(evr)], linewidth=0.8, zorder=0)
+        _label_evrs(panels[0], evrs)
         panels[-1].set_xlabel("log time [s]")
 
     return save_figure(path, (12, 1.4 + 2.0 * len(channels)), 90, draw)
 
 
-def _draw(axes: Any, channel: Channel) -> None:
+def _draw_channel(axes: Any, channel: ChannelSeries) -> None:
     time_s = channel.time_ns / 1e9
     flat = channel.values.reshape(len(time_s), -1).astype(float)
-    names = _names(channel)
+    names = _line_names(channel)
     steps = "steps-post" if channel.values.dtype.kind in "biu" else "default"
     # A channel that speaks once has no line.
     marker = "." if len(time_s) < 2 else None
@@ -64,7 +64,7 @@ def _draw(axes: Any, channel: Channel) -> None:
         axes.plot(time_s, flat[:, k], drawstyle=steps, marker=marker, linewidth=1.0, label=name)
     axes.set_title(_title(channel, names), loc="left", fontsize=9)
     axes.set_ylabel(channel.unit or "")
-    words = _words(channel)
+    words = _value_names(channel)
     if words is None:
         axes.ticklabel_format(axis="y", useOffset=False)
     else:
@@ -72,19 +72,19 @@ def _draw(axes: Any, channel: Channel) -> None:
         axes.set_yticks(here, [value.name for value in here], fontsize=7)
     axes.grid(alpha=0.3)
     axes.margins(x=0.01)
-    if 1 < len(names) <= LEGEND:
+    if 1 < len(names) <= MAX_LEGEND:
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8, frameon=False)
 
 
-def _title(channel: Channel, names: Sequence[str | None]) -> str:
+def _title(channel: ChannelSeries, names: Sequence[str | None]) -> str:
     title = f"{channel.name}{' (truth)' if channel.is_truth else ''}"
-    if len(names) <= LEGEND:
+    if len(names) <= MAX_LEGEND:
         return title
-    one = f"{channel.name}{place_text((0,) * (channel.values.ndim - 1))}"
+    one = f"{channel.name}{index_text((0,) * (channel.values.ndim - 1))}"
     return f"{title}: {len(names)} lines are too many to name; {one} is one of them"
 
 
-def _words(channel: Channel) -> type[IntEnum] | None:
+def _value_names(channel: ChannelSeries) -> type[IntEnum] | None:
     """What the numbers of a channel mean, where they are words in flight software."""
     for topic, _ in PACKET_TOPICS:
         if topic.name == channel.topic and channel.field in topic.field_names:
@@ -93,7 +93,7 @@ def _words(channel: Channel) -> type[IntEnum] | None:
     return None
 
 
-def _names(channel: Channel) -> list[str | None]:
+def _line_names(channel: ChannelSeries) -> list[str | None]:
     """What the lines of a channel are called: joints where flight software lists joints, else numbers."""
     shape = channel.values.shape[1:]
     if shape == (len(Joint),) and channel.topic in {topic.name for topic, _ in PACKET_TOPICS}:
@@ -101,7 +101,7 @@ def _names(channel: Channel) -> list[str | None]:
     return [", ".join(map(str, place)) or None for place in np.ndindex(*shape)]
 
 
-def _name_evrs(axes: Any, evrs: Sequence[EvrEntry]) -> None:
+def _label_evrs(axes: Any, evrs: Sequence[EvrEntry]) -> None:
     """Names above the uppermost panel, the graver ones first, where they do not cover each other.
 
     How many have no room is said.
@@ -110,7 +110,7 @@ def _name_evrs(axes: Any, evrs: Sequence[EvrEntry]) -> None:
     named: list[float] = []
     for evr in sorted(evrs, key=lambda evr: (-evr.severity, evr.tick)):
         at = _time_s(evr)
-        if len(named) < SHOWN and all(abs(at - other) > 0.03 * (high - low) for other in named):
+        if len(named) < MAX_EVR_NAMES and all(abs(at - other) > 0.03 * (high - low) for other in named):
             named.append(at)
             axes.annotate(
                 evr.name,
@@ -120,7 +120,7 @@ def _name_evrs(axes: Any, evrs: Sequence[EvrEntry]) -> None:
                 textcoords="offset points",
                 rotation=30,
                 fontsize=7,
-                color=COLOURS[_kind(evr)] if _kind(evr) != "other" else "0.4",
+                color=COLOURS[_colour_key(evr)] if _colour_key(evr) != "other" else "0.4",
                 annotation_clip=False,
             )
     if len(named) < len(evrs):
@@ -133,7 +133,7 @@ def _time_s(evr: EvrEntry) -> float:
     return evr.tick * TICK_NS / 1e9
 
 
-def _kind(evr: EvrEntry) -> str:
+def _colour_key(evr: EvrEntry) -> str:
     if evr.severity >= Severity.WARNING_LO:
         return "warning"
     return "command" if evr.severity == Severity.COMMAND else "other"

@@ -1,5 +1,6 @@
 """What a log's header says of its run: what made it, and all that flight software began with."""
 
+import ctypes
 import hashlib
 import json
 import platform
@@ -12,25 +13,46 @@ from typing import Any, Final
 
 import mujoco
 import numpy as np
+from numpy._core._multiarray_umath import __cpu_features__ as NUMPY_FEATURES  # type: ignore[import-not-found]
 
 from fsw.config import digest
 from fsw.dictionary.commands import Command
 from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
-from ground.telemetry.plain import to_plain
-from ground.telemetry.processor import cpu_features
+from ground.telemetry.json_codec import record_to_json
 from sim.effects.effect import Effect
 from sim.loop import ClosedLoop
 from sim.scenario.effects import effect_text
 
-ROOT: Final = Path(__file__).resolve().parents[2]
+
+@cache
+def cpu_features() -> tuple[str, ...]:
+    """The machine, the instruction sets that numpy makes use of, and whose kernels its OpenBLAS does."""
+    used = sorted(name for name, there in NUMPY_FEATURES.items() if there)
+    return (platform.machine(), *used, f"OpenBLAS {_blas_kernels()}")
+
+
+def _blas_kernels() -> str:
+    """Other kernels are what changes last digits; "unknown" where numpy has another linear algebra."""
+    folder = Path(np.__file__).parents[1] / "numpy.libs"
+    for library in sorted(folder.glob("libscipy_openblas*")):
+        try:
+            core_name = ctypes.CDLL(str(library)).scipy_openblas_get_corename64_
+        except (OSError, AttributeError):
+            continue
+        core_name.restype = ctypes.c_char_p
+        return str(core_name().decode())
+    return "unknown"
+
+
+REPOSITORY: Final = Path(__file__).resolve().parents[2]
 GIT_TIMEOUT_S: Final = 5.0
 SESSION: Final = "session"
 """Header key: what was done under which conditions, in JSON, for a diagnosis of the gap."""
 
 
-def header_of(
+def run_header(
     loop: ClosedLoop,
     arm: str,
     seed: int,
@@ -46,7 +68,7 @@ def header_of(
         ValueError: the run has begun; what flight software began with is gone.
     """
     return {
-        **flown_header(loop, commands),
+        **flight_header(loop, commands),
         "arm": arm,
         "seed": str(seed),
         "request": json.dumps(request, default=str, sort_keys=True),
@@ -55,7 +77,7 @@ def header_of(
     }
 
 
-def flown_header(loop: ClosedLoop, commands: Sequence[Command]) -> dict[str, str]:
+def flight_header(loop: ClosedLoop, commands: Sequence[Command]) -> dict[str, str]:
     """The part of it that tells nothing of the plant: all that flight software began with and is asked.
 
     Raises:
@@ -64,13 +86,13 @@ def flown_header(loop: ClosedLoop, commands: Sequence[Command]) -> dict[str, str
     if loop.state.tick != 0:
         raise ValueError(f"the run is at tick {loop.state.tick}; a log begins with flight software's first")
     return {
-        **made_by(),
-        **begins_with(loop.config.params, loop.state.mode, loop.state.joints.reference),
-        **asked(commands),
+        **versions_header(),
+        **start_header(loop.config.params, loop.state.mode, loop.state.joints.reference),
+        **commands_header(commands),
     }
 
 
-def made_by() -> dict[str, str]:
+def versions_header() -> dict[str, str]:
     """The software and the processor that make a log."""
     return {
         "marsarm": version("marsarm"),
@@ -82,22 +104,22 @@ def made_by() -> dict[str, str]:
     }
 
 
-def begins_with(params: Params, mode: Mode, reference: Reference | None) -> dict[str, str]:
+def start_header(params: Params, mode: Mode, reference: Reference | None) -> dict[str, str]:
     """All that flight software begins with: what replay needs beside sensors and commands.
 
     `reference` is what is remembered of the joints, None for nothing.
     """
-    boot = {"mode": mode.name, "reference": None if reference is None else to_plain(reference)}
+    boot = {"mode": mode.name, "reference": None if reference is None else record_to_json(reference)}
     return {
-        "params": json.dumps(to_plain(params)),
+        "params": json.dumps(record_to_json(params)),
         "params_sha256": digest(params),
         "boot": json.dumps(boot),
     }
 
 
-def asked(commands: Sequence[Command]) -> dict[str, str]:
+def commands_header(commands: Sequence[Command]) -> dict[str, str]:
     """A command sequence and its digest."""
-    text = json.dumps([{"type": type(c).__name__, "fields": to_plain(c)} for c in commands])
+    text = json.dumps([{"type": type(c).__name__, "fields": record_to_json(c)} for c in commands])
     return {"commands": text, "commands_sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
@@ -111,9 +133,9 @@ def model_digest(model: mujoco.MjModel) -> str:
 @cache
 def git_revision() -> str:
     """The commit of this tree, "-dirty" appended if files of it are changed; "unknown" outside of git."""
-    if not (ROOT / ".git").exists():
+    if not (REPOSITORY / ".git").exists():
         return "unknown"
-    command = ["git", "-C", str(ROOT), "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
+    command = ["git", "-C", str(REPOSITORY), "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=GIT_TIMEOUT_S, check=True)
     except (OSError, subprocess.SubprocessError):

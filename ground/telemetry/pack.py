@@ -18,23 +18,23 @@ from mcap.opcode import Opcode
 from ground.telemetry.errors import SchemaError
 from ground.telemetry.schema import ENCAPSULATION, Layout
 
-HEAD: Final = Struct("<BQHIQQ")
+MESSAGE_HEADER: Final = Struct("<BQHIQQ")
 """Opcode, length of the rest, channel, sequence, log time and publish time of a message record."""
-START: Final = Struct("<BQH")
+MESSAGE_START: Final = Struct("<BQH")
 """What of it is the same for all messages of a channel whose length is fixed."""
-AFTER_LENGTH: Final = HEAD.size - 9
+AFTER_LENGTH: Final = MESSAGE_HEADER.size - 9
 DTYPE: Final = attrgetter("dtype")
-CODES: Final = {"<i8": "q", "<f8": "d", "|b1": "?"}
+STRUCT_CODES: Final = {"<i8": "q", "<f8": "d", "|b1": "?"}
 """How struct writes a number that is no array."""
 
 
 def message_record(channel: int, sequence: int, time_ns: int, data: bytes) -> bytes:
     """One message as an MCAP record."""
-    head = HEAD.pack(Opcode.MESSAGE, AFTER_LENGTH + len(data), channel, sequence, time_ns, time_ns)
+    head = MESSAGE_HEADER.pack(Opcode.MESSAGE, AFTER_LENGTH + len(data), channel, sequence, time_ns, time_ns)
     return head + data
 
 
-def numbered(counts: dict[int, int], time_ns: int, messages: Sequence[tuple[int, bytes]]) -> bytes:
+def number_messages(counts: dict[int, int], time_ns: int, messages: Sequence[tuple[int, bytes]]) -> bytes:
     """The records of messages by channel, back to back; counts them."""
     records = []
     for channel, data in messages:
@@ -43,7 +43,7 @@ def numbered(counts: dict[int, int], time_ns: int, messages: Sequence[tuple[int,
     return b"".join(records)
 
 
-def joined(pieces: Sequence[Any]) -> bytes:
+def join_bytes(pieces: Sequence[Any]) -> bytes:
     """Bytes and arrays, one after the other."""
     try:
         return b"".join(pieces)
@@ -51,7 +51,7 @@ def joined(pieces: Sequence[Any]) -> bytes:
         return b"".join([p.tobytes() if isinstance(p, np.ndarray) else p for p in pieces])
 
 
-class Source(NamedTuple):
+class PacketSource(NamedTuple):
     """Where the packets of a channel are in the record of a cycle, as a dotted path."""
 
     path: str
@@ -62,7 +62,7 @@ class Source(NamedTuple):
 class Packer:
     """Turns packets that come together into message records, one after the other; no layout needs padding."""
 
-    def __init__(self, sources: Sequence[Source]) -> None:
+    def __init__(self, sources: Sequence[PacketSource]) -> None:
         self._fields = [(f"{path}.{f.name}", f) for path, _, layout in sources for f in layout.fields]
         numbers = [name for name, f in self._fields if f.shape is None]
         arrays = [name for name, f in self._fields if f.shape is not None]
@@ -71,15 +71,17 @@ class Packer:
         values = ["time", "encapsulation", *starts, *counts, *numbers]
         order: list[tuple[str, str]] = []  # the code of each value, none of an array, and its name
         for path, _, layout in sources:
-            order += [(f"{START.size}s", f"start of {path}"), ("I", f"count of {path}")]
+            order += [(f"{MESSAGE_START.size}s", f"start of {path}"), ("I", f"count of {path}")]
             order += [("Q", "time"), ("Q", "time"), (f"{len(ENCAPSULATION)}s", "encapsulation")]
-            order += [(CODES[f.kind] if f.shape is None else "", f"{path}.{f.name}") for f in layout.fields]
+            order += [
+                (STRUCT_CODES[f.kind] if f.shape is None else "", f"{path}.{f.name}") for f in layout.fields
+            ]
         runs = [(code, [*run]) for code, run in groupby(order, lambda one: "" if one[0] else one[1])]
         sizes = [calcsize("<" + "".join(code for code, _ in run)) for array, run in runs if not array]
         ends = [*accumulate(sizes)]
         place_of_cut = count()
         self._starts = [
-            START.pack(Opcode.MESSAGE, AFTER_LENGTH + layout.dtype.itemsize, channel)
+            MESSAGE_START.pack(Opcode.MESSAGE, AFTER_LENGTH + layout.dtype.itemsize, channel)
             for _, channel, layout in sources
         ]
         self._numbers, self._arrays = attrgetter(*numbers), attrgetter(*arrays)
@@ -90,7 +92,7 @@ class Packer:
             *[len(ends) + arrays.index(array) if array else next(place_of_cut) for array, _ in runs]
         )
         self._dtypes = [np.dtype(f.kind) for _, f in self._fields if f.shape is not None]
-        self._size = sum(HEAD.size + layout.dtype.itemsize for _, _, layout in sources)
+        self._size = sum(MESSAGE_HEADER.size + layout.dtype.itemsize for _, _, layout in sources)
 
     def pack(self, cycle: Any, time_ns: int, counts: Sequence[int]) -> bytes:
         """The records of a cycle; each has the sequence number that the count of its channel gives.
@@ -105,7 +107,7 @@ class Packer:
         except StructError:
             self.check(cycle)
             raise
-        data = joined(self._pieces((*self._cut(packed), *arrays)))
+        data = join_bytes(self._pieces((*self._cut(packed), *arrays)))
         if [*map(DTYPE, arrays)] != self._dtypes or len(data) != self._size:
             self.check(cycle)
         return data
@@ -116,7 +118,7 @@ class Packer:
             given, dtype = attrgetter(name)(cycle), np.dtype(field.kind)
             if field.shape is None:
                 try:
-                    Struct("<" + CODES[field.kind]).pack(given)
+                    Struct("<" + STRUCT_CODES[field.kind]).pack(given)
                 except StructError as error:
                     raise SchemaError(f"{name}: {given} given, {error}") from error
             elif given.dtype != dtype or given.shape != field.shape:

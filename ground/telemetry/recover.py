@@ -13,19 +13,19 @@ from ground.common.progress import Progress
 from ground.common.requests import check_apart
 from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.format import CHANNELS_KEY, FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
-from ground.telemetry.loss import RECOVERED_RECORD, Lost, recovered_record
-from ground.telemetry.messages import announced, known_channels
-from ground.telemetry.read import bytes_of, log_from
-from ground.telemetry.salvage import Salvage, salvage
+from ground.telemetry.lost_messages import RECOVERED_RECORD, LostMessages, loss_metadata
+from ground.telemetry.read import parse_log, read_log_bytes
+from ground.telemetry.salvage import SalvagedLog, salvage
+from ground.telemetry.topic_arrays import decode_topics, known_topics
 
 
 @dataclass(frozen=True, slots=True)
-class Recovered:
+class RecoveryReport:
     """What came of a recovery."""
 
     saved: Mapping[str, int]
     """Messages by topic."""
-    lost: tuple[Lost, ...]
+    lost: tuple[LostMessages, ...]
     """Of this recovery and of those before it."""
     header_lost: bool
     """Whether versions, parameters and commands of the run are gone."""
@@ -33,7 +33,7 @@ class Recovered:
     """Sentences about what was left out because it is not of this log, or was put in its place."""
 
 
-def recover(bad: Path, good: Path, progress: Progress) -> Recovered:
+def recover(bad: Path, good: Path, progress: Progress) -> RecoveryReport:
     """Read what is undamaged in `bad` and write it to `good` as a whole log.
 
     Messages are counted anew, so that the new log is complete in itself; a record of its own says what was
@@ -45,7 +45,7 @@ def recover(bad: Path, good: Path, progress: Progress) -> Recovered:
         BadOutput: `good` cannot be written.
         BadRequest: `good` is the file of `bad`.
     """
-    data = bytes_of(bad)
+    data = read_log_bytes(bad)
     check_apart({"BAD": bad, "GOOD": check_output(good, (".mcap",), "GOOD")})
     progress(0, 1, "searching")
     found = salvage(data)
@@ -54,37 +54,37 @@ def recover(bad: Path, good: Path, progress: Progress) -> Recovered:
     with written_whole(good, "GOOD") as file:
         saved, doubled = _write(file, found, lost, progress)
         file.flush()
-        log_from(bad, Path(file.name).read_bytes())
+        parse_log(bad, Path(file.name).read_bytes())
     notes = (
         found.notes if not doubled else (*found.notes, f"{doubled} messages that were there twice left out")
     )
-    return Recovered(saved, lost, HEADER_RECORD not in found.metadata, notes)
+    return RecoveryReport(saved, lost, HEADER_RECORD not in found.metadata, notes)
 
 
-def _check_ours(bad: Path, found: Salvage) -> None:
+def _check_ours(bad: Path, found: SalvagedLog) -> None:
     version = found.metadata.get(FORMAT_RECORD, {}).get("version", FORMAT)
     if version != FORMAT:
         raise LogNotReadable(bad, f"log format {version}; this marsarm reads format {FORMAT}")
     if not found.chunks and HEADER_RECORD not in found.metadata:
         raise LogNotReadable(bad, "holds no undamaged part of a marsarm log; nothing can be saved")
-    if found.chunks and not known_channels(found.metadata.get(HEADER_RECORD, {}), found.channels):
+    if found.chunks and not known_topics(found.metadata.get(HEADER_RECORD, {}), found.channels):
         raise LogNotReadable(bad, "nothing in it says what its messages mean; nothing can be saved")
 
 
 def _write(
-    file: BinaryIO, found: Salvage, lost: tuple[Lost, ...], progress: Progress
+    file: BinaryIO, found: SalvagedLog, lost: tuple[LostMessages, ...], progress: Progress
 ) -> tuple[dict[str, int], int]:
     """Write all that was found; messages by topic, and how many were not written as they were there twice."""
     numbers = {old: new for new, old in enumerate(sorted(found.channels), 1)}
-    header = _renumbered(found.metadata.get(HEADER_RECORD, {}), numbers)
+    header = _renumber_topics(found.metadata.get(HEADER_RECORD, {}), numbers)
     # With an index of attachments, of which there are none, the summary would point to nothing.
     indexes = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA
     writer = Writer(file, chunk_size=1 << 30, index_types=indexes, enable_data_crcs=True)
     writer.start(profile="", library="marsarm")
     writer.add_metadata(FORMAT_RECORD, {"version": FORMAT, "header_crc32": header_crc32(header)})
     writer.add_metadata(HEADER_RECORD, header)
-    writer.add_metadata(RECOVERED_RECORD, recovered_record(lost))
-    _declare(writer, found)
+    writer.add_metadata(RECOVERED_RECORD, loss_metadata(lost))
+    _register_topics(writer, found)
     counts: dict[int, int] = {}
     seen: dict[int, int] = {}
     doubled = 0
@@ -103,11 +103,11 @@ def _write(
     return {found.channels[number].topic: count for number, count in counts.items()}, doubled
 
 
-def _renumbered(header: Mapping[str, str], numbers: Mapping[int, int]) -> dict[str, str]:
+def _renumber_topics(header: Mapping[str, str], numbers: Mapping[int, int]) -> dict[str, str]:
     """The header, with the numbers that the channels have in the new file."""
     if CHANNELS_KEY not in header:
         return dict(header)
-    said = announced(header)
+    said = decode_topics(header)
     kept = {
         one["topic"]: {**{name: value for name, value in one.items() if name != "topic"}, "id": numbers[old]}
         for old, one in said.items()
@@ -116,7 +116,7 @@ def _renumbered(header: Mapping[str, str], numbers: Mapping[int, int]) -> dict[s
     return {**header, CHANNELS_KEY: json.dumps(kept)}
 
 
-def _declare(writer: Writer, found: Salvage) -> None:
+def _register_topics(writer: Writer, found: SalvagedLog) -> None:
     """Write schemas and channels, numbered from 1 in their order; a schema that is lost is 0, MCAP's none."""
     schemas = {
         number: writer.register_schema(schema.name, schema.encoding, schema.data)

@@ -2,11 +2,12 @@
 
 import json
 import re
+import struct
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from math import prod
-from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Final, Self, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -15,19 +16,59 @@ from fsw.dictionary.types import Limits
 from ground.common.fields import field_texts, unit_of
 from ground.telemetry.errors import SchemaError
 
+ROS_TIME: Final = struct.Struct("<iI")
+"""builtin_interfaces/Time: seconds and nanoseconds."""
+
+
+def ros_time(time_ns: int) -> tuple[int, int]:
+    """Seconds and nanoseconds of a time."""
+    return divmod(time_ns, 1_000_000_000)
+
+
+class CdrWriter:
+    """A message in the making; values are added in the order of its definition."""
+
+    def __init__(self) -> None:
+        self.data = bytearray(ENCAPSULATION)
+
+    def add(self, kinds: str, *values: float) -> Self:
+        """Add numbers, each of a kind of struct's: as "d" for float64."""
+        for kind, value in zip(kinds, values, strict=True):
+            size = struct.calcsize(f"<{kind}")
+            self.data = self.data.ljust(align(len(self.data), size), b"\0") + struct.pack(f"<{kind}", value)
+        return self
+
+    def text(self, text: str) -> Self:
+        """Add a string."""
+        # What comes from the operating system may hold bytes that are no text: keep them legible.
+        content = text.encode(errors="backslashreplace") + b"\0"
+        self.add("I", len(content))
+        self.data += content
+        return self
+
+    def header(self, time_ns: int, frame: str) -> Self:
+        """Add a std_msgs/Header."""
+        return self.add("iI", *ros_time(time_ns)).text(frame)
+
+    def place(self, numbers: int) -> int:
+        """Add so many float64 to be filled in later; where they begin."""
+        self.add("d" * numbers, *[0.0] * numbers)
+        return len(self.data) - 8 * numbers
+
+
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"
 """CDR, XCDR1, little endian. Alignment counts from the byte after it."""
 
-KINDS: Final[dict[type, str]] = {bool: "|b1", int: "<i8", float: "<f8"}
+DTYPES: Final[dict[type, str]] = {bool: "|b1", int: "<i8", float: "<f8"}
 
-NUMBERS: Final = "biuf"
+ROS_DTYPE_KINDS: Final = "biuf"
 """Kinds of numpy types that ROS 2 has."""
-MOST_BYTES: Final = 8
+MAX_NUMBER_BYTES: Final = 8
 """Of one number."""
 
 Shape = tuple[int, ...]
 PER_JOINT: Final = (len(Joint),)
-SHAPES: Final[Mapping[str, Shape]] = {
+ARRAY_SHAPES: Final[Mapping[str, Shape]] = {
     "Sensors.switch_closed": (len(Switch),),
     "Sensors.gravity_R_m_s2": (3,),
     "ToolChannels.p_RoTo_R_m": (3,),
@@ -41,17 +82,17 @@ SHAPES: Final[Mapping[str, Shape]] = {
 ROS_NAME: Final = re.compile(r"[a-z](_?[a-z0-9]+)*")
 
 
-def bare(hint: Any) -> Any:
+def strip_annotated(hint: Any) -> Any:
     """The type under an Annotated."""
     return get_args(hint)[0] if get_origin(hint) is Annotated else hint
 
 
-def aligned(offset: int, size: int) -> int:
+def align(offset: int, size: int) -> int:
     """The next offset, from the start of the message, where CDR places a value of this size."""
     return offset + (len(ENCAPSULATION) - offset) % size
 
 
-def definition(doc: str | None, body: str) -> bytes:
+def ros_definition(doc: str | None, body: str) -> bytes:
     """A ROS 2 message definition, headed by the first line of a docstring."""
     heading = (doc or "").strip().split("\n")[0]
     return f"# {heading}\n{body}".encode()
@@ -99,7 +140,7 @@ class Layout:
         formats = [np.dtype((f.kind, f.shape or ())) for f in self.fields]
         offsets, end = [], len(ENCAPSULATION)
         for one in formats:
-            offsets.append(aligned(end, one.base.itemsize))
+            offsets.append(align(end, one.base.itemsize))
             end = offsets[-1] + one.itemsize
         names = [f.name for f in self.fields]
         return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": end})
@@ -123,19 +164,19 @@ class Layout:
         rows = json.loads(text)
         made = cls(tuple(Field(name, kind, shape and tuple(shape)) for name, kind, shape in rows))
         whole = made.dtype
-        if not all(is_number(whole[name].base) for name in whole.names or ()):
+        if not all(is_ros_number(whole[name].base) for name in whole.names or ()):
             raise ValueError(f"a field is no number: {text}")
         return made
 
 
-def is_number(scalar: np.dtype[Any]) -> bool:
+def is_ros_number(scalar: np.dtype[Any]) -> bool:
     """Whether ROS 2 has such a type."""
-    return scalar.kind in NUMBERS and scalar.itemsize <= MOST_BYTES
+    return scalar.kind in ROS_DTYPE_KINDS and scalar.itemsize <= MAX_NUMBER_BYTES
 
 
 def note_of(name: str, hint: Any) -> str:
     """Unit, limits and names of the values of a field, as far as there are any."""
-    unit, limits, kind = unit_of(name), limits_of(hint), bare(hint)
+    unit, limits, kind = unit_of(name), limits_of(hint), strip_annotated(hint)
     remarks = [] if unit in (None, "1") else [f"[{unit}]"]
     if limits is not None:
         remarks.append(f"{limits.low:g} .. {limits.high:g}")
@@ -144,9 +185,9 @@ def note_of(name: str, hint: Any) -> str:
     return "; ".join(remarks)
 
 
-def shape_of(owner: type, name: str) -> Shape:
+def array_shape(owner: type, name: str) -> Shape:
     """The shape of an array field of a packet."""
-    return SHAPES.get(f"{owner.__name__}.{name}", PER_JOINT)
+    return ARRAY_SHAPES.get(f"{owner.__name__}.{name}", PER_JOINT)
 
 
 def limits_of(hint: Any) -> Limits | None:
@@ -154,27 +195,27 @@ def limits_of(hint: Any) -> Limits | None:
     return next((one for one in get_args(hint)[1:] if isinstance(one, Limits)), None)
 
 
-def field_of(owner: type, name: str, hint: Any) -> Field:
+def packet_field(owner: type, name: str, hint: Any) -> Field:
     """The field that an annotation declares.
 
     Raises:
         SchemaError: the annotation has no fixed layout.
     """
-    kind, where = bare(hint), f"{owner.__name__}.{name}"
+    kind, where = strip_annotated(hint), f"{owner.__name__}.{name}"
     note, doc = note_of(name, hint), " ".join(field_texts(owner).get(name, "").split())
     if get_origin(kind) is np.ndarray:
         scalar = np.dtype(get_args(get_args(kind)[1])[0])
-        if not is_number(scalar):
+        if not is_ros_number(scalar):
             raise SchemaError(f"{where}: an array of {scalar} has no ROS 2 type; use numbers or flags")
-        return Field(name, scalar.str, shape_of(owner, name), note, doc)
+        return Field(name, scalar.str, array_shape(owner, name), note, doc)
     if isinstance(kind, type) and issubclass(kind, IntEnum):
         return Field(name, "<i8", None, note, doc)
-    if kind in KINDS:
-        return Field(name, KINDS[kind], None, note, doc)
+    if kind in DTYPES:
+        return Field(name, DTYPES[kind], None, note, doc)
     raise SchemaError(f"{where}: {kind} has no fixed layout; use bool, int, float, IntEnum, NDArray")
 
 
-def layout_of(packet: type, names: Iterable[str]) -> Layout:
+def packet_layout(packet: type, names: Iterable[str]) -> Layout:
     """The layout of these fields of a packet, from its annotations.
 
     The largest numbers come first, and of one size those that are no arrays, so that nothing is padded.
@@ -183,7 +224,7 @@ def layout_of(packet: type, names: Iterable[str]) -> Layout:
         SchemaError: a field has no fixed layout, or its name in lower case is not one of its own in ROS 2.
     """
     hints = get_type_hints(packet, include_extras=True)
-    fields = [field_of(packet, name, hints[name]) for name in names]
+    fields = [packet_field(packet, name, hints[name]) for name in names]
     seen: set[str] = set()
     for f in fields:
         name = f.name.lower()

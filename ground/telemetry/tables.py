@@ -11,28 +11,32 @@ from rich.table import Table
 from ground.render.console import plain_console
 from ground.render.words import counted
 from ground.telemetry.format import FORMAT
-from ground.telemetry.inspect import Channel, LogInfo, Range, info_of, range_of
-from ground.telemetry.loss import Lost, behind_text, span_text
+from ground.telemetry.inspection import ChannelSeries, LogInfo, Range, range_of, summarize_log
+from ground.telemetry.lost_messages import LostMessages, span_text, trailing_bytes_text
 from ground.telemetry.read import Log
-from ground.telemetry.recover import Recovered
+from ground.telemetry.recover import RecoveryReport
 
-BULKY: Final = ("channels", "commands", "params")
+OMITTED_KEYS: Final = ("channels", "commands", "params")
 """What a header holds for programs; it fills screens."""
-WIDE: Final = 120
+PIPE_WIDTH: Final = 120
 """Columns of a table that goes into a file or a pipe."""
-PARSED: Final = ("boot", "cpu", "request")
+JSON_KEYS: Final = ("boot", "cpu", "request")
 """What a header holds as JSON."""
 
 
 def info_json(log: Log) -> dict[str, Any]:
     """A log as a JSON document; without what its header holds for programs alone."""
-    info = info_of(log)
+    info = summarize_log(log)
     return {
         "log": str(log.path),
         "format": FORMAT,
         "closed": not log.truncated,
         "bytes_behind": log.behind,
-        "header": {name: _parsed(name, text) for name, text in log.header.items() if name not in BULKY},
+        "header": {
+            name: _parse_header_value(name, text)
+            for name, text in log.header.items()
+            if name not in OMITTED_KEYS
+        },
         "first_s": info.first_s,
         "duration_s": info.duration_s,
         "cycles": info.cycles,
@@ -46,14 +50,14 @@ def info_json(log: Log) -> dict[str, Any]:
     }
 
 
-def _parsed(name: str, text: str) -> Any:
+def _parse_header_value(name: str, text: str) -> Any:
     try:
-        return json.loads(text) if name in PARSED else text
+        return json.loads(text) if name in JSON_KEYS else text
     except ValueError:
         return text
 
 
-def lost_json(lost: Sequence[Lost]) -> list[dict[str, Any]]:
+def lost_json(lost: Sequence[LostMessages]) -> list[dict[str, Any]]:
     """What was lost as a JSON document; seconds of log time, null where nothing tells."""
     return [
         {
@@ -68,15 +72,15 @@ def lost_json(lost: Sequence[Lost]) -> list[dict[str, Any]]:
 
 def info_table(log: Log) -> None:
     """Print a log: its header, how long it is, its topics and event reports."""
-    console, info = plain_console(), info_of(log)
+    console, info = plain_console(), summarize_log(log)
     for name, text in sorted(log.header.items()):
-        if name not in BULKY:
+        if name not in OMITTED_KEYS:
             console.print(f"{name:<16}  {text}", markup=False, soft_wrap=True)
     console.print(f"{'format':<16}  {FORMAT}")
     console.print(f"{'duration':<16}  {_duration(info)}")
     state = "cut short: its writer did not close it" if log.truncated else "closed"
     if log.behind:
-        state += f"; {behind_text(log.behind)}"
+        state += f"; {trailing_bytes_text(log.behind)}"
     console.print(f"{'end':<16}  {state}", soft_wrap=True)
     table = Table()
     for name in ("topic", "messages", "rate Hz", ""):
@@ -97,12 +101,12 @@ def _duration(info: LogInfo) -> str:
     return f"{info.duration_s:.3f} s from {info.first_s:.3f} s on, {info.cycles} cycles"
 
 
-def channels_json(log: Log, channels: Sequence[Channel]) -> dict[str, Any]:
+def channels_json(log: Log, channels: Sequence[ChannelSeries]) -> dict[str, Any]:
     """The channels of a log as a JSON document."""
     return {"log": str(log.path), "channels": [_channel_json(one, range_of(one)) for one in channels]}
 
 
-def _channel_json(channel: Channel, values: Range) -> dict[str, Any]:
+def _channel_json(channel: ChannelSeries, values: Range) -> dict[str, Any]:
     return {
         "channel": channel.name,
         "type": channel.type_name,
@@ -115,7 +119,7 @@ def _channel_json(channel: Channel, values: Range) -> dict[str, Any]:
     }
 
 
-def channels_table(channels: Sequence[Channel]) -> None:
+def channels_table(channels: Sequence[ChannelSeries]) -> None:
     """Print the channels of a log, one a line."""
     table = Table(box=None, pad_edge=False)
     for name in ("channel", "type", "unit", "count", "min", "max", "NaN, inf"):
@@ -132,14 +136,14 @@ def channels_table(channels: Sequence[Channel]) -> None:
             _number(values.high),
             str(values.not_finite or ""),
         )
-    plain_console(None if Console().is_terminal else WIDE).print(table)
+    plain_console(None if Console().is_terminal else PIPE_WIDTH).print(table)
 
 
 def _number(value: float | int | None) -> str:
     return "" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def recovered_json(bad: Path, good: Path, recovered: Recovered) -> dict[str, Any]:
+def recovery_json(bad: Path, good: Path, recovered: RecoveryReport) -> dict[str, Any]:
     """A recovery as a JSON document."""
     return {
         "bad": str(bad),
@@ -151,7 +155,7 @@ def recovered_json(bad: Path, good: Path, recovered: Recovered) -> dict[str, Any
     }
 
 
-def recovered_table(good: Path, recovered: Recovered) -> None:
+def recovery_table(good: Path, recovered: RecoveryReport) -> None:
     """Print what was saved and what was lost."""
     console = plain_console()
     console.print(f"{sum(recovered.saved.values())} messages saved in {good}", soft_wrap=True)
@@ -165,7 +169,7 @@ def recovered_table(good: Path, recovered: Recovered) -> None:
         console.print("Nothing was lost.")
 
 
-def _lost_table(console: Console, lost: Sequence[Lost]) -> None:
+def _lost_table(console: Console, lost: Sequence[LostMessages]) -> None:
     table = Table(title="lost", title_justify="left")
     table.add_column("topic")
     table.add_column("messages", justify="right")
@@ -176,7 +180,7 @@ def _lost_table(console: Console, lost: Sequence[Lost]) -> None:
     console.print(table)
 
 
-def exported_json(log: Log, files: dict[str, Path]) -> dict[str, Any]:
+def export_json(log: Log, files: dict[str, Path]) -> dict[str, Any]:
     """An export as a JSON document."""
     rows = {topic: len(log.time_ns[topic]) for topic in files}
     return {
@@ -185,7 +189,7 @@ def exported_json(log: Log, files: dict[str, Path]) -> dict[str, Any]:
     }
 
 
-def exported_table(log: Log, files: dict[str, Path]) -> None:
+def export_table(log: Log, files: dict[str, Path]) -> None:
     """Print which files were written."""
     for topic, path in files.items():
         plain_console().print(

@@ -2,12 +2,24 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass
+from fnmatch import fnmatchcase
 from operator import attrgetter
 from types import NoneType, UnionType
 from typing import Any, Final, Union, get_args, get_origin, get_type_hints
 
-from ground.telemetry.schema import bare
+from ground.telemetry.schema import strip_annotated
 from sim.record import CycleRecord
+
+
+def channel_name(topic: str, field: str) -> str:
+    """The name of a field of a topic, as it is printed everywhere."""
+    return f"{topic}.{field}"
+
+
+def channel_matches(topic: str, field: str, pattern: str) -> bool:
+    """Whether a pattern fits a channel in either spelling; capitals count."""
+    spellings = (channel_name(topic, field), f"{topic}/{field}")
+    return any(fnmatchcase(spelling, pattern) for spelling in spellings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,12 +37,12 @@ class Topic:
         return self.packet.__module__.split(".")[0] == "sim"
 
 
-def required(hint: Any) -> Any:
+def strip_optional(hint: Any) -> Any:
     """The type X of an annotation `X` or `X | None`."""
-    kind = bare(hint)
+    kind = strip_annotated(hint)
     if get_origin(kind) not in (Union, UnionType):
         return kind
-    options = [bare(one) for one in get_args(kind) if one is not NoneType]
+    options = [strip_annotated(one) for one in get_args(kind) if one is not NoneType]
     return options[0] if len(options) == 1 else kind
 
 
@@ -40,7 +52,7 @@ def topics_in(owner: type, path: str = "") -> Iterator[Topic]:
     Tuples are left out: in a cycle they hold commands and EVRs, which are messages of their own.
     """
     hints = get_type_hints(owner, include_extras=True)
-    types = {f.name: required(hints[f.name]) for f in fields(owner)}
+    types = {f.name: strip_optional(hints[f.name]) for f in fields(owner)}
     plain = tuple(n for n, kind in types.items() if not is_dataclass(kind) and get_origin(kind) is not tuple)
     if path and plain:
         yield Topic("/" + path.rpartition(".")[2], path, owner, plain)

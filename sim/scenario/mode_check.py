@@ -42,7 +42,7 @@ COMMAND_EVENTS: Final[dict[type[Command], tuple[ModeEvent, ...]]] = {
     Stop: (),
     ClearFault: (ModeEvent.CLEAR,),
 }
-"""What a command that goes well does to the mode, step by step; `_events` knows those with a choice."""
+"""What a command that goes well does to the mode, step by step; `_evr_types` knows those with a choice."""
 
 
 Modes = frozenset[Mode]

@@ -10,14 +10,14 @@ from tempfile import TemporaryDirectory
 
 from rich.console import Console
 
-from ground.replay.behaviour import behaviour_in
-from ground.replay.compare import Differences, compare
+from ground.replay.behaviour import behaviour_from_log
+from ground.replay.compare import Differences, compare_behaviours
 from ground.replay.inputs import SENSOR_TOPIC
-from ground.replay.tables import differences_table, verdict
+from ground.replay.tables import differences_table, verdict_line
 from ground.telemetry.errors import LogError
-from ground.telemetry.header import header_of
+from ground.telemetry.header import run_header
 from ground.telemetry.read import read_log
-from ground.telemetry.record import Recorder
+from ground.telemetry.recorder import Recorder
 from tests.replay.runs import RUNS, ReferenceRun
 
 FOLDER = Path(__file__).parent
@@ -32,7 +32,9 @@ def path_of(run: ReferenceRun, folder: Path = FOLDER) -> Path:
 def make(run: ReferenceRun, folder: Path) -> Path:
     """The log of a run."""
     loop, path = run.loop(), path_of(run, folder)
-    header = header_of(loop, run.arm, run.seed, {"reference": run.name}, [command for command, _ in run.asks])
+    header = run_header(
+        loop, run.arm, run.seed, {"reference": run.name}, [command for command, _ in run.asks]
+    )
     with Recorder(path, header, chunk_s=ONE_CHUNK_S) as recorder:
         for record in run.cycles(loop):
             recorder.write(record)
@@ -42,8 +44,8 @@ def make(run: ReferenceRun, folder: Path) -> Path:
 def between(old: Path, new: Path) -> Differences:
     """What a run gave then against what it gives now."""
     was, now = read_log(old), read_log(new)
-    sides = [behaviour_in(log, len(log[SENSOR_TOPIC])) for log in (was, now)]
-    return compare(*sides)
+    sides = [behaviour_from_log(log, len(log[SENSOR_TOPIC])) for log in (was, now)]
+    return compare_behaviours(*sides)
 
 
 def stale(old: Path, new: Path) -> list[str]:
@@ -70,13 +72,13 @@ def remake(run: ReferenceRun, console: Console) -> None:
 def tell(run: ReferenceRun, old: Path, new: Path, console: Console) -> bool:
     """Print what differs; whether anything does."""
     found, headers = between(old, new), stale(old, new)
-    console.print(f"{run.name}: {verdict(found)}", soft_wrap=True)
-    if not found.none:
+    console.print(f"{run.name}: {verdict_line(found)}", soft_wrap=True)
+    if not found.identical:
         console.print("recorded is what the file held, replayed the run made anew")
         differences_table(console, found)
     if headers:
         console.print(f"header    has another {', '.join(headers)}")
-    return bool(headers) or not found.none
+    return bool(headers) or not found.identical
 
 
 def main(names: Sequence[str]) -> None:

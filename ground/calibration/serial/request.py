@@ -21,9 +21,8 @@ from ground.calibration.serial.temperature import TemperatureTest, temperature_t
 from ground.common.files import BadOutput, check_output, written_whole
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest, check_apart
-from ground.telemetry.imports.errors import BadImport
-from ground.telemetry.imports.files import MOST_TABLE_BYTES, file_bytes
-from ground.telemetry.imports.mapping_file import MOST_MAPPING_BYTES
+from ground.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file
+from ground.telemetry.imports.mapping_file import MAX_MAPPING_BYTES
 
 ALL: Final = "all"
 NONE: Final = "none"
@@ -115,9 +114,9 @@ def _judged(
 
 def _read(request: SerialRequest) -> tuple[SerialArm, Series, dict[str, str]]:
     data = {
-        "arm": file_bytes(request.arm, MOST_MAPPING_BYTES),
-        "mapping": file_bytes(request.mapping, MOST_MAPPING_BYTES),
-        "table": file_bytes(request.table, MOST_TABLE_BYTES),
+        "arm": read_file(request.arm, MAX_MAPPING_BYTES),
+        "mapping": read_file(request.mapping, MAX_MAPPING_BYTES),
+        "table": read_file(request.table, MAX_TABLE_BYTES),
     }
     arm = arm_from_toml(_text(data["arm"], request.arm), str(request.arm))
     mapping = mapping_from_toml(_text(data["mapping"], request.mapping), str(request.mapping))

@@ -9,11 +9,11 @@ from scipy.spatial.transform import Rotation
 
 from fsw.kinematics.transforms import Array, Pose
 from ground.calibration.serial.series import Series, directions
-from ground.telemetry.imports.errors import BadImport
-from ground.telemetry.imports.mapping import Csv, Time
-from ground.telemetry.imports.table import Table, read_table
-from ground.telemetry.imports.times import in_order
-from ground.telemetry.imports.units import UNITS
+from ground.telemetry.imports.files import BadImport
+from ground.telemetry.imports.mapping import CsvFormat, TimeMapping
+from ground.telemetry.imports.table import InputTable, read_table
+from ground.telemetry.imports.times import sort_by_time
+from ground.telemetry.imports.units import UNIT_CONVERSIONS
 from sim.scenario.names import did_you_mean
 from sim.scenario.toml_lines import NotToml, parse_toml
 from sim.scenario.toml_record import Findings, read_record
@@ -47,8 +47,8 @@ class TrackerMapping:
     position: Columns
     rotation: RotationColumns
     arm: str = "unknown"
-    csv: Csv = field(default_factory=Csv)
-    time: Time | None = None
+    csv: CsvFormat = field(default_factory=CsvFormat)
+    time: TimeMapping | None = None
     """None where the rows are in the order of time."""
     air: Columns | None = None
 
@@ -83,8 +83,8 @@ def _check_quantities(said: TrackerMapping, findings: Findings) -> None:
     for name, one, kind, count in quantities:
         if one is None:
             continue
-        if one.unit not in UNITS[kind]:
-            known = did_you_mean(one.unit, UNITS[kind])
+        if one.unit not in UNIT_CONVERSIONS[kind]:
+            known = did_you_mean(one.unit, UNIT_CONVERSIONS[kind])
             findings.report((name, "unit"), f"unit: {one.unit!r} does not fit; {known}")
         if count is not None and len(one.columns) != count:
             findings.report((name, "columns"), f"columns: {len(one.columns)} given; {name} takes {count}")
@@ -101,7 +101,7 @@ def series_from_table(data: bytes, file: str, mapping: TrackerMapping) -> Series
     names = (*mapping.joints.columns, *mapping.position.columns, *mapping.rotation.columns, *air_columns)
     table = read_table(data, file, tuple(dict.fromkeys((*times, *names))), mapping.csv)
     if mapping.time is not None:
-        table = in_order(table, mapping.time)
+        table = sort_by_time(table, mapping.time)
     joints = _values(table, mapping.joints, "rad")
     position = _values(table, mapping.position, "m")
     angles = _values(table, mapping.rotation, "rad")
@@ -117,9 +117,9 @@ def sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def _values(table: Table, said: Columns | RotationColumns, kind: str) -> Array:
+def _values(table: InputTable, said: Columns | RotationColumns, kind: str) -> Array:
     """In the unit of the house, (columns, n)."""
-    unit = UNITS[kind][said.unit]
+    unit = UNIT_CONVERSIONS[kind][said.unit]
     rows = []
     for name in said.columns:
         column = table.numbers(name)
@@ -132,7 +132,7 @@ def _values(table: Table, said: Columns | RotationColumns, kind: str) -> Array:
     return np.array(rows)
 
 
-def _check_locked(table: Table, joint_rad: Array, measured: Array, column: str) -> None:
+def _check_locked(table: InputTable, joint_rad: Array, measured: Array, column: str) -> None:
     """Refuse measurements that stay the same to the last digit while the arm moves."""
     alike = np.all(np.diff(measured, axis=1) == 0.0, axis=0) & np.any(
         np.diff(joint_rad, axis=1) != 0.0, axis=0

@@ -14,7 +14,7 @@ from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from fsw.messages import ActuatorCommand, Sensors
 from ground.diagnosis.arm.tracked import Tracked, none_tracked, read_tracked
-from ground.replay.inputs import NotReplayable, inputs_in
+from ground.replay.inputs import NotReplayable, inputs_from_log
 from ground.telemetry.errors import LogError
 from ground.telemetry.header import SESSION
 from ground.telemetry.read import Log, read_log
@@ -85,7 +85,7 @@ def recording_in(path: Path) -> Recording:
     """
     try:
         log = read_log(path)
-        inputs = inputs_in(log)
+        inputs = inputs_from_log(log)
         tracker = path.with_suffix(".tracker.csv")
         tracked = read_tracked(tracker) if tracker.exists() else none_tracked()
         said = _said(log.header.get(SESSION, "{}"), path)

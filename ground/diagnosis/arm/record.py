@@ -12,9 +12,9 @@ from ground.calibration.frames import FewTargets
 from ground.calibration.survey import surveyed
 from ground.common.progress import Progress
 from ground.diagnosis.arm.tracked import Tracked, none_tracked, write_tracked
-from ground.telemetry.header import SESSION, flown_header
-from ground.telemetry.plain import to_plain
-from ground.telemetry.record import Recorder
+from ground.telemetry.header import SESSION, flight_header
+from ground.telemetry.json_codec import record_to_json
+from ground.telemetry.recorder import Recorder
 from sim.arms import BuiltArm
 from sim.diagnosis_campaign import DiagnosisSession, run_session, start_session
 from sim.effects.effect import Effect
@@ -49,7 +49,7 @@ def record_campaign(
 
 def _record(path: Path, session: DiagnosisSession, loop: ClosedLoop, seed: int) -> Path:
     rng = np.random.default_rng([seed, 7])
-    header = {**flown_header(loop, session.commands), SESSION: conditions(session)}
+    header = {**flight_header(loop, session.commands), SESSION: conditions(session)}
     rows: list[tuple[int, Pose, Array]] = []
     with Recorder(path, header) as recorder:
         for moment in run_session(loop, session):
@@ -64,7 +64,7 @@ def _record(path: Path, session: DiagnosisSession, loop: ClosedLoop, seed: int) 
 def conditions(session: DiagnosisSession) -> str:
     """What those who did it know of a session, in JSON."""
     known = {"name": session.name, "block": session.block, "temperature_C": session.temperature_C}
-    return json.dumps({**known, "world": to_plain(session.world)})
+    return json.dumps({**known, "world": record_to_json(session.world)})
 
 
 def _looked(

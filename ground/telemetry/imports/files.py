@@ -1,15 +1,23 @@
 """Files that are read whole, and are refused if they are none or too large."""
 
 import os
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
-from ground.telemetry.imports.errors import BadImport
 
-MOST_TABLE_BYTES: Final = 1 << 32
+class BadImport(ValueError):
+    """A table or a mapping that cannot be imported; a line of the message for each problem."""
+
+    def __init__(self, problems: Iterable[str]):
+        self.problems = tuple(problems)
+        super().__init__("\n".join(self.problems))
 
 
-def file_bytes(path: Path, most: int) -> bytes:
+MAX_TABLE_BYTES: Final = 1 << 32
+
+
+def read_file(path: Path, most: int) -> bytes:
     """What is in a file.
 
     Raises:

@@ -1,30 +1,32 @@
-"""The import job: read table and mapping, check everything, write the log, say what is in it."""
+"""What was imported as a table for people and as a document for programs."""
 
 import hashlib
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from rich.table import Table
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command
 from ground.common.files import BadOutput, check_output, written_whole
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest, check_apart
+from ground.render.console import plain_console
+from ground.render.words import counted
 from ground.telemetry.format import TICK_NS
-from ground.telemetry.header import SESSION, asked, begins_with, made_by
-from ground.telemetry.imports.errors import BadImport
-from ground.telemetry.imports.files import MOST_TABLE_BYTES, file_bytes
-from ground.telemetry.imports.mapping import Mapping, Start
-from ground.telemetry.imports.mapping_file import MOST_MAPPING_BYTES, mapping_from
-from ground.telemetry.imports.packets import Lacking, lacking, series_of
-from ground.telemetry.imports.table import MOST_CELLS, read_table
-from ground.telemetry.imports.times import in_order
-from ground.telemetry.table_log import Series, write_table_log
+from ground.telemetry.header import SESSION, commands_header, start_header, versions_header
+from ground.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file
+from ground.telemetry.imports.log_file import TopicMessages, write_table_log
+from ground.telemetry.imports.mapping import FlightStart, TableMapping
+from ground.telemetry.imports.mapping_file import MAX_MAPPING_BYTES, parse_mapping
+from ground.telemetry.imports.packets import IncompleteTopic, build_topics, incomplete_topics
+from ground.telemetry.imports.table import MAX_CELLS, read_table
+from ground.telemetry.imports.times import sort_by_time
 
-SENSORS: Final = "/sensors"
+SENSOR_TOPIC: Final = "/sensors"
 UNKNOWN_CPU: Final = "[]"
 """Nobody knows what the table's numbers were computed on."""
 
@@ -60,18 +62,18 @@ class ImportReport:
     """In how many places the file was not in order of time."""
     topics: tuple[TopicReport, ...]
     commands: int
-    lacking: tuple[Lacking, ...]
+    incomplete: tuple[IncompleteTopic, ...]
     replayable: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Imported:
+class ImportedLog:
     """A log in memory."""
 
-    mapping: Mapping
+    mapping: TableMapping
     rows: int
     rows_moved: int
-    series: tuple[Series, ...]
+    series: tuple[TopicMessages, ...]
     header: dict[str, str]
 
     @property
@@ -91,10 +93,10 @@ def import_table(request: ImportRequest, progress: Progress) -> ImportReport:
     try:
         check_output(request.log, (".mcap",), "log")
         progress(0, 3, "reading the mapping")
-        text = file_bytes(request.mapping, MOST_MAPPING_BYTES)
+        text = read_file(request.mapping, MAX_MAPPING_BYTES)
         progress(1, 3, "reading the table")
-        made = imported(
-            file_bytes(request.table, MOST_TABLE_BYTES), str(request.table), text, str(request.mapping)
+        made = convert_table(
+            read_file(request.table, MAX_TABLE_BYTES), str(request.table), text, str(request.mapping)
         )
         progress(2, 3, "writing the log")
         with written_whole(request.log, "log") as file:
@@ -106,9 +108,9 @@ def import_table(request: ImportRequest, progress: Progress) -> ImportReport:
     return _report(request, made)
 
 
-def imported(
-    table: bytes, table_file: str, mapping: bytes, mapping_file: str, cells: int = MOST_CELLS
-) -> Imported:
+def convert_table(
+    table: bytes, table_file: str, mapping: bytes, mapping_file: str, cells: int = MAX_CELLS
+) -> ImportedLog:
     """The log that a table and a mapping make; the names are how messages call them.
 
     Raises:
@@ -120,16 +122,16 @@ def imported(
         raise BadImport(
             [f"{mapping_file}: is no text in UTF-8 ({error.reason}, byte {error.start})"]
         ) from error
-    said = mapping_from(text, mapping_file, Path(mapping_file).parent)
+    said = parse_mapping(text, mapping_file, Path(mapping_file).parent)
     times = () if said.time.column is None else (said.time.column,)
     names = dict.fromkeys((*times, *(name for channel in said.channels for name in channel.columns)))
     if not names:
         raise BadImport(
             [f"{mapping_file}: channel: none has columns; there is nothing to take from the table"]
         )
-    read = in_order(read_table(table, table_file, tuple(names), said.csv, cells), said.time)
+    read = sort_by_time(read_table(table, table_file, tuple(names), said.csv, cells), said.time)
     with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is looked for and refused
-        series = series_of(read, said, cells)
+        series = build_topics(read, said, cells)
     if said.start is not None:
         _check_replayable(mapping_file, said, said.start, series)
     about = {
@@ -138,17 +140,19 @@ def imported(
         "mapping": mapping_file,
         "mapping_sha256": hashlib.sha256(mapping).hexdigest(),
     }
-    return Imported(said, read.rows, read.rows_moved, series, _header(said, about))
+    return ImportedLog(said, read.rows, read.rows_moved, series, _import_header(said, about))
 
 
-def _check_replayable(file: str, mapping: Mapping, start: Start, series: tuple[Series, ...]) -> None:
+def _check_replayable(
+    file: str, mapping: TableMapping, start: FlightStart, series: tuple[TopicMessages, ...]
+) -> None:
     """Refuse a start without readings in every cycle, and commands in a cycle that is not there."""
-    sensors = next((one for one in series if one.topic == SENSORS), None)
+    sensors = next((one for one in series if one.topic == SENSOR_TOPIC), None)
     if sensors is None:
-        said = next((one.fields for one in lacking(mapping) if one.topic == SENSORS), ())
+        said = next((one.fields for one in incomplete_topics(mapping) if one.topic == SENSOR_TOPIC), ())
         what = f"it lacks {', '.join(said)}" if said else "there is none"
         raise BadImport(
-            [f"{file}: start: replay needs all of {SENSORS}, {what}; map it, or leave out [start]"]
+            [f"{file}: start: replay needs all of {SENSOR_TOPIC}, {what}; map it, or leave out [start]"]
         )
     gaps = np.flatnonzero(np.diff(sensors.ticks) != 1)
     if sensors.ticks[0] != 0 or gaps.size:
@@ -158,7 +162,10 @@ def _check_replayable(file: str, mapping: Mapping, start: Start, series: tuple[S
             else (f"tick {sensors.ticks[gaps[0]] + 1} is missing")
         )
         raise BadImport(
-            [f"{file}: start: replay needs {SENSORS} in every tick from 0 on, {where}; leave out [start]"]
+            [
+                f"{file}: start: replay needs {SENSOR_TOPIC} in every tick from 0 on, {where}; "
+                "leave out [start]"
+            ]
         )
     last = int(sensors.ticks[-1])
     never = [one for one in start.commands if one.tick > last]
@@ -170,15 +177,15 @@ def _check_replayable(file: str, mapping: Mapping, start: Start, series: tuple[S
         )
 
 
-def _header(mapping: Mapping, about: dict[str, str]) -> dict[str, str]:
+def _import_header(mapping: TableMapping, about: dict[str, str]) -> dict[str, str]:
     start = mapping.start
-    begins = {} if start is None else begins_with(start.params, start.mode, start.reference)
+    begins = {} if start is None else start_header(start.params, start.mode, start.reference)
     commands = [] if start is None else [one.command for one in start.commands]
     done = {} if mapping.session is None else {SESSION: json.dumps(asdict(mapping.session))}
     return {
-        **made_by(),
+        **versions_header(),
         **begins,
-        **asked(commands),
+        **commands_header(commands),
         **done,
         "cpu": UNKNOWN_CPU,
         "arm": mapping.arm,
@@ -188,7 +195,7 @@ def _header(mapping: Mapping, about: dict[str, str]) -> dict[str, str]:
     }
 
 
-def _report(request: ImportRequest, made: Imported) -> ImportReport:
+def _report(request: ImportRequest, made: ImportedLog) -> ImportReport:
     topics = tuple(
         TopicReport(
             topic=one.topic,
@@ -202,10 +209,52 @@ def _report(request: ImportRequest, made: Imported) -> ImportReport:
     start = made.mapping.start
     commands = 0 if start is None else len(start.commands)
     return ImportReport(
-        request, made.rows, made.rows_moved, topics, commands, lacking(made.mapping), start is not None
+        request,
+        made.rows,
+        made.rows_moved,
+        topics,
+        commands,
+        incomplete_topics(made.mapping),
+        start is not None,
     )
 
 
 def duration_s(topic: TopicReport) -> float:
     """From the first message of a topic to the last."""
     return (topic.last_tick - topic.first_tick) * TICK_NS * 1e-9
+
+
+def import_json(report: ImportReport) -> dict[str, Any]:
+    """An import as a JSON document."""
+    return {
+        "log": str(report.request.log),
+        "rows": report.rows,
+        "rows_moved": report.rows_moved,
+        "topics": [{**asdict(topic), "duration_s": duration_s(topic)} for topic in report.topics],
+        "commands": report.commands,
+        "incomplete": [asdict(one) for one in report.incomplete],
+        "replayable": report.replayable,
+    }
+
+
+def import_tables(report: ImportReport) -> None:
+    """Print an import: a row for each topic, and what keeps packets from being whole."""
+    console = plain_console()
+    table = Table(title=f"{report.request.log}: {counted(report.rows, 'row')}", title_justify="left")
+    for name in ("topic", "messages", "first tick", "last tick", "ticks without"):
+        table.add_column(name, justify="left" if name == "topic" else "right")
+    for topic in report.topics:
+        numbers = (topic.messages, topic.first_tick, topic.last_tick, topic.missing_ticks)
+        table.add_row(topic.topic, *map(str, numbers))
+    console.print(table)
+    if report.rows_moved:
+        console.print(f"sorted    in {counted(report.rows_moved, 'place')} the file was not in order of time")
+    for one in report.incomplete:
+        lacks = ", ".join(one.fields)
+        console.print(f"{one.topic} is not whole, so it is kept as {one.kept_as}; it lacks {lacks}")
+    if report.replayable:
+        console.print(
+            f"replay    {counted(report.commands, 'command')}; `marsarm replay {report.request.log}`"
+        )
+    else:
+        console.print("replay    no: the mapping does not say what flight software began with")

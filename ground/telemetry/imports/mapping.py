@@ -11,19 +11,19 @@ from fsw.dictionary.enums import Mode
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Limits
 from fsw.estimate.reference import Reference
-from ground.telemetry.imports.targets import Target
+from ground.telemetry.imports.targets import ChannelTarget
 from ground.telemetry.imports.units import Conversion
 
-Grid = Literal["exact", "nearest", "hold", "linear"]
+GridMode = Literal["exact", "nearest", "hold", "linear"]
 TICK: Final = "tick"
 """The value that is the number of the cycle."""
-LAST_TICK: Final = 1 << 39
+MAX_TICK: Final = 1 << 39
 """A table may begin here and span as much: more ticks, in nanoseconds, do not fit a log. 272 years."""
 UNIT_NS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 
 
 @dataclass(frozen=True, slots=True)
-class Time:
+class TimeMapping:
     """The table [time]: when each row was, and what to do where that is between two cycles."""
 
     column: str | None = None
@@ -32,7 +32,7 @@ class Time:
     """Of a column of text, in the words of strptime."""
     rate_Hz: Annotated[float | None, Limits(1e-3, 1e6)] = None
     """Of rows without a time column."""
-    grid: Grid = "exact"
+    grid: GridMode = "exact"
     share: Annotated[float, Limits(0.0, 0.5)] = 0.01
     """With grid exact: how far a row may be from its cycle, as a share of a cycle."""
     gap_s: Annotated[float, Limits(1e-3, 60.0)] = 1.0
@@ -52,12 +52,12 @@ class Time:
             raise ValueError("time: unit and format are of a column; with rate_Hz leave them out")
         if self.unit is not None and self.format is not None:
             raise ValueError("time: unit is of numbers, format of text; give one of the two")
-        if not 0 <= self.first_tick < LAST_TICK:
-            raise ValueError(f"time: first_tick {self.first_tick} is outside 0 .. {LAST_TICK}")
+        if not 0 <= self.first_tick < MAX_TICK:
+            raise ValueError(f"time: first_tick {self.first_tick} is outside 0 .. {MAX_TICK}")
 
 
 @dataclass(frozen=True, slots=True)
-class Csv:
+class CsvFormat:
     """The table [csv]: how a text table is written."""
 
     separator: str = ","
@@ -74,10 +74,10 @@ class Csv:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Channel:
+class MappedChannel:
     """One field of a message, and where its values come from."""
 
-    target: Target
+    target: ChannelTarget
     columns: tuple[str, ...]
     """Empty if it is a constant."""
     constant: NDArray[Any] | str | None
@@ -90,7 +90,7 @@ class Channel:
 
 
 @dataclass(frozen=True, slots=True)
-class Asked:
+class TimedCommand:
     """A command, and the first cycle that sees it."""
 
     tick: int
@@ -100,18 +100,18 @@ class Asked:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Start:
+class FlightStart:
     """What flight software began with, for a table that is to be replayed."""
 
     params: Params
     mode: Mode
     reference: Reference | None
-    commands: tuple[Asked, ...]
+    commands: tuple[TimedCommand, ...]
     """In order of their ticks."""
 
 
 @dataclass(frozen=True, slots=True)
-class Session:
+class SessionMapping:
     """The table [session]: what was done, for a diagnosis of the gap."""
 
     name: str
@@ -122,13 +122,13 @@ class Session:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Mapping:
+class TableMapping:
     """A mapping without a problem."""
 
     file: str
     arm: str
-    time: Time
-    csv: Csv
-    channels: tuple[Channel, ...]
-    start: Start | None
-    session: Session | None
+    time: TimeMapping
+    csv: CsvFormat
+    channels: tuple[MappedChannel, ...]
+    start: FlightStart | None
+    session: SessionMapping | None

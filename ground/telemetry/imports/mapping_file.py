@@ -1,29 +1,153 @@
 """Mappings from TOML, strictly: every problem at once, each with its line and with what would be right."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Annotated, Any, Final, TypeVar
 
 import numpy as np
 
-from ground.telemetry.imports.errors import BadImport
-from ground.telemetry.imports.mapping import TICK, Channel, Csv, Mapping, Session, Time
-from ground.telemetry.imports.start import start_of
-from ground.telemetry.imports.targets import IMPORTED, Target, conversions, free_target, targets
+from fsw.config import CYCLE_HZ, configure
+from fsw.dictionary.enums import Joint, Mode, Tool
+from fsw.dictionary.params import Params
+from fsw.dictionary.types import Joints5, Limits
+from fsw.estimate.reference import Reference
+from fsw.executive.expansion import teach_point_tool
+from ground.telemetry.imports.files import BadImport
+from ground.telemetry.imports.mapping import (
+    TICK,
+    CsvFormat,
+    FlightStart,
+    MappedChannel,
+    SessionMapping,
+    TableMapping,
+    TimedCommand,
+    TimeMapping,
+)
+from ground.telemetry.imports.targets import (
+    IMPORT_PREFIX,
+    ChannelTarget,
+    conversions,
+    custom_target,
+    known_targets,
+)
 from ground.telemetry.imports.units import Conversion, known_units
-from ground.telemetry.imports.values import in_units
+from ground.telemetry.imports.values import convert_to_si
+from sim.params import BadParams, nominal_params, params_over_nominal
 from sim.scenario.names import did_you_mean
 from sim.scenario.toml_lines import NotToml, TomlPath, parse_toml
 from sim.scenario.toml_record import Findings, read_record, require_table
-from sim.scenario.toml_tables import list_tables
+from sim.scenario.toml_tables import list_tables, read_command
+
+Flags5 = tuple[bool, bool, bool, bool, bool]
+NONE: Final = (0.0,) * len(Joint)
+COMMAND_ROUNDING: Final = 1e-6
+"""Of a cycle; a command this little after one is seen in it."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Reference:
+    """The table [start.reference]: what was remembered of the joints; order of Joint."""
+
+    calibrated: Flags5
+    zero_rad: Joints5
+    known: Flags5 | None = None
+    half_gap_rad: Joints5 | None = None
+    resolver_bias_rad: Joints5 = (0.0, 0.0, 0.0, 0.0, 0.0)
+    friction_Nm: Joints5 | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Start:
+    """The table [start] but for the reference."""
+
+    mode: Mode
+    params: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _CommandTime:
+    """When a command is given."""
+
+    at_s: Annotated[float, Limits(0.0, 1e7)]
+
+
+def parse_start(data: dict[str, Any], folder: Path, findings: Findings) -> FlightStart | None:
+    """What flight software began with; None where the mapping does not say, or says it wrongly."""
+    asked = list(list_tables(data, "command", findings))
+    if "start" not in data:
+        if asked:
+            findings.report(("command",), "command: is for a table that is to be replayed; write [start] too")
+        return None
+    table = require_table(data["start"], ("start",), findings)
+    if table is None:
+        return None
+    own = {key: value for key, value in table.items() if key != "reference"}
+    if isinstance(own.get("mode"), str):
+        own["mode"] = own["mode"].lower()  # as names in columns, in capitals or not
+    start = read_record(_Start, own, ("start",), findings)
+    params = None if start is None else _load_params(start.params, folder, findings)
+    if start is None or params is None:
+        return None
+    reference = _parse_reference(table, params, findings)
+    points = {point.name: teach_point_tool(point) for point in params.teach}
+    commands = [_parse_command(table, place, findings, points) for place, table in asked]
+    in_order = sorted((one for one in commands if one is not None), key=lambda one: one.tick)
+    return FlightStart(params, start.mode, reference, tuple(in_order))
+
+
+def _load_params(name: str | None, folder: Path, findings: Findings) -> Params | None:
+    if name is None:
+        return nominal_params()
+    path = folder / name
+    try:
+        return params_over_nominal(path)
+    except (BadParams, OSError, ValueError) as error:
+        for line in str(error).splitlines():
+            findings.report(("start", "params"), f"params: {line}")
+    return None
+
+
+def _parse_reference(table: dict[str, Any], params: Params, findings: Findings) -> Reference | None:
+    """What was remembered; None for nothing."""
+    if "reference" not in table:
+        return None
+    place = ("start", "reference")
+    inner = require_table(table["reference"], place, findings)
+    said = None if inner is None else read_record(_Reference, inner, place, findings)
+    if said is None:
+        return None
+    known = np.array(said.calibrated if said.known is None else said.known)
+    drawn = configure(params).half_gap_rad
+    friction = np.zeros(known.size) if said.friction_Nm is None else np.array(said.friction_Nm)
+    return Reference(
+        calibrated=np.array(said.calibrated),
+        known=known,
+        zero_rad=np.array(said.zero_rad),
+        half_gap_rad=drawn if said.half_gap_rad is None else np.array(said.half_gap_rad),
+        resolver_bias_rad=np.array(said.resolver_bias_rad),
+        friction_Nm=np.where(known & (said.friction_Nm is not None), friction, np.inf),
+    )
+
+
+def _parse_command(
+    table: dict[str, Any], place: TomlPath, findings: Findings, points: Mapping[str, Tool]
+) -> TimedCommand | None:
+    at = read_record(_CommandTime, {"at_s": table["at_s"]} if "at_s" in table else {}, place, findings)
+    rest = {key: value for key, value in table.items() if key != "at_s"}
+    command = read_command(rest, place, findings, points)
+    if at is None or command is None:
+        return None
+    return TimedCommand(math.ceil(at.at_s * CYCLE_HZ - COMMAND_ROUNDING), command, findings.lines[place])
+
 
 T = TypeVar("T")
 
-KNOWN: Final = ("arm", "time", "csv", "channel", "start", "command", "session")
-LISTED: Final = ("columns", "gain", "offset")
+KNOWN_KEYS: Final = ("arm", "time", "csv", "channel", "start", "command", "session")
+LIST_KEYS: Final = ("columns", "gain", "offset")
 """Keys of a channel that may be one value, too."""
-MOST_MAPPING_BYTES: Final = 1 << 20
+MAX_MAPPING_BYTES: Final = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,51 +168,55 @@ class _Head:
     arm: str = "unknown"
 
 
-def mapping_from(text: str, file: str, folder: Path) -> Mapping:
+def parse_mapping(text: str, file: str, folder: Path) -> TableMapping:
     """The mapping that a TOML text says; `file` is how messages call it, paths in it are from `folder`.
 
     Raises:
         BadImport: something in it is wrong; the message has every problem, by line.
     """
-    if len(text) > MOST_MAPPING_BYTES:
-        raise BadImport([f"{file}: has {len(text)} characters; a mapping has at most {MOST_MAPPING_BYTES}"])
+    if len(text) > MAX_MAPPING_BYTES:
+        raise BadImport([f"{file}: has {len(text)} characters; a mapping has at most {MAX_MAPPING_BYTES}"])
     try:
         data, lines = parse_toml(text)
     except NotToml as error:
         raise BadImport([f"{file}:{error.line}: {error}"]) from error
     findings = Findings(lines)
-    mapping = _mapping(data, file, folder, findings)
+    mapping = _parse_tables(data, file, folder, findings)
     if mapping is None or findings.problems:
         raise BadImport(f"{file}:{p.line}: {p.text}" for p in sorted(findings.problems))
     return mapping
 
 
-def _mapping(data: dict[str, Any], file: str, folder: Path, findings: Findings) -> Mapping | None:
+def _parse_tables(data: dict[str, Any], file: str, folder: Path, findings: Findings) -> TableMapping | None:
     for key in data:
-        if key not in KNOWN:
-            findings.report((key,), f"{key}: is not known here; {did_you_mean(key, KNOWN)}")
+        if key not in KNOWN_KEYS:
+            findings.report((key,), f"{key}: is not known here; {did_you_mean(key, KNOWN_KEYS)}")
     head = read_record(_Head, {key: data[key] for key in ("arm",) if key in data}, (), findings)
-    time = _record(Time, data, "time", findings)
-    csv = _record(Csv, data, "csv", findings)
-    channels = [_channel(table, place, findings) for place, table in list_tables(data, "channel", findings)]
+    time = _parse_table(TimeMapping, data, "time", findings)
+    csv = _parse_table(CsvFormat, data, "csv", findings)
+    channels = [
+        _parse_channel(table, place, findings) for place, table in list_tables(data, "channel", findings)
+    ]
     if not data.get("channel"):
         findings.report((), "channel: is missing; write [[channel]] and its keys below, once for each")
-    _check_apart([channel for channel in channels if channel is not None], findings)
-    start = start_of(data, folder, findings)
-    session = _record(Session, data, "session", findings) if "session" in data else None
+    _check_mapped_once([channel for channel in channels if channel is not None], findings)
+    start = parse_start(data, folder, findings)
+    session = _parse_table(SessionMapping, data, "session", findings) if "session" in data else None
     if head is None or time is None or csv is None or None in channels:
         return None
-    return Mapping(file, head.arm, time, csv, tuple(c for c in channels if c is not None), start, session)
+    return TableMapping(
+        file, head.arm, time, csv, tuple(c for c in channels if c is not None), start, session
+    )
 
 
-def _record(kind: type[T], data: dict[str, Any], name: str, findings: Findings) -> T | None:
+def _parse_table(kind: type[T], data: dict[str, Any], name: str, findings: Findings) -> T | None:
     table = require_table(data.get(name, {}), (name,), findings)
     return None if table is None else read_record(kind, table, (name,), findings)
 
 
-def _channel(table: dict[str, Any], place: TomlPath, findings: Findings) -> Channel | None:
+def _parse_channel(table: dict[str, Any], place: TomlPath, findings: Findings) -> MappedChannel | None:
     before = len(findings.problems)
-    listed = {k: [v] if k in LISTED and not isinstance(v, list) else v for k, v in table.items()}
+    listed = {k: [v] if k in LIST_KEYS and not isinstance(v, list) else v for k, v in table.items()}
     constant = listed.pop("value", None)
     said = read_record(_Channel, listed, place, findings)
     if said is None:
@@ -96,10 +224,10 @@ def _channel(table: dict[str, Any], place: TomlPath, findings: Findings) -> Chan
     if (said.columns is None) == (constant is None):
         findings.report(place, f"{said.name}: give columns, or value for what never changes; one of the two")
         return None
-    target = _target(said, table, place, findings)
+    target = _find_target(said, table, place, findings)
     if target is None:
         return None
-    conversion = _conversion(said, target, place, findings)
+    conversion = _find_conversion(said, target, place, findings)
     gain, offset = (
         _per_column(name, getattr(said, name), target, place, findings) for name in ("gain", "offset")
     )
@@ -107,53 +235,56 @@ def _channel(table: dict[str, Any], place: TomlPath, findings: Findings) -> Chan
         _check_columns(said.columns, target, place, findings)
     if target.members is not None and (said.gain, said.offset) != ((1.0,), (0.0,)):
         findings.report(place, f"{target.name}: is a name; it has neither gain nor offset")
-    kept = None if constant is None else _constant(constant, target, place, findings)
+    kept = None if constant is None else _parse_constant(constant, target, place, findings)
     if len(findings.problems) > before:
         return None
     line = findings.lines[place]
-    channel = Channel(target, said.columns or (), kept, conversion, gain, offset, line)
+    channel = MappedChannel(target, said.columns or (), kept, conversion, gain, offset, line)
     _check_finite(channel, (*place, "value"), findings)
     return channel
 
 
-def _check_finite(channel: Channel, at: TomlPath, findings: Findings) -> None:
+def _check_finite(channel: MappedChannel, at: TomlPath, findings: Findings) -> None:
     """Refuse a constant that its gain, offset or unit makes infinite."""
     if not isinstance(channel.constant, np.ndarray) or channel.target.field.kind != "<f8":
         return
     with np.errstate(over="ignore", invalid="ignore"):
-        is_finite = np.isfinite(in_units(channel, channel.constant, slice(None))).all()
+        is_finite = np.isfinite(convert_to_si(channel, channel.constant, slice(None))).all()
     if not is_finite:
         findings.report(at, "value: is too large for its gain, offset and unit; are they right?")
 
 
-def _target(said: _Channel, table: dict[str, Any], place: TomlPath, findings: Findings) -> Target | None:
-    known = targets()
+def _find_target(
+    said: _Channel, table: dict[str, Any], place: TomlPath, findings: Findings
+) -> ChannelTarget | None:
+    known = known_targets()
     if said.name in known:
         return known[said.name]
     at = (*place, "name")
-    if not said.name.startswith(IMPORTED):
-        findings.report(at, f"name: {said.name!r} is not known; {_near(said.name)}")
+    if not said.name.startswith(IMPORT_PREFIX):
+        findings.report(at, f"name: {said.name!r} is not known; {_suggest_name(said.name)}")
         return None
     if said.unit is None or said.unit not in known_units():
-        findings.report((*place, "unit"), f"unit: {_unit_wanted(said.unit, known_units())}")
+        findings.report((*place, "unit"), f"unit: {_describe_unit(said.unit, known_units())}")
         return None
     columns = said.columns or ("value",)
     single = not isinstance(table.get("columns", table.get("value")), list)
-    target = free_target(said.name, len(columns), said.unit, single)
-    if isinstance(target, Target):
+    target = custom_target(said.name, len(columns), said.unit, single)
+    if isinstance(target, ChannelTarget):
         return target
     findings.report(at, f"name: {said.name}: {target}")
     return None
 
 
-def _near(name: str) -> str:
-    meant, _, _ = did_you_mean(name, targets()).rpartition("there are ")
-    return (
-        f"{meant}`marsarm dictionary '/*'` lists our channels; write {IMPORTED}NAME.FIELD for one of your own"
-    )
+def _suggest_name(name: str) -> str:
+    meant, _, _ = did_you_mean(name, known_targets()).rpartition("there are ")
+    own = f"write {IMPORT_PREFIX}NAME.FIELD for one of your own"
+    return f"{meant}`marsarm dictionary '/*'` lists our channels; {own}"
 
 
-def _conversion(said: _Channel, target: Target, place: TomlPath, findings: Findings) -> Conversion:
+def _find_conversion(
+    said: _Channel, target: ChannelTarget, place: TomlPath, findings: Findings
+) -> Conversion:
     at = (*place, "unit")
     if target.members is not None:
         if said.unit is not None:
@@ -163,46 +294,51 @@ def _conversion(said: _Channel, target: Target, place: TomlPath, findings: Findi
     if said.unit is None and target.unit in ("bool", "cycle", "count", "1"):
         return Conversion()  # nothing else could be meant
     if said.unit not in known:
-        findings.report(at, f"unit: {_unit_wanted(said.unit, known)}; {target.name} is kept in {target.unit}")
+        findings.report(
+            at, f"unit: {_describe_unit(said.unit, known)}; {target.name} is kept in {target.unit}"
+        )
         return Conversion()
     return known[said.unit]
 
 
-def _unit_wanted(unit: str | None, known: Any) -> str:
+def _describe_unit(unit: str | None, known: Any) -> str:
     if unit is None:
         return f"is missing; there are {', '.join(known)}"
     return f"{unit!r} does not fit; {did_you_mean(unit, known)}"
 
 
 def _per_column(
-    name: str, values: tuple[float, ...], target: Target, place: TomlPath, findings: Findings
+    name: str, values: tuple[float, ...], target: ChannelTarget, place: TomlPath, findings: Findings
 ) -> Any:
     if len(values) not in (1, target.size):
         findings.report(
-            (*place, name), f"{name}: {len(values)} given; {target.name} takes one for all, or {target.each}"
+            (*place, name),
+            f"{name}: {len(values)} given; {target.name} takes one for all, or {target.columns_text}",
         )
         return np.ones(target.size)
     return np.broadcast_to(np.array(values, np.float64), (target.size,))
 
 
-def _check_columns(columns: tuple[str, ...], target: Target, place: TomlPath, findings: Findings) -> None:
+def _check_columns(
+    columns: tuple[str, ...], target: ChannelTarget, place: TomlPath, findings: Findings
+) -> None:
     at = (*place, "columns")
     if len(columns) != target.size:
-        findings.report(at, f"columns: {len(columns)} given; {target.name} takes {target.each}")
+        findings.report(at, f"columns: {len(columns)} given; {target.name} takes {target.columns_text}")
     for name in sorted({name for name in columns if columns.count(name) > 1}):
         findings.report(at, f"columns: {name!r} is there twice; each number has a column of its own")
 
 
-def _constant(value: Any, target: Target, place: TomlPath, findings: Findings) -> Any:
+def _parse_constant(value: Any, target: ChannelTarget, place: TomlPath, findings: Findings) -> Any:
     """The constant as it is given, one for each element; TICK where it is the number of the cycle."""
     at = (*place, "value")
     if value == TICK and target.unit == "cycle":
         return TICK
     items = value if isinstance(value, list) else [value] * target.size
     if len(items) != target.size:
-        findings.report(at, f"value: {len(items)} given; {target.name} takes {target.each}")
+        findings.report(at, f"value: {len(items)} given; {target.name} takes {target.columns_text}")
         return None
-    problem = next((p for p in (_not_a_value(item, target) for item in items) if p is not None), None)
+    problem = next((p for p in (_check_value(item, target) for item in items) if p is not None), None)
     if problem is not None:
         findings.report(at, f"value: {problem}")
         return None
@@ -211,7 +347,7 @@ def _constant(value: Any, target: Target, place: TomlPath, findings: Findings) -
     return np.array(items, np.dtype(target.field.kind) if target.field.kind != "<f8" else np.float64)
 
 
-def _not_a_value(item: Any, target: Target) -> str | None:
+def _check_value(item: Any, target: ChannelTarget) -> str | None:
     match target.field.kind:
         case _ if target.members is not None:
             if isinstance(item, str) and target.member(item) is not None:
@@ -232,7 +368,7 @@ def _not_a_value(item: Any, target: Target) -> str | None:
             return f"{item!r:.60} is not a finite number"
 
 
-def _check_apart(channels: list[Channel], findings: Findings) -> None:
+def _check_mapped_once(channels: list[MappedChannel], findings: Findings) -> None:
     """Refuse a channel that is mapped twice."""
     seen: dict[str, int] = {}
     for channel in channels:

@@ -7,17 +7,17 @@ from itertools import groupby
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.telemetry.imports.mapping import TICK, Channel, Mapping
-from ground.telemetry.imports.table import Column, Table
-from ground.telemetry.imports.targets import IMPORTED, TOPICS, layout_of_topic
-from ground.telemetry.imports.times import Cycles, Picked, between, check_grid, cycles_of, picked
-from ground.telemetry.imports.values import columns_of, values_of
+from ground.telemetry.imports.log_file import TopicMessages
+from ground.telemetry.imports.mapping import TICK, MappedChannel, TableMapping
+from ground.telemetry.imports.table import InputColumn, InputTable
+from ground.telemetry.imports.targets import IMPORT_PREFIX, TOPICS, topic_layout
+from ground.telemetry.imports.times import Cycles, RowSelection, check_grid, cycles_of, interpolate, pick_rows
+from ground.telemetry.imports.values import channel_values, read_columns
 from ground.telemetry.schema import ENCAPSULATION, Layout
-from ground.telemetry.table_log import Series
 
 
 @dataclass(frozen=True, slots=True)
-class Lacking:
+class IncompleteTopic:
     """A topic of ours that the mapping gives a part of."""
 
     topic: str
@@ -26,19 +26,19 @@ class Lacking:
     """Those that would make it whole."""
 
 
-def lacking(mapping: Mapping) -> tuple[Lacking, ...]:
+def incomplete_topics(mapping: TableMapping) -> tuple[IncompleteTopic, ...]:
     """Which of our topics are incomplete, and what they lack."""
     found = []
-    for topic, channels in _by_topic(mapping):
+    for topic, channels in _group_by_topic(mapping):
         if topic in TOPICS:
             given = {channel.target.field.name for channel in channels}
             missing = tuple(name for name in TOPICS[topic].field_names if name not in given)
             if missing:
-                found.append(Lacking(topic, IMPORTED + topic[1:], missing))
+                found.append(IncompleteTopic(topic, IMPORT_PREFIX + topic[1:], missing))
     return tuple(found)
 
 
-def series_of(table: Table, mapping: Mapping, cells: int) -> tuple[Series, ...]:
+def build_topics(table: InputTable, mapping: TableMapping, cells: int) -> tuple[TopicMessages, ...]:
     """Every topic with its messages, none with more numbers than `cells`.
 
     Raises:
@@ -46,40 +46,46 @@ def series_of(table: Table, mapping: Mapping, cells: int) -> tuple[Series, ...]:
     """
     cycles = cycles_of(table, mapping.time)
     check_grid(table, mapping.time, cycles)
-    incomplete = {one.topic: one.kept_as for one in lacking(mapping)}
+    incomplete = {one.topic: one.kept_as for one in incomplete_topics(mapping)}
     return tuple(
-        _series(table, mapping, cycles, topic, incomplete.get(topic, topic), channels, cells)
-        for topic, channels in _by_topic(mapping)
+        _build_topic(table, mapping, cycles, topic, incomplete.get(topic, topic), channels, cells)
+        for topic, channels in _group_by_topic(mapping)
     )
 
 
-def _by_topic(mapping: Mapping) -> Iterator[tuple[str, list[Channel]]]:
+def _group_by_topic(mapping: TableMapping) -> Iterator[tuple[str, list[MappedChannel]]]:
     ordered = sorted(mapping.channels, key=lambda channel: channel.target.topic)
     for topic, channels in groupby(ordered, key=lambda channel: channel.target.topic):
         yield topic, list(channels)
 
 
-def _series(
-    table: Table, mapping: Mapping, cycles: Cycles, topic: str, name: str, channels: list[Channel], cells: int
-) -> Series:
-    columns = [columns_of(table, channel) for channel in channels]
-    rows = _given_rows(table, topic, [column for each in columns for column in each])
+def _build_topic(
+    table: InputTable,
+    mapping: TableMapping,
+    cycles: Cycles,
+    topic: str,
+    name: str,
+    channels: list[MappedChannel],
+    cells: int,
+) -> TopicMessages:
+    columns = [read_columns(table, channel) for channel in channels]
+    rows = _complete_rows(table, topic, [column for each in columns for column in each])
     most = cells // sum(channel.target.size for channel in channels)
-    chosen = picked(table, mapping.time, cycles, rows, most)
+    chosen = pick_rows(table, mapping.time, cycles, rows, most)
     if name == topic and topic in TOPICS:
-        layout = layout_of_topic(topic)
+        layout = topic_layout(topic)
     else:
         layout = Layout(tuple(channel.target.field for channel in channels))
     data = np.zeros(chosen.ticks.size, layout.dtype)
     data.view(np.uint8).reshape(data.size, -1)[:, : len(ENCAPSULATION)] = list(ENCAPSULATION)
     for channel, each in zip(channels, columns, strict=True):
-        values = values_of(table, channel, each, rows)
+        values = channel_values(table, channel, each, rows)
         if channel.constant is TICK or isinstance(channel.constant, str):
             data[channel.target.field.name] = chosen.ticks
         else:
-            held = Picked(chosen.ticks, chosen.rows, None) if channel.target.members else chosen
-            data[channel.target.field.name] = between(values, held)
-    return Series(
+            held = RowSelection(chosen.ticks, chosen.rows, None) if channel.target.members else chosen
+            data[channel.target.field.name] = interpolate(values, held)
+    return TopicMessages(
         topic=name,
         schema=_schema(name, topic),
         doc=_doc(name, topic),
@@ -90,7 +96,7 @@ def _series(
     )
 
 
-def _given_rows(table: Table, topic: str, columns: list[Column]) -> NDArray[np.int64]:
+def _complete_rows(table: InputTable, topic: str, columns: list[InputColumn]) -> NDArray[np.int64]:
     """The rows in which a topic has a message: those with a value in all of its columns."""
     if not columns:
         return np.arange(table.rows)
@@ -113,7 +119,7 @@ def _given_rows(table: Table, topic: str, columns: list[Column]) -> NDArray[np.i
 def _schema(name: str, topic: str) -> str:
     if name in TOPICS:
         return TOPICS[name].packet.__name__
-    words = name.removeprefix(IMPORTED).split("_")
+    words = name.removeprefix(IMPORT_PREFIX).split("_")
     return "Imported" + "".join(word.capitalize() for word in words)
 
 

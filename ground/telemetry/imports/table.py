@@ -13,17 +13,17 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 from pyarrow import csv, parquet, types
 
-from ground.telemetry.imports.errors import BadImport
-from ground.telemetry.imports.mapping import Csv
+from ground.telemetry.imports.files import BadImport
+from ground.telemetry.imports.mapping import CsvFormat
 from sim.scenario.names import did_you_mean
 
 PARQUET_MAGIC: Final = b"PAR1"
-PARQUET: Final = (".parquet", ".pq")
-TEXT: Final = (".csv", ".tsv", ".txt")
-MOST_CELLS: Final = 100_000_000
+PARQUET_SUFFIXES: Final = (".parquet", ".pq")
+TEXT_SUFFIXES: Final = (".csv", ".tsv", ".txt")
+MAX_CELLS: Final = 100_000_000
 """Rows times columns that are read: ten hours at 64 Hz of forty columns."""
-SHOWN: Final = 20
-FOREIGN: Final = {
+MAX_NAMES_SHOWN: Final = 20
+FOREIGN_MAGIC: Final = {
     b"PK\x03\x04": "a zip file, as spreadsheets are",
     b"\x89MCAP": "an MCAP log; read it with `marsarm log`",
     b"\x1f\x8b": "compressed; unpack it first",
@@ -34,11 +34,11 @@ FOREIGN: Final = {
 }
 """By the first bytes."""
 
-WORDS: Final = {"true": True, "false": False, "1": True, "0": False}
+FLAG_WORDS: Final = {"true": True, "false": False, "1": True, "0": False}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Column:
+class InputColumn:
     """One column: numbers, flags or names, and in which rows it has a value."""
 
     name: str
@@ -50,7 +50,7 @@ class Column:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Table:
+class InputTable:
     """What is read of a table: the columns that are mapped."""
 
     file: str
@@ -71,7 +71,7 @@ class Table:
         """What a row of ours is called in the file."""
         return int(row if self._order is None else self._order[row]) + 1
 
-    def in_order_of(self, keys: NDArray[Any]) -> "Table":
+    def in_order_of(self, keys: NDArray[Any]) -> "InputTable":
         """The table with its rows in the order of these keys, one a row."""
         order = np.argsort(keys, kind="stable")
         arrays = {name: array.take(pa.array(order)) for name, array in self._arrays.items()}
@@ -82,52 +82,54 @@ class Table:
         """How often the rows, in order of time, do not go on with the next row of the file."""
         return 0 if self._order is None else int(np.count_nonzero(np.diff(self._order) != 1))
 
-    def numbers(self, name: str) -> Column:
+    def numbers(self, name: str) -> InputColumn:
         """A column of numbers or flags; BadImport where it is neither."""
         array = self._arrays[name]
-        given = _given(array)
+        given = _valid_mask(array)
         if not self._is_text:
-            return Column(name, self._plain(name, array), given)
+            return InputColumn(name, self._plain(name, array), given)
         text = self._decimal_point(pc.utf8_trim_whitespace(array))
         for kind in (pa.int64(), pa.float64()):
             try:
-                values = _filled(pc.cast(text, kind))
+                values = _fill_nulls(pc.cast(text, kind))
             except pa.ArrowInvalid:
                 continue
             self._check_finite(name, values, text)
-            return Column(name, values, given)
-        return Column(name, self._words(name, text), given)
+            return InputColumn(name, values, given)
+        return InputColumn(name, self._words(name, text), given)
 
-    def names(self, name: str) -> Column:
+    def names(self, name: str) -> InputColumn:
         """A column of names; of numbers, these as words."""
         array = self._arrays[name]
         if types.is_integer(array.type) or types.is_floating(array.type) or types.is_boolean(array.type):
             column = self.numbers(name)
             said, where = np.unique(column.values, return_inverse=True)
-            return Column(name, where, column.given, tuple(str(word) for word in said.tolist()))
+            return InputColumn(name, where, column.given, tuple(str(word) for word in said.tolist()))
         coded = array if types.is_dictionary(array.type) else array.dictionary_encode()
         words = tuple(str(word).strip() for word in coded.dictionary.to_pylist())
-        return Column(name, _filled(coded.indices), _given(array), words or ("",))
+        return InputColumn(name, _fill_nulls(coded.indices), _valid_mask(array), words or ("",))
 
     def is_time(self, name: str) -> bool:
         """Whether a column holds times, which know their unit."""
         return bool(types.is_timestamp(self._arrays[name].type))
 
-    def moments_ns(self, name: str, form: str | None) -> Column:
+    def moments_ns(self, name: str, form: str | None) -> InputColumn:
         """A column of times in nanoseconds, from text in this form or as the file has them."""
         array = self._arrays[name]
-        given = _given(array)
+        given = _valid_mask(array)
         try:
             if types.is_dictionary(array.type):
                 array = array.dictionary_decode()
             if form is not None:
                 read = pc.strptime(pc.utf8_trim_whitespace(array), form, "us", error_is_null=True)
-                bad = np.flatnonzero(given & ~_given(read))
+                bad = np.flatnonzero(given & ~_valid_mask(read))
                 if bad.size:
                     row = int(bad[0])
                     raise self.wrong(f"{array[row].as_py()!r:.60} is no time as {form!r} has it", row, name)
                 array = read
-            return Column(name, _filled(pc.cast(pc.cast(array, pa.timestamp("ns")), pa.int64())), given)
+            return InputColumn(
+                name, _fill_nulls(pc.cast(pc.cast(array, pa.timestamp("ns")), pa.int64())), given
+            )
         except pa.ArrowException as error:
             raise self.wrong(f"is no time ({_short(error)})", column=name) from error
 
@@ -144,42 +146,46 @@ class Table:
     def _plain(self, name: str, array: Any) -> NDArray[Any]:
         kind = array.type
         if types.is_boolean(kind):
-            return _filled(array)
+            return _fill_nulls(array)
         if not types.is_integer(kind) and not types.is_floating(kind):
             held = "text" if types.is_dictionary(kind) else kind
             raise self.wrong(f"holds {held}, not numbers or flags; map another column", column=name)
         try:
-            return _filled(pc.cast(array, pa.int64() if types.is_integer(kind) else pa.float64()))
+            return _fill_nulls(pc.cast(array, pa.int64() if types.is_integer(kind) else pa.float64()))
         except pa.ArrowInvalid as error:
             raise self.wrong(f"holds a number that is too large ({_short(error)})", column=name) from error
 
     def _words(self, name: str, text: Any) -> NDArray[Any]:
         """Flags, or the sentence about the first that is neither a flag nor a number."""
         words = text.to_pylist()
-        if all(word is None or word.lower() in WORDS for word in words):
-            return np.array([word is not None and WORDS[word.lower()] for word in words], bool)
+        if all(word is None or word.lower() in FLAG_WORDS for word in words):
+            return np.array([word is not None and FLAG_WORDS[word.lower()] for word in words], bool)
         row = next(k for k, word in enumerate(words) if word is not None and not _is_number(word))
-        raise self.wrong(f"{words[row]!r:.60} is no number{_hint(words[row], self._decimal)}", row, name)
+        raise self.wrong(
+            f"{words[row]!r:.60} is no number{_number_hint(words[row], self._decimal)}", row, name
+        )
 
 
-def read_table(data: bytes, file: str, names: Sequence[str], form: Csv, cells: int = MOST_CELLS) -> Table:
+def read_table(
+    data: bytes, file: str, names: Sequence[str], form: CsvFormat, cells: int = MAX_CELLS
+) -> InputTable:
     """These columns of a table; `file` is its name, whose ending says what it is.
 
     Raises:
         BadImport: it is no such table, lacks a column, has no row, or is too large.
     """
     suffix = Path(file).suffix.lower()
-    if suffix not in (*PARQUET, *TEXT):
-        kinds = " or ".join((*PARQUET[:1], *TEXT))
+    if suffix not in (*PARQUET_SUFFIXES, *TEXT_SUFFIXES):
+        kinds = " or ".join((*PARQUET_SUFFIXES[:1], *TEXT_SUFFIXES))
         raise BadImport([f"{file}: is no table that is known by its name; it must end in {kinds}"])
     if not data:
         raise BadImport([f"{file}: is an empty file; give a table with names over its columns"])
-    is_text = suffix in TEXT
+    is_text = suffix in TEXT_SUFFIXES
     if is_text and data.startswith(PARQUET_MAGIC):
         raise BadImport([f"{file}: is Parquet; name it .parquet"])
     if not is_text and not data.startswith(PARQUET_MAGIC):
-        raise BadImport([f"{file}: is {_foreign(data) or 'text'}, not Parquet"])
-    if is_text and (said := _foreign(data)) is not None:
+        raise BadImport([f"{file}: is {_foreign_format(data) or 'text'}, not Parquet"])
+    if is_text and (said := _foreign_format(data)) is not None:
         raise BadImport([f"{file}: is {said}; give a table as text in UTF-8, or as Parquet"])
     try:
         arrays = (_from_text if is_text else _from_parquet)(data, file, names, form, cells)
@@ -193,10 +199,10 @@ def read_table(data: bytes, file: str, names: Sequence[str], form: Csv, cells: i
     rows = len(next(iter(arrays.values()))) if arrays else 0
     if rows == 0:
         raise BadImport([f"{file}: has no row; give a table with at least one"])
-    return Table(file, rows, arrays, form.decimal, is_text)
+    return InputTable(file, rows, arrays, form.decimal, is_text)
 
 
-def _from_parquet(data: bytes, file: str, names: Sequence[str], _: Csv, cells: int) -> dict[str, Any]:
+def _from_parquet(data: bytes, file: str, names: Sequence[str], _: CsvFormat, cells: int) -> dict[str, Any]:
     with parquet.ParquetFile(io.BytesIO(data)) as source:
         schema, rows = source.schema_arrow, source.metadata.num_rows
     _check_names(file, names, schema.names)
@@ -216,11 +222,11 @@ def _from_parquet(data: bytes, file: str, names: Sequence[str], _: Csv, cells: i
     return {name: table.column(name).combine_chunks() for name in names}
 
 
-def _from_text(data: bytes, file: str, names: Sequence[str], form: Csv, cells: int) -> dict[str, Any]:
+def _from_text(data: bytes, file: str, names: Sequence[str], form: CsvFormat, cells: int) -> dict[str, Any]:
     text = data.removeprefix(b"\xef\xbb\xbf")
     head = text.split(b"\n", 1)[0].rstrip(b"\r")
     _check_size(file, text.count(b"\n"), len(names), cells)
-    there = _header(head, form.separator)
+    there = _column_names(head, form.separator)
     _check_names(file, names, there, f"; its separator is {form.separator!r}" if len(there) == 1 else "")
     if not text[len(head) :].strip():
         return {}
@@ -241,14 +247,14 @@ def _from_text(data: bytes, file: str, names: Sequence[str], form: Csv, cells: i
     return {name: table.column(name).combine_chunks() for name in names}
 
 
-def _header(line: bytes, separator: str) -> list[str]:
+def _column_names(line: bytes, separator: str) -> list[str]:
     import csv as plain
 
     return next(plain.reader([line.decode("utf-8")], delimiter=separator), [])
 
 
 def _check_names(file: str, names: Sequence[str], there: list[str], hint: str = "") -> None:
-    known = there[:SHOWN] + (["..."] if len(there) > SHOWN else [])
+    known = there[:MAX_NAMES_SHOWN] + (["..."] if len(there) > MAX_NAMES_SHOWN else [])
     problems = []
     for name in dict.fromkeys(names):
         if name not in there:
@@ -267,16 +273,16 @@ def _check_size(file: str, rows: int, columns: int, cells: int) -> None:
         )
 
 
-def _foreign(data: bytes) -> str | None:
-    kind = next((said for magic, said in FOREIGN.items() if data.startswith(magic)), None)
+def _foreign_format(data: bytes) -> str | None:
+    kind = next((said for magic, said in FOREIGN_MAGIC.items() if data.startswith(magic)), None)
     return kind or ("no text: there are bytes of zero in it" if b"\0" in data[: 1 << 16] else None)
 
 
-def _given(array: Any) -> NDArray[np.bool_]:
+def _valid_mask(array: Any) -> NDArray[np.bool_]:
     return np.asarray(array.is_valid().to_numpy(zero_copy_only=False), bool)
 
 
-def _filled(array: Any) -> NDArray[Any]:
+def _fill_nulls(array: Any) -> NDArray[Any]:
     """The values, 0 where there is none: NaN would be a value."""
     full = pc.fill_null(array, False if types.is_boolean(array.type) else 0)
     values: NDArray[Any] = full.to_numpy(zero_copy_only=False)
@@ -291,7 +297,7 @@ def _is_number(word: str) -> bool:
     return True
 
 
-def _hint(word: str, decimal: str) -> str:
+def _number_hint(word: str, decimal: str) -> str:
     if decimal == "." and re.fullmatch(r"[-+]?\d*,\d+", word):
         return '; write decimal = "," under [csv]'
     return "; write a number, true or false, or nothing"

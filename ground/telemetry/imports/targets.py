@@ -10,19 +10,19 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint, Switch
 from ground.common.fields import SYMBOLS, unit_of
-from ground.telemetry.imports.units import UNITS, Conversion
-from ground.telemetry.schema import ROS_NAME, Field, Layout, bare, layout_of
+from ground.telemetry.imports.units import UNIT_CONVERSIONS, Conversion
+from ground.telemetry.schema import ROS_NAME, Field, Layout, packet_layout, strip_annotated
 from ground.telemetry.topics import PACKET_TOPICS, Topic
 
-IMPORTED: Final = "/imported/"
+IMPORT_PREFIX: Final = "/imported/"
 """Before the name of a topic that flight software does not have."""
-FREE: Final = re.compile(r"/imported/([a-z](?:_?[a-z0-9]+)*)\.(\w+)")
-UNIT_OF: Final = {"|b1": "bool"}
+CUSTOM_NAME: Final = re.compile(r"/imported/([a-z](?:_?[a-z0-9]+)*)\.(\w+)")
+UNIT_OF_DTYPE: Final = {"|b1": "bool"}
 TOPICS: Final[dict[str, Topic]] = {topic.name: topic for topic, _ in PACKET_TOPICS}
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class ChannelTarget:
     """A field of a message."""
 
     topic: str
@@ -47,7 +47,7 @@ class Target:
         return int(np.prod(self.field.shape or ()))
 
     @property
-    def each(self) -> str:
+    def columns_text(self) -> str:
         """What the columns are, for a sentence."""
         match self.size, self.field.shape:
             case 1, _:
@@ -63,51 +63,55 @@ class Target:
 
 
 @cache
-def layout_of_topic(name: str) -> Layout:
+def topic_layout(name: str) -> Layout:
     """The layout of a topic of ours, the one that the recorder writes."""
-    return layout_of(TOPICS[name].packet, TOPICS[name].field_names)
+    return packet_layout(TOPICS[name].packet, TOPICS[name].field_names)
 
 
 @cache
-def targets() -> dict[str, Target]:
+def known_targets() -> dict[str, ChannelTarget]:
     """Every channel of ours, by name."""
     found = {}
     for topic in TOPICS.values():
         hints = get_type_hints(topic.packet, include_extras=True)
-        for field in layout_of_topic(topic.name).fields:
-            kind = bare(hints[field.name])
+        for field in topic_layout(topic.name).fields:
+            kind = strip_annotated(hints[field.name])
             members = kind if isinstance(kind, type) and issubclass(kind, IntEnum) else None
-            unit = None if members else UNIT_OF.get(field.kind) or unit_of(field.name)
-            target = Target(topic.name, field, unit, members)
+            unit = None if members else UNIT_OF_DTYPE.get(field.kind) or unit_of(field.name)
+            target = ChannelTarget(topic.name, field, unit, members)
             found[target.name] = target
     return found
 
 
-def free_target(name: str, columns: int, unit: str, single: bool) -> Target | str:
+def custom_target(name: str, columns: int, unit: str, single: bool) -> ChannelTarget | str:
     """The channel of the table's own that this name is, or the sentence that says why it is none."""
-    said = FREE.fullmatch(name)
+    said = CUSTOM_NAME.fullmatch(name)
     if said is None or not ROS_NAME.fullmatch(said[2].lower()):
         return "write /imported/NAME.FIELD, words of a-z and 0-9 joined by one _, as /imported/arm.speed_m_s"
     if f"/{said[1]}" in TOPICS:
-        return f"{IMPORTED}{said[1]} is for what there is of an incomplete /{said[1]}; choose another name"
+        return (
+            f"{IMPORT_PREFIX}{said[1]} is for what there is of an incomplete /{said[1]}; choose another name"
+        )
     field = said[2]
     house = unit_of(field) or ("bool" if unit == "bool" else "1")
     if unit not in conversions(house):
-        return f"ends in {house}, not in what {unit} is kept in; write {_suffixed(field, unit)}"
+        return f"ends in {house}, not in what {unit} is kept in; write {_with_unit_suffix(field, unit)}"
     kind = {"bool": "|b1", "count": "<i8", "cycle": "<i8"}.get(house, "<f8")
-    return Target(f"{IMPORTED}{said[1]}", Field(field, kind, None if single else (columns,)), house)
+    return ChannelTarget(
+        f"{IMPORT_PREFIX}{said[1]}", Field(field, kind, None if single else (columns,)), house
+    )
 
 
 def conversions(house: str) -> dict[str, Conversion]:
     """The units that may be given for what is kept in this one."""
-    return UNITS.get(house, {house: Conversion()})
+    return UNIT_CONVERSIONS.get(house, {house: Conversion()})
 
 
-def _suffixed(field: str, unit: str) -> str:
+def _with_unit_suffix(field: str, unit: str) -> str:
     """The field with the suffix of this unit, in the place of another."""
     words = field.split("_")
     while len(words) > 1 and words[-1] in SYMBOLS:
         words.pop()
-    house = next(house for house, known in UNITS.items() if unit in known)
+    house = next(house for house, known in UNIT_CONVERSIONS.items() if unit in known)
     suffix = {"degC": "C", "N m": "Nm", "1": "share", "cycle": "cycles"}.get(house, house)
     return "_".join([*words, suffix.replace("/", "_")])

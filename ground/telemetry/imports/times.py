@@ -8,19 +8,19 @@ from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ
 from ground.telemetry.format import TICK_NS
-from ground.telemetry.imports.mapping import LAST_TICK, UNIT_NS, Time
-from ground.telemetry.imports.table import Column, Table
+from ground.telemetry.imports.mapping import MAX_TICK, UNIT_NS, TimeMapping
+from ground.telemetry.imports.table import InputColumn, InputTable
 
 Cycles = NDArray[np.float64]
 Ticks = NDArray[np.int64]
-ROUNDING: Final = 1e-9
+CYCLE_ROUNDING: Final = 1e-9
 """Relative to a cycle: a row this little beside a cycle is in it."""
-NEAR: Final = 0.02
+RATE_TOLERANCE: Final = 0.02
 """How close to 64 Hz another unit must bring a table to be worth a hint."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Picked:
+class RowSelection:
     """Which rows become the messages of a topic: row and, for linear, how far on towards the next row."""
 
     ticks: Ticks
@@ -30,16 +30,16 @@ class Picked:
     """None where no value lies between two rows."""
 
 
-def in_order(table: Table, time: Time) -> Table:
+def sort_by_time(table: InputTable, time: TimeMapping) -> InputTable:
     """The table with its rows in order of time, where the mapping asks for that."""
     if not time.sort or time.column is None:
         return table
-    column, _ = _column(table, time, time.column)
+    column, _ = _time_column(table, time, time.column)
     _check_given(table, column)
     return table.in_order_of(column.values)
 
 
-def cycles_of(table: Table, time: Time) -> Cycles:
+def cycles_of(table: InputTable, time: TimeMapping) -> Cycles:
     """When each row was, in cycles since the first one, (n,); it only grows.
 
     Raises:
@@ -48,7 +48,7 @@ def cycles_of(table: Table, time: Time) -> Cycles:
     if time.column is None:
         assert time.rate_Hz is not None
         return np.arange(table.rows, dtype=np.float64) * (CYCLE_HZ / time.rate_Hz)
-    column, unit_ns = _column(table, time, time.column)
+    column, unit_ns = _time_column(table, time, time.column)
     _check_given(table, column)
     _check_growing(table, column, is_moment=time.unit is None)
     values = column.values
@@ -59,14 +59,14 @@ def cycles_of(table: Table, time: Time) -> Cycles:
     else:
         since = values - values[0]
     cycles: Cycles = since * unit_ns / TICK_NS
-    if not cycles[-1] < LAST_TICK:
+    if not cycles[-1] < MAX_TICK:
         raise table.wrong(
             f"the times span {cycles[-1] / CYCLE_HZ:.3g} s; is the unit right?", column=column.name
         )
     return cycles
 
 
-def _column(table: Table, time: Time, name: str) -> tuple[Column, int]:
+def _time_column(table: InputTable, time: TimeMapping, name: str) -> tuple[InputColumn, int]:
     if time.format is not None or table.is_time(name):
         if time.unit is not None:
             raise table.wrong("holds times that know their unit; leave unit out", column=name)
@@ -81,7 +81,7 @@ def _column(table: Table, time: Time, name: str) -> tuple[Column, int]:
     return column, UNIT_NS[time.unit]
 
 
-def _check_given(table: Table, column: Column) -> None:
+def _check_given(table: InputTable, column: InputColumn) -> None:
     """Refuse rows without a time."""
     values = column.values
     lacking = np.flatnonzero(~column.given)
@@ -93,7 +93,7 @@ def _check_given(table: Table, column: Column) -> None:
         raise table.wrong(f"the time is {values[row]}; every row needs one", row, column.name)
 
 
-def _check_growing(table: Table, column: Column, is_moment: bool) -> None:
+def _check_growing(table: InputTable, column: InputColumn, is_moment: bool) -> None:
     """Refuse a time that is not after that of the row before."""
     values = column.values
     late = np.flatnonzero(values[1:] <= values[:-1])
@@ -109,7 +109,7 @@ def _check_growing(table: Table, column: Column, is_moment: bool) -> None:
     raise table.wrong(what, row, column.name)
 
 
-def check_grid(table: Table, time: Time, cycles: Cycles) -> None:
+def check_grid(table: InputTable, time: TimeMapping, cycles: Cycles) -> None:
     """With grid exact, refuse rows that are not one in each cycle.
 
     Raises:
@@ -125,8 +125,8 @@ def check_grid(table: Table, time: Time, cycles: Cycles) -> None:
         return
     row = int(np.flatnonzero(bad | skipped)[0]) + 1
     step = float(np.median(np.diff(cycles)))
-    if abs(step - 1) > NEAR:
-        raise table.wrong(_rate_words(time, step), column=time.column)
+    if abs(step - 1) > RATE_TOLERANCE:
+        raise table.wrong(_describe_rate(time, step), column=time.column)
     if skipped[row - 1] and not bad[row - 1]:
         what = (
             f"{ticks[row] - ticks[row - 1]:.0f} cycles after the row before; under [time] write "
@@ -141,12 +141,12 @@ def check_grid(table: Table, time: Time, cycles: Cycles) -> None:
     raise table.wrong(what, row, time.column)
 
 
-def _rate_words(time: Time, step: float) -> str:
+def _describe_rate(time: TimeMapping, step: float) -> str:
     """Rows that come at another rate: because of the unit, perhaps."""
     said = f"rows come at {CYCLE_HZ / step:.6g} Hz, the log has {CYCLE_HZ} Hz"
     if time.unit is not None:
         for unit, unit_ns in UNIT_NS.items():
-            if abs(step * unit_ns / UNIT_NS[time.unit] - 1) < NEAR:
+            if abs(step * unit_ns / UNIT_NS[time.unit] - 1) < RATE_TOLERANCE:
                 return f'{said}; with unit = "{unit}" they would come at {CYCLE_HZ} Hz'
     return (
         f'{said}; under [time] write grid = "linear" or "hold" to resample, or "nearest" to keep the rows as '
@@ -154,7 +154,9 @@ def _rate_words(time: Time, step: float) -> str:
     )
 
 
-def picked(table: Table, time: Time, cycles: Cycles, rows: NDArray[np.int64], most: int) -> Picked:
+def pick_rows(
+    table: InputTable, time: TimeMapping, cycles: Cycles, rows: NDArray[np.int64], most: int
+) -> RowSelection:
     """The messages, at most so many, of a topic that has values in these rows, (k,), k > 0.
 
     Raises:
@@ -172,13 +174,15 @@ def picked(table: Table, time: Time, cycles: Cycles, rows: NDArray[np.int64], mo
                 'write grid = "hold" or "linear"'
             )
             raise table.wrong(what, int(rows[k + 1]), time.column)
-        return Picked(ticks + time.first_tick, np.arange(rows.size), None)
-    return _resampled(table, time, at, rows, most)
+        return RowSelection(ticks + time.first_tick, np.arange(rows.size), None)
+    return _resample(table, time, at, rows, most)
 
 
-def _resampled(table: Table, time: Time, at: Cycles, rows: NDArray[np.int64], most: int) -> Picked:
+def _resample(
+    table: InputTable, time: TimeMapping, at: Cycles, rows: NDArray[np.int64], most: int
+) -> RowSelection:
     """A message in each cycle from the first row to the last."""
-    wide = np.flatnonzero(np.diff(at) > time.gap_s * CYCLE_HZ * (1 + ROUNDING))
+    wide = np.flatnonzero(np.diff(at) > time.gap_s * CYCLE_HZ * (1 + CYCLE_ROUNDING))
     if wide.size:
         k = int(wide[0])
         what = (
@@ -186,23 +190,23 @@ def _resampled(table: Table, time: Time, at: Cycles, rows: NDArray[np.int64], mo
             f'most gap_s = {time.gap_s:g}: set it, or write grid = "nearest"'
         )
         raise table.wrong(what, int(rows[k + 1]), time.column)
-    first, last = np.ceil(at[0] - ROUNDING), np.floor(at[-1] + ROUNDING)
+    first, last = np.ceil(at[0] - CYCLE_ROUNDING), np.floor(at[-1] + CYCLE_ROUNDING)
     if last - first >= most:
         raise table.wrong(f"spans {last - first + 1:.0f} cycles, more than {most}; give it in parts")
     if last < first:
         raise table.wrong("no cycle is between the first row and the last; give more rows")
     ticks = np.arange(int(first), int(last) + 1)
-    below = np.clip(np.searchsorted(at, ticks + ROUNDING, side="right") - 1, 0, None)
+    below = np.clip(np.searchsorted(at, ticks + CYCLE_ROUNDING, side="right") - 1, 0, None)
     share = None
     if time.grid == "linear":
         above = np.minimum(below + 1, rows.size - 1)
         width = at[above] - at[below]
         share = np.divide(ticks - at[below], width, out=np.zeros(ticks.size), where=width > 0)
-        share[share < ROUNDING] = 0.0
-    return Picked(ticks + time.first_tick, below, share)
+        share[share < CYCLE_ROUNDING] = 0.0
+    return RowSelection(ticks + time.first_tick, below, share)
 
 
-def between(values: NDArray[Any], chosen: Picked) -> NDArray[Any]:
+def interpolate(values: NDArray[Any], chosen: RowSelection) -> NDArray[Any]:
     """The values (k, ...) of the rows that have any, as those of the messages; flags and names are held."""
     low = values[chosen.rows]
     if chosen.share is None or values.dtype == np.bool_:
@@ -210,13 +214,13 @@ def between(values: NDArray[Any], chosen: Picked) -> NDArray[Any]:
     inside = np.flatnonzero(chosen.share)
     rows = chosen.rows[inside]
     share = chosen.share[inside].reshape(-1, *(1,) * (values.ndim - 1))
-    mix = _counts_between if values.dtype == np.int64 else _numbers_between
+    mix = _interpolate_counts if values.dtype == np.int64 else _interpolate_numbers
     made = low.copy()
     made[inside] = mix(values[rows], values[rows + 1], share)
     return made
 
 
-def _numbers_between(low: NDArray[Any], high: NDArray[Any], share: Cycles) -> NDArray[Any]:
+def _interpolate_numbers(low: NDArray[Any], high: NDArray[Any], share: Cycles) -> NDArray[Any]:
     difference = high - low
     # A difference may be infinite though both are finite; their shares are not.
     stepped, shared = low + share * difference, (1 - share) * low + share * high
@@ -224,7 +228,7 @@ def _numbers_between(low: NDArray[Any], high: NDArray[Any], share: Cycles) -> ND
     return made
 
 
-def _counts_between(low: NDArray[Any], high: NDArray[Any], share: Cycles) -> NDArray[Any]:
+def _interpolate_counts(low: NDArray[Any], high: NDArray[Any], share: Cycles) -> NDArray[Any]:
     """Rounded; modulo 2**64, where the distance of any two counts is exact."""
     is_up = high >= low
     a, b = low.view(np.uint64), high.view(np.uint64)

@@ -25,7 +25,7 @@ def _per(below: str, factors: dict[str, Conversion]) -> dict[str, Conversion]:
 ANGLES: Final = _scaled(rad=1.0, deg=pi / 180, mrad=1e-3, urad=1e-6, turn=2 * pi)
 LENGTHS: Final = _scaled(m=1.0, cm=1e-2, mm=1e-3, um=1e-6)
 
-UNITS: Final[dict[str, dict[str, Conversion]]] = {
+UNIT_CONVERSIONS: Final[dict[str, dict[str, Conversion]]] = {
     "rad": ANGLES,
     "rad/s": _per("s", ANGLES) | {"rpm": Conversion(2 * pi / 60)},
     "rad/s2": _per("s2", ANGLES),
@@ -54,4 +54,4 @@ UNITS: Final[dict[str, dict[str, Conversion]]] = {
 
 def known_units() -> Iterable[str]:
     """Every unit that a mapping may name."""
-    return dict.fromkeys(symbol for symbols in UNITS.values() for symbol in symbols)
+    return dict.fromkeys(symbol for symbols in UNIT_CONVERSIONS.values() for symbol in symbols)

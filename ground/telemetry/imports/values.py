@@ -5,22 +5,24 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.telemetry.imports.mapping import TICK, Channel
-from ground.telemetry.imports.table import Column, Table
+from ground.telemetry.imports.mapping import TICK, MappedChannel
+from ground.telemetry.imports.table import InputColumn, InputTable
 from sim.scenario.names import did_you_mean
 
-BEYOND: Final = 2.0**63
-EXACT: Final = 1 << 53
+INT64_LIMIT: Final = 2.0**63
+MAX_EXACT_INT: Final = 1 << 53
 """Whole numbers beyond it are not all floats."""
 
 
-def columns_of(table: Table, channel: Channel) -> list[Column]:
+def read_columns(table: InputTable, channel: MappedChannel) -> list[InputColumn]:
     """The columns of a channel; BadImport where one holds what the channel cannot."""
     read = table.numbers if channel.target.members is None else table.names
     return [read(name) for name in channel.columns]
 
 
-def values_of(table: Table, channel: Channel, columns: list[Column], rows: NDArray[np.int64]) -> NDArray[Any]:
+def channel_values(
+    table: InputTable, channel: MappedChannel, columns: list[InputColumn], rows: NDArray[np.int64]
+) -> NDArray[Any]:
     """The channel in these rows, (k, *shape), of the type that the log has.
 
     Raises:
@@ -28,12 +30,12 @@ def values_of(table: Table, channel: Channel, columns: list[Column], rows: NDArr
     """
     shape = channel.target.field.shape or ()
     if not columns:
-        return _constant(channel, rows.size).reshape(rows.size, *shape)
-    parts = [_converted(table, channel, column, k, rows) for k, column in enumerate(columns)]
+        return _constant_rows(channel, rows.size).reshape(rows.size, *shape)
+    parts = [_convert(table, channel, column, k, rows) for k, column in enumerate(columns)]
     return np.stack(parts, axis=1).reshape(rows.size, *shape)
 
 
-def _constant(channel: Channel, count: int) -> NDArray[Any]:
+def _constant_rows(channel: MappedChannel, count: int) -> NDArray[Any]:
     """A row for each message; the number of the cycle is put in by whoever knows it."""
     kind = np.dtype(channel.target.field.kind)
     if isinstance(channel.constant, str):
@@ -41,27 +43,27 @@ def _constant(channel: Channel, count: int) -> NDArray[Any]:
         return np.zeros((count, 1), kind)
     value = channel.constant
     if kind.kind == "f":
-        value = in_units(channel, np.asarray(value, np.float64), slice(None))
+        value = convert_to_si(channel, np.asarray(value, np.float64), slice(None))
     return np.broadcast_to(np.asarray(value, kind), (count, channel.target.size))
 
 
-def _converted(
-    table: Table, channel: Channel, column: Column, k: int, rows: NDArray[np.int64]
+def _convert(
+    table: InputTable, channel: MappedChannel, column: InputColumn, k: int, rows: NDArray[np.int64]
 ) -> NDArray[Any]:
     values = column.values[rows]
     if channel.target.members is not None:
-        return _named(table, channel, column, values, rows)
+        return _convert_names(table, channel, column, values, rows)
     match channel.target.field.kind:
         case "<f8":
             _check_exact(table, column, values, rows)
-            return _finite(table, channel, column, values.astype(np.float64), k, rows)
+            return _convert_numbers(table, channel, column, values.astype(np.float64), k, rows)
         case "<i8":
-            return _whole(table, channel, column, values, k, rows)
+            return _convert_counts(table, channel, column, values, k, rows)
         case _:
-            return _flags(table, channel, column, values, k, rows)
+            return _convert_flags(table, channel, column, values, k, rows)
 
 
-def in_units(channel: Channel, values: NDArray[np.float64], k: int | slice) -> NDArray[np.float64]:
+def convert_to_si(channel: MappedChannel, values: NDArray[np.float64], k: int | slice) -> NDArray[np.float64]:
     """SI values; what is not changed keeps every bit, the sign of zero and the kind of NaN included."""
     gain, offset, unit = channel.gain[k], channel.offset[k], channel.conversion
     if np.any(gain != 1.0):
@@ -75,16 +77,16 @@ def in_units(channel: Channel, values: NDArray[np.float64], k: int | slice) -> N
     return values
 
 
-def _finite(
-    table: Table,
-    channel: Channel,
-    column: Column,
+def _convert_numbers(
+    table: InputTable,
+    channel: MappedChannel,
+    column: InputColumn,
     values: NDArray[np.float64],
     k: int,
     rows: NDArray[np.int64],
 ) -> NDArray[np.float64]:
     """SI values; refuses those that become infinite or no number on the way."""
-    made = in_units(channel, values, k)
+    made = convert_to_si(channel, values, k)
     beyond = np.flatnonzero(np.isfinite(values) & ~np.isfinite(made))
     if beyond.size:
         what = f"{values[beyond[0]]} is too large for its gain, offset and unit; are they right?"
@@ -92,17 +94,24 @@ def _finite(
     return made
 
 
-def _check_exact(table: Table, column: Column, values: NDArray[Any], rows: NDArray[np.int64]) -> None:
+def _check_exact(
+    table: InputTable, column: InputColumn, values: NDArray[Any], rows: NDArray[np.int64]
+) -> None:
     if values.dtype != np.int64:
         return
-    large = np.flatnonzero((values > EXACT) | (values < -EXACT))
+    large = np.flatnonzero((values > MAX_EXACT_INT) | (values < -MAX_EXACT_INT))
     if large.size:
         row = int(rows[large[0]])
         raise table.wrong(f"{values[large[0]]} is too large to be a number without loss", row, column.name)
 
 
-def _whole(
-    table: Table, channel: Channel, column: Column, values: NDArray[Any], k: int, rows: NDArray[np.int64]
+def _convert_counts(
+    table: InputTable,
+    channel: MappedChannel,
+    column: InputColumn,
+    values: NDArray[Any],
+    k: int,
+    rows: NDArray[np.int64],
 ) -> NDArray[np.int64]:
     """Counts: whole as they are, or rounded where they come out of a gain or an offset."""
     gain, offset = float(channel.gain[k]), float(channel.offset[k])
@@ -112,9 +121,9 @@ def _whole(
             column=column.name,
         )
     if values.dtype == np.int64 and _is_exact(gain) and _is_exact(offset):
-        return _whole_of_whole(table, column, values, (int(gain), int(offset)), rows)
+        return _convert_counts_exactly(table, column, values, (int(gain), int(offset)), rows)
     _check_exact(table, column, values, rows)
-    numbers = in_units(channel, values.astype(np.float64), k)
+    numbers = convert_to_si(channel, values.astype(np.float64), k)
     good = np.isfinite(numbers)
     if (gain, offset) == (1.0, 0.0):
         good &= numbers == np.rint(numbers)
@@ -122,7 +131,7 @@ def _whole(
         row = int(np.flatnonzero(~good)[0])
         what = f"{numbers[row]} is no whole number, which {channel.target.name} takes"
         raise table.wrong(what, int(rows[row]), column.name)
-    large = np.flatnonzero(np.abs(numbers) > EXACT)
+    large = np.flatnonzero(np.abs(numbers) > MAX_EXACT_INT)
     if large.size:
         row = int(large[0])
         what = f"{numbers[row]:.17g} is too large to be counted without loss; give whole numbers, and no gain"
@@ -131,32 +140,41 @@ def _whole(
 
 
 def _is_exact(number: float) -> bool:
-    return number.is_integer() and abs(number) <= EXACT
+    return number.is_integer() and abs(number) <= MAX_EXACT_INT
 
 
-def _whole_of_whole(
-    table: Table, column: Column, values: NDArray[np.int64], line: tuple[int, int], rows: NDArray[np.int64]
+def _convert_counts_exactly(
+    table: InputTable,
+    column: InputColumn,
+    values: NDArray[np.int64],
+    line: tuple[int, int],
+    rows: NDArray[np.int64],
 ) -> NDArray[np.int64]:
     """Gain * value + offset without a float between; what leaves 64 bits comes back far off."""
     gain, offset = line
     made = values * np.int64(gain) + np.int64(offset)
     about = values.astype(np.float64) * gain + offset
-    beyond = np.flatnonzero(np.abs(made.astype(np.float64) - about) > BEYOND / 2)
+    beyond = np.flatnonzero(np.abs(made.astype(np.float64) - about) > INT64_LIMIT / 2)
     if beyond.size:
         what = f"{values[beyond[0]]} with its gain and offset has more than 64 bits; are they right?"
         raise table.wrong(what, int(rows[beyond[0]]), column.name)
     return made
 
 
-def _flags(
-    table: Table, channel: Channel, column: Column, values: NDArray[Any], k: int, rows: NDArray[np.int64]
+def _convert_flags(
+    table: InputTable,
+    channel: MappedChannel,
+    column: InputColumn,
+    values: NDArray[Any],
+    k: int,
+    rows: NDArray[np.int64],
 ) -> NDArray[np.bool_]:
     """True and false, or 1 and 0; a gain of -1 and an offset of 1 turn them round."""
     is_scaled = channel.gain[k] != 1.0 or channel.offset[k] != 0.0
     if values.dtype == np.bool_ and not is_scaled:
         return values
     _check_exact(table, column, values, rows)
-    numbers: NDArray[np.float64] = in_units(channel, values.astype(np.float64), k)
+    numbers: NDArray[np.float64] = convert_to_si(channel, values.astype(np.float64), k)
     odd = np.flatnonzero((numbers != 0.0) & (numbers != 1.0))
     if odd.size:
         what = f"{numbers[odd[0]]} is neither true nor false, 1 nor 0, which {channel.target.name} takes"
@@ -164,8 +182,12 @@ def _flags(
     return np.equal(numbers, 1.0)
 
 
-def _named(
-    table: Table, channel: Channel, column: Column, values: NDArray[Any], rows: NDArray[np.int64]
+def _convert_names(
+    table: InputTable,
+    channel: MappedChannel,
+    column: InputColumn,
+    values: NDArray[Any],
+    rows: NDArray[np.int64],
 ) -> NDArray[np.int64]:
     """Members by name or number."""
     members = channel.target.members

@@ -10,8 +10,8 @@ from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import Fault
 from fsw.protect.responses import RESPONSE_TO
 from ground.common.fields import unit_of
-from ground.dictionary.entries import Dictionary, Entry, FieldEntry, dictionary
-from ground.telemetry.schema import shape_of
+from ground.dictionary.entries import Definition, Dictionary, FieldDefinition, build_dictionary
+from ground.telemetry.schema import array_shape
 from ground.telemetry.topics import PACKET_TOPICS
 from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
@@ -21,11 +21,11 @@ from sim.world import World
 
 @pytest.fixture(scope="module")
 def whole() -> Dictionary:
-    return dictionary()
+    return build_dictionary()
 
 
-def fields_of(whole: Dictionary) -> list[tuple[str, FieldEntry]]:
-    entries: list[Entry] = [*whole.commands, *whole.evrs, *whole.packets]
+def fields_of(whole: Dictionary) -> list[tuple[str, FieldDefinition]]:
+    entries: list[Definition] = [*whole.commands, *whole.evrs, *whole.packets]
     told = [(f"{entry.name}.{one.name}", one) for entry in entries for one in entry.fields]
     return told + [(one.name, one) for one in whole.parameters]
 
@@ -85,7 +85,7 @@ def test_the_shapes_are_those_of_a_run() -> None:
         for name in topic.field_names:
             value = getattr(packet, name)
             if isinstance(value, np.ndarray):
-                assert value.shape == shape_of(topic.packet, name), f"{topic.name}.{name}"
+                assert value.shape == array_shape(topic.packet, name), f"{topic.name}.{name}"
                 seen.add(topic.name)
     assert seen == {topic.name for topic, _ in PACKET_TOPICS}
 

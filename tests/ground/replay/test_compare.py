@@ -5,10 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from ground.replay.apart import LEAST
-from ground.replay.behaviour import Behaviour, Series
-from ground.replay.compare import compare
-from ground.replay.evrs import Kind, evr_differences
+from ground.replay.behaviour import Behaviour, TopicSeries
+from ground.replay.compare import MIN_DIFFERENCE, compare_behaviours
+from ground.replay.compare_evrs import EvrChange, evr_differences
 from ground.telemetry.events import EvrEntry
 
 TICKS = 6
@@ -23,7 +22,7 @@ BOOTED = evr(0, "Booted")
 
 def behaviour(ticks: int = TICKS, evrs: tuple[EvrEntry, ...] = (BOOTED,), **fields: object) -> Behaviour:
     columns = {name: np.array(values) for name, values in fields.items()}
-    return Behaviour(ticks, {"/joint": Series(np.arange(ticks), columns)}, evrs)
+    return Behaviour(ticks, {"/joint": TopicSeries(np.arange(ticks), columns)}, evrs)
 
 
 def angles(**changed: float) -> np.ndarray:
@@ -36,14 +35,14 @@ def angles(**changed: float) -> np.ndarray:
 
 def test_the_same_is_the_same_and_nan_is_nan():
     values = angles(at_2_0=np.nan, at_3_1=np.inf)
-    found = compare(behaviour(rad=values), behaviour(rad=values.copy()))
-    assert found.none
+    found = compare_behaviours(behaviour(rad=values), behaviour(rad=values.copy()))
+    assert found.identical
     assert (found.channels_compared, found.channels) == (1, ())
 
 
 def test_one_bit_is_a_difference_with_its_channel_component_and_tick():
     after = angles(at_3_1=np.nextafter(7 / 7, 2.0))
-    (one,) = compare(behaviour(rad=angles()), behaviour(rad=after)).channels
+    (one,) = compare_behaviours(behaviour(rad=angles()), behaviour(rad=after)).channels
     assert (one.channel, one.first_tick, one.first_component) == ("/joint.rad", 3, (1,))
     assert (one.ticks, one.compared, one.greatest_tick) == (1, TICKS, 3)
     assert one.greatest == 2**-52
@@ -52,7 +51,7 @@ def test_one_bit_is_a_difference_with_its_channel_component_and_tick():
 
 def test_the_first_the_greatest_and_the_count_are_told_apart():
     after = angles(at_1_0=9.0, at_4_1=-90.0, at_5_0=0.0)
-    (one,) = compare(behaviour(rad=angles()), behaviour(rad=after)).channels
+    (one,) = compare_behaviours(behaviour(rad=angles()), behaviour(rad=after)).channels
     assert (one.first_tick, one.first_component) == (1, (0,))
     assert (one.greatest_tick, one.component) == (4, (1,))
     assert one.ticks == 3
@@ -61,23 +60,27 @@ def test_the_first_the_greatest_and_the_count_are_told_apart():
 
 @pytest.mark.parametrize(("was", "now"), [(np.nan, 1.0), (1.0, np.nan), (1.0, np.inf), (-np.inf, np.inf)])
 def test_a_number_against_none_is_as_far_as_can_be(was, now):
-    (one,) = compare(behaviour(rad=angles(at_2_0=was)), behaviour(rad=angles(at_2_0=now))).channels
+    (one,) = compare_behaviours(behaviour(rad=angles(at_2_0=was)), behaviour(rad=angles(at_2_0=now))).channels
     assert one.greatest == np.inf
 
 
 def test_a_tolerance_is_relative_to_large_numbers_and_not_for_whole_ones():
     far = 1e-12
-    assert compare(behaviour(rad=angles()), behaviour(rad=angles() + 0.9 * far), far).none
-    assert not compare(behaviour(rad=angles()), behaviour(rad=angles() + 2.5 * far), far).none
-    assert compare(behaviour(Nm=angles() * 1e6), behaviour(Nm=angles() * 1e6 + 1e-9), 1e-9).none
-    assert not compare(behaviour(n=np.arange(TICKS)), behaviour(n=np.arange(TICKS) + 1), 2.0).none
+    assert compare_behaviours(behaviour(rad=angles()), behaviour(rad=angles() + 0.9 * far), far).identical
+    assert not compare_behaviours(behaviour(rad=angles()), behaviour(rad=angles() + 2.5 * far), far).identical
+    assert compare_behaviours(
+        behaviour(Nm=angles() * 1e6), behaviour(Nm=angles() * 1e6 + 1e-9), 1e-9
+    ).identical
+    assert not compare_behaviours(
+        behaviour(n=np.arange(TICKS)), behaviour(n=np.arange(TICKS) + 1), 2.0
+    ).identical
 
 
 def test_flags_and_counts_are_compared():
     flags = np.zeros((TICKS, 2), bool)
     other = flags.copy()
     other[4, 1] = True
-    (one,) = compare(behaviour(on=flags), behaviour(on=other)).channels
+    (one,) = compare_behaviours(behaviour(on=flags), behaviour(on=other)).channels
     assert (one.first_tick, one.greatest, one.at_first) == (4, 1.0, (0.0, 1.0))
 
 
@@ -93,46 +96,48 @@ LARGE = 2**60
         (np.int64(-LARGE), np.int64(-LARGE - 1), 1.0),
         (np.uint64(2**64 - 1), np.uint64(2**64 - 2), 1.0),
         (np.int8(-1), np.uint8(255), 256.0),
-        (np.float64(LARGE), np.int64(LARGE + 1), LEAST),
+        (np.float64(LARGE), np.int64(LARGE + 1), MIN_DIFFERENCE),
     ],
 )
 def test_whole_numbers_are_compared_as_whole_numbers(was, now, apart, tolerance):
-    (one,) = compare(behaviour(n=[was] * TICKS), behaviour(n=[now] * TICKS), tolerance).channels
+    (one,) = compare_behaviours(behaviour(n=[was] * TICKS), behaviour(n=[now] * TICKS), tolerance).channels
     assert (one.ticks, one.greatest) == (TICKS, apart)
     assert one.at_first == (was.item(), now.item())
-    assert compare(behaviour(n=[was] * TICKS), behaviour(n=[was] * TICKS), tolerance).none
+    assert compare_behaviours(behaviour(n=[was] * TICKS), behaviour(n=[was] * TICKS), tolerance).identical
 
 
 def test_the_sign_of_zero_is_a_difference_bit_for_bit_and_none_within_a_tolerance():
     was, now = behaviour(rad=angles(at_2_0=0.0)), behaviour(rad=angles(at_2_0=-0.0))
-    (one,) = compare(was, now).channels
-    assert (one.first_tick, one.ticks, one.greatest) == (2, 1, LEAST)
+    (one,) = compare_behaviours(was, now).channels
+    assert (one.first_tick, one.ticks, one.greatest) == (2, 1, MIN_DIFFERENCE)
     assert str(one.at_first) == "(0.0, -0.0)"
-    assert compare(was, now, 1e-12).none
+    assert compare_behaviours(was, now, 1e-12).identical
 
 
 def test_every_nan_is_the_same():
     odd = np.array([0x7FF8000000000123], np.uint64).view(np.float64)[0]
-    assert compare(behaviour(rad=angles(at_2_0=np.nan)), behaviour(rad=angles(at_2_0=odd))).none
+    assert compare_behaviours(
+        behaviour(rad=angles(at_2_0=np.nan)), behaviour(rad=angles(at_2_0=odd))
+    ).identical
 
 
 @pytest.mark.parametrize(("was", "now"), [(np.inf, 1.0), (1.0, np.inf), (np.inf, -np.inf), (1e308, -1e308)])
 def test_no_tolerance_reaches_from_a_number_to_an_infinity(was, now):
-    found = compare(behaviour(rad=angles(at_2_0=was)), behaviour(rad=angles(at_2_0=now)), 1e-12)
+    found = compare_behaviours(behaviour(rad=angles(at_2_0=was)), behaviour(rad=angles(at_2_0=now)), 1e-12)
     assert found.channels[0].greatest == np.inf
     assert kinds([evr(3, rad=was)], [evr(3, rad=now)], 1e-12) == [("changed", 3, "Moved")]
 
 
 def test_ticks_that_are_never_the_same_leave_nothing_to_compare():
-    was = Behaviour(2, {"/tool": Series(np.array([0]), {"m": np.zeros((1, 3))})}, (BOOTED,))
-    now = Behaviour(2, {"/tool": Series(np.array([1]), {"m": np.zeros((1, 3))})}, (BOOTED,))
-    found = compare(was, now)
+    was = Behaviour(2, {"/tool": TopicSeries(np.array([0]), {"m": np.zeros((1, 3))})}, (BOOTED,))
+    now = Behaviour(2, {"/tool": TopicSeries(np.array([1]), {"m": np.zeros((1, 3))})}, (BOOTED,))
+    found = compare_behaviours(was, now)
     assert (found.channels, len(found.lengths)) == ((), 1)
 
 
 def test_a_run_that_ends_early_is_a_difference_of_length():
-    found = compare(behaviour(rad=angles()), behaviour(4, rad=angles()[:4]))
-    assert not found.none
+    found = compare_behaviours(behaviour(rad=angles()), behaviour(4, rad=angles()[:4]))
+    assert not found.identical
     assert found.ticks == (6, 4)
     (length,) = found.lengths
     assert (length.topic, length.recorded, length.replayed, length.first_tick) == ("/joint", 6, 4, 4)
@@ -140,29 +145,31 @@ def test_a_run_that_ends_early_is_a_difference_of_length():
 
 
 def test_a_packet_at_another_tick_is_a_difference_of_length():
-    was = Behaviour(9, {"/tool": Series(np.array([0, 4, 8]), {"m": np.zeros(3)})}, (BOOTED,))
-    now = Behaviour(9, {"/tool": Series(np.array([0, 5, 8]), {"m": np.zeros(3)})}, (BOOTED,))
-    (length,) = compare(was, now).lengths
+    was = Behaviour(9, {"/tool": TopicSeries(np.array([0, 4, 8]), {"m": np.zeros(3)})}, (BOOTED,))
+    now = Behaviour(9, {"/tool": TopicSeries(np.array([0, 5, 8]), {"m": np.zeros(3)})}, (BOOTED,))
+    (length,) = compare_behaviours(was, now).lengths
     assert (length.topic, length.recorded, length.replayed, length.first_tick) == ("/tool", 3, 3, 4)
 
 
 def test_a_topic_that_is_gone_is_a_difference():
-    (length,) = compare(behaviour(rad=angles()), Behaviour(TICKS, {}, (BOOTED,))).lengths
+    (length,) = compare_behaviours(behaviour(rad=angles()), Behaviour(TICKS, {}, (BOOTED,))).lengths
     assert (length.topic, length.replayed) == ("/joint", 0)
 
 
 def test_only_chosen_channels_are_compared_but_events_always():
-    found = compare(
+    found = compare_behaviours(
         behaviour(a=angles(), b=angles()),
         behaviour(a=angles() + 1, b=angles() + 1, evrs=()),
         chosen=lambda topic, name: (topic, name) == ("/joint", "b"),
     )
     assert [one.channel for one in found.channels] == ["/joint.b"]
-    assert [one.kind for one in found.evrs] == [Kind.MISSING]
+    assert [one.kind for one in found.evrs] == [EvrChange.MISSING]
 
 
 def test_what_only_one_side_has_is_told():
-    found = compare(behaviour(a=angles(), c=np.zeros(TICKS)), behaviour(b=angles(), c=np.zeros((TICKS, 2))))
+    found = compare_behaviours(
+        behaviour(a=angles(), c=np.zeros(TICKS)), behaviour(b=angles(), c=np.zeros((TICKS, 2)))
+    )
     assert found.not_compared == (
         "/joint.a: only one side has it; not compared",
         "/joint.b: only one side has it; not compared",
@@ -174,13 +181,13 @@ def test_of_someone_elses_log_what_is_there_is_compared():
     was = behaviour(rad=angles(), evrs=())
     now = Behaviour(
         TICKS,
-        {"/tool": Series(np.arange(2), {"m": np.zeros(2)}), **behaviour(rad=angles()).series},
+        {"/tool": TopicSeries(np.arange(2), {"m": np.zeros(2)}), **behaviour(rad=angles()).series},
         (BOOTED,),
     )
-    found = compare(was, now)
-    assert found.none
+    found = compare_behaviours(was, now)
+    assert found.identical
     assert found.not_compared == ("/tool: not recorded; not compared", "/evr: not recorded; not compared")
-    assert not compare(behaviour(rad=angles() + 1, evrs=()), now).none
+    assert not compare_behaviours(behaviour(rad=angles() + 1, evrs=()), now).identical
 
 
 def kinds(was: list[EvrEntry], now: list[EvrEntry], tolerance: float = 0.0) -> list[tuple]:
@@ -195,15 +202,15 @@ def test_events_are_missing_added_or_changed():
 
 def test_an_event_that_comes_later_has_changed():
     (one,) = evr_differences([evr(3)], [evr(5)])
-    assert (one.kind, one.tick, one.recorded.tick, one.replayed.tick) == (Kind.CHANGED, 3, 3, 5)
+    assert (one.kind, one.tick, one.recorded.tick, one.replayed.tick) == (EvrChange.CHANGED, 3, 3, 5)
 
 
 def test_an_event_of_the_same_words_is_its_partner_before_one_of_the_same_name():
     first, second = evr(3, "Done", of="A"), evr(9, "Done", of="B")
     found = evr_differences([first, second], [evr(5, "Done", of="B")])
     assert [(one.kind, one.recorded, one.tick) for one in found] == [
-        (Kind.MISSING, first, 3),
-        (Kind.CHANGED, second, 5),
+        (EvrChange.MISSING, first, 3),
+        (EvrChange.CHANGED, second, 5),
     ]
 
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
-from ground.replay.inputs import NotReplayable, inputs_in
+from ground.replay.inputs import NotReplayable, inputs_from_log
 from ground.telemetry.events import CommandEntry
 from ground.telemetry.format import TICK_NS
-from ground.telemetry.loss import Lost
+from ground.telemetry.lost_messages import LostMessages
 from ground.telemetry.read import Log, read_log
 from tests.replay.remake import FOLDER
 
@@ -72,7 +72,7 @@ REFUSED = {
 def test_a_log_that_cannot_be_replayed_is_refused_with_a_sentence(case):
     log, said = REFUSED[case]
     with pytest.raises(NotReplayable) as caught:
-        inputs_in(log)
+        inputs_from_log(log)
     assert str(caught.value).startswith(f"log {LOG.path}: ")
     assert said in str(caught.value)
 
@@ -85,7 +85,7 @@ def test_sensors_of_another_shape_are_refused():
     with pytest.raises(
         NotReplayable, match=r"current_A is float64\(4,\); flight software reads float64\(5,\)"
     ):
-        inputs_in(replace(LOG, packets={"/sensors": whole}))
+        inputs_from_log(replace(LOG, packets={"/sensors": whole}))
 
 
 def _descr(dtype: np.dtype) -> tuple:
@@ -93,14 +93,14 @@ def _descr(dtype: np.dtype) -> tuple:
 
 
 def test_a_whole_log_is_replayed_to_its_end():
-    inputs = inputs_in(LOG)
+    inputs = inputs_from_log(LOG)
     assert inputs.ticks == TICKS
     assert inputs.notes == ()
     assert [len(commands) for commands in inputs.commands.values()] == [1]
 
 
 def test_a_log_cut_short_is_replayed_to_the_last_tick_that_is_surely_whole():
-    inputs = inputs_in(replace(LOG, truncated=True))
+    inputs = inputs_from_log(replace(LOG, truncated=True))
     assert inputs.ticks == TICKS - 1
     assert inputs.notes == (
         f"the log was cut short: replayed up to tick {TICKS - 2}, the last that is surely whole",
@@ -108,7 +108,7 @@ def test_a_log_cut_short_is_replayed_to_the_last_tick_that_is_surely_whole():
 
 
 def test_a_gap_ends_the_replay():
-    inputs = inputs_in(with_sensor_ticks(np.concatenate([np.arange(20), np.arange(30, 50)])))
+    inputs = inputs_from_log(with_sensor_ticks(np.concatenate([np.arange(20), np.arange(30, 50)])))
     assert inputs.ticks == 19
     assert inputs.notes == (
         "something after tick 19 is missing: replayed up to tick 18, the last that is surely whole",
@@ -126,13 +126,13 @@ def test_a_gap_ends_the_replay():
     ],
 )
 def test_a_recovered_log_is_replayed_up_to_what_was_lost_of_what_went_in(topic, after_tick, ticks):
-    lost = Lost(topic, 1, None if after_tick is None else after_tick * TICK_NS, None)
+    lost = LostMessages(topic, 1, None if after_tick is None else after_tick * TICK_NS, None)
     recovered = replace(LOG, lost=(lost,))
     if ticks is None:
         with pytest.raises(NotReplayable, match="no tick that is surely whole"):
-            inputs_in(recovered)
+            inputs_from_log(recovered)
     else:
-        inputs = inputs_in(recovered)
+        inputs = inputs_from_log(recovered)
         assert inputs.ticks == ticks
         assert inputs.notes[0] == f"recovered: {lost.sentence}"
 
@@ -140,13 +140,13 @@ def test_a_recovered_log_is_replayed_up_to_what_was_lost_of_what_went_in(topic, 
 def test_parameters_that_were_not_known_then_are_todays_and_told():
     params = json.loads(LOG.header["params"])
     del params["joints"]["wrist"]["speed_rad_s"]
-    inputs = inputs_in(with_header(params=json.dumps(params)))
+    inputs = inputs_from_log(with_header(params=json.dumps(params)))
     assert inputs.params.joints.wrist.speed_rad_s > 0
     assert inputs.notes[0].startswith("params.joints.wrist.speed_rad_s was not known then")
 
 
 def test_sensors_are_what_was_recorded_in_memory_of_their_own():
-    inputs = inputs_in(LOG)
+    inputs = inputs_from_log(LOG)
     sensors = inputs.sensors_at(70)
     assert type(sensors.cycle) is int
     assert np.isnan(sensors.current_A[Joint.WRIST])

@@ -8,12 +8,12 @@ import sim.loop
 from fsw.cycle import step
 from ground.common.requests import BadRequest
 from ground.replay.replay import ReplayRequest, replay
-from ground.replay.tables import replay_json, replay_table, verdict
+from ground.replay.tables import replay_json, replay_table, verdict_line
 from ground.runs.artifacts import Files
 from ground.runs.scenario import RunRequest, run
-from ground.telemetry.header import header_of
+from ground.telemetry.header import run_header
 from ground.telemetry.read import read_log
-from ground.telemetry.record import Recorder
+from ground.telemetry.recorder import Recorder
 from tests.replay.remake import FOLDER
 from tests.replay.runs import RUNS
 
@@ -48,7 +48,7 @@ def test_what_would_it_have_done_with_another_parameter(tmp_path):
 def test_the_parameters_of_the_log_stay_where_the_file_says_nothing(tmp_path):
     report = replayed(tmp_path, "[joints.turret]\nspeed_rad_s = 0.03490658503988659\n")
     assert report.changed_params == ()
-    assert report.differences.none
+    assert report.differences.identical
 
 
 @pytest.mark.parametrize(
@@ -95,7 +95,7 @@ def test_a_software_error_is_told_even_with_nothing_to_compare(tmp_path, monkeyp
     monkeypatch.setattr("ground.replay.replay.read_log", of_sensors_alone)
     monkeypatch.setattr(sim.loop, "step", broken)
     found = replayed(tmp_path).differences
-    assert (found.none, found.nothing_compared, found.ticks) == (False, True, (ticks_of(LOG), 1))
+    assert (found.identical, found.nothing_compared, found.ticks) == (False, True, (ticks_of(LOG), 1))
 
 
 @pytest.mark.parametrize(
@@ -140,7 +140,9 @@ def test_a_change_of_flight_software_is_named_by_channel_and_tick(tmp_path, monk
     found = replayed(tmp_path, channel="/joint.motor_rad").differences
     (one,) = found.channels
     assert (one.channel, one.first_component, one.first_tick) == ("/joint.motor_rad", (2,), 50)
-    assert verdict(found).startswith(f"DIFFERENT: 0 events, 0 lengths, 1 of 1 channel; {ticks_of(LOG)} ticks")
+    assert verdict_line(found).startswith(
+        f"DIFFERENT: 0 events, 0 lengths, 1 of 1 channel; {ticks_of(LOG)} ticks"
+    )
 
 
 SHORT = """\
@@ -171,7 +173,7 @@ def test_a_scenario_with_a_calibrated_arm_and_missed_cycles_replays_bit_for_bit(
     log = tmp_path / "run.mcap"
     run(RunRequest(str(scenario), "calibrated:7", (5.0, -3.0), 4, Files(log)), silent)
     found = replayed(tmp_path, log=log).differences
-    assert found.none
+    assert found.identical
     assert found.tolerance == 0.0
     assert "CyclesSkipped" in [evr.name for evr in read_log(log).evrs]
 
@@ -181,7 +183,7 @@ def test_a_scenario_of_the_house_replays_bit_for_bit(tmp_path):
     log = tmp_path / "run.mcap"
     run(RunRequest("bit-exchange", files=Files(log)), silent)
     found = replayed(tmp_path, log=log).differences
-    assert found.none
+    assert found.identical
     assert found.tolerance == 0.0
     assert found.ticks[0] > 7000
 
@@ -189,12 +191,12 @@ def test_a_scenario_of_the_house_replays_bit_for_bit(tmp_path):
 def test_a_log_cut_short_replays_as_far_as_it_goes(tmp_path):
     (no_number,) = (one for one in RUNS if one.name == "no-number")
     loop, log = no_number.loop(), tmp_path / "run.mcap"
-    with Recorder(log, header_of(loop, "nominal", 0, {}, ()), chunk_s=0.0) as recorder:
+    with Recorder(log, run_header(loop, "nominal", 0, {}, ()), chunk_s=0.0) as recorder:
         for record in no_number.cycles(loop):
             recorder.write(record)
     written = log.read_bytes()
     log.write_bytes(written[: len(written) // 2])
     report = replayed(tmp_path, log=log)
-    assert report.differences.none
+    assert report.differences.identical
     assert 10 < report.differences.ticks[0] < 80
     assert report.notes[0].startswith("the log was cut short: replayed up to tick")

@@ -15,9 +15,9 @@ import pytest
 from fsw.dictionary.commands import GuardedMove, Stop
 from fsw.dictionary.enums import Switch, Tool
 from fsw.dictionary.evrs import Booted, ContactMade
-from ground.telemetry.record import Recorder
-from ground.telemetry.schema import PER_JOINT, SHAPES
-from ground.telemetry.topics import required
+from ground.telemetry.recorder import Recorder
+from ground.telemetry.schema import ARRAY_SHAPES, PER_JOINT
+from ground.telemetry.topics import strip_optional
 from sim.record import CycleRecord
 
 EVENTS = {
@@ -30,10 +30,10 @@ Bytes = Callable[[int], bytes]
 
 def value_of(owner: type, name: str, hint: Any, some: Bytes) -> Any:
     """Any value of an annotated type, its bits as `some` gives them."""
-    kind = required(hint)
+    kind = strip_optional(hint)
     if get_origin(kind) is np.ndarray:
         scalar = np.dtype(get_args(get_args(kind)[1])[0])
-        shape = SHAPES.get(f"{owner.__name__}.{name}", PER_JOINT)
+        shape = ARRAY_SHAPES.get(f"{owner.__name__}.{name}", PER_JOINT)
         raw = np.frombuffer(some(scalar.itemsize * int(np.prod(shape))), np.uint8)
         return (raw & 1 if scalar.kind == "b" else raw).view(scalar).reshape(shape)
     if is_dataclass(kind):

@@ -11,8 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from ground.common.files import BadOutput
-from ground.telemetry.export import ends, export
-from ground.telemetry.inspect import NoSuchChannel, channels_of, info_of, range_of
+from ground.telemetry.export import export, index_suffixes
+from ground.telemetry.inspection import NoSuchChannel, range_of, select_channels, summarize_log
 from ground.telemetry.read import Log, read_log
 from sim.record import CycleRecord
 
@@ -36,7 +36,7 @@ def assert_same_bits(log: Log, topic: str, path: Path) -> None:
     assert table["time_ns"].to_numpy().tolist() == log.time_ns[topic].tolist()
     for field in log[topic].dtype.names or ():
         values = log[topic][field].reshape(len(log[topic]), prod(log[topic][field].shape[1:]))
-        for k, end in enumerate(ends(log[topic][field].shape[1:])):
+        for k, end in enumerate(index_suffixes(log[topic][field].shape[1:])):
             column = f"{field}{end}" if field != "tick" else "packet.tick"
             assert table[column].null_count == 0
             read = table[column].to_numpy()
@@ -110,7 +110,7 @@ def test_where_nothing_can_be_written_nothing_is(
 
 
 def test_a_log_in_numbers(log: Log) -> None:
-    info = info_of(log)
+    info = summarize_log(log)
     assert (info.cycles, info.first_s, info.duration_s) == (41, 0.0, 41 / 64)
     assert [one.name for one in info.topics if one.is_truth] == ["/truth"]
     assert info.evrs == {"ACTIVITY_HI": 82}
@@ -118,17 +118,19 @@ def test_a_log_in_numbers(log: Log) -> None:
 
 
 def test_channels_by_pattern_with_their_ranges(log: Log) -> None:
-    rad, flags = channels_of(log, ["/joint/motor_rad*", "/sensors/switch_closed"])
+    rad, flags = select_channels(log, ["/joint/motor_rad*", "/sensors/switch_closed"])
     assert (rad.name, rad.type_name, rad.unit) == ("/joint.motor_rad", "float64[5]", "rad")
     finite = log["/joint"]["motor_rad"][np.isfinite(log["/joint"]["motor_rad"])]
     assert (range_of(rad).low, range_of(rad).high) == (finite.min(), finite.max())
     assert range_of(rad).not_finite >= 5
     assert (range_of(flags).low, range_of(flags).high) == (0, 1)
-    assert len(channels_of(log)) == sum(len(packets.dtype.names or ()) for packets in log.packets.values())
+    assert len(select_channels(log)) == sum(
+        len(packets.dtype.names or ()) for packets in log.packets.values()
+    )
 
 
 def test_a_pattern_that_fits_nothing_is_said(log: Log) -> None:
     with pytest.raises(
         NoSuchChannel, match=r"has no channel /joint/moter; did you mean /joint.mode\? `marsarm log channels"
     ):
-        channels_of(log, ["/joint/mode", "/joint/moter"])
+        select_channels(log, ["/joint/mode", "/joint/moter"])

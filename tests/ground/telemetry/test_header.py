@@ -8,7 +8,7 @@ import pytest
 
 from fsw.dictionary.commands import MoveJoint, Stop
 from fsw.dictionary.enums import Joint, Mode
-from ground.telemetry.header import asked, begins_with, flown_header, header_of, model_digest
+from ground.telemetry.header import commands_header, flight_header, model_digest, run_header, start_header
 from sim.arms import arm_named
 from sim.effects.gears import CoulombFriction
 from sim.effects.geometry import Warming
@@ -33,7 +33,7 @@ def nominal() -> ClosedLoop:
 
 
 def test_a_header_holds_everything_as_text():
-    header = header_of(nominal(), "nominal", 3, {"tool": "apxs"}, (Stop(),))
+    header = run_header(nominal(), "nominal", 3, {"tool": "apxs"}, (Stop(),))
     assert header.keys() == KEYS
     assert all(isinstance(value, str) for value in header.values())
     assert json.loads(header["boot"])["mode"] == "STOWED"
@@ -44,7 +44,7 @@ def test_a_header_holds_everything_as_text():
 
 def test_a_header_names_the_effects_that_were_switched_on():
     effects = (CoulombFriction(Joint.ELBOW, 25.0), Warming(10.0))
-    header = header_of(nominal(), "nominal", 3, {}, (), effects)
+    header = run_header(nominal(), "nominal", 3, {}, (), effects)
     assert json.loads(header["effects"]) == [
         "coulomb-friction:elbow:torque_Nm=25.0",
         "warming:warming_K=10.0",
@@ -53,13 +53,15 @@ def test_a_header_names_the_effects_that_were_switched_on():
 
 def test_what_is_flown_tells_nothing_of_the_plant():
     """A log without truth can be made of it: no arm, seed, request, effects or digest of the model."""
-    flown = flown_header(nominal(), (Stop(),))
+    flown = flight_header(nominal(), (Stop(),))
     assert KEYS - flown.keys() == {"arm", "seed", "request", "effects", "mjcf_sha256"}
 
 
 def test_two_headers_of_one_run_are_the_same():
     command = (MoveJoint(Joint.WRIST, 1.0),)
-    assert header_of(nominal(), "nominal", 3, {}, command) == header_of(loop_of(), "nominal", 3, {}, command)
+    assert run_header(nominal(), "nominal", 3, {}, command) == run_header(
+        loop_of(), "nominal", 3, {}, command
+    )
 
 
 def test_the_plants_digest_knows_the_world_and_the_arm():
@@ -68,14 +70,14 @@ def test_the_plants_digest_knows_the_world_and_the_arm():
 
 
 def test_a_digest_is_that_of_the_commands_as_written():
-    header = asked((MoveJoint(Joint.WRIST, 0.1),))
+    header = commands_header((MoveJoint(Joint.WRIST, 0.1),))
     written = [{"type": "MoveJoint", "fields": {"joint": "WRIST", "angle_rad": 0.1, "backlash": "on"}}]
     assert json.loads(header["commands"]) == written
     assert header["commands_sha256"] == hashlib.sha256(header["commands"].encode()).hexdigest()
 
 
 def test_nothing_may_be_remembered():
-    header = begins_with(arm_named("nominal").params, Mode.DEPLOYED, None)
+    header = start_header(arm_named("nominal").params, Mode.DEPLOYED, None)
     assert json.loads(header["boot"]) == {"mode": "DEPLOYED", "reference": None}
 
 
@@ -83,4 +85,4 @@ def test_a_run_under_way_has_no_header_any_more():
     loop = loop_of()
     loop.cycle()
     with pytest.raises(ValueError, match="the run is at tick 1"):
-        header_of(loop, "nominal", 3, {}, ())
+        run_header(loop, "nominal", 3, {}, ())

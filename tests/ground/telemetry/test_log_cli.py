@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from ground.telemetry.container import read_records
 from ground.telemetry.format import FORMAT
+from ground.telemetry.mcap_reader import read_records
 from ground.telemetry.read import read_log
 from tests.ground.command import marsarm
 from validation.recorded import recorded

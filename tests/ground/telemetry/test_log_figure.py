@@ -4,7 +4,7 @@ import matplotlib.figure
 import pytest
 
 from ground.telemetry import figure as log_figure
-from ground.telemetry.inspect import channels_of
+from ground.telemetry.inspection import select_channels
 from ground.telemetry.read import read_log
 from validation.recorded import recorded
 
@@ -25,7 +25,7 @@ def drawn(tmp_path, monkeypatch):
             figures.append(figure)
 
         monkeypatch.setattr(log_figure, "save_figure", keep)
-        log_figure.save_log_figure(channels_of(log, globs), log.evrs, tmp_path / "p.png")
+        log_figure.save_log_figure(select_channels(log, globs), log.evrs, tmp_path / "p.png")
         return log, figures[0].axes
 
     return draw

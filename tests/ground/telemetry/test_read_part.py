@@ -13,9 +13,9 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC, Writer
 
 from ground.telemetry import chunks
-from ground.telemetry.container import records
 from ground.telemetry.errors import LogCorrupt, LogNotReadable
 from ground.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, TICK_NS, header_crc32
+from ground.telemetry.mcap_reader import iter_records
 from ground.telemetry.read import read_log
 from ground.telemetry.salvage import salvage
 from ground.telemetry.schema import Layout
@@ -63,8 +63,8 @@ def test_only_the_time_asked_for_is_there(
 def test_a_part_of_a_closed_log_unpacks_no_other_chunks(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     if "channels" not in read_log(path).header:
         pytest.skip("this recorder does not announce its channels in the header")
-    unpacked, real = [], chunks.unpacked
-    monkeypatch.setattr(chunks, "unpacked", lambda *given: unpacked.append(given[1]) or real(*given))
+    unpacked, real = [], chunks.decompress_chunk
+    monkeypatch.setattr(chunks, "decompress_chunk", lambda *given: unpacked.append(given[1]) or real(*given))
     read_log(path, start_ns=4 * TICK_NS, end_ns=6 * TICK_NS)
     assert 1 <= len(unpacked) <= 3
 
@@ -72,11 +72,11 @@ def test_a_part_of_a_closed_log_unpacks_no_other_chunks(path: Path, monkeypatch:
 def test_what_unpacks_to_more_than_is_read_at_once_is_read_in_parts(
     path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("ground.telemetry.read.MOST_UNPACKED", 50_000)
+    monkeypatch.setattr("ground.telemetry.read.MAX_UNPACKED_BYTES", 50_000)
     with pytest.raises(LogNotReadable, match="ask for a part, from one time to another"):
         read_log(path)
     assert len(read_log(path, start_ns=2 * TICK_NS, end_ns=5 * TICK_NS)["/joint"]) == 3
-    monkeypatch.setattr("ground.telemetry.salvage.MOST_UNPACKED", 20_000)
+    monkeypatch.setattr("ground.telemetry.salvage.MAX_UNPACKED_BYTES", 20_000)
     assert any("the rest was left out" in note for note in salvage(path.read_bytes()).notes)
 
 
@@ -85,7 +85,7 @@ def test_a_broken_message_index_of_a_log_cut_short_does_not_matter(path: Path, t
     cut = bytearray(data[: int(0.8 * len(data))])
     (tmp_path / "cut.mcap").write_bytes(cut)
     whole = read_log(tmp_path / "cut.mcap")
-    for at, opcode, body in records(bytes(cut), len(MCAP0_MAGIC)):
+    for at, opcode, body in iter_records(bytes(cut), len(MCAP0_MAGIC)):
         if opcode == Opcode.MESSAGE_INDEX:
             for entry in range(15, 9 + len(body), 8):
                 cut[at + entry] ^= 0xFF
@@ -165,7 +165,7 @@ def test_a_log_whose_last_chunk_is_whole_but_whose_length_is_not_is_not_taken_fo
     path: Path, tmp_path: Path
 ) -> None:
     data = path.read_bytes()
-    ends = [at for at, opcode, _ in records(data, 8) if opcode == Opcode.CHUNK]
+    ends = [at for at, opcode, _ in iter_records(data, 8) if opcode == Opcode.CHUNK]
     cut = bytearray(data[: ends[-1] - 1])
     cut[ends[-2] + 6] ^= 0x10  # of the length of the last chunk
     (tmp_path / "cut.mcap").write_bytes(cut)

@@ -13,9 +13,9 @@ from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import Fault
 from ground.telemetry.errors import LogNotWritable, SchemaError
-from ground.telemetry.events import as_json, command_entry, evr_entry
+from ground.telemetry.events import command_entry, evr_entry, json_value
 from ground.telemetry.read import read_log
-from ground.telemetry.record import Recorder
+from ground.telemetry.recorder import Recorder
 
 ROOT = Path(__file__).parents[3]
 
@@ -60,7 +60,7 @@ def test_a_disk_without_room_is_refused_and_leaves_what_was_there(
     program = (
         "import resource, sys\n"
         "from ground.telemetry.errors import LogNotWritable\n"
-        "from ground.telemetry.record import Recorder\n"
+        "from ground.telemetry.recorder import Recorder\n"
         "resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))\n"
         "try:\n    Recorder(sys.argv[1], {})\n"
         "except LogNotWritable as error:\n    print(error)\n"
@@ -135,4 +135,4 @@ def test_every_command_goes_into_a_log(kind: Any) -> None:
 
 def test_a_field_that_json_has_no_word_for_is_refused() -> None:
     with pytest.raises(SchemaError, match="object in a command or EVR"):
-        as_json(object())
+        json_value(object())

@@ -8,9 +8,9 @@ import pytest
 from ground.common.requests import BadRequest
 from ground.telemetry.errors import LogCorrupt, LogNotReadable
 from ground.telemetry.format import TICK_NS
-from ground.telemetry.loss import Lost
+from ground.telemetry.lost_messages import LostMessages
 from ground.telemetry.read import read_log
-from ground.telemetry.recover import Recovered, recover
+from ground.telemetry.recover import RecoveryReport, recover
 from validation.damage import CUT_EVERY, flipped, is_part, original, truncated
 
 N_CYCLES = 12
@@ -38,7 +38,7 @@ def chunk_of(data: bytes, tick: int) -> int:
     return next(one.at for one in found if one.first_ns <= tick * TICK_NS <= one.last_ns)
 
 
-def saved(folder: Path, data: bytes) -> Recovered:
+def saved(folder: Path, data: bytes) -> RecoveryReport:
     (folder / "bad.mcap").write_bytes(data)
     return recover(folder / "bad.mcap", folder / "good.mcap", lambda *_: None)
 
@@ -52,7 +52,7 @@ def broken(data: bytes, *places: int) -> bytes:
 
 def test_what_a_broken_chunk_held_is_told_by_topic_and_time(tmp_path: Path, data: bytes) -> None:
     recovered = saved(tmp_path, broken(data, chunk_of(data, 5) + 200))
-    due = {topic: Lost(topic, 1, 4 * TICK_NS, 6 * TICK_NS) for topic in PACKETS}
+    due = {topic: LostMessages(topic, 1, 4 * TICK_NS, 6 * TICK_NS) for topic in PACKETS}
     lost = {one.topic: one for one in recovered.lost}
     assert {topic: lost[topic] for topic in PACKETS} == due
     assert (lost["/evr"].count, lost["/command"].count) == (2, 2)
@@ -70,18 +70,18 @@ def test_the_strict_reader_tells_the_same_span(tmp_path: Path, data: bytes) -> N
 
 def test_the_end_of_a_closed_log_is_told_by_its_counts(tmp_path: Path, data: bytes) -> None:
     recovered = saved(tmp_path, broken(data, chunk_of(data, N_CYCLES - 1) + 200))
-    assert Lost("/joint", 1, (N_CYCLES - 2) * TICK_NS, None) in recovered.lost
+    assert LostMessages("/joint", 1, (N_CYCLES - 2) * TICK_NS, None) in recovered.lost
     assert all(one.count is not None for one in recovered.lost)
 
 
 def test_the_beginning_is_told(tmp_path: Path, data: bytes) -> None:
     recovered = saved(tmp_path, broken(data, chunk_of(data, 0) + 200))
-    assert Lost("/joint", 1, None, TICK_NS) in recovered.lost
+    assert LostMessages("/joint", 1, None, TICK_NS) in recovered.lost
 
 
 def test_of_a_log_cut_short_nobody_knows_what_followed(tmp_path: Path, data: bytes) -> None:
     recovered = saved(tmp_path, data[: chunk_of(data, 8) + 100])
-    assert recovered.lost == (Lost(None, None, 7 * TICK_NS, None),)
+    assert recovered.lost == (LostMessages(None, None, 7 * TICK_NS, None),)
     assert recovered.lost[0].sentence == "an unknown number of messages of all topics lost, after 0.109375 s"
 
 

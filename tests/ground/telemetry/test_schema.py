@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from fsw.dictionary.types import Limits
 from ground.telemetry import schema
 from ground.telemetry.errors import SchemaError
-from ground.telemetry.pack import HEAD, Packer, Source
-from ground.telemetry.schema import Layout, layout_of
+from ground.telemetry.pack import MESSAGE_HEADER, Packer, PacketSource
+from ground.telemetry.schema import Layout, packet_layout
 
 
 class Colour(IntEnum):
@@ -57,7 +57,7 @@ BY_HAND = struct.Struct("<4s q d 9d f 2h ? 3?")
 @pytest.fixture(autouse=True)
 def _shapes(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     shapes = {"Packet.switch": (3,), "Packet.count": (2,), "Packet.R_RT": (3, 3), "Packet.level": (1,)}
-    monkeypatch.setattr(schema, "SHAPES", shapes)
+    monkeypatch.setattr(schema, "ARRAY_SHAPES", shapes)
     return
 
 
@@ -70,7 +70,7 @@ class Cycle:
 
 
 def packer_of(*paths: str) -> Packer:
-    return Packer([Source(path, 5 + k, layout_of(Packet, NAMES)) for k, path in enumerate(paths)])
+    return Packer([PacketSource(path, 5 + k, packet_layout(Packet, NAMES)) for k, path in enumerate(paths)])
 
 
 def packed(packet: Packet) -> bytes:
@@ -78,7 +78,7 @@ def packed(packet: Packet) -> bytes:
 
 
 def test_a_message_is_cdr_as_decoded_by_hand() -> None:
-    message = packed(PACKET)[HEAD.size :]
+    message = packed(PACKET)[MESSAGE_HEADER.size :]
     header, colour, current, *rest = BY_HAND.unpack(message)
     assert (header, colour, current) == (b"\x00\x01\x00\x00", 7, -0.25)
     assert rest[:9] == list(range(9))
@@ -88,17 +88,17 @@ def test_a_message_is_cdr_as_decoded_by_hand() -> None:
 
 def test_the_record_is_headed_by_channel_sequence_and_time() -> None:
     record = packed(PACKET)
-    assert HEAD.unpack_from(record) == (5, len(record) - 9, 5, 3, 77, 77)
+    assert MESSAGE_HEADER.unpack_from(record) == (5, len(record) - 9, 5, 3, 77, 77)
 
 
 def test_numpy_views_a_message_without_a_copy() -> None:
-    (view,) = np.frombuffer(packed(PACKET)[HEAD.size :], layout_of(Packet, NAMES).dtype)
+    (view,) = np.frombuffer(packed(PACKET)[MESSAGE_HEADER.size :], packet_layout(Packet, NAMES).dtype)
     for name in NAMES:
         np.testing.assert_array_equal(view[name], getattr(PACKET, name))
 
 
 def test_the_ros_text_is_legal_for_foxglove_and_keeps_names_units_limits_and_docs_in_comments() -> None:
-    assert layout_of(Packet, NAMES).ros_text.splitlines() == [
+    assert packet_layout(Packet, NAMES).ros_text.splitlines() == [
         "int64 colour  # Colour: 3 RED, 7 BLUE",
         "float64 current_a  # current_A; [A]; -2 .. 2.5",
         "float64[9] r_rt  # R_RT; row by row, shape (3, 3)",
@@ -111,7 +111,7 @@ def test_the_ros_text_is_legal_for_foxglove_and_keeps_names_units_limits_and_doc
 
 
 def test_a_layout_survives_its_json() -> None:
-    layout = layout_of(Packet, NAMES)
+    layout = packet_layout(Packet, NAMES)
     assert Layout.from_json(layout.to_json()).dtype == layout.dtype
 
 
@@ -139,8 +139,8 @@ def test_packets_that_come_together_are_records_one_after_the_other_numbered_by_
     first = packed(UNLIKE)
     second = both[len(first) :]
     assert both[: len(first)] == first
-    assert HEAD.unpack_from(second) == (5, len(second) - 9, 6, 9, 77, 77)
-    assert second[HEAD.size :] == packed(PACKET)[HEAD.size :]
+    assert MESSAGE_HEADER.unpack_from(second) == (5, len(second) - 9, 6, 9, 77, 77)
+    assert second[MESSAGE_HEADER.size :] == packed(PACKET)[MESSAGE_HEADER.size :]
 
 
 def test_an_array_lies_row_by_row_whatever_its_order_in_memory() -> None:
@@ -180,4 +180,4 @@ class Odd:
 )
 def test_a_field_that_has_no_place_in_a_message_is_refused_by_name(names: tuple[str, ...]) -> None:
     with pytest.raises(SchemaError, match=rf"Odd\.{names[-1]}:"):
-        layout_of(Odd, names)
+        packet_layout(Odd, names)

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import NonSeekingReader, make_reader
 
-from ground.telemetry.container import read_records
+from ground.telemetry.mcap_reader import read_records
 from ground.telemetry.read import read_log
 from ground.telemetry.recover import recover
 from tests.ground.command import marsarm

@@ -15,7 +15,7 @@ from fsw.estimate.reference import Reference
 from ground.diagnosis.blind.truth import TrueCase
 from ground.telemetry.format import CHANNELS_KEY
 from ground.telemetry.header import SESSION
-from ground.telemetry.plain import to_plain
+from ground.telemetry.json_codec import record_to_json
 from ground.telemetry.read import read_log
 from sim.arms import BuiltArm, arm_named
 from sim.initialisation import true_reference
@@ -56,7 +56,7 @@ def check_sealed(path: Path, case: TrueCase) -> None:
     if told:
         raise TellsTruth(f"{path}: has the plant's own state in {', '.join(told)}")
     believed = json.loads(log.header["boot"])["reference"]
-    drawn = to_plain(_drawn())
+    drawn = record_to_json(_drawn())
     other = sorted(name for name in drawn if name != "zero_rad" and believed[name] != drawn[name])
     if other:
         raise TellsTruth(f"{path}: flight software begins with {', '.join(other)} that are not the drawing's")

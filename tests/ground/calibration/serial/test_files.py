@@ -8,7 +8,7 @@ import pytest
 
 from ground.calibration.serial.arm_file import BadArmFile, arm_from_toml, arm_to_toml
 from ground.calibration.serial.table import mapping_from_toml, series_from_table
-from ground.telemetry.imports.errors import BadImport
+from ground.telemetry.imports.files import BadImport
 from tests.ground.calibration.serial.files import MAPPING, rows, text
 from tests.ground.calibration.serial.made import built_arm, drawn_arm
 

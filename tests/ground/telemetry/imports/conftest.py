@@ -12,9 +12,9 @@ from pyarrow import parquet
 
 from fsw.dictionary.commands import MoveJoints, Stop
 from fsw.estimate.reference import Reference
-from ground.telemetry.imports.targets import targets
+from ground.telemetry.imports.targets import known_targets
 from ground.telemetry.read import Log, read_log
-from ground.telemetry.record import Recorder
+from ground.telemetry.recorder import Recorder
 from sim.arms import arm_named
 from sim.loop import ClosedLoop, Setup
 from sim.world import World
@@ -44,7 +44,7 @@ def exported(log: Log) -> dict[str, Any]:
     """A column for each number of the log, and the time; nothing where a topic has no message."""
     n = N_CYCLES
     columns: dict[str, Any] = {"t": pa.array(np.arange(n) / 64)}
-    for name, target in targets().items():
+    for name, target in known_targets().items():
         ticks, packets = log.ticks(target.topic), log[target.topic]
         values = packets[target.field.name].reshape(len(packets), -1)
         absent = ~np.isin(np.arange(n), ticks)
@@ -57,7 +57,7 @@ def exported(log: Log) -> dict[str, Any]:
 
 def channels(*names: str) -> str:
     """The part of a mapping that says these channels of ours, or all of them, as `exported` writes them."""
-    known = targets()
+    known = known_targets()
     text = ""
     for name in names or known:
         target = known[name]

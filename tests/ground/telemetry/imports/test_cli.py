@@ -11,7 +11,7 @@ from pyarrow import parquet
 from typer.testing import CliRunner
 
 from ground.cli.app import app
-from ground.telemetry.imports.targets import Target, targets
+from ground.telemetry.imports.targets import ChannelTarget, known_targets
 from ground.telemetry.read import read_log
 
 MAPPING = """[time]
@@ -23,7 +23,7 @@ unit = "mA"
 """
 
 
-def channel(target: Target) -> str:
+def channel(target: ChannelTarget) -> str:
     """The part of a mapping that takes a channel of ours from columns of its name."""
     columns = [f"{target.name}.{k}" for k in range(target.size)]
     return f'[[channel]]\nname = "{target.name}"\ncolumns = {json.dumps(columns)}\nunit = "{target.unit}"\n'
@@ -58,7 +58,7 @@ def test_people_read_why_a_packet_is_not_whole(words: list[str]) -> None:
 
 
 def test_one_is_counted_as_one(words: list[str], tmp_path: Path) -> None:
-    sensors = [one for name, one in targets().items() if name.startswith("/sensors.")]
+    sensors = [one for name, one in known_targets().items() if name.startswith("/sensors.")]
     (tmp_path / "m.toml").write_text(
         "[time]\nrate_Hz = 64\n"
         + "".join(map(channel, sensors))

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ground.telemetry.imports.errors import BadImport
-from ground.telemetry.imports.job import ImportRequest, import_table, imported
+from ground.telemetry.imports.files import BadImport
+from ground.telemetry.imports.job import ImportRequest, convert_table, import_table
 from ground.telemetry.read import Log, read_log
 
 DOC = Path(__file__).parents[4] / "docs" / "import.md"
@@ -47,4 +47,4 @@ def check_first_row(log: Log) -> None:
 def test_times_that_a_spreadsheet_has_rounded_are_refused(real_data: Path) -> None:
     table = real_data / "ur10-tracker" / "series_c_random_poses.csv"
     with pytest.raises(BadImport, match=r"row 1, column 'Timestamp': '2,02011E\+13' is no time"):
-        imported(table.read_bytes(), str(table), mapping().encode(), "ur10.toml")
+        convert_table(table.read_bytes(), str(table), mapping().encode(), "ur10.toml")

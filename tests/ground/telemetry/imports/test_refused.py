@@ -12,8 +12,8 @@ from typer.testing import CliRunner
 
 from ground.cli.app import app
 from ground.telemetry.imports import job
-from ground.telemetry.imports.errors import BadImport
-from ground.telemetry.imports.job import imported
+from ground.telemetry.imports.files import BadImport
+from ground.telemetry.imports.job import convert_table
 
 TIME = '[time]\ncolumn = "t"\nunit = "s"\n'
 CURRENT = '[[channel]]\nname = "/sensors.current_A"\ncolumns = ["a", "b", "c", "d", "e"]\nunit = "A"\n'
@@ -30,7 +30,7 @@ def table(t: Any = (0.0, 1 / 64, 2 / 64), **changed: Any) -> bytes:
 
 def refusal(mapping: str, data: bytes, name: str = "t.parquet") -> str:
     with pytest.raises(BadImport) as caught:
-        imported(data, name, mapping.encode(), "m.toml")
+        convert_table(data, name, mapping.encode(), "m.toml")
     return str(caught.value)
 
 
@@ -287,18 +287,18 @@ def test_a_missing_cycle_is_refused_with_the_words_to_leave_or_bridge_it() -> No
 def test_a_wide_gap_is_not_bridged_unasked(grid: str) -> None:
     wide = table(t=(0.0, 1.0, 5.0))
     assert "4 s after the row before" in refusal(TIME + f'grid = "{grid}"\n' + CURRENT, wide)
-    imported(wide, "t.parquet", (TIME + f'grid = "{grid}"\ngap_s = 4\n' + CURRENT).encode(), "m.toml")
+    convert_table(wide, "t.parquet", (TIME + f'grid = "{grid}"\ngap_s = 4\n' + CURRENT).encode(), "m.toml")
 
 
 def test_a_table_of_more_numbers_than_fit_is_refused() -> None:
     with pytest.raises(BadImport, match="3 rows of 6 columns are more than 10 numbers"):
-        imported(table(), "t.parquet", (TIME + CURRENT).encode(), "m.toml", cells=10)
+        convert_table(table(), "t.parquet", (TIME + CURRENT).encode(), "m.toml", cells=10)
 
 
 def test_more_cycles_between_the_rows_than_fit_are_refused() -> None:
     mapping = (TIME + 'grid = "hold"\ngap_s = 60\n' + CURRENT).encode()
     with pytest.raises(BadImport, match="spans 2561 cycles, more than 20; give it in parts"):
-        imported(table(t=(0.0, 20.0, 40.0)), "t.parquet", mapping, "m.toml", cells=100)
+        convert_table(table(t=(0.0, 20.0, 40.0)), "t.parquet", mapping, "m.toml", cells=100)
 
 
 def test_the_command_line_refuses_with_status_2_and_writes_nothing(tmp_path: Path) -> None:
@@ -335,7 +335,7 @@ def test_a_table_that_does_not_fit_the_memory_is_refused(
 
     (tmp_path / "t.parquet").write_bytes(table())
     (tmp_path / "m.toml").write_text(TIME + CURRENT)
-    monkeypatch.setattr(job, "series_of", full)
+    monkeypatch.setattr(job, "build_topics", full)
     words = ["log", "import", *(str(tmp_path / each) for each in ("t.parquet", "m.toml", "o.mcap"))]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 2

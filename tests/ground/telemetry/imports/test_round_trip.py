@@ -19,7 +19,7 @@ from fsw.state import boot
 from ground.common.requests import BadRequest
 from ground.diagnosis.arm.logs import recording_in
 from ground.telemetry.imports.job import ImportRequest, import_table
-from ground.telemetry.imports.targets import targets
+from ground.telemetry.imports.targets import known_targets
 from ground.telemetry.read import Log, read_log
 from sim.params import nominal_params
 
@@ -74,7 +74,7 @@ def test_it_replays_as_it_ran(run: Log, as_parquet: bytes, make: Any, tmp_path: 
 
 
 def test_the_first_mode_is_a_name_in_capitals_or_not(as_parquet: bytes, make: Any, tmp_path: Path) -> None:
-    sensors = [name for name in targets() if name.startswith("/sensors.")]
+    sensors = [name for name in known_targets() if name.startswith("/sensors.")]
     start = make.start().replace('"deployed"', '"DEPLOYED"')
     log = import_into(tmp_path, as_parquet, make.TIME + make.channels(*sensors) + start)
     assert json.loads(log.header["boot"])["mode"] == "DEPLOYED"
@@ -83,7 +83,7 @@ def test_the_first_mode_is_a_name_in_capitals_or_not(as_parquet: bytes, make: An
 def test_a_command_behind_the_table_is_refused_with_its_line(
     as_parquet: bytes, make: Any, tmp_path: Path
 ) -> None:
-    sensors = [name for name in targets() if name.startswith("/sensors.")]
+    sensors = [name for name in known_targets() if name.startswith("/sensors.")]
     mapping = make.TIME + make.channels(*sensors) + make.start()
     ends_s = (make.N_CYCLES - 1) / 64
     last = f'[[command]]\ntype = "STOP"\nat_s = {ends_s}\n'
@@ -136,7 +136,7 @@ def test_the_start_that_the_page_shows_is_understood(as_parquet: bytes, make: An
     page = (Path(__file__).parents[4] / "docs" / "import.md").read_text()
     shown = next(text for text in re.findall(r"```toml\n(.*?)```", page, re.DOTALL) if "[start]" in text)
     (tmp_path / "arm.toml").write_text("[monitors]\ntilt_rad = 0.02\n")
-    sensors = [name for name in targets() if name.startswith("/sensors.")]
+    sensors = [name for name in known_targets() if name.startswith("/sensors.")]
     log = import_into(tmp_path, as_parquet, make.TIME + make.channels(*sensors) + shown)
     assert json.loads(log.header["params"])["monitors"]["tilt_rad"] == 0.02
     began = json.loads(log.header["boot"])

@@ -11,25 +11,25 @@ from hypothesis import strategies as st
 from pyarrow import parquet
 
 from ground.telemetry.format import TICK_NS
-from ground.telemetry.imports.job import Imported, imported
-from ground.telemetry.imports.mapping import LAST_TICK
-from ground.telemetry.imports.units import UNITS
+from ground.telemetry.imports.job import ImportedLog, convert_table
+from ground.telemetry.imports.mapping import MAX_TICK
+from ground.telemetry.imports.units import UNIT_CONVERSIONS
 
 GRID_S = np.arange(4) / 64
 
 
-def mapped(mapping: str, time: str = 'unit = "s"', t: Any = GRID_S, **columns: Any) -> Imported:
+def mapped(mapping: str, time: str = 'unit = "s"', t: Any = GRID_S, **columns: Any) -> ImportedLog:
     sink = io.BytesIO()
     parquet.write_table(pa.table({"t": t} | columns), sink)
     head = f'[time]\ncolumn = "t"\n{time}\n'
-    return imported(sink.getvalue(), "t.parquet", (head + mapping).encode(), "m.toml")
+    return convert_table(sink.getvalue(), "t.parquet", (head + mapping).encode(), "m.toml")
 
 
 def one(name: str, rest: str) -> str:
     return f'[[channel]]\nname = "{name}"\n{rest}\n'
 
 
-def values(made: Imported) -> Any:
+def values(made: ImportedLog) -> Any:
     (series,) = made.series
     return series.data[series.layout.fields[0].name]
 
@@ -57,7 +57,7 @@ def test_units_become_those_of_the_house(name: str, unit: str, given_value: floa
 
 
 def test_every_unit_of_the_house_converts_to_itself() -> None:
-    for house, known in UNITS.items():
+    for house, known in UNIT_CONVERSIONS.items():
         assert (known[house].factor, known[house].offset) == (1.0, 0.0), house
 
 
@@ -110,7 +110,7 @@ def test_linear_numbers_between_finite_ones_are_finite() -> None:
 
 def test_infinities_of_the_table_stay() -> None:
     mapping = "[time]\nrate_Hz = 64\n" + one("/imported/arm.x_m", 'columns = "a"\nunit = "mm"')
-    made = imported(b"a\ninf\n-Infinity\nnan\n", "t.csv", mapping.encode(), "m.toml")
+    made = convert_table(b"a\ninf\n-Infinity\nnan\n", "t.csv", mapping.encode(), "m.toml")
     assert np.array_equal(values(made), [np.inf, -np.inf, np.nan], equal_nan=True)
 
 
@@ -173,7 +173,7 @@ def test_rows_at_a_rate_need_no_time() -> None:
     mapping = "[time]\nrate_Hz = 32\ngrid = 'nearest'\n" + one(
         "/imported/arm.x_m", 'columns = "a"\nunit = "m"'
     )
-    made = imported(sink.getvalue(), "t.parquet", mapping.encode(), "m.toml")
+    made = convert_table(sink.getvalue(), "t.parquet", mapping.encode(), "m.toml")
     assert made.series[0].ticks.tolist() == [0, 2, 4]
 
 
@@ -181,7 +181,7 @@ def test_rows_at_a_rate_need_no_time() -> None:
 def test_a_blank_line_is_a_row_without_a_value_except_at_the_end(line: str) -> None:
     mapping = "[time]\nrate_Hz = 64\n" + one("/imported/arm.x_m", 'columns = "a"\nunit = "m"')
     data = line.join(["a", "1", "", "3", "", ""]).encode()
-    made = imported(data, "t.csv", mapping.encode(), "m.toml")
+    made = convert_table(data, "t.csv", mapping.encode(), "m.toml")
     assert made.rows == 3
     assert made.series[0].ticks.tolist() == [0, 2]
     assert values(made).tolist() == [1.0, 3.0]
@@ -231,4 +231,4 @@ def test_a_channel_of_a_lower_rate_has_messages_where_it_has_values() -> None:
 
 
 def test_the_last_tick_of_the_last_table_fits_a_log() -> None:
-    assert (2 * LAST_TICK) * TICK_NS < 2**64
+    assert (2 * MAX_TICK) * TICK_NS < 2**64

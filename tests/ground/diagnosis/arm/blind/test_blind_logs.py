@@ -17,9 +17,9 @@ from ground.diagnosis.arm.record import conditions
 from ground.diagnosis.blind.folder import CASES
 from ground.diagnosis.blind.truth import TrueCase, Truth
 from ground.diagnosis.drawn import Seen
-from ground.telemetry.header import SESSION, flown_header, header_of
+from ground.telemetry.header import SESSION, flight_header, run_header
 from ground.telemetry.read import read_log
-from ground.telemetry.record import Recorder
+from ground.telemetry.recorder import Recorder
 from sim.arms import arm_named, draw_calibration_errors
 from sim.diagnosis_campaign import run_session, start_session
 from sim.effects.effect import nominal_hardware
@@ -98,7 +98,7 @@ LEAKS: dict[str, Callable[..., dict[str, str]]] = {
 def test_a_header_that_tells_is_refused(words: str, tmp_path: Path) -> None:
     loop = start_session(SESSIONS[0], arm_named("nominal"), true_reference(arm_named("nominal")), 1)
     whole = words.startswith("says arm")
-    said = header_of(loop, "nominal", 1, {}, ()) if whole else flown_header(loop, ())
+    said = run_header(loop, "nominal", 1, {}, ()) if whole else flight_header(loop, ())
     path = tmp_path / "x.mcap"
     with Recorder(path, LEAKS[words]({**said, SESSION: conditions(SESSIONS[0])})) as recorder:
         recorder.write(loop.cycle())
@@ -110,7 +110,7 @@ def test_the_plants_own_state_is_refused(tmp_path: Path) -> None:
     loop = start_session(SESSIONS[0], arm_named("nominal"), true_reference(arm_named("nominal")), 1)
     loop.with_truth = True
     path = tmp_path / "x.mcap"
-    with Recorder(path, {**flown_header(loop, ()), SESSION: conditions(SESSIONS[0])}) as recorder:
+    with Recorder(path, {**flight_header(loop, ()), SESSION: conditions(SESSIONS[0])}) as recorder:
         recorder.write(next(run_session(loop, SESSIONS[0])).record)
     with pytest.raises(TellsTruth, match="the plant's own state in /truth"):
         check_sealed(path, CASE)

@@ -11,12 +11,12 @@ from ground.telemetry.format import header_crc32
 
 RECOVERED_RECORD: Final = "marsarm.recovered"
 """Metadata of a recovered log: what could not be saved."""
-SPANS: Final = 3
+MAX_SPANS: Final = 3
 """So many spans of time are named in a sentence."""
 
 
 @dataclass(frozen=True, slots=True)
-class Lost:
+class LostMessages:
     """Messages that were written and cannot be read any more; None where nothing tells."""
 
     topic: str | None
@@ -53,12 +53,12 @@ def span_text(after_ns: int | None, before_ns: int | None) -> str:
             return f"between {(after_ns or 0) / 1e9:.6f} s and {(before_ns or 0) / 1e9:.6f} s"
 
 
-def behind_text(size: int) -> str:
+def trailing_bytes_text(size: int) -> str:
     """What is said of a file that goes on behind the end of its log."""
     return f"{size} bytes behind the end of the log are left out; a file holds one log"
 
 
-def outline(lost: Sequence[Lost]) -> str:
+def summarize_losses(lost: Sequence[LostMessages]) -> str:
     """All that was lost in one clause: how much of which topics, and when."""
     if not lost:
         return "no message was lost"
@@ -67,28 +67,28 @@ def outline(lost: Sequence[Lost]) -> str:
     topics = sorted({one.topic for one in lost if one.topic is not None})
     of = f" of {', '.join(topics)}" if topics else ""
     spans = list(dict.fromkeys(one.when for one in lost))
-    more = "" if len(spans) <= SPANS else f" and in {len(spans) - SPANS} more spans"
-    return f"{count}{of} lost, {', '.join(spans[:SPANS])}{more}"
+    more = "" if len(spans) <= MAX_SPANS else f" and in {len(spans) - MAX_SPANS} more spans"
+    return f"{count}{of} lost, {', '.join(spans[:MAX_SPANS])}{more}"
 
 
-def recovered_record(lost: Sequence[Lost]) -> dict[str, str]:
+def loss_metadata(lost: Sequence[LostMessages]) -> dict[str, str]:
     """The metadata that says in a recovered log what was lost, with its CRC."""
     said = {"lost": json.dumps([asdict(one) for one in lost])}
     return said | {"crc32": header_crc32(said)}
 
 
-def lost_in(record: Mapping[str, str]) -> tuple[Lost, ...]:
-    """What `recovered_record` said, nothing for an empty record; ValueError or TypeError for any other."""
+def losses_in(record: Mapping[str, str]) -> tuple[LostMessages, ...]:
+    """What `loss_metadata` said, nothing for an empty record; ValueError or TypeError for any other."""
     if not record:
         return ()
     if record.get("crc32") != header_crc32({"lost": record.get("lost", "")}):
         raise ValueError("what the log says of a recovery does not match its CRC")
-    return tuple(Lost(**one) for one in json.loads(record["lost"]))
+    return tuple(LostMessages(**one) for one in json.loads(record["lost"]))
 
 
 class LogDamaged(LogCorrupt):  # says what is so
     """The bytes of a log are not those that were written; `lost` is what cannot be read for it."""
 
-    def __init__(self, path: Path, why: str, offset: int, lost: Sequence[Lost]) -> None:
-        super().__init__(path, f"{why}, {outline(lost)}", offset)
+    def __init__(self, path: Path, why: str, offset: int, lost: Sequence[LostMessages]) -> None:
+        super().__init__(path, f"{why}, {summarize_losses(lost)}", offset)
         self.lost = tuple(lost)

@@ -16,29 +16,128 @@ from fsw.config import Config
 from fsw.dictionary.enums import Joint, Tool
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import IDENTITY, Array, Pose, inverse, rotation_x, rotation_z
-from ground.telemetry.cdr import STAMP, CdrWriter, stamp
+from ground.telemetry.schema import ROS_TIME, CdrWriter, ros_time
 from sim.record import CycleRecord
 
-EVERY: Final = 8
+SEPARATOR: Final = "=" * 80
+
+ROS_TYPES: Final = {
+    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
+    "builtin_interfaces/Duration": "int32 sec\nuint32 nanosec\n",
+    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
+    "std_msgs/ColorRGBA": "float32 r\nfloat32 g\nfloat32 b\nfloat32 a\n",
+    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z\n",
+    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
+    "geometry_msgs/Quaternion": "float64 x 0\nfloat64 y 0\nfloat64 z 0\nfloat64 w 1\n",
+    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n",
+    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n",
+    "geometry_msgs/TransformStamped": (
+        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n"
+    ),
+    "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data\n",
+    "visualization_msgs/UVCoordinate": "float32 u\nfloat32 v\n",
+    "visualization_msgs/MeshFile": "string filename\nuint8[] data\n",
+    "visualization_msgs/Marker": """\
+int32 ARROW=0
+int32 CUBE=1
+int32 SPHERE=2
+int32 CYLINDER=3
+int32 LINE_STRIP=4
+int32 LINE_LIST=5
+int32 CUBE_LIST=6
+int32 SPHERE_LIST=7
+int32 POINTS=8
+int32 TEXT_VIEW_FACING=9
+int32 MESH_RESOURCE=10
+int32 TRIANGLE_LIST=11
+int32 ARROW_STRIP=12
+int32 ADD=0
+int32 MODIFY=0
+int32 DELETE=2
+int32 DELETEALL=3
+std_msgs/Header header
+string ns
+int32 id
+int32 type
+int32 action
+geometry_msgs/Pose pose
+geometry_msgs/Vector3 scale
+std_msgs/ColorRGBA color
+builtin_interfaces/Duration lifetime
+bool frame_locked
+geometry_msgs/Point[] points
+std_msgs/ColorRGBA[] colors
+string texture_resource
+sensor_msgs/CompressedImage texture
+visualization_msgs/UVCoordinate[] uv_coordinates
+string text
+string mesh_resource
+visualization_msgs/MeshFile mesh_file
+bool mesh_use_embedded_materials
+""",
+}
+
+ROS_MESSAGES: Final = {
+    "sensor_msgs/msg/JointState": (
+        "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
+    ),
+    "tf2_msgs/msg/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
+    "visualization_msgs/msg/MarkerArray": "visualization_msgs/Marker[] markers\n",
+    "rcl_interfaces/msg/Log": """\
+byte DEBUG=10
+byte INFO=20
+byte WARN=30
+byte ERROR=40
+byte FATAL=50
+builtin_interfaces/Time stamp
+uint8 level
+string name
+string msg
+string file
+string function
+uint32 line
+""",
+}
+
+
+def nested_types(text: str) -> list[str]:
+    """The parts that a definition is made of, each after those that use it."""
+    found: list[str] = []
+    for line in text.splitlines():
+        part = line.split()[0].removesuffix("[]")
+        if part in ROS_TYPES:
+            found += [part, *nested_types(ROS_TYPES[part])]
+    return list(dict.fromkeys(found))
+
+
+def ros_schema(name: str) -> bytes:
+    """The definition of a message with all that it is made of, as a ros2msg schema has it."""
+    text = ROS_MESSAGES[name]
+    return "".join(
+        [text, *(f"{SEPARATOR}\nMSG: {part}\n{ROS_TYPES[part]}" for part in nested_types(text))]
+    ).encode()
+
+
+SAMPLE_CYCLES: Final = 8
 """Cycles from one sample to the next: 8 Hz, in which no joint turns by more than a degree."""
 
-JOINT_STATES: Final = "/joint_states"
-FRAMES: Final = "/tf"
-FIXED_FRAMES: Final = "/tf_static"
-SHAPES: Final = "/arm_markers"
-ROOT: Final = "map"
+JOINT_STATES_TOPIC: Final = "/joint_states"
+TF_TOPIC: Final = "/tf"
+TF_STATIC_TOPIC: Final = "/tf_static"
+MARKERS_TOPIC: Final = "/arm_markers"
+ROOT_FRAME: Final = "map"
 """As RMECH, but z up, as 3D panels expect it."""
-ROVER: Final = "rover"
+ROVER_FRAME: Final = "rover"
 """RMECH."""
 
-SEVEN: Final = struct.Struct("<7d")
-SAMPLE: Final = struct.Struct(f"<{3 * len(Joint)}d")
+POSE_STRUCT: Final = struct.Struct("<7d")
+SAMPLE_STRUCT: Final = struct.Struct(f"<{3 * len(Joint)}d")
 CUBE, SPHERE, CYLINDER = 1, 2, 3
 ARM_COLOUR: Final = (0.80, 0.55, 0.30, 0.9)
 ROVER_COLOUR: Final = (0.75, 0.75, 0.78, 0.35)
 
 
-class Sample(NamedTuple):
+class JointSample(NamedTuple):
     """What the messages of a cycle are made of; in the order of Joint."""
 
     output_rad: list[float]
@@ -47,23 +146,23 @@ class Sample(NamedTuple):
 
     def to_bytes(self) -> bytes:
         """As it is handed to another process."""
-        return SAMPLE.pack(*self.output_rad, *self.rate_rad_s, *self.current_A)
+        return SAMPLE_STRUCT.pack(*self.output_rad, *self.rate_rad_s, *self.current_A)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
         """What `to_bytes` gave."""
-        numbers, n = list(SAMPLE.unpack(data)), len(Joint)
+        numbers, n = list(SAMPLE_STRUCT.unpack(data)), len(Joint)
         return cls(numbers[:n], numbers[n : 2 * n], numbers[2 * n :])
 
 
-def sample_of(record: CycleRecord) -> Sample:
+def joint_sample(record: CycleRecord) -> JointSample:
     """What the standard messages of this cycle are made of."""
     joint, sensors = record.outputs.joint, record.sensors
-    return Sample(joint.output_rad.tolist(), joint.motor_rate_rad_s.tolist(), sensors.current_A.tolist())
+    return JointSample(joint.output_rad.tolist(), joint.motor_rate_rad_s.tolist(), sensors.current_A.tolist())
 
 
 @dataclass(frozen=True, slots=True)
-class Turning:
+class JointFrame:
     """A frame that one joint turns: rotation (x, y, z, w) and position where the joint is at zero."""
 
     zero_rad: float
@@ -83,54 +182,56 @@ class Turning:
         )
 
 
-class Standard:
+class RosEncoder:
     """Makes the standard messages of one arm; the same sample gives the same bytes."""
 
     def __init__(self, config: Config) -> None:
         self._arm, self._config = config.arm, config
-        X_LF = links(config.arm)
+        X_LF = link_poses(config.arm)
         self._turning = [
-            Turning(float(config.arm.theta_rad[k]), quaternion(X_LF[k].R), triple(X_LF[k].p))
+            JointFrame(float(config.arm.theta_rad[k]), quaternion(X_LF[k].R), triple(X_LF[k].p))
             for k in range(1, 6)
         ]
         self._constant_Nm_A = config.torque_constant_Nm_A.tolist()
-        self._joints, self._joint_places = joint_state_form()
-        self._frames, self._frame_places = frames_form([(f"arm{k}", f"arm{k + 1}") for k in range(1, 6)])
+        self._joints, self._joint_places = joint_state_template()
+        self._frames, self._frame_places = transforms_template(
+            [(f"arm{k}", f"arm{k + 1}") for k in range(1, 6)]
+        )
 
     def fixed(self, time_ns: int) -> Iterator[tuple[str, bytes]]:
         """Topic and message of what never changes: frames, and shapes as flight software knows them."""
         arm = self._arm
         X_RL = rotation_z(arm.theta_rad[0])
-        X_LF = links(arm)[0]
+        X_LF = link_poses(arm)[0]
         fixed = [
-            (ROOT, ROVER, Pose(rotation_x(np.array(np.pi)), np.zeros(3))),
-            (ROVER, "arm1", Pose(X_RL, np.zeros(3)) @ X_LF),
+            (ROOT_FRAME, ROVER_FRAME, Pose(rotation_x(np.array(np.pi)), np.zeros(3))),
+            (ROVER_FRAME, "arm1", Pose(X_RL, np.zeros(3)) @ X_LF),
             *(("arm6", tool.name.lower(), arm.X_FT[tool]) for tool in Tool),
         ]
-        message, places = frames_form([(parent, child) for parent, child, _ in fixed])
-        fill_frames(message, places, time_ns, [(*triple(X.p), *quaternion(X.R)) for _, _, X in fixed])
-        yield FIXED_FRAMES, bytes(message)
-        yield SHAPES, self._markers(time_ns)
+        message, places = transforms_template([(parent, child) for parent, child, _ in fixed])
+        fill_transforms(message, places, time_ns, [(*triple(X.p), *quaternion(X.R)) for _, _, X in fixed])
+        yield TF_STATIC_TOPIC, bytes(message)
+        yield MARKERS_TOPIC, self._markers(time_ns)
 
-    def sample(self, time_ns: int, sample: Sample) -> Iterator[tuple[str, bytes]]:
+    def sample(self, time_ns: int, sample: JointSample) -> Iterator[tuple[str, bytes]]:
         """Topic and message of a cycle; frames only of angles that are finite."""
         torque_Nm = [k * i for k, i in zip(self._constant_Nm_A, sample.current_A, strict=True)]
-        STAMP.pack_into(self._joints, 4, *stamp(time_ns))
+        ROS_TIME.pack_into(self._joints, 4, *ros_time(time_ns))
         for place, values in zip(
             self._joint_places, (sample.output_rad, sample.rate_rad_s, torque_Nm), strict=True
         ):
             struct.pack_into("<5d", self._joints, place, *values)
-        yield JOINT_STATES, bytes(self._joints)
+        yield JOINT_STATES_TOPIC, bytes(self._joints)
         if all(map(math.isfinite, sample.output_rad)):
             poses = [
                 turning.at(angle) for turning, angle in zip(self._turning, sample.output_rad, strict=True)
             ]
-            fill_frames(self._frames, self._frame_places, time_ns, poses)
-            yield FRAMES, bytes(self._frames)
+            fill_transforms(self._frames, self._frame_places, time_ns, poses)
+            yield TF_TOPIC, bytes(self._frames)
 
     def _markers(self, time_ns: int) -> bytes:
         arm, shapes = self._arm, self._config.collision_geometry
-        X_FL = inverse(links(arm))
+        X_FL = inverse(link_poses(arm))
         placed = []
         for k, carrier in enumerate(shapes.arm.carrier):
             name, X_CS = PARTS[shapes.arm.part[k]], shapes.arm.X_CS[k]
@@ -138,25 +239,25 @@ class Standard:
             X = X_CS if on_turret else X_FL[carrier] @ X_CS
             placed.append((name, "arm6" if on_turret else f"arm{carrier + 1}", X, shapes.arm, k, ARM_COLOUR))
         placed += [
-            ("rover", ROVER, shapes.rover.X_CS[k], shapes.rover, k, ROVER_COLOUR)
+            ("rover", ROVER_FRAME, shapes.rover.X_CS[k], shapes.rover, k, ROVER_COLOUR)
             for k in range(len(shapes.rover.part))
         ]
         out, count = CdrWriter(), 0
         out.add("I", 0)
         for name, frame, X, solids, k, colour in placed:
-            for kind, X_SM, scale in pieces(solids, k):
+            for kind, X_SM, scale in marker_shapes(solids, k):
                 add_marker(out, time_ns, (name, count, frame), kind, X @ X_SM, scale, colour)
                 count += 1
         struct.pack_into("<I", out.data, 4, count)
         return bytes(out.data)
 
 
-def links(arm: Arm) -> Pose:
+def link_poses(arm: Arm) -> Pose:
     """The frame at each unloaded link's end in the link's own, which its joint turns; batch (6,)."""
     return Pose(arm.X_CF.R, arm.X_CF.p + arm.p_LC_m)
 
 
-def joint_state_form() -> tuple[bytearray, tuple[int, ...]]:
+def joint_state_template() -> tuple[bytearray, tuple[int, ...]]:
     """A joint state without numbers, and where position, velocity and effort go."""
     out = CdrWriter().header(0, "")
     out.add("I", len(Joint))
@@ -169,7 +270,7 @@ def joint_state_form() -> tuple[bytearray, tuple[int, ...]]:
     return out.data, tuple(places)
 
 
-def frames_form(names: Sequence[tuple[str, str]]) -> tuple[bytearray, list[tuple[int, int]]]:
+def transforms_template(names: Sequence[tuple[str, str]]) -> tuple[bytearray, list[tuple[int, int]]]:
     """Frame transforms without numbers, and where stamp and pose of each go."""
     out, places = CdrWriter().add("I", len(names)), []
     for parent, child in names:
@@ -179,17 +280,17 @@ def frames_form(names: Sequence[tuple[str, str]]) -> tuple[bytearray, list[tuple
     return out.data, places
 
 
-def fill_frames(
+def fill_transforms(
     message: bytearray, places: Sequence[tuple[int, int]], time_ns: int, poses: Sequence[tuple[float, ...]]
 ) -> None:
     """Fill in the stamp and the poses: position, then rotation as x, y, z, w."""
-    seconds = stamp(time_ns)
+    seconds = ros_time(time_ns)
     for (at, place), pose in zip(places, poses, strict=True):
-        STAMP.pack_into(message, at, *seconds)
-        SEVEN.pack_into(message, place, *pose)
+        ROS_TIME.pack_into(message, at, *seconds)
+        POSE_STRUCT.pack_into(message, place, *pose)
 
 
-def pieces(solids: RoundedBoxes, k: int) -> Iterator[tuple[int, Pose, tuple[float, float, float]]]:
+def marker_shapes(solids: RoundedBoxes, k: int) -> Iterator[tuple[int, Pose, tuple[float, float, float]]]:
     """What a rounded box is drawn of, in its own axes: kind, place and size; capsules lie along x."""
     half, radius = solids.half_m[:, k], float(solids.radius_m[k])
     width = 2 * radius

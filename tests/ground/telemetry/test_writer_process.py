@@ -22,14 +22,14 @@ from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import MCAP0_MAGIC, IndexType, Writer
 
-from ground.telemetry.container import records
 from ground.telemetry.errors import LogNotWritable
-from ground.telemetry.handover import as_sent
-from ground.telemetry.mcap_file import Row
+from ground.telemetry.mcap_reader import iter_records
+from ground.telemetry.mcap_writer import LogRow
 from ground.telemetry.read import read_log
-from ground.telemetry.record import Recorder
-from ground.telemetry.standard import Sample
-from ground.telemetry.writer import END, Stream
+from ground.telemetry.recorder import Recorder
+from ground.telemetry.ros_messages import JointSample
+from ground.telemetry.writer_pipe import encode_row
+from ground.telemetry.writer_process import END, RowStream
 from validation import killed
 from validation.killed import Kill
 
@@ -58,7 +58,7 @@ def python(program: str, *words: str) -> subprocess.CompletedProcess[str]:
 BEGIN = """\
 import os, signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it for what runs behind it
-from ground.telemetry.record import Recorder
+from ground.telemetry.recorder import Recorder
 from tests.ground.telemetry.conftest import cycle_at
 recorder = Recorder(sys.argv[1], {})
 for tick in range(40):
@@ -123,7 +123,7 @@ recorder.close()
 
 SMALL_DISK = """\
 import resource, sys
-from ground.telemetry.record import Recorder
+from ground.telemetry.recorder import Recorder
 from tests.ground.telemetry.conftest import cycle_at
 resource.setrlimit(resource.RLIMIT_FSIZE, 2 * (int(sys.argv[2]),))
 recorder = Recorder(sys.argv[1], {"seed": "1", "arm": "nominal"})
@@ -151,7 +151,7 @@ def test_a_full_disk_is_told_by_a_later_cycle_and_by_the_end(tmp_path: Path) -> 
     log = read_log(path)
     assert log.truncated
     assert len(log["/joint"]) == int(written) > 0
-    ends = [at + 9 + len(body) for at, _, body in records(path.read_bytes(), len(MCAP0_MAGIC))]
+    ends = [at + 9 + len(body) for at, _, body in iter_records(path.read_bytes(), len(MCAP0_MAGIC))]
     assert ends[-1] == path.stat().st_size, "half a record is left"
 
 
@@ -275,11 +275,11 @@ def test_a_writer_that_is_killed_is_told_like_a_disk_that_is_gone(make: Any, tmp
 
 @given(st.lists(st.integers(1, 3000), min_size=1), st.booleans())
 def test_rows_are_the_same_in_whatever_pieces_they_come(sizes: list[int], complete: bool) -> None:
-    rows = [Row(tick, bytes([tick]) * (tick + 1)) for tick in range(30)]
-    sample = Sample([0.0] * 5, [1.0] * 5, [2.0] * 5)
-    sent = b"".join(as_sent(*row, sample if row.time_ns % 8 == 0 else None) for row in rows)
+    rows = [LogRow(tick, bytes([tick]) * (tick + 1)) for tick in range(30)]
+    sample = JointSample([0.0] * 5, [1.0] * 5, [2.0] * 5)
+    sent = b"".join(encode_row(*row, sample if row.time_ns % 8 == 0 else None) for row in rows)
     sent += END if complete else sent[:10]
-    stream, taken, goes_on = Stream(Pieces(sent, sizes)), [], True
+    stream, taken, goes_on = RowStream(Pieces(sent, sizes)), [], True
     while goes_on:
         some, goes_on = stream.take()
         taken += some
@@ -318,7 +318,7 @@ def test_the_container_is_that_of_the_stock_writer(make: Any, tmp_path: Path) ->
                  "schema_count", "channel_count"):  # fmt: skip
         assert getattr(ours, name) == getattr(theirs, name), name
     assert (ours.chunk_count, ours.metadata_count, len(summary.metadata_indexes)) == (31, 2, 2)
-    found = [opcode for _, opcode, _ in records(path.read_bytes(), len(MCAP0_MAGIC))]
+    found = [opcode for _, opcode, _ in iter_records(path.read_bytes(), len(MCAP0_MAGIC))]
     assert found[:4] == [Opcode.HEADER, Opcode.METADATA, Opcode.METADATA, Opcode.CHUNK]
     assert found.count(Opcode.MESSAGE_INDEX) == sum(
         len(c.message_index_offsets) for c in summary.chunk_indexes

@@ -29,13 +29,13 @@ MESSAGE_INDEX: Final = int(Opcode.MESSAGE_INDEX)
 
 ENTRIES_SIZE: Final = struct.Struct("<I")
 
-CHUNK_LIMIT: Final = 1 << 26
+MAX_CHUNK_BYTES: Final = 1 << 26
 """Bytes that a chunk may claim to unpack to; ours have a million at most."""
 
-MOST_UNPACKED: Final = 1 << 33
+MAX_UNPACKED_BYTES: Final = 1 << 33
 """Bytes that are unpacked at once: a day of telemetry. Zeros pack so well that a file claims any number."""
 
-NOT_AS_WRITTEN: Final = (
+PARSE_ERRORS: Final = (
     McapError,
     zstandard.ZstdError,
     struct.error,
@@ -52,7 +52,7 @@ Span = tuple[int, int]
 """Where something begins and ends in the file."""
 
 
-class NotAsWritten(Exception):
+class CorruptData(Exception):
     """The bytes at `offset` are not those that were written."""
 
     def __init__(self, why: str, offset: int) -> None:
@@ -62,7 +62,7 @@ class NotAsWritten(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class ChunkPlace:
+class ChunkLocation:
     """A chunk in the file: its record begins at `at`, its compressed data is `begin` to `end`."""
 
     at: int
@@ -75,11 +75,11 @@ class ChunkPlace:
 
 
 @dataclass(slots=True)
-class Content:
+class McapContent:
     """What a log consists of: metadata by name, chunks and the entries of their message indexes."""
 
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
-    chunks: list[ChunkPlace] = field(default_factory=list)
+    chunks: list[ChunkLocation] = field(default_factory=list)
     indexes: list[list[Span]] = field(default_factory=list)
     """For each chunk, by channel: where log time and offset of each message stand, eight bytes each."""
     complete: bool = False
@@ -94,7 +94,7 @@ class Content:
     """False where the run ends with another CRC than its bytes have."""
 
 
-def records(data: bytes, at: int) -> Iterator[tuple[int, int, memoryview]]:
+def iter_records(data: bytes, at: int) -> Iterator[tuple[int, int, memoryview]]:
     """Offset, opcode and content of the complete MCAP records in `data` from byte `at`."""
     view, size = memoryview(data), len(data)
     while at + RECORD_HEAD.size <= size:
@@ -106,21 +106,21 @@ def records(data: bytes, at: int) -> Iterator[tuple[int, int, memoryview]]:
         at = begin + length
 
 
-def chunk_at(data: bytes, at: int, length: int) -> ChunkPlace:
+def parse_chunk(data: bytes, at: int, length: int) -> ChunkLocation:
     """The chunk whose record begins at `at`; ValueError for what no chunk of ours says of itself."""
     head = at + RECORD_HEAD.size
     first_ns, last_ns, size, crc32, name_length, name, packed = CHUNK_HEAD.unpack_from(data, head)
-    if name_length != 4 or name != b"zstd" or size > CHUNK_LIMIT or packed != length - CHUNK_HEAD.size:
+    if name_length != 4 or name != b"zstd" or size > MAX_CHUNK_BYTES or packed != length - CHUNK_HEAD.size:
         raise ValueError(f"a chunk claims {size} bytes, in {packed} of {length}, compressed by {name!r}")
     begin = head + CHUNK_HEAD.size
-    return ChunkPlace(at, begin, begin + packed, first_ns, last_ns, size, crc32)
+    return ChunkLocation(at, begin, begin + packed, first_ns, last_ns, size, crc32)
 
 
-def take(found: Content, data: bytes, at: int, opcode: int, body: memoryview) -> None:
+def add_record(found: McapContent, data: bytes, at: int, opcode: int, body: memoryview) -> None:
     """Add one record; ValueError for one that a log of ours does not have at its top level."""
     match opcode:
         case Opcode.CHUNK:
-            found.chunks.append(chunk_at(data, at, len(body)))
+            found.chunks.append(parse_chunk(data, at, len(body)))
             found.indexes.append([])
         case Opcode.METADATA:
             record = Metadata.read(ReadDataStream(BytesIO(body)))
@@ -130,15 +130,15 @@ def take(found: Content, data: bytes, at: int, opcode: int, body: memoryview) ->
         case Opcode.DATA_END:
             # A CRC of zero is MCAP's word for none, but ours always have one.
             crc32 = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
-            found.crc_holds = found.complete = crc32 == crc32_of(data, 0, at)
-            end = end_of(data, at)
+            found.crc_holds = found.complete = crc32 == compute_crc32(data, 0, at)
+            end = find_log_end(data, at)
             found.closed = found.complete and end is not None
             found.behind = 0 if end is None else len(data) - end
         case _:
             raise ValueError(f"a record with opcode {opcode} and {len(body)} bytes has no place here")
 
 
-def check_header(path: Path, found: Content) -> None:
+def check_header(path: Path, found: McapContent) -> None:
     """See that this is a log of ours, of a format known here, with its header as written."""
     ours = found.metadata.get(FORMAT_RECORD)
     if ours is None:
@@ -148,19 +148,19 @@ def check_header(path: Path, found: Content) -> None:
     if HEADER_RECORD not in found.metadata:
         raise LogNotReadable(path, "cut short before the end of its header; it holds no cycle")
     if header_crc32(found.metadata[HEADER_RECORD]) != ours.get("header_crc32"):
-        raise NotAsWritten("the header does not match its CRC", len(MCAP0_MAGIC))
+        raise CorruptData("the header does not match its CRC", len(MCAP0_MAGIC))
 
 
-def read_records(path: Path, data: bytes) -> Content:
+def read_records(path: Path, data: bytes) -> McapContent:
     """Take apart a file that begins with MCAP's magic; chunks are found, not yet unpacked.
 
     Raises:
         LogNotReadable: it is not a log of ours.
         NotAsWritten: a record is not as written.
     """
-    found, headed, at = Content(data_end=len(MCAP0_MAGIC)), False, 0
+    found, headed, at = McapContent(data_end=len(MCAP0_MAGIC)), False, 0
     try:
-        for at, opcode, body in records(data, len(MCAP0_MAGIC)):
+        for at, opcode, body in iter_records(data, len(MCAP0_MAGIC)):
             # Most records are such, so they come first; the length tells one from a chunk that lost a bit.
             if opcode == MESSAGE_INDEX and headed and len(body) == 6 + ENTRIES_SIZE.unpack_from(body, 2)[0]:
                 begin = at + RECORD_HEAD.size
@@ -169,47 +169,47 @@ def read_records(path: Path, data: bytes) -> Content:
             if not headed and opcode not in (Opcode.HEADER, Opcode.METADATA):
                 check_header(path, found)
                 headed = True
-            take(found, data, at, opcode, body)
+            add_record(found, data, at, opcode, body)
             if opcode == Opcode.DATA_END:
                 found.data_end = at
                 return found
             found.data_end = at + RECORD_HEAD.size + len(body)
-    except NOT_AS_WRITTEN as error:
-        raise NotAsWritten(str(error) or type(error).__name__, at) from error
+    except PARSE_ERRORS as error:
+        raise CorruptData(str(error) or type(error).__name__, at) from error
     check_header(path, found)
     if data.endswith(MCAP0_MAGIC) and len(data) > len(MCAP0_MAGIC):
-        raise NotAsWritten("it was closed, but a record runs past its end", found.data_end)
+        raise CorruptData("it was closed, but a record runs past its end", found.data_end)
     return found
 
 
-def end_of(data: bytes, begin: int) -> int | None:
+def find_log_end(data: bytes, begin: int) -> int | None:
     """Where the log ends that `begin` is in: behind the next magic; None where there is none."""
     found = data.find(MCAP0_MAGIC, begin)
     return None if found < 0 else found + len(MCAP0_MAGIC)
 
 
-def crc32_of(data: bytes, begin: int, end: int) -> int:
+def compute_crc32(data: bytes, begin: int, end: int) -> int:
     """The CRC of a part, without a copy."""
     return zlib.crc32(memoryview(data)[begin:end])
 
 
-def summary_of(data: bytes) -> list[tuple[int, bytes]]:
+def read_summary(data: bytes) -> list[tuple[int, bytes]]:
     """Opcode and content of the records in a closed log's summary; nothing where its CRC does not hold."""
     at = len(data) - len(MCAP0_MAGIC) - FOOTER_SIZE
     try:
         opcode, length = RECORD_HEAD.unpack_from(data, at)
         footer = Footer.read(ReadDataStream(BytesIO(data[at + RECORD_HEAD.size :])))
-    except NOT_AS_WRITTEN:
+    except PARSE_ERRORS:
         return []
     begin = footer.summary_start
     whole = opcode == Opcode.FOOTER and length == FOOTER_SIZE - RECORD_HEAD.size and 0 < begin <= at
     # The footer's own CRC is its last field.
-    if not whole or footer.summary_crc != crc32_of(data, begin, at + FOOTER_SIZE - 4):
+    if not whole or footer.summary_crc != compute_crc32(data, begin, at + FOOTER_SIZE - 4):
         return []
-    return [(code, bytes(body)) for _, code, body in records(data[:at], begin)]
+    return [(code, bytes(body)) for _, code, body in iter_records(data[:at], begin)]
 
 
-def channel_of(body: bytes | memoryview) -> Channel:
+def parse_channel(body: bytes | memoryview) -> Channel:
     """A channel record; one of NOT_AS_WRITTEN where it is none."""
     channel: Channel = Channel.read(ReadDataStream(BytesIO(body)))
     return channel

@@ -16,14 +16,14 @@ from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference, no_reference
 from ground.telemetry.events import CommandEntry, command_entry
-from ground.telemetry.plain import NotPlain, command_from, from_plain, to_plain
-from ground.telemetry.topics import required
+from ground.telemetry.json_codec import BadJson, command_from_json, record_from_json, record_to_json
+from ground.telemetry.topics import strip_optional
 from sim.arms import arm_named
 
 
 def any_of(hint: Any) -> st.SearchStrategy:
     """Every value of an annotated type."""
-    kind = required(hint)
+    kind = strip_optional(hint)
     if get_origin(kind) is Literal:
         return st.sampled_from(get_args(kind))
     if get_origin(kind) is tuple:
@@ -53,7 +53,7 @@ def written(value: Any) -> Any:
 def test_every_command_comes_back_from_the_log_as_it_was(command):
     entry = CommandEntry.decode(command_entry(7, command).encode())
     notes = []
-    back = command_from(entry.name, entry.fields, notes)
+    back = command_from_json(entry.name, entry.fields, notes)
     assert written(back) == written(command)
     assert notes == []
 
@@ -62,7 +62,7 @@ def test_every_command_comes_back_from_the_log_as_it_was(command):
 def test_parameters_come_back_bit_for_bit(name):
     params = arm_named(name).params
     notes = []
-    back = from_plain(Params, json.loads(json.dumps(to_plain(params))), "params", notes)
+    back = record_from_json(Params, json.loads(json.dumps(record_to_json(params))), "params", notes)
     assert back == params
     assert digest(back) == digest(params)
     assert notes == []
@@ -73,7 +73,7 @@ def test_a_reference_comes_back_bit_for_bit_with_what_is_no_number():
     reference = replace(
         no_reference(configure(params)), zero_rad=np.array([0.1, -0.0, np.nan, 1e-320, np.pi])
     )
-    back = from_plain(Reference, json.loads(json.dumps(to_plain(reference))), "boot", [])
+    back = record_from_json(Reference, json.loads(json.dumps(record_to_json(reference))), "boot", [])
     for field in fields(Reference):
         was, now = getattr(reference, field.name), getattr(back, field.name)
         assert (was.dtype, was.tobytes()) == (now.dtype, now.tobytes())
@@ -82,7 +82,7 @@ def test_a_reference_comes_back_bit_for_bit_with_what_is_no_number():
 def test_what_another_version_wrote_is_told():
     notes = []
     old = {"joint": "WRIST", "angle_rad": 1.0, "haste": 3}
-    assert command_from("MoveJoint", old, notes) == MoveJoint(Joint.WRIST, 1.0)
+    assert command_from_json("MoveJoint", old, notes) == MoveJoint(Joint.WRIST, 1.0)
     assert notes == [
         "MoveJoint.haste is not known today: left out",
         "MoveJoint.backlash was not known then: today's 'on' is taken",
@@ -91,10 +91,10 @@ def test_what_another_version_wrote_is_told():
 
 def test_a_parameter_that_was_not_known_then_is_todays():
     params = arm_named("nominal").params
-    table = to_plain(params)
+    table = record_to_json(params)
     del table["motion"]["settle_time_s"]
     notes = []
-    assert from_plain(Params, table, "params", notes, params) == params
+    assert record_from_json(Params, table, "params", notes, params) == params
     assert notes == ["params.motion.settle_time_s was not known then: today's 0.25 is taken"]
 
 
@@ -123,11 +123,11 @@ WRONG = {
 @pytest.mark.parametrize("case", WRONG)
 def test_what_is_no_command_is_a_sentence(case):
     name, arguments, said = WRONG[case]
-    with pytest.raises(NotPlain) as caught:
-        command_from(name, arguments, [])
+    with pytest.raises(BadJson) as caught:
+        command_from_json(name, arguments, [])
     assert said in str(caught.value)
 
 
 def test_a_whole_number_where_a_float_may_be_stays_what_it_is():
-    assert isinstance(command_from("SetParam", {"name": "a", "value": 3}, []).value, int)
-    assert command_from("SetParam", {"name": "a", "value": 3}, []) == SetParam("a", 3)
+    assert isinstance(command_from_json("SetParam", {"name": "a", "value": 3}, []).value, int)
+    assert command_from_json("SetParam", {"name": "a", "value": 3}, []) == SetParam("a", 3)

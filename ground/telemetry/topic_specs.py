@@ -7,29 +7,34 @@ from typing import Final
 
 from mcap.records import Channel, Schema
 
-from ground.telemetry.events import CommandEntry, Entry, EvrEntry
+from ground.telemetry.events import CommandEntry, EvrEntry, LogEntry
 from ground.telemetry.format import COMMAND_TOPIC, DERIVED_KEY, EVR_TOPIC, LAYOUT_KEY, TRUTH_KEY, TRUTH_TEXT
-from ground.telemetry.ros_text import full_text
-from ground.telemetry.schema import Layout, definition, layout_of
-from ground.telemetry.standard import FIXED_FRAMES, FRAMES, JOINT_STATES, SHAPES
+from ground.telemetry.ros_messages import (
+    JOINT_STATES_TOPIC,
+    MARKERS_TOPIC,
+    TF_STATIC_TOPIC,
+    TF_TOPIC,
+    ros_schema,
+)
+from ground.telemetry.schema import Layout, packet_layout, ros_definition
 from ground.telemetry.topics import PACKET_TOPICS
 
-LOG_LINES: Final = "/rosout"
-STANDARD: Final = {
-    JOINT_STATES: (
+ROSOUT_TOPIC: Final = "/rosout"
+DERIVED_TOPICS: Final = {
+    JOINT_STATES_TOPIC: (
         "sensor_msgs/msg/JointState",
         "/joint and /sensors: outputs as believed, torques from currents",
     ),
-    FRAMES: ("tf2_msgs/msg/TFMessage", "/joint: outputs as believed, links rigid"),
-    FIXED_FRAMES: ("tf2_msgs/msg/TFMessage", "the parameters"),
-    SHAPES: ("visualization_msgs/msg/MarkerArray", "the parameters: shapes of the collision check"),
-    LOG_LINES: ("rcl_interfaces/msg/Log", "/evr"),
+    TF_TOPIC: ("tf2_msgs/msg/TFMessage", "/joint: outputs as believed, links rigid"),
+    TF_STATIC_TOPIC: ("tf2_msgs/msg/TFMessage", "the parameters"),
+    MARKERS_TOPIC: ("visualization_msgs/msg/MarkerArray", "the parameters: shapes of the collision check"),
+    ROSOUT_TOPIC: ("rcl_interfaces/msg/Log", "/evr"),
 }
 """Schema of each derived channel, and what it was computed from."""
 
 
 @dataclass(frozen=True, slots=True)
-class Announced:
+class TopicSpec:
     """One channel; the layout is None where messages have no fixed one."""
 
     id: int
@@ -40,31 +45,31 @@ class Announced:
     layout: Layout | None = None
 
 
-def all_channels() -> tuple[Announced, ...]:
+def topic_specs() -> tuple[TopicSpec, ...]:
     """All channels, flight first."""
     packets = [
-        (topic.name, topic.packet, layout_of(topic.packet, topic.field_names), topic.is_truth)
+        (topic.name, topic.packet, packet_layout(topic.packet, topic.field_names), topic.is_truth)
         for topic, _ in PACKET_TOPICS
     ]
-    lines: list[tuple[str, type[Entry]]] = [(EVR_TOPIC, EvrEntry), (COMMAND_TOPIC, CommandEntry)]
-    found: list[Announced] = []
+    lines: list[tuple[str, type[LogEntry]]] = [(EVR_TOPIC, EvrEntry), (COMMAND_TOPIC, CommandEntry)]
+    found: list[TopicSpec] = []
     for topic, kind, layout, is_truth in packets:
         metadata = {LAYOUT_KEY: layout.to_json()}
         if is_truth:
             metadata[TRUTH_KEY] = TRUTH_TEXT
-        text = definition(kind.__doc__, layout.ros_text)
-        found.append(Announced(len(found) + 1, topic, own_schema(kind.__name__), text, metadata, layout))
+        text = ros_definition(kind.__doc__, layout.ros_text)
+        found.append(TopicSpec(len(found) + 1, topic, schema_name(kind.__name__), text, metadata, layout))
     for topic, entry in lines:
-        text = definition(entry.__doc__, entry.ros_text())
-        found.append(Announced(len(found) + 1, topic, own_schema(entry.__name__), text, {}))
-    for topic, (schema, source) in STANDARD.items():
+        text = ros_definition(entry.__doc__, entry.ros_text())
+        found.append(TopicSpec(len(found) + 1, topic, schema_name(entry.__name__), text, {}))
+    for topic, (schema, source) in DERIVED_TOPICS.items():
         found.append(
-            Announced(len(found) + 1, topic, schema, full_text(schema), {DERIVED_KEY: f"from {source}"})
+            TopicSpec(len(found) + 1, topic, schema, ros_schema(schema), {DERIVED_KEY: f"from {source}"})
         )
     return tuple(found)
 
 
-def header_text(channels: tuple[Announced, ...]) -> str:
+def encode_topics(channels: tuple[TopicSpec, ...]) -> str:
     """The channels as the header holds them: a JSON object by topic."""
     return json.dumps(
         {
@@ -80,7 +85,7 @@ def header_text(channels: tuple[Announced, ...]) -> str:
     )
 
 
-def records_of(channels: tuple[Announced, ...]) -> tuple[list[Schema], list[Channel]]:
+def mcap_records(channels: tuple[TopicSpec, ...]) -> tuple[list[Schema], list[Channel]]:
     """Schema and channel records; channels of one schema share it."""
     texts = {one.schema: one.text for one in channels}
     ids = {name: k + 1 for k, name in enumerate(texts)}
@@ -97,6 +102,6 @@ def records_of(channels: tuple[Announced, ...]) -> tuple[list[Schema], list[Chan
     ]
 
 
-def own_schema(name: str) -> str:
+def schema_name(name: str) -> str:
     """What a schema of ours is called in a log."""
     return f"marsarm/msg/{name}"

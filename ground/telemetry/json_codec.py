@@ -7,17 +7,17 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 
 from fsw.dictionary.commands import Command
-from ground.telemetry.events import as_json
-from ground.telemetry.topics import required
+from ground.telemetry.events import json_value
+from ground.telemetry.topics import strip_optional
 
-COMMANDS: dict[str, type[Command]] = {kind.__name__: kind for kind in get_args(Command)}
+COMMAND_TYPES: dict[str, type[Command]] = {kind.__name__: kind for kind in get_args(Command)}
 
 
-class NotPlain(ValueError):
+class BadJson(ValueError):
     """JSON that does not fit the record it is to be; the message says where and what would."""
 
 
-def to_plain(value: Any) -> Any:
+def record_to_json(value: Any) -> Any:
     """A record in JSON's words: fields by name, enums by name, tuples and arrays as lists.
 
     Floats are written so that they read back bit for bit; NaN and infinities as Python's JSON has them.
@@ -26,14 +26,14 @@ def to_plain(value: Any) -> Any:
         SchemaError: JSON has no word for something in it.
     """
     if is_dataclass(value):
-        return {f.name: to_plain(getattr(value, f.name)) for f in fields(value)}
+        return {f.name: record_to_json(getattr(value, f.name)) for f in fields(value)}
     if isinstance(value, tuple):
-        return [to_plain(item) for item in value]
-    return as_json(value)
+        return [record_to_json(item) for item in value]
+    return json_value(value)
 
 
-def from_plain(kind: Any, value: Any, place: str, notes: list[str], base: Any = None) -> Any:
-    """The record of a type that `to_plain` put into JSON's words.
+def record_from_json(kind: Any, value: Any, place: str, notes: list[str], base: Any = None) -> Any:
+    """The record of a type that `record_to_json` put into JSON's words.
 
     A record made by another version may lack a field, which is then that of `base` or its default, or have
     one that is gone, which is left out; `notes` gets a sentence for each.
@@ -41,40 +41,40 @@ def from_plain(kind: Any, value: Any, place: str, notes: list[str], base: Any = 
     Raises:
         NotPlain: a value is not of its type, or a field is missing.
     """
-    kind = required(kind)
+    kind = strip_optional(kind)
     origin = get_origin(kind)
     if is_dataclass(kind) and isinstance(kind, type):
-        return _record(kind, value, place, notes, base)
+        return _decode_record(kind, value, place, notes, base)
     if origin is tuple:
-        return _tuple(get_args(kind), value, place, notes)
+        return _decode_tuple(get_args(kind), value, place, notes)
     if origin is np.ndarray:
-        return _array(np.dtype(get_args(get_args(kind)[1])[0]), value, place)
+        return _decode_array(np.dtype(get_args(get_args(kind)[1])[0]), value, place)
     if origin is Literal:
-        return _one_of(get_args(kind), value, place)
+        return _check_choice(get_args(kind), value, place)
     if issubclass(kind, IntEnum):
-        return kind[_one_of(tuple(kind.__members__), value, place)]
+        return kind[_check_choice(tuple(kind.__members__), value, place)]
     # A whole number stands for a float where a person wrote one; it stays what it was.
     if not isinstance(value, (int, float) if kind is float else kind) or (
         isinstance(value, bool) and kind is not bool
     ):
-        raise NotPlain(f"{place}: {value!r:.80} is no {kind.__name__}")
+        raise BadJson(f"{place}: {value!r:.80} is no {kind.__name__}")
     return value
 
 
-def command_from(name: str, arguments: Any, notes: list[str]) -> Command:
+def command_from_json(name: str, arguments: Any, notes: list[str]) -> Command:
     """The command of this name with these arguments.
 
     Raises:
         NotPlain: there is no such command, or an argument is wrong.
     """
-    kind = COMMANDS[_one_of(tuple(COMMANDS), name, "command")]
-    command: Command = from_plain(kind, arguments, name, notes)
+    kind = COMMAND_TYPES[_check_choice(tuple(COMMAND_TYPES), name, "command")]
+    command: Command = record_from_json(kind, arguments, name, notes)
     return command
 
 
-def _record(kind: type, value: Any, place: str, notes: list[str], base: Any) -> Any:
+def _decode_record(kind: type, value: Any, place: str, notes: list[str], base: Any) -> Any:
     if not isinstance(value, dict):
-        raise NotPlain(f"{place}: {value!r:.80} is not the fields of a {kind.__name__}")
+        raise BadJson(f"{place}: {value!r:.80} is not the fields of a {kind.__name__}")
     hints = get_type_hints(kind, include_extras=True)
     known = {f.name: f for f in fields(kind)}
     notes += [f"{place}.{name} is not known today: left out" for name in value if name not in known]
@@ -82,41 +82,41 @@ def _record(kind: type, value: Any, place: str, notes: list[str], base: Any) -> 
     for name, field in known.items():
         inner = None if base is None else getattr(base, name)
         if name in value:
-            made[name] = from_plain(hints[name], value[name], f"{place}.{name}", notes, inner)
+            made[name] = record_from_json(hints[name], value[name], f"{place}.{name}", notes, inner)
         else:
-            made[name] = _missing(field, inner, place)
+            made[name] = _default_of(field, inner, place)
             notes.append(f"{place}.{name} was not known then: today's {made[name]!r:.80} is taken")
     return kind(**made)
 
 
-def _missing(field: Field[Any], base: Any, place: str) -> Any:
+def _default_of(field: Field[Any], base: Any, place: str) -> Any:
     if base is None and field.default is MISSING:
-        raise NotPlain(f"{place}.{field.name} is missing")
+        raise BadJson(f"{place}.{field.name} is missing")
     return field.default if base is None else base
 
 
-def _tuple(kinds: tuple[Any, ...], value: Any, place: str, notes: list[str]) -> tuple[Any, ...]:
+def _decode_tuple(kinds: tuple[Any, ...], value: Any, place: str, notes: list[str]) -> tuple[Any, ...]:
     if not isinstance(value, list):
-        raise NotPlain(f"{place}: {value!r:.80} is no list")
+        raise BadJson(f"{place}: {value!r:.80} is no list")
     if kinds[-1] is Ellipsis:
         kinds = kinds[:1] * len(value)
     if len(kinds) != len(value):
-        raise NotPlain(f"{place}: has {len(value)} items, {len(kinds)} would be right")
+        raise BadJson(f"{place}: has {len(value)} items, {len(kinds)} would be right")
     return tuple(
-        from_plain(kind, v, f"{place}.{k}", notes)
+        record_from_json(kind, v, f"{place}.{k}", notes)
         for k, (kind, v) in enumerate(zip(kinds, value, strict=True))
     )
 
 
-def _array(dtype: np.dtype[Any], value: Any, place: str) -> Any:
+def _decode_array(dtype: np.dtype[Any], value: Any, place: str) -> Any:
     """One row of flags or floats."""
     kinds = (bool,) if dtype.kind == "b" else (int, float)
     if not isinstance(value, list) or not all(type(item) in kinds for item in value):
-        raise NotPlain(f"{place}: {value!r:.80} is no list of {dtype}")
+        raise BadJson(f"{place}: {value!r:.80} is no list of {dtype}")
     return np.array(value, dtype)
 
 
-def _one_of(words: tuple[str, ...], value: Any, place: str) -> str:
+def _check_choice(words: tuple[str, ...], value: Any, place: str) -> str:
     if value not in words:
-        raise NotPlain(f"{place}: {value!r:.80} is not known; there are {', '.join(words)}")
+        raise BadJson(f"{place}: {value!r:.80} is not known; there are {', '.join(words)}")
     return str(value)

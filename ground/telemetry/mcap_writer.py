@@ -25,7 +25,7 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 from zstandard import ZstdCompressor
 
-from ground.telemetry.container import CHUNK_HEAD, RECORD_HEAD
+from ground.telemetry.mcap_reader import CHUNK_HEAD, RECORD_HEAD
 
 COMPRESSION_LEVEL: Final = -5
 """A log is an eighth larger than at level 1, and takes half the time."""
@@ -49,7 +49,7 @@ class RawFile(Protocol):
         """End it."""
 
 
-class Row(NamedTuple):
+class LogRow(NamedTuple):
     """Message records of one time, back to back."""
 
     time_ns: int
@@ -57,7 +57,7 @@ class Row(NamedTuple):
 
 
 @dataclass(slots=True)
-class Written:
+class McapState:
     """What a file holds so far, as far as its growth and its summary need to know."""
 
     size: int = 0
@@ -79,12 +79,12 @@ class Written:
             self.by_channel[channel] = self.by_channel.get(channel, 0) + len(numbers) // 2
 
 
-class McapFile:
+class McapWriter:
     """A file that grows by whole chunks, each written at once; after any of them it can be read so far."""
 
-    def __init__(self, file: RawFile, written: Written | None = None) -> None:
+    def __init__(self, file: RawFile, written: McapState | None = None) -> None:
         self._file = file
-        self.written = written or Written()
+        self.written = written or McapState()
         self._compressor = ZstdCompressor(level=COMPRESSION_LEVEL)
 
     def begin(
@@ -92,21 +92,21 @@ class McapFile:
     ) -> None:
         """Write what comes before any message; schemas and channels in a chunk, so that they have a CRC."""
         self.written.schemas, self.written.channels = schemas, channels
-        out, at = [MCAP0_MAGIC, encoded(Header("", "marsarm"))], len(MCAP0_MAGIC)
+        out, at = [MCAP0_MAGIC, encode_record(Header("", "marsarm"))], len(MCAP0_MAGIC)
         at += len(out[-1])
         for one in metadata:
-            out.append(encoded(one))
+            out.append(encode_record(one))
             self.written.metadata.append(MetadataIndex(length=len(out[-1]), name=one.name, offset=at))
             at += len(out[-1])
         self._write(b"".join(out))
-        self._write_chunk(b"".join(encoded(one) for one in (*schemas, *channels)), 0, 0, {})
+        self._write_chunk(b"".join(encode_record(one) for one in (*schemas, *channels)), 0, 0, {})
 
-    def add_chunk(self, rows: Sequence[Row]) -> None:
+    def add_chunk(self, rows: Sequence[LogRow]) -> None:
         """Write these messages, at least one, as one chunk with its message indexes."""
         entries: dict[int, list[int]] = defaultdict(list)
         at = 0
         for time_ns, data in rows:
-            for channel, begin in messages_of(data):
+            for channel, begin in message_offsets(data):
                 entries[channel] += (time_ns, at + begin)
             at += len(data)
         times_ns = [row.time_ns for row in rows]
@@ -116,7 +116,7 @@ class McapFile:
 
     def finish(self) -> None:
         """Write the summary; the file is whole after it."""
-        end = encoded(DataEnd(self.written.crc))
+        end = encode_record(DataEnd(self.written.crc))
         groups: dict[Opcode, Sequence[McapRecord]] = {
             Opcode.SCHEMA: self.written.schemas,
             Opcode.CHANNEL: self.written.channels,
@@ -127,13 +127,13 @@ class McapFile:
         start = at = self.written.size + len(end)
         parts, offsets = [], []
         for opcode, group in groups.items():
-            part = b"".join(map(encoded, group))
+            part = b"".join(map(encode_record, group))
             offsets.append(SummaryOffset(group_opcode=opcode, group_start=at, group_length=len(part)))
             parts.append(part)
             at += len(part)
-        summary = b"".join([*parts, *map(encoded, offsets)])
+        summary = b"".join([*parts, *map(encode_record, offsets)])
         crc = zlib.crc32(FOOTER_HEAD.pack(Opcode.FOOTER, 20, start, at), zlib.crc32(summary))
-        self._write(end + summary + encoded(Footer(start, at, crc)) + MCAP0_MAGIC)
+        self._write(end + summary + encode_record(Footer(start, at, crc)) + MCAP0_MAGIC)
 
     def close(self) -> None:
         """End the file as it is."""
@@ -193,7 +193,7 @@ class McapFile:
         self.written.size += len(data)
 
 
-def messages_of(data: bytes) -> Iterator[tuple[int, int]]:
+def message_offsets(data: bytes) -> Iterator[tuple[int, int]]:
     """Channel and beginning of each of these message records."""
     at = 0
     while at < len(data):
@@ -202,7 +202,7 @@ def messages_of(data: bytes) -> Iterator[tuple[int, int]]:
         at += RECORD_HEAD.size + length
 
 
-def encoded(record: McapRecord) -> bytes:
+def encode_record(record: McapRecord) -> bytes:
     """The bytes of a record."""
     builder = RecordBuilder()
     record.write(builder)

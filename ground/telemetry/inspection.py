@@ -16,9 +16,9 @@ from ground.telemetry.format import TICK_NS
 from ground.telemetry.read import Log
 from sim.scenario.names import did_you_mean
 
-MOST_S: Final = 9e9
+MAX_LOG_S: Final = 9e9
 """No log is as long; its nanoseconds still have room in eight bytes."""
-PLACE: Final = re.compile(r"(.*)\[([0-9]{1,9}(?:,[0-9]{1,9})*)\]")
+INDEXED_PATTERN: Final = re.compile(r"(.*)\[([0-9]{1,9}(?:,[0-9]{1,9})*)\]")
 """A pattern with the place of one number behind it."""
 
 
@@ -49,7 +49,7 @@ class LogInfo:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Channel:
+class ChannelSeries:
     """A field of a packet, or one number of it, over the whole log.
 
     `values` has shape (n, ...), one for each of `time_ns`.
@@ -66,7 +66,7 @@ class Channel:
     @property
     def name(self) -> str:
         """What it is called everywhere: /joint.motor_rad, /joint.motor_rad[2]."""
-        return f"{self.topic}.{self.field}{place_text(self.place)}"
+        return f"{self.topic}.{self.field}{index_text(self.place)}"
 
     @property
     def unit(self) -> str | None:
@@ -89,12 +89,12 @@ class Range:
     not_finite: int
 
 
-def place_text(place: tuple[int, ...]) -> str:
+def index_text(place: tuple[int, ...]) -> str:
     """How one number of a field is told from the others, as in tables: [2], [0,1]; nothing for ()."""
     return f"[{','.join(map(str, place))}]" if place else ""
 
 
-def info_of(log: Log) -> LogInfo:
+def summarize_log(log: Log) -> LogInfo:
     """The log in a few numbers."""
     times = [time_ns for time_ns in log.time_ns.values() if len(time_ns)]
     cycles = np.unique(np.concatenate(times)) if times else np.zeros(0, np.uint64)
@@ -117,7 +117,7 @@ def bound_ns(option: str, time_s: float | None) -> int | None:
     """A bound of log time; NoSuchChannel where it is no time that a log can have."""
     if time_s is None:
         return None
-    if not 0.0 <= time_s < MOST_S:
+    if not 0.0 <= time_s < MAX_LOG_S:
         raise NoSuchChannel(f"{option}: {time_s} s is no log time; give seconds from 0 on")
     return round(time_s * 1e9)
 
@@ -127,7 +127,7 @@ def severity_name(grade: int) -> str:
     return Severity(grade).name if grade in list(Severity) else str(grade)
 
 
-def channels_of(log: Log, globs: Sequence[str] = ()) -> tuple[Channel, ...]:
+def select_channels(log: Log, globs: Sequence[str] = ()) -> tuple[ChannelSeries, ...]:
     """The channels that any of these patterns fits, in the order of the patterns; all without one.
 
     A pattern is as /joint.motor_rad, or /joint/motor_rad, * being any letters; [2] behind it is one number.
@@ -136,13 +136,13 @@ def channels_of(log: Log, globs: Sequence[str] = ()) -> tuple[Channel, ...]:
         NoSuchChannel: a pattern fits none.
     """
     every = [
-        Channel(topic, name, log.time_ns[topic], packets[name], topic in log.truth)
+        ChannelSeries(topic, name, log.time_ns[topic], packets[name], topic in log.truth)
         for topic, packets in sorted(log.packets.items())
         for name in packets.dtype.names or ()
     ]
-    found: dict[str, Channel] = {}
+    found: dict[str, ChannelSeries] = {}
     for glob in globs or ("*",):
-        fitting = _fitting(every, glob)
+        fitting = _matching(every, glob)
         if not fitting and globs:
             hint, _, _ = did_you_mean(glob, [one.name for one in every]).rpartition("there are ")
             raise NoSuchChannel(
@@ -153,30 +153,30 @@ def channels_of(log: Log, globs: Sequence[str] = ()) -> tuple[Channel, ...]:
     return tuple(found.values())
 
 
-def _fitting(every: Sequence[Channel], glob: str) -> list[Channel]:
+def _matching(every: Sequence[ChannelSeries], glob: str) -> list[ChannelSeries]:
     """The channels, or numbers of them, that a pattern fits."""
-    numbered = PLACE.fullmatch(glob)
+    numbered = INDEXED_PATTERN.fullmatch(glob)
     if numbered is not None:
         base, place = numbered[1], tuple(map(int, numbered[2].split(",")))
-        return [_number_of(one, place) for one in every if _fits(one, base) and _has(one, place)]
+        return [_select_number(one, place) for one in every if _fits(one, base) and _has_index(one, place)]
     return [one for one in every if _fits(one, glob)]
 
 
-def _fits(channel: Channel, glob: str) -> bool:
+def _fits(channel: ChannelSeries, glob: str) -> bool:
     return any(fnmatchcase(f"{channel.topic}{mark}{channel.field}", glob) for mark in "./")
 
 
-def _has(channel: Channel, place: tuple[int, ...]) -> bool:
+def _has_index(channel: ChannelSeries, place: tuple[int, ...]) -> bool:
     shape = channel.values.shape[1:]
     return len(shape) == len(place) and all(k < size for k, size in zip(place, shape, strict=True))
 
 
-def _number_of(channel: Channel, place: tuple[int, ...]) -> Channel:
+def _select_number(channel: ChannelSeries, place: tuple[int, ...]) -> ChannelSeries:
     index: tuple[slice | int, ...] = (slice(None), *place)
     return replace(channel, values=channel.values[index], place=place)
 
 
-def range_of(channel: Channel) -> Range:
+def range_of(channel: ChannelSeries) -> Range:
     """The least and the greatest value, and how many are NaN or infinite."""
     values = channel.values
     if values.dtype.kind == "b":

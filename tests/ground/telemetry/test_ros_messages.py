@@ -15,7 +15,7 @@ from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.transforms import Pose
 from ground.telemetry.read import read_log
-from ground.telemetry.standard import quaternion
+from ground.telemetry.ros_messages import quaternion
 from sim.arms import arm_named
 from sim.record import CycleRecord
 from tests.ground.telemetry.ros2 import Decoder

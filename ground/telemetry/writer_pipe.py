@@ -18,32 +18,32 @@ from io import FileIO
 from typing import Final
 
 from fsw.config import Config
-from ground.telemetry.mcap_file import Written
-from ground.telemetry.standard import Sample
-from ground.telemetry.writer import END, PIPE_BYTES, READY, ROW_HEAD, Ended, Job
+from ground.telemetry.mcap_writer import McapState
+from ground.telemetry.ros_messages import JointSample
+from ground.telemetry.writer_process import END, PIPE_BYTES, READY, ROW_HEAD, WriterJob, WriterStatus
 
-WRITER: Final = "import sys; sys.path[:] = {}; from ground.telemetry.writer import main; main()"
-PATH: Final = [os.path.abspath(folder) for folder in sys.path]
+WRITER_CODE: Final = "import sys; sys.path[:] = {}; from ground.telemetry.writer_process import main; main()"
+CODE_PATH: Final = [os.path.abspath(folder) for folder in sys.path]
 """Where this process found the code, whatever folder it works in later."""
-FOR_THE_RUN: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+RUN_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """What is sent to a whole group of processes and is for the run, which ends its log."""
 
 
-class Handover:
+class WriterPipe:
     """A log in the hands of its writer; nothing that was put is dropped silently."""
 
     def __init__(
-        self, file: FileIO, written: Written, ids: Mapping[str, int], config: Config | None, chunk_s: float
+        self, file: FileIO, written: McapState, ids: Mapping[str, int], config: Config | None, chunk_s: float
     ) -> None:
         """Share the file of a log that has been begun; OSError if there can be no process to write it."""
-        job = pickle.dumps(Job(file.fileno(), written, ids, config, chunk_s))
+        job = pickle.dumps(WriterJob(file.fileno(), written, ids, config, chunk_s))
         self._process = os.getpid()
-        self._ended: Ended | None = None
+        self._ended: WriterStatus | None = None
         self._is_torn = False
         with ExitStack() as on_failure:
-            with _kept_from_new_processes(FOR_THE_RUN):
+            with _block_signals(RUN_SIGNALS):
                 self._writer = subprocess.Popen(
-                    [sys.executable, "-c", WRITER.format(PATH)],
+                    [sys.executable, "-c", WRITER_CODE.format(CODE_PATH)],
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     bufsize=0,
@@ -69,7 +69,7 @@ class Handover:
         """Time of the last row that the operating system has, known once the writer has ended."""
         return None if self._ended is None else self._ended.written_ns
 
-    def put(self, time_ns: int, data: bytes, sample: Sample | None) -> None:
+    def put(self, time_ns: int, data: bytes, sample: JointSample | None) -> None:
         """Hand over the records of a cycle, and what the messages for other tools are made of.
 
         Raises:
@@ -83,7 +83,7 @@ class Handover:
             raise ValueError("the log is closed; open another to record more")
         if self._is_torn:
             raise ValueError("a cycle was interrupted on its way into the log, and none can follow; close it")
-        self._send(as_sent(time_ns, data, sample))
+        self._send(encode_row(time_ns, data, sample))
 
     def close(self) -> None:
         """Have the log completed, and wait for it; OSError if it could not be."""
@@ -123,7 +123,11 @@ class Handover:
         with self._outlet:
             said = self._outlet.read().rpartition(b"\n")[2]  # behind what was not waited for
         status = self._writer.wait()
-        self._ended = Ended(**json.loads(said)) if said else Ended(None, errno.EPIPE, _why(status))
+        self._ended = (
+            WriterStatus(**json.loads(said))
+            if said
+            else WriterStatus(None, errno.EPIPE, _describe_exit(status))
+        )
 
     def _raise(self) -> None:
         if self._ended is not None and self._ended.error_number:
@@ -131,7 +135,7 @@ class Handover:
 
 
 @contextmanager
-def _kept_from_new_processes(signals: tuple[signal.Signals, ...]) -> Iterator[None]:
+def _block_signals(signals: tuple[signal.Signals, ...]) -> Iterator[None]:
     """Processes that are started in the block never get these signals."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
@@ -140,12 +144,12 @@ def _kept_from_new_processes(signals: tuple[signal.Signals, ...]) -> Iterator[No
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def as_sent(time_ns: int, data: bytes, sample: Sample | None) -> bytes:
+def encode_row(time_ns: int, data: bytes, sample: JointSample | None) -> bytes:
     """A row as the writer takes it."""
     extra = b"" if sample is None else sample.to_bytes()
     return b"".join((ROW_HEAD.pack(time_ns, len(data), len(extra)), data, extra))
 
 
-def _why(status: int) -> str:
+def _describe_exit(status: int) -> str:
     how = f"was killed by signal {-status}" if status < 0 else f"ended with status {status}"
     return f"the process that wrote it {how}"

@@ -10,7 +10,7 @@ from mcap.records import Channel
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from ground.telemetry.chunks import HEAD, MESSAGE_HEAD, Messages
+from ground.telemetry.chunks import MESSAGE_DTYPE, MESSAGE_OVERHEAD, MessageBatch
 from ground.telemetry.format import (
     CHANNELS_KEY,
     COMMAND_TOPIC,
@@ -23,7 +23,7 @@ from ground.telemetry.schema import Layout
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class KnownTopic:
     """A channel of ours; the layout is None for EVRs and commands, which have no fixed one."""
 
     topic: str
@@ -31,7 +31,7 @@ class Known:
     is_truth: bool
 
 
-def announced(header: Mapping[str, str]) -> dict[int, dict[str, Any]]:
+def decode_topics(header: Mapping[str, str]) -> dict[int, dict[str, Any]]:
     """What a header says of its channels, by number, the topic with it; empty where it says nothing.
 
     KeyError, TypeError, AttributeError or ValueError when it says something else.
@@ -40,20 +40,20 @@ def announced(header: Mapping[str, str]) -> dict[int, dict[str, Any]]:
     return {int(said["id"]): {**said, "topic": topic} for topic, said in topics.items()}
 
 
-def known_channels(header: Mapping[str, str], records: Mapping[int, Channel]) -> dict[int, Known]:
+def known_topics(header: Mapping[str, str], records: Mapping[int, Channel]) -> dict[int, KnownTopic]:
     """The channels of ours: as the header announces them, or, where it does not, as their records say.
 
     Channels of others, and those that repeat ours in the form of other tools, are left out.
     """
-    said = announced(header) or {number: _said(channel) for number, channel in records.items()}
+    said = decode_topics(header) or {number: _topic_document(channel) for number, channel in records.items()}
     return {
-        number: Known(one["topic"], _layout(one["layout"]), bool(one["truth"]))
+        number: KnownTopic(one["topic"], _parse_layout(one["layout"]), bool(one["truth"]))
         for number, one in said.items()
         if one["topic"] in (EVR_TOPIC, COMMAND_TOPIC) or (one["layout"] is not None and not one["derived"])
     }
 
 
-def _said(channel: Channel) -> dict[str, Any]:
+def _topic_document(channel: Channel) -> dict[str, Any]:
     """What a channel's record says, in the words of a header."""
     layout = channel.metadata.get(LAYOUT_KEY)
     return {
@@ -64,26 +64,26 @@ def _said(channel: Channel) -> dict[str, Any]:
     }
 
 
-def _layout(rows: Any) -> Layout | None:
+def _parse_layout(rows: Any) -> Layout | None:
     return None if rows is None else Layout.from_json(json.dumps(rows))
 
 
-Rows = Sequence[NDArray[np.int64]]
+BatchRows = Sequence[NDArray[np.int64]]
 """Which messages of each batch, shapes (n,)."""
 
 
-def rows_of(batches: Sequence[Messages], channel_id: int) -> Rows:
+def rows_of(batches: Sequence[MessageBatch], channel_id: int) -> BatchRows:
     """The messages of a channel."""
     return [np.flatnonzero(batch.heads["channel"] == channel_id) for batch in batches]
 
 
-def heads_of(batches: Sequence[Messages], rows: Rows) -> NDArray[np.void]:
+def heads_of(batches: Sequence[MessageBatch], rows: BatchRows) -> NDArray[np.void]:
     """Their heads, type HEAD, shape (n,)."""
     found = [batch.heads[of_batch] for batch, of_batch in zip(batches, rows, strict=True)]
-    return np.concatenate([np.zeros(0, HEAD), *found])
+    return np.concatenate([np.zeros(0, MESSAGE_DTYPE), *found])
 
 
-def chosen_of(rows: Rows, is_chosen: NDArray[np.bool_]) -> Rows:
+def select_rows(rows: BatchRows, is_chosen: NDArray[np.bool_]) -> BatchRows:
     """Those of the messages that are chosen; `is_chosen` has shape (n,) over all batches."""
     of_batch = np.split(is_chosen, np.cumsum([len(one) for one in rows])[:-1])
     return [one[chosen] for one, chosen in zip(rows, of_batch, strict=True)]
@@ -112,29 +112,31 @@ def check_order(topic: str, time_ns: NDArray[np.uint64], one_a_cycle: bool) -> N
             )
 
 
-def packets_of(batches: Sequence[Messages], rows: Rows, topic: str, layout: Layout) -> NDArray[np.void]:
+def packets_of(
+    batches: Sequence[MessageBatch], rows: BatchRows, topic: str, layout: Layout
+) -> NDArray[np.void]:
     """The messages as one read-only array, shape (n,); ValueError when one has not the layout's length."""
     dtype = layout.dtype
     # Seen to before memory is reserved for a layout that may be nonsense.
     lengths = np.concatenate([batch.heads["length"][one] for batch, one in zip(batches, rows, strict=True)])
-    if (lengths != MESSAGE_HEAD + dtype.itemsize).any():
+    if (lengths != MESSAGE_OVERHEAD + dtype.itemsize).any():
         raise ValueError(f"a message of {topic} is not {dtype.itemsize} bytes long")
     packets = np.empty(len(lengths), dtype)
     raw, done = packets.view(np.uint8).reshape(len(packets), dtype.itemsize), 0
     for batch, one in zip(batches, rows, strict=True):
         if len(one):
             windows = sliding_window_view(batch.data, dtype.itemsize)
-            raw[done : done + len(one)] = windows[batch.starts[one] + HEAD.itemsize]
+            raw[done : done + len(one)] = windows[batch.starts[one] + MESSAGE_DTYPE.itemsize]
             done += len(one)
     packets.flags.writeable = False
     return packets
 
 
-def bodies_of(batches: Sequence[Messages], rows: Rows) -> list[bytes]:
+def bodies_of(batches: Sequence[MessageBatch], rows: BatchRows) -> list[bytes]:
     """The messages one by one."""
     bodies = []
     for batch, of_batch in zip(batches, rows, strict=True):
-        begins = batch.starts[of_batch] + HEAD.itemsize
-        ends = begins + (batch.heads["length"][of_batch].astype(np.int64) - MESSAGE_HEAD)
+        begins = batch.starts[of_batch] + MESSAGE_DTYPE.itemsize
+        ends = begins + (batch.heads["length"][of_batch].astype(np.int64) - MESSAGE_OVERHEAD)
         bodies += [batch.data[b:e].tobytes() for b, e in zip(begins, ends, strict=True)]
     return bodies

@@ -11,7 +11,7 @@ from typing import Any
 from ground.telemetry.events import EvrEntry
 
 
-class Kind(StrEnum):
+class EvrChange(StrEnum):
     """How an event differs."""
 
     MISSING = "missing"
@@ -26,7 +26,7 @@ class Kind(StrEnum):
 class EvrDifference:
     """An event that differs; one of the two sides may be None."""
 
-    kind: Kind
+    kind: EvrChange
     recorded: EvrEntry | None
     replayed: EvrEntry | None
 
@@ -51,23 +51,23 @@ def evr_differences(
     """
     found: list[EvrDifference] = []
     left: tuple[list[EvrEntry], list[EvrEntry]] = ([], [])
-    ours, theirs = _by(recorded, "tick"), _by(replayed, "tick")
+    ours, theirs = _group_by(recorded, "tick"), _group_by(replayed, "tick")
     for tick in sorted({*ours, *theirs}):
-        found += _at_one_tick(ours.get(tick, []), theirs.get(tick, []), tolerance, left)
+        found += _compare_tick(ours.get(tick, []), theirs.get(tick, []), tolerance, left)
     for key in ("message", "name"):
-        pairs, left = _pairs(*left, key)
-        found += [EvrDifference(Kind.CHANGED, one, other) for one, other in pairs]
-    found += [EvrDifference(Kind.MISSING, one, None) for one in left[0]]
-    found += [EvrDifference(Kind.ADDED, None, other) for other in left[1]]
+        pairs, left = _pair_evrs(*left, key)
+        found += [EvrDifference(EvrChange.CHANGED, one, other) for one, other in pairs]
+    found += [EvrDifference(EvrChange.MISSING, one, None) for one in left[0]]
+    found += [EvrDifference(EvrChange.ADDED, None, other) for other in left[1]]
     return tuple(sorted(found, key=lambda difference: (difference.tick, difference.name)))
 
 
-def _pairs(
+def _pair_evrs(
     ours: list[EvrEntry], theirs: list[EvrEntry], key: str
 ) -> tuple[list[tuple[EvrEntry, EvrEntry]], tuple[list[EvrEntry], list[EvrEntry]]]:
     """Events that have something in common, in order; and those without a partner."""
     pairs, rest = [], []
-    free = _by(theirs, key)
+    free = _group_by(theirs, key)
     for one in ours:
         partners = free.get(getattr(one, key))
         if partners:
@@ -78,7 +78,7 @@ def _pairs(
     return pairs, (rest, [other for other in theirs if id(other) not in taken])
 
 
-def _at_one_tick(
+def _compare_tick(
     ours: list[EvrEntry],
     theirs: list[EvrEntry],
     tolerance: float,
@@ -86,41 +86,41 @@ def _at_one_tick(
 ) -> list[EvrDifference]:
     """Pairs of one name that differ; `left` gets those without a partner."""
     found = []
-    mine, yours = _by(ours, "name"), _by(theirs, "name")
+    mine, yours = _group_by(ours, "name"), _group_by(theirs, "name")
     for name in dict.fromkeys((*mine, *yours)):
         for one, other in zip_longest(mine.get(name, []), yours.get(name, [])):
             if one is None:
                 left[1].append(other)
             elif other is None:
                 left[0].append(one)
-            elif not _same(one, other, tolerance):
-                found.append(EvrDifference(Kind.CHANGED, one, other))
+            elif not _evrs_equal(one, other, tolerance):
+                found.append(EvrDifference(EvrChange.CHANGED, one, other))
     names = [[evr.name for evr in side] for side in (ours, theirs)]
     if names[0] != names[1] and sorted(names[0]) == sorted(names[1]):
         one, other = next((a, b) for a, b in zip(ours, theirs, strict=True) if a.name != b.name)
-        found.append(EvrDifference(Kind.CHANGED, one, other))
+        found.append(EvrDifference(EvrChange.CHANGED, one, other))
     return found
 
 
-def _by(evrs: Sequence[EvrEntry], key: str) -> dict[Any, list[EvrEntry]]:
+def _group_by(evrs: Sequence[EvrEntry], key: str) -> dict[Any, list[EvrEntry]]:
     groups: dict[Any, list[EvrEntry]] = defaultdict(list)
     for evr in evrs:
         groups[getattr(evr, key)].append(evr)
     return groups
 
 
-def _same(one: EvrEntry, other: EvrEntry, tolerance: float) -> bool:
+def _evrs_equal(one: EvrEntry, other: EvrEntry, tolerance: float) -> bool:
     if tolerance == 0.0:
         return one == other
     # The words round the numbers; within a tolerance they may round them to either side.
-    return one.severity == other.severity and _close(one.fields, other.fields, tolerance)
+    return one.severity == other.severity and _values_close(one.fields, other.fields, tolerance)
 
 
-def _close(a: Any, b: Any, tolerance: float) -> bool:
+def _values_close(a: Any, b: Any, tolerance: float) -> bool:
     if isinstance(a, dict) and isinstance(b, dict):
-        return a.keys() == b.keys() and all(_close(a[k], b[k], tolerance) for k in a)
+        return a.keys() == b.keys() and all(_values_close(a[k], b[k], tolerance) for k in a)
     if isinstance(a, list) and isinstance(b, list):
-        return len(a) == len(b) and all(_close(x, y, tolerance) for x, y in zip(a, b, strict=True))
+        return len(a) == len(b) and all(_values_close(x, y, tolerance) for x, y in zip(a, b, strict=True))
     if isinstance(a, float) and isinstance(b, float):
         near = isfinite(a - b) and abs(a - b) <= tolerance * max(1.0, abs(a))
         return near or a == b or (isnan(a) and isnan(b))

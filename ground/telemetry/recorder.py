@@ -1,7 +1,11 @@
 """Writes a run to an MCAP log that survives the death of its writer."""
 
+import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from fcntl import F_DUPFD_CLOEXEC, fcntl
+from io import FileIO
 from itertools import compress
 from operator import add, attrgetter
 from pathlib import Path
@@ -9,17 +13,85 @@ from types import TracebackType
 from typing import Self
 from weakref import finalize
 
+from mcap.records import Metadata
+
 from fsw.config import Config
-from ground.telemetry.catalogue import LOG_LINES, all_channels
+from ground.common.files import beside
 from ground.telemetry.errors import LogNotWritable
-from ground.telemetry.events import command_entry, evr_entry, log_line
-from ground.telemetry.format import CHUNK_S, COMMAND_TOPIC, EVR_TOPIC, TICK_NS
-from ground.telemetry.handover import Handover
-from ground.telemetry.opening import begun
-from ground.telemetry.pack import Packer, Source, numbered
-from ground.telemetry.standard import EVERY, sample_of
+from ground.telemetry.events import command_entry, evr_entry, rosout_message
+from ground.telemetry.format import (
+    CHANNELS_KEY,
+    CHUNK_S,
+    COMMAND_TOPIC,
+    EVR_TOPIC,
+    FORMAT,
+    FORMAT_RECORD,
+    HEADER_RECORD,
+    TICK_NS,
+    header_crc32,
+)
+from ground.telemetry.mcap_writer import McapState, McapWriter
+from ground.telemetry.pack import Packer, PacketSource, number_messages
+from ground.telemetry.ros_messages import SAMPLE_CYCLES, joint_sample
+from ground.telemetry.topic_specs import ROSOUT_TOPIC, TopicSpec, encode_topics, mcap_records, topic_specs
 from ground.telemetry.topics import PACKET_TOPICS
+from ground.telemetry.writer_pipe import WriterPipe
 from sim.record import CycleRecord
+
+
+@contextmanager
+def create_log(
+    path: Path, header: Mapping[str, str], channels: tuple[TopicSpec, ...]
+) -> Iterator[tuple[FileIO, McapState]]:
+    """A log that holds what comes before any message; open for the block.
+
+    When the block ends well, it takes the place of what was at this path, and else it goes.
+
+    Raises:
+        LogNotWritable: there can be no file, or there is no room; what was there is still there.
+    """
+    place = _resolve_path(path)
+    try:
+        with beside(place) as part, FileIO(part, "xb", opener=_open_above_stdio) as file:
+            yield file, _write_header(file, header, channels)
+    except OSError as error:
+        why = f"cannot be written ({error.strerror}); give a path with room that you may write"
+        raise LogNotWritable(path, why) from error
+
+
+def _open_above_stdio(path: str, flags: int) -> int:
+    """A file, not in the place of a standard stream that is closed: a new process takes those for its own."""
+    found = os.open(path, flags, 0o666)
+    try:
+        return fcntl(found, F_DUPFD_CLOEXEC, 3)
+    finally:
+        os.close(found)
+
+
+def _resolve_path(path: Path) -> Path:
+    """Where the file goes, links followed."""
+    try:
+        if path.is_dir():
+            raise LogNotWritable(path, "is a directory; give the path of a file, such as run.mcap in it")
+        exists = path.exists()
+        if exists and not path.is_file():
+            raise LogNotWritable(path, "is not a regular file; give the path of a new file")
+        if not path.parent.is_dir():
+            raise LogNotWritable(path, f"directory {path.parent} does not exist; make it, or give another")
+        if exists and not os.access(path, os.W_OK):
+            raise LogNotWritable(path, "is there and you may not write it; give the path of a new file")
+        return Path(os.path.realpath(path))
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise LogNotWritable(path, f"cannot be written ({why}); give a path that you may write") from error
+
+
+def _write_header(file: FileIO, header: Mapping[str, str], channels: tuple[TopicSpec, ...]) -> McapState:
+    log = McapWriter(file)
+    header = {**header, CHANNELS_KEY: encode_topics(channels)}
+    about = {"version": FORMAT, "header_crc32": header_crc32(header)}
+    log.begin([Metadata(FORMAT_RECORD, about), Metadata(HEADER_RECORD, header)], *mcap_records(channels))
+    return log.written
 
 
 class Recorder:
@@ -42,23 +114,23 @@ class Recorder:
         chunk_s: float = CHUNK_S,
     ) -> None:
         self.path = Path(path)
-        channels = all_channels()
+        channels = topic_specs()
         ids = {one.topic: one.id for one in channels}
         self._sources = [
-            Source(topic.path, one.id, one.layout)
+            PacketSource(topic.path, one.id, one.layout)
             for one, (topic, _) in zip(channels, PACKET_TOPICS, strict=False)
             if one.layout is not None
         ]
         self._packets = attrgetter(*[source.path for source in self._sources])
         self._packers: dict[tuple[bool, ...], Packer] = {}
         self._counts = [0] * len(self._sources)
-        self._event_ids = ids[COMMAND_TOPIC], ids[EVR_TOPIC], ids[LOG_LINES]
+        self._event_ids = ids[COMMAND_TOPIC], ids[EVR_TOPIC], ids[ROSOUT_TOPIC]
         self._event_counts = dict.fromkeys(self._event_ids, 0)
         self._has_standard = config is not None
         self._last_tick = -1
-        with begun(self.path, header, channels) as (file, written):
+        with create_log(self.path, header, channels) as (file, written):
             try:
-                self._handover = Handover(file, written, ids, config, chunk_s)
+                self._handover = WriterPipe(file, written, ids, config, chunk_s)
             except OSError as error:
                 why = f"has no process to write it ({error.strerror}); see that {sys.executable} starts"
                 raise LogNotWritable(self.path, why) from error
@@ -95,8 +167,8 @@ class Recorder:
         data = packer.pack(record, time_ns, [*compress(self._counts, present)])
         if record.commands or record.outputs.evrs:
             data = self._with_events(record, time_ns, data)
-        sampled = self._has_standard and record.tick % EVERY == 0
-        self._handover.put(time_ns, data, sample_of(record) if sampled else None)
+        sampled = self._has_standard and record.tick % SAMPLE_CYCLES == 0
+        self._handover.put(time_ns, data, joint_sample(record) if sampled else None)
         self._last_tick = record.tick
         self._counts = [*map(add, self._counts, present)]
 
@@ -119,9 +191,12 @@ class Recorder:
         after = [
             message
             for evr in record.outputs.evrs
-            for message in ((evr_id, evr_entry(record.tick, evr).encode()), (line_id, log_line(time_ns, evr)))
+            for message in (
+                (evr_id, evr_entry(record.tick, evr).encode()),
+                (line_id, rosout_message(time_ns, evr)),
+            )
         ]
         counts = dict(self._event_counts)
-        first, last = (numbered(counts, time_ns, messages) for messages in (before, after))
+        first, last = (number_messages(counts, time_ns, messages) for messages in (before, after))
         self._event_counts = counts
         return first + data + last
