@@ -3,7 +3,7 @@
 import time
 from typing import Any
 
-from ground.accuracy.budget_request import BudgetRequest, budget_report
+from ground.accuracy.budget_request import BudgetRequest, run_budget
 
 LIMIT_S = 3.0
 RUNS = 3
@@ -14,7 +14,7 @@ def budget_speed() -> dict[str, Any]:
     request, took_s = BudgetRequest(), []
     for _ in range(RUNS):
         begun = time.perf_counter()
-        report = budget_report(request, lambda *_: None)
+        report = run_budget(request, lambda *_: None)
         took_s.append(time.perf_counter() - begun)
     return {
         "poses": request.poses,

@@ -16,16 +16,20 @@ from scipy.optimize import least_squares
 
 from fsw.kinematics.transforms import Array
 from ground.calibration.arm_model import arm_model
-from ground.calibration.arm_numbers import arm_parameters
+from ground.calibration.arm_parameters import arm_parameters
 from ground.calibration.calibrate import Calibration, calibrate, rms_m
 from ground.calibration.campaign import CampaignPlan, earth_reference, run_campaign
+from ground.calibration.campaign_data import Campaign
 from ground.calibration.checks import BadData, check_data, check_fit
-from ground.calibration.data import Campaign
 from ground.calibration.fit import fit
 from ground.calibration.parameter_file import calibrated_params, save_parameter_file
-from ground.calibration.settled import settled_campaign, stops_off
-from ground.calibration.tools import registered_tools
-from ground.calibration.truth import truth_beside, zeros_off
+from ground.calibration.simulation import (
+    compare_with_truth,
+    hardstop_errors_rad,
+    simulate_campaign,
+    zero_errors_rad,
+)
+from ground.calibration.verify import register_tools
 from ground.common.pool import on_this_machine
 from ground.common.rates import interval
 from sim.arms import arm_named
@@ -59,9 +63,9 @@ def measured(trial: Trial) -> tuple[Campaign, Array]:
     """The campaign, and by how much motors stand beyond where they are believed to."""
     arm, plan = arm_named(f"as-built:{trial.seed}"), CampaignPlan(seed=trial.seed)
     if not trial.closed_loop:
-        return settled_campaign(arm, plan), stops_off(arm)
+        return simulate_campaign(arm, plan), hardstop_errors_rad(arm)
     reference = earth_reference(arm, _quiet)
-    return run_campaign(arm, reference, plan, _quiet), zeros_off(arm, reference)
+    return run_campaign(arm, reference, plan, _quiet), zero_errors_rad(arm, reference)
 
 
 def run(trial: Trial) -> dict[str, Any]:
@@ -76,25 +80,25 @@ def run(trial: Trial) -> dict[str, Any]:
         refused = str(error)
     if trial.files is not None:
         _save(found, trial)
-    before, held = found.before[:, found.judged_poses], found.held_out_error
-    beside = truth_beside(arm_named(f"as-built:{trial.seed}"), found, off_rad)
+    before, held = found.before[:, found.held_out_poses], found.held_out_error
+    beside = compare_with_truth(arm_named(f"as-built:{trial.seed}"), found, off_rad)
     state = arm_model(nominal, campaign, with_backlash=False).errors(found.best.values)
     inside = np.array([branch.startswith("shoulder-in") for branch in campaign.branch])
     length = np.linalg.norm(state[3:], axis=0)
     return {
         "seed": trial.seed,
         "poses": campaign.count,
-        "outliers": list(found.cleaned.outliers),
+        "outliers": list(found.rejection.outliers),
         "refused": refused,
         "before_rms_mm": 1e3 * rms_m(before),
         "held_out_rms_mm": 1e3 * rms_m(held),
         "held_out_max_mm": 1e3 * float(np.linalg.norm(held[3:], axis=0).max()),
         "factor": rms_m(before) / rms_m(held),
-        "held_out_over_expected": found.judged.ratio,
+        "held_out_over_expected": found.hold_out.ratio,
         "sigma0": found.best.sigma0,
         "p_value": found.best.p_value,
-        "rank_frames": found.frames_seen.rank,
-        "rank_all": found.seen.rank,
+        "rank_frames": found.frame_identifiability.rank,
+        "rank_all": found.identifiability.rank,
         "intervals_hold": [int(np.sum(np.abs(beside.sigmas) < INTERVAL)), beside.sigmas.size],
         "truth_rms_mm": 1e3 * rms_m(beside.error),
         "stateless_mm": {
@@ -184,7 +188,7 @@ def campaign(
 
 
 def _save(found: Calibration, trial: Trial) -> None:
-    tools = registered_tools(arm_named(f"as-built:{trial.seed}"), trial.seed)
+    tools = register_tools(arm_named(f"as-built:{trial.seed}"), trial.seed)
     assert trial.files is not None
     save_parameter_file(found, calibrated_params(found, tools), trial.files / f"{trial.seed}.toml")
 

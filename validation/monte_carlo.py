@@ -14,9 +14,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from ground.accuracy.budget import COMPONENTS, COVERAGE, OURS
-from ground.accuracy.monte_carlo_request import MonteCarloReport, MonteCarloRequest, monte_carlo_report
-from ground.accuracy.monte_carlo_tables import monte_carlo_json
+from ground.accuracy.budget import COMPONENTS, COVERAGE, MOMENTS
+from ground.accuracy.monte_carlo import MonteCarloReport, MonteCarloRequest, run_monte_carlo
+from ground.accuracy.monte_carlo_report import monte_carlo_json
 from validation.options import parser
 
 EXAMPLE = "example: python -m validation.monte_carlo --statics 2000 --closed-loop 100 --calibrated 5"
@@ -63,15 +63,15 @@ def calibrated(asked: Any) -> dict[str, Any]:
         workers=asked.workers,
     )
     report = _run(request, asked.results)
-    if report.spreads is None:
+    if report.three_sigma is None:
         return {"failed": dict(report.failed), "in_bounds": False}
-    held = [report.spreads[name].accuracy.upper / most for name, most in ACCURACY.items()]
-    held += [report.spreads[name].repeatability.upper / most for name, most in REPEATABILITY.items()]
+    held = [report.three_sigma[name].accuracy.upper / most for name, most in ACCURACY.items()]
+    held += [report.three_sigma[name].repeatability.upper / most for name, most in REPEATABILITY.items()]
     return {
         "arms": len(report.trials),
         "places": PLACES,
         "failed": dict(report.failed),
-        "three_sigma": {name: asdict(values) for name, values in report.spreads.items()},
+        "three_sigma": {name: asdict(values) for name, values in report.three_sigma.items()},
         "most_of_a_bound": max(held),
         "goal_met": max(held) <= 0.5,
         "in_bounds": max(held) <= 1.0 and not report.failed,
@@ -79,7 +79,7 @@ def calibrated(asked: Any) -> dict[str, Any]:
 
 
 def _rule_holds(report: MonteCarloReport) -> bool:
-    found = [report.judged.coverage[OURS][name] for name in COMPONENTS] if report.judged else []
+    found = [report.coverage.by_rule[MOMENTS][name] for name in COMPONENTS] if report.coverage else []
     tells_width = len(report.trials) >= FEWEST_FOR_WIDTH
     return bool(found) and all(c.holds(COVERAGE) and (c.width <= MOST_WIDE or not tells_width) for c in found)
 
@@ -90,7 +90,7 @@ def _run(request: MonteCarloRequest, folder: Path | None) -> MonteCarloReport:
     def progress(done: float, total: float, what: str) -> None:
         print(f"\r{name[:-6]}: {done:g} of {total:g} {what} ", end="", file=sys.stderr)
 
-    found = monte_carlo_report(replace(request, results=folder and folder / name), progress)
+    found = run_monte_carlo(replace(request, results=folder and folder / name), progress)
     print(file=sys.stderr)
     return found
 

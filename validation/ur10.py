@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from fsw.kinematics.transforms import Array, Integers
-from ground.calibration.serial.amounts import wave_rad
+from ground.calibration.serial.calibrate import periodic_error_rad
+from ground.calibration.serial.report import serial_json
 from ground.calibration.serial.request import SerialReport, SerialRequest, calibrate_serial
-from ground.calibration.serial.tables import serial_json
 from validation.options import parser
 
 EXAMPLE = "example: MARSARM_DATA=~/data python -m validation.ur10 > ur10.json"
@@ -62,7 +62,7 @@ def document(folder: Path) -> dict[str, Any]:
 
 def _series(folder: Path, name: str, made: Path) -> SerialReport:
     request = SerialRequest(FILES / "arm.toml", folder / TABLES[name], FILES / f"series_{name}.toml")
-    return calibrate_serial(replace(request, ladder=True, out=made / f"{name}.toml"), _tell)
+    return calibrate_serial(replace(request, nested=True, out=made / f"{name}.toml"), _tell)
 
 
 def _check(report: SerialReport, bound_mm: float) -> dict[str, Any]:
@@ -106,8 +106,8 @@ def _visits(report: SerialReport, joint: int) -> Integers:
 def _waves_rad(report: SerialReport, joint: int, at_rad: Array) -> Array:
     arm = report.steps[-1].found.arm
     phase = at_rad[:, None] * np.arange(1, arm.orders + 1)
-    amplitudes = arm.links[joint].waves_rad(arm.orders)
-    return wave_rad(np.concatenate([np.cos(phase), np.sin(phase)], axis=1), amplitudes)
+    amplitudes = arm.links[joint].periodic_rad(arm.orders)
+    return periodic_error_rad(np.concatenate([np.cos(phase), np.sin(phase)], axis=1), amplitudes)
 
 
 def _short(report: SerialReport) -> dict[str, Any]:

@@ -7,10 +7,9 @@ from typing import Final
 
 from fsw.config import configure, digest
 from fsw.dictionary.enums import Tool
-from ground.accuracy.budget import Budget, budget
-from ground.accuracy.paper import TABLE_3, TABLE_4, Row
-from ground.accuracy.reproduce import Reproduced, reproduce
-from ground.accuracy.sources import ErrorModel, error_model
+from ground.accuracy.budget import Budget, compute_budgets
+from ground.accuracy.reproduce import TABLE_3, TABLE_4, MagnitudeFit, PaperRow, reproduce
+from ground.accuracy.sources import ErrorModel, load_error_model
 from ground.common.files import BadOutput, check_output
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest, check_apart, check_seed, chosen_arm, tilted_world
@@ -41,24 +40,24 @@ class BudgetReport:
     request: BudgetRequest
     model: ErrorModel
     budgets: Mapping[str, Budget]
-    rows: tuple[tuple[Row, float], ...]
+    rows: tuple[tuple[PaperRow, float], ...]
     """The paper's rows of the cases that were asked for, and ours."""
-    reproduced: tuple[Reproduced, ...]
+    reproduced: tuple[MagnitudeFit, ...]
     """Tables 3 and 4, if that was asked for."""
     params_sha256: str
 
 
-def budget_report(request: BudgetRequest, progress: Progress) -> BudgetReport:
+def run_budget(request: BudgetRequest, progress: Progress) -> BudgetReport:
     """The budgets of one case or of all.
 
     Raises:
         BadRequest: the request is wrong; nothing was written.
     """
-    model = error_model()
+    model = load_error_model()
     names = tuple(model.case) if request.case == ALL else (request.case,)
     if request.case not in (ALL, *model.case):
         raise BadRequest(f"case: {request.case!r} is not known; there are {', '.join(model.case)} and {ALL}")
-    tools = _tools(request.tool)
+    tools = _parse_tools(request.tool)
     check_seed(request.seed)
     least, most = POSES
     if not least <= request.poses <= most:
@@ -72,20 +71,20 @@ def budget_report(request: BudgetRequest, progress: Progress) -> BudgetReport:
         raise BadRequest(str(error)) from error
     params = chosen_arm("nominal", request.params).params
     config = configure(params)
-    budgets = budget(model, names, config, gravity, tools, request.poses, request.seed, progress)
+    budgets = compute_budgets(model, names, config, gravity, tools, request.poses, request.seed, progress)
     rows = [
         (row, budgets[row.case].estimate("paper", row.component))
         for row in (*TABLE_3, *TABLE_4)
         if row.case in budgets
     ]
-    reproduced: list[Reproduced] = []
+    reproduced: list[MagnitudeFit] = []
     for table in (TABLE_3, TABLE_4) if request.reproduce else ():
         progress(len(reproduced), 2, "reproducing")
         reproduced.append(reproduce(model, table, config, gravity, request.seed))
     return BudgetReport(request, model, budgets, tuple(rows), tuple(reproduced), digest(params))
 
 
-def _tools(name: str) -> tuple[Tool, ...]:
+def _parse_tools(name: str) -> tuple[Tool, ...]:
     known = {tool.name.lower(): tool for tool in Tool}
     if name.lower() == ALL:
         return tuple(Tool)

@@ -1,23 +1,33 @@
-"""The Monte Carlo's work: one arm is one job, and one record of what was measured on it."""
+"""The Monte Carlo as it is asked for on the command line."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from hashlib import sha256
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final, Literal, cast, get_args
 
 import numpy as np
 
-from fsw.config import digest
+from fsw.config import configure, digest
 from fsw.dictionary.enums import Tool
 from fsw.dictionary.params import Params
-from ground.accuracy.places import Measured
-from ground.accuracy.sources import error_model
-from ground.accuracy.trial import How, built_trial, drawn_trial
+from ground.accuracy.budget import COMPONENTS
+from ground.accuracy.combine import PARTS
+from ground.accuracy.confidence import AccuracyEstimate, estimate_accuracy
+from ground.accuracy.coverage import CoverageReport, check_coverage
+from ground.accuracy.placements import MeasuredPlacement
+from ground.accuracy.sources import ErrorModel, load_error_model
+from ground.accuracy.trial import MoveMethod, run_built_trial, run_sampled_trial
 from ground.common.checkpoint import ResultsFile
-from ground.common.pool import Runner
+from ground.common.files import BadOutput, check_output
+from ground.common.pool import Runner, on_cluster, on_this_machine
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest
+from ground.common.requests import BadRequest, check_apart, check_seed, chosen_arm, params_for
+from sim.world import World
 
-Built = Literal["drawn", "calibrated", "as-built"]
+ArmKind = Literal["drawn", "calibrated", "as-built"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,11 +35,11 @@ class ArmJob:
     """One arm of a Monte Carlo: by itself it gives the same as among others."""
 
     case: str
-    built: Built
+    built: ArmKind
     """drawn: the nominal arm with every source of the case. calibrated, as-built: an arm of that name with
     those that it has not got itself."""
     places: int
-    how: How
+    how: MoveMethod
     seed: int
     arm: int
     params: Params
@@ -38,20 +48,24 @@ class ArmJob:
 
 def run_job(job: ArmJob) -> dict[str, Any]:
     """What was measured on the arm, or why a move on it did not end, as a record for JSON."""
-    model = error_model()
+    model = load_error_model()
     case, seed = model.case[job.case], np.random.SeedSequence(job.seed, spawn_key=(job.arm,))
     try:
         if job.built == "drawn":
-            found = drawn_trial(model, case, job.params, job.places, job.how, seed)
+            found = run_sampled_trial(model, case, job.params, job.places, job.how, seed)
         else:
             name = f"{job.built}:{job.seed + job.arm}"
-            found = built_trial(model, case, name, job.params, job.places, job.how, seed)
+            found = run_built_trial(model, case, name, job.params, job.places, job.how, seed)
     except RuntimeError as error:
-        return {**_of(job), "failed": str(error)}
-    return {**_of(job), "tool": found[0].tool.name.lower(), "places": [_as_record(m) for m in found]}
+        return {**_job_key(job), "failed": str(error)}
+    return {
+        **_job_key(job),
+        "tool": found[0].tool.name.lower(),
+        "places": [_measurement_record(m) for m in found],
+    }
 
 
-def _of(job: ArmJob) -> dict[str, Any]:
+def _job_key(job: ArmJob) -> dict[str, Any]:
     return {"arm": job.arm, "params_sha256": digest(job.params)}
 
 
@@ -82,20 +96,157 @@ def run_jobs(
     return [records[job.arm] for job in jobs]
 
 
-def check_record(record: dict[str, Any]) -> None:
+def check_arm_record(record: dict[str, Any]) -> None:
     """See that it is of an arm; KeyError, TypeError or ValueError if it is not."""
     if not isinstance(record["arm"], int) or not isinstance(record["params_sha256"], str):
         raise TypeError("arm and params_sha256 are a number and a digest")
-    list(measured_in(record))
+    list(read_measurements(record))
 
 
-def measured_in(record: dict[str, Any]) -> Iterator[Measured]:
+def read_measurements(record: dict[str, Any]) -> Iterator[MeasuredPlacement]:
     """What a record of an arm tells."""
     for place in record.get("places", ()):
         output, error, gap = (np.array(place[name]) for name in ("output_rad", "error", "gap"))
-        yield Measured(Tool[record["tool"].upper()], output, error, gap)
+        yield MeasuredPlacement(Tool[record["tool"].upper()], output, error, gap)
 
 
-def _as_record(measured: Measured) -> dict[str, Any]:
+def _measurement_record(measured: MeasuredPlacement) -> dict[str, Any]:
     values = asdict(measured)
     return {name: values[name].tolist() for name in ("output_rad", "error", "gap")}
+
+
+ARMS: Final = (1, 1_000_000)
+PLACES: Final = (1, 1000)
+WORKERS: Final = (1, 1000)
+"""At least, at most."""
+SEED_FIELD: Final = "{seed}"
+
+
+@dataclass(frozen=True, slots=True)
+class MonteCarloRequest:
+    """What is asked."""
+
+    case: str = "accuracy"
+    built: str = "drawn"
+    arms: int = 500
+    places: int = 1
+    how: str = "closed-loop"
+    seed: int = 0
+    only: int | None = None
+    workers: int = 1
+    cluster: bool = False
+    params: Path | None = None
+    results: Path | None = None
+    report: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MonteCarloReport:
+    """What came of it."""
+
+    request: MonteCarloRequest
+    model: ErrorModel
+    trials: tuple[tuple[MeasuredPlacement, ...], ...]
+    """Of each arm whose moves all came to their end."""
+    failed: Mapping[int, str]
+    coverage: CoverageReport | None
+    """None if there was no arm."""
+    three_sigma: Mapping[str, AccuracyEstimate] | None
+    """Of each of COMPONENTS, where there are arms and places enough."""
+
+
+def run_monte_carlo(request: MonteCarloRequest, progress: Progress) -> MonteCarloReport:
+    """Arms of a case, moved and measured, against the budget.
+
+    Raises:
+        BadRequest: the request is wrong; nothing was moved or written.
+    """
+    model = load_error_model()
+    _check(request, model)
+    jobs = _jobs(request)
+    runner = on_cluster() if request.cluster else on_this_machine(request.workers)
+    file = (
+        None
+        if request.results is None
+        else ResultsFile(request.results, _results_header(request, jobs), check_arm_record)
+    )
+    with nullcontext() if file is None else file:
+        records = run_jobs(jobs, runner, file, progress)
+    failed = {record["arm"]: record["failed"] for record in records if "failed" in record}
+    trials = tuple(tuple(read_measurements(record)) for record in records if "failed" not in record)
+    gravity = World().gravity_N_m_s2
+    found = (
+        check_coverage(model, request.case, configure(jobs[0].params), gravity, trials) if trials else None
+    )
+    return MonteCarloReport(request, model, trials, failed, found, _estimate_three_sigma(trials))
+
+
+def _check(request: MonteCarloRequest, model: ErrorModel) -> None:
+    _check_choice("case", request.case, tuple(model.case))
+    _check_choice("built", request.built, get_args(ArmKind))
+    _check_choice("how", request.how, get_args(MoveMethod))
+    for name, bounds in (("arms", ARMS), ("places", PLACES), ("workers", WORKERS)):
+        _check_range(name, getattr(request, name), bounds)
+    if request.only is not None:
+        _check_range("only", request.only, (0, request.arms - 1))
+    check_seed(request.seed)
+    check_apart({"params": request.params, "report": request.report, "results": request.results})
+    try:
+        if request.report is not None:
+            check_output(request.report, (".html",), "report")
+        if request.results is not None:
+            check_output(request.results, (".jsonl",), "results")
+    except BadOutput as error:
+        raise BadRequest(str(error)) from error
+
+
+def _jobs(request: MonteCarloRequest) -> list[ArmJob]:
+    arms = range(request.arms) if request.only is None else [request.only]
+    built, how = cast(ArmKind, request.built), cast(MoveMethod, request.how)
+    if _has_arm_files(request.params):
+        numbers = [request.seed + arm for arm in arms]
+        names = ["nominal" if request.built == "drawn" else f"{request.built}:{number}" for number in numbers]
+        paths = [Path(str(request.params).replace(SEED_FIELD, str(number))) for number in numbers]
+        params = [params_for(name, path) for name, path in zip(names, paths, strict=True)]
+    else:
+        params = [chosen_arm("nominal", request.params).params] * len(arms)
+    return [
+        ArmJob(request.case, built, request.places, how, request.seed, arm, own)
+        for arm, own in zip(arms, params, strict=True)
+    ]
+
+
+def _has_arm_files(params: Path | None) -> bool:
+    """Whether every arm has a file of its own."""
+    return params is not None and SEED_FIELD in str(params)
+
+
+def _results_header(request: MonteCarloRequest, jobs: list[ArmJob]) -> dict[str, Any]:
+    """What results depend on, but for how many arms there are: more can be added."""
+    sources = resources.files("ground.accuracy").joinpath("sources.toml").read_bytes()
+    same = ("case", "built", "places", "how", "seed")
+    return {
+        **{name: value for name, value in asdict(request).items() if name in same},
+        "params": str(request.params) if _has_arm_files(request.params) else digest(jobs[0].params),
+        "sources": sha256(sources).hexdigest(),
+    }
+
+
+def _estimate_three_sigma(
+    trials: tuple[tuple[MeasuredPlacement, ...], ...],
+) -> dict[str, AccuracyEstimate] | None:
+    if len(trials) < 2 or len(trials[0]) < 2:
+        return None
+    error = np.array([[m.error for m in trial] for trial in trials]).transpose(2, 0, 1)
+    return {name: estimate_accuracy(error[part]) for name, part in zip(COMPONENTS, PARTS, strict=True)}
+
+
+def _check_choice(name: str, value: str, there: tuple[str, ...]) -> None:
+    if value not in there:
+        raise BadRequest(f"{name}: {value!r} is not known; there are {', '.join(there)}")
+
+
+def _check_range(name: str, value: int, bounds: tuple[int, int]) -> None:
+    least, most = bounds
+    if not least <= value <= most:
+        raise BadRequest(f"{name}: {value} is not within {least} .. {most}")

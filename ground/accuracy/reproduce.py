@@ -2,7 +2,8 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from math import radians
+from typing import Final, Literal
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -13,27 +14,61 @@ from fsw.dictionary.types import Vector3, vector3
 from fsw.kinematics.transforms import Array
 from ground.accuracy.budget import COVERAGE
 from ground.accuracy.combine import bounds, paper_rule
-from ground.accuracy.paper import Row
-from ground.accuracy.poses import workspace_poses
-from ground.accuracy.propagate import Sensitivity, sensitivity
-from ground.accuracy.sources import At, ErrorModel, Source
+from ground.accuracy.sensitivity import Sensitivity, compute_sensitivity, workspace_poses
+from ground.accuracy.sources import ErrorModel, ErrorSource, FrameMagnitude
+
+Component = Literal["total_m", "lateral_m", "normal_m", "axial_rad"]
+
+
+@dataclass(frozen=True, slots=True)
+class PaperRow:
+    """One row; plus or minus, in metres or radians."""
+
+    name: str
+    case: str
+    component: Component
+    required: float
+    estimated: float
+
+
+def _paper_rows(accuracy: str, repeatability: str, estimated: tuple[float, ...]) -> tuple[PaperRow, ...]:
+    total, lateral, axial, lateral_again, normal_again, axial_again = estimated
+    return (
+        PaperRow("total position accuracy", accuracy, "total_m", 0.020, total),
+        PaperRow("lateral position accuracy", accuracy, "lateral_m", 0.015, lateral),
+        PaperRow("axial orientation accuracy", accuracy, "axial_rad", radians(9.8), axial),
+        PaperRow("lateral position repeatability", repeatability, "lateral_m", 0.010, lateral_again),
+        PaperRow("normal position repeatability", repeatability, "normal_m", 0.010, normal_again),
+        PaperRow("axial orientation repeatability", repeatability, "axial_rad", radians(2.0), axial_again),
+    )
+
+
+TABLE_3: Final = _paper_rows(
+    "accuracy", "repeatability", (0.0262, 0.0232, radians(1.2), 0.0112, 0.0072, radians(0.7))
+)
+"""Before calibration."""
+TABLE_4: Final = _paper_rows(
+    "mars", "mars-repeatability", (0.0140, 0.0127, radians(1.1), 0.0077, 0.0050, radians(1.0))
+)
+"""After calibration, on Mars."""
+
 
 POSES_A_TOOL: Final = 300
-CLOSE: Final = 0.01
+ROW_TOLERANCE: Final = 0.01
 """A row that is off by this share counts as much as a magnitude that changes by a factor of e."""
 
-Part = tuple[str, str]
+SourcePart = tuple[str, str]
 """Of which source, and which part of its magnitudes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reproduced:
+class MagnitudeFit:
     """By what the magnitudes are multiplied, and what the rows are then."""
 
-    factor: Mapping[Part, float]
-    magnitude: Mapping[Part, tuple[float, str]]
+    factor: Mapping[SourcePart, float]
+    magnitude: Mapping[SourcePart, tuple[float, str]]
     """The largest of each part, as it would be, and its unit."""
-    rows: tuple[tuple[Row, float], ...]
+    rows: tuple[tuple[PaperRow, float], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,10 +76,10 @@ class _Terms:
     """A case as a sum: errors (6, n) by source, those of its parts apart."""
 
     fixed: Mapping[str, Array]
-    part: Mapping[Part, Array]
+    part: Mapping[SourcePart, Array]
     at_limit: Mapping[str, bool]
 
-    def components(self, factor: Mapping[Part, float]) -> Array:
+    def components(self, factor: Mapping[SourcePart, float]) -> Array:
         """By the paper's rule, (6, n)."""
         u = {name: fixed.copy() for name, fixed in self.fixed.items()}
         for (name, part), term in self.part.items():
@@ -54,11 +89,11 @@ class _Terms:
 
 
 def reproduce(
-    model: ErrorModel, rows: tuple[Row, ...], config: Config, gravity_R_m_s2: Array, seed: int
-) -> Reproduced:
+    model: ErrorModel, rows: tuple[PaperRow, ...], config: Config, gravity_R_m_s2: Array, seed: int
+) -> MagnitudeFit:
     """The change of magnitudes that meets these rows; sourced magnitudes stay."""
     moved = [
-        sensitivity(
+        compute_sensitivity(
             config, workspace_poses(config.arm, tool, gravity_R_m_s2, POSES_A_TOOL, seed), gravity_R_m_s2
         )
         for tool in Tool
@@ -73,10 +108,10 @@ def reproduce(
 
     wanted = np.array([row.estimated for row in rows])
     fit = least_squares(
-        lambda x: np.concatenate([np.log(values(x) / wanted) / CLOSE, x]), np.zeros(len(parts))
+        lambda x: np.concatenate([np.log(values(x) / wanted) / ROW_TOLERANCE, x]), np.zeros(len(parts))
     )
     factor = dict(zip(parts, np.exp(fit.x).tolist(), strict=True))
-    return Reproduced(
+    return MagnitudeFit(
         factor,
         {part: _magnitude(model.source[part[0]], part[1], factor[part]) for part in parts},
         tuple(zip(rows, values(fit.x).tolist(), strict=True)),
@@ -95,24 +130,24 @@ def _terms(model: ErrorModel, name: str, moved: list[Sensitivity]) -> _Terms:
     return _Terms(fixed, part, {source: model.source[source].at_limit for source in sources})
 
 
-def _over_frames(moved: list[Sensitivity], source: Source) -> Array:
-    return np.concatenate([one.by_frame(source).sum(axis=1) for one in moved], axis=-1)
+def _over_frames(moved: list[Sensitivity], source: ErrorSource) -> Array:
+    return np.concatenate([one.errors_by_frame(source).sum(axis=1) for one in moved], axis=-1)
 
 
-def _parts(source: Source) -> dict[str, Source]:
+def _parts(source: ErrorSource) -> dict[str, ErrorSource]:
     """A source that is not from a document, in parts: turns and shifts, of the arm and of the tool frame."""
-    if source.of != "frames" or source.label == "S":
+    if source.relative_to != "frames" or source.label == "S":
         return {}
     arm = tuple(frame for frame in Frame if frame is not Frame.TOOL)
     parts = {
-        f"{what}, {where}": replace(source, at=_some_of(source, frames, what))
+        f"{what}, {where}": replace(source, at=_select_frames(source, frames, what))
         for where, frames in (("arm", arm), ("tool frame", (Frame.TOOL,)))
         for what in ("rotation", "translation")
     }
     return {name: part for name, part in parts.items() if part.theta.any()}
 
 
-def _some_of(source: Source, frames: tuple[Frame, ...], what: str) -> tuple[At, ...]:
+def _select_frames(source: ErrorSource, frames: tuple[Frame, ...], what: str) -> tuple[FrameMagnitude, ...]:
     theta = source.theta
     none: Vector3 = (0.0, 0.0, 0.0)
     rows = [
@@ -123,9 +158,9 @@ def _some_of(source: Source, frames: tuple[Frame, ...], what: str) -> tuple[At, 
         )
         for frame in frames
     ]
-    return tuple(At((frame.name.lower(),), turn, shift) for frame, turn, shift in rows)  # type: ignore[arg-type]
+    return tuple(FrameMagnitude((frame.name.lower(),), turn, shift) for frame, turn, shift in rows)  # type: ignore[arg-type]
 
 
-def _magnitude(source: Source, part: str, factor: float) -> tuple[float, str]:
+def _magnitude(source: ErrorSource, part: str, factor: float) -> tuple[float, str]:
     theta = _parts(source)[part].theta
     return float(theta.max() * 1e3 * factor), "mrad" if part.startswith("rotation") else "mm"

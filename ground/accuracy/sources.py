@@ -17,9 +17,9 @@ from fsw.dictionary.enums import Frame
 from fsw.dictionary.types import Vector3
 from fsw.kinematics.transforms import Array
 
-Spread = Literal["normal", "uniform", "either side"]
+Distribution = Literal["normal", "uniform", "either side"]
 
-CUMULANTS_OF: Final[dict[Spread, tuple[float, float, float]]] = {
+CUMULANTS: Final[dict[Distribution, tuple[float, float, float]]] = {
     "normal": (1 / 9, 0.0, 0.0),
     "uniform": (1 / 3, -2 / 15, 16 / 63),
     "either side": (1.0, -2.0, 16.0),
@@ -34,7 +34,7 @@ FrameName = Literal["arm1", "arm2", "arm3", "arm4", "arm5", "arm6", "tool"]
 
 
 @dataclass(frozen=True, slots=True)
-class At:
+class FrameMagnitude:
     """An error of some frames, in their own axes."""
 
     frames: tuple[FrameName, ...]
@@ -43,7 +43,7 @@ class At:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class ErrorSource:
     """One source of error."""
 
     kind: Literal["systematic", "random"]
@@ -51,14 +51,14 @@ class Source:
     label: Literal["S", "I", "A"]
     """Where the magnitude comes from: a public document, inferred, assumed."""
     basis: str
-    spread: Spread
+    distribution: Distribution
     effect: EffectName
     """How it acts in the plant."""
     at_limit: bool = False
     """Whether it may well lie at the end of its range: added, not root-sum-squared (paper equation 13)."""
-    of: Literal["frames", "load", "temperature"] = "frames"
+    relative_to: Literal["frames", "load", "temperature"] = "frames"
     """What the error is a share of: nothing, the deflection under the load, the growth over a warming."""
-    at: tuple[At, ...] = ()
+    at: tuple[FrameMagnitude, ...] = ()
     share: float = 0.0
     warming_K: float = 0.0
 
@@ -74,7 +74,7 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
-class Case:
+class BudgetCase:
     """Which sources count, and how many times their magnitude."""
 
     text: str
@@ -85,8 +85,8 @@ class Case:
 class ErrorModel:
     """All sources and all cases."""
 
-    source: Mapping[str, Source]
-    case: Mapping[str, Case]
+    source: Mapping[str, ErrorSource]
+    case: Mapping[str, BudgetCase]
 
 
 def is_compensated(backlash: float) -> bool:
@@ -94,7 +94,7 @@ def is_compensated(backlash: float) -> bool:
     return backlash < 1
 
 
-def error_model() -> ErrorModel:
+def load_error_model() -> ErrorModel:
     """The sources and cases of the house."""
     text = resources.files("ground.accuracy").joinpath("sources.toml").read_text(encoding="utf-8")
     model: ErrorModel = TypeAdapter(ErrorModel).validate_python(tomllib.loads(text))

@@ -1,5 +1,6 @@
 """One arm of a Monte Carlo: its errors drawn, moved to places of the workspace, measured at the tool."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Final, Literal
 
@@ -7,25 +8,113 @@ import numpy as np
 
 from fsw.config import configure
 from fsw.dictionary.commands import BacklashMode
-from fsw.dictionary.enums import Tool
+from fsw.dictionary.enums import Frame, Joint, Tool
 from fsw.dictionary.params import Params
+from fsw.dictionary.types import row6
 from fsw.estimate.reference import Reference
-from ground.accuracy.drawn import drawn_effects
-from ground.accuracy.places import Measured, measured, random_places
-from ground.accuracy.sources import Case, ErrorModel, is_compensated
-from ground.accuracy.ways import by_closed_loop, by_statics
+from fsw.kinematics.transforms import Array
+from ground.accuracy.placements import (
+    MeasuredPlacement,
+    closed_loop_model,
+    measure_placements,
+    random_placements,
+    statics_model,
+)
+from ground.accuracy.sources import BudgetCase, Distribution, ErrorModel, ErrorSource, is_compensated
 from sim.arms import BuiltArm, arm_named
+from sim.effects.effect import Effect
 from sim.effects.environment import Ambient
+from sim.effects.geometry import FrameError, LinkWarming
+from sim.effects.joints import BacklashWidth, GearStiffness, HardstopAngle
+from sim.effects.move_disturbances import FramePlay, ServoError, Windup
+from sim.effects.structure import LinkStiffness
 from sim.initialisation import RANDOM_TEMPERATURE_C, initial_reference, true_reference
 
-How = Literal["closed-loop", "statics"]
-OF_THE_ARM: Final = ("assembly", "calibration", "deflection", "zero_offset", "backlash")
+Z_TURN = 2
+"""Of a screw: the turn about z."""
+
+
+def sample_effects(
+    model: ErrorModel, case: BudgetCase, tool: Tool, rng: np.random.Generator
+) -> tuple[Effect, ...]:
+    """An arm with all sources of a case at their magnitudes; errors of tool frames are this tool's."""
+    effects: list[Effect] = []
+    for name, factor in case.sources.items():
+        effects.extend(sample_source(model.source[name], factor, tool, rng))
+    return tuple(effects)
+
+
+def sample_source(
+    source: ErrorSource, factor: float, tool: Tool, rng: np.random.Generator
+) -> Iterator[Effect]:
+    """One source at so many times its magnitude.
+
+    A gap that nothing allows for is as it is; where one is allowed for, its width is off by this share.
+    """
+    theta, share = factor * source.theta, factor * source.share
+    match source.effect:
+        case "frame error":
+            for frame in _frames(theta):
+                yield FrameError(
+                    frame,
+                    row6(theta[:, frame] * sample_errors(source.distribution, 6, rng)),
+                    _tool_of(frame, tool),
+                )
+        case "frame play":
+            for frame in _frames(theta):
+                yield FramePlay(frame, row6(theta[:, frame]), _tool_of(frame, tool))
+        case "servo error":
+            yield from (ServoError(joint, float(theta[Z_TURN, joint])) for joint in Joint)
+        case "windup":
+            yield from (Windup(joint, float(theta[Z_TURN, joint])) for joint in Joint)
+        case "hardstop angle":
+            shift = theta[Z_TURN, : len(Joint)] * sample_errors(source.distribution, len(Joint), rng)
+            yield from (HardstopAngle(joint, float(shift[joint])) for joint in Joint)
+        case "backlash":
+            wider = 1 + factor * sample_errors(source.distribution, len(Joint), rng) * is_compensated(factor)
+            yield from (BacklashWidth(joint, float(wider[joint])) for joint in Joint)
+        case "stiffness":
+            stiffer = 1 / (1 + share * sample_errors(source.distribution, len(Joint), rng))
+            for joint in Joint:
+                yield LinkStiffness(Frame(joint), float(stiffer[joint]))
+                yield GearStiffness(joint, float(stiffer[joint]))
+        case "warming":
+            warming_K = share * source.warming_K * sample_errors(source.distribution, len(Frame), rng)
+            yield from (LinkWarming(frame, float(warming_K[frame]), _tool_of(frame, tool)) for frame in Frame)
+
+
+def sample_errors(spread: Distribution, count: int, rng: np.random.Generator) -> Array:
+    """Errors of magnitude 1."""
+    match spread:
+        case "normal":
+            return rng.standard_normal(count) / 3
+        case "uniform":
+            return rng.uniform(-1.0, 1.0, count)
+        case "either side":
+            return rng.choice([-1.0, 1.0], count)
+
+
+def _frames(theta: Array) -> list[Frame]:
+    return [frame for frame in Frame if theta[:, frame].any()]
+
+
+def _tool_of(frame: Frame, tool: Tool) -> Tool | None:
+    return tool if frame is Frame.TOOL else None
+
+
+MoveMethod = Literal["closed-loop", "statics"]
+ARM_SOURCES: Final = ("assembly", "calibration", "deflection", "zero_offset", "backlash")
 """Sources that an arm has which was built, calibrated and initialised."""
 
 
-def drawn_trial(
-    model: ErrorModel, case: Case, params: Params, places: int, how: How, seed: np.random.SeedSequence
-) -> list[Measured]:
+def run_sampled_trial(
+    model: ErrorModel,
+    case: BudgetCase,
+    params: Params,
+    places: int,
+    how: MoveMethod,
+    seed: np.random.SeedSequence,
+) -> list[MeasuredPlacement]:
     """An arm of a case, drawn from this seed, at so many places.
 
     Raises:
@@ -34,22 +123,26 @@ def drawn_trial(
     draw, own = seed.spawn(2)
     rng = np.random.default_rng(draw)
     tool = Tool(int(rng.integers(len(Tool))))
-    effects = drawn_effects(model, case, tool, rng)
+    effects = sample_effects(model, case, tool, rng)
     backlash: BacklashMode = "on" if is_compensated(case.sources.get("backlash", 0.0)) else "off"
     arm = BuiltArm("drawn", effects, params)
-    moved = by_statics(arm, backlash) if how == "statics" else by_closed_loop(arm, _believed(arm), backlash)
-    return measured(moved, random_places(params, tool, places, own))
+    moved = (
+        statics_model(arm, backlash)
+        if how == "statics"
+        else closed_loop_model(arm, _exact_reference(arm), backlash)
+    )
+    return measure_placements(moved, random_placements(params, tool, places, own))
 
 
-def built_trial(
+def run_built_trial(
     model: ErrorModel,
-    case: Case,
+    case: BudgetCase,
     name: str,
     params: Params,
     places: int,
-    how: How,
+    how: MoveMethod,
     seed: np.random.SeedSequence,
-) -> list[Measured]:
+) -> list[MeasuredPlacement]:
     """An arm with errors of its own, initialised at its hardstops, in the cold, with what the case adds.
 
     Raises:
@@ -58,17 +151,19 @@ def built_trial(
     draw, own = seed.spawn(2)
     rng = np.random.default_rng(draw)
     tool = Tool(int(rng.integers(len(Tool))))
-    added = {name: factor for name, factor in case.sources.items() if name not in OF_THE_ARM}
+    added = {name: factor for name, factor in case.sources.items() if name not in ARM_SOURCES}
     cold = Ambient(float(rng.uniform(*RANDOM_TEMPERATURE_C)))
     arm = arm_named(name, params)
-    effects = (cold, *drawn_effects(model, replace(case, sources=added), tool, rng))
+    effects = (cold, *sample_effects(model, replace(case, sources=added), tool, rng))
     there = replace(arm, effects=(*arm.effects, *effects))
     moved = (
-        by_statics(there, "on") if how == "statics" else by_closed_loop(there, initial_reference(arm), "on")
+        statics_model(there, "on")
+        if how == "statics"
+        else closed_loop_model(there, initial_reference(arm), "on")
     )
-    return measured(moved, random_places(arm.params, tool, places, own))
+    return measure_placements(moved, random_placements(arm.params, tool, places, own))
 
 
-def _believed(arm: BuiltArm) -> Reference:
+def _exact_reference(arm: BuiltArm) -> Reference:
     """Zeros as a faultless initialisation would find them, gaps as the parameters have them."""
     return replace(true_reference(arm), half_gap_rad=configure(arm.params).half_gap_rad)

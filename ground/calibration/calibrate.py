@@ -8,15 +8,13 @@ import numpy as np
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, Flags, Integers
 from ground.calibration.arm_model import arm_model
-from ground.calibration.arm_numbers import FRAMES, arm_parameters
-from ground.calibration.data import Campaign
-from ground.calibration.fit import Fit, fit
-from ground.calibration.judge import Judged, judged
-from ground.calibration.outliers import Cleaned, cleaned_fit
-from ground.calibration.problem import Linearised
-from ground.calibration.seen import Seen, seen
+from ground.calibration.arm_parameters import FRAME_SCREWS, arm_parameters
+from ground.calibration.campaign_data import Campaign
+from ground.calibration.fit import Fit, HoldOutValidation, Linearisation, fit, validate_hold_out
+from ground.calibration.identifiability import Identifiability, assess_identifiability
+from ground.calibration.outliers import OutlierRejection, reject_outliers
 
-HELD_OUT: Final = 5
+HOLD_OUT_STRIDE: Final = 5
 """Every fifth pose of a group is in no equation of the fit that it judges.
 
 But what is an outlier, and which unsure gaps are as believed, was found with it.
@@ -29,18 +27,18 @@ class Calibration:
 
     nominal: Params
     campaign: Campaign
-    cleaned: Cleaned
+    rejection: OutlierRejection
     """The fit to all poses, without outliers."""
-    judged: Judged
+    hold_out: HoldOutValidation
     """The fit to four fifths of them, by the last fifth."""
-    judged_poses: Flags
+    held_out_poses: Flags
     """Which these are, (n,)."""
     held_out_error: Array
     """Their error screws, (6, k)."""
-    seen: Seen
-    frames_seen: Seen
+    identifiability: Identifiability
+    frame_identifiability: Identifiability
     """Of the frames' numbers alone: what the paper counts."""
-    near: Fit
+    preliminary: Fit
     """What unsure gaps were judged by."""
     unknown: Flags
     """Outputs of which nobody knows where in their gaps they lie, (5, n)."""
@@ -52,7 +50,7 @@ class Calibration:
     @property
     def best(self) -> Fit:
         """The fit."""
-        return self.cleaned.fit
+        return self.rejection.fit
 
 
 def calibrate(nominal: Params, campaign: Campaign, with_backlash: bool = True) -> Calibration:
@@ -63,33 +61,33 @@ def calibrate(nominal: Params, campaign: Campaign, with_backlash: bool = True) -
     """
     parameters = arm_parameters()
     everything = np.ones(campaign.count, bool)
-    near = _near(nominal, campaign, everything, with_backlash)
+    near = _preliminary_fit(nominal, campaign, everything, with_backlash)
     model = arm_model(nominal, campaign, near, with_backlash)
-    cleaned = cleaned_fit(parameters, model, near.values)
-    fresh = held_out(campaign.group)
-    near_part = _near(nominal, campaign, ~fresh, with_backlash)
+    cleaned = reject_outliers(parameters, model, near.values)
+    fresh = select_held_out(campaign.group)
+    near_part = _preliminary_fit(nominal, campaign, ~fresh, with_backlash)
     part_model = arm_model(nominal, campaign, near_part, with_backlash, fresh)
-    part = cleaned_fit(parameters, part_model, near_part.values, ~fresh).fit
+    part = reject_outliers(parameters, part_model, near_part.values, ~fresh).fit
     judges = fresh & cleaned.fit.used
     at = cleaned.fit.at
-    frames = Linearised(at.residual, at.jacobian[:, :, FRAMES])
+    frames = Linearisation(at.residual, at.jacobian[:, :, FRAME_SCREWS])
     return Calibration(
         nominal=nominal,
         campaign=campaign,
-        cleaned=cleaned,
-        judged=judged(part, part.at.at(judges)),
-        judged_poses=judges,
+        rejection=cleaned,
+        hold_out=validate_hold_out(part, part.at.at(judges)),
+        held_out_poses=judges,
         held_out_error=part_model.errors(part.values)[:, judges],
-        seen=seen(parameters, at, cleaned.fit.used),
-        frames_seen=seen(parameters[FRAMES], frames, cleaned.fit.used),
-        near=near,
+        identifiability=assess_identifiability(parameters, at, cleaned.fit.used),
+        frame_identifiability=assess_identifiability(parameters[FRAME_SCREWS], frames, cleaned.fit.used),
+        preliminary=near,
         unknown=model.unknown,
         before=model.errors(np.zeros(len(parameters))),
         after=model.errors(cleaned.fit.values),
     )
 
 
-def _near(nominal: Params, campaign: Campaign, used: Flags, with_backlash: bool) -> Fit:
+def _preliminary_fit(nominal: Params, campaign: Campaign, used: Flags, with_backlash: bool) -> Fit:
     """A fit to the poses used that unsure gaps can be judged by; of the others none is looked at."""
     parameters = arm_parameters()
     near = fit(parameters, arm_model(nominal, campaign, None, with_backlash), None, used)
@@ -97,11 +95,11 @@ def _near(nominal: Params, campaign: Campaign, used: Flags, with_backlash: bool)
     return fit(parameters, arm_model(nominal, campaign, near, with_backlash, ~used), near.values, used)
 
 
-def held_out(group: Integers) -> Flags:
+def select_held_out(group: Integers) -> Flags:
     """Every fifth pose of each group, (n,)."""
     held = np.zeros(group.size, bool)
     for name in np.unique(group):
-        held[np.flatnonzero(group == name)[HELD_OUT // 2 :: HELD_OUT]] = True
+        held[np.flatnonzero(group == name)[HOLD_OUT_STRIDE // 2 :: HOLD_OUT_STRIDE]] = True
     return held
 
 

@@ -8,38 +8,37 @@ import numpy as np
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array, Flags, Integers, Pose, inverse
-from ground.calibration.arm_model import modelled
-from ground.calibration.arm_numbers import arm_parameters
+from ground.calibration.arm_model import predict_poses
+from ground.calibration.arm_parameters import arm_parameters
 from ground.calibration.calibrate import Calibration
-from ground.calibration.data import Campaign
-from ground.calibration.fit import Fit
-from ground.calibration.frames import FEWEST
-from ground.calibration.judge import Judged
-from ground.calibration.screws import Measured, error_screw
-from ground.calibration.seen import Seen
+from ground.calibration.campaign_data import Campaign
+from ground.calibration.fit import Fit, HoldOutValidation
+from ground.calibration.identifiability import Identifiability
+from ground.calibration.screws import MeasuredPoses, error_screw
+from ground.calibration.survey import MIN_TARGETS
 from sim.frames import P_NR_M
 
 LEAST_POSES: Final = 24
 """Three times what the worst-conditioned combination needs; the paper took 160."""
 LEAST_SPAN_RAD: Final = 0.5
-FULL_RANK: Final = 26
+FRAME_RANK: Final = 26
 """Of the frames: what an arm of five joints, three of them parallel, can tell; the paper's count too."""
-BUILT_M: Final = 0.06
+MAX_MEDIAN_ERROR_M: Final = 0.06
 """Half of an arm's poses are not this far from the drawing's, a metre from the turret."""
-STRAY_M: Final = 0.15
+MAX_ERROR_M: Final = 0.15
 """Nor is any single one so far, if the others are near."""
-MISFIT_M: Final = 3e-4
-MOVED_M: Final = 1e-3
+MAX_MISFIT_M: Final = 3e-4
+MAX_TRACKER_MOTION_M: Final = 1e-3
 GRAVITY_M_S2: Final = (1.0, 12.0)
 FARTHEST_M: Final = 4.0
 TURRET_KG: Final = (1.0, 100.0)
 MOST_HELD_NM: Final = 1000.0
-NOISIER: Final = 1.5
+MAX_SIGMA0: Final = 1.5
 """A fit whose residuals are larger than the noise by more has missed something."""
-QUIETER: Final = 0.6
-WORSE: Final = 1.3
+MIN_SIGMA0: Final = 0.6
+MAX_HELD_OUT_RATIO: Final = 1.3
 """Held-out poses over what noise and covariance let expect."""
-FAR: Final = 5.0
+MAX_PRIOR_SIGMAS: Final = 5.0
 """Prior sigmas from the drawing that no number of a built arm is."""
 
 
@@ -53,10 +52,10 @@ def check_data(nominal: Params, campaign: Campaign) -> None:
     Raises:
         BadData: with everything that is wrong.
     """
-    _refuse(_about_poses(campaign))
-    _refuse(_about_units(campaign))
-    _refuse(_about_tracker(campaign))
-    _refuse(_about_frames(nominal, campaign))
+    _refuse(_check_poses(campaign))
+    _refuse(_check_units(campaign))
+    _refuse(_check_tracker(campaign))
+    _refuse(_check_frames(nominal, campaign))
 
 
 def check_fit(found: Calibration) -> None:
@@ -65,7 +64,7 @@ def check_fit(found: Calibration) -> None:
     Raises:
         BadData: with everything that is wrong.
     """
-    _refuse(_about_fit(found.best, found.frames_seen, found.judged))
+    _refuse(_check_fit(found.best, found.frame_identifiability, found.hold_out))
 
 
 def _refuse(reasons: Iterator[str]) -> None:
@@ -74,7 +73,7 @@ def _refuse(reasons: Iterator[str]) -> None:
         raise BadData("\n".join(lines))
 
 
-def _about_poses(campaign: Campaign) -> Iterator[str]:
+def _check_poses(campaign: Campaign) -> Iterator[str]:
     if campaign.count < LEAST_POSES:
         yield f"poses: {campaign.count} are too few; {LEAST_POSES} at least (the paper took 160)"
     span = np.ptp(campaign.believed.motor_rad, axis=1) if campaign.count else np.zeros(len(Joint))
@@ -86,7 +85,7 @@ def _about_poses(campaign: Campaign) -> Iterator[str]:
             )
 
 
-def _about_units(campaign: Campaign) -> Iterator[str]:
+def _check_units(campaign: Campaign) -> Iterator[str]:
     believed, measured = campaign.believed, campaign.measured
     turn = np.abs(believed.motor_rad).max()
     if turn > 3 * np.pi:
@@ -98,9 +97,9 @@ def _about_units(campaign: Campaign) -> Iterator[str]:
     low, high = GRAVITY_M_S2
     if gravity.min() < low or gravity.max() > high:
         yield f"gravity_*_m_s2: {gravity.min():.4g} .. {gravity.max():.4g} long; give m/s2, 9.81 on Earth"
-    if np.abs(believed.gap_rad).max() > 0.02:
-        yield f"gap_*_rad: up to {np.abs(believed.gap_rad).max():.4g}; half a backlash is 0.002 rad"
-    held = np.abs(believed.held_Nm).max()
+    if np.abs(believed.backlash_rad).max() > 0.02:
+        yield f"gap_*_rad: up to {np.abs(believed.backlash_rad).max():.4g}; half a backlash is 0.002 rad"
+    held = np.abs(believed.friction_Nm).max()
     if held > MOST_HELD_NM:
         yield f"held_*_Nm: up to {held:.4g}; friction holds less than {MOST_HELD_NM:.0f}: give newton metres"
     sides = np.setdiff1d(believed.side, (-1.0, 0.0, 1.0))
@@ -121,41 +120,41 @@ def _about_units(campaign: Campaign) -> Iterator[str]:
         )
 
 
-def _about_tracker(campaign: Campaign) -> Iterator[str]:
+def _check_tracker(campaign: Campaign) -> Iterator[str]:
     for row, name in enumerate(("ground", "rover", "turret")):
-        few = np.flatnonzero(campaign.targets_seen[row] < FEWEST)
+        few = np.flatnonzero(campaign.targets_seen[row] < MIN_TARGETS)
         if few.size:
             yield (
-                f"targets_{name}: {_poses(few)} with fewer than {FEWEST}: no frame can be built of them; "
+                f"targets_{name}: {_list_poses(few)} with fewer than {MIN_TARGETS}: no frame can be built of them; "
                 "measure again or leave out"
             )
-    lost = np.flatnonzero(campaign.misfit_m > MISFIT_M)
+    lost = np.flatnonzero(campaign.misfit_m > MAX_MISFIT_M)
     if lost.size:
         yield (
-            f"misfit_m: {_poses(lost)} with targets up to {1e3 * campaign.misfit_m.max():.2f} mm from where "
+            f"misfit_m: {_list_poses(lost)} with targets up to {1e3 * campaign.misfit_m.max():.2f} mm from where "
             "rigid bodies have them: the tracker lost its lock or took another target; measure again"
         )
-    moved = np.flatnonzero(campaign.tracker_moved_m > MOVED_M)
+    moved = np.flatnonzero(campaign.tracker_moved_m > MAX_TRACKER_MOTION_M)
     if moved.size:
         yield (
-            f"tracker_moved_m: {_poses(moved)}, ground up to {1e3 * campaign.tracker_moved_m.max():.1f} mm "
+            f"tracker_moved_m: {_list_poses(moved)}, ground up to {1e3 * campaign.tracker_moved_m.max():.1f} mm "
             "from where it was: the tracker lost its lock or was moved; measure again"
         )
-    stale = np.flatnonzero(_stale(campaign)) + 1
+    stale = np.flatnonzero(_find_stale(campaign)) + 1
     if stale.size:
         yield (
-            f"p_*_m: {_poses(stale)} exactly where the pose before was, though joints moved: the tracker "
+            f"p_*_m: {_list_poses(stale)} exactly where the pose before was, though joints moved: the tracker "
             "lost its lock; measure again"
         )
-    again = np.setdiff1d(_measured_again(campaign), stale)
+    again = np.setdiff1d(_find_copies(campaign), stale)
     if again.size:
         yield (
-            f"p_*_m, q_*: {_poses(again)} to the last digit as a pose before, which no tracker measures; "
+            f"p_*_m, q_*: {_list_poses(again)} to the last digit as a pose before, which no tracker measures; "
             "leave out rows that were copied"
         )
 
 
-def _measured_again(campaign: Campaign) -> Integers:
+def _find_copies(campaign: Campaign) -> Integers:
     """Poses whose measurement is that of an earlier one, to the last digit."""
     X = campaign.measured.X_RT
     numbers = np.concatenate([X.p, X.R.reshape(9, -1)])
@@ -163,48 +162,48 @@ def _measured_again(campaign: Campaign) -> Integers:
     return np.setdiff1d(np.arange(campaign.count), first)
 
 
-def _stale(campaign: Campaign) -> Flags:
+def _find_stale(campaign: Campaign) -> Flags:
     same = np.all(np.diff(campaign.measured.X_RT.p, axis=1) == 0, axis=0)
     moved = np.abs(np.diff(campaign.believed.motor_rad, axis=1)).max(axis=0) > 1e-3
     stale: Flags = same & moved
     return stale
 
 
-def _about_frames(nominal: Params, campaign: Campaign) -> Iterator[str]:
+def _check_frames(nominal: Params, campaign: Campaign) -> Iterator[str]:
     """The drawing must be near; if it is not, try what people mix up."""
     x = np.zeros(len(arm_parameters()))
-    X = modelled(nominal, x, campaign.believed)
-    off_m = _off_m(X, campaign.measured.X_RT)
+    X = predict_poses(nominal, x, campaign.believed)
+    off_m = _pose_error_m(X, campaign.measured.X_RT)
     as_given = float(np.median(off_m))
-    if as_given < BUILT_M:
-        yield from _about_stray_poses(off_m)
+    if as_given < MAX_MEDIAN_ERROR_M:
+        yield from _check_stray_poses(off_m)
         return
-    others = _mixed_up(campaign.measured.X_RT)
-    found = {what: float(np.median(_off_m(X, other))) for what, other in others.items()}
+    others = _wrong_conventions(campaign.measured.X_RT)
+    found = {what: float(np.median(_pose_error_m(X, other))) for what, other in others.items()}
     best = min(found, key=lambda what: found[what])
     hint = (
         f"{best} ({1e3 * found[best]:.0f} mm)"
-        if found[best] < BUILT_M
+        if found[best] < MAX_MEDIAN_ERROR_M
         else "none of the usual mix-ups explains it"
     )
     yield (
         f"measured poses: {1e3 * as_given:.0f} mm from the drawing's (median); a built arm is within "
-        f"{1e3 * BUILT_M:.0f} mm. {hint[0].upper()}{hint[1:]}"
+        f"{1e3 * MAX_MEDIAN_ERROR_M:.0f} mm. {hint[0].upper()}{hint[1:]}"
     )
 
 
-def _about_stray_poses(off_m: Array) -> Iterator[str]:
+def _check_stray_poses(off_m: Array) -> Iterator[str]:
     """One by one they would lead the fit astray before it could tell them from the others."""
-    stray = np.flatnonzero(off_m > STRAY_M)
+    stray = np.flatnonzero(off_m > MAX_ERROR_M)
     if stray.size:
         yield (
-            f"measured poses: {_poses(stray)} up to {1e3 * off_m.max():.0f} mm from the drawing's, the "
+            f"measured poses: {_list_poses(stray)} up to {1e3 * off_m.max():.0f} mm from the drawing's, the "
             f"others {1e3 * float(np.median(off_m)):.0f} mm (median): the tracker lost its lock or took "
             "another target; measure again or leave out"
         )
 
 
-def _mixed_up(X: Pose) -> dict[str, Pose]:
+def _wrong_conventions(X: Pose) -> dict[str, Pose]:
     flip = np.diag([1.0, -1.0, -1.0])
     return {
         "the frames are swapped: this is the rover in the turret": inverse(X),
@@ -218,38 +217,38 @@ def _mixed_up(X: Pose) -> dict[str, Pose]:
     }
 
 
-def _off_m(X: Pose, measured: Pose) -> Array:
+def _pose_error_m(X: Pose, measured: Pose) -> Array:
     """How far each pose is off, a metre away from its origin, (n,)."""
-    T = error_screw(X, Measured(measured, np.zeros((X.p.shape[1], 6, 6))))
+    T = error_screw(X, MeasuredPoses(measured, np.zeros((X.p.shape[1], 6, 6))))
     return np.asarray(np.sqrt(np.sum(T**2, axis=0)))
 
 
-def _about_fit(found: Fit, frames: Seen, verdict: Judged) -> Iterator[str]:
+def _check_fit(found: Fit, frames: Identifiability, verdict: HoldOutValidation) -> Iterator[str]:
     if not found.converged:
         yield "fit: did not converge"
-    if frames.rank < FULL_RANK:
-        unseen = "; ".join(f"{', '.join(g.names)} as {g.seen}" for g in frames.confused())
+    if frames.rank < FRAME_RANK:
+        unseen = "; ".join(f"{', '.join(g.names)} as {g.identified}" for g in frames.unidentifiable_groups())
         yield (
-            f"rank: the frames show {frames.rank} of {FULL_RANK} combinations ({unseen}); "
+            f"rank: the frames show {frames.rank} of {FRAME_RANK} combinations ({unseen}); "
             "more poses, and others, tell more"
         )
-    if found.sigma0 > NOISIER:
+    if found.sigma0 > MAX_SIGMA0:
         yield (
-            f"residuals: {found.sigma0:.2f} times the noise, p = {found.p_value:.1e}; {NOISIER} at most: "
+            f"residuals: {found.sigma0:.2f} times the noise, p = {found.p_value:.1e}; {MAX_SIGMA0} at most: "
             "something acts that neither the arm nor the tracker has in its model"
         )
-    if found.sigma0 < QUIETER:
-        yield f"residuals: {found.sigma0:.2f} of the noise, {QUIETER} at least: the covariances are too large"
-    if verdict.ratio > WORSE:
-        yield f"held-out poses: {verdict.ratio:.2f} times what noise and covariance allow; {WORSE} at most"
+    if found.sigma0 < MIN_SIGMA0:
+        yield f"residuals: {found.sigma0:.2f} of the noise, {MIN_SIGMA0} at least: the covariances are too large"
+    if verdict.ratio > MAX_HELD_OUT_RATIO:
+        yield f"held-out poses: {verdict.ratio:.2f} times what noise and covariance allow; {MAX_HELD_OUT_RATIO} at most"
     prior = np.array([parameter.prior_sigma for parameter in found.parameters])
-    for k in np.flatnonzero(np.abs(found.values) > FAR * prior):
+    for k in np.flatnonzero(np.abs(found.values) > MAX_PRIOR_SIGMAS * prior):
         yield (
             f"{found.parameters[k].name}: {found.values[k]:.3g} {found.parameters[k].unit} from the drawing, "
             f"{abs(found.values[k]) / prior[k]:.0f} times what arms are built to"
         )
 
 
-def _poses(which: Integers) -> str:
+def _list_poses(which: Integers) -> str:
     named = ", ".join(str(int(k)) for k in which[:6])
     return f"pose {named}" if which.size == 1 else f"poses {named}{' ...' if which.size > 6 else ''}"

@@ -8,21 +8,20 @@ import numpy as np
 from scipy.stats import chi2
 
 from fsw.kinematics.transforms import Array, Flags
-from ground.calibration.fit import Fit, fit
-from ground.calibration.problem import Model, Parameter
+from ground.calibration.fit import Fit, FitParameter, ResidualModel, fit
 
 FALSE_ALARM: Final = 0.01
 """Probability that a campaign without any outlier is said to have one."""
-MOST: Final = 0.2
+MAX_OUTLIER_SHARE: Final = 0.2
 """Share of the poses: if more do not fit, it is not they that are wrong."""
 
 
-class NoAgreement(ValueError):
+class TooManyOutliers(ValueError):
     """More poses are outliers than outliers can be."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cleaned:
+class OutlierRejection:
     """A fit without its outliers."""
 
     fit: Fit
@@ -37,13 +36,13 @@ class Cleaned:
         return tuple(int(pose) for pose in np.flatnonzero(~self.fit.used))
 
 
-def cleaned_fit(
-    parameters: Sequence[Parameter],
-    model: Model,
+def reject_outliers(
+    parameters: Sequence[FitParameter],
+    model: ResidualModel,
     start: Array | None = None,
     used: Flags | None = None,
     false_alarm: float = FALSE_ALARM,
-) -> Cleaned:
+) -> OutlierRejection:
     """Fit, leave out the worst pose beyond the limit, fit again, until all that is left agrees.
 
     A pose left out that the last fit agrees with comes back. Noise that is larger than stated, in all poses,
@@ -61,18 +60,18 @@ def cleaned_fit(
         if share[worst] <= 1.0:
             break
         keep = found.used & (np.arange(share.size) != worst)
-        if np.count_nonzero(asked & ~keep) > MOST * count:
-            raise NoAgreement(
-                f"more than {MOST:.0%} of {count} poses do not agree with the rest: no arm explains them all"
+        if np.count_nonzero(asked & ~keep) > MAX_OUTLIER_SHARE * count:
+            raise TooManyOutliers(
+                f"more than {MAX_OUTLIER_SHARE:.0%} of {count} poses do not agree with the rest: no arm explains them all"
             )
         found = fit(parameters, model, found.values, keep)
     back = asked & ~found.used & (share <= 1.0)
     if back.any():
         found = fit(parameters, model, found.values, found.used | back)
-    return Cleaned(found, leave_out_distance(found), limit)
+    return OutlierRejection(found, leave_one_out_distance(found), limit)
 
 
-def leave_out_distance(fitted: Fit) -> Array:
+def leave_one_out_distance(fitted: Fit) -> Array:
     """How far each pose is from what the fit to the *other* poses predicts, (n,), squared, over its variance.
 
     For poses that were not used, from the fit itself.
@@ -87,8 +86,8 @@ def leave_out_distance(fitted: Fit) -> Array:
 
 def _share_of_limit(fitted: Fit, false_alarm: float) -> tuple[Array, Array]:
     """How far each pose is as a share of its limit, and the limit; poses that tell less have a lower one."""
-    components = np.maximum(fitted.at.counted.sum(axis=1), 1)
-    distance = leave_out_distance(fitted)
+    components = np.maximum(fitted.at.is_informative.sum(axis=1), 1)
+    distance = leave_one_out_distance(fitted)
     typical = float(np.median((distance / chi2.median(components))[fitted.used]))
     limit = chi2.isf(false_alarm, components) * max(1.0, typical)
     return distance / limit, limit

@@ -12,9 +12,9 @@ from fsw.dictionary.enums import Tool
 from fsw.dictionary.params import Params
 from fsw.kinematics.arm import pose_to_transform6
 from fsw.kinematics.transforms import Pose
-from ground.calibration.arm_numbers import with_zeros_as_hardstops
+from ground.calibration.arm_parameters import move_zeros_to_hardstops
 from ground.calibration.calibrate import Calibration, rms_m
-from ground.calibration.data import Campaign
+from ground.calibration.campaign_data import Campaign
 from ground.common.files import written_whole
 from ground.common.params_text import params_text
 
@@ -24,7 +24,7 @@ def calibrated_params(found: Calibration, tools: dict[Tool, Pose] | None = None)
 
     Tools (X_FT in Arm6) that were registered on the turret take the place of the drawing's.
     """
-    _, params = with_zeros_as_hardstops(found.nominal, found.best.values)
+    _, params = move_zeros_to_hardstops(found.nominal, found.best.values)
     for tool, X_FT in (tools or {}).items():
         name = tool.name.lower()
         changed = replace(getattr(params.tools, name), transform=pose_to_transform6(X_FT))
@@ -39,7 +39,7 @@ def data_sha256(campaign: Campaign) -> str:
     R = np.round(m.X_RT.R, 8) + 0.0
     upper = m.covariance[:, *np.triu_indices(6)]
     written = BytesIO()
-    for values in (b.motor_rad, b.gap_rad, b.held_Nm, b.side, b.gravity_R_m_s2, b.turret_kg):
+    for values in (b.motor_rad, b.backlash_rad, b.friction_Nm, b.side, b.gravity_R_m_s2, b.turret_kg):
         np.save(written, np.ascontiguousarray(values))
     for values in (R, m.X_RT.p, upper):
         np.save(written, np.ascontiguousarray(values))
@@ -49,7 +49,7 @@ def data_sha256(campaign: Campaign) -> str:
 def provenance(found: Calibration) -> tuple[str, ...]:
     """Where the numbers come from, a sentence a line; no date, so that the same data give the same file."""
     campaign, best = found.campaign, found.best
-    left_out = ", ".join(map(str, found.cleaned.outliers)) or "none"
+    left_out = ", ".join(map(str, found.rejection.outliers)) or "none"
     groups, held = np.unique(campaign.group).size, found.held_out_error
     return (
         f"Flight parameters of {campaign.arm_name}, calibrated; those that are not here are nominal.",
@@ -60,8 +60,8 @@ def provenance(found: Calibration) -> tuple[str, ...]:
         f"{1e3 * rms_m(found.after[:, best.used]):.3f} mm after,",
         f"{1e3 * rms_m(held):.3f} mm on {held.shape[1]} held-out poses.",
         f"Residuals {best.sigma0:.3f} of the noise, p = {best.p_value:.3f}; "
-        f"held out {found.judged.ratio:.3f} of what is expected.",
-        f"Rank {found.frames_seen.rank} of 42 frame numbers, {found.seen.rank} of {best.values.size} in all.",
+        f"held out {found.hold_out.ratio:.3f} of what is expected.",
+        f"Rank {found.frame_identifiability.rank} of 42 frame numbers, {found.identifiability.rank} of {best.values.size} in all.",
         "Encoder zeros are in the hardstop angles: find every hardstop anew with this file loaded.",
     )
 

@@ -6,15 +6,19 @@ from typing import Final
 
 from fsw.dictionary.params import Params
 from ground.calibration.calibrate import Calibration, calibrate
-from ground.calibration.campaign import CampaignPlan, earth_reference, run_campaign
+from ground.calibration.campaign import (
+    PAPER_GROUPS,
+    CampaignPlan,
+    earth_reference,
+    resize_groups,
+    run_campaign,
+)
+from ground.calibration.campaign_data import Campaign
+from ground.calibration.campaign_file import read_campaign, save_campaign
 from ground.calibration.checks import LEAST_POSES, BadData, check_data, check_fit
-from ground.calibration.data import Campaign
-from ground.calibration.outliers import NoAgreement
+from ground.calibration.outliers import TooManyOutliers
 from ground.calibration.parameter_file import calibrated_params, save_parameter_file
-from ground.calibration.poses import PAPER_GROUPS, resized
-from ground.calibration.table import read_campaign, save_campaign
-from ground.calibration.tools import registered_tools
-from ground.calibration.verify import Verification, verified
+from ground.calibration.verify import Verification, register_tools, verify_calibration
 from ground.common.files import BadOutput, check_output
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest, check_apart, check_seed, chosen_arm
@@ -56,39 +60,39 @@ class CalibrateReport:
     verification: Verification | None
 
 
-def calibrate_report(request: CalibrateRequest, progress: Progress) -> CalibrateReport:
+def run_calibration(request: CalibrateRequest, progress: Progress) -> CalibrateReport:
     """Measure or read, fit, check, verify, and write the parameter file if that was asked for.
 
     Raises:
         BadRequest: the request or the data are wrong, or the fit is not to be believed; nothing was written.
     """
-    arm, base = _checked(request)
+    arm, base = _check_request(request)
     try:
         if arm is None:
-            campaign = read_campaign(_given(request.data))
-            _same_arm(base, campaign)
+            campaign = read_campaign(_require_table(request.data))
+            _check_same_arm(base, campaign)
         else:
-            campaign = _measured(request, arm, progress)
+            campaign = _measure_campaign(request, arm, progress)
         check_data(base, campaign)
         progress(0, 1, "fitting")
         found = calibrate(base, campaign)
         check_fit(found)
-        tools = None if arm is None else registered_tools(arm, request.seed)
+        tools = None if arm is None else register_tools(arm, request.seed)
         params = calibrated_params(found, tools)
         check_params(params, "the calibrated arm")
         verification = None
         if arm is not None and request.verify:
-            verification = verified(arm, params, request.verify, request.seed, progress)
+            verification = verify_calibration(arm, params, request.verify, request.seed, progress)
         if request.save_data is not None:
             save_campaign(campaign, request.save_data)
         if request.out is not None:
             save_parameter_file(found, params, request.out)
-    except (BadData, NoAgreement, BadOutput, BadParams) as error:
+    except (BadData, TooManyOutliers, BadOutput, BadParams) as error:
         raise BadRequest(str(error)) from error
     return CalibrateReport(request, found, params, verification)
 
 
-def _checked(request: CalibrateRequest) -> tuple[BuiltArm | None, Params]:
+def _check_request(request: CalibrateRequest) -> tuple[BuiltArm | None, Params]:
     """Everything that can be checked before anything moves or is written."""
     if (request.arm is None) == (request.data is None):
         raise BadRequest(
@@ -119,13 +123,13 @@ def _checked(request: CalibrateRequest) -> tuple[BuiltArm | None, Params]:
     return (None if request.arm is None else chosen_arm(request.arm, request.params)), base
 
 
-def _given(path: Path | None) -> Path:
+def _require_table(path: Path | None) -> Path:
     if path is None:
         raise BadRequest("data: give a table")
     return path
 
 
-def _same_arm(base: Params, campaign: Campaign) -> None:
+def _check_same_arm(base: Params, campaign: Campaign) -> None:
     if base.arm_name not in ("nominal", campaign.arm_name):
         raise BadData(
             f"params: these are of the arm {base.arm_name}, the data of {campaign.arm_name}; give the "
@@ -133,8 +137,8 @@ def _same_arm(base: Params, campaign: Campaign) -> None:
         )
 
 
-def _measured(request: CalibrateRequest, arm: BuiltArm, progress: Progress) -> Campaign:
+def _measure_campaign(request: CalibrateRequest, arm: BuiltArm, progress: Progress) -> Campaign:
     um, um_per_m = request.tracker_um
     tracker = Tracker(sigma_m=um * MICRO, sigma_per_m=um_per_m * MICRO)
-    plan = CampaignPlan(resized(PAPER_GROUPS, request.poses), tracker, request.seed)
+    plan = CampaignPlan(resize_groups(PAPER_GROUPS, request.poses), tracker, request.seed)
     return run_campaign(arm, earth_reference(arm, progress), plan, progress)

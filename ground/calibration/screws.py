@@ -6,11 +6,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from fsw.kinematics.transforms import Array, Pose, compose, dot, inverse, rotate, skew
-from ground.calibration.problem import Linearised
+from ground.calibration.fit import Linearisation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
+class MeasuredPoses:
     """Poses as they were measured, and how well."""
 
     X_RT: Pose
@@ -37,12 +37,14 @@ def screw_log(X: Pose) -> Array:
     return np.concatenate([w, rotate(inverse_V, X.p)])
 
 
-def error_screw(X_RM: Pose, measured: Measured) -> Array:
+def error_screw(X_RM: Pose, measured: MeasuredPoses) -> Array:
     """The screw (6, n) from modelled poses to measured ones, in axes of the modelled: log of D_error."""
     return screw_log(inverse(X_RM) @ measured.X_RT)
 
 
-def linearised(X_RM: Pose, moved: Array, measured: Measured, whitener: Array | None = None) -> Linearised:
+def linearise(
+    X_RM: Pose, moved: Array, measured: MeasuredPoses, whitener: Array | None = None
+) -> Linearisation:
     """Whitened error screws of modelled poses, and their derivatives.
 
     `moved` (6, n, p): the screw by which a modelled pose moves, in its own axes, per unit of each parameter.
@@ -51,7 +53,7 @@ def linearised(X_RM: Pose, moved: Array, measured: Measured, whitener: Array | N
     T = error_screw(X_RM, measured)
     W = measured.whitener if whitener is None else whitener
     turned = -np.einsum("ijn,jnp->nip", _inverse_left_jacobian(T), moved)
-    return Linearised(np.einsum("nij,jn->ni", W, T), W @ turned)
+    return Linearisation(np.einsum("nij,jn->ni", W, T), W @ turned)
 
 
 def _inverse_left_jacobian(T: Array) -> Array:

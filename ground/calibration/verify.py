@@ -12,8 +12,11 @@ from fsw.dictionary.enums import Tool
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import vector3
 from fsw.estimate.reference import Reference
-from fsw.kinematics.transforms import Array, angle_between
+from fsw.kinematics.arm import build_arm
+from fsw.kinematics.transforms import Array, Pose, angle_between, screw_exp
+from ground.calibration.arm_parameters import FIXTURE_M, FIXTURE_RAD
 from ground.calibration.campaign import CampaignFailed, earth_reference
+from ground.calibration.simulation import true_params
 from ground.common.progress import Progress
 from sim.arms import BuiltArm
 from sim.effects.effect import Effect
@@ -25,14 +28,23 @@ from sim.pose_sequence import free_air_loop, run_and_rest
 from sim.workspace import approach_from, random_targets
 from sim.world import World
 
+
+def register_tools(arm: BuiltArm, seed: int) -> dict[Tool, Pose]:
+    """X_FT of every tool as the tracker measures it, from targets on the tool and on the interface."""
+    rng = np.random.default_rng([seed, 3])
+    truth = build_arm(true_params(arm))
+    noise = np.repeat([FIXTURE_RAD, FIXTURE_M], 3)
+    return {tool: truth.X_FT[tool] @ screw_exp(noise * rng.standard_normal(6)) for tool in Tool}
+
+
 COLD_C: Final = -35.0
 """Of the actuators and the arm on Mars: the coldest that flight saw."""
-CALIBRATED_C: Final = 20.0
+CALIBRATION_C: Final = 20.0
 MOST_TRIES: Final = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Place:
+class PlaceErrors:
     """How well tools came to targets in one place; (n,) each."""
 
     name: str
@@ -51,10 +63,12 @@ class Verification:
     """Encoder zeros of the hardstops found anew, less those found with the old parameters, (5,)."""
     expected_rad: Array
     """By how much the hardstop angles were changed, (5,)."""
-    places: tuple[Place, ...]
+    places: tuple[PlaceErrors, ...]
 
 
-def verified(arm: BuiltArm, params: Params, targets: int, seed: int, progress: Progress) -> Verification:
+def verify_calibration(
+    arm: BuiltArm, params: Params, targets: int, seed: int, progress: Progress
+) -> Verification:
     """So many targets on Earth, on Mars, and on cold Mars, where the arm has shrunk too.
 
     Raises:
@@ -63,21 +77,21 @@ def verified(arm: BuiltArm, params: Params, targets: int, seed: int, progress: P
     known = replace(arm, params=params)
     before, reference = (earth_reference(which, progress) for which in (arm, known))
     changed_rad = configure(params).hardstop_rad - configure(arm.params).hardstop_rad
-    cold = (Ambient(COLD_C), Warming(COLD_C - CALIBRATED_C))
+    cold = (Ambient(COLD_C), Warming(COLD_C - CALIBRATION_C))
     where = (("earth", World("earth"), ()), ("mars", World(), ()), ("cold mars", World(), cold))
     places = []
     for k, (name, world, effects) in enumerate(where):
-        run = Run(known, reference, world, effects, seed)
+        run = VerificationRun(known, reference, world, effects, seed)
         found = []
-        for one in run.misses(targets):
+        for one in run.tool_errors(targets):
             found.append(one)
             progress(k * targets + len(found), len(where) * targets, name)
         tools, errors = zip(*found, strict=True)
-        places.append(Place(name, tools, *np.array(errors).T))
+        places.append(PlaceErrors(name, tools, *np.array(errors).T))
     return Verification(reference.zero_rad - before.zero_rad, changed_rad, tuple(places))
 
 
-class Run:
+class VerificationRun:
     """One place: the arm with its full turret goes from target to target."""
 
     def __init__(
@@ -87,22 +101,22 @@ class Run:
         self._loop = free_air_loop(Setup(arm, world, ready, seed, reference, effects))
         self._rng = np.random.default_rng([seed, 4])
 
-    def misses(self, targets: int) -> Iterator[tuple[Tool, Array]]:
+    def tool_errors(self, targets: int) -> Iterator[tuple[Tool, Array]]:
         """The tool, and by how much it missed: in all, across, along the approach [m], and its axis [rad]."""
         for k in range(targets):
             tool = Tool(k % len(Tool))
-            yield tool, self._miss(tool)
+            yield tool, self._visit_target(tool)
 
-    def _miss(self, tool: Tool) -> Array:
+    def _visit_target(self, tool: Tool) -> Array:
         for _ in range(MOST_TRIES):
             p_N_m, angles = random_targets(self._rng, 1)
             target, approach = p_R_from_N(p_N_m[:, 0]), approach_from(angles)[:, 0]
             problem = run_and_rest(self._loop, MoveTool(tool, vector3(target), vector3(approach)))
             if problem is None:
-                return self._looked_at(tool, target, approach)
+                return self._tool_error(tool, target, approach)
         raise CampaignFailed(f"no target in {MOST_TRIES} could be reached: {problem}")
 
-    def _looked_at(self, tool: Tool, target: Array, approach: Array) -> Array:
+    def _tool_error(self, tool: Tool, target: Array, approach: Array) -> Array:
         truth = self._loop.plant.truth()
         miss, axis = truth.p_RoTo_R_m[tool] - target, truth.R_RT[tool][:, 0]
         along = float(miss @ approach)

@@ -38,16 +38,15 @@ def budget(
 
     Example: marsarm budget --case accuracy --tool apxs --report budget.html
     """
-    from ground.accuracy.budget_page import save_budget_page
-    from ground.accuracy.budget_request import BudgetRequest, budget_report
-    from ground.accuracy.budget_tables import budget_json, budget_table
+    from ground.accuracy.budget_report import budget_json, budget_table, save_budget_page
+    from ground.accuracy.budget_request import BudgetRequest, run_budget
     from ground.common.progress_bar import progress_bar
     from ground.common.requests import BadRequest
 
     request = BudgetRequest(case, tool, poses, seed, params, gravity, report, reproduce)
     try:
         with progress_bar() as progress:
-            found = budget_report(request, progress)
+            found = run_budget(request, progress)
             if report is not None:
                 save_budget_page(found, report)
     except BadRequest as error:

@@ -48,9 +48,8 @@ def calibrate(
     Example: marsarm calibrate --arm as-built:7 --out arm7.toml --verify 10 --report calibration.html
     """
     from ground.calibration.campaign import CampaignFailed
-    from ground.calibration.page import save_calibration_page
-    from ground.calibration.request import CalibrateRequest, calibrate_report
-    from ground.calibration.tables import calibration_json, calibration_table
+    from ground.calibration.report import calibration_json, calibration_table, save_calibration_page
+    from ground.calibration.request import CalibrateRequest, run_calibration
     from ground.cli.options import ARM_SAFE
     from ground.common.progress_bar import progress_bar
     from ground.common.requests import BadRequest
@@ -58,7 +57,7 @@ def calibrate(
     request = CalibrateRequest(arm, data, poses, seed, tracker, params, verify, save_data, out, report)
     try:
         with progress_bar() as progress:
-            found = calibrate_report(request, progress)
+            found = run_calibration(request, progress)
             if report is not None:
                 save_calibration_page(found, report)
     except BadRequest as error:

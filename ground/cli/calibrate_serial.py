@@ -45,10 +45,9 @@ def calibrate_serial(
 
     Example: marsarm calibrate-serial models/ur10/arm.toml poses.csv models/ur10/series_a.toml
     """
-    from ground.calibration.serial.figure import save_serial_figure
+    from ground.calibration.serial.report import save_serial_figure, serial_json, serial_table
     from ground.calibration.serial.request import SerialRequest
     from ground.calibration.serial.request import calibrate_serial as carry_out
-    from ground.calibration.serial.tables import serial_json, serial_table
     from ground.common.progress_bar import progress_bar
     from ground.common.requests import BadRequest
 

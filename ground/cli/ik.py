@@ -81,8 +81,8 @@ def ik(
     from ground.common.progress_bar import progress_bar
     from ground.common.requests import BadRequest
     from ground.ik.model import ModelRequest
+    from ground.ik.report import batch_json, batch_table, ik_json, ik_table
     from ground.ik.solve import IkReport, IkRequest, solve
-    from ground.ik.tables import batch_json, batch_table, ik_json, ik_table
 
     model = ModelRequest(tool, compensate, tilt_roll, tilt_pitch, gravity, warming, arm, params)
     try:
@@ -123,7 +123,7 @@ def reach(
     from ground.ik.model import ModelRequest
     from ground.ik.reach import ReachRequest
     from ground.ik.reach import reach as carry_out
-    from ground.ik.tables import reach_json, reach_table
+    from ground.ik.report import reach_json, reach_table
 
     model = ModelRequest(tool, compensate, tilt_roll, tilt_pitch, gravity, warming, arm, params)
     try:

@@ -65,9 +65,13 @@ def monte_carlo(
 
     Example: marsarm monte-carlo --case mars --arms 200 --results mars.jsonl --report mars.html
     """
-    from ground.accuracy.monte_carlo_page import save_monte_carlo_page
-    from ground.accuracy.monte_carlo_request import MonteCarloRequest, monte_carlo_report
-    from ground.accuracy.monte_carlo_tables import monte_carlo_json, monte_carlo_table, only_table
+    from ground.accuracy.monte_carlo import MonteCarloRequest, run_monte_carlo
+    from ground.accuracy.monte_carlo_report import (
+        monte_carlo_json,
+        monte_carlo_table,
+        one_arm_table,
+        save_monte_carlo_page,
+    )
     from ground.common.progress_bar import progress_bar
     from ground.common.requests import BadRequest
 
@@ -87,12 +91,12 @@ def monte_carlo(
     )
     try:
         with progress_bar() as progress:
-            found = monte_carlo_report(request, progress)
+            found = run_monte_carlo(request, progress)
             if report is not None:
                 save_monte_carlo_page(found, report)
     except BadRequest as error:
         end(str(error), BAD_INPUT, as_json)
-    print_table = monte_carlo_table if only is None else only_table
+    print_table = monte_carlo_table if only is None else one_arm_table
     show(monte_carlo_json(found), as_json, lambda: print_table(found))
     if not found.trials:
         raise typer.Exit(ARM_SAFE)

@@ -13,14 +13,14 @@ from fsw.kinematics.ik import IkResult, inverse_kinematics
 from fsw.kinematics.transforms import Array
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest, chosen_arm, tilted_world
-from ground.ik.targets import Targets
+from ground.ik.targets import IkTargets
 
 COMPENSATIONS: Final = ("absolute", "off")
 MOST_WARMING_K: Final = 200.0
 """Either way, more than from the warmest day of calibration to the coldest night on Mars."""
 
 
-PART: Final = 8192
+BATCH_SIZE: Final = 8192
 """Targets at a time: about a second."""
 
 
@@ -39,7 +39,7 @@ class ModelRequest:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ArmModel:
+class IkModel:
     """What flight software believes about the arm, and the gravity to compensate, if any."""
 
     request: ModelRequest
@@ -49,7 +49,7 @@ class ArmModel:
     params_sha256: str
 
     @property
-    def words(self) -> str:
+    def description(self) -> str:
         """The arm and its load in words."""
         asked = self.request
         words = f"{asked.tool.upper()}, {asked.arm} arm"
@@ -61,26 +61,26 @@ class ArmModel:
         level = asked.tilt_roll_deg == asked.tilt_pitch_deg == 0.0
         return words + f", hanging in the gravity of {asked.gravity.title()}" + ("" if level else tilted)
 
-    def in_parts(self, targets: Targets, progress: Progress) -> Iterator[IkResult]:
+    def solve_in_batches(self, targets: IkTargets, progress: Progress) -> Iterator[IkResult]:
         """The answers to many targets, some at a time, (S, n) each; S may differ."""
-        for start in range(0, len(targets), PART):
+        for start in range(0, len(targets), BATCH_SIZE):
             progress(start, len(targets), "solving")
-            yield self.answers(targets.part(start, PART))
+            yield self.answers(targets.part(start, BATCH_SIZE))
 
-    def answers(self, targets: Targets) -> IkResult:
+    def answers(self, targets: IkTargets) -> IkResult:
         """Every branch of every target, (S, n)."""
         return inverse_kinematics(
             self.arm, self.tool, targets.p_RoTo_R_m, targets.approach_R, self.gravity_R_m_s2
         )
 
 
-def checked_model(request: ModelRequest) -> ArmModel:
+def build_ik_model(request: ModelRequest) -> IkModel:
     """The arm that is meant.
 
     Raises:
         BadRequest: a field of the request is wrong.
     """
-    tool = _tool(request.tool)
+    tool = _parse_tool(request.tool)
     if request.compensate not in COMPENSATIONS:
         raise BadRequest(
             f"compensate: {request.compensate!r} is not known; there are {', '.join(COMPENSATIONS)}"
@@ -92,10 +92,10 @@ def checked_model(request: ModelRequest) -> ArmModel:
         )
     params = chosen_arm(request.arm, request.params).params
     gravity = world.gravity_N_m_s2 if request.compensate == "absolute" else None
-    return ArmModel(request, heat_arm(build_arm(params), request.warming_K), tool, gravity, digest(params))
+    return IkModel(request, heat_arm(build_arm(params), request.warming_K), tool, gravity, digest(params))
 
 
-def _tool(name: str) -> Tool:
+def _parse_tool(name: str) -> Tool:
     known = {tool.name.lower(): tool for tool in Tool}
     if name.lower() not in known:
         raise BadRequest(f"tool: {name!r} is not known; there are {', '.join(known)}")

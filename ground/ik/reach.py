@@ -2,15 +2,173 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.kinematics.ik import BranchVerdict
+from fsw.kinematics.transforms import Array
 from ground.common.files import BadOutput, check_output
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest, check_apart, check_seed
-from ground.ik.model import ArmModel, ModelRequest, checked_model
-from ground.ik.reach_figure import save_reach_figure
-from ground.ik.samples import sample
-from ground.ik.tally import Tally
+from ground.ik.model import IkModel, ModelRequest, build_ik_model
+from ground.ik.tally import Tally, tally
+from ground.ik.targets import IkTargets
+from ground.render.figures import save_figure
+from sim.frames import p_R_from_N
+from sim.workspace import (
+    BOTTOM_Z_M,
+    CENTRE_X_M,
+    RADIUS_M,
+    TOP_Z_M,
+    WEDGE_DOWN_RAD,
+    WEDGE_SIDE_RAD,
+    approach_from,
+    random_targets,
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReachSamples:
+    """Targets in the workspace, and how many valid branches each has."""
+
+    p_NoTo_N_m: Array
+    """(3, n)."""
+    angles_rad: Array
+    """(2, n): of the approach, below horizontal and to the right of straight ahead."""
+    valid: NDArray[np.int64]
+    """(n,)."""
+
+
+def sample_workspace(model: IkModel, count: int, seed: int, progress: Progress) -> tuple[ReachSamples, Tally]:
+    """Random targets of the workspace with their answers, counted; the same for the same seed."""
+    p_N_m, angles = random_targets(np.random.default_rng(seed), count)
+    targets = IkTargets(p_R_from_N(p_N_m.T).T, approach_from(angles))
+    valid, counted = [], Tally()
+    for answers in model.solve_in_batches(targets, progress):
+        valid.append((answers.verdict == BranchVerdict.VALID).sum(axis=0))
+        counted += tally(answers)
+    return ReachSamples(p_N_m, angles, np.concatenate(valid)), counted
+
+
+SAMPLES_PER_CELL: Final = 40
+CELLS: Final = (4, 30)
+"""Along a side of a map: at least, at most."""
+MIN_SAMPLES: Final = 5
+"""In a cell; with less its mean says nothing, and it stays grey."""
+GREY: Final = "0.85"
+BLUE: Final = "#31688e"
+X_RANGE: Final = (CENTRE_X_M - RADIUS_M, CENTRE_X_M + RADIUS_M)
+Y_RANGE: Final = (-RADIUS_M, RADIUS_M)
+Z_RANGE: Final = (TOP_Z_M, BOTTOM_Z_M)
+
+
+def save_reach_figure(samples: ReachSamples, counted: Tally, model: "IkModel", path: Path) -> str | None:
+    """Save the picture as PNG; the reason if matplotlib is not there to draw it.
+
+    Raises:
+        BadOutput: the file cannot be written.
+    """
+
+    def draw(figure: Any) -> None:
+        figure.get_layout_engine().set(w_pad=0.1, h_pad=0.1)
+        figure.suptitle(_title(samples, counted, model), fontsize=11)
+        _draw(figure, samples, counted)
+
+    return save_figure(path, (14, 9), 110, draw)
+
+
+def _draw(figure: Any, samples: ReachSamples, counted: Tally) -> None:
+    above, below = figure.subfigures(2, 1, height_ratios=(1.2, 1.0))
+    _draw_maps(above, samples)
+    branches, numbers, reasons = below.subplots(1, 3)
+    targets, by_valid = counted.targets, counted.targets_by_valid
+    _bars(branches, {name: counted.valid_by_branch[name] for name in counted.branches}, targets)
+    branches.set(title="Valid branches", xlabel="share of targets [%]")
+    _bars(numbers, {str(valid): by_valid[valid] for valid in range(max(by_valid) + 1)}, targets)
+    numbers.set(title="Valid branches of a target", xlabel="share of targets [%]", ylabel="how many")
+    _bars(reasons, _reasons(counted), max(counted.out, 1))
+    reasons.set(title="Why branches are out", xlabel="share of branches that are out [%]")
+
+
+def _draw_maps(figure: Any, samples: ReachSamples) -> None:
+    side, top, wedge = figure.subplots(1, 3)
+    x, y, z = samples.p_NoTo_N_m
+    down_deg, right_deg = np.degrees(samples.angles_rad)
+    most = max(float(np.quantile(samples.valid, 0.99)), 1.0)
+
+    def mapped(axes: Any, across: Array, along: Array, ranges: Any) -> Any:
+        return _draw_map(axes, (across, along, samples.valid), ranges, most)
+
+    mapped(side, x, z, (X_RANGE, Z_RANGE))
+    side.axhline(0.0, color="white", linewidth=1.5, linestyle="--")
+    side.text(X_RANGE[0] + 0.01, -0.01, "ground", color="white", va="bottom")
+    side.set(title="Side: mean over y, approach", xlabel="x forward [m]", ylabel="z down [m]")
+    side.invert_yaxis()
+    mapped(top, y, x, (Y_RANGE, X_RANGE))
+    top.set(title="Top: mean over z, approach", xlabel="y right [m]", ylabel="x forward [m]")
+    for axes in (side, top):
+        axes.set_aspect("equal")
+        axes.xaxis.set_major_locator(_every(0.2))
+    degrees = (np.degrees((-WEDGE_SIDE_RAD, WEDGE_SIDE_RAD)), np.degrees((0.0, WEDGE_DOWN_RAD)))
+    colours = mapped(wedge, right_deg, down_deg, degrees)
+    wedge.set(
+        title="Approach: mean over workspace",
+        xlabel="to the right of straight ahead [deg]",
+        ylabel="below horizontal [deg]",
+    )
+    wedge.invert_yaxis()
+    for axis in (wedge.xaxis, wedge.yaxis):
+        axis.set_major_locator(_every(15.0))
+    figure.colorbar(colours, ax=[side, top, wedge], label="valid branches, mean", extend="max", pad=0.02)
+
+
+def _every(step: float) -> Any:
+    from matplotlib.ticker import MultipleLocator
+
+    return MultipleLocator(step)
+
+
+def _draw_map(axes: Any, points: tuple[Array, Array, Any], ranges: Any, most: float) -> Any:
+    """Mean number of valid branches in each cell, grey where there are too few samples."""
+    across, along, valid = points
+    cells = int(np.clip(np.sqrt(len(valid) / SAMPLES_PER_CELL), *CELLS))
+    sums, edges_across, edges_along = np.histogram2d(across, along, cells, ranges, weights=valid)
+    counts, _, _ = np.histogram2d(across, along, cells, ranges)
+    mean = np.ma.masked_where(counts < MIN_SAMPLES, sums / np.maximum(counts, 1))
+    axes.set_facecolor(GREY)
+    return axes.pcolormesh(edges_across, edges_along, mean.T, vmin=0.0, vmax=most, cmap="viridis")
+
+
+def _reasons(counted: Tally) -> dict[str, int]:
+    """Branches that are out, by the joint farthest beyond its limit or whatever else it was."""
+    out = {f"{joint} limit": count for joint, count in counted.outside_by_joint.items()}
+    for verdict, count in counted.by_verdict.items():
+        if verdict not in ("valid", "outside_limits"):
+            out[verdict.replace("_", " ")] = count
+    return dict(sorted(out.items(), key=lambda item: -item[1]))
+
+
+def _bars(axes: Any, counts: dict[str, int], whole: int) -> None:
+    """A bar for each name, with its share of the whole in percent."""
+    shares = [100.0 * count / whole for count in counts.values()]
+    drawn = axes.barh(list(counts), shares, color=BLUE)
+    labels = [f"{share:.2g} %" if 0.0 < share < 10.0 else f"{share:.0f} %" for share in shares]
+    axes.bar_label(drawn, labels, padding=3)
+    axes.invert_yaxis()
+    axes.set_xticks(range(0, 101, 20))
+    axes.set_xlim(0.0, 1.25 * max([*shares, 1.0]))
+
+
+def _title(samples: ReachSamples, counted: Tally, model: "IkModel") -> str:
+    some = 100.0 * (1.0 - counted.targets_by_valid[0] / counted.targets)
+    return (
+        f"Reach in the primary workspace, RNAV: {model.description}\n"
+        f"{counted.targets} random targets, {some:.2f} % with a valid branch; "
+        f"limits only, no collisions; grey: fewer than {MIN_SAMPLES} targets"
+    )
+
 
 MOST_SAMPLES: Final = 1_000_000
 
@@ -30,7 +188,7 @@ class ReachReport:
     """What came of it."""
 
     request: ReachRequest
-    model: ArmModel
+    model: IkModel
     tally: Tally
     picture_problem: str | None
     """Why there is no picture although one was asked for."""
@@ -42,7 +200,7 @@ def reach(request: ReachRequest, progress: Progress) -> ReachReport:
     Raises:
         BadRequest: the request is wrong, or the picture cannot be written; nothing was written.
     """
-    model = checked_model(request.model)
+    model = build_ik_model(request.model)
     check_seed(request.seed)
     if not 1 <= request.samples <= MOST_SAMPLES:
         raise BadRequest(f"samples: {request.samples} is not within 1 .. {MOST_SAMPLES}")
@@ -50,7 +208,7 @@ def reach(request: ReachRequest, progress: Progress) -> ReachReport:
         if request.picture is not None:
             check_apart({"params": request.model.params, "picture": request.picture})
             check_output(request.picture, (".png",), "picture")
-        samples, counted = sample(model, request.samples, request.seed, progress)
+        samples, counted = sample_workspace(model, request.samples, request.seed, progress)
         problem = None
         if request.picture is not None:
             progress(1, 1, "drawing")

@@ -11,11 +11,10 @@ from fsw.kinematics.ik import IkResult, select_result
 from ground.common.files import BadOutput, check_output
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest, check_apart
-from ground.ik.model import ArmModel, ModelRequest, checked_model
-from ground.ik.read import SUFFIXES, read_targets
+from ground.ik.model import IkModel, ModelRequest, build_ik_model
 from ground.ik.tally import Tally, tally
-from ground.ik.targets import Targets, checked_targets
-from ground.ik.write import writer
+from ground.ik.targets import SUFFIXES, IkTargets, make_targets, read_targets
+from ground.ik.writers import open_writer
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +34,7 @@ class IkReport:
     """The answers to one target."""
 
     request: IkRequest
-    model: ArmModel
+    model: IkModel
     answers: IkResult
     """(S,)."""
 
@@ -45,7 +44,7 @@ class BatchReport:
     """What came of a file of targets; the answers are in the file `request.out`."""
 
     request: IkRequest
-    model: ArmModel
+    model: IkModel
     tally: Tally
 
 
@@ -55,7 +54,7 @@ def solve(request: IkRequest, progress: Progress) -> IkReport | BatchReport:
     Raises:
         BadRequest: the request is wrong, or a file cannot be read or written; nothing was written.
     """
-    model = checked_model(request.model)
+    model = build_ik_model(request.model)
     if request.batch is None and request.out is None:
         return IkReport(request, model, select_result(model.answers(_one_target(request)), 0))
     if request.batch is None or request.out is None:
@@ -65,26 +64,26 @@ def solve(request: IkRequest, progress: Progress) -> IkReport | BatchReport:
     return _solve_batch(request, model, request.batch, request.out, progress)
 
 
-def _one_target(request: IkRequest) -> Targets:
+def _one_target(request: IkRequest) -> IkTargets:
     if request.position_m is None or request.approach is None:
         raise BadRequest(
             "position and approach: give both, such as --position 2.1 0 -0.3 --approach 0.5 0 0.85; "
             "or a batch and out"
         )
     position, approach = (np.array(vector)[:, None] for vector in (request.position_m, request.approach))
-    return checked_targets(position, approach, request.frame, lambda _: ("position", "approach"))
+    return make_targets(position, approach, request.frame, lambda _: ("position", "approach"))
 
 
 def _solve_batch(
-    request: IkRequest, model: ArmModel, batch: Path, out: Path, progress: Progress
+    request: IkRequest, model: IkModel, batch: Path, out: Path, progress: Progress
 ) -> BatchReport:
     check_apart({"params": request.model.params, "batch": batch, "out": out})
     try:
         check_output(out, SUFFIXES, "out")
         targets = read_targets(batch, request.frame)
         counted = Tally()
-        with writer(out, _about(request, model)) as answers_file:
-            for answers in model.in_parts(targets, progress):
+        with open_writer(out, _about(request, model)) as answers_file:
+            for answers in model.solve_in_batches(targets, progress):
                 answers_file.add(answers)
                 counted += tally(answers)
             progress(1, 1, "writing")
@@ -93,7 +92,7 @@ def _solve_batch(
     return BatchReport(request, model, counted)
 
 
-def _about(request: IkRequest, model: ArmModel) -> dict[str, object]:
+def _about(request: IkRequest, model: IkModel) -> dict[str, object]:
     """What a reader of the file must know to make it again."""
     params = request.model.params
     return {

@@ -2,6 +2,7 @@
 
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +10,9 @@ from numpy.typing import NDArray
 from fsw.dictionary.enums import Joint
 from fsw.kinematics.branches import BRANCHES, slot_name
 from fsw.kinematics.ik import BranchVerdict, IkResult
-from ground.ik.names import VERDICTS
+
+JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
+VERDICT_NAMES: Final = tuple(verdict.name.lower() for verdict in BranchVerdict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,16 +56,20 @@ def tally(answers: IkResult) -> Tally:
     valid = answers.verdict == BranchVerdict.VALID
     outside = answers.verdict == BranchVerdict.OUTSIDE_LIMITS
     verdicts = Counter(
-        {VERDICTS[k]: int(count) for k, count in _counted(answers.verdict) if k != BranchVerdict.ABSENT}
+        {
+            VERDICT_NAMES[k]: int(count)
+            for k, count in _count_values(answers.verdict)
+            if k != BranchVerdict.ABSENT
+        }
     )
     return Tally(
-        Counter(dict(_counted(valid.sum(axis=0)))),
+        Counter(dict(_count_values(valid.sum(axis=0)))),
         Counter({slot_name(slot): int(count) for slot, count in enumerate(valid.sum(axis=1)) if count}),
         verdicts,
-        Counter({Joint(k).name.lower(): count for k, count in _counted(answers.joint[outside])}),
+        Counter({Joint(k).name.lower(): count for k, count in _count_values(answers.joint[outside])}),
     )
 
 
-def _counted(numbers: NDArray[np.int64]) -> list[tuple[int, int]]:
+def _count_values(numbers: NDArray[np.int64]) -> list[tuple[int, int]]:
     values, counts = np.unique(numbers, return_counts=True)
     return [(int(value), int(count)) for value, count in zip(values, counts, strict=True)]

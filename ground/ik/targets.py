@@ -1,7 +1,12 @@
-"""Targets in the rover frame, made from what people give, and checked one by one."""
+"""Targets of a batch from a file, .npz or Parquet; nothing in the file is trusted."""
 
-from collections.abc import Callable
+import os
+import warnings
+import zipfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -13,12 +18,12 @@ from sim.frames import p_R_from_N
 
 FRAMES: Final = ("rnav", "rmech")
 
-Naming = Callable[[int], tuple[str, str]]
+TargetLabel = Callable[[int], tuple[str, str]]
 """What the position and the approach of a target are called, by its number."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Targets:
+class IkTargets:
     """Where the tool's origin is to be and along which direction its boresight, in RMECH."""
 
     p_RoTo_R_m: Array
@@ -29,13 +34,13 @@ class Targets:
     def __len__(self) -> int:
         return int(self.p_RoTo_R_m.shape[1])
 
-    def part(self, start: int, count: int) -> "Targets":
+    def part(self, start: int, count: int) -> "IkTargets":
         """Some of them, from number `start` on."""
         these = slice(start, start + count)
-        return Targets(self.p_RoTo_R_m[:, these], self.approach_R[:, these])
+        return IkTargets(self.p_RoTo_R_m[:, these], self.approach_R[:, these])
 
 
-def checked_targets(position_m: Array, approach: Array, frame: str, naming: Naming) -> Targets:
+def make_targets(position_m: Array, approach: Array, frame: str, naming: TargetLabel) -> IkTargets:
     """Targets from positions (3, n) in `frame` and directions (3, n) of any length; its axes are the rover's.
 
     Raises:
@@ -64,12 +69,130 @@ def checked_targets(position_m: Array, approach: Array, frame: str, naming: Nami
     )
     unit = approach / largest  # first, so that the length is a number
     unit = unit / np.linalg.norm(unit, axis=0)
-    return Targets(p_R_from_N(position_m.T).T if frame == "rnav" else position_m, unit)
+    return IkTargets(p_R_from_N(position_m.T).T if frame == "rnav" else position_m, unit)
 
 
-def _refuse(wrong: NDArray[np.bool_], values: Array, naming: Naming, which: int, complaint: str) -> None:
+def _refuse(wrong: NDArray[np.bool_], values: Array, naming: TargetLabel, which: int, complaint: str) -> None:
     if not wrong.any():
         return
     first = int(np.argmax(wrong))
     said = numbers(tuple(float(value) for value in values[:, first]))
     raise BadRequest(f"{naming(first)[which]}: {said} {complaint}")
+
+
+SUFFIXES: Final = (".npz", ".parquet")
+ZIP_MAGIC: Final = b"PK\x03\x04"
+POSITION_COLUMNS: Final = ("position_x_m", "position_y_m", "position_z_m")
+APPROACH_COLUMNS: Final = ("approach_x", "approach_y", "approach_z")
+
+
+def read_targets(path: Path, frame: str) -> IkTargets:
+    """The targets of a file: `position_m` and `approach` (n, 3), or in Parquet a column for each component.
+
+    Raises:
+        BadRequest: the file cannot be read, lacks an array or a column, or holds a target that is none.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise BadRequest(f"batch {path}: its name must end in {' or '.join(SUFFIXES)}")
+    if os.path.exists(path) and not os.path.isfile(path):  # a pipe, say, which would never end
+        raise BadRequest(f"batch {path}: is not a regular file")
+    with _read_errors(path):
+        position, approach = _from_npz(path) if suffix == ".npz" else _from_parquet(path)
+    if position.shape[1] != approach.shape[1]:
+        raise BadRequest(
+            f"batch {path}: there are {position.shape[1]} positions and {approach.shape[1]} approaches"
+        )
+    if position.shape[1] == 0:
+        raise BadRequest(f"batch {path}: there is no target in it; give at least one")
+    names = (
+        ("position_m", "approach")
+        if suffix == ".npz"
+        else (", ".join(POSITION_COLUMNS), ", ".join(APPROACH_COLUMNS))
+    )
+
+    def naming(row: int) -> tuple[str, str]:
+        where = f"batch {path}: row {row} (the first is 0): "
+        return where + names[0], where + names[1]
+
+    return make_targets(position, approach, frame, naming)
+
+
+@contextmanager
+def _read_errors(path: Path) -> Iterator[None]:
+    """What the readers of files raise about files that are torn, or of another kind, becomes a sentence."""
+    kind = "a NumPy .npz file" if path.suffix.lower() == ".npz" else "a Parquet file"
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of files from other times
+            yield
+    except BadRequest:
+        raise
+    except MemoryError as error:
+        raise BadRequest(f"batch {path}: is too large for the memory; give it in parts") from error
+    except OSError as error:
+        if error.strerror is None:  # of the readers, not of the machine
+            raise BadRequest(f"batch {path}: cannot be read as {kind}: {_one_line(error)}") from error
+        raise BadRequest(f"batch {path}: cannot be read ({error.strerror})") from error
+    except Exception as error:  # torn headers end in a tokenizer, a decompressor, anywhere
+        raise BadRequest(f"batch {path}: cannot be read as {kind}: {_one_line(error)}") from error
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _from_npz(path: Path) -> tuple[Array, Array]:
+    """Positions and approaches, (3, n) each."""
+    with path.open("rb") as file:
+        if file.read(len(ZIP_MAGIC)) != ZIP_MAGIC or not zipfile.is_zipfile(file):
+            raise BadRequest(f"batch {path}: is not a NumPy .npz file, or only a part of one")
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as arrays:
+            missing = [name for name in ("position_m", "approach") if name not in arrays.files]
+            if missing:
+                raise BadRequest(
+                    f"batch {path}: there is no array {' and no '.join(missing)}; "
+                    f"it must hold position_m (n, 3) and approach (n, 3), it holds {_list_names(arrays.files)}"
+                )
+            return _three_rows(path, "position_m", arrays["position_m"]), _three_rows(
+                path, "approach", arrays["approach"]
+            )
+
+
+def _three_rows(path: Path, name: str, values: object) -> Array:
+    """An array (n, 3) of real numbers as (3, n)."""
+    if not isinstance(values, np.ndarray):
+        raise BadRequest(f"batch {path}: {name} is not an array")
+    if values.ndim != 2 or values.shape[1] != 3:
+        raise BadRequest(f"batch {path}: {name} has the shape {values.shape}, not (n, 3)")
+    if values.dtype.kind not in "fiu":
+        raise BadRequest(f"batch {path}: {name} holds {values.dtype}, not real numbers")
+    with np.errstate(over="ignore"):  # of longer numbers
+        return np.ascontiguousarray(values.T, dtype=np.float64)
+
+
+def _from_parquet(path: Path) -> tuple[Array, Array]:
+    """Positions and approaches, (3, n) each; a null is NaN."""
+    from pyarrow import parquet, types
+
+    with path.open("rb") as source, parquet.ParquetFile(source, page_checksum_verification=True) as file:
+        there = file.schema_arrow.names
+        missing = [name for name in (*POSITION_COLUMNS, *APPROACH_COLUMNS) if there.count(name) != 1]
+        if missing:
+            raise BadRequest(
+                f"batch {path}: there must be one column {' and one '.join(missing)}; it has {_list_names(there)}"
+            )
+        table = file.read(columns=[*POSITION_COLUMNS, *APPROACH_COLUMNS])
+    for column in table.schema:
+        if not types.is_floating(column.type) and not types.is_integer(column.type):
+            raise BadRequest(f"batch {path}: {column.name} holds {column.type}, not real numbers")
+    position, approach = (
+        np.array([table.column(name).to_numpy() for name in names], dtype=np.float64)
+        for names in (POSITION_COLUMNS, APPROACH_COLUMNS)
+    )
+    return position, approach
+
+
+def _list_names(names: list[str]) -> str:
+    return ", ".join(names[:20]) + (", ..." if len(names) > 20 else "") if names else "nothing"

@@ -8,7 +8,7 @@ import numpy as np
 from fsw.dictionary.types import Limits
 from fsw.kinematics.transforms import Array
 
-SIX: Final = ("theta", "d", "beta", "b", "alpha", "a")
+GEOMETRY_NAMES: Final = ("theta", "d", "beta", "b", "alpha", "a")
 """A link's numbers, in the order of paper equation 1."""
 
 Length = Annotated[float, Limits(-100.0, 100.0)]
@@ -44,11 +44,11 @@ class Link:
             raise ValueError(f"{self.name}: cos and sin are not equally many; give both, one for each order")
 
     @property
-    def six(self) -> tuple[float, float, float, float, float, float]:
+    def geometry(self) -> tuple[float, float, float, float, float, float]:
         """In the order of SIX."""
         return (self.theta_rad, self.d_m, self.beta_rad, self.b_m, self.alpha_rad, self.a_m)
 
-    def waves_rad(self, orders: int) -> Array:
+    def periodic_rad(self, orders: int) -> Array:
         """Amplitudes (2, orders) of cosines and sines."""
         both = np.zeros((2, orders))
         for row, said in zip(both, (self.cos_rad or (), self.sin_rad or ()), strict=True):
@@ -57,7 +57,7 @@ class Link:
 
 
 @dataclass(frozen=True, slots=True)
-class Uncertain:
+class Uncertainty:
     """How far an arm that was built may be from the numbers of its file, one sigma each."""
 
     length_m: Sigma = 1e-3
@@ -71,7 +71,7 @@ class Uncertain:
 
 
 @dataclass(frozen=True, slots=True)
-class Repeats:
+class Repeatability:
     """How well the arm comes back to a pose and is measured there, one sigma an axis."""
 
     position_m: Sigma = 1e-4
@@ -86,13 +86,13 @@ class SerialArm:
     links: tuple[Link, ...]
     gravity_B_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
     """In the base frame, about whose z axis the first joint turns."""
-    uncertain: Uncertain = Uncertain()
-    repeats: Repeats = Repeats()
+    uncertain: Uncertainty = Uncertainty()
+    repeats: Repeatability = Repeatability()
 
     @property
-    def sixes(self) -> Array:
+    def link_geometry(self) -> Array:
         """Six numbers of every link, (joints, 6)."""
-        return np.array([one.six for one in self.links])
+        return np.array([one.geometry for one in self.links])
 
     @property
     def orders(self) -> int:

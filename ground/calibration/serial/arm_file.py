@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from typing import Any, Final
 
-from ground.calibration.serial.arm import Link, Repeats, SerialArm, Uncertain
+from ground.calibration.serial.arm import Link, Repeatability, SerialArm, Uncertainty
 from sim.scenario.names import did_you_mean
 from sim.scenario.toml_lines import NotToml, parse_toml
 from sim.scenario.toml_record import Findings, read_record
@@ -24,8 +24,8 @@ class _Head:
 
     name: str
     gravity_B_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
-    uncertain: Uncertain = field(default_factory=Uncertain)
-    repeats: Repeats = field(default_factory=Repeats)
+    uncertain: Uncertainty = field(default_factory=Uncertainty)
+    repeats: Repeatability = field(default_factory=Repeatability)
 
 
 def arm_from_toml(text: str, file: str) -> SerialArm:
@@ -51,7 +51,12 @@ def arm_from_toml(text: str, file: str) -> SerialArm:
 def arm_to_toml(arm: SerialArm, about: Iterable[str]) -> str:
     """The arm as a file that comes back bit by bit; `about` is what its first lines say."""
     lines = [f"# {line}".rstrip() for line in about]
-    lines += ["", f"name = {_shown(arm.name)}", f"gravity_B_m_s2 = {_shown(arm.gravity_B_m_s2)}", ""]
+    lines += [
+        "",
+        f"name = {_toml_value(arm.name)}",
+        f"gravity_B_m_s2 = {_toml_value(arm.gravity_B_m_s2)}",
+        "",
+    ]
     for one in arm.links:
         lines += ["[[link]]", *_fields(one), ""]
     for name, record in (("uncertain", arm.uncertain), ("repeats", arm.repeats)):
@@ -81,18 +86,18 @@ def unknown_words(said: Iterable[str], known: Iterable[str], what: str) -> str |
 
 def _fields(record: Any) -> list[str]:
     values = ((f.name, getattr(record, f.name)) for f in fields(record))
-    return [f"{name} = {_shown(value)}" for name, value in values if value is not None]
+    return [f"{name} = {_toml_value(value)}" for name, value in values if value is not None]
 
 
-def _shown(value: Any) -> str:
+def _toml_value(value: Any) -> str:
     if isinstance(value, str):
-        return '"' + "".join(_escaped(letter) for letter in value) + '"'
+        return '"' + "".join(_escape(letter) for letter in value) + '"'
     if isinstance(value, tuple):
-        return f"[{', '.join(_shown(item) for item in value)}]"
+        return f"[{', '.join(_toml_value(item) for item in value)}]"
     return repr(value if isinstance(value, int) else float(value))
 
 
-def _escaped(letter: str) -> str:
+def _escape(letter: str) -> str:
     if letter in '"\\':
         return f"\\{letter}"
     return letter if letter.isprintable() else f"\\U{ord(letter):08x}"

@@ -6,12 +6,12 @@ import numpy as np
 
 from fsw.kinematics.transforms import Array, Pose, compose, cross, rotate, rotate_back, rotation_x, rotation_y
 
-Six = Array
+LinkGeometry = Array
 """theta, d, beta, b, alpha, a of one link, (6,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Axes:
+class LinkAxes:
     """The three axes of a link transform and where they are; batch (n,) each, in the frame of the chain."""
 
     z: Array
@@ -34,7 +34,7 @@ class Axes:
         return np.stack(columns, axis=-1)
 
 
-def link(X: Pose, turn_rad: Array, six: Six) -> tuple[Pose, Axes]:
+def link_transform(X: Pose, turn_rad: Array, six: LinkGeometry) -> tuple[Pose, LinkAxes]:
     """The end of a link that begins at frames X, batch (n,), its joint turned by (n,); and its axes."""
     theta, d, beta, b, alpha, a = six
     c, s = np.cos(turn_rad + theta), np.sin(turn_rad + theta)
@@ -44,29 +44,29 @@ def link(X: Pose, turn_rad: Array, six: Six) -> tuple[Pose, Axes]:
     bent = compose(R, rotation_y(np.array(beta))[..., None])
     p_x = p_y + b * R[:, 1]
     X_E = Pose(compose(bent, rotation_x(np.array(alpha))[..., None]), p_x + a * bent[:, 0])
-    return X_E, Axes(z, X.p, R[:, 1], p_y, bent[:, 0], p_x)
+    return X_E, LinkAxes(z, X.p, R[:, 1], p_y, bent[:, 0], p_x)
 
 
-def chain(X: Pose, sixes: Array, turn_rad: Array) -> tuple[list[Pose], list[Axes]]:
+def forward_kinematics(X: Pose, sixes: Array, turn_rad: Array) -> tuple[list[Pose], list[LinkAxes]]:
     """The ends of all links, the last of which is the flange, and their axes.
 
     Links (L, 6) that begin at frames X, batch (n,), their joints turned by angles (L, n).
     """
     ends, axes = [], []
     for six, turn in zip(sixes, turn_rad, strict=True):
-        X, moved_by = link(X, turn, six)
+        X, moved_by = link_transform(X, turn, six)
         ends.append(X)
         axes.append(moved_by)
     return ends, axes
 
 
-def batch(X: Pose, n: int) -> Pose:
+def repeat_pose(X: Pose, n: int) -> Pose:
     """One pose n times, batch (n,)."""
     return Pose(np.repeat(X.R[:, :, None], n, axis=2), np.repeat(X.p[:, None], n, axis=1))
 
 
 def load_torque_Nm(
-    ends: list[Pose], axes: list[Axes], masses_kg: Array, p_EoCo_E_m: Array, gravity: Array
+    ends: list[Pose], axes: list[LinkAxes], masses_kg: Array, p_EoCo_E_m: Array, gravity: Array
 ) -> Array:
     """What gravity turns each joint with, positive as the joint is, (L, n).
 

@@ -6,24 +6,67 @@ from typing import Final
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array, Pose
-from ground.calibration.problem import Linearised, Parameter
-from ground.calibration.screws import Measured, linearised
-from ground.calibration.serial.arm import SIX, Link, SerialArm
-from ground.calibration.serial.chain import Axes, batch, chain, link
-from ground.calibration.serial.joints import ALONE, coefficients, errors_rad, features, names
-from ground.calibration.serial.series import Series
+from fsw.kinematics.transforms import IDENTITY, Array, Pose
+from ground.calibration.fit import FitParameter, Linearisation
+from ground.calibration.screws import MeasuredPoses, linearise
+from ground.calibration.serial.arm import GEOMETRY_NAMES, Link, SerialArm
+from ground.calibration.serial.chain import (
+    LinkAxes,
+    forward_kinematics,
+    link_transform,
+    load_torque_Nm,
+    repeat_pose,
+)
+from ground.calibration.serial.series import PoseSeries
+
+NON_PERIODIC: Final = ("compliance", "approach")
+"""The coefficients of a joint before those of its waves: all cosines, then all sines."""
+
+
+def coefficient_names(orders: int) -> list[str]:
+    """Of a joint's coefficients."""
+    return [*NON_PERIODIC, *(f"{wave}{k + 1}" for wave in ("cos", "sin") for k in range(orders))]
+
+
+def joint_coefficients(arm: SerialArm, orders: int) -> Array:
+    """Of all joints, (joints, 2 + 2 orders)."""
+    return np.array(
+        [
+            [one.compliance_rad_per_Nm, one.approach_rad, *one.periodic_rad(orders).ravel()]
+            for one in arm.links
+        ]
+    )
+
+
+def features(arm: SerialArm, series: PoseSeries, orders: int) -> Array:
+    """By what each coefficient is multiplied: torque, direction, waves; (joints, n, 2 + 2 orders)."""
+    q = series.joint_rad
+    ends, axes = forward_kinematics(repeat_pose(IDENTITY, series.count), arm.link_geometry, q)
+    masses = np.array([one.mass_kg for one in arm.links])
+    centres = np.array([one.mass_centre_m for one in arm.links])
+    torque = load_torque_Nm(ends, axes, masses, centres, np.array(arm.gravity_B_m_s2))
+    phase = q[:, :, None] * np.arange(1, orders + 1)
+    alone = np.stack([torque, series.direction], axis=-1)
+    return np.concatenate([alone, np.cos(phase), np.sin(phase)], axis=-1)
+
+
+def joint_errors_rad(arm: SerialArm, features: Array) -> Array:
+    """How much farther the joints stand than they read, (joints, n)."""
+    orders = (features.shape[2] - len(NON_PERIODIC)) // 2
+    errors: Array = np.einsum("jnk,jk->jn", features, joint_coefficients(arm, orders))
+    return errors
+
 
 GEOMETRY: Final = "geometry"
 COMPLIANCE: Final = "compliance"
-WAVES: Final = "waves"
-APPROACH: Final = "approach"
-TERMS: Final = (GEOMETRY, COMPLIANCE, WAVES, APPROACH)
+PERIODIC: Final = "waves"
+HYSTERESIS: Final = "approach"
+TERMS: Final = (GEOMETRY, COMPLIANCE, PERIODIC, HYSTERESIS)
 """What may be found of an arm; where its base and its target are is always found."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Setup:
+class TrackerSetup:
     """Where the arm stands and what it holds, of one series."""
 
     X_TB: Pose
@@ -38,66 +81,72 @@ class SerialModel:
 
     arm: SerialArm
     """As it is believed to be."""
-    setup: Setup
-    series: Series
+    setup: TrackerSetup
+    series: PoseSeries
     terms: tuple[str, ...]
     orders: int
     features: Array
     """Of joints.py."""
 
     @property
-    def parameters(self) -> list[Parameter]:
+    def parameters(self) -> list[FitParameter]:
         """In the order of the values: base, target, links, coefficients of the joints."""
         sure = self.arm.uncertain
         sizes = (sure.angle_rad, sure.length_m)
-        found = [_one(place, name, *sizes) for place in ("base", "target") for name in SIX]
+        found = [
+            _geometry_parameter(place, name, *sizes)
+            for place in ("base", "target")
+            for name in GEOMETRY_NAMES
+        ]
         if GEOMETRY in self.terms:
-            links = ((one.name, name) for one in self.arm.links for name in SIX)
-            found += [_believed(_one(*which, *sizes)) for which in links]
+            links = ((one.name, name) for one in self.arm.links for name in GEOMETRY_NAMES)
+            found += [_with_prior(_geometry_parameter(*which, *sizes)) for which in links]
         alone = [sure.compliance_rad_per_Nm, sure.approach_rad]
         sigmas = np.array([*alone, *[sure.wave_rad] * (2 * self.orders)])
-        said = names(self.orders)
+        said = coefficient_names(self.orders)
         for one in self.arm.links:
             for k in self._chosen:
                 unit = "rad/(N m)" if k == 0 else "rad"
-                found.append(_believed(Parameter(f"{one.name}.{said[k]}", unit, float(sigmas[k]))))
+                found.append(_with_prior(FitParameter(f"{one.name}.{said[k]}", unit, float(sigmas[k]))))
         return found
 
     @property
     def _chosen(self) -> list[int]:
         """Which coefficients of a joint are to be found."""
-        alone = [k for k, name in enumerate(ALONE) if name in self.terms]
-        waves = range(len(ALONE), len(ALONE) + 2 * self.orders)
-        return [*alone, *(waves if WAVES in self.terms else ())]
+        alone = [k for k, name in enumerate(NON_PERIODIC) if name in self.terms]
+        waves = range(len(NON_PERIODIC), len(NON_PERIODIC) + 2 * self.orders)
+        return [*alone, *(waves if PERIODIC in self.terms else ())]
 
-    def at(self, values: Array) -> tuple[SerialArm, Setup]:
+    def at(self, values: Array) -> tuple[SerialArm, TrackerSetup]:
         """The arm and the set-up that values (p,) of the parameters mean."""
         shape = (len(self.arm.links), 6)
         sixes, rest = np.zeros(shape), values[12:]
         if GEOMETRY in self.terms:
             sixes, rest = rest[: sixes.size].reshape(shape), rest[sixes.size :]
-        errors = coefficients(self.arm, self.orders)
+        errors = joint_coefficients(self.arm, self.orders)
         errors[:, self._chosen] += rest.reshape(len(self.arm.links), -1)
-        links = (_moved(*changed) for changed in zip(self.arm.links, sixes, errors, strict=True))
-        setup = Setup(_ended(self.setup.X_TB, values[:6]), _ended(self.setup.X_FM, values[6:12]))
+        links = (_update_link(*changed) for changed in zip(self.arm.links, sixes, errors, strict=True))
+        setup = TrackerSetup(
+            _move_frame(self.setup.X_TB, values[:6]), _move_frame(self.setup.X_FM, values[6:12])
+        )
         return replace(self.arm, links=tuple(links)), setup
 
     def poses(self, values: Array) -> Pose:
         """X_TM as the model has it, batch (n,)."""
         return self._chain(values)[0]
 
-    def _chain(self, values: Array) -> tuple[Pose, list[Axes]]:
+    def _chain(self, values: Array) -> tuple[Pose, list[LinkAxes]]:
         """X_TM, and the axes of the base, the target and the links."""
         n = self.series.count
         arm, _ = self.at(values)
         still = np.zeros(n)
-        X_B, base = link(batch(self.setup.X_TB, n), still, values[:6])
-        turn = self.series.joint_rad + errors_rad(arm, self.features)
-        ends, axes = chain(X_B, arm.sixes, turn)
-        X_M, target = link(ends[-1] @ batch(self.setup.X_FM, n), still, values[6:12])
+        X_B, base = link_transform(repeat_pose(self.setup.X_TB, n), still, values[:6])
+        turn = self.series.joint_rad + joint_errors_rad(arm, self.features)
+        ends, axes = forward_kinematics(X_B, arm.link_geometry, turn)
+        X_M, target = link_transform(ends[-1] @ repeat_pose(self.setup.X_FM, n), still, values[6:12])
         return X_M, [base, target, *axes]
 
-    def __call__(self, values: Array) -> Linearised:
+    def __call__(self, values: Array) -> Linearisation:
         """Residuals (n, 6) and their derivatives (n, 6, p)."""
         X_M, axes = self._chain(values)
         screws = [one.screws(X_M) for one in axes]
@@ -107,34 +156,38 @@ class SerialModel:
             screw[:, :, :1] * phi[None, :, chosen]
             for screw, phi in zip(screws[2:], self.features, strict=True)
         ]
-        return linearised(X_M, np.concatenate([*moved, *turned], axis=2), self._measured())
+        return linearise(X_M, np.concatenate([*moved, *turned], axis=2), self._measured())
 
-    def _measured(self) -> Measured:
+    def _measured(self) -> MeasuredPoses:
         noise = self.arm.repeats
         variance = np.repeat([noise.rotation_rad**2, noise.position_m**2], 3)
-        return Measured(self.series.X_TM, np.broadcast_to(np.diag(variance), (self.series.count, 6, 6)))
+        return MeasuredPoses(self.series.X_TM, np.broadcast_to(np.diag(variance), (self.series.count, 6, 6)))
 
 
-def serial_model(arm: SerialArm, setup: Setup, series: Series, terms: Sequence[str]) -> SerialModel:
+def serial_model(
+    arm: SerialArm, setup: TrackerSetup, series: PoseSeries, terms: Sequence[str]
+) -> SerialModel:
     """The model of a series with these terms to be found; what the arm is believed to have stays in it."""
-    orders = max(arm.orders, arm.uncertain.orders if WAVES in terms else 0)
+    orders = max(arm.orders, arm.uncertain.orders if PERIODIC in terms else 0)
     return SerialModel(arm, setup, series, tuple(terms), orders, features(arm, series, orders))
 
 
-def _one(place: str, name: str, angle: float, length: float) -> Parameter:
+def _geometry_parameter(place: str, name: str, angle: float, length: float) -> FitParameter:
     turns = name in ("theta", "beta", "alpha")
-    return Parameter(f"{place}.{name}", "rad" if turns else "m", angle if turns else length)
+    return FitParameter(f"{place}.{name}", "rad" if turns else "m", angle if turns else length)
 
 
-def _believed(parameter: Parameter) -> Parameter:
+def _with_prior(parameter: FitParameter) -> FitParameter:
     """What is expected to be within its scale."""
     return replace(parameter, prior_sigma=parameter.scale)
 
 
-def _moved(one: Link, six: Array, errors: Array) -> Link:
-    theta, d, beta, b, alpha, a = (float(v) for v in np.array(one.six) + six)
-    orders = (errors.size - len(ALONE)) // 2
-    cos, sin = (tuple(float(v) for v in part) or None for part in errors[len(ALONE) :].reshape(2, orders))
+def _update_link(one: Link, six: Array, errors: Array) -> Link:
+    theta, d, beta, b, alpha, a = (float(v) for v in np.array(one.geometry) + six)
+    orders = (errors.size - len(NON_PERIODIC)) // 2
+    cos, sin = (
+        tuple(float(v) for v in part) or None for part in errors[len(NON_PERIODIC) :].reshape(2, orders)
+    )
     return replace(
         one,
         theta_rad=theta,
@@ -150,5 +203,5 @@ def _moved(one: Link, six: Array, errors: Array) -> Link:
     )
 
 
-def _ended(X: Pose, six: Array) -> Pose:
-    return link(batch(X, 1), np.zeros(1), six)[0][0]
+def _move_frame(X: Pose, six: Array) -> Pose:
+    return link_transform(repeat_pose(X, 1), np.zeros(1), six)[0][0]

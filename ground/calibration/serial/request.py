@@ -7,17 +7,17 @@ from typing import Final
 
 import numpy as np
 
-from ground.calibration.outliers import NoAgreement
-from ground.calibration.seen import Seen, seen
+from ground.calibration.identifiability import Identifiability, assess_identifiability
+from ground.calibration.outliers import TooManyOutliers
 from ground.calibration.serial.arm import SerialArm
 from ground.calibration.serial.arm_file import BadArmFile, arm_from_toml, arm_to_toml, unknown_words
-from ground.calibration.serial.calibrate import misfit_ratio
-from ground.calibration.serial.ladder import Step, ladder
+from ground.calibration.serial.calibrate import held_out_ratio
+from ground.calibration.serial.initial_setup import SetupNotFound, estimate_setup
 from ground.calibration.serial.model import TERMS
-from ground.calibration.serial.place import CannotPlace, first_setup
-from ground.calibration.serial.series import Series
-from ground.calibration.serial.table import mapping_from_toml, series_from_table, sha256
+from ground.calibration.serial.nested_models import NestedModel, fit_nested_models
+from ground.calibration.serial.series import PoseSeries
 from ground.calibration.serial.temperature import TemperatureTest, temperature_test
+from ground.calibration.serial.tracker_table import mapping_from_toml, series_from_table, sha256
 from ground.common.files import BadOutput, check_output, written_whole
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest, check_apart
@@ -39,7 +39,7 @@ class SerialRequest:
     terms: str = ALL
     share: float = 0.5
     """Of the poses, from the first in time: these are fitted, the others judge."""
-    ladder: bool = False
+    nested: bool = False
     """Whether to fit term by term."""
     out: Path | None = None
     picture: Path | None = None
@@ -53,11 +53,11 @@ class SerialReport:
     arm: SerialArm
     """As the file has it."""
     poses: int
-    part: Series
-    fresh: Series | None
-    steps: tuple[Step, ...]
+    part: PoseSeries
+    fresh: PoseSeries | None
+    steps: tuple[NestedModel, ...]
     """The last one has all terms that were asked for, the first none."""
-    seen: Seen
+    identifiability: Identifiability
     ratio: float | None
     """Held-out misfit over what noise and covariance let expect."""
     temperature: TemperatureTest | None
@@ -73,7 +73,7 @@ def calibrate_serial(request: SerialRequest, progress: Progress) -> SerialReport
     """
     files = {name: getattr(request, name) for name in ("arm", "table", "mapping", "out", "picture")}
     check_apart(files)
-    terms = _terms(request.terms)
+    terms = _parse_terms(request.terms)
     if not LEAST_SHARE <= request.share <= 1.0:
         raise BadRequest(f"share: {request.share:g} is not within {LEAST_SHARE:g} .. 1")
     try:
@@ -84,35 +84,37 @@ def calibrate_serial(request: SerialRequest, progress: Progress) -> SerialReport
         count = round(request.share * series.count)
         is_part = np.arange(series.count) < count
         part, fresh = series.at(is_part), series.at(~is_part) if count < series.count else None
-        steps = ladder(arm, first_setup(arm, part), part, fresh, _steps(terms, request.ladder), progress)
-        report = _judged(request, arm, series, part, fresh, steps, digests)
+        steps = fit_nested_models(
+            arm, estimate_setup(arm, part), part, fresh, _term_sets(terms, request.nested), progress
+        )
+        report = _build_report(request, arm, series, part, fresh, steps, digests)
         if request.out is not None:
-            text = arm_to_toml(steps[-1].found.arm, _about(report))
+            text = arm_to_toml(steps[-1].found.arm, _provenance(report))
             with written_whole(request.out, "out") as file:
                 file.write(text.encode())
-    except (BadImport, BadArmFile, CannotPlace, NoAgreement, BadOutput) as error:
+    except (BadImport, BadArmFile, SetupNotFound, TooManyOutliers, BadOutput) as error:
         raise BadRequest(str(error)) from error
     return report
 
 
-def _judged(
+def _build_report(
     request: SerialRequest,
     arm: SerialArm,
-    series: Series,
-    part: Series,
-    fresh: Series | None,
-    steps: tuple[Step, ...],
+    series: PoseSeries,
+    part: PoseSeries,
+    fresh: PoseSeries | None,
+    steps: tuple[NestedModel, ...],
     digests: dict[str, str],
 ) -> SerialReport:
     last = steps[-1]
     fit = last.found.fit
-    told = seen(fit.parameters, fit.at, fit.used)
-    ratio = None if fresh is None else misfit_ratio(last.found, fresh)
+    told = assess_identifiability(fit.parameters, fit.at, fit.used)
+    ratio = None if fresh is None else held_out_ratio(last.found, fresh)
     air = temperature_test(last.found, last.validation)
     return SerialReport(request, arm, series.count, part, fresh, steps, told, ratio, air, digests)
 
 
-def _read(request: SerialRequest) -> tuple[SerialArm, Series, dict[str, str]]:
+def _read(request: SerialRequest) -> tuple[SerialArm, PoseSeries, dict[str, str]]:
     data = {
         "arm": read_file(request.arm, MAX_MAPPING_BYTES),
         "mapping": read_file(request.mapping, MAX_MAPPING_BYTES),
@@ -139,7 +141,7 @@ def _text(data: bytes, file: Path) -> str:
         raise BadRequest(f"{file}: is no text in UTF-8 ({error.reason}, byte {error.start})") from error
 
 
-def _terms(said: str) -> tuple[str, ...]:
+def _parse_terms(said: str) -> tuple[str, ...]:
     if said in (ALL, NONE):
         return TERMS if said == ALL else ()
     words = [word.strip() for word in said.split(",")]
@@ -149,12 +151,12 @@ def _terms(said: str) -> tuple[str, ...]:
     return tuple(term for term in TERMS if term in words)
 
 
-def _steps(terms: tuple[str, ...], is_ladder: bool) -> Sequence[tuple[str, ...]]:
+def _term_sets(terms: tuple[str, ...], is_ladder: bool) -> Sequence[tuple[str, ...]]:
     every = [terms[:k] for k in range(len(terms) + 1)]
     return every if is_ladder else list(dict.fromkeys((every[0], *every[1:2], every[-1])))
 
 
-def _about(report: SerialReport) -> list[str]:
+def _provenance(report: SerialReport) -> list[str]:
     """What a file that was found says of where it comes from."""
     last = report.steps[-1]
     judged = (

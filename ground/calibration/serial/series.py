@@ -12,13 +12,13 @@ STILL_RAD: Final = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Series:
+class PoseSeries:
     """Joint angles as the arm read them, and its target as the tracker saw it."""
 
     name: str
     joint_rad: Array
     """(joints, n)."""
-    came: Array
+    direction: Array
     """+1, -1 or 0: the direction of each joint's last move, (joints, n)."""
     X_TM: Pose
     """The target M in the tracker's frame T, batch (n,)."""
@@ -32,15 +32,20 @@ class Series:
         """How many poses."""
         return self.row.size
 
-    def at(self, poses: Flags | Integers) -> "Series":
+    def at(self, poses: Flags | Integers) -> "PoseSeries":
         """Some of the poses; from where each was reached stays known."""
         air = None if self.air_C is None else self.air_C[poses]
-        return Series(
-            self.name, self.joint_rad[:, poses], self.came[:, poses], self.X_TM[poses], air, self.row[poses]
+        return PoseSeries(
+            self.name,
+            self.joint_rad[:, poses],
+            self.direction[:, poses],
+            self.X_TM[poses],
+            air,
+            self.row[poses],
         )
 
 
-def directions(joint_rad: Array) -> Array:
+def move_directions(joint_rad: Array) -> Array:
     """The direction of each joint's last move, from angles (joints, n) in order of time."""
     moved = np.diff(joint_rad, axis=1, prepend=joint_rad[:, :1])
     return np.where(np.abs(moved) > STILL_RAD, np.sign(moved), 0.0)

@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from ground.calibration.serial.arm import SIX
-from ground.calibration.serial.calibrate import Calibrated
-from ground.calibration.serial.held_out import CrossValidation, gain_m
+from ground.calibration.serial.arm import GEOMETRY_NAMES
+from ground.calibration.serial.calibrate import SerialCalibration
 from ground.calibration.serial.model import GEOMETRY, serial_model
+from ground.calibration.serial.nested_models import CrossValidation, gain_m
 
 SHIFTS: Final = 19
 """Placebos that are the temperature of another time; chance beats them and two more once in 22 times."""
@@ -42,7 +42,7 @@ class TemperatureTest:
         return self.gain_m > self.gain_sigma_m and self.gain_m > self.placebo_gain_m
 
 
-def temperature_test(found: Calibrated, validation: CrossValidation) -> TemperatureTest | None:
+def temperature_test(found: SerialCalibration, validation: CrossValidation) -> TemperatureTest | None:
     """Let base and links follow the temperature, then curves in its place; None if the air's is not known.
 
     The base may shift and turn in proportion to it, and all lengths of the arm grow together. A drift in time
@@ -67,13 +67,13 @@ def temperature_test(found: Calibrated, validation: CrossValidation) -> Temperat
     return TemperatureTest(float(np.ptp(air)), before.rms_m, after.rms_m, gain, sigma, best, most)
 
 
-def _columns(found: Calibrated) -> Array:
+def _columns(found: SerialCalibration) -> Array:
     """What a kelvin moves, in what is expected of it: base (six) and growth of the arm, (n, 6, 7)."""
     arm = found.arm
     model = serial_model(arm, found.setup, found.model.series.at(found.fit.used), (GEOMETRY,))
     J = model(np.zeros(len(model.parameters))).jacobian
     base = J[:, :, :6] * np.tile([MOVES_RAD_PER_K, MOVES_M_PER_K], 3)
-    lengths = np.where([name in LENGTHS for name in SIX], arm.sixes, 0.0)
+    lengths = np.where([name in LENGTHS for name in GEOMETRY_NAMES], arm.link_geometry, 0.0)
     growth = J[:, :, 12:] @ (EXPANSION_PER_K * lengths.ravel())
     return np.concatenate([base, growth[:, :, None]], axis=2)
 

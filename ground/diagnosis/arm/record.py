@@ -8,8 +8,7 @@ import numpy as np
 
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array, Pose, stack_poses
-from ground.calibration.frames import FewTargets
-from ground.calibration.survey import surveyed
+from ground.calibration.survey import TooFewTargets, measure_pose
 from ground.common.progress import Progress
 from ground.diagnosis.arm.tracked import Tracked, none_tracked, write_tracked
 from ground.telemetry.header import SESSION, flight_header
@@ -73,10 +72,10 @@ def _looked(
     """The turret as the tracker sees it at the start of the next cycle; nothing if it does not."""
     loop.plant.truth()  # brings the kinematics up to date
     try:
-        seen = surveyed(
+        seen = measure_pose(
             TYPICAL_TRACKER, loop.plant, session.world.tilt_roll_rad, turret_pose(loop.plant), rng
         )
-    except FewTargets:
+    except TooFewTargets:
         return []
     return [(tick, seen.X_RT, np.sqrt(np.diag(seen.covariance)))]
 

@@ -6,10 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ground.accuracy.budget_page import save_budget_page
-from ground.accuracy.budget_request import BudgetReport, BudgetRequest, budget_report
-from ground.accuracy.budget_tables import budget_json
-from ground.accuracy.paper import TABLE_3, TABLE_4
+from ground.accuracy.budget_report import budget_json, save_budget_page
+from ground.accuracy.budget_request import BudgetReport, BudgetRequest, run_budget
+from ground.accuracy.reproduce import TABLE_3, TABLE_4
 from ground.common.requests import BadRequest
 from tests.ground.command import marsarm
 
@@ -20,7 +19,7 @@ def quiet(*_) -> None:
 
 @pytest.fixture(scope="module")
 def report() -> BudgetReport:
-    return budget_report(BudgetRequest(poses=1500, reproduce=True), quiet)
+    return run_budget(BudgetRequest(poses=1500, reproduce=True), quiet)
 
 
 def test_every_row_of_the_papers_tables_is_there(report):
@@ -79,7 +78,7 @@ def test_the_page_is_one_file_with_its_pictures_in_it(report, tmp_path):
 )
 def test_bad_input_is_named(wrong, words):
     with pytest.raises(BadRequest, match=words.replace("(", r"\(")):
-        budget_report(BudgetRequest(**wrong), quiet)
+        run_budget(BudgetRequest(**wrong), quiet)
 
 
 def test_the_command_prints_one_document_and_writes_a_page(tmp_path):

@@ -4,8 +4,7 @@ import numpy as np
 from numpy.random import SeedSequence
 
 from fsw.dictionary.enums import Tool
-from ground.accuracy.places import measured, random_places
-from ground.accuracy.ways import by_closed_loop, by_statics
+from ground.accuracy.placements import closed_loop_model, measure_placements, random_placements, statics_model
 from sim.arms import arm_named
 from sim.initialisation import true_reference
 
@@ -13,8 +12,10 @@ from sim.initialisation import true_reference
 def errors_m(name, how, seed, count):
     """Total error of the APXS at places of the workspace, (count,)."""
     arm = arm_named(name)
-    moved = by_statics(arm, "on") if how == "statics" else by_closed_loop(arm, true_reference(arm), "on")
-    found = measured(moved, random_places(arm.params, Tool.APXS, count, SeedSequence(seed)))
+    moved = (
+        statics_model(arm, "on") if how == "statics" else closed_loop_model(arm, true_reference(arm), "on")
+    )
+    found = measure_placements(moved, random_placements(arm.params, Tool.APXS, count, SeedSequence(seed)))
     return np.array([np.linalg.norm(one.error[3:]) for one in found])
 
 

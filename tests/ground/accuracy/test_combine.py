@@ -13,9 +13,9 @@ from ground.accuracy.combine import (
     paper_rule,
     root_sum_square,
     shares,
+    squared_length,
     worst_case,
 )
-from ground.accuracy.moments import squared_length
 
 ERRORS = arrays(np.float64, (4, 6, 7, 2), elements=st.floats(0.0, 1e-2))
 AT_LIMIT = np.array([True, False, True, False])

@@ -3,20 +3,20 @@
 import numpy as np
 import pytest
 
-from ground.accuracy.drawn import drawn
-from ground.accuracy.moments import pooled_quantile, squared_length
-from ground.accuracy.sources import CUMULANTS_OF
+from ground.accuracy.combine import pooled_quantile, squared_length
+from ground.accuracy.sources import CUMULANTS
+from ground.accuracy.trial import sample_errors
 
 COVERAGE = 0.9973
 DRAWS = 400_000
 
 
-@pytest.mark.parametrize("spread", CUMULANTS_OF)
+@pytest.mark.parametrize("spread", CUMULANTS)
 def test_cumulants_are_those_of_drawn_errors(spread):
-    e = drawn(spread, 2_000_000, np.random.default_rng(0))
+    e = sample_errors(spread, 2_000_000, np.random.default_rng(0))
     m2, m4, m6 = (float(np.mean(e**k)) for k in (2, 4, 6))
     found = (m2, m4 - 3 * m2**2, m6 - 15 * m4 * m2 + 30 * m2**3)
-    assert found == pytest.approx(CUMULANTS_OF[spread], abs=0.01)
+    assert found == pytest.approx(CUMULANTS[spread], abs=0.01)
 
 
 @pytest.mark.parametrize("size", [1, 2, 3])
@@ -33,8 +33,8 @@ def test_the_length_of_a_normal_vector_stays_within_its_quantile(size, seed):
 @pytest.mark.parametrize("seed", range(6))
 def test_the_length_of_a_sum_of_all_kinds_stays_within_its_quantile(size, seed):
     rng = np.random.default_rng([seed, 7])
-    errors = [(rng.standard_normal((size, 5, 1)), spread) for spread in CUMULANTS_OF]
-    total = sum(u[:, :, 0] @ drawn(spread, 5 * DRAWS, rng).reshape(5, DRAWS) for u, spread in errors)
+    errors = [(rng.standard_normal((size, 5, 1)), spread) for spread in CUMULANTS]
+    total = sum(u[:, :, 0] @ sample_errors(spread, 5 * DRAWS, rng).reshape(5, DRAWS) for u, spread in errors)
     within = squared_length(errors).quantile(COVERAGE)[0]
     assert within == pytest.approx(np.quantile(np.linalg.norm(total, axis=0), COVERAGE), rel=0.05)
 
@@ -42,8 +42,8 @@ def test_the_length_of_a_sum_of_all_kinds_stays_within_its_quantile(size, seed):
 @pytest.mark.parametrize("seed", range(4))
 def test_a_known_error_is_counted_in(seed):
     rng = np.random.default_rng([seed, 8])
-    c, errors = rng.standard_normal((3, 1)), [(rng.standard_normal((3, 4, 1)), s) for s in CUMULANTS_OF]
-    total = c + sum(u[:, :, 0] @ drawn(s, 4 * DRAWS, rng).reshape(4, DRAWS) for u, s in errors)
+    c, errors = rng.standard_normal((3, 1)), [(rng.standard_normal((3, 4, 1)), s) for s in CUMULANTS]
+    total = c + sum(u[:, :, 0] @ sample_errors(s, 4 * DRAWS, rng).reshape(4, DRAWS) for u, s in errors)
     within = squared_length(errors, c).quantile(COVERAGE)[0]
     assert within == pytest.approx(np.quantile(np.linalg.norm(total, axis=0), COVERAGE), rel=0.05)
 
@@ -55,7 +55,7 @@ def test_an_error_on_either_side_is_as_long_as_it_is():
 
 def test_what_a_share_stays_within_is_what_has_this_probability():
     length = squared_length([(np.random.default_rng(3).standard_normal((3, 6, 1)), "uniform")])
-    assert length.within(float(length.quantile(0.9)[0]))[0] == pytest.approx(0.9)
+    assert length.probability_within(float(length.quantile(0.9)[0]))[0] == pytest.approx(0.9)
 
 
 def test_one_pose_after_the_other_is_like_all_at_once():

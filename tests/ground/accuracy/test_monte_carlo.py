@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ground.accuracy.budget import COMPONENTS, OURS
-from ground.accuracy.monte_carlo_page import save_monte_carlo_page
-from ground.accuracy.monte_carlo_request import MonteCarloReport, MonteCarloRequest, monte_carlo_report
-from ground.accuracy.monte_carlo_tables import monte_carlo_json
+from ground.accuracy.budget import COMPONENTS, MOMENTS
+from ground.accuracy.monte_carlo import MonteCarloReport, MonteCarloRequest, run_monte_carlo
+from ground.accuracy.monte_carlo_report import monte_carlo_json, save_monte_carlo_page
 from ground.common.requests import BadRequest
 from tests.ground.command import marsarm
 
@@ -24,67 +23,65 @@ def quiet(*_) -> None:
 
 @pytest.fixture(scope="module")
 def report() -> MonteCarloReport:
-    return monte_carlo_report(STATICS, quiet)
+    return run_monte_carlo(STATICS, quiet)
 
 
 def test_the_papers_rule_and_the_worst_case_cover_everything_and_are_twice_as_wide(report):
     for rule in ("paper", "worst case"):
         for name in ("total_m", "lateral_m", "normal_m"):
-            found = report.judged.coverage[rule][name]
+            found = report.coverage.by_rule[rule][name]
             assert found.share == 1.0
             assert found.width > 2.0
 
 
 def test_ours_covers_what_it_should_and_is_hardly_wider(report):
     for name in COMPONENTS:
-        found = report.judged.coverage[OURS][name]
+        found = report.coverage.by_rule[MOMENTS][name]
         assert found.holds(0.9973)
         assert 0.85 < found.width < 1.3
 
 
 def test_the_best_case_does_not_cover(report):
-    assert not any(c.holds(0.9973) for c in report.judged.coverage["root sum square"].values())
+    assert not any(c.holds(0.9973) for c in report.coverage.by_rule["root sum square"].values())
 
 
 def test_outputs_lie_on_flanks_but_their_gaps_do_not_add_up(report):
-    assert np.all(report.judged.on_flank > 0.99)
-    median, _, most = report.judged.backlash
+    assert np.all(report.coverage.on_flank > 0.99)
+    median, _, most = report.coverage.backlash
     assert 0.4 < median < 0.9
     assert most <= 1.0
 
 
 def test_what_makes_the_papers_rule_wide_is_adding_sources_and_adding_frames(report):
-    whole, no_source, no_frames, neither = report.judged.without_adding_m.values()
+    whole, no_source, no_frames, neither = report.coverage.variant_totals_m.values()
     assert neither < no_source < 0.7 * whole
     assert neither < no_frames < 0.7 * whole
-    assert whole == pytest.approx(report.judged.budget.estimate("paper", "total_m"))
+    assert whole == pytest.approx(report.coverage.budget.estimate("paper", "total_m"))
 
 
 def test_errors_are_of_the_same_size_in_every_component_as_their_bounds(report):
     for name in COMPONENTS:
-        within = report.judged.budget.estimate(OURS, name)
-        assert 0.2 * within < np.sqrt(np.mean(report.judged.error[name] ** 2)) < 0.7 * within
+        within = report.coverage.budget.estimate(MOMENTS, name)
+        assert 0.2 * within < np.sqrt(np.mean(report.coverage.error[name] ** 2)) < 0.7 * within
 
 
 def test_an_arm_alone_is_what_it_is_among_others(report):
-    alone = monte_carlo_report(replace(STATICS, only=7), quiet)
+    alone = run_monte_carlo(replace(STATICS, only=7), quiet)
     assert np.array_equal(alone.trials[0][0].error, report.trials[7][0].error)
 
 
 def test_two_processes_measure_what_one_does(report):
-    two = monte_carlo_report(replace(STATICS, arms=6, workers=2), quiet)
+    two = run_monte_carlo(replace(STATICS, arms=6, workers=2), quiet)
     for trial, same in zip(two.trials, report.trials[:6], strict=True):
         assert np.array_equal(trial[0].error, same[0].error)
 
 
 def test_a_run_that_was_killed_goes_on_where_it_was(report, tmp_path):
     path = tmp_path / "r.jsonl"
-    monte_carlo_report(replace(STATICS, arms=4, results=path), quiet)
+    run_monte_carlo(replace(STATICS, arms=4, results=path), quiet)
     path.write_bytes(path.read_bytes()[:-30])
     done = []
-    more = monte_carlo_report(
-        replace(STATICS, arms=8, results=path), lambda done_now, *_: done.append(done_now)
-    )
+    more = run_monte_carlo(replace(STATICS, arms=8, results=path), lambda done_now, *_: done.append(done_now))
     assert done[0] == 3
     for trial, same in zip(more.trials, report.trials[:8], strict=True):
         assert np.array_equal(trial[0].error, same[0].error)
@@ -92,31 +89,31 @@ def test_a_run_that_was_killed_goes_on_where_it_was(report, tmp_path):
 
 def test_results_of_another_case_are_refused(tmp_path):
     path = tmp_path / "r.jsonl"
-    monte_carlo_report(replace(STATICS, arms=1, results=path), quiet)
+    run_monte_carlo(replace(STATICS, arms=1, results=path), quiet)
     with pytest.raises(BadRequest, match="case accuracy there, mars now"):
-        monte_carlo_report(replace(STATICS, case="mars", results=path), quiet)
+        run_monte_carlo(replace(STATICS, case="mars", results=path), quiet)
 
 
 def test_without_ray_a_cluster_is_refused_and_nothing_is_written(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(BadRequest, match="ray is not installed"):
-        monte_carlo_report(replace(STATICS, cluster=True, results=tmp_path / "r.jsonl"), quiet)
+        run_monte_carlo(replace(STATICS, cluster=True, results=tmp_path / "r.jsonl"), quiet)
     assert not list(tmp_path.iterdir())
 
 
 def test_the_closed_loop_measures_what_statics_do():
-    loop = monte_carlo_report(MonteCarloRequest("mars", arms=2, how="closed-loop", seed=5), quiet)
-    statics = monte_carlo_report(MonteCarloRequest("mars", arms=2, how="statics", seed=5), quiet)
+    loop = run_monte_carlo(MonteCarloRequest("mars", arms=2, how="closed-loop", seed=5), quiet)
+    statics = run_monte_carlo(MonteCarloRequest("mars", arms=2, how="statics", seed=5), quiet)
     for a, b in zip(loop.trials, statics.trials, strict=True):
         assert np.linalg.norm((a[0].error - b[0].error)[3:]) < 1e-4
 
 
 def test_an_arm_of_its_own_has_what_the_case_adds():
-    found = monte_carlo_report(
+    found = run_monte_carlo(
         MonteCarloRequest("mars", "calibrated", arms=3, places=3, how="statics", seed=1), quiet
     )
-    assert 1e-4 < found.judged.percentile["total_m"] < 1e-2
-    assert found.spreads["total_m"].accuracy.upper > found.spreads["total_m"].accuracy.estimate > 0
+    assert 1e-4 < found.coverage.percentile["total_m"] < 1e-2
+    assert found.three_sigma["total_m"].accuracy.upper > found.three_sigma["total_m"].accuracy.estimate > 0
 
 
 def test_the_page_holds_its_picture(report, tmp_path):
@@ -152,7 +149,7 @@ def test_an_interval_without_an_end_is_null_in_the_document(report):
 )
 def test_bad_input_is_named(wrong, words):
     with pytest.raises(BadRequest, match=words):
-        monte_carlo_report(replace(STATICS, **wrong), quiet)
+        run_monte_carlo(replace(STATICS, **wrong), quiet)
 
 
 def test_every_built_arm_has_the_parameters_of_a_file_of_its_own(tmp_path):
@@ -161,20 +158,20 @@ def test_every_built_arm_has_the_parameters_of_a_file_of_its_own(tmp_path):
     asked = replace(
         STATICS, case="mars", built="as-built", arms=2, places=2, seed=7, params=tmp_path / "{seed}.toml"
     )
-    assert len(monte_carlo_report(asked, quiet).trials) == 2
+    assert len(run_monte_carlo(asked, quiet).trials) == 2
     (tmp_path / "8.toml").write_text('arm_name = "as-built:7"\n')
     with pytest.raises(BadRequest, match="these are of the arm as-built:7, not of as-built:8"):
-        monte_carlo_report(asked, quiet)
+        run_monte_carlo(asked, quiet)
 
 
 @pytest.mark.parametrize("line", ['{"x": 1}', '{"arm": 0, "params_sha256": "0", "places": [{}]}', "[]"])
 def test_a_line_that_is_no_result_is_named(tmp_path, line):
     asked = replace(STATICS, arms=1, results=tmp_path / "r.jsonl")
-    monte_carlo_report(asked, quiet)
+    run_monte_carlo(asked, quiet)
     with asked.results.open("a") as file:
         file.write(f"{line}\n")
     with pytest.raises(BadRequest, match="line 3 is no result"):
-        monte_carlo_report(asked, quiet)
+        run_monte_carlo(asked, quiet)
 
 
 def test_results_of_other_parameter_files_are_not_mixed_in(tmp_path):
@@ -188,10 +185,10 @@ def test_results_of_other_parameter_files_are_not_mixed_in(tmp_path):
         params=tmp_path / "{seed}.toml",
         results=tmp_path / "r.jsonl",
     )
-    monte_carlo_report(asked, quiet)
+    run_monte_carlo(asked, quiet)
     own.write_text('arm_name = "as-built:7"\n[joints.elbow]\nspeed_rad_s = 0.01\n')
     with pytest.raises(BadRequest, match="arm 0 in it was run with other parameters"):
-        monte_carlo_report(asked, quiet)
+        run_monte_carlo(asked, quiet)
 
 
 def test_the_command_prints_one_document(tmp_path):

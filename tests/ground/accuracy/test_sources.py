@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Frame
-from ground.accuracy.sources import CUMULANTS_OF, error_model
+from ground.accuracy.sources import CUMULANTS, load_error_model
 
-MODEL = error_model()
+MODEL = load_error_model()
 TABLE_2 = {
     "assembly": "systematic",
     "backlash": "random",
@@ -45,18 +45,18 @@ def test_three_sources_lie_at_their_limits():
 @pytest.mark.parametrize("name", MODEL.source)
 def test_a_source_has_a_magnitude_a_basis_and_a_spread(name):
     source = MODEL.source[name]
-    assert (source.theta.any()) == (source.of == "frames")
-    assert (source.share > 0) == (source.of != "frames")
+    assert (source.theta.any()) == (source.relative_to == "frames")
+    assert (source.share > 0) == (source.relative_to != "frames")
     assert source.basis
     assert source.text
-    assert CUMULANTS_OF[source.spread][0] > 0
+    assert CUMULANTS[source.distribution][0] > 0
 
 
 @pytest.mark.parametrize("name", MODEL.source)
 def test_what_is_drawn_with_every_move_is_random_and_lies_anywhere_within(name):
     source = MODEL.source[name]
     if source.effect in ("frame play", "servo error", "windup"):
-        assert (source.kind, source.spread) == ("random", "uniform")
+        assert (source.kind, source.distribution) == ("random", "uniform")
     if source.kind == "systematic":
         assert source.effect in ("frame error", "stiffness", "warming")
 

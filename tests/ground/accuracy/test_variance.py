@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.transforms import Array
-from ground.accuracy.variance import spreads
+from ground.accuracy.confidence import estimate_accuracy
 
 CASES = {
     "alike": ((1.0, 1.0, 1.0), (1.0, 1.0, 1.0), (0.0, 0.0, 0.0)),
@@ -31,7 +31,7 @@ def true_sigmas(name: str) -> tuple[float, float]:
 @pytest.mark.parametrize("name", CASES)
 def test_estimates_are_unbiased_and_upper_bounds_hold_as_often_as_they_say(name):
     rng, wanted, runs = np.random.default_rng(11), true_sigmas(name), 600
-    found = [spreads(campaign(rng, name)) for _ in range(runs)]
+    found = [estimate_accuracy(campaign(rng, name)) for _ in range(runs)]
     for sigmas, true in zip(
         ([f.accuracy for f in found], [f.repeatability for f in found]), wanted, strict=True
     ):
@@ -42,16 +42,16 @@ def test_estimates_are_unbiased_and_upper_bounds_hold_as_often_as_they_say(name)
 
 def test_arms_that_are_all_the_same_differ_by_nothing():
     error = np.zeros((3, 4, 5))
-    assert spreads(error).accuracy.upper == 0.0
+    assert estimate_accuracy(error).accuracy.upper == 0.0
 
 
 def test_more_arms_bring_the_upper_bound_nearer():
     rng = np.random.default_rng(12)
-    few, many = (spreads(campaign(rng, "alike", arms)).accuracy for arms in (5, 500))
+    few, many = (estimate_accuracy(campaign(rng, "alike", arms)).accuracy for arms in (5, 500))
     assert many.upper / many.estimate < few.upper / few.estimate
 
 
 @pytest.mark.parametrize("shape", [(3, 1, 20), (3, 50, 1)])
 def test_too_few_are_refused(shape):
     with pytest.raises(ValueError, match="two arms and two errors are the least"):
-        spreads(np.zeros(shape))
+        estimate_accuracy(np.zeros(shape))

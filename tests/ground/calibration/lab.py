@@ -8,8 +8,8 @@ from fsw.kinematics.arm import build_arm
 from fsw.kinematics.transforms import Pose
 from ground.calibration.calibrate import Calibration, calibrate
 from ground.calibration.campaign import CampaignPlan
-from ground.calibration.data import Campaign
-from ground.calibration.settled import settled_campaign, true_params
+from ground.calibration.campaign_data import Campaign
+from ground.calibration.simulation import simulate_campaign, true_params
 from sim.arms import arm_named
 from sim.params import nominal_params
 
@@ -18,7 +18,7 @@ NOMINAL = nominal_params()
 
 @cache
 def campaign(seed: int = 1) -> Campaign:
-    return settled_campaign(arm_named(f"as-built:{seed}"), CampaignPlan(seed=seed))
+    return simulate_campaign(arm_named(f"as-built:{seed}"), CampaignPlan(seed=seed))
 
 
 @cache

@@ -9,10 +9,16 @@ from fsw.dictionary.enums import Joint
 from fsw.kinematics.arm import build_arm
 from fsw.kinematics.statics import settle
 from fsw.kinematics.transforms import gravity_direction
-from ground.calibration.arm_model import arm_model, hung, modelled, moved_by_joints
-from ground.calibration.arm_numbers import GAPS, ZEROS, arm_parameters, arm_with, with_zeros_as_hardstops
-from ground.calibration.data import Believed
-from ground.calibration.screws import Measured, error_screw
+from ground.calibration.arm_model import arm_model, joint_jacobian, predict_poses, settle_poses
+from ground.calibration.arm_parameters import (
+    BACKLASHES,
+    ENCODER_ZEROS,
+    arm_parameters,
+    move_zeros_to_hardstops,
+    params_with_values,
+)
+from ground.calibration.campaign_data import BelievedPoses
+from ground.calibration.screws import MeasuredPoses, error_screw
 from sim.effects.structure import StandInTurret
 from tests.ground.calibration.lab import NOMINAL, campaign
 
@@ -46,44 +52,50 @@ def test_derivatives_are_those_of_finite_differences(model):
 
 def test_turns_of_the_outputs_move_the_turret_as_other_motor_angles_do(model):
     x, believed = some_numbers(1), model.believed
-    by_joints = moved_by_joints(hung(NOMINAL, x, believed))
+    by_joints = joint_jacobian(settle_poses(NOMINAL, x, believed))
     step = 1e-5
     for joint in Joint:
         turn = step * (np.arange(5) == joint)[:, None]
         X, Y = (
-            modelled(NOMINAL, x, replace(believed, motor_rad=believed.motor_rad + s * turn)) for s in (-1, 1)
+            predict_poses(NOMINAL, x, replace(believed, motor_rad=believed.motor_rad + s * turn))
+            for s in (-1, 1)
         )
-        numeric = error_screw(X, Measured(Y, np.zeros((0, 6, 6)))) / (2 * step)
+        numeric = error_screw(X, MeasuredPoses(Y, np.zeros((0, 6, 6)))) / (2 * step)
         np.testing.assert_allclose(by_joints[:, :, joint], numeric, atol=1e-5)
 
 
 def test_the_arm_of_the_model_is_the_arm_of_the_parameter_file(model):
     x, believed = some_numbers(4), model.believed
     x[36:42] = 0.0
-    X = modelled(NOMINAL, x, believed)
+    X = predict_poses(NOMINAL, x, believed)
     for kg in (8.0, 19.0):
         where = np.flatnonzero(believed.turret_kg == kg)
-        arm = build_arm(StandInTurret(kg).on_params(arm_with(NOMINAL, x)))
+        arm = build_arm(StandInTurret(kg).on_params(params_with_values(NOMINAL, x)))
         at = believed.at(where)
-        gap = at.gap_rad * np.exp(x[GAPS])[:, None] - at.held_Nm / arm.gear_stiffness_Nm_rad[:, None]
+        gap = (
+            at.backlash_rad * np.exp(x[BACKLASHES])[:, None]
+            - at.friction_Nm / arm.gear_stiffness_Nm_rad[:, None]
+        )
         frames = settle(arm, at.motor_rad, gap, at.gravity_R_m_s2).frames
         np.testing.assert_allclose(frames.X_RF.p[:, 5], X.p[:, where], atol=2e-6)
         np.testing.assert_allclose(frames.X_RF.R[:, :, 5], X.R[:, :, where], atol=2e-6)
 
 
 def test_without_any_difference_the_arm_is_the_drawing():
-    assert arm_with(NOMINAL, np.zeros(SCALE.size)) == NOMINAL or np.allclose(
-        build_arm(arm_with(NOMINAL, np.zeros(SCALE.size))).RP_CF, build_arm(NOMINAL).RP_CF, atol=1e-15
+    assert params_with_values(NOMINAL, np.zeros(SCALE.size)) == NOMINAL or np.allclose(
+        build_arm(params_with_values(NOMINAL, np.zeros(SCALE.size))).RP_CF,
+        build_arm(NOMINAL).RP_CF,
+        atol=1e-15,
     )
 
 
 def test_zeros_in_the_hardstops_are_the_same_arm_at_angles_that_are_so_much_larger():
     x = some_numbers(2)
-    zero, shifted = with_zeros_as_hardstops(NOMINAL, x)
-    np.testing.assert_array_equal(zero, x[list(ZEROS)])
+    zero, shifted = move_zeros_to_hardstops(NOMINAL, x)
+    np.testing.assert_array_equal(zero, x[list(ENCODER_ZEROS)])
     motor = np.random.default_rng(3).uniform(-1, 1, (5, 40))
     gravity, gap = 9.81 * gravity_direction(0.3, 0.1), 1e-3 * np.ones((5, 1))
-    one = settle(build_arm(arm_with(NOMINAL, x)), motor, gap, gravity).frames.X_RF
+    one = settle(build_arm(params_with_values(NOMINAL, x)), motor, gap, gravity).frames.X_RF
     other = settle(build_arm(shifted), motor + zero[:, None], gap, gravity).frames.X_RF
     np.testing.assert_allclose(one.p[:, 5], other.p[:, 5], atol=1e-6)
     np.testing.assert_allclose(one.R[:, :, 5], other.R[:, :, 5], atol=1e-6)
@@ -93,7 +105,7 @@ def test_zeros_in_the_hardstops_are_the_same_arm_at_angles_that_are_so_much_larg
 
 def test_a_pose_whose_gap_nobody_knows_tells_nothing_along_that_joint(model):
     unknown = campaign().believed.side[:, ::8] == 0
-    counted = model(np.zeros(SCALE.size)).counted
+    counted = model(np.zeros(SCALE.size)).is_informative
     np.testing.assert_array_equal(6 - counted.sum(axis=1), unknown.sum(axis=0))
     shifted = replace(model, believed=_elsewhere(model.believed, unknown))
     off = shifted(np.zeros(SCALE.size)).residual - model(np.zeros(SCALE.size)).residual
@@ -101,5 +113,5 @@ def test_a_pose_whose_gap_nobody_knows_tells_nothing_along_that_joint(model):
     assert np.abs(off).max() < 1.0
 
 
-def _elsewhere(believed: Believed, unknown) -> Believed:
-    return replace(believed, gap_rad=np.where(unknown, -believed.gap_rad, believed.gap_rad))
+def _elsewhere(believed: BelievedPoses, unknown) -> BelievedPoses:
+    return replace(believed, backlash_rad=np.where(unknown, -believed.backlash_rad, believed.backlash_rad))

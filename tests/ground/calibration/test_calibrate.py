@@ -9,13 +9,12 @@ from scipy.stats import binom
 
 from fsw.kinematics.transforms import Pose
 from ground.calibration.arm_model import arm_model
-from ground.calibration.arm_numbers import arm_parameters
+from ground.calibration.arm_parameters import arm_parameters
 from ground.calibration.calibrate import calibrate, rms_m
 from ground.calibration.checks import check_data, check_fit
 from ground.calibration.fit import fit
-from ground.calibration.screws import Measured
-from ground.calibration.settled import stops_off
-from ground.calibration.truth import truth_beside
+from ground.calibration.screws import MeasuredPoses
+from ground.calibration.simulation import compare_with_truth, hardstop_errors_rad
 from sim.arms import arm_named
 from tests.ground.calibration.lab import NOMINAL, calibration, campaign
 
@@ -27,21 +26,24 @@ def test_an_as_built_arm_is_calibrated(seed):
     check_data(NOMINAL, campaign(seed))
     found = calibration(seed)
     check_fit(found)
-    known = ~found.unknown.any(axis=0)[found.judged_poses]
+    known = ~found.unknown.any(axis=0)[found.held_out_poses]
     held_out = found.held_out_error[:, known]
-    before = found.before[:, found.judged_poses][:, known]
+    before = found.before[:, found.held_out_poses][:, known]
     assert rms_m(before) > 5 * rms_m(held_out)
     assert np.linalg.norm(held_out[3:], axis=0).max() < 5e-3
-    assert found.judged.ratio < 1.3
+    assert found.hold_out.ratio < 1.3
 
 
 def test_the_frames_have_rank_26_of_42_and_what_is_one_is_named_as_one():
     found = calibration()
-    assert found.frames_seen.rank == 26
+    assert found.frame_identifiability.rank == 26
     # where the hanging arm tells a little more, it is far less
-    s = found.frames_seen.singular_values
+    s = found.frame_identifiability.singular_values
     assert s[25] > 10 * s[26]
-    groups = {frozenset(group.names): group.seen for group in found.frames_seen.confused()}
+    groups = {
+        frozenset(group.names): group.identified
+        for group in found.frame_identifiability.unidentifiable_groups()
+    }
     assert groups[frozenset({"arm2.tz", "arm3.tz", "arm4.tz", "arm5.ty"})] == 1
     assert groups[frozenset({"arm1.rz", "arm2.ry"})] == 1
     assert sum(len(names) - seen for names, seen in groups.items()) == 42 - 26
@@ -67,7 +69,7 @@ def test_the_optimum_is_that_of_least_squares_with_numeric_derivatives():
 def test_the_true_arm_lies_where_the_covariance_says(seed):
     """Nine in ten of the 90 % intervals of the combinations that the data tell hold the truth."""
     arm = arm_named(f"as-built:{seed}")
-    sigmas = truth_beside(arm, calibration(seed), stops_off(arm)).sigmas
+    sigmas = compare_with_truth(arm, calibration(seed), hardstop_errors_rad(arm)).sigmas
     low, high = binom.interval(0.999, sigmas.size, 0.9)
     assert sigmas.size >= 26
     assert low <= np.sum(np.abs(sigmas) < 1.645) <= high
@@ -92,6 +94,6 @@ def test_wrong_poses_are_left_out_and_named():
     X = Pose(clean.measured.X_RT.R, clean.measured.X_RT.p.copy())
     for pose, axis, off_m in ((20, 0, 2e-3), (77, 1, -3e-3), (140, 2, 5e-3)):
         X.p[axis, pose] += off_m
-    found = calibrate(NOMINAL, replace(clean, measured=Measured(X, clean.measured.covariance)))
-    assert set(found.cleaned.outliers) == {20, 77, 140}
+    found = calibrate(NOMINAL, replace(clean, measured=MeasuredPoses(X, clean.measured.covariance)))
+    assert set(found.rejection.outliers) == {20, 77, 140}
     np.testing.assert_allclose(rms_m(found.after[:, found.best.used]), rms_m(calibration().after), rtol=0.5)

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.arm import build_arm
-from ground.calibration.page import save_calibration_page
+from ground.calibration.campaign_file import save_campaign
 from ground.calibration.parameter_file import calibrated_params, parameter_text
-from ground.calibration.request import CalibrateRequest, calibrate_report
-from ground.calibration.table import save_campaign
-from ground.calibration.tables import calibration_json
+from ground.calibration.report import calibration_json, save_calibration_page
+from ground.calibration.request import CalibrateRequest, run_calibration
 from ground.common.requests import BadRequest, chosen_arm
 from sim.params import params_over_nominal
 from tests.ground.calibration.lab import calibration, campaign, quiet
@@ -45,7 +44,7 @@ def test_the_parameter_file_says_where_it_comes_from_and_is_always_the_same(tabl
 
 
 def test_the_page_is_one_file_with_its_pictures_in_it(table, tmp_path):
-    report = calibrate_report(CalibrateRequest(data=table), quiet)
+    report = run_calibration(CalibrateRequest(data=table), quiet)
     save_calibration_page(report, tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text()
     assert page.count("data:image/png;base64") == 2
@@ -57,7 +56,7 @@ def test_parameters_of_another_arm_are_refused(table, tmp_path):
     other = tmp_path / "other.toml"
     other.write_text('arm_name = "as-built:9"\n')
     with pytest.raises(BadRequest, match="of the arm as-built:9, the data of as-built:1"):
-        calibrate_report(CalibrateRequest(data=table, params=other), quiet)
+        run_calibration(CalibrateRequest(data=table, params=other), quiet)
     with pytest.raises(BadRequest, match="of the arm as-built:9, not of as-built:3"):
         chosen_arm("as-built:3", other)
 
@@ -74,7 +73,7 @@ WRONG = [
 @pytest.mark.parametrize(("request_", "words"), WRONG)
 def test_wrong_requests_are_refused_before_anything_moves(request_, words):
     with pytest.raises(BadRequest, match=words):
-        calibrate_report(request_, quiet)
+        run_calibration(request_, quiet)
 
 
 def test_a_wrong_table_ends_with_2_and_writes_nothing(tmp_path):

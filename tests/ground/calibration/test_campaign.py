@@ -3,12 +3,16 @@
 import numpy as np
 import pytest
 
-from ground.calibration.campaign import CampaignPlan, earth_reference, run_campaign
+from ground.calibration.campaign import (
+    PAPER_GROUPS,
+    CampaignPlan,
+    earth_reference,
+    resize_groups,
+    run_campaign,
+)
 from ground.calibration.parameter_file import data_sha256
-from ground.calibration.poses import PAPER_GROUPS, resized
 from ground.calibration.screws import error_screw
-from ground.calibration.settled import settled_campaign
-from ground.calibration.truth import true_poses, zeros_off
+from ground.calibration.simulation import simulate_campaign, true_poses, zero_errors_rad
 from sim.arms import arm_named
 from tests.ground.calibration.lab import campaign, quiet
 
@@ -28,8 +32,8 @@ def test_the_papers_campaign_is_planned():
 
 
 def test_the_same_seed_gives_the_same_campaign():
-    plan = CampaignPlan(resized(PAPER_GROUPS, 8), seed=3)
-    one, other = (data_sha256(settled_campaign(arm_named("as-built:3"), plan)) for _ in range(2))
+    plan = CampaignPlan(resize_groups(PAPER_GROUPS, 8), seed=3)
+    one, other = (data_sha256(simulate_campaign(arm_named("as-built:3"), plan)) for _ in range(2))
     assert one == other
 
 
@@ -37,10 +41,10 @@ def test_the_same_seed_gives_the_same_campaign():
 def test_in_the_closed_loop_the_true_arm_is_measured():
     arm = arm_named("as-built:5")
     reference = earth_reference(arm, quiet)
-    found = run_campaign(arm, reference, CampaignPlan(resized(PAPER_GROUPS, 4)), quiet)
+    found = run_campaign(arm, reference, CampaignPlan(resize_groups(PAPER_GROUPS, 4)), quiet)
     assert found.count == 4
     assert np.all(found.targets_seen >= 3)
     assert np.all(found.misfit_m < 1.5e-4)
-    truth = true_poses(arm, found.believed, zeros_off(arm, reference))
+    truth = true_poses(arm, found.believed, zero_errors_rad(arm, reference))
     off = error_screw(truth, found.measured)[3:]
     assert np.linalg.norm(off, axis=0).max() < 0.3e-3

@@ -7,11 +7,9 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.stats import binom, kstest
 
-from ground.calibration.fit import fit
-from ground.calibration.judge import judged
-from ground.calibration.outliers import NoAgreement, cleaned_fit, leave_out_distance
-from ground.calibration.problem import Linearised, Parameter
-from ground.calibration.seen import seen
+from ground.calibration.fit import FitParameter, Linearisation, fit, validate_hold_out
+from ground.calibration.identifiability import assess_identifiability
+from ground.calibration.outliers import TooManyOutliers, leave_one_out_distance, reject_outliers
 
 NOISE_M = 1e-4
 
@@ -41,12 +39,12 @@ class Planar:
         beyond = np.cumsum(links[:, ::-1], axis=1)[:, ::-1]
         turned = np.array([-beyond[1], beyond[0]])
         J = np.concatenate([along, turned], axis=1)
-        return Linearised(((p - self.tip) / NOISE_M).T, np.moveaxis(J, 2, 0) / NOISE_M)
+        return Linearisation(((p - self.tip) / NOISE_M).T, np.moveaxis(J, 2, 0) / NOISE_M)
 
 
 def parameters(joints, prior=np.inf):
-    lengths = [Parameter(f"length{k}", "m", 1e-3, prior) for k in range(joints)]
-    return lengths + [Parameter(f"zero{k}", "rad", 1e-3, prior) for k in range(joints)]
+    lengths = [FitParameter(f"length{k}", "m", 1e-3, prior) for k in range(joints)]
+    return lengths + [FitParameter(f"zero{k}", "rad", 1e-3, prior) for k in range(joints)]
 
 
 def test_the_jacobian_of_the_planar_chain_is_right():
@@ -100,7 +98,7 @@ def test_the_p_value_is_uniform_where_the_noise_is_what_was_said():
 
 def test_noise_that_is_larger_than_said_is_told():
     model = Planar(np.random.default_rng(6))
-    quiet = fit(parameters(3), lambda x: Linearised(2 * model(x).residual, 2 * model(x).jacobian))
+    quiet = fit(parameters(3), lambda x: Linearisation(2 * model(x).residual, 2 * model(x).jacobian))
     assert quiet.sigma0 == pytest.approx(2, rel=0.2)
     assert quiet.p_value < 1e-6
 
@@ -111,11 +109,11 @@ def test_joints_that_never_move_are_one_with_what_they_cannot_be_told_from():
     angles = rng.uniform(-2, 2, (3, 60))
     angles[1] = 0.3
     model = Planar(rng, 3, angles=angles)
-    found = seen(parameters(3), model(np.zeros(6)))
+    found = assess_identifiability(parameters(3), model(np.zeros(6)))
     assert found.rank == 4
-    (confused,) = found.confused()
+    (confused,) = found.unidentifiable_groups()
     assert set(confused.names) == {"length0", "length1", "zero0", "zero1", "zero2"}
-    assert confused.seen == 3
+    assert confused.identified == 3
 
 
 def test_what_neither_data_nor_prior_tell_stays_and_has_no_sigma():
@@ -125,7 +123,7 @@ def test_what_neither_data_nor_prior_tell_stays_and_has_no_sigma():
     found = fit(parameters(2), Planar(rng, 2, angles=angles, lengths=np.array([1e-3, 1e-3, 0, 0])))
     assert found.converged
     assert np.isinf(found.sigma[[0, 1, 3]]).all()
-    assert np.isfinite(found.sigma[2]) or found.free[2] > 0
+    assert np.isfinite(found.sigma[2]) or found.unconstrained[2] > 0
     assert found.values[0] + found.values[1] == pytest.approx(2e-3, abs=1e-4)
 
 
@@ -133,26 +131,28 @@ def test_outliers_are_found_named_and_left_out():
     rng = np.random.default_rng(9)
     truth = 2e-3 * rng.standard_normal(6)
     model = Planar(rng, lengths=truth)
-    clean = cleaned_fit(parameters(3), model)
+    clean = reject_outliers(parameters(3), model)
     assert clean.outliers == ()
     for pose, off_m in ((7, 2e-3), (8, -2e-3), (30, 1.0), (44, 8e-4)):
         model.tip[:, pose] += off_m
-    found = cleaned_fit(parameters(3), model)
+    found = reject_outliers(parameters(3), model)
     assert found.outliers == (7, 8, 30, 44)
     assert np.all(np.abs(found.fit.values - truth) < 4 * found.fit.sigma)
 
 
 def test_a_campaign_without_outliers_is_seldom_said_to_have_one():
     rng = np.random.default_rng(10)
-    alarms = sum(bool(cleaned_fit(parameters(3), Planar(rng), false_alarm=0.1).outliers) for _ in range(100))
+    alarms = sum(
+        bool(reject_outliers(parameters(3), Planar(rng), false_alarm=0.1).outliers) for _ in range(100)
+    )
     assert alarms <= binom.ppf(0.999, 100, 0.1)
 
 
 def test_too_many_outliers_are_none():
     model = Planar(np.random.default_rng(11))
     model.tip[:, ::3] += 0.05 * np.random.default_rng(12).standard_normal((2, 20))
-    with pytest.raises(NoAgreement, match="60 poses do not agree"):
-        cleaned_fit(parameters(3), model)
+    with pytest.raises(TooManyOutliers, match="60 poses do not agree"):
+        reject_outliers(parameters(3), model)
 
 
 def test_the_distance_of_a_pose_is_that_from_a_fit_without_it():
@@ -161,7 +161,7 @@ def test_the_distance_of_a_pose_is_that_from_a_fit_without_it():
     found = fit(parameters(3), model)
     used = np.arange(12) != 5
     others = fit(parameters(3), model, used=used)
-    assert leave_out_distance(found)[5] == pytest.approx(leave_out_distance(others)[5], rel=1e-2)
+    assert leave_one_out_distance(found)[5] == pytest.approx(leave_one_out_distance(others)[5], rel=1e-2)
 
 
 def test_fresh_poses_are_off_by_what_noise_and_covariance_let_expect():
@@ -171,7 +171,7 @@ def test_fresh_poses_are_off_by_what_noise_and_covariance_let_expect():
         truth = 2e-3 * rng.standard_normal(6)
         model, fresh = (Planar(rng, 3, poses, truth) for poses in (10, 200))
         found = fit(parameters(3), model)
-        ratios.append(judged(found, fresh(found.values)).ratio)
+        ratios.append(validate_hold_out(found, fresh(found.values)).ratio)
     assert np.sqrt(np.mean(np.square(ratios))) == pytest.approx(1.0, abs=0.15)
 
 

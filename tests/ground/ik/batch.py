@@ -4,10 +4,9 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from ground.ik.model import ModelRequest, checked_model
-from ground.ik.read import APPROACH, POSITION
+from ground.ik.model import ModelRequest, build_ik_model
 from ground.ik.solve import IkRequest, solve
-from ground.ik.targets import Targets
+from ground.ik.targets import APPROACH_COLUMNS, POSITION_COLUMNS, IkTargets
 from sim.frames import p_R_from_N
 
 P_M = np.array([[2.1, 0.0, -0.3], [2.0, 0.2, -0.1], [9.0, 0.0, 0.0], [1.9, -0.3, 0.1]])
@@ -19,7 +18,7 @@ def save(path, position_m=P_M, approach=A) -> None:
     if path.suffix == ".npz":
         np.savez(path, position_m=position_m, approach=approach)
     else:
-        names, columns = (*POSITION, *APPROACH), (*position_m.T, *approach.T)
+        names, columns = (*POSITION_COLUMNS, *APPROACH_COLUMNS), (*position_m.T, *approach.T)
         parquet.write_table(pa.table(dict(zip(names, columns, strict=True))), path)
 
 
@@ -31,5 +30,5 @@ def solved(batch, out, **model):
 def expected(position_m=P_M, approach=A, **model):
     """The answers straight from the kinematics, (S, n)."""
     unit = approach / np.linalg.norm(approach, axis=1)[:, None]
-    targets = Targets(p_R_from_N(position_m).T, unit.T)
-    return checked_model(ModelRequest(**model)).answers(targets)
+    targets = IkTargets(p_R_from_N(position_m).T, unit.T)
+    return build_ik_model(ModelRequest(**model)).answers(targets)

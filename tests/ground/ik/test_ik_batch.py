@@ -9,10 +9,9 @@ from pyarrow import parquet
 
 from fsw.kinematics.branches import slot_name
 from fsw.kinematics.ik import BranchVerdict, select_result
-from ground.ik.model import PART
-from ground.ik.names import JOINTS, VERDICTS
-from ground.ik.tally import tally
-from ground.ik.write import writer
+from ground.ik.model import BATCH_SIZE
+from ground.ik.tally import JOINT_NAMES, VERDICT_NAMES, tally
+from ground.ik.writers import open_writer
 from sim.workspace import approach_from, random_targets
 from tests.ground.command import marsarm
 from tests.ground.ik.batch import P_M, expected, save, solved
@@ -30,7 +29,7 @@ def test_a_file_of_arrays_holds_every_answer_to_every_target(tmp_path, suffix):
         assert np.array_equal(file["verdict"], answers.verdict.T)
         assert file["output_rad"].shape == (4, slots, 5)
         assert [str(name) for name in file["branch_names"]] == [slot_name(slot) for slot in range(slots)]
-        assert tuple(file["verdict_names"]) == VERDICTS
+        assert tuple(file["verdict_names"]) == VERDICT_NAMES
         outside = file["verdict"] == BranchVerdict.OUTSIDE_LIMITS
         assert np.all((file["joint"] >= 0) == outside)
         assert np.all(file["excess"][outside] > 0.0)
@@ -48,8 +47,8 @@ def test_a_table_has_a_row_for_each_target_and_branch(tmp_path, suffix):
     for row in rows:
         slot = next(k for k in range(len(answers.verdict)) if slot_name(k) == row["branch"])
         one = select_result(answers, row["target"])
-        angles = np.array([row[f"{joint}_rad"] for joint in JOINTS], dtype=float)
-        assert row["verdict"] == VERDICTS[one.verdict[slot]]
+        angles = np.array([row[f"{joint}_rad"] for joint in JOINT_NAMES], dtype=float)
+        assert row["verdict"] == VERDICT_NAMES[one.verdict[slot]]
         assert np.allclose(angles, one.output_rad[:, slot], atol=1e-9, equal_nan=True)
         assert (row["limiting_joint"] is not None) == (row["verdict"] == "outside_limits")
         assert (row["beyond_limit_rad"] is not None) == (row["verdict"] == "outside_limits")
@@ -57,15 +56,15 @@ def test_a_table_has_a_row_for_each_target_and_branch(tmp_path, suffix):
 
 
 def test_targets_beyond_one_part_are_answered_as_if_they_were_alone(tmp_path):
-    p_m, angles = random_targets(np.random.default_rng(3), PART + 2)
+    p_m, angles = random_targets(np.random.default_rng(3), BATCH_SIZE + 2)
     approach = approach_from(angles).T
     save(tmp_path / "in.npz", p_m.T, approach)
     report = solved(tmp_path / "in.npz", tmp_path / "out.npz")
-    assert report.tally.targets == PART + 2
-    alone = expected(p_m.T[PART:], approach[PART:])
+    assert report.tally.targets == BATCH_SIZE + 2
+    alone = expected(p_m.T[BATCH_SIZE:], approach[BATCH_SIZE:])
     with np.load(tmp_path / "out.npz") as file:
-        assert file["verdict"].shape[0] == PART + 2
-        assert np.array_equal(file["verdict"][PART:, : len(alone.verdict)], alone.verdict.T)
+        assert file["verdict"].shape[0] == BATCH_SIZE + 2
+        assert np.array_equal(file["verdict"][BATCH_SIZE:, : len(alone.verdict)], alone.verdict.T)
 
 
 def test_the_same_targets_give_the_same_bytes(tmp_path):
@@ -101,7 +100,7 @@ def test_parts_with_more_roots_than_others_fit_into_one_file(tmp_path):
     many = more_slots(few)
     slots = len(few.verdict)
     for name in ("out.npz", "out.parquet"):
-        with writer(tmp_path / name, {}) as file:
+        with open_writer(tmp_path / name, {}) as file:
             file.add(few)
             file.add(many)
     with np.load(tmp_path / "out.npz") as file:

@@ -17,8 +17,8 @@ from pyarrow import parquet
 
 from ground.common.files import BadOutput
 from ground.common.requests import BadRequest
-from ground.ik.read import APPROACH, POSITION, read_targets
-from ground.ik.write import writer
+from ground.ik.targets import APPROACH_COLUMNS, POSITION_COLUMNS, read_targets
+from ground.ik.writers import open_writer
 from tests.ground.command import ROOT, marsarm
 from tests.ground.ik.batch import P_M, A, expected, save, solved
 
@@ -30,12 +30,12 @@ def changed(values, row, component, value):
 
 
 def one_without(name):
-    columns = {column: P_M[:, 0] for column in (*POSITION, *APPROACH) if column != name}
+    columns = {column: P_M[:, 0] for column in (*POSITION_COLUMNS, *APPROACH_COLUMNS) if column != name}
     return pa.table(columns)
 
 
 def one_with(name, values):
-    columns = {column: np.ones(4) for column in (*POSITION, *APPROACH)}
+    columns = {column: np.ones(4) for column in (*POSITION_COLUMNS, *APPROACH_COLUMNS)}
     return pa.table(columns | {name: values})
 
 
@@ -58,7 +58,7 @@ TABLES = {
     "lists": (one_with("approach_z", [[1.0]] * 4), "approach_z holds list"),
     "null": (one_with("position_z_m", [1.0, None, 1.0, 1.0]), "row 1 (the first is 0): position_x_m"),
     "zero approach": (
-        pa.table(dict.fromkeys(POSITION, np.ones(2)) | dict.fromkeys(APPROACH, np.zeros(2))),
+        pa.table(dict.fromkeys(POSITION_COLUMNS, np.ones(2)) | dict.fromkeys(APPROACH_COLUMNS, np.zeros(2))),
         "approach_x, approach_y, approach_z: 0 0 0 has no direction",
     ),
 }
@@ -184,7 +184,7 @@ def test_a_disk_that_fills_up_leaves_what_was_there_before(tmp_path, name, monke
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.replace", full)
-    with pytest.raises(BadOutput, match="No space left"), writer(tmp_path / name, {}) as file:
+    with pytest.raises(BadOutput, match="No space left"), open_writer(tmp_path / name, {}) as file:
         file.add(expected())
     assert (tmp_path / name).read_text() == "old"
     assert [path.name for path in tmp_path.iterdir()] == [name]

@@ -11,8 +11,8 @@ from fsw.kinematics.chain import forward, tool_pose
 from fsw.kinematics.statics import settle
 from ground.common.requests import BadRequest
 from ground.ik.model import ModelRequest
+from ground.ik.report import ik_json
 from ground.ik.solve import IkRequest, solve
-from ground.ik.tables import ik_json
 from sim.arms import arm_named
 from sim.frames import p_R_from_N
 from sim.world import World

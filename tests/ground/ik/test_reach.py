@@ -8,10 +8,9 @@ import PIL.Image
 import pytest
 
 from ground.common.requests import BadRequest
-from ground.ik.model import ModelRequest, checked_model
-from ground.ik.reach import ReachRequest, reach
-from ground.ik.samples import sample
-from ground.ik.tables import reach_json
+from ground.ik.model import ModelRequest, build_ik_model
+from ground.ik.reach import ReachRequest, reach, sample_workspace
+from ground.ik.report import reach_json
 from sim.workspace import approach_from, random_surface, random_targets
 from tests.ground.command import marsarm
 
@@ -45,8 +44,8 @@ def test_the_elevation_limit_is_what_stands_in_the_way(document):
 
 
 def test_the_same_seed_is_the_same_map_and_another_is_not():
-    model = checked_model(ModelRequest(compensate="off"))
-    first, again, other = (sample(model, 300, seed, quiet)[0] for seed in (1, 1, 2))
+    model = build_ik_model(ModelRequest(compensate="off"))
+    first, again, other = (sample_workspace(model, 300, seed, quiet)[0] for seed in (1, 1, 2))
     assert np.array_equal(first.valid, again.valid)
     assert np.array_equal(first.p_NoTo_N_m, again.p_NoTo_N_m)
     assert not np.array_equal(first.p_NoTo_N_m, other.p_NoTo_N_m)

@@ -3,8 +3,8 @@
 import numpy as np
 
 from fsw.kinematics.transforms import IDENTITY, Pose
-from ground.calibration.serial.chain import batch, chain, load_torque_Nm
-from tests.ground.calibration.serial.made import built_arm, drawn_arm
+from ground.calibration.serial.chain import forward_kinematics, load_torque_Nm, repeat_pose
+from tests.ground.calibration.serial.synthetic import built_arm, drawn_arm
 
 
 def matrix(six, q):
@@ -30,10 +30,10 @@ def matrix(six, q):
 def test_the_chain_is_the_product_of_the_paper_s_link_transforms():
     arm = built_arm(drawn_arm(5), 3)
     q = np.random.default_rng(0).uniform(-3, 3, (5, 7))
-    ends, _ = chain(batch(IDENTITY, 7), arm.sixes, q)
+    ends, _ = forward_kinematics(repeat_pose(IDENTITY, 7), arm.link_geometry, q)
     for n in range(7):
         X = np.eye(4)
-        for six, turn, end in zip(arm.sixes, q[:, n], ends, strict=True):
+        for six, turn, end in zip(arm.link_geometry, q[:, n], ends, strict=True):
             X = X @ matrix(six, turn)
             np.testing.assert_allclose(end.R[:, :, n], X[:3, :3], atol=1e-14)
             np.testing.assert_allclose(end.p[:, n], X[:3, 3], atol=1e-14)
@@ -47,13 +47,13 @@ def test_the_load_is_the_slope_of_the_energy():
     q = np.random.default_rng(1).uniform(-3, 3, (5, 1))
 
     def energy(angles):
-        ends, _ = chain(batch(IDENTITY, 1), arm.sixes, angles)
+        ends, _ = forward_kinematics(repeat_pose(IDENTITY, 1), arm.link_geometry, angles)
         heavy = [
             (X @ Pose(np.eye(3)[:, :, None], c[:, None])).p[:, 0] for X, c in zip(ends, centres, strict=True)
         ]
         return -sum(m * gravity @ p for m, p in zip(masses, heavy, strict=True))
 
-    ends, axes = chain(batch(IDENTITY, 1), arm.sixes, q)
+    ends, axes = forward_kinematics(repeat_pose(IDENTITY, 1), arm.link_geometry, q)
     torque = load_torque_Nm(ends, axes, masses, centres, gravity)[:, 0]
     steps = 1e-6 * np.eye(5)[:, :, None]
     slope = [(energy(q + h) - energy(q - h)) / 2e-6 for h in steps]

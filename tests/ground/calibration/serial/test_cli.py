@@ -9,7 +9,7 @@ from ground.calibration.serial.arm_file import arm_from_toml
 from ground.calibration.serial.request import SerialRequest, calibrate_serial
 from ground.common.requests import BadRequest
 from tests.ground.calibration.serial.files import MAPPING, rows, write
-from tests.ground.calibration.serial.made import POSITION_M
+from tests.ground.calibration.serial.synthetic import POSITION_M
 from tests.ground.command import marsarm
 
 NAMES = {"arm": "arm.toml", "table": "poses.csv", "mapping": "mapping.toml"}

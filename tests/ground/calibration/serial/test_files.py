@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from ground.calibration.serial.arm_file import BadArmFile, arm_from_toml, arm_to_toml
-from ground.calibration.serial.table import mapping_from_toml, series_from_table
+from ground.calibration.serial.tracker_table import mapping_from_toml, series_from_table
 from ground.telemetry.imports.files import BadImport
 from tests.ground.calibration.serial.files import MAPPING, rows, text
-from tests.ground.calibration.serial.made import built_arm, drawn_arm
+from tests.ground.calibration.serial.synthetic import built_arm, drawn_arm
 
 MODELS = Path(__file__).parents[4] / "models" / "ur10"
 
@@ -80,8 +80,8 @@ def test_a_table_has_its_numbers_in_units_of_the_house():
     np.testing.assert_allclose(read.joint_rad, np.radians(numbers[:, :3].T), rtol=1e-8)
     np.testing.assert_allclose(read.X_TM.p, numbers[:, 3:6].T * 1e-3, rtol=1e-8)
     assert read.row.tolist() == [1, 2, 3, 4, 5]
-    assert read.came[:, 0].tolist() == [0.0, 0.0, 0.0]
-    np.testing.assert_array_equal(read.came[:, 1:], np.sign(np.diff(numbers[:, :3], axis=0)).T)
+    assert read.direction[:, 0].tolist() == [0.0, 0.0, 0.0]
+    np.testing.assert_array_equal(read.direction[:, 1:], np.sign(np.diff(numbers[:, :3], axis=0)).T)
 
 
 def test_rows_are_put_in_order_of_their_times():

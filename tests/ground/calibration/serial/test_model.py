@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from fsw.kinematics.transforms import Pose
-from ground.calibration.seen import seen
-from ground.calibration.serial.calibrate import calibrate, misfit_ratio, verdict
+from ground.calibration.identifiability import assess_identifiability
+from ground.calibration.serial.calibrate import calibrate_series, held_out_ratio, pose_errors
+from ground.calibration.serial.initial_setup import estimate_setup
 from ground.calibration.serial.model import TERMS, serial_model
-from ground.calibration.serial.place import first_setup
-from tests.ground.calibration.serial.made import POSITION_M, built_arm, drawn_arm, series, setup
+from tests.ground.calibration.serial.synthetic import POSITION_M, built_arm, drawn_arm, series, setup
 
 NOISE_RMS_M = POSITION_M * np.sqrt(3)
 
@@ -34,17 +34,17 @@ def known():
     built = built_arm(drawn, 5)
     stands = setup(6)
     part = series(built, stands, 500, 7)
-    return drawn, built, stands, calibrate(drawn, first_setup(drawn, part), part, TERMS)
+    return drawn, built, stands, calibrate_series(drawn, estimate_setup(drawn, part), part, TERMS)
 
 
 def test_fresh_poses_are_met_to_the_noise(known):
     drawn, built, stands, found = known
     fresh = series(built, stands, 300, 8)
-    before = verdict(drawn, first_setup(drawn, fresh), fresh)
-    after = verdict(found.arm, found.setup, fresh)
+    before = pose_errors(drawn, estimate_setup(drawn, fresh), fresh)
+    after = pose_errors(found.arm, found.setup, fresh)
     assert before.rms_m > 10 * NOISE_RMS_M
     assert after.rms_m < 1.15 * NOISE_RMS_M
-    assert misfit_ratio(found, fresh) == pytest.approx(1.0, abs=0.1)
+    assert held_out_ratio(found, fresh) == pytest.approx(1.0, abs=0.1)
 
 
 def test_what_the_poses_tell_is_found_within_its_sigma(known):
@@ -65,15 +65,15 @@ def test_what_the_poses_tell_is_found_within_its_sigma(known):
 
 def test_the_zero_of_the_first_joint_is_not_told_from_the_base(known):
     *_, found = known
-    groups = seen(found.fit.parameters, found.fit.at).confused()
+    groups = assess_identifiability(found.fit.parameters, found.fit.at).unidentifiable_groups()
     assert any({"base.theta", "joint0.theta"} <= set(group.names) for group in groups)
 
 
 def test_an_arm_that_was_found_serves_where_it_stands_next(known):
     _, built, _, found = known
     elsewhere = series(built, setup(9), 200, 10)
-    moved = calibrate(found.arm, first_setup(found.arm, elsewhere), elsewhere, ())
-    assert verdict(moved.arm, moved.setup, elsewhere).rms_m < 1.15 * NOISE_RMS_M
+    moved = calibrate_series(found.arm, estimate_setup(found.arm, elsewhere), elsewhere, ())
+    assert pose_errors(moved.arm, moved.setup, elsewhere).rms_m < 1.15 * NOISE_RMS_M
     assert moved.arm == found.arm
 
 
@@ -83,10 +83,10 @@ def test_joints_say_nothing_of_angles_that_they_did_not_stand_at():
     stands = setup(12)
     everywhere = series(built, stands, 600, 13)
     part = everywhere.at(np.all(np.abs(everywhere.joint_rad) < 1.5, axis=0))
-    found = calibrate(drawn, first_setup(drawn, part), part, TERMS)
+    found = calibrate_series(drawn, estimate_setup(drawn, part), part, TERMS)
     elsewhere = everywhere.at(np.any(np.abs(everywhere.joint_rad) > 2.0, axis=0))
-    assert misfit_ratio(found, elsewhere) < 1.5
-    assert verdict(found.arm, found.setup, elsewhere).rms_m > 2 * NOISE_RMS_M
+    assert held_out_ratio(found, elsewhere) < 1.5
+    assert pose_errors(found.arm, found.setup, elsewhere).rms_m > 2 * NOISE_RMS_M
 
 
 def test_poses_that_do_not_belong_are_named_and_left_out(known):
@@ -96,12 +96,12 @@ def test_poses_that_do_not_belong_are_named_and_left_out(known):
     p[:, 41] += [0.0, 0.05, 0.0]
     p[:, 97] += [0.0, 0.0, 0.001]
     spoilt = replace(part, X_TM=Pose(part.X_TM.R, p))
-    found = calibrate(drawn, first_setup(drawn, spoilt), spoilt, TERMS)
+    found = calibrate_series(drawn, estimate_setup(drawn, spoilt), spoilt, TERMS)
     assert found.outliers == (42, 98)
 
 
 def test_terms_that_are_not_asked_for_stay_as_they_were(known):
     drawn, built, stands, _ = known
     part = series(built, stands, 100, 15)
-    found = calibrate(drawn, first_setup(drawn, part), part, ("geometry",))
+    found = calibrate_series(drawn, estimate_setup(drawn, part), part, ("geometry",))
     assert all(one.compliance_rad_per_Nm == 0.0 and one.cos_rad is None for one in found.arm.links)

@@ -1,0 +1,228 @@
+"""The error budget as a page: the paper's rows beside ours, what makes up the error, where it is large."""
+
+from math import degrees
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rich.table import Table
+
+from fsw.dictionary.enums import Frame
+from ground.accuracy.budget import COMPONENTS, Budget
+from ground.accuracy.budget_request import BudgetReport
+from ground.accuracy.reproduce import MagnitudeFit
+from ground.render.console import plain_console
+from ground.render.figures import drawn
+from ground.render.page import heading, image, paragraph, save_page, table
+
+RULES: Final = ("paper", "moments", "root sum square", "worst case")
+
+
+def budget_json(report: BudgetReport) -> dict[str, Any]:
+    """The budget as a JSON document; metres and radians."""
+    return {
+        "poses": report.request.poses,
+        "seed": report.request.seed,
+        "gravity": report.request.gravity,
+        "params_sha256": report.params_sha256,
+        "rows": [
+            {
+                "name": row.name,
+                "case": row.case,
+                "component": row.component,
+                "required": row.required,
+                "paper": row.estimated,
+                "ours": value,
+            }
+            for row, value in report.rows
+        ],
+        "cases": {name: _case_json(budget) for name, budget in report.budgets.items()},
+        "sources": {
+            name: {
+                "text": source.text,
+                "kind": source.kind,
+                "label": source.label,
+                "basis": source.basis,
+                "spread": source.distribution,
+                "at_limit": source.at_limit,
+            }
+            for name, source in report.model.source.items()
+        },
+        "reproduced": [_reproduced_json(found) for found in report.reproduced],
+    }
+
+
+def _case_json(budget: Budget) -> dict[str, Any]:
+    return {
+        "text": budget.case.text,
+        "sources": dict(budget.case.sources),
+        "tools": [tool.name.lower() for tool in budget.tools],
+        "estimates": {
+            rule: {component: budget.estimate(rule, component) for component in COMPONENTS} for rule in RULES
+        },
+        "share_m": {
+            name: dict(zip((frame.name.lower() for frame in Frame), share.tolist(), strict=True))
+            for name, share in zip(budget.case.sources, budget.share_m, strict=True)
+        },
+    }
+
+
+def _reproduced_json(found: MagnitudeFit) -> dict[str, Any]:
+    return {
+        "rows": {row.name: value for row, value in found.rows},
+        "magnitudes": [
+            {
+                "source": source,
+                "part": part,
+                "factor": factor,
+                "magnitude": found.magnitude[source, part][0],
+                "unit": found.magnitude[source, part][1],
+            }
+            for (source, part), factor in found.factor.items()
+        ],
+    }
+
+
+def format_value(component: str, value: float) -> str:
+    """As people read it."""
+    return f"{degrees(value):.2f} deg" if component.endswith("_rad") else f"{value * 1e3:.1f} mm"
+
+
+def budget_table(report: BudgetReport) -> None:
+    """Print the paper's rows beside ours, what makes up the error, and other rules."""
+    console = plain_console()
+    console.print(_rows(report))
+    for budget in report.budgets.values():
+        console.print(_shares(report, budget))
+        console.print(_rules(budget))
+    for found in report.reproduced:
+        console.print(_reproduced(found))
+    if report.request.report is not None:
+        console.print(f"report  {report.request.report}")
+
+
+def _rows(report: BudgetReport) -> Table:
+    asked = report.request
+    title = f"Error budget by the paper's rule, {asked.poses} poses, tool {asked.tool}"
+    table = Table(title=title, title_justify="left")
+    for name in ("", "case", "required", "paper", "ours"):
+        table.add_column(name, justify="left" if name in ("", "case") else "right")
+    for row, value in report.rows:
+        limits = (format_value(row.component, v) for v in (row.required, row.estimated, value))
+        table.add_row(row.name, row.case, *limits)
+    return table
+
+
+def _shares(report: BudgetReport, budget: Budget) -> Table:
+    table = Table(title=f"{budget.name}: what makes up the total [mm]", title_justify="left")
+    table.add_column("source")
+    table.add_column("")
+    for frame in Frame:
+        table.add_column(frame.name.lower(), justify="right")
+    table.add_column("all", justify="right")
+    order = sorted(
+        zip(budget.case.sources, budget.share_m * 1e3, strict=True), key=lambda pair: -pair[1].sum()
+    )
+    for name, share in order:
+        cells = [f"{value:.2f}" if value >= 0.005 else "" for value in (*share, share.sum())]
+        table.add_row(name, report.model.source[name].label, *cells)
+    return table
+
+
+def _rules(budget: Budget) -> Table:
+    table = Table(title=f"{budget.name}: the same errors by other rules", title_justify="left")
+    table.add_column("rule")
+    for component in COMPONENTS:
+        table.add_column(component.rsplit("_", 1)[0], justify="right")
+    for rule in RULES:
+        table.add_row(rule, *(format_value(c, budget.estimate(rule, c)) for c in COMPONENTS))
+    return table
+
+
+def _reproduced(found: MagnitudeFit) -> Table:
+    table = Table(title="Magnitudes that would make it the paper's", title_justify="left")
+    for name in ("source", "part", "magnitude", "times ours"):
+        table.add_column(name, justify="right" if name in ("magnitude", "times ours") else "left")
+    for (source, part), factor in found.factor.items():
+        value, unit = found.magnitude[source, part]
+        table.add_row(source, part, f"{value:.3f} {unit}", f"{factor:.2f}")
+    for row, value in found.rows:
+        table.add_row(row.name, row.case, format_value(row.component, value), f"{value / row.estimated:.2f}")
+    return table
+
+
+CELLS: Final = 14
+"""Of the map, along a side."""
+
+
+def save_budget_page(report: BudgetReport, path: Path) -> None:
+    """Write the page.
+
+    Raises:
+        BadOutput: the file cannot be written.
+    """
+    rows = [
+        (row.name, row.case, *(format_value(row.component, v) for v in (row.required, row.estimated, value)))
+        for row, value in report.rows
+    ]
+    sources = [(s.text, s.label, s.kind, s.basis) for s in report.model.source.values()]
+    parts = [
+        paragraph(
+            f"{_poses(report)} Plus or minus, what the bounds of 99.73 % of the poses stay within; ours are "
+            "our magnitudes by the paper's rule."
+        ),
+        table(("", "case", "required", "paper", "ours"), rows),
+        *(part for budget in report.budgets.values() for part in _case(budget)),
+        heading("Sources"),
+        table(("source", "", "kind", "basis"), sources),
+        paragraph("S from a public document, I inferred, A assumed."),
+    ]
+    save_page("Error budget of the arm", parts, path)
+
+
+def _poses(report: BudgetReport) -> str:
+    asked = report.request
+    return f"{asked.poses} poses over the workspace, tool {asked.tool}, gravity of {asked.gravity.title()}."
+
+
+def _case(budget: Budget) -> list[str]:
+    rules = [(rule, *(format_value(c, budget.estimate(rule, c)) for c in COMPONENTS)) for rule in RULES]
+    picture = drawn((12, 4.6), 110, lambda figure: _draw(figure, budget))
+    return [
+        heading(budget.name),
+        paragraph(budget.case.text),
+        image(picture, "shares and map"),
+        table(("rule", *(name.rsplit("_", 1)[0] for name in COMPONENTS)), rules),
+    ]
+
+
+def _draw(figure: Any, budget: Budget) -> None:
+    bars, area = figure.subplots(1, 2, width_ratios=(1.3, 1.0))
+    share = budget.share_m * 1e3
+    order = np.argsort(share.sum(axis=1))
+    names = list(budget.case.sources)
+    left = np.zeros(len(names))
+    for frame in Frame:
+        bars.barh([names[k] for k in order], share[order, frame], left=left, label=frame.name.lower())
+        left += share[order, frame]
+    bars.set(title="What makes up the total, mean over the poses", xlabel="mm")
+    bars.legend(fontsize=8)
+    _map(figure, area, budget)
+
+
+def _map(figure: Any, axes: Any, budget: Budget) -> None:
+    p = np.concatenate([tool.poses.p_NoTo_N_m for tool in budget.tools.values()], axis=1)
+    error = np.concatenate([tool.by_rule["paper"].total_m for tool in budget.tools.values()]) * 1e3
+    sums, x, z = np.histogram2d(p[0], p[2], CELLS, weights=error)
+    counts, _, _ = np.histogram2d(p[0], p[2], (x, z))
+    mean = np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
+    shading = axes.pcolormesh(x, z, mean.T, cmap="viridis")
+    axes.invert_yaxis()
+    axes.axhline(0.0, color="white", linestyle="--")
+    axes.set(
+        title="Total by the paper's rule, mean over y and approaches",
+        xlabel="x forward [m]",
+        ylabel="z down [m]",
+        aspect="equal",
+    )
+    figure.colorbar(shading, ax=axes, label="mm")

@@ -1,0 +1,272 @@
+"""The Monte Carlo as a page: errors against bounds, coverage, and what equation 13 takes for granted."""
+
+from dataclasses import asdict
+from math import degrees, isfinite
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from fsw.dictionary.enums import Joint
+from ground.accuracy.budget import COMPONENTS, COVERAGE
+from ground.accuracy.budget_report import RULES, format_value
+from ground.accuracy.confidence import Interval, min_sample_size
+from ground.accuracy.coverage import AdditivityCheck, CoverageReport
+from ground.accuracy.monte_carlo import MonteCarloReport
+from ground.render.console import plain_console
+from ground.render.figures import drawn
+from ground.render.page import heading, image, paragraph, save_page, table
+
+JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
+
+
+def monte_carlo_json(report: MonteCarloReport) -> dict[str, Any]:
+    """SI units; null is an end of an interval that so few arms do not tell."""
+    asked, found = report.request, report.coverage
+    return {
+        "case": asked.case,
+        "built": asked.built,
+        "how": asked.how,
+        "seed": asked.seed,
+        "places": asked.places,
+        "arms": len(report.trials),
+        "failed": {str(arm): why for arm, why in report.failed.items()},
+        "judged": None if found is None else _judged_json(found),
+        "three_sigma": None
+        if report.three_sigma is None
+        else {name: asdict(values) for name, values in report.three_sigma.items()},
+        "measured": _measured_json(report) if asked.only is not None else None,
+    }
+
+
+def _judged_json(found: CoverageReport) -> dict[str, Any]:
+    return {
+        "percentile": dict(found.percentile),
+        "percentile_interval": {name: _interval_json(i) for name, i in found.percentile_interval.items()},
+        "rules": {
+            rule: {
+                name: {
+                    "coverage": c.share,
+                    "coverage_interval": _interval_json(c.share_interval),
+                    "width": c.width,
+                    "width_interval": _interval_json(c.width_interval),
+                    "estimate": found.budget.estimate(rule, name),
+                }
+                for name, c in by_component.items()
+            }
+            for rule, by_component in found.by_rule.items()
+        },
+        "gap": {
+            "on_flank": dict(zip(JOINT_NAMES, found.on_flank.tolist(), strict=True)),
+            "mean_side": dict(zip(JOINT_NAMES, found.side.tolist(), strict=True)),
+            "shift_over_sum": dict(zip(("median", "p95", "most"), found.backlash, strict=True)),
+        },
+        "at_limit": [asdict(one) for one in found.additivity],
+        "without_adding_m": dict(found.variant_totals_m),
+    }
+
+
+def _measured_json(report: MonteCarloReport) -> list[dict[str, Any]]:
+    return [
+        {"tool": m.tool.name.lower(), **{k: getattr(m, k).tolist() for k in ("output_rad", "error", "gap")}}
+        for trial in report.trials
+        for m in trial
+    ]
+
+
+def _interval_json(interval: Interval) -> list[float | None]:
+    return [end if isfinite(end) else None for end in interval]
+
+
+def monte_carlo_table(report: MonteCarloReport) -> None:
+    """Print coverage and width of every rule, what equation 13 takes for granted, and three sigma."""
+    console = plain_console()
+    found = report.coverage
+    if found is not None:
+        console.print(_rules(report, found))
+        console.print(_additivity_table(found))
+        console.print(backlash_sentence(found))
+        console.print(additivity_sentence(found))
+    if report.three_sigma is not None:
+        console.print(_three_sigma(report))
+    _print_rest(console, report)
+
+
+def _print_rest(console: Console, report: MonteCarloReport) -> None:
+    """What did not come to its end, and where the files are."""
+    for arm, why in report.failed.items():
+        console.print(f"arm {arm}: {why}")
+    for what, path in (("results", report.request.results), ("report", report.request.report)):
+        if path is not None:
+            console.print(f"{what}  {path}")
+
+
+def rule_rows(found: CoverageReport) -> list[tuple[str, ...]]:
+    """Rule, component, what it says, coverage with its interval, and its width with that."""
+    rows: list[tuple[str, ...]] = []
+    for rule in RULES:
+        for name in COMPONENTS:
+            c = found.by_rule[rule][name]
+            low, high = c.share_interval
+            rows.append(
+                (
+                    rule,
+                    name.rsplit("_", 1)[0],
+                    format_value(name, found.budget.estimate(rule, name)),
+                    f"{100 * c.share:.2f} %",
+                    f"{100 * low:.2f} .. {100 * high:.2f} %",
+                    f"{c.width:.2f}",
+                    f"{c.width_interval[0]:.2f} .. {c.width_interval[1]:.2f}",
+                )
+            )
+    return rows
+
+
+RULE_HEAD: Final = ("rule", "", "estimate", "covers", "95 %", "width", "95 %")
+
+
+def percentile_sentence(found: CoverageReport) -> str:
+    """A sentence."""
+    values = ", ".join(
+        f"{name.rsplit('_', 1)[0]} {format_value(name, found.percentile[name])}" for name in COMPONENTS
+    )
+    said = f"{100 * COVERAGE:.2f} % of the errors stay within {values}."
+    if found.arms >= min_sample_size(COVERAGE):
+        return said
+    return f"{said} So few arms cannot be sure of it; {min_sample_size(COVERAGE)} can."
+
+
+def _rules(report: MonteCarloReport, found: CoverageReport) -> Table:
+    asked = report.request
+    title = f"{asked.case}: {found.arms} arms, {asked.built}, {asked.how}. {percentile_sentence(found)}"
+    table = Table(title=title, title_justify="left")
+    for k, name in enumerate(RULE_HEAD):
+        table.add_column(name, justify="left" if k < 2 else "right")
+    for row in rule_rows(found):
+        table.add_row(*row)
+    return table
+
+
+ADDITIVITY_HEAD: Final = ("source", "added", "all with one sign", "each by itself")
+
+
+def additivity_row(one: AdditivityCheck) -> tuple[str, ...]:
+    """Of a source that equation 13 adds, in millimetres."""
+    return one.source, *(f"{1e3 * v:.2f} mm" for v in (one.added_m, one.together_m, one.independent_m))
+
+
+def _additivity_table(found: CoverageReport) -> Table:
+    table = Table(title="What equation 13 adds, and what the source does by itself", title_justify="left")
+    for name in ADDITIVITY_HEAD:
+        table.add_column(name, justify="left" if name == "source" else "right")
+    for one in found.additivity:
+        table.add_row(*additivity_row(one))
+    return table
+
+
+def backlash_sentence(found: CoverageReport) -> str:
+    """Where outputs were found in their gaps, and what that does to the tool."""
+    flank = ", ".join(f"{100 * share:.1f}" for share in found.on_flank)
+    side = ", ".join(f"{value:+.2f}" for value in found.side)
+    median, often, most = found.backlash
+    return (
+        f"Outputs lie on a flank of their gap in {flank} % of the moves (J1 to J5), on the mean on the side "
+        f"{side}. At the tool the five gaps make {100 * median:.0f} % of their sum (median; 95 % stay "
+        f"within {100 * often:.0f} %, most {100 * most:.0f} %)."
+    )
+
+
+def additivity_sentence(found: CoverageReport) -> str:
+    """What of the paper's rule makes it wide."""
+    values = "; ".join(f"{name} {1e3 * value:.1f} mm" for name, value in found.variant_totals_m.items())
+    return f"Total by the rule and with less of it added: {values}."
+
+
+SIGMA_HEAD: Final = ("three sigma", "of any arm", "at most", "of one arm", "at most")
+
+
+def sigma_rows(report: MonteCarloReport) -> list[tuple[str, ...]]:
+    """Accuracy and repeatability with their upper bounds."""
+    rows = []
+    for name, values in (report.three_sigma or {}).items():
+        both = (values.accuracy, values.repeatability)
+        shown_values = (format_value(name, v) for one in both for v in (one.estimate, one.upper))
+        rows.append((name.rsplit("_", 1)[0], *shown_values))
+    return rows
+
+
+def _three_sigma(report: MonteCarloReport) -> Table:
+    table = Table(title="Three sigma, and its upper bound with 95 % confidence", title_justify="left")
+    for name in SIGMA_HEAD:
+        table.add_column(name, justify="left" if name == "three sigma" else "right")
+    for row in sigma_rows(report):
+        table.add_row(*row)
+    return table
+
+
+def one_arm_table(report: MonteCarloReport) -> None:
+    """Print the errors of one arm, place by place."""
+    title = f"{report.request.case}: arm {report.request.only}, in tool axes"
+    table = Table(title=title, title_justify="left")
+    for name in ("tool", "x mm", "y mm", "z mm", "about y deg", "about z deg"):
+        table.add_column(name, justify="left" if name == "tool" else "right")
+    for m in (m for trial in report.trials for m in trial):
+        shift, turn = (f"{1e3 * v:+.2f}" for v in m.error[3:]), (f"{degrees(v):+.3f}" for v in m.error[1:3])
+        table.add_row(m.tool.name.lower(), *shift, *turn)
+    console = plain_console()
+    console.print(table)
+    _print_rest(console, report)
+
+
+BINS: Final = 60
+COLOURS: Final = dict(zip(RULES, ("#c1121f", "#2a9d4b", "#e09f3e", "#6a4c93"), strict=True))
+
+
+def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
+    """Write the page.
+
+    Raises:
+        BadOutput: the file cannot be written.
+    """
+    asked, found = report.request, report.coverage
+    parts = [
+        paragraph(
+            f"Case {asked.case}: {len(report.trials)} arms, {asked.built}, {asked.places} places each, "
+            f"{asked.how}, seed {asked.seed}; {len(report.failed)} arms did not come to their places."
+        )
+    ]
+    if found is not None:
+        picture = drawn((11, 7), 110, lambda figure: _draw(figure, found))
+        parts += [
+            paragraph(percentile_sentence(found)),
+            image(picture, "errors and bounds"),
+            paragraph(
+                "Width: the bound of a rule, pose by pose, over what 99.73 % of errors stay within there. "
+                "The 95 % intervals count arms."
+            ),
+            table(RULE_HEAD, rule_rows(found)),
+            heading("What equation 13 takes for granted"),
+            table(ADDITIVITY_HEAD, [additivity_row(one) for one in found.additivity]),
+            paragraph(backlash_sentence(found)),
+            paragraph(additivity_sentence(found)),
+        ]
+    if report.three_sigma is not None:
+        parts += [heading("Between arms and within them"), table(SIGMA_HEAD, sigma_rows(report))]
+    save_page("The error budget against a Monte Carlo", parts, path)
+
+
+def _draw(figure: Any, found: CoverageReport) -> None:
+    for axes, name in zip(figure.subplots(2, 2).ravel(), COMPONENTS, strict=True):
+        scale, unit = (np.degrees(1.0), "deg") if name.endswith("_rad") else (1e3, "mm")
+        estimates = {rule: scale * found.budget.estimate(rule, name) for rule in RULES}
+        error = scale * found.error[name]
+        top = 1.05 * max(*estimates.values(), error.max())
+        axes.hist(error, np.linspace(0.0, top, BINS), color="#8fb3d9", log=True)
+        within = scale * found.percentile[name]
+        axes.axvline(within, color="black", linestyle=":", zorder=5, label="99.73 % of the errors")
+        for rule, value in estimates.items():
+            axes.axvline(value, color=COLOURS[rule], label=rule)
+        axes.set(title=name.rsplit("_", 1)[0], xlabel=unit, xlim=(0, top), ylabel="moves", ylim=(0.7, None))
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5, fontsize=9)

@@ -1,0 +1,176 @@
+"""The numbers that our arm is calibrated for: their names, how large they may be, what they change."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from fsw.dictionary.enums import Frame, Joint
+from fsw.dictionary.params import LinkParams, Params
+from fsw.dictionary.types import row6, vector3
+from fsw.kinematics.arm import Arm, pose_to_transform6, transform6_to_pose
+from fsw.kinematics.transforms import Array, Pose, inverse, rotation_z, screw_exp
+from ground.calibration.fit import FitParameter
+from sim.arms import (
+    BACKLASH_SIGMA,
+    COM_SIGMA_M,
+    FRAME_SIGMA_M,
+    FRAME_SIGMA_RAD,
+    MASS_SIGMA,
+    SPRING_FRAMES,
+    STIFFNESS_SIGMA,
+    ZERO_SIGMA_RAD,
+)
+from sim.effects.flight_params import rotate_matrix
+from sim.effects.geometry import FrameError
+from sim.effects.joints import BacklashWidth, GearStiffness
+from sim.effects.structure import LinkMass, LinkStiffness
+from sim.plant import SCREW_AXES
+
+MASS_FRAMES: Final = (Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5, Frame.ARM6)
+FIXTURE_RAD, FIXTURE_M = 1e-4, 5e-5
+"""How well the measured frame is known on the interface that its targets are on, one sigma; assumed."""
+ENCODER_ZEROS: Final = tuple(6 * frame + 2 for frame in Frame if frame < len(Joint))
+"""The turns of frames Arm1 to Arm5 about z: the next joint's axis, so that they are encoder zeros too."""
+
+FRAME_SCREWS: Final = slice(0, 42)
+GEAR_STIFFNESSES: Final = slice(42, 47)
+LINK_STIFFNESSES: Final = slice(47, 52)
+BACKLASHES: Final = slice(52, 57)
+MASS_FACTORS: Final = slice(57, 62)
+MASS_CENTRES: Final = slice(62, 77)
+
+
+def arm_parameters() -> tuple[FitParameter, ...]:
+    """All of them; sigmas are those that arms are built with. Factors are natural logarithms."""
+    return (
+        *_frame_screws(),
+        *(FitParameter(f"gear.{j.name.lower()}", "ln", STIFFNESS_SIGMA, STIFFNESS_SIGMA) for j in Joint),
+        *(
+            FitParameter(f"spring.{f.name.lower()}", "ln", STIFFNESS_SIGMA, STIFFNESS_SIGMA)
+            for f in SPRING_FRAMES
+        ),
+        *(FitParameter(f"backlash.{j.name.lower()}", "ln", BACKLASH_SIGMA, BACKLASH_SIGMA) for j in Joint),
+        *(FitParameter(f"mass.{f.name.lower()}", "ln", MASS_SIGMA, MASS_SIGMA) for f in MASS_FRAMES),
+        *(
+            FitParameter(f"centre.{f.name.lower()}.{axis}", "m", COM_SIGMA_M, COM_SIGMA_M)
+            for f in MASS_FRAMES
+            for axis in "xyz"
+        ),
+    )
+
+
+def _frame_screws() -> Iterator[FitParameter]:
+    for frame in Frame:
+        for k, axis in enumerate(SCREW_AXES):
+            scale = FRAME_SIGMA_RAD if k < 3 else FRAME_SIGMA_M
+            sigma = scale
+            if frame is Frame.TOOL:
+                sigma = FIXTURE_RAD if k < 3 else FIXTURE_M
+            elif 6 * frame + k in ENCODER_ZEROS:
+                sigma = float(np.hypot(FRAME_SIGMA_RAD, ZERO_SIGMA_RAD))
+            yield FitParameter(f"{frame.name.lower()}.{axis}", "rad" if k < 3 else "m", scale, sigma)
+
+
+def params_with_values(params: Params, x: Array) -> Params:
+    """The flight parameters of the arm with these numbers, differences from `params`; but for frame Tool.
+
+    Factors of backlash go into the widths. The measured frame is no part of the arm.
+    """
+    factor = np.exp(x)
+    for joint in Joint:
+        params = GearStiffness(joint, float(factor[GEAR_STIFFNESSES][joint])).on_params(params)
+        params = BacklashWidth(joint, float(factor[BACKLASHES][joint])).on_params(params)
+    for k, frame in enumerate(SPRING_FRAMES):
+        params = LinkStiffness(frame, float(factor[LINK_STIFFNESSES][k])).on_params(params)
+    for k, frame in enumerate(MASS_FRAMES):
+        shift = vector3(x[MASS_CENTRES][3 * k : 3 * k + 3])
+        params = LinkMass(frame, float(factor[MASS_FACTORS][k]), shift).on_params(params)
+    for frame in Frame:  # last: a frame's screw carries the turret's mass where it is
+        if frame is not Frame.TOOL:
+            params = FrameError(frame, row6(x[6 * frame : 6 * frame + 6])).on_params(params)
+    return params
+
+
+def arm_with_values(drawn: Arm, x: Array, stand_in: bool) -> tuple[Arm, Pose]:
+    """The arm as arrays with these numbers, and the frame X_RD in which it is mounted, which Arm1 displaces.
+
+    The same arm as that of `params_with_values`, but for the axes in which springs yield: here they stay with the
+    springs, as in the plant. It makes less than a micrometre. A stand-in turret is weighed: its mass stays.
+    """
+    factor = np.exp(x)
+    near_kg, far_kg = drawn.near_kg.copy(), drawn.far_kg.copy()
+    near, far, compliance = drawn.near_p_L_m.copy(), drawn.far_p_C_m.copy(), drawn.compliance.copy()
+    for k, frame in enumerate(MASS_FRAMES):
+        near_kg[frame] *= factor[MASS_FACTORS][k]
+        far_kg[frame] *= 1.0 if frame is Frame.ARM6 and stand_in else factor[MASS_FACTORS][k]
+        near[:, frame] += x[MASS_CENTRES][3 * k : 3 * k + 3]
+        far[:, frame] += x[MASS_CENTRES][3 * k : 3 * k + 3]
+    for k, frame in enumerate(SPRING_FRAMES):
+        compliance[:, :, frame] /= factor[LINK_STIFFNESSES][k]
+    turn = turret_displacement(drawn, x)
+    far[:, Frame.ARM6] = turn.R @ far[:, Frame.ARM6] + turn.p
+    RP_CF = drawn.RP_CF.copy()
+    for frame in tuple(Frame)[1:6]:
+        X_CF = drawn.X_CF[frame] @ screw_exp(x[6 * frame : 6 * frame + 6])
+        RP_CF[:, :3, frame], RP_CF[:, 3, frame] = X_CF.R, X_CF.p
+    X_RF = (
+        Pose(rotation_z(drawn.theta_rad[0]), np.zeros(3))
+        @ Pose(np.eye(3), drawn.p_LC_m[:, 0])
+        @ drawn.X_CF[0]
+    )
+    arm = replace(
+        drawn,
+        RP_CF=RP_CF,
+        compliance=compliance,
+        near_kg=near_kg,
+        far_kg=far_kg,
+        carried_kg=np.cumsum((near_kg + far_kg)[::-1])[::-1],
+        near_p_L_m=near,
+        far_p_C_m=far,
+        gear_stiffness_Nm_rad=drawn.gear_stiffness_Nm_rad * factor[GEAR_STIFFNESSES],
+    )
+    return arm, X_RF @ screw_exp(x[:6]) @ inverse(X_RF)
+
+
+def turret_displacement(drawn: Arm, x: Array) -> Pose:
+    """What the screw of Arm6 does to the turret's own mass, in the axes of its link."""
+    R_CF = Pose(drawn.X_CF.R[:, :, 5], drawn.X_CF.p[:, 5])
+    return R_CF @ screw_exp(x[6 * Frame.ARM6 : 6 * Frame.ARM6 + 6]) @ inverse(R_CF)
+
+
+def move_zeros_to_hardstops(params: Params, x: Array) -> tuple[Array, Params]:
+    """The encoder zeros (5) in these numbers, and the arm with them in its hardstop angles.
+
+    A turn of a frame about z is a turn of the next joint. Taken out of the frame it is added to every angle
+    of that joint, so to that of its hardstop too; it holds once the joint has been at its hardstop anew.
+    """
+    zero = x[list(ENCODER_ZEROS)].copy()
+    arm = params_with_values(params, x)
+    for joint in Joint:
+        link, name = f"arm{joint + 1}", joint.name.lower()
+        turned_back = _turn_end(getattr(arm.links, link), -float(zero[joint]))
+        of_joint = getattr(arm.joints, name)
+        moved = replace(of_joint, hardstop_rad=float(of_joint.hardstop_rad + zero[joint]))
+        arm = replace(
+            arm,
+            links=replace(arm.links, **{link: turned_back}),
+            joints=replace(arm.joints, **{name: moved}),
+        )
+    return zero, arm
+
+
+def _turn_end(link: LinkParams, angle_rad: float) -> LinkParams:
+    """A link whose end frame is turned about z; its spring and its masses stay where they are."""
+    end = transform6_to_pose(link.transform) @ Pose(rotation_z(np.array(angle_rad)), np.zeros(3))
+    transform = pose_to_transform6(end)
+    back = rotation_z(np.array(link.transform.theta_rad - transform.theta_rad))
+    return replace(
+        link,
+        transform=transform,
+        elastic_centre_m=vector3(back @ np.array(link.elastic_centre_m)),
+        compliance=rotate_matrix(link.compliance, back),
+        near=replace(link.near, com_m=vector3(back @ np.array(link.near.com_m))),
+        far=replace(link.far, com_m=vector3(back @ np.array(link.far.com_m))),
+    )

@@ -1,0 +1,162 @@
+"""What each effect explains: arms with more and more of them, each fitted, cross-validated and judged."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from fsw.kinematics.transforms import Array, Flags, Integers
+from ground.calibration.fit import MIN_SENSITIVITY, Fit
+from ground.calibration.serial.arm import SerialArm
+from ground.calibration.serial.calibrate import (
+    PoseErrors,
+    SerialCalibration,
+    calibrate_series,
+    fit_poses,
+    pose_errors,
+)
+from ground.calibration.serial.model import TrackerSetup
+from ground.calibration.serial.series import PoseSeries
+from ground.common.progress import Progress
+
+BLOCKS: Final = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeldOutErrors:
+    """Squared distances of poses from where the other blocks put them."""
+
+    square_m2: Array
+    """(n,)."""
+    block: Integers
+    """(n,)."""
+
+    @property
+    def rms_m(self) -> float:
+        """Over all poses."""
+        return float(np.sqrt(np.mean(self.square_m2)))
+
+    @property
+    def rms_by_block_m(self) -> Array:
+        """(BLOCKS,)."""
+        return np.sqrt([np.mean(self.square_m2[self.block == k]) for k in range(BLOCKS)])
+
+
+def gain_m(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, float]:
+    """By how much the error fell, mean over the blocks, and its standard error."""
+    fell = before.rms_by_block_m - after.rms_by_block_m
+    return float(np.mean(fell)), float(np.std(fell, ddof=1) / np.sqrt(fell.size))
+
+
+class CrossValidation:
+    """A fit's normal equations, by block of time."""
+
+    def __init__(self, fitted: Fit, position_sigma_m: float):
+        used = fitted.used
+        scale = np.array([parameter.scale for parameter in fitted.parameters])
+        prior = 1.0 / np.array([parameter.prior_sigma for parameter in fitted.parameters])
+        self._J = fitted.at.jacobian[used] * scale
+        self._r = fitted.at.residual[used]
+        self._sigma_m = position_sigma_m
+        n = self._r.shape[0]
+        self.block: Integers = np.arange(n) * BLOCKS // n
+        self._penalty = (prior * scale) ** 2 + MIN_SENSITIVITY**2
+        self._pull = (prior * scale) ** 2 * fitted.values / scale
+        self._H = np.array([self._square(self._J[self.block == k]) for k in range(BLOCKS)])
+        self._g = np.array([self._against(self._J, k) for k in range(BLOCKS)])
+        self._factor = [
+            cho_factor(self._H.sum(axis=0) - self._H[k] + np.diag(self._penalty)) for k in range(BLOCKS)
+        ]
+
+    def held_out(self, more: Array | None = None) -> HeldOutErrors:
+        """With further columns (n, 6, m), in units of what is expected of their coefficients, or without."""
+        square = np.empty(self._r.shape[0])
+        for k in range(BLOCKS):
+            mine = self.block == k
+            left = self._r[mine] + self._predicted(k, mine, more)
+            square[mine] = np.sum(left[:, 3:] ** 2, axis=1) * self._sigma_m**2
+        return HeldOutErrors(square, self.block)
+
+    def _predicted(self, k: int, mine: Flags, more: Array | None) -> Array:
+        """How a block's residuals change when the others alone are fitted."""
+        factor, g = self._factor[k], self._pull + self._g.sum(axis=0) - self._g[k]
+        if more is None:
+            step = -cho_solve(factor, g)
+            change: Array = self._J[mine] @ step
+            return change
+        others = ~mine
+        E = more[others].reshape(-1, more.shape[2])
+        B = self._J[others].reshape(E.shape[0], -1).T @ E
+        solved = cho_solve(factor, np.column_stack([B, g]))
+        corner = E.T @ E + np.eye(E.shape[1]) - B.T @ solved[:, :-1]
+        extra = -np.linalg.solve(corner, E.T @ self._r[others].ravel() - B.T @ solved[:, -1])
+        step = -solved[:, -1] - solved[:, :-1] @ extra
+        both: Array = self._J[mine] @ step + more[mine] @ extra
+        return both
+
+    def _against(self, J: Array, k: int) -> Array:
+        mine = self.block == k
+        along: Array = J[mine].reshape(-1, J.shape[2]).T @ self._r[mine].ravel()
+        return along
+
+    @staticmethod
+    def _square(J: Array) -> Array:
+        flat = J.reshape(-1, J.shape[2])
+        return flat.T @ flat
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NestedModel:
+    """An arm with the terms up to here."""
+
+    terms: tuple[str, ...]
+    found: SerialCalibration
+    validation: CrossValidation
+    held_out: HeldOutErrors
+    """Within the poses of the fit."""
+    gain_m: float
+    """By how much the error in cross-validation fell from the step before, mean over the blocks of time."""
+    gain_sigma_m: float
+    fitted: PoseErrors
+    fresh: PoseErrors | None
+    """Poses that took no part; None if there are none."""
+
+    @property
+    def is_significant(self) -> bool:
+        """Whether the error fell by more than a standard error."""
+        return self.gain_m > self.gain_sigma_m
+
+
+def fit_nested_models(
+    arm: SerialArm,
+    setup: TrackerSetup,
+    part: PoseSeries,
+    fresh: PoseSeries | None,
+    steps: Sequence[tuple[str, ...]],
+    progress: Progress,
+) -> tuple[NestedModel, ...]:
+    """Fit each of these sets of terms to one part of a series, judge it by the other.
+
+    Poses that the last and largest does not agree with are left out of all.
+
+    Raises:
+        NoAgreement: too many poses do not agree with the rest.
+    """
+    progress(0, len(steps), "fitting")
+    whole = calibrate_series(arm, setup, part, steps[-1])
+    done: list[NestedModel] = []
+    for terms in steps:
+        progress(len(done) + 1, len(steps) + 1, "judging")
+        is_whole = terms == steps[-1]
+        found = whole if is_whole else fit_poses(arm, setup, part, terms, whole.fit.used)
+        validation = CrossValidation(found.fit, arm.repeats.position_m)
+        held_out = validation.held_out()
+        gain = gain_m(done[-1].held_out, held_out) if done else (np.inf, 0.0)
+        made, stands = found.arm, found.setup
+        judged = None if fresh is None else pose_errors(made, stands, fresh)
+        done.append(
+            NestedModel(terms, found, validation, held_out, *gain, pose_errors(made, stands, part), judged)
+        )
+    return tuple(done)

@@ -1,0 +1,119 @@
+"""Answers of a batch to a file, part by part, so that a long batch needs no more memory than a short one."""
+
+import json
+import tempfile
+import zipfile
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from pathlib import Path
+from typing import IO, Any, BinaryIO, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fsw.kinematics.branches import slot_name
+from fsw.kinematics.ik import BranchVerdict, IkResult
+from ground.common.files import written_whole
+from ground.ik.tally import JOINT_NAMES, VERDICT_NAMES
+
+NO_JOINT: Final = -1
+
+FIELDS: Final[dict[str, tuple[type, float, tuple[int, ...]]]] = {
+    "output_rad": (np.float64, np.nan, (5,)),
+    "verdict": (np.int8, BranchVerdict.ABSENT, ()),
+    "joint": (np.int8, NO_JOINT, ()),
+    "excess": (np.float64, 0.0, ()),
+    "forward_error": (np.float64, np.nan, ()),
+}
+"""Arrays (n, S, ...) of an .npz file: type, value of a slot that is absent, and shape of one answer."""
+
+
+class BatchWriter(Protocol):
+    """Takes the answers of a batch, part by part."""
+
+    def add(self, answers: IkResult) -> None:
+        """Write the answers of the next targets, (S, n)."""
+
+
+@contextmanager
+def open_writer(path: Path, about: dict[str, Any]) -> Iterator[BatchWriter]:
+    """Open a writer for the suffix of `path`; the file is there when the block has ended well, else not.
+
+    Raises:
+        BadOutput: the file cannot be written.
+    """
+    with written_whole(path, "out") as file, ExitStack() as stack:
+        if path.suffix.lower() == ".npz":
+            spools: dict[str, IO[bytes]] = {}
+            for name in FIELDS:
+                spools[name] = stack.enter_context(tempfile.TemporaryFile(dir=path.parent))
+            spooled = NpzWriter(spools)
+            yield spooled
+            spooled.pack(file, about)
+        else:
+            from ground.ik.parquet_writer import ParquetWriter
+
+            yield stack.enter_context(closing(ParquetWriter(file, about)))
+
+
+class NpzWriter:
+    """One array after the other, as the format wants it: parts wait in nameless files until all are there."""
+
+    def __init__(self, spools: dict[str, IO[bytes]]) -> None:
+        self._spools = spools
+        self._parts: list[tuple[int, int]] = []
+        """Targets and slots of each part."""
+
+    def add(self, answers: IkResult) -> None:
+        """Write the answers of the next targets, (S, n)."""
+        slots, count = answers.verdict.shape
+        self._parts.append((count, slots))
+        outside = answers.verdict == BranchVerdict.OUTSIDE_LIMITS
+        arrays = {
+            "output_rad": answers.output_rad.transpose(2, 1, 0),
+            "verdict": answers.verdict.T,
+            "joint": np.where(outside, answers.joint, NO_JOINT).T,
+            "excess": answers.excess.T,
+            "forward_error": answers.error.T,
+        }
+        for name, (dtype, _, _) in FIELDS.items():
+            self._spools[name].write(np.ascontiguousarray(arrays[name], dtype=dtype).tobytes())
+
+    def pack(self, file: BinaryIO, about: dict[str, Any]) -> None:
+        """Put the parts together, with as many slots as the largest has."""
+        slots = max(part[1] for part in self._parts)
+        names = {
+            "branch_names": np.array([slot_name(slot) for slot in range(slots)]),
+            "verdict_names": np.array(VERDICT_NAMES),
+            "joint_names": np.array(JOINT_NAMES),
+            "about": np.array(json.dumps(about)),
+        }
+        with zipfile.ZipFile(file, "w") as archive:
+            for name in FIELDS:
+                with archive.open(_entry(name), "w", force_zip64=True) as member:
+                    self._copy(name, slots, member)
+            for name, values in names.items():
+                with archive.open(_entry(name), "w") as member:
+                    np.lib.format.write_array(member, values, allow_pickle=False)
+
+    def _copy(self, name: str, slots: int, member: Any) -> None:
+        dtype, absent, shape = FIELDS[name]
+        header = {
+            "descr": np.lib.format.dtype_to_descr(np.dtype(dtype)),
+            "fortran_order": False,
+            "shape": (sum(part[0] for part in self._parts), slots, *shape),
+        }
+        np.lib.format.write_array_header_1_0(member, header)
+        spool = self._spools[name]
+        spool.seek(0)
+        for count, own in self._parts:
+            size = count * own * int(np.prod(shape)) * np.dtype(dtype).itemsize
+            part: NDArray[Any] = np.frombuffer(spool.read(size), dtype).reshape(count, own, *shape)
+            whole: NDArray[Any] = np.full((count, slots, *shape), absent, dtype)
+            whole[:, :own] = part
+            member.write(whole.tobytes())
+
+
+def _entry(name: str) -> zipfile.ZipInfo:
+    """An entry without the time of day, so that the same answers are the same bytes."""
+    return zipfile.ZipInfo(f"{name}.npy")

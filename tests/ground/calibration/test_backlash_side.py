@@ -1,0 +1,44 @@
+"""Which outputs are taken to lie where flight software believes them to, when it is not sure."""
+
+import numpy as np
+
+from ground.calibration.backlash_side import OutputErrors, find_consensus
+
+NOISE_RAD = 3e-5
+WIDTH_RAD = 2e-4
+"""How well the width of the gap is known before the campaign: it moves all outputs of a side alike."""
+
+
+def on_one_side(off_rad, width_rad=WIDTH_RAD):
+    """Outputs that were dragged to one side, of a gap as wide as is known."""
+    off = np.array(off_rad)
+    return OutputErrors(off, np.full(off.size, NOISE_RAD), np.full((off.size, off.size), width_rad**2))
+
+
+def test_outputs_that_are_off_by_one_angle_lie_where_they_were_dragged_to():
+    rng = np.random.default_rng(0)
+    off = 3e-4 + NOISE_RAD * rng.standard_normal(40)
+    assert np.mean(find_consensus(on_one_side(off))) > 0.95
+
+
+def test_one_that_slipped_is_left_out():
+    off = np.append(np.full(8, 3e-4), [1e-4, 5e-4])
+    assert find_consensus(on_one_side(off)).tolist() == 8 * [True] + 2 * [False]
+
+
+def test_outputs_that_slipped_each_by_itself_do_not_make_a_narrower_gap():
+    """All are within what is known of its width, no two of them agree."""
+    assert not find_consensus(on_one_side(np.linspace(-5e-4, 5e-4, 6))).any()
+
+
+def test_few_outputs_tell_nothing_of_a_gap_whose_width_is_not_known():
+    assert not find_consensus(on_one_side(np.zeros(4))).any()
+
+
+def test_where_others_have_told_the_width_one_output_is_enough():
+    assert find_consensus(on_one_side([2e-5], width_rad=1e-5)).all()
+    assert not find_consensus(on_one_side([2e-4], width_rad=1e-5)).any()
+
+
+def test_an_angle_that_no_built_arm_has_is_not_agreed_upon():
+    assert not find_consensus(on_one_side(np.full(8, 1e-3))).any()

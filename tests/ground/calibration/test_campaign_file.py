@@ -1,0 +1,152 @@
+"""A campaign as a table: what is written is read again; what is wrong is named, with what would be right."""
+
+import os
+from dataclasses import replace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from fsw.kinematics.transforms import Pose, inverse
+from ground.calibration.campaign_file import read_campaign, save_campaign
+from ground.calibration.checks import BadData, check_data
+from ground.calibration.parameter_file import data_sha256
+from ground.calibration.screws import MeasuredPoses
+from sim.frames import P_NR_M
+from tests.ground.calibration.lab import NOMINAL, campaign
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".csv"])
+def test_a_table_is_read_as_it_was_written(tmp_path, suffix):
+    path = tmp_path / f"poses{suffix}"
+    save_campaign(campaign(), path)
+    read = read_campaign(path)
+    assert data_sha256(read) == data_sha256(campaign())
+    assert read.branch == campaign().branch
+    covariance = campaign().measured.covariance
+    np.testing.assert_allclose(read.measured.covariance, covariance, rtol=0, atol=1e-12 * covariance.max())
+
+
+def table(tmp_path, change):
+    path = tmp_path / "poses.parquet"
+    save_campaign(campaign(), path)
+    parquet.write_table(change(parquet.read_table(path)), path)
+    return path
+
+
+def test_a_missing_column_is_named(tmp_path):
+    path = table(tmp_path, lambda t: t.drop_columns(["motor_elbow_rad", "cov_35"]))
+    with pytest.raises(BadData, match="columns missing: motor_elbow_rad, cov_35"):
+        read_campaign(path)
+
+
+def test_a_column_of_texts_and_one_with_gaps_are_named(tmp_path):
+    def spoilt(t):
+        t = t.set_column(t.column_names.index("p_x_m"), "p_x_m", pa.array(["one"] * t.num_rows))
+        holes = [None, *t["p_y_m"].to_pylist()[1:]]
+        return t.set_column(t.column_names.index("p_y_m"), "p_y_m", pa.array(holes))
+
+    with pytest.raises(BadData, match=r"p_x_m: holds string.*\n.*p_y_m: no number in 1 rows, the first is 0"):
+        read_campaign(table(tmp_path, spoilt))
+
+
+def test_a_file_that_is_no_table_is_refused(tmp_path):
+    path = tmp_path / "poses.parquet"
+    path.write_text("poses")
+    with pytest.raises(BadData, match="cannot be read as a table"):
+        read_campaign(path)
+
+
+def test_what_is_no_file_is_refused_and_not_waited_for(tmp_path):
+    pipe = tmp_path / "poses.csv"
+    os.mkfifo(pipe)
+    for path, words in ((pipe, "is not a regular file"), (tmp_path / "none.csv", "cannot be read")):
+        with pytest.raises(BadData, match=words):
+            read_campaign(path)
+
+
+def with_poses(X: Pose):
+    return replace(campaign(), measured=MeasuredPoses(X, campaign().measured.covariance))
+
+
+X = campaign().measured.X_RT
+B = campaign().believed
+SEEN = campaign().targets_seen
+
+
+def seen_once(row, pose, count):
+    changed = SEEN.copy()
+    changed[row, pose] = count
+    return changed
+
+
+BAD = {
+    "few": (campaign().at(np.arange(10)), "10 are too few; 24 at least"),
+    "alike": (
+        replace(campaign(), believed=replace(B, motor_rad=B.motor_rad[:, :1] + 0.01 * B.motor_rad)),
+        "joint elbow: moves over",
+    ),
+    "degrees": (replace(campaign(), believed=replace(B, motor_rad=np.degrees(B.motor_rad))), "give radians"),
+    "millimetres": (with_poses(Pose(X.R, 1e3 * X.p)), "give metres"),
+    "gravity in g": (
+        replace(campaign(), believed=replace(B, gravity_R_m_s2=B.gravity_R_m_s2 / 98.1)),
+        "give m/s2",
+    ),
+    "covariance in mm2": (
+        replace(campaign(), measured=MeasuredPoses(X, 1e6 * campaign().measured.covariance)),
+        "rad2, rad m, m2",
+    ),
+    "missing marker": (replace(campaign(), targets_seen=seen_once(2, 7, 2)), "targets_turret: pose 7"),
+    "lock lost": (
+        replace(campaign(), tracker_moved_m=np.where(np.arange(160) > 99, 0.01, 0.0)),
+        "the tracker lost its lock or was moved",
+    ),
+    "another target": (
+        replace(campaign(), misfit_m=np.where(np.arange(160) == 5, 2e-3, 4e-5)),
+        "misfit_m: pose 5",
+    ),
+    "grams": (replace(campaign(), believed=replace(B, turret_kg=1e3 * B.turret_kg)), "give kilograms"),
+    "endless turret": (
+        replace(campaign(), believed=replace(B, turret_kg=np.where(np.arange(160) < 3, np.inf, B.turret_kg))),
+        "turret_kg: 8 .. inf",
+    ),
+    "no side": (replace(campaign(), believed=replace(B, side=0.5 * B.side)), "is no side; give"),
+    "millinewton metres": (
+        replace(campaign(), believed=replace(B, friction_Nm=1e3 * B.friction_Nm)),
+        "newton metres",
+    ),
+    "copied rows": (campaign().at(np.tile(np.arange(40), 4)), r"poses 40, 41, .* rows that were copied"),
+    "swapped": (with_poses(inverse(X)), "The frames are swapped"),
+    "rnav": (with_poses(Pose(X.R, X.p + P_NR_M[:, None])), "Positions are in RNAV"),
+    "quaternion": (with_poses(Pose(X.R.swapaxes(0, 1), X.p)), "Quaternions are conjugated"),
+    "one row off": (with_poses(Pose(np.roll(X.R, 1, 2), np.roll(X.p, 1, 1))), "one row too low"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_data_that_are_not_what_they_say_are_named(case):
+    data, words = BAD[case]
+    with pytest.raises(BadData, match=words):
+        check_data(NOMINAL, data)
+
+
+def test_poses_measured_while_the_lock_was_lost_are_named_even_if_noise_makes_them_differ():
+    p = X.p.copy()
+    p[:, 50:55] = p[:, 49:50] + 1e-5 * np.random.default_rng(0).standard_normal((3, 5))
+    with pytest.raises(BadData, match=r"poses 5[0-4], .* the tracker lost its lock"):
+        check_data(NOMINAL, with_poses(Pose(X.R, p)))
+
+
+def test_an_arm_without_a_name_is_refused(tmp_path):
+    path = tmp_path / "poses.csv"
+    save_campaign(replace(campaign(), arm_name=""), path)
+    with pytest.raises(BadData, match="column arm: is empty"):
+        read_campaign(path)
+
+
+def test_a_tracker_that_stands_still_is_noticed():
+    p = X.p.copy()
+    p[:, 50] = p[:, 49]
+    with pytest.raises(BadData, match=r"p_.*: pose 50 exactly where the pose before was"):
+        check_data(NOMINAL, with_poses(Pose(X.R, p)))
