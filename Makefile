@@ -48,7 +48,7 @@ test: $(VENV)/ready
 
 bench: $(VENV)/ready
 	@$(call say,measuring; leave the machine alone for two minutes)
-	@$(BIN)/python -m validation.run
+	@$(BIN)/python -m validation.benchmarks
 
 # Each in a minute of one core at most; whether it is in bounds is its exit status.
 brief: $(VENV)/ready

@@ -38,7 +38,7 @@ class HardstopResult:
     """Believed less true motor angle, beyond what a hardstop off its drawn place brings about."""
     uncorrected_error_rad: float
     """The same, had wind-up been left out: output = motor + b/2 at the stall."""
-    half_gap_error_rad: float
+    half_backlash_error_rad: float
     load_Nm: float
     """Modelled, at the hardstop."""
 
@@ -128,7 +128,7 @@ class InitialisationRun:
             joint=j,
             zero_error_rad=zero_error,
             uncorrected_error_rad=zero_error + uncorrected - evr.moved_rad,
-            half_gap_error_rad=float(state.joints.reference.half_gap_rad[j] - plant.half_gap_rad[j]),
+            half_backlash_error_rad=float(state.joints.reference.half_gap_rad[j] - plant.half_gap_rad[j]),
             load_Nm=float(state.load.torque_Nm[j]),
         )
 

@@ -21,7 +21,7 @@ from sim.arms import arm_named
 from sim.initialisation import initial_reference
 from sim.pose_sequence import RestState, random_goals, visit_poses
 from sim.world import World
-from validation.options import parser
+from validation.options import campaign_parser
 
 EXAMPLE = "example: python -m validation.backlash --tours 20 --poses 50 --arm nominal > backlash.json"
 MAX_TILT_RAD: Final = float(np.radians(30.0))
@@ -107,7 +107,7 @@ def _rms_mrad(error: np.ndarray) -> float | None:
 
 def main() -> int:
     """Print the result as JSON; exit status 1 if a side was claimed wrongly, or it hardly helps."""
-    options = parser("backlash", __doc__, EXAMPLE)
+    options = campaign_parser("backlash", __doc__, EXAMPLE)
     options.add_argument("--arm", default="nominal", help="nominal, as-built:SEED or calibrated:SEED")
     options.add_argument("--tours", type=int, default=20, help="tours of each kind (default 20)")
     options.add_argument("--poses", type=int, default=50, help="settled poses a tour (default 50)")

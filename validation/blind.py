@@ -12,7 +12,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Final
 
-from ground.common.pool import Runner, on_this_machine
+from ground.common.pool import Runner, local_runner
 from ground.common.progress import Progress
 from ground.diagnosis.arm.blind.evidence import split
 from ground.diagnosis.arm.blind.make import all_sessions, drawn_truth, record_case
@@ -30,7 +30,7 @@ from ground.diagnosis.blind.truth import seal
 from ground.diagnosis.drawn import Seen
 from sim.arms import arm_named
 from sim.initialisation import true_reference
-from validation.options import parser
+from validation.options import campaign_parser
 
 EXAMPLE: Final = "example: python -m validation.blind --seed 3"
 SESSIONS: Final = ("poses-rolled-1", "poses-level-5")
@@ -47,7 +47,7 @@ def known(campaign: Path, run: Runner, progress: Progress) -> Reference:
 @cache
 def reference_of(campaign: Path) -> Reference:
     """The same, read once."""
-    return known(campaign, on_this_machine(1), _quiet)
+    return known(campaign, local_runner(1), _quiet)
 
 
 def kept(campaign: Path) -> Kept:
@@ -78,7 +78,7 @@ def document(folder: Path, seed: int) -> dict[str, Any]:
         record_case(folder / CASES / case.name, case, wanted)
         for log in sorted((folder / CASES / case.name).glob("*.mcap")):
             check_sealed(log, case)
-    solve(folder, Solver(known, kept, diagnosed), on_this_machine(1), _quiet)
+    solve(folder, Solver(known, kept, diagnosed), local_runner(1), _quiet)
     found = scored(folder, kept, partial=False)
     clear = found.found.in_set
     return {
@@ -96,7 +96,7 @@ def _quiet(*_: Any) -> None:
 
 def main() -> int:
     """Print the score as JSON; exit status 1 if a name is wrong, or a clear effect is not named."""
-    asked = parser("blind", __doc__, EXAMPLE).parse_args()
+    asked = campaign_parser("blind", __doc__, EXAMPLE).parse_args()
     with TemporaryDirectory() as folder:
         found = document(Path(folder), asked.seed)
     print(json.dumps(found, indent=2))

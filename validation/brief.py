@@ -55,7 +55,7 @@ BRIEFS: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Ended:
+class BriefResult:
     """What became of a campaign."""
 
     brief: Brief
@@ -81,7 +81,7 @@ class Ended:
         return f"{self.brief.name:<12} {verdict:<9} {self.core_s:4.0f} s{why}{how}"
 
 
-def run(brief: Brief) -> Ended:
+def run(brief: Brief) -> BriefResult:
     """Carry it out in a process of its own."""
     command = [sys.executable, "-m", f"validation.{brief.name}", *shlex.split(brief.arguments)]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
@@ -98,7 +98,7 @@ def run(brief: Brief) -> Ended:
         said.seek(0)
         lines = said.read().decode(errors="replace").split("\n")
     words = "\n".join(line.rpartition("\r")[2] for line in lines)  # progress overwrites itself
-    return Ended(brief, os.waitstatus_to_exitcode(status), spent.ru_utime + spent.ru_stime, words)
+    return BriefResult(brief, os.waitstatus_to_exitcode(status), spent.ru_utime + spent.ru_stime, words)
 
 
 def main(briefs: Sequence[Brief] = BRIEFS) -> int:

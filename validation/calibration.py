@@ -30,11 +30,11 @@ from ground.calibration.simulation import (
     zero_errors_rad,
 )
 from ground.calibration.verify import register_tools
-from ground.common.pool import on_this_machine
-from ground.common.rates import interval
+from ground.common.pool import local_runner
+from ground.common.rates import clopper_pearson
 from sim.arms import arm_named
 from sim.params import nominal_params
-from validation.options import parser
+from validation.options import campaign_parser
 
 EXAMPLE: Final = "example: python -m validation.calibration --arms 20 --closed-loop > calibration.json"
 INTERVAL: Final = 1.645
@@ -50,7 +50,7 @@ NUMERIC: Final[dict[str, Any]] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class CalibrationTrial:
     """One arm."""
 
     seed: int
@@ -59,7 +59,7 @@ class Trial:
     """Where its parameter file goes."""
 
 
-def measured(trial: Trial) -> tuple[Campaign, Array]:
+def measure(trial: CalibrationTrial) -> tuple[Campaign, Array]:
     """The campaign, and by how much motors stand beyond where they are believed to."""
     arm, plan = arm_named(f"as-built:{trial.seed}"), CampaignPlan(seed=trial.seed)
     if not trial.closed_loop:
@@ -68,9 +68,9 @@ def measured(trial: Trial) -> tuple[Campaign, Array]:
     return run_campaign(arm, reference, plan, _quiet), zero_errors_rad(arm, reference)
 
 
-def run(trial: Trial) -> dict[str, Any]:
+def run(trial: CalibrationTrial) -> dict[str, Any]:
     """Measure, fit, and hold it against the truth."""
-    (campaign, off_rad), nominal = measured(trial), nominal_params()
+    (campaign, off_rad), nominal = measure(trial), nominal_params()
     check_data(nominal, campaign)
     found = calibrate(nominal, campaign)
     refused = ""
@@ -119,10 +119,10 @@ def speed(campaign: Campaign) -> dict[str, Any]:
         error = model.errors(scaled * prior)
         return np.concatenate([np.einsum("nij,jn->ni", model.whitener, error).ravel(), scaled])
 
-    _timed(lambda: model(np.zeros(prior.size)))  # warm
-    whole_s, _ = _timed(lambda: calibrate(nominal, campaign))
-    ours_s, ours = _timed(lambda: fit(parameters, model))
-    theirs_s, theirs = _timed(lambda: least_squares(residual, np.ones(prior.size), **NUMERIC))
+    _best_time(lambda: model(np.zeros(prior.size)))  # warm
+    whole_s, _ = _best_time(lambda: calibrate(nominal, campaign))
+    ours_s, ours = _best_time(lambda: fit(parameters, model))
+    theirs_s, theirs = _best_time(lambda: least_squares(residual, np.ones(prior.size), **NUMERIC))
     cost = np.sum(ours.at.residual**2) + np.sum((ours.values / prior) ** 2)
     return {
         "calibration_s": whole_s,
@@ -136,7 +136,7 @@ def speed(campaign: Campaign) -> dict[str, Any]:
     }
 
 
-def _timed(work: Any) -> tuple[float, Any]:
+def _best_time(work: Any) -> tuple[float, Any]:
     """The best of three: other work on the machine only adds."""
     spent = []
     for _ in range(3):
@@ -150,15 +150,15 @@ def campaign(
     arms: int, seed: int, workers: int, closed_loop: bool, files: Path | None = None, with_speed: bool = True
 ) -> dict[str, Any]:
     """All arms, and the checks; those of speed mean something only where nothing else runs."""
-    trials = [Trial(seed + k, closed_loop, files) for k in range(arms)]
+    trials = [CalibrationTrial(seed + k, closed_loop, files) for k in range(arms)]
     results = []
-    for result in on_this_machine(workers)(run, trials):
+    for result in local_runner(workers)(run, trials):
         results.append(result)
         print(f"marsarm: {len(results)} of {arms} arms", file=sys.stderr)
     results.sort(key=lambda result: int(result["seed"]))
-    fast = speed(measured(Trial(seed, False))[0]) if with_speed else None
+    fast = speed(measure(CalibrationTrial(seed, False))[0]) if with_speed else None
     inside, of = np.sum([result["intervals_hold"] for result in results], axis=0)
-    low, high = interval(int(inside), int(of))
+    low, high = clopper_pearson(int(inside), int(of))
     checks = {
         "five times better on held-out poses": min(r["factor"] for r in results) >= 5,
         "under 5 mm": max(r["held_out_max_mm"] for r in results) < 5,
@@ -187,7 +187,7 @@ def campaign(
     }
 
 
-def _save(found: Calibration, trial: Trial) -> None:
+def _save(found: Calibration, trial: CalibrationTrial) -> None:
     tools = register_tools(arm_named(f"as-built:{trial.seed}"), trial.seed)
     assert trial.files is not None
     save_parameter_file(found, calibrated_params(found, tools), trial.files / f"{trial.seed}.toml")
@@ -199,7 +199,7 @@ def _quiet(*_: Any) -> None:
 
 def main() -> int:
     """Print the result as JSON; exit status 1 if something is out of bounds."""
-    options = parser("calibration", __doc__, EXAMPLE)
+    options = campaign_parser("calibration", __doc__, EXAMPLE)
     options.add_argument("--arms", type=int, default=20, help="as-built arms (default 20)")
     options.add_argument("--closed-loop", action="store_true", help="three minutes an arm, not ten seconds")
     options.add_argument("--files", type=Path, help="folder for the arms' parameter files, SEED.toml each")

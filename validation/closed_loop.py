@@ -32,26 +32,28 @@ from sim.world import Surface, World
 REPEATS = 5
 BARE_STEPS = 40_000
 SETTLING_STEPS = 4_096
-KEPT = Path(__file__).with_name("plant-50fd31b.mjb")
+YARDSTICK_MODEL = Path(__file__).with_name("plant-50fd31b.mjb")
 TARGET = Placement(Tool.APXS, (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
 
 
 @cache
-def reference() -> Reference:
+def nominal_reference() -> Reference:
     return initial_reference(arm_named("nominal"))
 
 
-def closed_loop_of_a_placement(with_truth: bool = False) -> ClosedLoop:
+def placement_loop(with_truth: bool = False) -> ClosedLoop:
     """The arm at the ready pose in front of the target."""
     arm = arm_named("nominal")
     world = World(surface=Surface(TARGET.target_N_m, TARGET.normal_N))
-    return ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, reference=reference()), with_truth)
+    return ClosedLoop(
+        Setup(arm, world, arm.params.poses.ready_rad, reference=nominal_reference()), with_truth
+    )
 
 
 @cache
-def _kept() -> tuple[mujoco.MjModel, mujoco.MjData]:
+def _yardstick() -> tuple[mujoco.MjModel, mujoco.MjData]:
     """The kept model at rest at the ready pose, held by its motors, brakes off."""
-    model = mujoco.MjModel.from_binary_path(str(KEPT))
+    model = mujoco.MjModel.from_binary_path(str(YARDSTICK_MODEL))
     data = mujoco.MjData(model)
     ready = arm_named("nominal").params.poses.ready_rad
     data.qpos[[model.joint(f"{name}_motor").qposadr[0] for name in JOINT_NAMES]] = ready
@@ -62,7 +64,7 @@ def _kept() -> tuple[mujoco.MjModel, mujoco.MjData]:
 
 def bare_step_s() -> float:
     """Seconds a bare mj_step of the kept model, to which every speed is a ratio."""
-    model, data = _kept()
+    model, data = _yardstick()
     began = time.perf_counter()
     mujoco.mj_step(model, data, BARE_STEPS)
     return (time.perf_counter() - began) / BARE_STEPS
@@ -70,13 +72,13 @@ def bare_step_s() -> float:
 
 def _realtime_factor() -> float:
     """Mechanical time over wall time of a placement in the closed loop."""
-    loop = closed_loop_of_a_placement()
+    loop = placement_loop()
     began = time.perf_counter()
     cycles = sum(1 for _ in PlacementRun(loop, TARGET))
     return cycles / CYCLE_HZ / (time.perf_counter() - began)
 
 
-def timed(function: Callable[..., Any], times_s: list[float]) -> Callable[..., Any]:
+def time_calls(function: Callable[..., Any], times_s: list[float]) -> Callable[..., Any]:
     def run(*args: Any) -> Any:
         began = time.perf_counter()
         result = function(*args)
@@ -89,11 +91,11 @@ def timed(function: Callable[..., Any], times_s: list[float]) -> Callable[..., A
 def _shares_us() -> dict[str, list[float]]:
     """Microseconds of every cycle of a placement, by part."""
     parts: dict[str, list[float]] = {"fsw_step": [], "sense": [], "apply": [], "plant_step": []}
-    loop = closed_loop_of_a_placement()
-    loop.avionics.sense = timed(loop.avionics.sense, parts["sense"])  # type: ignore[method-assign]
-    loop.avionics.apply = timed(loop.avionics.apply, parts["apply"])  # type: ignore[method-assign]
-    loop.plant.step = timed(loop.plant.step, parts["plant_step"])  # type: ignore[method-assign]
-    sim.loop.step = timed(step, parts["fsw_step"])
+    loop = placement_loop()
+    loop.avionics.sense = time_calls(loop.avionics.sense, parts["sense"])  # type: ignore[method-assign]
+    loop.avionics.apply = time_calls(loop.avionics.apply, parts["apply"])  # type: ignore[method-assign]
+    loop.plant.step = time_calls(loop.plant.step, parts["plant_step"])  # type: ignore[method-assign]
+    sim.loop.step = time_calls(step, parts["fsw_step"])
     try:
         for _ in PlacementRun(loop, TARGET):
             pass
@@ -106,7 +108,7 @@ def closed_loop() -> dict[str, Any]:
     """Rates and times; each ratio is the median of pairs measured one after the other."""
     pairs = [(bare_step_s(), _realtime_factor()) for _ in range(REPEATS)]
     bare_us = 1e6 * median(bare for bare, _ in pairs)
-    step_s = _kept()[0].opt.timestep
+    step_s = _yardstick()[0].opt.timestep
     shares = _shares_us()
     fsw = np.array(shares["fsw_step"])
     means = {name: float(np.mean(times)) for name, times in shares.items()}

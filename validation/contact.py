@@ -23,8 +23,8 @@ from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.preview import random_placement
 from sim.sequence import run_sequence
-from validation.options import parser
-from validation.tool_change import FIRST, MOST_DRAWS, SECOND, TILT_RAD, not_completed, placing
+from validation.options import campaign_parser
+from validation.tool_change import FIRST, MOST_DRAWS, SECOND, TILT_RAD, not_completed, place_command
 
 SOON_S, LATER_S, HELD_S = 0.5, 2.0, 4.0
 SOON, LATER = 0.20, 0.05
@@ -32,7 +32,7 @@ SOON, LATER = 0.20, 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class Rest:
+class ContactRest:
     """A tool that touched, from then until four seconds after its command."""
 
     arm: str
@@ -54,7 +54,7 @@ class Rest:
         return self.soon < SOON and self.later < LATER and self.lost == self.switched == 0
 
 
-def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: Tool, arm: str = "") -> Rest | str:
+def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: Tool, arm: str = "") -> ContactRest | str:
     """How the tool rests that touches at the end of these commands; or the warning that ended them before.
 
     The loop goes on until four seconds after the last command.
@@ -76,7 +76,7 @@ def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: Tool, arm: s
     force, mean_N = np.array(force_N), float(np.mean(force_N[-CYCLE_HZ:]))
     off = np.abs(force - mean_N) / mean_N
     changes = np.diff(np.array(closed[soon:]).astype(int), axis=0)
-    return Rest(
+    return ContactRest(
         arm,
         tool.name,
         mean_N,
@@ -87,23 +87,25 @@ def rest_after(loop: ClosedLoop, commands: Sequence[Command], tool: Tool, arm: s
     )
 
 
-def one_arm(seed: int) -> list[Rest]:
+def one_arm(seed: int) -> list[ContactRest]:
     """A placement and a tool change of one arm, at the first target where both are carried out."""
     name = f"calibrated:{seed}"
     arm = arm_named(name)
     for draw in range(1, MOST_DRAWS + 1):
         world, seen = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
         loop = ClosedLoop(Setup(arm, world, joints5(seen.standoff_rad), draw, true_reference(arm)))
-        first = rest_after(loop, (placing(seen),), FIRST, name)
-        second = rest_after(loop, (ToolChange(SECOND),), SECOND, name) if isinstance(first, Rest) else first
-        if isinstance(first, Rest) and isinstance(second, Rest):
+        first = rest_after(loop, (place_command(seen),), FIRST, name)
+        second = (
+            rest_after(loop, (ToolChange(SECOND),), SECOND, name) if isinstance(first, ContactRest) else first
+        )
+        if isinstance(first, ContactRest) and isinstance(second, ContactRest):
             return [first, second]
     raise RuntimeError(f"{name}: no tool change was carried out at {MOST_DRAWS} targets")
 
 
 def document(arms: int, seed: int, workers: int) -> dict[str, object]:
     """So many arms, and whether every contact rests."""
-    found: list[Rest] = []
+    found: list[ContactRest] = []
     with ProcessPoolExecutor(workers) as pool:
         for k, rests in enumerate(pool.map(one_arm, range(seed, seed + arms)), start=1):
             found += rests
@@ -120,7 +122,7 @@ def document(arms: int, seed: int, workers: int) -> dict[str, object]:
 
 def main() -> int:
     """Print the result as JSON; exit status 1 if a contact does not rest."""
-    options = parser("contact", __doc__, "example: python -m validation.contact --arms 3")
+    options = campaign_parser("contact", __doc__, "example: python -m validation.contact --arms 3")
     options.add_argument("--arms", type=int, default=20, help="calibrated arms (default %(default)s)")
     asked = options.parse_args()
     found = document(asked.arms, asked.seed, asked.workers)

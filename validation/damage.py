@@ -25,7 +25,7 @@ from ground.telemetry.read import Log, parse_log
 from ground.telemetry.recover import recover
 from ground.telemetry.salvage import salvage
 from ground.telemetry.topic_arrays import CHANNELS_KEY
-from validation.recorded import recorded
+from validation.sample_logs import record_log
 
 CUT_EVERY: Final = 4096
 CYCLES: Final = 320
@@ -48,7 +48,7 @@ def original(data: bytes) -> Original:
     return Original(data, parse_log(HERE, data), tuple(chunks))
 
 
-def same(log: Log, written: Log) -> bool:
+def is_same_log(log: Log, written: Log) -> bool:
     """Whether a log holds all that was written, bit for bit."""
     return (
         log.header == written.header
@@ -59,7 +59,7 @@ def same(log: Log, written: Log) -> bool:
     )
 
 
-def raw(packets: NDArray[np.void]) -> NDArray[np.uint8]:
+def packet_bytes(packets: NDArray[np.void]) -> NDArray[np.uint8]:
     """All bytes of packets, shape (n, bytes); numpy copies those between the fields only so."""
     return packets.view(np.uint8).reshape(len(packets), packets.dtype.itemsize)
 
@@ -69,7 +69,7 @@ def is_part(log: Log, written: Log) -> bool:
     for topic, packets in log.packets.items():
         rows = np.searchsorted(written.time_ns[topic], log.time_ns[topic])
         at_its_time = np.array_equal(written.time_ns[topic][rows % len(written[topic])], log.time_ns[topic])
-        if not at_its_time or not np.array_equal(raw(packets), raw(written[topic])[rows]):
+        if not at_its_time or not np.array_equal(packet_bytes(packets), packet_bytes(written[topic])[rows]):
             return False
     return set(log.evrs) <= set(written.evrs) and set(log.commands) <= set(written.commands)
 
@@ -81,7 +81,9 @@ def times_in(damaged: bytes) -> dict[str, NDArray[np.uint64]]:
     return {one.topic: heads["time_ns"][heads["channel"] == number] for number, one in found.channels.items()}
 
 
-def is_told(here_ns: Mapping[str, NDArray[np.uint64]], written: Log, lost: tuple[LostMessages, ...]) -> bool:
+def is_loss_reported(
+    here_ns: Mapping[str, NDArray[np.uint64]], written: Log, lost: tuple[LostMessages, ...]
+) -> bool:
     """Whether what was written and is not here, times by topic, is all within the spans that are told."""
     for topic, times in written.time_ns.items():
         here = here_ns.get(topic, np.zeros(0, np.uint64))
@@ -97,7 +99,7 @@ def is_told(here_ns: Mapping[str, NDArray[np.uint64]], written: Log, lost: tuple
     return True
 
 
-def judged(made: Original, damaged: bytes, cut_ns: int | None = None) -> str:
+def judge_read(made: Original, damaged: bytes, cut_ns: int | None = None) -> str:
     """What a strict read makes of damage: "harmless", "detected", "refused", "cut" or what is wrong with it.
 
     `cut_ns` is the log time up to which a file that was cut holds complete chunks.
@@ -105,13 +107,13 @@ def judged(made: Original, damaged: bytes, cut_ns: int | None = None) -> str:
     try:
         log = parse_log(HERE, damaged)
     except LogDamaged as error:
-        told = is_told(times_in(damaged), made.log, error.lost)
+        told = is_loss_reported(times_in(damaged), made.log, error.lost)
         return "detected" if told else f"WRONG: its span is not told: {error}"
     except LogNotReadable:
         return "refused"
     except LogError as error:
         return f"WRONG: {error}"
-    if same(log, made.log):
+    if is_same_log(log, made.log):
         return "harmless"
     if cut_ns is None or not log.truncated:
         return "WRONG: other values"
@@ -122,7 +124,7 @@ def judged(made: Original, damaged: bytes, cut_ns: int | None = None) -> str:
     return "cut" if whole and is_part(log, made.log) else "WRONG: not all that is before the cut"
 
 
-def saved(made: Original, damaged: bytes, is_hit: list[bool], folder: Path) -> str:
+def judge_recovery(made: Original, damaged: bytes, is_hit: list[bool], folder: Path) -> str:
     """What recovery makes of damage: "saved", "nothing to save" or what is wrong; `is_hit` is by chunk."""
     bad, good = folder / "bad.mcap", folder / "good.mcap"
     bad.write_bytes(damaged)
@@ -143,7 +145,7 @@ def saved(made: Original, damaged: bytes, is_hit: list[bool], folder: Path) -> s
     )
     if missed > due:
         return f"WRONG: {missed} messages missing, {due} were damaged"
-    return "saved" if is_told(log.time_ns, made.log, recovered.lost) else "WRONG: a loss is not told"
+    return "saved" if is_loss_reported(log.time_ns, made.log, recovered.lost) else "WRONG: a loss is not told"
 
 
 def flips(made: Original, tries: int, seed: int) -> Iterator[tuple[int, int]]:
@@ -152,14 +154,14 @@ def flips(made: Original, tries: int, seed: int) -> Iterator[tuple[int, int]]:
     yield from zip(random.integers(len(made.data), size=tries), random.integers(8, size=tries), strict=True)
 
 
-def flipped(made: Original, tries: int, seed: int, folder: Path) -> dict[str, Any]:
+def flip_bits(made: Original, tries: int, seed: int, folder: Path) -> dict[str, Any]:
     """Flip single bits, one at a time."""
     reads, saves, wrong = Counter[str](), Counter[str](), []
     for k, (at, bit) in enumerate(flips(made, tries, seed)):
         damaged = bytearray(made.data)
         damaged[at] ^= 1 << int(bit)
         is_hit = [one.at <= at < one.end for one in made.chunks]
-        read, save = judged(made, bytes(damaged)), saved(made, bytes(damaged), is_hit, folder)
+        read, save = judge_read(made, bytes(damaged)), judge_recovery(made, bytes(damaged), is_hit, folder)
         reads[read] += 1
         saves[save] += 1
         if "WRONG" in read + save:
@@ -169,15 +171,15 @@ def flipped(made: Original, tries: int, seed: int, folder: Path) -> dict[str, An
     return {"read": dict(reads), "recovered": dict(saves), "wrong": wrong}
 
 
-def truncated(made: Original, every: int, folder: Path) -> dict[str, Any]:
+def truncate_file(made: Original, every: int, folder: Path) -> dict[str, Any]:
     """Cut the file, at every so many bytes."""
     reads, saves, wrong = Counter[str](), Counter[str](), []
     for size in range(0, len(made.data), every):
         damaged = made.data[:size]
         is_hit = [one.end > size for one in made.chunks]
         whole = [one.last_ns for one in made.chunks if one.end <= size]
-        read = judged(made, damaged, max(whole, default=-1))
-        save = saved(made, damaged, is_hit, folder)
+        read = judge_read(made, damaged, max(whole, default=-1))
+        save = judge_recovery(made, damaged, is_hit, folder)
         reads[read] += 1
         saves[save] += 1
         if "WRONG" in read + save:
@@ -189,7 +191,7 @@ def campaign(cycles: int, tries: int, seed: int, chunk_s: float = 0.0) -> dict[s
     """A closed log and one cut short, damaged in every way."""
     with TemporaryDirectory() as name:
         folder = Path(name)
-        data = recorded(folder / "run.mcap", cycles, chunk_s).read_bytes()
+        data = record_log(folder / "run.mcap", cycles, chunk_s).read_bytes()
         whole = original(data)
         begun = whole.chunks[len(whole.chunks) * 3 // 5]
         cut = original(data[: (begun.begin + begun.end) // 2])
@@ -197,9 +199,9 @@ def campaign(cycles: int, tries: int, seed: int, chunk_s: float = 0.0) -> dict[s
             "cycles": cycles,
             "bytes": len(data),
             "chunks": len(whole.chunks),
-            "bits_closed": flipped(whole, tries, seed, folder),
-            "bits_cut_short": flipped(cut, tries, seed + 1, folder),
-            "truncated": truncated(whole, CUT_EVERY, folder),
+            "bits_closed": flip_bits(whole, tries, seed, folder),
+            "bits_cut_short": flip_bits(cut, tries, seed + 1, folder),
+            "truncated": truncate_file(whole, CUT_EVERY, folder),
         }
 
 

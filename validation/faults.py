@@ -40,11 +40,11 @@ from sim.record import CycleRecord
 from sim.scenario.file import built_in_scenarios, load_scenario
 from sim.scenario.run import scenario_setup
 from sim.sequence import run_sequence
-from validation.options import parser
+from validation.options import campaign_parser
 
 GOES_ON_S = 45.0
 WIND_UP_RAD = 0.005
-AS_IT_SHOULD_BE = ("refusing", "stopped", "tolerated", "a later command refused")
+EXPECTED_ENDS = ("refusing", "stopped", "tolerated", "a later command refused")
 TILT_DEG = (6.0, -8.0)
 STILL: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 SENSORS = {
@@ -67,7 +67,7 @@ SIZES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Injected:
+class FaultOutcome:
     """What came of one fault."""
 
     scenario: str
@@ -125,7 +125,7 @@ def _sensor_fault(rng: np.random.Generator, at_s: float) -> SensorFault:
     return SensorFault(at_s, sensor, kind, int(rng.integers(SENSORS[sensor])), sizes.get(kind, 0.0))  # type: ignore[arg-type]
 
 
-def campaign(name: str, seed: int, count: int) -> list[Injected]:
+def campaign(name: str, seed: int, count: int) -> list[FaultOutcome]:
     """So many faults, each in a fork of one run of a scenario."""
     scenario = load_scenario(name).tilted(*(float(v) for v in np.radians(TILT_DEG)))
     arm = arm_named("nominal")
@@ -138,15 +138,15 @@ def campaign(name: str, seed: int, count: int) -> list[Injected]:
         begun += len(record.commands)
         for _ in range(ticks[tick]):
             fault = random_fault(rng, loop.plant.data.time, scenario.world.surface is not None)
-            found.append(_injected(name, loop.fork((fault,)), fault, scenario.commands[begun:]))
+            found.append(_inject(name, loop.fork((fault,)), fault, scenario.commands[begun:]))
     return found
 
 
-def _injected(name: str, loop: ClosedLoop, fault: InjectedFault, rest: tuple[Command, ...]) -> Injected:
+def _inject(name: str, loop: ClosedLoop, fault: InjectedFault, rest: tuple[Command, ...]) -> FaultOutcome:
     began, move, watched = loop.state.mode, loop.state.move, _Watch(loop)
     moving = move is not None and move.phase in (Phase.RELEASE, Phase.RUN)
     last = loop.state.tick + round(GOES_ON_S * CYCLE_HZ)
-    for record in _carried_on(loop, rest):
+    for record in _continue_run(loop, rest):
         watched.note(record)
         at_rest = not record.outputs.joint.busy
         if (watched.responses and at_rest) or record.tick >= last:
@@ -160,9 +160,9 @@ def _injected(name: str, loop: ClosedLoop, fault: InjectedFault, rest: tuple[Com
     braked = loop.braked
     asked = loop.cycle((MoveJoints(STILL, relative=True),)).outputs.evrs
     refusing = any(isinstance(evr, CommandRefused) for evr in asked)
-    return Injected(
+    return FaultOutcome(
         scenario=name,
-        fault=_spoken(fault),
+        fault=_fault_name(fault),
         mode=began.name,
         found=watched.found[0] if watched.found else "none",
         end=_end(loop, watched, braked, refusing, _must_be_found(loop, fault, moving)),
@@ -260,7 +260,7 @@ class _Watch:
         self.astray |= self._off > 2 * bounds.following_persistence
 
 
-def _carried_on(loop: ClosedLoop, rest: tuple[Command, ...]) -> Iterator[CycleRecord]:
+def _continue_run(loop: ClosedLoop, rest: tuple[Command, ...]) -> Iterator[CycleRecord]:
     """What was under way when the run was forked, and then what is still to come."""
     record = loop.cycle()
     yield record
@@ -270,19 +270,19 @@ def _carried_on(loop: ClosedLoop, rest: tuple[Command, ...]) -> Iterator[CycleRe
     yield from run_sequence(loop, rest)
 
 
-def _spoken(fault: InjectedFault) -> str:
+def _fault_name(fault: InjectedFault) -> str:
     if isinstance(fault, SensorFault):
         return f"{fault.sensor} {fault.kind}"
     return type(fault).__name__
 
 
-def summary(cases: list[Injected]) -> dict[str, object]:
+def summary(cases: list[FaultOutcome]) -> dict[str, object]:
     """The table by fault and scenario, and the worst of everything."""
     table: dict[str, dict[str, dict[str, int]]] = {}
     for case in cases:
         cell = table.setdefault(case.fault, {}).setdefault(case.scenario, {})
         cell[case.end] = cell.get(case.end, 0) + 1
-    astray = [asdict(case) for case in cases if case.end not in AS_IT_SHOULD_BE]
+    astray = [asdict(case) for case in cases if case.end not in EXPECTED_ENDS]
     over = [
         asdict(c)
         for c in cases
@@ -312,7 +312,7 @@ def document(count: int, seed: int, workers: int, only: str | None = None) -> di
     chunks = [
         (name, 100 * seed + k, share) for name in names for k, share in enumerate(_shares(counts[name]))
     ]
-    cases: list[Injected] = []
+    cases: list[FaultOutcome] = []
     with ProcessPoolExecutor(workers) as pool:
         for found in pool.map(campaign, *zip(*chunks, strict=True)):
             cases += found
@@ -327,7 +327,7 @@ def _shares(count: int, most: int = 100) -> list[int]:
 
 def main() -> int:
     """Print the result as JSON; exit status 1 if one did not end as it should, or went too far."""
-    options = parser("faults", __doc__, "example: python -m validation.faults --count 60")
+    options = campaign_parser("faults", __doc__, "example: python -m validation.faults --count 60")
     options.add_argument("--count", type=int, default=1000, help="faults in all (default %(default)s)")
     options.add_argument("--only", choices=list(built_in_scenarios()), help="one scenario, in place of all")
     asked = options.parse_args()

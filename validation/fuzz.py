@@ -28,9 +28,15 @@ from ground.telemetry.errors import LogError
 from ground.telemetry.inspection import range_of, select_channels, summarize_log
 from ground.telemetry.read import parse_log
 from ground.telemetry.salvage import salvage
-from validation.fuzz_import import import_once, import_seeds, mutate_import
-from validation.mutate import Random, changed, changed_inside
-from validation.recorded import recorded
+from validation.fuzz_inputs import (
+    Random,
+    import_once,
+    import_seeds,
+    mutate_bytes,
+    mutate_import,
+    mutate_records,
+)
+from validation.sample_logs import record_log
 
 MEMORY_BYTES: Final = 4 << 30
 """Of address space, the libraries and their threads included."""
@@ -48,14 +54,14 @@ class TooSlow(BaseException):
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class FuzzTarget:
     """Something that takes the bytes of a file: True if it accepted them, False if it refused."""
 
     name: str
     run: Callable[[bytes], bool]
     seeds: Callable[[], list[bytes]]
     """Files that it accepts, to begin with."""
-    mutate: Callable[[Random, bytes], bytes] = changed
+    mutate: Callable[[Random, bytes], bytes] = mutate_bytes
 
 
 def fuzz_reader(data: bytes) -> bool:
@@ -75,24 +81,24 @@ def fuzz_reader(data: bytes) -> bool:
 def log_seeds() -> list[bytes]:
     """A closed log, its beginning, and one without a cycle."""
     with TemporaryDirectory() as folder:
-        data = recorded(Path(folder) / "run.mcap", SEED_CYCLES, 0.0).read_bytes()
-        empty = recorded(Path(folder) / "run.mcap", 0, 0.0).read_bytes()
+        data = record_log(Path(folder) / "run.mcap", SEED_CYCLES, 0.0).read_bytes()
+        empty = record_log(Path(folder) / "run.mcap", 0, 0.0).read_bytes()
     return [data, data[: len(data) // 2], empty]
 
 
 def mutate_log(random: Random, data: bytes) -> bytes:
     """Changes to the file, or inside its records."""
-    return (changed_inside if random.random() < 0.6 else changed)(random, data)
+    return (mutate_records if random.random() < 0.6 else mutate_bytes)(random, data)
 
 
 TARGETS: Final = (
-    Target("reader", fuzz_reader, log_seeds, mutate_log),
-    Target("importer", import_once, import_seeds, mutate_import),
+    FuzzTarget("reader", fuzz_reader, log_seeds, mutate_log),
+    FuzzTarget("importer", import_once, import_seeds, mutate_import),
 )
 
 
 @contextmanager
-def bounded(seconds: float) -> Iterator[None]:
+def time_limit(seconds: float) -> Iterator[None]:
     """Raise TooSlow when the block takes longer; end the process where that cannot be, within a library."""
 
     def stop(*_: Any) -> None:
@@ -109,7 +115,7 @@ def bounded(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def fuzz(target: Target, seed: int, seconds: float, most: int | None = None) -> dict[str, Any]:
+def fuzz(target: FuzzTarget, seed: int, seconds: float, most: int | None = None) -> dict[str, Any]:
     """Change the seeds blindly until time is over, or `most` are tried, or a bug is found.
 
     Inputs that are accepted are changed again. Time and memory are measured out here, whatever a target says.
@@ -119,10 +125,10 @@ def fuzz(target: Target, seed: int, seconds: float, most: int | None = None) -> 
     end_s = time.monotonic() + seconds
     while time.monotonic() < end_s and tries != most:
         data = target.mutate(random, pool[int(random.integers(len(pool)))])
-        file = kept(target, data)  # before it is tried: some bugs end the process
+        file = write_input(target, data)  # before it is tried: some bugs end the process
         began_s, bytes_before = time.monotonic(), peak_bytes()
         try:
-            with bounded(SLOWEST_S):
+            with time_limit(SLOWEST_S):
                 is_accepted = target.run(data)
             took_s, grown_bytes = time.monotonic() - began_s, peak_bytes() - bytes_before
             check_cost(took_s, grown_bytes)
@@ -157,14 +163,14 @@ def check_cost(took_s: float, grown_bytes: int) -> None:
         raise MemoryError(f"the process grew by {grown_bytes} bytes, by more than {MOST_BYTES}")
 
 
-def kept(target: Target, data: bytes) -> Path:
+def write_input(target: FuzzTarget, data: bytes) -> Path:
     """Where the input was written that a target is given."""
     path = Path(f"fuzz-{target.name}-{hashlib.sha256(data).hexdigest()[:12]}.bin")
     path.write_bytes(data)
     return path
 
 
-def guided(target: Target, seed: int, seconds: float) -> dict[str, Any]:
+def fuzz_with_atheris(target: FuzzTarget, seed: int, seconds: float) -> dict[str, Any]:
     """Let atheris change the seeds, in a process of its own, which ends with it."""
     with TemporaryDirectory() as folder:
         for k, data in enumerate(target.seeds()):
@@ -200,7 +206,7 @@ def guided(target: Target, seed: int, seconds: float) -> dict[str, Any]:
     }
 
 
-def inside(target: Target, seed: int, arguments: list[str]) -> None:
+def run_atheris(target: FuzzTarget, seed: int, arguments: list[str]) -> None:
     """Run atheris here; it ends the process."""
     import atheris
 
@@ -225,7 +231,7 @@ def main() -> None:
     parser.add_argument("--inside", choices=names, help=argparse.SUPPRESS)
     asked, rest = parser.parse_known_args()
     if asked.inside:
-        inside(next(one for one in TARGETS if one.name == asked.inside), asked.seed, rest)
+        run_atheris(next(one for one in TARGETS if one.name == asked.inside), asked.seed, rest)
         return
     if rest:
         parser.error(f"unknown: {' '.join(rest)}")
@@ -235,7 +241,7 @@ def main() -> None:
     if not has_atheris:
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     found = {
-        one.name: (guided if has_atheris else fuzz)(one, asked.seed, asked.seconds / len(chosen))
+        one.name: (fuzz_with_atheris if has_atheris else fuzz)(one, asked.seed, asked.seconds / len(chosen))
         for one in chosen
     }
     print(json.dumps({"atheris": has_atheris, "targets": found}, indent=2))

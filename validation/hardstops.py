@@ -21,7 +21,7 @@ from sim.hardstop_loads import without_turret
 from sim.initialisation import InitialisationResult, prepare_random_homing
 from sim.sequence import Outcome
 from sim.world import World
-from validation.options import parser
+from validation.options import campaign_parser
 
 EXAMPLE = "example: python -m validation.hardstops --arms 5 --repeats 50 > hardstops.json"
 ROUNDING: Final = 1e-9
@@ -31,7 +31,7 @@ PLACES: Final[tuple[Place, ...]] = ("mars", "earth", "earth, poses of mars")
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class HardstopTrial:
     """One joint of one arm, once."""
 
     place: Place
@@ -41,14 +41,14 @@ class Trial:
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class TrialResult:
     """What came of it."""
 
-    trial: Trial
+    trial: HardstopTrial
     outcome: str
     zero_error_mrad: float
     uncorrected_mrad: float
-    half_gap_error_mrad: float
+    half_backlash_error_mrad: float
     load_Nm: float
     most_torque_Nm: float
     most_current_share: float
@@ -60,30 +60,30 @@ def arm_at(place: Place, seed: int) -> tuple[BuiltArm, World]:
     if place == "mars":
         return arm, World()
     bare = without_turret(arm, on_earth=place == "earth")
-    return (bare if place == "earth" else pressing_harder(bare)), World("earth")
+    return (bare if place == "earth" else with_harder_press(bare)), World("earth")
 
 
-def pressing_harder(arm: BuiltArm) -> BuiltArm:
+def with_harder_press(arm: BuiltArm) -> BuiltArm:
     """In the poses of Mars its load on Earth would leave the elevation too little to be felt by."""
     elevation = replace(arm.params.joints.elevation, hardstop_press_Nm=HARD_NM)
     return replace(arm, params=replace(arm.params, joints=replace(arm.params.joints, elevation=elevation)))
 
 
-def run(trial: Trial) -> Result:
+def run(trial: HardstopTrial) -> TrialResult:
     """Carry out a trial."""
     arm, world = arm_at(trial.place, trial.arm)
     running = prepare_random_homing(arm, trial.joint, world, 1000 * trial.arm + trial.repetition)
     return _result(trial, running.finish())
 
 
-def _result(trial: Trial, found: InitialisationResult) -> Result:
+def _result(trial: HardstopTrial, found: InitialisationResult) -> TrialResult:
     stop = found.stops[0] if found.outcome is Outcome.DONE else None
-    return Result(
+    return TrialResult(
         trial,
         found.outcome.value,
         np.nan if stop is None else 1e3 * stop.zero_error_rad,
         np.nan if stop is None else 1e3 * stop.uncorrected_error_rad,
-        np.nan if stop is None else 1e3 * stop.half_gap_error_rad,
+        np.nan if stop is None else 1e3 * stop.half_backlash_error_rad,
         np.nan if stop is None else stop.load_Nm,
         float(found.most_torque_Nm[trial.joint]),
         float(found.most_current_share[trial.joint]),
@@ -95,13 +95,13 @@ def campaign(
 ) -> dict[str, Any]:
     """All trials; with the same numbers everything comes again."""
     trials = [
-        Trial(place, seed + arm, joint, repetition)
+        HardstopTrial(place, seed + arm, joint, repetition)
         for place in PLACES
         for arm in range(arms)
         for joint in joints
         for repetition in range(repeats if place == "mars" else max(2, repeats // 5))
     ]
-    results: list[Result] = []
+    results: list[TrialResult] = []
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         running = [pool.submit(run, trial) for trial in trials]
         for done, future in enumerate(as_completed(running), 1):
@@ -123,18 +123,18 @@ def campaign(
         "most_current_share_of_limit": max(r.most_current_share for r in results),
         **{place: _place(results, place, joints) for place in PLACES},
         "earth_less_mars_mrad": {
-            "equal torque": _apart(results, "earth", joints),
-            "other torque": _apart(results, "earth, poses of mars", joints),
+            "equal torque": _mean_difference(results, "earth", joints),
+            "other torque": _mean_difference(results, "earth, poses of mars", joints),
         },
     }
 
 
-def _place(results: Sequence[Result], place: Place, joints: Sequence[Joint]) -> dict[str, Any]:
+def _place(results: Sequence[TrialResult], place: Place, joints: Sequence[Joint]) -> dict[str, Any]:
     here = [r for r in results if r.trial.place == place]
     return {joint.name.lower(): _joint([r for r in here if r.trial.joint is joint]) for joint in joints}
 
 
-def _joint(results: Sequence[Result]) -> dict[str, Any]:
+def _joint(results: Sequence[TrialResult]) -> dict[str, Any]:
     """Repeatability within an arm, the worst arm's and pooled; and the arms' means."""
     corrected, uncorrected = _by_arm(results, "zero_error_mrad"), _by_arm(results, "uncorrected_mrad")
     means = np.nanmean(corrected, axis=1)
@@ -147,12 +147,14 @@ def _joint(results: Sequence[Result]) -> dict[str, Any]:
             "repeatability_3_sigma_mrad": _three_sigma(uncorrected),
             "mean_error_worst_arm_mrad": float(np.abs(np.nanmean(uncorrected, axis=1)).max()),
         },
-        "half_gap_error_rms_mrad": float(np.sqrt(np.nanmean([r.half_gap_error_mrad**2 for r in results]))),
+        "half_backlash_error_rms_mrad": float(
+            np.sqrt(np.nanmean([r.half_backlash_error_mrad**2 for r in results]))
+        ),
         "load_Nm": float(np.nanmean([r.load_Nm for r in results])),
     }
 
 
-def _apart(results: Sequence[Result], place: Place, joints: Sequence[Joint]) -> dict[str, Any]:
+def _mean_difference(results: Sequence[TrialResult], place: Place, joints: Sequence[Joint]) -> dict[str, Any]:
     """How far an arm's mean there is from its mean on Mars: corrected for wind-up, and not."""
     found = {}
     for joint in joints:
@@ -166,14 +168,14 @@ def _apart(results: Sequence[Result], place: Place, joints: Sequence[Joint]) -> 
     return found
 
 
-def _by_arm(results: Sequence[Result], name: str) -> np.ndarray:
+def _by_arm(results: Sequence[TrialResult], name: str) -> np.ndarray:
     """(arms, repetitions)."""
     arms = sorted({r.trial.arm for r in results})
     rows = [sorted((r for r in results if r.trial.arm == arm), key=_repetition) for arm in arms]
     return np.array([[getattr(r, name) for r in row] for row in rows])
 
 
-def _repetition(result: Result) -> int:
+def _repetition(result: TrialResult) -> int:
     return result.trial.repetition
 
 
@@ -185,17 +187,17 @@ def _worst_three_sigma(by_arm: np.ndarray) -> float:
     return 3 * float(np.nanstd(by_arm, axis=1, ddof=1).max())
 
 
-def _rated_Nm(result: Result) -> float:
+def _rated_Nm(result: TrialResult) -> float:
     return arm_named("nominal").params.joints.in_order()[result.trial.joint].hardstop_rated_Nm
 
 
-def _most(results: Sequence[Result], joint: Joint) -> float:
+def _most(results: Sequence[TrialResult], joint: Joint) -> float:
     return max(r.most_torque_Nm for r in results if r.trial.joint is joint)
 
 
 def main() -> int:
     """Print the result as JSON; exit status 1 if a joint failed, or was pressed or driven too hard."""
-    options = parser("hardstops", __doc__, EXAMPLE)
+    options = campaign_parser("hardstops", __doc__, EXAMPLE)
     options.add_argument("--arms", type=int, default=5, help="as-built arms (default 5)")
     options.add_argument("--repeats", type=int, default=50, help="times each (default 50)")
     options.add_argument("--joint", choices=list(Joint.__members__), help="one of them, in place of all")

@@ -4,14 +4,14 @@ import json
 import sys
 
 from validation import contact, faults, scenarios, tool_change
-from validation.options import parser
+from validation.options import campaign_parser
 
 EXAMPLE = "example: python -m validation.jobs --arms 2 --changers 2 --faults 60 > jobs.json"
 
 
 def main() -> int:
     """Print the result as JSON; exit status 1 if a part of it is out of its bounds."""
-    options = parser("jobs", __doc__, EXAMPLE)
+    options = campaign_parser("jobs", __doc__, EXAMPLE)
     options.add_argument(
         "--arms", type=int, default=20, help="arms of each kind for the scenarios (default 20)"
     )

@@ -4,14 +4,14 @@ import json
 import sys
 
 from validation import backlash, hardstops, shoulder_in
-from validation.options import parser
+from validation.options import campaign_parser
 
 EXAMPLE = "example: python -m validation.joints --arms 4 --repeats 50 --tours 20 > joints.json"
 
 
 def main() -> int:
     """Print the result as JSON; exit status 1 if a part of it is out of its bounds."""
-    options = parser("joints", __doc__, EXAMPLE)
+    options = campaign_parser("joints", __doc__, EXAMPLE)
     options.add_argument("--arms", type=int, default=4, help="as-built arms for the hardstops (default 4)")
     options.add_argument("--repeats", type=int, default=50, help="times each (default 50)")
     options.add_argument("--tours", type=int, default=20, help="tours of 50 poses (default 20)")

@@ -33,7 +33,7 @@ from ground.telemetry.recorder import Recorder
 from ground.telemetry.recover import recover
 from sim.loop import ClosedLoop
 from sim.placement import PlacementRun
-from validation.closed_loop import TARGET, closed_loop_of_a_placement
+from validation.closed_loop import TARGET, placement_loop
 
 CYCLES = 4000
 BOUND_S = 0.020
@@ -142,12 +142,12 @@ def one_kill(loop: ClosedLoop, path: Path, stamps_s: Any, after_s: float, whole:
     return Kill("cut short", lost_s, noted - 1 - kept)
 
 
-def kills(number: int, seed: int) -> Iterator[Kill]:
+def kill_runs(number: int, seed: int) -> Iterator[Kill]:
     """Every kill until so many have hit an open log, or something is wrong with so many runs."""
     random = np.random.default_rng(seed)
     shared = mmap.mmap(-1, 8 * (1 + CYCLES))
     stamps_s = np.frombuffer(shared, np.float64)
-    loop = closed_loop_of_a_placement(with_truth=True)
+    loop = placement_loop(with_truth=True)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "run.mcap"
         forked_s = time.monotonic()
@@ -178,9 +178,9 @@ def spread(losses: Sequence[float]) -> dict[str, float] | None:
     }
 
 
-def killed(number: int, seed: int) -> dict[str, Any]:
+def measure_losses(number: int, seed: int) -> dict[str, Any]:
     """Counts of outcomes, what is wrong, and the losses of the logs that were cut short."""
-    found = list(kills(number, seed))
+    found = list(kill_runs(number, seed))
     outcomes = [kill.outcome for kill in found]
     short = [kill for kill in found if kill.outcome == "cut short"]
     lost_ms = [1e3 * kill.lost_s for kill in short]
@@ -207,7 +207,7 @@ def main() -> None:
     options.add_argument("--seed", type=int, default=0, help="of the moments (default 0)")
     asked = options.parse_args()
     warnings.simplefilter("ignore", DeprecationWarning)  # of a fork beside the idle threads of a library
-    found = killed(asked.kills, asked.seed)
+    found = measure_losses(asked.kills, asked.seed)
     print(json.dumps(found, indent=2))
     sys.exit(1 if found["wrong"] or found["beyond_bound"] or found["kills"] < asked.kills else 0)
 

@@ -15,9 +15,8 @@ from fsw.dictionary.enums import Tool
 from fsw.kinematics.chain import forward
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.transforms import Array
-from validation.cases import Trial, arm_of
-from validation.checks import claimed
-from validation.oracle import KINDS, Eaik, different, interface_poses, random_targets
+from validation.kinematics_trials import Trial, arm_of, claimed_roots
+from validation.oracle import KINDS, Eaik, distinct_poses, interface_poses, random_targets
 
 TARGETS: Final = 10_000
 SINGLE: Final = 100
@@ -85,11 +84,11 @@ def _rigid(p_m: Array, approach: Array) -> dict[str, Any]:
 def _poses(p_m: Array, approach: Array) -> list[Array]:
     """The different full poses among the roots of each target, which EAIK has to be asked for."""
     answers = inverse_kinematics(RIGID.arm, TOOL, p_m, approach)
-    there = claimed(answers)
+    there = claimed_roots(answers)
     poses = []
     for k in range(p_m.shape[1]):
         of_target = interface_poses(RIGID, answers.output_rad[:, there[:, k], k])
-        poses += list(of_target[different(of_target)])
+        poses += list(of_target[distinct_poses(of_target)])
     return poses
 
 

@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 
 from ground.telemetry.format import CHUNK_S
 from ground.telemetry.read import read_log
-from validation.recorded import recorded
+from validation.sample_logs import record_log
 
 CYCLES: Final = 38_400
 """Ten minutes at 64 Hz."""
@@ -46,7 +46,7 @@ def seconds(job: Callable[[], Any]) -> float:
 def log_reading(cycles: int = CYCLES) -> dict[str, Any]:
     """Seconds of processor time for all channels; each ratio is the median of pairs, one after the other."""
     with TemporaryDirectory() as folder:
-        path = recorded(Path(folder) / "run.mcap", cycles, CHUNK_S)
+        path = record_log(Path(folder) / "run.mcap", cycles, CHUNK_S)
         jobs: tuple[Callable[[], Any], ...] = (
             lambda: read_log(path),
             lambda: stock(path),

@@ -17,7 +17,7 @@ import numpy as np
 from ground.accuracy.budget import COMPONENTS, COVERAGE, MOMENTS
 from ground.accuracy.monte_carlo import MonteCarloReport, MonteCarloRequest, run_monte_carlo
 from ground.accuracy.monte_carlo_report import monte_carlo_json
-from validation.options import parser
+from validation.options import campaign_parser
 
 EXAMPLE = "example: python -m validation.monte_carlo --statics 2000 --closed-loop 100 --calibrated 5"
 MOST_WIDE: Final = 1.3
@@ -110,7 +110,7 @@ def _out(found: Any, name: str = "") -> list[str]:
 
 
 def main() -> None:
-    options = parser("monte_carlo", __doc__, EXAMPLE)
+    options = campaign_parser("monte_carlo", __doc__, EXAMPLE)
     for name, count in (("--statics", 10_000), ("--closed-loop", 1000), ("--calibrated", 50)):
         options.add_argument(name, type=int, default=count, help="arms (default %(default)s)")
     options.add_argument("--results", type=Path, help="folder that keeps results, to go on after a kill")

@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 
-def parser(name: str, what: Any, example: str) -> argparse.ArgumentParser:
+def campaign_parser(name: str, what: Any, example: str) -> argparse.ArgumentParser:
     """Make the parser of `python -m validation.NAME`, with the options that all have."""
     options = argparse.ArgumentParser(
         prog=f"python -m validation.{name}",

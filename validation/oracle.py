@@ -18,9 +18,8 @@ from fsw.kinematics.chain import forward
 from fsw.kinematics.ik import inverse_kinematics
 from fsw.kinematics.transforms import Array, wrap_angle
 from sim.params import nominal_params
-from validation.cases import Trial, arm_of
-from validation.checks import claimed, smallest_singular_value
-from validation.samples import workspace_targets
+from validation.kinematics_samples import workspace_targets
+from validation.kinematics_trials import Trial, arm_of, claimed_roots, smallest_singular_value
 
 SAME_POSE: Final = 1e-9
 SAME_RAD: Final = 1e-6
@@ -71,7 +70,7 @@ def interface_poses(trial: Trial, output_rad: Array) -> Array:
     return X
 
 
-def different(poses: Array) -> list[int]:
+def distinct_poses(poses: Array) -> list[int]:
     """Indices of the first of each set of equal poses (n, 4, 4)."""
     flat = poses.reshape(len(poses), -1)
     chosen: list[int] = []
@@ -107,12 +106,12 @@ def compare(eaik: Eaik, tool: Tool, p_m: Array, approach: Array) -> Comparison:
     """For targets (3, n): whether our roots and the oracle's are the same, modulo whole turns."""
     trial = Trial("nominal", arm_of("nominal"), tool, None)
     answers = inverse_kinematics(trial.arm, tool, p_m, approach)
-    roots = claimed(answers)
+    roots = claimed_roots(answers)
     seen = Comparison(targets=p_m.shape[1])
     for k in range(seen.targets):
         ours = answers.output_rad[:, roots[:, k], k]
         poses = interface_poses(trial, ours)
-        asked = poses[different(poses)]
+        asked = poses[distinct_poses(poses)]
         theirs = np.concatenate([np.zeros((5, 0)), *(eaik.roots(X_1F) for X_1F in asked)], axis=1)
         apart = np.abs(wrap_angle(ours[:, :, None] - theirs[:, None])).max(axis=0)
         from_ours, from_theirs = apart.min(axis=1, initial=np.inf), apart.min(axis=0, initial=np.inf)

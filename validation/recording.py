@@ -31,7 +31,7 @@ from sim.loop import ClosedLoop
 from sim.record import CycleRecord
 from sim.scenario.file import load_scenario
 from sim.scenario.run import ScenarioRun, scenario_setup
-from validation.closed_loop import bare_step_s, reference, timed
+from validation.closed_loop import bare_step_s, nominal_reference, time_calls
 
 SCENARIO = "contact-science"
 STRETCH = 1000
@@ -73,7 +73,7 @@ def recording() -> dict[str, Any]:
         "cycles": len(alone) + len(beside),
         "median_us": {"without": float(np.median(alone)), "with": float(np.median(beside))},
         "end_ms": end_us / 1e3,
-        **judged(
+        **judge_cost(
             1 / (longer + end_us / run_us),
             float(np.percentile(alone, 99.9)),
             float(np.percentile(beside, 99.9)),
@@ -83,7 +83,7 @@ def recording() -> dict[str, Any]:
     }
 
 
-def judged(rate_ratio: float, alone_us: float, beside_us: float, bare_steps: float) -> dict[str, Any]:
+def judge_cost(rate_ratio: float, alone_us: float, beside_us: float, bare_steps: float) -> dict[str, Any]:
     """Judge the ratio of the rates, 99.9th percentiles of a cycle, and what truth and recorder take of it."""
     later_ms = (beside_us - alone_us) / 1e3
     return {
@@ -108,9 +108,9 @@ def _in_turns(path: Path) -> Iterator[tuple[Stretch, Stretch, float]]:
     Of the means from one sample to the next it is the median: the machine may give time to others.
     """
     arm, scenario = arm_named("nominal"), load_scenario(SCENARIO)
-    loop = ClosedLoop(scenario_setup(scenario, arm, reference(), 0))
+    loop = ClosedLoop(scenario_setup(scenario, arm, nominal_reference(), 0))
     truth_s = list[float]()
-    loop.plant.truth = timed(loop.plant.truth, truth_s)  # type: ignore[method-assign]
+    loop.plant.truth = time_calls(loop.plant.truth, truth_s)  # type: ignore[method-assign]
     cycles = iter(ScenarioRun(loop, scenario))
     list(islice(cycles, FIRST))
     while True:
@@ -131,7 +131,7 @@ def _in_turns(path: Path) -> Iterator[tuple[Stretch, Stretch, float]]:
 
 def _stretch(cycles: Iterator[CycleRecord], recorder: Recorder | None) -> Stretch:
     times_s, write_s = [time.perf_counter()], list[float]()
-    write = None if recorder is None else timed(recorder.write, write_s)
+    write = None if recorder is None else time_calls(recorder.write, write_s)
     for record in islice(cycles, STRETCH):
         if write is not None:
             write(record)

@@ -17,10 +17,10 @@ from fsw.config import CYCLE_HZ
 from ground.common.requests import BadRequest
 from ground.replay.replay import ReplayRequest, replay
 from ground.replay.tables import verdict_line
-from ground.runs.artifacts import Files
+from ground.runs.execution import RunFiles
 from ground.runs.scenario import RunRequest, run
 from sim.scenario.file import built_in_scenarios
-from validation.options import parser
+from validation.options import campaign_parser
 
 TILT_DEG = (6.0, -4.0)
 """Roll and pitch of the arms that are not nominal."""
@@ -30,7 +30,7 @@ NOT_REPLAYED = "not replayed"
 
 
 @dataclass(frozen=True, slots=True)
-class Replayed:
+class ReplayOutcome:
     """One scenario on one arm."""
 
     scenario: str
@@ -48,20 +48,20 @@ def silent(*_: object) -> None:
     """No progress bar in a worker."""
 
 
-def one(scenario: str, arm: str) -> Replayed:
+def replay_one(scenario: str, arm: str) -> ReplayOutcome:
     """Run a scenario on an arm, and replay its log."""
     with TemporaryDirectory() as folder:
         log = Path(folder) / "run.mcap"
         seed = int(arm.partition(":")[2] or 0)
         tilt_deg = None if arm == "nominal" else TILT_DEG
         try:
-            ran = run(RunRequest(scenario, arm, tilt_deg, seed, Files(log)), silent)
+            ran = run(RunRequest(scenario, arm, tilt_deg, seed, RunFiles(log)), silent)
             began = time.perf_counter()
             found = replay(ReplayRequest(log), silent).differences
         except BadRequest as error:
-            return Replayed(scenario, arm, NOT_REPLAYED, str(error), False, 0, 0, 0.0, 0.0)
+            return ReplayOutcome(scenario, arm, NOT_REPLAYED, str(error), False, 0, 0, 0.0, 0.0)
         rate = found.ticks[0] / CYCLE_HZ / (time.perf_counter() - began)
-        return Replayed(
+        return ReplayOutcome(
             scenario=scenario,
             arm=arm,
             outcome=str(ran.result.outcome),
@@ -78,16 +78,16 @@ def document(arms: int, seed: int, workers: int, only: str | None = None) -> dic
     """Every scenario, or only one, on the nominal arm, and on so many calibrated and as-built ones."""
     names = ["nominal", *(f"{k}:{seed + n}" for n in range(1, arms + 1) for k in ("calibrated", "as-built"))]
     jobs = list(product([only] if only else built_in_scenarios(), names))
-    ran: list[Replayed] = []
+    ran: list[ReplayOutcome] = []
     with ProcessPoolExecutor(workers) as pool:
-        for k, found in enumerate(pool.map(one, *zip(*jobs, strict=True)), start=1):
+        for k, found in enumerate(pool.map(replay_one, *zip(*jobs, strict=True)), start=1):
             ran.append(found)
             print(f"\rreplays: {k} of {len(jobs)}", end="", file=sys.stderr)
     print(file=sys.stderr)
-    return summed(ran)
+    return summarize(ran)
 
 
-def summed(ran: list[Replayed]) -> dict[str, object]:
+def summarize(ran: list[ReplayOutcome]) -> dict[str, object]:
     """What came of all that was asked."""
     return {
         "asked": len(ran),
@@ -99,7 +99,7 @@ def summed(ran: list[Replayed]) -> dict[str, object]:
 
 
 def main() -> None:
-    options = parser("replays", __doc__, "example: python -m validation.replays --arms 1")
+    options = campaign_parser("replays", __doc__, "example: python -m validation.replays --arms 1")
     options.add_argument("--arms", type=int, default=3, help="arms of each kind but nominal (default 3)")
     options.add_argument("--only", choices=list(built_in_scenarios()), help="one scenario, in place of all")
     asked = options.parse_args()

@@ -22,7 +22,7 @@ from sim.scenario.file import built_in_scenarios, load_scenario
 from sim.scenario.run import ScenarioRun, scenario_setup
 from sim.scenario.teaching import teach
 from sim.sequence import Outcome
-from validation.options import parser
+from validation.options import campaign_parser
 
 TILT_DEG = {"contact-science": 30.0, "tool-change": 30.0}
 """Of the scenarios that place an instrument; the others have the next."""
@@ -31,7 +31,7 @@ AS_BUILT_SHARE = 0.2
 
 
 @dataclass(frozen=True, slots=True)
-class Ran:
+class ScenarioOutcome:
     """One scenario on one arm."""
 
     scenario: str
@@ -44,13 +44,13 @@ class Ran:
     faults: tuple[str, ...]
 
 
-def on_arm(name: str, names: tuple[str, ...]) -> list[Ran]:
+def run_on_arm(name: str, names: tuple[str, ...]) -> list[ScenarioOutcome]:
     """Scenarios on one arm, whose joints have been at their hardstops."""
     reference = initial_reference(arm_named(name))
-    return [ran_on(name, scenario_name, reference) for scenario_name in names]
+    return [run_scenario_on(name, scenario_name, reference) for scenario_name in names]
 
 
-def ran_on(name: str, scenario_name: str, reference: Reference) -> Ran:
+def run_scenario_on(name: str, scenario_name: str, reference: Reference) -> ScenarioOutcome:
     """A scenario on one arm, taught its places; both of them say which way the rover is tilted."""
     seed, k = int(name.partition(":")[2] or 0), list(built_in_scenarios()).index(scenario_name)
     tilt = np.radians(TILT_DEG.get(scenario_name, SAMPLING_TILT_DEG)) * (1 - 1e-9)
@@ -70,7 +70,7 @@ def _bounds_for(arm: str, scenario: Scenario) -> Scenario:
     return replace(scenario, checks=tuple(bound(check) for check in scenario.checks))
 
 
-def _run(scenario: Scenario, name: str, seed: int, reference: Reference) -> Ran:
+def _run(scenario: Scenario, name: str, seed: int, reference: Reference) -> ScenarioOutcome:
     arm = arm_named(name)
     arm = teach(arm, reference, scenario.taught, scenario.world)
     loop = ClosedLoop(scenario_setup(scenario, arm, reference, seed))
@@ -78,7 +78,7 @@ def _run(scenario: Scenario, name: str, seed: int, reference: Reference) -> Ran:
     for _ in run:
         pass
     result = run.result()
-    return Ran(
+    return ScenarioOutcome(
         scenario=scenario.name,
         arm=name,
         tilt_deg=tuple(
@@ -96,12 +96,12 @@ def _run(scenario: Scenario, name: str, seed: int, reference: Reference) -> Ran:
     )
 
 
-def in_bounds(case: Ran) -> bool:
+def in_bounds(case: ScenarioOutcome) -> bool:
     """Whether this is as it must be: an arm that is not calibrated may miss, and no arm refuses or faults."""
     return case.outcome == Outcome.DONE if case.arm.startswith("as-built") else case.passed
 
 
-def summary(ran: list[Ran]) -> dict[str, object]:
+def summary(ran: list[ScenarioOutcome]) -> dict[str, object]:
     """By kind of arm and scenario: how many passed, the largest of each measure, and all that failed."""
     table: dict[str, dict[str, object]] = {}
     for kind in sorted({r.arm.partition(":")[0] for r in ran}):
@@ -129,9 +129,9 @@ def document(
     arms = ["nominal"]
     arms += [f"calibrated:{seed + k}" for k in range(1, calibrated + 1)]
     arms += [f"as-built:{seed + k}" for k in range(1, as_built + 1)]
-    ran: list[Ran] = []
+    ran: list[ScenarioOutcome] = []
     with ProcessPoolExecutor(workers) as pool:
-        for k, found in enumerate(pool.map(on_arm, arms, [names] * len(arms)), start=1):
+        for k, found in enumerate(pool.map(run_on_arm, arms, [names] * len(arms)), start=1):
             ran += found
             failed = [
                 f"{case.scenario}: {', '.join(case.failed) or case.outcome}"
@@ -148,7 +148,7 @@ def document(
 
 def main() -> int:
     """Print the result as JSON; exit status 1 if a scenario is out of its bounds."""
-    options = parser(
+    options = campaign_parser(
         "scenarios", __doc__, "example: python -m validation.scenarios --calibrated 2 --as-built 0"
     )
     options.add_argument("--calibrated", type=int, default=20, help="calibrated arms (default %(default)s)")

@@ -30,7 +30,7 @@ from sim.effects.structure import StandInTurret
 from sim.initialisation import initial_reference
 from sim.pose_sequence import RestState, pose_in_workspace, visit_poses
 from sim.world import World
-from validation.options import parser
+from validation.options import campaign_parser
 
 EXAMPLE = "example: python -m validation.shoulder_in --picture docs/shoulder-in.png"
 GROUPS: Final = ((8.0, 0.0), (8.0, 20.0), (19.0, 0.0), (19.0, 20.0))
@@ -51,7 +51,7 @@ SERIES: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Predicted:
+class Prediction:
     """How far the drill was from where it was predicted, and how many joints had fallen to the other side."""
 
     shoulder_in: bool
@@ -60,16 +60,16 @@ class Predicted:
     fallen: int
 
 
-def standing_in(mass_kg: float) -> BuiltArm:
+def with_stand_in_turret(mass_kg: float) -> BuiltArm:
     """The nominal arm with a stand-in turret, which flight software knows."""
     turret, nominal = StandInTurret(mass_kg), arm_named("nominal")
     return replace(nominal, effects=(*nominal.effects, turret), params=turret.on_params(nominal.params))
 
 
-def group(index: int, seed: int, poses: int, reference: Reference) -> list[Predicted]:
+def group(index: int, seed: int, poses: int, reference: Reference) -> list[Prediction]:
     """One group of poses, shoulder-out and then shoulder-in."""
     mass_kg, roll_deg = GROUPS[index]
-    arm = standing_in(mass_kg)
+    arm = with_stand_in_turret(mass_kg)
     world = World("earth", tilt_roll_rad=float(np.radians(roll_deg)))
     config = configure(arm.params)
     rng = np.random.default_rng([seed, index, 6])
@@ -77,12 +77,12 @@ def group(index: int, seed: int, poses: int, reference: Reference) -> list[Predi
     shoulders = ["out"] * (poses - inside) + ["in"] * inside
     goals = [pose_in_workspace(config, rng, Tool.DRILL, WITH_SHOULDER[shoulder]) for shoulder in shoulders]
     settled = visit_poses(arm, reference, world, goals, "off", seed)
-    return [_predicted(config, s, shoulder == "in") for s, shoulder in zip(settled, shoulders, strict=True)]
+    return [_predict(config, s, shoulder == "in") for s, shoulder in zip(settled, shoulders, strict=True)]
 
 
 def predictions(
     seed: int, workers: int, poses: int = POSES, groups: int = len(GROUPS)
-) -> list[list[Predicted]]:
+) -> list[list[Prediction]]:
     """The first groups, or all."""
     reference = initial_reference(arm_named("nominal"), seed)
     one_group = partial(group, seed=seed, poses=poses, reference=reference)
@@ -90,17 +90,17 @@ def predictions(
         return list(pool.map(one_group, range(groups)))
 
 
-def _predicted(config: Config, s: RestState, shoulder_in: bool) -> Predicted:
+def _predict(config: Config, s: RestState, shoulder_in: bool) -> Prediction:
     pressed = settle(config.arm, s.motor_rad, config.half_gap_rad, s.gravity_R_m_s2)
     believed = settle_output(config.arm, s.motor_rad + s.believed_gear_rad, s.gravity_R_m_s2)
     off = [
         1e3 * float(np.linalg.norm(tool_pose(config.arm, pose.frames, Tool.DRILL).p - s.p_RoTo_R_m))
         for pose in (pressed, believed)
     ]
-    return Predicted(shoulder_in, off[0], off[1], int(np.count_nonzero(s.true_side < 0)))
+    return Prediction(shoulder_in, off[0], off[1], int(np.count_nonzero(s.true_side < 0)))
 
 
-def document(groups: Sequence[Sequence[Predicted]]) -> dict[str, Any]:
+def document(groups: Sequence[Sequence[Prediction]]) -> dict[str, Any]:
     """The means that the picture shows."""
     every = [p for poses in groups for p in poses]
     found = {
@@ -119,7 +119,7 @@ def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values))
 
 
-def draw(groups: Sequence[Sequence[Predicted]], path: Path) -> None:
+def draw(groups: Sequence[Sequence[Prediction]], path: Path) -> None:
     """Both predictions over the poses, as in the paper's figure."""
 
     def on(figure: Any) -> None:
@@ -157,7 +157,7 @@ def draw(groups: Sequence[Sequence[Predicted]], path: Path) -> None:
 
 def main() -> int:
     """Print the means as JSON, and draw the picture; exit status 1 if the state hardly helps."""
-    options = parser("shoulder_in", __doc__, EXAMPLE)
+    options = campaign_parser("shoulder_in", __doc__, EXAMPLE)
     options.add_argument("--picture", type=Path, help="where to draw it, .png")
     options.add_argument("--poses", type=int, default=POSES, help="of each group (default %(default)s)")
     options.add_argument("--groups", type=int, default=len(GROUPS), help="so many (default %(default)s)")

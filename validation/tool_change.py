@@ -29,7 +29,7 @@ from sim.initialisation import initial_reference
 from sim.loop import ClosedLoop, Setup
 from sim.preview import Preview, random_placement
 from sim.sequence import run_sequence
-from validation.options import parser
+from validation.options import campaign_parser
 
 WARMING_K = 50.0
 STIFFNESS = 1.2
@@ -42,7 +42,7 @@ FIRST, SECOND = Tool.APXS, Tool.MAHLI
 
 
 @dataclass(frozen=True, slots=True)
-class Changed:
+class ToolChangeErrors:
     """One tool change, lateral distances [mm]."""
 
     from_spot_mm: float
@@ -65,15 +65,15 @@ def unknown_to_flight(seed: int) -> tuple[Effect, ...]:
     return (Warming(WARMING_K * float(warm)), *springs, *(GearStiffness(joint, factor) for joint in Joint))
 
 
-def one_arm(kind: str, seed: int, poses: int) -> tuple[list[Changed], list[str]]:
+def one_arm(kind: str, seed: int, poses: int) -> tuple[list[ToolChangeErrors], list[str]]:
     """The tool changes of one arm, and why others were not carried out; those are drawn again."""
     name = f"{kind}:{seed}"
     reference = initial_reference(arm_named(name))
-    found: list[Changed] = []
+    found: list[ToolChangeErrors] = []
     failed: list[str] = []
     for draw in range(1, MOST_DRAWS + 1):
         changed = one_target(name, reference, draw)
-        if isinstance(changed, Changed):
+        if isinstance(changed, ToolChangeErrors):
             found.append(changed)
         else:
             failed.append(changed)
@@ -82,27 +82,27 @@ def one_arm(kind: str, seed: int, poses: int) -> tuple[list[Changed], list[str]]
     return found, failed
 
 
-def one_target(name: str, reference: Reference, draw: int) -> Changed | str:
+def one_target(name: str, reference: Reference, draw: int) -> ToolChangeErrors | str:
     """The tool change at a target of this arm, or why a command was not carried out."""
     arm, seed = arm_named(name), int(name.partition(":")[2])
     world, seen = random_placement(1000 * seed + draw, arm, FIRST, TILT_RAD)
     effects = unknown_to_flight(seed) if name.startswith("calibrated") else ()
     loop = ClosedLoop(Setup(arm, world, joints5(seen.standoff_rad), draw, reference, effects))
-    place = placing(seen)
+    place = place_command(seen)
     target, axis = np.array(place.p_RoTo_R_m), np.array(place.approach_R)
-    first = _touched(loop, (place,))
+    first = _touch(loop, (place,))
     if isinstance(first, str):
         return f"{FIRST.name}: {first}"
     again = replace(place, tool=SECOND, branch="AUTO")
-    relative = _touched(loop.fork(), (ToolChange(SECOND),))
-    absolute = _touched(loop.fork(), (Retract(FIRST, place.standoff_m), again))
+    relative = _touch(loop.fork(), (ToolChange(SECOND),))
+    absolute = _touch(loop.fork(), (Retract(FIRST, place.standoff_m), again))
     if isinstance(relative, str):
         return f"ToolChange: {relative}"
     if isinstance(absolute, str):
         return f"{SECOND.name} by coordinates: {absolute}"
     (spot, R_1), (second, R_2) = first, relative
     frames = R_2 @ _tool_shift(arm, SECOND) - R_1 @ _tool_shift(arm, FIRST)
-    return Changed(
+    return ToolChangeErrors(
         from_spot_mm=_lateral_mm(second - spot, axis),
         absolute_mm=_lateral_mm(absolute[0] - target, axis),
         twice_absolute_mm=_lateral_mm(absolute[0] - spot, axis),
@@ -111,7 +111,7 @@ def one_target(name: str, reference: Reference, draw: int) -> Changed | str:
     )
 
 
-def placing(seen: Preview) -> PlaceTool:
+def place_command(seen: Preview) -> PlaceTool:
     """The command that places the tool where the preview looked."""
     target = p_R_from_N(np.array(seen.placement.target_N_m))
     axis = -np.array(seen.placement.normal_N) / np.linalg.norm(seen.placement.normal_N)
@@ -125,7 +125,7 @@ def not_completed(command: Command, evrs: Sequence[Evr]) -> str | None:
     return next((evr.message for evr in evrs if evr.severity >= Severity.WARNING_LO), "no reason")
 
 
-def _touched(loop: ClosedLoop, commands: tuple[Command, ...]) -> tuple[Array, Array] | str:
+def _touch(loop: ClosedLoop, commands: tuple[Command, ...]) -> tuple[Array, Array] | str:
     """True place and attitude of the tool that touches at the end, or the warning that ended it before."""
     evrs = [evr for record in run_sequence(loop, commands) for evr in record.outputs.evrs]
     problem = not_completed(commands[-1], evrs)
@@ -151,13 +151,13 @@ def _lateral_mm(apart_m: Array, axis: Array) -> float:
     return 1e3 * float(np.linalg.norm(apart_m - (apart_m @ axis) * axis))
 
 
-def summary(changes: list[Changed]) -> dict[str, object]:
+def summary(changes: list[ToolChangeErrors]) -> dict[str, object]:
     """Three times the root mean square of each lateral distance, and the largest."""
-    table = np.array([[getattr(c, name) for name in Changed.__slots__] for c in changes])
+    table = np.array([[getattr(c, name) for name in ToolChangeErrors.__slots__] for c in changes])
     three_sigma = 3 * np.sqrt(np.mean(table**2, axis=0))
     named = {
         name: {"three_sigma": float(three), "most": float(most)}
-        for name, three, most in zip(Changed.__slots__, three_sigma, table.max(axis=0), strict=True)
+        for name, three, most in zip(ToolChangeErrors.__slots__, three_sigma, table.max(axis=0), strict=True)
     }
     return {"count": len(changes), **named}
 
@@ -166,7 +166,7 @@ def document(
     calibrated: int, as_built: int, seed: int, workers: int, poses: int = POSES
 ) -> dict[str, object]:
     """The tool changes of so many arms, and which were not carried out."""
-    found: dict[str, list[Changed]] = {}
+    found: dict[str, list[ToolChangeErrors]] = {}
     failed: dict[str, list[str]] = {}
     with ProcessPoolExecutor(workers) as pool:
         for kind, count in (("calibrated", calibrated), ("as-built", as_built)):
@@ -185,7 +185,9 @@ def document(
 
 def main() -> int:
     """Print the result as JSON; exit status 1 if a calibrated arm is too far from the spot."""
-    options = parser("tool_change", __doc__, "example: python -m validation.tool_change --as-built 0")
+    options = campaign_parser(
+        "tool_change", __doc__, "example: python -m validation.tool_change --as-built 0"
+    )
     options.add_argument("--calibrated", type=int, default=50, help="calibrated arms (default %(default)s)")
     options.add_argument("--as-built", type=int, default=20, help="as-built arms (default %(default)s)")
     options.add_argument("--poses", type=int, default=POSES, help="of each arm (default %(default)s)")

@@ -14,7 +14,7 @@ from fsw.kinematics.transforms import Array, Integers
 from ground.calibration.serial.calibrate import periodic_error_rad
 from ground.calibration.serial.report import serial_json
 from ground.calibration.serial.request import SerialReport, SerialRequest, calibrate_serial
-from validation.options import parser
+from validation.options import campaign_parser
 
 EXAMPLE = "example: MARSARM_DATA=~/data python -m validation.ur10 > ur10.json"
 FILES = Path(__file__).parents[1] / "models" / "ur10"
@@ -29,7 +29,7 @@ KEPT = ("steps", "moves_target_m", "joints", "temperature")
 
 def main() -> int:
     """Print the result as JSON; exit status 1 if a bound is broken, 2 without the data."""
-    options = parser("ur10", __doc__, EXAMPLE)
+    options = campaign_parser("ur10", __doc__, EXAMPLE)
     options.add_argument(
         "--data", type=Path, default=os.environ.get("MARSARM_DATA"), help="folder with the data"
     )

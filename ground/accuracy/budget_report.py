@@ -12,7 +12,7 @@ from ground.accuracy.budget import COMPONENTS, Budget
 from ground.accuracy.budget_request import BudgetReport
 from ground.accuracy.reproduce import MagnitudeFit
 from ground.render.console import plain_console
-from ground.render.figures import drawn
+from ground.render.figures import render_png
 from ground.render.page import heading, image, paragraph, save_page, table
 
 RULES: Final = ("paper", "moments", "root sum square", "worst case")
@@ -187,7 +187,7 @@ def _poses(report: BudgetReport) -> str:
 
 def _case(budget: Budget) -> list[str]:
     rules = [(rule, *(format_value(c, budget.estimate(rule, c)) for c in COMPONENTS)) for rule in RULES]
-    picture = drawn((12, 4.6), 110, lambda figure: _draw(figure, budget))
+    picture = render_png((12, 4.6), 110, lambda figure: _draw(figure, budget))
     return [
         heading(budget.name),
         paragraph(budget.case.text),

@@ -12,7 +12,7 @@ from ground.accuracy.reproduce import TABLE_3, TABLE_4, MagnitudeFit, PaperRow, 
 from ground.accuracy.sources import ErrorModel, load_error_model
 from ground.common.files import BadOutput, check_output
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_apart, check_seed, chosen_arm, tilted_world
+from ground.common.requests import BadRequest, check_distinct_files, check_seed, make_world, select_arm
 
 ALL: Final = "all"
 POSES: Final = (100, 200_000)
@@ -62,14 +62,14 @@ def run_budget(request: BudgetRequest, progress: Progress) -> BudgetReport:
     least, most = POSES
     if not least <= request.poses <= most:
         raise BadRequest(f"poses: {request.poses} is not within {least} .. {most}")
-    gravity = tilted_world(request.gravity, 0.0, 0.0, "gravity").gravity_N_m_s2
-    check_apart({"params": request.params, "report": request.report})
+    gravity = make_world(request.gravity, 0.0, 0.0, "gravity").gravity_N_m_s2
+    check_distinct_files({"params": request.params, "report": request.report})
     try:
         if request.report is not None:
             check_output(request.report, (".html",), "report")
     except BadOutput as error:
         raise BadRequest(str(error)) from error
-    params = chosen_arm("nominal", request.params).params
+    params = select_arm("nominal", request.params).params
     config = configure(params)
     budgets = compute_budgets(model, names, config, gravity, tools, request.poses, request.seed, progress)
     rows = [

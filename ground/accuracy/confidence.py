@@ -7,7 +7,7 @@ import numpy as np
 from scipy.stats import binom, chi2, norm
 
 from fsw.kinematics.transforms import Array
-from ground.common.rates import interval
+from ground.common.rates import clopper_pearson
 
 SIGMAS: Final = 3.0
 UPPER_CONFIDENCE: Final = 0.95
@@ -112,7 +112,7 @@ def estimate_coverage(error: Array, bound: Array, wanted: float, arms: int) -> C
     low, wide = quantile_interval(normed, wanted, arms)
     return Coverage(
         share,
-        interval(share * arms, arms, CONFIDENCE),
+        clopper_pearson(share * arms, arms, CONFIDENCE),
         1 / float(np.quantile(normed, wanted)),
         (1 / wide, 1 / low),
     )

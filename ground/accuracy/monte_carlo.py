@@ -20,11 +20,11 @@ from ground.accuracy.coverage import CoverageReport, check_coverage
 from ground.accuracy.placements import MeasuredPlacement
 from ground.accuracy.sources import ErrorModel, load_error_model
 from ground.accuracy.trial import MoveMethod, run_built_trial, run_sampled_trial
-from ground.common.checkpoint import ResultsFile
+from ground.common.checkpoint import Checkpoint
 from ground.common.files import BadOutput, check_output
-from ground.common.pool import Runner, on_cluster, on_this_machine
+from ground.common.pool import Runner, cluster_runner, local_runner
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_apart, check_seed, chosen_arm, params_for
+from ground.common.requests import BadRequest, check_distinct_files, check_seed, load_params, select_arm
 from sim.world import World
 
 ArmKind = Literal["drawn", "calibrated", "as-built"]
@@ -70,7 +70,7 @@ def _job_key(job: ArmJob) -> dict[str, Any]:
 
 
 def run_jobs(
-    jobs: Sequence[ArmJob], runner: Runner, results: ResultsFile | None, progress: Progress
+    jobs: Sequence[ArmJob], runner: Runner, results: Checkpoint | None, progress: Progress
 ) -> list[dict[str, Any]]:
     """The records of all jobs in their order; those that the file has already are not done again.
 
@@ -164,11 +164,11 @@ def run_monte_carlo(request: MonteCarloRequest, progress: Progress) -> MonteCarl
     model = load_error_model()
     _check(request, model)
     jobs = _jobs(request)
-    runner = on_cluster() if request.cluster else on_this_machine(request.workers)
+    runner = cluster_runner() if request.cluster else local_runner(request.workers)
     file = (
         None
         if request.results is None
-        else ResultsFile(request.results, _results_header(request, jobs), check_arm_record)
+        else Checkpoint(request.results, _results_header(request, jobs), check_arm_record)
     )
     with nullcontext() if file is None else file:
         records = run_jobs(jobs, runner, file, progress)
@@ -190,7 +190,7 @@ def _check(request: MonteCarloRequest, model: ErrorModel) -> None:
     if request.only is not None:
         _check_range("only", request.only, (0, request.arms - 1))
     check_seed(request.seed)
-    check_apart({"params": request.params, "report": request.report, "results": request.results})
+    check_distinct_files({"params": request.params, "report": request.report, "results": request.results})
     try:
         if request.report is not None:
             check_output(request.report, (".html",), "report")
@@ -207,9 +207,9 @@ def _jobs(request: MonteCarloRequest) -> list[ArmJob]:
         numbers = [request.seed + arm for arm in arms]
         names = ["nominal" if request.built == "drawn" else f"{request.built}:{number}" for number in numbers]
         paths = [Path(str(request.params).replace(SEED_FIELD, str(number))) for number in numbers]
-        params = [params_for(name, path) for name, path in zip(names, paths, strict=True)]
+        params = [load_params(name, path) for name, path in zip(names, paths, strict=True)]
     else:
-        params = [chosen_arm("nominal", request.params).params] * len(arms)
+        params = [select_arm("nominal", request.params).params] * len(arms)
     return [
         ArmJob(request.case, built, request.places, how, request.seed, arm, own)
         for arm, own in zip(arms, params, strict=True)

@@ -16,7 +16,7 @@ from ground.accuracy.confidence import Interval, min_sample_size
 from ground.accuracy.coverage import AdditivityCheck, CoverageReport
 from ground.accuracy.monte_carlo import MonteCarloReport
 from ground.render.console import plain_console
-from ground.render.figures import drawn
+from ground.render.figures import render_png
 from ground.render.page import heading, image, paragraph, save_page, table
 
 JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
@@ -238,7 +238,7 @@ def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
         )
     ]
     if found is not None:
-        picture = drawn((11, 7), 110, lambda figure: _draw(figure, found))
+        picture = render_png((11, 7), 110, lambda figure: _draw(figure, found))
         parts += [
             paragraph(percentile_sentence(found)),
             image(picture, "errors and bounds"),

@@ -96,7 +96,8 @@ def params_with_values(params: Params, x: Array) -> Params:
 def arm_with_values(drawn: Arm, x: Array, stand_in: bool) -> tuple[Arm, Pose]:
     """The arm as arrays with these numbers, and the frame X_RD in which it is mounted, which Arm1 displaces.
 
-    The same arm as that of `params_with_values`, but for the axes in which springs yield: here they stay with the
+    The same arm as that of `params_with_values`, but for the axes in which
+    springs yield: here they stay with the
     springs, as in the plant. It makes less than a micrometre. A stand-in turret is weighed: its mass stays.
     """
     factor = np.exp(x)

@@ -16,7 +16,7 @@ from fsw.kinematics.transforms import Array, Pose
 from ground.calibration.campaign_data import BelievedPoses, Campaign
 from ground.calibration.checks import BadData
 from ground.calibration.screws import MeasuredPoses
-from ground.common.files import written_whole
+from ground.common.files import atomic_write
 from ground.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file
 
 JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
@@ -49,7 +49,7 @@ def save_campaign(campaign: Campaign, path: Path) -> None:
         BadOutput: the file cannot be written.
     """
     table = pa.table(dict(_columns(campaign)))
-    with written_whole(path, "data") as file:
+    with atomic_write(path, "data") as file:
         if path.suffix.lower() == ".csv":
             csv.write_csv(table, file)
         else:

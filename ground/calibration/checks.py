@@ -125,31 +125,36 @@ def _check_tracker(campaign: Campaign) -> Iterator[str]:
         few = np.flatnonzero(campaign.targets_seen[row] < MIN_TARGETS)
         if few.size:
             yield (
-                f"targets_{name}: {_list_poses(few)} with fewer than {MIN_TARGETS}: no frame can be built of them; "
+                f"targets_{name}: {_list_poses(few)} with fewer than {MIN_TARGETS}: no frame can be built "
+                "of them; "
                 "measure again or leave out"
             )
     lost = np.flatnonzero(campaign.misfit_m > MAX_MISFIT_M)
     if lost.size:
         yield (
-            f"misfit_m: {_list_poses(lost)} with targets up to {1e3 * campaign.misfit_m.max():.2f} mm from where "
+            f"misfit_m: {_list_poses(lost)} with targets up to {1e3 * campaign.misfit_m.max():.2f} mm "
+            "from where "
             "rigid bodies have them: the tracker lost its lock or took another target; measure again"
         )
     moved = np.flatnonzero(campaign.tracker_moved_m > MAX_TRACKER_MOTION_M)
     if moved.size:
         yield (
-            f"tracker_moved_m: {_list_poses(moved)}, ground up to {1e3 * campaign.tracker_moved_m.max():.1f} mm "
+            f"tracker_moved_m: {_list_poses(moved)}, ground up to "
+            f"{1e3 * campaign.tracker_moved_m.max():.1f} mm "
             "from where it was: the tracker lost its lock or was moved; measure again"
         )
     stale = np.flatnonzero(_find_stale(campaign)) + 1
     if stale.size:
         yield (
-            f"p_*_m: {_list_poses(stale)} exactly where the pose before was, though joints moved: the tracker "
+            f"p_*_m: {_list_poses(stale)} exactly where the pose before was, though joints moved: the "
+            "tracker "
             "lost its lock; measure again"
         )
     again = np.setdiff1d(_find_copies(campaign), stale)
     if again.size:
         yield (
-            f"p_*_m, q_*: {_list_poses(again)} to the last digit as a pose before, which no tracker measures; "
+            f"p_*_m, q_*: {_list_poses(again)} to the last digit as a pose before, which no tracker "
+            "measures; "
             "leave out rows that were copied"
         )
 
@@ -238,9 +243,15 @@ def _check_fit(found: Fit, frames: Identifiability, verdict: HoldOutValidation) 
             "something acts that neither the arm nor the tracker has in its model"
         )
     if found.sigma0 < MIN_SIGMA0:
-        yield f"residuals: {found.sigma0:.2f} of the noise, {MIN_SIGMA0} at least: the covariances are too large"
+        yield (
+            f"residuals: {found.sigma0:.2f} of the noise, {MIN_SIGMA0} at least: the covariances "
+            f"are too large"
+        )
     if verdict.ratio > MAX_HELD_OUT_RATIO:
-        yield f"held-out poses: {verdict.ratio:.2f} times what noise and covariance allow; {MAX_HELD_OUT_RATIO} at most"
+        yield (
+            f"held-out poses: {verdict.ratio:.2f} times what noise and covariance allow; "
+            f"{MAX_HELD_OUT_RATIO} at most"
+        )
     prior = np.array([parameter.prior_sigma for parameter in found.parameters])
     for k in np.flatnonzero(np.abs(found.values) > MAX_PRIOR_SIGMAS * prior):
         yield (

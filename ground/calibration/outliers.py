@@ -62,7 +62,8 @@ def reject_outliers(
         keep = found.used & (np.arange(share.size) != worst)
         if np.count_nonzero(asked & ~keep) > MAX_OUTLIER_SHARE * count:
             raise TooManyOutliers(
-                f"more than {MAX_OUTLIER_SHARE:.0%} of {count} poses do not agree with the rest: no arm explains them all"
+                f"more than {MAX_OUTLIER_SHARE:.0%} of {count} poses do not agree with the rest: no arm "
+                "explains them all"
             )
         found = fit(parameters, model, found.values, keep)
     back = asked & ~found.used & (share <= 1.0)

@@ -15,8 +15,8 @@ from fsw.kinematics.transforms import Pose
 from ground.calibration.arm_parameters import move_zeros_to_hardstops
 from ground.calibration.calibrate import Calibration, rms_m
 from ground.calibration.campaign_data import Campaign
-from ground.common.files import written_whole
-from ground.common.params_text import params_text
+from ground.common.files import atomic_write
+from ground.common.params_toml import params_toml
 
 
 def calibrated_params(found: Calibration, tools: dict[Tool, Pose] | None = None) -> Params:
@@ -61,7 +61,10 @@ def provenance(found: Calibration) -> tuple[str, ...]:
         f"{1e3 * rms_m(held):.3f} mm on {held.shape[1]} held-out poses.",
         f"Residuals {best.sigma0:.3f} of the noise, p = {best.p_value:.3f}; "
         f"held out {found.hold_out.ratio:.3f} of what is expected.",
-        f"Rank {found.frame_identifiability.rank} of 42 frame numbers, {found.identifiability.rank} of {best.values.size} in all.",
+        (
+            f"Rank {found.frame_identifiability.rank} of 42 frame numbers, {found.identifiability.rank} of "
+            f"{best.values.size} in all."
+        ),
         "Encoder zeros are in the hardstop angles: find every hardstop anew with this file loaded.",
     )
 
@@ -72,10 +75,10 @@ def save_parameter_file(found: Calibration, params: Params, path: Path) -> None:
     Raises:
         BadOutput: it cannot be written.
     """
-    with written_whole(path, "out") as file:
+    with atomic_write(path, "out") as file:
         file.write(parameter_text(found, params).encode())
 
 
 def parameter_text(found: Calibration, params: Params) -> str:
     """Every parameter that is not nominal, as TOML."""
-    return params_text(found.nominal, params, provenance(found))
+    return params_toml(found.nominal, params, provenance(found))

@@ -16,10 +16,9 @@ from ground.calibration.identifiability import UnidentifiableGroup
 from ground.calibration.parameter_file import data_sha256, provenance
 from ground.calibration.request import CalibrateReport
 from ground.calibration.verify import PlaceErrors, Verification
-from ground.render.console import plain_console
-from ground.render.figures import drawn
+from ground.render.console import plain_console, pluralize
+from ground.render.figures import render_png
 from ground.render.page import heading, image, paragraph, save_page, table
-from ground.render.words import counted
 
 
 def calibration_json(report: CalibrateReport) -> dict[str, Any]:
@@ -105,7 +104,7 @@ def describe_group(group: UnidentifiableGroup) -> str:
     names = ", ".join(group.names)
     if group.identified == 0:
         return f"{names}: not seen"
-    return f"{names}: seen as {counted(group.identified, 'combination')}"
+    return f"{names}: seen as {pluralize(group.identified, 'combination')}"
 
 
 def summary_rows(found: Calibration) -> list[tuple[str, str]]:
@@ -130,7 +129,10 @@ def summary_rows(found: Calibration) -> list[tuple[str, str]]:
         ("held-out poses", f"{found.hold_out.ratio:.3f} of what noise and covariance let expect"),
         (
             "rank, frames",
-            f"{found.frame_identifiability.rank} of 42, condition {found.frame_identifiability.condition:.0f}",
+            (
+                f"{found.frame_identifiability.rank} of 42, condition "
+                f"{found.frame_identifiability.condition:.0f}"
+            ),
         ),
         ("rank, all", f"{found.identifiability.rank} of {len(best.parameters)}"),
     ]
@@ -206,11 +208,15 @@ def save_calibration_page(report: CalibrateReport, path: Path) -> None:
             "Shaded: shoulder-in poses. Grey: calibrated numbers, but every output always on one side of its "
             "gap, as if the backlash state were not known."
         ),
-        image(drawn((12, 7), 110, lambda figure: _draw_errors(figure, found)), "errors before and after"),
+        image(
+            render_png((12, 7), 110, lambda figure: _draw_errors(figure, found)), "errors before and after"
+        ),
         heading("Encoder zeros"),
         table(("joint", "zero (rz of its frame)", "hardstop at"), zero_rows(found)),
         heading("How well combinations of the 42 frame numbers are seen"),
-        image(drawn((12, 3.2), 110, lambda figure: _draw_singular_values(figure, found)), "singular values"),
+        image(
+            render_png((12, 3.2), 110, lambda figure: _draw_singular_values(figure, found)), "singular values"
+        ),
         paragraph("Told apart by no pose of this campaign, and left by the drawing:"),
         *(paragraph(one) for one in words),
     ]

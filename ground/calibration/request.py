@@ -21,7 +21,7 @@ from ground.calibration.parameter_file import calibrated_params, save_parameter_
 from ground.calibration.verify import Verification, register_tools, verify_calibration
 from ground.common.files import BadOutput, check_output
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_apart, check_seed, chosen_arm
+from ground.common.requests import BadRequest, check_distinct_files, check_seed, select_arm
 from sim.arms import BuiltArm
 from sim.params import BadParams, check_params, nominal_params, params_over_nominal
 from sim.tracker import Tracker
@@ -108,7 +108,7 @@ def _check_request(request: CalibrateRequest) -> tuple[BuiltArm | None, Params]:
     if not all(0 <= um < 1e4 for um in request.tracker_um) or request.tracker_um[0] == 0:
         raise BadRequest("tracker: its noise is not within 0 .. 10000 micrometres, the first above 0")
     files = {name: getattr(request, name) for name in ("params", "data", "out", "report", "save_data")}
-    check_apart(files)
+    check_distinct_files(files)
     try:
         for name, suffixes in (
             ("out", (".toml",)),
@@ -120,7 +120,7 @@ def _check_request(request: CalibrateRequest) -> tuple[BuiltArm | None, Params]:
         base = nominal_params() if request.params is None else params_over_nominal(request.params)
     except (BadOutput, BadParams) as error:
         raise BadRequest(str(error)) from error
-    return (None if request.arm is None else chosen_arm(request.arm, request.params)), base
+    return (None if request.arm is None else select_arm(request.arm, request.params)), base
 
 
 def _require_table(path: Path | None) -> Path:

@@ -1,34 +1,30 @@
-"""The command line; thin.
-
-Exit status: 0 done, 2 bad input, 3 the arm refused or faulted and is safe, 1 a bug.
-"""
+"""What becomes of the output of a command when nobody takes it."""
 
 import json
 import os
 import signal
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO, TextIOWrapper
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, Final, NoReturn
 
 import typer
 
 from ground.cli.budget import budget
-from ground.cli.calibrate import calibrate
-from ground.cli.calibrate_serial import calibrate_serial
-from ground.cli.closed_output import checked_stdout
+from ground.cli.calibrate import calibrate, calibrate_serial
 from ground.cli.diagnose import diagnose
-from ground.cli.dictionary import dictionary
-from ground.cli.effects import effects
+from ground.cli.dictionary import dictionary, effects
 from ground.cli.gap import gap_app
 from ground.cli.hardstop import hardstop
 from ground.cli.ik import ik, reach
-from ground.cli.log import log_app
-from ground.cli.log_import import import_log
+from ground.cli.log import import_log, log_app
 from ground.cli.monte_carlo import monte_carlo
 from ground.cli.options import (
-    ARM_SAFE,
-    BAD_INPUT,
+    EXIT_ARM_SAFE,
+    EXIT_BAD_INPUT,
     ArmOption,
     DiskOption,
     EffectOption,
@@ -38,8 +34,8 @@ from ground.cli.options import (
     RollOption,
     SeedOption,
     Vector,
-    end,
-    show,
+    fail,
+    print_result,
 )
 from ground.cli.replay import replay
 from ground.cli.run import run, scenarios
@@ -101,9 +97,9 @@ def place(
     """
     from ground.common.progress_bar import progress_bar
     from ground.common.requests import BadRequest
-    from ground.runs.artifacts import Files
+    from ground.runs.execution import RunFiles
+    from ground.runs.place import PlaceRequest
     from ground.runs.place import place as carry_out
-    from ground.runs.place_request import PlaceRequest
     from ground.runs.tables import place_json, place_table
 
     request = PlaceRequest(
@@ -117,14 +113,14 @@ def place(
         params=params,
         effects=tuple(effect or ()),
         has_surface=surface,
-        files=Files(log, None if no_picture else picture, movie, when_disk_full),
+        files=RunFiles(log, None if no_picture else picture, movie, when_disk_full),
     )
     try:
         with progress_bar() as progress:
             report = carry_out(request, progress)
     except BadRequest as error:
-        end(str(error), BAD_INPUT, as_json)
-    show(place_json(report), as_json, lambda: place_table(report))
+        fail(str(error), EXIT_BAD_INPUT, as_json)
+    print_result(place_json(report), as_json, lambda: place_table(report))
     _finish(report)
 
 
@@ -148,17 +144,17 @@ app.command()(diagnose)
 
 def _finish(report: "PlaceReport") -> None:
     if report.result.outcome != "done":
-        raise typer.Exit(ARM_SAFE)
+        raise typer.Exit(EXIT_ARM_SAFE)
 
 
 def main() -> None:
     """The entry point of the command `marsarm`."""
-    _free_of_gl_settings()
+    _drop_gl_settings()
     for ended in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(ended) is not signal.SIG_IGN:  # as nohup has it
             signal.signal(ended, lambda number, _: sys.exit(128 + number))  # so that half-written files go
     warnings.simplefilter("ignore", RuntimeWarning)  # numpy's are for developers; users get sentences
-    with checked_stdout():
+    with buffer_stdout():
         _run()
 
 
@@ -175,7 +171,49 @@ def _run() -> NoReturn:
     sys.exit(status)
 
 
-def _free_of_gl_settings() -> None:
+def _drop_gl_settings() -> None:
     """Before mujoco is imported: a MUJOCO_GL that it cannot serve stops the import. Pictures need none."""
     if os.environ.get("MUJOCO_GL", "").lower().strip() not in GL_OFF:
         os.environ.pop("MUJOCO_GL", None)
+
+
+EXIT_PIPE_CLOSED: Final = 128 + signal.SIGPIPE
+"""The status of a program whose reader has gone, as `head` does."""
+
+
+@contextmanager
+def buffer_stdout() -> Iterator[None]:
+    """Keep what is printed and write it at the end: a full disk ends with a sentence, a gone reader quietly.
+
+    A terminal gets it at once.
+    """
+    real = sys.stdout
+    if real is None or real.isatty():
+        yield
+        return
+    kept = BytesIO()
+    sys.stdout = TextIOWrapper(kept, real.encoding, real.errors, write_through=True)
+    try:
+        yield
+    finally:
+        printed = kept.getvalue()
+        sys.stdout = real
+        _write(printed)
+
+
+def _write(printed: bytes) -> None:
+    try:
+        sys.stdout.buffer.write(printed)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _discard_stdout()
+        sys.exit(EXIT_PIPE_CLOSED)
+    except OSError as error:
+        _discard_stdout()
+        print(f"standard output: cannot be written ({error.strerror}); give it room", file=sys.stderr)
+        sys.exit(EXIT_BAD_INPUT)
+
+
+def _discard_stdout() -> None:
+    """Let the interpreter not try again when it ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

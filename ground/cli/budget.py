@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from ground.cli.options import BAD_INPUT, JsonOption, ParamsOption, ReportOption, end, show
+from ground.cli.options import EXIT_BAD_INPUT, JsonOption, ParamsOption, ReportOption, fail, print_result
 
 
 def budget(
@@ -50,5 +50,5 @@ def budget(
             if report is not None:
                 save_budget_page(found, report)
     except BadRequest as error:
-        end(str(error), BAD_INPUT, as_json)
-    show(budget_json(found), as_json, lambda: budget_table(found))
+        fail(str(error), EXIT_BAD_INPUT, as_json)
+    print_result(budget_json(found), as_json, lambda: budget_table(found))

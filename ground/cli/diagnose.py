@@ -7,14 +7,14 @@ from typing import Annotated
 import typer
 
 from ground.cli.options import (
-    BAD_INPUT,
+    EXIT_BAD_INPUT,
     EffectOption,
     JsonOption,
     ParamsOption,
     ReportOption,
     SeedOption,
-    end,
-    show,
+    fail,
+    print_result,
 )
 
 
@@ -83,11 +83,11 @@ def diagnose(
         with progress_bar() as progress:
             result = diagnosed(request, progress)
     except (BadRequest, BadOutput, NotForDiagnosis, PlantDiverged) as error:
-        end(str(error), BAD_INPUT, as_json)
-    show(told(result), as_json, lambda: gap_table(result))
+        fail(str(error), EXIT_BAD_INPUT, as_json)
+    print_result(told(result), as_json, lambda: gap_table(result))
     try:
         for sentence in save_diagnosis(result, request, files):
             print(sentence, file=sys.stderr)
     except BadRequest as error:  # after minutes: what was found is told all the same
         print(error, file=sys.stderr)
-        raise typer.Exit(BAD_INPUT) from error
+        raise typer.Exit(EXIT_BAD_INPUT) from error

@@ -4,7 +4,19 @@ from typing import Annotated
 
 import typer
 
-from ground.cli.options import BAD_INPUT, JsonOption, end, show
+from ground.cli.options import EXIT_BAD_INPUT, JsonOption, fail, print_result
+
+
+def effects(as_json: JsonOption = False) -> None:
+    """List the effects that the plant knows: what each is, where it can sit, and its parameters.
+
+    Switch one on with --effect of run, place or hardstop, or with [[effect]] in a scenario.
+
+    Example: marsarm run contact-science --effect coulomb-friction:elbow:torque_Nm=25
+    """
+    from ground.dictionary.effect_tables import effects_json, effects_table
+
+    print_result({"effects": effects_json()}, as_json, effects_table)
 
 
 def dictionary(
@@ -30,13 +42,17 @@ def dictionary(
     from ground.dictionary.tables import dictionary_json, dictionary_markdown, dictionary_tables
 
     if as_json and markdown:
-        end("dictionary: --json and --markdown exclude each other; give one of the two", BAD_INPUT, as_json)
+        fail(
+            "dictionary: --json and --markdown exclude each other; give one of the two",
+            EXIT_BAD_INPUT,
+            as_json,
+        )
     whole = whole_dictionary()
     try:
         part = whole if pattern is None else filter_dictionary(whole, pattern)
     except BadRequest as error:
-        end(str(error), BAD_INPUT, as_json)
+        fail(str(error), EXIT_BAD_INPUT, as_json)
     if markdown:
         print(dictionary_markdown(part), end="")
     else:
-        show(dictionary_json(part), as_json, lambda: dictionary_tables(part))
+        print_result(dictionary_json(part), as_json, lambda: dictionary_tables(part))

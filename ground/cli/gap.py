@@ -10,17 +10,17 @@ from typing import Annotated
 import typer
 
 from ground.cli.options import (
-    BAD_INPUT,
+    EXIT_BAD_INPUT,
     ArmOption,
     EffectOption,
     JsonOption,
     ParamsOption,
     SeedOption,
-    end,
-    show,
+    fail,
+    print_result,
 )
 
-LEAKED = 1
+EXIT_LEAKED = 1
 
 FolderArgument = Annotated[
     Path, typer.Argument(help="A folder that `gap blind make` made.", metavar="FOLDER")
@@ -64,7 +64,7 @@ def record(
         with progress_bar() as progress:
             paths = recorded(request, progress)
     document = {"logs": [str(path) for path in paths]}
-    show(document, as_json, lambda: print(f"{len(paths)} logs in {out}"))
+    print_result(document, as_json, lambda: print(f"{len(paths)} logs in {out}"))
 
 
 @blind_app.command()
@@ -81,7 +81,7 @@ def make(
 
     Example: marsarm gap blind make --cases 200 --seed 1 --out blind
     """
-    from ground.common.pool import on_this_machine
+    from ground.common.pool import local_runner
     from ground.common.progress_bar import progress_bar
     from ground.diagnosis.arm.blind.make import make as make_cases
     from ground.diagnosis.arm.blind.sealed import TellsTruth
@@ -91,19 +91,21 @@ def make(
         print(f"SHA-256 of the truth: {digest}", file=sys.stderr)
 
     with _bad_input(as_json):
-        check_make(cases, seed, out, _jobs(jobs))
+        check_make(cases, seed, out, _worker_count(jobs))
         try:
             with progress_bar() as progress:
-                made = make_cases(out, cases, seed, on_this_machine(_jobs(jobs)), progress, publish)
+                made = make_cases(out, cases, seed, local_runner(_worker_count(jobs)), progress, publish)
         except TellsTruth as error:
-            end(str(error), LEAKED, as_json)
+            fail(str(error), EXIT_LEAKED, as_json)
     document = {
         "digest": made.digest,
         "cases": made.cases,
         "recorded": made.recorded,
         "left_out": list(made.left_out),
     }
-    show(document, as_json, lambda: print(f"{made.cases} cases, {made.recorded} of them recorded now"))
+    print_result(
+        document, as_json, lambda: print(f"{made.cases} cases, {made.recorded} of them recorded now")
+    )
 
 
 @blind_app.command()
@@ -112,16 +114,18 @@ def solve(folder: FolderArgument, jobs: JobsOption = None, as_json: JsonOption =
 
     Example: marsarm gap blind solve blind
     """
-    from ground.common.pool import on_this_machine
+    from ground.common.pool import local_runner
     from ground.common.progress_bar import progress_bar
     from ground.diagnosis.arm.blind.solver import ARM
     from ground.diagnosis.blind.request import check_jobs
     from ground.diagnosis.blind.solve import solve as solve_cases
 
     with _bad_input(as_json), progress_bar() as progress:
-        check_jobs(_jobs(jobs))
-        now, cases = solve_cases(folder, ARM, on_this_machine(_jobs(jobs)), progress)
-    show({"solved": now, "cases": cases}, as_json, lambda: print(f"{cases} cases, {now} of them solved now"))
+        check_jobs(_worker_count(jobs))
+        now, cases = solve_cases(folder, ARM, local_runner(_worker_count(jobs)), progress)
+    print_result(
+        {"solved": now, "cases": cases}, as_json, lambda: print(f"{cases} cases, {now} of them solved now")
+    )
 
 
 @blind_app.command()
@@ -149,7 +153,7 @@ def score(
         found = scored(folder, kept_campaign, partial, progress)
         if out is not None:
             save_score(found, out)
-    show(score_json(found), as_json, lambda: print(score_markdown(found), end=""))
+    print_result(score_json(found), as_json, lambda: print(score_markdown(found), end=""))
 
 
 @contextmanager
@@ -161,8 +165,8 @@ def _bad_input(as_json: bool) -> Iterator[None]:
     try:
         yield
     except (BadRequest, BadOutput, NotForDiagnosis) as error:
-        end(str(error), BAD_INPUT, as_json)
+        fail(str(error), EXIT_BAD_INPUT, as_json)
 
 
-def _jobs(asked: int | None) -> int:
+def _worker_count(asked: int | None) -> int:
     return (os.cpu_count() or 1) if asked is None else asked

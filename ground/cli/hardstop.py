@@ -6,8 +6,8 @@ from typing import Annotated
 import typer
 
 from ground.cli.options import (
-    ARM_SAFE,
-    BAD_INPUT,
+    EXIT_ARM_SAFE,
+    EXIT_BAD_INPUT,
     ArmOption,
     EffectOption,
     JsonOption,
@@ -15,11 +15,11 @@ from ground.cli.options import (
     PitchOption,
     RollOption,
     SeedOption,
-    end,
-    show,
+    fail,
+    print_result,
 )
 
-Pose = tuple[float, float, float, float, float]
+JointAngles = tuple[float, float, float, float, float]
 
 
 def hardstop(
@@ -48,7 +48,7 @@ def hardstop(
         ),
     ] = True,
     start: Annotated[
-        Pose | None,
+        JointAngles | None,
         typer.Option(
             help="Where the arm stands, degrees, for one joint; if not given, in its pose near its hardstop.",
             metavar="J1 J2 J3 J4 J5",
@@ -81,14 +81,15 @@ def hardstop(
     """
     from ground.common.progress_bar import progress_bar
     from ground.common.requests import BadRequest
-    from ground.runs.hardstop import HardstopRequest
+    from ground.runs.hardstop import HardstopRequest, plan_stops
     from ground.runs.hardstop import hardstop as carry_out
-    from ground.runs.hardstop_plan import plan_stops
     from ground.runs.hardstop_tables import hardstop_json, hardstop_table, plan_json, plan_table
 
     if every and joint is not None:
-        end(
-            f"all: --joint {joint} asks for one joint, --all for all; give one of the two", BAD_INPUT, as_json
+        fail(
+            f"all: --joint {joint} asks for one joint, --all for all; give one of the two",
+            EXIT_BAD_INPUT,
+            as_json,
         )
     request = HardstopRequest(
         joint=joint,
@@ -108,12 +109,12 @@ def hardstop(
     try:
         if plan:
             plans = plan_stops(request)
-            show(plan_json(plans), as_json, lambda: plan_table(plans))
+            print_result(plan_json(plans), as_json, lambda: plan_table(plans))
             return
         with progress_bar() as progress:
             report = carry_out(request, progress)
     except BadRequest as error:
-        end(str(error), BAD_INPUT, as_json)
-    show(hardstop_json(report), as_json, lambda: hardstop_table(report))
+        fail(str(error), EXIT_BAD_INPUT, as_json)
+    print_result(hardstop_json(report), as_json, lambda: hardstop_table(report))
     if report.outcome != "done":
-        raise typer.Exit(ARM_SAFE)
+        raise typer.Exit(EXIT_ARM_SAFE)

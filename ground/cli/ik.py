@@ -5,7 +5,16 @@ from typing import Annotated
 
 import typer
 
-from ground.cli.options import BAD_INPUT, JsonOption, ParamsOption, PitchOption, RollOption, Vector, end, show
+from ground.cli.options import (
+    EXIT_BAD_INPUT,
+    JsonOption,
+    ParamsOption,
+    PitchOption,
+    RollOption,
+    Vector,
+    fail,
+    print_result,
+)
 
 ToolOption = Annotated[str, typer.Option(help="drill, drt, mahli, apxs or portion.", metavar="TOOL")]
 CompensateOption = Annotated[
@@ -89,11 +98,11 @@ def ik(
         with progress_bar() as progress:
             report = solve(IkRequest(model, frame, position, approach, batch, out), progress)
     except BadRequest as error:
-        end(str(error), BAD_INPUT, as_json)
+        fail(str(error), EXIT_BAD_INPUT, as_json)
     if isinstance(report, IkReport):
-        show(ik_json(report), as_json, lambda: ik_table(report))
+        print_result(ik_json(report), as_json, lambda: ik_table(report))
     else:
-        show(batch_json(report), as_json, lambda: batch_table(report))
+        print_result(batch_json(report), as_json, lambda: batch_table(report))
 
 
 def reach(
@@ -130,5 +139,5 @@ def reach(
         with progress_bar() as progress:
             report = carry_out(ReachRequest(model, samples, seed, None if no_picture else picture), progress)
     except BadRequest as error:
-        end(str(error), BAD_INPUT, as_json)
-    show(reach_json(report), as_json, lambda: reach_table(report))
+        fail(str(error), EXIT_BAD_INPUT, as_json)
+    print_result(reach_json(report), as_json, lambda: reach_table(report))

@@ -1,4 +1,4 @@
-"""The verbs `log ...`; thin."""
+"""The verb `log import`; thin."""
 
 import sys
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ground.cli.options import BAD_INPUT, JsonOption, end, show
+from ground.cli.options import EXIT_BAD_INPUT, JsonOption, fail, print_result
 
 if TYPE_CHECKING:
     from ground.telemetry.read import Log
@@ -38,7 +38,7 @@ def info(log: LogArgument, as_json: JsonOption = False) -> None:
     with _bad_input(as_json):
         found = _read(log)
         document = info_json(found)
-    show(document, as_json, lambda: info_table(found))
+    print_result(document, as_json, lambda: info_table(found))
 
 
 @log_app.command()
@@ -61,7 +61,7 @@ def channels(
     with _bad_input(as_json):
         read = _read(log, start, stop)
         found = select_channels(read, glob or ())
-    show(channels_json(read, found), as_json, lambda: channels_table(found))
+    print_result(channels_json(read, found), as_json, lambda: channels_table(found))
 
 
 @log_app.command()
@@ -83,20 +83,20 @@ def plot(
     Example: marsarm log plot run.mcap '/joint.motor_rad[2]' /drive.current_limit_A --out joints.png
     """
     from ground.common.files import check_output
-    from ground.common.requests import check_apart
-    from ground.render.words import counted
+    from ground.common.requests import check_distinct_files
+    from ground.render.console import pluralize
     from ground.telemetry.figure import save_log_figure
     from ground.telemetry.inspection import select_channels
 
     with _bad_input(as_json):
-        check_apart({"LOG": log, "out": check_output(out, (".png",), "out")})
+        check_distinct_files({"LOG": log, "out": check_output(out, (".png",), "out")})
         read = _read(log, start, stop)
         found = select_channels(read, channel)
         missing = save_log_figure(found, read.evrs, out)
     if missing is not None:
-        end(f"out {out}: not drawn, {missing}", BAD_INPUT, as_json)
+        fail(f"out {out}: not drawn, {missing}", EXIT_BAD_INPUT, as_json)
     document = {"log": str(log), "picture": str(out), "channels": [one.name for one in found]}
-    show(document, as_json, lambda: print(f"{counted(len(found), 'channel')} in {out}"))
+    print_result(document, as_json, lambda: print(f"{pluralize(len(found), 'channel')} in {out}"))
 
 
 @log_app.command()
@@ -125,7 +125,7 @@ def export(
     with _bad_input(as_json), progress_bar() as progress:
         read = _read(log, start, stop)
         files = carry_out(read, out, topic or (), progress, ".csv" if as_csv else ".parquet")
-    show(export_json(read, files), as_json, lambda: export_table(read, files))
+    print_result(export_json(read, files), as_json, lambda: export_table(read, files))
 
 
 @log_app.command()
@@ -144,7 +144,7 @@ def recover(
 
     with _bad_input(as_json), progress_bar() as progress:
         recovered = carry_out(bad, good, progress)
-    show(recovery_json(bad, good, recovered), as_json, lambda: recovery_table(good, recovered))
+    print_result(recovery_json(bad, good, recovered), as_json, lambda: recovery_table(good, recovered))
 
 
 @contextmanager
@@ -159,7 +159,7 @@ def _bad_input(as_json: bool) -> Iterator[None]:
     try:
         yield
     except (LogError, NoSuchChannel, BadOutput, BadRequest, TooManyChannels) as error:
-        end(str(error), BAD_INPUT, as_json)
+        fail(str(error), EXIT_BAD_INPUT, as_json)
 
 
 def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) -> "Log":
@@ -174,3 +174,32 @@ def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) 
     if read.behind:
         print(f"log {log}: {trailing_bytes_text(read.behind)}", file=sys.stderr)
     return read
+
+
+def import_log(
+    table: Annotated[
+        Path, typer.Argument(help="Telemetry as .parquet, .csv, .tsv or .txt.", metavar="TABLE")
+    ],
+    mapping: Annotated[
+        Path, typer.Argument(help="Which columns are which channels.", metavar="MAPPING.toml")
+    ],
+    log: Annotated[Path, typer.Argument(help="The log; what was there is replaced.", metavar="OUT.mcap")],
+    as_json: JsonOption = False,
+) -> None:
+    """Read someone else's telemetry, a table with named columns, into a log like ours.
+
+    docs/import.md says how a mapping is written. Nothing is made up: a channel that is not mapped is not in
+    the log, and a packet that lacks a field is kept under /imported/ with those that it has.
+
+    Example: marsarm log import arm.csv arm.toml arm.mcap
+    """
+    from ground.common.progress_bar import progress_bar
+    from ground.common.requests import BadRequest
+    from ground.telemetry.imports.job import ImportRequest, import_json, import_table, import_tables
+
+    try:
+        with progress_bar() as progress:
+            report = import_table(ImportRequest(table, mapping, log), progress)
+    except BadRequest as error:
+        fail(str(error), EXIT_BAD_INPUT, as_json)
+    print_result(import_json(report), as_json, lambda: import_tables(report))

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from ground.cli.options import ARM_SAFE, BAD_INPUT, JsonOption, ReportOption, end, show
+from ground.cli.options import EXIT_ARM_SAFE, EXIT_BAD_INPUT, JsonOption, ReportOption, fail, print_result
 
 
 def monte_carlo(
@@ -95,8 +95,8 @@ def monte_carlo(
             if report is not None:
                 save_monte_carlo_page(found, report)
     except BadRequest as error:
-        end(str(error), BAD_INPUT, as_json)
+        fail(str(error), EXIT_BAD_INPUT, as_json)
     print_table = monte_carlo_table if only is None else one_arm_table
-    show(monte_carlo_json(found), as_json, lambda: print_table(found))
+    print_result(monte_carlo_json(found), as_json, lambda: print_table(found))
     if not found.trials:
-        raise typer.Exit(ARM_SAFE)
+        raise typer.Exit(EXIT_ARM_SAFE)

@@ -8,8 +8,8 @@ from typing import Annotated, Any, Literal, NoReturn
 
 import typer
 
-BAD_INPUT = 2
-ARM_SAFE = 3
+EXIT_BAD_INPUT = 2
+EXIT_ARM_SAFE = 3
 
 Vector = tuple[float, float, float]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
@@ -37,7 +37,7 @@ DiskOption = Annotated[
 ]
 
 
-def show(document: dict[str, Any], as_json: bool, table: Callable[[], None]) -> None:
+def print_result(document: dict[str, Any], as_json: bool, table: Callable[[], None]) -> None:
     """Print a result, for a program or for a person."""
     if as_json:
         print(json.dumps(document, indent=2, allow_nan=False))
@@ -45,7 +45,7 @@ def show(document: dict[str, Any], as_json: bool, table: Callable[[], None]) -> 
         table()
 
 
-def end(message: str, status: int, as_json: bool) -> NoReturn:
+def fail(message: str, status: int, as_json: bool) -> NoReturn:
     """Say why nothing was done, and end."""
     if as_json:
         print(json.dumps({"error": message}))

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from ground.cli.options import ARM_SAFE, BAD_INPUT, JsonOption, end, show
+from ground.cli.options import EXIT_ARM_SAFE, EXIT_BAD_INPUT, JsonOption, fail, print_result
 
 
 def replay(
@@ -42,7 +42,7 @@ def replay(
         with progress_bar() as progress:
             report = carry_out(ReplayRequest(log, channel, params), progress)
     except BadRequest as error:
-        end(str(error), BAD_INPUT, as_json)
-    show(replay_json(report), as_json, lambda: replay_table(report))
+        fail(str(error), EXIT_BAD_INPUT, as_json)
+    print_result(replay_json(report), as_json, lambda: replay_table(report))
     if not report.differences.identical:
-        raise typer.Exit(ARM_SAFE)
+        raise typer.Exit(EXIT_ARM_SAFE)

@@ -6,14 +6,14 @@ from typing import Annotated
 import typer
 
 from ground.cli.options import (
-    ARM_SAFE,
-    BAD_INPUT,
+    EXIT_ARM_SAFE,
+    EXIT_BAD_INPUT,
     DiskOption,
     EffectOption,
     JsonOption,
     SeedOption,
-    end,
-    show,
+    fail,
+    print_result,
 )
 
 
@@ -54,21 +54,21 @@ def run(
     """
     from ground.common.progress_bar import progress_bar
     from ground.common.requests import BadRequest
-    from ground.runs.artifacts import Files
+    from ground.runs.execution import RunFiles
     from ground.runs.scenario import RunRequest
     from ground.runs.scenario import run as carry_out
-    from ground.runs.scenario_tables import run_json, run_table
+    from ground.runs.tables import run_json, run_table
 
-    files = Files(log, picture, movie, when_disk_full)
+    files = RunFiles(log, picture, movie, when_disk_full)
     request = RunRequest(scenario, arm, tilt, seed, files, tuple(effect or ()))
     try:
         with progress_bar() as progress:
             report = carry_out(request, progress)
     except BadRequest as error:
-        end(str(error), BAD_INPUT, as_json)
-    show(run_json(report), as_json, lambda: run_table(report))
+        fail(str(error), EXIT_BAD_INPUT, as_json)
+    print_result(run_json(report), as_json, lambda: run_table(report))
     if not report.passed:
-        raise typer.Exit(ARM_SAFE)
+        raise typer.Exit(EXIT_ARM_SAFE)
 
 
 def scenarios(as_json: JsonOption = False) -> None:
@@ -76,8 +76,8 @@ def scenarios(as_json: JsonOption = False) -> None:
 
     Example: marsarm scenarios --json
     """
-    from ground.runs.scenario_tables import scenarios_json, scenarios_table
+    from ground.runs.tables import scenarios_json, scenarios_table
     from sim.scenario.file import built_in_scenarios, load_scenario
 
     found = tuple(load_scenario(name) for name in built_in_scenarios())
-    show({"scenarios": scenarios_json(found)}, as_json, lambda: scenarios_table(found))
+    print_result({"scenarios": scenarios_json(found)}, as_json, lambda: scenarios_table(found))

@@ -15,7 +15,7 @@ from ground.common.requests import BadRequest
 REQUEST: Final = "request"
 
 
-class ResultsFile:
+class Checkpoint:
     """An open file of results; use as a context.
 
     Raises:
@@ -36,7 +36,7 @@ class ResultsFile:
         except OSError as error:
             raise BadRequest(f"results {path}: cannot be written ({error.strerror or error})") from error
 
-    def __enter__(self) -> "ResultsFile":
+    def __enter__(self) -> "Checkpoint":
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -8,7 +8,7 @@ from functools import cache
 from itertools import pairwise
 from typing import Any, Final
 
-SYMBOLS: Final = {
+UNIT_SYMBOLS: Final = {
     "rad": "rad",
     "urad": "urad",
     "m": "m",
@@ -31,7 +31,7 @@ SYMBOLS: Final = {
 }
 """By a part of the suffix."""
 
-NUMBERS: Final = {
+DIMENSIONLESS: Final = {
     "tick": "cycle",
     "cycle": "cycle",
     "cycles": "cycle",
@@ -48,10 +48,10 @@ NUMBERS: Final = {
 }
 """By the last word of a name without a unit: what is counted, or 1 for a pure number."""
 
-DIRECTIONS: Final = ("approach", "gravity", "normal", "R")
+UNIT_VECTORS: Final = ("approach", "gravity", "normal", "R")
 """First words of names of directions and rotations, whose components are pure numbers."""
 
-FREE: Final = {
+UNITS_BY_NAME: Final = {
     "compliance": "mixed",
     "value": "of the parameter",
     "bound": "cycle",
@@ -63,38 +63,38 @@ def unit_of(name: str) -> str | None:
     """The unit that a field's name tells, "1" for a pure number, or None where it tells none."""
     words = name.split("_")
     suffix: list[str] = []
-    while words and words[-1] in SYMBOLS and len(suffix) < 2:
-        suffix.insert(0, SYMBOLS[words.pop()])
+    while words and words[-1] in UNIT_SYMBOLS and len(suffix) < 2:
+        suffix.insert(0, UNIT_SYMBOLS[words.pop()])
     if suffix:
         top, *below = suffix
         return top if not below else f"{top}/{below[0] if ' ' not in below[0] else f'({below[0]})'}"
-    if words[-1] in NUMBERS:
-        return NUMBERS[words[-1]]
-    return "1" if words[0] in DIRECTIONS else FREE.get(name)
+    if words[-1] in DIMENSIONLESS:
+        return DIMENSIONLESS[words[-1]]
+    return "1" if words[0] in UNIT_VECTORS else UNITS_BY_NAME.get(name)
 
 
 @cache
-def field_texts(kind: type) -> dict[str, str]:
+def field_docs(kind: type) -> dict[str, str]:
     """What the source says of each field of a dataclass, by name; a field without words is not there."""
     found = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
-    return _below(found.body) if isinstance(found, ast.ClassDef) else {}
+    return _attribute_docs(found.body) if isinstance(found, ast.ClassDef) else {}
 
 
 @cache
-def alias_texts(module: str) -> dict[str, str]:
+def alias_docs(module: str) -> dict[str, str]:
     """What a module says of each of its own names, such as `BacklashMode`."""
-    return _below(ast.parse(inspect.getsource(sys.modules[module])).body)
+    return _attribute_docs(ast.parse(inspect.getsource(sys.modules[module])).body)
 
 
-def class_text(kind: type) -> str:
+def class_doc(kind: type) -> str:
     """The docstring of a class, lines joined, paragraphs kept."""
-    return _flowing(inspect.getdoc(kind) or "")
+    return _unwrap(inspect.getdoc(kind) or "")
 
 
-def _below(body: list[ast.stmt]) -> dict[str, str]:
+def _attribute_docs(body: list[ast.stmt]) -> dict[str, str]:
     """The strings that stand right below an assignment."""
     return {
-        _target(node): _flowing(inspect.cleandoc(below.value.value))
+        _target(node): _unwrap(inspect.cleandoc(below.value.value))
         for node, below in pairwise(body)
         if isinstance(node, ast.AnnAssign | ast.Assign)
         and isinstance(below, ast.Expr)
@@ -107,5 +107,5 @@ def _target(node: Any) -> str:
     return str(ast.unparse(node.target if isinstance(node, ast.AnnAssign) else node.targets[0]))
 
 
-def _flowing(text: str) -> str:
+def _unwrap(text: str) -> str:
     return "\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))

@@ -22,7 +22,7 @@ def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: 
     file = Path(path)
     if file.suffix.lower() not in suffixes:
         raise BadOutput(f"{what} {file}: its name must end in {' or '.join(suffixes)}")
-    check_place(file, what)
+    check_new_path(file, what)
     if os.path.isdir(file):
         raise BadOutput(f"{what} {file}: this is a folder; name a file in it")
     exists = os.path.exists(file)
@@ -33,7 +33,7 @@ def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: 
     return file
 
 
-def check_place(place: Path, what: str) -> None:
+def check_new_path(place: Path, what: str) -> None:
     """BadOutput if there is no folder to make this in, or it has a bad name, or is a link to nothing."""
     if not os.path.isdir(place.parent):  # unlike Path.is_dir, False for any bad name
         raise BadOutput(f"{what} {place}: there is no folder {place.parent}")
@@ -48,7 +48,7 @@ def check_place(place: Path, what: str) -> None:
 
 
 @contextmanager
-def written_whole(path: Path, what: str) -> Iterator[BinaryIO]:
+def atomic_write(path: Path, what: str) -> Iterator[BinaryIO]:
     """Open a temporary file beside `path` that takes its place when the block ends well, and else goes.
 
     Raises:
@@ -56,14 +56,14 @@ def written_whole(path: Path, what: str) -> Iterator[BinaryIO]:
     """
     place = Path(os.path.realpath(path))  # a link stays a link
     try:
-        with beside(place) as part, part.open("xb") as file:
+        with atomic_path(place) as part, part.open("xb") as file:
             yield file
     except OSError as error:
         raise BadOutput(f"{what} {path}: cannot be written ({error.strerror or error})") from error
 
 
 @contextmanager
-def beside(place: Path) -> Iterator[Path]:
+def atomic_path(place: Path) -> Iterator[Path]:
     """The path of a file or folder to be made: it takes this place when the block ends well, and else goes.
 
     A folder takes the place of none but an empty one.

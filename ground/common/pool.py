@@ -18,7 +18,7 @@ class Runner(Protocol):
         """The results."""
 
 
-def on_this_machine(workers: int) -> Runner:
+def local_runner(workers: int) -> Runner:
     """In so many processes, that stay for the next call; with one, in this process."""
     idle: list[ProcessPoolExecutor] = []
 
@@ -38,7 +38,7 @@ def on_this_machine(workers: int) -> Runner:
     return run
 
 
-def on_cluster() -> Runner:
+def cluster_runner() -> Runner:
     """On the Ray cluster that RAY_ADDRESS names, or on one that is started here; marsarm is installed on it.
 
     Raises:

@@ -20,12 +20,12 @@ class Rate:
         return self.hits / self.of if self.of else float("nan")
 
 
-def rate(hits: int, of: int, level: float = 0.95) -> Rate:
+def estimate_rate(hits: int, of: int, level: float = 0.95) -> Rate:
     """ValueError unless 0 <= hits <= of."""
-    return Rate(hits, of, *interval(hits, of, level))
+    return Rate(hits, of, *clopper_pearson(hits, of, level))
 
 
-def interval(hits: float, of: int, level: float = 0.95) -> tuple[float, float]:
+def clopper_pearson(hits: float, of: int, level: float = 0.95) -> tuple[float, float]:
     """Least and most that the probability of a hit may be; hits need not be whole.
 
     At these so many hits or more, or so few or fewer, have (1 - level) / 2: quantiles of beta distributions

@@ -17,13 +17,13 @@ from sim.scenario.effect_file import read_effect_file
 from sim.scenario.effects import BadEffect, parse_effect_text
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World
 
-FARTHEST_M: Final = 100.0
+MAX_TARGET_DISTANCE_M: Final = 100.0
 """A target beyond this is a slip of the pen, and its square need not be a number."""
-NO_ARM: Final = "nominal"
+NOMINAL_ARM: Final = "nominal"
 """Parameters of this name are of the drawing: any arm may be flown with them."""
-SHORTEST: Final = 1e-6
+MIN_COMPONENT: Final = 1e-6
 """The largest component of a vector that still has a direction."""
-WORKSPACE: Final = "the workspace is around 2.1 0 -0.3 in RNAV"
+WORKSPACE_HINT: Final = "the workspace is around 2.1 0 -0.3 in RNAV"
 
 
 class BadRequest(ValueError):
@@ -33,41 +33,42 @@ class BadRequest(ValueError):
 def check_finite(name: str, values: tuple[float, ...]) -> None:
     """Refuse NaN and infinity."""
     if not np.all(np.isfinite(values)):
-        raise BadRequest(f"{name}: {numbers(values)} is not three finite numbers")
+        raise BadRequest(f"{name}: {format_numbers(values)} is not three finite numbers")
 
 
-def check_near(name: str, position_m: tuple[float, ...]) -> None:
+def check_target_distance(name: str, position_m: tuple[float, ...]) -> None:
     """Refuse a point that no rover's arm is asked for."""
-    if math.hypot(*position_m) > FARTHEST_M:
+    if math.hypot(*position_m) > MAX_TARGET_DISTANCE_M:
         raise BadRequest(
-            f"{name}: {numbers(position_m)} m is farther than {FARTHEST_M:g} m from the rover; {WORKSPACE}"
+            f"{name}: {format_numbers(position_m)} m is farther than {MAX_TARGET_DISTANCE_M:g} m from the "
+            f"rover; {WORKSPACE_HINT}"
         )
 
 
-def scaled(name: str, vector: Vector3, what: str) -> Vector3:
+def scale_direction(name: str, vector: Vector3, what: str) -> Vector3:
     """The vector with a largest component of 1, so that its length is a number; `what` it ought to be."""
     largest = max(abs(component) for component in vector)
-    if largest < SHORTEST:
-        raise BadRequest(f"{name}: {numbers(vector)} has no direction; give {what}")
+    if largest < MIN_COMPONENT:
+        raise BadRequest(f"{name}: {format_numbers(vector)} has no direction; give {what}")
     x, y, z = (component / largest for component in vector)
     return (x, y, z)
 
 
-def chosen_arm(name: str, params: Path | None) -> BuiltArm:
+def select_arm(name: str, params: Path | None) -> BuiltArm:
     """The arm of this name, its flight parameters over those of a TOML file if there is one."""
     try:
-        return arm_named(name, None if params is None else params_for(name, params))
+        return arm_named(name, None if params is None else load_params(name, params))
     except UnknownArm as error:
         raise BadRequest(str(error)) from error
 
 
-def params_for(name: str, path: Path) -> Params:
+def load_params(name: str, path: Path) -> Params:
     """The nominal flight parameters with those of a TOML file in their place, unless of another arm."""
     try:
         params = params_over_nominal(path)
     except BadParams as error:
         raise BadRequest(str(error)) from error
-    if params.arm_name not in (NO_ARM, name):
+    if params.arm_name not in (NOMINAL_ARM, name):
         raise BadRequest(
             f"params {path}: these are of the arm {params.arm_name}, not of {name}; give its own, or leave "
             "arm_name out"
@@ -75,7 +76,7 @@ def params_for(name: str, path: Path) -> Params:
     return params
 
 
-def chosen_effects(texts: tuple[str, ...]) -> tuple[Effect, ...]:
+def parse_effects(texts: tuple[str, ...]) -> tuple[Effect, ...]:
     """The effects that these texts say, or the files that they name."""
     effects: list[Effect] = []
     problems: list[str] = []
@@ -89,12 +90,12 @@ def chosen_effects(texts: tuple[str, ...]) -> tuple[Effect, ...]:
     return tuple(effects)
 
 
-def tilted_world(scene: str, roll_deg: float, pitch_deg: float, scene_option: str = "scene") -> World:
+def make_world(scene: str, roll_deg: float, pitch_deg: float, scene_option: str = "scene") -> World:
     """A world without a surface, its rover tilted within what the arm is used at."""
     if scene not in GRAVITY_M_S2:
         raise BadRequest(f"{scene_option}: {scene!r} is not known; there are {', '.join(GRAVITY_M_S2)}")
     if not np.all(np.isfinite((roll_deg, pitch_deg))):
-        raise BadRequest(f"tilt: {numbers((roll_deg, pitch_deg))} deg is not finite")
+        raise BadRequest(f"tilt: {format_numbers((roll_deg, pitch_deg))} deg is not finite")
     roll, pitch = (float(np.radians(angle)) for angle in (roll_deg, pitch_deg))
     world = World(cast(Literal["mars", "earth"], scene), roll, pitch)
     most = max(abs(roll), abs(pitch), world.tilt_rad)
@@ -102,7 +103,7 @@ def tilted_world(scene: str, roll_deg: float, pitch_deg: float, scene_option: st
         limit_deg = round(math.degrees(MAX_TILT_RAD), 9)
         raise BadRequest(
             f"tilt: roll {roll_deg} and pitch {pitch_deg} deg tilt the rover by "
-            f"{_beyond(math.degrees(most), limit_deg)} deg; the arm is used up to {limit_deg:g} deg"
+            f"{_format_beyond(math.degrees(most), limit_deg)} deg; the arm is used up to {limit_deg:g} deg"
         )
     return world
 
@@ -113,7 +114,7 @@ def check_seed(seed: int) -> None:
         raise BadRequest(f"seed: {seed} must not be negative")
 
 
-def check_apart(files: dict[str, Path | None]) -> None:
+def check_distinct_files(files: dict[str, Path | None]) -> None:
     """Refuse two names for one file, through links too."""
     given = [(name, path) for name, path in files.items() if path is not None]
     for (one, path), (other, same) in combinations(given, 2):
@@ -121,7 +122,7 @@ def check_apart(files: dict[str, Path | None]) -> None:
             raise BadRequest(f"{other} {same}: this is the file of {one} too; give each a file of its own")
 
 
-def numbers(values: tuple[float, ...]) -> str:
+def format_numbers(values: tuple[float, ...]) -> str:
     """Numbers as a user would type them."""
     return " ".join(f"{value:g}" for value in values)
 
@@ -132,7 +133,7 @@ def _same_file(one: Path, other: Path) -> bool:
     return os.path.exists(one) and os.path.exists(other) and os.path.samefile(one, other)
 
 
-def _beyond(value: float, limit: float) -> str:
+def _format_beyond(value: float, limit: float) -> str:
     """A number with as many digits, three at least, as show that it is beyond its limit."""
     texts = (f"{value:.{digits}g}" for digits in range(3, 17))
     return next((text for text in texts if float(text) > limit), f"{value!r}")

@@ -11,7 +11,7 @@ from ground.diagnosis.result import Result
 from ground.diagnosis.sentences import channel_words, number
 from ground.diagnosis.told import others, probability_of
 from ground.diagnosis.where import Cell
-from ground.render.figures import drawn
+from ground.render.figures import render_png
 
 DPI: Final = 110
 WIDTH_INCH: Final = 11.0
@@ -35,18 +35,18 @@ def where_picture(cells: tuple[Cell, ...]) -> bytes:
     for cell in cells:
         at = rows.index(channel_words(cell.channel, cell.place)), columns.index(cell.regime)
         ratio[at] = cell.ratio
-    return drawn(_size(len(rows)), DPI, lambda figure: _draw_map(figure, rows, columns, ratio))
+    return render_png(_size(len(rows)), DPI, lambda figure: _draw_map(figure, rows, columns, ratio))
 
 
 def race_picture(result: Result) -> bytes:
     """Probabilities of what was chosen and of what may stand in its stead, and sizes with intervals."""
     count = sum(1 + len(others(finding)) for finding in result.diagnosis.findings)
-    return drawn(_size(max(count, FEWEST)), DPI, lambda figure: _draw_race(figure, result))
+    return render_png(_size(max(count, FEWEST)), DPI, lambda figure: _draw_race(figure, result))
 
 
 def closure_picture(closure: Closure) -> bytes:
     """Every channel on held-out motion, before and after, in units of its floor."""
-    return drawn(_size(len(closure.channels)), DPI, lambda figure: _draw_closure(figure, closure))
+    return render_png(_size(len(closure.channels)), DPI, lambda figure: _draw_closure(figure, closure))
 
 
 def _size(rows: int) -> tuple[float, float]:

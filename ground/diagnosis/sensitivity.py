@@ -11,7 +11,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from ground.common.files import written_whole
+from ground.common.files import atomic_write
 from ground.diagnosis.hypothesis import Hypothesis, Nuisance, Parameter
 from ground.diagnosis.layout import Ints, Layout
 
@@ -83,7 +83,7 @@ def save(path: Path, found: Sensitivities) -> None:
     }
     arrays = {name: getattr(layout, name) for name in _ARRAYS}
     arrays |= {name: getattr(found, name) for name in _FOUND}
-    with written_whole(path, "sensitivities") as file:
+    with atomic_write(path, "sensitivities") as file:
         np.savez(file, words=np.array(json.dumps(words)), **arrays)
 
 

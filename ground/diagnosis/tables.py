@@ -16,8 +16,7 @@ from ground.diagnosis.sentences import (
     verdict_sentences,
 )
 from ground.diagnosis.told import others, probability_of
-from ground.render.console import plain_console
-from ground.render.words import counted
+from ground.render.console import plain_console, pluralize
 
 
 def gap_table(result: Result) -> None:
@@ -40,7 +39,7 @@ def gap_table(result: Result) -> None:
     console.print(unexplained_sentence(result))
     console.print(f"Next: {next_sentence(result)}")
     if result.notes:
-        console.print(f"{counted(len(result.notes), 'note')} of the audit are on the page and in --json.")
+        console.print(f"{pluralize(len(result.notes), 'note')} of the audit are on the page and in --json.")
 
 
 def _effects(result: Result) -> Iterator[str]:

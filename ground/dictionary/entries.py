@@ -17,7 +17,7 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.types import Limits
 from fsw.dictionary.validity import COMPONENT_LIMITS
 from fsw.protect.responses import RESPONSE_TO
-from ground.common.fields import alias_texts, class_text, field_texts, unit_of
+from ground.common.fields import alias_docs, class_doc, field_docs, unit_of
 from ground.common.requests import BadRequest
 from ground.telemetry.events import json_value
 from ground.telemetry.schema import array_shape
@@ -95,7 +95,7 @@ def build_dictionary() -> Dictionary:
 
 
 def _command(kind: type) -> CommandDefinition:
-    return CommandDefinition(kind.__name__, class_text(kind), tuple(_fields(kind)), upper_snake(kind))
+    return CommandDefinition(kind.__name__, class_doc(kind), tuple(_fields(kind)), upper_snake(kind))
 
 
 def _evr_types() -> Iterator[type[Evr]]:
@@ -111,7 +111,7 @@ def _evr(kind: type[Evr]) -> EvrDefinition:
     response = RESPONSE_TO.get(kind) if issubclass(kind, Fault) else None
     return EvrDefinition(
         name=kind.__name__,
-        text=class_text(kind),
+        text=class_doc(kind),
         fields=tuple(_fields(kind)),
         severity=kind.severity.name,
         message=kind.text,
@@ -121,7 +121,7 @@ def _evr(kind: type[Evr]) -> EvrDefinition:
 
 def _packet(topic: Topic) -> PacketDefinition:
     told = tuple(one for one in _fields(topic.packet) if one.name in topic.field_names)
-    return PacketDefinition(topic.name, class_text(topic.packet), told, topic.is_truth)
+    return PacketDefinition(topic.name, class_doc(topic.packet), told, topic.is_truth)
 
 
 def _fields(kind: type) -> Iterator[FieldDefinition]:
@@ -149,7 +149,7 @@ def _parameters(kind: type, nominal: Any, place: str) -> Iterator[FieldDefinitio
 def _field(kind: type, own: str, hint: Any, name: str, default: Any) -> FieldDefinition:
     unit = unit_of(own) if is_numeric_type(hint) else None
     limits = _limits(kind, own, hint)
-    text = field_texts(kind).get(own) or _type_text(kind, own)
+    text = field_docs(kind).get(own) or _type_text(kind, own)
     low, high = (None, None) if limits is None else (limits.low, limits.high)
     return FieldDefinition(name, type_name(kind, own, hint), unit, low, high, text, default)
 
@@ -166,8 +166,8 @@ def _type_text(kind: type, name: str) -> str:
     """What is said of the type: of an enumeration, or of a name such as Backlash."""
     hint = get_type_hints(kind)[name]
     if isinstance(hint, type) and issubclass(hint, IntEnum):
-        return class_text(hint)
-    return alias_texts(commands.__name__).get(str(_alias(kind, name)), "")
+        return class_doc(hint)
+    return alias_docs(commands.__name__).get(str(_alias(kind, name)), "")
 
 
 def _alias(kind: type, name: str) -> str | None:

@@ -12,7 +12,7 @@ from fsw.kinematics.arm import Arm, build_arm, heat_arm
 from fsw.kinematics.ik import IkResult, inverse_kinematics
 from fsw.kinematics.transforms import Array
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, chosen_arm, tilted_world
+from ground.common.requests import BadRequest, make_world, select_arm
 from ground.ik.targets import IkTargets
 
 COMPENSATIONS: Final = ("absolute", "off")
@@ -85,12 +85,12 @@ def build_ik_model(request: ModelRequest) -> IkModel:
         raise BadRequest(
             f"compensate: {request.compensate!r} is not known; there are {', '.join(COMPENSATIONS)}"
         )
-    world = tilted_world(request.gravity, request.tilt_roll_deg, request.tilt_pitch_deg, "gravity")
+    world = make_world(request.gravity, request.tilt_roll_deg, request.tilt_pitch_deg, "gravity")
     if not math.isfinite(request.warming_K) or abs(request.warming_K) > MOST_WARMING_K:
         raise BadRequest(
             f"warming: {request.warming_K:g} K is not within {MOST_WARMING_K:g} K of calibration temperature"
         )
-    params = chosen_arm(request.arm, request.params).params
+    params = select_arm(request.arm, request.params).params
     gravity = world.gravity_N_m_s2 if request.compensate == "absolute" else None
     return IkModel(request, heat_arm(build_arm(params), request.warming_K), tool, gravity, digest(params))
 

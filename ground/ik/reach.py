@@ -11,7 +11,7 @@ from fsw.kinematics.ik import BranchVerdict
 from fsw.kinematics.transforms import Array
 from ground.common.files import BadOutput, check_output
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_apart, check_seed
+from ground.common.requests import BadRequest, check_distinct_files, check_seed
 from ground.ik.model import IkModel, ModelRequest, build_ik_model
 from ground.ik.tally import Tally, tally
 from ground.ik.targets import IkTargets
@@ -206,7 +206,7 @@ def reach(request: ReachRequest, progress: Progress) -> ReachReport:
         raise BadRequest(f"samples: {request.samples} is not within 1 .. {MOST_SAMPLES}")
     try:
         if request.picture is not None:
-            check_apart({"params": request.model.params, "picture": request.picture})
+            check_distinct_files({"params": request.model.params, "picture": request.picture})
             check_output(request.picture, (".png",), "picture")
         samples, counted = sample_workspace(model, request.samples, request.seed, progress)
         problem = None

@@ -10,7 +10,7 @@ from fsw.dictionary.types import Vector3
 from fsw.kinematics.ik import IkResult, select_result
 from ground.common.files import BadOutput, check_output
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_apart
+from ground.common.requests import BadRequest, check_distinct_files
 from ground.ik.model import IkModel, ModelRequest, build_ik_model
 from ground.ik.tally import Tally, tally
 from ground.ik.targets import SUFFIXES, IkTargets, make_targets, read_targets
@@ -77,7 +77,7 @@ def _one_target(request: IkRequest) -> IkTargets:
 def _solve_batch(
     request: IkRequest, model: IkModel, batch: Path, out: Path, progress: Progress
 ) -> BatchReport:
-    check_apart({"params": request.model.params, "batch": batch, "out": out})
+    check_distinct_files({"params": request.model.params, "batch": batch, "out": out})
     try:
         check_output(out, SUFFIXES, "out")
         targets = read_targets(batch, request.frame)

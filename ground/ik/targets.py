@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.kinematics.transforms import Array
-from ground.common.requests import FARTHEST_M, SHORTEST, WORKSPACE, BadRequest, numbers
+from ground.common.requests import (
+    MAX_TARGET_DISTANCE_M,
+    MIN_COMPONENT,
+    WORKSPACE_HINT,
+    BadRequest,
+    format_numbers,
+)
 from sim.frames import p_R_from_N
 
 FRAMES: Final = ("rnav", "rmech")
@@ -53,15 +59,15 @@ def make_targets(position_m: Array, approach: Array, frame: str, naming: TargetL
     with np.errstate(over="ignore"):
         distance = np.hypot(np.hypot(position_m[0], position_m[1]), position_m[2])
     _refuse(
-        distance > FARTHEST_M,
+        distance > MAX_TARGET_DISTANCE_M,
         position_m,
         naming,
         0,
-        f"m is farther than {FARTHEST_M:g} m from the rover; {WORKSPACE}",
+        f"m is farther than {MAX_TARGET_DISTANCE_M:g} m from the rover; {WORKSPACE_HINT}",
     )
     largest = np.abs(approach).max(axis=0)
     _refuse(
-        largest < SHORTEST,
+        largest < MIN_COMPONENT,
         approach,
         naming,
         1,
@@ -76,7 +82,7 @@ def _refuse(wrong: NDArray[np.bool_], values: Array, naming: TargetLabel, which:
     if not wrong.any():
         return
     first = int(np.argmax(wrong))
-    said = numbers(tuple(float(value) for value in values[:, first]))
+    said = format_numbers(tuple(float(value) for value in values[:, first]))
     raise BadRequest(f"{naming(first)[which]}: {said} {complaint}")
 
 
@@ -153,7 +159,8 @@ def _from_npz(path: Path) -> tuple[Array, Array]:
             if missing:
                 raise BadRequest(
                     f"batch {path}: there is no array {' and no '.join(missing)}; "
-                    f"it must hold position_m (n, 3) and approach (n, 3), it holds {_list_names(arrays.files)}"
+                    "it must hold position_m (n, 3) and approach (n, 3), it holds "
+                    f"{_list_names(arrays.files)}"
                 )
             return _three_rows(path, "position_m", arrays["position_m"]), _three_rows(
                 path, "approach", arrays["approach"]
@@ -181,7 +188,8 @@ def _from_parquet(path: Path) -> tuple[Array, Array]:
         missing = [name for name in (*POSITION_COLUMNS, *APPROACH_COLUMNS) if there.count(name) != 1]
         if missing:
             raise BadRequest(
-                f"batch {path}: there must be one column {' and one '.join(missing)}; it has {_list_names(there)}"
+                f"batch {path}: there must be one column {' and one '.join(missing)}; it has "
+                f"{_list_names(there)}"
             )
         table = file.read(columns=[*POSITION_COLUMNS, *APPROACH_COLUMNS])
     for column in table.schema:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from fsw.kinematics.branches import slot_name
 from fsw.kinematics.ik import BranchVerdict, IkResult
-from ground.common.files import written_whole
+from ground.common.files import atomic_write
 from ground.ik.tally import JOINT_NAMES, VERDICT_NAMES
 
 NO_JOINT: Final = -1
@@ -42,7 +42,7 @@ def open_writer(path: Path, about: dict[str, Any]) -> Iterator[BatchWriter]:
     Raises:
         BadOutput: the file cannot be written.
     """
-    with written_whole(path, "out") as file, ExitStack() as stack:
+    with atomic_write(path, "out") as file, ExitStack() as stack:
         if path.suffix.lower() == ".npz":
             spools: dict[str, IO[bytes]] = {}
             for name in FIELDS:

@@ -2,10 +2,50 @@
 
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.text import Text
 
-WARNED: Final = "bold"
+BLOCKS: Final = "▁▂▃▄▅▆▇█"
+ZERO_MARK: Final = "·"
+NAN_MARK: Final = "?"
+SPARKLINE_WIDTH: Final = 40
+
+
+def magnitude_sparkline(size: NDArray[np.float64], width: int = SPARKLINE_WIDTH) -> str:
+    """Sizes (n,), none negative, over time: the greatest of each column; a dot where there is nothing."""
+    if not size.size:
+        return ""
+    columns = [part.max() for part in np.array_split(size, min(width, len(size)))]
+    finite = [value for value in columns if np.isfinite(value)]
+    top = max(finite, default=0.0)
+    return "".join(ZERO_MARK if value == 0 else _block(value, 0.0, top) for value in columns)
+
+
+def value_sparklines(*series: NDArray[np.float64]) -> list[str]:
+    """Values of several series on one scale, a character each."""
+    every = np.concatenate(series)
+    finite = every[np.isfinite(every)]
+    low, high = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)
+    return ["".join(_block(value, low, high) for value in values) for values in series]
+
+
+def _block(value: float, low: float, high: float) -> str:
+    if np.isnan(value):
+        return NAN_MARK
+    if value >= high > low or np.isposinf(value):
+        return BLOCKS[-1]
+    share = (value - low) / (high - low) if high > low and np.isfinite(high - low) else 0.0
+    return BLOCKS[int(np.clip(share, 0.0, 1.0) * (len(BLOCKS) - 1))]
+
+
+def pluralize(count: int, one: str) -> str:
+    """So many of these: 1 channel, 2 channels."""
+    return f"{count} {one}" if count == 1 else f"{count} {one}s"
+
+
+WARNING_STYLE: Final = "bold"
 
 
 def plain_console(width: int | None = None) -> Console:
@@ -13,6 +53,6 @@ def plain_console(width: int | None = None) -> Console:
     return Console(highlight=False, markup=False, width=width)
 
 
-def cell(text: str, style: str) -> Text:
+def styled_cell(text: str, style: str) -> Text:
     """A cell of a table in a style of its own."""
     return Text(text, style=style)

@@ -6,7 +6,7 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from ground.common.files import written_whole
+from ground.common.files import atomic_write
 
 
 def save_figure(
@@ -18,15 +18,15 @@ def save_figure(
         BadOutput: the file cannot be written.
     """
     try:
-        image = drawn(size_inch, dpi, draw)
+        image = render_png(size_inch, dpi, draw)
     except ImportError as error:
         return f"matplotlib is missing ({error}); pip install matplotlib"
-    with written_whole(path, "picture") as file:
+    with atomic_write(path, "picture") as file:
         file.write(image)
     return None
 
 
-def drawn(size_inch: tuple[float, float], dpi: int, draw: Callable[[Any], None]) -> bytes:
+def render_png(size_inch: tuple[float, float], dpi: int, draw: Callable[[Any], None]) -> bytes:
     """What `draw` puts on a figure, as the bytes of a PNG; ImportError without matplotlib."""
     os.environ.pop("MPLBACKEND", None)  # one that matplotlib does not know stops its import; none is needed
     import matplotlib

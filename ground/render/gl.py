@@ -23,7 +23,7 @@ PROBE_MODEL = "<mujoco><worldbody><camera name='eye' pos='0 0 2'/><geom size='1'
 
 
 @functools.cache
-def why_not() -> str | None:
+def unavailable_reason() -> str | None:
     """Say why this machine cannot draw with OpenGL, or None if it can.
 
     Drawing is tried in a process of its own, once: a broken driver may print, hang or crash.

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from ground.common.files import written_whole
+from ground.common.files import atomic_write
 
 STYLE: Final = (
     "body{font:15px/1.5 sans-serif;max-width:62em;margin:2em auto;padding:0 1em;color:#222}"
@@ -22,7 +22,7 @@ def save_page(title: str, parts: list[str], path: Path) -> None:
         BadOutput: the file cannot be written.
     """
     head = f"<!doctype html><meta charset='utf-8'><title>{html.escape(title)}</title><style>{STYLE}</style>"
-    with written_whole(path, "report") as file:
+    with atomic_write(path, "report") as file:
         file.write("\n".join([head, f"<h1>{html.escape(title)}</h1>", *parts]).encode())
 
 

@@ -1,7 +1,7 @@
 """Pictures and movies of a scene, by MuJoCo's renderer or, without OpenGL, by rays cast into the same model.
 
 A picture that cannot be drawn never stops a run: the result says what is missing. A path that cannot be
-written is bad input; `check_path` finds it before any work is done.
+written is bad input; `check_picture_path` finds it before any work is done.
 """
 
 import importlib.util
@@ -62,7 +62,7 @@ def save_picture(
     Raises:
         PictureError: the path cannot be written, there is no such camera, or the size is not positive.
     """
-    file = check_path(path, ".png", "picture")
+    file = check_picture_path(path, ".png", "picture")
     eye, shown = _open(model, camera, file, size)
     if eye is None:
         return shown
@@ -94,7 +94,7 @@ def save_movie(
     Raises:
         PictureError: the path cannot be written, there is no such camera, or the size is not positive.
     """
-    file = check_path(path, ".gif", "movie")
+    file = check_picture_path(path, ".gif", "movie")
     eye, shown = _open(model, camera, file, size)
     if eye is None:
         return shown
@@ -129,7 +129,7 @@ def write_gif(frames: Iterable[Image], path: str | os.PathLike[str], frames_per_
     """
     import PIL.Image
 
-    file = check_path(path, ".gif", "movie")
+    file = check_picture_path(path, ".gif", "movie")
     images = [PIL.Image.fromarray(frame).quantize(128, dither=PIL.Image.Dither.NONE) for frame in frames]
     if not images:
         raise PictureError(f"movie {file}: there is no frame to write")
@@ -137,7 +137,7 @@ def write_gif(frames: Iterable[Image], path: str | os.PathLike[str], frames_per_
     images[0].save(file, save_all=True, append_images=images[1:], duration=duration_ms, loop=0)
 
 
-def check_path(path: str | os.PathLike[str], suffix: str, what: Literal["picture", "movie"]) -> Path:
+def check_picture_path(path: str | os.PathLike[str], suffix: str, what: Literal["picture", "movie"]) -> Path:
     """Give the path back if a picture or movie can be written there.
 
     Raises:
@@ -161,7 +161,7 @@ def _open(
         raise PictureError(f"picture: size {size[0]} x {size[1]} must be positive, in pixels")
     if importlib.util.find_spec("PIL") is None:
         return None, PictureResult(None, "none", "no picture: Pillow is missing; pip install pillow")
-    reason = gl.why_not()
+    reason = gl.unavailable_reason()
     if reason is None:
         return gl.GlCamera(model, camera_id, size), PictureResult(file, "opengl")
     hint = f"drawn without OpenGL ({reason}); for the real picture: {APT}"

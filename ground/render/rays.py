@@ -20,9 +20,9 @@ SUBPIXELS = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]
 AMBIENT = 0.36
 SUN = 0.75
 SUN_DISTANCE_M = 1000.0
-SHADOW_GAP_M = 0.002
+SHADOW_BIAS_M = 0.002
 HAZE_M = 150.0
-FARTHEST_M = 1e5
+RAY_LENGTH_M = 1e5
 DEFAULT_SKY = (0.80, 0.74, 0.66)
 DEFAULT_RGBA = (0.5, 0.5, 0.5, 1.0)
 VISIBLE = np.array([1, 1, 1, 0, 0, 0], dtype=np.uint8)
@@ -46,7 +46,7 @@ class RayCamera:
         columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
         middle = np.column_stack([columns.ravel(), rows.ravel()])
         rgb, look = self._shade(data, middle)
-        edge = _edges(look.reshape(height, width, 4)).ravel()
+        edge = _edge_pixels(look.reshape(height, width, 4)).ravel()
         finer = (middle[edge, None, :] + SUBPIXELS).reshape(-1, 2)
         rgb[edge] = self._shade(data, finer)[0].reshape(-1, len(SUBPIXELS), 3).mean(axis=1)
         return (255.0 * np.clip(rgb, 0.0, 1.0) + 0.5).astype(np.uint8).reshape(height, width, 3)
@@ -102,7 +102,18 @@ class Rays:
             self._hide_all_but(self._in_the_way(data, origin, direction))
             rays, normals = direction.ravel(), normal.reshape(-1)
             mujoco.mj_multiRay(
-                self._model, data, origin, rays, VISIBLE, True, -1, geom, distance, normals, count, FARTHEST_M
+                self._model,
+                data,
+                origin,
+                rays,
+                VISIBLE,
+                True,
+                -1,
+                geom,
+                distance,
+                normals,
+                count,
+                RAY_LENGTH_M,
             )
         return geom, distance, normal
 
@@ -114,7 +125,7 @@ class Rays:
         origin = self._model.stat.center - SUN_DISTANCE_M * sun
         ray = point[facing] - origin
         _, distance, _ = self.cast(data, origin, _unit(ray))
-        sunlight[facing] *= distance > np.linalg.norm(ray, axis=1) - SHADOW_GAP_M
+        sunlight[facing] *= distance > np.linalg.norm(ray, axis=1) - SHADOW_BIAS_M
         skylight = AMBIENT + 0.08 * normal[:, 2]
         return np.asarray(skylight[:, None] + SUN * sunlight[:, None] * self._tint)
 
@@ -138,7 +149,7 @@ def _unit(vector: Floats) -> Floats:
     return np.asarray(vector / np.maximum(np.linalg.norm(vector, axis=1, keepdims=True), 1e-12))
 
 
-def _edges(look: Floats) -> NDArray[np.bool_]:
+def _edge_pixels(look: Floats) -> NDArray[np.bool_]:
     """Pixels (height, width) that show another geom or another face than a neighbour does."""
     edge = np.zeros(look.shape[:2], dtype=bool)
     across = np.abs(np.diff(look, axis=1)).max(axis=2) > 0.5

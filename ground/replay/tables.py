@@ -9,8 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 
 from fsw.config import CYCLE_HZ
-from ground.render.waveform import size_line, value_lines
-from ground.render.words import counted
+from ground.render.console import magnitude_sparkline, pluralize, value_sparklines
 from ground.replay.compare import ChannelDifference, Differences
 from ground.replay.compare_evrs import EvrDifference
 from ground.replay.replay import ReplayReport
@@ -82,13 +81,13 @@ def replay_table(report: ReplayReport) -> None:
 
 def verdict_line(found: Differences) -> str:
     """One line that says whether two runs are the same."""
-    ticks = f"{counted(found.ticks[0], 'tick')}, {found.ticks[0] / CYCLE_HZ:.1f} s"
+    ticks = f"{pluralize(found.ticks[0], 'tick')}, {found.ticks[0] / CYCLE_HZ:.1f} s"
     if found.identical:
         same = "identical" if found.tolerance == 0 else f"the same to {found.tolerance:g}"
-        return f"{same}: {ticks}, {counted(found.channels_compared, 'channel')}"
+        return f"{same}: {ticks}, {pluralize(found.channels_compared, 'channel')}"
     return (
-        f"DIFFERENT: {counted(len(found.evrs), 'event')}, {counted(len(found.lengths), 'length')}, "
-        f"{len(found.channels)} of {counted(found.channels_compared, 'channel')}; "
+        f"DIFFERENT: {pluralize(len(found.evrs), 'event')}, {pluralize(len(found.lengths), 'length')}, "
+        f"{len(found.channels)} of {pluralize(found.channels_compared, 'channel')}; "
         f"{ticks}, {found.ticks[1]} replayed"
     )
 
@@ -118,8 +117,8 @@ def _channel_lines(c: ChannelDifference) -> Iterator[str]:
         f"channel   {_component_name(c.channel, c.component)}: from tick {c.first_tick} on, at {c.ticks} of "
         f"{c.compared} ticks, by up to {c.greatest:.3g} at tick {c.greatest_tick}"
     )
-    yield f"          {'difference over time':<20}  {size_line(c.profile)}"
-    lines = value_lines(c.recorded.astype(np.float64), c.replayed.astype(np.float64))
+    yield f"          {'difference over time':<20}  {magnitude_sparkline(c.profile)}"
+    lines = value_sparklines(c.recorded.astype(np.float64), c.replayed.astype(np.float64))
     where = "" if c.component == c.first_component else f" of {_component_name(c.channel, c.first_component)}"
     for side, line, value in zip(("recorded", "replayed"), lines, c.at_first, strict=True):
         yield f"          {f'{side} at first':<20}  {line}  {value!r} at tick {c.first_tick}{where}"
@@ -152,7 +151,7 @@ def _channel_document(one: ChannelDifference) -> dict[str, Any]:
         "greatest": _finite_json(one.greatest),
         "greatest_tick": one.greatest_tick,
         "component": list(one.component),
-        "waveform": size_line(one.profile),
+        "waveform": magnitude_sparkline(one.profile),
         "around_first": {
             "recorded": _finite_json(one.recorded.tolist()),
             "replayed": _finite_json(one.replayed.tolist()),

@@ -1,7 +1,7 @@
-"""The hardstop job: one joint or all against their negative hardstops, once or many times."""
+"""The poses of the hardstop initialisation, the torques in them, and how much room there is."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import degrees
 from pathlib import Path
 from typing import Final
@@ -11,23 +11,25 @@ import numpy as np
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Calibrate, CalibrateAll
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
+from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, joints5
 from fsw.executive.homing_poses import homing_start_poses
 from ground.common.files import BadOutput, check_output
 from ground.common.progress import Progress
 from ground.common.requests import (
     BadRequest,
-    check_apart,
+    check_distinct_files,
     check_seed,
-    chosen_arm,
-    chosen_effects,
-    tilted_world,
+    make_world,
+    parse_effects,
+    select_arm,
 )
 from ground.runs.hardstop_figure import save_hardstop_figure
 from sim.arms import BuiltArm, effects_of_run
+from sim.clearance import Clearance, ClearanceModel
 from sim.effects.effect import Effect
 from sim.effects.environment import WARM_C, default_ambient
-from sim.hardstop_loads import NoPlan, without_turret
+from sim.hardstop_loads import HardstopLoads, NoPlan, compute_hardstop_loads, sweep_clearance, without_turret
 from sim.initialisation import InitialisationResult, InitialisationRun, prepare_homing, prepare_random_homing
 from sim.loop import ClosedLoop, Setup
 from sim.sequence import Outcome
@@ -95,7 +97,7 @@ def hardstop(request: HardstopRequest, progress: Progress) -> HardstopReport:
     Raises:
         BadRequest: the request is wrong; nothing moved and nothing was written.
     """
-    job = checked(request)
+    job = prepare_hardstop(request)
     runs = tuple(_runs(request, job, progress))
     problem = None
     if request.picture is not None:
@@ -107,7 +109,7 @@ def hardstop(request: HardstopRequest, progress: Progress) -> HardstopReport:
     return HardstopReport(request, runs, poses, problem)
 
 
-def checked(request: HardstopRequest) -> HardstopJob:
+def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
     """The job, after every check that can be made before anything moves or is written."""
     check_seed(request.seed)
     if not 1 <= request.repeat <= MOST_REPEATS:
@@ -120,33 +122,33 @@ def checked(request: HardstopRequest) -> HardstopJob:
             f"temperature: {temperature_C} degC is not within {COLDEST_C:g} .. {WARMEST_C:g} degC"
         )
     if request.picture is not None:
-        check_apart({"params": request.params, "picture": request.picture})
+        check_distinct_files({"params": request.params, "picture": request.picture})
         try:
             check_output(request.picture, (".png",), "picture")
         except BadOutput as error:
             raise BadRequest(str(error)) from error
     if request.start_deg is not None and (request.joint is None or request.repeat > 1):
         raise BadRequest("start: is for one joint, once; give --joint and no --repeat")
-    world = tilted_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)
-    effects = chosen_effects(request.effects)
-    arm = chosen_arm(request.arm, request.params).with_effects(effects)
+    world = make_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)
+    effects = parse_effects(request.effects)
+    arm = select_arm(request.arm, request.params).with_effects(effects)
     return HardstopJob(
-        joints=HARDSTOP_ORDER if request.joint is None else (_joint(request.joint),),
-        arm=arm if request.turret else _bare(arm, request),
+        joints=HARDSTOP_ORDER if request.joint is None else (_parse_joint(request.joint),),
+        arm=arm if request.turret else _without_turret(arm, request),
         world=world,
-        start_rad=None if request.start_deg is None else _start(arm, request.start_deg),
+        start_rad=None if request.start_deg is None else _check_start(arm, request.start_deg),
         effects=(*default_ambient(effects, temperature_C), *effects_of_run(effects)),
     )
 
 
-def _bare(arm: BuiltArm, request: HardstopRequest) -> BuiltArm:
+def _without_turret(arm: BuiltArm, request: HardstopRequest) -> BuiltArm:
     try:
         return without_turret(arm, on_earth=request.scene == "earth")
     except NoPlan as error:
         raise BadRequest(f"hardstop: no poses for Earth without a turret: {error}") from error
 
 
-def _start(arm: BuiltArm, start_deg: tuple[float, ...]) -> Joints5:
+def _check_start(arm: BuiltArm, start_deg: tuple[float, ...]) -> Joints5:
     """A pose in which the arm could stand: between its hardstops."""
     start = np.radians(start_deg)
     for joint, angle_rad, of_joint in zip(Joint, start, arm.params.joints.in_order(), strict=True):
@@ -159,7 +161,7 @@ def _start(arm: BuiltArm, start_deg: tuple[float, ...]) -> Joints5:
     return joints5(start)
 
 
-def _joint(name: str) -> Joint:
+def _parse_joint(name: str) -> Joint:
     known = {joint.name.lower(): joint for joint in Joint}
     if name.lower() not in known:
         raise BadRequest(f"joint: {name!r} is not known; there are {', '.join(known)}")
@@ -202,3 +204,35 @@ def _all(request: HardstopRequest, job: HardstopJob, progress: Progress) -> Init
     if loop.failure is not None:
         raise loop.failure
     return run.result()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StopPlan:
+    """One place and what hangs on the arm there."""
+
+    place: str
+    params: Params
+    loads: HardstopLoads
+    clearance: Clearance
+
+
+def plan_stops(request: HardstopRequest) -> tuple[StopPlan, ...]:
+    """The plan for Mars with the turret and the one for Earth without it, whose torques are to be the same.
+
+    Raises:
+        BadRequest: the request is wrong, asks for motion too, or there is no such plan.
+    """
+    asked_to_move = (request.joint, request.start_deg, request.picture) != (None, None, None)
+    if asked_to_move or request.repeat > 1 or not request.turret:
+        raise BadRequest("plan: moves nothing, and is of both places; give nothing but --arm and --params")
+    whole = prepare_hardstop(request).arm
+    bare = prepare_hardstop(replace(request, scene="earth", turret=False)).arm
+    return (
+        _plan("mars, with turret", whole.params, World()),
+        _plan("earth, without turret", bare.params, World("earth")),
+    )
+
+
+def _plan(place: str, params: Params, world: World) -> StopPlan:
+    loads = compute_hardstop_loads(params, world.gravity_N_m_s2)
+    return StopPlan(place, params, loads, sweep_clearance(params, ClearanceModel(params, world)))

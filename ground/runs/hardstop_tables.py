@@ -9,8 +9,7 @@ from rich.table import Table
 from fsw.dictionary.enums import HARDSTOP_ORDER, Joint
 from fsw.dictionary.evrs import JointCalibrated, Severity
 from ground.render.console import plain_console
-from ground.runs.hardstop import HardstopReport
-from ground.runs.hardstop_plan import StopPlan
+from ground.runs.hardstop import HardstopReport, StopPlan
 from ground.runs.tables import evr_json
 from sim.initialisation import HardstopResult
 
@@ -49,7 +48,7 @@ def hardstop_table(report: HardstopReport) -> None:
         "zero error mrad",
         *(("3 sigma mrad",) if many else ()),
         "without wind-up mrad",
-        "half gap error mrad",
+        "half backlash error mrad",
         "load N m",
         "most on stop N m",
     ):
@@ -65,7 +64,7 @@ def hardstop_table(report: HardstopReport) -> None:
             f"{row['zero_error_mrad']:+.3f}",
             *spread,
             f"{row['uncorrected_error_mrad']:+.3f}",
-            f"{row['half_gap_error_mrad']:+.3f}",
+            f"{row['half_backlash_error_mrad']:+.3f}",
             f"{row['load_Nm']:.1f}",
             f"{row['most_torque_Nm']:.0f}",
         )
@@ -144,7 +143,7 @@ def _joint_json(report: HardstopReport, joint: Joint) -> dict[str, Any]:
         "zero_error_3_sigma_mrad": _three_sigma(error),
         "uncorrected_error_mrad": float(uncorrected.mean()),
         "uncorrected_error_3_sigma_mrad": _three_sigma(uncorrected),
-        "half_gap_error_mrad": 1e3 * _mean(stops, "half_gap_error_rad"),
+        "half_backlash_error_mrad": 1e3 * _mean(stops, "half_backlash_error_rad"),
         "load_Nm": _mean(stops, "load_Nm"),
         "most_torque_Nm": max(float(run.most_torque_Nm[joint]) for run in report.runs),
         "planned_pose_deg": [degrees(angle) for angle in report.poses_rad[joint]],

@@ -1,20 +1,116 @@
 """The placement job: check the request, run it, keep the evidence."""
 
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Literal
 
 from fsw.config import CYCLE_HZ, digest
+from fsw.dictionary.enums import TOOL_SWITCHES, Tool
 from fsw.dictionary.evrs import CommandCompleted
+from fsw.dictionary.types import Vector3
 from ground.common.progress import Progress
-from ground.runs.artifacts import Frames, Kept, doing, keep, nothing_kept, open_log, recorded
-from ground.runs.initialise import initialise
-from ground.runs.place_request import PlaceRequest, checked
+from ground.common.requests import (
+    WORKSPACE_HINT,
+    BadRequest,
+    check_finite,
+    check_seed,
+    check_target_distance,
+    format_numbers,
+    make_world,
+    parse_effects,
+    scale_direction,
+    select_arm,
+)
+from ground.runs.execution import (
+    NO_FILES,
+    Artifacts,
+    Frames,
+    RunFiles,
+    check_run_files,
+    describe_activity,
+    initialise,
+    no_artifacts,
+    open_log,
+    record_cycles,
+    save_artifacts,
+)
 from ground.telemetry.header import run_header
 from sim.arms import BuiltArm, effects_of_run
+from sim.effects.effect import Effect
 from sim.initialisation import InitialisationResult
 from sim.loop import ClosedLoop, Setup
-from sim.placement import PlacementResult, PlacementRun
+from sim.placement import Placement, PlacementResult, PlacementRun
+from sim.preview import preview_placement, unstow_duration_s
 from sim.sequence import Outcome
+from sim.world import Surface, World, inside_rover
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceRequest:
+    """What is asked; RNAV, metres, degrees."""
+
+    tool: str = "apxs"
+    target_m: Vector3 = (2.05, 0.1, -0.25)
+    normal: Vector3 = (-0.5, 0.1, -0.85)
+    tilt_roll_deg: float = 0.0
+    tilt_pitch_deg: float = 0.0
+    arm: str = "nominal"
+    scene: Literal["mars", "earth"] = "mars"
+    seed: int = 0
+    params: Path | None = None
+    effects: tuple[str, ...] = ()
+    """As the command line writes them."""
+    has_surface: bool = True
+    files: RunFiles = NO_FILES
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceJob:
+    """A request that can be carried out."""
+
+    arm: BuiltArm
+    world: World
+    placement: Placement
+    expected_s: float
+    effects: tuple[Effect, ...]
+    """Those that were asked for."""
+
+
+def prepare_placement(request: PlaceRequest) -> PlaceJob:
+    """The job, after every check that can be made before anything moves or is written."""
+    tool = _parse_tool(request.tool)
+    check_finite("target", request.target_m)
+    check_finite("normal", request.normal)
+    check_target_distance("target", request.target_m)
+    normal = scale_direction(
+        "normal", request.normal, "the direction out of the surface, such as 0 0 -1 for up"
+    )
+    check_seed(request.seed)
+    effects = parse_effects(request.effects)
+    arm = select_arm(request.arm, request.params).with_effects(effects)
+    level = make_world(request.scene, request.tilt_roll_deg, request.tilt_pitch_deg)
+    world = replace(level, surface=Surface(request.target_m, normal))
+    if inside_rover(request.target_m):
+        raise BadRequest(
+            f"target: {format_numbers(request.target_m)} m is inside the rover; {WORKSPACE_HINT}"
+        )
+    check_run_files(request.files, params=request.params)
+    seen = preview_placement(arm, world, Placement(tool, request.target_m, normal), stowed=True)
+    if seen.problem is not None:
+        raise BadRequest(f"target: {format_numbers(request.target_m)} m cannot be reached: {seen.problem}")
+    if not request.has_surface:
+        world = level
+    return PlaceJob(arm, world, seen.placement, seen.duration_s + unstow_duration_s(arm), effects)
+
+
+def _parse_tool(name: str) -> Tool:
+    known = {tool.name.lower(): tool for tool in Tool if TOOL_SWITCHES[tool]}
+    if name.lower() not in known:
+        raise BadRequest(
+            f"tool: {name!r} cannot be placed; the tools with contact switches are {', '.join(known)}"
+        )
+    return known[name.lower()]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +121,7 @@ class PlaceReport:
     params_sha256: str
     result: PlacementResult
     realtime_factor: float
-    kept: Kept
+    artifacts: Artifacts
 
 
 def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
@@ -34,7 +130,7 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
     Raises:
         BadRequest: the request is wrong; nothing moved and nothing was written.
     """
-    job = checked(request)
+    job = prepare_placement(request)
     stops = initialise(job.arm, request.seed, progress)
     if stops[-1].outcome is not Outcome.DONE:
         return _not_initialised(request, job.arm, stops)
@@ -49,9 +145,9 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
     frames = Frames()
     started = time.perf_counter()
     try:
-        for record in recorded(run, log, request.files.when_disk_full):
+        for record in record_cycles(run, log, request.files.when_disk_full):
             if frames.note(loop.plant, record):
-                progress(record.tick / CYCLE_HZ, job.expected_s, doing(record))
+                progress(record.tick / CYCLE_HZ, job.expected_s, describe_activity(record))
             if CommandCompleted("GuardedMove") in record.outputs.evrs:
                 frames.choose(loop.plant)
     finally:
@@ -60,18 +156,18 @@ def place(request: PlaceRequest, progress: Progress) -> PlaceReport:
     if loop.failure is not None:
         raise loop.failure
     result = run.result()
-    kept = keep(request.files, job.world, frames, loop.plant.data.qpos, log, progress)
+    artifacts = save_artifacts(request.files, job.world, frames, loop.plant.data.qpos, log, progress)
     return PlaceReport(
         request=request,
         params_sha256=loop.config.params_sha256,
         result=result,
         realtime_factor=result.duration_s / wall_s,
-        kept=kept,
+        artifacts=artifacts,
     )
 
 
 def _not_initialised(request: PlaceRequest, arm: BuiltArm, stops: list[InitialisationResult]) -> PlaceReport:
     failed = stops[-1]
     result = PlacementResult(failed.outcome, None, failed.duration_s, None, None, failed.evrs)
-    kept = nothing_kept(request.files)
-    return PlaceReport(request, digest(arm.params), result, 0.0, kept)
+    artifacts = no_artifacts(request.files)
+    return PlaceReport(request, digest(arm.params), result, 0.0, artifacts)

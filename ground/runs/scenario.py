@@ -6,20 +6,20 @@ from pathlib import Path
 
 from fsw.config import digest
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_seed, chosen_arm, chosen_effects, tilted_world
-from ground.runs.artifacts import (
+from ground.common.requests import BadRequest, check_seed, make_world, parse_effects, select_arm
+from ground.runs.execution import (
     NO_FILES,
-    Files,
+    Artifacts,
     Frames,
-    Kept,
-    check_files,
-    doing,
-    keep,
-    nothing_kept,
+    RunFiles,
+    check_run_files,
+    describe_activity,
+    initialise,
+    no_artifacts,
     open_log,
-    recorded,
+    record_cycles,
+    save_artifacts,
 )
-from ground.runs.initialise import initialise
 from ground.telemetry.header import run_header
 from sim.arms import BuiltArm
 from sim.initialisation import InitialisationResult
@@ -41,7 +41,7 @@ class RunRequest:
     tilt_deg: tuple[float, float] | None = None
     """Roll and pitch."""
     seed: int = 0
-    files: Files = NO_FILES
+    files: RunFiles = NO_FILES
     effects: tuple[str, ...] = ()
     """Besides those of the scenario, as the command line writes them."""
 
@@ -57,7 +57,7 @@ class RunReport:
     params_sha256: str
     result: ScenarioResult
     realtime_factor: float
-    kept: Kept
+    artifacts: Artifacts
 
     @property
     def passed(self) -> bool:
@@ -71,7 +71,7 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
     Raises:
         BadRequest: the request or the scenario is wrong; nothing moved and nothing was written.
     """
-    scenario, arm = _checked(request)
+    scenario, arm = _prepare(request)
     stops = initialise(arm, request.seed, progress)
     if stops[-1].outcome is not Outcome.DONE:
         return _not_initialised(request, scenario, arm, stops)
@@ -86,12 +86,12 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
     judged = ScenarioRun(loop, scenario)
     header = run_header(loop, arm.name, request.seed, asdict(request), scenario.commands, scenario.effects)
     log = open_log(request.files.log, header, loop.config)
-    frames, shown, total = Frames(), _shown(scenario), len(scenario.commands)
+    frames, shown, total = Frames(), _picture_command(scenario), len(scenario.commands)
     started = time.perf_counter()
     try:
-        for record in recorded(judged, log, request.files.when_disk_full):
+        for record in record_cycles(judged, log, request.files.when_disk_full):
             if frames.note(loop.plant, record):
-                progress(judged.command - 1, total, doing(record))
+                progress(judged.command - 1, total, describe_activity(record))
             if judged.command == shown:
                 frames.choose(loop.plant)
     finally:
@@ -107,28 +107,28 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
         params_sha256=loop.config.params_sha256,
         result=result,
         realtime_factor=result.duration_s / wall_s,
-        kept=keep(request.files, scenario.world, frames, loop.plant.data.qpos, log, progress),
+        artifacts=save_artifacts(request.files, scenario.world, frames, loop.plant.data.qpos, log, progress),
     )
 
 
-def _checked(request: RunRequest) -> tuple[Scenario, BuiltArm]:
+def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
     """The scenario on its arm, after every check that can be made before anything moves or is written."""
     check_seed(request.seed)
     try:
         scenario = load_scenario(request.scenario)
     except BadScenario as error:
         raise BadRequest(str(error)) from error
-    arm = chosen_arm(scenario.arm if request.arm is None else request.arm, None)
+    arm = select_arm(scenario.arm if request.arm is None else request.arm, None)
     if request.tilt_deg is not None:
-        tilted = tilted_world(scenario.world.scene, *request.tilt_deg)
+        tilted = make_world(scenario.world.scene, *request.tilt_deg)
         scenario = scenario.tilted(tilted.tilt_roll_rad, tilted.tilt_pitch_rad)
-    scenario = replace(scenario, effects=(*scenario.effects, *chosen_effects(request.effects)))
+    scenario = replace(scenario, effects=(*scenario.effects, *parse_effects(request.effects)))
     read = Path(request.scenario)
-    check_files(request.files, scenario=read if read.suffix == ".toml" else None)
+    check_run_files(request.files, scenario=read if read.suffix == ".toml" else None)
     return scenario, scenario.fit_arm(arm)
 
 
-def _shown(scenario: Scenario) -> int:
+def _picture_command(scenario: Scenario) -> int:
     """The command at whose end the picture is taken: the last one that a check looks at."""
     numbers = [getattr(check, name, 0) for check in scenario.checks for name in ("after", "during")]
     return max(numbers) or len(scenario.commands)
@@ -139,5 +139,5 @@ def _not_initialised(
 ) -> RunReport:
     failed = stops[-1]
     result = ScenarioResult(failed.outcome, 0, failed.duration_s, (), failed.evrs)
-    kept = nothing_kept(request.files)
-    return RunReport(request, scenario, arm.name, digest(arm.params), result, 0.0, kept)
+    artifacts = no_artifacts(request.files)
+    return RunReport(request, scenario, arm.name, digest(arm.params), result, 0.0, artifacts)

@@ -1,18 +1,24 @@
-"""Results as tables for people and as documents for programs; degrees and millimetres begin here."""
+"""Scenarios and what came of them as tables for people and as documents for programs."""
 
-from math import degrees
+from math import degrees, isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from fsw.dictionary.evrs import Evr, Severity
-from ground.render.console import WARNED, plain_console
-from ground.runs.artifacts import Kept
+from ground.render.console import WARNING_STYLE, plain_console, styled_cell
+from ground.runs.execution import Artifacts
 from ground.runs.place import PlaceReport
+from ground.runs.scenario import RunReport
 from ground.telemetry.events import json_fields
 from sim.placement import PlacementError
+from sim.scenario.data import Scenario
+from sim.scenario.effects import effect_text
+from sim.scenario.judge import CheckResult
+from sim.scenario.names import upper_snake
 
 
 def place_json(report: PlaceReport) -> dict[str, Any]:
@@ -26,18 +32,18 @@ def place_json(report: PlaceReport) -> dict[str, Any]:
         "branch": result.branch,
         "duration_s": result.duration_s,
         "realtime_factor": report.realtime_factor,
-        "error_mm": None if contact is None else _error_mm(contact),
+        "error_mm": None if contact is None else _error_json(contact),
         "axis_error_deg": None if contact is None else degrees(contact.axis_rad),
-        "standoff_error_mm": None if standoff is None else _error_mm(standoff),
+        "standoff_error_mm": None if standoff is None else _error_json(standoff),
         "standoff_axis_error_deg": None if standoff is None else degrees(standoff.axis_rad),
         "target_m": list(request.target_m),
         "normal": list(request.normal),
         "tilt_deg": {"roll": request.tilt_roll_deg, "pitch": request.tilt_pitch_deg},
         "seed": request.seed,
         "params_sha256": report.params_sha256,
-        "evrs": [evr_json(time_s, evr) for time_s, evr in (*result.evrs, *report.kept.events)],
+        "evrs": [evr_json(time_s, evr) for time_s, evr in (*result.evrs, *report.artifacts.events)],
         "log": None if request.files.log is None else str(request.files.log),
-        **kept_json(report.kept),
+        **artifacts_json(report.artifacts),
     }
 
 
@@ -53,7 +59,7 @@ def place_table(report: PlaceReport) -> None:
         table.add_column(name, justify="right")
     for name, error in (("at the standoff", result.standoff), ("in contact", result.contact)):
         if error is not None:
-            table.add_row(name, *_cells(error))
+            table.add_row(name, *_error_cells(error))
     console.print(table)
     console.print(f"branch    {result.branch or 'none'}")
     console.print(
@@ -61,32 +67,32 @@ def place_table(report: PlaceReport) -> None:
     )
     for time_s, evr in result.evrs:
         if evr.severity >= Severity.WARNING_LO:
-            console.print(f"{time_s:8.2f} s  {evr.severity.name}  {evr.message}", style=WARNED)
-    kept_table(console, report.kept, request.files.log)
+            console.print(f"{time_s:8.2f} s  {evr.severity.name}  {evr.message}", style=WARNING_STYLE)
+    print_artifacts(console, report.artifacts, request.files.log)
 
 
-def kept_json(kept: Kept) -> dict[str, Any]:
-    """What was kept of a run, for its document."""
+def artifacts_json(artifacts: Artifacts) -> dict[str, Any]:
+    """The artifacts of a run, for its document."""
     return {
-        "log_problem": kept.log_problem,
-        "picture": None if kept.picture is None else _path(kept.picture.path),
-        "movie": None if kept.movie is None else _path(kept.movie.path),
+        "log_problem": artifacts.log_problem,
+        "picture": None if artifacts.picture is None else _path_text(artifacts.picture.path),
+        "movie": None if artifacts.movie is None else _path_text(artifacts.movie.path),
     }
 
 
-def kept_table(console: Console, kept: Kept, log: Path | None) -> None:
+def print_artifacts(console: Console, artifacts: Artifacts, log: Path | None) -> None:
     """Print where the files are, or why there are none."""
-    for name, drawn in (("picture", kept.picture), ("movie", kept.movie)):
+    for name, drawn in (("picture", artifacts.picture), ("movie", artifacts.movie)):
         if drawn is not None:
             console.print(
                 f"{name:<9} {drawn.path or 'none'}" + (f"  ({drawn.hint})" if drawn.hint else ""),
                 soft_wrap=True,
             )
     if log is not None:
-        console.print(f"log       {kept.log_problem or log}", soft_wrap=True)
+        console.print(f"log       {artifacts.log_problem or log}", soft_wrap=True)
 
 
-def _cells(error: PlacementError) -> tuple[str, ...]:
+def _error_cells(error: PlacementError) -> tuple[str, ...]:
     mm = (error.total_m, error.lateral_m, error.normal_m)
     return (
         *(f"{1e3 * v:.2f}" for v in mm),
@@ -95,7 +101,7 @@ def _cells(error: PlacementError) -> tuple[str, ...]:
     )
 
 
-def _error_mm(error: PlacementError) -> dict[str, float]:
+def _error_json(error: PlacementError) -> dict[str, float]:
     return {
         "total": 1e3 * error.total_m,
         "lateral": 1e3 * error.lateral_m,
@@ -115,5 +121,110 @@ def evr_json(time_s: float, evr: Evr) -> dict[str, Any]:
     }
 
 
-def _path(path: Any) -> str | None:
+def _path_text(path: Any) -> str | None:
     return None if path is None else str(path)
+
+
+DISPLAY_UNITS: Final = {"m": ("mm", 1e3), "rad": ("deg", degrees(1.0))}
+"""The unit that people read, and how many of it a unit of the house is."""
+
+
+def run_json(report: RunReport) -> dict[str, Any]:
+    """A run as a JSON document."""
+    result, world = report.result, report.scenario.world
+    return {
+        "scenario": report.scenario.name,
+        "outcome": result.outcome.value,
+        "passed": report.passed,
+        "arm": report.arm,
+        "commands_begun": result.command,
+        "checks": [_measured_json(measured) for measured in result.checks],
+        "duration_s": result.duration_s,
+        "realtime_factor": report.realtime_factor,
+        "tilt_deg": {"roll": degrees(world.tilt_roll_rad), "pitch": degrees(world.tilt_pitch_rad)},
+        "seed": report.request.seed,
+        "effects": [effect_text(effect) for effect in report.scenario.effects],
+        "params_sha256": report.params_sha256,
+        "evrs": [evr_json(time_s, evr) for time_s, evr in (*result.evrs, *report.artifacts.events)],
+        "log": None if report.request.files.log is None else str(report.request.files.log),
+        **artifacts_json(report.artifacts),
+    }
+
+
+def run_table(report: RunReport) -> None:
+    """Print a run: each check with its bounds, the warnings, and where the files are."""
+    result, scenario = report.result, report.scenario
+    console = plain_console()
+    passed = "passed" if report.passed else "NOT passed"
+    table = Table(
+        title=f"{scenario.title} on {report.arm} arm: {result.outcome.value}, {passed}", title_justify="left"
+    )
+    for name in ("check", "", "measured", "bound", ""):
+        table.add_column(name, justify="right" if name in ("measured", "bound") else "left")
+    for measured in result.checks:
+        table.add_row(*_check_cells(measured))
+    console.print(table)
+    number = result.command
+    if result.outcome != "done" and number > 0:
+        console.print(f"ended in  command {number}, {upper_snake(type(scenario.commands[number - 1]))}")
+    console.print(
+        f"duration  {result.duration_s:.1f} s of Mars time, {report.realtime_factor:.0f} times real time"
+    )
+    for time_s, evr in result.evrs:
+        if evr.severity >= Severity.WARNING_LO:
+            console.print(f"{time_s:8.2f} s  {evr.severity.name}  {evr.message}", style=WARNING_STYLE)
+    print_artifacts(console, report.artifacts, report.request.files.log)
+
+
+def scenarios_json(scenarios: tuple[Scenario, ...]) -> list[dict[str, Any]]:
+    """The scenarios that come with the house as a JSON document."""
+    return [
+        {
+            "name": scenario.name,
+            "title": scenario.title,
+            "sentence": scenario.sentence,
+            "start": scenario.start,
+            "commands": [upper_snake(type(command)) for command in scenario.commands],
+            "checks": [upper_snake(type(check)).lower() for check in scenario.checks],
+        }
+        for scenario in scenarios
+    ]
+
+
+def scenarios_table(scenarios: tuple[Scenario, ...]) -> None:
+    """Print a line for each scenario that comes with the house."""
+    width = max(len(scenario.name) for scenario in scenarios)
+    for scenario in scenarios:
+        plain_console().print(f"{scenario.name:<{width}}  {scenario.sentence}", soft_wrap=True)
+
+
+def _measured_json(measured: CheckResult) -> dict[str, Any]:
+    value, low, high, unit = _in_unit(measured)
+    return {
+        "check": measured.check,
+        "name": measured.name,
+        "value": _finite(value),
+        "unit": unit or None,
+        "low": _finite(low),
+        "high": _finite(high),
+        "passed": measured.passed,
+    }
+
+
+def _check_cells(measured: CheckResult) -> tuple[str | Text, ...]:
+    value, low, high, unit = _in_unit(measured)
+    end = styled_cell("ok", "") if measured.passed else styled_cell("NOT", WARNING_STYLE)
+    if low == high == 1.0:
+        return measured.check, measured.name, "yes" if value == 1.0 else "no", "yes", end
+    said = f"{value:.3g} {unit}".rstrip() if isfinite(value) else "not reached"
+    most = f"at most {high:.3g}" if not isfinite(low) else f"{low:.3g} .. {high:.3g}"
+    return measured.check, measured.name, said, f"{most} {unit}".rstrip(), end
+
+
+def _in_unit(measured: CheckResult) -> tuple[float, float, float, str]:
+    unit, factor = DISPLAY_UNITS.get(measured.unit, (measured.unit, 1.0))
+    return factor * measured.value, factor * measured.low, factor * measured.high, unit
+
+
+def _finite(value: float) -> float | None:
+    return value if isfinite(value) else None

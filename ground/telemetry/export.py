@@ -17,9 +17,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from ground.common.fields import unit_of
-from ground.common.files import BadOutput, check_output, check_place, written_whole
+from ground.common.files import BadOutput, atomic_write, check_new_path, check_output
 from ground.common.progress import Progress
-from ground.common.requests import check_apart
+from ground.common.requests import check_distinct_files
 from ground.telemetry.events import CommandEntry, EvrEntry
 from ground.telemetry.format import COMMAND_TOPIC, EVR_TOPIC, TICK_NS, TRUTH_TEXT
 from ground.telemetry.inspection import NoSuchChannel, index_text, severity_name
@@ -97,14 +97,14 @@ def export(
     chosen = _select_topics(log, topics)
     files = _output_files(out, chosen, kind)
     for topic, path in files.items():
-        check_apart({"LOG": log.path, f"out ({topic})": path})
+        check_distinct_files({"LOG": log.path, f"out ({topic})": path})
     header = json.dumps(dict(log.header))
     made = _make_folder(out)
     try:
         with ExitStack() as all_whole:
             for k, (topic, path) in enumerate(files.items()):
                 progress(k, len(files), topic)
-                file = all_whole.enter_context(written_whole(path, "out"))
+                file = all_whole.enter_context(atomic_write(path, "out"))
                 write = write_csv if path.suffix == ".csv" else write_parquet
                 write(topic_table(log, topic), header, file)
     except BaseException:
@@ -149,7 +149,7 @@ def _output_files(out: Path, topics: Sequence[str], kind: str) -> dict[str, Path
         raise BadOutput(
             f"out {out}: must end in .parquet or .csv, or be a folder; the name of a new one has no dot"
         )
-    check_place(out, "out")
+    check_new_path(out, "out")
     files = {topic: out / (topic.strip("/").replace("/", "_") + kind) for topic in topics}
     if os.path.isdir(out):
         for path in files.values():

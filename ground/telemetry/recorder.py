@@ -16,7 +16,7 @@ from weakref import finalize
 from mcap.records import Metadata
 
 from fsw.config import Config
-from ground.common.files import beside
+from ground.common.files import atomic_path
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.events import command_entry, evr_entry, rosout_message
 from ground.telemetry.format import (
@@ -52,7 +52,7 @@ def create_log(
     """
     place = _resolve_path(path)
     try:
-        with beside(place) as part, FileIO(part, "xb", opener=_open_above_stdio) as file:
+        with atomic_path(place) as part, FileIO(part, "xb", opener=_open_above_stdio) as file:
             yield file, _write_header(file, header, channels)
     except OSError as error:
         why = f"cannot be written ({error.strerror}); give a path with room that you may write"

@@ -8,9 +8,9 @@ from typing import BinaryIO
 
 from mcap.writer import IndexType, Writer
 
-from ground.common.files import check_output, written_whole
+from ground.common.files import atomic_write, check_output
 from ground.common.progress import Progress
-from ground.common.requests import check_apart
+from ground.common.requests import check_distinct_files
 from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.format import CHANNELS_KEY, FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
 from ground.telemetry.lost_messages import RECOVERED_RECORD, LostMessages, loss_metadata
@@ -46,12 +46,12 @@ def recover(bad: Path, good: Path, progress: Progress) -> RecoveryReport:
         BadRequest: `good` is the file of `bad`.
     """
     data = read_log_bytes(bad)
-    check_apart({"BAD": bad, "GOOD": check_output(good, (".mcap",), "GOOD")})
+    check_distinct_files({"BAD": bad, "GOOD": check_output(good, (".mcap",), "GOOD")})
     progress(0, 1, "searching")
     found = salvage(data)
     _check_ours(bad, found)
     lost = (*found.lost_before, *found.lost)
-    with written_whole(good, "GOOD") as file:
+    with atomic_write(good, "GOOD") as file:
         saved, doubled = _write(file, found, lost, progress)
         file.flush()
         parse_log(bad, Path(file.name).read_bytes())

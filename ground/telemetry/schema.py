@@ -13,7 +13,7 @@ import numpy as np
 
 from fsw.dictionary.enums import Joint, Switch, Tool
 from fsw.dictionary.types import Limits
-from ground.common.fields import field_texts, unit_of
+from ground.common.fields import field_docs, unit_of
 from ground.telemetry.errors import SchemaError
 
 ROS_TIME: Final = struct.Struct("<iI")
@@ -202,7 +202,7 @@ def packet_field(owner: type, name: str, hint: Any) -> Field:
         SchemaError: the annotation has no fixed layout.
     """
     kind, where = strip_annotated(hint), f"{owner.__name__}.{name}"
-    note, doc = note_of(name, hint), " ".join(field_texts(owner).get(name, "").split())
+    note, doc = note_of(name, hint), " ".join(field_docs(owner).get(name, "").split())
     if get_origin(kind) is np.ndarray:
         scalar = np.dtype(get_args(get_args(kind)[1])[0])
         if not is_ros_number(scalar):

@@ -8,8 +8,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
-from ground.render.console import plain_console
-from ground.render.words import counted
+from ground.render.console import plain_console, pluralize
 from ground.telemetry.format import FORMAT
 from ground.telemetry.inspection import ChannelSeries, LogInfo, Range, range_of, summarize_log
 from ground.telemetry.lost_messages import LostMessages, span_text, trailing_bytes_text
@@ -193,5 +192,5 @@ def export_table(log: Log, files: dict[str, Path]) -> None:
     """Print which files were written."""
     for topic, path in files.items():
         plain_console().print(
-            f"{topic:<16} {counted(len(log.time_ns[topic]), 'row')} in {path}", soft_wrap=True
+            f"{topic:<16} {pluralize(len(log.time_ns[topic]), 'row')} in {path}", soft_wrap=True
         )

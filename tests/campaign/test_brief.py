@@ -13,7 +13,7 @@ WHOLE = {
     "jobs": ("scenarios", "tool_change", "contact", "faults"),
     "joints": ("hardstops", "backlash", "shoulder_in"),
 }
-OTHERWISE = {"brief", "fuzz", "run"}
+OTHERWISE = {"brief", "fuzz", "benchmarks"}
 """This list itself, what takes a minute as it is, and benchmarks of speed."""
 
 

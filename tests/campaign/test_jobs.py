@@ -5,8 +5,8 @@ import pytest
 from sim.arms import arm_named
 from sim.initialisation import true_reference
 from sim.scenario.file import built_in_scenarios
-from validation.scenarios import ran_on
-from validation.tool_change import Changed, one_target
+from validation.scenarios import run_scenario_on
+from validation.tool_change import ToolChangeErrors, one_target
 
 MISSES = {("calibrated:3", "sampling")}
 """While the press is released, the force across the tool is too large a share: docs/jobs.md."""
@@ -18,14 +18,14 @@ MISSES = {("calibrated:3", "sampling")}
 def test_a_job_is_done_on_an_arm_whose_parameters_are_its_own(name, arm_name, request):
     if (arm_name, name) in MISSES:
         request.applymarker(pytest.mark.xfail(strict=True, reason="a release leaves force across the tool"))
-    assert ran_on(arm_name, name, true_reference(arm_named(arm_name))).failed == ()
+    assert run_scenario_on(arm_name, name, true_reference(arm_named(arm_name))).failed == ()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(built_in_scenarios()))
 def test_an_arm_that_is_not_calibrated_refuses_no_job(name):
     """The drawing's parameters on another arm."""
-    ran = ran_on("as-built:1", name, true_reference(arm_named("as-built:1")))
+    ran = run_scenario_on("as-built:1", name, true_reference(arm_named("as-built:1")))
     assert (ran.outcome, ran.failed) == ("done", ())
 
 
@@ -34,6 +34,6 @@ def test_a_tool_change_comes_closer_to_the_spot_than_coordinates_to_their_target
     """On an arm fifty kelvin off and a fifth softer or stiffer than flight software knows."""
     reference = true_reference(arm_named("calibrated:7"))
     tried = (one_target("calibrated:7", reference, draw) for draw in range(9))
-    changed = next(found for found in tried if isinstance(found, Changed))
+    changed = next(found for found in tried if isinstance(found, ToolChangeErrors))
     assert changed.from_spot_mm < 1.0
     assert changed.from_spot_mm < 0.5 * changed.absolute_mm

@@ -13,15 +13,15 @@ def refused(*_: object) -> None:
     raise BadRequest("no such arm")
 
 
-def same(scenario: str, arm: str) -> replays.Replayed:
-    return replays.Replayed(scenario, arm, "done", "identical", True, 10, 100, 1.0, 1.0)
+def same(scenario: str, arm: str) -> replays.ReplayOutcome:
+    return replays.ReplayOutcome(scenario, arm, "done", "identical", True, 10, 100, 1.0, 1.0)
 
 
 def test_a_run_that_is_refused_is_counted_as_not_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replays, "run", refused)
-    one = replays.one("contact", "nominal")
+    one = replays.replay_one("contact", "nominal")
     assert (one.outcome, one.verdict, one.identical) == (replays.NOT_REPLAYED, "no such arm", False)
-    found = replays.summed([same("press", "nominal"), one])
+    found = replays.summarize([same("press", "nominal"), one])
     assert (found["asked"], found["replayed"], found["identical"]) == (2, 1, 1)
 
 
@@ -29,8 +29,8 @@ def test_a_run_that_is_refused_is_counted_as_not_the_same(monkeypatch: pytest.Mo
 def test_the_exit_status_tells_whether_all_that_was_asked_is_the_same(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], outcome: str, status: int
 ) -> None:
-    lone = replays.Replayed("contact", "nominal", outcome, "", outcome == "done", 10, 100, 1.0, 1.0)
-    monkeypatch.setattr(replays, "document", lambda *_: replays.summed([lone]))
+    lone = replays.ReplayOutcome("contact", "nominal", outcome, "", outcome == "done", 10, 100, 1.0, 1.0)
+    monkeypatch.setattr(replays, "document", lambda *_: replays.summarize([lone]))
     monkeypatch.setattr(sys, "argv", ["replays"])
     with pytest.raises(SystemExit) as ended:
         replays.main()

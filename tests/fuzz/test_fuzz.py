@@ -8,15 +8,15 @@ import pytest
 
 import validation.fuzz
 from ground.telemetry.imports import table
-from validation import fuzz_import
-from validation.fuzz import TARGETS, Target, fuzz
+from validation import fuzz_inputs
+from validation.fuzz import TARGETS, FuzzTarget, fuzz
 
 TRIES = 400
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
 def test_broken_files_are_refused_with_an_error_that_says_so(
-    target: Target, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    target: FuzzTarget, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     found = fuzz(target, 6, seconds=300.0, most=TRIES)
@@ -26,11 +26,11 @@ def test_broken_files_are_refused_with_an_error_that_says_so(
 
 
 @pytest.mark.parametrize("target", TARGETS, ids=lambda target: target.name)
-def test_the_seeds_are_accepted(target: Target) -> None:
+def test_the_seeds_are_accepted(target: FuzzTarget) -> None:
     assert all(target.run(seed) for seed in target.seeds())
 
 
-def hides_all(work: Any) -> Target:
+def hides_all(work: Any) -> FuzzTarget:
     """A target that takes whatever goes wrong for a broken file, as decoders do."""
 
     def run(_: bytes) -> bool:
@@ -40,7 +40,7 @@ def hides_all(work: Any) -> Target:
             return False
         return True
 
-    return Target("hides", run, lambda: [b"seed"])
+    return FuzzTarget("hides", run, lambda: [b"seed"])
 
 
 def test_a_hang_is_seen_though_the_target_catches_every_exception(
@@ -69,4 +69,4 @@ def test_a_table_that_asks_for_all_of_the_memory_is_seen(monkeypatch: pytest.Mon
 
     monkeypatch.setattr(table, "_from_text", bomb)
     with pytest.raises(MemoryError):
-        fuzz_import.import_once(fuzz_import.import_seeds()[0])
+        fuzz_inputs.import_once(fuzz_inputs.import_seeds()[0])

@@ -9,7 +9,7 @@ from sim.initialisation import true_reference
 from sim.loop import ClosedLoop, Setup
 from sim.placement import Placement, placement_commands
 from sim.world import Surface, World
-from validation.contact import Rest, rest_after
+from validation.contact import ContactRest, rest_after
 
 POINT_N_M, NORMAL_N = (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85)
 
@@ -24,7 +24,7 @@ def test_a_touch_rests_half_a_second_after_the_last_set_point(tool: Tool, arm_na
     commands = placement_commands(Placement(tool, POINT_N_M, NORMAL_N), stowed=False)[:-1]
     assert isinstance(commands[-1], GuardedMove)
     rest = rest_after(loop, commands, tool)
-    assert isinstance(rest, Rest)
+    assert isinstance(rest, ContactRest)
     assert rest.mean_N > 5.0
     assert rest.soon < 0.2
     assert rest.later < 0.05

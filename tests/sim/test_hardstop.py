@@ -80,7 +80,7 @@ def test_every_joint_of_the_nominal_arm_finds_its_zero_and_its_gap(joint):
     assert result.outcome is Outcome.DONE
     (stop,) = result.stops
     assert abs(stop.zero_error_rad) < 0.1e-3
-    assert abs(stop.half_gap_error_rad) < 0.1e-3
+    assert abs(stop.half_backlash_error_rad) < 0.1e-3
     assert list(result.reference.calibrated) == [other is joint for other in Joint]
     assert run.loop.state.joints.side[joint] == np.sign(lab.gear_rad(run.loop.plant)[joint])
     others = [other for other in Joint if other is not joint]

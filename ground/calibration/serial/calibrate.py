@@ -98,7 +98,8 @@ def calibrate_series(
             break
         if np.count_nonzero(~agree) > MAX_OUTLIER_SHARE * series.count:
             raise TooManyOutliers(
-                f"more than {MAX_OUTLIER_SHARE:.0%} of {series.count} poses do not agree with the rest: see that this is "
+                f"more than {MAX_OUTLIER_SHARE:.0%} of {series.count} poses do not agree with the rest: "
+                "see that this is "
                 "the arm of the file, and that the tracker kept its target"
             )
         used = agree

@@ -126,7 +126,8 @@ def serial_table(report: SerialReport, picture_lacks: str | None) -> None:
         console.print(_joints(report))
     fit = last.found.fit
     console.print(
-        f"{len(fit.parameters)} parameters; the poses tell {report.identifiability.rank} combinations of them; "
+        f"{len(fit.parameters)} parameters; the poses tell {report.identifiability.rank} combinations of "
+        "them; "
         f"{_noise_words(fit.sigma0)}"
     )
     rows = ", ".join(map(str, last.found.outliers))

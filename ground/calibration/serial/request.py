@@ -18,9 +18,9 @@ from ground.calibration.serial.nested_models import NestedModel, fit_nested_mode
 from ground.calibration.serial.series import PoseSeries
 from ground.calibration.serial.temperature import TemperatureTest, temperature_test
 from ground.calibration.serial.tracker_table import mapping_from_toml, series_from_table, sha256
-from ground.common.files import BadOutput, check_output, written_whole
+from ground.common.files import BadOutput, atomic_write, check_output
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_apart
+from ground.common.requests import BadRequest, check_distinct_files
 from ground.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file
 from ground.telemetry.imports.mapping_file import MAX_MAPPING_BYTES
 
@@ -72,7 +72,7 @@ def calibrate_serial(request: SerialRequest, progress: Progress) -> SerialReport
         BadRequest: a file is wrong, or its poses do not tell what is asked; nothing was written.
     """
     files = {name: getattr(request, name) for name in ("arm", "table", "mapping", "out", "picture")}
-    check_apart(files)
+    check_distinct_files(files)
     terms = _parse_terms(request.terms)
     if not LEAST_SHARE <= request.share <= 1.0:
         raise BadRequest(f"share: {request.share:g} is not within {LEAST_SHARE:g} .. 1")
@@ -90,7 +90,7 @@ def calibrate_serial(request: SerialRequest, progress: Progress) -> SerialReport
         report = _build_report(request, arm, series, part, fresh, steps, digests)
         if request.out is not None:
             text = arm_to_toml(steps[-1].found.arm, _provenance(report))
-            with written_whole(request.out, "out") as file:
+            with atomic_write(request.out, "out") as file:
                 file.write(text.encode())
     except (BadImport, BadArmFile, SetupNotFound, TooManyOutliers, BadOutput) as error:
         raise BadRequest(str(error)) from error

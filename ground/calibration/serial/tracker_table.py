@@ -141,7 +141,8 @@ def _check_stale(table: InputTable, joint_rad: Array, measured: Array, column: s
     if run.any():
         row = int(np.flatnonzero(run)[0])
         what = (
-            f"the target stands still to the last digit in {MIN_STALE_ROWS} rows or more while the joints move: "
+            f"the target stands still to the last digit in {MIN_STALE_ROWS} rows or more while the joints "
+            "move: "
             "the tracker had lost it; leave these rows out"
         )
         raise table.wrong(what, row, column)

@@ -4,7 +4,7 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from ground.common.pool import on_this_machine
+from ground.common.pool import local_runner
 from ground.common.progress import Progress
 from ground.diagnosis.arm.audit import believed, too_little
 from ground.diagnosis.arm.case import solved
@@ -36,7 +36,7 @@ def diagnosed(request: DiagnoseRequest, progress: Progress) -> Result:
         logs,
         held_out,
         request.campaign or _cache(),
-        on_this_machine(os.cpu_count() or 1),
+        local_runner(os.cpu_count() or 1),
         progress,
         request.kinds,
     )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ground.common.files import BadOutput, check_output
-from ground.common.requests import BadRequest, check_apart
+from ground.common.requests import BadRequest, check_distinct_files
 from ground.diagnosis.arm.patch import NothingToWrite, save_new_params, save_patch
 from ground.diagnosis.arm.request import DiagnoseRequest
 from ground.diagnosis.page import save_gap_page
@@ -24,7 +24,7 @@ class DiagnosisFiles:
 def check_diagnosis_files(files: DiagnosisFiles, params: Path | None, effects: Sequence[str] = ()) -> None:
     """Refuse, before anything is done, what could not be written or is read."""
     read = {f"effect {text}": Path(text) for text in effects if text.endswith(".toml")}
-    check_apart(
+    check_distinct_files(
         {
             **read,
             "params": params,

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from fsw.dictionary.params import Params
-from ground.common.files import written_whole
-from ground.common.params_text import params_text
+from ground.common.files import atomic_write
+from ground.common.params_toml import params_toml
 from ground.diagnosis.arm.simulator import raced, switched_on, told
 from ground.diagnosis.result import Result
 from ground.diagnosis.told import others
@@ -42,7 +42,7 @@ def save_patch(result: Result, path: Path) -> None:
         BadOutput: the file cannot be written.
     """
     effects = found_effects(result)
-    with written_whole(path, "patch") as file:
+    with atomic_write(path, "patch") as file:
         file.write(effect_file_text(effects, _said(result)).encode())
 
 
@@ -80,8 +80,8 @@ def save_new_params(result: Result, base: Params, path: Path) -> None:
         *(f"Effect: {effect_text(effect)}" for effect in effects),
         *(f"They have no word for {name}." for name in silent),
     ]
-    with written_whole(path, "new-params") as file:
-        file.write(params_text(nominal_params(), params, said).encode())
+    with atomic_write(path, "new-params") as file:
+        file.write(params_toml(nominal_params(), params, said).encode())
 
 
 def _said(result: Result) -> list[str]:

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from ground.common.files import beside, check_place
+from ground.common.files import atomic_path, check_new_path
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_seed, chosen_arm, chosen_effects
+from ground.common.requests import BadRequest, check_seed, parse_effects, select_arm
 from ground.diagnosis.arm.record import record_campaign
 from sim.arms import effects_of_run
 from sim.diagnosis_campaign import HELD_OUT_SESSIONS, SessionFailed, campaign_sessions
@@ -36,11 +36,11 @@ def check_record(request: RecordRequest) -> None:
         BadRequest, BadOutput: the message says why.
     """
     check_seed(request.seed)
-    chosen_effects(request.effects)
-    chosen_arm(request.arm, request.params)
+    parse_effects(request.effects)
+    select_arm(request.arm, request.params)
     if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
         raise BadRequest(f"out {request.out}: is there already; name a new folder")
-    check_place(request.out, "out")
+    check_new_path(request.out, "out")
 
 
 def recorded(request: RecordRequest, progress: Progress) -> list[Path]:
@@ -49,12 +49,12 @@ def recorded(request: RecordRequest, progress: Progress) -> list[Path]:
     Raises:
         BadRequest: the arm cannot carry out a session with these effects.
     """
-    effects = chosen_effects(request.effects)
-    arm = chosen_arm(request.arm, request.params).with_effects(effects)
+    effects = parse_effects(request.effects)
+    arm = select_arm(request.arm, request.params).with_effects(effects)
     begun = effects_of_run(effects)
     wanted, reference, paths = campaign_sessions(arm.params), true_reference(arm), []
     try:
-        with beside(request.out.resolve()) as part:
+        with atomic_path(request.out.resolve()) as part:
             for number, session in enumerate(wanted):
                 progress(number, len(wanted), session.name)
                 folder = part / APART if session.name in HELD_OUT_SESSIONS else part

@@ -11,7 +11,7 @@ from typing import Final
 from pydantic import TypeAdapter, ValidationError
 
 import ground.diagnosis
-from ground.common.files import written_whole
+from ground.common.files import atomic_write
 from ground.common.pool import Runner
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest
@@ -68,7 +68,7 @@ def reference(
 
 def save_thresholds(found: Thresholds, path: Path) -> None:
     """Keep them with a digest of the code that found them; BadOutput if they cannot be written."""
-    with written_whole(path, "thresholds") as file:
+    with atomic_write(path, "thresholds") as file:
         file.write(json.dumps({"code": _code(), **asdict(found)}).encode())
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from fsw.dictionary.params import Params
-from ground.common.requests import BadRequest, check_seed, chosen_effects
+from ground.common.requests import BadRequest, check_seed, parse_effects
 from ground.diagnosis.arm.simulator import raced
 from sim.effects.catalogue import catalogue, effect_name
 from sim.effects.effect import Effect
@@ -70,7 +70,7 @@ def diagnose_request(
     if campaign is not None and not os.path.isdir(campaign):
         raise BadRequest(f"campaign {campaign}: there is no such folder of logs")
     kinds = None if names is None else _kinds(names)
-    return DiagnoseRequest(fitted, apart, params, kinds, campaign, seed, chosen_effects(tuple(effects)))
+    return DiagnoseRequest(fitted, apart, params, kinds, campaign, seed, parse_effects(tuple(effects)))
 
 
 def _logs(given: Sequence[Path], what: str) -> Iterator[Path]:

@@ -18,7 +18,7 @@ import fsw
 import sim
 from fsw.config import digest
 from fsw.kinematics.transforms import Array
-from ground.common.files import written_whole
+from ground.common.files import atomic_write
 from ground.common.pool import Runner
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest
@@ -123,7 +123,7 @@ def _part(whole: OnFile, names: Names, path: Path) -> OnFile:
 
 
 def _keep(found: Sensitivities, keys: Sequence[str], path: Path) -> OnFile:
-    with written_whole(keys_path(path), "keys") as file:
+    with atomic_write(keys_path(path), "keys") as file:
         file.write(json.dumps(keys).encode())
     save(path, found)
     return OnFile(found, path)

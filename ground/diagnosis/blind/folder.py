@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from ground.common.files import BadOutput, written_whole
+from ground.common.files import BadOutput, atomic_write
 from ground.common.requests import BadRequest
 from ground.diagnosis.blind.said import read_said
 from ground.diagnosis.blind.truth import sealed_digest
@@ -56,5 +56,5 @@ def write_json(path: Path, document: Mapping[str, Any] | list[Any]) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadOutput(f"out {path}: cannot be written ({error.strerror or error})") from error
-    with written_whole(path, "out") as file:
+    with atomic_write(path, "out") as file:
         file.write((json.dumps(document, indent=1, allow_nan=False) + "\n").encode())

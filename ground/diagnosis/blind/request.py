@@ -3,7 +3,7 @@
 import os
 from pathlib import Path
 
-from ground.common.files import check_place
+from ground.common.files import check_new_path
 from ground.common.requests import BadRequest, check_seed
 from ground.diagnosis.blind.folder import CAMPAIGN, PART
 from ground.diagnosis.blind.truth import DIGEST
@@ -17,7 +17,7 @@ def check_make(cases: int, seed: int, out: Path, jobs: int) -> None:
         raise BadRequest(f"cases: {cases} is not within 1 .. {MOST_CASES}")
     check_seed(seed)
     check_jobs(jobs)
-    check_place(out, "out")
+    check_new_path(out, "out")
     if not os.path.exists(out):
         return
     if not os.path.isdir(out):

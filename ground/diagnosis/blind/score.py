@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.stats import binom
 
-from ground.common.rates import Rate, rate
+from ground.common.rates import Rate, estimate_rate
 from ground.diagnosis.blind.classes import Classes
 from ground.diagnosis.blind.truth import TrueCase, TrueEffect
 
@@ -197,7 +197,7 @@ def _verdicts(solved: Sequence[Solved]) -> dict[str, dict[str, int]]:
 
 def _rate(hits: Iterable[bool]) -> Rate:
     told = list(hits)
-    return rate(sum(told), len(told))
+    return estimate_rate(sum(told), len(told))
 
 
 def _called(said: Document) -> bool:

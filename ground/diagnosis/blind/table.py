@@ -7,7 +7,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from ground.common.files import written_whole
+from ground.common.files import atomic_write
 from ground.common.rates import Rate
 from ground.diagnosis.blind.score import Found, Middle, Score
 
@@ -26,7 +26,7 @@ def score_markdown(score: Score) -> str:
 def save_score(score: Score, path: Path) -> None:
     """As its name's ending says; BadOutput if it cannot be written."""
     text = json.dumps(score_json(score), indent=1) + "\n" if path.suffix == ".json" else score_markdown(score)
-    with written_whole(path, "out") as file:
+    with atomic_write(path, "out") as file:
         file.write(text.encode())
 
 

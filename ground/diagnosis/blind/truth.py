@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from ground.common.files import written_whole
+from ground.common.files import atomic_write
 from ground.common.requests import BadRequest
 
 Kind = Literal["none", "single", "pair", "outside"]
@@ -59,7 +59,7 @@ def seal(folder: Path, truth: Truth) -> str:
     """Write truth and digest; the digest. BadOutput if a file cannot be written."""
     digest = truth.digest()
     for name, text in ((TRUTH, truth.text()), (DIGEST, digest + "\n")):
-        with written_whole(folder / name, "out") as file:
+        with atomic_write(folder / name, "out") as file:
             file.write(text.encode())
     return digest
 

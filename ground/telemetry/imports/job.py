@@ -11,11 +11,10 @@ from rich.table import Table
 
 from fsw.config import CYCLE_HZ
 from fsw.dictionary.commands import Command
-from ground.common.files import BadOutput, check_output, written_whole
+from ground.common.files import BadOutput, atomic_write, check_output
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_apart
-from ground.render.console import plain_console
-from ground.render.words import counted
+from ground.common.requests import BadRequest, check_distinct_files
+from ground.render.console import plain_console, pluralize
 from ground.telemetry.format import TICK_NS
 from ground.telemetry.header import SESSION, commands_header, start_header, versions_header
 from ground.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file
@@ -89,7 +88,7 @@ def import_table(request: ImportRequest, progress: Progress) -> ImportReport:
     Raises:
         BadRequest: the table, the mapping or the path of the log is wrong; nothing was written.
     """
-    check_apart({"table": request.table, "mapping": request.mapping, "log": request.log})
+    check_distinct_files({"table": request.table, "mapping": request.mapping, "log": request.log})
     try:
         check_output(request.log, (".mcap",), "log")
         progress(0, 3, "reading the mapping")
@@ -99,7 +98,7 @@ def import_table(request: ImportRequest, progress: Progress) -> ImportReport:
             read_file(request.table, MAX_TABLE_BYTES), str(request.table), text, str(request.mapping)
         )
         progress(2, 3, "writing the log")
-        with written_whole(request.log, "log") as file:
+        with atomic_write(request.log, "log") as file:
             write_table_log(file, made.header, made.series, made.commands)
     except (BadImport, BadOutput) as error:
         raise BadRequest(str(error)) from error
@@ -240,7 +239,7 @@ def import_json(report: ImportReport) -> dict[str, Any]:
 def import_tables(report: ImportReport) -> None:
     """Print an import: a row for each topic, and what keeps packets from being whole."""
     console = plain_console()
-    table = Table(title=f"{report.request.log}: {counted(report.rows, 'row')}", title_justify="left")
+    table = Table(title=f"{report.request.log}: {pluralize(report.rows, 'row')}", title_justify="left")
     for name in ("topic", "messages", "first tick", "last tick", "ticks without"):
         table.add_column(name, justify="left" if name == "topic" else "right")
     for topic in report.topics:
@@ -248,13 +247,15 @@ def import_tables(report: ImportReport) -> None:
         table.add_row(topic.topic, *map(str, numbers))
     console.print(table)
     if report.rows_moved:
-        console.print(f"sorted    in {counted(report.rows_moved, 'place')} the file was not in order of time")
+        console.print(
+            f"sorted    in {pluralize(report.rows_moved, 'place')} the file was not in order of time"
+        )
     for one in report.incomplete:
         lacks = ", ".join(one.fields)
         console.print(f"{one.topic} is not whole, so it is kept as {one.kept_as}; it lacks {lacks}")
     if report.replayable:
         console.print(
-            f"replay    {counted(report.commands, 'command')}; `marsarm replay {report.request.log}`"
+            f"replay    {pluralize(report.commands, 'command')}; `marsarm replay {report.request.log}`"
         )
     else:
         console.print("replay    no: the mapping does not say what flight software began with")

@@ -9,7 +9,7 @@ from typing import Final, get_type_hints
 import numpy as np
 
 from fsw.dictionary.enums import Joint, Switch
-from ground.common.fields import SYMBOLS, unit_of
+from ground.common.fields import UNIT_SYMBOLS, unit_of
 from ground.telemetry.imports.units import UNIT_CONVERSIONS, Conversion
 from ground.telemetry.schema import ROS_NAME, Field, Layout, packet_layout, strip_annotated
 from ground.telemetry.topics import PACKET_TOPICS, Topic
@@ -110,7 +110,7 @@ def conversions(house: str) -> dict[str, Conversion]:
 def _with_unit_suffix(field: str, unit: str) -> str:
     """The field with the suffix of this unit, in the place of another."""
     words = field.split("_")
-    while len(words) > 1 and words[-1] in SYMBOLS:
+    while len(words) > 1 and words[-1] in UNIT_SYMBOLS:
         words.pop()
     house = next(house for house, known in UNIT_CONVERSIONS.items() if unit in known)
     suffix = {"degC": "C", "N m": "Nm", "1": "share", "cycle": "cycles"}.get(house, house)

@@ -12,9 +12,18 @@ from fsw.kinematics.near_singular import SAME_RAD as TWICE_RAD
 from fsw.kinematics.soft_limits import limit_excess
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
-from validation.cases import HANGING_M, RIGID_M, Trial, arm_of
-from validation.checks import CLEAR_SIGMA, SAME_RAD, apart, claimed, smallest_singular_value
-from validation.samples import Near, vectors
+from validation.kinematics_samples import Near, vectors
+from validation.kinematics_trials import (
+    CLEAR_SIGMA,
+    DEFLECTED_M,
+    RIGID_M,
+    SAME_RAD,
+    Trial,
+    arm_of,
+    claimed_roots,
+    root_distances,
+    smallest_singular_value,
+)
 
 GRAVITIES = {"rigid": None, "mars": MARS_R_m_s2, "tilted": np.array([0.9, -1.2, 3.4])}
 DOUBLE_ROOT = Near.ELBOW | Near.WRIST | Near.SHOULDER
@@ -35,7 +44,7 @@ class Made:
 
     @property
     def tolerance(self) -> float:
-        return RIGID_M if self.trial.gravity_R_m_s2 is None else HANGING_M
+        return RIGID_M if self.trial.gravity_R_m_s2 is None else DEFLECTED_M
 
 
 def trial_of(name: str, gravity: str, tool: Tool) -> Trial:
@@ -66,7 +75,7 @@ def near_double_roots(name: str, gravity: str, tool: Tool, n: int) -> Made:
 
 def assert_makers_found(made: Made) -> None:
     """Where a pose is not singular it is among the answers to its target, and valid if inside the limits."""
-    distance = apart(made.answers, made.q)
+    distance = root_distances(made.answers, made.q)
     clear = made.sigma > CLEAR_SIGMA
     assert clear.any()
     lost = np.flatnonzero(clear & ~(distance.min(axis=0) < SAME_RAD))
@@ -97,7 +106,7 @@ def assert_consistent(arm, answers: IkResult) -> None:
     assert not np.isin(verdict[: len(BRANCHES)], BranchVerdict.ABSENT).any()
     further = (BranchVerdict.VALID, BranchVerdict.OUTSIDE_LIMITS, BranchVerdict.ABSENT)
     assert np.isin(verdict[len(BRANCHES) :], further).all()
-    is_root = claimed(answers)
+    is_root = claimed_roots(answers)
     assert np.isfinite(angles[:, is_root]).all()
     assert np.isnan(angles[:, ~is_root]).all()
     assert np.isfinite(answers.torque_Nm).all()

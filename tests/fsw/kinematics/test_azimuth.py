@@ -14,8 +14,8 @@ from fsw.kinematics.closed_form import (
 )
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import config_of, in_limits
-from validation.cases import Trial, skew_tool
-from validation.samples import vectors
+from validation.kinematics_samples import vectors
+from validation.kinematics_trials import Trial, skew_tool
 
 N = 1000
 DRAWING = config_of().arm

@@ -11,11 +11,9 @@ import pytest
 
 from fsw.dictionary.enums import Tool
 from fsw.kinematics.soft_limits import limit_excess
-from validation.campaign import Chunk, Tally, plan, run
-from validation.cases import CASES, Trial, arm_of, trials
-from validation.checks import smallest_singular_value, task_jacobian
-from validation.kinematics import campaign
-from validation.samples import FARTHEST, NEAREST, Near, log_distances, vectors
+from validation.kinematics import Chunk, Tally, plan_chunks, run_chunk, run_kinematics_campaign
+from validation.kinematics_samples import FARTHEST, NEAREST, Near, log_distances, vectors
+from validation.kinematics_trials import CASES, Trial, arm_of, smallest_singular_value, task_jacobian, trials
 
 EACH = 50_000
 SEED = 2024
@@ -25,8 +23,8 @@ by_case = pytest.mark.parametrize("case", CASES, ids=lambda case: case.name.repl
 @lru_cache
 def tally_of(case) -> Tally:
     tally = Tally()
-    for chunk in plan(EACH, EACH, SEED, case):
-        tally.add(run(chunk))
+    for chunk in plan_chunks(EACH, EACH, SEED, case):
+        tally.add(run_chunk(chunk))
     return tally
 
 
@@ -76,7 +74,7 @@ def test_in_the_primary_workspace_at_most_four_branches_are_valid_but_for_a_few_
 
 
 def test_the_small_campaign_is_of_200_000_targets():
-    chunks = plan(EACH, EACH, SEED)
+    chunks = plan_chunks(EACH, EACH, SEED)
     assert sum(chunk.targets for chunk in chunks) == sum(chunk.vectors for chunk in chunks) == EACH
     assert {chunk.case for chunk in chunks} == set(CASES)
 
@@ -121,12 +119,12 @@ def test_of_a_tool_that_hangs_the_jacobian_counts_the_load_s_response():
 
 def test_a_chunk_comes_again_with_its_seed():
     case = CASES[0]
-    twice = [run(Chunk(0, case, 300, 300, np.random.SeedSequence(7))).as_json() for _ in range(2)]
+    twice = [run_chunk(Chunk(0, case, 300, 300, np.random.SeedSequence(7))).as_json() for _ in range(2)]
     assert twice[0] == twice[1]
 
 
 def test_the_result_of_a_campaign_is_json_by_case_and_adds_up():
-    result = json.loads(json.dumps(campaign(100, 100, seed=3)))
+    result = json.loads(json.dumps(run_kinematics_campaign(100, 100, seed=3)))
     assert list(result["cases"]) == [case.name for case in CASES]
     for name in ("targets", "vectors", "failures"):
         assert result[name] == sum(tally[name] for tally in result["cases"].values())
@@ -136,8 +134,8 @@ def test_an_exception_is_counted_and_told_but_does_not_end_the_campaign(monkeypa
     def breaks(*_):
         raise ZeroDivisionError("on purpose")
 
-    monkeypatch.setattr("validation.campaign.inverse_kinematics", breaks)
-    tally = run(Chunk(0, CASES[0], 50, 50, np.random.SeedSequence(7)))
+    monkeypatch.setattr("validation.kinematics.inverse_kinematics", breaks)
+    tally = run_chunk(Chunk(0, CASES[0], 50, 50, np.random.SeedSequence(7)))
     assert tally.exceptions == len(Tool)
     assert "on purpose" in tally.examples[0]["trace"]
     assert tally.failures == len(Tool)
@@ -146,9 +144,9 @@ def test_an_exception_is_counted_and_told_but_does_not_end_the_campaign(monkeypa
 def test_a_lost_root_is_a_miss_with_the_means_to_run_it_again(monkeypatch):
     """Without the answers near it, the vector is missed; its example holds arm, tool, gravity and vector."""
     monkeypatch.setattr(
-        "validation.campaign.apart", lambda answers, q: np.full(answers.verdict.shape, np.inf)
+        "validation.kinematics.root_distances", lambda answers, q: np.full(answers.verdict.shape, np.inf)
     )
-    tally = run(Chunk(0, CASES[0], 50, 50, np.random.SeedSequence(7)))
+    tally = run_chunk(Chunk(0, CASES[0], 50, 50, np.random.SeedSequence(7)))
     assert tally.missed.total() + tally.indistinct == tally.vectors
     example = examples(tally, "missed")[0]
     again = Trial(example["arm"], arm_of(example["arm"]), Tool[example["tool"]], None)

@@ -14,8 +14,8 @@ from fsw.kinematics.ik import FREE_SINE
 from fsw.kinematics.task import task_error, task_jacobian
 from fsw.kinematics.transforms import Pose, rotation_y, wrap_angle
 from tests.fsw.rig import config_of, in_limits
-from validation.cases import Trial, skew_tool
-from validation.samples import vectors
+from validation.kinematics_samples import vectors
+from validation.kinematics_trials import Trial, skew_tool
 
 N = 2000
 ARM = config_of().arm

@@ -9,8 +9,8 @@ import pytest
 pytest.importorskip("eaik.pybindings.EAIK", reason="EAIK is not installed; `make oracle` installs it")
 
 from fsw.dictionary.enums import Tool
-from validation.cases import Trial, arm_of
-from validation.oracle import KINDS, Eaik, compare, different, interface_poses, random_targets
+from validation.kinematics_trials import Trial, arm_of
+from validation.oracle import KINDS, Eaik, compare, distinct_poses, interface_poses, random_targets
 
 EACH = 200
 """Targets of each kind and tool, 2,000 in all; the benchmark compares 100,000."""
@@ -50,4 +50,4 @@ def test_roots_that_differ_in_the_elbow_alone_share_their_full_pose():
     q = np.array([[0.1, -0.4, 1.2, 1.0, 1.0]]).T
     turned = q + np.array([[0.0], [0.0], [0.0], [0.0], [0.3]])
     poses = interface_poses(trial, np.concatenate([q, turned, q + 2 * np.pi], axis=1))
-    assert different(poses) == [0, 1]
+    assert distinct_poses(poses) == [0, 1]

@@ -32,8 +32,16 @@ from tests.fsw.kinematics.lab import (
 )
 from tests.fsw.kinematics.test_closed_form import tool_of_the_drawing_but
 from tests.fsw.rig import MARS_R_m_s2, config_of, in_limits
-from validation.cases import Trial, arm_of
-from validation.checks import CLEAR_SIGMA, SAME_RAD, apart, claimed, errors, smallest_singular_value
+from validation.kinematics_trials import (
+    CLEAR_SIGMA,
+    SAME_RAD,
+    Trial,
+    arm_of,
+    claimed_roots,
+    root_distances,
+    root_errors,
+    smallest_singular_value,
+)
 
 N = 4000
 N_LOADED = 260
@@ -72,8 +80,10 @@ def test_every_answer_of_the_rigid_arm_meets_its_target(tool):
     _, p, a, answers = random_case(tool)
     X = pose_of(ARM, answers.output_rad, tool)
     error = np.abs(task_error(X, p[:, None], a[:, None])).max(axis=0)
-    assert error[claimed(answers)].max() < RIGID_M
-    np.testing.assert_allclose(answers.error[claimed(answers)], error[claimed(answers)], atol=1e-14)
+    assert error[claimed_roots(answers)].max() < RIGID_M
+    np.testing.assert_allclose(
+        answers.error[claimed_roots(answers)], error[claimed_roots(answers)], atol=1e-14
+    )
     assert not answers.torque_Nm.any()
     assert_consistent(ARM, answers)
 
@@ -81,7 +91,7 @@ def test_every_answer_of_the_rigid_arm_meets_its_target(tool):
 @pytest.mark.parametrize("tool", Tool)
 def test_the_pose_that_made_a_target_is_among_its_answers_and_valid(tool):
     q, _, _, answers = random_case(tool)
-    distance = apart(answers, q)
+    distance = root_distances(answers, q)
     clear = smallest_singular_value(trial_of("nominal", "rigid", tool), q) > CLEAR_SIGMA
     assert clear.mean() > 0.99
     assert distance.min(axis=0)[clear].max() < SAME_RAD
@@ -114,7 +124,7 @@ def test_answers_for_the_warm_arm_put_the_warm_tool_on_its_target(name, tool, gr
 @pytest.mark.parametrize("tool", [Tool.DRILL, Tool.MAHLI])
 def test_every_root_of_the_hanging_arm_meets_its_target_valid_or_not(name, tool, gravity):
     made = anywhere(name, gravity, tool, N_LOADED)
-    arm, answers, there = made.trial.arm, made.answers, claimed(made.answers)
+    arm, answers, there = made.trial.arm, made.answers, claimed_roots(made.answers)
     at_rest = settle_output(arm, answers.output_rad[:, there], GRAVITIES[gravity])
     p, a = (of_roots(v, there) for v in (made.p, made.a))
     error = np.abs(task_error(tool_pose(arm, at_rest.frames, tool), p, a)).max(axis=0)
@@ -139,7 +149,7 @@ def test_roots_that_were_not_followed_are_outside_the_limits_by_about_as_much_as
     """Newton from the square arm's root leads to the root; it is outside, and the estimate is near."""
     made = anywhere(name, gravity, Tool.DRILL, N_LOADED)
     arm, pull = made.trial.arm, GRAVITIES[gravity]
-    guessed = where_verdict(made.answers, BranchVerdict.OUTSIDE_LIMITS) & ~claimed(made.answers)
+    guessed = where_verdict(made.answers, BranchVerdict.OUTSIDE_LIMITS) & ~claimed_roots(made.answers)
     slot, target = np.nonzero(guessed)
     assert slot.size > 100
     p, a = made.p[:, target], made.a[:, target]
@@ -156,8 +166,8 @@ def test_roots_that_were_not_followed_are_outside_the_limits_by_about_as_much_as
 @pytest.mark.parametrize("gravity", GRAVITIES)
 def test_every_root_for_a_skew_tool_meets_its_target_and_the_maker_is_among_them(seed, gravity):
     made = anywhere(f"skew:{seed}", gravity, Tool.DRILL, 150)
-    there = claimed(made.answers)
-    assert errors(made.trial, made.answers, made.p, made.a)[there].max() < made.tolerance
+    there = claimed_roots(made.answers)
+    assert root_errors(made.trial, made.answers, made.p, made.a)[there].max() < made.tolerance
     assert_makers_found(made)
     if gravity == "rigid":
         assert_consistent(made.trial.arm, made.answers)
@@ -169,7 +179,7 @@ def test_a_boresight_that_passes_the_turret_axis_at_next_to_nothing_loses_no_roo
     q = in_limits(config_of(), np.random.default_rng(9), N)
     p, a = targets_of(q, Tool.DRILL, arm)
     answers = inverse_kinematics(arm, Tool.DRILL, p, a)
-    lost = apart(answers, q).min(axis=0) > SAME_RAD
+    lost = root_distances(answers, q).min(axis=0) > SAME_RAD
     if lost.any():
         sigma = smallest_singular_value(Trial("offset", arm, Tool.DRILL, None), q[:, lost])
         assert sigma.max() < CLEAR_SIGMA
@@ -180,7 +190,7 @@ def test_the_answers_to_a_target_are_eight_different_poses(tool):
     q, _, _, answers = random_case(tool, 1000)
     clear = smallest_singular_value(trial_of("nominal", "rigid", tool), q) > CLEAR_SIGMA
     assert between_answers(answers)[clear].min() > SAME_RAD
-    assert claimed(answers).sum(axis=0).max() == 8
+    assert claimed_roots(answers).sum(axis=0).max() == 8
 
 
 def test_every_verdict_but_singular_occurs_at_random_targets():
@@ -222,7 +232,7 @@ def test_a_nearly_straight_elbow_is_answered_or_out_of_reach_by_nothing(tool, el
     p, a = targets_of(q, tool)
     answers = inverse_kinematics(ARM, tool, p, a)
     assert_consistent(ARM, answers)
-    ok = claimed(answers)
+    ok = claimed_roots(answers)
     assert ok.any(axis=0).mean() > 0.99
     X = pose_of(ARM, answers.output_rad, tool)
     error = np.abs(task_error(X, p[:, None], a[:, None])).max(axis=0)
@@ -283,7 +293,7 @@ def test_where_the_rigid_arm_has_a_family_the_hanging_arm_has_single_poses(tool,
     pull = GRAVITIES[gravity]
     answers = inverse_kinematics(ARM, tool, p, a, pull)
     slot = np.flatnonzero(
-        claimed(answers) & np.array(["out" in slot_name(k) for k in range(answers.verdict.size)])
+        claimed_roots(answers) & np.array(["out" in slot_name(k) for k in range(answers.verdict.size)])
     )
     assert slot.size >= 2
     trial = trial_of("nominal", gravity, tool)
@@ -310,7 +320,7 @@ def test_a_pose_with_its_approach_along_the_pitch_axes_is_answered_or_its_family
     answers = inverse_kinematics(ARM, tool, p, a)
     shoulder = np.where(fold_distances(ARM.orthogonal[tool], q)[0] < 0, 0, 4)
     of_shoulder = answers.verdict[shoulder + np.arange(4)[:, None], np.arange(q.shape[1])]
-    met = apart(answers, q).min(axis=0) < SAME_RAD
+    met = root_distances(answers, q).min(axis=0) < SAME_RAD
     assert (met | (of_shoulder == BranchVerdict.SINGULAR).any(axis=0)).all()
 
 
@@ -322,7 +332,7 @@ def test_at_a_singular_target_what_is_returned_meets_it(tool, gravity):
     answers = inverse_kinematics(ARM, tool, p, a, pull)
     assert_consistent(ARM, answers)
     assert_sentences(ARM, answers)
-    there = claimed(answers)
+    there = claimed_roots(answers)
     X = pose_of(ARM, answers.output_rad[:, there], tool, pull)
     error = np.abs(task_error(X, p[:, None], a[:, None]))
     assert error.max(initial=0.0) < (RIGID_M if pull is None else LOADED_M)
@@ -386,7 +396,7 @@ def test_the_sentence_about_a_limit_names_joint_angle_and_limits():
 
 def test_a_valid_branch_says_so():
     q, _, _, answers = random_case(Tool.APXS, 1)
-    one, branch = select_result(answers, 0), int(apart(answers, q)[:, 0].argmin())
+    one, branch = select_result(answers, 0), int(root_distances(answers, q)[:, 0].argmin())
     assert describe_slot(ARM, one, branch) == f"{BRANCHES[branch]}: valid"
 
 
@@ -481,7 +491,7 @@ def test_the_answer_in_the_turn_next_to_where_the_arm_is(gravity):
         p, a = targets_of(q, Tool.APXS, gravity=GRAVITIES[gravity])
         answers = inverse_kinematics(ARM, Tool.APXS, p, a, GRAVITIES[gravity], near_rad=q)
         same = np.where(
-            claimed(answers), np.abs(wrap_angle(answers.output_rad.T - q)).max(axis=1), 9.0
+            claimed_roots(answers), np.abs(wrap_angle(answers.output_rad.T - q)).max(axis=1), 9.0
         ).argmin()
         assert answers.verdict[same] == BranchVerdict.VALID
         np.testing.assert_allclose(answers.output_rad[:, same], q, atol=1e-6)

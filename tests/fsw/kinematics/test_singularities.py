@@ -24,7 +24,7 @@ from tests.fsw.kinematics.lab import (
     trial_of,
 )
 from tests.fsw.rig import config_of, in_limits
-from validation.checks import CLEAR_SIGMA, claimed, errors, smallest_singular_value
+from validation.kinematics_trials import CLEAR_SIGMA, claimed_roots, root_errors, smallest_singular_value
 
 N = 110
 OVERHEAD_M = 0.02
@@ -54,8 +54,8 @@ def test_every_pose_that_is_not_singular_itself_is_among_the_answers_to_its_targ
 @every
 def test_every_root_meets_its_target_and_no_root_is_there_twice(name, gravity, tool):
     made = near_double_roots(name, gravity, tool, N)
-    there = claimed(made.answers)
-    error = errors(made.trial, made.answers, made.p, made.a)[there]
+    there = claimed_roots(made.answers)
+    error = root_errors(made.trial, made.answers, made.p, made.a)[there]
     assert error.max() < made.tolerance
     np.testing.assert_allclose(made.answers.error[there], error, rtol=0, atol=2e-8)
     assert_no_root_twice(made.answers)
@@ -66,7 +66,7 @@ def test_a_target_that_a_pose_made_has_a_root_or_a_singular_branch(name, gravity
     """On the double root itself two roots may have gone together, to within what the errors allow."""
     made = near_double_roots(name, gravity, tool, N)
     named = made.answers.verdict == BranchVerdict.SINGULAR
-    assert (claimed(made.answers) | named).any(axis=0).all()
+    assert (claimed_roots(made.answers) | named).any(axis=0).all()
 
 
 @radial
@@ -81,7 +81,7 @@ def test_every_slot_keeps_its_word_and_none_is_without_an_answer(name, gravity, 
 @radial
 def test_torques_are_those_of_the_arm_at_rest(name, gravity, tool):
     made = near_double_roots(name, gravity, tool, N)
-    there, pull = claimed(made.answers), made.trial.gravity_R_m_s2
+    there, pull = claimed_roots(made.answers), made.trial.gravity_R_m_s2
     if pull is None:
         assert not made.answers.torque_Nm.any()
     else:
@@ -97,7 +97,7 @@ def test_a_root_clear_of_the_folds_is_in_a_slot_of_its_own_branch(name, gravity,
     fore = upper + q[Joint.ELBOW] + shape.theta_rad[Joint.ELBOW]
     ahead_m = np.abs(shape.upper_m * np.cos(upper) + shape.fore_m * np.cos(fore))
     signs = fold_distances(shape, q)
-    clear = claimed(made.answers) & (np.abs(signs).min(axis=0) > 0.1) & (ahead_m > OVERHEAD_M)
+    clear = claimed_roots(made.answers) & (np.abs(signs).min(axis=0) > 0.1) & (ahead_m > OVERHEAD_M)
     assert clear.sum() > 50
     slot = np.broadcast_to(np.arange(q.shape[1])[:, None], clear.shape)
     np.testing.assert_array_equal(branch_index(signs)[clear], slot[clear] % len(BRANCHES))
@@ -106,7 +106,7 @@ def test_a_root_clear_of_the_folds_is_in_a_slot_of_its_own_branch(name, gravity,
 def test_some_branches_next_to_double_roots_have_several_roots_and_some_roots_are_gone():
     """Otherwise the tests above would not try what they are for."""
     makers = [near_double_roots(*case, N) for case in RADIAL]
-    assert sum(claimed(made.answers)[len(BRANCHES) :].sum() for made in makers) > 30
+    assert sum(claimed_roots(made.answers)[len(BRANCHES) :].sum() for made in makers) > 30
     gone = [made.answers.joint[made.answers.verdict == BranchVerdict.SINGULAR] for made in makers]
     assert set(np.concatenate(gone)) == {Joint.AZIMUTH, Joint.ELBOW, Joint.WRIST}
 
@@ -149,7 +149,7 @@ def test_targets_that_once_had_the_same_root_in_two_slots_have_different_ones(na
     answers = inverse_kinematics(
         trial.arm, tool, np.array(p)[:, None], approach[:, None], trial.gravity_R_m_s2
     )
-    assert claimed(answers).sum() >= 2
+    assert claimed_roots(answers).sum() >= 2
     assert_no_root_twice(answers)
     assert_consistent(trial.arm, answers)
 
@@ -187,12 +187,12 @@ def test_a_batch_of_hard_targets_is_its_single_targets(name, gravity, tool):
         assert (many.verdict[own:] == BranchVerdict.ABSENT).all()
         same = many.verdict[:own] == one.verdict
         for slot in np.flatnonzero(~same):
-            found = one if claimed(one)[slot] else many
+            found = one if claimed_roots(one)[slot] else many
             assert smallest_singular_value(made.trial, found.output_rad[:, [slot]])[0] <= CLEAR_SIGMA
         np.testing.assert_array_equal(many.joint[:own][same], one.joint[same])
         np.testing.assert_allclose(many.excess[:own][same], one.excess[same], rtol=0, atol=1e-6)
         np.testing.assert_allclose(many.error[:own][same], one.error[same], rtol=0, atol=1e-9)
-        there = np.flatnonzero(claimed(one) & same)
+        there = np.flatnonzero(claimed_roots(one) & same)
         there = there[smallest_singular_value(made.trial, one.output_rad[:, there]) > CLEAR_SIGMA]
         for word, bound in (("output_rad", 1e-6), ("torque_Nm", 1e-3)):
             several, single = getattr(many, word)[:, there], getattr(one, word)[:, there]
@@ -209,7 +209,7 @@ def test_a_double_root_is_told_once():
         0.7505001702083764,
     )
     made = made_from(trial_of("nominal", "mars", Tool.APXS), np.array(q)[:, None])
-    roots = made.answers.output_rad[:, claimed(made.answers)[:, 0], 0]
+    roots = made.answers.output_rad[:, claimed_roots(made.answers)[:, 0], 0]
     first, second = np.triu_indices(roots.shape[1], 1)
     X = made.trial.tool_pose(roots[:, first] + 0.5 * wrap_angle(roots[:, second] - roots[:, first]))
     error = np.abs(task_error(X, made.p, made.a)).max(axis=0)
@@ -228,7 +228,7 @@ def test_two_roots_of_a_hanging_arm_a_hair_apart_are_both_found():
     gravity = np.array([0.7960427713268317, -0.503919487662086, 3.5894152805398094])
     trial = replace(trial_of("nominal", "mars", Tool.DRILL), gravity_R_m_s2=gravity)
     made = made_from(trial, np.array(q)[:, None])
-    roots = made.answers.output_rad[:, claimed(made.answers)[:, 0], 0]
+    roots = made.answers.output_rad[:, claimed_roots(made.answers)[:, 0], 0]
     assert roots.shape[1] == 2
     assert np.abs(roots - np.array(q)[:, None]).max(axis=0).min() < 1e-7
 

@@ -11,7 +11,7 @@ from ground.calibration.campaign_file import save_campaign
 from ground.calibration.parameter_file import calibrated_params, parameter_text
 from ground.calibration.report import calibration_json, save_calibration_page
 from ground.calibration.request import CalibrateRequest, run_calibration
-from ground.common.requests import BadRequest, chosen_arm
+from ground.common.requests import BadRequest, select_arm
 from sim.params import params_over_nominal
 from tests.ground.calibration.lab import calibration, campaign, quiet
 from tests.ground.command import marsarm
@@ -58,7 +58,7 @@ def test_parameters_of_another_arm_are_refused(table, tmp_path):
     with pytest.raises(BadRequest, match="of the arm as-built:9, the data of as-built:1"):
         run_calibration(CalibrateRequest(data=table, params=other), quiet)
     with pytest.raises(BadRequest, match="of the arm as-built:9, not of as-built:3"):
-        chosen_arm("as-built:3", other)
+        select_arm("as-built:3", other)
 
 
 WRONG = [

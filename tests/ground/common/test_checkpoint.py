@@ -5,14 +5,14 @@ from pathlib import Path
 
 import pytest
 
-from ground.common.checkpoint import ResultsFile
+from ground.common.checkpoint import Checkpoint
 from ground.common.requests import BadRequest
 
 ASKED = {"case": "mars", "seed": 1}
 
 
 def written(path: Path, *results: dict) -> None:
-    with ResultsFile(path, ASKED) as file:
+    with Checkpoint(path, ASKED) as file:
         for result in results:
             file.add(result)
 
@@ -21,7 +21,7 @@ def test_what_was_written_is_there_again(tmp_path):
     path = tmp_path / "r.jsonl"
     written(path, {"arm": 0}, {"arm": 1})
     written(path, {"arm": 2})
-    with ResultsFile(path, ASKED) as file:
+    with Checkpoint(path, ASKED) as file:
         assert file.done == [{"arm": 0}, {"arm": 1}, {"arm": 2}]
 
 
@@ -44,7 +44,7 @@ def test_results_of_another_request_are_refused_and_kept(tmp_path):
     written(path, {"arm": 0})
     before = path.read_bytes()
     with pytest.raises(BadRequest, match=r"of another request \(seed 1 there, 2 now\)"):
-        ResultsFile(path, {**ASKED, "seed": 2})
+        Checkpoint(path, {**ASKED, "seed": 2})
     assert path.read_bytes() == before
 
 
@@ -62,10 +62,10 @@ def test_a_file_of_something_else_is_refused_and_kept(tmp_path, text, words):
     path = tmp_path / "r.jsonl"
     path.write_text(text)
     with pytest.raises(BadRequest, match=words):
-        ResultsFile(path, ASKED)
+        Checkpoint(path, ASKED)
     assert path.read_text() == text
 
 
 def test_a_folder_that_is_not_there_is_named(tmp_path):
     with pytest.raises(BadRequest, match="cannot be written"):
-        ResultsFile(tmp_path / "no" / "r.jsonl", ASKED)
+        Checkpoint(tmp_path / "no" / "r.jsonl", ASKED)

@@ -3,12 +3,12 @@
 import pytest
 from scipy.stats import binom
 
-from ground.common.rates import interval, rate
+from ground.common.rates import clopper_pearson, estimate_rate
 
 
 @pytest.mark.parametrize(("hits", "of"), [(0, 60), (3, 60), (60, 60), (17, 40)])
 def test_the_interval_of_a_rate_is_that_of_the_binomial(hits, of):
-    told = rate(hits, of)
+    told = estimate_rate(hits, of)
     if hits:
         assert binom.sf(hits - 1, of, told.least) == pytest.approx(0.025)
     if hits < of:
@@ -18,7 +18,7 @@ def test_the_interval_of_a_rate_is_that_of_the_binomial(hits, of):
 
 def test_hits_beyond_the_cases_are_refused():
     with pytest.raises(ValueError, match="5 hits of 4"):
-        rate(5, 4)
+        estimate_rate(5, 4)
 
 
 @pytest.mark.parametrize(
@@ -31,4 +31,4 @@ def test_hits_beyond_the_cases_are_refused():
     ],
 )
 def test_an_interval_of_a_share_is_the_exact_one(hits, count, low, high):
-    assert interval(hits / count * count, count) == pytest.approx((low, high), abs=5e-5)
+    assert clopper_pearson(hits / count * count, count) == pytest.approx((low, high), abs=5e-5)

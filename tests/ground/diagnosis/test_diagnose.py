@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from ground.common.rates import rate
+from ground.common.rates import estimate_rate
 from ground.diagnosis.case import case_of
 from ground.diagnosis.diagnose import diagnose, refined
 from ground.diagnosis.duel import Duel
@@ -31,7 +31,7 @@ def test_no_effect_is_not_called_one(made, campaign, rng):
         left = remains(campaign.prepared, campaign.looked, model, y)[0].surprise
         alarms += bool(race(campaign.field, case).chosen) or left >= campaign.thresholds.structure
     assert alarms <= binom.ppf(0.975, cases, 0.05)
-    assert rate(alarms, cases).least <= 0.05
+    assert estimate_rate(alarms, cases).least <= 0.05
 
 
 def test_the_right_one_wins_and_its_interval_covers(made, campaign, rng):
@@ -47,7 +47,7 @@ def test_the_right_one_wins_and_its_interval_covers(made, campaign, rng):
             sigma = np.sqrt(np.diag(np.linalg.inv(campaign.prepared.R[-1][np.ix_(at, at)])))
             covered += list(np.abs(won.t - t[at] * campaign.prepared.scale[at]) < 1.645 * sigma)
     assert right >= 0.95 * cases
-    share = rate(sum(covered), len(covered))
+    share = estimate_rate(sum(covered), len(covered))
     assert share.least <= 0.9 <= share.most
 
 
@@ -98,7 +98,7 @@ def test_sets_hold_the_truth_and_intervals_the_size(made, campaign, rng):
         sizes += [len(f.alternatives.hypotheses) for f in told.findings]
     assert held >= binom.ppf(0.025, cases, 0.95)
     assert np.mean(sizes) < 2.0
-    share = rate(sum(covered), len(covered))
+    share = estimate_rate(sum(covered), len(covered))
     assert len(covered) > cases / 2
     assert share.least <= 0.9 <= share.most
 

@@ -35,7 +35,9 @@ SCENE = """
 SIZE = (160, 120)
 NO_GL = "the driver is not there"
 
-needs_gl = pytest.mark.skipif(gl.why_not() is not None, reason=f"no OpenGL: {gl.why_not()}")
+needs_gl = pytest.mark.skipif(
+    gl.unavailable_reason() is not None, reason=f"no OpenGL: {gl.unavailable_reason()}"
+)
 
 
 @pytest.fixture
@@ -52,7 +54,7 @@ def data(model: mujoco.MjModel) -> mujoco.MjData:
 
 @pytest.fixture
 def without_gl(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gl, "why_not", lambda: NO_GL)
+    monkeypatch.setattr(gl, "unavailable_reason", lambda: NO_GL)
 
 
 def pixels(path: Path) -> np.ndarray:
@@ -146,10 +148,10 @@ def test_both_renderers_see_the_same_scene(model, data, tmp_path):
 
 @pytest.mark.parametrize("wanted", ["opengl", "rays"])
 def test_movie_has_a_frame_for_each_pose(model, tmp_path, monkeypatch, wanted):
-    if wanted == "opengl" and gl.why_not() is not None:
-        pytest.skip(gl.why_not())
+    if wanted == "opengl" and gl.unavailable_reason() is not None:
+        pytest.skip(gl.unavailable_reason())
     if wanted == "rays":
-        monkeypatch.setattr(gl, "why_not", lambda: NO_GL)
+        monkeypatch.setattr(gl, "unavailable_reason", lambda: NO_GL)
     poses = [np.array([height]) for height in np.linspace(0.0, 0.5, 6)]
 
     result = save_movie(model, poses, "front", tmp_path / "lift.gif", (80, 60))
@@ -176,7 +178,7 @@ def test_bad_path_is_refused_before_any_work(model, data, tmp_path, monkeypatch,
     (tmp_path / "folder.png").mkdir()
     (tmp_path / "file.txt").touch()
     (tmp_path / "dangling.png").symlink_to("nothing")
-    monkeypatch.setattr(gl, "why_not", lambda: pytest.fail("work was done"))
+    monkeypatch.setattr(gl, "unavailable_reason", lambda: pytest.fail("work was done"))
     before = sorted(tmp_path.rglob("*"))
 
     with pytest.raises(PictureError, match=complaint):
@@ -252,12 +254,12 @@ def test_whatever_the_driver_does_becomes_a_reason(monkeypatch, outcome, reason)
         return outcome
 
     monkeypatch.setattr(subprocess, "run", run)
-    assert gl.why_not.__wrapped__() == reason
+    assert gl.unavailable_reason.__wrapped__() == reason
 
 
 def test_opengl_switched_off_is_a_reason_and_not_an_error(monkeypatch):
     monkeypatch.setenv("MUJOCO_GL", "disable")
-    assert "turns OpenGL off" in gl.why_not.__wrapped__()
+    assert "turns OpenGL off" in gl.unavailable_reason.__wrapped__()
 
 
 def test_importing_the_pictures_asks_nothing_of_opengl():

@@ -9,14 +9,14 @@ from ground.telemetry.format import FORMAT
 from ground.telemetry.mcap_reader import read_records
 from ground.telemetry.read import read_log
 from tests.ground.command import marsarm
-from validation.recorded import recorded
+from validation.sample_logs import record_log
 
 CYCLES = 130
 
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    return recorded(tmp_path_factory.mktemp("log") / "run.mcap", CYCLES, 0.0).read_bytes()
+    return record_log(tmp_path_factory.mktemp("log") / "run.mcap", CYCLES, 0.0).read_bytes()
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import pytest
 from ground.telemetry import figure as log_figure
 from ground.telemetry.inspection import select_channels
 from ground.telemetry.read import read_log
-from validation.recorded import recorded
+from validation.sample_logs import record_log
 
 matplotlib.use("agg")
 
@@ -14,7 +14,7 @@ matplotlib.use("agg")
 @pytest.fixture
 def drawn(tmp_path, monkeypatch):
     """Draw channels, and give the panels."""
-    log = read_log(recorded(tmp_path / "run.mcap", 130, 0.0))
+    log = read_log(record_log(tmp_path / "run.mcap", 130, 0.0))
 
     def draw(*globs):
         figures = []

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from validation import recording, run
+from validation import benchmarks, recording
 
 
 @pytest.mark.parametrize(
@@ -21,7 +21,7 @@ from validation import recording, run
 def test_recording_that_costs_too_much_is_out_of_bounds(
     rate_ratio: float, beside_us: float, bare_steps: float, in_bounds: bool
 ) -> None:
-    assert recording.judged(rate_ratio, 500.0, beside_us, bare_steps)["in_bounds"] is in_bounds
+    assert recording.judge_cost(rate_ratio, 500.0, beside_us, bare_steps)["in_bounds"] is in_bounds
 
 
 def test_a_benchmark_out_of_its_bounds_fails_them_all_and_is_named(
@@ -29,8 +29,8 @@ def test_a_benchmark_out_of_its_bounds_fails_them_all_and_is_named(
 ) -> None:
     measured: dict[str, Any] = {"in_bounds": False}
     for name in ("closed_loop", "recording", "kinematics_speed", "log_reading", "budget_speed"):
-        monkeypatch.setattr(run, name, lambda name=name: measured if name == "recording" else {})
-    monkeypatch.setattr(run, "campaign", lambda targets, vectors: {})
+        monkeypatch.setattr(benchmarks, name, lambda name=name: measured if name == "recording" else {})
+    monkeypatch.setattr(benchmarks, "run_kinematics_campaign", lambda targets, vectors: {})
     with pytest.raises(SystemExit, match=r"out of bounds: recording$"):
-        run.main()
+        benchmarks.main()
     assert json.loads(capsys.readouterr().out)["recording"] == measured

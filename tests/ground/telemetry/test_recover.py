@@ -11,7 +11,7 @@ from ground.telemetry.format import TICK_NS
 from ground.telemetry.lost_messages import LostMessages
 from ground.telemetry.read import read_log
 from ground.telemetry.recover import RecoveryReport, recover
-from validation.damage import CUT_EVERY, flipped, is_part, original, truncated
+from validation.damage import CUT_EVERY, flip_bits, is_part, original, truncate_file
 
 N_CYCLES = 12
 PACKETS = ["/sensors", "/drive", "/joint", "/tool", "/truth"]
@@ -180,12 +180,12 @@ def test_a_log_is_not_recovered_into_itself(tmp_path: Path, data: bytes) -> None
 
 @pytest.mark.parametrize("kept", [1.0, 0.6], ids=["closed", "cut short"])
 def test_bits_flipped_anywhere(tmp_path: Path, data: bytes, kept: float) -> None:
-    found = flipped(original(data[: int(kept * len(data))]), 60, 6, tmp_path)
+    found = flip_bits(original(data[: int(kept * len(data))]), 60, 6, tmp_path)
     assert found["wrong"] == []
     assert found["read"]["detected"] > 20
 
 
 def test_files_cut_anywhere(tmp_path: Path, data: bytes) -> None:
-    found = truncated(original(data), CUT_EVERY // 4, tmp_path)
+    found = truncate_file(original(data), CUT_EVERY // 4, tmp_path)
     assert found["wrong"] == []
     assert found["read"]["cut"] > 5

@@ -346,7 +346,7 @@ def test_killed_process_groups_leave_nothing_wrong() -> None:
 def test_a_campaign_of_kills_ends_with_its_verdict(
     outcomes: list[Kill], status: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(killed, "kills", lambda number, seed: outcomes)
+    monkeypatch.setattr(killed, "kill_runs", lambda number, seed: outcomes)
     monkeypatch.setattr(sys, "argv", ["killed", "--kills", "2"])
     with pytest.raises(SystemExit) as ended, warnings.catch_warnings():
         killed.main()

@@ -14,7 +14,7 @@ from sim.effects.effect import Effect
 from sim.initialisation import true_reference
 from sim.scenario.effects import effect_classes_in_file, effect_text, parse_effect_text
 
-FOLDER = Path(__file__).parents[3] / "validation" / "outside"
+FOLDER = Path(__file__).parents[3] / "validation" / "out_of_catalogue_effects"
 KINDS = {
     kind.__name__: kind for file in sorted(FOLDER.glob("*.py")) for kind in effect_classes_in_file(str(file))
 }

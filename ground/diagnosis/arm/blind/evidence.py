@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ground.common.pool import Runner, on_this_machine
+from ground.common.pool import Runner, local_runner
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest
 from ground.diagnosis.arm.case import Asked
@@ -44,7 +44,7 @@ def kept_campaign(campaign: Path) -> Kept:
 @cache
 def reference_campaign(campaign: Path) -> Reference:
     """All that is known of it, read once in each process."""
-    return known(campaign, on_this_machine(1), lambda *_: None)
+    return known(campaign, local_runner(1), lambda *_: None)
 
 
 def features(here: Asked) -> Features:

@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from ground.common.checkpoint import ResultsFile
+from ground.common.checkpoint import Checkpoint
 from ground.common.pool import Runner
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest
@@ -30,7 +30,7 @@ from sim.scenario.effects import BadEffect, effect_classes_in_file, effect_text,
 
 PLACES: Final = 2
 """Of each kind that are asked: limits of all would take as long as the cases."""
-FOLDER: Final = Path(__file__).resolve().parents[4] / "validation" / "outside"
+FOLDER: Final = Path(__file__).resolve().parents[4] / "validation" / "out_of_catalogue_effects"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,7 +105,7 @@ def limits(
     Raises:
         BadRequest: what is kept is of another campaign or other effects.
     """
-    with ResultsFile(kept_in / "outside.jsonl", {"of": _digest(logs, prepared)}, _seen) as kept:
+    with Checkpoint(kept_in / "outside.jsonl", {"of": _digest(logs, prepared)}, _seen) as kept:
         there = {(one["name"], one["place"]): _seen(one) for one in kept.done}
         shares = {name: 1.0 for name in wanted if name not in there}
         best = dict.fromkeys(shares, np.inf)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Frame, Joint, Tool
-from ground.common.pool import on_this_machine
+from ground.common.pool import local_runner
 from ground.diagnosis.arm.blind.outside import all_outside
 from ground.diagnosis.arm.bound import asked_again, bound, keys_of
 from ground.diagnosis.arm.campaign import (
@@ -218,7 +218,7 @@ def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(recordings: li
 def test_sensitivities_are_kept_and_found_again(logs: list[Path], tmp_path: Path) -> None:
     poses = [path for path in logs if path.stem.startswith("poses")]
     said: list[str] = []
-    work, kinds = on_this_machine(1), ["resolver-bias", "link-stiffness"]
+    work, kinds = local_runner(1), ["resolver-bias", "link-stiffness"]
 
     def noted(*_: object) -> None:
         said.append("computed")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Frame, Joint
-from ground.common.pool import on_this_machine
+from ground.common.pool import local_runner
 from ground.diagnosis.arm import sensitivities, settled
 from ground.diagnosis.arm.bound import Bound, asked_again
 from ground.diagnosis.arm.case import TooLittleMotion, asked, solved
@@ -54,7 +54,7 @@ def nominal(tmp_path_factory: pytest.TempPathFactory) -> Logs:
 @pytest.fixture(scope="module")
 def against(nominal: Logs, tmp_path_factory: pytest.TempPathFactory) -> Reference:
     """What is known of the campaign before cases."""
-    return reference(*nominal, tmp_path_factory.mktemp("kept"), on_this_machine(1), silent, KINDS)
+    return reference(*nominal, tmp_path_factory.mktemp("kept"), local_runner(1), silent, KINDS)
 
 
 @pytest.fixture
@@ -157,7 +157,7 @@ def test_a_part_of_the_effects_is_taken_from_what_is_kept_of_all(
     found = [against.ready.found]
     monkeypatch.setattr(sensitivities, "_found", computed)
     whole, part = (
-        sensitivities.arm_sensitivities(nominal[0], tmp_path, on_this_machine(1), silent, kinds)
+        sensitivities.arm_sensitivities(nominal[0], tmp_path, local_runner(1), silent, kinds)
         for kinds in (None, KINDS[:1])
     )
     assert not found

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
-from ground.common.requests import chosen_effects
+from ground.common.requests import parse_effects
 from ground.diagnosis.arm.patch import NothingToWrite, found_effects, new_params, save_new_params, save_patch
 from ground.diagnosis.arm.simulator import raced, told
 from sim.effects.gears import CoulombFriction
@@ -32,7 +32,7 @@ def test_a_finding_is_the_effect_of_the_size_that_was_found(softer):
 
 def test_the_patch_is_what_the_option_effect_takes(softer, tmp_path):
     save_patch(softer, tmp_path / "found.toml")
-    assert chosen_effects((str(tmp_path / "found.toml"),)) == found_effects(softer)
+    assert parse_effects((str(tmp_path / "found.toml"),)) == found_effects(softer)
     assert "gear-stiffness at elbow is not told from effect 7" in (tmp_path / "found.toml").read_text()
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from ground.common.pool import on_this_machine
+from ground.common.pool import local_runner
 from ground.common.requests import BadRequest
 from ground.diagnosis.blind.evidence import read_features
 from ground.diagnosis.blind.folder import SOLVED, documents, solved_path, write_json
@@ -16,7 +16,7 @@ from ground.diagnosis.blind.solve import NoDiagnosis, solve
 from ground.diagnosis.blind.table import score_json, score_markdown
 from ground.diagnosis.blind.truth import TRUTH
 
-RUN = on_this_machine(1)
+RUN = local_runner(1)
 
 
 def quiet(*_: object) -> None:

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from validation.fuzz_import import BETWEEN, MAPPING, import_once, import_seeds, mutate_import, odd_case
+from validation.fuzz_inputs import BETWEEN, MAPPING, import_once, import_seeds, mutate_import, random_case
 
 TRIES = 1000
 
 
 def test_odd_tables_are_imported_or_refused_and_nothing_else_happens() -> None:
-    outcomes = [import_once(odd_case(np.random.default_rng(seed))) for seed in range(TRIES)]
+    outcomes = [import_once(random_case(np.random.default_rng(seed))) for seed in range(TRIES)]
     assert 0.02 * TRIES < sum(outcomes) < TRIES
 
 

@@ -1,4 +1,4 @@
-"""Which arms the kinematics campaign tries, under which gravity, with which tools."""
+"""What an answer of the inverse kinematics is held to, computed anew from forward kinematics alone."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -10,8 +10,19 @@ import numpy as np
 from fsw.dictionary.enums import Tool
 from fsw.kinematics.arm import Arm, build_arm, build_orthogonal_arm
 from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.ik import BranchVerdict, IkResult
 from fsw.kinematics.statics import settle_output
-from fsw.kinematics.transforms import Array, Pose, rotation_x, rotation_y, rotation_z
+from fsw.kinematics.transforms import (
+    Array,
+    Flags,
+    Pose,
+    dot,
+    norm,
+    rotation_x,
+    rotation_y,
+    rotation_z,
+    wrap_angle,
+)
 from sim.arms import arm_named
 from sim.frames import gravity_in_rover
 from sim.world import GRAVITY_M_S2
@@ -20,7 +31,7 @@ MAX_TILT_RAD: Final = np.radians(30.0)
 CALIBRATED_SEEDS: Final = 50
 SKEW_SEEDS: Final = 50
 RIGID_M: Final = 1e-9
-HANGING_M: Final = 1e-6
+DEFLECTED_M: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +49,7 @@ class Case:
 
     @property
     def tolerance_m(self) -> float:
-        return RIGID_M if self.gravity == "none" else HANGING_M
+        return RIGID_M if self.gravity == "none" else DEFLECTED_M
 
 
 CASES: Final = (
@@ -110,3 +121,57 @@ def _gravity(name: str, rng: np.random.Generator) -> Array | None:
     tilt = rng.uniform(0.0, MAX_TILT_RAD) if name == "mars" else 0.0
     heading = rng.uniform(-np.pi, np.pi)
     return gravity_in_rover(tilt * np.cos(heading), tilt * np.sin(heading), GRAVITY_M_S2[name])
+
+
+STEP_RAD: Final = 1e-4
+"""Of the central differences; `rest` is good to 1e-11, so the derivative is to 1e-7."""
+SAME_RAD: Final = 1e-6
+CLEAR_SIGMA: Final = 1e-4
+"""A pose with a larger smallest singular value must be among the answers to its own target."""
+
+
+def claimed_roots(answers: IkResult) -> Flags:
+    """Roots (S, ...) that are said to meet the target.
+
+    Where an arm hangs or is not square, a root far outside the limits has no angles and no error.
+    """
+    has_angles = (answers.verdict == BranchVerdict.VALID) | (answers.verdict == BranchVerdict.OUTSIDE_LIMITS)
+    return has_angles & ((answers.verdict == BranchVerdict.VALID) | np.isfinite(answers.error))
+
+
+def root_errors(trial: Trial, answers: IkResult, p_m: Array, approach: Array) -> Array:
+    """(S, n): how far each claimed root leaves the tool, the larger of metres and radians; else NaN."""
+    roots = claimed_roots(answers)
+    worst = np.full(roots.shape, np.nan)
+    X_RT = trial.tool_pose(answers.output_rad[:, roots])
+    which = np.nonzero(roots)[1]
+    off_m, off_axis = norm(X_RT.p - p_m[:, which]), norm(X_RT.R[:, 0] - approach[:, which])
+    worst[roots] = np.maximum(off_m, off_axis)
+    return worst
+
+
+def root_distances(answers: IkResult, q: Array) -> Array:
+    """(S, n): from each claimed root to the vector of its target, whole turns apart; else infinite."""
+    distance = np.abs(wrap_angle(answers.output_rad - q[:, None])).max(axis=0)
+    return np.where(claimed_roots(answers), distance, np.inf)
+
+
+def task_jacobian(trial: Trial, q: Array) -> Array:
+    """(5, 5, n): position and approach by the joints, the load's response included; central differences."""
+    n = q.shape[1]
+    moves = STEP_RAD * np.stack([np.eye(5), -np.eye(5)], axis=-1)
+    X = trial.tool_pose((q[:, None, None] + moves[..., None]).reshape(5, -1))
+    p, x = ((v[:, :, 0] - v[:, :, 1]) / (2 * STEP_RAD) for v in (X.p.reshape(3, 5, 2, n), _x_axes(X.R, n)))
+    R_RT = trial.tool_pose(q).R
+    turns = [dot(R_RT[:, k, None], x) for k in (1, 2)]
+    return np.concatenate([p, np.stack(turns)])
+
+
+def _x_axes(R: Array, n: int) -> Array:
+    return R[:, 0].reshape(3, 5, 2, n)
+
+
+def smallest_singular_value(trial: Trial, q: Array) -> Array:
+    """(n): 0 where two roots meet."""
+    J = np.moveaxis(task_jacobian(trial, q), -1, 0)
+    return np.asarray(np.linalg.svd(J, compute_uv=False)[:, -1], np.float64)

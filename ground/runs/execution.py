@@ -10,24 +10,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fsw.config import CYCLE_HZ, Config
+from fsw.dictionary.enums import HARDSTOP_ORDER
 from fsw.dictionary.evrs import Evr, Severity
 from ground.common.files import BadOutput, check_output
 from ground.common.progress import Progress
-from ground.common.requests import BadRequest, check_apart
-from ground.render.picture import PictureError, PictureResult, check_path, save_movie, save_picture
-from ground.render.slope import tilt_rover
+from ground.common.requests import BadRequest, check_distinct_files
+from ground.render.picture import PictureError, PictureResult, check_picture_path, save_movie, save_picture
+from ground.render.rover_scene import tilt_rover
 from ground.telemetry.errors import LogNotWritable
 from ground.telemetry.recorder import Recorder
+from sim.arms import BuiltArm
+from sim.initialisation import InitialisationResult, initialise_joints
 from sim.plant import Plant
 from sim.record import CycleRecord
 from sim.world import World, build
 
-FRAME_EVERY_S = 3.0
+
+def initialise(arm: BuiltArm, seed: int, progress: Progress) -> list[InitialisationResult]:
+    """Every joint at its hardstop, one after the other; the last one of the list may have failed."""
+    stops: list[InitialisationResult] = []
+    for run in initialise_joints(arm, seed=seed):
+        if run.failure is not None:
+            raise run.failure
+        stops.append(run)
+        progress(len(stops), len(HARDSTOP_ORDER), "initialising")
+    return stops
+
+
+FRAME_PERIOD_S = 3.0
 PICTURE_SIZE = (1280, 720)
 MOVIE_SHADOWS = 1024
 """Pixels across a shadow map: coarser than for a picture, and several times faster."""
 
-Pose = NDArray[np.float64]
+Qpos = NDArray[np.float64]
 """Of everything that moves, as MuJoCo lists it."""
 
 
@@ -47,7 +62,7 @@ class LogNotWritten(Evr):
 
 
 @dataclass(frozen=True, slots=True)
-class Files:
+class RunFiles:
     """Where what is kept goes; None for what is not."""
 
     log: Path | None = None
@@ -56,11 +71,11 @@ class Files:
     when_disk_full: WhenDiskFull = "go-on"
 
 
-NO_FILES: Final = Files()
+NO_FILES: Final = RunFiles()
 
 
 @dataclass(frozen=True, slots=True)
-class Kept:
+class Artifacts:
     """What became of it."""
 
     picture: PictureResult | None
@@ -71,26 +86,26 @@ class Kept:
     """Time [s] and event of what the ground has to say of it."""
 
 
-def nothing_kept(files: Files) -> Kept:
+def no_artifacts(files: RunFiles) -> Artifacts:
     """Of a run that never began, its arm not initialised."""
     why = f"log {files.log}: not recorded (the arm was not initialised)"
-    return Kept(None, None, None if files.log is None else why)
+    return Artifacts(None, None, None if files.log is None else why)
 
 
-def check_files(files: Files, **others: Path | None) -> None:
+def check_run_files(files: RunFiles, **others: Path | None) -> None:
     """Refuse files that cannot be written, or over each other or others that are read.
 
     Raises:
         BadRequest: they cannot; the log itself is opened before the run and says the rest.
     """
-    check_apart({**others, "log": files.log, "picture": files.picture, "movie": files.movie})
+    check_distinct_files({**others, "log": files.log, "picture": files.picture, "movie": files.movie})
     try:
         if files.log is not None:
             check_output(files.log, (".mcap",), "log")
         if files.picture is not None:
-            check_path(files.picture, ".png", "picture")
+            check_picture_path(files.picture, ".png", "picture")
         if files.movie is not None:
-            check_path(files.movie, ".gif", "movie")
+            check_picture_path(files.movie, ".gif", "movie")
     except (PictureError, BadOutput) as error:
         raise BadRequest(str(error)) from error
 
@@ -99,13 +114,13 @@ def check_files(files: Files, **others: Path | None) -> None:
 class Frames:
     """Poses of a run, one every so often, to be drawn after it."""
 
-    poses: list[Pose] = field(default_factory=list)
-    best: Pose | None = None
+    poses: list[Qpos] = field(default_factory=list)
+    best: Qpos | None = None
     """For the picture."""
 
     def note(self, plant: Plant, record: CycleRecord) -> bool:
         """Take the pose if it is time for one; whether it was."""
-        due = record.tick % round(FRAME_EVERY_S * CYCLE_HZ) == 0
+        due = record.tick % round(FRAME_PERIOD_S * CYCLE_HZ) == 0
         if due:
             self.poses.append(plant.data.qpos.copy())
         return due
@@ -115,7 +130,7 @@ class Frames:
         self.best = plant.data.qpos.copy()
 
 
-class Log:
+class RunLog:
     """A recorder whose disk may fill up: an event says what was not recorded."""
 
     def __init__(self, path: Path | None, recorder: Recorder | None):
@@ -151,21 +166,21 @@ class Log:
         self.events = ((self._last_s, event),)
 
 
-def open_log(path: Path | None, header: Mapping[str, str], config: Config) -> Log:
+def open_log(path: Path | None, header: Mapping[str, str], config: Config) -> RunLog:
     """A log that begins with what the run is made of; one of nothing without a path.
 
     Raises:
         BadRequest: the file cannot be opened.
     """
     if path is None:
-        return Log(None, None)
+        return RunLog(None, None)
     try:
-        return Log(path, Recorder(path, header, config))
+        return RunLog(path, Recorder(path, header, config))
     except LogNotWritable as error:
         raise BadRequest(str(error)) from error
 
 
-class Stoppable(Protocol):
+class StoppableRun(Protocol):
     """A run that can be stopped before its end."""
 
     def __iter__(self) -> Iterator[CycleRecord]:
@@ -175,7 +190,7 @@ class Stoppable(Protocol):
         """Every cycle of a stop, in place of those that were still to come."""
 
 
-def recorded(run: Stoppable, log: Log, when_disk_full: WhenDiskFull) -> Iterator[CycleRecord]:
+def record_cycles(run: StoppableRun, log: RunLog, when_disk_full: WhenDiskFull) -> Iterator[CycleRecord]:
     """Every cycle, recorded as far as it can be; a stop where it can not, if so asked."""
     for record in run:
         log.write(record)
@@ -185,16 +200,18 @@ def recorded(run: Stoppable, log: Log, when_disk_full: WhenDiskFull) -> Iterator
             return
 
 
-def doing(record: CycleRecord) -> str:
+def describe_activity(record: CycleRecord) -> str:
     """What the arm is doing, for a progress bar."""
     return record.outputs.joint.mode.name.lower().replace("_", " ")
 
 
-def keep(files: Files, world: World, frames: Frames, last: Pose, log: Log, progress: Progress) -> Kept:
+def save_artifacts(
+    files: RunFiles, world: World, frames: Frames, last: Qpos, log: RunLog, progress: Progress
+) -> Artifacts:
     """Draw the picture and the movie of a run, from the model with everything that only looks."""
     problem = next((event.message for _, event in log.events), None)
     if files.picture is None and files.movie is None:
-        return Kept(None, None, problem, log.events)
+        return Artifacts(None, None, problem, log.events)
     spec = build(world, for_pictures=True)
     tilt_rover(spec)
     model = spec.compile()
@@ -207,11 +224,11 @@ def keep(files: Files, world: World, frames: Frames, last: Pose, log: Log, progr
         picture = save_picture(model, data, camera, files.picture, PICTURE_SIZE)
     if files.movie is not None:
 
-        def drawn() -> Iterator[Pose]:
+        def drawn() -> Iterator[Qpos]:
             for k, pose in enumerate(frames.poses):
                 progress(k, len(frames.poses), "drawing")
                 yield pose
 
         model.vis.quality.shadowsize = MOVIE_SHADOWS
         movie = save_movie(model, drawn(), "overview", files.movie)
-    return Kept(picture, movie, problem, log.events)
+    return Artifacts(picture, movie, problem, log.events)

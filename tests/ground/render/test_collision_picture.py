@@ -7,7 +7,7 @@ import PIL.Image
 import pytest
 
 from ground.render.picture import PictureError
-from ground.render.shapes_picture import save_shapes_picture
+from ground.render.rover_scene import save_collision_picture
 from sim.params import nominal_params
 
 PARAMS = nominal_params()
@@ -15,7 +15,7 @@ READY = np.array(PARAMS.poses.ready_rad)
 
 
 def test_the_shapes_of_arm_and_rover_are_in_the_picture(tmp_path: Path) -> None:
-    drawn = save_shapes_picture(PARAMS, READY, tmp_path / "shapes.png", size=(160, 90))
+    drawn = save_collision_picture(PARAMS, READY, tmp_path / "shapes.png", size=(160, 90))
     image = np.asarray(PIL.Image.open(tmp_path / "shapes.png").convert("RGB")).astype(int)
     assert image.shape == (90, 160, 3)
     if drawn.renderer == "opengl":  # rays do not see what is transparent
@@ -25,4 +25,4 @@ def test_the_shapes_of_arm_and_rover_are_in_the_picture(tmp_path: Path) -> None:
 
 def test_a_camera_that_there_is_not_is_refused(tmp_path: Path) -> None:
     with pytest.raises(PictureError, match="there is no camera 'nowhere'"):
-        save_shapes_picture(PARAMS, READY, tmp_path / "shapes.png", "nowhere", (16, 9))
+        save_collision_picture(PARAMS, READY, tmp_path / "shapes.png", "nowhere", (16, 9))

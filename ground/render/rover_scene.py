@@ -17,11 +17,61 @@ from sim.frames import FLIP, P_NR_M
 from sim.plant import Plant
 from sim.world import World, build
 
+CENTRE_M: Final = np.array([0.5, 0.0, 0.0])
+"""Of the slope, in world axes from the rover's origin: rover and workspace lie about it."""
+RADIUS_M: Final = 2.3
+"""Of the slope: beyond the rear wheels and the reach of the arm."""
+
+
+def tilt_rover(spec: mujoco.MjSpec) -> None:
+    """Turn rover, arm and rock until gravity points down, on a slope whose lower edge lies in the plain.
+
+    Plain, scenery, sky, light and cameras stay level, and so does the horizon. A level rover stays as it is.
+    """
+    gravity = spec.option.gravity.copy()
+    if not gravity[:2].any():
+        return
+    g_m_s2 = float(np.linalg.norm(gravity))
+    quat = np.zeros(4)
+    mujoco.mju_quatZ2Vec(quat, -gravity / g_m_s2)
+    mujoco.mju_negQuat(quat, quat)
+    spec.option.gravity = (0.0, 0.0, -g_m_s2)
+    ground, scenery = spec.geom("ground"), spec.body("mars_scenery")
+    middle = CENTRE_M + ground.pos
+    frame = spec.worldbody.add_frame(pos=middle - _rotate(quat, middle), quat=quat)
+    if spec.camera("target") is not None:
+        face = spec.body("rock").pos
+        spec.camera("target").pos += frame.pos + _rotate(quat, face) - face
+    for one in (*spec.worldbody.bodies, *spec.worldbody.geoms):
+        if one not in (ground, scenery):
+            one.set_frame(frame)
+    drop_m = RADIUS_M * float(np.linalg.norm(gravity[:2])) / g_m_s2
+    for one in (ground, scenery):
+        if one is not None:
+            one.pos[2] -= drop_m
+    spec.worldbody.add_geom(
+        name="slope",
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        pos=middle - (0.0, 0.0, 2.0 * drop_m),
+        size=(RADIUS_M, 2.0 * drop_m, 0.0),
+        contype=0,
+        conaffinity=0,
+        group=2,
+        material=ground.material,
+    ).set_frame(frame)
+
+
+def _rotate(quat: Array, v: Array) -> Array:
+    turned = np.zeros(3)
+    mujoco.mju_rotVecQuat(turned, v, quat)
+    return turned
+
+
 ARM_RGBA: Final = (0.10, 0.45, 0.95, 0.45)
 ROVER_RGBA: Final = (1.0, 0.45, 0.05, 0.30)
 
 
-def save_shapes_picture(
+def save_collision_picture(
     params: Params,
     output_rad: Array,
     path: Path,
@@ -37,15 +87,15 @@ def save_shapes_picture(
     at_rest = settle_output(config.arm, output_rad[:, None], world.gravity_N_m_s2)
     spec = build(world, for_pictures=True)
     shapes = config.collision_geometry
-    _add(spec, shapes.arm, place_shapes(shapes, at_rest.frames)[:, 0], ARM_RGBA)
-    _add(spec, shapes.rover, shapes.rover.X_CS, ROVER_RGBA)
+    _add_shapes(spec, shapes.arm, place_shapes(shapes, at_rest.frames)[:, 0], ARM_RGBA)
+    _add_shapes(spec, shapes.rover, shapes.rover.X_CS, ROVER_RGBA)
     plant = Plant(spec.compile())
     plant.show(output_rad, at_rest.strain[:, :, 0])
     mujoco.mj_forward(plant.model, plant.data)
     return save_picture(plant.model, plant.data, camera, path, size)
 
 
-def _add(spec: mujoco.MjSpec, solids: RoundedBoxes, X_RS: Pose, rgba: tuple[float, ...]) -> None:
+def _add_shapes(spec: mujoco.MjSpec, solids: RoundedBoxes, X_RS: Pose, rgba: tuple[float, ...]) -> None:
     """Solids as geoms that only look; a capsule of MuJoCo lies along z, ours along x."""
     for k in range(solids.part.size):
         R_WS, half, radius = FLIP[:, None] * X_RS.R[:, :, k], solids.half_m[:, k], solids.radius_m[k]

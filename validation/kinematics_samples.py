@@ -18,12 +18,11 @@ from fsw.kinematics.soft_limits import limit_excess, wrap_into_limits
 from fsw.kinematics.transforms import Array, cross, dot, norm
 from sim.frames import P_NR_M
 from sim.workspace import BOTTOM_Z_M, CENTRE_X_M, RADIUS_M, TOP_Z_M, WEDGE_SIDE_RAD
-from validation.cases import Trial
-from validation.checks import task_jacobian
+from validation.kinematics_trials import Trial, task_jacobian
 
 NEAREST: Final = 1e-6
 FARTHEST: Final = 0.3
-SHARPENED: Final = 0.3
+REFINED_SHARE: Final = 0.3
 """Of the vectors near a double root, how many are measured from that of the real, hanging arm."""
 SECANT_STEPS: Final = 5
 SECANT_FIRST_RAD: Final = 1e-3
@@ -83,8 +82,8 @@ def vectors(trial: Trial, rng: np.random.Generator, n: int) -> tuple[Array, Kind
         there = np.flatnonzero(kind & flag)
         q[joint, there] = _double_root(trial, flag, rng, q[:, there])
         if not trial.is_drawing:
-            some = there[rng.random(there.size) < SHARPENED]
-            q[joint, some] = _sharpened(trial, joint, q[:, some])
+            some = there[rng.random(there.size) < REFINED_SHARE]
+            q[joint, some] = _refine_singular_angle(trial, joint, q[:, some])
         q[joint, there] += log_distances(rng, there.size)
     _put_near_limits(q, np.flatnonzero(kind & Near.LIMIT), low, high, rng)
     q = wrap_into_limits(trial.arm, q)
@@ -122,7 +121,7 @@ def _forward_component(trial: Trial, q: Array, elevation_rad: float) -> Array:
     return dot(frames.X_RF.R[:, 0, 1], foot - frames.X_RF.p[:, 0])
 
 
-def _sharpened(trial: Trial, joint: Joint, q: Array) -> Array:
+def _refine_singular_angle(trial: Trial, joint: Joint, q: Array) -> Array:
     """The joint's angle where this very arm is singular, by secant steps; where they fail, as it was."""
     usable = np.isfinite(q).all(axis=0)
     start = q[joint].copy()

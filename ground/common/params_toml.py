@@ -7,20 +7,20 @@ from typing import Any
 from fsw.dictionary.params import Params
 
 
-def params_text(base: Params, params: Params, said: Sequence[str]) -> str:
+def params_toml(base: Params, params: Params, said: Sequence[str]) -> str:
     """Every parameter that is not as in `base`, under what is to be said of them, a comment a line."""
-    changed = _changed(asdict(base), asdict(params))
+    changed = _changed_values(asdict(base), asdict(params))
     return "\n".join([*(f"# {line}" for line in said), "", *_lines(changed, ()), ""])
 
 
-def _changed(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
+def _changed_values(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
     """What is another value, tables of numbers whole."""
     found: dict[str, Any] = {}
     for key, value in new.items():
         if not isinstance(value, dict) or _is_leaf(value):
             if value != old[key]:
                 found[key] = value
-        elif inner := _changed(old[key], value):
+        elif inner := _changed_values(old[key], value):
             found[key] = inner
     return found
 

@@ -9,9 +9,9 @@ import pytest
 
 from ground.render.picture import PictureResult
 from ground.render.rays import Rays
-from ground.render.slope import tilt_rover
-from ground.runs import artifacts
-from ground.runs.artifacts import Files, Frames, Log, keep
+from ground.render.rover_scene import tilt_rover
+from ground.runs import execution
+from ground.runs.execution import Frames, RunFiles, RunLog, save_artifacts
 from sim.world import Scene, Surface, World, build
 
 ROCK = Surface((2.05, 0.1, -0.25), (-0.5, 0.1, -0.85))
@@ -98,9 +98,11 @@ def test_the_picture_of_a_run_is_of_the_tilted_rover(monkeypatch: pytest.MonkeyP
         pictures.append(model)
         return PictureResult(None, "none")
 
-    monkeypatch.setattr(artifacts, "save_picture", save)
+    monkeypatch.setattr(execution, "save_picture", save)
     world = tilted(10.0, -5.0)
     pose = np.zeros(build(world).compile().nq)
-    keep(Files(picture=tmp_path / "x.png"), world, Frames(), pose, Log(None, None), lambda *_: None)
+    save_artifacts(
+        RunFiles(picture=tmp_path / "x.png"), world, Frames(), pose, RunLog(None, None), lambda *_: None
+    )
     (model,) = pictures
     np.testing.assert_allclose(model.opt.gravity, [0.0, 0.0, -3.711], atol=1e-12)

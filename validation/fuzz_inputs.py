@@ -1,18 +1,149 @@
 """A target for fuzzers of the importer, files that it accepts, and changes to them."""
 
 import io
+import struct
+import zlib
+from collections.abc import Callable
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.records import Metadata
+from mcap.writer import MCAP0_MAGIC
 from pyarrow import csv, parquet
 
+from ground.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, header_crc32
 from ground.telemetry.imports.files import BadImport
 from ground.telemetry.imports.job import convert_table
 from ground.telemetry.imports.log_file import write_table_log
+from ground.telemetry.mcap_reader import CHUNK_HEAD, RECORD_HEAD, ChunkLocation, iter_records, parse_chunk
 from ground.telemetry.read import read_log
+
+Random = np.random.Generator
+NUMBERS: Final = (
+    0,
+    1,
+    0x7F,
+    0x80,
+    0xFF,
+    0xFFFF,
+    0x7FFFFFFF,
+    0xFFFFFFFF,
+    1 << 40,
+    (1 << 63) - 1,
+    (1 << 64) - 1,
+)
+"""What lengths and offsets break on."""
+LONGEST: Final = 1 << 20
+
+
+def place(random: Random, data: bytes) -> int:
+    """Somewhere in the data, most often near its beginning or its end."""
+    near = int(random.integers(64))
+    return int(random.choice((int(random.integers(len(data) + 1)), near, len(data) - near)))
+
+
+def flip(random: Random, data: bytearray) -> None:
+    """Change some bits."""
+    for _ in range(int(random.integers(1, 5))):
+        if data:
+            data[int(random.integers(len(data)))] ^= 1 << int(random.integers(8))
+
+
+def number(random: Random, data: bytearray) -> None:
+    """Put a number where one may have been."""
+    size = int(random.choice((1, 2, 4, 8)))
+    value = int(NUMBERS[int(random.integers(len(NUMBERS)))]) & ((1 << 8 * size) - 1)
+    at = max(0, place(random, data))
+    data[at : at + size] = value.to_bytes(size, "little")
+
+
+def cut(random: Random, data: bytearray) -> None:
+    """Take a piece out, or all from some place on."""
+    at = max(0, place(random, data))
+    del data[at : at + int(random.integers(1, 256)) if random.random() < 0.7 else None]
+
+
+def repeat(random: Random, data: bytearray) -> None:
+    """Put a piece in again somewhere else."""
+    if len(data) < LONGEST:
+        at, to = max(0, place(random, data)), max(0, place(random, data))
+        data[to:to] = data[at : at + int(random.integers(1, 4096))]
+
+
+def noise(random: Random, data: bytearray) -> None:
+    """Write noise over a piece."""
+    at = max(0, place(random, data))
+    data[at : at + 16] = random.bytes(int(random.integers(1, 32)))
+
+
+MUTATORS: Final[tuple[Callable[[Random, bytearray], None], ...]] = (flip, number, cut, repeat, noise)
+
+
+def mutate_bytes(random: Random, data: bytes) -> bytes:
+    """The bytes with some changes of any kind."""
+    out = bytearray(data)
+    for _ in range(int(random.integers(1, 4))):
+        MUTATORS[int(random.integers(len(MUTATORS)))](random, out)
+    return bytes(out)
+
+
+def mutate_records(random: Random, data: bytes) -> bytes:
+    """A log with changes in the records of a chunk, or in its header, and with CRCs that fit them."""
+    chunks, metadata = parts(data)
+    if not chunks or random.random() < 0.2:
+        return mutate_header(random, data, metadata)
+    chunk = chunks[int(random.integers(len(chunks)))]
+    try:
+        plain = zstandard.ZstdDecompressor().decompress(data[chunk.begin : chunk.end])
+    except zstandard.ZstdError:
+        return mutate_bytes(random, data)
+    return data[: chunk.at] + pack_chunk(mutate_bytes(random, plain), chunk) + data[chunk.end :]
+
+
+def parts(data: bytes) -> tuple[list[ChunkLocation], dict[str, tuple[int, int]]]:
+    """Chunks, and where the format and header records begin and end, as far as they can be told."""
+    chunks, metadata = [], {}
+    for at, opcode, body in iter_records(data, len(MCAP0_MAGIC)):
+        try:
+            if opcode == 6:
+                chunks.append(parse_chunk(data, at, len(body)))
+        except (ValueError, struct.error):
+            continue
+        for name in (FORMAT_RECORD, HEADER_RECORD):
+            if opcode == 12 and bytes(body[4 : 4 + len(name)]) == name.encode():
+                metadata[name] = (at, at + RECORD_HEAD.size + len(body))
+    return chunks, metadata
+
+
+def pack_chunk(plain: bytes, like: ChunkLocation) -> bytes:
+    """A chunk record of these records, at the times of another."""
+    inner = zstandard.ZstdCompressor().compress(plain)
+    head = CHUNK_HEAD.pack(like.first_ns, like.last_ns, len(plain), zlib.crc32(plain), 4, b"zstd", len(inner))
+    return RECORD_HEAD.pack(6, len(head) + len(inner)) + head + inner
+
+
+def mutate_header(random: Random, data: bytes, metadata: dict[str, tuple[int, int]]) -> bytes:
+    """The log with changed texts in its header, whose CRC fits."""
+    if len(metadata) < 2:
+        return mutate_bytes(random, data)
+    begin, (header_at, end) = metadata[FORMAT_RECORD][0], metadata[HEADER_RECORD]
+    text = bytes(data[header_at:end]).decode("latin-1")
+    names = [name for name in ("channels", "seed", "request", "params") if name in text] or ["channels"]
+    name = names[int(random.integers(len(names)))]
+    old = text.partition(name)[2][4:]
+    header = {name: mutate_bytes(random, old.encode()).decode("latin-1")}
+    builder = RecordBuilder()
+    Metadata(name=FORMAT_RECORD, metadata={"version": FORMAT, "header_crc32": header_crc32(header)}).write(
+        builder
+    )
+    Metadata(name=HEADER_RECORD, metadata=header).write(builder)
+    return data[:begin] + builder.end() + data[end:]
+
 
 BETWEEN: Final = b"\n#---\n"
 """What stands between the mapping and the table."""
@@ -86,7 +217,7 @@ def tables() -> list[bytes]:
     return [text.getvalue(), binary.getvalue(), plain.getvalue()]
 
 
-def changed(data: bytes, rng: np.random.Generator) -> bytes:
+def mutate_part(data: bytes, rng: np.random.Generator) -> bytes:
     """The bytes with one to four changes."""
     made = bytearray(data)
     for _ in range(rng.integers(1, 5)):
@@ -112,7 +243,7 @@ ODD: list[Any] = [0.0, -0.0, 1.5, -1e308, 1e308, 5e-324, np.nan, np.inf, -np.inf
 WHOLE = [0, 1, -1, 2**53 + 1, 2**63 - 1, -(2**63), 15_625_000]
 
 
-def some(rng: np.random.Generator, rows: int) -> Any:
+def random_column(rng: np.random.Generator, rows: int) -> Any:
     """A column of any kind, odd values and holes in it."""
     mask = rng.random(rows) < rng.choice([0.0, 0.0, 0.0, 0.3])
     match int(rng.choice(6, p=[0.2, 0.15, 0.1, 0.03, 0.26, 0.26])):
@@ -128,14 +259,16 @@ def some(rng: np.random.Generator, rows: int) -> Any:
             return pa.array(rng.normal(size=rows), mask=mask)
 
 
-def odd_case(rng: np.random.Generator) -> bytes:
+def random_case(rng: np.random.Generator) -> bytes:
     """A mapping without a slip, more or less, and a table of odd columns."""
     rows = int(rng.integers(1, 12))
-    columns = {name: some(rng, rows) for name in "abcden"}
+    columns = {name: random_column(rng, rows) for name in "abcden"}
     steps = rng.choice([1 / 64, 1 / 100, 1e-3, 0.5, 1e9], rows, p=[0.4, 0.3, 0.1, 0.15, 0.05])
     if rng.random() < 0.5:
         steps = np.full(rows, 1 / 64)
-    columns["t"] = some(rng, rows) if rng.random() < 0.1 else pa.array(np.cumsum(np.ones(rows) * steps))
+    columns["t"] = (
+        random_column(rng, rows) if rng.random() < 0.1 else pa.array(np.cumsum(np.ones(rows) * steps))
+    )
 
     def one_of(*words: str) -> str:
         return words[int(rng.integers(len(words)))]
@@ -178,8 +311,8 @@ def mutate_import(rng: np.random.Generator, data: bytes) -> bytes:
     mapping, _, table = data.partition(BETWEEN)
     match int(rng.integers(3)):
         case 0:
-            return changed(mapping, rng) + BETWEEN + table
+            return mutate_part(mapping, rng) + BETWEEN + table
         case 1:
-            return mapping + BETWEEN + changed(table, rng)
+            return mapping + BETWEEN + mutate_part(table, rng)
         case _:
-            return odd_case(rng)
+            return random_case(rng)

@@ -19,17 +19,17 @@ PERIOD: Final = 8192
 
 
 @cache
-def hardstops(cycles: int) -> tuple[CycleRecord, ...]:
+def hardstop_cycles(cycles: int) -> tuple[CycleRecord, ...]:
     """The first cycles of a hardstop initialisation, the truth of the plant with them."""
     arm = arm_named("nominal")
     loop = ClosedLoop(Setup(arm, World(), arm.params.poses.ready_rad), with_truth=True)
     return tuple(loop.cycle((CalibrateAll(),) if tick == 0 else ()) for tick in range(cycles))
 
 
-def recorded(path: Path, cycles: int, chunk_s: float) -> Path:
+def record_log(path: Path, cycles: int, chunk_s: float) -> Path:
     """A closed log of so many cycles."""
     config = configure(arm_named("nominal").params)
     with Recorder(path, {"seed": "0", "arm": "nominal"}, config, chunk_s=chunk_s) as recorder:
-        for tick, record in zip(range(cycles), cycle(hardstops(min(max(cycles, 1), PERIOD)))):
+        for tick, record in zip(range(cycles), cycle(hardstop_cycles(min(max(cycles, 1), PERIOD)))):
             recorder.write(replace(record, tick=tick))
     return path
