@@ -84,9 +84,9 @@ SEED ?= 1
 OUT ?= blind-$(SEED)
 blind: $(VENV)/ready
 	@$(call say,200 blind cases in $(WORKERS) processes; this takes two and a half hours)
-	@$(BIN)/marsarm gap blind make --seed $(SEED) --out $(OUT) --jobs $(WORKERS) >&2
-	@$(BIN)/marsarm gap blind solve $(OUT) --jobs $(WORKERS) >&2
-	@$(BIN)/marsarm gap blind score $(OUT) --json $(ARGS)
+	@$(BIN)/python -m validation.blind make --seed $(SEED) --out $(OUT) --jobs $(WORKERS) >&2
+	@$(BIN)/python -m validation.blind solve $(OUT) --jobs $(WORKERS) >&2
+	@$(BIN)/python -m validation.blind score $(OUT) --json $(ARGS)
 
 killed: $(VENV)/ready
 	@$(call say,killing recorded runs at random moments; this takes ten minutes)

@@ -68,25 +68,24 @@ def diagnose(
     from ground.common.files import BadOutput
     from ground.common.progress_bar import progress_bar
     from ground.common.requests import BadRequest
-    from ground.diagnosis.arm.diagnosed import diagnosed
-    from ground.diagnosis.arm.files import DiagnosisFiles, check_diagnosis_files, save_diagnosis
+    from ground.diagnosis.arm.diagnose_logs import build_request, diagnose_logs
     from ground.diagnosis.arm.logs import NotForDiagnosis
-    from ground.diagnosis.arm.request import diagnose_request
-    from ground.diagnosis.tables import gap_table
-    from ground.diagnosis.told import told
+    from ground.diagnosis.arm.output_files import DiagnosisFiles, check_diagnosis_files, save_diagnosis_files
+    from ground.diagnosis.result import to_json
+    from ground.diagnosis.tables import print_diagnosis
     from sim.plant import PlantDiverged
 
     files = DiagnosisFiles(report, patch, new_params)
     try:
         check_diagnosis_files(files, params, effect or ())
-        request = diagnose_request(log, held_out or (), params, catalogue, campaign, seed, effect or ())
+        request = build_request(log, held_out or (), params, catalogue, campaign, seed, effect or ())
         with progress_bar() as progress:
-            result = diagnosed(request, progress)
+            result = diagnose_logs(request, progress)
     except (BadRequest, BadOutput, NotForDiagnosis, PlantDiverged) as error:
         fail(str(error), EXIT_BAD_INPUT, as_json)
-    print_result(told(result), as_json, lambda: gap_table(result))
+    print_result(to_json(result), as_json, lambda: print_diagnosis(result))
     try:
-        for sentence in save_diagnosis(result, request, files):
+        for sentence in save_diagnosis_files(result, request, files):
             print(sentence, file=sys.stderr)
     except BadRequest as error:  # after minutes: what was found is told all the same
         print(error, file=sys.stderr)

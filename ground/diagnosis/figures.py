@@ -6,28 +6,27 @@ import numpy as np
 
 from ground.diagnosis.closure import Closure
 from ground.diagnosis.diagnose import Finding
-from ground.diagnosis.ready import Ready
-from ground.diagnosis.result import Result
-from ground.diagnosis.sentences import channel_words, number
-from ground.diagnosis.told import others, probability_of
-from ground.diagnosis.where import Cell
+from ground.diagnosis.model import DiagnosisModel
+from ground.diagnosis.residual_analysis import ResidualCell
+from ground.diagnosis.result import DiagnosisResult, list_alternatives, probability_of
+from ground.diagnosis.sentences import channel_words, format_number
 from ground.render.figures import render_png
 
 DPI: Final = 110
 WIDTH_INCH: Final = 11.0
 ROW_INCH: Final = 0.28
 MARGIN_INCH: Final = 1.3
-FEWEST: Final = 3
+MIN_ROWS: Final = 3
 """Rows that a picture has room for."""
-FULL: Final = 10.0
+DARKEST_RATIO: Final = 10.0
 """Times the floor, from which on a map has its darkest colour at the least."""
-SPAN: Final = (0.5, 4.0)
+MIN_AXIS_SPAN: Final = (0.5, 4.0)
 """Times the floor: what the axis of a picture has at the least."""
-FAINT: Final = 1e-3
+LEAST_DRAWN: Final = 1e-3
 """Times the floor: the least that is drawn."""
 
 
-def where_picture(cells: tuple[Cell, ...]) -> bytes:
+def residual_map_picture(cells: tuple[ResidualCell, ...]) -> bytes:
     """A map of ratios to the floor, channels by regimes, those with the largest on top."""
     rows = list(dict.fromkeys(channel_words(cell.channel, cell.place) for cell in cells))
     columns = sorted({cell.regime for cell in cells})
@@ -38,10 +37,10 @@ def where_picture(cells: tuple[Cell, ...]) -> bytes:
     return render_png(_size(len(rows)), DPI, lambda figure: _draw_map(figure, rows, columns, ratio))
 
 
-def race_picture(result: Result) -> bytes:
+def effects_picture(result: DiagnosisResult) -> bytes:
     """Probabilities of what was chosen and of what may stand in its stead, and sizes with intervals."""
-    count = sum(1 + len(others(finding)) for finding in result.diagnosis.findings)
-    return render_png(_size(max(count, FEWEST)), DPI, lambda figure: _draw_race(figure, result))
+    count = sum(1 + len(list_alternatives(finding)) for finding in result.diagnosis.findings)
+    return render_png(_size(max(count, MIN_ROWS)), DPI, lambda figure: _draw_effects(figure, result))
 
 
 def closure_picture(closure: Closure) -> bytes:
@@ -57,7 +56,7 @@ def _draw_map(figure: Any, rows: list[str], columns: list[str], ratio: Any) -> N
     from matplotlib.colors import LogNorm
 
     axes = figure.subplots()
-    norm = LogNorm(1.0, max(FULL, float(np.nanmax(ratio))), clip=True)
+    norm = LogNorm(1.0, max(DARKEST_RATIO, float(np.nanmax(ratio))), clip=True)
     axes.set_facecolor("0.9")
     image = axes.pcolormesh(np.ma.masked_invalid(ratio), cmap="Reds", norm=norm, edgecolor="white")
     for (row, column), value in np.ndenumerate(ratio):
@@ -72,43 +71,43 @@ def _draw_map(figure: Any, rows: list[str], columns: list[str], ratio: Any) -> N
     axes.invert_yaxis()
     axes.tick_params(length=0)
     bar = figure.colorbar(image, ax=axes, label="rms over the floor")
-    _plain_steps(bar.ax.yaxis)
+    _decimal_ticks(bar.ax.yaxis)
 
 
-def _draw_race(figure: Any, result: Result) -> None:
+def _draw_effects(figure: Any, result: DiagnosisResult) -> None:
     bars, sizes = figure.subplots(1, 2, width_ratios=(1.0, 1.0))
-    ready, row = result.ready, 0
+    model, row = result.model, 0
     names: list[tuple[int, str]] = []
     colour = "tab:orange" if result.diagnosis.verdict == "unknown" else "tab:blue"
     for finding in result.diagnosis.findings:
         every = [(finding.hypothesis, probability_of(finding.hypothesis, finding.alternatives))]
-        for one, share in (*every, *others(finding)):
+        for one, share in (*every, *list_alternatives(finding)):
             chosen = one == finding.hypothesis
             bars.barh(row, share, color=colour if chosen else "0.7")
-            names.append((row, ready.found.hypotheses[one].name))
+            names.append((row, model.sensitivities.hypotheses[one].name))
             row += 1
     bars.set_yticks(*zip(*names, strict=True), fontsize=8)
     role = "Nearest (no name)" if result.diagnosis.verdict == "unknown" else "Chosen (blue)"
     title = f"{role} and what may stand in its stead"
     bars.set(title=title, xlabel="probability", xlim=(0.0, 1.0), ylim=_rows(row))
-    _draw_sizes(sizes, ready, result.diagnosis.findings)
+    _draw_sizes(sizes, model, result.diagnosis.findings)
 
 
-def _draw_sizes(axes: Any, ready: Ready, findings: tuple[Finding, ...]) -> None:
+def _draw_sizes(axes: Any, model: DiagnosisModel, findings: tuple[Finding, ...]) -> None:
     """Departures from neutral in typical sizes; grey is what cannot be seen."""
     names: list[str] = []
     for finding in findings:
-        hypothesis = ready.found.hypotheses[finding.hypothesis]
-        limit = ready.limits[finding.hypothesis].limit
+        hypothesis = model.sensitivities.hypotheses[finding.hypothesis]
+        limit = model.limits[finding.hypothesis].limit
         for parameter, value, least, most in zip(
             hypothesis.parameters, finding.values, finding.least, finding.most, strict=True
         ):
-            if parameter.sizes and np.isfinite(least):
+            if parameter.is_amplitude and np.isfinite(least):
                 row = len(names)
                 size, one, other = (
                     (end - parameter.absent) / parameter.typical for end in (value, least, most)
                 )
-                if len(hypothesis.sizes) == 1 and np.isfinite(limit):
+                if len(hypothesis.amplitudes) == 1 and np.isfinite(limit):
                     axes.barh(row, 2.0 * limit, left=-limit, color="0.9", height=0.9)
                 axes.plot([one, other], [row, row], color="tab:blue", linewidth=3, solid_capstyle="butt")
                 axes.plot(size, row, "o", color="tab:blue")
@@ -121,7 +120,7 @@ def _draw_sizes(axes: Any, ready: Ready, findings: tuple[Finding, ...]) -> None:
 
 def _rows(count: int) -> tuple[float, float]:
     """Limits of an axis of rows, the first on top; a single row is not as high as the picture."""
-    room = max(count, FEWEST)
+    room = max(count, MIN_ROWS)
     return (count + room - 1) / 2.0, (count - room - 1) / 2.0
 
 
@@ -129,7 +128,7 @@ def _draw_closure(figure: Any, closure: Closure) -> None:
     axes = figure.subplots()
     channels = sorted(closure.channels, key=lambda one: -one.before / one.floor)
     for row, one in enumerate(channels):
-        before, after = (max(value / one.floor, FAINT) for value in (one.before, one.after))
+        before, after = (max(value / one.floor, LEAST_DRAWN) for value in (one.before, one.after))
         axes.plot([before, after], [row, row], color="0.7", zorder=1)
         labels = ("before", "after") if row == 0 else (None, None)
         axes.plot(before, row, "o", color="tab:red", label=labels[0], fillstyle="none", markersize=8)
@@ -139,16 +138,16 @@ def _draw_closure(figure: Any, closure: Closure) -> None:
     axes.invert_yaxis()
     axes.set_xscale("log")
     least, most = axes.get_xlim()
-    axes.set_xlim(min(least, SPAN[0]), max(most, SPAN[1]))
-    _plain_steps(axes.xaxis)
+    axes.set_xlim(min(least, MIN_AXIS_SPAN[0]), max(most, MIN_AXIS_SPAN[1]))
+    _decimal_ticks(axes.xaxis)
     axes.set(xlabel="rms on held-out motion, over the floor")
     axes.legend(fontsize=8, loc="lower right")
 
 
-def _plain_steps(axis: Any) -> None:
+def _decimal_ticks(axis: Any) -> None:
     """Ticks of a logarithmic axis at 1, 2, 5, 10."""
     from matplotlib.ticker import LogLocator, NullLocator
 
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.set_minor_locator(NullLocator())
-    axis.set_major_formatter(lambda value, _: number(value))
+    axis.set_major_formatter(lambda value, _: format_number(value))

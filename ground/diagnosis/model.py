@@ -1,36 +1,58 @@
-"""The best model of a case: chosen effects and nuisances together, and what it leaves."""
+"""A campaign ready for cases: everything that is fixed, and can be published, before data."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from fsw.kinematics.transforms import Array
-from ground.diagnosis.case import Case
-from ground.diagnosis.layout import Ints
-from ground.diagnosis.prepared import Prepared
+from ground.diagnosis.detectability import Detectability, alias_cosines, detection_limits, equivalence_classes
+from ground.diagnosis.normal_equations import NormalEquations, form_normal_equations
+from ground.diagnosis.problem import Ints
+from ground.diagnosis.residual_analysis import FeatureGroup, group_features
+from ground.diagnosis.selection import CandidateSet
+from ground.diagnosis.sensitivity import Sensitivities
+from ground.diagnosis.thresholds import SIMULATED_CASES, Thresholds, calibrate_thresholds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
-    """Nuisances and chosen columns, fitted together to all blocks."""
+class DiagnosisModel:
+    """What does not depend on data."""
 
-    active: Ints
-    """Columns of `Prepared.A` that are in it: all nuisances, then the chosen, (n,)."""
-    theta: Array
-    """Their sizes, (n,)."""
-    covariance: Array
-    """(n, n)."""
+    sensitivities: Sensitivities
+    equations: NormalEquations
+    cosine: Array
+    """|cos| between hypotheses, (H, H)."""
+    label: Ints
+    """Equivalence class of every hypothesis, (H,)."""
+    limits: tuple[Detectability, ...]
+    groups: tuple[FeatureGroup, ...]
+    thresholds: Thresholds
+
+    @property
+    def candidates(self) -> CandidateSet:
+        """All hypotheses that are seen."""
+        return CandidateSet(self.equations, self.label, self.thresholds.effect, self.equations.identifiable)
+
+    def confusable(self, hypothesis: int) -> tuple[int, ...]:
+        """Its class, itself included."""
+        return tuple(int(one) for one in np.flatnonzero(self.label == self.label[hypothesis]))
 
 
-def fitted(prepared: Prepared, case: Case, columns: Ints) -> Fitted:
-    """The most probable nuisances and sizes; singular combinations stay at 0."""
-    active = np.concatenate([np.arange(prepared.q), prepared.q + columns])
-    information = prepared.G[:, active[:, None], active].sum(axis=0)
-    information[: prepared.q, : prepared.q] += np.diag(prepared.prior)
-    covariance = np.linalg.pinv(information, rcond=1e-13, hermitian=True)
-    return Fitted(active, covariance @ case.c[:, active].sum(axis=0), covariance)
-
-
-def left(prepared: Prepared, model: Fitted, y: Array) -> Array:
-    """Whitened residual after the model, (m,)."""
-    return np.asarray(y - prepared.A[:, model.active] @ model.theta)
+def build_model(
+    sensitivities: Sensitivities,
+    seed: int,
+    cases: int = SIMULATED_CASES,
+    thresholds: Thresholds | None = None,
+    step: Callable[[int, int], None] = lambda *_: None,
+) -> DiagnosisModel:
+    """Of a campaign's sensitivities; without thresholds they are calibrated with `cases` simulated cases."""
+    equations = form_normal_equations(sensitivities)
+    cosine, label, limits, groups = (
+        alias_cosines(equations),
+        equivalence_classes(equations),
+        detection_limits(equations),
+        group_features(equations),
+    )
+    kept = thresholds or calibrate_thresholds(equations, label, cosine, limits, groups, seed, cases, step)
+    return DiagnosisModel(sensitivities, equations, cosine, label, limits, groups, kept)

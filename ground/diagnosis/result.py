@@ -1,15 +1,19 @@
-"""All that is said of a set of logs: what the page shows and the JSON says."""
+"""A diagnosis as one plain document: text, numbers, lists and tables; what is not finite is None."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from math import isfinite
+from typing import Any, Final
 
+from ground.diagnosis.bootstrap import Alternatives
 from ground.diagnosis.closure import Closure
-from ground.diagnosis.diagnose import Diagnosis
-from ground.diagnosis.next_motion import Motion
-from ground.diagnosis.ready import Ready
+from ground.diagnosis.diagnose import Diagnosis, Finding
+from ground.diagnosis.experiment_design import CandidateMotion
+from ground.diagnosis.model import DiagnosisModel
+from ground.diagnosis.problem import Hypothesis
 
 
 @dataclass(frozen=True, slots=True)
-class ToolGap:
+class ToolError:
     """How far the tools are from where the simulator has them on held-out motion, root mean squares [mm]."""
 
     before_mm: float
@@ -18,18 +22,146 @@ class ToolGap:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Result:
+class DiagnosisResult:
     """A diagnosis with what belongs to it."""
 
-    ready: Ready
+    model: DiagnosisModel
     diagnosis: Diagnosis
     closure: Closure | None
     """None if no motion was held out."""
-    tool: ToolGap | None
+    tool: ToolError | None
     """None if no held-out motion has tracker poses."""
-    next_motion: tuple[Motion, ...]
+    next_motion: tuple[CandidateMotion, ...]
     """Best first; none if nothing is confusable, or nothing was found."""
     notes: tuple[str, ...]
     """What the audit said."""
     floor: tuple[str, ...]
     """Where the floor is from."""
+
+
+def finite_or_none(value: float) -> float | None:
+    """The number; None if it is NaN or infinite, for which JSON has no word."""
+    return float(value) if isfinite(value) else None
+
+
+MAX_LISTED: Final = 10
+"""Hypotheses of the ranking, and groups with structure, that are told."""
+
+
+def to_json(result: DiagnosisResult) -> dict[str, Any]:
+    """All that a result says; the keys are explained in docs/gap.md."""
+    diagnosis, model = result.diagnosis, result.model
+    return {
+        "verdict": diagnosis.verdict,
+        "effects": [_finding_json(model, finding) for finding in diagnosis.findings],
+        "ranking": [_hypothesis_json(model, one) for one in diagnosis.ranking[:MAX_LISTED]],
+        "where": [_plain_table(asdict(cell)) for cell in diagnosis.residual_map],
+        "closure": None if result.closure is None else _closure_json(result.closure),
+        "confusable": [
+            [_hypothesis_json(model, one) for one in finding.confusable]
+            for finding in diagnosis.findings
+            if len(finding.confusable) > 1
+        ],
+        "next_motion": [_plain_table(asdict(motion)) for motion in result.next_motion],
+        "odds": finite_or_none(diagnosis.log_odds),
+        "unexplained": {
+            "structure": has_lack_of_fit(result),
+            "surprise": finite_or_none(diagnosis.unexplained_neg_log10_p),
+            "remains": [
+                {
+                    "channel": one.channel,
+                    "place": one.place,
+                    "regime": one.regime,
+                    "depends_on": one.depends_on,
+                    "surprise": finite_or_none(one.neg_log10_p),
+                }
+                for one in diagnosis.unexplained[:MAX_LISTED]
+            ],
+        },
+        "tool_mm": None
+        if result.tool is None
+        else {
+            "before": finite_or_none(result.tool.before_mm),
+            "after": finite_or_none(result.tool.after_mm),
+            "floor": finite_or_none(result.tool.floor_mm),
+        },
+        "notes": list(result.notes),
+        "floor": list(result.floor),
+        "thresholds": _plain_table(asdict(model.thresholds)),
+    }
+
+
+def has_lack_of_fit(result: DiagnosisResult) -> bool:
+    """Whether structure remains beyond what is let pass: beside the findings, or without any."""
+    diagnosis, limits = result.diagnosis, result.model.thresholds
+    limit = limits.unexplained if diagnosis.findings else limits.structure
+    return diagnosis.unexplained_neg_log10_p >= limit
+
+
+def probability_of(hypothesis: int, alternatives: Alternatives) -> float:
+    """Of one among what may stand in its stead; 0 if it is not among the fewest that are told."""
+    known = dict(zip(alternatives.hypotheses, alternatives.probability, strict=True))
+    return float(known.get(hypothesis, 0.0))
+
+
+def list_alternatives(finding: Finding) -> tuple[tuple[int, float], ...]:
+    """What may stand in the stead of a finding, one of each class, and how probably; most probable first."""
+    known = finding.alternatives
+    every = zip(known.hypotheses, known.probability, strict=True)
+    return tuple((one, share) for one, share in every if one != finding.hypothesis)
+
+
+def _finding_json(model: DiagnosisModel, finding: Finding) -> dict[str, Any]:
+    hypothesis = model.sensitivities.hypotheses[finding.hypothesis]
+    numbers = zip(hypothesis.parameters, finding.values, finding.least, finding.most, strict=True)
+    return {
+        **_effect_and_place(hypothesis),
+        "parameters": [
+            {
+                "name": parameter.name,
+                "unit": parameter.unit,
+                "is_size": parameter.is_amplitude,
+                "value": finite_or_none(value),
+                "least": finite_or_none(least),
+                "most": finite_or_none(most),
+            }
+            for parameter, value, least, most in numbers
+        ],
+        "probability": probability_of(finding.hypothesis, finding.alternatives),
+        "share": finite_or_none(finding.share),
+        "alternatives": [
+            {**_hypothesis_json(model, one), "probability": finite_or_none(share)}
+            for one, share in list_alternatives(finding)
+        ],
+        "confusable": [
+            _hypothesis_json(model, one) for one in finding.confusable if one != finding.hypothesis
+        ],
+        "at_bound": list(finding.at_bound),
+    }
+
+
+def _closure_json(found: Closure) -> dict[str, Any]:
+    names = ("share", "least", "most", "before", "after")
+    numbers = {name: finite_or_none(getattr(found, name)) for name in names}
+    return {**numbers, "channels": [_plain_table(asdict(channel)) for channel in found.channels]}
+
+
+def _hypothesis_json(model: DiagnosisModel, hypothesis: int) -> dict[str, str]:
+    return _effect_and_place(model.sensitivities.hypotheses[hypothesis])
+
+
+def _effect_and_place(hypothesis: Hypothesis) -> dict[str, str]:
+    return {"name": hypothesis.effect, "place": hypothesis.place}
+
+
+def _plain_table(table: dict[str, Any]) -> dict[str, Any]:
+    """The same with plain numbers."""
+    return {key: _plain_value(value) for key, value in table.items()}
+
+
+def _plain_value(value: Any) -> Any:
+    if isinstance(value, dict):
+        return _plain_table(value)
+    if isinstance(value, tuple):
+        return [_plain_value(one) for one in value]
+    return value if isinstance(value, str | int) else finite_or_none(value)

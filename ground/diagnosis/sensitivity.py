@@ -12,15 +12,14 @@ import numpy as np
 
 from fsw.kinematics.transforms import Array
 from ground.common.files import atomic_write
-from ground.diagnosis.hypothesis import Hypothesis, Nuisance, Parameter
-from ground.diagnosis.layout import Ints, Layout
+from ground.diagnosis.problem import FeatureLayout, Hypothesis, Ints, Nuisance, Parameter
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensitivities:
     """The simulator about its nominal state, in straight lines and parabolas."""
 
-    layout: Layout
+    layout: FeatureLayout
     hypotheses: tuple[Hypothesis, ...]
     nuisances: tuple[Nuisance, ...]
     nominal: Array
@@ -37,7 +36,7 @@ class Sensitivities:
     """Change per unit of each nuisance, (m, q)."""
 
     def __post_init__(self) -> None:
-        m, wanted = self.layout.size, [len(hypothesis.sizes) for hypothesis in self.hypotheses]
+        m, wanted = self.layout.size, [len(hypothesis.amplitudes) for hypothesis in self.hypotheses]
         if not np.array_equal(self.owner, np.repeat(np.arange(len(wanted)), wanted)):
             raise ValueError("owner must list every size parameter of every hypothesis in order")
         shapes = (
@@ -52,78 +51,78 @@ class Sensitivities:
                 raise ValueError(f"sensitivities must be finite and {shape}; one is {array.shape}")
 
     @property
-    def lasting(self) -> list[int]:
+    def shared_nuisances(self) -> list[int]:
         """The nuisances that are one number for all blocks, by index."""
-        return [index for index, nuisance in enumerate(self.nuisances) if not nuisance.each_block]
+        return [index for index, nuisance in enumerate(self.nuisances) if not nuisance.random_per_block]
 
     def only(self, effects: Collection[str]) -> "Sensitivities":
         """Those of the hypotheses of some effects, beside the same nuisances."""
         chosen = [k for k, hypothesis in enumerate(self.hypotheses) if hypothesis.effect in effects]
         columns = np.flatnonzero(np.isin(self.owner, chosen))
         hypotheses = tuple(self.hypotheses[k] for k in chosen)
-        owner = np.repeat(np.arange(len(chosen)), [len(hypothesis.sizes) for hypothesis in hypotheses])
+        owner = np.repeat(np.arange(len(chosen)), [len(hypothesis.amplitudes) for hypothesis in hypotheses])
         parts = {name: getattr(self, name)[:, columns] for name in ("effect", "curve")}
         return replace(self, hypotheses=hypotheses, owner=owner, reach=self.reach[columns], **parts)
 
-    def of(self, rows: Ints) -> "Sensitivities":
+    def select(self, rows: Ints) -> "Sensitivities":
         """Those of some of the features, in that order."""
         arrays = ("nominal", "effect", "curve", "nuisance")
         return replace(
-            self, layout=self.layout.of(rows), **{name: getattr(self, name)[rows] for name in arrays}
+            self, layout=self.layout.select(rows), **{name: getattr(self, name)[rows] for name in arrays}
         )
 
 
-def save(path: Path, found: Sensitivities) -> None:
+def save_sensitivities(path: Path, found: Sensitivities) -> None:
     """Keep sensitivities in an .npz file that holds no code; BadOutput if it cannot be written."""
     layout = found.layout
     words = {
         "hypotheses": [asdict(hypothesis) for hypothesis in found.hypotheses],
         "nuisances": [asdict(nuisance) for nuisance in found.nuisances],
-        "names": {name: getattr(layout, name) for name in _NAMES},
+        "names": {name: getattr(layout, name) for name in _LAYOUT_NAMES},
     }
-    arrays = {name: getattr(layout, name) for name in _ARRAYS}
-    arrays |= {name: getattr(found, name) for name in _FOUND}
+    arrays = {name: getattr(layout, name) for name in _LAYOUT_ARRAYS}
+    arrays |= {name: getattr(found, name) for name in _OWN_ARRAYS}
     with atomic_write(path, "sensitivities") as file:
         np.savez(file, words=np.array(json.dumps(words)), **arrays)
 
 
-_DAMAGE: Final = (
+_READ_ERRORS: Final = (
     *(OSError, EOFError, BadZipFile, zlib.error, RuntimeError),  # the last of what zipfile cannot unpack
     *(ValueError, KeyError, TypeError),
 )
 
 
-def load(path: Path) -> Sensitivities:
+def load_sensitivities(path: Path) -> Sensitivities:
     """Sensitivities as they were kept; ValueError if the file does not hold any, or is cut or damaged."""
     try:
-        return _loaded(path)
-    except _DAMAGE as error:
+        return _read_sensitivities(path)
+    except _READ_ERRORS as error:
         raise ValueError(f"{path}: no sensitivities ({error})") from error
 
 
-def _loaded(path: Path) -> Sensitivities:
+def _read_sensitivities(path: Path) -> Sensitivities:
     with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-        missing = {"words", *_ARRAYS, *_FOUND} - set(file.files)
+        missing = {"words", *_LAYOUT_ARRAYS, *_OWN_ARRAYS} - set(file.files)
         if missing:
             raise ValueError(f"{', '.join(sorted(missing))} missing")
         words = json.loads(str(file["words"]))
-        names = (tuple(words["names"][name]) for name in _NAMES)
-        layout = Layout(*(file[name] for name in _ARRAYS), *names)
+        names = (tuple(words["names"][name]) for name in _LAYOUT_NAMES)
+        layout = FeatureLayout(*(file[name] for name in _LAYOUT_ARRAYS), *names)
         hypotheses = tuple(
             Hypothesis(h["effect"], h["place"], tuple(Parameter(**p) for p in h["parameters"]))
             for h in words["hypotheses"]
         )
         nuisances = tuple(Nuisance(**nuisance) for nuisance in words["nuisances"])
-        found = (file[name] for name in _FOUND)
+        found = (file[name] for name in _OWN_ARRAYS)
         return Sensitivities(layout, hypotheses, nuisances, *found)
 
 
-_ARRAYS: Final = ("sigma", "block", "channel", "place", "regime", "condition")
-_FOUND: Final = ("nominal", "effect", "curve", "reach", "owner", "nuisance")
-_NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions")
+_LAYOUT_ARRAYS: Final = ("sigma", "block", "channel", "place", "regime", "condition")
+_OWN_ARRAYS: Final = ("nominal", "effect", "curve", "reach", "owner", "nuisance")
+_LAYOUT_NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions")
 
 
-def through(ends: Sequence[tuple[Array, float]]) -> tuple[Array, Array]:
+def fit_parabola(ends: Sequence[tuple[Array, float]]) -> tuple[Array, Array]:
     """Slope and bend at 0 of the parabola through 0 and two changes at their sizes; of one, a line."""
     (high, up), (low, down) = ends[0], ends[-1]
     bend = np.zeros_like(high) if up == down else (high / up - low / down) / (up - down)

@@ -2,39 +2,38 @@
 
 from collections.abc import Iterator
 
-from ground.diagnosis.result import Result
+from ground.diagnosis.result import DiagnosisResult, list_alternatives, probability_of
 from ground.diagnosis.sentences import (
-    FEW,
-    cell_interval,
+    MAX_NAMES,
     channel_words,
     closure_sentence,
+    format_cell_interval,
+    format_percent,
+    format_quantity,
+    format_value_interval,
     next_sentence,
-    percent,
-    quantity,
     unexplained_sentence,
-    value_interval,
     verdict_sentences,
 )
-from ground.diagnosis.told import others, probability_of
 from ground.render.console import plain_console, pluralize
 
 
-def gap_table(result: Result) -> None:
+def print_diagnosis(result: DiagnosisResult) -> None:
     """Print verdict, effects, where, how far, what remains, and what to do next."""
-    console, said = plain_console(), result.diagnosis
+    console, diagnosis = plain_console(), result.diagnosis
     first, second = verdict_sentences(result)
-    console.print(f"{said.verdict}: {first} {second}\n")
-    if said.findings:
-        for line in _effects(result):
+    console.print(f"{diagnosis.verdict}: {first} {second}\n")
+    if diagnosis.findings:
+        for line in _effect_lines(result):
             console.print(line)
-        if len(said.findings) > 1:  # of one, the verdict says it
-            for line in _beside(result):
+        if len(diagnosis.findings) > 1:  # of one, the verdict says it
+            for line in _alternative_lines(result):
                 console.print(line)
     console.print("Where:")
-    for cell in said.where[:FEW]:
+    for cell in diagnosis.residual_map[:MAX_NAMES]:
         name = f"{channel_words(cell.channel, cell.place)}, {cell.regime}"
-        console.print(f"  {name}: {cell.ratio:.1f} times the floor ({cell_interval(cell)})")
-    if said.findings and second != closure_sentence(result):
+        console.print(f"  {name}: {cell.ratio:.1f} times the floor ({format_cell_interval(cell)})")
+    if diagnosis.findings and second != closure_sentence(result):
         console.print(closure_sentence(result))
     console.print(unexplained_sentence(result))
     console.print(f"Next: {next_sentence(result)}")
@@ -42,23 +41,23 @@ def gap_table(result: Result) -> None:
         console.print(f"{pluralize(len(result.notes), 'note')} of the audit are on the page and in --json.")
 
 
-def _effects(result: Result) -> Iterator[str]:
+def _effect_lines(result: DiagnosisResult) -> Iterator[str]:
     """What was found, and its parameters below."""
     yield "Nearest, and no name:" if result.diagnosis.verdict == "unknown" else "Effects:"
     for finding in result.diagnosis.findings:
-        sure = percent(probability_of(finding.hypothesis, finding.alternatives))
-        hypothesis = result.ready.found.hypotheses[finding.hypothesis]
-        yield f"  {hypothesis.name}: probability {sure}, own share {percent(finding.share)}"
+        sure = format_percent(probability_of(finding.hypothesis, finding.alternatives))
+        hypothesis = result.model.sensitivities.hypotheses[finding.hypothesis]
+        yield f"  {hypothesis.name}: probability {sure}, own share {format_percent(finding.share)}"
         rows = zip(hypothesis.parameters, finding.values, finding.least, finding.most, strict=True)
         for parameter, value, least, most in rows:
-            told = value_interval(least, most, parameter.unit)
-            yield f"    {parameter.name}: {quantity(value, parameter.unit)} ({told})"
+            told = format_value_interval(least, most, parameter.unit)
+            yield f"    {parameter.name}: {format_quantity(value, parameter.unit)} ({told})"
 
 
-def _beside(result: Result) -> Iterator[str]:
+def _alternative_lines(result: DiagnosisResult) -> Iterator[str]:
     """How many are not told from a finding, and how many may stand in its stead."""
     for finding in result.diagnosis.findings:
-        alike, rest = len(finding.confusable) - 1, len(others(finding))
+        alike, rest = len(finding.confusable) - 1, len(list_alternatives(finding))
         if alike or rest:
-            own = result.ready.found.hypotheses[finding.hypothesis].name
+            own = result.model.sensitivities.hypotheses[finding.hypothesis].name
             yield f"{own}: {alike} not told from it, {rest} that may stand in its stead"

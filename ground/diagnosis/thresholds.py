@@ -15,25 +15,35 @@ from typing import Final
 import numpy as np
 
 from fsw.kinematics.transforms import Array, Flags
-from ground.diagnosis.case import reduced
-from ground.diagnosis.detect import Detectability
-from ground.diagnosis.drawn import Drawn, Seen, drawable, one_of, sized
-from ground.diagnosis.layout import Ints
-from ground.diagnosis.model import fitted
-from ground.diagnosis.prepared import Prepared
-from ground.diagnosis.race import Field, best_left, race
-from ground.diagnosis.structure import Group, remains
-from ground.diagnosis.trust import Signs, Trust, learnt, signs_of
+from ground.diagnosis.confidence import (
+    ConfidenceClassifier,
+    ConfidenceFeatures,
+    compute_confidence_features,
+    train_classifier,
+)
+from ground.diagnosis.detectability import Detectability
+from ground.diagnosis.linear_fit import fit_linear
+from ground.diagnosis.normal_equations import NormalEquations, reduce_features
+from ground.diagnosis.problem import Ints
+from ground.diagnosis.residual_analysis import FeatureGroup, find_lack_of_fit
+from ground.diagnosis.sampling import (
+    DetectableEffect,
+    SampledEffect,
+    can_sample,
+    sample_amplitude,
+    sample_effect,
+)
+from ground.diagnosis.selection import CandidateSet, best_addition, select_effects
 
-CASES: Final = 400
+SIMULATED_CASES: Final = 400
 """Of each kind."""
-FALSE_ALARM: Final = 0.04
+MAX_FALSE_ALARM: Final = 0.04
 """Share of no-effect cases in which anything may be claimed: below 5 % by one sigma of what CASES tell."""
-DISOWNED: Final = 0.02
+MAX_WITHHELD: Final = 0.02
 """Share of cases of the right model that may be given up for what remains."""
-WRONG: Final = 0.13
+MAX_WRONG_NAMES: Final = 0.13
 """Share of strangers that may be given a wrong name."""
-KIN: Final = 0.8
+NEAR_ALIAS_COSINE: Final = 0.8
 """|cos| from which on an effect is no stranger to another: that explains two thirds of what it shows."""
 
 
@@ -47,7 +57,7 @@ class Thresholds:
     """Without any effect chosen: what remains is structure from here on."""
     unexplained: float
     """With effects chosen: what remains is not explained by them from here on."""
-    trust: Trust
+    trust: ConfidenceClassifier
     """Whether a name may be given otherwise."""
     false_alarm: float
     """Share of no-effect cases called an effect or unknown."""
@@ -61,79 +71,79 @@ class Thresholds:
     """Simulated; all that were taken out where none is a stranger."""
 
 
-Labels = set[int | None]
-"""Classes of the effects of a simulated case that may be chosen."""
-
-
 @dataclass(frozen=True, slots=True)
-class _Won:
+class _Outcome:
     """One simulated case in which something was chosen."""
 
-    signs: Signs
+    features: ConfidenceFeatures
     right: bool
     left_out: bool
 
     @property
     def remaining(self) -> float:
         """The most surprising of what remains."""
-        return max(self.signs.remains, self.signs.addable)
+        return max(self.features.lack_of_fit, self.features.addition)
 
 
-def calibrate(
-    prepared: Prepared,
+def calibrate_thresholds(
+    equations: NormalEquations,
     label: Ints,
     cosine: Array,
     limits: tuple[Detectability, ...],
-    looked: tuple[Group, ...],
+    groups: tuple[FeatureGroup, ...],
     seed: int,
-    cases: int = CASES,
+    cases: int = SIMULATED_CASES,
     step: Callable[[int, int], None] = lambda *_: None,
 ) -> Thresholds:
     """From `cases` simulated cases of each kind; `step(done, of)` is told how far it is."""
     rng = np.random.default_rng(seed)
     visible = np.array([limit.limit for limit in limits]) < np.inf
-    none = Field(prepared, label, 0.0, visible & prepared.seen)
+    none = CandidateSet(equations, label, 0.0, visible & equations.identifiable)
     found = np.empty((cases, 2))
     for index in range(cases):
-        y = _simulated(prepared, rng, np.zeros(prepared.owner.size))
-        found[index] = _nothing_chosen(none, looked, y)
+        y = _simulate_features(equations, rng, np.zeros(equations.owner.size))
+        found[index] = _null_statistics(none, groups, y)
         step(index + 1, 2 * cases)
-    effect, structure = _joint(found)
-    field = Field(prepared, label, effect, none.inside)
-    won: list[_Won] = []
-    strangers: list[tuple[Field, Array]] = []
-    kin: list[tuple[Field, Array]] = []
-    known = _seen(field, limits)
+    effect, structure = _joint_thresholds(found)
+    candidates = CandidateSet(equations, label, effect, none.allowed)
+    outcomes: list[_Outcome] = []
+    strangers: list[tuple[CandidateSet, Array]] = []
+    with_alias: list[tuple[CandidateSet, Array]] = []
+    known = _detectable_effects(candidates, limits)
     for index in range(cases if known else 0):
-        one = sized(one_of(known, rng), rng)
-        others = [other for other in known if other.label != one.seen.label] or known
-        two = sized(one_of(others, rng), rng)
-        y = _simulated(prepared, rng, _size(prepared, one))
-        both = _simulated(prepared, rng, _size(prepared, one) + _size(prepared, two))
-        won += _after(field, cosine, looked, y, {one.seen.label})
-        won += _after(field, cosine, looked, both, {one.seen.label, two.seen.label})
-        left = _left_out(field, one.seen)
-        if left.inside.any():
-            same = strangers if _is_stranger(left, cosine, one.seen) else kin
+        one = sample_amplitude(sample_effect(known, rng), rng)
+        others = [other for other in known if other.label != one.source.label] or known
+        two = sample_amplitude(sample_effect(others, rng), rng)
+        y = _simulate_features(equations, rng, _amplitudes_of(equations, one))
+        both = _simulate_features(
+            equations, rng, _amplitudes_of(equations, one) + _amplitudes_of(equations, two)
+        )
+        outcomes += _selection_outcome(candidates, cosine, groups, y, {one.source.label})
+        outcomes += _selection_outcome(candidates, cosine, groups, both, {one.source.label, two.source.label})
+        left = _without_effect(candidates, one.source)
+        if left.allowed.any():
+            same = strangers if _has_no_alias(left, cosine, one.source) else with_alias
             same.append((left, y))
         step(cases + index + 1, 2 * cases)
-    left_out = strangers or kin
-    won += [one for left, y in left_out for one in _after(left, cosine, looked, y, set())]
-    return _thresholds(found, effect, structure, won, len(left_out))
+    left_out = strangers or with_alias
+    outcomes += [one for left, y in left_out for one in _selection_outcome(left, cosine, groups, y, set())]
+    return _derive_thresholds(found, effect, structure, outcomes, len(left_out))
 
 
-def _thresholds(found: Array, effect: float, structure: float, won: list[_Won], strangers: int) -> Thresholds:
+def _derive_thresholds(
+    found: Array, effect: float, structure: float, outcomes: list[_Outcome], strangers: int
+) -> Thresholds:
     """Of no-effect cases (n, 2), and of those in which something was chosen, so many raced as strangers."""
-    cases, right = len(found), [one.remaining for one in won if one.right]
-    unexplained = float(np.quantile(right, 1.0 - DISOWNED)) if right else np.inf
-    plain = [one for one in won if one.remaining < unexplained]
-    trust = learnt(
-        [one.signs for one in plain],
+    cases, right = len(found), [one.remaining for one in outcomes if one.right]
+    unexplained = float(np.quantile(right, 1.0 - MAX_WITHHELD)) if right else np.inf
+    plain = [one for one in outcomes if one.remaining < unexplained]
+    trust = train_classifier(
+        [one.features for one in plain],
         np.array([one.right for one in plain]),
         np.array([one.left_out for one in plain]),
-        int(WRONG * strangers),
+        int(MAX_WRONG_NAMES * strangers),
     )
-    named = [one for one in plain if trust.allows(one.signs)]
+    named = [one for one in plain if trust.accepts(one.features)]
     return Thresholds(
         effect, structure, unexplained, trust,
         float(np.mean((found[:, 0] >= effect) | (found[:, 1] >= structure))),
@@ -144,68 +154,80 @@ def _thresholds(found: Array, effect: float, structure: float, won: list[_Won], 
     )  # fmt: skip
 
 
-def _seen(field: Field, limits: tuple[Detectability, ...]) -> list[Seen]:
+def _detectable_effects(
+    candidates: CandidateSet, limits: tuple[Detectability, ...]
+) -> list[DetectableEffect]:
     """All that may be chosen and that its bounds leave room for."""
     all_seen = [
-        Seen(field.prepared.hypotheses[h], limits[h].limit, int(field.label[h]))
-        for h in np.flatnonzero(field.inside)
+        DetectableEffect(candidates.equations.hypotheses[h], limits[h].limit, int(candidates.label[h]))
+        for h in np.flatnonzero(candidates.allowed)
     ]
-    return [one for one in all_seen if drawable(one)]
+    return [one for one in all_seen if can_sample(one)]
 
 
-def _simulated(prepared: Prepared, rng: np.random.Generator, t: Array) -> Array:
+def _simulate_features(equations: NormalEquations, rng: np.random.Generator, t: Array) -> Array:
     """Whitened features of a case of sizes t (K,) in standard errors, (m,)."""
-    v = np.where(prepared.prior == 1.0, rng.standard_normal(prepared.q), 0.0)
-    return np.asarray(prepared.A @ np.concatenate([v, t]) + rng.standard_normal(prepared.layout.size))
+    v = np.where(equations.prior == 1.0, rng.standard_normal(equations.q), 0.0)
+    return np.asarray(equations.A @ np.concatenate([v, t]) + rng.standard_normal(equations.layout.size))
 
 
-def _size(prepared: Prepared, one: Drawn) -> Array:
+def _amplitudes_of(equations: NormalEquations, one: SampledEffect) -> Array:
     """What was drawn as sizes (K,)."""
-    own = prepared.owner == prepared.hypotheses.index(one.seen.hypothesis)
-    t = np.zeros(prepared.owner.size)
-    t[own] = one.seen.hypothesis.departures(one.values) * prepared.scale[own]
+    own = equations.owner == equations.hypotheses.index(one.source.hypothesis)
+    t = np.zeros(equations.owner.size)
+    t[own] = one.source.hypothesis.departures(one.values) * equations.scale[own]
     return t
 
 
-def _nothing_chosen(field: Field, looked: tuple[Group, ...], y: Array) -> tuple[float, float]:
+def _null_statistics(
+    candidates: CandidateSet, groups: tuple[FeatureGroup, ...], y: Array
+) -> tuple[float, float]:
     """Surprise of the best hypothesis, and of what remains without any."""
-    case = reduced(field.prepared, y)
-    model = fitted(field.prepared, case, field.prepared.columns(()))
-    return best_left(field, case, ()), remains(field.prepared, looked, model, y)[0].surprise
+    rhs = reduce_features(candidates.equations, y)
+    fit = fit_linear(candidates.equations, rhs, candidates.equations.columns(()))
+    return best_addition(candidates, rhs, ()), find_lack_of_fit(candidates.equations, groups, fit, y)[
+        0
+    ].neg_log10_p
 
 
-def _after(
-    field: Field, cosine: Array, looked: tuple[Group, ...], y: Array, true: set[int | None]
-) -> list[_Won]:
+def _selection_outcome(
+    candidates: CandidateSet, cosine: Array, groups: tuple[FeatureGroup, ...], y: Array, true: set[int | None]
+) -> list[_Outcome]:
     """What was chosen and whether it is right, by class; nothing if none was. No truth: it was left out."""
-    case = reduced(field.prepared, y)
-    won = race(field, case)
-    if not won.chosen:
+    rhs = reduce_features(candidates.equations, y)
+    selection = select_effects(candidates, rhs)
+    if not selection.chosen:
         return []
-    model = fitted(field.prepared, case, field.prepared.columns(won.chosen))
-    left = remains(field.prepared, looked, model, y)[0].surprise
-    signs = signs_of(field, cosine, case, won.chosen, won.shares, left)
-    right = {int(field.label[h]) for h in won.chosen} <= true
-    return [_Won(signs, right, not true)]
+    fit = fit_linear(candidates.equations, rhs, candidates.equations.columns(selection.chosen))
+    left = find_lack_of_fit(candidates.equations, groups, fit, y)[0].neg_log10_p
+    features = compute_confidence_features(candidates, cosine, rhs, selection.chosen, selection.shares, left)
+    right = {int(candidates.label[h]) for h in selection.chosen} <= true
+    return [_Outcome(features, right, not true)]
 
 
-def _left_out(field: Field, one: Seen) -> Field:
+def _without_effect(candidates: CandidateSet, one: DetectableEffect) -> CandidateSet:
     """The same without an effect, at all places, and without what is of its class."""
-    same: Flags = np.array([other.effect == one.hypothesis.effect for other in field.prepared.hypotheses])
-    return replace(field, inside=field.inside & ~same & (field.label != one.label))
+    same: Flags = np.array(
+        [other.effect == one.hypothesis.effect for other in candidates.equations.hypotheses]
+    )
+    return replace(candidates, allowed=candidates.allowed & ~same & (candidates.label != one.label))
 
 
-def _is_stranger(left: Field, cosine: Array, one: Seen) -> bool:
+def _has_no_alias(left: CandidateSet, cosine: Array, one: DetectableEffect) -> bool:
     """Whether nothing that is left is like it; those of another number of parameters are like none."""
-    return bool(cosine[left.prepared.hypotheses.index(one.hypothesis), left.inside].max() < KIN)
+    return bool(
+        cosine[left.equations.hypotheses.index(one.hypothesis), left.allowed].max() < NEAR_ALIAS_COSINE
+    )
 
 
-def _joint(found: Array) -> tuple[float, float]:
+def _joint_thresholds(found: Array) -> tuple[float, float]:
     """Thresholds at one quantile of both, so that FALSE_ALARM of the cases reach either."""
-    low, high = 1.0 - FALSE_ALARM, 1.0
+    low, high = 1.0 - MAX_FALSE_ALARM, 1.0
     for _ in range(30):
         middle = (low + high) / 2.0
         limit = np.quantile(found, middle, axis=0)
-        low, high = (low, middle) if np.mean(np.any(found > limit, axis=1)) <= FALSE_ALARM else (middle, high)
+        low, high = (
+            (low, middle) if np.mean(np.any(found > limit, axis=1)) <= MAX_FALSE_ALARM else (middle, high)
+        )
     effect, structure = np.nextafter(np.quantile(found, high, axis=0), np.inf)
     return float(effect), float(structure)

@@ -12,22 +12,22 @@ from fsw.config import CYCLE_HZ, digest
 from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from fsw.kinematics.transforms import Array
-from ground.diagnosis.arm.logs import NotForDiagnosis, Recording, recording_in
-from ground.diagnosis.arm.segments import rests_in, segments_in
+from ground.diagnosis.arm.logs import NotForDiagnosis, Recording, load_recording
+from ground.diagnosis.arm.segments import find_rests, find_segments
 
 CONTINUOUS: Final = ("resolver_rad", "current_A", "gravity_R_m_s2")
 STALE_TICKS: Final = CYCLE_HZ
 """A noisy sensor does not read the same for so long, nor does an encoder of a joint that is driven."""
 CLIPPED_TICKS: Final = 4
-MOST_SKEW: Final = 8
+MAX_SKEW_TICKS: Final = 8
 """Ticks by which encoders may follow their set-points late or early, to be looked for."""
 SKEW_TICKS: Final = 2
-CLEARLY: Final = 0.25
+SKEW_MISFIT_SHARE: Final = 0.25
 """Another lag must leave so much less, squared, to be believed."""
-APART_RAD: Final = 0.2
+RESOLVER_TOLERANCE_RAD: Final = 0.2
 """Resolver and encoder of a joint differ by less, unless one of them is in another unit."""
-GRAVITY_M_S2: Final = (1.0, 12.0)
-LEAST_SEGMENTS: Final = 2
+PLAUSIBLE_GRAVITY_M_S2: Final = (1.0, 12.0)
+MIN_SEGMENTS: Final = 2
 
 
 def refusals(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
@@ -46,33 +46,33 @@ def refusals(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
     return (*wrong, *others)
 
 
-def believed(paths: Sequence[Path], base: Params | None = None) -> list[Recording]:
+def load_checked_recordings(paths: Sequence[Path], base: Params | None = None) -> list[Recording]:
     """Recordings that may be compared with a simulator of these parameters, or else of the first one's.
 
     Raises:
         NotForDiagnosis: one may not; the message says why.
     """
-    recordings = [recording_in(path) for path in paths]
+    recordings = [load_recording(path) for path in paths]
     wrong = refusals(recordings, base or recordings[0].params) if recordings else ()
     if wrong:
         raise NotForDiagnosis("\n".join(wrong))
     return recordings
 
 
-def too_little(recordings: Sequence[Recording]) -> tuple[str, ...]:
+def find_missing_motion(recordings: Sequence[Recording]) -> tuple[str, ...]:
     """What is missing, if nothing can be said of any actuator, nor of links and frames."""
-    if any(_motions(recordings).values()) or any(one.tracked.tick.size for one in recordings):
+    if any(_motions(recordings).values()) or any(one.tracker_poses.tick.size for one in recordings):
         return ()
-    return tuple(_campaign(recordings))
+    return tuple(_audit_campaign(recordings))
 
 
-def audit(recordings: Sequence[Recording]) -> tuple[str, ...]:
+def audit_recordings(recordings: Sequence[Recording]) -> tuple[str, ...]:
     """What is to be said of a campaign's recordings that can be compared."""
-    found = [f"{one.name}: {said}" for one in recordings for said in findings(one)]
-    return (*found, *_campaign(recordings))
+    found = [f"{one.name}: {said}" for one in recordings for said in find_anomalies(one)]
+    return (*found, *_audit_campaign(recordings))
 
 
-def findings(recording: Recording) -> Iterator[str]:
+def find_anomalies(recording: Recording) -> Iterator[str]:
     """What is odd about one recording."""
     yield from recording.notes
     yield from _stale(recording)
@@ -113,7 +113,7 @@ def _stale(recording: Recording) -> Iterator[str]:
                     f"{name}[{k}] reads {column[at]:g} for {longest / CYCLE_HZ:.1f} s from "
                     f"{at / CYCLE_HZ:.2f} s on: it is stale"
                 )
-    for segment in segments_in(recording):
+    for segment in find_segments(recording):
         counts = recording.sensors["encoder_count"][segment.first : segment.end, segment.joint]
         asked = recording.drive["setpoint_count"][segment.first : segment.end, segment.joint]
         if np.ptp(counts) == 0 and np.ptp(asked) > 0:
@@ -145,25 +145,25 @@ def _clipped(recording: Recording) -> Iterator[str]:
 def _units(recording: Recording) -> Iterator[str]:
     apart = np.median(recording.sensors["resolver_rad"].T - recording.motor_rad(), axis=1)
     for joint in Joint:
-        if abs(apart[joint]) > APART_RAD:
+        if abs(apart[joint]) > RESOLVER_TOLERANCE_RAD:
             yield (
                 f"{joint.name.lower()}: resolver and encoder are {apart[joint]:.3g} rad apart; one is "
                 f"in another unit, has another sign, or the zeros are of another arm"
             )
     strength = float(np.median(np.linalg.norm(recording.sensors["gravity_R_m_s2"], axis=1)))
-    if not GRAVITY_M_S2[0] < strength < GRAVITY_M_S2[1]:
+    if not PLAUSIBLE_GRAVITY_M_S2[0] < strength < PLAUSIBLE_GRAVITY_M_S2[1]:
         yield f"gravity_R_m_s2 is {strength:.3g} long; m/s^2 are wanted"
 
 
 def _skew(recording: Recording) -> Iterator[str]:
     """Encoders against the set-points that they follow: by how many ticks they fit best."""
-    for segment in segments_in(recording):
+    for segment in find_segments(recording):
         asked = recording.setpoint_rad()[segment.joint, segment.first : segment.end]
         went = recording.motor_rad()[segment.joint, segment.first : segment.end]
-        misfit = {lag: _misfit(asked, went, lag) for lag in range(-MOST_SKEW, MOST_SKEW + 1)}
+        misfit = {lag: _misfit(asked, went, lag) for lag in range(-MAX_SKEW_TICKS, MAX_SKEW_TICKS + 1)}
         best = min(misfit, key=misfit.__getitem__)
         usual = min(misfit[lag] for lag in misfit if abs(lag) <= SKEW_TICKS)
-        if misfit[best] < CLEARLY * usual:
+        if misfit[best] < SKEW_MISFIT_SHARE * usual:
             yield (
                 f"{segment.joint.name.lower()}: encoders follow their set-points by {best} ticks "
                 f"({best / CYCLE_HZ:.3f} s): one of the two has another time"
@@ -173,8 +173,8 @@ def _skew(recording: Recording) -> Iterator[str]:
 
 def _unused(recording: Recording) -> Iterator[str]:
     """A pose that the tracker took at another tick than the last of a rest is compared with nothing."""
-    ticks = recording.tracked.tick
-    odd = ticks[~np.isin(ticks, rests_in(recording))]
+    ticks = recording.tracker_poses.tick
+    odd = ticks[~np.isin(ticks, find_rests(recording))]
     if odd.size:
         yield (
             f"{odd.size} of {ticks.size} tracker poses, that of tick {odd[0]} first, are not of the last "
@@ -183,23 +183,26 @@ def _unused(recording: Recording) -> Iterator[str]:
 
 
 def _misfit(asked: Array, went: Array, lag: int) -> float:
-    size = asked.size - 2 * MOST_SKEW
+    size = asked.size - 2 * MAX_SKEW_TICKS
     if size <= 0:
         return 0.0
-    apart = went[MOST_SKEW + lag : MOST_SKEW + lag + size] - asked[MOST_SKEW : MOST_SKEW + size]
+    apart = (
+        went[MAX_SKEW_TICKS + lag : MAX_SKEW_TICKS + lag + size]
+        - asked[MAX_SKEW_TICKS : MAX_SKEW_TICKS + size]
+    )
     return float(np.sum(apart**2))
 
 
-def _campaign(recordings: Sequence[Recording]) -> Iterator[str]:
+def _audit_campaign(recordings: Sequence[Recording]) -> Iterator[str]:
     for joint, count in _motions(recordings).items():
-        if count < LEAST_SEGMENTS:
+        if count < MIN_SEGMENTS:
             yield (
-                f"{joint.name.lower()} moves {count} times; without {LEAST_SEGMENTS} motions of it, "
+                f"{joint.name.lower()} moves {count} times; without {MIN_SEGMENTS} motions of it, "
                 f"one each way, nothing can be said of its actuator"
             )
-    if not any(one.tracked.tick.size for one in recordings):
+    if not any(one.tracker_poses.tick.size for one in recordings):
         yield "no recording has tracker poses (NAME.tracker.csv): nothing can be said of links and frames"
-    if not any(rests_in(one) for one in recordings):
+    if not any(find_rests(one) for one in recordings):
         yield "the arm rests nowhere for half a second: nothing can be said of it at rest"
     names = [one.block for one in recordings]
     if len(set(names)) == 1:
@@ -211,7 +214,7 @@ def _campaign(recordings: Sequence[Recording]) -> Iterator[str]:
 def _motions(recordings: Sequence[Recording]) -> Counter[Joint]:
     """How often each joint moves."""
     count = Counter(dict.fromkeys(Joint, 0))
-    count.update(segment.joint for one in recordings for segment in segments_in(one))
+    count.update(segment.joint for one in recordings for segment in find_segments(one))
     return count
 
 

@@ -7,30 +7,57 @@ from typing import Final
 
 import numpy as np
 
-from fsw.kinematics.transforms import Array
-from ground.diagnosis.arm.at_tool import tool_gap
-from ground.diagnosis.arm.audit import audit
-from ground.diagnosis.arm.bound import Bound, bound
-from ground.diagnosis.arm.campaign import compared
-from ground.diagnosis.arm.floor import floor_of
+from fsw.config import configure
+from fsw.kinematics.transforms import Array, skew
+from ground.diagnosis.arm.audit import audit_recordings
+from ground.diagnosis.arm.campaign_model import CampaignModel
+from ground.diagnosis.arm.case_simulator import CaseSimulator, build_case_simulator
+from ground.diagnosis.arm.feature_set import build_feature_set
 from ground.diagnosis.arm.logs import NotForDiagnosis, Recording
-from ground.diagnosis.arm.reference import Reference
-from ground.diagnosis.arm.settled import settled
-from ground.diagnosis.arm.simulator import CALMLY, ArmSimulator, arm_simulator
-from ground.diagnosis.closure import Closure, apart_from
-from ground.diagnosis.diagnose import Diagnosis, diagnose
-from ground.diagnosis.duel import Duel
-from ground.diagnosis.held_out import left_on, settings_of
-from ground.diagnosis.layout import Evidence
-from ground.diagnosis.next_motion import again
-from ground.diagnosis.ready import Ready, ready
-from ground.diagnosis.result import Result, ToolGap
+from ground.diagnosis.arm.noise_floor import estimate_floor
+from ground.diagnosis.arm.nuisance_fit import fit_nuisances
+from ground.diagnosis.arm.simulator import LONG_SETTLING, ArmSimulator, build_simulator
+from ground.diagnosis.closure import Closure, build_held_out_model, compute_held_out_residuals, effect_values
+from ground.diagnosis.diagnose import Diagnosis, ModelComparison, diagnose
+from ground.diagnosis.experiment_design import rank_repeats
+from ground.diagnosis.model import DiagnosisModel, build_model
+from ground.diagnosis.problem import Ints, Residuals
+from ground.diagnosis.result import DiagnosisResult, ToolError
 from sim.effects.catalogue import catalogue
 from sim.effects.effect import Effect
+from sim.params import nominal_params
+from sim.plant import SCREW_AXES
 
-LEAST_SHARE: Final = 0.5
+
+def compute_tool_error(keys: Sequence[str], before: Array, after: Array, sigma: Array) -> ToolError | None:
+    """Root mean squares over rests and tools of features (m,) with these keys; None without whole screws.
+
+    A turret that is off by a turn w and a shift v has its tool, p away, off by v + w x p. `sigma` (m,) is
+    the floor.
+    """
+    rows = _screw_rows(keys)
+    if not rows.size:
+        return None
+    tools = configure(nominal_params()).arm.X_FT
+    J = np.stack([np.hstack([-skew(X.p[:, None])[:, :, 0], np.eye(3)]) for X in tools])  # (tools, 3, 6)
+    squares = [np.mean(np.sum(np.einsum("tij,rj->rti", J, of[rows]) ** 2, axis=2)) for of in (before, after)]
+    floor = np.mean(np.einsum("tij,rj->rt", J**2, sigma[rows] ** 2))
+    return ToolError(*(float(1e3 * np.sqrt(one)) for one in (*squares, floor)))
+
+
+def _screw_rows(keys: Sequence[str]) -> Ints:
+    """Rows of all six numbers of each rest that has them, (r, 6)."""
+    known: dict[str, dict[str, int]] = {}
+    for row, key in enumerate(keys):
+        rest, _, axis = key.rpartition("/")
+        known.setdefault(rest, {})[axis] = row
+    whole = [[one[axis] for axis in SCREW_AXES] for one in known.values() if one.keys() >= set(SCREW_AXES)]
+    return np.array(whole, np.intp).reshape(-1, len(SCREW_AXES))
+
+
+MIN_FEATURE_SHARE: Final = 0.5
 """Of the campaign's features that a case must have, else there is too little motion."""
-NOISIER: Final = 1.2
+OWN_FLOOR_RATIO: Final = 1.2
 """Repeats that differ by so many times the floor of the campaign make a floor of their own."""
 
 
@@ -39,18 +66,18 @@ class TooLittleMotion(NotForDiagnosis):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Asked:
+class FittedCase:
     """A case in the campaign's features, the simulator asked about the nuisances that it has."""
 
-    known: Ready
+    model: DiagnosisModel
     """Of the campaign, in the features that the case has."""
-    case: Bound
-    gap: Array
+    simulator: CaseSimulator
+    residual: Array
     """Measured less simulated with nuisances at 0, in straight lines from where they are, (m,)."""
-    duel: Duel | None
+    comparison: ModelComparison | None
     """Between what explains it best and what does so nearly as well, if anything does."""
-    held_out: Bound | None
-    held_out_gap: Array
+    held_out: CaseSimulator | None
+    held_out_residual: Array
     """The same of motion that takes no part."""
     notes: tuple[str, ...]
     """Of the audit."""
@@ -58,135 +85,153 @@ class Asked:
     """Where the floor is from."""
 
 
-def solved(
+def diagnose_case(
     recordings: Sequence[Recording],
     held_out: Sequence[Recording],
-    against: Reference,
+    campaign: CampaignModel,
     seed: int,
     patch: tuple[Effect, ...] = (),
-) -> Result:
+) -> DiagnosisResult:
     """Of a case's recordings, beside a simulator with the effects of a patch.
 
     Raises:
         TooLittleMotion: most motions of the campaign are missing.
     """
-    return said_of(asked(recordings, held_out, against, patch), against, seed)
+    return diagnose_fitted_case(fit_case(recordings, held_out, campaign, patch), campaign, seed)
 
 
-def asked(
+def fit_case(
     recordings: Sequence[Recording],
     held_out: Sequence[Recording],
-    against: Reference,
+    campaign: CampaignModel,
     patch: tuple[Effect, ...] = (),
-) -> Asked:
+) -> FittedCase:
     """What a diagnosis is made of; TooLittleMotion as `solved`."""
     if not recordings:
         raise TooLittleMotion("there is no log that a diagnosis could be made of")
     recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
-    layout = against.ready.found.layout
-    arm, floor = _simulator(recordings, against, patch)
+    layout = campaign.model.sensitivities.layout
+    arm, floor = _case_simulator(recordings, campaign, patch)
     # without a patch the simulator has what it had of the campaign
-    first = bound(arm, layout, against.keys, None if patch else against.ready.found.nominal)
-    _check_motion(first, against)
-    known = _ready(against.ready, first)
-    notes = (*audit(recordings), *_lacking(first, against), *_borrowed(known, against))
-    best = settled(known, first, patch)
-    apart = _held_out_part(held_out, against, best.case.arm.patch)
+    first = build_case_simulator(
+        arm, layout, campaign.keys, None if patch else campaign.model.sensitivities.nominal
+    )
+    _check_motion(first, campaign)
+    known = _restrict_model(campaign.model, first)
+    notes = (
+        *audit_recordings(recordings),
+        *_missing_session_notes(first, campaign),
+        *_threshold_notes(known, campaign),
+    )
+    best = fit_nuisances(known, first, patch)
+    apart = _held_out_simulator(held_out, campaign, best.simulator.arm.patch)
     there = np.zeros(0)
-    if apart is not None and against.held_out is not None:
-        there = apart.gap() + against.held_out.nuisance[apart.rows] @ best.nuisance
-    return Asked(known, best.case, best.gap, best.duel, apart, there, notes, floor)
+    if apart is not None and campaign.held_out is not None:
+        there = apart.residual() + campaign.held_out.nuisance[apart.rows] @ best.nuisance
+    return FittedCase(known, best.simulator, best.residual, best.comparison, apart, there, notes, floor)
 
 
-def said_of(here: Asked, against: Reference, seed: int) -> Result:
+def diagnose_fitted_case(fitted: FittedCase, campaign: CampaignModel, seed: int) -> DiagnosisResult:
     """The diagnosis."""
-    evidence = Evidence(here.known.found.layout, here.gap)
-    told = diagnose(here.known, evidence, seed, here.case, here.duel)
-    shut, at_tool = _tried(told, here, against, seed)
-    return Result(here.known, told, shut, at_tool, again(here.known, told), here.notes, here.floor)
+    residuals = Residuals(fitted.model.sensitivities.layout, fitted.residual)
+    diagnosis = diagnose(fitted.model, residuals, seed, fitted.simulator, fitted.comparison)
+    shut, at_tool = _try_held_out(diagnosis, fitted, campaign, seed)
+    return DiagnosisResult(
+        fitted.model,
+        diagnosis,
+        shut,
+        at_tool,
+        rank_repeats(fitted.model, diagnosis),
+        fitted.notes,
+        fitted.floor,
+    )
 
 
-def _held_out_part(
-    recordings: Sequence[Recording], against: Reference, patch: tuple[Effect, ...]
-) -> Bound | None:
+def _held_out_simulator(
+    recordings: Sequence[Recording], campaign: CampaignModel, patch: tuple[Effect, ...]
+) -> CaseSimulator | None:
     """What it is tried on; None if nothing is held out.
 
     Raises:
         TooLittleMotion: nothing of it is comparable.
     """
-    if against.held_out is None or not recordings:
+    if campaign.held_out is None or not recordings:
         return None
-    arm, _ = _simulator(recordings, against, patch)
-    found = bound(arm, against.held_out.layout, against.held_out_keys)
+    arm, _ = _case_simulator(recordings, campaign, patch)
+    found = build_case_simulator(arm, campaign.held_out.layout, campaign.held_out_keys)
     if not found.rows.size:
         names = ", ".join(one.name for one in recordings)
         raise TooLittleMotion(f"held out: nothing in {names} can be compared with the campaign")
     return found
 
 
-def _simulator(
-    recordings: Sequence[Recording], against: Reference, patch: tuple[Effect, ...]
+def _case_simulator(
+    recordings: Sequence[Recording], campaign: CampaignModel, patch: tuple[Effect, ...]
 ) -> tuple[ArmSimulator, tuple[str, ...]]:
-    campaign = compared(recordings)
-    floor = floor_of(campaign)
-    raced = dict.fromkeys(hypothesis.effect for hypothesis in against.ready.found.hypotheses)
+    feature_set = build_feature_set(recordings)
+    floor = estimate_floor(feature_set)
+    raced = dict.fromkeys(hypothesis.effect for hypothesis in campaign.model.sensitivities.hypotheses)
     kinds = {name: catalogue()[name] for name in raced}
-    return arm_simulator(campaign, floor.sigma, kinds, CALMLY, patch), floor.notes
+    return build_simulator(feature_set, floor.sigma, kinds, LONG_SETTLING, patch), floor.notes
 
 
-def _ready(against: Ready, case: Bound) -> Ready:
+def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisModel:
     """Of the features that the case has, with its own floor where that is higher."""
-    found = against.found.of(case.rows)
+    found = campaign.sensitivities.select(case.rows)
     higher = np.maximum(found.layout.sigma, case.layout.sigma)
-    if len(case.rows) == against.found.layout.size and np.all(higher < NOISIER * found.layout.sigma):
-        return against
+    if len(case.rows) == campaign.sensitivities.layout.size and np.all(
+        higher < OWN_FLOOR_RATIO * found.layout.sigma
+    ):
+        return campaign
     layout = replace(found.layout, sigma=higher)
-    return ready(replace(found, layout=layout), 0, thresholds=against.thresholds)
+    return build_model(replace(found, layout=layout), 0, thresholds=campaign.thresholds)
 
 
-def _tried(
-    told: Diagnosis, here: Asked, against: Reference, seed: int
-) -> tuple[Closure | None, ToolGap | None]:
+def _try_held_out(
+    diagnosis: Diagnosis, fitted: FittedCase, campaign: CampaignModel, seed: int
+) -> tuple[Closure | None, ToolError | None]:
     """On held-out motion, as a share and at the tools; None if there is none, or no tracker looked."""
-    case = here.held_out
-    if against.held_out is None or case is None:
+    case = fitted.held_out
+    if campaign.held_out is None or case is None:
         return None, None
-    settings, zero = settings_of(told), np.zeros(len(case.nuisances))
+    settings, zero = effect_values(diagnosis), np.zeros(len(case.nuisances))
     change = case.predict(settings, zero) - case.predict({}, zero)
-    apart = apart_from(here.known.prepared, against.held_out.of(case.rows))
-    left = left_on(told, apart, here.held_out_gap, change)
-    keys = [against.held_out_keys[row] for row in case.rows]
-    return left.closure(seed), tool_gap(keys, left.before, left.after, apart.sigma)
+    apart = build_held_out_model(fitted.model.equations, campaign.held_out.select(case.rows))
+    left = compute_held_out_residuals(diagnosis, apart, fitted.held_out_residual, change)
+    keys = [campaign.held_out_keys[row] for row in case.rows]
+    return left.closure(seed), compute_tool_error(keys, left.before, left.after, apart.sigma)
 
 
-def _check_motion(case: Bound, against: Reference) -> None:
-    layout = against.ready.found.layout
-    if case.rows.size >= LEAST_SHARE * layout.size:
+def _check_motion(case: CaseSimulator, campaign: CampaignModel) -> None:
+    layout = campaign.model.sensitivities.layout
+    if case.rows.size >= MIN_FEATURE_SHARE * layout.size:
         return
     raise TooLittleMotion(
         f"{case.rows.size} of the campaign's {layout.size} features are in these logs; "
-        f"nothing comparable is there of: {', '.join(_missing(case, against))}"
+        f"nothing comparable is there of: {', '.join(_missing_sessions(case, campaign))}"
     )
 
 
-def _lacking(case: Bound, against: Reference) -> list[str]:
+def _missing_session_notes(case: CaseSimulator, campaign: CampaignModel) -> list[str]:
     """What is to be said of sessions that the campaign has and the case has not."""
-    missing = _missing(case, against)
+    missing = _missing_sessions(case, campaign)
     return (
         [f"of the campaign's motions nothing comparable is there of {', '.join(missing)}"] if missing else []
     )
 
 
-def _borrowed(known: Ready, against: Reference) -> list[str]:
+def _threshold_notes(known: DiagnosisModel, campaign: CampaignModel) -> list[str]:
     """What is to be said of thresholds that were found for other features, or for a lower floor."""
-    if known is against.ready:
+    if known is campaign.model:
         return []
     return ["thresholds are those of the whole campaign with its own floor, which this is not"]
 
 
-def _missing(case: Bound, against: Reference) -> list[str]:
-    return sorted(set(_sessions(against.keys)) - set(_sessions([against.keys[k] for k in case.rows])))
+def _missing_sessions(case: CaseSimulator, campaign: CampaignModel) -> list[str]:
+    return sorted(
+        set(_session_names(campaign.keys)) - set(_session_names([campaign.keys[k] for k in case.rows]))
+    )
 
 
-def _sessions(keys: Sequence[str]) -> list[str]:
+def _session_names(keys: Sequence[str]) -> list[str]:
     return [key.split("/", 1)[0] for key in keys]

@@ -13,7 +13,7 @@ from fsw.dictionary.params import Params
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array
 from fsw.messages import ActuatorCommand, Sensors
-from ground.diagnosis.arm.tracked import Tracked, none_tracked, read_tracked
+from ground.diagnosis.arm.tracker_poses import TrackerPoses, no_tracker_poses, read_tracker_poses
 from ground.replay.inputs import NotReplayable, inputs_from_log
 from ground.telemetry.errors import LogError
 from ground.telemetry.header import SESSION
@@ -30,7 +30,7 @@ class NotForDiagnosis(ValueError):
 
 
 @dataclass(frozen=True, slots=True)
-class _Said:
+class _SessionHeader:
     """What a log's header says of its session, if anything."""
 
     name: str | None = None
@@ -39,7 +39,7 @@ class _Said:
     temperature_C: float | None = None
 
 
-_SAID: Final = TypeAdapter(_Said)
+_SESSION_ADAPTER: Final = TypeAdapter(_SessionHeader)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +57,7 @@ class Recording:
     drives: tuple[ActuatorCommand, ...]
     """The same tick by tick; what does not change is the same array, as flight software hands it on."""
     sensors: Mapping[str, NDArray[Any]]
-    tracked: Tracked
+    tracker_poses: TrackerPoses
     notes: tuple[str, ...] = ()
     """What its log has lost."""
 
@@ -77,7 +77,7 @@ class Recording:
         return rad + self.start.zero_rad[:, None]
 
 
-def recording_in(path: Path) -> Recording:
+def load_recording(path: Path) -> Recording:
     """A log read back, ours or an imported one.
 
     Raises:
@@ -87,8 +87,8 @@ def recording_in(path: Path) -> Recording:
         log = read_log(path)
         inputs = inputs_from_log(log)
         tracker = path.with_suffix(".tracker.csv")
-        tracked = read_tracked(tracker) if tracker.exists() else none_tracked()
-        said = _said(log.header.get(SESSION, "{}"), path)
+        tracked = read_tracker_poses(tracker) if tracker.exists() else no_tracker_poses()
+        said = _read_session(log.header.get(SESSION, "{}"), path)
     except (LogError, NotReplayable, ValueError) as error:
         raise NotForDiagnosis(str(error)) from error
     if inputs.reference is None:
@@ -96,13 +96,13 @@ def recording_in(path: Path) -> Recording:
             f"log {path}: its header holds no zeros of the joints, so counts are no angles; record it after "
             f"an initialisation, or give boot.reference in the [start] of the import"
         )
-    ticks = min(inputs.ticks, len(_drive(log)))
-    drive = {f.name: _drive(log)[f.name][:ticks] for f in fields(ActuatorCommand)}
+    ticks = min(inputs.ticks, len(_drive_packets(log)))
+    drive = {f.name: _drive_packets(log)[f.name][:ticks] for f in fields(ActuatorCommand)}
     sensors = {f.name: inputs.sensors[f.name][:ticks] for f in fields(Sensors)}
     joints = inputs.params.joints.in_order()
     rad_per_count = np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints])
     reference: Reference = inputs.reference
-    world = said.world or world_seen(inputs.sensors["gravity_R_m_s2"].mean(axis=0), path)
+    world = said.world or world_from_imu(inputs.sensors["gravity_R_m_s2"].mean(axis=0), path)
     start = RecordedStart(
         world,
         sensors["encoder_count"][0] * rad_per_count + reference.zero_rad,
@@ -120,17 +120,17 @@ def recording_in(path: Path) -> Recording:
         start=start,
         rad_per_count=rad_per_count,
         drive=drive,
-        drives=tuple(_drives(drive)),
+        drives=tuple(_split_drive(drive)),
         sensors=sensors,
-        tracked=tracked,
+        tracker_poses=tracked,
         notes=inputs.notes,
     )
 
 
-def _said(text: str, path: Path) -> _Said:
+def _read_session(text: str, path: Path) -> _SessionHeader:
     where = f"log {path}: {SESSION} in its header"
     try:
-        said = _SAID.validate_json(text)
+        said = _SESSION_ADAPTER.validate_json(text)
     except ValidationError as error:
         raise NotForDiagnosis(f"{where}: {error.errors()[0]['msg']}") from error
     if said.temperature_C is not None and not np.isfinite(said.temperature_C):
@@ -144,7 +144,7 @@ def _said(text: str, path: Path) -> _Said:
     return said
 
 
-def world_seen(gravity_R_m_s2: Array, path: Path) -> World:
+def world_from_imu(gravity_R_m_s2: Array, path: Path) -> World:
     """The world as an IMU's mean reading (3,) tells it, for logs that do not say: scene and tilt, no rock.
 
     Raises:
@@ -158,8 +158,8 @@ def world_seen(gravity_R_m_s2: Array, path: Path) -> World:
     return World(cast(Scene, scene), float(np.arctan2(y, z)), float(np.arcsin(np.clip(-x, -1.0, 1.0))))
 
 
-def _drives(drive: Mapping[str, NDArray[Any]]) -> Iterator[ActuatorCommand]:
-    anew = {name: _anew(values) for name, values in drive.items()}
+def _split_drive(drive: Mapping[str, NDArray[Any]]) -> Iterator[ActuatorCommand]:
+    anew = {name: _changes(values) for name, values in drive.items()}
     last: dict[str, Any] = {}
     for tick in range(len(drive[COUNTS])):
         for name, values in drive.items():
@@ -169,13 +169,13 @@ def _drives(drive: Mapping[str, NDArray[Any]]) -> Iterator[ActuatorCommand]:
         yield ActuatorCommand(**last)
 
 
-def _anew(values: NDArray[Any]) -> list[bool]:
+def _changes(values: NDArray[Any]) -> list[bool]:
     """In which ticks there is something else than before; in the first there is."""
     other = (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
     return [True, *other.tolist()]
 
 
-def _drive(log: Log) -> NDArray[np.void]:
+def _drive_packets(log: Log) -> NDArray[np.void]:
     if DRIVE not in log.packets:
         raise NotForDiagnosis(
             f"log {log.path}: has no {DRIVE}, so nobody knows what the motor controllers were given; "

@@ -1,23 +1,37 @@
-"""Carries out the campaign and keeps its logs, and beside each what a laser tracker saw."""
+"""A campaign recorded for a diagnosis, of any arm that can be simulated."""
 
 import json
+import os
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from fsw.estimate.reference import Reference
 from fsw.kinematics.transforms import Array, Pose, stack_poses
 from ground.calibration.survey import TooFewTargets, measure_pose
+from ground.common.files import atomic_path, check_new_path
 from ground.common.progress import Progress
-from ground.diagnosis.arm.tracked import Tracked, none_tracked, write_tracked
+from ground.common.requests import BadRequest, check_seed, parse_effects, select_arm
+from ground.diagnosis.arm.tracker_poses import TrackerPoses, no_tracker_poses, write_tracker_poses
 from ground.telemetry.header import SESSION, flight_header
 from ground.telemetry.json_codec import record_to_json
 from ground.telemetry.recorder import Recorder
-from sim.arms import BuiltArm
-from sim.diagnosis_campaign import DiagnosisSession, run_session, start_session
+from sim.arms import BuiltArm, effects_of_run
+from sim.diagnosis_campaign import (
+    HELD_OUT_SESSIONS,
+    DiagnosisSession,
+    SessionFailed,
+    campaign_sessions,
+    run_session,
+    start_session,
+)
 from sim.effects.effect import Effect
+from sim.initialisation import true_reference
 from sim.loop import ClosedLoop
+from sim.plant import PlantDiverged
 from sim.tracker import TYPICAL_TRACKER, turret_pose
 
 
@@ -42,31 +56,31 @@ def record_campaign(
         loop = start_session(
             session, arm, reference, int(np.random.default_rng([seed, number]).integers(2**31)), effects
         )
-        paths.append(_record(folder / f"{session.name}.mcap", session, loop, seed + number))
+        paths.append(_record_session(folder / f"{session.name}.mcap", session, loop, seed + number))
     return paths
 
 
-def _record(path: Path, session: DiagnosisSession, loop: ClosedLoop, seed: int) -> Path:
+def _record_session(path: Path, session: DiagnosisSession, loop: ClosedLoop, seed: int) -> Path:
     rng = np.random.default_rng([seed, 7])
-    header = {**flight_header(loop, session.commands), SESSION: conditions(session)}
+    header = {**flight_header(loop, session.commands), SESSION: session_json(session)}
     rows: list[tuple[int, Pose, Array]] = []
     with Recorder(path, header) as recorder:
         for moment in run_session(loop, session):
             recorder.write(moment.record)
             if moment.rested and session.tracked:
-                rows += _looked(loop, session, moment.record.tick, rng)
+                rows += _measure_turret(loop, session, moment.record.tick, rng)
     if session.tracked:
-        write_tracked(path.with_suffix(".tracker.csv"), _stacked(rows))
+        write_tracker_poses(path.with_suffix(".tracker.csv"), _stack_poses(rows))
     return path
 
 
-def conditions(session: DiagnosisSession) -> str:
+def session_json(session: DiagnosisSession) -> str:
     """What those who did it know of a session, in JSON."""
     known = {"name": session.name, "block": session.block, "temperature_C": session.temperature_C}
     return json.dumps({**known, "world": record_to_json(session.world)})
 
 
-def _looked(
+def _measure_turret(
     loop: ClosedLoop, session: DiagnosisSession, tick: int, rng: np.random.Generator
 ) -> list[tuple[int, Pose, Array]]:
     """The turret as the tracker sees it at the start of the next cycle; nothing if it does not."""
@@ -80,8 +94,63 @@ def _looked(
     return [(tick, seen.X_RT, np.sqrt(np.diag(seen.covariance)))]
 
 
-def _stacked(rows: list[tuple[int, Pose, Array]]) -> Tracked:
+def _stack_poses(rows: list[tuple[int, Pose, Array]]) -> TrackerPoses:
     if not rows:
-        return none_tracked()
+        return no_tracker_poses()
     ticks, poses, sigmas = zip(*rows, strict=True)
-    return Tracked(np.array(ticks, np.int64), stack_poses(poses), np.stack(sigmas, -1))
+    return TrackerPoses(np.array(ticks, np.int64), stack_poses(poses), np.stack(sigmas, -1))
+
+
+HELD_OUT_FOLDER: Final = "held-out"
+"""Folder, in that of the logs, of those on which a diagnosis is tried."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecordRequest:
+    """What is asked."""
+
+    out: Path
+    arm: str = "nominal"
+    effects: tuple[str, ...] = ()
+    params: Path | None = None
+    seed: int = 0
+
+
+def check_record_request(request: RecordRequest) -> None:
+    """Refuse what cannot be recorded, or not there; nothing is written.
+
+    Raises:
+        BadRequest, BadOutput: the message says why.
+    """
+    check_seed(request.seed)
+    parse_effects(request.effects)
+    select_arm(request.arm, request.params)
+    if os.path.exists(request.out) and (not os.path.isdir(request.out) or os.listdir(request.out)):
+        raise BadRequest(f"out {request.out}: is there already; name a new folder")
+    check_new_path(request.out, "out")
+
+
+def record_logs(request: RecordRequest, progress: Progress) -> list[Path]:
+    """Logs of all sessions, those held out in a folder of their own; all of them or none.
+
+    Raises:
+        BadRequest: the arm cannot carry out a session with these effects.
+    """
+    effects = parse_effects(request.effects)
+    arm = select_arm(request.arm, request.params).with_effects(effects)
+    begun = effects_of_run(effects)
+    wanted, reference, paths = campaign_sessions(arm.params), true_reference(arm), []
+    try:
+        with atomic_path(request.out.resolve()) as part:
+            for number, session in enumerate(wanted):
+                progress(number, len(wanted), session.name)
+                folder = part / HELD_OUT_FOLDER if session.name in HELD_OUT_SESSIONS else part
+                seed = request.seed + number
+                made = record_campaign(folder, [session], arm, reference, seed, lambda *_: None, begun)
+                paths += [request.out / log.relative_to(part) for log in made]
+    except (SessionFailed, PlantDiverged) as error:
+        raise BadRequest(f"effect: {error}; with smaller effects it may come to its end") from error
+    except OSError as error:
+        raise BadRequest(f"out {request.out}: cannot be written ({error.strerror or error})") from error
+    progress(len(wanted), len(wanted), "recorded")
+    return paths

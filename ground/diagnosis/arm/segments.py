@@ -27,7 +27,7 @@ class Segment:
     joint: Joint
     first: int
     end: int
-    way: int
+    direction: int
     """+1 or -1."""
     slow: bool
     reversed: bool
@@ -43,7 +43,7 @@ class Segment:
         return "reversal" if self.reversed and early else "slow" if self.slow else "fast"
 
 
-def segments_in(recording: Recording) -> list[Segment]:
+def find_segments(recording: Recording) -> list[Segment]:
     """In the order of joints, then of time."""
     found = []
     for joint in Joint:
@@ -62,7 +62,7 @@ def segments_in(recording: Recording) -> list[Segment]:
     return found
 
 
-def rests_in(recording: Recording) -> list[int]:
+def find_rests(recording: Recording) -> list[int]:
     """Ticks at the end of every rest on the brakes that lasts for half a second at least."""
     still = ~recording.drive["power_on"].any(axis=1) & ~recording.drive["brake_release"].any(axis=1)
     edges = np.flatnonzero(np.diff(still.astype(np.int8), prepend=0, append=0))
@@ -70,6 +70,6 @@ def rests_in(recording: Recording) -> list[int]:
     return [int(end) - 1 for first, end in pairs if end - first >= CYCLE_HZ // 2]
 
 
-def binned(values: Array, bins: list[tuple[int, int]]) -> Array:
+def bin_means(values: Array, bins: list[tuple[int, int]]) -> Array:
     """Means over bins of what is listed by tick, (b,)."""
     return np.array([values[first:end].mean() for first, end in bins])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ground.diagnosis.ready import ready
+from ground.diagnosis.model import build_model
 from tests.ground.diagnosis import results as cases
 from tests.ground.diagnosis.worlds import found, world
 
@@ -17,7 +17,7 @@ def made():
 @pytest.fixture(scope="session")
 def campaign(made):
     """Ready for data; thresholds from its own simulated cases."""
-    return ready(found(made), seed=1, cases=80)
+    return build_model(found(made), seed=1, cases=80)
 
 
 @pytest.fixture(scope="session")

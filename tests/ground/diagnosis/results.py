@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from ground.diagnosis.closure import apart_from
-from ground.diagnosis.curved import Curved
+from ground.diagnosis.closure import build_held_out_model, compute_held_out_residuals, effect_values
 from ground.diagnosis.diagnose import Diagnosis, diagnose
-from ground.diagnosis.held_out import left_on, settings_of
-from ground.diagnosis.layout import Evidence
-from ground.diagnosis.next_motion import next_motion
-from ground.diagnosis.prepared import prepare
-from ground.diagnosis.result import Result, ToolGap
+from ground.diagnosis.experiment_design import rank_motions
+from ground.diagnosis.nonlinear_fit import QuadraticSurrogate
+from ground.diagnosis.normal_equations import form_normal_equations
+from ground.diagnosis.problem import Residuals
+from ground.diagnosis.result import DiagnosisResult, ToolError
 from tests.ground.diagnosis.worlds import found
 
 NOTES = ("motion 3: encoder stale for 1.2 s from 4 s on",)
@@ -22,13 +21,13 @@ def result_of(made, campaign, seed, t=None, extra=None):
     """A case of sizes t (K,); the same motions, measured again, are held out."""
     rng = np.random.default_rng(seed)
     measured = [made.measured(rng, t, extra, robot=seed) for _ in range(2)]
-    said = diagnose(campaign, Evidence(made.layout, measured[0]), seed=1)
+    said = diagnose(campaign, Residuals(made.layout, measured[0]), seed=1)
     apart = replace(made.layout, blocks=tuple(f"other {name}" for name in made.layout.blocks))
-    held = apart_from(campaign.prepared, replace(found(made), layout=apart))
-    change = Curved(held.found).change(settings_of(said))
-    closing = left_on(said, held, measured[1], change).closure(seed=1)
-    return Result(
-        campaign, said, closing, ToolGap(0.61, 0.12, 0.02), _motions(made, campaign, said), NOTES, FLOOR
+    held = build_held_out_model(campaign.equations, replace(found(made), layout=apart))
+    change = QuadraticSurrogate(held.sensitivities).change(effect_values(said))
+    closing = compute_held_out_residuals(said, held, measured[1], change).closure(seed=1)
+    return DiagnosisResult(
+        campaign, said, closing, ToolError(0.61, 0.12, 0.02), _motions(made, campaign, said), NOTES, FLOOR
     )
 
 
@@ -81,10 +80,10 @@ def _motions(made, campaign, said: Diagnosis):
     kept = found(made)
     other = kept.effect * rng.normal(size=kept.effect.shape)
     ranks = np.bincount(made.owner)
-    return next_motion(
-        campaign.prepared,
+    return rank_motions(
+        campaign.equations,
         {one: np.full(ranks[one], 2.0) for one in alike_to},
-        {"the same": campaign.prepared, "another": prepare(replace(kept, effect=other))},
+        {"the same": campaign.equations, "another": form_normal_equations(replace(kept, effect=other))},
     )
 
 
@@ -93,8 +92,8 @@ def as_of(result, hypothesis, values, verdict="named"):
     finding = result.diagnosis.findings[0]
     nowhere = np.full(len(values), np.nan)
     changed = replace(finding, values=np.array(values), least=nowhere, most=nowhere)
-    names = list(result.ready.found.hypotheses)
+    names = list(result.model.sensitivities.hypotheses)
     names[finding.hypothesis] = hypothesis
-    kept = replace(result.ready.found, hypotheses=tuple(names))
+    kept = replace(result.model.sensitivities, hypotheses=tuple(names))
     said = replace(result.diagnosis, findings=(changed,), verdict=verdict)
-    return replace(result, ready=replace(result.ready, found=kept), diagnosis=said)
+    return replace(result, model=replace(result.model, sensitivities=kept), diagnosis=said)

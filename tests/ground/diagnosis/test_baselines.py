@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from ground.diagnosis.baselines import everything_free, gaussian_process, largest_error
-from ground.diagnosis.case import case_of
-from ground.diagnosis.layout import Evidence
+from ground.diagnosis.normal_equations import reduce_residuals
+from ground.diagnosis.problem import Residuals
+from validation.blind.baselines import everything_free, gaussian_process, largest_error
 
 
 def test_the_place_with_the_largest_error_is_told(made):
@@ -14,10 +14,10 @@ def test_the_place_with_the_largest_error_is_told(made):
 
 def test_everything_free_fits_at_least_as_much_as_any_one(made, campaign, rng):
     t = np.where(made.owner == 4, 2.0, 0.0)
-    case, _ = case_of(campaign.prepared, Evidence(made.layout, made.measured(rng, t)))
-    _, sizes = everything_free(campaign.prepared, case)
-    z = sizes * campaign.prepared.scale
-    assert 2 * case.all @ z - z @ campaign.prepared.R[-1] @ z >= case.all[4] ** 2
+    case, _ = reduce_residuals(campaign.equations, Residuals(made.layout, made.measured(rng, t)))
+    _, sizes = everything_free(campaign.equations, case)
+    z = sizes * campaign.equations.scale
+    assert 2 * case.all @ z - z @ campaign.equations.R[-1] @ z >= case.all[4] ** 2
 
 
 def test_a_gaussian_process_learns_what_is_smooth_in_the_conditions(made, rng):

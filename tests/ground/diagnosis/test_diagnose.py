@@ -7,14 +7,13 @@ import pytest
 from scipy.stats import binom
 
 from ground.common.rates import estimate_rate
-from ground.diagnosis.case import case_of
-from ground.diagnosis.diagnose import diagnose, refined
-from ground.diagnosis.duel import Duel
-from ground.diagnosis.layout import Evidence
-from ground.diagnosis.model import fitted
-from ground.diagnosis.race import race
-from ground.diagnosis.ready import ready
-from ground.diagnosis.structure import remains
+from ground.diagnosis.diagnose import ModelComparison, diagnose, fit_subset
+from ground.diagnosis.linear_fit import fit_linear
+from ground.diagnosis.model import build_model
+from ground.diagnosis.normal_equations import reduce_residuals
+from ground.diagnosis.problem import Residuals
+from ground.diagnosis.residual_analysis import find_lack_of_fit
+from ground.diagnosis.selection import select_effects
 from tests.ground.diagnosis.worlds import found, world
 
 
@@ -26,10 +25,12 @@ def test_no_effect_is_not_called_one(made, campaign, rng):
     """Not more than 5 %: fewer alarms than 97.5 % of samples of a rate of 5 % have."""
     alarms, cases = 0, 120
     for _ in range(cases):
-        case, y = case_of(campaign.prepared, Evidence(made.layout, made.measured(rng)))
-        model = fitted(campaign.prepared, case, campaign.prepared.columns(()))
-        left = remains(campaign.prepared, campaign.looked, model, y)[0].surprise
-        alarms += bool(race(campaign.field, case).chosen) or left >= campaign.thresholds.structure
+        case, y = reduce_residuals(campaign.equations, Residuals(made.layout, made.measured(rng)))
+        model = fit_linear(campaign.equations, case, campaign.equations.columns(()))
+        left = find_lack_of_fit(campaign.equations, campaign.groups, model, y)[0].neg_log10_p
+        alarms += (
+            bool(select_effects(campaign.candidates, case).chosen) or left >= campaign.thresholds.structure
+        )
     assert alarms <= binom.ppf(0.975, cases, 0.05)
     assert estimate_rate(alarms, cases).least <= 0.05
 
@@ -39,13 +40,13 @@ def test_the_right_one_wins_and_its_interval_covers(made, campaign, rng):
     for _ in range(cases):
         one = int(rng.integers(len(made.hypotheses)))
         t = _sized(made, campaign, one, 3.0)
-        case, _ = case_of(campaign.prepared, Evidence(made.layout, made.measured(rng, t)))
-        won = race(campaign.field, case)
+        case, _ = reduce_residuals(campaign.equations, Residuals(made.layout, made.measured(rng, t)))
+        won = select_effects(campaign.candidates, case)
         right += campaign.label[one] in campaign.label[list(won.chosen)]
         if won.chosen == (one,):
-            at = campaign.prepared.columns((one,))
-            sigma = np.sqrt(np.diag(np.linalg.inv(campaign.prepared.R[-1][np.ix_(at, at)])))
-            covered += list(np.abs(won.t - t[at] * campaign.prepared.scale[at]) < 1.645 * sigma)
+            at = campaign.equations.columns((one,))
+            sigma = np.sqrt(np.diag(np.linalg.inv(campaign.equations.R[-1][np.ix_(at, at)])))
+            covered += list(np.abs(won.t - t[at] * campaign.equations.scale[at]) < 1.645 * sigma)
     assert right >= 0.95 * cases
     share = estimate_rate(sum(covered), len(covered))
     assert share.least <= 0.9 <= share.most
@@ -56,8 +57,8 @@ def test_a_pair_is_found_with_its_shares(made, campaign, rng):
     for _ in range(16):
         pair = rng.choice(len(made.hypotheses), 2, replace=False)
         t = sum(_sized(made, campaign, one, 3.5) for one in pair)
-        case, _ = case_of(campaign.prepared, Evidence(made.layout, made.measured(rng, t)))
-        won = race(campaign.field, case)
+        case, _ = reduce_residuals(campaign.equations, Residuals(made.layout, made.measured(rng, t)))
+        won = select_effects(campaign.candidates, case)
         hits += set(campaign.label[pair]) == set(campaign.label[list(won.chosen)])
         assert all(0.0 <= share <= 1.0 + 1e-9 for share in won.shares)
     assert hits >= 12
@@ -66,14 +67,14 @@ def test_a_pair_is_found_with_its_shares(made, campaign, rng):
 def test_what_won_a_duel_keeps_its_numbers_in_whatever_order(made, campaign, rng):
     pair = (2, 25)
     t = _sized(made, campaign, pair[0], 4.0) + _sized(made, campaign, pair[1], 6.0)
-    evidence = Evidence(made.layout, made.measured(rng, t))
-    case, y = case_of(campaign.prepared, evidence)
+    evidence = Residuals(made.layout, made.measured(rng, t))
+    case, y = reduce_residuals(campaign.equations, evidence)
     told = diagnose(campaign, evidence, seed=1)
     found_first = tuple(one.hypothesis for one in told.findings)
     assert sorted(found_first) == sorted(pair)
     for first in (found_first, found_first[::-1]):
-        duel = Duel(first, refined(campaign, y, case, first, None), (first[0], 8), 1.0)
-        findings = diagnose(campaign, evidence, seed=1, duel=duel).findings
+        comparison = ModelComparison(first, fit_subset(campaign, y, case, first, None), (first[0], 8), 1.0)
+        findings = diagnose(campaign, evidence, seed=1, comparison=comparison).findings
         assert tuple(one.hypothesis for one in findings) == found_first
         for one, same in zip(findings, told.findings, strict=True):
             np.testing.assert_allclose(one.values, same.values, rtol=1e-6)
@@ -86,7 +87,7 @@ def test_sets_hold_the_truth_and_intervals_the_size(made, campaign, rng):
     for _ in range(cases):
         one = int(rng.integers(len(made.hypotheses)))
         t = _sized(made, campaign, one, 2.0)
-        told = diagnose(campaign, Evidence(made.layout, made.measured(rng, t)), seed=1)
+        told = diagnose(campaign, Residuals(made.layout, made.measured(rng, t)), seed=1)
         true = [
             t * p.typical for t, p in zip(t[made.owner == one], made.hypotheses[one].parameters, strict=True)
         ]
@@ -111,7 +112,7 @@ def test_what_is_in_no_catalogue_gets_no_name(made, campaign, rng):
         place = int(rng.integers(len(layout.places)))
         shape = layout.condition[:, 1] * layout.condition[:, 3] + layout.condition[:, 4]
         extra = 2.0 * layout.sigma * shape * (layout.channel == 3 * place)
-        told = diagnose(campaign, Evidence(layout, made.measured(rng, extra=extra)), seed=1)
+        told = diagnose(campaign, Residuals(layout, made.measured(rng, extra=extra)), seed=1)
         named += told.verdict in ("named", "set")
         where += told.unexplained[0].place in (layout.places[place], "all")
     assert named <= 0.15 * cases
@@ -119,7 +120,7 @@ def test_what_is_in_no_catalogue_gets_no_name(made, campaign, rng):
 
 
 def test_the_same_seed_says_the_same(made, campaign, rng):
-    y = Evidence(made.layout, made.measured(rng, _sized(made, campaign, 4, 3.0)))
+    y = Residuals(made.layout, made.measured(rng, _sized(made, campaign, 4, 3.0)))
     one, two = (diagnose(campaign, y, seed=5) for _ in range(2))
     assert one.verdict == two.verdict
     assert one.findings[0].alternatives == two.findings[0].alternatives
@@ -132,20 +133,20 @@ def test_a_size_at_its_bound_is_no_finding(made, rng):
         replace(h, parameters=tuple(replace(p, most=0.05 * p.typical) for p in h.parameters))
         for h in kept.hypotheses
     )
-    bounded = ready(replace(kept, hypotheses=few), seed=1, cases=10)
-    case, _ = case_of(
-        bounded.prepared, Evidence(made.layout, made.measured(rng, np.where(made.owner == 4, 1.0, 0.0)))
+    bounded = build_model(replace(kept, hypotheses=few), seed=1, cases=10)
+    case, _ = reduce_residuals(
+        bounded.equations, Residuals(made.layout, made.measured(rng, np.where(made.owner == 4, 1.0, 0.0)))
     )
-    assert 4 not in race(bounded.field, case).first
+    assert 4 not in select_effects(bounded.candidates, case).ranking
 
 
 @pytest.mark.parametrize("times", [1.0, 2.5])
 def test_what_is_bent_is_refined(rng, times):
     """Within what was simulated once the parabola knows it; beyond, the simulator does."""
     bent = world(bent=0.8)
-    campaign = ready(found(bent), seed=1, cases=10)
+    campaign = build_model(found(bent), seed=1, cases=10)
     t = np.where(bent.owner == 4, times, 0.0)
-    y = Evidence(bent.layout, bent.measured(rng, t))
+    y = Residuals(bent.layout, bent.measured(rng, t))
     stepped, curved = (diagnose(campaign, y, seed=1, simulator=one) for one in (bent, None))
     truth = times * bent.hypotheses[4].parameters[0].typical
     assert stepped.findings[0].hypothesis == curved.findings[0].hypothesis == 4

@@ -9,8 +9,8 @@ from typer.testing import CliRunner
 from ground.cli.app import app
 from ground.diagnosis.arm.logs import NotForDiagnosis
 from ground.diagnosis.bootstrap import Alternatives
+from ground.diagnosis.result import to_json
 from ground.diagnosis.sentences import verdict_sentences
-from ground.diagnosis.told import told
 
 RUN = CliRunner()
 SCREEN = 30
@@ -29,7 +29,7 @@ def diagnose(tmp_path, monkeypatch):
                 raise result
             return result
 
-        monkeypatch.setattr("ground.diagnosis.arm.diagnosed.diagnosed", stand_in)
+        monkeypatch.setattr("ground.diagnosis.arm.diagnose_logs.diagnose_logs", stand_in)
         return RUN.invoke(app, ["diagnose", "a.mcap", *words])
 
     return run
@@ -59,7 +59,7 @@ def test_three_effects_with_many_in_their_stead_fit_on_a_screen(diagnose, result
 
 def test_what_is_surprising_and_predicts_nothing_is_told_as_that(diagnose, results):
     result = results["unknown"]
-    near = replace(result, diagnosis=replace(result.diagnosis, surprise=50.0))
+    near = replace(result, diagnosis=replace(result.diagnosis, neg_log10_p=50.0))
     assert "is not in the catalogue" in " ".join(diagnose(result).stdout.split())
     printed = " ".join(diagnose(near).stdout.split())
     assert "is not in the catalogue" not in printed
@@ -79,7 +79,7 @@ def test_a_motion_is_advised_only_if_it_would_tell_effects_apart(diagnose, resul
 
 def test_the_document_is_what_is_told(diagnose, results):
     done = diagnose(results["undecided"], "--json")
-    assert json.loads(done.stdout) == told(results["undecided"])
+    assert json.loads(done.stdout) == to_json(results["undecided"])
 
 
 def test_the_page_is_one_file_with_the_verdict_on_top(diagnose, results, tmp_path):

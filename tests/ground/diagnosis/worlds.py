@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ground.diagnosis.hypothesis import Hypothesis, Nuisance, Parameter
-from ground.diagnosis.layout import Layout
-from ground.diagnosis.sensitivity import Sensitivities, through
+from ground.diagnosis.problem import FeatureLayout, Hypothesis, Nuisance, Parameter
+from ground.diagnosis.sensitivity import Sensitivities, fit_parabola
 
 CONDITIONS = ("temperature", "load", "direction", "speed", "sine", "cosine")
 REGIMES = ("rest", "slow", "reversal")
@@ -16,7 +15,7 @@ REGIMES = ("rest", "slow", "reversal")
 class World:
     """A simulator of the protocol: linear, or with a share `bent` of the square of each size."""
 
-    layout: Layout
+    layout: FeatureLayout
     hypotheses: tuple[Hypothesis, ...]
     nuisances: tuple[Nuisance, ...]
     effect: np.ndarray
@@ -43,7 +42,7 @@ class World:
         if extra is not None:
             value += extra
         for index, nuisance in enumerate(self.nuisances):
-            each = nuisance.each_block
+            each = nuisance.random_per_block
             draw = rng.standard_normal(len(layout.blocks)) if each else same.standard_normal(1)
             value += (
                 self.nuisance[:, index] * nuisance.sigma * np.resize(draw, len(layout.blocks))[layout.block]
@@ -68,7 +67,7 @@ def world(seed=0, m=1200, effects=8, places=5, nuisances=12, blocks=15, alike=4,
     names = [tuple(f"{what} {i}" for i in range(n)) for what, n in (("motion", blocks), ("place", places))]
     channels = tuple(f"{names[1][c // 3]}.{'abc'[c % 3]}" for c in range(3 * places))
     sigma = 10.0 ** rng.uniform(-4.0, 1.0, size=3 * places)[channel]
-    layout = Layout(
+    layout = FeatureLayout(
         sigma, block, channel, place, block % 3, condition, names[0], channels, ("u",) * len(channels),
         names[1], REGIMES, CONDITIONS,
     )  # fmt: skip
@@ -98,7 +97,7 @@ def found(made):
     """Its sensitivities: differences about nominal, in sizes a parabola, in nuisances a line."""
     zero, m = np.zeros(len(made.nuisances)), made.layout.size
     nominal = made.predict({}, zero)
-    sized = [(h, at) for h in made.hypotheses for at, p in enumerate(h.parameters) if p.sizes]
+    sized = [(h, at) for h in made.hypotheses for at, p in enumerate(h.parameters) if p.is_amplitude]
     bent = [_parabola(made, hypothesis, at, nominal) for hypothesis, at in sized]
     slope, bend = (np.array([one[k] for one in bent]).reshape(-1, m).T for k in (0, 1))
     straight = [_centred(made, by) for by in np.diag([nuisance.sigma for nuisance in made.nuisances])]
@@ -122,7 +121,7 @@ def _parabola(made, hypothesis, at, nominal):
         size = (there[at] - hypothesis.absent[at]) / parameter.typical
         if size:
             ends.append((made.predict({hypothesis: there}, zero) - nominal, float(size)))
-    return through(ends)
+    return fit_parabola(ends)
 
 
 def _basis(c, channel):

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from ground.diagnosis.arm.logs import Recording, recording_in
+from ground.diagnosis.arm.logs import Recording, load_recording
 from ground.diagnosis.arm.record import record_campaign
 from sim.arms import arm_named
 from sim.diagnosis_campaign import campaign_sessions
@@ -25,4 +25,4 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 @pytest.fixture(scope="session")
 def recordings(logs: list[Path]) -> list[Recording]:
     """Read back."""
-    return [recording_in(path) for path in logs]
+    return [load_recording(path) for path in logs]

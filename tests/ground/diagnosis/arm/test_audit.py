@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from ground.diagnosis.arm.audit import audit, findings, refusals, too_little
-from ground.diagnosis.arm.logs import Recording, world_seen
+from ground.diagnosis.arm.audit import audit_recordings, find_anomalies, find_missing_motion, refusals
+from ground.diagnosis.arm.logs import Recording, world_from_imu
 from sim.arms import arm_named
 from sim.params import nominal_params
 from sim.world import World
@@ -49,7 +49,7 @@ def flat(values: np.ndarray) -> None:
 
 def test_a_good_recording_is_passed_over_in_silence(recordings: list[Recording]) -> None:
     for one in recordings:
-        assert list(findings(one)) == []
+        assert list(find_anomalies(one)) == []
 
 
 @pytest.mark.parametrize(
@@ -65,7 +65,7 @@ def test_a_good_recording_is_passed_over_in_silence(recordings: list[Recording])
 def test_what_is_wrong_is_said(
     recordings: list[Recording], name: str, change: Callable[[np.ndarray], None], words: str
 ) -> None:
-    assert any(words in said for said in findings(spoilt(recordings[0], name, change)))
+    assert any(words in said for said in find_anomalies(spoilt(recordings[0], name, change)))
 
 
 @pytest.mark.parametrize(
@@ -83,23 +83,23 @@ def test_what_cannot_be_compared_is_refused(
 
 
 def test_a_campaign_that_is_too_small_hears_what_is_missing(recordings: list[Recording]) -> None:
-    said = audit(recordings[:1])
+    said = audit_recordings(recordings[:1])
     assert any("moves 1 times" in sentence for sentence in said)
     assert any("no motion was done twice" in sentence for sentence in said)
-    assert not any("no motion was done twice" in sentence for sentence in audit(recordings))
+    assert not any("no motion was done twice" in sentence for sentence in audit_recordings(recordings))
 
 
 def test_logs_in_which_nothing_moves_are_too_little(recordings: list[Recording]) -> None:
     drive = recordings[2].drive
     still = replace(recordings[2], drive={**drive, "power_on": np.zeros_like(drive["power_on"])})
-    assert any("wrist moves 0 times" in sentence for sentence in too_little([still]))
-    assert too_little([still, recordings[0]]) == ()
-    assert too_little(recordings[2:]) == ()
+    assert any("wrist moves 0 times" in sentence for sentence in find_missing_motion([still]))
+    assert find_missing_motion([still, recordings[0]]) == ()
+    assert find_missing_motion(recordings[2:]) == ()
 
 
 def test_what_a_log_has_lost_is_said(recordings: list[Recording]) -> None:
     cut = replace(recordings[0], notes=("it ends at 12.5 s: the rest was not written",))
-    assert "it ends at 12.5 s: the rest was not written" in list(findings(cut))
+    assert "it ends at 12.5 s: the rest was not written" in list(find_anomalies(cut))
 
 
 def test_recordings_of_another_parameter_set_are_told(recordings: list[Recording]) -> None:
@@ -110,6 +110,6 @@ def test_recordings_of_another_parameter_set_are_told(recordings: list[Recording
 @pytest.mark.parametrize("scene", ["mars", "earth"])
 def test_the_imu_tells_scene_and_tilt_of_a_log_that_does_not(scene: Literal["mars", "earth"]) -> None:
     tilted = World(scene, 0.3, -0.2)
-    seen = world_seen(tilted.gravity_N_m_s2, Path("a.mcap"))
+    seen = world_from_imu(tilted.gravity_N_m_s2, Path("a.mcap"))
     np.testing.assert_allclose(seen.gravity_N_m_s2, tilted.gravity_N_m_s2, atol=1e-12)
     assert (seen.tilt_roll_rad, seen.tilt_pitch_rad) == pytest.approx((0.3, -0.2))

@@ -8,23 +8,28 @@ import pytest
 
 from fsw.dictionary.enums import Frame, Joint, Tool
 from ground.common.pool import local_runner
-from ground.diagnosis.arm.blind.outside import all_outside
-from ground.diagnosis.arm.bound import asked_again, bound, keys_of
-from ground.diagnosis.arm.campaign import (
-    all_of,
-    compared,
-    driven,
-    measured_values,
-    only_reads,
-    predicted_values,
+from ground.diagnosis.arm.campaign_sensitivities import compute_sensitivities
+from ground.diagnosis.arm.case_simulator import build_case_simulator, feature_keys, resimulate
+from ground.diagnosis.arm.feature_set import (
+    build_feature_set,
+    changes_readings_only,
+    every_motion,
+    measure_features,
+    simulate_features,
+    simulate_motion,
 )
-from ground.diagnosis.arm.columns import alike, columns_of, sides_at, slopes_from, together
-from ground.diagnosis.arm.features import CHANNELS, CURRENT, IMU, SHIFT, TURN
-from ground.diagnosis.arm.floor import floor_of
+from ground.diagnosis.arm.features import CHANNELS, CURRENT, IMU, SCREW_SHIFT, SCREW_TURN
+from ground.diagnosis.arm.finite_differences import (
+    find_aliases,
+    find_shared_slopes,
+    group_columns,
+    list_columns,
+    simulate_side,
+)
 from ground.diagnosis.arm.logs import Recording
-from ground.diagnosis.arm.sensitivities import arm_sensitivities
-from ground.diagnosis.arm.simulator import BRIEFLY, Touched, arm_simulator, switched_on
-from ground.diagnosis.arm.stepped import columns, stepped
+from ground.diagnosis.arm.noise_floor import estimate_floor
+from ground.diagnosis.arm.open_loop import simulate_open_loop, stack_readings
+from ground.diagnosis.arm.simulator import SHORT_SETTLING, AffectedMotions, build_simulator, make_effect
 from ground.diagnosis.sensitivity import Sensitivities
 from ground.telemetry.read import read_log
 from sim.effects.catalogue import catalogue
@@ -34,6 +39,7 @@ from sim.effects.links import LinkLength, ToolOffset
 from sim.effects.sensors import CurrentGain, EncoderZero, ResolverEccentricity
 from sim.effects.structure import TurretMass
 from sim.params import nominal_params
+from validation.blind.out_of_catalogue import list_uncatalogued
 
 BASE = nominal_params()
 
@@ -46,9 +52,9 @@ def test_no_log_says_what_the_plant_was(logs: list[Path]) -> None:
 
 
 def test_a_nominal_arm_leaves_its_sensors_noise(recordings: list[Recording]) -> None:
-    campaign = compared(recordings)
-    rest = measured_values(campaign) - predicted_values(campaign, (), BRIEFLY)
-    whitened = rest / floor_of(campaign).sigma
+    campaign = build_feature_set(recordings)
+    rest = measure_features(campaign) - simulate_features(campaign, (), SHORT_SETTLING)
+    whitened = rest / estimate_floor(campaign).sigma
     channels = np.array([feature.channel for feature in campaign.features])
     for channel in sorted(set(channels)):
         mine = whitened[channels == channel]
@@ -56,9 +62,9 @@ def test_a_nominal_arm_leaves_its_sensors_noise(recordings: list[Recording]) -> 
 
 
 def test_repeats_of_a_motion_are_one_block_and_say_what_the_floor_is(recordings: list[Recording]) -> None:
-    campaign = compared(recordings)
+    campaign = build_feature_set(recordings)
     assert {f.block for f in campaign.features} == {"poses-level-1", "place-apxs"}
-    notes = floor_of(campaign).notes
+    notes = estimate_floor(campaign).notes
     assert any("pairs of repeats" in note for note in notes)
     assert any(note.startswith("current") and "assumed" in note for note in notes)
 
@@ -67,26 +73,29 @@ def test_a_case_has_the_same_features_whether_or_not_its_simulator_is_asked(
     recordings: list[Recording],
 ) -> None:
     """A feature that a repeat has and its first has not is told by no simulation."""
-    once = next(one for one in recordings if not one.tracked.tick.size)
-    campaign = compared([once, replace(once, name="again")])
-    first, again = campaign.moving
+    once = next(one for one in recordings if not one.tracker_poses.tick.size)
+    campaign = build_feature_set([once, replace(once, name="again")])
+    first, again = campaign.motions
     odd = replace(again, features=(replace(again.features[0], key="odd"), *again.features[1:]))
-    campaign = replace(campaign, moving=(first, odd))
-    arm = arm_simulator(campaign, floor_of(campaign).sigma, {}, BRIEFLY)
-    given, stepped = (
-        bound(arm, arm.layout, keys_of(campaign), nominal) for nominal in (np.zeros(arm.layout.size), None)
+    campaign = replace(campaign, motions=(first, odd))
+    arm = build_simulator(campaign, estimate_floor(campaign).sigma, {}, SHORT_SETTLING)
+    given, simulate_open_loop = (
+        build_case_simulator(arm, arm.layout, feature_keys(campaign), nominal)
+        for nominal in (np.zeros(arm.layout.size), None)
     )
-    np.testing.assert_array_equal(given.rows, stepped.rows)
+    np.testing.assert_array_equal(given.rows, simulate_open_loop.rows)
     assert given.rows.size == arm.layout.size - 1
 
 
 def test_what_is_not_asked_again_goes_on_in_a_straight_line(recordings: list[Recording]) -> None:
     """Rests are always computed; of moving recordings those that are wanted."""
-    campaign = compared(recordings)
-    arm = arm_simulator(campaign, floor_of(campaign).sigma, {}, BRIEFLY)
+    campaign = build_feature_set(recordings)
+    arm = build_simulator(campaign, estimate_floor(campaign).sigma, {}, SHORT_SETTLING)
     patch, by = (GearStiffness(Joint.ELBOW, 0.8),), np.full(arm.layout.size, 1e-3)
-    before, after = (bound(one, arm.layout, keys_of(campaign)) for one in (arm, arm.patched(patch)))
-    everything, nothing = (asked_again(before, patch, only, by) for only in (all_of, lambda _: False))
+    before, after = (
+        build_case_simulator(one, arm.layout, feature_keys(campaign)) for one in (arm, arm.with_patch(patch))
+    )
+    everything, nothing = (resimulate(before, patch, only, by) for only in (every_motion, lambda _: False))
     rests = np.array([feature.regime in ("rest", "pose") for feature in campaign.features])
     rests &= np.array([feature.channel not in (IMU,) for feature in campaign.features])
     np.testing.assert_array_equal(everything.nominal, after.nominal)
@@ -96,31 +105,32 @@ def test_what_is_not_asked_again_goes_on_in_a_straight_line(recordings: list[Rec
 
 
 def test_a_longer_link_moves_the_turret_by_as_much(recordings: list[Recording]) -> None:
-    poses = [one for one in recordings if one.tracked.tick.size]
-    campaign = compared(poses)
-    moved = predicted_values(campaign, (LinkLength(Frame.ARM3, "x", 1e-3),), BRIEFLY)
-    moved -= predicted_values(campaign, (), BRIEFLY)
+    poses = [one for one in recordings if one.tracker_poses.tick.size]
+    campaign = build_feature_set(poses)
+    moved = simulate_features(campaign, (LinkLength(Frame.ARM3, "x", 1e-3),), SHORT_SETTLING)
+    moved -= simulate_features(campaign, (), SHORT_SETTLING)
     channels = np.array([feature.channel for feature in campaign.features])
-    shift = moved[channels == SHIFT].reshape(len(poses), 3, -1)
+    shift = moved[channels == SCREW_SHIFT].reshape(len(poses), 3, -1)
     np.testing.assert_allclose(np.linalg.norm(shift, axis=1), 1e-3, rtol=0.02)
-    assert np.abs(moved[channels == TURN]).max() < 1e-5
+    assert np.abs(moved[channels == SCREW_TURN]).max() < 1e-5
 
 
 def test_effects_are_stepped_only_where_they_can_show(recordings: list[Recording]) -> None:
-    campaign = compared(recordings)
-    (touch,) = campaign.moving
-    assert Touched((GearStiffness(Joint.ELBOW, 1.1),))(touch)
-    assert Touched((TurretMass(1.0),))(touch)
-    assert not Touched((LinkLength(Frame.ARM3, "x", 1e-3),))(touch)
-    assert not Touched((ToolOffset(Tool.DRILL, "x", 1e-3),))(touch)
+    campaign = build_feature_set(recordings)
+    (touch,) = campaign.motions
+    assert AffectedMotions((GearStiffness(Joint.ELBOW, 1.1),))(touch)
+    assert AffectedMotions((TurretMass(1.0),))(touch)
+    assert not AffectedMotions((LinkLength(Frame.ARM3, "x", 1e-3),))(touch)
+    assert not AffectedMotions((ToolOffset(Tool.DRILL, "x", 1e-3),))(touch)
 
 
 def remembering() -> list[Effect]:
     """Effects of sensors that remember, from outside the catalogue."""
-    found = {name: one for (name, place), one in all_outside().items() if place == "elbow"}
+    found = {name: one for (name, place), one in list_uncatalogued().items() if place == "elbow"}
     values = {"late-resolver": [0.05], "sluggish-current": [0.1]}
     return [
-        switched_on(found[name].made, found[name].hypothesis, np.array(of)) for name, of in values.items()
+        make_effect(found[name].catalogue_entry, found[name].hypothesis, np.array(of))
+        for name, of in values.items()
     ]
 
 
@@ -131,12 +141,15 @@ def test_what_only_reads_is_read_as_avionics_do_without_another_step(recordings:
         CurrentGain(Joint.ELBOW, 1.1),
         *remembering(),
     )
-    assert all(only_reads(effect) for effect in readers)
-    assert not only_reads(EncoderZero(Joint.ELBOW, 1e-3))
-    assert not only_reads(GearStiffness(Joint.ELBOW, 1.1))
+    assert all(changes_readings_only(effect) for effect in readers)
+    assert not changes_readings_only(EncoderZero(Joint.ELBOW, 1e-3))
+    assert not changes_readings_only(GearStiffness(Joint.ELBOW, 1.1))
     recording = recordings[0]
-    anew, again = columns(stepped(recording, readers, BRIEFLY).readings), driven(recording, readers, BRIEFLY)
-    plain = driven(recording, (), BRIEFLY)
+    anew, again = (
+        stack_readings(simulate_open_loop(recording, readers, SHORT_SETTLING).readings),
+        simulate_motion(recording, readers, SHORT_SETTLING),
+    )
+    plain = simulate_motion(recording, (), SHORT_SETTLING)
     for name, values in anew.items():
         np.testing.assert_allclose(again[name], values, rtol=1e-12, atol=1e-12)
         assert np.array_equal(values, plain[name]) == (name not in ("resolver_rad", "current_A"))
@@ -146,25 +159,25 @@ def test_nothing_is_compared_near_a_touch(recordings: list[Recording]) -> None:
     """Under the recorded drive another arm would push as the real one never did."""
     (placed,) = [one for one in recordings if one.world.surface is not None]
     closed = np.flatnonzero(placed.sensors["switch_closed"].any(axis=1))[0]
-    here = compared([placed]).moving[0]
+    here = build_feature_set([placed]).motions[0]
     bins = sum(end <= closed for segment in here.segments for _, end in segment.bins())
     assert 0 < sum(feature.channel == CURRENT for feature in here.features) < bins
 
 
 @pytest.mark.parametrize("kind", ["link-angle"])
 def test_a_sensitivity_is_the_difference_of_predictions(recordings: list[Recording], kind: str) -> None:
-    poses = [one for one in recordings if one.tracked.tick.size]
-    campaign = compared(poses)
-    sigma = floor_of(campaign).sigma
-    simulator = arm_simulator(campaign, sigma, {kind: catalogue()[kind]})
-    nominal = simulator.predicted(())
+    poses = [one for one in recordings if one.tracker_poses.tick.size]
+    campaign = build_feature_set(poses)
+    sigma = estimate_floor(campaign).sigma
+    simulator = build_simulator(campaign, sigma, {kind: catalogue()[kind]})
+    nominal = simulator.predict_effects(())
     zero = np.zeros(len(simulator.nuisances))
-    for column in columns_of(simulator)[:3]:
+    for column in list_columns(simulator)[:3]:
         assert column.hypothesis is not None
         hypothesis = simulator.hypotheses[column.hypothesis]
         there = np.array([p.absent + 1.5 * p.typical for p in hypothesis.parameters])
         change = simulator.predict({hypothesis: there}, zero) - nominal
-        (side,) = sides_at(simulator, [column], nominal, 0, [1.0])
+        (side,) = simulate_side(simulator, [column], nominal, 0, [1.0])
         predicted = 1.5 * side.change / side.size
         assert np.abs(change / sigma).max() > 5
         np.testing.assert_allclose(predicted / sigma, change / sigma, atol=0.1)
@@ -172,15 +185,15 @@ def test_a_sensitivity_is_the_difference_of_predictions(recordings: list[Recordi
 
 @pytest.mark.parametrize("kind", ["viscous-friction", "output-friction"])
 def test_joints_simulated_at_once_show_what_each_shows_alone(recordings: list[Recording], kind: str) -> None:
-    campaign = compared([one for one in recordings if not one.tracked.tick.size])
-    simulator = arm_simulator(campaign, floor_of(campaign).sigma, {kind: catalogue()[kind]})
-    nominal, columns = simulator.predicted(()), columns_of(simulator)
-    wanted = [k for k, column in enumerate(columns) if column.hypothesis is not None]
-    ((*at_once,),) = together(simulator, columns, wanted)
+    campaign = build_feature_set([one for one in recordings if not one.tracker_poses.tick.size])
+    simulator = build_simulator(campaign, estimate_floor(campaign).sigma, {kind: catalogue()[kind]})
+    nominal, stack_readings = simulator.predict_effects(()), list_columns(simulator)
+    wanted = [k for k, column in enumerate(stack_readings) if column.hypothesis is not None]
+    ((*at_once,),) = group_columns(simulator, stack_readings, wanted)
     assert at_once == wanted
     assert len(wanted) == len(Joint)
     # a whole typical size: what single counts of the encoders flip by does not grow with the step
-    sides = sides_at(simulator, [columns[k] for k in wanted], nominal, 0, [1.0] * len(wanted))
+    sides = simulate_side(simulator, [stack_readings[k] for k in wanted], nominal, 0, [1.0] * len(wanted))
     zero = np.zeros(len(simulator.nuisances))
     for hypothesis, side in zip(simulator.hypotheses, sides, strict=True):
         (one,) = hypothesis.parameters
@@ -192,21 +205,25 @@ def test_joints_simulated_at_once_show_what_each_shows_alone(recordings: list[Re
 
 def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(recordings: list[Recording]) -> None:
     """Not by the far steps of the hypothesis that it is as well; at all joints at once."""
-    campaign = compared([one for one in recordings if not one.tracked.tick.size])
-    simulator = arm_simulator(
-        campaign, floor_of(campaign).sigma, {"gear-friction": catalogue()["gear-friction"]}
+    campaign = build_feature_set([one for one in recordings if not one.tracker_poses.tick.size])
+    simulator = build_simulator(
+        campaign, estimate_floor(campaign).sigma, {"gear-friction": catalogue()["gear-friction"]}
     )
-    nominal, columns, sigma = simulator.predicted(()), columns_of(simulator), simulator.layout.sigma
-    begin, names = len(columns) - len(simulator.nuisances), [one.name for one in simulator.nuisances]
+    nominal, stack_readings, sigma = (
+        simulator.predict_effects(()),
+        list_columns(simulator),
+        simulator.layout.sigma,
+    )
+    begin, names = len(stack_readings) - len(simulator.nuisances), [one.name for one in simulator.nuisances]
     own = [begin + names.index(f"friction {joint.name.lower()}") for joint in Joint]
     session = [begin + names.index(f"friction {joint.name.lower()} of a session") for joint in Joint]
-    same = alike(simulator, columns)
+    same = find_aliases(simulator, stack_readings)
     assert not set(own) & set(same)
     assert [same[k] for k in session] == [(k, 1.0) for k in own]
-    assert [k for k, _ in slopes_from(simulator, columns).values()] == own
-    (at_once,) = together(simulator, columns, own)
+    assert [k for k, _ in find_shared_slopes(simulator, stack_readings).values()] == own
+    (at_once,) = group_columns(simulator, stack_readings, own)
     assert list(at_once) == own
-    sides = sides_at(simulator, [columns[k] for k in own], nominal, 0, [1.0] * len(own))
+    sides = simulate_side(simulator, [stack_readings[k] for k in own], nominal, 0, [1.0] * len(own))
     for k, side in zip(own, sides, strict=True):
         one = np.zeros(len(simulator.nuisances))
         one[k - begin] = simulator.nuisances[k - begin].sigma
@@ -223,10 +240,10 @@ def test_sensitivities_are_kept_and_found_again(logs: list[Path], tmp_path: Path
     def noted(*_: object) -> None:
         said.append("computed")
 
-    first = arm_sensitivities(poses, tmp_path, work, noted, kinds).found
+    first = compute_sensitivities(poses, tmp_path, work, noted, kinds).sensitivities
     assert said
     said.clear()
-    again = arm_sensitivities(poses, tmp_path, work, noted, kinds).found
+    again = compute_sensitivities(poses, tmp_path, work, noted, kinds).sensitivities
     assert not said
     np.testing.assert_array_equal(first.effect, again.effect)
     assert np.linalg.matrix_rank(first.only(["resolver-bias"]).effect) == len(Joint)

@@ -9,15 +9,14 @@ import pytest
 
 from fsw.dictionary.enums import Frame, Joint
 from ground.common.pool import local_runner
-from ground.diagnosis.arm import sensitivities, settled
-from ground.diagnosis.arm.bound import Bound, asked_again
-from ground.diagnosis.arm.case import TooLittleMotion, asked, solved
-from ground.diagnosis.arm.diagnosed import diagnosed
-from ground.diagnosis.arm.logs import NotForDiagnosis, recording_in
+from ground.diagnosis.arm import campaign_sensitivities, nuisance_fit
+from ground.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
+from ground.diagnosis.arm.case import TooLittleMotion, diagnose_case, fit_case
+from ground.diagnosis.arm.case_simulator import CaseSimulator, resimulate
+from ground.diagnosis.arm.diagnose_logs import DiagnoseRequest, diagnose_logs
+from ground.diagnosis.arm.logs import NotForDiagnosis, load_recording
 from ground.diagnosis.arm.record import record_campaign
-from ground.diagnosis.arm.reference import Reference, reference
-from ground.diagnosis.arm.request import DiagnoseRequest
-from ground.diagnosis.result import Result
+from ground.diagnosis.result import DiagnosisResult
 from ground.diagnosis.sensitivity import Sensitivities
 from sim.arms import CALIBRATED_FRAME_SIGMA_M, arm_named
 from sim.diagnosis_campaign import campaign_sessions
@@ -52,29 +51,29 @@ def nominal(tmp_path_factory: pytest.TempPathFactory) -> Logs:
 
 
 @pytest.fixture(scope="module")
-def against(nominal: Logs, tmp_path_factory: pytest.TempPathFactory) -> Reference:
+def against(nominal: Logs, tmp_path_factory: pytest.TempPathFactory) -> CampaignModel:
     """What is known of the campaign before cases."""
-    return reference(*nominal, tmp_path_factory.mktemp("kept"), local_runner(1), silent, KINDS)
+    return load_campaign_model(*nominal, tmp_path_factory.mktemp("kept"), local_runner(1), silent, KINDS)
 
 
 @pytest.fixture
-def case(against: Reference, tmp_path: Path) -> Callable[..., Result]:
+def case(against: CampaignModel, tmp_path: Path) -> Callable[..., DiagnosisResult]:
     """What is said of an arm with these effects, beside a simulator with those of a patch."""
 
-    def of(*effects: Effect, patch: tuple[Effect, ...] = ()) -> Result:
-        fitted, apart = ([recording_in(p) for p in paths] for paths in recorded(tmp_path, effects, 9))
-        return solved(fitted, apart, against, 0, patch)
+    def of(*effects: Effect, patch: tuple[Effect, ...] = ()) -> DiagnosisResult:
+        fitted, apart = ([load_recording(p) for p in paths] for paths in recorded(tmp_path, effects, 9))
+        return diagnose_case(fitted, apart, against, 0, patch)
 
     return of
 
 
 @pytest.mark.parametrize("effect", [ResolverBias(Joint.ELBOW, 5e-3), LinkLength(Frame.ARM3, "x", 5e-3)])
 def test_the_effect_is_named_with_its_size_and_closes_the_gap(
-    case: Callable[..., Result], effect: ResolverBias | LinkLength
+    case: Callable[..., DiagnosisResult], effect: ResolverBias | LinkLength
 ) -> None:
     said = case(effect)
     (finding,) = said.diagnosis.findings
-    hypothesis = said.ready.found.hypotheses[finding.hypothesis]
+    hypothesis = said.model.sensitivities.hypotheses[finding.hypothesis]
     size = effect.bias_rad if isinstance(effect, ResolverBias) else effect.length_m
     assert said.diagnosis.verdict == "named"
     assert hypothesis.name.startswith("resolver-bias" if isinstance(effect, ResolverBias) else "link-length")
@@ -84,51 +83,55 @@ def test_the_effect_is_named_with_its_size_and_closes_the_gap(
 
 
 def test_nuisances_do_not_take_the_place_of_an_effect_that_they_are_like(
-    against: Reference, tmp_path: Path
+    against: CampaignModel, tmp_path: Path
 ) -> None:
     """The simulator is asked about them: had they the effect, it would bend as if it were there twice."""
     logs = recorded(tmp_path, (LinkLength(Frame.ARM3, "x", 5e-3),), 9)
-    fitted, apart = ([recording_in(path) for path in paths] for paths in logs)
-    here = asked(fitted, apart, against)
-    shifts = [e.screw[3:] for e in here.case.arm.patch if isinstance(e, FrameError) and e.frame is Frame.ARM3]
+    fitted, apart = ([load_recording(path) for path in paths] for paths in logs)
+    here = fit_case(fitted, apart, against)
+    shifts = [
+        e.screw[3:] for e in here.simulator.arm.patch if isinstance(e, FrameError) and e.frame is Frame.ARM3
+    ]
     assert shifts
     assert np.abs(shifts).max() < 4.0 * CALIBRATED_FRAME_SIGMA_M
 
 
 def test_the_simulator_is_asked_only_about_nuisances_that_an_arm_may_have(
-    against: Reference, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    against: CampaignModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Alone they stand for an effect that is like them, however large: springs as soft would be no arm."""
     logs = recorded(tmp_path, (LinkLength(Frame.ARM3, "x", 0.05),), 9)
     shifts: list[np.ndarray] = []
 
-    def noted(case: Bound, near: tuple[Effect, ...], *rest: Any) -> Bound:
+    def noted(case: CaseSimulator, near: tuple[Effect, ...], *rest: Any) -> CaseSimulator:
         shifts.extend(effect.screw[3:] for effect in near if isinstance(effect, FrameError))
-        return asked_again(case, near, *rest)
+        return resimulate(case, near, *rest)
 
-    monkeypatch.setattr(settled, "asked_again", noted)
-    asked([recording_in(path) for path in logs[0]], [], against)
+    monkeypatch.setattr(nuisance_fit, "resimulate", noted)
+    fit_case([load_recording(path) for path in logs[0]], [], against)
     assert 9.0 * CALIBRATED_FRAME_SIGMA_M < np.abs(shifts).max() < 10.1 * CALIBRATED_FRAME_SIGMA_M
 
 
 def test_a_rival_that_is_no_arm_has_lost(
-    against: Reference, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    against: CampaignModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     logs = recorded(tmp_path, (LinkLength(Frame.ARM3, "x", 5e-3),), 9)
-    fitted = [recording_in(path) for path in logs[0]]
+    fitted = [load_recording(path) for path in logs[0]]
 
     def diverged(*_: object) -> None:
         raise PlantDiverged("bad qacc")
 
-    monkeypatch.setattr("ground.diagnosis.arm.settled._near", lambda known, alone, chosen: (0,))
-    fought = asked(fitted, [], against)
-    assert fought.duel is not None
-    assert fought.duel.rival == (0,)
-    monkeypatch.setattr("ground.diagnosis.arm.settled._fitted", diverged)
-    assert asked(fitted, [], against).duel is None
+    monkeypatch.setattr(
+        "ground.diagnosis.arm.nuisance_fit._find_runner_up", lambda known, alone, chosen: (0,)
+    )
+    fought = fit_case(fitted, [], against)
+    assert fought.comparison is not None
+    assert fought.comparison.runner_up == (0,)
+    monkeypatch.setattr("ground.diagnosis.arm.nuisance_fit._fit_simulated", diverged)
+    assert fit_case(fitted, [], against).comparison is None
 
 
-def test_with_the_patch_on_nothing_is_left(case: Callable[..., Result]) -> None:
+def test_with_the_patch_on_nothing_is_left(case: Callable[..., DiagnosisResult]) -> None:
     effect = LinkLength(Frame.ARM3, "x", 3e-3)
     said = case(effect, patch=(effect,))
     assert said.diagnosis.verdict == "none"
@@ -136,38 +139,38 @@ def test_with_the_patch_on_nothing_is_left(case: Callable[..., Result]) -> None:
     assert said.tool.before_mm < 2.0 * said.tool.floor_mm
 
 
-def test_most_of_a_campaign_must_be_there(nominal: Logs, against: Reference) -> None:
-    few = [recording_in(path) for path in nominal[0][:1]]
+def test_most_of_a_campaign_must_be_there(nominal: Logs, against: CampaignModel) -> None:
+    few = [load_recording(path) for path in nominal[0][:1]]
     with pytest.raises(TooLittleMotion, match=r"poses-level-2, poses-rolled-1"):
-        solved(few, [], against, 0)
+        diagnose_case(few, [], against, 0)
 
 
 def test_a_campaign_without_such_sessions_is_refused(nominal: Logs, tmp_path: Path) -> None:
     request = DiagnoseRequest(tuple(nominal[0]), campaign=tmp_path)
     with pytest.raises(NotForDiagnosis, match="has no session poses-level-1, poses-level-1-again"):
-        diagnosed(request, silent)
+        diagnose_logs(request, silent)
 
 
 def test_a_part_of_the_effects_is_taken_from_what_is_kept_of_all(
-    nominal: Logs, against: Reference, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    nominal: Logs, against: CampaignModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def computed(*_: object) -> Sensitivities:
         return found.pop()
 
-    found = [against.ready.found]
-    monkeypatch.setattr(sensitivities, "_found", computed)
+    found = [against.model.sensitivities]
+    monkeypatch.setattr(campaign_sensitivities, "_difference_all", computed)
     whole, part = (
-        sensitivities.arm_sensitivities(nominal[0], tmp_path, local_runner(1), silent, kinds)
+        campaign_sensitivities.compute_sensitivities(nominal[0], tmp_path, local_runner(1), silent, kinds)
         for kinds in (None, KINDS[:1])
     )
     assert not found
-    assert {hypothesis.effect for hypothesis in whole.found.hypotheses} == set(KINDS)
-    assert {hypothesis.effect for hypothesis in part.found.hypotheses} == {KINDS[0]}
-    np.testing.assert_array_equal(part.found.nuisance, whole.found.nuisance)
+    assert {hypothesis.effect for hypothesis in whole.sensitivities.hypotheses} == set(KINDS)
+    assert {hypothesis.effect for hypothesis in part.sensitivities.hypotheses} == {KINDS[0]}
+    np.testing.assert_array_equal(part.sensitivities.nuisance, whole.sensitivities.nuisance)
     assert part.keys() == whole.keys()
 
 
-def test_sessions_that_are_missing_are_said(nominal: Logs, against: Reference) -> None:
-    some = [recording_in(path) for path in nominal[0] if path.stem != "poses-level-2"]
-    said = asked(some, [], against).notes
+def test_sessions_that_are_missing_are_said(nominal: Logs, against: CampaignModel) -> None:
+    some = [load_recording(path) for path in nominal[0] if path.stem != "poses-level-2"]
+    said = fit_case(some, [], against).notes
     assert "of the campaign's motions nothing comparable is there of poses-level-2" in said

@@ -6,14 +6,16 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from ground.diagnosis.blind.classes import Classes
-from ground.diagnosis.blind.score import middle, score
-from ground.diagnosis.blind.truth import Kind, TrueCase, TrueEffect
+from ground.diagnosis.blind_case import CaseKind, TrueCase, TrueEffect
+from validation.blind.classes import EquivalenceClasses
+from validation.blind.score import median_with_interval, score
 
-CLASSES = Classes({("rub", "knee"): 0, ("drag", "knee"): 0, ("rub", "hip"): 1, ("bend", "shin"): 2})
+CLASSES = EquivalenceClasses(
+    {("rub", "knee"): 0, ("drag", "knee"): 0, ("rub", "hip"): 1, ("bend", "shin"): 2}
+)
 
 
-def true(kind: Kind, *effects: tuple[str, str], times: float = 2.0) -> TrueCase:
+def true(kind: CaseKind, *effects: tuple[str, str], times: float = 2.0) -> TrueCase:
     made = tuple(TrueEffect(name, place, {"size": 1.0}, times, "") for name, place in effects)
     return TrueCase("case-000", kind, made, (), 1)
 
@@ -119,7 +121,7 @@ def test_what_is_withheld_counts_against_all_and_not_against_those_named() -> No
 
 def test_others_are_rated_as_the_diagnosis_is() -> None:
     """A place counts by its class, and a case of which nothing was said is a miss."""
-    alike = Classes({("rub", "knee"): 0, ("drag", "hip"): 0})
+    alike = EquivalenceClasses({("rub", "knee"): 0, ("drag", "hip"): 0})
     one, refused = true("single", ("drag", "hip")), {**said("unknown"), "baselines": {}}
     free = {"baselines": {"free": {"name": "rub", "place": "knee", "closure": None}}}
     found = score(alike, [(one, {**said("none"), **free}), (one, refused)], lambda _: 0.9).baselines["free"]
@@ -141,9 +143,9 @@ def test_others_stand_in_the_same_table() -> None:
 @pytest.mark.parametrize("of", [6, 25, 60])
 def test_the_interval_of_a_median_holds_it_as_often_as_it_says(of: int) -> None:
     """By the binomial: it misses if too many of the values are on one side."""
-    told = middle([float(value) for value in range(of)])
+    told = median_with_interval([float(value) for value in range(of)])
     below = round(told.least)
     assert 2.0 * binom.cdf(below, of, 0.5) <= 0.05
     assert 2.0 * binom.cdf(below + 1, of, 0.5) > 0.05
     assert told.most == of - 1 - below
-    assert np.isinf(middle([1.0, 2.0]).least)
+    assert np.isinf(median_with_interval([1.0, 2.0]).least)

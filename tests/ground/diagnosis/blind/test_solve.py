@@ -9,12 +9,12 @@ import pytest
 
 from ground.common.pool import local_runner
 from ground.common.requests import BadRequest
-from ground.diagnosis.blind.evidence import read_features
-from ground.diagnosis.blind.folder import SOLVED, documents, solved_path, write_json
-from ground.diagnosis.blind.scored import scored
-from ground.diagnosis.blind.solve import NoDiagnosis, solve
-from ground.diagnosis.blind.table import score_json, score_markdown
-from ground.diagnosis.blind.truth import TRUTH
+from ground.diagnosis.blind_case import TRUTH
+from validation.blind.case_features import read_case_features
+from validation.blind.folder import SOLVED_FOLDER, load_results, result_path, write_json
+from validation.blind.score import score_folder
+from validation.blind.solve import NoDiagnosis, solve_cases
+from validation.blind.table import score_json, score_markdown
 
 RUN = local_runner(1)
 
@@ -24,7 +24,7 @@ def quiet(*_: object) -> None:
 
 
 def said(folder: Path) -> dict[str, Any]:
-    found = {path.name: json.loads(path.read_text()) for path in sorted((folder / SOLVED).iterdir())}
+    found = {path.name: json.loads(path.read_text()) for path in sorted((folder / SOLVED_FOLDER).iterdir())}
     for document in found.values():
         document.pop("seconds", None)
     return found
@@ -32,33 +32,33 @@ def said(folder: Path) -> dict[str, Any]:
 
 def test_the_truth_is_not_needed_to_solve_and_changes_nothing(folder) -> None:
     truth = (folder.path / TRUTH).read_bytes()
-    assert solve(folder.path, folder.solver, RUN, quiet) == (10, 10)
+    assert solve_cases(folder.path, folder.solver, RUN, quiet) == (10, 10)
     with_it = said(folder.path)
     (folder.path / TRUTH).unlink()
-    for path in (folder.path / SOLVED).iterdir():
+    for path in (folder.path / SOLVED_FOLDER).iterdir():
         path.unlink()
-    solve(folder.path, folder.solver, RUN, quiet)
+    solve_cases(folder.path, folder.solver, RUN, quiet)
     assert said(folder.path) == with_it
     (folder.path / TRUTH).write_bytes(truth)
 
 
 def test_what_is_solved_stays_and_the_rest_is_solved(folder) -> None:
-    solve(folder.path, folder.solver, RUN, quiet)
+    solve_cases(folder.path, folder.solver, RUN, quiet)
     whole = said(folder.path)
     last = folder.path / "cases" / "case-009"
-    solved_path(last).unlink()
-    assert solve(folder.path, folder.solver, RUN, quiet) == (1, 10)
+    result_path(last).unlink()
+    assert solve_cases(folder.path, folder.solver, RUN, quiet) == (1, 10)
     assert said(folder.path) == whole
-    assert solve(folder.path, folder.solver, RUN, quiet) == (0, 10)
+    assert solve_cases(folder.path, folder.solver, RUN, quiet) == (0, 10)
 
 
 def test_the_campaign_is_known_once_and_before_any_case(folder) -> None:
-    solve(folder.path, folder.solver, RUN, quiet)
-    solved_path(folder.path / "cases" / "case-009").unlink()
+    solve_cases(folder.path, folder.solver, RUN, quiet)
+    result_path(folder.path / "cases" / "case-009").unlink()
     asked: list[Path] = []
     solver = replace(folder.solver, known=lambda campaign, *_: asked.append(campaign))
-    assert solve(folder.path, solver, RUN, quiet) == (1, 10)
-    assert solve(folder.path, solver, RUN, quiet) == (0, 10)
+    assert solve_cases(folder.path, solver, RUN, quiet) == (1, 10)
+    assert solve_cases(folder.path, solver, RUN, quiet) == (0, 10)
     assert asked == [folder.path / "campaign"]
 
 
@@ -67,21 +67,21 @@ def mute(case: Path, campaign: Path) -> Any:
 
 
 def test_a_case_that_nobody_can_diagnose_does_not_keep_others_from_being_solved(folder) -> None:
-    for path in (folder.path / SOLVED).glob("*"):
+    for path in (folder.path / SOLVED_FOLDER).glob("*"):
         path.unlink()
-    assert solve(folder.path, replace(folder.solver, diagnosed=mute), RUN, quiet) == (10, 10)
-    told = documents(folder.path)["case-003"]
+    assert solve_cases(folder.path, replace(folder.solver, diagnose=mute), RUN, quiet) == (10, 10)
+    told = load_results(folder.path)["case-003"]
     assert (told["verdict"], told["refused"]) == ("unknown", "case-003 has no logs of campaign")
-    found = scored(folder.path, folder.solver.kept, partial=False)
+    found = score_folder(folder.path, folder.solver.kept, partial=False)
     assert found.false_alarm.share == 1.0
     assert found.found.in_set.hits == 0
-    for path in (folder.path / SOLVED).glob("*"):
+    for path in (folder.path / SOLVED_FOLDER).glob("*"):
         path.unlink()
 
 
 def test_solved_cases_are_scored(folder) -> None:
-    solve(folder.path, folder.solver, RUN, quiet)
-    found = scored(folder.path, folder.solver.kept, partial=False)
+    solve_cases(folder.path, folder.solver, RUN, quiet)
+    found = score_folder(folder.path, folder.solver.kept, partial=False)
     assert (found.cases, found.false_alarm.of, found.wrong_name.of) == (10, 3, 2)
     true = [one for case in folder.truth.cases if case.kind in ("single", "pair") for one in case.effects]
     assert found.found.place.of == sum(one.times_limit >= 1.0 for one in true)
@@ -92,12 +92,12 @@ def test_solved_cases_are_scored(folder) -> None:
 
 
 def test_cases_that_are_not_solved_are_counted(folder) -> None:
-    solve(folder.path, folder.solver, RUN, quiet)
+    solve_cases(folder.path, folder.solver, RUN, quiet)
     for number in (2, 5, 7):
-        solved_path(folder.path / "cases" / f"case-00{number}").unlink()
+        result_path(folder.path / "cases" / f"case-00{number}").unlink()
     with pytest.raises(BadRequest, match="3 of 10 cases are not solved, case-002 first"):
-        scored(folder.path, folder.solver.kept, partial=False)
-    assert scored(folder.path, folder.solver.kept, partial=True).cases == 7
+        score_folder(folder.path, folder.solver.kept, partial=False)
+    assert score_folder(folder.path, folder.solver.kept, partial=True).cases == 7
 
 
 GOOD = {
@@ -136,24 +136,24 @@ SIZE = {"name": "length_m", "is_size": True, "least": None, "most": 0.002}
     ],
 )
 def test_what_is_no_solved_case_is_refused(tmp_path: Path, text: str, why: str) -> None:
-    write_json(tmp_path / SOLVED / "case-000.json", GOOD)
-    assert documents(tmp_path) == {"case-000": GOOD}
-    (tmp_path / SOLVED / "case-004.json").write_text(text)
+    write_json(tmp_path / SOLVED_FOLDER / "case-000.json", GOOD)
+    assert load_results(tmp_path) == {"case-000": GOOD}
+    (tmp_path / SOLVED_FOLDER / "case-004.json").write_text(text)
     with pytest.raises(BadRequest, match=rf"case-004\.json: is no solved case \(.*{why}"):
-        documents(tmp_path)
+        load_results(tmp_path)
 
 
 def test_a_size_that_an_effect_has_not_is_refused(folder) -> None:
-    solve(folder.path, folder.solver, RUN, quiet)
+    solve_cases(folder.path, folder.solver, RUN, quiet)
     case = next(case for case in folder.truth.cases if case.kind == "single")
-    path = solved_path(folder.path / "cases" / case.name)
+    path = result_path(folder.path / "cases" / case.name)
     before = path.read_bytes()
     (one,) = case.effects
     size = {"name": "size_of_another", "is_size": True, "least": 0.0, "most": 1.0}
     finding = {"name": one.name, "place": one.place, "parameters": [size], "alternatives": []}
     path.write_text(json.dumps(json.loads(before) | {"verdict": "named", "effects": [finding]}))
     with pytest.raises(BadRequest, match=f"{case.name}: {one.name} has no size_of_another"):
-        scored(folder.path, folder.solver.kept, partial=False)
+        score_folder(folder.path, folder.solver.kept, partial=False)
     path.write_bytes(before)
 
 
@@ -162,17 +162,17 @@ def test_features_that_are_none_are_refused(tmp_path: Path, text: str | None) ->
     if text is not None:
         (tmp_path / "f.json").write_text(text)
     with pytest.raises(BadRequest, match=r"f\.json: holds no features"):
-        read_features(tmp_path / "f.json")
+        read_case_features(tmp_path / "f.json")
 
 
 def test_a_changed_truth_is_not_scored_against(folder) -> None:
-    solve(folder.path, folder.solver, RUN, quiet)
+    solve_cases(folder.path, folder.solver, RUN, quiet)
     text = (folder.path / TRUTH).read_text()
     (folder.path / TRUTH).write_text(text.replace('"none"', '"single"', 1))
     with pytest.raises(BadRequest, match="is not what was sealed"):
-        scored(folder.path, folder.solver.kept, partial=True)
+        score_folder(folder.path, folder.solver.kept, partial=True)
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path, folder) -> None:
     with pytest.raises(BadRequest, match="no folder of blind cases"):
-        solve(tmp_path / "none", folder.solver, RUN, quiet)
+        solve_cases(tmp_path / "none", folder.solver, RUN, quiet)

@@ -17,7 +17,7 @@ from fsw.dictionary.enums import Mode
 from fsw.messages import Sensors
 from fsw.state import boot
 from ground.common.requests import BadRequest
-from ground.diagnosis.arm.logs import recording_in
+from ground.diagnosis.arm.logs import load_recording
 from ground.telemetry.imports.job import ImportRequest, import_table
 from ground.telemetry.imports.targets import known_targets
 from ground.telemetry.read import Log, read_log
@@ -114,7 +114,7 @@ def test_a_repeat_is_known_as_one_to_the_diagnosis(
     said = '[session]\nname = "cold-again"\nblock = "cold"\n'
     import_into(tmp_path, as_parquet, make.TIME + said + make.channels() + make.start())
     (path,) = tmp_path.glob("*.mcap")
-    here = recording_in(path)
+    here = load_recording(path)
     assert (here.name, here.block) == ("cold-again", "cold")
     assert here.temperature_C == pytest.approx(run["/sensors"]["winding_C"][0].mean())
 

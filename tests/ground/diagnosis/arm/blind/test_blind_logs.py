@@ -8,15 +8,11 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Joint
-from ground.diagnosis.arm.blind import make
-from ground.diagnosis.arm.blind.background import background
-from ground.diagnosis.arm.blind.outside import all_outside
-from ground.diagnosis.arm.blind.sealed import KEYS, TellsTruth, check_sealed
-from ground.diagnosis.arm.logs import recording_in
-from ground.diagnosis.arm.record import conditions
-from ground.diagnosis.blind.folder import CASES
-from ground.diagnosis.blind.truth import TrueCase, Truth
-from ground.diagnosis.drawn import Seen
+from ground.diagnosis.arm.blind_case import ALLOWED_KEYS, TruthLeaked, check_leakage, sample_background
+from ground.diagnosis.arm.logs import load_recording
+from ground.diagnosis.arm.record import session_json
+from ground.diagnosis.blind_case import SealedTruth, TrueCase
+from ground.diagnosis.sampling import DetectableEffect
 from ground.telemetry.header import SESSION, flight_header, run_header
 from ground.telemetry.read import read_log
 from ground.telemetry.recorder import Recorder
@@ -28,6 +24,9 @@ from sim.effects.joints import GearFriction
 from sim.effects.numerics import Numerics
 from sim.initialisation import true_reference
 from sim.scenario.effects import effect_text
+from validation.blind import make
+from validation.blind.folder import CASES_FOLDER
+from validation.blind.out_of_catalogue import list_uncatalogued
 
 SESSIONS = tuple(one for one in make.all_sessions() if one.name == "cold")
 
@@ -35,13 +34,13 @@ SESSIONS = tuple(one for one in make.all_sessions() if one.name == "cold")
 def cases(kinds: tuple[str, ...] = ("single", "outside")) -> dict[str, TrueCase]:
     """One of each kind, of effects that need no campaign to be drawn."""
     catalogue = [
-        Seen(make.told(one), 0.4, number)
-        for number, one in enumerate(make.raced(None))
+        DetectableEffect(make.to_hypothesis(one), 0.4, number)
+        for number, one in enumerate(make.list_candidates(None))
         if str(one) in ("coulomb-friction:elbow", "backlash-width:wrist")
     ]
-    unknown = [one for (name, _), one in all_outside().items() if name == "dead-current"]
-    outside = [Seen(one.hypothesis, 0.4, None) for one in unknown]
-    truth = make.drawn_truth(10, 1, catalogue, outside)
+    unknown = [one for (name, _), one in list_uncatalogued().items() if name == "dead-current"]
+    outside = [DetectableEffect(one.hypothesis, 0.4, None) for one in unknown]
+    truth = make.draw_truth(10, 1, catalogue, outside)
     return {kind: next(case for case in truth.cases if case.kind == kind) for kind in kinds}
 
 
@@ -56,7 +55,7 @@ def recorded(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
 
 
 def test_every_arm_has_errors_of_its_own_and_is_computed_otherwise() -> None:
-    one, again, other = (background(np.random.default_rng(seed)) for seed in (1, 1, 2))
+    one, again, other = (sample_background(np.random.default_rng(seed)) for seed in (1, 1, 2))
     assert one == again != other
     assert sum(isinstance(effect, GearFriction) for effect in one) == 5
     assert any(isinstance(effect, Numerics) for effect in one)
@@ -65,11 +64,11 @@ def test_every_arm_has_errors_of_its_own_and_is_computed_otherwise() -> None:
 
 def test_a_blind_log_gives_nothing_away_and_can_be_compared(recorded: Recorded) -> None:
     path, case = recorded
-    check_sealed(path, case)
+    check_leakage(path, case)
     log = read_log(path)
-    assert set(log.header) <= KEYS
+    assert set(log.header) <= ALLOWED_KEYS
     assert "/truth" not in log.packets
-    here = recording_in(path)
+    here = load_recording(path)
     assert (here.name, here.params.arm_name) == ("cold", "nominal")
     assert not np.isclose(here.start.zero_rad, nominal_hardware().counter_zero_rad).any()
 
@@ -100,20 +99,20 @@ def test_a_header_that_tells_is_refused(words: str, tmp_path: Path) -> None:
     whole = words.startswith("says arm")
     said = run_header(loop, "nominal", 1, {}, ()) if whole else flight_header(loop, ())
     path = tmp_path / "x.mcap"
-    with Recorder(path, LEAKS[words]({**said, SESSION: conditions(SESSIONS[0])})) as recorder:
+    with Recorder(path, LEAKS[words]({**said, SESSION: session_json(SESSIONS[0])})) as recorder:
         recorder.write(loop.cycle())
-    with pytest.raises(TellsTruth, match=words):
-        check_sealed(path, CASE)
+    with pytest.raises(TruthLeaked, match=words):
+        check_leakage(path, CASE)
 
 
 def test_the_plants_own_state_is_refused(tmp_path: Path) -> None:
     loop = start_session(SESSIONS[0], arm_named("nominal"), true_reference(arm_named("nominal")), 1)
     loop.with_truth = True
     path = tmp_path / "x.mcap"
-    with Recorder(path, {**flight_header(loop, ()), SESSION: conditions(SESSIONS[0])}) as recorder:
+    with Recorder(path, {**flight_header(loop, ()), SESSION: session_json(SESSIONS[0])}) as recorder:
         recorder.write(next(run_session(loop, SESSIONS[0])).record)
-    with pytest.raises(TellsTruth, match="the plant's own state in /truth"):
-        check_sealed(path, CASE)
+    with pytest.raises(TruthLeaked, match="the plant's own state in /truth"):
+        check_leakage(path, CASE)
 
 
 def test_a_case_of_which_a_log_tells_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -121,8 +120,8 @@ def test_a_case_of_which_a_log_tells_is_not_kept(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(make, "blind_reference", true_reference)
     monkeypatch.setattr(make, "all_sessions", lambda: SESSIONS)
     case = replace(cases()["single"], background=(effect_text(CoulombFriction(Joint.ELEVATION, 12.0)),))
-    with pytest.raises(TellsTruth, match=r"flight software begins with friction_Nm"):
-        make._record(make._Job(tmp_path, case))
+    with pytest.raises(TruthLeaked, match=r"flight software begins with friction_Nm"):
+        make._record_job(make._Job(tmp_path, case))
     assert list((tmp_path / "cases").iterdir()) == []
 
 
@@ -136,9 +135,9 @@ def test_a_case_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest
     with monkeypatch.context() as broken:
         broken.setattr(make, "check_sealed", stopped)
         with pytest.raises(KeyboardInterrupt):
-            make._record(make._Job(tmp_path, case))
+            make._record_job(make._Job(tmp_path, case))
     assert list((tmp_path / "cases").iterdir()) == []
-    assert make._record(make._Job(tmp_path, case)) == case.name
+    assert make._record_job(make._Job(tmp_path, case)) == case.name
     assert [path.name for path in (tmp_path / "cases" / case.name).iterdir()] == ["cold.mcap"]
 
 
@@ -152,6 +151,6 @@ def test_an_effect_from_outside_is_written_by_its_file_and_switched_on() -> None
 def test_a_session_that_comes_to_no_end_is_left_out(tmp_path: Path) -> None:
     weak = ("servo-gain:elbow:factor=0.1", "coulomb-friction:elbow:torque_Nm=400")
     case = TrueCase("case-000", "none", (), weak, 5)
-    make.record_case(tmp_path / CASES / case.name, case, SESSIONS)
+    make.record_case(tmp_path / CASES_FOLDER / case.name, case, SESSIONS)
     assert list(tmp_path.rglob("*.mcap")) == []
-    assert list(make.left_out(tmp_path, Truth("00ff", (case,)), SESSIONS)) == ["case-000/cold"]
+    assert list(make.left_out(tmp_path, SealedTruth("00ff", (case,)), SESSIONS)) == ["case-000/cold"]

@@ -1,0 +1,312 @@
+"""Sensitivities of the arm's simulator: differences of what each effect can touch, on several cores; kept."""
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Final
+
+import numpy as np
+from pydantic import TypeAdapter, ValidationError
+
+import fsw
+import sim
+from fsw.config import digest
+from fsw.kinematics.transforms import Array
+from ground.common.files import atomic_write
+from ground.common.pool import Runner
+from ground.common.progress import Progress
+from ground.common.requests import BadRequest
+from ground.diagnosis.arm.audit import load_checked_recordings
+from ground.diagnosis.arm.case_simulator import feature_keys
+from ground.diagnosis.arm.feature_set import build_feature_set
+from ground.diagnosis.arm.finite_differences import (
+    MAX_ROUNDS,
+    JacobianColumn,
+    OneSidedStep,
+    adapt_step,
+    count_sides,
+    find_aliases,
+    find_shared_slopes,
+    group_columns,
+    list_columns,
+    simulate_side,
+    step_error,
+    step_size,
+)
+from ground.diagnosis.arm.noise_floor import estimate_floor
+from ground.diagnosis.arm.simulator import ArmSimulator, build_simulator
+from ground.diagnosis.normal_equations import form_normal_equations
+from ground.diagnosis.problem import FeatureLayout
+from ground.diagnosis.sensitivity import Sensitivities, fit_parabola, load_sensitivities, save_sensitivities
+from ground.telemetry.header import model_digest
+from sim.effects.catalogue import catalogue
+from sim.params import nominal_params
+from sim.world import World, build
+
+Logs = tuple[Path, ...]
+Names = tuple[str, ...]
+_NAMES: Final = TypeAdapter(Names)
+
+
+COMPARING_MODULES: Final = (
+    "ground.calibration.screws",
+    "ground.diagnosis.problem",
+    "ground.diagnosis.normal_equations",
+    "ground.diagnosis.sensitivity",
+)
+"""Modules beyond the simulator and this package that have a part in it."""
+NUMERICS_SHARE: Final = 0.1
+"""Of the difference to half the time step, what remains of the plant's numerics when it is fitted."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    logs: Logs
+    kinds: Names
+    columns: tuple[int, ...]
+    """That are simulated at once."""
+    side: int
+    shares: tuple[float, ...]
+    nominal: Array
+    """What the simulator has without effects, (m,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CachedSensitivities:
+    """Sensitivities, and where they are kept; what else is known of a campaign is kept beside."""
+
+    sensitivities: Sensitivities
+    path: Path
+
+    def keys(self) -> Names:
+        """The names of the rows; BadRequest if they are not there, or are other than so many."""
+        return load_keys(self.path, self.sensitivities.layout.size)
+
+
+def compute_sensitivities(
+    logs: Sequence[Path], kept_in: Path, run: Runner, progress: Progress, kinds: Sequence[str] | None = None
+) -> CachedSensitivities:
+    """Those of a campaign's logs for these effects of the catalogue, all by default; from a file if there is.
+
+    The file's name has the digest of logs, model and catalogue in it; any change makes another file.
+
+    Raises:
+        NotForDiagnosis: a log cannot be compared.
+        BadRequest: what is kept cannot be read, or the folder cannot be made.
+        BadOutput: a file cannot be written.
+    """
+    paths, names = tuple(sorted(logs)), tuple(catalogue() if kinds is None else kinds)
+    path = kept_in / _cache_name(paths, names)
+    if path.exists():
+        return CachedSensitivities(_load_cache(path), path)
+    _check_folder(kept_in)
+    whole = kept_in / _cache_name(paths, tuple(catalogue()))
+    if whole.exists():
+        return _select_effects(CachedSensitivities(_load_cache(whole), whole), names, path)
+    result = _difference_all(paths, names, run, progress)
+    return _save_cache(result, feature_keys(_simulator(paths, names).feature_set), path)
+
+
+def _cache_name(logs: Logs, kinds: Names) -> str:
+    return f"sensitivities-{campaign_digest(logs, kinds)[:16]}.npz"
+
+
+def _select_effects(whole: CachedSensitivities, names: Names, path: Path) -> CachedSensitivities:
+    """Of some effects alone, from those of all."""
+    return _save_cache(whole.sensitivities.only(names), whole.keys(), path)
+
+
+def _save_cache(found: Sensitivities, keys: Sequence[str], path: Path) -> CachedSensitivities:
+    with atomic_write(keys_path(path), "keys") as file:
+        file.write(json.dumps(keys).encode())
+    save_sensitivities(path, found)
+    return CachedSensitivities(found, path)
+
+
+def _difference_all(paths: Logs, names: Names, run: Runner, progress: Progress) -> Sensitivities:
+    """One side of every column, mended until it can be seen well, and the other side by the same steps.
+
+    What has its slope from a nuisance stays as it is: no step of its own makes it seen better.
+    """
+    simulator = _simulator(paths, names)
+    columns = list_columns(simulator)
+    same, given = find_aliases(simulator, columns), find_shared_slopes(simulator, columns)
+    nominal = _nominal_features(paths, names)
+
+    def simulated(shares: Mapping[int, float], side: int, what: str) -> dict[int, OneSidedStep]:
+        at_once = group_columns(simulator, columns, sorted(shares))
+        jobs = [_Job(paths, names, of, side, tuple(shares[k] for k in of), nominal) for of in at_once]
+        found: dict[int, OneSidedStep] = {}
+        for done, some in enumerate(run(_run_job, jobs), 1):
+            found |= some
+            progress(done, len(jobs), what)
+        return found
+
+    up = simulated({k: 1.0 for k in range(len(columns)) if k not in same}, 0, "sensitivities")
+    last, best = up, dict.fromkeys(up, math.inf)
+    for attempt in range(MAX_ROUNDS + 1):
+        scale = form_normal_equations(_assemble(paths, names, last, {})).scale
+        seen = {k: float(by) * abs(last[k].size) for k, by in enumerate(scale) if k not in given}
+        nearer = [k for k in seen if step_error(seen[k]) < best[k]]
+        up |= {k: last[k] for k in nearer}
+        best |= {k: step_error(seen[k]) for k in nearer}
+        better = _adapt_steps(simulator, columns, last, seen) if attempt < MAX_ROUNDS else {}
+        if not better:
+            break
+        last = {**last, **simulated(better, 0, "better steps")}
+    down = {k: side.share for k, side in up.items() if count_sides(simulator, columns[k]) > 1}
+    return _assemble(paths, names, up, simulated(down, 1, "other sides"))
+
+
+def _adapt_steps(
+    simulator: ArmSimulator,
+    columns: Sequence[JacobianColumn],
+    last: Mapping[int, OneSidedStep],
+    seen: Mapping[int, float],
+) -> dict[int, float]:
+    """Better shares, of columns that are seen too little or too well."""
+    found: dict[int, float] = {}
+    for k, by in seen.items():
+        share = adapt_step(last[k].share, by)
+        if share is not None and step_size(simulator, columns[k], share) != last[k].size:
+            found[k] = share
+    return found
+
+
+def _assemble(
+    paths: Logs, names: Names, up: Mapping[int, OneSidedStep], down: Mapping[int, OneSidedStep]
+) -> Sensitivities:
+    """Parabolas through what was simulated, or lines where that is one side.
+
+    Of a hypothesis that is a nuisance as well only the bend is: the slope is that of the nuisance's sigma.
+    """
+    simulator = _simulator(paths, names)
+    columns = list_columns(simulator)
+    slope, bend = np.zeros((2, simulator.layout.size, len(columns)))
+    reach = np.ones(len(columns))
+    for k, side in up.items():
+        sides = [side, down[k]] if k in down else [side]
+        slope[:, k], bend[:, k] = fit_parabola([(one.change, one.size) for one in sides])
+        reach[k] = max(abs(one.size) for one in sides)
+    for k, (other, typical) in find_aliases(simulator, columns).items():
+        slope[:, k] = slope[:, other] / typical
+    for k, (other, typical) in find_shared_slopes(simulator, columns).items():
+        slope[:, k] = slope[:, other] * typical
+    owner = [column.hypothesis for column in columns if column.hypothesis is not None]
+    sized = len(owner)
+    nuisance = _restrict_nuisances(simulator, slope[:, sized:])
+    return Sensitivities(
+        _raise_floor(simulator, nuisance),
+        simulator.hypotheses,
+        simulator.nuisances,
+        _nominal_features(paths, names),
+        slope[:, :sized],
+        bend[:, :sized],
+        reach[:sized],
+        np.array(owner, np.intp),
+        nuisance,
+    )
+
+
+def _restrict_nuisances(simulator: ArmSimulator, column: Array) -> Array:
+    """Nuisances (m, q) of their columns: where they show alone, and what they are more beside others."""
+    uncertain = simulator.nuisance_effects
+    plain = {one.effect(1.0): k for k, one in enumerate(uncertain) if one.only_place and not one.baseline}
+    cut = column.copy()
+    for k, one in enumerate(uncertain):
+        if one.baseline:
+            cut[:, k] -= column[:, plain[one.effect(1.0)]]
+        if one.only_place:
+            elsewhere = [simulator.layout.places[place] != one.only_place for place in simulator.layout.place]
+            cut[elsewhere, k] = 0.0
+    return cut
+
+
+def _raise_floor(simulator: ArmSimulator, nuisance: Array) -> FeatureLayout:
+    """The floor, with a share of what the plant's own numerics are off by: they fit but nearly."""
+    own = nuisance[:, [k for k, one in enumerate(simulator.nuisance_effects) if one.only_place]]
+    sigma = np.sqrt(simulator.layout.sigma**2 + np.sum((NUMERICS_SHARE * own) ** 2, axis=1))
+    return replace(simulator.layout, sigma=sigma)
+
+
+def keys_path(path: Path) -> Path:
+    """Where the names of a sensitivity file's rows are."""
+    return path.with_suffix(".keys.json")
+
+
+def load_keys(path: Path, rows: int) -> Names:
+    """The names of a sensitivity file's rows; BadRequest if they are not there, or are other than so many."""
+    keys, anew = keys_path(path), f"remove {path}, and both are made anew"
+    try:
+        said = _NAMES.validate_json(keys.read_bytes(), strict=True)
+    except OSError as error:
+        raise BadRequest(f"{keys}: cannot be read ({error.strerror}); {anew}") from error
+    except ValidationError as error:
+        raise BadRequest(f"{keys}: cannot be read ({error.errors()[0]['msg']}); {anew}") from error
+    if len(said) != rows:
+        raise BadRequest(f"{keys}: names {len(said)} of {rows} rows; {anew}")
+    return said
+
+
+def _load_cache(path: Path) -> Sensitivities:
+    try:
+        return load_sensitivities(path)
+    except ValueError as error:
+        raise BadRequest(f"{error}; remove it, and they are computed anew") from error
+
+
+def _check_folder(kept_in: Path) -> None:
+    try:
+        kept_in.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadRequest(f"{kept_in}: no sensitivities can be kept there ({error.strerror})") from error
+
+
+def campaign_digest(logs: Logs, kinds: Names) -> str:
+    """SHA-256 of all that they depend on: logs, parameters, model, and what simulates and compares."""
+    total = hashlib.sha256("\n".join(kinds).encode())
+    for path in logs:
+        total.update(path.read_bytes())
+        tracker = path.with_suffix(".tracker.csv")
+        total.update(tracker.read_bytes() if tracker.exists() else b"")
+    total.update(digest(nominal_params()).encode())
+    total.update(model_digest(build(World()).compile()).encode())
+    own = (
+        *sorted(Path(__file__).parent.glob("*.py")),
+        *(Path(str(import_module(name).__file__)) for name in COMPARING_MODULES),
+    )
+    for source in (*list_sources(fsw), *list_sources(sim), *own):
+        total.update(source.read_bytes())
+    return total.hexdigest()
+
+
+def list_sources(package: ModuleType) -> list[Path]:
+    """All its modules."""
+    return sorted(Path(package.__path__[0]).rglob("*.py"))
+
+
+@cache
+def _simulator(logs: Logs, kinds: Names) -> ArmSimulator:
+    """Once in each process."""
+    feature_set = build_feature_set(load_checked_recordings(logs))
+    return build_simulator(
+        feature_set, estimate_floor(feature_set).sigma, {name: catalogue()[name] for name in kinds}
+    )
+
+
+@cache
+def _nominal_features(logs: Logs, kinds: Names) -> Array:
+    return _simulator(logs, kinds).predict_effects(())
+
+
+def _run_job(job: _Job) -> dict[int, OneSidedStep]:
+    simulator = _simulator(job.logs, job.kinds)
+    every = list_columns(simulator)
+    sides = simulate_side(simulator, [every[k] for k in job.columns], job.nominal, job.side, job.shares)
+    return dict(zip(job.columns, sides, strict=True))

@@ -1,0 +1,221 @@
+"""Logs diagnosed: from a request to all that is said of them."""
+
+import hashlib
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Final
+
+from fsw.dictionary.params import Params
+from ground.common.pool import local_runner
+from ground.common.progress import Progress
+from ground.common.requests import BadRequest, check_seed, parse_effects
+from ground.diagnosis.arm.audit import find_missing_motion, load_checked_recordings
+from ground.diagnosis.arm.campaign_model import load_campaign_model
+from ground.diagnosis.arm.campaign_sensitivities import Logs
+from ground.diagnosis.arm.case import diagnose_case
+from ground.diagnosis.arm.logs import NotForDiagnosis, Recording
+from ground.diagnosis.arm.record import HELD_OUT_FOLDER
+from ground.diagnosis.arm.simulator import list_candidates
+from ground.diagnosis.result import DiagnosisResult
+from sim.effects.catalogue import catalogue, effect_name
+from sim.effects.effect import Effect
+from sim.params import BadParams, nominal_params, params_over_nominal
+from sim.scenario.names import shorten
+
+MAX_SUGGESTIONS: Final = 3
+"""Names that may have been meant."""
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnoseRequest:
+    """What is asked."""
+
+    logs: tuple[Path, ...]
+    held_out: tuple[Path, ...] = ()
+    """Logs that take no part in fitting or choosing."""
+    params: Path | None = None
+    """Flight parameters over nominal ones, as TOML."""
+    kinds: tuple[str, ...] | None = None
+    """Names of the effects that may be the cause; None for the whole catalogue."""
+    campaign: Path | None = None
+    """Folder with logs of the campaign that these repeat, and its sensitivities; None for their own."""
+    seed: int = 0
+    patch: tuple[Effect, ...] = ()
+    """Effects that are switched on in the simulator from the beginning."""
+
+    @property
+    def base(self) -> Params:
+        """The flight parameters that the arm had."""
+        return nominal_params() if self.params is None else params_over_nominal(self.params)
+
+
+def build_request(
+    logs: Sequence[Path],
+    held_out: Sequence[Path] = (),
+    params: Path | None = None,
+    names: str | None = None,
+    campaign: Path | None = None,
+    seed: int = 0,
+    effects: Sequence[str] = (),
+) -> DiagnoseRequest:
+    """The request, folders opened and everything checked that needs no log to be read.
+
+    `names` are effects with commas between them, `effects` what is switched on already.
+
+    Raises:
+        BadRequest: a file is not there or is given twice, a name is not known, or parameters are wrong.
+    """
+    check_seed(seed)
+    fitted, apart = tuple(_expand_logs(logs, "log")), tuple(_expand_logs(held_out, "held-out log"))
+    _check_different(fitted, apart)
+    if params is not None:
+        try:
+            params_over_nominal(params)
+        except BadParams as error:
+            raise BadRequest(str(error)) from error
+    if campaign is not None and not os.path.isdir(campaign):
+        raise BadRequest(f"campaign {campaign}: there is no such folder of logs")
+    kinds = None if names is None else _parse_effects(names)
+    return DiagnoseRequest(fitted, apart, params, kinds, campaign, seed, parse_effects(tuple(effects)))
+
+
+def _expand_logs(given: Sequence[Path], what: str) -> Iterator[Path]:
+    """Files as they are, folders as what is in them, in the order of names."""
+    for path in given:
+        if os.path.isdir(path):  # unlike Path.is_dir, False for any bad name
+            inside = sorted(one for one in path.glob("*.mcap") if one.is_file())
+            if not inside:
+                raise BadRequest(f"{what} {path}: this folder holds no .mcap file")
+            yield from inside
+        elif os.path.isfile(path):
+            yield path
+        elif os.path.exists(path):
+            raise BadRequest(f"{what} {path}: this is neither a regular file nor a folder")
+        else:
+            raise BadRequest(f"{what} {path}: there is no such file or folder")
+
+
+def _check_different(fitted: tuple[Path, ...], apart: tuple[Path, ...]) -> None:
+    """Refuse the same data twice, under one name or two."""
+    known: dict[str, Path] = {}
+    for path in (*fitted, *apart):
+        try:
+            same = known.setdefault(_file_digest(path), path)
+        except OSError as error:
+            raise BadRequest(f"log {path}: cannot be read ({error.strerror})") from error
+        if same is path:
+            continue
+        if path in apart and same in fitted:
+            raise BadRequest(
+                f"held-out log {path}: this is log {same} too; what is held out takes no part in fitting"
+            )
+        raise BadRequest(f"log {path}: is the same as {same}; give each once")
+
+
+def _file_digest(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _parse_effects(names: str) -> tuple[str, ...]:
+    """In the order of the catalogue."""
+    known = {effect_name(one.kind) for one in list_candidates(None)}
+    wanted = {name.strip() for name in names.split(",")}
+    problems = [_unknown_effect(name, known) for name in sorted(wanted - known)]
+    if problems:
+        raise BadRequest("\n".join(problems))
+    return tuple(name for name in catalogue() if name in wanted)
+
+
+def _unknown_effect(name: str, known: set[str]) -> str:
+    if name in catalogue():
+        return (
+            f"catalogue: {name} is an effect whose size alone does not make it a cause that could be told; "
+            "leave it out"
+        )
+    near = get_close_matches(name.lower(), sorted(known), n=MAX_SUGGESTIONS, cutoff=0.4)
+    meant = f"did you mean {' or '.join(near)}? " if near else ""
+    return f"catalogue: effect {shorten(name)!r} is not known; {meant}`marsarm effects` lists what there is"
+
+
+def diagnose_logs(request: DiagnoseRequest, progress: Progress) -> DiagnosisResult:
+    """What the logs say.
+
+    Raises:
+        NotForDiagnosis: they cannot be diagnosed; the message says what they lack.
+        BadRequest: what is kept of the campaign cannot be read.
+        BadOutput: it cannot be written.
+    """
+    base = request.base
+    fitted, apart = (load_checked_recordings(paths, base) for paths in (request.logs, request.held_out))
+    _check_sessions((*request.logs, *request.held_out), (*fitted, *apart))
+    _check_held_out(fitted, apart)
+    _check_motion(fitted)
+    logs, held_out = request.logs, request.held_out
+    if request.campaign is not None:
+        logs, held_out = _campaign_logs(request.campaign, fitted, apart)
+    campaign = load_campaign_model(
+        logs,
+        held_out,
+        request.campaign or _cache_folder(),
+        local_runner(os.cpu_count() or 1),
+        progress,
+        request.kinds,
+    )
+    return diagnose_case(fitted, apart, campaign, request.seed, request.patch)
+
+
+def _cache_folder() -> Path:
+    """Of the user, as the XDG base directory specification has it: an empty variable is none."""
+    base = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
+    return base / "marsarm" / "sensitivities"
+
+
+def _check_motion(recordings: Sequence[Recording]) -> None:
+    """Before anything is computed that takes minutes."""
+    missing = find_missing_motion(recordings)
+    if missing:
+        raise NotForDiagnosis("\n".join(("too little motion for a diagnosis:", *missing)))
+
+
+def _check_sessions(paths: Sequence[Path], recordings: Sequence[Recording]) -> None:
+    """Features are known by their session's name."""
+    known: dict[str, Path] = {}
+    for path, one in zip(paths, recordings, strict=True):
+        if known.setdefault(one.name, path) is not path:
+            raise NotForDiagnosis(
+                f"log {path}: is session {one.name}, and so is {known[one.name]}; leave one of them out"
+            )
+
+
+def _check_held_out(fitted: Sequence[Recording], held_out: Sequence[Recording]) -> None:
+    """A repeat of a motion that is fitted is not held out."""
+    used = {one.block: one.name for one in fitted}
+    both = [one for one in held_out if one.block in used]
+    if both:
+        raise NotForDiagnosis(
+            f"held-out session {both[0].name} repeats the motion of {used[both[0].block]}, which is not "
+            f"held out; hold out both, or neither"
+        )
+
+
+def _campaign_logs(
+    folder: Path, fitted: Sequence[Recording], held_out: Sequence[Recording]
+) -> tuple[Logs, Logs]:
+    """All of a campaign's logs, divided as these are: a session that is not here is on the side it has there.
+
+    So what is kept of the campaign serves for a part of it, too; what is missing is told.
+    """
+    inside = {path.stem: path for path in folder.glob("*.mcap")}
+    outside = {path.stem: path for path in (folder / HELD_OUT_FOLDER).glob("*.mcap")}
+    known = inside | outside
+    sides = [{one.name for one in side} for side in (fitted, held_out)]
+    missing = sorted((sides[0] | sides[1]) - known.keys())
+    if missing:
+        raise NotForDiagnosis(f"campaign {folder}: has no session {', '.join(missing)}")
+    apart = (outside.keys() - sides[0]) | sides[1]
+    logs = tuple(known[name] for name in sorted(known.keys() - apart))
+    return logs, tuple(known[name] for name in sorted(apart)) if held_out else ()

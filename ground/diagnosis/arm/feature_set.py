@@ -1,0 +1,221 @@
+"""All recordings of a campaign as features: what they are, what was measured, what a simulator predicts."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Final
+
+import numpy as np
+
+from fsw.config import configure
+from fsw.dictionary.enums import Joint
+from fsw.kinematics.transforms import Array, Pose, inverse
+from fsw.messages import Sensors
+from ground.calibration.screws import screw_log
+from ground.diagnosis.arm.features import (
+    RESOLVER,
+    SCREW_SHIFT,
+    SCREW_TURN,
+    Feature,
+    MotionFeatures,
+    SensorColumns,
+    evaluate_features,
+    list_motion_features,
+)
+from ground.diagnosis.arm.logs import Recording
+from ground.diagnosis.arm.open_loop import simulate_open_loop, simulate_open_loop_cached, stack_readings
+from ground.diagnosis.arm.rest_poses import (
+    RestPoses,
+    TurningPoints,
+    find_turning_points,
+    read_resolvers,
+    solve_rests,
+)
+from sim.effects.effect import Effect, Hardware, apply_sensor_errors, nominal_hardware
+from sim.effects.gears import OutputFriction
+from sim.open_loop import SimulationOptions
+from sim.params import nominal_params
+from sim.plant import SCREW_AXES
+
+READING_FIELDS: Final = frozenset({"resolver_bias_rad", "resolver_errors", "sensor_errors"})
+"""Of hardware, what nothing but readings hangs on."""
+FRICTION_MARGIN: Final = 0.3
+"""Share of the outputs' friction: a load so near to it may or may not have dragged an output over its gap."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestFeatures:
+    """A recording's rests, what statics make of them by the drawing, and which of them the tracker saw."""
+
+    turning_points: TurningPoints
+    nominal: RestPoses
+    tracked_rests: tuple[tuple[int, int], ...]
+    """Number among the rests, and among the tracker's poses."""
+    features: tuple[Feature, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeatureSet:
+    """A campaign's recordings, ready to be compared: the moving ones, then the rests of all."""
+
+    motions: tuple[MotionFeatures, ...]
+    rests: tuple[RestFeatures, ...]
+
+    @property
+    def features(self) -> tuple[Feature, ...]:
+        """Of the moving recordings, then of the rests."""
+        return (
+            *(feature for one in self.motions for feature in one.features),
+            *(feature for one in self.rests for feature in one.features),
+        )
+
+    @property
+    def sessions(self) -> tuple[str, ...]:
+        """The recording that each feature is of, by name."""
+        return (
+            *(one.recording.name for one in self.motions for _ in one.features),
+            *(one.turning_points.recording.name for one in self.rests for _ in one.features),
+        )
+
+
+def build_feature_set(recordings: Sequence[Recording]) -> FeatureSet:
+    """Recordings with a tracker are looked at where they rest, the others in motion as well."""
+    config = configure(nominal_params())
+    knots = [find_turning_points(one) for one in recordings if one.world.surface is None]
+    unsure_Nm = FRICTION_MARGIN * config.output_friction_Nm
+    nominal, less, more = (solve_rests(knots, _more_friction(by * unsure_Nm)) for by in (0.0, -1.0, 1.0))
+    return FeatureSet(
+        tuple(list_motion_features(one, config) for one in recordings if not one.tracker_poses.tick.size),
+        tuple(_list_rest_features(*one) for one in zip(knots, nominal, less, more, strict=True)),
+    )
+
+
+def _more_friction(torque_Nm: Array) -> tuple[Effect, ...]:
+    return tuple(OutputFriction(joint, float(torque_Nm[joint])) for joint in Joint)
+
+
+def measure_features(feature_set: FeatureSet) -> Array:
+    """What the logs say, (m,)."""
+    values = [evaluate_features(one, one.recording.sensors) for one in feature_set.motions]
+    for one in feature_set.rests:
+        tracked = one.turning_points.recording.tracker_poses
+        values.append(
+            _rest_values(
+                one,
+                read_resolvers(one.turning_points),
+                _select_poses(tracked.X_RF, [k for _, k in one.tracked_rests]),
+            )
+        )
+    return np.concatenate(values)
+
+
+def every_motion(_: MotionFeatures) -> bool:
+    """Every moving recording."""
+    return True
+
+
+def no_motion(_: MotionFeatures) -> bool:
+    """Rests alone."""
+    return False
+
+
+def simulate_features(
+    feature_set: FeatureSet,
+    effects: Sequence[Effect],
+    options: SimulationOptions,
+    wanted: Callable[[MotionFeatures], bool] = every_motion,
+) -> Array:
+    """What the simulator has with these effects, (m,); NaN for moving recordings that are not wanted.
+
+    Raises:
+        PlantDiverged: MuJoCo counted a warning.
+    """
+    values = [
+        evaluate_features(one, simulate_motion(one.recording, effects, options))
+        if wanted(one)
+        else np.full(len(one.features), np.nan)
+        for one in feature_set.motions
+    ]
+    rests = solve_rests([one.turning_points for one in feature_set.rests], effects)
+    values += [_static_values(one, found) for one, found in zip(feature_set.rests, rests, strict=True)]
+    return np.concatenate(values)
+
+
+def simulate_motion(
+    recording: Recording, effects: Sequence[Effect], options: SimulationOptions
+) -> SensorColumns:
+    """The sensors of an arm with these effects under the recorded drive, by tick; a manner without noise."""
+    readers = [effect for effect in effects if changes_readings_only(effect)]
+    acting = tuple(effect for effect in effects if effect not in readers)
+    readings = (simulate_open_loop_cached if readers else simulate_open_loop)(
+        recording, acting, options
+    ).readings
+    return stack_readings(list(_apply_readers(readings, readers)) if readers else readings)
+
+
+def changes_readings_only(effect: Effect) -> bool:
+    """Whether it changes nothing but what is read: then the plant need not be stepped again."""
+    if type(effect).on_model is not Effect.on_model:
+        return False
+    before = nominal_hardware()
+    after = effect.on_hardware(before)
+    other = {f.name for f in fields(Hardware) if getattr(before, f.name) is not getattr(after, f.name)}
+    return bool(other) and other <= READING_FIELDS
+
+
+def _apply_readers(readings: Sequence[Sensors], readers: Sequence[Effect]) -> Iterator[Sensors]:
+    """The same readings, without noise, as avionics with these effects would have sensed them."""
+    hardware, rng = nominal_hardware(), np.random.default_rng(0)
+    for effect in readers:
+        hardware = effect.on_hardware(hardware)
+    sensor_errors = hardware.sensor_errors
+    for one in readings:
+        sensors, sensor_errors = apply_sensor_errors(sensor_errors, _read_resolvers(one, hardware), rng)
+        yield sensors
+
+
+def _read_resolvers(sensors: Sensors, hardware: Hardware) -> Sensors:
+    """Without noise a resolver reads its output, with what is wrong with it."""
+    output_rad = sensors.resolver_rad
+    resolver_rad = output_rad + hardware.resolver_bias_rad
+    for error in hardware.resolver_errors:
+        resolver_rad = resolver_rad + error.error_rad(output_rad)
+    return replace(sensors, resolver_rad=resolver_rad)
+
+
+def _list_rest_features(knots: TurningPoints, nominal: RestPoses, *others: RestPoses) -> RestFeatures:
+    """Doubt is by how much a feature would differ if friction of the outputs were a little more or less."""
+    recording = knots.recording
+    rest_of = {knots.tick[k]: r for r, k in enumerate(knots.rests)}
+    seen = tuple((rest_of[t], k) for k, t in enumerate(recording.tracker_poses.tick.tolist()) if t in rest_of)
+    features: list[Feature] = []
+    for joint in Joint:
+        for r, k in enumerate(knots.rests):
+            angle = float(knots.motor_rad[joint, k])
+            condition = (recording.temperature_C, 0.0, 0.0, float(np.sin(angle)), float(np.cos(angle)), 0.0)
+            name = joint.name.lower()
+            features.append(Feature(RESOLVER, name, "rest", recording.block, condition, f"rest {r}/{name}"))
+    condition = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
+    for axis, named in enumerate(SCREW_AXES):
+        channel = SCREW_TURN if axis < 3 else SCREW_SHIFT
+        for r, _ in seen:
+            features.append(
+                Feature(channel, "turret", "pose", recording.block, condition, f"rest {r}/{named}")
+            )
+    made = RestFeatures(knots, nominal, seen, tuple(features))
+    apart = np.abs([_static_values(made, one) - _static_values(made, nominal) for one in others]).max(axis=0)
+    doubted = zip(features, apart, strict=True)
+    return replace(made, features=tuple(replace(feature, doubt=float(by)) for feature, by in doubted))
+
+
+def _static_values(one: RestFeatures, found: RestPoses) -> Array:
+    return _rest_values(one, found.resolver_rad, _select_poses(found.X_RF, [r for r, _ in one.tracked_rests]))
+
+
+def _rest_values(one: RestFeatures, resolver_rad: Array, X_RF: Pose) -> Array:
+    nominal = _select_poses(one.nominal.X_RF, [r for r, _ in one.tracked_rests])
+    screw = screw_log(inverse(nominal) @ X_RF) if one.tracked_rests else np.zeros((6, 0))
+    return np.concatenate([resolver_rad.ravel(), screw.ravel()])
+
+
+def _select_poses(X: Pose, rows: list[int]) -> Pose:
+    return Pose(X.R[:, :, rows], X.p[:, rows])

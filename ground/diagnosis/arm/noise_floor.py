@@ -1,0 +1,68 @@
+"""The repeatability floor of a campaign's features: from repeats, or what it is assumed to be."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from fsw.kinematics.transforms import Array
+from ground.diagnosis.arm.feature_set import FeatureSet, measure_features
+from ground.diagnosis.arm.features import CHANNELS, assumed_sigma
+
+MIN_PAIRS = 8
+"""Pairs of a channel that tell its floor."""
+
+DOUBT_SIGMAS = 3.0
+"""Sigmas from which on doubt about a feature is counted."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseFloor:
+    """One sigma of every feature between repeats, (m,), and where it comes from."""
+
+    sigma: Array
+    notes: tuple[str, ...]
+
+
+def estimate_floor(feature_set: FeatureSet) -> NoiseFloor:
+    """Channel by channel what repeats differ by, over what was assumed; never below that."""
+    features, values = feature_set.features, measure_features(feature_set)
+    sigma = np.array([assumed_sigma(feature) for feature in features])
+    sigma = np.where(np.isfinite(tracker := _tracker_sigma(feature_set)), tracker, sigma)
+    known: dict[tuple[str, str], int] = {}
+    pairs: list[tuple[int, int]] = []
+    for k, feature in enumerate(features):
+        first = known.setdefault((feature.block, feature.key), k)
+        if first != k:
+            pairs.append((first, k))
+    doubt = np.array([feature.doubt for feature in features])
+    doubted = doubt > DOUBT_SIGMAS * sigma
+    notes = []
+    channel = np.array([feature.channel for feature in features])
+    for number, name in enumerate(CHANNELS):
+        mine = [(a, b) for a, b in pairs if features[a].channel == number and not doubted[a]]
+        if not (channel == number).any():
+            continue
+        if len(mine) < MIN_PAIRS:
+            notes.append(f"{name}: {len(mine)} repeats, so its floor is assumed to be the sensors' noise")
+            continue
+        a, b = np.array(mine).T
+        ratio = float(np.sqrt(np.mean(((values[a] - values[b]) / sigma[a]) ** 2) / 2.0))
+        sigma[channel == number] *= max(ratio, 1.0)
+        notes.append(f"{name}: {len(mine)} pairs of repeats differ by {ratio:.2f} times the sensors' noise")
+    if doubted.any():
+        notes.append(
+            f"{int(doubted.sum())} of {doubted.size} features hardly count: the arm rests where friction "
+            f"nearly lets go, a joint has not yet turned through its gap, or a tool is about to touch"
+        )
+    return NoiseFloor(np.where(doubted, np.hypot(sigma, doubt), sigma), tuple(notes))
+
+
+def _tracker_sigma(feature_set: FeatureSet) -> Array:
+    """What the tracker's own fits say of its poses; NaN elsewhere."""
+    found = [np.full(len(one.features), np.nan) for one in feature_set.motions]
+    for posed in feature_set.rests:
+        seen = [k for _, k in posed.tracked_rests]
+        screws = posed.turning_points.recording.tracker_poses.sigma[:, seen].ravel()
+        others = np.full(len(posed.features) - screws.size, np.nan)
+        found.append(np.concatenate([others, screws]))
+    return np.concatenate(found)

@@ -1,0 +1,142 @@
+"""What may differ without being the cause: what a calibration leaves, and what is another every day."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from fsw.dictionary.enums import Frame, Joint, Tool
+from fsw.dictionary.types import row6
+from ground.diagnosis.problem import LOG_UNIT, Nuisance
+from sim.arms import (
+    CALIBRATED_FRAME_SIGMA_M,
+    CALIBRATED_FRAME_SIGMA_RAD,
+    CALIBRATED_STIFFNESS_SIGMA,
+    CALIBRATED_ZERO_SIGMA_RAD,
+    IDENTIFIABLE_AXES,
+    SPRING_FRAMES,
+)
+from sim.effects.catalogue import effect_name
+from sim.effects.effect import Effect
+from sim.effects.geometry import FrameError
+from sim.effects.joints import GearFriction, GearStiffness, HardstopAngle, ResolverBias
+from sim.effects.numerics import Numerics
+from sim.effects.sensors import CurrentBias, EncoderZero
+from sim.effects.structure import LinkStiffness
+from sim.initialisation import DAILY_FRICTION_SIGMA
+from sim.plant import SCREW_AXES
+
+NUMERICS: Final = {
+    "time step": Numerics("implicit", 2),
+    "scheme": Numerics("explicit", 6),
+    "scheme and time step": Numerics("explicit", 8),
+}
+"""Other ways to compute the plant; the explicit one diverges in steps that are not much finer."""
+FRICTION_STEP_LN: Final = 2.0 * DAILY_FRICTION_SIGMA
+"""How a plant is computed tells more where friction is more: asked so far to both sides, ln."""
+COUNT_RAD: Final = 3.3e-6
+"""A count of an encoder: where in it a set-point falls is chance, the same all along."""
+NUMERICS_SIGMA: Final = 2.0
+"""One sigma of what the plant's own numerics are off by, in differences to half the time step."""
+
+
+@dataclass(frozen=True, slots=True)
+class NuisanceEffect:
+    """A number that the calibration leaves uncertain, and the effect that it is."""
+
+    nuisance: Nuisance
+    effect: Callable[[float], Effect]
+    """With this departure."""
+    same_as: str
+    """What it is as well where it is small: a hypothesis, as told, or another of these."""
+    one_sided: bool = False
+    """Whether it departs to positive numbers only."""
+    only_place: str = ""
+    """Where alone it shows, if not everywhere."""
+    baseline: tuple[Effect, ...] = ()
+    """If there are any: only what it is more with these than without."""
+
+
+def list_nuisance_effects() -> Iterator[NuisanceEffect]:
+    """What a calibration leaves (sim.arms), and what friction is on another day."""
+    yield from _frame_nuisances()
+    for joint in Joint:
+        yield _joint_nuisance(joint, "zero", "rad", CALIBRATED_ZERO_SIGMA_RAD, HardstopAngle)
+        yield _joint_nuisance(joint, "gear stiffness", LOG_UNIT, CALIBRATED_STIFFNESS_SIGMA, GearStiffness)
+        yield _joint_nuisance(joint, "friction", LOG_UNIT, DAILY_FRICTION_SIGMA, GearFriction)
+    for frame in SPRING_FRAMES:
+        yield _joint_nuisance(frame, "link stiffness", LOG_UNIT, CALIBRATED_STIFFNESS_SIGMA, LinkStiffness)
+    for joint in Joint:
+        yield _joint_nuisance(joint, "counter", "rad", COUNT_RAD, EncoderZero)
+        name = joint.name.lower()
+        for word, numerics in NUMERICS.items():
+            yield _numerics_nuisance(word, numerics, name)
+        for more, stickier in (("more", FRICTION_STEP_LN), ("less", -FRICTION_STEP_LN)):
+            friction = tuple(_scaled_effect(GearFriction, one, stickier) for one in Joint)
+            yield _numerics_nuisance(f"scheme under {more} friction", NUMERICS["scheme"], name, friction)
+    yield from _session_nuisances()
+
+
+def _frame_nuisances() -> Iterator[NuisanceEffect]:
+    """Turns and shifts of frames, the last of them with every tool."""
+    inner: list[tuple[Frame, Tool | None]] = [(f, None) for f in Frame if f is not Frame.TOOL]
+    for frame, tool in (*inner, *((Frame.TOOL, tool) for tool in Tool)):
+        for axis in IDENTIFIABLE_AXES[frame]:
+            named = (frame.name if tool is None else tool.name).lower()
+            unit, sigma = ("rad", CALIBRATED_FRAME_SIGMA_RAD) if axis < 3 else ("m", CALIBRATED_FRAME_SIGMA_M)
+            word = SCREW_AXES[axis]
+            yield NuisanceEffect(
+                Nuisance(f"frame {named}.{word}", unit, sigma),
+                partial(_displaced_frame, frame, tool, axis),
+                f"{_TURN_SHIFT[tool is not None][unit]} at {named}.{word[1]}",
+            )
+
+
+_TURN_SHIFT: Final = ({"rad": "link-angle", "m": "link-length"}, {"rad": "tool-turn", "m": "tool-offset"})
+"""Of frames, and of tools."""
+
+
+def _session_nuisances() -> Iterator[NuisanceEffect]:
+    """What differs a little from session to session: nobody sets out the same twice."""
+    for joint in Joint:
+        yield _joint_nuisance(joint, "friction", LOG_UNIT, 0.01, GearFriction, random_per_block=True)
+        yield _joint_nuisance(joint, "gear stiffness", LOG_UNIT, 0.02, GearStiffness, random_per_block=True)
+        yield _joint_nuisance(joint, "current", "A", 0.003, CurrentBias, random_per_block=True)
+        yield _joint_nuisance(joint, "resolver", "rad", 6e-6, ResolverBias, random_per_block=True)
+
+
+def _numerics_nuisance(
+    word: str, numerics: Numerics, name: str, beside: tuple[Effect, ...] = ()
+) -> NuisanceEffect:
+    """The plant of one joint computed otherwise: the whole difference, for it cannot be had in parts."""
+    nuisance = Nuisance(f"{word} {name}", "1", NUMERICS_SIGMA)
+    return NuisanceEffect(
+        nuisance, lambda _: numerics, word, one_sided=True, only_place=name, baseline=beside
+    )
+
+
+def _joint_nuisance(
+    place: Joint | Frame,
+    word: str,
+    unit: str,
+    sigma: float,
+    kind: Any,
+    random_per_block: bool = False,
+) -> NuisanceEffect:
+    """An effect of one number at a joint or a frame; of a factor, its logarithm."""
+    name = place.name.lower()
+    said = f"{word} {name} of a session" if random_per_block else f"{word} {name}"
+    effect = partial(_scaled_effect, kind, place) if unit == LOG_UNIT else partial(kind, place)
+    return NuisanceEffect(
+        Nuisance(said, unit, sigma, random_per_block), effect, f"{effect_name(kind)} at {name}"
+    )
+
+
+def _scaled_effect(kind: Callable[[Any, float], Effect], place: Joint | Frame, logarithm: float) -> Effect:
+    return kind(place, float(np.exp(logarithm)))
+
+
+def _displaced_frame(frame: Frame, tool: Tool | None, axis: int, value: float) -> Effect:
+    return FrameError(frame, row6(value * np.eye(6)[axis]), tool)

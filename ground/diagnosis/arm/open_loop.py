@@ -1,0 +1,79 @@
+"""The plant stepped under a recorded drive: what its sensors read, and where the turret was."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from fsw.kinematics.transforms import Pose
+from fsw.messages import Sensors
+from ground.diagnosis.arm.features import SensorColumns
+from ground.diagnosis.arm.logs import Recording
+from sim.arms import effects_of_run
+from sim.effects.effect import Effect
+from sim.effects.environment import Ambient
+from sim.open_loop import NOISE_FREE, OpenLoopArm, SimulationOptions
+from sim.tracker import turret_pose
+
+SENSOR_FIELDS: Final = tuple(Sensors.__dataclass_fields__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenLoopRun:
+    """What a stepped plant shows of one recording."""
+
+    readings: tuple[Sensors, ...]
+    X_RF: Mapping[int, Pose]
+    """The turret's interface in RMECH after some numbers of cycles."""
+
+
+def simulate_open_loop(
+    recording: Recording,
+    effects: Sequence[Effect],
+    options: SimulationOptions = NOISE_FREE,
+    pose_ticks: frozenset[int] = frozenset(),
+) -> OpenLoopRun:
+    """An arm with these effects, looked at after so many cycles.
+
+    Raises:
+        PlantDiverged: MuJoCo counted a warning.
+    """
+    arm = OpenLoopArm(recording.start, order_effects(recording, effects), options)
+    readings: list[Sensors] = []
+    poses: dict[int, Pose] = {}
+    for reading in arm.readings(recording.drives):
+        if len(readings) in pose_ticks:
+            poses[len(readings)] = _turret(arm)
+        readings.append(reading)
+    if len(readings) in pose_ticks:
+        poses[len(readings)] = _turret(arm)
+    return OpenLoopRun(tuple(readings), poses)
+
+
+@lru_cache(maxsize=64)
+def simulate_open_loop_cached(
+    recording: Recording,
+    effects: tuple[Effect, ...],
+    options: SimulationOptions,
+    pose_ticks: frozenset[int] = frozenset(),
+) -> OpenLoopRun:
+    """The same, kept for who asks again: about effects on readings alone, or about an arm without any."""
+    return simulate_open_loop(recording, effects, options, pose_ticks)
+
+
+def order_effects(recording: Recording, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """What the arm is made of, what is around it, and what came later: the cold changes friction there is."""
+    built = (effect for effect in effects if effect.built_in)
+    return (*built, Ambient(recording.temperature_C), *effects_of_run(effects))
+
+
+def stack_readings(readings: Sequence[Sensors]) -> SensorColumns:
+    """Readings by field, ticks first."""
+    return {name: np.array([getattr(one, name) for one in readings]) for name in SENSOR_FIELDS}
+
+
+def _turret(arm: OpenLoopArm) -> Pose:
+    arm.plant.truth()  # brings the kinematics up to date
+    return turret_pose(arm.plant)

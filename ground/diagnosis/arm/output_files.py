@@ -1,0 +1,161 @@
+"""The files that a diagnosis may leave."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from fsw.dictionary.params import Params
+from ground.common.files import BadOutput, atomic_write, check_output
+from ground.common.params_toml import params_toml
+from ground.common.requests import BadRequest, check_distinct_files
+from ground.diagnosis.arm.diagnose_logs import DiagnoseRequest
+from ground.diagnosis.arm.simulator import list_candidates, make_effect, to_hypothesis
+from ground.diagnosis.page import save_diagnosis_page
+from ground.diagnosis.result import DiagnosisResult, list_alternatives
+from sim.effects.catalogue import effect_name, has_flight_parameter
+from sim.effects.effect import Effect
+from sim.params import BadParams, check_params, nominal_params
+from sim.scenario.effect_file import effect_file_text
+from sim.scenario.effects import effect_text
+
+
+class NothingToWrite(Exception):
+    """There is nothing that such a file could say; the message says why."""
+
+
+def effects_of_findings(
+    result: DiagnosisResult, kinds: Mapping[str, type[Effect]] | None = None
+) -> tuple[Effect, ...]:
+    """The effects of a diagnosis, of the catalogue or of these, each of the size that was found.
+
+    Raises:
+        NothingToWrite: the verdict names none.
+    """
+    said = result.diagnosis
+    if said.verdict in ("none", "unknown"):
+        raise NothingToWrite(f"the verdict is {said.verdict}, so there is no effect to switch on")
+    made = {to_hypothesis(one): one for one in list_candidates(kinds)}
+    named = [(result.model.sensitivities.hypotheses[one.hypothesis], one.values) for one in said.findings]
+    return tuple(make_effect(made[hypothesis], hypothesis, values) for hypothesis, values in named)
+
+
+def save_patch(result: DiagnosisResult, path: Path) -> None:
+    """Write the file that switches on what was found, for --effect and for a scenario.
+
+    Raises:
+        NothingToWrite: the verdict names no effect.
+        BadOutput: the file cannot be written.
+    """
+    effects = effects_of_findings(result)
+    with atomic_write(path, "patch") as file:
+        file.write(effect_file_text(effects, _patch_comments(result)).encode())
+
+
+def new_params(base: Params, effects: tuple[Effect, ...]) -> Params:
+    """Flight parameters that know what was found, as far as they have a word for it.
+
+    Raises:
+        NothingToWrite: they have none for any of it, or flight software would not take them.
+    """
+    params = base
+    for effect in effects:
+        params = effect.on_params(params)
+    if params == base:
+        names = ", ".join(effect_text(effect) for effect in effects)
+        raise NothingToWrite(f"flight parameters have no word for {names}")
+    try:
+        check_params(params, "flight software would not take them")
+    except BadParams as error:
+        raise NothingToWrite(str(error)) from error
+    return params
+
+
+def save_new_params(result: DiagnosisResult, base: Params, path: Path) -> None:
+    """Write the parameter file for --params: all that is not nominal in `base` and in what was found.
+
+    Raises:
+        NothingToWrite: there are no new parameters.
+        BadOutput: the file cannot be written.
+    """
+    effects = effects_of_findings(result)
+    params = new_params(base, effects)
+    silent = [effect_name(type(effect)) for effect in effects if not has_flight_parameter(type(effect))]
+    said = [
+        "Flight parameters that know what a diagnosis found; those that are not here are nominal.",
+        *(f"Effect: {effect_text(effect)}" for effect in effects),
+        *(f"They have no word for {name}." for name in silent),
+    ]
+    with atomic_write(path, "new-params") as file:
+        file.write(params_toml(nominal_params(), params, said).encode())
+
+
+def _patch_comments(result: DiagnosisResult) -> list[str]:
+    """What was found and what it was not told from, a sentence a line."""
+    names = [hypothesis.name for hypothesis in result.model.sensitivities.hypotheses]
+    lines = ["What a diagnosis found; switch it on with --effect and the name of this file."]
+    for finding in result.diagnosis.findings:
+        own = names[finding.hypothesis]
+        alike = [names[one] for one in finding.confusable if one != finding.hypothesis]
+        rest = [names[one] for one, _ in list_alternatives(finding)]
+        lines += [f"{own} is not told from {one}." for one in alike]
+        lines += [f"In the stead of {own} may stand {one}." for one in rest]
+    return lines
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosisFiles:
+    """Where they go; None for none."""
+
+    report: Path | None = None
+    patch: Path | None = None
+    new_params: Path | None = None
+
+
+def check_diagnosis_files(files: DiagnosisFiles, params: Path | None, effects: Sequence[str] = ()) -> None:
+    """Refuse, before anything is done, what could not be written or is read."""
+    read = {f"effect {text}": Path(text) for text in effects if text.endswith(".toml")}
+    check_distinct_files(
+        {
+            **read,
+            "params": params,
+            "report": files.report,
+            "patch": files.patch,
+            "new-params": files.new_params,
+        }
+    )
+    try:
+        for what, path, suffix in (
+            ("report", files.report, ".html"),
+            ("patch", files.patch, ".toml"),
+            ("new-params", files.new_params, ".toml"),
+        ):
+            if path is not None:
+                check_output(path, (suffix,), what)
+    except BadOutput as error:
+        raise BadRequest(str(error)) from error
+
+
+def save_diagnosis_files(
+    result: DiagnosisResult, request: DiagnoseRequest, files: DiagnosisFiles
+) -> tuple[str, ...]:
+    """Write them; sentences about those that have nothing to say.
+
+    Raises:
+        BadRequest: a file cannot be written.
+    """
+    savers: tuple[tuple[str, Path | None, Callable[[Path], None]], ...] = (
+        ("report", files.report, lambda path: save_diagnosis_page(result, path)),
+        ("patch", files.patch, lambda path: save_patch(result, path)),
+        ("new-params", files.new_params, lambda path: save_new_params(result, request.base, path)),
+    )
+    not_written = []
+    for what, path, save in savers:
+        if path is None:
+            continue
+        try:
+            save(path)
+        except NothingToWrite as why:
+            not_written.append(f"{what} {path}: not written: {why}")
+        except BadOutput as error:
+            raise BadRequest(str(error)) from error
+    return tuple(not_written)

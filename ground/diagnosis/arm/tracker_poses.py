@@ -1,0 +1,74 @@
+"""Where a laser tracker saw the turret, beside a log: a table of poses by tick."""
+
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from fsw.kinematics.transforms import Array, Pose
+
+POSE_COLUMNS: Final = ("tick", "rx_rad", "ry_rad", "rz_rad", "x_m", "y_m", "z_m")
+SIGMA_COLUMNS: Final = ("rx_sigma_rad", "ry_sigma_rad", "rz_sigma_rad", "x_sigma_m", "y_sigma_m", "z_sigma_m")
+
+
+class BadTracker(ValueError):
+    """A table that is none of tracker poses; the message says where and why."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackerPoses:
+    """Poses of the turret's interface in RMECH, n of them, in the order of ticks."""
+
+    tick: NDArray[np.int64]
+    X_RF: Pose
+    sigma: Array
+    """Of the screw from true to measured, in axes of the turret, rotation first, (6, n)."""
+
+
+def no_tracker_poses() -> TrackerPoses:
+    """Of a log without a tracker."""
+    return TrackerPoses(np.zeros(0, np.int64), Pose(np.zeros((3, 3, 0)), np.zeros((3, 0))), np.zeros((6, 0)))
+
+
+def write_tracker_poses(path: Path, seen: TrackerPoses) -> None:
+    """As CSV: rotation vector, position, and sigmas."""
+    turn = Rotation.from_matrix(np.moveaxis(seen.X_RF.R, -1, 0)).as_rotvec() if seen.tick.size else []
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow((*POSE_COLUMNS, *SIGMA_COLUMNS))
+        for k, tick in enumerate(seen.tick):
+            numbers = (*turn[k], *seen.X_RF.p[:, k], *seen.sigma[:, k])
+            table.writerow((int(tick), *(repr(float(number)) for number in numbers)))
+
+
+def read_tracker_poses(path: Path) -> TrackerPoses:
+    """The poses of a CSV file.
+
+    Raises:
+        BadTracker: it cannot be read, has other columns, or something in it is no number or is there twice.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            table = csv.DictReader(file)
+            rows, missing = list(table), {*POSE_COLUMNS, *SIGMA_COLUMNS} - set(table.fieldnames or ())
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise BadTracker(f"{path}: cannot be read ({error})") from error
+    if missing:
+        raise BadTracker(f"{path}: has no column {', '.join(sorted(missing))}")
+    if not rows:
+        return no_tracker_poses()
+    try:
+        numbers = np.array([[float(row[name]) for name in (*POSE_COLUMNS, *SIGMA_COLUMNS)] for row in rows]).T
+    except (TypeError, ValueError) as error:
+        raise BadTracker(f"{path}: something in it is no number ({error})") from error
+    if not np.isfinite(numbers).all() or (numbers[7:] <= 0).any():
+        raise BadTracker(f"{path}: every number must be finite, and every sigma above 0")
+    tick = numbers[0].astype(np.int64)
+    if np.any(tick != numbers[0]) or np.unique(tick).size != tick.size:
+        raise BadTracker(f"{path}: ticks must be whole numbers, each there once")
+    R = np.moveaxis(Rotation.from_rotvec(numbers[1:4].T).as_matrix(), 0, -1)
+    return TrackerPoses(tick, Pose(R, numbers[4:7]), numbers[7:])

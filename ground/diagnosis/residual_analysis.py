@@ -1,0 +1,172 @@
+"""Whether anything remains that no model explains: where, and on what it depends.
+
+With y = N v + S t + e and the model fitted, what it leaves is M y with M = I - A (A'A + P)^-1 A', of
+covariance M: then Q'M y of any directions Q is tested by a chi-square with covariance Q'M Q. The directions
+are, in every channel and in every regime of it, a constant and the conditions. Beside them stands the energy
+of the channel in that regime; and last, all directions of all channels together.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from fsw.kinematics.transforms import Array
+from ground.diagnosis.linear_fit import LinearFit, neg_log10_p, whitened_residual
+from ground.diagnosis.normal_equations import NormalEquations
+from ground.diagnosis.problem import INTERVAL_QUANTILES, FeatureLayout, Ints
+
+INTERVAL_DRAWS: Final = 400
+
+
+@dataclass(frozen=True, slots=True)
+class ResidualCell:
+    """One channel at one place in one regime."""
+
+    channel: str
+    place: str
+    regime: str
+    features: int
+    ratio: float
+    """Root mean square of the residual over its floor: 1 if there is no gap."""
+    least: float
+    most: float
+    """90 % interval of that, from a bootstrap over blocks; NaN if there is one block only."""
+
+
+def map_residual(layout: FeatureLayout, residual: Array, seed: int) -> tuple[ResidualCell, ...]:
+    """Of residuals in units of their floor (m,), largest first."""
+    rng = np.random.default_rng(seed)
+    count = len(layout.blocks)
+    weight = rng.multinomial(count, np.full(count, 1.0 / count), size=INTERVAL_DRAWS).astype(float)
+    result = []
+    of = np.stack([layout.channel, layout.place, layout.regime])
+    for channel, place, regime in np.unique(of, axis=1).T:
+        rows = np.flatnonzero(np.all(of == [[channel], [place], [regime]], axis=0))
+        n = np.bincount(layout.block[rows], minlength=count)
+        square = np.bincount(layout.block[rows], residual[rows] ** 2, minlength=count)
+        least, most = _interval(weight @ square, weight @ n) if np.count_nonzero(n) > 1 else (np.nan, np.nan)
+        result.append(ResidualCell(
+            layout.channels[channel], layout.places[place], layout.regimes[regime], rows.size,
+            float(np.sqrt(square.sum() / n.sum())), least, most,
+        ))  # fmt: skip
+    return tuple(sorted(result, key=lambda cell: -cell.ratio))
+
+
+def _interval(square: Array, n: Array) -> tuple[float, float]:
+    """Of ratios drawn."""
+    ratios = np.sqrt(square[n > 0.0] / n[n > 0.0])
+    least, most = np.quantile(ratios, INTERVAL_QUANTILES)
+    return float(least), float(most)
+
+
+MIN_DIRECTION_SHARE: Final = 1e-6
+"""Directions of less than this share of the largest are not among those tested."""
+MIN_GROUP_FEATURES: Final = 4
+"""Features a group must have."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FeatureGroup:
+    """Features in which structure is looked for."""
+
+    channel: int
+    regime: int | None
+    """None for all regimes together."""
+    rows: Ints
+    Q: Array
+    """Directions, orthonormal, (n, d)."""
+    AQ: Array
+    """A'Q, (q + K, d)."""
+
+
+@dataclass(frozen=True, slots=True)
+class LackOfFit:
+    """Structure in one group."""
+
+    neg_log10_p: float
+    """-log10 of its probability if the model is right."""
+    channel: str
+    place: str
+    regime: str
+    """"all" if in all regimes together."""
+    depends_on: str
+    """The condition that it follows most; "nothing" for an offset, "noise" for energy without direction, and
+    "several" of all groups together."""
+
+
+def group_features(equations: NormalEquations) -> tuple[FeatureGroup, ...]:
+    """Of a campaign, before data."""
+    layout = equations.layout
+    result = []
+    for channel in np.unique(layout.channel):
+        mine = layout.channel == channel
+        regimes = np.unique(layout.regime[mine])
+        for regime in [None, *(int(one) for one in regimes)] if regimes.size > 1 else [None]:
+            rows = np.flatnonzero(mine if regime is None else mine & (layout.regime == regime))
+            if rows.size >= MIN_GROUP_FEATURES:
+                U, s, _ = np.linalg.svd(_directions(layout, rows), full_matrices=False)
+                Q = U[:, s > MIN_DIRECTION_SHARE * s[0]]
+                result.append(FeatureGroup(int(channel), regime, rows, Q, equations.A[rows].T @ Q))
+    return tuple(result)
+
+
+def find_lack_of_fit(
+    equations: NormalEquations, groups: tuple[FeatureGroup, ...], fit: LinearFit, y: Array
+) -> tuple[LackOfFit, ...]:
+    """What is left in every group, and in all of them together, most surprising first."""
+    rest = whitened_residual(equations, fit, y)
+    total, freedom, found = 0.0, 0, []
+    for group in groups:
+        statistic, d = _chi_square(group, fit, rest)
+        whole = group.regime is None
+        total, freedom = total + statistic * whole, freedom + d * whole
+        energy, n = _energy(equations, group, fit, rest)
+        of_direction, of_energy = (
+            float(neg_log10_p(np.array(statistic), d)),
+            float(neg_log10_p(np.array(energy), n)),
+        )
+        found.append((max(of_direction, of_energy), of_direction >= of_energy, group))
+    together = float(neg_log10_p(np.array(total), max(freedom, 1)))
+    result = [_describe(equations.layout, group, rest, high, led) for high, led, group in found]
+    everywhere = LackOfFit(together, "all", "all", "all", "several")
+    return tuple(sorted([*result, everywhere], key=lambda one: -one.neg_log10_p))
+
+
+def _directions(layout: FeatureLayout, rows: Ints) -> Array:
+    """A constant and the conditions, each of norm 1 or 0, (n, 1 + c)."""
+    centred = layout.condition[rows] - layout.condition[rows].mean(axis=0)
+    all_of = np.column_stack([np.ones(rows.size), centred])
+    norm = np.linalg.norm(all_of, axis=0)
+    small = norm <= MIN_DIRECTION_SHARE * np.maximum(np.linalg.norm(layout.condition, axis=0), 1.0).max()
+    return np.asarray(all_of * np.where(small, 0.0, 1.0 / np.where(small, 1.0, norm)))
+
+
+def _chi_square(group: FeatureGroup, fit: LinearFit, rest: Array) -> tuple[float, int]:
+    """Statistic and degrees of freedom of the directions of one group."""
+    AQ = group.AQ[fit.active]
+    s, V = np.linalg.eigh(np.eye(group.Q.shape[1]) - AQ.T @ fit.covariance @ AQ)
+    told = s > MIN_DIRECTION_SHARE
+    along = V[:, told].T @ (group.Q.T @ rest[group.rows])
+    return float(np.sum(along**2 / s[told])), int(told.sum())
+
+
+def _energy(
+    equations: NormalEquations, group: FeatureGroup, fit: LinearFit, rest: Array
+) -> tuple[float, float]:
+    """Sum of squares in one group, and what it is expected to be."""
+    A = equations.A[np.ix_(group.rows, fit.active)]
+    expected = group.rows.size - float(np.sum((A @ fit.covariance) * A))
+    return float(np.sum(rest[group.rows] ** 2)), max(expected, 1.0)
+
+
+def _describe(layout: FeatureLayout, group: FeatureGroup, rest: Array, high: float, led: bool) -> LackOfFit:
+    """In words."""
+    along = np.abs(_directions(layout, group.rows).T @ rest[group.rows])
+    names = ("nothing", *layout.conditions)
+    places = np.bincount(layout.place[group.rows])
+    return LackOfFit(
+        high, layout.channels[group.channel], layout.places[int(np.argmax(places))],
+        "all" if group.regime is None else layout.regimes[group.regime],
+        names[int(np.argmax(along))] if led else "noise",
+    )  # fmt: skip

@@ -1,0 +1,181 @@
+"""Sums over blocks say the same as the whole covariance matrix, whatever the units and the order."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from ground.diagnosis.detectability import (
+    alias_cosines,
+    column_detection_limit,
+    detection_limits,
+    equivalence_classes,
+    noncentrality,
+)
+from ground.diagnosis.linear_fit import cross_validated_gain, cross_validation_losses, likelihood_ratio
+from ground.diagnosis.normal_equations import form_normal_equations, reduce_residuals
+from ground.diagnosis.problem import Residuals
+from ground.diagnosis.selection import CandidateSet, select_effects
+from tests.ground.diagnosis.worlds import found, world
+
+
+@pytest.fixture(scope="module")
+def small():
+    """A campaign small enough for dense matrices."""
+    return world(seed=3, m=160, effects=4, places=2, nuisances=4, blocks=5, alike=1, two=1)
+
+
+def _dense(made):
+    """Covariance of the features, in their units."""
+    layout = made.layout
+    V = np.diag(layout.sigma**2)
+    for index, nuisance in enumerate(made.nuisances):
+        n = made.nuisance[:, index] * nuisance.sigma
+        same = layout.block[:, None] == layout.block[None, :] if nuisance.random_per_block else 1.0
+        V = V + np.outer(n, n) * same
+    return V
+
+
+def _deviance(V, S, y, t):
+    return (y - S @ t) @ np.linalg.solve(V, y - S @ t)
+
+
+def test_a_fit_is_generalised_least_squares(small, rng):
+    equations, V = form_normal_equations(found(small)), _dense(small)
+    y = small.measured(rng)
+    case, _ = reduce_residuals(equations, Residuals(small.layout, y))
+    columns = equations.columns((1, 3))
+    S = small.effect[:, columns]
+    t = np.linalg.solve(S.T @ np.linalg.solve(V, S), S.T @ np.linalg.solve(V, y))
+    expected = _deviance(V, S, y, 0 * t) - _deviance(V, S, y, t)
+    assert float(likelihood_ratio(equations, case, columns)) == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_block_is_predicted_by_the_others(small, rng):
+    equations, V = form_normal_equations(found(small)), _dense(small)
+    y, block = small.measured(rng), small.layout.block
+    case, _ = reduce_residuals(equations, Residuals(small.layout, y))
+    columns = equations.columns((2,))
+    S = small.effect[:, columns]
+    whole = S.T @ np.linalg.solve(V, S)
+    for left_out, loss in enumerate(cross_validation_losses(equations, case, columns[None])[0]):
+        a, b = block != left_out, block == left_out
+        Vaa, Vba = V[np.ix_(a, a)], V[np.ix_(b, a)]
+        t = np.linalg.solve(
+            S[a].T @ np.linalg.solve(Vaa, S[a]) + 0.01 * whole, S[a].T @ np.linalg.solve(Vaa, y[a])
+        )
+        P = V[np.ix_(b, b)] - Vba @ np.linalg.solve(Vaa, Vba.T)
+        rest = [y - S @ x for x in (t, 0 * t)]
+        rest = [r[b] - Vba @ np.linalg.solve(Vaa, r[a]) for r in rest]
+        expected = rest[0] @ np.linalg.solve(P, rest[0]) - rest[1] @ np.linalg.solve(P, rest[1])
+        assert loss == pytest.approx(expected, rel=1e-5, abs=1e-7)
+
+
+def test_units_and_orders_change_nothing(small, rng):
+    y = small.measured(rng, t=np.where(small.owner == 2, 0.4, 0.0))
+    kept = found(small)
+    mix = rng.permutation(len(kept.hypotheses))
+    at = np.concatenate([np.flatnonzero(kept.owner == h) for h in mix])
+    tenfold = tuple(
+        replace(h, parameters=tuple(replace(p, typical=-10.0 * p.typical) for p in h.parameters))
+        for h in (kept.hypotheses[i] for i in mix)
+    )
+    turned = rng.permutation(len(kept.layout.blocks))
+    layout = replace(kept.layout, block=turned[kept.layout.block])
+    owner = np.sort(np.argsort(mix)[kept.owner[at]])
+    other = replace(kept, layout=layout, hypotheses=tenfold, effect=-10.0 * kept.effect[:, at], owner=owner)
+    told = []
+    for one, names in ((kept, np.arange(mix.size)), (other, mix)):
+        equations = form_normal_equations(one)
+        case, _ = reduce_residuals(equations, Residuals(one.layout, y))
+        won = select_effects(
+            CandidateSet(equations, equivalence_classes(equations), 2.0, equations.identifiable), case
+        )
+        told.append(
+            (
+                [names[h] for h in won.chosen],
+                [names[h] for h in won.ranking],
+                won.neg_log10_p,
+                won.likelihood_ratio,
+            )
+        )
+    assert told[0][:2] == told[1][:2]
+    assert told[0][2:] == pytest.approx(told[1][2:], rel=1e-6)
+
+
+def test_what_is_alike_shares_a_class_and_nothing_else_does(campaign):
+    cosine, label = alias_cosines(campaign.equations), equivalence_classes(campaign.equations)
+    same = label[:, None] == label[None, :]
+    assert label.max() + 1 == 30
+    assert np.all(cosine[~same] <= 0.99)
+    assert np.all(cosine[same] > 0.99)
+
+
+def test_what_nuisances_imitate_is_not_seen(small):
+    kept = found(small)
+    free = tuple(replace(n, sigma=np.inf, random_per_block=False) for n in kept.nuisances)
+    effect = kept.effect.copy()
+    effect[:, 0] = kept.nuisance[:, 3]
+    equations = form_normal_equations(replace(kept, nuisances=free, effect=effect))
+    assert list(np.flatnonzero(~equations.identifiable)) == [0]
+    assert detection_limits(equations)[0].limit == np.inf
+
+
+def test_the_detection_limit_is_found_in_nine_of_ten(made, campaign, rng):
+    """Power of the likelihood-ratio test at the limit, simulated: the interval of 400 cases is +-3 %."""
+    one = int(np.flatnonzero(np.bincount(made.owner) == 2)[0])
+    columns, limit = campaign.equations.columns((one,)), campaign.limits[one].limit
+    hits = 0
+    for _ in range(400):
+        y = made.measured(rng, t=np.where(made.owner == one, limit, 0.0))
+        case, _ = reduce_residuals(campaign.equations, Residuals(made.layout, y))
+        hits += float(likelihood_ratio(campaign.equations, case, columns)) > chi2.isf(0.05, 2)
+    assert 0.86 <= hits / 400 <= 0.94
+    assert noncentrality(1) == pytest.approx((1.959964 + 1.281552) ** 2, rel=1e-3)
+
+
+def test_an_effect_of_one_block_is_told_to_be_so(made):
+    kept = found(made)
+    effect = kept.effect.copy()
+    effect[kept.layout.block != 3, 0] = 0.0
+    assert detection_limits(form_normal_equations(replace(kept, effect=effect)))[0].blocks == pytest.approx(
+        1.0, abs=0.1
+    )
+
+
+def test_what_is_no_hypothesis_has_the_limit_that_it_would_have_as_one(made, campaign):
+    for one in (2, int(np.flatnonzero(np.bincount(made.owner) == 2)[0])):
+        limit = column_detection_limit(campaign.equations, found(made).effect[:, made.owner == one])
+        assert limit == pytest.approx(campaign.limits[one].limit, rel=1e-6)
+
+
+def test_blocks_have_a_say_only_where_they_foretell_each_other(small, rng, monkeypatch):
+    """Of the first effect they do not: each tells as well as all others that a nuisance is at ten sigma.
+
+    Then a loss, which there is only chance, is no veto.
+    """
+    kept = found(small)
+    lasting = next(k for k, nuisance in enumerate(kept.nuisances) if not nuisance.random_per_block)
+    effect, nuisance = kept.effect.copy(), kept.nuisance.copy()
+    nuisance[:, lasting] *= 100.0
+    effect[:, 0] = nuisance[:, lasting] * kept.nuisances[lasting].sigma
+    equations = form_normal_equations(replace(kept, effect=effect, nuisance=nuisance))
+    candidates = CandidateSet(equations, equivalence_classes(equations), 4.0, equations.identifiable)
+    ordinary = int(np.flatnonzero(equations.owner == 2)[0])
+    monkeypatch.setattr(
+        "ground.diagnosis.selection.cross_validation_losses", lambda equations, case, columns: np.ones((1, 5))
+    )
+    for column, size, has_a_say in ((0, 10.0, False), (ordinary, 10.0 / equations.scale[ordinary], True)):
+        y = small.measured(rng) + size * effect[:, column]
+        case, _ = reduce_residuals(equations, Residuals(kept.layout, y))
+        columns = np.array([column])
+        share = cross_validated_gain(equations, case, columns[None])[0] / likelihood_ratio(
+            equations, case, columns
+        )
+        assert (share > 0.5) if has_a_say else (share < 0.01)
+        assert (
+            (select_effects(candidates, case).chosen == ())
+            if has_a_say
+            else (select_effects(candidates, case).chosen == (0,))
+        )

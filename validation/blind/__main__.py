@@ -1,0 +1,121 @@
+"""Blind cases, whose truth is sealed before they are recorded: made, solved, and scored once.
+
+`python -m validation.blind make|solve|score`; `python -m validation.blind.brief` does all three in a minute.
+"""
+
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ground.cli.gap import report_bad_input
+from ground.cli.options import JsonOption, fail, print_result
+from ground.common.files import check_output
+from ground.common.pool import local_runner
+from ground.common.progress_bar import progress_bar
+from ground.diagnosis.arm.blind_case import TruthLeaked
+from validation.blind.arm_solver import ARM_SOLVER, load_campaign_sensitivities
+from validation.blind.folder import check_jobs, check_make
+from validation.blind.make import make_cases
+from validation.blind.score import score_folder
+from validation.blind.solve import solve_cases
+from validation.blind.table import save_score, score_json, score_markdown
+
+EXIT_LEAKED = 1
+
+FolderArgument = Annotated[Path, typer.Argument(help="A folder that `make` made.", metavar="FOLDER")]
+JobsOption = Annotated[int | None, typer.Option(help="Processes; all cores if not given.")]
+
+app = typer.Typer(
+    name="python -m validation.blind",
+    help="Make, solve and score cases of the diagnosis whose truth is sealed before they are recorded.\n\n"
+    "Example: python -m validation.blind make --cases 200 --seed 1 --out blind",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+@app.command()
+def make(
+    out: Annotated[Path, typer.Option(help="Folder of the cases; a new one, or one to go on with.")],
+    cases: Annotated[int, typer.Option(help="How many.")] = 200,
+    seed: Annotated[int, typer.Option(help="Of effects, sizes, arms and noise.")] = 0,
+    jobs: JobsOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Record blind cases: with no effect, one, two, or one that is in no catalogue.
+
+    The digest of the truth is in digest.txt before any case is recorded. What was stopped goes on.
+
+    Example: python -m validation.blind make --cases 200 --seed 1 --out blind
+    """
+
+    def publish(digest: str) -> None:
+        print(f"SHA-256 of the truth: {digest}", file=sys.stderr)
+
+    with report_bad_input(as_json):
+        check_make(cases, seed, out, _worker_count(jobs))
+        try:
+            with progress_bar() as progress:
+                made = make_cases(out, cases, seed, local_runner(_worker_count(jobs)), progress, publish)
+        except TruthLeaked as error:
+            fail(str(error), EXIT_LEAKED, as_json)
+    document = {
+        "digest": made.digest,
+        "cases": made.cases,
+        "recorded": made.recorded,
+        "left_out": list(made.left_out),
+    }
+    print_result(
+        document, as_json, lambda: print(f"{made.cases} cases, {made.recorded} of them recorded now")
+    )
+
+
+@app.command()
+def solve(folder: FolderArgument, jobs: JobsOption = None, as_json: JsonOption = False) -> None:
+    """Diagnose every blind case that is not solved yet; the truth is not looked at.
+
+    Example: python -m validation.blind solve blind
+    """
+
+    with report_bad_input(as_json), progress_bar() as progress:
+        check_jobs(_worker_count(jobs))
+        now, cases = solve_cases(folder, ARM_SOLVER, local_runner(_worker_count(jobs)), progress)
+    print_result(
+        {"solved": now, "cases": cases}, as_json, lambda: print(f"{cases} cases, {now} of them solved now")
+    )
+
+
+@app.command()
+def score(
+    folder: FolderArgument,
+    out: Annotated[
+        Path | None, typer.Option(help="Write the score as a page.", metavar="FILE.md|FILE.json")
+    ] = None,
+    partial: Annotated[bool, typer.Option("--partial", help="Score what is solved.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Hold what was said of blind cases against their truth, whose digest is checked first.
+
+    Example: python -m validation.blind score blind --out blind.md
+    """
+
+    with report_bad_input(as_json), progress_bar() as progress:
+        if out is not None:
+            check_output(out, (".md", ".json"), "out")
+        found = score_folder(folder, load_campaign_sensitivities, partial, progress)
+        if out is not None:
+            save_score(found, out)
+    print_result(score_json(found), as_json, lambda: print(score_markdown(found), end=""))
+
+
+def _worker_count(asked: int | None) -> int:
+    return (os.cpu_count() or 1) if asked is None else asked
+
+
+if __name__ == "__main__":
+    app()

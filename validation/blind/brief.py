@@ -1,0 +1,106 @@
+"""The blind cases in small: made, solved and scored in a minute, where `make blind` takes hours.
+
+Two sessions in place of 31, at rest alone; one kind of effects in place of all; a case without effect and
+one with an effect. They are drawn, sealed, recorded, checked, diagnosed and scored as in the campaign. It
+alone has motions, and effects that are in no catalogue.
+"""
+
+import json
+import sys
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Final
+
+from ground.common.pool import Runner, local_runner
+from ground.common.progress import Progress
+from ground.diagnosis.arm.blind_case import check_leakage
+from ground.diagnosis.arm.campaign_model import CampaignModel, load_campaign_model
+from ground.diagnosis.arm.record import record_campaign
+from ground.diagnosis.blind_case import seal
+from ground.diagnosis.sampling import DetectableEffect
+from sim.arms import arm_named
+from sim.initialisation import true_reference
+from validation.blind.arm_solver import diagnose_against, split_logs
+from validation.blind.case_features import CampaignSensitivities, CaseFeatures
+from validation.blind.classes import CLASSES_FILE, classes_json
+from validation.blind.folder import CAMPAIGN_FOLDER, CASES_FOLDER, write_json
+from validation.blind.make import all_sessions, draw_truth, record_case
+from validation.blind.score import score_folder
+from validation.blind.solve import Solver, solve_cases
+from validation.blind.table import score_json
+from validation.options import campaign_parser
+
+EXAMPLE: Final = "example: python -m validation.blind.brief --seed 3"
+SESSIONS: Final = ("poses-rolled-1", "poses-level-5")
+"""The last one is held out."""
+KINDS: Final = ("resolver-bias",)
+CASES_MADE: Final = 2
+
+
+def known(campaign: Path, run: Runner, progress: Progress) -> CampaignModel:
+    """What is known of the campaign before cases, of these kinds."""
+    return load_campaign_model(*split_logs(campaign), campaign, run, progress, KINDS)
+
+
+@cache
+def reference_of(campaign: Path) -> CampaignModel:
+    """The same, read once."""
+    return known(campaign, local_runner(1), _quiet)
+
+
+def kept(campaign: Path) -> CampaignSensitivities:
+    """Its sensitivities."""
+    found = reference_of(campaign)
+    assert found.held_out is not None
+    return CampaignSensitivities(found.model.sensitivities, found.held_out)
+
+
+def diagnosed(case: Path, campaign: Path) -> tuple[dict[str, Any], CaseFeatures]:
+    """What is said of a case, and what it is made of."""
+    return diagnose_against(case, reference_of(campaign))
+
+
+def document(folder: Path, seed: int) -> dict[str, Any]:
+    """Make, solve, score."""
+    campaign, arm = folder / CAMPAIGN_FOLDER, arm_named("nominal")
+    wanted = [one for one in all_sessions() if one.name in SESSIONS]
+    record_campaign(campaign, wanted, arm, true_reference(arm), seed, _quiet)
+    model = reference_of(campaign).model
+    limits = [one.limit for one in model.limits]
+    hypotheses, labels = model.sensitivities.hypotheses, model.label
+    write_json(campaign / CLASSES_FILE, classes_json(hypotheses, labels, limits))
+    seen = [DetectableEffect(*one) for one in zip(hypotheses, limits, map(int, labels), strict=True)]
+    truth = draw_truth(CASES_MADE, seed, seen, ())
+    digest = seal(folder, truth)
+    for case in truth.cases:
+        record_case(folder / CASES_FOLDER / case.name, case, wanted)
+        for log in sorted((folder / CASES_FOLDER / case.name).glob("*.mcap")):
+            check_leakage(log, case)
+    solve_cases(folder, Solver(known, kept, diagnosed), local_runner(1), _quiet)
+    found = score_folder(folder, kept, partial=False)
+    clear = found.found.in_set
+    return {
+        "digest": digest,
+        "kinds": [case.kind for case in truth.cases],
+        "times_limit": [effect.times_limit for case in truth.cases for effect in case.effects],
+        "in_bounds": found.false_alarm.hits == 0 and clear.hits == clear.of and found.superfluous.hits == 0,
+        **score_json(found),
+    }
+
+
+def _quiet(*_: Any) -> None:
+    """Progress that nobody sees."""
+
+
+def main() -> int:
+    """Print the score as JSON; exit status 1 if a name is wrong, or a clear effect is not named."""
+    asked = campaign_parser("blind", __doc__, EXAMPLE).parse_args()
+    with TemporaryDirectory() as folder:
+        found = document(Path(folder), asked.seed)
+    print(json.dumps(found, indent=2))
+    return 0 if found["in_bounds"] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

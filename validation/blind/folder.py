@@ -1,0 +1,160 @@
+"""What the verbs `gap blind ...` are asked, checked before anything is done."""
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field, FiniteFloat, TypeAdapter, ValidationError
+
+from ground.common.files import BadOutput, atomic_write, check_new_path
+from ground.common.requests import BadRequest, check_seed
+from ground.diagnosis.blind_case import DIGEST, read_digest
+from ground.diagnosis.diagnose import Verdict
+
+
+@dataclass(frozen=True, slots=True)
+class _PlacedEffect:
+    name: str
+    place: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Size:
+    name: str
+    is_size: Literal[True]
+    least: FiniteFloat
+    most: FiniteFloat
+
+
+@dataclass(frozen=True, slots=True)
+class _Shape:
+    is_size: Literal[False]
+
+
+@dataclass(frozen=True, slots=True)
+class _Finding(_PlacedEffect):
+    parameters: list[Annotated[_Size | _Shape, Field(discriminator="is_size")]]
+    alternatives: list[_PlacedEffect]
+
+
+@dataclass(frozen=True, slots=True)
+class _Closure:
+    share: FiniteFloat | None
+
+
+@dataclass(frozen=True, slots=True)
+class _BaselineResult:
+    """What a baseline says: an effect, a place alone, or neither."""
+
+    name: str = ""
+    place: str = ""
+    closure: FiniteFloat | None = None
+
+    def __post_init__(self) -> None:
+        if self.name and not self.place:
+            raise ValueError("an effect has a place")
+
+
+@dataclass(frozen=True, slots=True)
+class _ResultFile:
+    verdict: Verdict
+    effects: list[_Finding]
+    ranking: list[_PlacedEffect]
+    closure: _Closure | None
+    seconds: FiniteFloat
+    baselines: dict[str, _BaselineResult]
+
+
+_RESULT_ADAPTER: Final = TypeAdapter(_ResultFile)
+
+
+def parse_result(raw: bytes) -> dict[str, Any]:
+    """The whole document; ValueError, in a line, if it has not the form that a score is made of."""
+    try:
+        _RESULT_ADAPTER.validate_json(raw, strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(step) for step in first["loc"])
+        raise ValueError(f"{where}: {first['msg']}" if where else first["msg"]) from error
+    said: dict[str, Any] = json.loads(raw)
+    return said
+
+
+CAMPAIGN_FOLDER: Final = "campaign"
+CASES_FOLDER: Final = "cases"
+SOLVED_FOLDER: Final = "solved"
+PARTIAL_SUFFIX: Final = ".part"
+
+
+def case_name(number: int) -> str:
+    """Of one among cases from 0 on."""
+    return f"case-{number:03d}"
+
+
+def list_cases(folder: Path) -> tuple[Path, ...]:
+    """The cases that are recorded, in order.
+
+    Raises:
+        BadRequest: this is no folder of blind cases, or none is recorded.
+    """
+    read_digest(folder)
+    found = tuple(sorted(path for path in (folder / CASES_FOLDER).glob("case-*") if path.is_dir()))
+    if not found:
+        raise BadRequest(
+            f"{folder}: no case is recorded yet; `python -m validation.blind make` goes on where it was"
+        )
+    return found
+
+
+def result_path(case: Path) -> Path:
+    """Where what was said of a case is kept."""
+    return case.parent.parent / SOLVED_FOLDER / f"{case.name}.json"
+
+
+def load_results(folder: Path) -> dict[str, dict[str, Any]]:
+    """What was said of every case that is solved, by its name; BadRequest if one cannot be read."""
+    found = {}
+    for path in sorted((folder / SOLVED_FOLDER).glob("case-*[0-9].json")):
+        try:
+            found[path.stem] = parse_result(path.read_bytes())
+        except (OSError, ValueError) as error:
+            raise BadRequest(f"{path}: is no solved case ({error}); remove it and solve again") from error
+    return found
+
+
+def write_json(path: Path, document: Mapping[str, Any] | list[Any]) -> None:
+    """A document, whole or not at all; BadOutput if it cannot be written."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise BadOutput(f"out {path}: cannot be written ({error.strerror or error})") from error
+    with atomic_write(path, "out") as file:
+        file.write((json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
+
+
+MAX_CASES = 1000
+
+
+def check_make(cases: int, seed: int, out: Path, jobs: int) -> None:
+    """BadRequest or BadOutput if there cannot be such cases there; nothing is written."""
+    if not 1 <= cases <= MAX_CASES:
+        raise BadRequest(f"cases: {cases} is not within 1 .. {MAX_CASES}")
+    check_seed(seed)
+    check_jobs(jobs)
+    check_new_path(out, "out")
+    if not os.path.exists(out):
+        return
+    if not os.path.isdir(out):
+        raise BadRequest(f"out {out}: this is a file; name a new folder, or one of blind cases")
+    there = set(os.listdir(out))
+    if there and not there & {DIGEST, CAMPAIGN_FOLDER, CAMPAIGN_FOLDER + PARTIAL_SUFFIX}:
+        raise BadRequest(f"out {out}: holds something else; name a new folder, or one of blind cases")
+
+
+def check_jobs(jobs: int) -> None:
+    """BadRequest unless there is a process to work in."""
+    if jobs < 1:
+        raise BadRequest(f"jobs: {jobs} is not 1 or more")

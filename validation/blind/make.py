@@ -1,0 +1,206 @@
+"""Makes blind cases of our arm: the solver's campaign, the sealed truth, then the logs of every case."""
+
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from fsw.kinematics.transforms import Array
+from ground.common.pool import Runner
+from ground.common.progress import Progress
+from ground.common.requests import BadRequest
+from ground.diagnosis.arm.blind_case import blind_reference, check_leakage, sample_background
+from ground.diagnosis.arm.record import record_campaign
+from ground.diagnosis.arm.simulator import list_candidates, make_effect, to_hypothesis
+from ground.diagnosis.blind_case import (
+    PlannedCase,
+    SealedTruth,
+    TrueCase,
+    TrueEffect,
+    load_existing_truth,
+    plan_cases,
+    seal,
+)
+from ground.diagnosis.sampling import DetectableEffect, SampledEffect
+from sim.arms import arm_named, effects_of_run
+from sim.diagnosis_campaign import DiagnosisSession, SessionFailed, campaign_sessions
+from sim.effects.effect import Effect
+from sim.initialisation import true_reference
+from sim.plant import PlantDiverged
+from sim.scenario.effects import effect_text
+from validation.blind.arm_solver import load_model, split_logs
+from validation.blind.classes import CLASSES_FILE, classes_json
+from validation.blind.folder import CAMPAIGN_FOLDER, CASES_FOLDER, PARTIAL_SUFFIX, case_name, write_json
+from validation.blind.out_of_catalogue import (
+    list_uncatalogued,
+    resolve_effect,
+    sample_uncatalogued,
+    uncatalogued_limits,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class MadeCases:
+    """What there is now."""
+
+    digest: str
+    cases: int
+    recorded: int
+    """Of them, by this call."""
+    left_out: tuple[str, ...]
+    """Sessions of all cases whose motion did not come to its end: there is no log of them."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Job:
+    folder: Path
+    case: TrueCase
+
+
+def make_cases(
+    folder: Path,
+    cases: int,
+    seed: int,
+    run: Runner,
+    progress: Progress,
+    publish: Callable[[str], None] = lambda _: None,
+) -> MadeCases:
+    """So many cases from a seed; what is there already stays. `publish` is told the digest before any case.
+
+    Raises:
+        BadRequest: the folder holds cases of another seed or number, or cannot be written.
+        TellsTruth: a log would give its truth away; it is not there.
+        BadOutput: a file cannot be written.
+    """
+    try:
+        return _make_cases(folder, cases, seed, run, progress, publish)
+    except OSError as error:
+        raise BadRequest(f"out {folder}: cannot be written ({error.strerror or error})") from error
+
+
+def _make_cases(
+    folder: Path, cases: int, seed: int, run: Runner, progress: Progress, publish: Callable[[str], None]
+) -> MadeCases:
+    folder.mkdir(exist_ok=True)
+    truth = load_existing_truth(folder, salt(seed), cases)
+    if truth is None:
+        _record_campaign(folder, seed, progress)
+        truth = draw_truth(cases, seed, *_list_detectable(folder / CAMPAIGN_FOLDER, seed, run, progress))
+        seal(folder, truth)
+    publish(truth.digest())
+    jobs = [_Job(folder, case) for case in truth.cases if not (folder / CASES_FOLDER / case.name).exists()]
+    for done, name in enumerate(run(_record_job, jobs), 1):
+        progress(done, len(jobs), name)
+    return MadeCases(truth.digest(), cases, len(jobs), tuple(left_out(folder, truth, all_sessions())))
+
+
+def left_out(folder: Path, truth: SealedTruth, wanted: Sequence[DiagnosisSession]) -> Iterator[str]:
+    """Sessions of which there is no log."""
+    for case in truth.cases:
+        for session in wanted:
+            if not (folder / CASES_FOLDER / case.name / f"{session.name}.mcap").exists():
+                yield f"{case.name}/{session.name}"
+
+
+def draw_truth(
+    cases: int, seed: int, catalogue: Sequence[DetectableEffect], outside: Sequence[DetectableEffect]
+) -> SealedTruth:
+    """The same for the same seed, and for a campaign that sees the same."""
+    plan = plan_cases(cases, catalogue, outside, np.random.default_rng([seed, 8]))
+    return SealedTruth(salt(seed), tuple(_true_case(number, case, seed) for number, case in enumerate(plan)))
+
+
+def salt(seed: int) -> str:
+    """Of a seed; it does not tell which."""
+    return np.random.default_rng([seed, 9]).bytes(16).hex()
+
+
+def _record_campaign(folder: Path, seed: int, progress: Progress) -> None:
+    """The nominal arm's logs: what the solver knows of the campaign before there are cases."""
+    if not (folder / CAMPAIGN_FOLDER).exists():
+        part = folder / (CAMPAIGN_FOLDER + PARTIAL_SUFFIX)
+        shutil.rmtree(part, ignore_errors=True)
+        arm = arm_named("nominal")
+        number = int(np.random.default_rng([seed, 7]).integers(2**31))
+        record_campaign(part, all_sessions(), arm, true_reference(arm), number, progress)
+        part.rename(folder / CAMPAIGN_FOLDER)
+
+
+def _list_detectable(
+    campaign: Path, seed: int, run: Runner, progress: Progress
+) -> tuple[list[DetectableEffect], list[DetectableEffect]]:
+    """Every hypothesis and every effect outside, with limits by the motions that are not held out."""
+    model = load_model(campaign, run, progress).model
+    found = [one.limit for one in model.limits]
+    write_json(campaign / CLASSES_FILE, classes_json(model.sensitivities.hypotheses, model.label, found))
+    seen = zip(model.sensitivities.hypotheses, found, model.label, strict=True)
+    wanted = sample_uncatalogued(np.random.default_rng([seed, 11]))
+    outside = uncatalogued_limits(split_logs(campaign)[0], model.equations, campaign, wanted, run, progress)
+    return [DetectableEffect(one, limit, int(number)) for one, limit, number in seen], outside
+
+
+def _true_case(number: int, plan: PlannedCase, seed: int) -> TrueCase:
+    rng = np.random.default_rng([seed, 10, number])
+    specs = tuple(effect_text(effect) for effect in sample_background(rng))
+    effects = tuple(_true_effect(one, plan.kind == "outside") for one in plan.effects)
+    return TrueCase(case_name(number), plan.kind, effects, specs, int(rng.integers(10**9, 2**31)))
+
+
+def _true_effect(one: SampledEffect, outside: bool) -> TrueEffect:
+    hypothesis = one.source.hypothesis
+    name = hypothesis.effect, hypothesis.place
+    spec = list_uncatalogued()[name].spec(one.values) if outside else _spec(name, one.values)
+    values = {p.name: float(v) for p, v in zip(hypothesis.parameters, one.values, strict=True)}
+    return TrueEffect(*name, values, one.times_limit, spec)
+
+
+def _spec(name: tuple[str, str], values: Array) -> str:
+    made = next(
+        one for one in list_candidates(None) if (to_hypothesis(one).effect, to_hypothesis(one).place) == name
+    )
+    return effect_text(make_effect(made, to_hypothesis(made), values))
+
+
+def _record_job(job: _Job) -> str:
+    """One case, all of it or nothing; its name."""
+    place = job.folder / CASES_FOLDER / job.case.name
+    part = place.with_name(f".{place.name}{PARTIAL_SUFFIX}")
+    shutil.rmtree(part, ignore_errors=True)
+    try:
+        record_case(part, job.case, all_sessions())
+        for log in sorted(part.glob("*.mcap")):
+            check_leakage(log, job.case)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+    part.rename(place)
+    return job.case.name
+
+
+def record_case(folder: Path, case: TrueCase, wanted: Sequence[DiagnosisSession]) -> None:
+    """Logs of some sessions; one whose motion does not come to its end has none."""
+    effects = true_effects(case)
+    nominal = arm_named("nominal")
+    arm = nominal.with_effects(effects)
+    begun = effects_of_run(effects)
+    reference = blind_reference(arm)
+    seeds = np.random.default_rng(case.seed).integers(2**31, size=len(wanted))
+    for session, seed in zip(wanted, seeds, strict=True):
+        try:
+            record_campaign(folder, [session], arm, reference, int(seed), lambda *_: None, begun)
+        except (SessionFailed, PlantDiverged):
+            (folder / f"{session.name}.mcap").unlink(missing_ok=True)
+
+
+def true_effects(case: TrueCase) -> tuple[Effect, ...]:
+    """All that its plant is made of."""
+    return tuple(resolve_effect(spec) for spec in (*case.background, *(one.spec for one in case.effects)))
+
+
+@cache
+def all_sessions() -> tuple[DiagnosisSession, ...]:
+    """Of the campaign, once in each process."""
+    return campaign_sessions(arm_named("nominal").params)
