@@ -1,0 +1,202 @@
+"""Check what ruff does not know: retired names and phrases, openings of docstrings, shapes and units, sizes.
+
+`python .ci/style.py [FOLDER ..]` prints a line for each problem, and fails if there is any.
+"""
+
+import ast
+import re
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+ROOT: Final = Path(__file__).resolve().parents[1]
+PACKAGES: Final = ("fsw", "sim", "ground", "marsarm", "validation")
+NUMERIC: Final = ("fsw/kinematics", "fsw/estimate", "ground/calibration", "ground/diagnosis")
+"""Folders whose public functions say shapes and units."""
+ARRAYS: Final = re.compile(r"\b(Array|Flags|Integers|Indices|NDArray|Pose)\b")
+SHAPE: Final = re.compile(r"\((?:\d+|[a-z]\w*|\.\.\.)(?:, ?(?:\d+|[a-z]\w*|\.\.\.))*,?\)")
+UNITS: Final = "rad|deg|m|mm|N|Nm|kg|s|A|C|K|Hz|urad|s2|share|ratio|factor"
+NAME_UNIT: Final = re.compile(rf"_(?:{UNITS})(?:_|$)")
+TEXT_UNIT: Final = re.compile(
+    r"\b(rad|radians?|deg|degrees|m|metres?|mm|N|newtons?|N m|kg|s|seconds|A|unitless|unit vectors?|rotations?"
+    r"|units?|counts?|indices|index|flags?|whitened|true|whether|angles?)\b"
+)
+OPENINGS: Final = ("What", "Of", "Where", "Whether", "How", "Who")
+MAX_FILE: Final = 400
+MAX_FUNCTION: Final = 60
+MAX_MODULES: Final = 330
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def main(folders: list[str]) -> int:
+    """Check the files below these folders, or the whole project."""
+    chosen = tuple(folders) or ("",)
+    retired = tomllib.loads((ROOT / ".ci" / "retired.toml").read_text(encoding="utf-8"))
+    problems: list[str] = []
+    modules = sorted(path for name in (*PACKAGES, "tests") for path in (ROOT / name).rglob("*.py"))
+    for path in modules:
+        place = path.relative_to(ROOT).as_posix()
+        if place.startswith(chosen):
+            problems += [f"{place}:{line}: {text}" for line, text in check_module(place, path, retired)]
+    for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))):
+        place = path.relative_to(ROOT).as_posix()
+        if place.startswith(chosen):
+            problems += [f"{place}:{line}: {text}" for line, text in check_page(path, retired)]
+    counted = [
+        path
+        for path in modules
+        if path.name != "__init__.py"
+        and path.relative_to(ROOT).parts[0] in ("fsw", "sim", "ground", "validation")
+    ]
+    if len(counted) > MAX_MODULES:
+        problems.append(f"{len(counted)} modules, {MAX_MODULES} at most")
+    print("\n".join(problems) or f"style: {len(modules)} modules in order")
+    return 1 if problems else 0
+
+
+def check_module(place: str, path: Path, retired: dict[str, dict[str, str]]) -> Iterator[tuple[int, str]]:
+    """Check one module.
+
+    Yields:
+        The line and the sentence of each problem.
+    """
+    text = path.read_text(encoding="utf-8")
+    tree = ast.parse(text)
+    is_test = place.startswith("tests/")
+    if not is_test and text.count("\n") > MAX_FILE:
+        yield 1, f"{text.count(chr(10))} lines, {MAX_FILE} at most"
+    for line, name in identifiers(tree, place):
+        for pattern, instead in retired["names"].items():
+            if re.fullmatch(pattern, name) and not allowed(retired, pattern, place):
+                yield line, f"{name} is a retired name; {instead}"
+    for line, sentence in prose(tree):
+        for phrase, instead in retired["phrases"].items():
+            if re.search(phrase, sentence):
+                yield line, f"{phrase!r} is a retired phrase; {instead}"
+    if is_test:
+        return
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | Function):
+            yield from check_opening(node)
+        if isinstance(node, Function):
+            length = (node.end_lineno or node.lineno) - node.lineno + 1
+            if length - docstring_lines(node) > MAX_FUNCTION:
+                yield node.lineno, f"{node.name} has {length} lines, {MAX_FUNCTION} at most"
+    if place.startswith(NUMERIC):
+        for node in tree.body:
+            if isinstance(node, Function) and not node.name.startswith("_"):
+                yield from check_arguments(node)
+
+
+def check_page(path: Path, retired: dict[str, dict[str, str]]) -> Iterator[tuple[int, str]]:
+    """Check the prose of a page for retired phrases.
+
+    Yields:
+        The line and the sentence of each problem.
+    """
+    for line, text in enumerate(path.read_text(encoding="utf-8").splitlines(), 1):
+        for phrase, instead in retired["phrases"].items():
+            if path.name != "glossary.md" and re.search(phrase, text):
+                yield line, f"{phrase!r} is a retired phrase; {instead}"
+
+
+def check_opening(node: ast.Module | ast.ClassDef | Function) -> Iterator[tuple[int, str]]:
+    """Check that a docstring does not open with a question word.
+
+    Yields:
+        The line and the sentence of the problem.
+    """
+    text = ast.get_docstring(node) or ""
+    first = re.split(r"[\s,;:]", text, maxsplit=1)[0]
+    if first in OPENINGS:
+        yield (
+            getattr(node, "lineno", 1),
+            f"the docstring opens with {first!r}; name the subject or begin with a verb",
+        )
+
+
+def check_arguments(node: Function) -> Iterator[tuple[int, str]]:
+    """Check that a function of arrays names every argument, with shapes and units, and what it returns.
+
+    Yields:
+        The line and the sentence of each problem.
+    """
+    arguments = [a for a in (*node.args.args, *node.args.kwonlyargs) if a.arg not in ("self", "cls")]
+    kinds = {a.arg: ast.unparse(a.annotation) if a.annotation else "" for a in arguments}
+    returned = ast.unparse(node.returns) if node.returns else "None"
+    if not any(ARRAYS.search(kind) for kind in (*kinds.values(), returned)):
+        return
+    text = ast.get_docstring(node) or ""
+    said = sections(text)
+    for name, kind in kinds.items():
+        entry = said["Args"].get(name)
+        if entry is None:
+            yield node.lineno, f"{node.name}: Args does not name {name}"
+        elif ARRAYS.search(kind) and "Pose" not in kind:
+            if not SHAPE.search(entry):
+                yield node.lineno, f"{node.name}: Args gives no shape of {name}"
+            if not NAME_UNIT.search(name) and not TEXT_UNIT.search(entry):
+                yield node.lineno, f"{node.name}: Args gives no unit of {name}"
+    if returned != "None" and not said["Returns"] and not said["Yields"]:
+        yield node.lineno, f"{node.name}: the docstring has no Returns"
+
+
+def sections(text: str) -> dict[str, dict[str, str]]:
+    """Split a Google docstring: by section, then by the name before the colon."""
+    found: dict[str, dict[str, str]] = {"Args": {}, "Returns": {}, "Yields": {}}
+    section, name = "", ""
+    for line in text.splitlines():
+        head = re.fullmatch(r"(Args|Returns|Yields|Raises):", line.strip())
+        if head and not line.startswith(" "):
+            section, name = head[1], ""
+        elif section in found and line.strip():
+            item = re.match(r"    (\w+): ?(.*)", line)
+            if item and section == "Args":
+                name = item[1]
+                found[section][name] = item[2]
+            else:
+                found[section][name] = f"{found[section].get(name, '')} {line.strip()}"
+    return found
+
+
+def identifiers(tree: ast.Module, place: str) -> Iterator[tuple[int, str]]:
+    """List the names that a module defines, its own name, and its keys of JSON documents."""
+    yield 1, f"module:{Path(place).stem}"
+    for node in ast.walk(tree):
+        if isinstance(node, Function | ast.ClassDef):
+            yield node.lineno, node.name
+        elif isinstance(node, ast.arg):
+            yield node.lineno, node.arg
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.id
+        elif isinstance(node, ast.Dict):
+            for key in node.keys:
+                if isinstance(key, ast.Constant) and isinstance(key.value, str):
+                    yield key.lineno, f"key:{key.value}"
+
+
+def prose(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """List the lines of all strings with a space in them: docstrings, errors, help."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value:
+            for k, line in enumerate(node.value.splitlines()):
+                yield node.lineno + k, line
+
+
+def docstring_lines(node: Function) -> int:
+    """Count the lines of a docstring."""
+    first = node.body[0]
+    if ast.get_docstring(node) is None or not isinstance(first, ast.Expr):
+        return 0
+    return (first.end_lineno or first.lineno) - first.lineno + 1
+
+
+def allowed(retired: dict[str, dict[str, str]], pattern: str, place: str) -> bool:
+    """Check whether a name is right in this file."""
+    return bool(re.match(retired.get("allowed", {}).get(pattern, r"(?!)"), place))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
