@@ -13,6 +13,7 @@ from typing import Final
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 PACKAGES: Final = ("fsw", "sim", "ground", "marsarm", "validation")
+COUNTED: Final = ("fsw", "sim", "ground", "validation")
 NUMERIC: Final = ("fsw/kinematics", "fsw/estimate", "ground/calibration", "ground/diagnosis")
 """Folders whose public functions say shapes and units."""
 ARRAYS: Final = re.compile(r"\b(Array|Flags|Integers|Indices|NDArray|Pose)\b")
@@ -20,8 +21,8 @@ SHAPE: Final = re.compile(r"\((?:\d+|[a-z]\w*|\.\.\.)(?:, ?(?:\d+|[a-z]\w*|\.\.\
 UNITS: Final = "rad|deg|m|mm|N|Nm|kg|s|A|C|K|Hz|urad|s2|share|ratio|factor"
 NAME_UNIT: Final = re.compile(rf"_(?:{UNITS})(?:_|$)")
 TEXT_UNIT: Final = re.compile(
-    r"\b(rad|radians?|deg|degrees|m|metres?|mm|N|newtons?|N m|kg|s|seconds|A|unitless|unit vectors?|rotations?"
-    r"|units?|counts?|indices|index|flags?|whitened|true|whether|angles?)\b"
+    r"\b(rad|radians?|deg|degrees|m|metres?|mm|N|newtons?|N m|kg|s|seconds|A|unitless|unit vectors?"
+    r"|rotations?|units?|counts?|indices|index|flags?|whitened|true|whether|angles?)\b"
 )
 OPENINGS: Final = ("What", "Of", "Where", "Whether", "How", "Who")
 MAX_FILE: Final = 400
@@ -45,10 +46,7 @@ def main(folders: list[str]) -> int:
         if place.startswith(chosen):
             problems += [f"{place}:{line}: {text}" for line, text in check_page(path, retired)]
     counted = [
-        path
-        for path in modules
-        if path.name != "__init__.py"
-        and path.relative_to(ROOT).parts[0] in ("fsw", "sim", "ground", "validation")
+        path for path in modules if path.name != "__init__.py" and path.relative_to(ROOT).parts[0] in COUNTED
     ]
     if len(counted) > MAX_MODULES:
         problems.append(f"{len(counted)} modules, {MAX_MODULES} at most")
@@ -113,7 +111,7 @@ def check_opening(node: ast.Module | ast.ClassDef | Function) -> Iterator[tuple[
     if first in OPENINGS:
         yield (
             getattr(node, "lineno", 1),
-            f"the docstring opens with {first!r}; name the subject or begin with a verb",
+            f"the docstring opens with {first!r}; begin with a verb or a noun",
         )
 
 
