@@ -1,4 +1,8 @@
-"""The arm as arrays: what follows from the parameters once, so that no cycle computes it again."""
+"""The arm as constant arrays, and the orthogonal arm: quantities that the parameters determine once.
+
+The orthogonal arm has the lengths of this arm, and axes that are parallel or at right angles. The closed form
+of the inverse kinematics solves it.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -9,18 +13,24 @@ from fsw.dictionary.params import Params, PointMass, Transform6
 from fsw.kinematics.transforms import Array, Pose, rotation_x, rotation_y, rotation_z, screw_exp, stack_poses
 
 ROUNDING: Final = 1e-12
+"""Relative rounding error of a length or a cosine."""
 MIN_SKEW: Final = 1e-4
 MAX_SKEW: Final = 0.02
-"""A tool with less offset [m] and lean [cosine] is taken for radial, and aiming off does the rest: for a
-square arm, the closed form would lose digits; for another, it is only the place to start from."""
+"""Below this offset [m] and inclination [cosine], the closed form treats a tool as radial.
+
+The fixed-point iteration corrects the difference. MIN_SKEW holds for an orthogonal arm, whose closed form
+would lose digits. MAX_SKEW holds for any other arm, where the closed form only gives a start.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OrthogonalArm:
-    """The lengths of the square arm with one tool, as the closed form sees them."""
+    """Lengths of the orthogonal arm with one tool, as the closed form uses them."""
 
     X_R1: Pose
+    """Frame Arm1 in the rover frame."""
     theta_rad: Array
+    """Constant turn of each joint, (5,)."""
     out_m: float
     down_m: float
     upper_m: float
@@ -28,20 +38,30 @@ class OrthogonalArm:
     wrist_m: float
     lateral_m: float
     along_m: float
-    """Turret axis: wrist centre to the foot of the tool's offset."""
+    """Distance along the turret axis from the wrist centre to the foot of the tool's offset."""
     radius_m: float
-    """Tool point along the boresight from that foot."""
+    """Distance along the boresight from that foot to the tool point."""
     offset_m: float
-    """Distance at which the boresight passes the turret axis; 0 for a radial tool."""
+    """Distance between the boresight and the turret axis; 0 for a radial tool."""
     boresight_z: float
-    """Cosine of boresight and turret axis; 0 for a radial tool."""
+    """Cosine of the angle between boresight and turret axis; 0 for a radial tool."""
     clock_rad: float
+    """Angle of the boresight about the turret axis."""
     is_exact: bool
-    """Whether this is the arm itself: its axes are square, and the tool is radial or taken as it is."""
+    """True if the arm itself is orthogonal and the tool was not approximated as radial."""
 
 
 def build_orthogonal_arm(theta_rad: Array, X_LF: Pose, X_FT: Pose) -> OrthogonalArm:
-    """The shape of links that turn by theta (6,) and end in X_LF (batch 6), with a tool in frame Arm6."""
+    """Build the orthogonal arm nearest to a chain with one tool.
+
+    Args:
+        theta_rad: Constant turn of each link, shape (6,).
+        X_LF: Frame at the end of each link in the link frame, batch (6,).
+        X_FT: Tool frame in frame Arm6.
+
+    Returns:
+        Lengths of the orthogonal arm.
+    """
     p = X_LF.p
     (bx, by, bz), (px, py, pz) = X_FT.R[:, 0], X_FT.p
     flat = bx * bx + by * by
@@ -49,8 +69,8 @@ def build_orthogonal_arm(theta_rad: Array, X_LF: Pose, X_FT: Pose) -> Orthogonal
     turn = rotation_z(theta_rad[0])
     offset = (py * bx - px * by) / flat
     skew = max(abs(offset), abs(bz))
-    is_square = _is_orthogonal(X_LF)
-    nearly_radial = MIN_SKEW if is_square else MAX_SKEW
+    is_orthogonal = _is_orthogonal(X_LF)
+    nearly_radial = MIN_SKEW if is_orthogonal else MAX_SKEW
     least = nearly_radial if skew < nearly_radial else ROUNDING
     offset, bz = (0.0 if abs(value) < least else value for value in (offset, bz))
     return OrthogonalArm(
@@ -67,12 +87,12 @@ def build_orthogonal_arm(theta_rad: Array, X_LF: Pose, X_FT: Pose) -> Orthogonal
         offset_m=offset,
         boresight_z=bz,
         clock_rad=float(np.arctan2(by, bx)),
-        is_exact=is_square and not ROUNDING < skew < nearly_radial,
+        is_exact=is_orthogonal and not ROUNDING < skew < nearly_radial,
     )
 
 
 def _is_orthogonal(X_LF: Pose) -> bool:
-    """Parallel and right-angled axes, no offsets beyond those of Shape."""
+    """Check for parallel and right-angled axes and for offsets that OrthogonalArm lacks."""
     quarter = [np.pi / 2, 0.0, 0.0, -np.pi / 2, 0.0]
     turns = np.stack([rotation_x(np.array(angle)) for angle in quarter], -1)
     offsets = [*X_LF.p[1, 2:], *X_LF.p[0, 5:]]
@@ -83,46 +103,51 @@ def _is_orthogonal(X_LF: Pose) -> bool:
 class Arm:
     """Constant arrays of the chain; links from the rover outward (6), joints (5), tools (5).
 
-    A link turns by theta plus its joint angle about the z axis of the frame before it, carries its near lump,
-    yields at its spring C, and carries its far lump and the next frame F beyond the spring.
+    A link turns by theta plus its joint angle about the z axis of the frame before it. It carries its near
+    mass, deflects at its spring C, and carries its far mass and the next frame F beyond the spring.
     """
 
     theta_rad: Array
-    """Constant turn of each link about its start frame's z, (6,)."""
+    """Constant turn of each link about the z axis of its start frame, (6,)."""
     p_LC_m: Array
-    """Spring position in the link frame, (3, 6)."""
+    """Position of the spring in the link frame, (3, 6)."""
     RP_CF: Array
-    """Next frame as seen from the unloaded spring, rotation and position side by side, (3, 4, 6)."""
+    """Next frame in the frame of the unloaded spring, rotation and position side by side, (3, 4, 6)."""
     compliance: Array
-    """(6, 6, 6): (moment, force) to (rotation, translation), links last."""
+    """Compliance from (moment, force) to (rotation, translation), links last, (6, 6, 6)."""
     near_kg: Array
+    """Mass before the spring of each link, (6,)."""
     far_kg: Array
+    """Mass beyond the spring of each link, (6,)."""
     carried_kg: Array
-    """Mass of each link and all links beyond."""
+    """Mass of each link and of all links beyond it, (6,)."""
     near_p_L_m: Array
-    """Near lumps in the link frame, (3, 6)."""
+    """Near point masses in the link frame, (3, 6)."""
     far_p_C_m: Array
-    """Far lumps as seen from the spring, (3, 6)."""
+    """Far point masses relative to the spring, (3, 6)."""
     X_FT: tuple[Pose, ...]
-    """Tool frames in Arm6, in the order of Tool."""
+    """Tool frames in frame Arm6, in the order of Tool."""
     expansion_F: Array
     """Thermal screw of each link per kelvin, at its end and in its end frame, (6, 6), links last."""
     expansion_T: Array
-    """Likewise of each tool, (6, 5)."""
+    """Thermal screw of each tool per kelvin, in its own frame, (6, 5)."""
     gear_stiffness_Nm_rad: Array
+    """Stiffness between motor and output, (5,)."""
     soft_min_rad: Array
+    """Lowest output angles, (5,)."""
     soft_max_rad: Array
+    """Highest output angles, (5,)."""
     orthogonal: tuple[OrthogonalArm, ...]
-    """The nearest square arm with each tool, for the closed form of the inverse kinematics."""
+    """Nearest orthogonal arm with each tool, in the order of Tool."""
 
     @property
     def X_CF(self) -> Pose:
-        """The same as poses, batch (6,)."""
+        """Next frames in the frames of the unloaded springs, batch (6,)."""
         return Pose(self.RP_CF[:, :3], self.RP_CF[:, 3])
 
 
 def build_arm(params: Params) -> Arm:
-    """The arrays of this arm at calibration temperature."""
+    """Build the arm of these parameters at the calibration temperature."""
     links, joints, tools = params.links.in_order(), params.joints.in_order(), params.tools.in_order()
     theta = np.array([link.transform.theta_rad for link in links])
     centre = np.array([link.elastic_centre_m for link in links]).T
@@ -150,7 +175,15 @@ def build_arm(params: Params) -> Arm:
 
 
 def heat_arm(arm: Arm, warming_K: float) -> Arm:
-    """The arm this much warmer than at calibration: paper equation 6, as finite transforms."""
+    """Build the arm at another temperature: equation 6 of the paper, with finite transforms.
+
+    Args:
+        arm: Arm at the calibration temperature.
+        warming_K: Temperature above that of the calibration.
+
+    Returns:
+        The warmer arm.
+    """
     X_CF = arm.X_CF @ screw_exp(arm.expansion_F * warming_K)
     tools = stack_poses(arm.X_FT) @ screw_exp(arm.expansion_T * warming_K)
     X_FT = tuple(tools[k] for k in range(len(arm.X_FT)))
@@ -164,7 +197,14 @@ def heat_arm(arm: Arm, warming_K: float) -> Arm:
 
 
 def transform6_to_pose(t: Transform6) -> Pose:
-    """The general link transform, paper equation 1."""
+    """Compute the pose of a general link transform, equation 1 of the paper.
+
+    Args:
+        t: The six parameters.
+
+    Returns:
+        The pose.
+    """
     R_theta, R_beta, R_alpha = (
         rotation_z(np.array(t.theta_rad)),
         rotation_y(np.array(t.beta_rad)),
@@ -175,7 +215,14 @@ def transform6_to_pose(t: Transform6) -> Pose:
 
 
 def pose_to_transform6(X: Pose) -> Transform6:
-    """The six parameters of a pose whose x axis is not along the start frame's z."""
+    """Compute the six parameters of a pose, the inverse of equation 1 of the paper.
+
+    Args:
+        X: Pose whose x axis is not parallel to the z axis of the start frame.
+
+    Returns:
+        The six parameters.
+    """
     R = X.R
     theta, beta, alpha = (
         np.arctan2(R[1, 0], R[0, 0]),
@@ -187,9 +234,11 @@ def pose_to_transform6(X: Pose) -> Transform6:
     return Transform6(*(float(v) for v in (theta, z + a * np.sin(beta), beta, y, alpha, a)))
 
 
-def _positions(lumps: list[PointMass]) -> Array:
-    return np.array([lump.com_m for lump in lumps]).T
+def _positions(masses: list[PointMass]) -> Array:
+    """Collect the positions of point masses, (3, n)."""
+    return np.array([mass.com_m for mass in masses]).T
 
 
 def _side_by_side(X: Pose) -> Array:
+    """Join rotation and position, (3, 4, ...)."""
     return np.concatenate([X.R, X.p[:, None]], axis=1)

@@ -1,4 +1,4 @@
-"""Records of arrays with the targets on their last axis: some of the targets, several records, more slots."""
+"""Records of arrays with the targets on their last axis: select, concatenate, replace and pad."""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -11,17 +11,39 @@ Record = TypeVar("Record")
 
 
 def record_arrays(record: Any) -> tuple[NDArray[Any], ...]:
-    """The arrays of a record."""
+    """Return the arrays of a record.
+
+    Args:
+        record: Data class of arrays.
+
+    Returns:
+        Its arrays, in the order of the fields.
+    """
     return tuple(getattr(record, field.name) for field in fields(record))
 
 
 def select_targets(record: Record, where: Any) -> Record:
-    """A record of arrays (..., n) at some of the targets."""
+    """Select some targets of a record.
+
+    Args:
+        record: Data class of arrays, shape (..., n).
+        where: Index of the last axis.
+
+    Returns:
+        The record at these targets.
+    """
     return type(record)(*(values[..., where] for values in record_arrays(record)))
 
 
 def concatenate_records(parts: Sequence[Record]) -> Record:
-    """Records of arrays (..., n), one after the other."""
+    """Concatenate records along the last axis.
+
+    Args:
+        parts: Data classes of arrays, shape (..., n); at least one.
+
+    Returns:
+        One record with the targets of all parts in order.
+    """
     if len(parts) == 1:
         return parts[0]
     columns = zip(*(record_arrays(part) for part in parts), strict=True)
@@ -29,7 +51,16 @@ def concatenate_records(parts: Sequence[Record]) -> Record:
 
 
 def replace_targets(record: Record, where: NDArray[np.intp], others: Record) -> Record:
-    """A record of arrays (..., n), with others (..., k) in the place of the targets `where`."""
+    """Replace some targets of a record.
+
+    Args:
+        record: Data class of arrays, shape (..., n).
+        where: Target indices to replace, shape (k,).
+        others: Record of the new values, shape (..., k).
+
+    Returns:
+        A copy of the record with the new values.
+    """
     columns = [values.copy() for values in record_arrays(record)]
     for values, new in zip(columns, record_arrays(others), strict=True):
         values[..., where] = new
@@ -37,7 +68,16 @@ def replace_targets(record: Record, where: NDArray[np.intp], others: Record) -> 
 
 
 def pad_slots(values: NDArray[Any], slots: int, fill: float) -> NDArray[Any]:
-    """Values (..., slots, n) with at least so many slots, the new ones filled."""
+    """Pad an array to a least number of slots.
+
+    Args:
+        values: Values of any unit, shape (..., slots, n).
+        slots: Least number of slots of the result.
+        fill: Value of the new slots.
+
+    Returns:
+        The padded array, shape (..., slots, n).
+    """
     more = slots - values.shape[-2]
     if more <= 0:
         return values

@@ -1,4 +1,4 @@
-"""The branches of the inverse kinematics: their names, and which of them a pose is on."""
+"""Branches of the inverse kinematics: their names, and the branch of a pose."""
 
 from typing import Final
 
@@ -14,20 +14,29 @@ BRANCHES: Final = tuple(
     for elbow in ("up", "down")
     for wrist in ("up", "down")
 )
+"""Names of the eight branches, in the order of the slots."""
 
 
 def slot_name(slot: int) -> str:
-    """The branch of a slot; where a branch has several roots, those after the first are numbered."""
+    """Return the name of a slot: its branch, with a number for further roots of that branch."""
     count, branch = divmod(slot, len(BRANCHES))
     return BRANCHES[branch] if count == 0 else f"{BRANCHES[branch]}, root {count + 1}"
 
 
 def fold_distances(s: OrthogonalArm, output_rad: Array) -> Array:
-    """How clearly poses (5, ...) are on either side of each fold, (3, ...): shoulder, elbow, wrist.
+    """Compute signed distances of poses from the folds of shoulder, elbow and wrist.
 
-    Negative is out, up, up: the turret axis' foot ahead of the azimuth axis [m], the elbow above the line
-    from shoulder to wrist (sine of its bend), the turret axis on that side of the approach (sine). The elbow
-    also changes its name, without a fold, where the wrist joint passes over or under the elevation joint.
+    A negative value means out, up, up. The shoulder's value is the distance [m] of the turret axis' foot
+    behind the azimuth axis. The elbow's value is the sine of its bend, negative above the line from shoulder
+    to wrist. The wrist's value is the sine of the turret axis against the approach. The elbow also changes
+    its name, without a fold, where the wrist joint passes over or under the elevation joint.
+
+    Args:
+        s: Orthogonal arm.
+        output_rad: Output angles, shape (5, ...).
+
+    Returns:
+        Distances of shoulder [m], elbow and wrist [sine], shape (3, ...).
     """
     q = output_rad + s.theta_rad.reshape(5, *(1,) * (output_rad.ndim - 1))
     upper, fore = q[Joint.ELEVATION], q[Joint.ELEVATION] + q[Joint.ELBOW]
@@ -39,6 +48,13 @@ def fold_distances(s: OrthogonalArm, output_rad: Array) -> Array:
 
 
 def branch_index(signs: Array) -> Integers:
-    """The index into BRANCHES for signs (3, ...)."""
+    """Compute the index of a branch from the signs of its fold distances.
+
+    Args:
+        signs: Fold distances, or unitless numbers of the same sign, shape (3, ...).
+
+    Returns:
+        Indices into BRANCHES, shape (...).
+    """
     index: Integers = (signs >= 0).astype(np.int64).T @ np.array([4, 2, 1])
     return index.T

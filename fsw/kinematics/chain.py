@@ -1,4 +1,4 @@
-"""Forward kinematics of the strained chain, and its Jacobians: by joint and by frame."""
+"""Forward kinematics of the deflected chain, and its Jacobians by joint and by frame."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -10,28 +10,34 @@ from fsw.kinematics.transforms import IDENTITY, Array, Pose, adjoint, cross, mul
 
 COSINE_SERIES: Final = tuple(np.array(1 / factorial) for factorial in (1, 2, 24, 720))
 SINE_SERIES: Final = tuple(np.array(1 / factorial) for factorial in (1, 6, 120, 5040))
-"""The coefficients of their series, as arrays: numpy would make arrays of numbers at every use."""
+"""Coefficients of the series, as arrays: numpy would convert plain numbers at every use."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frames:
-    """Poses along the arm, batch (6, ...) each: links from the rover outward.
+    """Poses along the arm, batch (6, ...) each, links from the rover outward.
 
     The joint that moves link i turns about the z axis of X_RL[i], through its origin.
     """
 
     X_RL: Pose
-    """Each link's frame, turned by its joint, in the rover frame RMECH."""
+    """Link frames after the turn of their joints, in the rover frame RMECH."""
     X_LD: Pose
-    """The far side of each link's spring in the link's frame."""
+    """Far side of each spring in the link frame."""
     X_RF: Pose
-    """The frame at each link's end, Arm1 to Arm6, in the rover frame."""
+    """Frames at the ends of the links, Arm1 to Arm6, in the rover frame."""
 
 
 def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
-    """Frames for output angles (5, ...) and spring strains (6, 6, ...), links second; none is the rigid arm.
+    """Compute all frames of the arm: equation 2 of the paper, with a transform for the spring of each link.
 
-    Paper equation 2, with the spring of each link as one more transform.
+    Args:
+        arm: Arm.
+        output_rad: Output angles, shape (5, ...).
+        strain: Spring displacements in rad and m, links second, shape (6, 6, ...); None for the rigid arm.
+
+    Returns:
+        The frames.
     """
     batch = output_rad.shape[1:]
     ones = (1,) * len(batch)
@@ -40,11 +46,11 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
     angle += arm.theta_rad.reshape(6, *ones)
     cosine, sine = np.cos(angle), np.sin(angle)
     X_LD = spring_pose(arm, np.zeros((6, 6, *ones)) if strain is None else strain)
-    # a pose as (3, 4, ...), so that one product turns rotation and translation alike
+    # with poses as (3, 4, ...), one product rotates both rotation and translation
     R_LD = X_LD.R.reshape(3, 3, 6, -1)
     X_LF = multiply_per_link(arm.RP_CF.swapaxes(0, 1), R_LD).reshape(3, 4, *X_LD.R.shape[2:])
     X_LF[:, 3] += X_LD.p
-    X_SF = np.empty((3, 4, 6, *batch))  # in the frame at the link's start, before its joint turns
+    X_SF = np.empty((3, 4, 6, *batch))  # in the start frame of the link, before its joint turns
     np.multiply(cosine, X_LF[0], out=X_SF[0])
     X_SF[0] -= sine * X_LF[1]
     np.multiply(sine, X_LF[0], out=X_SF[1])
@@ -68,10 +74,17 @@ def forward(arm: Arm, output_rad: Array, strain: Array | None = None) -> Frames:
 
 
 def spring_pose(arm: Arm, strain: Array) -> Pose:
-    """The far side of each spring in its link's frame, for strains (6, 6, ...).
+    """Compute the far side of each spring in the frame of its link.
 
-    A spring translates, then turns about x, y and z in this order, each axis carried by the turns before it,
-    as the plant's spring does; at 45 mrad the order matters by a tenth of a millimetre.
+    A spring translates, then turns about x, y and z in this order; each turn carries the later axes. The
+    spring of the plant does the same. At 45 mrad the order matters by a tenth of a millimetre.
+
+    Args:
+        arm: Arm.
+        strain: Spring displacements in rad and m, links second, shape (6, 6, ...).
+
+    Returns:
+        The poses, batch (6, ...).
     """
     (cx, cy, cz), (sx, sy, sz) = _small_cos_sin(strain[:3])
     R = np.empty((3, 3, *strain.shape[1:]))
@@ -83,7 +96,7 @@ def spring_pose(arm: Arm, strain: Array) -> Pose:
 
 
 def _small_cos_sin(x: Array) -> tuple[Array, Array]:
-    """Cosine and sine by series, to 3e-13 up to 0.1 rad; in a batch ten times faster than the library's."""
+    """Compute cosine and sine by series, to 3e-13 up to 0.1 rad; numpy takes ten times as long."""
     x2, (c0, c2, c4, c6), (s1, s3, s5, s7) = x * x, COSINE_SERIES, SINE_SERIES
     cosine = c0 - x2 * (c2 - x2 * (c4 - x2 * c6))
     sine = x * (s1 - x2 * (s3 - x2 * (s5 - x2 * s7)))
@@ -91,32 +104,65 @@ def _small_cos_sin(x: Array) -> tuple[Array, Array]:
 
 
 def tool_pose(arm: Arm, frames: Frames, tool: int) -> Pose:
-    """X_RT of a tool, batch (...)."""
+    """Compute the pose of a tool in the rover frame.
+
+    Args:
+        arm: Arm.
+        frames: Frames of the arm.
+        tool: Index of the tool.
+
+    Returns:
+        X_RT, batch (...).
+    """
     X_FT, R_RF = arm.X_FT[tool], frames.X_RF.R[:, :, 5]
     R_RT = np.einsum("ik...,kj->ij...", R_RF, X_FT.R)
     return Pose(R_RT, np.einsum("ik...,k->i...", R_RF, X_FT.p) + frames.X_RF.p[:, 5])
 
 
 def joint_jacobian(frames: Frames, p_R_m: Array) -> Array:
-    """Screw of a point fixed to the turret per joint rate, (6, 5, ...), rotation first, in the rover frame.
+    """Compute the Jacobian of a point fixed to the turret by the joint angles.
 
-    Point p (3, ...) in the rover frame. The springs' own response to the motion is left out.
+    The springs are held: their response to the motion is not included.
+
+    Args:
+        frames: Frames of the arm.
+        p_R_m: Point in the rover frame, shape (3, ...).
+
+    Returns:
+        Screws per joint rate in the rover frame, rotation [rad/rad] first, then translation [m/rad], shape
+        (6, 5, ...).
     """
     axis = frames.X_RL.R[:, 2, 1:]
     return np.concatenate([axis, cross(axis, p_R_m[:, None] - frames.X_RL.p[:, 1:])])
 
 
 def frame_poses(frames: Frames, X_RT: Pose) -> Pose:
-    """Arm1 to Arm6 and the tool in the rover frame, batch (7, ...), in the order of Frame."""
+    """Collect the frames Arm1 to Arm6 and the tool.
+
+    Args:
+        frames: Frames of the arm.
+        X_RT: Pose of the tool.
+
+    Returns:
+        Poses in the rover frame, batch (7, ...), in the order of Frame.
+    """
     R = np.concatenate([frames.X_RF.R, X_RT.R[:, :, None]], axis=2)
     return Pose(R, np.concatenate([frames.X_RF.p, X_RT.p[:, None]], axis=1))
 
 
 def frame_jacobian(frames: Frames, X_RT: Pose) -> Array:
-    """Screw of the tool per small screw of each frame in its own axes, (6, 6, 7, ...), in the order of Frame.
+    """Compute the Jacobian of the tool by small screws of each frame, equations 3 and 7 of the paper.
 
-    Paper equations 3 and 7, u = J theta: theta displaces a frame and all that it carries, u is the turn of
-    the tool and the shift of its origin, in rover axes. The springs' response to the motion is left out.
+    A small screw displaces one frame, in its own axes, and all that the frame carries. The springs are held:
+    their response to the motion is not included.
+
+    Args:
+        frames: Frames of the arm.
+        X_RT: Pose of the tool.
+
+    Returns:
+        Rotation of the tool and displacement of its origin in rover axes, per screw of each frame, shape (6,
+        6, 7, ...), in the order of Frame.
     """
     X_RJ = frame_poses(frames, X_RT)
     return adjoint(Pose(X_RJ.R, X_RJ.p - X_RT.p[:, None]))

@@ -1,4 +1,4 @@
-"""The soft limits of the joints: turns, distances and sentences."""
+"""Soft limits of the joints: choice of turn, excess, and sentences that describe it."""
 
 import math
 
@@ -10,9 +10,17 @@ from fsw.kinematics.transforms import Array, wrap_angle
 
 
 def wrap_into_limits(arm: Arm, q: Array, near_rad: Array | None = None) -> Array:
-    """The same angles (5, ...) in the turn inside the soft limits, the nearest to `near_rad` (5,) if two fit.
+    """Add whole turns to angles so that they lie inside the soft limits.
 
-    Where no turn fits, the turn that is least outside.
+    If no turn fits, the result is the turn nearest to the limits.
+
+    Args:
+        arm: Arm.
+        q: Output angles in rad, shape (5, ...).
+        near_rad: Angles to stay near if two turns fit, shape (5,); None for the middle of the limits.
+
+    Returns:
+        The angles in rad, shape (5, ...).
     """
     low, high = _limits(arm, q)
     middle = 0.5 * (low + high)
@@ -23,13 +31,21 @@ def wrap_into_limits(arm: Arm, q: Array, near_rad: Array | None = None) -> Array
 
 
 def limit_excess(arm: Arm, q: Array) -> Array:
-    """By how much each joint of (5, ...) is beyond its soft limits; negative is inside."""
+    """Compute the excess of joint angles over the soft limits.
+
+    Args:
+        arm: Arm.
+        q: Output angles in rad, shape (5, ...).
+
+    Returns:
+        Excess in rad, negative inside the limits, shape (5, ...).
+    """
     low, high = _limits(arm, q)
     return np.maximum(low - q, q - high)
 
 
 def describe_outside(arm: Arm, joint: Joint, angle_rad: float) -> str:
-    """The sentence about a joint outside its soft limits, with as many digits as show that it is."""
+    """Describe a joint outside its soft limits, with enough digits to show the excess."""
     low, high = arm.soft_min_rad[joint], arm.soft_max_rad[joint]
     places = max(1, 1 - math.floor(math.log10(np.degrees(max(low - angle_rad, angle_rad - high, 1e-12)))))
     angle = f"{np.degrees(angle_rad):.{min(places, 9)}f} deg"
@@ -37,21 +53,23 @@ def describe_outside(arm: Arm, joint: Joint, angle_rad: float) -> str:
 
 
 def format_digits(value: float, places: int) -> str:
-    """A positive number with so many places, or as many as show that it is not 0."""
+    """Format a positive number with this many decimals, or more if it would read as 0."""
     return f"{value:.{max(places, -math.floor(math.log10(max(value, 1e-12))))}f}"
 
 
 def describe_estimated_outside(arm: Arm, joint: Joint, beyond_rad: float) -> str:
-    """Likewise, where the angle was only estimated."""
+    """Describe a joint outside its soft limits whose angle is only estimated."""
     limits = _describe_range(arm, joint, 1)
     return f"joint {joint.name.lower()}: about {np.degrees(beyond_rad):.1f} deg outside {limits}"
 
 
 def _describe_range(arm: Arm, joint: Joint, places: int) -> str:
+    """Describe the soft limits of a joint in degrees."""
     low_deg, high_deg = np.degrees(arm.soft_min_rad[joint]), np.degrees(arm.soft_max_rad[joint])
     return f"its soft limits {low_deg:.{places}f} .. {high_deg:.{places}f} deg"
 
 
 def _limits(arm: Arm, q: Array) -> tuple[Array, Array]:
+    """Return the lowest and highest angles, with as many axes as the angles."""
     ones = (1,) * (q.ndim - 1)
     return arm.soft_min_rad.reshape(5, *ones), arm.soft_max_rad.reshape(5, *ones)

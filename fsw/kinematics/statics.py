@@ -1,4 +1,7 @@
-"""Gravity load, deflection and wind-up: where the compliant arm comes to rest."""
+"""Static equilibrium of the compliant arm: gravity load, deflection, wind-up, and relative compensation.
+
+Relative compensation counts only the difference of deflection between two poses.
+"""
 
 from dataclasses import dataclass
 
@@ -17,79 +20,121 @@ from fsw.kinematics.transforms import (
     rotate_back,
 )
 
-
-def relative_target(
-    arm: Arm,
-    reference_tool: int,
-    reference_rad: Array,
-    gravity_R_m_s2: Array,
-    p_RoTo_R_m: Array,
-    approach_R: Array,
-) -> tuple[Array, Array]:
-    """The target to give to the absolute inverse if only the difference from a reference pose is to count.
-
-    At the reference pose (outputs, 5) the reference tool is known to be in place, whatever the deflection
-    there. So that deflection, the displacement of the tool from rigid to deflected, is counted to the world:
-    the target (3, ...) moves along with it.
-    """
-    rigid = tool_pose(arm, forward(arm, reference_rad), reference_tool)
-    deflected = tool_pose(arm, settle_output(arm, reference_rad, gravity_R_m_s2).frames, reference_tool)
-    turn = compose(deflected.R, np.swapaxes(rigid.R, 0, 1))
-    ones = (1,) * (p_RoTo_R_m.ndim - 1)
-    pivot, shifted = rigid.p.reshape(3, *ones), deflected.p.reshape(3, *ones)
-    turn = turn.reshape(3, 3, *ones)
-    return rotate(turn, p_RoTo_R_m - pivot) + shifted, rotate(turn, approach_R)
-
-
 EQUILIBRIUM_TOLERANCE = 1e-11
+"""Largest change of strain [rad, m] and angle [rad] in the last pass of a converged iteration."""
 MAX_PASSES = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToolForce:
-    """What a tool presses on pushes back, at the tool's origin."""
+    """Contact force on the arm at the origin of a tool."""
 
     tool: int
     force_R_N: Array
-    """On the arm, (3,) or (3, ...)."""
+    """Force on the arm in the rover frame, (3,) or (3, ...)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Equilibrium:
-    """The arm at rest under gravity, and under what it presses on."""
+    """State of the arm at rest under gravity and a contact force."""
 
     output_rad: Array
-    """Joint angles at the output, (5, ...)."""
+    """Output angles, (5, ...)."""
     strain: Array
     """Spring displacements, (6, 6, ...), rotation first, links second."""
     torque_Nm: Array
-    """Torque of the load on each joint's output, (5, ...)."""
+    """Torque of the load on the output of each joint, (5, ...)."""
     frames: Frames
+    """Frames of the deflected arm."""
     converged: Array
-    """(...) bool."""
+    """True where the iteration converged, (...)."""
+
+
+def settle(
+    arm: Arm, motor_rad: Array, backlash_rad: Array, gravity_R_m_s2: Array, push: ToolForce | None = None
+) -> Equilibrium:
+    """Find the static equilibrium for given motor angles: output = motor + backlash + torque / stiffness.
+
+    Args:
+        arm: Arm.
+        motor_rad: Motor angles on the output side, shape (5, ...).
+        backlash_rad: Position of each output inside its backlash, shape (5, ...).
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,) or (3, ...).
+        push: Contact force on a tool.
+
+    Returns:
+        The equilibrium, batch (...).
+    """
+    return _equilibrium(arm, motor_rad + backlash_rad, 1.0 / arm.gear_stiffness_Nm_rad, gravity_R_m_s2, push)
+
+
+def settle_output(
+    arm: Arm, output_rad: Array, gravity_R_m_s2: Array, push: ToolForce | None = None
+) -> Equilibrium:
+    """Find the static equilibrium for given output angles.
+
+    Args:
+        arm: Arm.
+        output_rad: Output angles, shape (5, ...).
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,) or (3, ...).
+        push: Contact force on a tool.
+
+    Returns:
+        The equilibrium, batch (...).
+    """
+    return _equilibrium(arm, output_rad, np.zeros_like(arm.gear_stiffness_Nm_rad), gravity_R_m_s2, push)
+
+
+def _equilibrium(
+    arm: Arm, anchor_rad: Array, gear_rad_Nm: Array, gravity_R_m_s2: Array, push: ToolForce | None
+) -> Equilibrium:
+    """Iterate load and strain; each pass reduces the error by a factor of twenty or more."""
+    batch = anchor_rad.shape[1:]
+    gear = gear_rad_Nm.reshape(5, *(1,) * len(batch))
+    strain = np.zeros((6, 6, *batch))
+    output = anchor_rad
+    for _ in range(MAX_PASSES):
+        frames = forward(arm, output, strain)
+        new_strain, torque = compute_load(arm, frames, gravity_R_m_s2, push)
+        new_output = anchor_rad + torque * gear
+        step = np.maximum(
+            np.max(np.abs(new_strain - strain), axis=(0, 1)), np.max(np.abs(new_output - output), axis=0)
+        )
+        strain, output = new_strain, new_output
+        if np.all(step < EQUILIBRIUM_TOLERANCE):
+            break
+    return Equilibrium(output, strain, torque, forward(arm, output, strain), step < EQUILIBRIUM_TOLERANCE)
 
 
 def compute_load(
     arm: Arm, frames: Frames, gravity_R_m_s2: Array, push: ToolForce | None = None
 ) -> tuple[Array, Array]:
-    """The strain that the springs take under the load of these frames, and the joint torques.
+    """Compute spring strains and joint torques under the load: equations 4 and 5 of the paper.
 
-    Paper equations 4 and 5, with the load at the deflected pose. Gravity (3,) or (3, ...) in the rover frame;
-    strain (6, 6, ...) and torque (5, ...) out.
+    The load is taken at the deflected pose.
+
+    Args:
+        arm: Arm.
+        frames: Frames of the deflected arm.
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,) or (3, ...).
+        push: Contact force on a tool.
+
+    Returns:
+        Strain in rad and m, shape (6, 6, ...), and torque of the load in N m, shape (5, ...).
     """
     ones = (1,) * (frames.X_RF.p.ndim - 2)
     g = gravity_R_m_s2.reshape(3, 1, *(gravity_R_m_s2.shape[1:] or ones))
     R_RL, X_LD, origin = frames.X_RL.R, frames.X_LD, frames.X_RL.p
     near_kg, far_kg, carried_kg = (kg.reshape(6, *ones) for kg in (arm.near_kg, arm.far_kg, arm.carried_kg))
     beyond_kg = carried_kg - near_kg
-    # first moments of mass: of a link about its origin, of all that a link carries about the rover's origin
+    # first moments of mass: of each link about its origin, then of all that it carries about the rover origin
     near_L_kg_m = near_kg * arm.near_p_L_m.reshape(3, 6, *ones)
     own_L_kg_m = np.einsum("ijl...,jl->il...", X_LD.R, arm.far_kg * arm.far_p_C_m)
     own_L_kg_m += far_kg * X_LD.p + near_L_kg_m
     carried_kg_m = rotate(R_RL, own_L_kg_m)
     carried_kg_m += (near_kg + far_kg) * origin
     _outward_sum(carried_kg_m)
-    # the load on the joint axis, in the link's frame, and from it that on the spring
+    # torque about the joint axis in the link frame, then the load on the spring
     carried_kg_m -= carried_kg * origin
     lever_L_kg_m, g_L = rotate_back(R_RL, carried_kg_m), rotate_back(R_RL, np.broadcast_to(g, origin.shape))
     torque = lever_L_kg_m[0, 1:] * g_L[1, 1:] - lever_L_kg_m[1, 1:] * g_L[0, 1:]
@@ -106,16 +151,16 @@ def compute_load(
 
 
 def _outward_sum(per_link: Array) -> Array:
-    """For each link the sum over it and all links beyond, along axis 1; the array itself."""
+    """Sum over each link and all links beyond, along axis 1, in place."""
     for i in range(4, -1, -1):
         per_link[:, i] += per_link[:, i + 1]
     return per_link
 
 
 def _deflect_springs(arm: Arm, frames: Frames, moment_L: Array, force_L: Array) -> Array:
-    """Compliance times the load as the spring's own coordinates feel it: its later axes have turned.
+    """Compute the strain of the springs under a load: compliance times load in the spring's coordinates.
 
-    The axes are x, then y turned about x, then z turned about both, which is the far side's z axis.
+    The coordinate axes are x, then y turned about x, then z turned about both: the z axis of the far side.
     """
     z_axis = frames.X_LD.R[:, 2]
     wrench = np.empty((6, *force_L.shape[1:]))
@@ -127,39 +172,37 @@ def _deflect_springs(arm: Arm, frames: Frames, moment_L: Array, force_L: Array) 
     return multiply_per_link(arm.compliance, wrench.reshape(6, 6, -1)).reshape(wrench.shape)
 
 
-def settle(
-    arm: Arm, motor_rad: Array, gap_rad: Array, gravity_R_m_s2: Array, push: ToolForce | None = None
-) -> Equilibrium:
-    """The rest pose for motor angles and gaps (5, ...): output = motor + gap + torque / stiffness."""
-    return _equilibrium(arm, motor_rad + gap_rad, 1.0 / arm.gear_stiffness_Nm_rad, gravity_R_m_s2, push)
+def relative_target(
+    arm: Arm,
+    reference_tool: int,
+    reference_rad: Array,
+    gravity_R_m_s2: Array,
+    p_RoTo_R_m: Array,
+    approach_R: Array,
+) -> tuple[Array, Array]:
+    """Compute the absolute target for which only the change of deflection from a reference pose counts.
 
+    The reference tool is known to be in place at the reference pose. The deflection there moves it from its
+    rigid to its deflected pose. The target moves by the same displacement.
 
-def settle_output(
-    arm: Arm, output_rad: Array, gravity_R_m_s2: Array, push: ToolForce | None = None
-) -> Equilibrium:
-    """The rest pose for output angles (5, ...), whatever the gears do to hold them."""
-    return _equilibrium(arm, output_rad, np.zeros_like(arm.gear_stiffness_Nm_rad), gravity_R_m_s2, push)
+    Args:
+        arm: Arm.
+        reference_tool: Index of the tool at the reference pose.
+        reference_rad: Output angles of the reference pose, shape (5,).
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
+        p_RoTo_R_m: Target positions in the rover frame, shape (3, ...).
+        approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
 
-
-def _equilibrium(
-    arm: Arm, anchor_rad: Array, gear_rad_Nm: Array, gravity_R_m_s2: Array, push: ToolForce | None
-) -> Equilibrium:
-    """Fixed point of load and strain; each pass takes off a factor of twenty or more."""
-    batch = anchor_rad.shape[1:]
-    gear = gear_rad_Nm.reshape(5, *(1,) * len(batch))
-    strain = np.zeros((6, 6, *batch))
-    output = anchor_rad
-    for _ in range(MAX_PASSES):
-        frames = forward(arm, output, strain)
-        new_strain, torque = compute_load(arm, frames, gravity_R_m_s2, push)
-        new_output = anchor_rad + torque * gear
-        step = np.maximum(
-            np.max(np.abs(new_strain - strain), axis=(0, 1)), np.max(np.abs(new_output - output), axis=0)
-        )
-        strain, output = new_strain, new_output
-        if np.all(step < EQUILIBRIUM_TOLERANCE):
-            break
-    return Equilibrium(output, strain, torque, forward(arm, output, strain), step < EQUILIBRIUM_TOLERANCE)
+    Returns:
+        Positions in m and unit approach vectors to give to the inverse kinematics, shape (3, ...) each.
+    """
+    rigid = tool_pose(arm, forward(arm, reference_rad), reference_tool)
+    deflected = tool_pose(arm, settle_output(arm, reference_rad, gravity_R_m_s2).frames, reference_tool)
+    turn = compose(deflected.R, np.swapaxes(rigid.R, 0, 1))
+    ones = (1,) * (p_RoTo_R_m.ndim - 1)
+    pivot, shifted = rigid.p.reshape(3, *ones), deflected.p.reshape(3, *ones)
+    turn = turn.reshape(3, 3, *ones)
+    return rotate(turn, p_RoTo_R_m - pivot) + shifted, rotate(turn, approach_R)
 
 
 def held_on_flank(

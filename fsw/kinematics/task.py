@@ -1,4 +1,4 @@
-"""The task of the inverse kinematics: a tool's position and approach, as an error with a derivative."""
+"""Task of the inverse kinematics: position and approach of a tool, as an error with a derivative."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -11,28 +11,40 @@ from fsw.kinematics.statics import compute_load
 from fsw.kinematics.transforms import Array, Pose, cross, dot, rotate_back
 
 ROOT_TOLERANCE: Final = 5e-10
-"""Forward check of a root: position [m] and axis [rad]."""
+"""Bound of the forward check of a root: position [m] and axis [rad]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseEvaluation:
-    """What the hanging arm does at some joint angles, batch (n,)."""
+    """Tool pose and load of the deflected arm at given joint angles, batch (n,)."""
 
     frames: Frames
+    """Frames under the assumed strain."""
     X_RT: Pose
-    """The tool once the springs have taken the load that was found, to first order."""
+    """Tool pose under the new strain, to first order."""
     strain: Array
-    """(6, 6, n), under that load."""
+    """Strain under the load of these frames, (6, 6, n)."""
     torque_Nm: Array
-    """(5, n)."""
+    """Torque of the load on each output, (5, n)."""
     strain_change: Array
-    """(n,): by how much the load changed the strain that was assumed."""
+    """Largest difference between new and assumed strain, (n,)."""
 
 
 def evaluate_pose(
     arm: Arm, tool: int, output_rad: Array, strain: Array | None, gravity_R_m_s2: Array
 ) -> PoseEvaluation:
-    """One pass of load and deflection at angles (5, n), from an assumed strain (6, 6, n) or from none."""
+    """Evaluate load and deflection once at given angles.
+
+    Args:
+        arm: Arm.
+        tool: Index of the tool.
+        output_rad: Output angles, shape (5, n).
+        strain: Assumed strain in rad and m, shape (6, 6, n); None for the rigid arm.
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
+
+    Returns:
+        Tool pose, new strain and joint torques.
+    """
     frames = forward(arm, output_rad, strain)
     X_RT = tool_pose(arm, frames, tool)
     n = output_rad.shape[1]
@@ -45,7 +57,7 @@ def evaluate_pose(
 
 
 def _deflect_tool(frames: Frames, change: Array, X_RT: Pose) -> Pose:
-    """Where the tool will be when the springs have taken a small change of strain (6, 6, n): first order."""
+    """Compute the tool pose after a small change of strain (6, 6, n), to first order."""
     R_RL = frames.X_RL.R
     lever_L_m = rotate_back(R_RL, X_RT.p[:, None] - frames.X_RL.p) - frames.X_LD.p
     screw_L = change.reshape(2, 3, *change.shape[1:]).copy()
@@ -55,16 +67,34 @@ def _deflect_tool(frames: Frames, change: Array, X_RT: Pose) -> Pose:
 
 
 def task_error(X_RT: Pose, p_RoTo_R_m: Array, approach_R: Array) -> Array:
-    """Position error and the approach's components along the tool's y and z axes, (5, ...)."""
+    """Compute the task error of tool poses.
+
+    Args:
+        X_RT: Poses of the tool, batch (...).
+        p_RoTo_R_m: Target positions in the rover frame, shape (3, ...).
+        approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
+
+    Returns:
+        Position error in m, then the approach along the y and z axes of the tool in rad, shape (5, ...).
+    """
     miss = X_RT.p - p_RoTo_R_m
     along = np.einsum("ij...,i...->j...", X_RT.R, np.broadcast_to(approach_R, miss.shape))
-    # pointing the other way has the same zero components: make it large, so that it is never an answer
-    away = np.copysign(along[:1] < 0, along[1:2])
-    return np.concatenate([miss, along[1:2] + away, along[2:]])
+    # the opposite direction has the same zero components: a large error excludes it
+    opposite = np.copysign(along[:1] < 0, along[1:2])
+    return np.concatenate([miss, along[1:2] + opposite, along[2:]])
 
 
 def task_jacobian(frames: Frames, X_RT: Pose, approach_R: Array) -> Array:
-    """Derivative of task_error by the joint angles, springs held, (5, 5, ...)."""
+    """Compute the derivative of task_error by the joint angles, with the springs held.
+
+    Args:
+        frames: Frames of the arm.
+        X_RT: Poses of the tool, batch (...).
+        approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
+
+    Returns:
+        The derivative, m/rad and rad/rad, shape (5, 5, ...).
+    """
     J = joint_jacobian(frames, X_RT.p)
     a = np.broadcast_to(approach_R, X_RT.p.shape)
     # (w x y) . a = w . (y x a)

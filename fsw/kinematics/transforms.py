@@ -1,7 +1,7 @@
-"""Rotations, poses and screws, for one or for many: components lead, batch axes trail.
+"""Rotations, poses and screws, single or in batches: components lead, batch axes trail.
 
-A vector is (3, ...), a rotation (3, 3, ...), a screw (6, ...) with the rotation first. The same code serves a
-single pose and a million: with components leading, numpy's inner loops run over the batch.
+A vector has shape (3, ...), a rotation (3, 3, ...), a screw (6, ...) with the rotation first. With the
+components leading, the inner loops of numpy run over the batch.
 """
 
 from collections.abc import Sequence
@@ -17,25 +17,32 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pose:
-    """Where a frame is: X_AB holds R_AB and the position of B in A."""
+    """Pose of a frame: X_AB holds R_AB and the position of B in A."""
 
     R: Array
-    """(3, 3, ...)."""
+    """Rotation, (3, 3, ...)."""
     p: Array
-    """(3, ...), metres."""
+    """Position in metres, (3, ...)."""
 
     def __matmul__(self, other: "Pose") -> "Pose":
-        """X_AC = X_AB @ X_BC, in any batch that broadcasts."""
+        """Return X_AC = X_AB @ X_BC; batches broadcast."""
         return Pose(compose(self.R, other.R), rotate(self.R, other.p) + self.p)
 
     def __getitem__(self, index: object) -> "Pose":
-        """The poses at an index of the batch axes."""
-        where = index if isinstance(index, tuple) else (index,)
-        return Pose(self.R[(slice(None), slice(None), *where)], self.p[(slice(None), *where)])
+        """Return the poses at an index of the batch axes."""
+        indices = index if isinstance(index, tuple) else (index,)
+        return Pose(self.R[(slice(None), slice(None), *indices)], self.p[(slice(None), *indices)])
 
 
 def stack_poses(poses: Sequence[Pose]) -> Pose:
-    """One or more poses as one, along a new last axis."""
+    """Stack poses along a new last axis.
+
+    Args:
+        poses: One or more poses of the same batch shape.
+
+    Returns:
+        The poses, with one batch axis more.
+    """
     return Pose(np.stack([X.R for X in poses], -1), np.stack([X.p for X in poses], -1))
 
 
@@ -43,48 +50,102 @@ IDENTITY = Pose(np.eye(3), np.zeros(3))
 
 
 def compose(R: Array, S: Array) -> Array:
-    """The product of rotations (3, 3, ...)."""
+    """Multiply rotations.
+
+    Args:
+        R: Left rotations, shape (3, 3, ...), unitless.
+        S: Right rotations, shape (3, 3, ...), unitless.
+
+    Returns:
+        The rotations R S, shape (3, 3, ...).
+    """
     product: Array = np.einsum("ik...,kj...->ij...", R, S)
     return product
 
 
 def rotate(R: Array, v: Array) -> Array:
-    """The vectors (3, ...) turned by R (3, 3, ...)."""
+    """Rotate vectors.
+
+    Args:
+        R: Matrices of rotations, shape (3, 3, ...).
+        v: Vectors of any unit, shape (3, ...).
+
+    Returns:
+        The vectors R v, shape (3, ...), unit of v.
+    """
     turned: Array = np.einsum("ij...,j...->i...", R, v)
     return turned
 
 
 def rotate_back(R: Array, v: Array) -> Array:
-    """The vectors (3, ...) turned by the transpose of R (3, 3, ...)."""
+    """Rotate vectors by the transposes of rotations.
+
+    Args:
+        R: Matrices of rotations, shape (3, 3, ...).
+        v: Vectors of any unit, shape (3, ...).
+
+    Returns:
+        The vectors R^T v, shape (3, ...), unit of v.
+    """
     turned: Array = np.einsum("ji...,j...->i...", R, v)
     return turned
 
 
 def inverse(X: Pose) -> Pose:
-    """X_BA from X_AB."""
+    """Invert poses.
+
+    Args:
+        X: Poses X_AB.
+
+    Returns:
+        The poses X_BA.
+    """
     return Pose(np.swapaxes(X.R, 0, 1), -rotate_back(X.R, X.p))
 
 
 def dot(a: Array, b: Array) -> Array:
-    """Scalar products of vectors (n, ...)."""
+    """Compute scalar products.
+
+    Args:
+        a: Vectors of any unit, shape (n, ...).
+        b: Vectors of any unit, shape (n, ...).
+
+    Returns:
+        The products, shape (...).
+    """
     product: Array = np.einsum("i...,i...->...", a, b)
     return product
 
 
 NEXT, LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
-"""The axes after each axis."""
+"""The next axis and the one after it, for each axis."""
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Vector products of vectors (3, ...)."""
+    """Compute vector products.
+
+    Args:
+        a: Vectors of any unit, shape (3, ...).
+        b: Vectors of any unit, shape (3, ...).
+
+    Returns:
+        The products, shape (3, ...).
+    """
     product: Array = a.take(NEXT, 0) * b.take(LAST, 0) - a.take(LAST, 0) * b.take(NEXT, 0)
     return product
 
 
 def multiply_per_link(M: Array, v: Array) -> Array:
-    """The products of the links' constant matrices (i, j, 6) with v (..., j, 6, n), as (..., i, 6, n).
+    """Multiply a constant matrix of each link with values of that link.
 
-    The matrices are the same for the whole batch, so that this is a matrix product a link.
+    The matrices are the same for the whole batch, so one matrix product per link suffices.
+
+    Args:
+        M: Matrices of any unit, shape (i, j, 6).
+        v: Values of any unit, shape (..., j, 6, n).
+
+    Returns:
+        The products, shape (..., i, 6, n).
     """
     product = np.empty((*v.shape[:-3], M.shape[0], *v.shape[-2:]))
     by_link = np.ascontiguousarray(M.transpose(2, 0, 1))
@@ -93,44 +154,96 @@ def multiply_per_link(M: Array, v: Array) -> Array:
 
 
 def norm(v: Array) -> Array:
-    """Lengths of vectors (n, ...)."""
+    """Compute the Euclidean norm of vectors.
+
+    Args:
+        v: Vectors of any unit, shape (n, ...).
+
+    Returns:
+        The norms, shape (...), unit of v.
+    """
     return np.sqrt(dot(v, v))
 
 
 def gravity_direction(roll_rad: float, pitch_rad: float) -> Array:
-    """Gravity's direction (3,) in RMECH of a rover rolled (right side down) after it is pitched (nose up)."""
+    """Compute the direction of gravity in the rover frame from the attitude of the rover.
+
+    Args:
+        roll_rad: Roll, right side down, applied after the pitch.
+        pitch_rad: Pitch, nose up.
+
+    Returns:
+        Unit vector in the rover frame RMECH, shape (3,).
+    """
     R_WR = rotation_y(np.array(pitch_rad)) @ rotation_x(np.array(roll_rad))
     down: Array = R_WR.T @ np.array([0.0, 0.0, 1.0])
     return down
 
 
 def normalize(v: Array | tuple[float, float, float]) -> Array:
-    """A vector (3,) of length one in the same direction."""
+    """Scale a vector to unit length.
+
+    Args:
+        v: Vector of any unit, shape (3,).
+
+    Returns:
+        Unit vector of the same direction, shape (3,).
+    """
     along: Array = np.asarray(v) / np.linalg.norm(v)
     return along
 
 
 def angle_between(a: Array, b: Array) -> float:
-    """The angle between two vectors (3,), exact near 0 and pi too."""
+    """Compute the angle between two vectors, without loss of digits near 0 and pi.
+
+    Args:
+        a: Vector of any unit, shape (3,).
+        b: Vector of any unit, shape (3,).
+
+    Returns:
+        The angle in radians.
+    """
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
 def rotation_x(angle_rad: Array) -> Array:
-    """Rotations about x by angles (...), as (3, 3, ...)."""
+    """Build rotations about the x axis.
+
+    Args:
+        angle_rad: Angles, shape (...).
+
+    Returns:
+        The rotations, shape (3, 3, ...).
+    """
     return _plane_rotation(angle_rad, 1, 2)
 
 
 def rotation_y(angle_rad: Array) -> Array:
-    """Rotations about y by angles (...), as (3, 3, ...)."""
+    """Build rotations about the y axis.
+
+    Args:
+        angle_rad: Angles, shape (...).
+
+    Returns:
+        The rotations, shape (3, 3, ...).
+    """
     return _plane_rotation(angle_rad, 2, 0)
 
 
 def rotation_z(angle_rad: Array) -> Array:
-    """Rotations about z by angles (...), as (3, 3, ...)."""
+    """Build rotations about the z axis.
+
+    Args:
+        angle_rad: Angles, shape (...).
+
+    Returns:
+        The rotations, shape (3, 3, ...).
+    """
     return _plane_rotation(angle_rad, 0, 1)
 
 
 def _plane_rotation(angle_rad: Array, i: int, j: int) -> Array:
+    """Build rotations that turn axis i towards axis j."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     R = np.zeros((3, 3, *np.shape(c)))
     R[i, i] = R[j, j] = c
@@ -141,7 +254,14 @@ def _plane_rotation(angle_rad: Array, i: int, j: int) -> Array:
 
 
 def skew(v: Array) -> Array:
-    """The matrices [v] with [v] w = v x w: (3, ...) to (3, 3, ...)."""
+    """Build the matrices [v] of the vector product: [v] w = v x w.
+
+    Args:
+        v: Vectors of any unit, shape (3, ...).
+
+    Returns:
+        The matrices, shape (3, 3, ...), unit of v.
+    """
     K = np.zeros((3, *v.shape))
     K[0, 1], K[0, 2], K[1, 2] = -v[2], v[1], -v[0]
     K[1, 0], K[2, 0], K[2, 1] = v[2], -v[1], v[0]
@@ -149,9 +269,15 @@ def skew(v: Array) -> Array:
 
 
 def adjoint(X: Pose) -> Array:
-    """The (6, 6, ...) that carries a screw from frame B to frame A: [[R, 0], [[p] R, R]].
+    """Build the matrices [[R, 0], [[p] R, R]] that transform a screw from frame B to frame A.
 
-    The paper's equation 3 prints [p] alone in the lower left; finite differences ask for [p] R.
+    Equation 3 of the paper prints [p] alone in the lower left. Finite differences confirm [p] R.
+
+    Args:
+        X: Poses X_AB.
+
+    Returns:
+        The matrices, shape (6, 6, ...).
     """
     J = np.zeros((6, 6, *X.R.shape[2:]))
     J[:3, :3] = J[3:, 3:] = X.R
@@ -160,7 +286,14 @@ def adjoint(X: Pose) -> Array:
 
 
 def screw_exp(screw: Array) -> Pose:
-    """The pose reached by following a constant screw (6, ...) for one unit of time."""
+    """Compute the pose that a constant screw reaches in one unit of time.
+
+    Args:
+        screw: Rotation vectors in rad, then translations in m, shape (6, ...).
+
+    Returns:
+        The poses (exponential map of SE(3)).
+    """
     w = screw[:3]
     angle2 = dot(w, w)
     a, b, c = _exp_coefficients(angle2)
@@ -171,7 +304,7 @@ def screw_exp(screw: Array) -> Pose:
 
 
 def _exp_coefficients(angle2: Array) -> tuple[Array, Array, Array]:
-    """sin(t)/t, (1 - cos t)/t^2 and (t - sin t)/t^3, by series where t is small."""
+    """Compute sin(t)/t, (1 - cos t)/t^2 and (t - sin t)/t^3, by series where t is small."""
     small = angle2 < 1e-4
     t2 = np.where(small, 1.0, angle2)
     t = np.sqrt(t2)
@@ -182,8 +315,14 @@ def _exp_coefficients(angle2: Array) -> tuple[Array, Array, Array]:
 
 
 def wrap_angle(angle_rad: Array) -> Array:
-    """The same angles in [-pi, pi)."""
-    wrapped: Array = angle_rad - 2 * np.pi * np.floor(
-        angle_rad / (2 * np.pi) + 0.5
-    )  # % takes three times as long
+    """Wrap angles into [-pi, pi).
+
+    Args:
+        angle_rad: Angles, shape (...).
+
+    Returns:
+        The wrapped angles, shape (...).
+    """
+    # the operator % takes three times as long
+    wrapped: Array = angle_rad - 2 * np.pi * np.floor(angle_rad / (2 * np.pi) + 0.5)
     return wrapped
