@@ -1,4 +1,4 @@
-"""The residuals of our arm's poses and their derivatives: the hanging arm against the tracker."""
+"""Residuals of measured poses against the deflected arm, and their derivatives by the arm's parameters."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -40,71 +40,119 @@ from sim.arms import SPRING_FRAMES
 from sim.effects.structure import params_with_stand_in
 
 PARAMETER_COUNT: Final = len(arm_parameters())
+"""Number of parameters of the arm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmModel:
-    """Residuals of a campaign's poses as a function of the arm's numbers."""
+    """Residual model of a campaign: whitened error screws as a function of the arm's parameters.
+
+    Parameters are differences from the nominal arm, in the order of `arm_parameters`.
+    """
 
     nominal: Params
-    """What the numbers are differences from."""
+    """Parameters of flight software from which the values differ."""
     believed: BelievedPoses
     measured: MeasuredPoses
     whitener: Array
-    """(n, 6, 6)."""
+    """Whitening matrices of the poses, shape (n, 6, 6)."""
     unknown: Flags
-    """Outputs whose place in their gap nobody knows, (5, n)."""
+    """Outputs whose side of the backlash is unknown, shape (5, n)."""
 
     def __call__(self, x: Array) -> Linearisation:
-        """Whitened error screws (n, 6) and their derivatives."""
-        X, moved = _parameter_jacobian(settle_poses(self.nominal, x, self.believed), x)
-        return linearise(X, moved, self.measured, self.whitener)
+        """Compute whitened error screws and their derivatives.
+
+        Args:
+            x: Parameter values, shape (p,).
+
+        Returns:
+            Residuals, shape (n, 6), and derivatives, shape (n, 6, p).
+        """
+        X, jacobian = _parameter_jacobian(settle_poses(self.nominal, x, self.believed), x)
+        return linearise(X, jacobian, self.measured, self.whitener)
 
     def errors(self, x: Array) -> Array:
-        """Error screws (6, n) from the modelled poses to the measured ones."""
+        """Compute the error screws from modelled to measured poses.
+
+        Args:
+            x: Parameter values, shape (p,).
+
+        Returns:
+            Screws in axes of the modelled turret frame, rotation [rad] above translation [m], shape (6, n).
+        """
         return error_screw(predict_poses(self.nominal, x, self.believed), self.measured)
 
 
 def arm_model(
     nominal: Params,
     campaign: Campaign,
-    near: Fit | None = None,
+    preliminary: Fit | None = None,
     with_backlash: bool = True,
-    blind: Flags | None = None,
+    held_out: Flags | None = None,
 ) -> ArmModel:
-    """The model of a campaign; given a fit near the right one, with what it tells about unsure gaps.
+    """Build the residual model of a campaign.
 
-    Of `blind` poses (n,) no unsure gap is looked at: they are to judge. Without backlash state every output
-    is taken to lie always on the side on which it mostly lies, surely.
+    A preliminary fit decides which uncertain outputs lie where they are believed to lie. Outputs that it
+    does not confirm carry no information about their joint.
+
+    Args:
+        nominal: Nominal parameters of flight software.
+        campaign: Measured poses.
+        preliminary: Fit close to the solution. Without it, all uncertain outputs count as unknown.
+        with_backlash: If false, every output counts as resting on the side where it rests most often.
+        held_out: Flags of poses whose measurements must not decide the side of any output, shape (n,).
+
+    Returns:
+        The residual model.
     """
     believed, unknown = campaign.believed, campaign.believed.side == 0
     if not with_backlash:
         believed, unknown = _fix_sides(believed), np.zeros_like(unknown)
-    x = np.zeros(PARAMETER_COUNT) if near is None else near.values
+    x = np.zeros(PARAMETER_COUNT) if preliminary is None else preliminary.values
     parts = settle_poses(nominal, x, believed)
-    by_joints = joint_jacobian(parts)
-    if near is not None:
-        X, moved = _parameter_jacobian(parts, x)
+    output_jacobian = joint_jacobian(parts)
+    if preliminary is not None:
+        X, jacobian = _parameter_jacobian(parts, x)
         error = error_screw(X, campaign.measured)
-        asked = unknown if blind is None else unknown & ~blind
+        uncertain = unknown if held_out is None else unknown & ~held_out
         agree = confirm_sides(
-            campaign.measured, by_joints, error, moved, near.covariance, asked, believed.backlash_rad
+            campaign.measured,
+            output_jacobian,
+            error,
+            jacobian,
+            preliminary.covariance,
+            uncertain,
+            believed.backlash_rad,
         )
         unknown = unknown & ~agree
     return ArmModel(
-        nominal, believed, campaign.measured, pose_whitener(campaign.measured, by_joints, unknown), unknown
+        nominal,
+        believed,
+        campaign.measured,
+        pose_whitener(campaign.measured, output_jacobian, unknown),
+        unknown,
     )
 
 
 def _fix_sides(believed: BelievedPoses) -> BelievedPoses:
-    """Every output in one place of its gap: which one makes no difference to a fit, zeros take it up."""
+    """Put every output at one fixed position in its backlash.
+
+    The choice does not affect a fit, because the encoder zeros absorb it.
+    """
     half = np.abs(believed.backlash_rad).max(axis=1, keepdims=True)
     side = np.where(believed.backlash_rad.sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
     return replace(believed, backlash_rad=np.broadcast_to(side * half, believed.backlash_rad.shape))
 
 
 def group_by_turret(believed: BelievedPoses) -> list[tuple[float | None, Integers]]:
-    """The turrets in use, None for the arm's own, each with its poses."""
+    """Group poses by the turret that was mounted.
+
+    Args:
+        believed: State of the arm at each pose.
+
+    Returns:
+        Mass [kg] of each stand-in turret, None for the arm's own turret, with the indices of its poses.
+    """
     kinds = np.unique(believed.turret_kg)
     own = np.isnan(believed.turret_kg)
     found: list[tuple[float | None, Integers]] = [
@@ -114,7 +162,16 @@ def group_by_turret(believed: BelievedPoses) -> list[tuple[float | None, Integer
 
 
 def predict_poses(nominal: Params, x: Array, believed: BelievedPoses) -> Pose:
-    """Where the turret frame is modelled to be, X_RT, batch (n,)."""
+    """Compute the poses of the turret frame.
+
+    Args:
+        nominal: Nominal parameters of flight software.
+        x: Parameter values, shape (p,), in the units of `arm_parameters`.
+        believed: State of the arm at each pose.
+
+    Returns:
+        X_RT, the turret frame in the rover frame, batch (n,).
+    """
     parts = (
         (where, _settle_arm(nominal, x, turret_kg, believed.at(where)).X_RT)
         for turret_kg, where in group_by_turret(believed)
@@ -122,9 +179,17 @@ def predict_poses(nominal: Params, x: Array, believed: BelievedPoses) -> Pose:
     return reorder_poses(parts, believed.motor_rad.shape[1])
 
 
-def reorder_poses(parts: Iterable[tuple[Integers, Pose]], n: int) -> Pose:
-    """One batch (n,) of poses that come in parts, each with the numbers of its own."""
-    X = Pose(np.empty((3, 3, n)), np.empty((3, n)))
+def reorder_poses(parts: Iterable[tuple[Integers, Pose]], count: int) -> Pose:
+    """Merge parts of a batch into one batch.
+
+    Args:
+        parts: Indices of the poses of each part, and these poses.
+        count: Number of poses in all.
+
+    Returns:
+        All poses in order, batch (count,).
+    """
+    X = Pose(np.empty((3, 3, count)), np.empty((3, count)))
     for where, part in parts:
         X.R[:, :, where], X.p[:, where] = part.R, part.p
     return X
@@ -132,7 +197,10 @@ def reorder_poses(parts: Iterable[tuple[Integers, Pose]], n: int) -> Pose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestingArm:
-    """The arm with some numbers at rest, in the frame D in which it is mounted: the rover turned by Arm1."""
+    """Arm in static equilibrium.
+
+    It is mounted in frame D: the rover frame, displaced by the frame error of Arm1.
+    """
 
     arm: Arm
     X_RD: Pose
@@ -142,18 +210,18 @@ class RestingArm:
 
     @property
     def X_RT(self) -> Pose:
-        """The turret frame, batch (n,)."""
+        """Compute the pose of the turret frame in the rover frame, batch (n,)."""
         X_DT = self.rest.frames.X_RF[5] @ add_batch_axis(self.X_FT)
         return add_batch_axis(self.X_RD) @ X_DT
 
 
 def _settle_arm(nominal: Params, x: Array, turret_kg: float | None, at: BelievedPoses) -> RestingArm:
     arm, X_RD = arm_with_values(build_arm(params_with_stand_in(nominal, turret_kg)), x, turret_kg is not None)
-    gap = (
+    backlash_rad = (
         at.backlash_rad * np.exp(x[BACKLASHES])[:, None] - at.friction_Nm / arm.gear_stiffness_Nm_rad[:, None]
     )
     gravity_D = X_RD.R.T @ at.gravity_R_m_s2
-    rest = settle(arm, at.motor_rad, gap, gravity_D)
+    rest = settle(arm, at.motor_rad, backlash_rad, gravity_D)
     return RestingArm(arm, X_RD, screw_exp(_screw(x, Frame.TOOL)), gravity_D, rest)
 
 
@@ -163,10 +231,10 @@ def _screw(x: Array, frame: Frame) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TurretPoses:
-    """The poses with one turret, at rest, and what moves them."""
+    """Equilibria with one turret, with the derivatives of the deflection."""
 
     where: Integers
-    """Which of all they are."""
+    """Indices of these poses in the campaign."""
     at: BelievedPoses
     stand_in: bool
     X_RT: Pose
@@ -174,18 +242,36 @@ class TurretPoses:
 
 
 def settle_poses(nominal: Params, x: Array, believed: BelievedPoses) -> list[TurretPoses]:
-    """All poses, turret by turret."""
+    """Compute the equilibria of all poses, grouped by turret.
+
+    Args:
+        nominal: Nominal parameters of flight software.
+        x: Parameter values, shape (p,), in the units of `arm_parameters`.
+        believed: State of the arm at each pose.
+
+    Returns:
+        One record for each turret.
+    """
     parts = []
     for turret_kg, where in group_by_turret(believed):
         at = believed.at(where)
-        held = _settle_arm(nominal, x, turret_kg, at)
-        hang = differentiate_deflection(held.arm, held.rest, held.gravity_D_m_s2, held.X_FT)
-        parts.append(TurretPoses(where, at, turret_kg is not None, held.X_RT, hang))
+        resting = _settle_arm(nominal, x, turret_kg, at)
+        derivatives = differentiate_deflection(
+            resting.arm, resting.rest, resting.gravity_D_m_s2, resting.X_FT
+        )
+        parts.append(TurretPoses(where, at, turret_kg is not None, resting.X_RT, derivatives))
     return parts
 
 
 def joint_jacobian(parts: Sequence[TurretPoses]) -> Array:
-    """The screw by which the turret frame moves, in its own axes, per turn of each output, (6, n, joints)."""
+    """Compute the Jacobian of the turret frame by the output angles.
+
+    Args:
+        parts: Equilibria of all poses.
+
+    Returns:
+        Screws of the turret frame in its own axes, per radian of each output, shape (6, n, 5).
+    """
     moved = np.empty((6, _pose_count(parts), JOINT_COUNT))
     for part in parts:
         turns = np.zeros((SCREW, part.where.size, JOINT_COUNT))
@@ -196,7 +282,11 @@ def joint_jacobian(parts: Sequence[TurretPoses]) -> Array:
 
 
 def _parameter_jacobian(parts: Sequence[TurretPoses], x: Array) -> tuple[Pose, Array]:
-    """The turret frame's poses, and the screws by which they move per unit of each number, (6, n, COUNT)."""
+    """Compute the turret poses, and their screws per unit of each parameter.
+
+    Returns:
+        X_RT, batch (n,), and the Jacobian in axes of the turret frame, shape (6, n, p).
+    """
     n = _pose_count(parts)
     moved = np.empty((6, n, PARAMETER_COUNT))
     screws = np.zeros((6 * len(Frame), PARAMETER_COUNT))
@@ -215,28 +305,32 @@ def _pose_count(parts: Sequence[TurretPoses]) -> int:
     return sum(part.where.size for part in parts)
 
 
-def _load_derivatives(hang: DeflectionDerivatives, x: Array, stand_in: bool) -> Array:
-    """What masses and centres do to the loads, (SCREW, n, COUNT)."""
-    n = hang.rest.output_rad.shape[1]
+def _load_derivatives(deflection: DeflectionDerivatives, x: Array, stand_in: bool) -> Array:
+    """Compute the derivatives of loads by masses and centres of mass, shape (SCREW, n, p)."""
+    n = deflection.rest.output_rad.shape[1]
     dQ = np.zeros((SCREW, n, PARAMETER_COUNT))
     for k, frame in enumerate(MASS_FRAMES):
-        sides = slice(0, 1 if frame is Frame.ARM6 and stand_in else 2)  # a stand-in is weighed
-        dQ[:, :, MASS_FACTORS.start + k] = hang.lump_Q[:, sides, frame].sum(axis=1)
-        near, far = np.moveaxis(hang.lump_dQ[:, :, frame], 1, 0)
-        if frame is Frame.ARM6:  # the turret's own mass turns with the frame
-            far = np.einsum("cin,ij->cjn", far, turret_displacement(hang.arm, x).R)
+        sides = slice(0, 1 if frame is Frame.ARM6 and stand_in else 2)  # the mass of a stand-in was weighed
+        dQ[:, :, MASS_FACTORS.start + k] = deflection.lump_Q[:, sides, frame].sum(axis=1)
+        near, far = np.moveaxis(deflection.lump_dQ[:, :, frame], 1, 0)
+        if frame is Frame.ARM6:  # the turret's own mass rotates with the frame error
+            far = np.einsum("cin,ij->cjn", far, turret_displacement(deflection.arm, x).R)
         start = MASS_CENTRES.start + 3 * k
         dQ[:, :, start : start + 3] = np.moveaxis(near + far, 1, 2)
     return dQ
 
 
-def _direct_derivatives(hang: DeflectionDerivatives, x: Array, at: BelievedPoses) -> Array:
-    """What stiffnesses and backlash widths do to strains and joint angles themselves, (SCREW, n, COUNT)."""
-    rest, n = hang.rest, hang.rest.output_rad.shape[1]
+def _direct_derivatives(deflection: DeflectionDerivatives, x: Array, at: BelievedPoses) -> Array:
+    """Compute the direct derivatives of strains and joint angles by stiffnesses and backlash widths.
+
+    Returns:
+        Derivatives, shape (SCREW, n, p).
+    """
+    rest, n = deflection.rest, deflection.rest.output_rad.shape[1]
     direct = np.zeros((SCREW, n, PARAMETER_COUNT))
     carried_Nm = rest.torque_Nm - at.friction_Nm
     for joint in Joint:
-        stiffness = hang.arm.gear_stiffness_Nm_rad[joint]
+        stiffness = deflection.arm.gear_stiffness_Nm_rad[joint]
         direct[joint, :, GEAR_STIFFNESSES.start + joint] = -carried_Nm[joint] / stiffness
         direct[joint, :, BACKLASHES.start + joint] = at.backlash_rad[joint] * np.exp(
             x[BACKLASHES.start + joint]
@@ -248,7 +342,13 @@ def _direct_derivatives(hang: DeflectionDerivatives, x: Array, at: BelievedPoses
 
 
 def _right_jacobian(screw: Array) -> Array:
-    """Of the exponential, (6, 6): exp(x + d) = exp(x) exp(this d), to the third power of x."""
+    """Compute the right Jacobian J of the exponential: exp(x + d) = exp(x) exp(J d).
+
+    The series ends after the third power of x.
+
+    Returns:
+        Matrix, shape (6, 6).
+    """
     ad = np.zeros((6, 6))
     ad[:3, :3] = ad[3:, 3:] = skew(screw[:3])
     ad[3:, :3] = skew(screw[3:])

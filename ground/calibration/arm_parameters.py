@@ -1,4 +1,4 @@
-"""The numbers that our arm is calibrated for: their names, how large they may be, what they change."""
+"""Calibration parameters of the arm: names, expected sizes, and their effect on the arm model."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -30,9 +30,12 @@ from sim.plant import SCREW_AXES
 
 MASS_FRAMES: Final = (Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5, Frame.ARM6)
 FIXTURE_RAD, FIXTURE_M = 1e-4, 5e-5
-"""How well the measured frame is known on the interface that its targets are on, one sigma; assumed."""
+"""Uncertainty of the measured frame relative to the turret interface, one sigma; assumed."""
 ENCODER_ZEROS: Final = tuple(6 * frame + 2 for frame in Frame if frame < len(Joint))
-"""The turns of frames Arm1 to Arm5 about z: the next joint's axis, so that they are encoder zeros too."""
+"""Indices of the rotations of frames Arm1 to Arm5 about z.
+
+This z axis is the axis of the next joint, so these rotations also hold the encoder zeros.
+"""
 
 FRAME_SCREWS: Final = slice(0, 42)
 GEAR_STIFFNESSES: Final = slice(42, 47)
@@ -43,7 +46,7 @@ MASS_CENTRES: Final = slice(62, 77)
 
 
 def arm_parameters() -> tuple[FitParameter, ...]:
-    """All of them; sigmas are those that arms are built with. Factors are natural logarithms."""
+    """List all parameters. Prior sigmas are the manufacturing tolerances. Factors are natural logarithms."""
     return (
         *_frame_screws(),
         *(FitParameter(f"gear.{j.name.lower()}", "ln", STIFFNESS_SIGMA, STIFFNESS_SIGMA) for j in Joint),
@@ -74,9 +77,16 @@ def _frame_screws() -> Iterator[FitParameter]:
 
 
 def params_with_values(params: Params, x: Array) -> Params:
-    """The flight parameters of the arm with these numbers, differences from `params`; but for frame Tool.
+    """Apply parameter values to the parameters of flight software.
 
-    Factors of backlash go into the widths. The measured frame is no part of the arm.
+    Factors of backlash change the backlash widths. The measured frame Tool is not part of the arm.
+
+    Args:
+        params: Nominal parameters of flight software.
+        x: Parameter values, shape (p,), in the units of `arm_parameters`.
+
+    Returns:
+        Parameters of the arm with these values.
     """
     factor = np.exp(x)
     for joint in Joint:
@@ -87,22 +97,29 @@ def params_with_values(params: Params, x: Array) -> Params:
     for k, frame in enumerate(MASS_FRAMES):
         shift = vector3(x[MASS_CENTRES][3 * k : 3 * k + 3])
         params = LinkMass(frame, float(factor[MASS_FACTORS][k]), shift).on_params(params)
-    for frame in Frame:  # last: a frame's screw carries the turret's mass where it is
+    for frame in Frame:  # last: the frame error of Arm6 also displaces the turret's mass
         if frame is not Frame.TOOL:
             params = FrameError(frame, row6(x[6 * frame : 6 * frame + 6])).on_params(params)
     return params
 
 
-def arm_with_values(drawn: Arm, x: Array, stand_in: bool) -> tuple[Arm, Pose]:
-    """The arm as arrays with these numbers, and the frame X_RD in which it is mounted, which Arm1 displaces.
+def arm_with_values(nominal: Arm, x: Array, stand_in: bool) -> tuple[Arm, Pose]:
+    """Apply parameter values to the arm as arrays.
 
-    The same arm as that of `params_with_values`, but for the axes in which
-    springs yield: here they stay with the
-    springs, as in the plant. It makes less than a micrometre. A stand-in turret is weighed: its mass stays.
+    Link springs keep their axes, as in the plant; `params_with_values` turns them with the frame. The
+    difference is less than a micrometre.
+
+    Args:
+        nominal: Nominal arm.
+        x: Parameter values, shape (p,), in the units of `arm_parameters`.
+        stand_in: Whether a stand-in turret is mounted. Its mass was weighed and is not changed.
+
+    Returns:
+        The arm, and X_RD, the frame in which it is mounted: the rover frame displaced by Arm1.
     """
     factor = np.exp(x)
-    near_kg, far_kg = drawn.near_kg.copy(), drawn.far_kg.copy()
-    near, far, compliance = drawn.near_p_L_m.copy(), drawn.far_p_C_m.copy(), drawn.compliance.copy()
+    near_kg, far_kg = nominal.near_kg.copy(), nominal.far_kg.copy()
+    near, far, compliance = nominal.near_p_L_m.copy(), nominal.far_p_C_m.copy(), nominal.compliance.copy()
     for k, frame in enumerate(MASS_FRAMES):
         near_kg[frame] *= factor[MASS_FACTORS][k]
         far_kg[frame] *= 1.0 if frame is Frame.ARM6 and stand_in else factor[MASS_FACTORS][k]
@@ -110,19 +127,19 @@ def arm_with_values(drawn: Arm, x: Array, stand_in: bool) -> tuple[Arm, Pose]:
         far[:, frame] += x[MASS_CENTRES][3 * k : 3 * k + 3]
     for k, frame in enumerate(SPRING_FRAMES):
         compliance[:, :, frame] /= factor[LINK_STIFFNESSES][k]
-    turn = turret_displacement(drawn, x)
+    turn = turret_displacement(nominal, x)
     far[:, Frame.ARM6] = turn.R @ far[:, Frame.ARM6] + turn.p
-    RP_CF = drawn.RP_CF.copy()
+    RP_CF = nominal.RP_CF.copy()
     for frame in tuple(Frame)[1:6]:
-        X_CF = drawn.X_CF[frame] @ screw_exp(x[6 * frame : 6 * frame + 6])
+        X_CF = nominal.X_CF[frame] @ screw_exp(x[6 * frame : 6 * frame + 6])
         RP_CF[:, :3, frame], RP_CF[:, 3, frame] = X_CF.R, X_CF.p
     X_RF = (
-        Pose(rotation_z(drawn.theta_rad[0]), np.zeros(3))
-        @ Pose(np.eye(3), drawn.p_LC_m[:, 0])
-        @ drawn.X_CF[0]
+        Pose(rotation_z(nominal.theta_rad[0]), np.zeros(3))
+        @ Pose(np.eye(3), nominal.p_LC_m[:, 0])
+        @ nominal.X_CF[0]
     )
     arm = replace(
-        drawn,
+        nominal,
         RP_CF=RP_CF,
         compliance=compliance,
         near_kg=near_kg,
@@ -130,22 +147,37 @@ def arm_with_values(drawn: Arm, x: Array, stand_in: bool) -> tuple[Arm, Pose]:
         carried_kg=np.cumsum((near_kg + far_kg)[::-1])[::-1],
         near_p_L_m=near,
         far_p_C_m=far,
-        gear_stiffness_Nm_rad=drawn.gear_stiffness_Nm_rad * factor[GEAR_STIFFNESSES],
+        gear_stiffness_Nm_rad=nominal.gear_stiffness_Nm_rad * factor[GEAR_STIFFNESSES],
     )
     return arm, X_RF @ screw_exp(x[:6]) @ inverse(X_RF)
 
 
-def turret_displacement(drawn: Arm, x: Array) -> Pose:
-    """What the screw of Arm6 does to the turret's own mass, in the axes of its link."""
-    R_CF = Pose(drawn.X_CF.R[:, :, 5], drawn.X_CF.p[:, 5])
+def turret_displacement(nominal: Arm, x: Array) -> Pose:
+    """Compute the displacement of the turret's own mass by the frame error of Arm6.
+
+    Args:
+        nominal: Nominal arm.
+        x: Parameter values, shape (p,), in the units of `arm_parameters`.
+
+    Returns:
+        The displacement in axes of the last link.
+    """
+    R_CF = Pose(nominal.X_CF.R[:, :, 5], nominal.X_CF.p[:, 5])
     return R_CF @ screw_exp(x[6 * Frame.ARM6 : 6 * Frame.ARM6 + 6]) @ inverse(R_CF)
 
 
 def move_zeros_to_hardstops(params: Params, x: Array) -> tuple[Array, Params]:
-    """The encoder zeros (5) in these numbers, and the arm with them in its hardstop angles.
+    """Move encoder zeros from the frames into the hardstop angles.
 
-    A turn of a frame about z is a turn of the next joint. Taken out of the frame it is added to every angle
-    of that joint, so to that of its hardstop too; it holds once the joint has been at its hardstop anew.
+    A rotation of a frame about z equals an offset of the next joint, and so of its hardstop angle. The new
+    angles are valid after each hardstop has been found again.
+
+    Args:
+        params: Nominal parameters of flight software.
+        x: Parameter values, shape (p,), in the units of `arm_parameters`.
+
+    Returns:
+        Encoder zeros [rad], shape (5,), and the parameters with changed hardstop angles.
     """
     zero = x[list(ENCODER_ZEROS)].copy()
     arm = params_with_values(params, x)
@@ -163,7 +195,7 @@ def move_zeros_to_hardstops(params: Params, x: Array) -> tuple[Array, Params]:
 
 
 def _turn_end(link: LinkParams, angle_rad: float) -> LinkParams:
-    """A link whose end frame is turned about z; its spring and its masses stay where they are."""
+    """Rotate the end frame of a link about z; keep its spring and masses in place."""
     end = transform6_to_pose(link.transform) @ Pose(rotation_z(np.array(angle_rad)), np.zeros(3))
     transform = pose_to_transform6(end)
     back = rotation_z(np.array(link.transform.theta_rad - transform.theta_rad))

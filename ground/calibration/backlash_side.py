@@ -1,9 +1,9 @@
-"""Outputs of which flight software does not surely know on which side of their gaps they lie.
+"""Outputs whose side of the backlash is uncertain to flight software.
 
-What it believes is mostly right. A campaign tells: where the tracker sees most such outputs of a joint,
-dragged to one side, off by one and the same angle, that angle is its zero or the width of its gap, and those
-that agree with it lie where they are believed to. The others lie somewhere in their gaps, and their poses
-tell nothing about that joint.
+The believed side is usually right, and a campaign can confirm it. Friction drags the outputs of a joint to
+one side of the backlash. If most of them have the same angle error, this error is an encoder zero or a
+backlash width. Outputs that agree with it lie where they are believed to lie. The other outputs may lie
+anywhere in their backlash, so their poses carry no information about that joint.
 """
 
 from dataclasses import dataclass
@@ -15,17 +15,23 @@ from fsw.kinematics.transforms import Array, Flags
 from ground.calibration.screws import MeasuredPoses
 
 REST_SIGMA_RAD: Final = 3e-6
-"""How well a joint at rest is known, one sigma: encoder, and what friction holds. From the closed loop."""
+"""Uncertainty of a joint angle at rest, one sigma: encoder and friction. Measured in the closed loop."""
 
 
-def pose_whitener(measured: MeasuredPoses, by_joints: Array, unknown: Flags) -> Array:
-    """What makes error screws independent and of variance 1, (n, 6, 6).
+def pose_whitener(measured: MeasuredPoses, output_jacobian: Array, unknown: Flags) -> Array:
+    """Compute the matrices that make error screws independent with unit variance.
 
-    `by_joints` (6, n, joints): the screw of the measured frame, in its own axes, per turn of an output. Where
-    nobody knows on which side of its gap an output lies (joints, n), the pose tells nothing along its screw:
-    such rows are 0.
+    A pose carries no information along the screw of an output whose side is unknown: these rows are 0.
+
+    Args:
+        measured: Measured poses and their covariances.
+        output_jacobian: Screws of the turret frame in its axes, per radian of each output, shape (6, n, 5).
+        unknown: Flags of outputs whose side of the backlash is unknown, shape (5, n).
+
+    Returns:
+        Whitening matrices, shape (n, 6, 6).
     """
-    W, A = whiten_joint_jacobian(measured, by_joints)
+    W, A = whiten_joint_jacobian(measured, output_jacobian)
     for pose in np.flatnonzero(unknown.any(axis=0)):
         along = A[pose][:, unknown[:, pose]]
         Q, _ = np.linalg.qr(along, mode="complete")
@@ -34,87 +40,112 @@ def pose_whitener(measured: MeasuredPoses, by_joints: Array, unknown: Flags) -> 
     return W
 
 
-def whiten_joint_jacobian(measured: MeasuredPoses, by_joints: Array) -> tuple[Array, Array]:
-    """The whitener of tracker and joints at rest, (n, 6, 6), and turns of the outputs as it makes them."""
-    J = np.moveaxis(by_joints, 1, 0)
+def whiten_joint_jacobian(measured: MeasuredPoses, output_jacobian: Array) -> tuple[Array, Array]:
+    """Compute the whitening matrices for the noise of the tracker and of joints at rest.
+
+    Args:
+        measured: Measured poses and their covariances.
+        output_jacobian: Screws of the turret frame in its axes, per radian of each output, shape (6, n, 5).
+
+    Returns:
+        Whitening matrices, shape (n, 6, 6), and the whitened Jacobian, shape (n, 6, 5).
+    """
+    J = np.moveaxis(output_jacobian, 1, 0)
     noise = measured.covariance + REST_SIGMA_RAD**2 * J @ J.swapaxes(1, 2)
     W = np.linalg.inv(np.linalg.cholesky(noise))
     return W, W @ J
 
 
 CONSENSUS_SIGMAS: Final = 3.0
-"""Sigmas within which two outputs are off by the same angle."""
+"""Largest difference, in sigmas, between two outputs that count as having the same angle error."""
 MIN_OUTPUTS: Final = 5
-"""Outputs that must agree, and at least half of all on that side."""
+"""Smallest number of outputs that must agree; at least half of all on that side must agree too."""
 KNOWN_SIGMAS: Final = 2.0
-"""Where an output is to be is known, whatever others do, if its sigma is at most this many of its noise's."""
+"""Largest total sigma, as a multiple of the noise, at which the model alone predicts the output.
+
+Such an output needs no agreement with others.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutputErrors:
-    """Some outputs of a joint as the tracker sees them."""
+    """Angle errors of some outputs of one joint, as the tracker measures them."""
 
-    off_rad: Array
-    """Beyond where they are modelled to be, (k,)."""
+    error_rad: Array
+    """Measured angle less modelled angle, shape (k,)."""
     noise_rad: Array
-    """One sigma of each by itself, (k,)."""
+    """Independent noise of each error, one sigma, shape (k,)."""
     shared_rad2: Array
-    """Covariance by what is unsure of the model, (k, k)."""
+    """Covariance that comes from the uncertainty of the model, shape (k, k)."""
 
 
 def confirm_sides(
     measured: MeasuredPoses,
-    by_joints: Array,
+    output_jacobian: Array,
     error: Array,
-    moved: Array,
+    parameter_jacobian: Array,
     covariance: Array,
-    unsure: Flags,
+    uncertain: Flags,
     backlash_rad: Array,
 ) -> Flags:
-    """Which of the unsure outputs (joints, n) lie where they are believed to, in their gaps.
+    """Find the uncertain outputs that lie where they are believed to lie in their backlash.
 
-    `error` (6, n): screws from the poses modelled with what is believed to the measured ones; `by_joints`
-    (6, n, joints) and `moved` (6, n, p): screws of the measured frame per turn of an output and per unit of
-    the model's numbers, whose `covariance` is (p, p).
+    Args:
+        measured: Measured poses and their covariances.
+        output_jacobian: Screws of the turret frame in its axes, per radian of each output, shape (6, n, 5).
+        error: Screws [rad, m] from the modelled to the measured poses, shape (6, n).
+        parameter_jacobian: Screws of the turret frame per unit of each parameter, shape (6, n, p).
+        covariance: Covariance of the parameters, in squares of their units, shape (p, p).
+        uncertain: Flags of the outputs to decide, shape (5, n).
+        backlash_rad: Believed positions of the outputs in their backlash, shape (5, n).
+
+    Returns:
+        Flags of the confirmed outputs, shape (5, n).
     """
-    joints, n = unsure.shape
+    joints, n = uncertain.shape
     off, noise = np.full((joints, n), np.nan), np.full((joints, n), np.nan)
     by_numbers = np.zeros((joints, n, covariance.shape[0]))
-    W, A = whiten_joint_jacobian(measured, by_joints)
-    for pose in np.flatnonzero(unsure.any(axis=0)):
-        which = unsure[:, pose]
+    W, A = whiten_joint_jacobian(measured, output_jacobian)
+    for pose in np.flatnonzero(uncertain.any(axis=0)):
+        which = uncertain[:, pose]
         a = A[pose][:, which]
         inverse = np.linalg.inv(a.T @ a)
         turns = inverse @ a.T @ W[pose]
         off[which, pose] = turns @ error[:, pose]
         noise[which, pose] = np.sqrt(np.diag(inverse))
-        by_numbers[which, pose] = turns @ moved[:, pose]
-    found = np.zeros_like(unsure)
+        by_numbers[which, pose] = turns @ parameter_jacobian[:, pose]
+    found = np.zeros_like(uncertain)
     for joint in range(joints):
         for side in (backlash_rad[joint] < 0, backlash_rad[joint] >= 0):
-            where = np.flatnonzero(unsure[joint] & side)
+            where = np.flatnonzero(uncertain[joint] & side)
             B = by_numbers[joint, where]
-            seen = OutputErrors(off[joint, where], noise[joint, where], B @ covariance @ B.T)
-            found[joint, where] = find_consensus(seen)
+            outputs = OutputErrors(off[joint, where], noise[joint, where], B @ covariance @ B.T)
+            found[joint, where] = find_consensus(outputs)
     return found
 
 
-def find_consensus(seen: OutputErrors) -> Flags:
-    """Those that are where the model has them, and where most others are that were dragged to the same side.
+def find_consensus(outputs: OutputErrors) -> Flags:
+    """Find the outputs that agree with the model and with most outputs on the same side.
 
-    What is unsure of the model moves them alike: only their own noise keeps them apart.
+    Model uncertainty shifts all of them together, so only independent noise separates them.
+
+    Args:
+        outputs: Angle errors of outputs on one side.
+
+    Returns:
+        Flags of the outputs that agree, shape (k,).
     """
-    if seen.off_rad.size == 0:
+    if outputs.error_rad.size == 0:
         return np.zeros(0, bool)
-    shared = np.diag(seen.shared_rad2)
-    total = np.sqrt(seen.noise_rad**2 + shared)
-    apart = np.sqrt(np.maximum(total**2 + total[:, None] ** 2 - 2 * seen.shared_rad2, 0.0))
-    same = np.abs(seen.off_rad - seen.off_rad[:, None]) <= CONSENSUS_SIGMAS * apart
+    shared = np.diag(outputs.shared_rad2)
+    total = np.sqrt(outputs.noise_rad**2 + shared)
+    difference_sigma = np.sqrt(np.maximum(total**2 + total[:, None] ** 2 - 2 * outputs.shared_rad2, 0.0))
+    same = np.abs(outputs.error_rad - outputs.error_rad[:, None]) <= CONSENSUS_SIGMAS * difference_sigma
     most = same[int(np.argmax(same.sum(axis=1)))]
-    # once more by all of them: the one that most agree with is off by its own noise too
+    # compare with all of them, because the output with most agreement has noise of its own
     most = same[:, most].mean(axis=1) >= 0.5
     enough = most.sum() >= max(MIN_OUTPUTS, 0.5 * most.size)
-    agree: Flags = (np.abs(seen.off_rad) < CONSENSUS_SIGMAS * total) & (
-        (most & enough) | (total <= KNOWN_SIGMAS * seen.noise_rad)
+    agree: Flags = (np.abs(outputs.error_rad) < CONSENSUS_SIGMAS * total) & (
+        (most & enough) | (total <= KNOWN_SIGMAS * outputs.noise_rad)
     )
     return agree

@@ -1,4 +1,4 @@
-"""From a campaign to the arm's numbers, with every doubt about them said."""
+"""Calibration of the arm: fit, rejection of outliers, hold-out validation and identifiability."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -15,72 +15,82 @@ from ground.calibration.identifiability import Identifiability, assess_identifia
 from ground.calibration.outliers import OutlierRejection, reject_outliers
 
 HOLD_OUT_STRIDE: Final = 5
-"""Every fifth pose of a group is in no equation of the fit that it judges.
+"""Stride of held-out poses in each group: every fifth pose is left out of the fit that it validates.
 
-But what is an outlier, and which unsure gaps are as believed, was found with it.
+Held-out poses do take part in the search for outliers.
 """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Calibration:
-    """What was found."""
+    """Result of a calibration."""
 
     nominal: Params
     campaign: Campaign
     rejection: OutlierRejection
-    """The fit to all poses, without outliers."""
+    """Fit to all poses except outliers."""
     hold_out: HoldOutValidation
-    """The fit to four fifths of them, by the last fifth."""
+    """Validation on the held-out poses of a fit to the others."""
     held_out_poses: Flags
-    """Which these are, (n,)."""
+    """Flags of the held-out poses, shape (n,)."""
     held_out_error: Array
-    """Their error screws, (6, k)."""
+    """Error screws of the held-out poses, shape (6, k)."""
     identifiability: Identifiability
     frame_identifiability: Identifiability
-    """Of the frames' numbers alone: what the paper counts."""
+    """Identifiability of the frame parameters alone, as in the paper."""
     preliminary: Fit
-    """What unsure gaps were judged by."""
+    """Fit that decided on which side of the backlash uncertain outputs lie."""
     unknown: Flags
-    """Outputs of which nobody knows where in their gaps they lie, (5, n)."""
+    """Outputs whose side of the backlash is unknown, shape (5, n)."""
     before: Array
-    """Error screws of all poses by the nominal numbers, in axes of the modelled frame, (6, n)."""
+    """Error screws of all poses with nominal parameters, in axes of the modelled frame, (6, n)."""
     after: Array
-    """By the calibrated ones."""
+    """Error screws with calibrated parameters, shape (6, n)."""
 
     @property
     def best(self) -> Fit:
-        """The fit."""
+        """Return the fit to all poses except outliers."""
         return self.rejection.fit
 
 
 def calibrate(nominal: Params, campaign: Campaign, with_backlash: bool = True) -> Calibration:
-    """Fit, leave out outliers, judge by held-out poses; check_fit says whether it is to be believed.
+    """Fit the arm to a campaign, reject outliers, and validate the fit on held-out poses.
+
+    `checks.check_fit` decides whether the result is acceptable.
+
+    Args:
+        nominal: Nominal parameters of flight software.
+        campaign: Measured poses.
+        with_backlash: Whether the model uses the state of the backlash.
+
+    Returns:
+        The calibration.
 
     Raises:
-        NoAgreement: no arm explains the poses.
+        TooManyOutliers: No arm explains the poses.
     """
     parameters = arm_parameters()
     everything = np.ones(campaign.count, bool)
-    near = _preliminary_fit(nominal, campaign, everything, with_backlash)
-    model = arm_model(nominal, campaign, near, with_backlash)
-    cleaned = reject_outliers(parameters, model, near.values)
-    fresh = select_held_out(campaign.group)
-    near_part = _preliminary_fit(nominal, campaign, ~fresh, with_backlash)
-    part_model = arm_model(nominal, campaign, near_part, with_backlash, fresh)
-    part = reject_outliers(parameters, part_model, near_part.values, ~fresh).fit
-    judges = fresh & cleaned.fit.used
+    preliminary = _preliminary_fit(nominal, campaign, everything, with_backlash)
+    model = arm_model(nominal, campaign, preliminary, with_backlash)
+    cleaned = reject_outliers(parameters, model, preliminary.values)
+    is_held_out = select_held_out(campaign.group)
+    preliminary_part = _preliminary_fit(nominal, campaign, ~is_held_out, with_backlash)
+    part_model = arm_model(nominal, campaign, preliminary_part, with_backlash, is_held_out)
+    part = reject_outliers(parameters, part_model, preliminary_part.values, ~is_held_out).fit
+    held_out = is_held_out & cleaned.fit.used
     at = cleaned.fit.at
     frames = Linearisation(at.residual, at.jacobian[:, :, FRAME_SCREWS])
     return Calibration(
         nominal=nominal,
         campaign=campaign,
         rejection=cleaned,
-        hold_out=validate_hold_out(part, part.at.at(judges)),
-        held_out_poses=judges,
-        held_out_error=part_model.errors(part.values)[:, judges],
+        hold_out=validate_hold_out(part, part.at.at(held_out)),
+        held_out_poses=held_out,
+        held_out_error=part_model.errors(part.values)[:, held_out],
         identifiability=assess_identifiability(parameters, at, cleaned.fit.used),
         frame_identifiability=assess_identifiability(parameters[FRAME_SCREWS], frames, cleaned.fit.used),
-        preliminary=near,
+        preliminary=preliminary,
         unknown=model.unknown,
         before=model.errors(np.zeros(len(parameters))),
         after=model.errors(cleaned.fit.values),
@@ -88,15 +98,24 @@ def calibrate(nominal: Params, campaign: Campaign, with_backlash: bool = True) -
 
 
 def _preliminary_fit(nominal: Params, campaign: Campaign, used: Flags, with_backlash: bool) -> Fit:
-    """A fit to the poses used that unsure gaps can be judged by; of the others none is looked at."""
+    """Fit the used poses to decide the side of uncertain outputs, without the measurements of other poses."""
     parameters = arm_parameters()
-    near = fit(parameters, arm_model(nominal, campaign, None, with_backlash), None, used)
-    # once more: when widths of gaps are known, what agrees is seen more sharply
-    return fit(parameters, arm_model(nominal, campaign, near, with_backlash, ~used), near.values, used)
+    preliminary = fit(parameters, arm_model(nominal, campaign, None, with_backlash), None, used)
+    # fit again: with known backlash widths, more outputs can be confirmed
+    return fit(
+        parameters, arm_model(nominal, campaign, preliminary, with_backlash, ~used), preliminary.values, used
+    )
 
 
 def select_held_out(group: Integers) -> Flags:
-    """Every fifth pose of each group, (n,)."""
+    """Select every fifth pose of each group.
+
+    Args:
+        group: Group index of each pose, shape (n,).
+
+    Returns:
+        Flags of the held-out poses, shape (n,).
+    """
     held = np.zeros(group.size, bool)
     for name in np.unique(group):
         held[np.flatnonzero(group == name)[HOLD_OUT_STRIDE // 2 :: HOLD_OUT_STRIDE]] = True
@@ -104,5 +123,12 @@ def select_held_out(group: Integers) -> Flags:
 
 
 def rms_m(error: Array) -> float:
-    """Root mean square position error of screws (6, n)."""
+    """Compute the root mean square of position errors.
+
+    Args:
+        error: Error screws, rotation [rad] first, then translation [m], shape (6, n).
+
+    Returns:
+        Root mean square error [m].
+    """
     return float(np.sqrt(np.mean(np.sum(error[3:] ** 2, axis=0))))

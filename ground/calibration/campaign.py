@@ -1,4 +1,4 @@
-"""The campaign in the closed loop: hardstops first, then flight software goes to every pose."""
+"""Calibration campaign in the closed loop: find the hardstops, then move to every pose and measure it."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -30,38 +30,49 @@ from sim.tracker import TYPICAL_TRACKER, Tracker, turret_pose
 from sim.world import World
 
 SHOULDER_IN_SHARE: Final = 0.3
+"""Share of poses with the shoulder-in branches."""
 MIN_CLEARANCE_M: Final = 0.01
 SHOULDER_OUT_BRANCHES, SHOULDER_IN_BRANCHES = BRANCHES[:4], BRANCHES[4:]
 
 
 @dataclass(frozen=True, slots=True)
 class PoseGroup:
-    """A part of a campaign: which turret hangs on the arm, how the rover is tilted, how many poses."""
+    """Part of a campaign: mounted turret, tilt of the rover, and number of poses."""
 
     turret_kg: float | None
-    """None for the arm's own."""
+    """Mass of the stand-in turret; None for the arm's own turret."""
     roll_rad: float
     count: int
 
     def params(self, params: Params) -> Params:
-        """Flight parameters of the arm with this turret."""
+        """Return the parameters of flight software for this turret."""
         return params_with_stand_in(params, self.turret_kg)
 
 
 PAPER_GROUPS: Final = tuple(
     PoseGroup(kg, float(np.radians(roll_deg)), 40) for roll_deg in (0.0, 20.0) for kg in (8.0, 19.0)
 )
-"""Two light turrets on level ground, then both with the rover rolled by 20 deg."""
+"""Groups of the paper: two stand-in turrets on level ground, then both with the rover rolled by 20 deg."""
 
 
 def resize_groups(groups: tuple[PoseGroup, ...], poses: int) -> tuple[PoseGroup, ...]:
-    """The same groups with so many poses in all."""
-    share, left = divmod(poses, len(groups))
-    return tuple(PoseGroup(g.turret_kg, g.roll_rad, share + (k < left)) for k, g in enumerate(groups))
+    """Return the same groups with this number of poses in all."""
+    share, rest = divmod(poses, len(groups))
+    return tuple(PoseGroup(g.turret_kg, g.roll_rad, share + (k < rest)) for k, g in enumerate(groups))
 
 
 def group_poses(params: Params, group: PoseGroup, scene: World, rng: np.random.Generator) -> list[Array]:
-    """Goals (5) of joint angles, in an order in which the way between them is short, from the ready pose."""
+    """Draw the collision-free poses of one group.
+
+    Args:
+        params: Nominal parameters of flight software.
+        group: Turret, tilt and number of poses.
+        scene: World whose terrain the arm must clear.
+        rng: Random generator.
+
+    Returns:
+        Joint angles [rad] of each pose, shape (5,), ordered for short moves from the ready pose.
+    """
     config = configure(group.params(params))
     space = ClearanceModel(config.params, scene)
     inside = round(SHOULDER_IN_SHARE * group.count)
@@ -81,27 +92,44 @@ def _clear_pose(
 
 
 def order_by_time(config: Config, start_rad: Array, goals: list[Array]) -> list[Array]:
-    """The goals, each time the one that is reached soonest."""
-    left, ordered, here = list(goals), [], start_rad
-    while left:
-        time_s = [float(np.max(np.abs(goal - here) / config.speed_rad_s)) for goal in left]
-        here = left.pop(int(np.argmin(time_s)))
+    """Order poses so that the next one is always the pose that is reached soonest.
+
+    Args:
+        config: Configuration with the joint speeds.
+        start_rad: Joint angles at the start, shape (5,).
+        goals: Joint angles [rad] of each pose, shape (5,).
+
+    Returns:
+        The poses in order.
+    """
+    remaining, ordered, here = list(goals), [], start_rad
+    while remaining:
+        time_s = [float(np.max(np.abs(goal - here) / config.speed_rad_s)) for goal in remaining]
+        here = remaining.pop(int(np.argmin(time_s)))
         ordered.append(here)
     return ordered
 
 
 def branch_name(config: Config, output_rad: Array) -> str:
-    """The branch of the inverse kinematics that a pose (5,) is on."""
+    """Return the name of the inverse-kinematics branch of a pose.
+
+    Args:
+        config: Configuration with the arm.
+        output_rad: Joint angles, shape (5,).
+
+    Returns:
+        The name of the branch.
+    """
     return BRANCHES[int(branch_index(fold_distances(config.arm.orthogonal[Tool.DRILL], output_rad)))]
 
 
 class CampaignFailed(RuntimeError):
-    """The arm could not be initialised, or a move did not come to its end."""
+    """Error: the arm could not be initialised, or a move failed."""
 
 
 @dataclass(frozen=True, slots=True)
 class CampaignPlan:
-    """What is done, and with what."""
+    """Groups of poses, tracker and seed of a campaign."""
 
     groups: tuple[PoseGroup, ...] = PAPER_GROUPS
     tracker: Tracker = TYPICAL_TRACKER
@@ -109,10 +137,12 @@ class CampaignPlan:
 
 
 def earth_reference(arm: BuiltArm, progress: Progress) -> Reference:
-    """Every joint at its hardstop, without a turret on Earth, under the torques that it has on Mars with it.
+    """Find the hardstop of every joint on Earth without a turret.
+
+    Loads imitate those on Mars with the turret.
 
     Raises:
-        CampaignFailed: a hardstop was not found.
+        CampaignFailed: A hardstop was not found.
     """
     runs = []
     for run in initialise_joints(without_turret(arm, on_earth=True), World("earth")):
@@ -124,10 +154,10 @@ def earth_reference(arm: BuiltArm, progress: Progress) -> Reference:
 
 
 def run_campaign(arm: BuiltArm, reference: Reference, plan: CampaignPlan, progress: Progress) -> Campaign:
-    """Every pose of the plan.
+    """Run every pose of a plan in the closed loop.
 
     Raises:
-        CampaignFailed: a move did not come to its end.
+        CampaignFailed: A move failed.
     """
     total, rows = sum(group.count for group in plan.groups), []
     for k in range(len(plan.groups)):
@@ -138,7 +168,7 @@ def run_campaign(arm: BuiltArm, reference: Reference, plan: CampaignPlan, progre
 
 
 def group_rows(arm: BuiltArm, reference: Reference, plan: CampaignPlan, k: int) -> Iterator[CampaignRow]:
-    """The poses of one group, one after the other; those that the tracker cannot see are not among them."""
+    """Run the poses of one group; leave out poses at which the tracker sees too few targets."""
     group = plan.groups[k]
     world = World("earth", tilt_roll_rad=group.roll_rad)
     goals = group_poses(arm.params, group, World("earth"), np.random.default_rng([plan.seed, k, 0]))
@@ -146,7 +176,7 @@ def group_rows(arm: BuiltArm, reference: Reference, plan: CampaignPlan, k: int) 
     turret = () if group.turret_kg is None else (StandInTurret(group.turret_kg),)
     known = replace(arm, params=group.params(arm.params))
     setup = Setup(known, world, known.params.poses.ready_rad, plan.seed, reference, turret)
-    loop = free_air_loop(setup)  # the way between two poses was cleared by people
+    loop = free_air_loop(setup)  # people checked the paths between poses for collisions
     for goal in goals:
         problem = run_and_rest(loop, MoveJoints(joints5(goal), "on"))
         if problem is not None:
@@ -160,19 +190,19 @@ def group_rows(arm: BuiltArm, reference: Reference, plan: CampaignPlan, k: int) 
 def _row(
     loop: ClosedLoop, group: PoseGroup, k: int, tracker: Tracker, rng: np.random.Generator
 ) -> CampaignRow:
-    loop.plant.truth()  # brings the kinematics up to date
-    seen = measure_pose(tracker, loop.plant, group.roll_rad, turret_pose(loop.plant), rng)
+    loop.plant.truth()  # updates the kinematics of the plant
+    measurement = measure_pose(tracker, loop.plant, group.roll_rad, turret_pose(loop.plant), rng)
     joints, arm = loop.state.joints, loop.config.arm
     gear = joints.gear_rad[:, LIKELY]
-    gap = clip_to_backlash(joints.reference.half_gap_rad, gear)
+    backlash_rad = clip_to_backlash(joints.reference.half_gap_rad, gear)
     return CampaignRow(
         group=k,
         branch=branch_name(loop.config, joints.output_rad),
         motor_rad=joints.motor_rad,
-        backlash_rad=gap,
-        friction_Nm=loop.state.load.torque_Nm - arm.gear_stiffness_Nm_rad * (gear - gap),
+        backlash_rad=backlash_rad,
+        friction_Nm=loop.state.load.torque_Nm - arm.gear_stiffness_Nm_rad * (gear - backlash_rad),
         side=joints.side,
         gravity_R_m_s2=joints.gravity_R_m_s2,
         turret_kg=np.nan if group.turret_kg is None else group.turret_kg,
-        measurement=seen,
+        measurement=measurement,
     )

@@ -1,4 +1,4 @@
-"""What a campaign of calibration hands over: settled poses, as flight software knows them and as measured."""
+"""Data of a calibration campaign: poses at rest, as believed by flight software and as measured."""
 
 from dataclasses import dataclass
 
@@ -11,51 +11,51 @@ from ground.calibration.screws import MeasuredPoses
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BelievedPoses:
-    """What flight software knows of the poses; joint arrays (5, n) in the order of Joint."""
+    """State of the arm at each pose as flight software knows it; joint arrays have shape (5, n)."""
 
     motor_rad: Array
-    """Motor angles, output side."""
+    """Motor angles on the output side."""
     backlash_rad: Array
-    """Where the outputs lie in their gaps; half the width on a flank."""
+    """Positions of the outputs in their backlash; half the width at a flank."""
     friction_Nm: Array
-    """What of the load the friction of the outputs holds, so that the gears do not carry it."""
+    """Load that friction of the outputs carries, so that the gears do not carry it."""
     side: Array
-    """+1 or -1 where the output surely lies on that side of its gap, 0 where it only probably does."""
+    """+1 or -1 if the output certainly lies on that side of the backlash, 0 if it is uncertain."""
     gravity_R_m_s2: Array
-    """(3, n)."""
+    """Gravity in the rover frame, shape (3, n)."""
     turret_kg: Array
-    """Mass of the stand-in turret, (n,); NaN for the arm's own turret."""
+    """Mass of the stand-in turret, shape (n,); NaN for the arm's own turret."""
 
     def at(self, poses: Flags | Integers) -> "BelievedPoses":
-        """Some of the poses."""
+        """Select some of the poses."""
         return select_targets(self, poses)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Campaign:
-    """Poses of one campaign, in the order in which they were taken."""
+    """Poses of one campaign in the order of measurement."""
 
     arm_name: str
     group: Integers
-    """Which part of the campaign a pose belongs to, (n,)."""
+    """Index of the group of each pose, shape (n,)."""
     branch: tuple[str, ...]
-    """Of the inverse kinematics, by name."""
+    """Name of the inverse-kinematics branch of each pose."""
     believed: BelievedPoses
     measured: MeasuredPoses
     targets_seen: Integers
-    """How many targets on ground, rover and turret the tracker saw, (3, n)."""
+    """Number of targets on ground, rover and turret that the tracker saw, shape (3, n)."""
     misfit_m: Array
-    """Root mean square by which the targets seen were not where a rigid body has them, (n,)."""
+    """Root mean square distance of targets from a rigid body, shape (n,)."""
     tracker_moved_m: Array
-    """How far the ground's targets seem to have moved since the first pose, (n,)."""
+    """Apparent motion of the ground targets since the first pose, shape (n,)."""
 
     @property
     def count(self) -> int:
-        """How many poses."""
+        """Return the number of poses."""
         return self.group.size
 
     def at(self, poses: Flags | Integers) -> "Campaign":
-        """Some of the poses, in order."""
+        """Select some of the poses, in order."""
         where = np.flatnonzero(poses) if poses.dtype == bool else poses
         return Campaign(
             self.arm_name,

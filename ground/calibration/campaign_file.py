@@ -1,4 +1,4 @@
-"""A campaign as a table, Parquet or CSV: one row a pose. docs/calibration.md lists the columns."""
+"""Campaign tables, Parquet or CSV, with one row for each pose. docs/calibration.md lists the columns."""
 
 from collections.abc import Iterator
 from io import BytesIO
@@ -38,15 +38,15 @@ NUMBER_COLUMNS: Final = (
 )
 MAY_BE_EMPTY: Final = ("turret_kg",)
 NORM_TOLERANCE: Final = 1e-3
-"""How far a quaternion's length may be from 1."""
+"""Largest difference of the norm of a quaternion from 1."""
 MOST_ROWS: Final = 100_000
 
 
 def save_campaign(campaign: Campaign, path: Path) -> None:
-    """Write the table, as its name ends: .parquet or .csv.
+    """Write the table; the suffix, .parquet or .csv, selects the format.
 
     Raises:
-        BadOutput: the file cannot be written.
+        BadOutput: The file cannot be written.
     """
     table = pa.table(dict(_columns(campaign)))
     with atomic_write(path, "data") as file:
@@ -60,7 +60,7 @@ def read_campaign(path: Path) -> Campaign:
     """Read a table.
 
     Raises:
-        BadData: it cannot be read or is too large, or columns or values are not what they should be.
+        BadData: The file cannot be read or is too large, or columns or values are wrong.
     """
     try:
         data = BytesIO(read_file(path, MAX_TABLE_BYTES))
