@@ -1,4 +1,4 @@
-"""What flight software is built from: the parameters and the arrays that follow from them."""
+"""Configuration of flight software: the parameters, and what is computed from them once."""
 
 import hashlib
 from dataclasses import dataclass, fields, is_dataclass
@@ -17,18 +17,18 @@ CYCLE_S = 1.0 / CYCLE_HZ
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Config:
-    """Constant for a run; joint arrays in the order of Joint."""
+    """Frozen record of what is constant during a run; joint arrays (5,) in the order of Joint."""
 
     params: Params
     params_sha256: str
     arm: Arm
     collision_geometry: CollisionGeometry
-    """Shapes that the arm is not to meet."""
+    """Shapes of the arm, the rover and the ground."""
     protection: ProtectionBounds
     rad_per_count: Array
-    """Output side."""
+    """Angle on the output side for one encoder count."""
     half_gap_rad: Array
-    """Of the drawing; a calibrated joint has its own."""
+    """Half the backlash by the parameters; a calibrated joint has a measured value in its Reference."""
     hardstop_rad: Array
     output_friction_Nm: Array
     load_error_Nm: Array
@@ -43,21 +43,21 @@ class Config:
 
 
 def digest(params: Params) -> str:
-    """SHA-256 of the parameters' values, the same for the same values however they were written."""
-    return hashlib.sha256(_written(params).encode()).hexdigest()
+    """Compute the SHA-256 of the parameter values; equal values give equal digests."""
+    return hashlib.sha256(_canonical_text(params).encode()).hexdigest()
 
 
-def _written(value: object) -> str:
-    """One text for one value, whatever kind of number holds it."""
+def _canonical_text(value: object) -> str:
+    """Convert a value to the one text that all equal values share."""
     if is_dataclass(value):
-        return "".join(f"{f.name}={_written(getattr(value, f.name))};" for f in fields(value))
+        return "".join(f"{f.name}={_canonical_text(getattr(value, f.name))};" for f in fields(value))
     if isinstance(value, tuple):
-        return f"({','.join(_written(item) for item in value)})"
+        return f"({','.join(_canonical_text(item) for item in value)})"
     return float(value).hex() if isinstance(value, float) else str(value)
 
 
 def configure(params: Params) -> Config:
-    """The configuration of these parameters."""
+    """Build the configuration from parameters."""
     joints, motion, arm = params.joints.in_order(), params.motion, build_arm(params)
     return Config(
         params=params,
@@ -82,5 +82,5 @@ def configure(params: Params) -> Config:
 
 
 def ticks(duration_s: float) -> int:
-    """Whole cycles that last at least this long."""
+    """Compute the least number of cycles that last at least this long."""
     return int(np.ceil(duration_s * CYCLE_HZ))

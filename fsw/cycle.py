@@ -1,4 +1,4 @@
-"""One control cycle: sensors, commands -> estimate -> decide -> move -> protect -> drive, telemetry, evrs."""
+"""One control cycle: estimate, decide, move, protect; from sensors and commands to outputs."""
 
 from dataclasses import replace
 
@@ -25,29 +25,39 @@ from fsw.state import State, joint_channels
 def step(
     config: Config, state: State, sensors: Sensors, commands: tuple[Command, ...]
 ) -> tuple[State, Outputs]:
-    """The state and the outputs after one cycle; everything follows from the arguments."""
+    """Compute one control cycle; the result depends on the arguments only.
+
+    Args:
+        config: Configuration at boot; `state.changed_config` replaces it if parameters were set.
+        state: State after the cycle before.
+        sensors: Readings of this cycle.
+        commands: Commands that arrived in this cycle.
+
+    Returns:
+        The state and the outputs after this cycle.
+    """
     before, config = state, state.changed_config or config
     unusable = check_readings(config.protection, sensors)
     usable = not unusable
     joints, load, tool_channels = _estimate(config, state, sensors, usable)
     state, joints, decided = _decide(config, state, joints, load, sensors, commands, usable)
-    # at rest the last set-point is where the motors are, in today's encoder zero
+    # without a move, the last set-point is the motor angle by the encoder zero of this cycle
     last_rad = joints.motor_rad if before.move is None else before.move.setpoint.motor_rad
-    moved, joints, preload, planned_gap_rad = _move(config, state, joints, load, sensors, usable)
-    lie = joints.backlash_state
-    arm = describe_arm(moved.mode, state.tool, joints, lie[2], moved.move, preload)
+    moved, joints, preload, planned_backlash_rad = _move(config, state, joints, load, sensors, usable)
+    backlash_state = joints.backlash_state
+    arm = describe_arm(moved.mode, state.tool, joints, backlash_state[2], moved.move, preload)
     monitors, decision = protect(
         config.protection, state.monitors, moved.fault, arm, sensors, last_rad, unusable, moved.evrs
     )
     after = moved if decision is None else apply_decision(config, moved, decision, joints)
-    # built once, as a stage that changed a few fields of it would copy them all
+    # built once: a `replace` in each stage would copy all fields each time
     state = State(
         tick=before.tick + 1,
         mode=after.mode,
         tool=state.tool,
         joints=joints,
         load=load,
-        planned_gap_rad=planned_gap_rad,
+        planned_gap_rad=planned_backlash_rad,
         move=after.move,
         preload=preload,
         sequence=after.sequence,
@@ -56,13 +66,16 @@ def step(
         drive=command_actuators(config, after.move, joints, state.drive),
         changed_config=state.changed_config,
     )
-    return state, _make_outputs(config, before, state, lie, tool_channels, decided + after.evrs)
+    return state, _make_outputs(config, before, state, backlash_state, tool_channels, decided + after.evrs)
 
 
 def _estimate(
     config: Config, state: State, sensors: Sensors, usable: bool
 ) -> tuple[JointEstimate, LoadEstimate, ToolChannels | None]:
-    """Joint angles every cycle, load and tool pose every so often; bad readings leave the last estimate."""
+    """Estimate joint angles in each cycle, load and tool pose in each load period.
+
+    With unusable readings the last estimate stays.
+    """
     if not usable:
         return state.joints, state.load, None
     joints = joint_estimate.update_joints(config, state.joints, sensors)
@@ -84,7 +97,7 @@ def _decide(
     commands: tuple[Command, ...],
     usable: bool,
 ) -> tuple[State, JointEstimate, tuple[Evr, ...]]:
-    """Commands change what the arm is about to do, and what is known of its joints."""
+    """Handle the commands, then begin the next step of a sequence that waits."""
     if not commands and (state.sequence is None or state.move is not None):
         return state, joints, ()
     context = CommandContext(replace(state, joints=joints, load=load), usable, closed=sensors.switch_closed)
@@ -97,8 +110,11 @@ def _decide(
 def _move(
     config: Config, state: State, joints: JointEstimate, load: LoadEstimate, sensors: Sensors, usable: bool
 ) -> tuple[MoveOutcome, JointEstimate, PreloadState | None, Array]:
-    """The move under way, one cycle on, to be protected; with bad readings only the brakes go on."""
-    mode, move, preload, gap_rad = state.mode, state.move, state.preload, state.planned_gap_rad
+    """Advance the move by one cycle, before protection checks it.
+
+    With unusable readings only the brake phase advances.
+    """
+    mode, move, preload, backlash_rad = state.mode, state.move, state.preload, state.planned_gap_rad
     evrs: tuple[Evr, ...] = ()
     if move is not None and (usable or move.phase is Phase.BRAKE):
         result = advance_move(config, move, joints, load, sensors)
@@ -106,27 +122,32 @@ def _move(
             preload = move_preload(result.move or move)
         move, evrs = result.move, result.evrs
         mode = mode if result.end_mode is None else result.end_mode
-        gap_rad = gap_rad if result.gap_rad is None else result.gap_rad
+        backlash_rad = backlash_rad if result.gap_rad is None else result.gap_rad
         if result.found_hardstop is not None:
             joints, calibrated = _apply_homing(config, joints, load, *result.found_hardstop)
             evrs = (calibrated, *evrs)
-    return MoveOutcome(mode, move, state.sequence, state.fault, evrs), joints, preload, gap_rad
+    return MoveOutcome(mode, move, state.sequence, state.fault, evrs), joints, preload, backlash_rad
 
 
 def _apply_homing(
     config: Config, joints: JointEstimate, load: LoadEstimate, joint: Joint, found: HardstopFit
 ) -> tuple[JointEstimate, Evr]:
-    """The joints with the zero of one that has found its hardstop."""
+    """Apply the encoder zero that the homing of a joint has found."""
     calibrated = joint_estimate.apply_calibration(config, joints, load.torque_Nm, joint, found)
     return calibrated, found.to_event(joint, float((calibrated.motor_rad - joints.motor_rad)[joint]))
 
 
 def _make_outputs(
-    config: Config, before: State, state: State, lie: Array, tool: ToolChannels | None, evrs: tuple[Evr, ...]
+    config: Config,
+    before: State,
+    state: State,
+    backlash_state: Array,
+    tool: ToolChannels | None,
+    evrs: tuple[Evr, ...],
 ) -> Outputs:
-    """What leaves flight software in this cycle."""
+    """Build the outputs of this cycle."""
     if before.tick == 0:
         evrs = (Booted(config.params_sha256), *evrs)
     if state.mode is not before.mode:
         evrs = (*evrs, ModeChanged(before.mode, state.mode))
-    return Outputs(state.drive, joint_channels(before.tick, state, lie), tool, evrs)
+    return Outputs(state.drive, joint_channels(before.tick, state, backlash_state), tool, evrs)

@@ -1,4 +1,4 @@
-"""The state of flight software: one frozen record from cycle to cycle."""
+"""State of flight software: the record that a cycle leaves for the next, its first value, its channels."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ from fsw.protect.responses import StandingFault
 
 @dataclass(frozen=True, slots=True)
 class Hold:
-    """Frozen record of a step that stands on the brakes for a while."""
+    """Frozen record of a sequence step in which the arm waits on its brakes."""
 
     duration_s: float
     vibrate: bool
@@ -31,7 +31,7 @@ SequenceStep = Command | Hold
 
 @dataclass(frozen=True, slots=True)
 class Sequence:
-    """Frozen record of what is still to come of a command that takes several moves."""
+    """Frozen record of a compound command and its remaining steps."""
 
     command: str
     remaining: tuple[SequenceStep, ...]
@@ -39,31 +39,40 @@ class Sequence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
-    """Everything that a cycle leaves for the next one."""
+    """Frozen record of everything that a cycle leaves for the next one."""
 
     tick: int
     mode: Mode
     tool: Tool
-    """The tool of the last tool command; the tool channels are about it."""
+    """Tool of the last tool command; the tool channels refer to it."""
     joints: JointEstimate
     load: LoadEstimate
     planned_gap_rad: Array
-    """Where the set-points assume the outputs to lie in their backlash."""
+    """Position of each output in its backlash that the set-points assume, (5,)."""
     move: Move | None
-    """None while the arm stands on its brakes."""
+    """Move under way; None while the brakes hold the arm."""
     preload: PreloadState | None
-    """What the tool that touches was pressed with last; None since it has been moved."""
+    """Last preload of the tool in contact; None if it has moved since."""
     sequence: Sequence | None
-    """Commands that are still to come of one that takes several."""
+    """Compound command under way; None if there is none."""
     fault: StandingFault | None
     monitors: MonitorState
     drive: ActuatorCommand
     changed_config: Config | None = None
-    """The configuration with the parameters that were set since boot; None if none was."""
+    """Configuration with the parameters that were set since boot; None if none was set."""
 
 
 def boot(config: Config, mode: Mode, reference: Reference | None = None) -> State:
-    """The state before the first cycle: brakes on, power off, and what was remembered of the joints."""
+    """Build the state before the first cycle: brakes on, power off.
+
+    Args:
+        config: Configuration of flight software.
+        mode: Mode to begin in.
+        reference: Result of an earlier hardstop initialisation; None if there was none.
+
+    Returns:
+        The state.
+    """
     n = config.rad_per_count.size
     off = np.zeros(n, bool)
     return State(
@@ -85,19 +94,31 @@ def boot(config: Config, mode: Mode, reference: Reference | None = None) -> Stat
 
 
 def outputs_at_rest(state: State) -> Outputs:
-    """What flight software would put out if nothing happened: the last drive, the channels as they are."""
+    """Return the outputs of a cycle in which nothing changes: the last actuator command, present channels."""
     return Outputs(state.drive, joint_channels(state.tick, state, state.joints.backlash_state), None, ())
 
 
 def last_setpoint(state: State) -> Array:
-    """The motor angles that were asked for last: a move's set-point, or where the brakes hold the motors."""
+    """Return the last commanded motor angles in radians, shape (5,).
+
+    They are the set-point of the move; without a move, the angles at which the brakes hold the motors.
+    """
     return state.joints.motor_rad if state.move is None else state.move.setpoint.motor_rad
 
 
-def joint_channels(tick: int, state: State, lie: Array) -> JointChannels:
-    """Return the channels of a cycle that left this state; `lie` is that of its joint estimate, (3, 5)."""
+def joint_channels(tick: int, state: State, backlash_state: Array) -> JointChannels:
+    """Return the joint channels of a cycle.
+
+    Args:
+        tick: Number of the cycle.
+        state: State that the cycle left.
+        backlash_state: Rows of `JointEstimate.backlash_state`: angle, side, uncertainty; shape (3, 5).
+
+    Returns:
+        The channels.
+    """
     joints = state.joints
-    gap_rad, gap_side, gap_uncertainty_rad = lie
+    backlash_rad, side, uncertainty_rad = backlash_state
     return JointChannels(
         tick=tick,
         mode=state.mode,
@@ -106,9 +127,9 @@ def joint_channels(tick: int, state: State, lie: Array) -> JointChannels:
         motor_rate_rad_s=joints.motor_rate_rad_s,
         setpoint_rad=last_setpoint(state),
         output_rad=joints.output_rad,
-        gap_rad=gap_rad,
-        gap_side=gap_side,
-        gap_uncertainty_rad=gap_uncertainty_rad,
+        gap_rad=backlash_rad,
+        gap_side=side,
+        gap_uncertainty_rad=uncertainty_rad,
         planned_gap_rad=state.planned_gap_rad,
         calibrated=joints.reference.calibrated,
         resolver_error_rad=joints.resolver_error_rad,

@@ -16,7 +16,7 @@ from fsw.kinematics.chain import Frames
 from fsw.kinematics.transforms import Array, Pose, dot, inverse, rotate_back
 
 ROUNDING_M: Final = 1e-5
-"""A part that begins too close may come this much closer."""
+"""Rounding error: a part that starts too close may come this much closer."""
 
 DISPLAY_NAMES: Final = {
     "link2": "upper arm",
@@ -40,12 +40,12 @@ _FROM: Final = np.stack(
         np.concatenate([_SIDES[1], _SIDES[1], np.full(4, -1.0)]),
     ]
 )
-"""Start points of the twelve edges of a cube of half size 1; `_ALONG` has their directions, first along x."""
+"""Start points of the twelve edges of a cube of half size 1; `_ALONG` has their directions, x first."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClearanceViolation:
-    """A part of the arm that comes too close to an obstacle on a path."""
+    """Frozen record of a part of the arm that comes too close to an obstacle on a path."""
 
     part: str
     obstacle: str
@@ -73,13 +73,13 @@ def find_violation(
 ) -> ClearanceViolation | None:
     """Find the first pose of a path at which a part of the arm is too close to an obstacle.
 
-    A part that begins closer than the padding may stay as close or go away: that is the way out.
+    A part that starts closer than the padding may stay as close or move away, so that the arm can leave.
 
     Args:
         geometry: Shapes of arm and rover.
         frames: Frames of the links in RMECH along the path, batch (n).
         padding_m: Distance to be kept.
-        touching: Tool that is to touch, which may come as close as it likes.
+        touching: Tool that is to touch; no distance is required of it.
 
     Returns:
         The violation, or None if there is none.
@@ -115,14 +115,14 @@ def compute_clearances(
     Returns:
         Distances in metres, shape (PARTS, OBSTACLES, n).
     """
-    arm, X_RS = geometry.arm, place_shapes(geometry, frames)
+    arm, rover, X_RS = geometry.arm, geometry.rover, place_shapes(geometry, frames)
     clearance = np.full((len(PARTS), len(OBSTACLES), X_RS.p.shape[-1]), np.inf)
     height = _compute_heights(geometry, X_RS)
-    low, at = np.nonzero(height < within_m)
-    np.minimum.at(clearance[:, GROUND], (arm.part[low], at), height[low, at])
-    near, hull, at = _find_neighbours(geometry, X_RS.p, within_m)
-    distance = _compute_distances(geometry, X_RS[near, at], near, hull)
-    np.minimum.at(clearance, (arm.part[near], geometry.rover.part[hull], at), distance)
+    shape, pose = np.nonzero(height < within_m)
+    np.minimum.at(clearance[:, GROUND], (arm.part[shape], pose), height[shape, pose])
+    shape, obstacle, pose = _find_neighbours(geometry, X_RS.p, within_m)
+    distance = _compute_distances(geometry, X_RS[shape, pose], shape, obstacle)
+    np.minimum.at(clearance, (arm.part[shape], rover.part[obstacle], pose), distance)
     if touching is not None:
         clearance[PARTS.index(touching.name.lower())] = np.inf
     clearance[clearance > within_m] = np.inf
@@ -163,34 +163,37 @@ def _compute_heights(geometry: CollisionGeometry, X_RS: Pose) -> Array:
 
 
 def _find_neighbours(geometry: CollisionGeometry, p_RS: Array, within_m: float) -> tuple[Indices, ...]:
-    """Find pairs of shapes of arm and rover that may be so close, and at which pose, by bounding spheres."""
+    """Find pairs of shapes that may be closer than a bound, by bounding spheres.
+
+    Returns:
+        Indices of the shape of the arm, of the shape of the rover, and of the pose; shape (k,) each.
+    """
     arm, rover = geometry.arm, geometry.rover
     found = []
     for k in range(rover.part.size):
         X_RO = rover.X_CS[k]
         p_O = rotate_back(X_RO.R, p_RS - X_RO.p[:, None, None])
         bound = point_distance(p_O, rover.half_m[:, k, None, None]) - arm.bounding_radius_m[:, None]
-        near, at = np.nonzero(bound < within_m + rover.radius_m[k])
-        found.append((near, np.full_like(near, k), at))
-    near, hull, at = (np.concatenate(column) for column in zip(*found, strict=True))
-    return near, hull, at
+        shape, pose = np.nonzero(bound < within_m + rover.radius_m[k])
+        found.append((shape, np.full_like(shape, k), pose))
+    return tuple(np.concatenate(column) for column in zip(*found, strict=True))
 
 
-def _compute_distances(geometry: CollisionGeometry, X_RS: Pose, near: Indices, hull: Indices) -> Array:
-    """Compute the distances (k) of pairs of shapes of the arm, at poses X_RS, and of the rover."""
+def _compute_distances(geometry: CollisionGeometry, X_RS: Pose, shape: Indices, obstacle: Indices) -> Array:
+    """Compute the distances (k,) of pairs of shapes of the arm, at poses X_RS, and of the rover."""
     X_RO, half_S, half_O = (
-        geometry.rover.X_CS[hull],
-        geometry.arm.half_m[:, near],
-        geometry.rover.half_m[:, hull],
+        geometry.rover.X_CS[obstacle],
+        geometry.arm.half_m[:, shape],
+        geometry.rover.half_m[:, obstacle],
     )
     X_OS = inverse(X_RO) @ X_RS
-    distance = np.empty(near.size)
-    line_S, line_O = geometry.arm.is_capsule[near], geometry.rover.is_capsule[hull]
-    one, other, both = line_S, ~line_S & line_O, ~line_S & ~line_O
+    distance = np.empty(shape.size)
+    line_S, line_O = geometry.arm.is_capsule[shape], geometry.rover.is_capsule[obstacle]
+    one, other, neither = line_S, ~line_S & line_O, ~line_S & ~line_O
     distance[one] = edges_distance(X_OS[one], half_S[:, one], half_O[:, one], edges=1)
     distance[other] = edges_distance(inverse(X_OS[other]), half_O[:, other], half_S[:, other], edges=1)
-    distance[both] = box_distance(X_OS[both], half_O[:, both], half_S[:, both])
-    return distance - geometry.arm.radius_m[near] - geometry.rover.radius_m[hull]
+    distance[neither] = box_distance(X_OS[neither], half_O[:, neither], half_S[:, neither])
+    return distance - geometry.arm.radius_m[shape] - geometry.rover.radius_m[obstacle]
 
 
 def _display_name(name: str) -> str:
@@ -221,7 +224,7 @@ def edges_distance(X_BE: Pose, half_E_m: Array, half_B_m: Array, edges: int = 12
         X_BE: Pose of box E in the axes of box B, batch (n).
         half_E_m: Half sizes of box E, shape (3, n).
         half_B_m: Half sizes of box B, shape (3, n).
-        edges: Number of edges to look at; 1 for a box that has a length along x only.
+        edges: Number of edges to use; 1 for a box that has a length along x only.
 
     Returns:
         Distances in metres, shape (n,).
@@ -237,8 +240,8 @@ def edges_distance(X_BE: Pose, half_E_m: Array, half_B_m: Array, edges: int = 12
 def segment_distance(p_m: Array, along_m: Array, half_m: Array) -> Array:
     """Compute the distance of segments to boxes about the origin.
 
-    The squared distance of the point p + t * along is convex in t. Its slope is linear between the values of
-    t at which the segment passes the plane of a face. The root of the slope lies between two adjacent ones.
+    The squared distance of the point p + t * along is convex in t. Its slope is linear between breakpoints:
+    the values of t at which the segment crosses the plane of a face. Its root lies between two adjacent ones.
 
     Args:
         p_m: Start of each segment in the axes of its box, shape (3, ...).
@@ -249,17 +252,17 @@ def segment_distance(p_m: Array, along_m: Array, half_m: Array) -> Array:
         Distances in metres, shape (...).
     """
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        passes = np.concatenate([(half_m - p_m) / along_m, (-half_m - p_m) / along_m])
-    bends = np.clip(np.nan_to_num(passes, nan=0.0), 0.0, 1.0)
-    bends = np.concatenate([bends, np.zeros((1, *bends.shape[1:])), np.ones((1, *bends.shape[1:]))])
-    slope = sum(along_m[k] * _outside(p_m[k] + bends * along_m[k], half_m[k]) for k in range(3))
-    before = np.where(slope <= 0, bends, 0.0).max(axis=0)
-    after = np.where(slope > 0, bends, 1.0).min(axis=0)
+        crossings = np.concatenate([(half_m - p_m) / along_m, (-half_m - p_m) / along_m])
+    breaks = np.clip(np.nan_to_num(crossings, nan=0.0), 0.0, 1.0)
+    breaks = np.concatenate([breaks, np.zeros((1, *breaks.shape[1:])), np.ones((1, *breaks.shape[1:]))])
+    slope = sum(along_m[k] * _outside(p_m[k] + breaks * along_m[k], half_m[k]) for k in range(3))
+    before = np.where(slope <= 0, breaks, 0.0).max(axis=0)
+    after = np.where(slope > 0, breaks, 1.0).min(axis=0)
     fall, rise = (dot(along_m, _outside(p_m + t * along_m, half_m)) for t in (before, after))
     share = np.divide(-fall, rise - fall, out=np.zeros_like(rise), where=rise > fall)
     t = before + np.clip(share, 0.0, 1.0) * (after - before)
-    apart = _outside(p_m + t * along_m, half_m)
-    distance: Array = np.sqrt(dot(apart, apart))
+    offset = _outside(p_m + t * along_m, half_m)
+    distance: Array = np.sqrt(dot(offset, offset))
     return distance
 
 
@@ -273,12 +276,12 @@ def point_distance(p_m: Array, half_m: Array) -> Array:
     Returns:
         Distances in metres, shape (...); 0 inside.
     """
-    apart = _outside(p_m, half_m)
-    distance: Array = np.sqrt(dot(apart, apart))
+    offset = _outside(p_m, half_m)
+    distance: Array = np.sqrt(dot(offset, offset))
     return distance
 
 
 def _outside(x_m: Array, half_m: Array) -> Array:
-    """Return the vector from the nearest point of a box."""
+    """Return the vector from the nearest point of a box about the origin to each point."""
     vector: Array = x_m - np.minimum(np.maximum(x_m, -half_m), half_m)
     return vector

@@ -1,7 +1,7 @@
 """Collision geometry: the shapes of arm and rover as arrays of rounded boxes, each fixed to a frame.
 
-A rounded box is all points within a radius of a box. A capsule is a rounded box whose box has a length only,
-a sphere one whose box is a point.
+A rounded box is all points within a radius of a box. The box of a capsule has a length only; the box of a
+sphere is a point.
 """
 
 from collections.abc import Iterable
@@ -28,29 +28,31 @@ FRAME_OF: Final = {"link2": 1, "link3": 2, "link4": 3, "link5": 4}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoundedBoxes:
-    """Rounded boxes, batch (m); each belongs to a part and is fixed to a frame."""
+    """Frozen record of rounded boxes, batch (m); each belongs to a part and is fixed to a frame."""
 
     part: NDArray[np.intp]
+    """Index in PARTS or OBSTACLES, (m,)."""
     carrier: NDArray[np.intp]
-    """Index of the frame that each is fixed to."""
+    """Index of the frame that each is fixed to, (m,); see FRAME_OF."""
     X_CS: Pose
-    """Pose in that frame; the box lies along the axes of S."""
+    """Pose of each box in that frame; the box is aligned with the axes of S."""
     half_m: Array
     """Half sizes, (3, m)."""
     radius_m: Array
+    """Radius of the rounding, (m,)."""
     bounding_radius_m: Array
-    """Distance of the farthest point from the centre."""
+    """Distance of the farthest point from the centre, (m,)."""
 
     @property
     def is_capsule(self) -> Flags:
-        """Return which boxes have a length only."""
+        """Return which boxes have a length only, shape (m,)."""
         is_capsule: Flags = (self.half_m[1] == 0) & (self.half_m[2] == 0)
         return is_capsule
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CollisionGeometry:
-    """Shapes of the arm in the frames of its links, shapes of the rover in RMECH, and level ground."""
+    """Frozen record of the shapes of arm (in link frames) and rover (in RMECH), and of level ground."""
 
     arm: RoundedBoxes
     rover: RoundedBoxes
@@ -80,7 +82,7 @@ def _shapes_of(part: PartGeometry) -> tuple[Capsule | Box, ...]:
 
 
 def _collect(placed: Iterable[tuple[int, int, Pose, Capsule | Box]]) -> RoundedBoxes:
-    """Collect shapes, each with its part, its carrier and the frame on the carrier that it is given in."""
+    """Collect shapes, each with its part, its carrier and the frame X_CP in which its numbers are given."""
     parts, carriers, X_CP, shapes = zip(*placed, strict=True)
     X_PS, halves, radii = zip(*map(_to_rounded_box, shapes), strict=True)
     X_CS = [X @ Y for X, Y in zip(X_CP, X_PS, strict=True)]
@@ -118,7 +120,7 @@ def _rotation_along(v: Array) -> Array:
 
 
 def _bound_levers(arm: Arm, boxes: RoundedBoxes) -> Array:
-    """Bound the distance of any shape from each joint axis, with the chain stretched out from the joint."""
+    """Bound the distance of any shape from each joint axis: the sum of link lengths and of shape extents."""
     link = norm(arm.X_CF.p + arm.p_LC_m)[1:]
     to_carrier = np.concatenate([np.zeros(1), np.cumsum(link)])
     beyond = to_carrier[boxes.carrier] + norm(boxes.X_CS.p) + boxes.bounding_radius_m

@@ -1,4 +1,4 @@
-"""What can be wrong with a command's own numbers and words, whatever the arm is doing."""
+"""Checks of the arguments of commands that do not depend on the state of the arm."""
 
 from math import isfinite
 from typing import assert_never, get_args
@@ -65,7 +65,11 @@ ToolCommand = MoveTool | GuardedMove | PlaceTool | Preload | ToolChange | Proces
 
 
 def check_arguments(command: MoveCommand) -> str | None:
-    """What is wrong with the command's own numbers and words."""
+    """Check the arguments of a command.
+
+    Returns:
+        The first problem as a sentence, or None.
+    """
     no_tool = _check_tool(command.tool) if isinstance(command, ToolCommand) else None
     if no_tool is not None:
         return no_tool
@@ -113,16 +117,20 @@ def check_arguments(command: MoveCommand) -> str | None:
 
 
 def check_bounds(params: Params, command: Preload | SetTilt) -> str | None:
-    """What is wrong with a command's numbers by these parameters, or by what a rover can be asked."""
+    """Check a force against the parameters, or a tilt against the greatest attitude.
+
+    Returns:
+        The problem as a sentence, or None.
+    """
     match command:
         case Preload(force_N=force):
             most_N = params.preload.most_N
-            inside, said = 0 <= force <= most_N, f"force {force:g} N is outside 0 .. {most_N:g} N"
+            inside, problem = 0 <= force <= most_N, f"force {force:g} N is outside 0 .. {most_N:g} N"
         case SetTilt():
             angles = (command.roll_rad, command.pitch_rad)
             inside = all(abs(angle) <= MAX_ATTITUDE_RAD for angle in angles)
-            said = f"roll and pitch must be within {MAX_ATTITUDE_RAD} rad"
-    return None if inside else said
+            problem = f"roll and pitch must be within {MAX_ATTITUDE_RAD} rad"
+    return None if inside else problem
 
 
 def _check_move_tool(command: MoveTool) -> str | None:
@@ -145,7 +153,7 @@ def _check_lengths(command: PlaceTool | ToolChange) -> str | None:
 
 
 def _check_length(name: str, length_m: float, least_m: float | None = None) -> str | None:
-    """A length is at most a metre, and at least this or above nothing."""
+    """Check that a length is at most a metre, and at least `least_m`; without that, more than 0."""
     enough = length_m > 0 if least_m is None else length_m >= least_m
     if enough and length_m <= MAX_LENGTH_M:
         return None
@@ -180,7 +188,11 @@ def _check_target(p_m: Vector3, approach: Vector3) -> str | None:
 
 
 def check_vector(name: str, direction: Vector3) -> str | None:
-    """What is wrong with the numbers of a direction of this name."""
+    """Check that a direction is finite and has a length.
+
+    Returns:
+        The problem as a sentence that begins with the name, or None.
+    """
     if not np.all(np.isfinite(direction)):
         return f"{name} is not finite"
     return None if 1e-9 < max(map(abs, direction)) < 1e9 else f"{name} has no length"

@@ -1,4 +1,7 @@
-"""What each command does, and when it is refused. A command is checked whole before anything moves."""
+"""Command handling: each command begins a move or a sequence, changes a setting, or is refused.
+
+A command is checked completely before anything moves.
+"""
 
 from dataclasses import replace
 from typing import assert_never
@@ -72,66 +75,12 @@ from fsw.motion.preload import (
 from fsw.state import Hold, Sequence, SequenceStep
 
 
-def clear_fault(config: Config, context: CommandContext, command: ClearFault) -> CommandContext:
-    """Commands are accepted again."""
-    mode = next_mode(context.state.mode, _clear_event(config, context))
-    if mode is None:
-        return refuse(context, command, "no fault stands")
-    if context.state.move is not None:
-        return refuse(context, command, "the arm is still being stopped")
-    if context.state.sequence is not None:
-        context = end_sequence(context, CommandAborted(context.state.sequence.command))
-    tool = _touching_tool(context) if mode is Mode.GUARDED else context.state.tool
-    state = replace(context.state, mode=mode, tool=tool, preload=tool_preload(context, tool), fault=None)
-    context = replace(context, state=state)
-    return with_events(context, FaultCleared(), CommandCompleted(command_name(command)))
-
-
-def stop_move(config: Config, context: CommandContext, command: Stop) -> CommandContext:
-    """The move under way, if there is one, comes to rest early."""
-    if context.state.sequence is not None:
-        context = end_sequence(context, CommandAborted(context.state.sequence.command))
-    context = with_events(context, CommandCompleted(command_name(command)))
-    if context.state.move is None or context.state.mode is Mode.FAULTED:
-        return context
-    stopping = stop_early(
-        config,
-        context.state.move,
-        TRANSITIONS[context.state.mode, stop_event(config, context.state.mode, context.state.joints)],
-    )
-    return replace(context, state=replace(context.state, move=stopping))
-
-
-def end_sequence(context: CommandContext, evr: Evr) -> CommandContext:
-    """The situation without its sequence."""
-    return with_events(replace(context, state=replace(context.state, sequence=None)), evr)
-
-
-def _touching_tool(context: CommandContext) -> Tool:
-    """The tool whose switch is closed, or was when it should not; else the one that was to touch."""
-    switches = [switch for switch in Switch if context.closed[switch]]
-    if context.state.fault is not None:
-        switches += [about for _, about in context.state.fault.reported if isinstance(about, Switch)]
-    touching = (tool for switch in switches for tool in Tool if switch in TOOL_SWITCHES[tool])
-    return next(touching, context.state.tool)
-
-
-def _clear_event(config: Config, context: CommandContext) -> ModeEvent:
-    """What is cleared depends on where the arm stands: where it may touch, no free move; stowed, only unstow.
-
-    An arm that faulted in a guarded move, in a retraction or on a contact may touch, whatever its switches
-    say now; one that pressed may press.
-    """
-    fault = context.state.fault
-    if context.state.preload is not None and context.state.preload.force_N > holding_force_N(config):
-        return ModeEvent.CLEAR_PRESSED
-    if context.closed.any() or (fault is not None and fault.may_touch):
-        return ModeEvent.CLEAR_TOUCHING
-    return ModeEvent.CLEAR_STOWED if is_stowed(config, context.state.joints) else ModeEvent.CLEAR
-
-
 def handle(config: Config, context: CommandContext, command: SequenceStep) -> CommandContext:
-    """The situation after a command: changed if it was accepted, with a reason if it was refused."""
+    """Handle a command or a step of a sequence.
+
+    Returns:
+        The context with what the command changed, or with the event that gives the reason for a refusal.
+    """
     match command:
         case CalibrateAll():
             return _begin_calibrate_all(config, context, command)
@@ -158,7 +107,7 @@ def handle(config: Config, context: CommandContext, command: SequenceStep) -> Co
 
 
 def continue_sequence(config: Config, context: CommandContext) -> CommandContext:
-    """The situation after the next step of a sequence, if its last one is done."""
+    """Begin the next step of the sequence if no move is under way; abort it if a step is refused."""
     sequence = context.state.sequence
     if sequence is None or context.state.move is not None:
         return context
@@ -175,8 +124,66 @@ def continue_sequence(config: Config, context: CommandContext) -> CommandContext
     return replace(begun, state=replace(begun.state, sequence=remaining))
 
 
+def clear_fault(config: Config, context: CommandContext, command: ClearFault) -> CommandContext:
+    """Clear the fault, so that commands are accepted again."""
+    mode = next_mode(context.state.mode, _clear_event(config, context))
+    if mode is None:
+        return refuse(context, command, "no fault stands")
+    if context.state.move is not None:
+        return refuse(context, command, "the arm is still being stopped")
+    if context.state.sequence is not None:
+        context = end_sequence(context, CommandAborted(context.state.sequence.command))
+    tool = _touching_tool(context) if mode is Mode.GUARDED else context.state.tool
+    state = replace(context.state, mode=mode, tool=tool, preload=tool_preload(context, tool), fault=None)
+    context = replace(context, state=state)
+    return with_events(context, FaultCleared(), CommandCompleted(command_name(command)))
+
+
+def stop_move(config: Config, context: CommandContext, command: Stop) -> CommandContext:
+    """Abort the sequence, and stop the move under way."""
+    if context.state.sequence is not None:
+        context = end_sequence(context, CommandAborted(context.state.sequence.command))
+    context = with_events(context, CommandCompleted(command_name(command)))
+    if context.state.move is None or context.state.mode is Mode.FAULTED:
+        return context
+    stopping = stop_early(
+        config,
+        context.state.move,
+        TRANSITIONS[context.state.mode, stop_event(config, context.state.mode, context.state.joints)],
+    )
+    return replace(context, state=replace(context.state, move=stopping))
+
+
+def end_sequence(context: CommandContext, evr: Evr) -> CommandContext:
+    """Remove the sequence from the context, and report an event."""
+    return with_events(replace(context, state=replace(context.state, sequence=None)), evr)
+
+
+def _touching_tool(context: CommandContext) -> Tool:
+    """Find the tool of a switch that is closed or was reported by the fault; else the last commanded tool."""
+    switches = [switch for switch in Switch if context.closed[switch]]
+    if context.state.fault is not None:
+        switches += [about for _, about in context.state.fault.reported if isinstance(about, Switch)]
+    touching = (tool for switch in switches for tool in Tool if switch in TOOL_SWITCHES[tool])
+    return next(touching, context.state.tool)
+
+
+def _clear_event(config: Config, context: CommandContext) -> ModeEvent:
+    """Choose the event of a cleared fault, which decides the moves that are allowed next.
+
+    After a fault in a guarded move, in a retraction or in contact, the arm may touch, even with all switches
+    open: no free move is allowed. A tool that pressed may still press. A stowed arm may only unstow.
+    """
+    fault = context.state.fault
+    if context.state.preload is not None and context.state.preload.force_N > holding_force_N(config):
+        return ModeEvent.CLEAR_PRESSED
+    if context.closed.any() or (fault is not None and fault.may_touch):
+        return ModeEvent.CLEAR_TOUCHING
+    return ModeEvent.CLEAR_STOWED if is_stowed(config, context.state.joints) else ModeEvent.CLEAR
+
+
 def _begin_sequence(config: Config, context: CommandContext, command: CompoundCommand) -> CommandContext:
-    """Every step is planned from the end of the one before it, and only then does the first begin."""
+    """Begin a compound command, after each step was planned from the end of the step before it."""
     state = context.state
     problem = check_ready(context) or check_calibrated(context, command) or check_arguments(command)
     problem = problem or check_mode(context, EVENT_OF[type(command)])
@@ -203,6 +210,7 @@ def _begin_sequence(config: Config, context: CommandContext, command: CompoundCo
 
 
 def _check_tool_change(context: CommandContext, command: ToolChange) -> str | None:
+    """Check that the present tool is in contact and the other tool is a different one."""
     if command.tool is context.state.tool:
         return f"{command.tool.name} is the tool that touches"
     if in_contact(context, context.state.tool):
@@ -211,7 +219,7 @@ def _check_tool_change(context: CommandContext, command: ToolChange) -> str | No
 
 
 def _check_other_tool(context: CommandContext, tool: Tool | None) -> str | None:
-    """Where one tool may touch, no other is moved onto or off anything."""
+    """Check that no tool but this one may be in contact."""
     if context.state.mode in (Mode.GUARDED, Mode.PRELOAD) and tool is not context.state.tool:
         return f"{context.state.tool.name} is the tool that may touch; retract it first"
     return None
@@ -225,10 +233,8 @@ def _begin_calibrate_all(config: Config, context: CommandContext, command: Calib
     )
     if problem is not None:
         return refuse(context, command, problem)
-    begun = replace(
-        context, state=replace(context.state, sequence=expand_calibrate_all(config.params, command.anew))
-    )
-    return with_events(begun, CommandAccepted(command_name(command)))
+    state = replace(context.state, sequence=expand_calibrate_all(config.params, command.anew))
+    return with_events(replace(context, state=state), CommandAccepted(command_name(command)))
 
 
 def _begin_calibrate(config: Config, context: CommandContext, command: Calibrate) -> CommandContext:
@@ -271,9 +277,9 @@ def _begin_move(config: Config, context: CommandContext, command: SingleMoveComm
     evrs: tuple[Evr, ...] = (CommandAccepted(command_name(command)),)
     if plan.branch is not None:
         evrs = (*evrs, BranchChosen(tool, plan.branch))
-    # a guarded move of a tool that touches already does not press it on
-    stays = isinstance(command, GuardedMove) and in_contact(context, tool)
-    preload = tool_preload(context, tool) if stays else None
+    # a guarded move of a tool already in contact ends at once: the preload stays as it is
+    is_kept = isinstance(command, GuardedMove) and in_contact(context, tool)
+    preload = tool_preload(context, tool) if is_kept else None
     state = replace(
         context.state, mode=mode, tool=tool, move=move, preload=preload, planned_gap_rad=plan.gap_rad
     )
@@ -299,25 +305,25 @@ def _begin_preload(config: Config, context: CommandContext, command: Preload) ->
     planned = plan_preload(config, state.joints, preload, command.force_N)
     if isinstance(planned, Refusal):
         return refuse(context, command, planned.reason)
-    plan, press = planned
+    plan, change = planned
     done = ModeEvent.DONE_RELEASED if command.force_N == 0 else ModeEvent.DONE
     move = replace(
         _new_move(config, context, command, TRANSITIONS[Mode.PRELOAD, done]),
         paths=plan.paths,
-        preload_change=press,
-        force_fit=ForceFit() if press.change_N > 0 else None,
-        current_limit_A=preload_limit_A(config, state.joints, press),
+        preload_change=change,
+        force_fit=ForceFit() if change.change_N > 0 else None,
+        current_limit_A=preload_limit_A(config, state.joints, change),
     )
     state = replace(state, mode=Mode.PRELOAD, move=move, preload=preload, planned_gap_rad=plan.gap_rad)
     return with_events(replace(context, state=state), CommandAccepted(command_name(command)))
 
 
 def _finish_release(context: CommandContext, command: Preload, preload: PreloadState) -> CommandContext:
-    """A release that was stopped near its end: what is left of the force is no more than that of a touch."""
+    """Complete a release that was stopped near its end: the remaining force is that of a touch at most."""
     name, mode = command_name(command), TRANSITIONS[Mode.PRELOAD, ModeEvent.DONE_RELEASED]
-    pressed = Preloaded(preload.tool, preload.force_N)
+    preloaded = Preloaded(preload.tool, preload.force_N)
     context = replace(context, state=replace(context.state, mode=mode))
-    return with_events(context, CommandAccepted(name), pressed, CommandCompleted(name))
+    return with_events(context, CommandAccepted(name), preloaded, CommandCompleted(name))
 
 
 def _begin_hold(config: Config, context: CommandContext, command: Hold) -> CommandContext:
@@ -325,11 +331,11 @@ def _begin_hold(config: Config, context: CommandContext, command: Hold) -> Comma
     if problem is not None:
         return refuse(context, command, problem)
     mode = TRANSITIONS[context.state.mode, ModeEvent.MOVE_FREE]
-    still = _new_move(config, context, command, TRANSITIONS[mode, ModeEvent.DONE])
+    move = _new_move(config, context, command, TRANSITIONS[mode, ModeEvent.DONE])
     move = replace(
-        still,
-        active=np.zeros_like(still.active),
-        paths=(HoldPath(command.duration_s, still.setpoint.motor_rad),),
+        move,
+        active=np.zeros_like(move.active),
+        paths=(HoldPath(command.duration_s, move.setpoint.motor_rad),),
         vibrate=command.vibrate,
     )
     return with_events(
@@ -339,7 +345,7 @@ def _begin_hold(config: Config, context: CommandContext, command: Hold) -> Comma
 
 
 def _new_move(config: Config, context: CommandContext, command: SequenceStep, end_mode: Mode) -> Move:
-    """A move of all joints that has yet to go anywhere."""
+    """Build a move of all joints that has no paths yet."""
     motor = context.state.joints.motor_rad
     return Move(
         command=command_name(command),

@@ -1,4 +1,4 @@
-"""What commands act on, and the refusals that many of them share."""
+"""Context in which a command is handled, and the checks that many commands share."""
 
 from dataclasses import dataclass, replace
 
@@ -13,44 +13,44 @@ from fsw.state import SequenceStep, State
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CommandContext:
-    """What commands act on; each returns it changed."""
+    """Frozen record of state, readings and events; each command returns a new one."""
 
     state: State
     usable: bool
-    """Whether this cycle's readings are."""
+    """True if the readings of this cycle are usable."""
     closed: Flags
-    """Which contact switches are."""
+    """Contact switches that are closed, (10,)."""
     evrs: tuple[Evr, ...] = ()
 
 
 def in_contact(context: CommandContext, tool: Tool) -> bool:
-    """Whether a contact switch of a tool is closed."""
+    """Return whether a contact switch of a tool is closed."""
     return any(context.closed[switch] for switch in TOOL_SWITCHES[tool])
 
 
 def tool_preload(context: CommandContext, tool: Tool) -> PreloadState | None:
-    """What a tool presses with; None where another tool presses, or none does."""
+    """Return the preload of a tool; None if another tool presses, or none does."""
     preload = context.state.preload
     return preload if preload is not None and preload.tool is tool else None
 
 
 def with_events(context: CommandContext, *evrs: Evr) -> CommandContext:
-    """The situation with more to report."""
+    """Append events to the context."""
     return replace(context, evrs=(*context.evrs, *evrs))
 
 
 def refuse(context: CommandContext, command: SequenceStep, reason: str) -> CommandContext:
-    """Nothing is changed, and the reason is said."""
+    """Refuse a command: report the reason and change nothing else."""
     return with_events(context, CommandRefused(command_name(command), reason))
 
 
 def command_name(command: SequenceStep) -> str:
-    """The name under which a command is reported."""
+    """Return the name under which a command is reported."""
     return type(command).__name__
 
 
 def check_ready(context: CommandContext) -> str | None:
-    """Why nothing can begin in this situation."""
+    """Return the reason that nothing can begin now, or None."""
     if context.state.mode is Mode.FAULTED:
         return "a fault stands; clear it first"
     if context.state.move is not None:
@@ -61,16 +61,16 @@ def check_ready(context: CommandContext) -> str | None:
 
 
 def check_mode(context: CommandContext, event: ModeEvent) -> str | None:
-    """Why a move of this kind can not begin in this mode."""
+    """Return the reason that the mode does not allow an event, or None."""
     allowed = next_mode(context.state.mode, event) is not None
     return None if allowed else f"not allowed in mode {context.state.mode.name}"
 
 
 def check_calibrated(context: CommandContext, command: SequenceStep) -> str | None:
-    """Why this command must wait until joints are calibrated."""
-    known = context.state.joints.reference.calibrated
+    """Return the reason that a command needs joints to be calibrated first, or None."""
+    calibrated = context.state.joints.reference.calibrated
     needed = (command.joint,) if isinstance(command, MoveJoint) else tuple(Joint)
-    missing = [Joint(joint).name.lower() for joint in needed if joint in tuple(Joint) and not known[joint]]
+    missing = [Joint(j).name.lower() for j in needed if j in tuple(Joint) and not calibrated[j]]
     if not missing:
         return None
     return f"not calibrated: {', '.join(missing)}; until it is, a joint may only look for its hardstop"

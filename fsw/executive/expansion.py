@@ -1,4 +1,4 @@
-"""Command expansion: the single moves that a compound command consists of."""
+"""Command expansion: the single moves of a compound command, and the points that they start from."""
 
 from typing import Final, assert_never
 
@@ -33,11 +33,24 @@ from fsw.state import Hold, Sequence, SequenceStep
 
 CompoundCommand = PlaceTool | ToolChange | MoveTeachPoint | Dock | Process
 
+UNPARK_ORDER: Final = (Joint.AZIMUTH, Joint.TURRET, Joint.WRIST, Joint.ELBOW, Joint.ELEVATION)
+"""Order in which the joints leave their parking angles for the second homing: sideways first, down last."""
+
 
 def expand_command(
     config: Config, joints: JointEstimate, tool: Tool, command: CompoundCommand
 ) -> tuple[SequenceStep, ...] | Refusal:
-    """The moves of a command from where the joints are; `tool` is that of the last tool command."""
+    """Expand a compound command into single moves from the present joint angles.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints.
+        tool: Tool of the last tool command.
+        command: Compound command.
+
+    Returns:
+        The steps, or the reason for a refusal.
+    """
     match command:
         case PlaceTool():
             return _expand_place(config, joints, tool, command)
@@ -51,14 +64,14 @@ def expand_command(
             pose = find_gravity_pose(config, joints, command)
             if isinstance(pose, Refusal):
                 return pose
-            turn = MoveJoints(joints5(pose), command.backlash, command.deflection)
-            return turn, Hold(command.duration_s, command.vibrate)
+            tilt = MoveJoints(joints5(pose), command.backlash, command.deflection)
+            return tilt, Hold(command.duration_s, command.vibrate)
         case _:
             assert_never(command)
 
 
 def find_teach_point(config: Config, name: str) -> TeachPoint | Refusal:
-    """The taught point of this name."""
+    """Return the taught point of this name, or refuse."""
     points = {point.name: point for point in config.params.teach}
     if name in points:
         return points[name]
@@ -66,12 +79,16 @@ def find_teach_point(config: Config, name: str) -> TeachPoint | Refusal:
 
 
 def teach_point_tool(point: TeachPoint) -> Tool:
-    """The tool of a taught point."""
+    """Return the tool of a taught point."""
     return Tool[point.tool.upper()]
 
 
 def locate_spot(config: Config, joints: JointEstimate, touching: Tool, command: ToolChange) -> Line:
-    """Where a tool change takes the touching tool to be: a line that has yet to go anywhere."""
+    """Estimate the contact point of a tool, as a tool change assumes it.
+
+    Returns:
+        A line of no length at the contact point, along the axis of the tool.
+    """
     deflection: DeflectionMode = "off" if command.deflection == "off" else "absolute"
     return start_line(config, joints, touching, Compensation(command.backlash, deflection))
 
@@ -79,7 +96,10 @@ def locate_spot(config: Config, joints: JointEstimate, touching: Tool, command: 
 def _expand_place(
     config: Config, joints: JointEstimate, tool: Tool, command: PlaceTool
 ) -> tuple[SequenceStep, ...]:
-    """Relative compensation counts from where the arm is now, for both moves: they aim at one place."""
+    """Expand a placement into a move to the standoff and a guarded move.
+
+    Relative compensation refers to the present deflection for both moves, so both have the same target.
+    """
     compensation = Compensation(command.backlash, command.deflection)
     p, approach = compensation.target(
         config, joints, tool, np.array(command.p_RoTo_R_m), normalize(np.array(command.approach_R))
@@ -93,18 +113,18 @@ def _expand_place(
 def _expand_tool_change(
     config: Config, joints: JointEstimate, touching: Tool, command: ToolChange
 ) -> tuple[SequenceStep, ...]:
-    """Back off, and place the other tool where this one is believed to touch.
+    """Expand a tool change: retract, and place the other tool at the estimated contact point of this one.
 
-    The believed place carries the error of the model at this pose, so that at the next pose only the
-    difference of errors is left: relative compensation follows from counting from here. The moves themselves
-    are compensated absolutely, or not at all.
+    The estimated point contains the model error at this pose, so only the difference of two model errors
+    remains at the next pose. This is relative compensation. The moves themselves are compensated absolutely,
+    or not at all.
     """
-    here = locate_spot(config, joints, touching, command)
-    deflection = here.compensation.deflection
+    contact = locate_spot(config, joints, touching, command)
+    deflection = contact.compensation.deflection
     beyond_m = -command.hover_m if command.hover_m > 0 else command.overtravel_m
-    end, approach = vector3(here.p_m + beyond_m * here.axis), vector3(here.axis)
+    end, approach = vector3(contact.p_m + beyond_m * contact.axis), vector3(contact.axis)
     back = Retract(touching, command.standoff_m, command.backlash, deflection)
-    to_standoff = _standoff_move(command, here.p_m, here.axis, beyond_m, deflection)
+    to_standoff = _standoff_move(command, contact.p_m, contact.axis, beyond_m, deflection)
     last: SequenceStep = GuardedMove(command.tool, end, approach, command.backlash, deflection)
     if command.hover_m > 0:
         last = MoveTool(
@@ -116,7 +136,7 @@ def _expand_tool_change(
 def _standoff_move(
     command: PlaceTool | ToolChange, p_m: Array, approach: Array, beyond_m: float, deflection: DeflectionMode
 ) -> MoveTool:
-    """To a standoff in front of a place, from where the tool can go straight on to so far beyond it."""
+    """Build the move to the standoff, from where a straight line to `beyond_m` past the target fits."""
     return MoveTool(
         command.tool,
         vector3(p_m - command.standoff_m * approach),
@@ -159,14 +179,13 @@ def _expand_dock(config: Config, command: Dock) -> tuple[SequenceStep, ...] | Re
     return (GuardedMove(teach_point_tool(point), vector3(end), vector3(approach), command.backlash),)
 
 
-UNPARK_ORDER: Final = (Joint.AZIMUTH, Joint.TURRET, Joint.WRIST, Joint.ELBOW, Joint.ELEVATION)
-"""In which the joints go from their parking places to the last turn: sideways first, down last."""
-
-
 def expand_calibrate_all(params: Params, anew: bool = False) -> Sequence:
-    """Each joint to its hardstop and then to where it waits for the others; one of them again at the end."""
+    """Expand the calibration of all joints.
+
+    Each joint runs to its hardstop and then to its parking angle. HOMED_TWICE does so again at the end.
+    """
     park, again = params.hardstop.park_rad, params.hardstop.again_rad
-    turns = [(Calibrate(joint, anew), MoveJoint(joint, park[joint])) for joint in HARDSTOP_ORDER]
-    ready = [MoveJoint(joint, again[joint]) for joint in UNPARK_ORDER if again[joint] != park[joint]]
+    homings = [(Calibrate(joint, anew), MoveJoint(joint, park[joint])) for joint in HARDSTOP_ORDER]
+    unpark = [MoveJoint(joint, again[joint]) for joint in UNPARK_ORDER if again[joint] != park[joint]]
     last = (Calibrate(HOMED_TWICE, anew), MoveJoint(HOMED_TWICE, park[HOMED_TWICE]))
-    return Sequence("CalibrateAll", (*(command for turn in turns for command in turn), *ready, *last))
+    return Sequence("CalibrateAll", (*(command for pair in homings for command in pair), *unpark, *last))

@@ -1,4 +1,4 @@
-"""The poses in which a joint may run to its hardstop."""
+"""Poses in which a joint may run to its hardstop, and the checks of these."""
 
 from math import degrees
 from typing import Final
@@ -13,15 +13,18 @@ from fsw.kinematics.statics import settle_output
 from fsw.kinematics.transforms import Array
 
 HOMED_TWICE: Final = Joint.ELEVATION
-"""It has a second turn, when the joints beyond it can go where its load is as wanted."""
+"""Joint that is homed a second time, in a pose in which its load is as wanted."""
 MAX_GRAVITY_SHARE: Final = 0.6
-"""The share of the pressing torque that gravity may take."""
+"""Greatest share of the pressing torque that gravity may supply."""
 
 
 def homing_start_poses(params: Params, joint: Joint) -> tuple[Array, ...]:
-    """The poses in which a joint begins, one for each of its turns.
+    """Return the poses in which the homing of a joint begins, one for each time that it is homed.
 
-    In the first those before it are parked, and it and those after it wait.
+    In the first pose the joints homed before it are at their parking angles; all others are at their start.
+
+    Returns:
+        Output angles in radians, shape (5,) each.
     """
     parked = [HARDSTOP_ORDER.index(other) < HARDSTOP_ORDER.index(joint) for other in Joint]
     first = np.where(parked, params.hardstop.park_rad, params.hardstop.start_rad)
@@ -29,10 +32,10 @@ def homing_start_poses(params: Params, joint: Joint) -> tuple[Array, ...]:
 
 
 def check_homing(config: Config, joints: JointEstimate, joint: Joint) -> str | None:
-    """Why a joint may not run to its hardstop from where the arm is, or None.
+    """Return the reason that a joint may not run to its hardstop from the present pose, or None.
 
-    It may begin anywhere between its hardstop and its place in such a pose; where joints are not calibrated,
-    their resolvers tell.
+    The joint may begin anywhere between its hardstop and its angle in a start pose. The output angles of
+    uncalibrated joints come from their resolvers.
     """
     reasons = [
         _check_pose(config, joints.output_rad, joint, pose)
@@ -44,16 +47,17 @@ def check_homing(config: Config, joints: JointEstimate, joint: Joint) -> str | N
 
 
 def check_homing_all(config: Config, joints: JointEstimate) -> str | None:
-    """Why the joints may not be calibrated one after the other from where the arm is, or None."""
-    turns = [(joint, pose) for joint in HARDSTOP_ORDER for pose in homing_start_poses(config.params, joint)]
-    heavy = (_check_gravity_torque(config, joints, joint, pose) for joint, pose in turns)
-    return check_homing(config, joints, HARDSTOP_ORDER[0]) or next(
-        (reason for reason in heavy if reason), None
-    )
+    """Return the reason that the joints may not be calibrated one after the other from here, or None."""
+    starts = [(joint, pose) for joint in HARDSTOP_ORDER for pose in homing_start_poses(config.params, joint)]
+    too_heavy = (_check_gravity_torque(config, joints, joint, pose) for joint, pose in starts)
+    return check_homing(config, joints, HARDSTOP_ORDER[0]) or next(filter(None, too_heavy), None)
 
 
 def _check_gravity_torque(config: Config, joints: JointEstimate, joint: Joint, pose_rad: Array) -> str | None:
-    """Gravity that presses a joint on its hardstop leaves little of the torque by which it is to be felt."""
+    """Check that gravity leaves enough of the pressing torque.
+
+    The stall at the hardstop is detected by the rest of that torque.
+    """
     params, pose = config.params.joints.in_order()[joint], pose_rad.copy()
     pose[joint] = params.hardstop_rad
     press_Nm = -float(settle_output(config.arm, pose, joints.gravity_R_m_s2).torque_Nm[joint])
@@ -66,16 +70,17 @@ def _check_gravity_torque(config: Config, joints: JointEstimate, joint: Joint, p
     )
 
 
-def _check_pose(config: Config, at_rad: Array, joint: Joint, pose_rad: Array) -> str | None:
+def _check_pose(config: Config, output_rad: Array, joint: Joint, pose_rad: Array) -> str | None:
+    """Check that outputs are near a start pose, or the joint between its hardstop and that pose."""
     tolerance = config.params.hardstop.pose_tolerance_rad
     low, high = pose_rad - tolerance, pose_rad + tolerance
     low[joint] = config.protection.lowest_seeking_rad[joint, joint]
-    beyond = np.maximum(low - at_rad, at_rad - high)
+    beyond = np.maximum(low - output_rad, output_rad - high)
     if beyond.max() <= 0:
         return None
     worst = Joint(int(beyond.argmax()))
     return (
-        f"joint {worst.name.lower()}: {degrees(at_rad[worst]):.1f} deg is outside "
+        f"joint {worst.name.lower()}: {degrees(output_rad[worst]):.1f} deg is outside "
         f"{degrees(low[worst]):.1f} .. {degrees(high[worst]):.1f} deg, "
         f"where {joint.name.lower()} may be calibrated"
     )

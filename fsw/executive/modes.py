@@ -1,4 +1,4 @@
-"""Mode machine: which event changes which mode, and which event a stop is."""
+"""Mode machine: the table of transitions, the event that begins each command, the event of a stop."""
 
 from enum import IntEnum
 from typing import Final
@@ -26,7 +26,7 @@ from fsw.estimate.joints import JointEstimate
 
 
 class ModeEvent(IntEnum):
-    """What can change the mode."""
+    """Events that can change the mode."""
 
     UNSTOW = 0
     MOVE_FREE = 1
@@ -44,7 +44,7 @@ class ModeEvent(IntEnum):
     STOP_STOWED = 10
     """A stop was commanded before the arm had left the stowed pose."""
     DONE_STOWED = 11
-    """A move came to its end in the stowed pose."""
+    """A move ended in the stowed pose."""
     PRESS = 12
     DONE_RELEASED = 13
     """A tool no longer presses; it still touches."""
@@ -78,7 +78,7 @@ TRANSITIONS: Final[dict[tuple[Mode, ModeEvent], Mode]] = {
     (Mode.FAULTED, ModeEvent.CLEAR_PRESSED): Mode.PRELOAD,
     **{(mode, ModeEvent.FAULT): Mode.FAULTED for mode in Mode},
 }
-"""A pair that is not here is refused."""
+"""Next mode by mode and event; a pair that is not here is refused."""
 
 EVENT_OF: Final[dict[type[Command], ModeEvent]] = {
     Unstow: ModeEvent.UNSTOW,
@@ -94,21 +94,21 @@ EVENT_OF: Final[dict[type[Command], ModeEvent]] = {
     Dock: ModeEvent.MOVE_GUARDED,
     Process: ModeEvent.MOVE_FREE,
 }
-"""What a move begins with."""
+"""Event with which the move of a command begins."""
 
 
 def next_mode(mode: Mode, event: ModeEvent) -> Mode | None:
-    """The next mode, or None if the event is not allowed in this one."""
+    """Return the next mode, or None if the event is not allowed in this mode."""
     return TRANSITIONS.get((mode, event))
 
 
 def stop_event(config: Config, mode: Mode, joints: JointEstimate) -> ModeEvent:
-    """Which stop it is: an arm that has not left the stowed pose stays stowed."""
+    """Return the event of a stop; an arm that has not left the stowed pose stays stowed."""
     still_stowed = mode is Mode.FREE_SPACE and is_stowed(config, joints)
     return ModeEvent.STOP_STOWED if still_stowed else ModeEvent.STOP
 
 
 def is_stowed(config: Config, joints: JointEstimate) -> bool:
-    """Whether every joint is known to be in its stowed place."""
-    off = np.abs(joints.motor_rad - config.params.poses.stowed_rad).max()
-    return bool(joints.reference.calibrated.all() and off < config.params.motion.stowed_rad)
+    """Return whether every joint is calibrated and at its stowed angle."""
+    error_rad = np.abs(joints.motor_rad - config.params.poses.stowed_rad).max()
+    return bool(joints.reference.calibrated.all() and error_rad < config.params.motion.stowed_rad)

@@ -1,4 +1,4 @@
-"""From a command to the plan of its move, and from several to whether all of them can be."""
+"""Planning of single moves: the plan of one command, and a check that all steps of a sequence have one."""
 
 from typing import assert_never
 
@@ -24,16 +24,24 @@ def plan_command(
     tool: Tool,
     command: SingleMoveCommand,
 ) -> Plan | Refusal:
-    """The plan of a move from where the joints are, clear of rover and ground all the way.
+    """Plan the move of a command, and check its paths for collisions with rover and ground.
 
-    `tool` is that of the last tool command.
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints, from which the move starts.
+        tool: Tool of the last tool command.
+        command: Command of a single move.
+
+    Returns:
+        The plan, or the reason for a refusal.
     """
     plan = _plan_motion(config, joints, tool, command)
+    # the paths of a MoveTool are checked while its branch is chosen
     if isinstance(plan, Refusal) or isinstance(command, MoveTool):
         return plan
     touching = command.tool if isinstance(command, GuardedMove | Retract) else None
-    meeting = check_paths(config, joints, plan.paths, config.params.collision.padding_m, touching)
-    return plan if meeting is None else Refusal(meeting)
+    collision = check_paths(config, joints, plan.paths, config.params.collision.padding_m, touching)
+    return plan if collision is None else Refusal(collision)
 
 
 def _plan_motion(
@@ -42,8 +50,8 @@ def _plan_motion(
     match command:
         case Unstow():
             poses = config.params.poses
-            way = [np.array(pose) for pose in (*poses.unstow_via_rad, poses.ready_rad)]
-            return plan_poses(config, joints, way, Compensation())
+            forth = [np.array(pose) for pose in (*poses.unstow_via_rad, poses.ready_rad)]
+            return plan_poses(config, joints, forth, Compensation())
         case Stow():
             poses = config.params.poses
             back = (poses.ready_rad, *reversed(poses.unstow_via_rad), poses.stowed_rad)
@@ -65,7 +73,7 @@ def _plan_motion(
 
 
 def check_steps(config: Config, state: State, steps: tuple[SequenceStep, ...]) -> str | None:
-    """Why one of these steps, each from the end of the one before it, can not be; None if all can."""
+    """Return the reason that a step cannot be planned from the end of the step before it, or None."""
     joints, tool = state.joints, state.tool
     for step in steps:
         if not isinstance(step, SingleMoveCommand):

@@ -1,4 +1,4 @@
-"""Tell protection about the arm in plain values, and apply its decision to the move."""
+"""Interface to protection: describe the arm in plain values, and apply the decision to the move."""
 
 from dataclasses import dataclass, replace
 from typing import assert_never
@@ -37,7 +37,7 @@ def describe_arm(
     joints: JointEstimate,
     uncertainty_rad: Array,
     move: Move | None,
-    pressing: PreloadState | None,
+    preload: PreloadState | None,
 ) -> ArmStatus:
     """Describe the arm to protection in plain values.
 
@@ -47,13 +47,13 @@ def describe_arm(
         joints: Estimate of the joints.
         uncertainty_rad: Greatest error of the likely gear angles of that estimate, shape (5,).
         move: Move under way.
-        pressing: Press of the tool that touches.
+        preload: Preload of the tool in contact.
 
     Returns:
         The values that protection needs; arrays are those of the arguments, not copies.
     """
     reference = joints.reference
-    # built by position, which is faster, for this is done in every cycle
+    # positional arguments, because they are faster and this runs in every cycle
     return ArmStatus(
         mode,
         tool,
@@ -69,15 +69,15 @@ def describe_arm(
         reference.resolver_bias_rad,
         joints.gravity_R_m_s2,
         joints.imu_R_m_s2,
-        None if move is None else _describe_move(move, pressing),
+        None if move is None else _describe_move(move, preload),
     )
 
 
-def _describe_move(move: Move, pressing: PreloadState | None) -> MoveStatus:
+def _describe_move(move: Move, preload: PreloadState | None) -> MoveStatus:
     press = None
-    if move.preload_change is not None and not move.stopped and pressing is not None:
+    if move.preload_change is not None and not move.stopped and preload is not None:
         press = PressStatus(
-            pressing.tool, pressing.force_N, move.preload_change.torque_per_N, pressing.resolver_offset_rad
+            preload.tool, preload.force_N, move.preload_change.torque_per_N, preload.resolver_offset_rad
         )
     return MoveStatus(
         move.setpoint.motor_rad,
@@ -91,7 +91,7 @@ def _describe_move(move: Move, pressing: PreloadState | None) -> MoveStatus:
 
 
 def _is_approaching(move: Move) -> bool:
-    """Return whether a guarded tool runs along its line and has not touched."""
+    """Return whether a guarded tool moves along its line and has not touched yet."""
     if move.guarded_tool is None or move.contact_travel is not None or move.phase is not Phase.RUN:
         return False
     return isinstance(move.paths[0], LinePath)
@@ -119,7 +119,7 @@ def apply_decision(
 
 
 def _stop(config: Config, before: MoveOutcome, decision: Decision, joints: JointEstimate) -> MoveOutcome:
-    """Stop the move as a commanded stop does; a move that is being stopped already goes on as it is."""
+    """Stop the move as a commanded stop does; a move that already stops is left as it is."""
     sequence, move, evrs = before.sequence, before.move, decision.evrs
     if sequence is not None:
         evrs = (*evrs, CommandAborted(sequence.command))
@@ -131,7 +131,7 @@ def _stop(config: Config, before: MoveOutcome, decision: Decision, joints: Joint
 
 
 def _brake(move: Move, decision: Decision) -> Move:
-    """Apply the brakes in this cycle and hold the motors where protection says."""
+    """Apply the brakes in this cycle, with the set-point that protection decided."""
     return replace(
         move,
         active=NO_JOINTS if decision.response is Response.POWER_OFF else move.active,

@@ -1,4 +1,4 @@
-"""What the ground may set while the arm stands: the rover's tilt, and one parameter at a time."""
+"""Settings that the ground may change while the arm stands: the rover's tilt, and single parameters."""
 
 from dataclasses import fields, is_dataclass, replace
 from math import isfinite
@@ -18,53 +18,53 @@ from fsw.executive.context import CommandContext, check_ready, command_name, ref
 from fsw.kinematics.transforms import angle_between, gravity_direction
 
 ENCODER_ZERO_PARAMS: Final = ("gear_ratio", "encoder_counts_per_turn", "hardstop_rad")
-"""What an encoder zero rests on: a joint of which one of these changes is to be calibrated again."""
+"""Parameters that an encoder zero depends on; if one changes, its joint must be calibrated again."""
 
 
 def set_tilt(config: Config, context: CommandContext, command: SetTilt) -> CommandContext:
-    """Gravity lies as this attitude says, from now on."""
+    """Set the direction of gravity from the attitude of the rover; refuse one that the IMU contradicts."""
     problem = check_ready(context) or check_bounds(config.params, command)
     if problem is not None:
         return refuse(context, command, problem)
     down_R = gravity_direction(command.roll_rad, command.pitch_rad)
     joints, bound = context.state.joints, config.params.monitors.tilt_rad
-    read = joints.imu_R_m_s2 / np.linalg.norm(joints.imu_R_m_s2)
-    off = angle_between(read, down_R)
-    if off > bound:
+    measured_R = joints.imu_R_m_s2 / np.linalg.norm(joints.imu_R_m_s2)
+    error_rad = angle_between(measured_R, down_R)
+    if error_rad > bound:
         return refuse(
             context,
             command,
-            f"the IMU reads gravity {off:.4f} rad from there, at most {bound:.4f} are allowed",
+            f"the IMU reads gravity {error_rad:.4f} rad from there, at most {bound:.4f} are allowed",
         )
     state = replace(context.state, joints=replace(joints, down_R=down_R))
-    return _complete(replace(context, state=state), command, TiltSet(off))
+    return _complete(replace(context, state=state), command, TiltSet(error_rad))
 
 
 def set_param(config: Config, context: CommandContext, command: SetParam) -> CommandContext:
-    """Flight software goes on with another value of one parameter."""
+    """Set one parameter, and forget an encoder zero that depends on it."""
     problem = check_ready(context)
     if problem is not None:
         return refuse(context, command, problem)
     changed = replace_param(config.params, command)
     if isinstance(changed, str):
         return refuse(context, command, changed)
-    anew = configure(changed)
-    state = replace(context.state, changed_config=anew)
+    changed_config = configure(changed)
+    state = replace(context.state, changed_config=changed_config)
     group, *middle, leaf = command.name.split(".")
     if group == "joints" and leaf in ENCODER_ZERO_PARAMS:
         joint = Joint[middle[0].upper()]
-        known = forget_joint(state.joints.reference, joint)
-        state = replace(state, joints=replace(state.joints, reference=known))
-    evr = ParamSet(command.name, command.value, anew.params_sha256)
+        reference = forget_joint(state.joints.reference, joint)
+        state = replace(state, joints=replace(state.joints, reference=reference))
+    evr = ParamSet(command.name, command.value, changed_config.params_sha256)
     return _complete(replace(context, state=state), command, evr)
 
 
 def replace_param(params: Params, command: SetParam) -> Params | str:
-    """The parameters with one of them set, or why it can not be."""
+    """Return the parameters with one of them replaced, or the reason that this is not valid."""
     changed = _replace_field(params, command.name.split("."), command)
     if isinstance(changed, str):
         return changed
-    return next((wrong for wrong in (*check_limits(changed), *check_arm(changed))), changed)
+    return next(iter((*check_limits(changed), *check_arm(changed))), changed)
 
 
 def _complete(
@@ -76,11 +76,11 @@ def _complete(
 
 
 def _replace_field(record: Any, names: list[str], command: SetParam) -> Params | str:
-    """The record with the number at this place replaced, or why not."""
+    """Return a record with the number under these names replaced, or the reason that it cannot be."""
     name, *rest = names
-    known = [field.name for field in fields(record)]
-    if name not in known:
-        return f"{command.name}: {name!r} is not a parameter; there are {', '.join(known)}"
+    field_names = [field.name for field in fields(record)]
+    if name not in field_names:
+        return f"{command.name}: {name!r} is not a parameter; there are {', '.join(field_names)}"
     value = getattr(record, name)
     if rest and is_dataclass(value):
         inner = _replace_field(value, rest, command)
