@@ -26,7 +26,7 @@ def pose_whitener(measured: MeasuredPoses, output_jacobian: Array, unknown: Flag
     Args:
         measured: Measured poses and their covariances.
         output_jacobian: Screws of the turret frame in its axes, per radian of each output, shape (6, n, 5).
-        unknown: Flags of outputs whose side of the backlash is unknown, shape (5, n).
+        unknown: Boolean flags of outputs whose side of the backlash is unknown, shape (5, n).
 
     Returns:
         Whitening matrices, shape (n, 6, 6).
@@ -96,7 +96,7 @@ def confirm_sides(
         error: Screws [rad, m] from the modelled to the measured poses, shape (6, n).
         parameter_jacobian: Screws of the turret frame per unit of each parameter, shape (6, n, p).
         covariance: Covariance of the parameters, in squares of their units, shape (p, p).
-        uncertain: Flags of the outputs to decide, shape (5, n).
+        uncertain: Boolean flags of the outputs to decide, shape (5, n).
         backlash_rad: Believed positions of the outputs in their backlash, shape (5, n).
 
     Returns:

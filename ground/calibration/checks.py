@@ -1,4 +1,4 @@
-"""Data that are not what they say, and fits that only look good: each named, with what would be right."""
+"""Checks of campaign data and of fits. Each error names what is wrong and what would be right."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -19,14 +19,17 @@ from ground.calibration.survey import MIN_TARGETS
 from sim.frames import P_NR_M
 
 LEAST_POSES: Final = 24
-"""Three times what the worst-conditioned combination needs; the paper took 160."""
+"""Smallest number of poses: three times what the worst-conditioned combination needs. The paper took 160."""
 LEAST_SPAN_RAD: Final = 0.5
 FRAME_RANK: Final = 26
-"""Of the frames: what an arm of five joints, three of them parallel, can tell; the paper's count too."""
+"""Expected rank of the frame parameters, which the paper finds too.
+
+The arm has five joints, three of them parallel, so other combinations are not identifiable.
+"""
 MAX_MEDIAN_ERROR_M: Final = 0.06
-"""Half of an arm's poses are not this far from the drawing's, a metre from the turret."""
+"""Largest median error of nominal poses, at one metre from the turret."""
 MAX_ERROR_M: Final = 0.15
-"""Nor is any single one so far, if the others are near."""
+"""Largest error of a single nominal pose, at one metre from the turret."""
 MAX_MISFIT_M: Final = 3e-4
 MAX_TRACKER_MOTION_M: Final = 1e-3
 GRAVITY_M_S2: Final = (1.0, 12.0)
@@ -34,23 +37,23 @@ FARTHEST_M: Final = 4.0
 TURRET_KG: Final = (1.0, 100.0)
 MOST_HELD_NM: Final = 1000.0
 MAX_SIGMA0: Final = 1.5
-"""A fit whose residuals are larger than the noise by more has missed something."""
+"""Largest ratio of residuals to noise; above it, the model lacks an effect."""
 MIN_SIGMA0: Final = 0.6
 MAX_HELD_OUT_RATIO: Final = 1.3
-"""Held-out poses over what noise and covariance let expect."""
+"""Largest ratio of held-out residuals to their expected size."""
 MAX_PRIOR_SIGMAS: Final = 5.0
-"""Prior sigmas from the drawing that no number of a built arm is."""
+"""Largest parameter value of a built arm, in prior sigmas."""
 
 
 class BadData(ValueError):
-    """Data or a fit that are not to be believed; a line for each reason."""
+    """Error: data or a fit that are not acceptable, with one line for each reason."""
 
 
 def check_data(nominal: Params, campaign: Campaign) -> None:
-    """Refuse what can be seen before anything is fitted.
+    """Check the data before the fit.
 
     Raises:
-        BadData: with everything that is wrong.
+        BadData: The data are wrong; the message lists every reason.
     """
     _refuse(_check_poses(campaign))
     _refuse(_check_units(campaign))
@@ -59,10 +62,10 @@ def check_data(nominal: Params, campaign: Campaign) -> None:
 
 
 def check_fit(found: Calibration) -> None:
-    """Refuse a fit that explains the poses badly, too well, or by an arm that nobody builds.
+    """Check that a fit explains the poses neither badly nor too well, and that its arm is within tolerances.
 
     Raises:
-        BadData: with everything that is wrong.
+        BadData: The fit is not acceptable; the message lists every reason.
     """
     _refuse(_check_fit(found.best, found.frame_identifiability, found.hold_out))
 
@@ -99,9 +102,12 @@ def _check_units(campaign: Campaign) -> Iterator[str]:
         yield f"gravity_*_m_s2: {gravity.min():.4g} .. {gravity.max():.4g} long; give m/s2, 9.81 on Earth"
     if np.abs(believed.backlash_rad).max() > 0.02:
         yield f"gap_*_rad: up to {np.abs(believed.backlash_rad).max():.4g}; half a backlash is 0.002 rad"
-    held = np.abs(believed.friction_Nm).max()
-    if held > MOST_HELD_NM:
-        yield f"held_*_Nm: up to {held:.4g}; friction holds less than {MOST_HELD_NM:.0f}: give newton metres"
+    friction_Nm = np.abs(believed.friction_Nm).max()
+    if friction_Nm > MOST_HELD_NM:
+        yield (
+            f"held_*_Nm: up to {friction_Nm:.4g}; friction holds less than {MOST_HELD_NM:.0f}: "
+            "give newton metres"
+        )
     sides = np.setdiff1d(believed.side, (-1.0, 0.0, 1.0))
     if sides.size:
         yield f"side_*: {sides[0]:.4g} is no side; give +1 or -1 where it is sure, else 0"
@@ -160,7 +166,7 @@ def _check_tracker(campaign: Campaign) -> Iterator[str]:
 
 
 def _find_copies(campaign: Campaign) -> Integers:
-    """Poses whose measurement is that of an earlier one, to the last digit."""
+    """Find poses whose measurement equals that of an earlier pose to the last digit."""
     X = campaign.measured.X_RT
     numbers = np.concatenate([X.p, X.R.reshape(9, -1)])
     _, first = np.unique(numbers, axis=1, return_index=True)
@@ -175,7 +181,7 @@ def _find_stale(campaign: Campaign) -> Flags:
 
 
 def _check_frames(nominal: Params, campaign: Campaign) -> Iterator[str]:
-    """The drawing must be near; if it is not, try what people mix up."""
+    """Check that measured poses are near nominal ones; if not, try common mistakes of convention."""
     x = np.zeros(len(arm_parameters()))
     X = predict_poses(nominal, x, campaign.believed)
     off_m = _pose_error_m(X, campaign.measured.X_RT)
@@ -183,8 +189,8 @@ def _check_frames(nominal: Params, campaign: Campaign) -> Iterator[str]:
     if as_given < MAX_MEDIAN_ERROR_M:
         yield from _check_stray_poses(off_m)
         return
-    others = _wrong_conventions(campaign.measured.X_RT)
-    found = {what: float(np.median(_pose_error_m(X, other))) for what, other in others.items()}
+    alternatives = _wrong_conventions(campaign.measured.X_RT)
+    found = {what: float(np.median(_pose_error_m(X, other))) for what, other in alternatives.items()}
     best = min(found, key=lambda what: found[what])
     hint = (
         f"{best} ({1e3 * found[best]:.0f} mm)"
@@ -198,12 +204,12 @@ def _check_frames(nominal: Params, campaign: Campaign) -> Iterator[str]:
 
 
 def _check_stray_poses(off_m: Array) -> Iterator[str]:
-    """One by one they would lead the fit astray before it could tell them from the others."""
-    stray = np.flatnonzero(off_m > MAX_ERROR_M)
-    if stray.size:
+    """Check for single poses with large errors, which would mislead the fit before it could reject them."""
+    outliers = np.flatnonzero(off_m > MAX_ERROR_M)
+    if outliers.size:
         yield (
-            f"measured poses: {_list_poses(stray)} up to {1e3 * off_m.max():.0f} mm from the drawing's, the "
-            f"others {1e3 * float(np.median(off_m)):.0f} mm (median): the tracker lost its lock or took "
+            f"measured poses: {_list_poses(outliers)} up to {1e3 * off_m.max():.0f} mm from the drawing's, "
+            f"the others {1e3 * float(np.median(off_m)):.0f} mm (median): the tracker lost its lock or took "
             "another target; measure again or leave out"
         )
 
@@ -223,7 +229,7 @@ def _wrong_conventions(X: Pose) -> dict[str, Pose]:
 
 
 def _pose_error_m(X: Pose, measured: Pose) -> Array:
-    """How far each pose is off, a metre away from its origin, (n,)."""
+    """Compute the error of each pose at one metre from its origin, shape (n,)."""
     T = error_screw(X, MeasuredPoses(measured, np.zeros((X.p.shape[1], 6, 6))))
     return np.asarray(np.sqrt(np.sum(T**2, axis=0)))
 

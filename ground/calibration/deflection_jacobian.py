@@ -1,14 +1,14 @@
-"""How a hanging arm's last frame moves with the numbers that the arm is made of: exact derivatives.
+"""Exact derivatives of the last frame of a deflected arm by the parameters of the arm.
 
-Every angle of a joint, every strain of a spring and every small screw of a frame is a coordinate c that moves
-all beyond it along a screw S_c = (w, v) in rover axes. Of the gravity potential V = -sum(m g.p),
+Coordinates are joint angles, strains of springs and small screws of frames. Coordinate c moves all bodies
+beyond it along a screw S_c = (w, v) in rover axes. With the gravity potential V = -sum(m g.p),
 
     Q_a = -dV/da = sum(m g.(w_a x p + v_a)),    dQ_a/db = (g x w_a).(w_b x M_b + m_b v_b)   (a before b)
 
-with the mass m_b and its moment M_b beyond the coordinate farther out. Strains and wind-up follow the load,
-y = C Q(y, x) + ..., so their own response to a parameter x is that of the implicit function:
+with the mass m_b and its first moment M_b beyond the outer coordinate. Strains and wind-up follow the load,
+y = C Q(y, x) + ..., so the implicit function theorem gives their response to a parameter x:
 
-    (1 - C dQ/dy) dy/dx = C dQ/dx + what x does to y directly.
+    (1 - C dQ/dy) dy/dx = C dQ/dx + the direct derivative of y by x.
 """
 
 from dataclasses import dataclass
@@ -21,43 +21,58 @@ from fsw.kinematics.transforms import Array, Integers, Pose, adjoint, cross, inv
 
 LINK_COUNT, JOINT_COUNT = 6, 5
 TURN, STRAIN, SCREW = 0, JOINT_COUNT, JOINT_COUNT + 6 * LINK_COUNT
-"""Where each kind of coordinate begins: joint angles, strains of the springs, screws of the frames."""
+"""First index of each kind of coordinate: joint angles, strains of springs, screws of frames."""
 COORDINATE_COUNT = SCREW + 6 * (LINK_COUNT + 1)
 COMPLIANT = slice(0, SCREW)
-"""The coordinates that follow the load."""
+"""Coordinates that follow the load."""
 LINK, NEAR, SPRING, ON_FAR, FAR, END = 100, 10, 20, 29, 30, 40
-"""Places along a link: its joint at 0, then the near lump, the spring's six, the far lump, the next frame."""
+"""Positions along a link, used to order coordinates and masses.
+
+The joint is at 0, followed by near lump, six spring coordinates, far lump and next frame.
+"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeflectionDerivatives:
-    """The arm at rest, and what moves it; batch last."""
+    """Static equilibria of the arm with derivatives by its coordinates; the batch axis is last."""
 
     arm: Arm
     rest: Equilibrium
     S: Array
-    """Screws of all coordinates in rover axes, (COUNT, 6, n)."""
+    """Screws of all coordinates in rover axes, shape (COORDINATE_COUNT, 6, n)."""
     C: Array
-    """What the yielding coordinates give for their loads, (SCREW, SCREW)."""
+    """Compliance matrix of the compliant coordinates, shape (SCREW, SCREW)."""
     dQ: Array
-    """Loads of the coordinates by the coordinates, (n, COUNT, COUNT)."""
+    """Derivatives of loads by coordinates, shape (n, COORDINATE_COUNT, COORDINATE_COUNT)."""
     lump_Q: Array
-    """The loads that near and far lumps put on the yielding coordinates, (SCREW, 2, LINKS, n)."""
+    """Loads of near and far lumps on the compliant coordinates, shape (SCREW, 2, LINK_COUNT, n)."""
     lump_dQ: Array
-    """Those by shifts of the lumps' centres in link axes, (SCREW, 2, LINKS, 3, n)."""
+    """Derivatives of these loads by the centres of mass in link axes, shape (SCREW, 2, LINK_COUNT, 3, n)."""
     X_RT: Pose
-    """The frame whose motion is asked for."""
+    """Frame T, whose motion is wanted, in the rover frame."""
 
 
 def differentiate_deflection(
     arm: Arm, rest: Equilibrium, gravity_R_m_s2: Array, X_FT: Pose
 ) -> DeflectionDerivatives:
-    """Everything that derivatives take, at rest poses (n) under gravity (3, n), of a frame T on Arm6."""
+    """Compute the derivatives of static equilibria by all coordinates.
+
+    Source of the equations: module docstring.
+
+    Args:
+        arm: Arm with its masses and stiffnesses.
+        rest: Static equilibria, batch (n,).
+        gravity_R_m_s2: Gravity in the rover frame, shape (3, n).
+        X_FT: Frame T in the last frame of the arm.
+
+    Returns:
+        Derivatives at the equilibria.
+    """
     S, place = _screws(arm, rest, X_FT)
     near, far = _lumps(arm, rest)
     kg = np.stack([arm.near_kg, arm.far_kg])
-    lumps = np.stack([near, far])  # side, xyz, link, n
-    # a coordinate carries a lump if it stands before it
+    lumps = np.stack([near, far])  # axes: side, xyz, link, n
+    # a coordinate carries the lumps that come after it along the arm
     lump_place = LINK * np.arange(LINK_COUNT) + np.array([[NEAR], [FAR]])
     carried = (place[:, None, None] < lump_place) * kg
     m = carried.sum(axis=(1, 2))
@@ -80,23 +95,33 @@ def differentiate_deflection(
     )
 
 
-def screw_derivatives(hang: DeflectionDerivatives, dQ_dx: Array, direct: Array, screw_dx: Array) -> Array:
-    """The screw of T in its own axes by parameters, (6, n, p).
+def screw_derivatives(
+    deflection: DeflectionDerivatives, dQ_dx: Array, direct: Array, screw_dx: Array
+) -> Array:
+    """Compute the derivatives of frame T by parameters.
 
-    `dQ_dx` (SCREW, n, p): what the parameters do to the loads, beyond what the frames' screws do, which
-    `screw_dx` (6 (LINKS + 1), p) gives; `direct` (SCREW, n, p): to strains and joint angles themselves.
+    Args:
+        deflection: Derivatives of the equilibria by the coordinates.
+        dQ_dx: Derivatives of loads [N m, N] by parameters, without the screws of frames, shape (d, n, p).
+        direct: Direct derivatives of joint angles [rad] and strains [rad, m] by parameters, shape (d, n, p).
+        screw_dx: Derivatives of the frames' screws [rad, m] by parameters, shape (s, p).
+
+    Returns:
+        Screws of T in its own axes per unit of each parameter, shape (6, n, p).
     """
-    inner = hang.dQ[:, COMPLIANT, COMPLIANT]
-    loads = np.moveaxis(dQ_dx, 1, 0) + hang.dQ[:, COMPLIANT, SCREW:] @ screw_dx
-    moved = np.linalg.solve(np.eye(SCREW) - hang.C @ inner, hang.C @ loads + np.moveaxis(direct, 1, 0))
-    S = np.moveaxis(hang.S, -1, 0)
+    inner = deflection.dQ[:, COMPLIANT, COMPLIANT]
+    loads = np.moveaxis(dQ_dx, 1, 0) + deflection.dQ[:, COMPLIANT, SCREW:] @ screw_dx
+    moved = np.linalg.solve(
+        np.eye(SCREW) - deflection.C @ inner, deflection.C @ loads + np.moveaxis(direct, 1, 0)
+    )
+    S = np.moveaxis(deflection.S, -1, 0)
     twist_R = S[:, COMPLIANT].swapaxes(1, 2) @ moved + S[:, SCREW:].swapaxes(1, 2) @ screw_dx
-    to_T = np.moveaxis(adjoint(inverse(hang.X_RT)), -1, 0)
+    to_T = np.moveaxis(adjoint(inverse(deflection.X_RT)), -1, 0)
     return np.moveaxis(to_T @ twist_R, 0, 1)
 
 
 def _screws(arm: Arm, rest: Equilibrium, X_FT: Pose) -> tuple[Array, Integers]:
-    """Screws (COUNT, 6, n) of the coordinates, and the place of each along the arm, a whole number."""
+    """Compute the screws (COORDINATE_COUNT, 6, n) of the coordinates, and their positions along the arm."""
     frames, n = rest.frames, rest.output_rad.shape[-1]
     R_RL, p_RL = frames.X_RL.R, frames.X_RL.p
     S, place = np.zeros((COORDINATE_COUNT, 6, n)), np.zeros(COORDINATE_COUNT, int)
@@ -119,22 +144,22 @@ def _screws(arm: Arm, rest: Equilibrium, X_FT: Pose) -> tuple[Array, Integers]:
     for frame in range(LINK_COUNT + 1):
         X = last if frame == LINK_COUNT else X_RF[frame]
         place[SCREW + 6 * frame : SCREW + 6 * frame + 6] = LINK * frame + END
-        if frame == 0:  # the rover's spring and bracket sit at the frame and move with it
+        if frame == 0:  # the rover's spring and bracket move with this frame
             X = frames.X_RL[0] @ Pose(np.eye(3)[:, :, None], arm.p_LC_m[:, :1]) @ arm.X_CF[[0]]
             place[SCREW : SCREW + 6] = 0
-        if frame == 5:  # and so does the turret's mass
+        if frame == 5:  # the turret's mass moves with this frame
             place[SCREW + 30 : SCREW + 36] = LINK * frame + ON_FAR
         S[SCREW + 6 * frame : SCREW + 6 * frame + 6] = adjoint(X).swapaxes(0, 1)
     return S, place
 
 
 def _about(axis: Array, point: Array) -> Array:
-    """The screws (6, n) of turns about axes through points (3, n)."""
+    """Compute the screws of rotations about axes through points, shape (6, n)."""
     return np.concatenate([axis, cross(point, axis)])
 
 
 def _lumps(arm: Arm, rest: Equilibrium) -> tuple[Array, Array]:
-    """Where near and far lumps are in the rover frame, (3, LINKS, n) each."""
+    """Compute the positions of near and far lumps in the rover frame, shape (3, LINK_COUNT, n) each."""
     X_RL, X_LD = rest.frames.X_RL, rest.frames.X_LD
     near = np.einsum("ijln,jl->iln", X_RL.R, arm.near_p_L_m) + X_RL.p
     far_L = np.einsum("ijln,jl->iln", X_LD.R, arm.far_p_C_m) + X_LD.p
@@ -142,7 +167,11 @@ def _lumps(arm: Arm, rest: Equilibrium) -> tuple[Array, Array]:
 
 
 def _velocity(S: Array, p: Array) -> Array:
-    """Of points (2, 3, LINKS, n) along screws (c, 6, n): (c, 3, 2, LINKS, n)."""
+    """Compute the velocities of points (2, 3, LINK_COUNT, n) along screws (c, 6, n).
+
+    Returns:
+        Velocities, shape (c, 3, 2, LINK_COUNT, n).
+    """
     w = S[:, :3].swapaxes(0, 1)[:, :, None, None]
     v = S[:, 3:][:, :, None, None]
     turning: Array = cross(w, p.swapaxes(0, 1)[:, None]).swapaxes(0, 1)
@@ -150,7 +179,7 @@ def _velocity(S: Array, p: Array) -> Array:
 
 
 def _by_centres(rest: Equilibrium, carried: Array, g_x_w: Array) -> Array:
-    """Loads by shifts of centres: m (g x w).(R e)."""
+    """Compute the derivatives of loads by the centres of mass: m (g x w).(R e)."""
     R_RL, R_LD = rest.frames.X_RL.R, rest.frames.X_LD.R
     sides = np.stack([R_RL, np.einsum("ijln,jkln->ikln", R_RL, R_LD)])
     return np.asarray(np.einsum("csl,icn,sikln->cslkn", carried, g_x_w, sides, optimize=True))
@@ -166,5 +195,12 @@ def _compliance(arm: Arm) -> Array:
 
 
 def add_batch_axis(X: Pose) -> Pose:
-    """One pose beside many."""
+    """Add a batch axis of length one to a pose.
+
+    Args:
+        X: A single pose.
+
+    Returns:
+        The pose as a batch (1,).
+    """
     return Pose(X.R[:, :, None], X.p[:, None])

@@ -135,7 +135,7 @@ def fit(
         parameters: Parameters with scales and priors.
         model: Residual model.
         start: Initial values in the units of the parameters, shape (p,); zeros by default.
-        used: Flags of the poses to fit, shape (n,); all by default.
+        used: Boolean flags of the poses to fit, shape (n,); all by default.
 
     Returns:
         The fit.
@@ -163,7 +163,7 @@ def cost(at: Linearisation, used: Flags, x: Array, prior: Array) -> float:
 
     Args:
         at: Linearisation at the values.
-        used: Flags of the poses to fit, shape (n,).
+        used: Boolean flags of the poses to fit, shape (n,).
         x: Parameter values in their units, shape (p,).
         prior: Inverse prior sigmas in inverse units of the parameters, shape (p,).
 

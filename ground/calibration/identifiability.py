@@ -1,4 +1,4 @@
-"""What data can tell apart, whatever was believed before: rank, conditioning, and the names behind them."""
+"""Identifiability of parameters from data alone: rank, condition number and confounded parameters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,50 +10,57 @@ from fsw.kinematics.transforms import Array, Flags, Integers
 from ground.calibration.fit import FitParameter, Linearisation
 
 MIN_SIGMAS: Final = 10.0
-"""A combination is seen if, moved by its scale, it shows so many sigma in all poses together."""
+"""A combination is identified if a change by its scale shows this many sigmas in all poses together."""
 MIN_SHARE: Final = 0.02
-"""A parameter is part of the unseen if that share of it, squared, is."""
+"""A parameter belongs to an unidentified combination if this squared share of it does."""
 MIN_CORRELATION: Final = 0.05
-"""Two parameters are told apart if they are correlated by less than this within the unseen."""
+"""Parameters belong to one group if they correlate by more than this within the unidentified subspace."""
 
 
 @dataclass(frozen=True, slots=True)
 class UnidentifiableGroup:
-    """Parameters of which only some combinations are seen."""
+    """Parameters of which only some combinations are identified."""
 
     names: tuple[str, ...]
     identified: int
-    """How many combinations of them are."""
+    """Number of identified combinations."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identifiability:
-    """What data tell of the parameters, without any prior."""
+    """Identified and unidentified combinations of parameters."""
 
     parameters: tuple[FitParameter, ...]
     singular_values: Array
-    """Of the whitened Jacobian with parameters in units of their scale, largest first, (p,)."""
+    """Singular values of the whitened Jacobian in units of the scales, in descending order, shape (p,)."""
     combinations: Array
-    """A column for each: what is moved together, in units of the scales, (p, p)."""
+    """Right singular vectors in units of the scales, one in each column, shape (p, p)."""
 
     @property
     def rank(self) -> int:
-        """How many combinations are seen."""
+        """Return the number of identified combinations."""
         return int(np.count_nonzero(self.singular_values > MIN_SIGMAS))
 
     @property
     def condition(self) -> float:
-        """The best seen over the worst seen."""
+        """Return the condition number of the identified combinations."""
         return float(self.singular_values[0] / self.singular_values[self.rank - 1]) if self.rank else np.inf
 
     def projected(self, values: Array) -> Array:
-        """The seen combinations (rank, ...) of values (p, ...), in units of the scales."""
+        """Project values onto the identified combinations.
+
+        Args:
+            values: Parameter values in their units, shape (p, ...).
+
+        Returns:
+            Coefficients of the identified combinations in units of the scales, shape (rank, ...).
+        """
         scale = np.array([parameter.scale for parameter in self.parameters])
         within: Array = self.combinations[:, : self.rank].T @ (values.T / scale).T
         return within
 
     def unidentifiable_groups(self) -> tuple[UnidentifiableGroup, ...]:
-        """Groups of parameters that are not told apart, or not seen at all; each parameter in one at most."""
+        """Group the parameters that are confounded or have no effect; none is in two groups."""
         unseen = self.combinations[:, self.rank :]
         projector = unseen @ unseen.T
         share = np.diag(projector)
@@ -70,7 +77,16 @@ class Identifiability:
 def assess_identifiability(
     parameters: Sequence[FitParameter], at: Linearisation, used: Flags | None = None
 ) -> Identifiability:
-    """What the poses used (n,), all if not given, tell."""
+    """Assess which combinations of parameters some poses identify.
+
+    Args:
+        parameters: Parameters with their scales.
+        at: Linearisation of all poses.
+        used: Boolean flags of the poses to use, shape (n,); all by default.
+
+    Returns:
+        Singular values and combinations.
+    """
     jacobian = at.jacobian if used is None else at.jacobian[used]
     scale = np.array([parameter.scale for parameter in parameters])
     J = jacobian.reshape(-1, scale.size) * scale
@@ -81,19 +97,19 @@ def assess_identifiability(
 
 
 def _svd_of_tall(J: Array) -> tuple[Array, Array, Array]:
-    # a triangle has the same singular values and directions, and there may be many thousands of rows
+    # R of the QR decomposition has the same singular values and directions, and far fewer rows
     U, s, Vt = np.linalg.svd(np.linalg.qr(J, mode="r"))
     return U, s, Vt
 
 
 def _connected(members: Integers, linked: Flags) -> list[Integers]:
-    """Members (k,) in groups that are linked, directly or through others; in order."""
-    left, groups = list(members), []
-    while left:
-        group = [left.pop(0)]
+    """Return the connected components of the links among members (k,), in order."""
+    remaining, groups = list(members), []
+    while remaining:
+        group = [remaining.pop(0)]
         for one in group:
-            near = [other for other in left if linked[one, other]]
-            group += near
-            left = [other for other in left if other not in near]
+            neighbours = [other for other in remaining if linked[one, other]]
+            group += neighbours
+            remaining = [other for other in remaining if other not in neighbours]
         groups.append(np.array(sorted(group)))
     return groups

@@ -1,4 +1,4 @@
-"""Poses that do not belong to the others: found one by one, named, left out."""
+"""Rejection of outliers: poses that do not agree with the others are left out one by one."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,28 +11,28 @@ from fsw.kinematics.transforms import Array, Flags
 from ground.calibration.fit import Fit, FitParameter, ResidualModel, fit
 
 FALSE_ALARM: Final = 0.01
-"""Probability that a campaign without any outlier is said to have one."""
+"""Probability of reporting an outlier in a campaign without outliers."""
 MAX_OUTLIER_SHARE: Final = 0.2
-"""Share of the poses: if more do not fit, it is not they that are wrong."""
+"""Largest share of poses that may be outliers; if there are more, the model is wrong."""
 
 
 class TooManyOutliers(ValueError):
-    """More poses are outliers than outliers can be."""
+    """Error: more poses are outliers than are allowed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OutlierRejection:
-    """A fit without its outliers."""
+    """Fit without its outliers."""
 
     fit: Fit
     distance: Array
-    """Of each pose from what the others predict, squared, in units of its variance, (n,)."""
+    """Squared distance of each pose from the prediction by the others, over its variance, shape (n,)."""
     limit: Array
-    """Of that distance, (n,)."""
+    """Limit of this distance, shape (n,)."""
 
     @property
     def outliers(self) -> tuple[int, ...]:
-        """The poses left out."""
+        """Return the indices of the poses that were left out."""
         return tuple(int(pose) for pose in np.flatnonzero(~self.fit.used))
 
 
@@ -43,50 +43,69 @@ def reject_outliers(
     used: Flags | None = None,
     false_alarm: float = FALSE_ALARM,
 ) -> OutlierRejection:
-    """Fit, leave out the worst pose beyond the limit, fit again, until all that is left agrees.
+    """Fit, leave out the worst pose beyond the limit, and repeat until all remaining poses agree.
 
-    A pose left out that the last fit agrees with comes back. Noise that is larger than stated, in all poses,
-    raises the limit: it makes no outliers. With `used`, the other poses are left out from the beginning.
+    Poses that agree with the last fit are included again. If all poses have more noise than stated, the
+    limit rises, so that no outliers appear.
+
+    Args:
+        parameters: Parameters with scales and priors.
+        model: Residual model.
+        start: Initial values in the units of the parameters, shape (p,); zeros by default.
+        used: Boolean flags of the poses to fit, shape (n,); all by default.
+        false_alarm: Probability of reporting an outlier if there is none.
+
+    Returns:
+        The fit without its outliers.
 
     Raises:
-        NoAgreement: too many poses would have to go.
+        TooManyOutliers: Too many poses would be left out.
     """
     found = fit(parameters, model, start, used)
-    asked = found.used
-    count = int(np.count_nonzero(asked))
+    selected = found.used
+    count = int(np.count_nonzero(selected))
     while True:
         share, limit = _share_of_limit(found, false_alarm / count)
         worst = int(np.argmax(np.where(found.used, share, -np.inf)))
         if share[worst] <= 1.0:
             break
         keep = found.used & (np.arange(share.size) != worst)
-        if np.count_nonzero(asked & ~keep) > MAX_OUTLIER_SHARE * count:
+        if np.count_nonzero(selected & ~keep) > MAX_OUTLIER_SHARE * count:
             raise TooManyOutliers(
                 f"more than {MAX_OUTLIER_SHARE:.0%} of {count} poses do not agree with the rest: no arm "
                 "explains them all"
             )
         found = fit(parameters, model, found.values, keep)
-    back = asked & ~found.used & (share <= 1.0)
-    if back.any():
-        found = fit(parameters, model, found.values, found.used | back)
+    restored = selected & ~found.used & (share <= 1.0)
+    if restored.any():
+        found = fit(parameters, model, found.values, found.used | restored)
     return OutlierRejection(found, leave_one_out_distance(found), limit)
 
 
 def leave_one_out_distance(fitted: Fit) -> Array:
-    """How far each pose is from what the fit to the *other* poses predicts, (n,), squared, over its variance.
+    """Compute the squared distance of each pose from the prediction of a fit to the other poses.
 
-    For poses that were not used, from the fit itself.
+    For poses that were not fitted, the fit itself predicts.
+
+    Args:
+        fitted: Fit with its linearisation.
+
+    Returns:
+        Squared distances over their variances, unitless, shape (n,).
     """
     J, r = fitted.at.jacobian, fitted.at.residual
     hat = np.einsum("nij,jk,nlk->nil", J, fitted.covariance, J, optimize=True)
     sign = np.where(fitted.used, -1.0, 1.0)[:, None, None]
-    # a used pose pulls the fit towards itself, which shrinks the variance of its residual
+    # a fitted pose pulls the fit towards itself, which reduces the variance of its residual
     variance = np.eye(r.shape[1]) + sign * hat
     return np.asarray(np.einsum("ni,ni->n", r, np.linalg.solve(variance, r[..., None])[..., 0]))
 
 
 def _share_of_limit(fitted: Fit, false_alarm: float) -> tuple[Array, Array]:
-    """How far each pose is as a share of its limit, and the limit; poses that tell less have a lower one."""
+    """Compute the distance of each pose as a share of its limit, and the limit.
+
+    Poses with fewer informative components have a lower limit.
+    """
     components = np.maximum(fitted.at.is_informative.sum(axis=1), 1)
     distance = leave_one_out_distance(fitted)
     typical = float(np.median((distance / chi2.median(components))[fitted.used]))

@@ -1,4 +1,4 @@
-"""The calibrated arm as a parameter file that flight software loads, with where it comes from."""
+"""Parameter file of a calibrated arm, which flight software loads, with its provenance."""
 
 import hashlib
 from dataclasses import replace
@@ -20,9 +20,14 @@ from ground.common.params_toml import params_toml
 
 
 def calibrated_params(found: Calibration, tools: dict[Tool, Pose] | None = None) -> Params:
-    """The flight parameters of the arm as it was found, encoder zeros in its hardstops.
+    """Build the parameters of the calibrated arm, with the encoder zeros in its hardstop angles.
 
-    Tools (X_FT in Arm6) that were registered on the turret take the place of the drawing's.
+    Args:
+        found: Calibration.
+        tools: Poses X_FT of registered tools in frame Arm6; they replace the nominal ones.
+
+    Returns:
+        Parameters of flight software.
     """
     _, params = move_zeros_to_hardstops(found.nominal, found.best.values)
     for tool, X_FT in (tools or {}).items():
@@ -33,9 +38,9 @@ def calibrated_params(found: Calibration, tools: dict[Tool, Pose] | None = None)
 
 
 def data_sha256(campaign: Campaign) -> str:
-    """A digest of everything that the campaign measured, the same however it was written."""
+    """Compute a digest of all measured data; it does not depend on the file format."""
     b, m = campaign.believed, campaign.measured
-    # a table keeps quaternions and half of the covariances: the rest comes back with other last digits
+    # a table stores quaternions and half of each covariance, so the last digits of the rest may change
     R = np.round(m.X_RT.R, 8) + 0.0
     upper = m.covariance[:, *np.triu_indices(6)]
     written = BytesIO()
@@ -47,7 +52,7 @@ def data_sha256(campaign: Campaign) -> str:
 
 
 def provenance(found: Calibration) -> tuple[str, ...]:
-    """Where the numbers come from, a sentence a line; no date, so that the same data give the same file."""
+    """Describe the origin of the parameters, one sentence a line; no date, so that files are reproducible."""
     campaign, best = found.campaign, found.best
     left_out = ", ".join(map(str, found.rejection.outliers)) or "none"
     groups, held = np.unique(campaign.group).size, found.held_out_error
@@ -70,15 +75,15 @@ def provenance(found: Calibration) -> tuple[str, ...]:
 
 
 def save_parameter_file(found: Calibration, params: Params, path: Path) -> None:
-    """Write the file.
+    """Write the parameter file.
 
     Raises:
-        BadOutput: it cannot be written.
+        BadOutput: The file cannot be written.
     """
     with atomic_write(path, "out") as file:
         file.write(parameter_text(found, params).encode())
 
 
 def parameter_text(found: Calibration, params: Params) -> str:
-    """Every parameter that is not nominal, as TOML."""
+    """Format all parameters that differ from the nominal ones as TOML."""
     return params_toml(found.nominal, params, provenance(found))

@@ -1,4 +1,4 @@
-"""A calibration as a page: the paper's Figure 7, what was found, what could not be, what it is good for."""
+"""Report of a calibration: JSON document, tables, and a page with a plot like paper Figure 7."""
 
 from math import degrees
 from pathlib import Path
@@ -22,7 +22,7 @@ from ground.render.page import heading, image, paragraph, save_page, table
 
 
 def calibration_json(report: CalibrateReport) -> dict[str, Any]:
-    """Everything that was found; SI units."""
+    """Convert the calibration to a JSON document in SI units."""
     found = report.found
     best = found.best
     return {
@@ -83,7 +83,7 @@ def _verification_json(found: Verification) -> dict[str, Any]:
 
 
 def calibration_table(report: CalibrateReport) -> None:
-    """Print what was found, what could not be, and what it is good for."""
+    """Print the calibration: errors, encoder zeros, unidentifiable parameters and verification."""
     console = plain_console()
     found = report.found
     console.print(_summary_table(found))
@@ -100,7 +100,7 @@ def calibration_table(report: CalibrateReport) -> None:
 
 
 def describe_group(group: UnidentifiableGroup) -> str:
-    """What cannot be told apart, as one."""
+    """Describe a group of unidentifiable parameters."""
     names = ", ".join(group.names)
     if group.identified == 0:
         return f"{names}: not seen"
@@ -108,7 +108,7 @@ def describe_group(group: UnidentifiableGroup) -> str:
 
 
 def summary_rows(found: Calibration) -> list[tuple[str, str]]:
-    """The calibration in ten lines."""
+    """Build the rows of the summary."""
     best = found.best
     errors = (
         ("before", found.before),
@@ -146,7 +146,7 @@ def _summary_table(found: Calibration) -> Table:
 
 
 def zero_rows(found: Calibration) -> list[tuple[str, str, str]]:
-    """Encoder zeros, as the turns about z of the frames before the joints."""
+    """Build the rows of encoder zeros, which are rotations about z of the frames before the joints."""
     best = found.best
     rows = []
     for joint, of_joint in zip(Joint, found.nominal.joints.in_order(), strict=True):
@@ -167,7 +167,7 @@ def _zero_table(found: Calibration) -> Table:
 
 
 def place_rows(found: Verification) -> list[tuple[str, str, str, str, str]]:
-    """What tools missed their targets by."""
+    """Build the rows of tool errors at fresh targets."""
     return [_place_row(place) for place in found.places]
 
 
@@ -197,7 +197,7 @@ def save_calibration_page(report: CalibrateReport, path: Path) -> None:
     """Write the page.
 
     Raises:
-        BadOutput: the file cannot be written.
+        BadOutput: The file cannot be written.
     """
     found = report.found
     words = [describe_group(group) for group in found.frame_identifiability.unidentifiable_groups()]
@@ -228,7 +228,14 @@ def save_calibration_page(report: CalibrateReport, path: Path) -> None:
 
 
 def errors_without_backlash(found: Calibration) -> Array:
-    """Error screws (6, n) with the calibrated numbers, the backlash state left out of the prediction."""
+    """Compute the errors with calibrated parameters, but without the state of the backlash.
+
+    Args:
+        found: Calibration.
+
+    Returns:
+        Error screws, rotation [rad] above translation [m], shape (6, n).
+    """
     model = arm_model(found.nominal, found.campaign, with_backlash=False)
     return model.errors(found.best.values)
 

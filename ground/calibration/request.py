@@ -1,4 +1,4 @@
-"""The calibration as it is asked for on the command line."""
+"""Calibration of the arm as a request of the command line: measure or read, fit, check, verify, write."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,10 +32,10 @@ MICRO: Final = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class CalibrateRequest:
-    """What is asked."""
+    """Request for a calibration."""
 
     arm: str | None = None
-    """To be measured in simulation; or else `data`."""
+    """Arm to measure in simulation; give either this or `data`."""
     data: Path | None = None
     poses: int = 160
     seed: int = 0
@@ -43,7 +43,7 @@ class CalibrateRequest:
     """Noise of the tracker, one sigma: micrometres, and micrometres per metre."""
     params: Path | None = None
     verify: int = 0
-    """So many fresh targets each on Earth, Mars and cold Mars, with the parameters that were found."""
+    """Number of fresh targets on each of Earth, Mars and cold Mars, with the calibrated parameters."""
     save_data: Path | None = None
     out: Path | None = None
     report: Path | None = None
@@ -51,20 +51,20 @@ class CalibrateRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CalibrateReport:
-    """What came of it."""
+    """Result of a request for a calibration."""
 
     request: CalibrateRequest
     found: Calibration
     params: Params
-    """Calibrated."""
+    """Calibrated parameters."""
     verification: Verification | None
 
 
 def run_calibration(request: CalibrateRequest, progress: Progress) -> CalibrateReport:
-    """Measure or read, fit, check, verify, and write the parameter file if that was asked for.
+    """Measure or read a campaign, fit, check and verify, and write the requested files.
 
     Raises:
-        BadRequest: the request or the data are wrong, or the fit is not to be believed; nothing was written.
+        BadRequest: The request or the data are wrong, or the fit is not acceptable; nothing was written.
     """
     arm, base = _check_request(request)
     try:
@@ -93,7 +93,7 @@ def run_calibration(request: CalibrateRequest, progress: Progress) -> CalibrateR
 
 
 def _check_request(request: CalibrateRequest) -> tuple[BuiltArm | None, Params]:
-    """Everything that can be checked before anything moves or is written."""
+    """Check all that can be checked before any motion or output."""
     if (request.arm is None) == (request.data is None):
         raise BadRequest(
             "calibrate: give --arm ARM to measure one in simulation, or --data TABLE of a real one"

@@ -1,4 +1,4 @@
-"""The error of a modelled pose as a screw, and the noise of a measured one: paper equations 14 to 17."""
+"""Error screws of modelled poses and the noise of measured poses: paper equations 14 to 17."""
 
 from dataclasses import dataclass
 
@@ -11,21 +11,28 @@ from ground.calibration.fit import Linearisation
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPoses:
-    """Poses as they were measured, and how well."""
+    """Measured poses with their covariances."""
 
     X_RT: Pose
-    """Batch (n,)."""
+    """Turret frame in the rover frame, batch (n,)."""
     covariance: Array
-    """Of the screw from the true to the measured pose, in its axes, rotation first, (n, 6, 6)."""
+    """Covariance of the screw from true to measured pose, in its axes, rotation first, shape (n, 6, 6)."""
 
     @property
     def whitener(self) -> Array:
-        """What makes such a screw one of independent components of variance 1, (n, 6, 6)."""
+        """Compute the matrices that make this screw independent with unit variance, shape (n, 6, 6)."""
         return np.linalg.inv(np.linalg.cholesky(self.covariance))
 
 
 def screw_log(X: Pose) -> Array:
-    """The screw (6, n) that leads to a pose in one unit of time; the turn is less than half a one."""
+    """Compute the logarithm of poses, for rotations below half a turn.
+
+    Args:
+        X: Poses, batch (n,).
+
+    Returns:
+        Screws, rotation [rad] above translation [m], shape (6, n).
+    """
     w = Rotation.from_matrix(np.moveaxis(X.R, -1, 0)).as_rotvec().T
     angle2 = dot(w, w)
     small = angle2 < 1e-4
@@ -38,33 +45,52 @@ def screw_log(X: Pose) -> Array:
 
 
 def error_screw(X_RM: Pose, measured: MeasuredPoses) -> Array:
-    """The screw (6, n) from modelled poses to measured ones, in axes of the modelled: log of D_error."""
+    """Compute the error screws, the logarithm of D_error (paper equation 14).
+
+    Args:
+        X_RM: Modelled poses, batch (n,).
+        measured: Measured poses.
+
+    Returns:
+        Screws from modelled to measured poses in axes of the modelled ones, rotation [rad] above
+        translation [m], shape (6, n).
+    """
     return screw_log(inverse(X_RM) @ measured.X_RT)
 
 
 def linearise(
-    X_RM: Pose, moved: Array, measured: MeasuredPoses, whitener: Array | None = None
+    X_RM: Pose, jacobian: Array, measured: MeasuredPoses, whitener: Array | None = None
 ) -> Linearisation:
-    """Whitened error screws of modelled poses, and their derivatives.
+    """Compute whitened error screws of modelled poses with their derivatives.
 
-    `moved` (6, n, p): the screw by which a modelled pose moves, in its own axes, per unit of each parameter.
-    The whitener (n, 6, 6) is that of the measurement unless another is given; rows of it may be 0.
+    Args:
+        X_RM: Modelled poses, batch (n,).
+        jacobian: Screws of the modelled poses in their own axes, per unit of each parameter, shape (6, n, p).
+        measured: Measured poses.
+        whitener: Matrices that make the errors whitened, shape (n, 6, 6); rows may be 0. By default those
+            of the measurement.
+
+    Returns:
+        The linearisation of the residuals.
     """
     T = error_screw(X_RM, measured)
     W = measured.whitener if whitener is None else whitener
-    turned = -np.einsum("ijn,jnp->nip", _inverse_left_jacobian(T), moved)
-    return Linearisation(np.einsum("nij,jn->ni", W, T), W @ turned)
+    derivatives = -np.einsum("ijn,jnp->nip", _inverse_left_jacobian(T), jacobian)
+    return Linearisation(np.einsum("nij,jn->ni", W, T), W @ derivatives)
 
 
 def _inverse_left_jacobian(T: Array) -> Array:
-    """Of the exponential, (6, 6, n): log(exp(d) exp(T)) = T + this d, to the fourth power of T.
+    """Compute the inverse left Jacobian J of the exponential: log(exp(d) exp(T)) = T + J d.
 
-    Of screws of a hundredth, what is left out is a share of 1e-11.
+    The series ends after the fourth power of T. For screws of 0.01, its relative error is 1e-11.
+
+    Returns:
+        Matrices, shape (6, 6, n).
     """
     ad = np.zeros((6, *T.shape))
     ad[:3, :3] = ad[3:, 3:] = skew(T[:3])
     ad[3:, :3] = skew(T[3:])
     ad2 = np.einsum("ikn,kjn->ijn", ad, ad)
-    near = np.eye(6)[:, :, None] - ad / 2 + ad2 / 12
-    result: Array = near - np.einsum("ikn,kjn->ijn", ad2, ad2) / 720
+    second_order = np.eye(6)[:, :, None] - ad / 2 + ad2 / 12
+    result: Array = second_order - np.einsum("ikn,kjn->ijn", ad2, ad2) / 720
     return result

@@ -1,4 +1,4 @@
-"""What a calibration says beside what is true: for judging simulated campaigns only."""
+"""Simulated campaigns from statics alone, and comparison of a calibration with the true simulated arm."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -31,11 +31,11 @@ from sim.tracker import Tracker
 from sim.world import World
 
 SLIP_BAND: Final = 0.4
-"""A load that is so near the friction, as a share, lets an output slip from where it was dragged to."""
+"""Band about the friction, as a share of it, in which an output may slip from its dragged position."""
 
 
 def simulate_campaign(arm: BuiltArm, plan: CampaignPlan) -> Campaign:
-    """Every pose of the plan that the tracker can see."""
+    """Simulate a campaign by static equilibria; leave out poses at which the tracker sees too few targets."""
     rows = []
     for k, group in enumerate(plan.groups):
         rng = np.random.default_rng([plan.seed, k, 2])
@@ -47,17 +47,17 @@ def simulate_campaign(arm: BuiltArm, plan: CampaignPlan) -> Campaign:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
-    """What the poses of one group have in common."""
+    """Common data of the poses of one group."""
 
     k: int
     group: PoseGroup
     known: Config
     true: Config
-    off_rad: Array
-    """Of the hardstops, (5,)."""
+    hardstop_error_rad: Array
+    """Errors of the hardstop angles, shape (5,)."""
     gravity_R_m_s2: Array
     plant: Plant
-    """Shows the arm to the tracker."""
+    """Plant that shows the arm to the tracker."""
     tracker: Tracker
 
 
@@ -69,7 +69,7 @@ def _scene(arm: BuiltArm, plan: CampaignPlan, k: int) -> _Scene:
         group=group,
         known=configure(known),
         true=configure(group.params(true_params(arm))),
-        off_rad=hardstop_errors_rad(arm),
+        hardstop_error_rad=hardstop_errors_rad(arm),
         gravity_R_m_s2=World("earth", tilt_roll_rad=group.roll_rad).gravity_N_m_s2,
         plant=ClearanceModel(known, World("earth")).plant,
         tracker=plan.tracker,
@@ -80,95 +80,129 @@ def _settle_row(scene: _Scene, goal: Array, rng: np.random.Generator) -> Campaig
     group, known, gravity = scene.group, scene.known, scene.gravity_R_m_s2
     load = settle_output(known.arm, goal, gravity).torque_Nm
     dragged = final_direction(known, load, gravity)
-    held = known.output_friction_Nm * np.where(dragged == 0, rng.choice([-1.0, 1.0], len(Joint)), dragged)
-    sure = np.abs(np.abs(load) - known.output_friction_Nm) > load_error(known, gravity)
-    side = np.where(load > held, 1.0, -1.0)
-    slips = ~sure & (np.abs(np.abs(load) / known.output_friction_Nm - 1.0) < SLIP_BAND)
-    lies = np.where(~slips, side, rng.uniform(-1.0, 1.0, len(Joint)))
-    pulled = held / scene.true.arm.gear_stiffness_Nm_rad
-    found = settle(scene.true.arm, goal, lies * scene.true.half_gap_rad - pulled, gravity)
+    friction_Nm = known.output_friction_Nm * np.where(
+        dragged == 0, rng.choice([-1.0, 1.0], len(Joint)), dragged
+    )
+    is_certain = np.abs(np.abs(load) - known.output_friction_Nm) > load_error(known, gravity)
+    side = np.where(load > friction_Nm, 1.0, -1.0)
+    slips = ~is_certain & (np.abs(np.abs(load) / known.output_friction_Nm - 1.0) < SLIP_BAND)
+    position = np.where(~slips, side, rng.uniform(-1.0, 1.0, len(Joint)))
+    pulled = friction_Nm / scene.true.arm.gear_stiffness_Nm_rad
+    found = settle(scene.true.arm, goal, position * scene.true.half_gap_rad - pulled, gravity)
     scene.plant.show(found.output_rad, found.strain)
     try:
-        seen = measure_pose(scene.tracker, scene.plant, group.roll_rad, found.frames.X_RF[5], rng)
+        measurement = measure_pose(scene.tracker, scene.plant, group.roll_rad, found.frames.X_RF[5], rng)
     except TooFewTargets:
         return None
     return CampaignRow(
         group=scene.k,
         branch=branch_name(known, found.output_rad),
-        motor_rad=goal - scene.off_rad,
+        motor_rad=goal - scene.hardstop_error_rad,
         backlash_rad=side * known.half_gap_rad,
-        friction_Nm=held,
-        side=np.where(sure, side, 0.0),
+        friction_Nm=friction_Nm,
+        side=np.where(is_certain, side, 0.0),
         gravity_R_m_s2=gravity,
         turret_kg=np.nan if group.turret_kg is None else group.turret_kg,
-        measurement=seen,
+        measurement=measurement,
     )
 
 
 def true_params(arm: BuiltArm) -> Params:
-    """The flight parameters that know every effect of the arm; not for flight software."""
+    """Return the parameters that include every effect of the arm; hidden from flight software."""
     return params_with_effects(arm.effects, arm.params)
 
 
 def hardstop_errors_rad(arm: BuiltArm) -> Array:
-    """How far the arm's hardstops are from where they are drawn: its encoders read so much too little."""
-    off = np.zeros(len(Joint))
+    """Compute the errors of the arm's hardstop angles; its encoders read this much too little.
+
+    Args:
+        arm: Arm with its effects.
+
+    Returns:
+        True less nominal hardstop angles [rad], shape (5,).
+    """
+    error_rad = np.zeros(len(Joint))
     for effect in arm.effects:
         if isinstance(effect, HardstopAngle):
-            off[effect.joint] += effect.shift_rad
-    return off
+            error_rad[effect.joint] += effect.shift_rad
+    return error_rad
 
 
 MIN_DATA_SHARE: Final = 0.5
-"""Of what is known of a combination, the data tell more than this share, the prior the rest."""
+"""Smallest share of the knowledge of a combination that comes from data, not from the prior."""
 
 
 def zero_errors_rad(arm: BuiltArm, reference: Reference) -> Array:
-    """By how much motors stand beyond where an initialisation has them, (5,)."""
-    off_rad: Array = true_reference(arm).zero_rad + hardstop_errors_rad(arm) - reference.zero_rad
-    return off_rad
+    """Compute the errors of the motor angles after an initialisation.
+
+    Args:
+        arm: Arm with its effects.
+        reference: Result of the initialisation.
+
+    Returns:
+        True less believed motor angles [rad], shape (5,).
+    """
+    error_rad: Array = true_reference(arm).zero_rad + hardstop_errors_rad(arm) - reference.zero_rad
+    return error_rad
 
 
-def true_poses(arm: BuiltArm, believed: BelievedPoses, off_rad: Array) -> Pose:
-    """Where the true arm's turret frame is at these motor angles, in the gaps where it is believed, (n,).
+def true_poses(arm: BuiltArm, believed: BelievedPoses, motor_error_rad: Array) -> Pose:
+    """Compute the poses of the true arm, at the believed motor angles and positions in the backlash.
 
-    `off_rad` (5,): by how much motors stand beyond where they are believed to.
+    Args:
+        arm: Arm with its effects.
+        believed: Believed state of the arm at each pose.
+        motor_error_rad: True less believed motor angles, shape (5,).
+
+    Returns:
+        X_RT, the turret frame in the rover frame, batch (n,).
     """
     params = true_params(arm)
     half = configure(params).half_gap_rad[:, None]
-    motor = believed.motor_rad + off_rad[:, None]
+    motor = believed.motor_rad + motor_error_rad[:, None]
     parts = []
     for turret_kg, where in group_by_turret(believed):
         truth = build_arm(params_with_stand_in(params, turret_kg))
         at = believed.at(where)
-        gap = np.sign(at.backlash_rad) * half - at.friction_Nm / truth.gear_stiffness_Nm_rad[:, None]
-        parts.append((where, settle(truth, motor[:, where], gap, at.gravity_R_m_s2).frames.X_RF[5]))
+        backlash_rad = np.sign(at.backlash_rad) * half - at.friction_Nm / truth.gear_stiffness_Nm_rad[:, None]
+        parts.append((where, settle(truth, motor[:, where], backlash_rad, at.gravity_R_m_s2).frames.X_RF[5]))
     return reorder_poses(parts, believed.motor_rad.shape[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TruthComparison:
-    """How far the calibrated arm is from the true one."""
+    """Difference of the calibrated arm from the true arm."""
 
     error: Array
-    """Screws from the calibrated poses to the true ones, in the gaps where they are believed, (6, n)."""
+    """Screws from calibrated to true poses, at the believed positions in the backlash, shape (6, n)."""
     sigmas: Array
-    """The same along each combination of which the data tell more than the prior, over its stated sigma."""
+    """Error along each combination, over its stated sigma.
+
+    Only combinations that the data determine better than the prior are included.
+    """
 
 
-def compare_with_truth(arm: BuiltArm, found: Calibration, off_rad: Array) -> TruthComparison:
-    """The calibrated arm beside the true one, motors `off_rad` (5,) beyond where they are believed.
+def compare_with_truth(arm: BuiltArm, found: Calibration, motor_error_rad: Array) -> TruthComparison:
+    """Compare the calibrated arm with the true arm.
 
-    The frame Tool, of the targets alone, is in truth as drawn.
+    The frame Tool of the targets is taken as nominal.
+
+    Args:
+        arm: Arm with its effects.
+        found: Calibration.
+        motor_error_rad: True less believed motor angles, shape (5,).
+
+    Returns:
+        Errors of poses, and of parameter combinations over their sigmas.
     """
     fitted = arm_model(found.nominal, found.campaign, found.preliminary)
     truth = MeasuredPoses(
-        true_poses(arm, found.campaign.believed, off_rad), found.campaign.measured.covariance
+        true_poses(arm, found.campaign.believed, motor_error_rad), found.campaign.measured.covariance
     )
     model = replace(fitted, measured=truth)
     at_best = model(found.best.values)
     J = at_best.jacobian[found.best.used].reshape(-1, found.best.values.size)
     share, along = np.linalg.eigh(J @ found.best.covariance @ J.T)
-    told = share > MIN_DATA_SHARE
-    off = along[:, told].T @ at_best.residual[found.best.used].ravel()
-    return TruthComparison(model.errors(found.best.values), off / np.sqrt(share[told]))
+    determined = share > MIN_DATA_SHARE
+    error = along[:, determined].T @ at_best.residual[found.best.used].ravel()
+    return TruthComparison(model.errors(found.best.values), error / np.sqrt(share[determined]))

@@ -1,4 +1,4 @@
-"""What is measured at a pose, made into a row of the campaign."""
+"""Measurement of a pose by the tracker, and assembly of poses into a campaign."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,32 +23,32 @@ from sim.tracker import (
 )
 
 MIN_TARGETS: Final = 3
-"""Targets that a frame can be built from, if they are not on one line."""
+"""Smallest number of targets that defines a frame; they must not be on one line."""
 COLLINEARITY: Final = 1e-3
-"""Targets are on one line if they are this close to it, as a share of their spread."""
+"""Targets count as collinear if they are this close to a line, as a share of their spread."""
 
 
 class TooFewTargets(ValueError):
-    """Too few targets were seen to build a frame."""
+    """Error: too few targets were seen to define a frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameFit:
-    """Where a body is."""
+    """Pose of a body from its targets."""
 
     X_WB: Pose
     covariance: Array
-    """Of the screw from the true to the measured pose, in body axes, rotation first, (6, 6)."""
+    """Covariance of the screw from true to measured pose, in body axes, rotation first, (6, 6)."""
     misfit: Array
-    """Where targets are beside where the rigid body has them, in units of their noise, (3, k)."""
+    """Measured less fitted target positions, in units of their noise, shape (3, k)."""
     count: int
 
 
 def fit_frame(targets: TrackerTargets, shots: TargetReadings, name: str) -> FrameFit:
-    """The body's frame in the tracker's, from the targets seen: weighted least squares (Kabsch).
+    """Fit the body's frame in the tracker's frame to the visible targets: weighted least squares (Kabsch).
 
     Raises:
-        FewTargets: fewer than three, or all on one line.
+        TooFewTargets: Fewer than three targets are visible, or all are on one line.
     """
     seen = shots.visible
     b, q, weight = targets.p_BoQ_B_m[:, seen], shots.p_WoQ_W_m[:, seen], shots.sigma_m[seen] ** -2
@@ -72,9 +72,15 @@ def fit_frame(targets: TrackerTargets, shots: TargetReadings, name: str) -> Fram
 
 
 def turret_in_rover(rover: FrameFit, turret: FrameFit, X_NR: Pose) -> tuple[Pose, Array]:
-    """X_RT with its covariance, in axes of T: the rover's motion is taken out with its frame.
+    """Compute the turret pose in the rover; the rover's own motion cancels.
 
-    The rover's targets are known in RNAV; X_NR leads from there to RMECH.
+    Args:
+        rover: Rover frame, whose targets are known in RNAV (N).
+        turret: Turret frame.
+        X_NR: Frame RMECH (R) in RNAV.
+
+    Returns:
+        X_RT, and its covariance in axes of T, rotation first, shape (6, 6).
     """
     X_NT = inverse(rover.X_WB) @ turret.X_WB
     from_N = adjoint(inverse(X_NT))
@@ -84,24 +90,27 @@ def turret_in_rover(rover: FrameFit, turret: FrameFit, X_NR: Pose) -> tuple[Pose
 
 X_NR: Final = Pose(np.eye(3), P_NR_M)
 SWAY_RAD, SWAY_M = 2e-4, 1e-3
-"""How far the rover moves on its suspension from pose to pose, one sigma an axis; assumed."""
+"""Motion of the rover on its suspension from pose to pose, one sigma an axis; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseMeasurement:
-    """The turret in the rover, and how well the tracker saw."""
+    """Measured turret pose in the rover, with the quality of the measurement."""
 
     X_RT: Pose
     covariance: Array
     targets_seen: tuple[int, int, int]
     misfit_m: float
     X_WG: Pose
-    """The ground."""
+    """Frame of the ground targets in the tracker's frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CampaignRow:
-    """One pose, as flight software knows it (arrays (5,), (3,)) and as it was measured."""
+    """One pose: state known to flight software and measurement.
+
+    Joint arrays have shape (5,), gravity has shape (3,).
+    """
 
     group: int
     branch: str
@@ -117,41 +126,53 @@ class CampaignRow:
 def measure_pose(
     tracker: Tracker, plant: Plant, roll_rad: float, X_RF: Pose, rng: np.random.Generator
 ) -> PoseMeasurement:
-    """One look at the settled arm, its turret's interface at X_RF; the rover sways from look to look.
+    """Measure the arm at rest; the rover sways between measurements.
+
+    Args:
+        tracker: Tracker with its noise.
+        plant: Plant that shows the arm.
+        roll_rad: Roll of the rover.
+        X_RF: Interface of the turret in the rover frame.
+        rng: Random generator.
+
+    Returns:
+        The measurement.
 
     Raises:
-        FewTargets: too few targets on a body are in sight.
+        TooFewTargets: The tracker sees too few targets on a body.
     """
     sway = rng.standard_normal(6) * np.repeat([SWAY_RAD, SWAY_M], 3)
-    of_bodies = measure_targets(tracker, plant, rover_pose(roll_rad, sway), X_RF, rng)
+    readings = measure_targets(tracker, plant, rover_pose(roll_rad, sway), X_RF, rng)
     named = zip(
-        (GROUND_TARGETS, ROVER_TARGETS, TURRET_TARGETS), of_bodies, ("ground", "rover", "turret"), strict=True
+        (GROUND_TARGETS, ROVER_TARGETS, TURRET_TARGETS), readings, ("ground", "rover", "turret"), strict=True
     )
     ground, rover, turret = (fit_frame(targets, shot, name) for targets, shot, name in named)
     X_RT, covariance = turret_in_rover(rover, turret, X_NR)
     frames = (ground, rover, turret)
-    sigma = [shot.sigma_m[shot.visible] for shot in of_bodies]
+    sigma = [shot.sigma_m[shot.visible] for shot in readings]
     return PoseMeasurement(
         X_RT, covariance, (ground.count, rover.count, turret.count), _misfit(frames, sigma), ground.X_WB
     )
 
 
 def _misfit(frames: Sequence[FrameFit], sigma_m: Sequence[Array]) -> float:
-    """Root mean square of what does not fit, over all coordinates, as if six a frame had not been fitted."""
+    """Compute the root mean square misfit of coordinates, corrected for six fitted numbers for each frame."""
     squares = sum(float(np.sum((f.misfit * s) ** 2)) for f, s in zip(frames, sigma_m, strict=True))
     free = sum(3 * f.count - 6 for f in frames)
     return float(np.sqrt(squares / max(free, 1)))
 
 
 def stack_rows(arm_name: str, rows: Sequence[CampaignRow]) -> Campaign:
-    """The rows as one record."""
+    """Stack rows into a campaign."""
 
     def stacked(name: str) -> Array:
         return np.stack([getattr(row, name) for row in rows], axis=-1)
 
     names = ("motor_rad", "backlash_rad", "friction_Nm", "side", "gravity_R_m_s2")
-    motor, gap, held, side, gravity = (stacked(name) for name in names)
-    believed = BelievedPoses(motor, gap, held, side, gravity, np.array([row.turret_kg for row in rows]))
+    motor, backlash, friction, side, gravity = (stacked(name) for name in names)
+    believed = BelievedPoses(
+        motor, backlash, friction, side, gravity, np.array([row.turret_kg for row in rows])
+    )
     ground = np.stack([row.measurement.X_WG.p for row in rows], -1)
     return Campaign(
         arm_name=arm_name,

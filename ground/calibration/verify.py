@@ -1,4 +1,7 @@
-"""The calibrated arm proves itself: hardstops anew, full turret, fresh targets; on Earth, then on Mars."""
+"""Verification of a calibrated arm in the closed loop.
+
+The arm finds its hardstops again and moves the full turret to fresh targets on Earth, Mars and cold Mars.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -30,7 +33,15 @@ from sim.world import World
 
 
 def register_tools(arm: BuiltArm, seed: int) -> dict[Tool, Pose]:
-    """X_FT of every tool as the tracker measures it, from targets on the tool and on the interface."""
+    """Simulate the measurement of every tool frame by targets on the tool and on the interface.
+
+    Args:
+        arm: Arm with its effects.
+        seed: Seed of the noise.
+
+    Returns:
+        X_FT, the tool frame in frame Arm6, for every tool.
+    """
     rng = np.random.default_rng([seed, 3])
     truth = build_arm(true_params(arm))
     noise = np.repeat([FIXTURE_RAD, FIXTURE_M], 3)
@@ -38,14 +49,14 @@ def register_tools(arm: BuiltArm, seed: int) -> dict[Tool, Pose]:
 
 
 COLD_C: Final = -35.0
-"""Of the actuators and the arm on Mars: the coldest that flight saw."""
+"""Temperature of actuators and arm on cold Mars, the coldest in flight."""
 CALIBRATION_C: Final = 20.0
 MOST_TRIES: Final = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceErrors:
-    """How well tools came to targets in one place; (n,) each."""
+    """Tool errors at the targets of one environment; arrays of shape (n,)."""
 
     name: str
     tool: tuple[Tool, ...]
@@ -57,22 +68,32 @@ class PlaceErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Verification:
-    """What the new parameters are good for."""
+    """Result of a verification."""
 
     zero_rad: Array
-    """Encoder zeros of the hardstops found anew, less those found with the old parameters, (5,)."""
+    """Encoder zeros with the new parameters less those with the old parameters, shape (5,)."""
     expected_rad: Array
-    """By how much the hardstop angles were changed, (5,)."""
+    """Change of the hardstop angles, shape (5,)."""
     places: tuple[PlaceErrors, ...]
 
 
 def verify_calibration(
     arm: BuiltArm, params: Params, targets: int, seed: int, progress: Progress
 ) -> Verification:
-    """So many targets on Earth, on Mars, and on cold Mars, where the arm has shrunk too.
+    """Move to fresh targets on Earth, on Mars, and on cold Mars with a shrunken arm.
+
+    Args:
+        arm: Arm with its effects.
+        params: Calibrated parameters.
+        targets: Number of targets in each environment.
+        seed: Seed of the targets.
+        progress: Callback for progress.
+
+    Returns:
+        Tool errors and changes of encoder zeros.
 
     Raises:
-        CampaignFailed: a hardstop was not found, or a move did not come to its end.
+        CampaignFailed: A hardstop was not found, or a move failed.
     """
     known = replace(arm, params=params)
     before, reference = (earth_reference(which, progress) for which in (arm, known))
@@ -92,7 +113,7 @@ def verify_calibration(
 
 
 class VerificationRun:
-    """One place: the arm with its full turret goes from target to target."""
+    """Closed loop in one environment, which moves the full turret from target to target."""
 
     def __init__(
         self, arm: BuiltArm, reference: Reference, world: World, effects: tuple[Effect, ...], seed: int
@@ -102,7 +123,11 @@ class VerificationRun:
         self._rng = np.random.default_rng([seed, 4])
 
     def tool_errors(self, targets: int) -> Iterator[tuple[Tool, Array]]:
-        """The tool, and by how much it missed: in all, across, along the approach [m], and its axis [rad]."""
+        """Move to targets and measure the tool errors.
+
+        Yields:
+            The tool and its errors: total, lateral, along the approach [m], and axis [rad]; shape (4,).
+        """
         for k in range(targets):
             tool = Tool(k % len(Tool))
             yield tool, self._visit_target(tool)
