@@ -1,8 +1,8 @@
-"""Aiming off: roots of the real, hanging arm that are clear of every singularity.
+"""Fixed-point iteration to the roots of the deflected arm that are far from every singularity.
 
-The square rigid arm is told a target beside the true one, by as much as the real arm misses it. The load
-changes little with the aim, so a few shots are enough, and every shot costs one closed form and one look at
-the real arm.
+Each iteration solves the orthogonal rigid arm for a virtual target. The virtual target is the true target,
+corrected by the error of the real arm. The load changes little between iterations, so few suffice. An
+iteration costs one closed form and one evaluation of the real arm.
 """
 
 from dataclasses import dataclass
@@ -19,33 +19,37 @@ from fsw.kinematics.task import evaluate_pose
 from fsw.kinematics.transforms import Array, Flags, norm
 
 DEFLECTED_TOLERANCE: Final = 2e-8
+"""Tolerance of a root of the deflected arm: position [m], axis [rad] and change of strain."""
 RIGID_TOLERANCE: Final = 2e-10
-"""Of a root: position [m], axis [rad] and what strains still change. Less, by the square, where it is ..."""
+"""Tolerance of a root of the rigid arm, same units."""
 CLEAR_OF_FOLD: Final = 0.3
-"""... not so far from every fold, for there the angles follow the tool by more."""
+"""Fold distance below which the tolerance falls with its square.
+
+There the joint angles change by more than the tool does.
+"""
 MAX_ITERATIONS: Final = 12
 LIMIT_MARGIN_RAD: Final = 0.03
-"""After the first shot, how far outside the limits a root may be and still come in."""
+"""Excess over the limits up to which a root is followed after the first iteration."""
 NEAR_FOLD: Final = 0.2
-"""The same with the elbow this close to straight or folded [sine], where one shot tells less."""
+"""The same excess for an elbow this close to straight or folded [sine]: one iteration is less accurate."""
 BLOCK: Final = 6000
-"""Roots at a time, to bound the memory."""
+"""Roots per block, to bound the memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FixedPointRoots:
-    """Roots of the real arm, (n,) last."""
+    """Roots of the real arm, with the targets (n,) on the last axis."""
 
     output_rad: Array
-    """(5, n)."""
+    """Output angles, (5, n)."""
     torque_Nm: Array
-    """(5, n)."""
+    """Torque of the load on each output, (5, n)."""
     error: Array
-    """(n,): the larger of position error [m] and axis error [rad]; infinite where not tried."""
+    """Larger of position error [m] and axis error [rad], (n,); infinite if not selected."""
     followed: Flags
-    """Not given up after the first shot."""
+    """True if the iteration went on after its first step, (n,)."""
     first_error: Array
-    """(n,): the error of the first shot: how far the real arm is from the square one there; else 0."""
+    """Difference of the real from the orthogonal arm at the start, (n,); 0 if not evaluated."""
 
 
 def solve_fixed_point(
@@ -55,26 +59,44 @@ def solve_fixed_point(
     a: Array,
     gravity_R_m_s2: Array,
     start_rad: Array,
-    clear: Array,
-    wanted: Flags,
+    fold_distance: Array,
+    selected: Flags,
 ) -> FixedPointRoots:
-    """The roots of targets (3, n) on the branches of the square arm's roots (5, n), where wanted.
+    """Find the roots of the real arm on the branches of the orthogonal arm's roots.
 
-    `clear` (n,) is how far these are from the nearest fold.
+    Args:
+        arm: Arm.
+        tool: Index of the tool.
+        p: Target positions in m in the rover frame, shape (3, n).
+        a: Approach directions, unit vectors in the rover frame, shape (3, n).
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
+        start_rad: Output angles of the orthogonal arm's roots, shape (5, n).
+        fold_distance: Distance of these roots from the nearest fold, in m or as a unitless sine, shape (n,).
+        selected: Flags of the roots to solve, shape (n,).
+
+    Returns:
+        The roots of the real arm.
     """
-    n = wanted.size
-    allowed = root_tolerance(gravity_R_m_s2) * np.minimum(clear / CLEAR_OF_FOLD, 1.0) ** 2
-    aimed = FixedPointRoots(
-        start_rad.copy(), np.zeros_like(start_rad), np.full(n, np.inf), wanted.copy(), np.zeros(n)
+    n = selected.size
+    tolerance = root_tolerance(gravity_R_m_s2) * np.minimum(fold_distance / CLEAR_OF_FOLD, 1.0) ** 2
+    roots = FixedPointRoots(
+        start_rad.copy(), np.zeros_like(start_rad), np.full(n, np.inf), selected.copy(), np.zeros(n)
     )
-    chosen = np.flatnonzero(wanted)
-    for block in np.split(chosen, range(BLOCK, chosen.size, BLOCK)):
-        _solve_block(arm, tool, p[:, block], a[:, block], gravity_R_m_s2, allowed[block], block, aimed)
-    return aimed
+    indices = np.flatnonzero(selected)
+    for block in np.split(indices, range(BLOCK, indices.size, BLOCK)):
+        _solve_block(arm, tool, p[:, block], a[:, block], gravity_R_m_s2, tolerance[block], block, roots)
+    return roots
 
 
 def root_tolerance(gravity_R_m_s2: Array) -> float:
-    """Of the roots of an arm that hangs or, without gravity, is rigid."""
+    """Return the tolerance of a root.
+
+    Args:
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,); zero for the rigid arm.
+
+    Returns:
+        Bound of position error [m], axis error [rad] and change of strain.
+    """
     return DEFLECTED_TOLERANCE if gravity_R_m_s2.any() else RIGID_TOLERANCE
 
 
@@ -84,40 +106,42 @@ def _solve_block(
     p: Array,
     a: Array,
     gravity: Array,
-    allowed: Array,
+    tolerance: Array,
     where: NDArray[np.intp],
-    aimed: FixedPointRoots,
+    roots: FixedPointRoots,
 ) -> None:
-    """Shots at the targets `where`, written into `aimed`, until they miss by less than allowed."""
-    q, aim = aimed.output_rad[:, where], np.concatenate([p, a])
+    """Iterate the targets `where` until their error is below tolerance; write into `roots`."""
+    q, virtual = roots.output_rad[:, where], np.concatenate([p, a])
     strain = None
-    for shot in range(MAX_ITERATIONS):
-        tried = evaluate_pose(arm, tool, q, strain, gravity)
-        miss = np.concatenate([tried.X_RT.p - p, tried.X_RT.R[:, 0] - a])
-        error = np.maximum(np.max(np.abs(miss), axis=0), tried.strain_change)
-        aimed.torque_Nm[:, where], aimed.error[where] = tried.torque_Nm, error
-        going = error >= allowed
-        if not going.any():
+    for iteration in range(MAX_ITERATIONS):
+        evaluation = evaluate_pose(arm, tool, q, strain, gravity)
+        difference = np.concatenate([evaluation.X_RT.p - p, evaluation.X_RT.R[:, 0] - a])
+        error = np.maximum(np.max(np.abs(difference), axis=0), evaluation.strain_change)
+        roots.torque_Nm[:, where], roots.error[where] = evaluation.torque_Nm, error
+        active = error >= tolerance
+        if not active.any():
             return
-        strain = tried.strain
-        if not going.all():
-            where, allowed = where[going], allowed[going]
-            p, a, aim, miss, q, strain = (v[..., going] for v in (p, a, aim, miss, q, strain))
-        aim = aim - miss
-        q, _ = closed_form_branch(arm.orthogonal[tool], aim[:3], aim[3:] / norm(aim[3:]), q)
-        aimed.output_rad[:, where] = q
-        if shot == 0:
-            aimed.first_error[where] = error[going]
+        strain = evaluation.strain
+        if not active.all():
+            where, tolerance = where[active], tolerance[active]
+            p, a, virtual, difference, q, strain = (
+                v[..., active] for v in (p, a, virtual, difference, q, strain)
+            )
+        virtual = virtual - difference
+        q, _ = closed_form_branch(arm.orthogonal[tool], virtual[:3], virtual[3:] / norm(virtual[3:]), q)
+        roots.output_rad[:, where] = q
+        if iteration == 0:
+            roots.first_error[where] = error[active]
             follow = _may_enter_limits(arm, tool, q)
-            aimed.followed[where] = follow
+            roots.followed[where] = follow
             if not follow.any():
                 return
-            where, allowed = where[follow], allowed[follow]
-            p, a, aim, q, strain = (v[..., follow] for v in (p, a, aim, q, strain))
+            where, tolerance = where[follow], tolerance[follow]
+            p, a, virtual, q, strain = (v[..., follow] for v in (p, a, virtual, q, strain))
 
 
 def _may_enter_limits(arm: Arm, tool: int, q: Array) -> Flags:
-    """Which roots (5, k), known to one shot, may be inside the limits."""
+    """Find the roots (5, k) that may be inside the limits, judged after one iteration."""
     elbow = np.sin(q[Joint.ELBOW] + arm.orthogonal[tool].theta_rad[Joint.ELBOW])
     margin = np.where(np.abs(elbow) < NEAR_FOLD, NEAR_FOLD, LIMIT_MARGIN_RAD)
     may: Flags = limit_excess(arm, wrap_into_limits(arm, q)).max(axis=0) < margin

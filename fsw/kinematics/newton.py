@@ -1,4 +1,4 @@
-"""Newton steps from near a root to the root, of the arm as it hangs, close to double roots as well."""
+"""Newton iteration to roots of the deflected arm; it converges at double roots as well."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -12,23 +12,29 @@ from fsw.kinematics.task import ROOT_TOLERANCE, evaluate_pose, task_error, task_
 from fsw.kinematics.transforms import Array, Flags, norm, wrap_angle
 
 TASK_TOLERANCE: Final = 1e-11
-"""Of a root: position [m], axis [rad] and what the strains still change."""
+"""Bound of position error [m], axis error [rad] and change of strain at a root."""
 STEP_TOLERANCE_RAD: Final = 1e-7
 LONGEST_STEP_RAD: Final = 0.4
 PASSES: Final = 2
-"""Of load and deflection at every look; with one, the strain lags by more than a double root's slope."""
+"""Evaluations of load and deflection per step; with one, the strain lags too much at double roots."""
 PATIENCE: Final = 15
-"""A start that is not close to a root after so many steps is given up, and any after as many more."""
+"""After this many steps, starts far from a root are dropped; after twice as many, all are."""
 HOPELESS_ERROR: Final = 1e-3
+"""Task error above which a start is far from a root."""
 DAMPING: Final = 1e-12
+"""Damping of the least-squares inverse."""
 CURVATURE: Final = 8.0
-"""Of the task, along steps of length one [m, rad]: its largest second derivative is 3.5 for these links.
-The rest allows for the load's part of the Jacobian, which is learned."""
+"""Bound of the second derivative of the task along steps of length one [m, rad].
+
+The largest is 3.5 for these links. The rest allows for the learned part of the Jacobian.
+"""
 CERTAIN: Final = 0.25
-"""Of CURVATURE, inverse Jacobian and step; below 1/2 a root exists and is the only one (Kantorovich). The
-radii in _first_of_each follow from it."""
+"""Bound of the product of CURVATURE, inverse Jacobian and step.
+
+Below 1/2 a root exists and is unique (Kantorovich). The radii in _first_of_each_root follow from this value.
+"""
 BLOCK: Final = 8000
-"""Starts at a time, to bound the memory: late steps, of the few that are left, cost as much a block."""
+"""Starts per block, to bound the memory; late steps of few starts have a fixed cost per block."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,12 +42,13 @@ class NewtonRoots:
     """Joint angles that put the tool on its target, batch axes trailing."""
 
     output_rad: Array
-    """(5, ...), at the output."""
+    """Output angles, (5, ...)."""
     torque_Nm: Array
-    """(5, ...), of gravity on each output at this pose: what winds the gear up."""
+    """Torque of gravity on each output at this pose, (5, ...)."""
     error: Array
-    """(...), what is left: the largest of position error [m] and axis error [rad]."""
+    """Larger of position error [m] and axis error [rad], (...)."""
     converged: Flags
+    """True where the error is below ROOT_TOLERANCE, (...)."""
 
 
 def refine_roots(
@@ -54,15 +61,24 @@ def refine_roots(
     patience: int = PATIENCE,
     target: NDArray[np.intp] | None = None,
 ) -> NewtonRoots:
-    """Newton steps from `start_rad` (5, ...) until the tool stands at p with its x axis along the approach.
+    """Refine starts by Newton steps until the tool meets its target.
 
-    Target (3, ...) and gravity (3,); zero gravity gives the rigid arm. The load is brought up to date in
-    every step, so deflection and angles converge together. How the load answers the steps is learned on the
-    way (a secant correction to the Jacobian of the springs held), which near double roots is what makes
-    them converge. A start that is not finite, or a target out of reach, does not converge.
+    Every step updates the load, so deflection and angles converge together. A secant correction (Broyden)
+    learns the part of the Jacobian that the load causes. Without it, double roots do not converge.
 
-    With `target` (n,), in order, of starts that certainly lead to the same root of a target one is followed,
-    and the others stay where they are.
+    Args:
+        arm: Arm.
+        tool: Index of the tool.
+        p_RoTo_R_m: Target positions in the rover frame, shape (3, ...).
+        approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,); zero for the rigid arm.
+        start_rad: Output angles to start from, shape (5, ...); starts that are not finite do not converge.
+        patience: Number of steps after which starts far from a root are dropped.
+        target: Ascending target index of each start, shape (n,). Of the starts that certainly lead to the
+            same root of a target, only one is followed. None to follow all.
+
+    Returns:
+        The roots, batch (...).
     """
     batch = start_rad.shape[1:]
     p, a = (np.broadcast_to(_column(v, batch), (3, *batch)).reshape(3, -1) for v in (p_RoTo_R_m, approach_R))
@@ -83,44 +99,44 @@ def _refine_block(
     patience: int,
     target: NDArray[np.intp] | None,
 ) -> None:
-    """Steps for the starts `where`, written into `done`."""
+    """Iterate the starts `where` and write the results into `done`."""
     if not where.size:
         return
-    at = newton.begin(done.output_rad[:, where], where)
+    current = newton.begin(done.output_rad[:, where], where)
     for count in range(2 * patience):
-        J_inv = damped_inverse(at.J + at.load_J)
-        step = -np.einsum("ij...,j...->i...", J_inv, at.residual)
+        J_inv = damped_inverse(current.J + current.load_J)
+        step = -np.einsum("ij...,j...->i...", J_inv, current.residual)
         if target is not None:
-            first = _first_of_each_root(at, J_inv, step, target[at.where])
+            first = _first_of_each_root(current, J_inv, step, target[current.where])
             if not first.all():
-                at, step = select_targets(at, first), step[:, first]
+                current, step = select_targets(current, first), step[:, first]
         step *= np.minimum(1.0, LONGEST_STEP_RAD / np.maximum(np.max(np.abs(step), axis=0), 1e-300))
-        at = newton.take_step(at, step)
-        error = at.error()
-        done.output_rad[:, at.where] = at.output_rad
-        done.torque_Nm[:, at.where], done.error[at.where] = at.torque_Nm, error
-        going = (error >= TASK_TOLERANCE) | (np.max(np.abs(step), axis=0) >= STEP_TOLERANCE_RAD)
-        going &= np.isfinite(error) & ((count < patience) | (error < HOPELESS_ERROR))
-        if not going.any():
+        current = newton.take_step(current, step)
+        error = current.error()
+        done.output_rad[:, current.where] = current.output_rad
+        done.torque_Nm[:, current.where], done.error[current.where] = current.torque_Nm, error
+        active = (error >= TASK_TOLERANCE) | (np.max(np.abs(step), axis=0) >= STEP_TOLERANCE_RAD)
+        active &= np.isfinite(error) & ((count < patience) | (error < HOPELESS_ERROR))
+        if not active.any():
             return
-        if not going.all():
-            at = select_targets(at, going)
+        if not active.all():
+            current = select_targets(current, active)
 
 
-def _first_of_each_root(at: "_Iterate", J_inv: Array, step: Array, target: NDArray[np.intp]) -> Flags:
-    """Which iterates are the first, of those of a target, that certainly lead to their root.
+def _first_of_each_root(current: "_Iterate", J_inv: Array, step: Array, target: NDArray[np.intp]) -> Flags:
+    """Find the iterates that are the first of their target to lead certainly to their root.
 
-    Kantorovich: with CERTAIN a root is within 6/5 of the step of an iterate, and no other is within
-    1.7 / (CURVATURE times the inverse Jacobian).
+    By Kantorovich's theorem with CERTAIN, a root is within 6/5 of the step of an iterate. No other root is
+    within 1.7 / (CURVATURE times the inverse Jacobian).
     """
     bound = CURVATURE * np.sqrt(np.einsum("ij...,ij...->...", J_inv, J_inv))
     length = norm(step)
-    certain = np.flatnonzero((bound * length < CERTAIN) & (at.strain_change < length))
-    end = wrap_angle(at.output_rad + step)[:, certain]
+    certain = np.flatnonzero((bound * length < CERTAIN) & (current.strain_change < length))
+    end = wrap_angle(current.output_rad + step)[:, certain]
     order = np.lexsort((end[0] + end[1] + end[2], target[certain]))
     certain, end = certain[order], end[:, order]
-    apart = norm(wrap_angle(np.diff(end))) + length[certain[:-1]] + length[certain[1:]] / 5
-    same = (np.diff(target[certain]) == 0) & (apart < 1.7 / bound[certain[:-1]])
+    distance = norm(wrap_angle(np.diff(end))) + length[certain[:-1]] + length[certain[1:]] / 5
+    same = (np.diff(target[certain]) == 0) & (distance < 1.7 / bound[certain[:-1]])
     first = np.ones(target.size, bool)
     first[certain[1:][same]] = False
     return first
@@ -128,30 +144,34 @@ def _first_of_each_root(at: "_Iterate", J_inv: Array, step: Array, target: NDArr
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Iterate:
-    """Where the steps have come to; every field has the starts, (n,), as its last axis."""
+    """State of the iteration; the last axis of every field holds the starts, (n,)."""
 
     where: NDArray[np.intp]
-    """Which starts these are."""
+    """Indices of the starts."""
     output_rad: Array
+    """Output angles, (5, n)."""
     strain: Array
+    """Spring displacements, (6, 6, n)."""
     torque_Nm: Array
+    """Torque of the load on each output, (5, n)."""
     strain_change: Array
+    """Change of strain in the last evaluation, (n,)."""
     residual: Array
-    """(5, n), of the task."""
+    """Task error, (5, n)."""
     J: Array
-    """(5, 5, n), springs held."""
+    """Jacobian with the springs held, (5, 5, n)."""
     load_J: Array
-    """(5, 5, n), what the load's answer adds, as learned so far."""
+    """Learned part of the Jacobian that the load causes, (5, 5, n)."""
 
     def error(self) -> Array:
-        """The larger of what is missing at the tool and what the strains still change."""
+        """Return the larger of task error and change of strain, (n,)."""
         worst: Array = np.maximum(np.max(np.abs(self.residual), axis=0), self.strain_change)
         return worst
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Newton:
-    """Steps towards targets (3, n)."""
+    """Newton iteration towards targets (3, n)."""
 
     arm: Arm
     tool: int
@@ -160,43 +180,54 @@ class _Newton:
     gravity_R_m_s2: Array
 
     def begin(self, output_rad: Array, where: NDArray[np.intp]) -> _Iterate:
-        """The starts, their springs under load."""
+        """Evaluate the starts with the springs under load."""
         strain = evaluate_pose(self.arm, self.tool, output_rad, None, self.gravity_R_m_s2).strain
-        return self._at(where, output_rad, strain, np.zeros((5, 5, where.size)))
+        return self._evaluate(where, output_rad, strain, np.zeros((5, 5, where.size)))
 
-    def take_step(self, at: _Iterate, step: Array) -> _Iterate:
-        """The state after a step, with what it taught about the load (Broyden's update)."""
-        new = self._at(at.where, at.output_rad + step, at.strain, at.load_J)
-        expected = np.einsum("ij...,j...->i...", 0.5 * (at.J + new.J) + at.load_J, step)
-        surprise = (new.residual - at.residual - expected) / np.maximum((step * step).sum(axis=0), 1e-300)
-        return replace(new, load_J=at.load_J + surprise[:, None] * step[None])
+    def take_step(self, current: _Iterate, step: Array) -> _Iterate:
+        """Take a step and update the learned part of the Jacobian (Broyden)."""
+        new = self._evaluate(current.where, current.output_rad + step, current.strain, current.load_J)
+        expected = np.einsum("ij...,j...->i...", 0.5 * (current.J + new.J) + current.load_J, step)
+        mismatch = (new.residual - current.residual - expected) / np.maximum(
+            (step * step).sum(axis=0), 1e-300
+        )
+        return replace(new, load_J=current.load_J + mismatch[:, None] * step[None])
 
-    def _at(self, where: NDArray[np.intp], output_rad: Array, strain: Array, load_J: Array) -> _Iterate:
-        tried = evaluate_pose(self.arm, self.tool, output_rad, strain, self.gravity_R_m_s2)
+    def _evaluate(self, where: NDArray[np.intp], output_rad: Array, strain: Array, load_J: Array) -> _Iterate:
+        """Evaluate task and Jacobian at these angles."""
+        evaluation = evaluate_pose(self.arm, self.tool, output_rad, strain, self.gravity_R_m_s2)
         for _ in range(PASSES - 1 if self.gravity_R_m_s2.any() else 0):
-            tried = evaluate_pose(self.arm, self.tool, output_rad, tried.strain, self.gravity_R_m_s2)
+            evaluation = evaluate_pose(
+                self.arm, self.tool, output_rad, evaluation.strain, self.gravity_R_m_s2
+            )
         p, a = self.p[:, where], self.a[:, where]
         return _Iterate(
             where,
             output_rad,
-            tried.strain,
-            tried.torque_Nm,
-            tried.strain_change,
-            task_error(tried.X_RT, p, a),
-            task_jacobian(tried.frames, tried.X_RT, a),
+            evaluation.strain,
+            evaluation.torque_Nm,
+            evaluation.strain_change,
+            task_error(evaluation.X_RT, p, a),
+            task_jacobian(evaluation.frames, evaluation.X_RT, a),
             load_J,
         )
 
 
 def _column(v: Array, batch: tuple[int, ...]) -> Array:
-    """A vector (3,) or (3, ...) with as many trailing axes as the batch has."""
+    """Append trailing axes to a vector (3,) or (3, ...) until it has those of the batch."""
     return v.reshape(*v.shape, *(1,) * (len(batch) + 1 - v.ndim))
 
 
 def damped_inverse(J: Array) -> Array:
-    """Least squares with a trace of damping, so that a singular J (m, m, ...) gives a step and no exception.
+    """Invert matrices by damped least squares, so that a singular matrix gives a finite step.
 
-    The normal matrix is positive definite, so that Gauss and Jordan's elimination needs no pivoting.
+    The normal matrix is positive definite, so Gauss-Jordan elimination needs no pivoting.
+
+    Args:
+        J: Matrices of any unit, shape (m, m, ...).
+
+    Returns:
+        The inverses, shape (m, m, ...).
     """
     inverse: Array = np.einsum("ki...,kj...->ij...", J, J)
     for k in range(len(J)):

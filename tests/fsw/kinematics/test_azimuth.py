@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from fsw.dictionary.enums import Tool
-from fsw.kinematics.chain import forward, tool_pose
-from fsw.kinematics.closed_form import (
+from fsw.kinematics.azimuth import (
     solve_azimuth_near,
     solve_azimuths,
     solve_offset_azimuth_near,
     solve_offset_azimuths,
-    to_shoulder_frame,
 )
+from fsw.kinematics.chain import forward, tool_pose
+from fsw.kinematics.closed_form import to_shoulder_frame
 from fsw.kinematics.transforms import wrap_angle
 from tests.fsw.rig import config_of, in_limits
 from validation.kinematics_samples import vectors
