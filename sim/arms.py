@@ -1,4 +1,4 @@
-"""The arms that can be simulated, by name, and their random manufacturing tolerances."""
+"""Arms that can be simulated, by name, and their random manufacturing tolerances."""
 
 import re
 from collections.abc import Iterable
@@ -42,11 +42,11 @@ IDENTIFIABLE_AXES: Final[dict[Frame, tuple[int, ...]]] = {
     Frame.ARM6: (),
     Frame.TOOL: (0, 1, 2, 3, 4, 5),
 }
-"""Frame screw axes that tool poses can tell apart: 26 of 42, the tool's first, then from the rover out."""
+"""Axes of the frame screws that tool poses can determine: 26 of 42, those of the tool first."""
 
 
 def draw_tolerances(seed: int) -> tuple[Effect, ...]:
-    """An arm as it leaves the workshop."""
+    """Draw the manufacturing tolerances of an as-built arm."""
     rng = np.random.default_rng([seed, 0])
     effects: list[Effect] = []
     for frame, tool in _all_frames():
@@ -68,7 +68,7 @@ def draw_tolerances(seed: int) -> tuple[Effect, ...]:
 
 
 def draw_calibration_errors(seed: int) -> tuple[Effect, ...]:
-    """By how much flight parameters still miss the truth of arm `seed` after a calibration."""
+    """Draw the errors that flight parameters of arm `seed` keep after a calibration."""
     rng = np.random.default_rng([seed, 1])
     effects: list[Effect] = []
     for frame, tool in _all_frames():
@@ -89,7 +89,7 @@ def _all_frames() -> list[tuple[Frame, Tool | None]]:
 
 
 def _draw_factor(rng: np.random.Generator, sigma: float) -> float:
-    """Log-normal about one: a stiffness drawn at random stays positive."""
+    """Draw a log-normal factor with median 1, so that a stiffness stays positive."""
     return float(np.exp(sigma * rng.standard_normal()))
 
 
@@ -98,31 +98,34 @@ def _draw_screw(rng: np.random.Generator, angle_rad: float, length_m: float) -> 
 
 
 class UnknownArm(ValueError):
-    """A name that is not an arm."""
+    """Name that is not an arm."""
 
 
 @dataclass(frozen=True, slots=True)
 class BuiltArm:
-    """An arm: the effects that make it differ from the drawing, and the flight parameters that go with it."""
+    """Frozen record of an arm: its differences from the drawing, and its flight parameters."""
 
     name: str
     effects: tuple[Effect, ...]
     params: Params
 
     def with_effects(self, effects: Iterable[Effect]) -> "BuiltArm":
-        """The same arm with more effects, as far as it has them when its joints look for their hardstops."""
+        """Return the arm with those of these effects that it has before a run begins."""
         return replace(self, effects=(*self.effects, *(effect for effect in effects if effect.built_in)))
 
 
 def effects_of_run(effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """Those that no arm is built with: it has them only once a run begins."""
+    """Return the effects that begin with a run, not with the making of the arm."""
     return tuple(effect for effect in effects if not effect.built_in)
 
 
 def arm_named(name: str, params: Params | None = None) -> BuiltArm:
-    """`nominal`, `as-built:SEED` or `calibrated:SEED`; UnknownArm otherwise.
+    """Make the arm of this name: `nominal`, `as-built:SEED` or `calibrated:SEED`.
 
-    `params` replaces the nominal flight parameters; an arm of either kind is built from its seed alone.
+    `params` replaces the nominal flight parameters. The tolerances depend on the seed alone.
+
+    Raises:
+        UnknownArm: the name has none of these forms.
     """
     believed = params or nominal_params()
     if name == "nominal":

@@ -1,4 +1,4 @@
-"""The avionics between flight software and plant: motor controllers, brakes, encoders, resolvers, switches.
+"""Avionics between flight software and plant: motor controllers, brakes, encoders, resolvers, switches.
 
 The position loop and the current limit of each motor controller run inside the MuJoCo step, on its dcmotor.
 """
@@ -26,11 +26,11 @@ from sim.plant import RESISTANCE, Plant, as_slice
 UNPOWERED: Final = np.zeros(len(Joint), bool)
 VIBRATION_N: Final = 10.0
 VIBRATION_AXES: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-"""In turret axes, one a cycle: 16 Hz about the turret's axis."""
+"""Force directions in turret axes, one per cycle: 16 Hz about the axis of the turret."""
 
 
 class Avionics:
-    """Turns a drive into motor set-points and brake states, and the plant's state into readings."""
+    """Avionics of one plant, which turn actuator commands into plant inputs and plant state into readings."""
 
     def __init__(self, plant: Plant, hardware: Hardware, rng: np.random.Generator):
         model = plant.model
@@ -56,7 +56,7 @@ class Avionics:
         self._update_constants()
 
     def _update_constants(self) -> None:
-        """What follows from model and hardware, which change only when something happens to them."""
+        """Compute what depends on model and hardware only; these change only when an effect begins."""
         self._next_s = min((effect.at_s for effect in self._hardware.timed), default=np.inf)
         self._gravity_R = FLIP * self._plant.model.opt.gravity + self._hardware.gravity_bias_R_m_s2
         hardware = self._hardware
@@ -65,26 +65,26 @@ class Avionics:
         self._winding_K_A2 = self._resistance_Ohm * hardware.winding_K_W
 
     def for_plant(self, plant: Plant) -> "Avionics":
-        """The same avionics with a copy of their plant."""
+        """Copy the avionics, attached to a copy of their plant."""
         other = copy(self)
         other._plant, other._pending = plant, dict(self._pending)
         other._rng, other._move_rng = deepcopy(self._rng), deepcopy(self._move_rng)
         return other
 
     def inject(self, effect: Effect) -> None:
-        """Let something happen to avionics and plant, now or when it is time."""
+        """Add an effect to avionics and plant, which begins at once or at its time."""
         self._hardware = effect.on_hardware(self._hardware)
         self._update_constants()
 
     def missed_cycles(self) -> int:
-        """For how many cycles flight software is not called now; asked for once, they are over."""
+        """Return and reset the number of cycles in which flight software is not called."""
         missed = self._hardware.missed_cycles
         if missed:
             self._hardware = replace(self._hardware, missed_cycles=0)
         return missed
 
     def _start_due_effects(self) -> None:
-        """All that is due."""
+        """Begin all timed effects whose time has come."""
         now_s, timed = self._plant.data.time, self._hardware.timed
         self._hardware = replace(self._hardware, timed=tuple(e for e in timed if e.at_s > now_s))
         for effect in timed:
@@ -93,7 +93,7 @@ class Avionics:
         self._update_constants()
 
     def sense(self) -> Sensors:
-        """The readings of this moment."""
+        """Read all sensors."""
         if self._plant.data.time >= self._next_s:
             self._start_due_effects()
         plant, hardware, data = self._plant, self._hardware, self._plant.data
@@ -120,27 +120,30 @@ class Avionics:
 
     @property
     def brakes_move(self) -> bool:
-        """Whether a brake was commanded and has yet to follow."""
+        """Return whether a brake was commanded and has not yet moved."""
         return bool(self._pending)
 
     def encoder_count(self) -> Counts:
-        """What the encoders read; asking changes nothing."""
+        """Return the encoder counts, shape (5,); no state changes."""
         angle = self._plant.motor_rad() - self._zero_rad()
         return np.rint(angle / self._hardware.rad_per_count).astype(np.int64)
 
     def _zero_rad(self) -> Array:
-        """Where the motors stand when their counters read 0."""
+        """Return the motor angles at which the counters read 0, shape (5,)."""
         zero: Array = self._hardware.counter_zero_rad + self._plant.move_disturbance.motor_rad
         return zero
 
     def _update_switches(self, force_N: Array) -> Flags:
-        """Which switches are closed: a snap-action switch opens at less force than it closes at."""
+        """Update the closed flags; a snap-action switch opens at a lower force than it closes at."""
         hardware = self._hardware
         self._closed = force_N > np.where(self._closed, hardware.switch_release_N, hardware.switch_force_N)
         return self._closed
 
     def _update_winding_rise(self, current_A: Array) -> Array:
-        """Rise of the windings by now: MuJoCo's own heats with the unlimited current and never cools."""
+        """Update the rise of the windings over ambient [K], shape (5,).
+
+        The thermal model of MuJoCo is not used: it heats with the current before the limit and never cools.
+        """
         now_s, hardware = self._plant.data.time, self._hardware
         final_K = current_A * current_A * self._winding_K_A2
         # less is left of what it was short of, the longer ago that is
@@ -150,7 +153,7 @@ class Avionics:
         return self._winding_rise_K
 
     def apply(self, drive: ActuatorCommand) -> None:
-        """Take a drive: set-points at once, brakes after their delay."""
+        """Apply an actuator command: set-points at once, brakes after their delay."""
         data, model = self._plant.data, self._plant.model
         if data.time >= self._hardware.power_until_s:
             drive = replace(drive, power_on=UNPOWERED, brake_release=UNPOWERED, vibrate=False)
@@ -176,17 +179,17 @@ class Avionics:
             self.act()
 
     def act(self) -> None:
-        """Let the effects that act in every cycle do so."""
+        """Apply the effects that act in every cycle."""
         self._hardware = apply_cycle_effects(self._plant, self._hardware)
 
     def _begin_move(self) -> None:
-        """Another draw of all that a move leaves to chance; what presses on something stays where it is."""
+        """Draw the disturbance of a move; an arm in contact keeps the one before."""
         drawn = draw_move_disturbance(self._hardware.each_move, self._move_rng)
         if not self._plant.data.ncon:
             self._plant.set_move_disturbance(drawn)
 
     def _shake(self, on: bool) -> None:
-        """The unbalance of the vibration motor, a quarter of a turn farther; nothing once it is off."""
+        """Turn the unbalance of the vibration motor by a quarter turn; remove its force once it is off."""
         data, turret = self._plant.data, self._turret
         R_WB = data.xmat[turret].reshape(3, 3)
         data.xfrc_applied[turret, :3] = VIBRATION_N * on * (R_WB @ VIBRATION_AXES[self._cycle % 4])
@@ -210,5 +213,5 @@ class Avionics:
 
 
 def move_rng(rng: np.random.Generator) -> np.random.Generator:
-    """What moves leave to chance is drawn from this, and takes nothing from the noise of sensors."""
+    """Make the generator of the move disturbances, which draws nothing from that of the sensor noise."""
     return rng.spawn(1)[0]

@@ -1,4 +1,4 @@
-"""How close the arm comes to rover, ground and itself."""
+"""Least distances of the arm to rover, ground and itself."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -14,19 +14,19 @@ from sim.plant import Plant
 from sim.world import World, build
 
 MAX_CLEARANCE_M: Final = 0.3
-"""Clearances above this are not told apart."""
+"""Upper bound of the reported clearances."""
 
 
 @dataclass(frozen=True, slots=True)
 class Clearance:
-    """Least distance of the arm to rover or ground, and between parts of itself that are no neighbours."""
+    """Least distance of the arm to rover or ground, and between its parts that are not neighbours."""
 
     outside_m: float
     self_m: float
 
 
 class ClearanceModel:
-    """The arm in a world, to measure how close it comes to anything."""
+    """Model of the arm in a world, which measures clearances."""
 
     def __init__(self, params: Params, world: World):
         self.plant = Plant(build(world).compile())
@@ -39,7 +39,11 @@ class ClearanceModel:
         self._self = np.array([(a, b) for a in arm for b in arm if _are_separate(model, a, b)])
 
     def clearance(self, poses_rad: Array) -> Clearance:
-        """The least over poses (5, n), the arm deflected by gravity."""
+        """Compute the least clearances over poses, with the arm deflected by gravity.
+
+        Args:
+            poses_rad: Output angles, shape (5, n).
+        """
         strain = np.moveaxis(settle_output(self.arm, poses_rad, self.gravity_R_m_s2).strain, -1, 0)
         outside = inside = MAX_CLEARANCE_M
         for output, bent in zip(poses_rad.T, strain, strict=True):
@@ -49,7 +53,10 @@ class ClearanceModel:
         return Clearance(outside, inside)
 
     def _least(self, pairs: Array, least_m: float) -> float:
-        """The least distance of these pairs or what was found before; the nearest spheres first."""
+        """Return the least distance [m] of these pairs of geoms, at most `least_m`.
+
+        The pairs with the nearest bounding spheres come first, so that the search can stop early.
+        """
         model, data = self.plant.model, self.plant.data
         one, other = pairs.T
         spheres = np.linalg.norm(data.geom_xpos[one] - data.geom_xpos[other], axis=1)
@@ -65,7 +72,10 @@ class ClearanceModel:
 
 
 def _are_separate(model: mujoco.MjModel, one: int, other: int) -> bool:
-    """Whether two geoms of the arm are not on one link or on neighbours; the turret and its tools are one."""
+    """Return whether two geoms of the arm are neither on one link nor on neighbours.
+
+    The turret and its tools are one link.
+    """
     return _link_number(model, other) - _link_number(model, one) >= 2
 
 

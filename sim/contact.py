@@ -1,4 +1,4 @@
-"""What touches the tools, and with what force."""
+"""Contact forces on the tools and on the rover."""
 
 from typing import Final
 
@@ -15,7 +15,11 @@ DOCK: Final = "bit_box"
 
 
 def tool_forces(plant: Plant) -> Array:
-    """The force of the world on each tool, friction too [N]: (5, 3), in the order of Tool, RMECH axes."""
+    """Compute the contact force on each tool, friction included.
+
+    Returns:
+        Forces [N] in RMECH axes, shape (5, 3), in the order of Tool.
+    """
     model, data = plant.model, plant.data
     total = np.zeros((len(Tool), 3))
     if data.ncon == 0:
@@ -32,7 +36,7 @@ def tool_forces(plant: Plant) -> Array:
 
 
 def hull_force_N(plant: Plant) -> float:
-    """The largest normal force between the arm and any part of the rover but the bit boxes."""
+    """Return the largest normal force between the arm and the rover, the bit boxes excluded."""
     model, data = plant.model, plant.data
     most, wrench = 0.0, np.zeros(6)
     for k in range(data.ncon):

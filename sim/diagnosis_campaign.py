@@ -1,4 +1,4 @@
-"""Sessions of motions for diagnosis, and how one is carried out in the closed loop.
+"""Sessions of motions for diagnosis, and their execution in the closed loop.
 
 Each motion is short and separates a few effects from the others. A session begins at rest on the brakes.
 Poses of the tables are in degrees.
@@ -34,7 +34,7 @@ ROLL_RAD: Final = float(np.radians(20.0))
 SESSION_COLD_C: Final = -50.0
 FAST_RAD, SLOW_RAD, TURN_RAD = (float(np.radians(deg)) for deg in (5.0, 0.75, 0.75))
 SLOW_FRACTION: Final = 0.2
-"""Of the speed that a joint has."""
+"""Fraction of the nominal speed of a joint."""
 OUTSTRETCHED: Final[Degrees5] = (0, -40, 60, 60, 60)
 HELD_OUT_POSE: Final[Degrees5] = (-20, -60, 80, 90, 120)
 POSES: Final[tuple[tuple[Degrees5, Degrees5], ...]] = (
@@ -47,7 +47,7 @@ POSES: Final[tuple[tuple[Degrees5, Degrees5], ...]] = (
     ((59, -115, 44, 2, 237), (63, -108, 37, -5, 241)),
     ((-45, -149, 78, 120, 34), (-52, -143, 71, 116, 29)),
 )
-"""One for each branch of the inverse kinematics, in their order, and one a little way on."""
+"""Pairs of near poses [deg], one pair for each branch of the inverse kinematics, in their order."""
 TILTED_POSES: Final[tuple[tuple[Degrees5, Degrees5], ...]] = (
     ((10, -130, 95, 123, 220), (17, -126, 89, 117, 213)),
     ((-70, -14, 18, -2, 313), (-74, -7, 11, 3, 306)),
@@ -58,31 +58,31 @@ TILTED_POSES: Final[tuple[tuple[Degrees5, Degrees5], ...]] = (
     ((-64, -137, 90, 15, 141), (-59, -144, 96, 19, 148)),
     ((-27, -110, 21, 69, 6), (-21, -117, 26, 76, -1)),
 )
-"""Others on the same branches, with the rover rolled."""
+"""Pairs of near poses [deg] on the same branches, for the rolled rover."""
 PRESS_N: Final = 60.0
 STANDOFF_M: Final = 0.02
-"""How far in front of a rock a placement begins."""
+"""Distance from a rock at which a placement begins."""
 OVERTRAVEL_M: Final = 0.03
 
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisSession:
-    """One log: where it begins, what is asked, and under which conditions."""
+    """Frozen record of one log to make: its start, its commands and its conditions."""
 
     name: str
     block: str
-    """Repeats of one motion are one block."""
+    """Name that the repeats of one motion share."""
     world: World
     temperature_C: float
     start_rad: tuple[float, ...]
-    """Outputs, (5,)."""
+    """Output angles, shape (5,)."""
     commands: tuple[Command, ...]
     tracked: bool
-    """Whether a laser tracker looks at the turret wherever the arm rests."""
+    """True if a laser tracker measures the turret whenever the arm rests."""
 
 
 def pose_sessions() -> list[DiagnosisSession]:
-    """Two poses on every branch, level and rolled; the first pair of each a second time."""
+    """List sessions with two poses on every branch, level and rolled; the first of each is repeated."""
     found = []
     for named, pairs, roll_rad in (("level", POSES, 0.0), ("rolled", TILTED_POSES, ROLL_RAD)):
         for number, (here, there) in enumerate(pairs, 1):
@@ -103,7 +103,10 @@ def pose_sessions() -> list[DiagnosisSession]:
 
 
 def sweep_sessions(params: Params) -> list[DiagnosisSession]:
-    """Each joint alone from outstretched: there and back fast, slowly, and to and fro; elevation twice."""
+    """List sessions that move one joint from the outstretched pose; that of the elevation is repeated.
+
+    Each joint moves away and back fast, then slowly, then by a small angle.
+    """
     found = []
     for joint in Joint:
         for again in ("", "-again") if joint is Joint.ELEVATION else ("",):
@@ -124,7 +127,7 @@ def sweep_sessions(params: Params) -> list[DiagnosisSession]:
 
 
 def coordinated_sessions() -> list[DiagnosisSession]:
-    """All joints at once, there and back: in the cold, twice; warm, to compare; and both from elsewhere."""
+    """List sessions that move all joints at once, in the cold and warm, from two poses."""
     return [
         DiagnosisSession(
             name, block, World("mars"), temperature_C, _radians(pose), _there_and_back(pose), False
@@ -142,7 +145,15 @@ def coordinated_sessions() -> list[DiagnosisSession]:
 def placement_session(
     name: str, tool: Tool, start_rad: Array, p_RoTo_R_m: Array, approach_R: Array
 ) -> DiagnosisSession:
-    """Onto a rock in front of a tool that is at rest there: touch and press."""
+    """Make a session that places a tool on a rock in front of it and presses.
+
+    Args:
+        name: Name of session and block.
+        tool: Tool that touches.
+        start_rad: Output angles at the start, shape (5,).
+        p_RoTo_R_m: Position of the tool at the start, shape (3,).
+        approach_R: Approach of the tool at the start, unit vector, shape (3,).
+    """
     touch = p_RoTo_R_m + STANDOFF_M * approach_R
     p_N = touch - p_R_from_N(np.zeros(3))
     world = World("mars", surface=Surface(vector3(p_N), vector3(-approach_R)))
@@ -185,9 +196,9 @@ def _radians(pose: Degrees5) -> tuple[float, ...]:
 
 
 SESSION_SETTLE_S: Final = 8.0
-"""On the brakes before a session: longer changes no reading by as much as its noise."""
+"""Time on the brakes before a session; longer changes every reading by less than its noise."""
 SESSION_REST_S: Final = 1.0
-"""At rest before a motion and after it."""
+"""Rest before and after a motion."""
 PLACEMENTS: Final = (
     ("place-drill", Tool.DRILL, (0.0, -50.0, 100.0, 130.0, 90.0)),
     ("place-apxs", Tool.APXS, (0.0, -50.0, 100.0, 130.0, 90.0)),
@@ -201,28 +212,29 @@ HELD_OUT_SESSIONS: Final = (
     "elsewhere-cold",
     "elsewhere-warm",
 )
-"""Sessions on which a diagnosis is tried that was made of the others."""
+"""Sessions for the hold-out validation of a diagnosis that is fitted to the others."""
 
 
 class SessionFailed(RuntimeError):
-    """A motion of a session did not come to its end."""
+    """Session with a command that was not completed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SessionCycle:
-    """One cycle of a session; `rested` says that the arm has stood still for long enough to be measured."""
+    """Frozen record of one cycle of a session."""
 
     record: CycleRecord
     rested: bool
+    """True if the arm has rested long enough to be measured."""
 
 
 def campaign_sessions(params: Params) -> tuple[DiagnosisSession, ...]:
-    """The whole campaign, in order, for an arm with these flight parameters."""
+    """List all sessions of the campaign, in order, for an arm with these flight parameters."""
     return (*pose_sessions(), *sweep_sessions(params), *coordinated_sessions(), *placement_sessions(params))
 
 
 def placement_sessions(params: Params) -> list[DiagnosisSession]:
-    """Each on a rock in front of the tool where it is believed to hang."""
+    """List placements, each on a rock in front of the modelled position of the tool."""
     config, found = configure(params), []
     for name, tool, pose_deg in PLACEMENTS:
         start = np.radians(pose_deg)
@@ -241,7 +253,10 @@ def start_session(
     seed: int,
     effects: tuple[Effect, ...] = (),
 ) -> ClosedLoop:
-    """The closed loop about to carry out a session; motors begin at a whole count, as encoders read them."""
+    """Make the closed loop at the start of a session.
+
+    The motors begin at whole encoder counts.
+    """
     config = configure(arm.params)
     start = round_to_counts(np.array(session.start_rad), reference.zero_rad, config.rad_per_count)
     ambient = Ambient(session.temperature_C)
@@ -252,14 +267,17 @@ def start_session(
 
 
 def round_to_counts(motor_rad: Array, zero_rad: Array, rad_per_count: Array) -> Array:
-    """The nearest angles (5,) at which encoders read whole counts."""
+    """Round motor angles, shape (5,), to the nearest whole encoder counts."""
     count = np.rint((motor_rad - zero_rad) / rad_per_count).astype(np.int64)
     whole: Array = count * rad_per_count + zero_rad
     return whole
 
 
 def run_session(loop: ClosedLoop, session: DiagnosisSession) -> Iterator[SessionCycle]:
-    """Every cycle of a session: a rest, and after each command another.
+    """Run a session with a rest before the first command and after each.
+
+    Yields:
+        Every cycle.
 
     Raises:
         SessionFailed: a command was refused or ended in a fault.

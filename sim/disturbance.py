@@ -12,19 +12,19 @@ FRAME_BODIES: Final = (
     *("arm1", "link2", "link3", "link4", "link5", "turret"),
     *(tool.name.lower() for tool in Tool),
 )
-"""Of the plant, that stand for the frames Arm1 to Arm6 and for the tool frames."""
+"""Bodies of the plant that represent the frames Arm1 to Arm6 and the tool frames."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveDisturbance:
-    """How far off the arm comes to stand after a move; scatters add up."""
+    """Displacements of frames, gears and motors from a move on; they add up."""
 
     screw: Array
-    """Of each of BODIES, in its own axes, (6, 11)."""
+    """Displacement of each of FRAME_BODIES in its own axes, rotation first [rad, m], shape (6, 11)."""
     gear_rad: Array
-    """Outputs beyond backlash and wind-up, (5,)."""
+    """Output angles beyond backlash and wind-up, shape (5,)."""
     motor_rad: Array
-    """Motors from where their encoders say, (5,), output side."""
+    """Motor angles beyond those that the encoders read, output side, shape (5,)."""
 
     def __add__(self, other: "MoveDisturbance") -> "MoveDisturbance":
         return MoveDisturbance(
@@ -33,15 +33,15 @@ class MoveDisturbance:
 
 
 def no_move_disturbance() -> MoveDisturbance:
-    """Everything stands where it should."""
+    """Return a disturbance without displacement."""
     return MoveDisturbance(np.zeros((6, len(FRAME_BODIES))), np.zeros(len(Joint)), np.zeros(len(Joint)))
 
 
 def body_index(frame: Frame, tool: Tool | None) -> int:
-    """Which of BODIES stands for a frame.
+    """Return the index in FRAME_BODIES of a frame.
 
     Raises:
-        ValueError: the frame TOOL without a tool.
+        ValueError: the frame is TOOL and there is no tool.
     """
     if frame is not Frame.TOOL:
         return int(frame)
@@ -56,18 +56,18 @@ def _no_change() -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Disturbance:
-    """By how much each joint differs in this cycle from how it was built, (5,); influences add up."""
+    """Changes of each joint in one cycle against its built state, each of shape (5,); they add up."""
 
     friction_Nm: Array = field(default_factory=_no_change)
-    """Coulomb friction of motor and gear, output side; together with what was built it is not negative."""
+    """Coulomb friction of motor and gear, output side; the sum with the built one is at least 0."""
     damping_Nms_rad: Array = field(default_factory=_no_change)
     """Viscous friction of motor and gear, likewise."""
     gear_rad: Array = field(default_factory=_no_change)
-    """Outputs beyond backlash and wind-up."""
+    """Output angles beyond backlash and wind-up."""
     output_Nm: Array = field(default_factory=_no_change)
     """Torque on the outputs."""
     servo: Array = field(default_factory=_no_change)
-    """Gains of the motor controllers, as a share of what they are."""
+    """Change of the gains of the motor controllers, relative to the built ones."""
 
     def __add__(self, other: "Disturbance") -> "Disturbance":
         return Disturbance(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
@@ -77,7 +77,7 @@ NO_DISTURBANCE: Final = Disturbance()
 
 
 def at_joint(joint: Joint, value: float) -> Array:
-    """The value at one joint, 0 at the others."""
+    """Return an array, shape (5,), with this value at one joint and 0 at the others."""
     values = np.zeros(len(Joint))
     values[joint] = value
     return values

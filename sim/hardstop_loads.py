@@ -1,8 +1,8 @@
-"""The poses of the hardstop initialisation: gravity's torque at each stop, and how much room there is.
+"""Poses of the hardstop initialisation: gravity torques at the hardstops, and clearances.
 
-They are flight parameters, `[hardstop]`. Those of nominal.toml are for the whole arm on Mars. The paper
-calibrated on Earth without a turret, in poses in which gravity has the same torque at each stop as later on
-Mars.
+The poses are flight parameters, `[hardstop]`. Those of nominal.toml are for the whole arm on Mars.
+The calibration of the paper used an arm without a turret on Earth.
+Its poses had the same gravity torque at each hardstop as later on Mars.
 """
 
 from dataclasses import dataclass, replace
@@ -37,9 +37,9 @@ FREE_ANGLES: Final[tuple[tuple[PoseName, Joint], ...]] = (
     ("park_rad", Joint.ELEVATION),
     ("again_rad", Joint.ELBOW),
 )
-"""The angles that make torques equal: at the stops of wrist, elbow and elevation."""
+"""Angles that are solved for equal torques at the hardstops of wrist, elbow and elevation."""
 EQUALISED_JOINTS: Final = (Joint.WRIST, Joint.ELBOW, Joint.ELEVATION)
-"""The others carry next to nothing at their stops."""
+"""Joints whose torques are made equal; those of the others are near 0 at their hardstops."""
 
 
 def _joints_from_deg(*angles_deg: float) -> Joints5:
@@ -51,25 +51,30 @@ EARTH_GUESS: Final[dict[PoseName, Joints5]] = {
     "park_rad": _joints_from_deg(-179.9, -101.8, -163.9, -172.6, 38.9),
     "again_rad": _joints_from_deg(-81.1, -175.0, -158.0, -172.6, 38.9),
 }
-"""For the arm without a turret on Earth; `equalised` makes its torques those of another plan."""
+"""First guess of `equalise_loads` for the arm without a turret on Earth."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HardstopLoads:
-    """Gravity's torque on each joint at its hardstop, in the pose of its last turn."""
+    """Gravity torque on each joint at its hardstop, in the pose of its homing."""
 
     pose_rad: Array
-    """Joints by poses, both in the order of Joint."""
+    """Poses, shape (5, 5): joints by homings, both in the order of Joint."""
     torque_Nm: Array
-    """Negative presses the output on its stop."""
+    """Torques, shape (5,); a negative one presses the output on its hardstop."""
 
 
 class NoPlan(ValueError):
-    """No poses within the limits do what is asked."""
+    """Poses that cannot be found within the limits."""
 
 
 def compute_hardstop_loads(params: Params, gravity_R_m_s2: Array) -> HardstopLoads:
-    """What each joint carries at its hardstop."""
+    """Compute the gravity torque on each joint at its hardstop.
+
+    Args:
+        params: Flight parameters.
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
+    """
     poses = np.array([homing_start_poses(params, joint)[-1] for joint in Joint]).T
     for joint, of_joint in zip(Joint, params.joints.in_order(), strict=True):
         poses[joint, joint] = of_joint.hardstop_rad
@@ -78,7 +83,13 @@ def compute_hardstop_loads(params: Params, gravity_R_m_s2: Array) -> HardstopLoa
 
 
 def calibration_poses(params: Params) -> list[Array]:
-    """Every pose (5) between two motions while all joints are calibrated; each motion is of one joint."""
+    """List the poses between the motions of the hardstop initialisation.
+
+    Each motion moves one joint.
+
+    Returns:
+        Output angles [rad], each of shape (5,).
+    """
     stops = configure(params).hardstop_rad
     poses = [np.array(params.hardstop.start_rad)]
     for command in expand_calibrate_all(params).remaining:
@@ -93,7 +104,11 @@ def calibration_poses(params: Params) -> list[Array]:
 
 
 def sweep_poses(params: Params, spacing_rad: float = SWEEP_SPACING_RAD) -> Array:
-    """Poses all along the way, (5, n)."""
+    """Sample all motions of the hardstop initialisation.
+
+    Returns:
+        Output angles [rad], shape (5, n).
+    """
     poses = calibration_poses(params)
     legs = []
     for start, end in pairwise(poses):
@@ -105,12 +120,12 @@ def sweep_poses(params: Params, spacing_rad: float = SWEEP_SPACING_RAD) -> Array
 def sweep_clearance(
     params: Params, space: ClearanceModel, spacing_rad: float = SWEEP_SPACING_RAD
 ) -> Clearance:
-    """How close the arm comes to anything while all joints are calibrated."""
+    """Compute the least clearances during the hardstop initialisation."""
     return space.clearance(sweep_poses(params, spacing_rad))
 
 
 def with_poses(params: Params, poses: dict[PoseName, Joints5]) -> Params:
-    """The parameters with other poses of the hardstop initialisation."""
+    """Return the parameters with other poses of the hardstop initialisation."""
     stops = replace(
         params.hardstop,
         start_rad=poses["start_rad"],
@@ -121,10 +136,20 @@ def with_poses(params: Params, poses: dict[PoseName, Joints5]) -> Params:
 
 
 def equalise_loads(params: Params, gravity_R_m_s2: Array, wanted_Nm: Array) -> Params:
-    """The parameters with poses near those they have, in which gravity has these torques (5) at the stops.
+    """Find poses in which gravity has the wanted torques at the hardstops.
+
+    The search starts at the poses of the parameters.
+
+    Args:
+        params: Flight parameters.
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
+        wanted_Nm: Torques at the hardstops, shape (5,).
+
+    Returns:
+        The parameters with these poses.
 
     Raises:
-        NoPlan: the free angles cannot bring them about.
+        NoPlan: the free angles cannot give these torques.
     """
     limits = [params.joints.in_order()[joint] for _, joint in FREE_ANGLES]
 
@@ -142,9 +167,9 @@ def equalise_loads(params: Params, gravity_R_m_s2: Array, wanted_Nm: Array) -> P
 
 
 def without_turret(arm: BuiltArm, on_earth: bool) -> BuiltArm:
-    """The arm without its turret, which flight software knows; on Earth in poses for it.
+    """Return the arm without its turret, which flight software knows.
 
-    There the torques are those that the whole arm has in its own poses on Mars.
+    On Earth its poses have the torques of the whole arm in its own poses on Mars.
     """
     turret = StandInTurret(0.0)
     bare = replace(arm, effects=(*arm.effects, turret), params=turret.on_params(arm.params))

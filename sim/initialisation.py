@@ -1,4 +1,4 @@
-"""Hardstop initialisation of an arm in the closed loop, and repeated homing of one joint on random days."""
+"""Hardstop initialisation of an arm in the closed loop, and homing of one joint under random conditions."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,26 +26,26 @@ from sim.sequence import Outcome, observe_cycles, run_sequence
 from sim.world import World, build
 
 START_DISTANCE_RAD: Final = 0.05
-"""Where a joint begins that is only to be measured: the long way to its hardstop tells nothing."""
+"""Distance from the hardstop at the start of a homing that is only measured, to save time."""
 
 
 @dataclass(frozen=True, slots=True)
 class HardstopResult:
-    """A hardstop that was found, against the true one."""
+    """Result of the homing of one joint, compared with the plant."""
 
     joint: Joint
     zero_error_rad: float
-    """Believed less true motor angle, beyond what a hardstop off its drawn place brings about."""
+    """Estimated less true motor angle, without the known part from a shifted hardstop."""
     uncorrected_error_rad: float
-    """The same, had wind-up been left out: output = motor + b/2 at the stall."""
+    """The same error without correction of wind-up: output = motor + b/2 at the stall."""
     half_backlash_error_rad: float
     load_Nm: float
-    """Modelled, at the hardstop."""
+    """Modelled torque at the hardstop."""
 
 
 @dataclass(frozen=True, slots=True)
 class HomingSample:
-    """A seeking joint in one cycle; angles and speeds of the motor, output side."""
+    """Homing joint in one cycle; angles and speeds are those of the motor, output side."""
 
     time_s: float
     joint: Joint
@@ -58,7 +58,7 @@ class HomingSample:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InitialisationResult:
-    """What came of it."""
+    """Frozen record of the outcome of a hardstop initialisation."""
 
     outcome: Outcome
     duration_s: float
@@ -67,17 +67,17 @@ class InitialisationResult:
     stops: tuple[HardstopResult, ...]
     samples: tuple[HomingSample, ...]
     reference: Reference
-    """What flight software remembers after it."""
+    """Reference in the memory of flight software afterwards."""
     most_torque_Nm: Array
-    """On each hardstop."""
+    """Maximum torque on each hardstop, shape (5,)."""
     most_current_share: Array
-    """Of the current limit in force."""
+    """Maximum ratio of each current to its limit, shape (5,)."""
     failure: Exception | None
-    """What ended flight software, if it did."""
+    """Exception that ended flight software, or None."""
 
 
 class InitialisationRun:
-    """Joints looking for their hardstops: iterate over the cycles, then ask for the result."""
+    """Hardstop initialisation in a closed loop; `result` is complete after the last cycle."""
 
     def __init__(self, loop: ClosedLoop, command: Calibrate | CalibrateAll):
         self.loop = loop
@@ -90,7 +90,11 @@ class InitialisationRun:
         self._current_share = np.zeros(len(Joint))
 
     def __iter__(self) -> Iterator[CycleRecord]:
-        """Every cycle, as it happens."""
+        """Run all cycles.
+
+        Yields:
+            Every cycle.
+        """
         self._outcome = yield from observe_cycles(run_sequence(self.loop, (self._command,)), self._note)
 
     def _note(self, record: CycleRecord) -> None:
@@ -133,13 +137,13 @@ class InitialisationRun:
         )
 
     def finish(self) -> InitialisationResult:
-        """Run to the end, and say what came of it."""
+        """Run all cycles and return the result."""
         for _ in self:
             pass
         return self.result()
 
     def result(self) -> InitialisationResult:
-        """What came of it; after the last cycle."""
+        """Return the result; valid after the last cycle."""
         return InitialisationResult(
             outcome=self._outcome,
             duration_s=self.loop.plant.data.time,
@@ -163,7 +167,18 @@ def prepare_homing(
     away_rad: Array | None = None,
     before_stop_rad: float = START_DISTANCE_RAD,
 ) -> InitialisationRun:
-    """One joint about to look for its hardstop in its last pose, the others so far (5) away from there."""
+    """Prepare the homing of one joint near its hardstop.
+
+    Args:
+        arm: Arm with its flight parameters.
+        joint: Joint to home.
+        world: World of the run.
+        seed: Seed of the noise.
+        effects: Effects beyond those of the arm.
+        reference: Reference in the memory of flight software; None if no joint was homed.
+        away_rad: Offset of the other joints from the homing pose, shape (5,); None for 0.
+        before_stop_rad: Distance of the joint from its hardstop.
+    """
     pose = homing_start_poses(arm.params, joint)[-1] + (0.0 if away_rad is None else away_rad)
     pose[joint] = arm.params.joints.in_order()[joint].hardstop_rad + before_stop_rad
     loop = ClosedLoop(Setup(arm, world, joints5(pose), seed, reference, effects))
@@ -173,9 +188,12 @@ def prepare_homing(
 def initialise_joints(
     arm: BuiltArm, world: World | None = None, seed: int = 0
 ) -> Iterator[InitialisationResult]:
-    """Every joint measured at its hardstop, each taken near it beforehand; ends with the first that fails.
+    """Home every joint from a start near its hardstop; stop after the first failure.
 
-    The last one's reference is what flight software then remembers: counters keep counting without power.
+    The reference of each result includes the joints before it: encoders count without power too.
+
+    Yields:
+        The result of each joint.
     """
     known = None
     for joint in HARDSTOP_ORDER:
@@ -187,10 +205,10 @@ def initialise_joints(
 
 
 def initial_reference(arm: BuiltArm, seed: int = 0) -> Reference:
-    """What flight software remembers once every joint has been at its hardstop.
+    """Home every joint and return the reference in the memory of flight software.
 
     Raises:
-        RuntimeError: one was not found.
+        RuntimeError: a homing failed.
     """
     *_, last = initialise_joints(arm, seed=seed)
     if last.outcome is not Outcome.DONE:
@@ -199,7 +217,7 @@ def initial_reference(arm: BuiltArm, seed: int = 0) -> Reference:
 
 
 def true_reference(arm: BuiltArm) -> Reference:
-    """What an initialisation without any error would leave; the hardstops' own errors of place stay."""
+    """Compute the reference of an initialisation without errors; shifts of the hardstops remain."""
     spec = build(World())
     hardware = apply_effects(arm.effects, spec, nominal_hardware())
     plant = Plant(spec.compile())
@@ -216,14 +234,14 @@ def true_reference(arm: BuiltArm) -> Reference:
 
 RANDOM_TEMPERATURE_C = (-55.0, 10.0)
 DAILY_FRICTION_SIGMA = 0.1
-"""One sigma of what friction changes from day to day, log-normal."""
+"""One sigma of the change of friction from day to day, log-normal."""
 RANDOM_NOISE_A = (0.01, 0.04)
 RANDOM_OFFSET_RAD = 0.05
 RANDOM_DISTANCE_RAD = (0.02, 0.15)
 
 
 def prepare_random_homing(arm: BuiltArm, joint: Joint, world: World, seed: int) -> InitialisationRun:
-    """One joint about to look for its hardstop: temperature, friction, noise and pose are of that day."""
+    """Prepare the homing of one joint at a random temperature, friction, noise and pose."""
     rng = np.random.default_rng([seed, joint, 5])
     friction = tuple(
         GearFriction(j, float(np.exp(DAILY_FRICTION_SIGMA * rng.standard_normal()))) for j in Joint

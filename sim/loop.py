@@ -1,4 +1,4 @@
-"""The closed loop: plant and avionics on one side, flight software on the other, one cycle at a time."""
+"""Closed loop of plant and avionics with flight software, one cycle at a time."""
 
 from copy import copy
 from dataclasses import dataclass, replace
@@ -27,24 +27,24 @@ SETTLE_S = 16.0
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """What a run is made of; the seed is of everything random that is not the arm."""
+    """Frozen record of what defines a run; the seed is that of everything random but the arm."""
 
     arm: BuiltArm
     world: World
     start_rad: Joints5
     seed: int = 0
     reference: Reference | None = None
-    """What flight software remembers of its joints; None if it has yet to find their hardstops."""
+    """Reference in the memory of flight software; None if no joint was homed."""
     effects: tuple[Effect, ...] = ()
-    """Beyond those of the arm."""
+    """Effects beyond those of the arm."""
     time_step_s: float | None = None
-    """Other than the model's own."""
+    """Time step in place of that of the model."""
     settle_s: float = SETTLE_S
-    """How long the arm has stood on its brakes before the run."""
+    """Time on the brakes before the run."""
 
 
 class ClosedLoop:
-    """A run: call `cycle` with the commands of each control cycle."""
+    """Run of an arm in the closed loop; call `cycle` with the commands of each control cycle."""
 
     def __init__(self, setup: Setup, with_truth: bool = False):
         spec = build(setup.world)
@@ -64,7 +64,7 @@ class ClosedLoop:
         self._truth: Truth | None = None
 
     def fork(self, faults: tuple[InjectedFault, ...] = ()) -> "ClosedLoop":
-        """The same run, to go on by itself: bit by bit as this one, or with faults injected.
+        """Copy the run, with equal bits from here on, or with faults injected into the copy.
 
         A fork that is never run is a snapshot.
         """
@@ -76,9 +76,12 @@ class ClosedLoop:
         return other
 
     def cycle(self, commands: tuple[Command, ...] = ()) -> CycleRecord:
-        """One control cycle: read, decide, drive, and let the plant go on.
+        """Run one control cycle: read the sensors, call flight software, and step the plant.
 
-        Cycles in which flight software is not called pass before it.
+        Cycles in which flight software is not called are run first.
+
+        Raises:
+            RuntimeError: flight software has ended with an exception.
         """
         if self.failure is not None:
             raise RuntimeError("flight software has ended; start another run") from self.failure
@@ -99,32 +102,43 @@ class ClosedLoop:
 
     @property
     def braked(self) -> bool:
-        """Whether every brake holds and no motor is given power."""
+        """Return whether every brake is on and no motor has power."""
         brakes = self.plant.data.eq_active[self.plant.at.brake]
         return bool(brakes.all() and not self._outputs.drive.power_on.any())
 
     def truth(self) -> Truth:
-        """The plant as it is: a judge looks after a cycle, a log before the next one, which is one look."""
+        """Return the state of the plant, which is computed once between two steps."""
         if self._truth is None:
             self._truth = self.plant.truth()
         return self._truth
 
     def _drive(self) -> None:
-        """The plant goes on for a cycle with the last drive."""
+        """Step the plant for a cycle with the last actuator command."""
         self._truth = None
         self.avionics.apply(self._outputs.drive)
         self.plant.step()
 
 
 def hardware_rng(seed: int) -> np.random.Generator:
-    """Of all that the avionics of a run leave to chance."""
+    """Make the generator of everything random in the avionics of a run."""
     return np.random.default_rng([seed, 2])
 
 
 def step_flight_software(
     config: Config, state: State, last: Outputs, sensors: Sensors, commands: tuple[Command, ...]
 ) -> tuple[State, Outputs, Exception | None]:
-    """One cycle of flight software, whose last outputs these were; and what ended it, if it ended."""
+    """Run one cycle of flight software.
+
+    Args:
+        config: Configuration of flight software.
+        state: State before the cycle.
+        last: Outputs of the cycle before.
+        sensors: Sensor readings.
+        commands: Commands of this cycle.
+
+    Returns:
+        State and outputs after the cycle, and the exception that ended flight software, or None.
+    """
     try:
         state, outputs = step(config, state, sensors, commands)
     except Exception as error:
@@ -134,7 +148,7 @@ def step_flight_software(
 
 
 def _safe_outputs(last: Outputs, error: Exception) -> Outputs:
-    """The last outputs with brakes on and power off."""
+    """Return the last outputs with brakes on, power off and an event for the exception."""
     off = np.zeros_like(last.drive.power_on)
     drive = replace(last.drive, setpoint_rate_rad_s=np.zeros(off.size), power_on=off, brake_release=off)
     joint = replace(last.joint, busy=False)

@@ -1,7 +1,7 @@
-"""A plant with its avionics that is given a recorded drive, cycle by cycle, in place of flight software.
+"""Plant and avionics that follow recorded actuator commands, without flight software.
 
-In a closed loop whatever differs is passed on to the next set-points and to other joints. Under the same
-drive a difference stays in the joint and in the motion that it comes from.
+In a closed loop a difference changes the next set-points and spreads to other joints.
+With the same commands a difference stays in the joint and in the motion where it arises.
 """
 
 from collections.abc import Iterable, Iterator
@@ -18,23 +18,23 @@ from sim.world import World, build
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RecordedStart:
-    """Where a recorded run began; joint arrays (5,)."""
+    """Frozen record of the start of a recorded run; joint arrays have shape (5,)."""
 
     world: World
     motor_rad: Array
-    """By encoders and the zeros below."""
+    """Motor angles, from the encoders and the zeros below."""
     zero_rad: Array
-    """Motor angles at which counters read 0, as the hardstops told."""
+    """Motor angles at which counters read 0, from homing."""
     hardstop_rad: Array
-    """Where the hardstops were taken to be when they told it."""
+    """Hardstop angles that homing assumed."""
 
 
 @dataclass(frozen=True, slots=True)
 class SimulationOptions:
-    """How a run is simulated."""
+    """Options of a simulation."""
 
     seed: int | None = None
-    """Of sensor noise; None leaves out noise and rounding, which gives what sensors read on average."""
+    """Seed of the sensor noise; None removes noise and rounding, which gives mean readings."""
     settle_s: float = SETTLE_S
 
 
@@ -42,7 +42,7 @@ NOISE_FREE = SimulationOptions()
 
 
 class OpenLoopArm:
-    """An arm at its start, about to be driven."""
+    """Arm at the start of a recorded run."""
 
     def __init__(
         self, start: RecordedStart, effects: Iterable[Effect], manner: SimulationOptions = NOISE_FREE
@@ -63,7 +63,10 @@ class OpenLoopArm:
         )
 
     def readings(self, drives: Iterable[ActuatorCommand]) -> Iterator[Sensors]:
-        """What the sensors read before each drive is taken.
+        """Step the arm through actuator commands.
+
+        Yields:
+            The readings before each command.
 
         Raises:
             PlantDiverged: MuJoCo counted a warning.

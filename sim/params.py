@@ -1,4 +1,4 @@
-"""Flight parameters from TOML, strictly: every error at once, each with its place, and one digest."""
+"""Flight parameters from TOML files, checked strictly, with all errors in one message."""
 
 import json
 import os
@@ -17,20 +17,20 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
 
 MAX_BYTES: Final = 1_000_000
-"""Seventy times what all parameters need."""
+"""Largest size of a file, seventy times that of all parameters."""
 
 
 class BadParams(ValueError):
-    """A parameter file that is not to be flown; the message names every field at fault."""
+    """Parameter file that is refused; the message names every wrong field."""
 
 
 def nominal_params() -> Params:
-    """The parameters of the drawing."""
+    """Return the parameters of the drawing."""
     return _load_nominal(_nominal_text())
 
 
 def params_over_nominal(path: Path) -> Params:
-    """The nominal parameters with those of a TOML file in their place; the file may give any part of them.
+    """Read a TOML file with any part of the parameters; the others are nominal.
 
     Raises:
         BadParams: the file cannot be read, or names or values in it are wrong.
@@ -39,7 +39,7 @@ def params_over_nominal(path: Path) -> Params:
 
 
 def params_over(params: Params, path: Path) -> Params:
-    """These parameters with those of a TOML file in their place; the file may give any part of them.
+    """Read a TOML file with any part of the parameters; the others come from `params`.
 
     Raises:
         BadParams: the file cannot be read, or names or values in it are wrong.
@@ -48,7 +48,11 @@ def params_over(params: Params, path: Path) -> Params:
 
 
 def check_params(params: Params, name: str) -> None:
-    """See that flight software would take these parameters; BadParams names every one at fault."""
+    """Check that flight software accepts these parameters.
+
+    Raises:
+        BadParams: a value is wrong; the message names all that are.
+    """
     _refuse(name, check_limits(params))
     _refuse(name, check_arm(params))
 
@@ -72,7 +76,7 @@ def _nominal_text() -> str:
 
 @lru_cache(maxsize=1)
 def _load_nominal(text: str) -> Params:
-    """Checked once: effects and simulations ask thousands of times."""
+    """Check the nominal parameters once; effects and simulations request them thousands of times."""
     return _validate(tomllib.loads(text), "nominal.toml")
 
 
@@ -102,13 +106,13 @@ def _refuse(name: str, problems: Iterator[str]) -> None:
 
 
 def _error_text(error: Any) -> str:
-    """What pydantic says, without the words of a call."""
+    """Return the error of pydantic without its words about function calls."""
     unknown = error["type"] in ("unexpected_keyword_argument", "extra_forbidden")
     return "is not a parameter" if unknown else str(error["msg"])
 
 
 def _find_dates(value: Any, place: str = "") -> Iterator[str]:
-    """Sentences about dates and times, which TOML has and parameters have not."""
+    """List problems with dates and times, which TOML has and no parameter is."""
     if isinstance(value, date | time):
         yield f"{place}: {value} is a date or a time; no parameter is one"
     elif isinstance(value, dict | list):

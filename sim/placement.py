@@ -1,4 +1,4 @@
-"""Placing an instrument: unstow, stand off along the normal, touch, retract; and how well it was done."""
+"""Placement of an instrument: unstow, standoff, touch and retract, and the errors of its result."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,50 +19,50 @@ from sim.sequence import Outcome, observe_cycles, run_sequence, stop_sequence
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """An instrument placement; RNAV, metres; the normal points out of the surface."""
+    """Frozen record of a placement in RNAV; the normal points out of the surface."""
 
     tool: Tool
     target_N_m: Vector3
     normal_N: Vector3
     standoff_m: float = 0.10
     overtravel_m: float = 0.05
-    """How far beyond the target the guarded move may look for the surface."""
+    """Distance beyond the target at which the guarded move ends without contact."""
     branch: str = "AUTO"
     via_m: float = 0.0
-    """Height above the standoff of a way point on the normal; 0 is none."""
+    """Height above the standoff of a way point on the normal; 0 means none."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlacementError:
-    """Where the true tool frame is against the true target."""
+    """Error of the true tool frame against the true target."""
 
     total_m: float
     lateral_m: float
     normal_m: float
-    """Positive is short of the surface."""
+    """Positive if the tool is short of the surface."""
     axis_rad: float
-    """Tool x axis against the inward normal."""
+    """Angle of the tool x axis to the inward normal."""
     backlash_m: float
-    """The part that comes of outputs lying elsewhere in their backlash than the set-points allow for."""
+    """Part from outputs that lie elsewhere in their backlash than the set-points assume."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlacementResult:
-    """What came of a placement."""
+    """Frozen record of the outcome of a placement."""
 
     outcome: Outcome
     branch: str | None
     duration_s: float
     contact: PlacementError | None
-    """At rest in contact; None without contact."""
+    """Error at rest in contact; None without contact."""
     standoff: PlacementError | None
-    """At rest at the standoff, against the commanded standoff."""
+    """Error at rest at the standoff, against the commanded standoff."""
     evrs: tuple[tuple[float, Evr], ...]
     """Time [s] and event."""
 
 
 def placement_moves(placement: Placement) -> tuple[tuple[MoveTool, ...], GuardedMove]:
-    """To the standoff, and along the inward normal until it touches or has gone too far."""
+    """Make the moves to the standoff, and the guarded move along the inward normal."""
     normal = normalize(placement.normal_N)
     target = p_R_from_N(np.array(placement.target_N_m))
     tool, approach, branch = placement.tool, vector3(-normal), placement.branch
@@ -80,14 +80,14 @@ def placement_moves(placement: Placement) -> tuple[tuple[MoveTool, ...], Guarded
 
 
 def placement_commands(placement: Placement, stowed: bool) -> tuple[Command, ...]:
-    """The command sequence of a placement."""
+    """Make the command sequence of a placement."""
     moves, touch = placement_moves(placement)
     unstow = (Unstow(),) if stowed else ()
     return (*unstow, *moves, touch, Retract(placement.tool, placement.standoff_m))
 
 
 class PlacementRun:
-    """A placement in a closed loop: iterate over its cycles, then ask for the result."""
+    """Placement in a closed loop; `result` is complete after the last cycle."""
 
     def __init__(self, loop: ClosedLoop, placement: Placement):
         stowed = loop.state.mode is Mode.STOWED
@@ -100,11 +100,19 @@ class PlacementRun:
         self._touched = False
 
     def __iter__(self) -> Iterator[CycleRecord]:
-        """Every cycle, as it happens."""
+        """Run the commands.
+
+        Yields:
+            Every cycle.
+        """
         self._outcome = yield from observe_cycles(run_sequence(self._loop, self.commands), self._note)
 
     def stopping(self) -> Iterator[CycleRecord]:
-        """Every cycle of a stop, in place of those that were still to come."""
+        """Stop the arm in place of the remaining commands.
+
+        Yields:
+            Every cycle.
+        """
         self._outcome = yield from observe_cycles(stop_sequence(self._loop), self._note)
 
     def _note(self, record: CycleRecord) -> None:
@@ -134,7 +142,7 @@ class PlacementRun:
         )
 
     def result(self) -> PlacementResult:
-        """What came of it; after the last cycle."""
+        """Return the result; valid after the last cycle."""
         branch = next((evr.branch for _, evr in self._evrs if isinstance(evr, BranchChosen)), None)
         return PlacementResult(
             self._outcome,

@@ -1,4 +1,4 @@
-"""The plant: the MuJoCo model of arm and world, its state, and its stepping."""
+"""Plant: the MuJoCo model of arm and world, its state and its time steps."""
 
 from collections.abc import Callable
 from copy import copy
@@ -19,25 +19,28 @@ JOINT_NAMES = tuple(joint.name.lower() for joint in Joint)
 
 SPRING_NAMES = ("rover", "link1", "link2", "link3", "link4")
 SCREW_AXES = ("rx", "ry", "rz", "tx", "ty", "tz")
-"""Of screws and springs: turns, then shifts."""
+"""Axes of screws and springs: rotations, then translations."""
 
 HARD_FRICTION = 1e-4
-"""MuJoCo softens dry friction by 1e-4 of this inverse weight, at most as hard as its files can ask: an output
-held by friction then gives way with a time constant of four seconds. Less of it takes as many hours."""
+"""Factor on the inverse weight of dry friction, as MuJoCo's own regularisation is too soft.
+
+An output held by friction then creeps with a time constant of hours.
+The hardest value of a model file gives four seconds.
+"""
 
 ALL_ACTUATORS = 0b111110
-"""The motors' actuator groups 1 to 5, one bit each: set means without power."""
+"""Bits of the actuator groups 1 to 5 of the motors; a set bit means no power."""
 
 RESISTANCE, MOTOR_CONSTANT, POSITION_GAIN, RATE_GAIN, GAINS = 0, 1, 4, 6, slice(4, 7)
-"""Their places in MuJoCo's gain parameters of a dcmotor; the gains are position's, integral's and rate's."""
+"""Indices in MuJoCo's gain parameters of a dcmotor; GAINS are those of position, integral and rate."""
 
 REFERENCE_STEP_S = 1 / 2048
-"""The dampers of `arm.xml` damp as this step computes them."""
+"""Time step that the dampers of `arm.xml` are made for."""
 
 TOOL_FLIP_ROWS = np.tile(FLIP[:, None], (len(Tool), 1, 3))
 TOOL_FLIP = np.tile(FLIP, (len(Tool), 1))
 TOOL_P_NR_M = np.tile(P_NR_M, (len(Tool), 1))
-"""For axes and origins of all tools, in full: where numpy has to stretch an array it takes twice as long."""
+"""Full arrays for axes and origins of all tools: broadcasting would take twice as long."""
 
 
 # MuJoCo would write its warnings to a file in whatever directory this is; Plant.step looks at their count
@@ -45,15 +48,15 @@ mujoco.set_mju_user_warning(lambda _: None)
 
 
 class PlantDiverged(RuntimeError):
-    """MuJoCo counted a warning: it may have reset the state, so nothing after it can be believed."""
+    """Warning of MuJoCo, which may have reset the state; later states are invalid."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Addresses:
-    """Where the arm is in MuJoCo's arrays; joint arrays in the order of Joint."""
+    """Indices of the arm in MuJoCo's arrays; joint arrays in the order of Joint."""
 
     motor: NDArray[np.intp]
-    """Hinges, as all joints of the arm have one degree of freedom: in positions and in speeds alike."""
+    """Hinges; an index of positions is also one of speeds, as every joint has one degree of freedom."""
     gear: NDArray[np.intp]
     gear_tendons: NDArray[np.intp]
     """Tendons of the gears."""
@@ -62,37 +65,38 @@ class Addresses:
     actuators: NDArray[np.intp]
     brake: NDArray[np.intp]
     springs: NDArray[np.intp]
-    """Of rover and links, from the rover outward; each as its strain is listed, rotation first."""
+    """Springs of rover and links, from the rover outward, shape (5, 6), rotations first."""
     tools: NDArray[np.intp]
     """Sites, in the order of Tool."""
     pads: NDArray[np.intp]
     """Sites of the contact switches, in the order of Switch."""
     bodies: NDArray[np.intp]
-    """In the order of BODIES."""
+    """Bodies, in the order of FRAME_BODIES."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StateViews:
-    """Numbers of a plant as MuJoCo has them: views, which change with every step; in the order of Joint."""
+    """Views of MuJoCo's arrays, which change with every step; in the order of Joint."""
 
     motor_rad: Array
     motor_rate_rad_s: Array
     gear_rad: Array
     """Output less motor angle."""
     gear_length_rad: Array
-    """The same as the gears' tendons had it when they were computed last."""
+    """Output less motor angle when MuJoCo last computed the tendons of the gears."""
     low_flank_rad: Array
     high_flank_rad: Array
     servo_angle_rad: Array
-    """What the motor controllers take for the motors' angles and rates."""
+    """Motor angles that the motor controllers use."""
     servo_rate_rad_s: Array
+    """Motor rates that the motor controllers use."""
     motor_torque_Nm: Array
     warnings: NDArray[np.int32]
-    """How often MuJoCo gave each of its warnings."""
+    """Counts of MuJoCo's warnings, by kind."""
 
 
 class Plant:
-    """MuJoCo model and data, and the few questions and orders that avionics and judges have."""
+    """MuJoCo model and data of an arm in its world, as avionics and judges access them."""
 
     def __init__(self, model: mujoco.MjModel):
         self.model = model = copy(model)  # it is changed below: two plants of one model are alike
@@ -157,7 +161,7 @@ class Plant:
         )
 
     def duplicate(self) -> "Plant":
-        """The same plant in the same state, to go on by itself."""
+        """Copy the plant in its present state."""
         other = copy(self)
         other.model, other.data = copy(self.model), copy(self.data)
         other._views = other._make_views()
@@ -165,12 +169,12 @@ class Plant:
 
     @property
     def half_gap_rad(self) -> Array:
-        """Half the width of each joint's backlash."""
+        """Return half the width of the backlash, shape (5,)."""
         low, high = self.model.tendon_lengthspring[self.at.gear_tendons].T
         return np.asarray((high - low) / 2)
 
     def set_move_disturbance(self, move: MoveDisturbance) -> None:
-        """Let frames and gears stand that far off where they were built."""
+        """Displace frames and gears from their built positions."""
         X = self._built @ screw_exp(move.screw)
         quat = self._built_quat.copy()
         for k in np.flatnonzero(move.screw.any(axis=0)):
@@ -181,7 +185,7 @@ class Plant:
         self._shift_gears()
 
     def set_disturbance(self, disturbance: Disturbance) -> None:
-        """Let joints, from now on, be by that much other than they were built."""
+        """Change the joints against their built state until the next call."""
         model, at = self.model, self.at
         model.dof_frictionloss[at.motor] = np.maximum(self._friction_Nm + disturbance.friction_Nm, 0.0)
         model.dof_damping[at.motor] = np.maximum(self._damping_Nms_rad + disturbance.damping_Nms_rad, 0.0)
@@ -195,9 +199,12 @@ class Plant:
         self.model.tendon_lengthspring[self.at.gear_tendons] = self._bands_rad + shift_rad[:, None]
 
     def place(self, motor_rad: Array, settle_s: float, begin: Callable[[], None] | None = None) -> None:
-        """Put the motors at these angles with the brakes on, and let the arm come to rest under gravity.
+        """Put the motors at these angles with brakes on, and let the arm settle under gravity.
 
-        What is to begin before gravity does is called then.
+        Args:
+            motor_rad: Motor angles, shape (5,).
+            settle_s: Time to settle.
+            begin: Called once before gravity is applied, to begin effects.
         """
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self.at.motor] = motor_rad
@@ -217,27 +224,40 @@ class Plant:
         self.data.time = 0.0
 
     def show(self, output_rad: Array, strain: Array) -> None:
-        """Bring geometry, and nothing else, to output angles (5) and spring strains (6, springs or more)."""
+        """Set the geometry only.
+
+        Args:
+            output_rad: Output angles, shape (5,).
+            strain: Spring displacements [rad, m], shape (6, 5); further columns are ignored.
+        """
         self.data.qpos[self.at.motor] = output_rad
         self.data.qpos[self.at.springs] = strain[:, : len(SPRING_NAMES)].T
         mujoco.mj_kinematics(self.model, self.data)
 
     def brake(self, joint: int, on: bool) -> None:
-        """Lock a motor where it is, or let it go."""
+        """Lock a motor at its present angle, or release it."""
         self.model.eq_data[self.at.brake[joint], 0] = self.data.qpos[self.at.motor[joint]]
         self.data.eq_active[self.at.brake[joint]] = on
 
     def command(self, motor_rad: Array, rate_rad_s: Array) -> None:
-        """Give the motor controllers their set-points (5), as the reference step means them.
+        """Set the set-points of the motor controllers, converted from those of the reference step.
 
-        A servo compares its set-point with the angle at the beginning of a step, half a step too early, and
-        only the feedback of its rate is less for the damping that the integrator adds.
+        A servo compares its set-point with the angle at the start of a step, half a step too early.
+        Only the feedback of its rate is reduced by the damping that the integrator adds.
+
+        Args:
+            motor_rad: Set-points of the motor angles, shape (5,).
+            rate_rad_s: Set-points of the motor rates, shape (5,).
         """
         self.data.ctrl[0::2] = motor_rad - self._lead_s * rate_rad_s
         self.data.ctrl[1::2] = self._rate_share * rate_rad_s
 
     def step(self) -> None:
-        """One control cycle of physics; PlantDiverged if MuJoCo counted a warning."""
+        """Advance the physics by one control cycle.
+
+        Raises:
+            PlantDiverged: MuJoCo counted a warning.
+        """
         self.damp_gears()
         end_s = self.data.time + 1.0 / CYCLE_HZ
         mujoco.mj_step(self.model, self.data, self.steps_per_cycle)
@@ -246,7 +266,10 @@ class Plant:
         self._check()
 
     def damp_gears(self) -> None:
-        """Let gears be damped as the reference step computes them: other on a flank than in the gap."""
+        """Set the damping of the gears, which differs on a flank and inside the backlash.
+
+        The values are those that the reference step would compute.
+        """
         views = self._views
         on_flank = (views.gear_length_rad < views.low_flank_rad) | (
             views.gear_length_rad > views.high_flank_rad
@@ -257,7 +280,7 @@ class Plant:
             self.model.tendon_damping[self.at.gear_tendons] = damping
 
     def update_motors(self) -> None:
-        """Compute the motors' torques of this moment: those of the last step are of its beginning."""
+        """Compute the motor torques of the present state; those of the last step belong to its start."""
         views = self._views
         views.servo_angle_rad[:], views.servo_rate_rad_s[:] = views.motor_rad, views.motor_rate_rad_s
         mujoco.mj_fwdActuation(self.model, self.data)
@@ -268,64 +291,81 @@ class Plant:
             raise PlantDiverged(f"MuJoCo warned of {', '.join(names)} at {self.data.time:.3f} s")
 
     def motor_rad(self) -> Array:
-        """True motor angles, output side."""
+        """Return the true motor angles, output side, shape (5,)."""
         return self._views.motor_rad.copy()
 
     def output_rad(self) -> Array:
-        """True output angles: motor, backlash and wind-up."""
+        """Return the true output angles, shape (5,): motor, backlash and wind-up."""
         output: Array = self._views.motor_rad + self._views.gear_rad
         return output
 
     def gap_rad(self) -> Array:
-        """True position in the backlash, wind-up taken off: half the width where a joint rests on a flank."""
+        """Return the true position in the backlash without wind-up, shape (5,).
+
+        It is plus or minus half the width if a joint rests on a flank.
+        """
         gear = self._gear_rad()
         return np.asarray(np.clip(gear, -self.half_gap_rad, self.half_gap_rad))
 
     def gear_torque_Nm(self) -> Array:
-        """What the gears' springs carry: positive where the load pulls an output to positive angles."""
+        """Return the torque in each gear, shape (5,).
+
+        It is positive if the load pulls an output to positive angles.
+        """
         torque: Array = self.model.tendon_stiffness[self.at.gear_tendons] * (
             self._gear_rad() - self.gap_rad()
         )
         return torque
 
     def _gear_rad(self) -> Array:
-        """Outputs beyond motors, less what shifts their gears."""
+        """Return output less motor angles without the disturbances of the gears, shape (5,)."""
         gear: Array = self._views.gear_rad - self.move_disturbance.gear_rad - self.disturbance.gear_rad
         return gear
 
     def stop_rad(self) -> Array:
-        """Output angles of the negative hardstops."""
+        """Return the output angles of the negative hardstops, shape (5,)."""
         return np.asarray(self.model.tendon_lengthspring[self.at.output_tendons, 0])
 
     def stop_torque_Nm(self) -> Array:
-        """What the outputs press on their negative hardstops with."""
+        """Return the torque of each output on its negative hardstop, shape (5,)."""
         pressed = self.stop_rad() - self.output_rad()
         torque: Array = self.model.tendon_stiffness[self.at.output_tendons] * np.maximum(pressed, 0.0)
         return torque
 
     def built_friction(self) -> tuple[Array, Array]:
-        """Coulomb friction [N m] and damping [N m s/rad] of motors and gears as built, output side."""
+        """Return Coulomb friction [N m] and damping [N m s/rad] as built, each (5,), output side."""
         return self._friction_Nm, self._damping_Nms_rad
 
     def motor_current_A(self) -> Array:
-        """True motor currents."""
+        """Return the true motor currents, shape (5,)."""
         current: Array = self._views.motor_torque_Nm / self.torque_constant_Nm_A
         return current
 
     def tool_shift(self, tool: Tool, output_rad: Array) -> Array:
-        """By how much a small change of the output angles (5) moves a tool, in RMECH [m]."""
+        """Compute the displacement of a tool for a small change of the output angles.
+
+        Args:
+            tool: Tool.
+            output_rad: Change of the output angles, shape (5,).
+
+        Returns:
+            Displacement [m] in RMECH axes, shape (3,).
+        """
         jacobian = np.zeros((3, self.model.nv))
         mujoco.mj_jacSite(self.model, self.data, jacobian, None, self.at.tools[tool])
         shift: Array = FLIP * (jacobian[:, self.at.gear] @ output_rad)
         return shift
 
     def pads_R_m(self) -> Array:
-        """Where the contact switches are, as of the last look at the truth: (10, 3), in RMECH."""
+        """Return the positions of the contact switches in RMECH, shape (10, 3).
+
+        They are those of the last call of `truth`.
+        """
         p_R_m: Array = FLIP * self.data.site_xpos.take(self.at.pads, 0) - P_NR_M
         return p_R_m
 
     def truth(self) -> Truth:
-        """The state as it is, for logs and judges; forward kinematics are brought up to date."""
+        """Update the forward kinematics and return the state of the plant."""
         model, data, tools = self.model, self.data, self.at.tools
         mujoco.mj_kinematics(model, data)
         mujoco.mj_energyVel(model, data)
@@ -350,13 +390,13 @@ class Plant:
 
 
 def match_reference_damping(model: mujoco.MjModel) -> float:
-    """Take the damping that the integrator adds, beyond that of the reference step, off springs and servos.
+    """Remove added damping from springs and servos, so that it equals that of the reference step.
 
-    `discrete` computes a spring as it is at the end of a step h, which adds its stiffness times h to its
-    damping; PROVENANCE.md has the derivation.
+    `discrete` evaluates a spring at the end of a step h, which adds its stiffness times h to its damping.
+    PROVENANCE.md has the derivation.
 
     Returns:
-        What it adds to a gear [s], times its stiffness: to be taken off where a flank is touched.
+        Time [s] that, times the stiffness of a gear, is its added damping; to be removed on a flank.
     """
     excess_s = float(model.opt.timestep) - REFERENCE_STEP_S
     model.dof_damping[model.jnt_dofadr] -= excess_s * model.jnt_stiffness
@@ -367,7 +407,11 @@ def match_reference_damping(model: mujoco.MjModel) -> float:
 
 
 def as_slice(addresses: NDArray[np.intp]) -> slice:
-    """Addresses that lie evenly, as the slice that reads them without a copy."""
+    """Convert evenly spaced addresses to a slice, which reads them without a copy.
+
+    Raises:
+        ValueError: the addresses are not evenly spaced.
+    """
     places = slice(addresses[0], addresses[-1] + 1, addresses[1] - addresses[0])
     if not np.array_equal(np.arange(addresses[-1] + 1)[places], addresses):
         raise ValueError(f"addresses {addresses.tolist()} in MuJoCo's arrays do not lie evenly")
@@ -375,7 +419,7 @@ def as_slice(addresses: NDArray[np.intp]) -> slice:
 
 
 def rotation_matrices(quat: Array) -> Array:
-    """Of MuJoCo's quaternions (n, 4), as (3, 3, n)."""
+    """Convert MuJoCo's quaternions, shape (n, 4), to rotation matrices, shape (3, 3, n)."""
     R = np.zeros((len(quat), 9))
     for row, q in zip(R, quat, strict=True):
         mujoco.mju_quat2Mat(row, q)

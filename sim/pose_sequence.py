@@ -1,4 +1,4 @@
-"""Pose sequences in free air: rest positions of the joints, estimated and true."""
+"""Pose sequences in free air: estimated and true rest positions, and random goals."""
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -24,13 +24,13 @@ from sim.workspace import approach_from, random_targets
 from sim.world import World
 
 WAKE_S: Final = 1.0
-"""Before the first move, to know gravity."""
+"""Time before the first move, in which flight software measures gravity."""
 REST_S: Final = 2.0
-"""On the brakes, before anything is looked at."""
+"""Time on the brakes before a rest position is measured."""
 
 
 def free_air_loop(setup: Setup) -> ClosedLoop:
-    """The run without rover, ground and rocks, which flight software knows; awake."""
+    """Start a run without contacts with rover, ground and rocks, which flight software knows."""
     free = NothingToTouch()
     arm = replace(setup.arm, params=free.on_params(setup.arm.params))
     loop = ClosedLoop(replace(setup, arm=arm, effects=(*setup.effects, free)))
@@ -39,7 +39,11 @@ def free_air_loop(setup: Setup) -> ClosedLoop:
 
 
 def run_and_rest(loop: ClosedLoop, command: Command) -> str | None:
-    """Carry out a command and let the arm rest; or say why it did not come to its end."""
+    """Run a command and let the arm rest.
+
+    Returns:
+        The message of the event that prevented completion, or None.
+    """
     evrs = [evr for record in run_sequence(loop, (command,)) for evr in record.outputs.evrs]
     if CommandCompleted(type(command).__name__) not in evrs:
         return evrs[-1].message
@@ -54,35 +58,35 @@ def _run_idle(loop: ClosedLoop, duration_s: float) -> None:
 
 MAX_STEP_RAD: Final = 0.02
 SOFT_LIMIT_MARGIN_RAD: Final = 0.02
-"""How far random poses keep from the soft limits."""
+"""Least distance of random poses from the soft limits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestState:
-    """The arm at rest after a move; joint arrays in the order of Joint, positions in RMECH."""
+    """Arm at rest after a move; joint arrays in the order of Joint, positions in RMECH."""
 
     goal_rad: Array
     output_rad: Array
-    """True."""
+    """True value."""
     gear_rad: Array
     """True output less motor angle."""
     half_gap_rad: Array
-    """True."""
+    """True value."""
     motor_rad: Array
-    """Believed, as are all below but the last two."""
+    """Estimate, as are all fields below but the last two."""
     side: Array
     believed_gear_rad: Array
     uncertainty_rad: Array
     load_Nm: Array
     gravity_R_m_s2: Array
     backlash_shift_m: Array
-    """How far the drill is off because outputs lie elsewhere in their gaps than the set-points allow for."""
+    """Shift of the drill from outputs elsewhere in their backlash than the set-points assume."""
     p_RoTo_R_m: Array
-    """The drill's true place."""
+    """True position of the drill."""
 
     @property
     def true_side(self) -> Array:
-        """+1 or -1 on a flank, 0 between."""
+        """Return +1 or -1 for an output on a flank, 0 between, shape (5,)."""
         side: Array = np.sign(self.gear_rad) * (np.abs(self.gear_rad) > 0.95 * self.half_gap_rad)
         return side
 
@@ -95,10 +99,21 @@ def visit_poses(
     backlash: BacklashMode,
     seed: int,
 ) -> Iterator[RestState]:
-    """The arm at rest at each goal (5), reached from the one before; it begins at the ready pose.
+    """Move the arm to each goal, from the ready pose on.
+
+    Args:
+        arm: Arm with its flight parameters.
+        reference: Reference in the memory of flight software.
+        world: World of the run; only its gravity acts.
+        goals: Output angles [rad], each of shape (5,).
+        backlash: Compensation of the backlash in every move.
+        seed: Seed of the noise.
+
+    Yields:
+        The arm at rest at each goal.
 
     Raises:
-        RuntimeError: a move did not come to its end.
+        RuntimeError: a move was not completed.
     """
     loop = free_air_loop(Setup(arm, world, arm.params.poses.ready_rad, seed, reference))
     for goal in goals:
@@ -128,7 +143,11 @@ def _rest_state(loop: ClosedLoop, goal_rad: Array) -> RestState:
 
 
 def random_goals(config: Config, rng: np.random.Generator, count: int) -> list[Array]:
-    """Poses anywhere in the limits, over the workspace on any branch, a little way on, and back again."""
+    """Draw goals within the limits, over the workspace on any branch, near the last goal, or back.
+
+    Returns:
+        Output angles [rad], each of shape (5,).
+    """
     goals = [np.array(config.params.poses.ready_rad)]
     while len(goals) <= count:
         match rng.integers(10):
@@ -153,7 +172,11 @@ def _random_pose(config: Config, rng: np.random.Generator) -> Array:
 def pose_in_workspace(
     config: Config, rng: np.random.Generator, tool: Tool, branches: Collection[str]
 ) -> Array:
-    """A pose on a random valid one of these branches at a random target of the workspace."""
+    """Draw a target of the workspace until one of these branches is valid, and return its pose.
+
+    Returns:
+        Output angles [rad], shape (5,), away from the soft limits.
+    """
     wanted = np.array([name in branches for name in BRANCHES])
     while True:
         p_N_m, angles = random_targets(rng, 1)

@@ -1,6 +1,6 @@
-"""Preview of placements: is there a branch and a path that touch nothing else?
+"""Preview of placements: a search for a branch and a path without collisions.
 
-It knows what flight software knows: the nominal model of rover and terrain. It does not know the built arm.
+It uses what flight software knows: the nominal model of rover and terrain, not the built arm.
 """
 
 from dataclasses import dataclass, replace
@@ -32,30 +32,31 @@ from sim.world import Surface, World, build, params_in_world
 VIA_M: Final = 0.25
 CLEARANCE_M: Final = 0.03
 STOW_CLEARANCE_M: Final = 0.01
-"""While unstowing: the stowed arm lies 15 mm beside its own shoulder."""
+"""Clearance while unstowing: the stowed arm lies 15 mm beside its own shoulder."""
 TOUCH_CLEARANCE_M: Final = 0.002
-"""Along the guarded line: what is to touch is beside much that is not."""
+"""Clearance along the guarded line, where the tool is close to other parts of the scene."""
 SPACING_RAD: Final = 0.02
 SPACING_M: Final = 0.001
-"""On a guarded line; less than its clearance."""
+"""Spacing on a guarded line; less than its clearance."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Preview:
-    """The placement with a branch and a way that touch nothing, or why there is none."""
+    """Frozen record of a placement with a branch and a path without collisions, or of the reason for none."""
 
     placement: Placement
     problem: str | None
     duration_s: float
-    """At most, from the ready pose to contact."""
+    """Upper bound from the ready pose to contact."""
     standoff_rad: Array
-    """Motor angles at the standoff."""
+    """Motor angles at the standoff, shape (5,)."""
 
 
 def preview_placement(arm: BuiltArm, world: World, placement: Placement, stowed: bool = False) -> Preview:
-    """The first free way from the ready pose: straight to the standoff on any branch, or else from above.
+    """Find the first path without collisions from the ready pose to contact.
 
-    From the stowed pose the way to the ready pose must be free too, and it is the same for every branch.
+    Paths straight to the standoff are tried on every branch first, then paths from above.
+    From the stowed pose, the path to the ready pose must be free too; it is the same for every branch.
     """
     config = configure(params_in_world(world, arm.params))
     spec = build(world)
@@ -79,7 +80,7 @@ def preview_placement(arm: BuiltArm, world: World, placement: Placement, stowed:
 
 
 def unstow_duration_s(arm: BuiltArm) -> float:
-    """How long the arm takes from the stowed to the ready pose."""
+    """Compute the duration of the move from the stowed to the ready pose."""
     config = configure(arm.params)
     plan = _plan_unstow(config, _joint_estimate(config, np.array(arm.params.poses.ready_rad), np.zeros(3)))
     return 0.0 if isinstance(plan, Refusal) else sum(path.duration_s for path in plan.paths)
@@ -144,7 +145,7 @@ def _path_poses(config: Config, joints: JointEstimate, path: Path) -> Equilibriu
 
 
 def _guarded_poses(config: Config, joints: JointEstimate, line: Plan, placement: Placement) -> Equilibrium:
-    """The poses along a guarded line up to the target; what lies beyond it is only looked for."""
+    """Settle the poses along a guarded line up to the target; the rest of the line is overtravel."""
     samples = round((placement.standoff_m + placement.overtravel_m) / SPACING_M)
     way = [path.at(t).motor_rad for path in line.paths for t in np.linspace(0, path.duration_s, samples)]
     motor, gap = np.array(way).T, line.gap_rad[:, None]
@@ -158,7 +159,10 @@ def _guarded_poses(config: Config, joints: JointEstimate, line: Plan, placement:
 def _first_collision(
     plant: Plant, poses: Equilibrium, clearance_m: float, touching: Tool | None = None
 ) -> str | None:
-    """Which two geoms come too close first at these poses; the pads of a tool may touch the rock face."""
+    """Return the first two geoms that come too close at these poses, or None.
+
+    The pads of the tool `touching` may touch the rock face.
+    """
     model, data = plant.model, plant.data
     for output, strain in zip(poses.output_rad.T, np.moveaxis(poses.strain, -1, 0), strict=True):
         plant.show(output, strain)
@@ -171,7 +175,7 @@ def _first_collision(
 
 
 def _is_intended(names: list[str], touching: Tool | None) -> bool:
-    """Whether a tool meets the rock face with its pads."""
+    """Return whether a tool touches the rock face with its pads."""
     if touching is None or "rock_face" not in names:
         return False
     pads = touching.name.lower() + "_"
@@ -179,13 +183,20 @@ def _is_intended(names: list[str], touching: Tool | None) -> bool:
 
 
 def _geom_name(model: mujoco.MjModel, geom: int) -> str:
-    """A geom by its name, or by the part of the arm that carries it."""
+    """Return the name of a geom, or that of the part of the arm that carries it."""
     name: str = model.geom(geom).name or model.body(model.geom_bodyid[geom]).name
     return name
 
 
 def random_placement(seed: int, arm: BuiltArm, tool: Tool, max_tilt_rad: float) -> tuple[World, Preview]:
-    """The first placement of this seed that a planner accepts: point, normal and tilt (either way) random."""
+    """Draw placements of random point, normal and tilt until the preview of one has a path.
+
+    Args:
+        seed: Seed of the draws.
+        arm: Arm with its flight parameters.
+        tool: Tool to place.
+        max_tilt_rad: Largest tilt of the rover, in any direction.
+    """
     rng = np.random.default_rng([seed, 3])
     while True:
         point, normal = random_surface(rng)
@@ -200,7 +211,7 @@ def random_placement(seed: int, arm: BuiltArm, tool: Tool, max_tilt_rad: float) 
 def run_placement(
     arm: BuiltArm, reference: Reference, world: World, placement: Placement, seed: int
 ) -> PlacementResult:
-    """A placement in the closed loop, from the ready pose."""
+    """Run a placement in the closed loop, from the ready pose."""
     loop = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, seed, reference))
     run = PlacementRun(loop, placement)
     for _ in run:

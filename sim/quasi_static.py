@@ -1,6 +1,6 @@
-"""A move as statics have it: where motors, gears and springs come to rest, without a step of dynamics.
+"""Quasi-static moves: equilibria of motors, gears and springs, without time steps.
 
-Flight software plans the move; motors follow it, and the outputs are dragged along in their gears.
+Flight software plans the move. Motors follow it, and the gears pull the outputs along.
 """
 
 from dataclasses import dataclass, replace
@@ -23,22 +23,22 @@ from sim.disturbance import MoveDisturbance, body_index
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StaticArm:
-    """An arm and what flight software believes of it."""
+    """Frozen record of a true arm and of what flight software knows about it."""
 
     believed: Config
     true: Config
     reference: Reference
     off_rad: Array
-    """By how much motors stand beyond where they are believed to, (5,)."""
+    """True less estimated motor angles, shape (5,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuasiStaticMove:
-    """The arm at rest after a move."""
+    """Arm at rest after a move."""
 
     X_RT: Pose
     gap_rad: Array
-    """Where the outputs lie in their gaps, (5,)."""
+    """Positions of the outputs in their backlash, shape (5,)."""
 
 
 def solve_quasi_static_move(
@@ -50,9 +50,18 @@ def solve_quasi_static_move(
     backlash: BacklashMode,
     disturbance: MoveDisturbance,
 ) -> QuasiStaticMove:
-    """The move from outputs (5) to outputs (5), as flight software believes them to be.
+    """Compute the arm at rest after a move.
 
-    Displaced frames move the tool in proportion: they are small.
+    Displaced frames are small, so that they move the tool in proportion.
+
+    Args:
+        arm: True arm and what flight software knows about it.
+        start_rad: Estimated output angles before the move, shape (5,).
+        goal_rad: Commanded output angles, shape (5,).
+        tool: Tool of the returned pose.
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
+        backlash: Compensation of the backlash.
+        disturbance: Displacements of frames, gears and motors in this move.
     """
     believed, true, reference = arm.believed, arm.true, arm.reference
     hanging = settle_output(believed.arm, goal_rad, gravity_R_m_s2)

@@ -1,4 +1,4 @@
-"""One cycle of the closed loop, as it happened."""
+"""Records of one cycle of the closed loop."""
 
 from dataclasses import dataclass
 
@@ -33,11 +33,11 @@ class Truth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CycleRecord:
-    """What went in and what came out in one cycle; the tick is an integer at the cycle rate."""
+    """Frozen record of the inputs and outputs of one cycle; the tick is an integer at the cycle rate."""
 
     tick: int
     sensors: Sensors
     commands: tuple[Command, ...]
     outputs: Outputs
     truth: Truth | None
-    """None when the truth was not asked for: it costs time."""
+    """None if the truth was not requested: it costs time."""

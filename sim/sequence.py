@@ -1,4 +1,4 @@
-"""A command sequence through the closed loop: the next command when the last is done."""
+"""Command sequences in the closed loop; a command starts when the last is done."""
 
 from collections.abc import Callable, Generator, Sequence
 from enum import StrEnum
@@ -12,7 +12,7 @@ from sim.record import CycleRecord
 
 
 class Outcome(StrEnum):
-    """How a sequence ended."""
+    """Outcome of a sequence."""
 
     DONE = "done"
     REFUSED = "refused"
@@ -24,7 +24,7 @@ class Outcome(StrEnum):
 def observe_cycles(
     cycles: Generator[CycleRecord, None, Outcome], note: Callable[[CycleRecord], None]
 ) -> Generator[CycleRecord, None, Outcome]:
-    """The same cycles, each noted before it is handed on."""
+    """Pass cycles on, after a call of `note` with each."""
     while True:
         try:
             record = next(cycles)
@@ -35,12 +35,17 @@ def observe_cycles(
 
 
 def run_sequence(loop: ClosedLoop, commands: Sequence[Command]) -> Generator[CycleRecord, None, Outcome]:
-    """Every cycle of the sequence; it ends with the first refusal or, brakes on, with a fault.
+    """Run a sequence until its end, the first refusal, or a fault with brakes on.
 
-    A fault after which the sequence clears it does not end it, nor does one that only stopped the arm if the
-    sequence says Stop after it: there is nothing to clear.
+    A fault does not end it if the next command clears it.
+    A fault that only stopped the arm does not end it if the next command is Stop: there is nothing to clear.
+    Every move ends by contact, at its goal or by a monitor; so a sequence always ends.
 
-    Moves end by themselves, by contact, at their end or by a monitor; so a sequence always ends.
+    Yields:
+        Every cycle.
+
+    Returns:
+        The outcome.
     """
     faulted = False
     for number, command in enumerate(commands):
@@ -66,7 +71,14 @@ def run_sequence(loop: ClosedLoop, commands: Sequence[Command]) -> Generator[Cyc
 
 
 def stop_sequence(loop: ClosedLoop) -> Generator[CycleRecord, None, Outcome]:
-    """Every cycle of a commanded stop, until the arm stands on its brakes."""
+    """Run a commanded stop until the arm rests on its brakes.
+
+    Yields:
+        Every cycle.
+
+    Returns:
+        The outcome.
+    """
     record = loop.cycle((Stop(),))
     while True:
         yield record

@@ -1,4 +1,4 @@
-"""A laser tracker and the targets that it is pointed at: what it sees, and how well."""
+"""Laser tracker, its targets, and its simulated measurements."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -11,26 +11,26 @@ from sim.frames import FLIP, P_NR_M
 from sim.plant import Plant
 
 VISIBLE_CONE_RAD: Final = float(np.radians(75.0))
-"""How far from its axis a nest lets its ball be seen; assumed."""
+"""Assumed largest angle from its axis at which a nest does not hide its ball."""
 NEST_OFFSET_M: Final = 0.02
-"""Balls stand off what their nests are glued on."""
+"""Distance of a ball from the surface that carries its nest."""
 TRACKER_CLEARANCE_M: Final = 0.05
-"""Rays that meet nothing so close to the tracker are free."""
+"""Distance from the tracker below which rays are not checked."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackerTargets:
-    """Nests on one body B, whose places in it are known."""
+    """Nests on one body B, at known positions."""
 
     p_BoQ_B_m: Array
-    """(3, k)."""
+    """Positions, shape (3, k)."""
     axis_B: Array
-    """Out of the surface, unit vectors (3, k)."""
+    """Unit vectors out of the surface, shape (3, k)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tracker:
-    """Where it stands, in the ground frame, and its noise in each coordinate, one sigma; typical."""
+    """Pose of a tracker in the ground frame, and its noise in each coordinate, one sigma; typical values."""
 
     p_GoWo_G_m: tuple[float, float, float] = (4.6, -1.6, -1.7)
     yaw_rad: float = 2.6
@@ -39,11 +39,11 @@ class Tracker:
 
     @property
     def X_GW(self) -> Pose:
-        """The tracker's own frame W, in which it gives coordinates, in the ground's."""
+        """Return the pose in the ground frame of the tracker frame W, in which it measures."""
         return Pose(rotation_z(np.array(self.yaw_rad)), np.array(self.p_GoWo_G_m))
 
     def noise_m(self, distance_m: Array) -> Array:
-        """One sigma at distances (...)."""
+        """Return one sigma of each coordinate at these distances, shape (...)."""
         return self.sigma_m + self.sigma_per_m * distance_m
 
 
@@ -64,7 +64,7 @@ GROUND_TARGETS: Final = _make_targets(
     (4.2, 0.4, 0.0, 0.2, -0.8, -1.0),
     (1.4, -2.8, -0.5, 1.0, 0.5, -0.4),
 )
-"""In the ground frame, which is RNAV of a level rover at rest."""
+"""Targets in the ground frame, which is RNAV of a level rover at rest."""
 ROVER_TARGETS: Final = _make_targets(
     (0.87, -0.58, -1.28, 1.0, -0.2, -0.3),
     (0.87, 0.58, -1.28, 1.0, -0.2, -0.3),
@@ -75,11 +75,11 @@ ROVER_TARGETS: Final = _make_targets(
     (1.10, 1.00, -0.60, 1.0, -0.6, -0.3),
     (0.20, -1.00, -1.05, 1.0, -0.6, -0.3),
 )
-"""In RNAV, on masts where the arm is seldom in the way."""
+"""Targets in RNAV, on masts that the arm seldom hides."""
 
 
 def _turret_rings() -> TrackerTargets:
-    """Rings of nests about the turret's axis, in Arm6; the farthest looks away from the arm."""
+    """Make rings of nests about the axis of the turret, in Arm6; the farthest faces away from the arm."""
     nests = []
     for height_m, radius_m, first, up in (
         (-0.30, 0.16, 0.0, -2.0),
@@ -95,33 +95,41 @@ def _turret_rings() -> TrackerTargets:
 
 
 TURRET_TARGETS: Final = _turret_rings()
-"""On the stand-in turret, an open frame: what hides them is the arm, not the turret."""
+"""Targets on the stand-in turret, an open frame, which does not hide them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TargetReadings:
-    """What the tracker measured of the targets on one body."""
+    """Measurements of the targets on one body."""
 
     p_WoQ_W_m: Array
-    """(3, k); NaN for what was not seen."""
+    """Positions, shape (3, k); NaN for hidden targets."""
     sigma_m: Array
-    """(k,)."""
+    """One sigma of each coordinate, shape (k,)."""
 
     @property
     def visible(self) -> Flags:
-        """(k,)."""
+        """Return which targets were measured, shape (k,)."""
         return np.asarray(np.isfinite(self.p_WoQ_W_m[0]))
 
 
 def rover_pose(roll_rad: float, sway: Array) -> Pose:
-    """X_GN: the rover's RNAV in the ground frame, rolled (right side down), swayed by a small screw (6,)."""
+    """Compute X_GN, the pose of RNAV in the ground frame.
+
+    Args:
+        roll_rad: Roll, positive with the right side down.
+        sway: Small displacement as a screw [rad, m], shape (6,).
+    """
     c, s = np.cos(roll_rad), np.sin(roll_rad)
     tilted = Pose(np.array([[1.0, 0, 0], [0, c, -s], [0, s, c]]), np.zeros(3))
     return tilted @ screw_exp(sway)
 
 
 def turret_pose(plant: Plant) -> Pose:
-    """X_RF of frame Arm6, the turret's interface, in RMECH; the plant's kinematics are up to date."""
+    """Return X_RF, the pose in RMECH of frame Arm6, the interface of the turret.
+
+    The kinematics of the plant must be up to date.
+    """
     body = plant.model.body("turret").id
     p_N = FLIP * plant.data.xpos[body]
     return Pose(FLIP[:, None] * plant.data.xmat[body].reshape(3, 3), p_N - P_NR_M)
@@ -130,11 +138,19 @@ def turret_pose(plant: Plant) -> Pose:
 def measure_targets(
     tracker: Tracker, plant: Plant, X_GN: Pose, X_RF: Pose, rng: np.random.Generator
 ) -> tuple[TargetReadings, TargetReadings, TargetReadings]:
-    """Every target on ground, rover and turret that can be seen, measured once.
+    """Measure every visible target on ground, rover and turret once.
 
-    The turret's interface is at X_RF; the plant is asked what is in the way.
+    Noise is drawn for hidden targets too, so that what hides them changes no other reading.
 
-    Noise is drawn for hidden targets too, so that what is hidden changes no other reading.
+    Args:
+        tracker: Pose and noise of the tracker.
+        plant: Plant, whose geometry hides targets.
+        X_GN: Pose of RNAV in the ground frame.
+        X_RF: Pose of the interface of the turret in RMECH.
+        rng: Generator of the noise.
+
+    Returns:
+        Readings of ground, rover and turret.
     """
     X_GF = X_GN @ Pose(np.eye(3), P_NR_M) @ X_RF
     return (
@@ -160,7 +176,7 @@ def _measure_body(
 
 
 def _is_unobstructed(plant: Plant, X_GN: Pose, p_G: Array, way_G: Array) -> bool:
-    """Whether nothing but the turret and the floor stands on the way (3,) from a point to the tracker."""
+    """Return whether only turret and floor lie on the line, shape (3,), from a point to the tracker."""
     model, data = plant.model, plant.data
     start = FLIP * (X_GN.R.T @ (p_G - X_GN.p))
     along = FLIP * (X_GN.R.T @ way_G)
@@ -176,7 +192,7 @@ def _is_unobstructed(plant: Plant, X_GN: Pose, p_G: Array, way_G: Array) -> bool
 
 
 def _is_transparent(plant: Plant, geom: int) -> bool:
-    """The stand-in is a frame; the floor is where the rover stands, not where this model has it."""
+    """Return whether a geom does not count: the turret is an open frame, the floor is not as modelled."""
     model = plant.model
     body, turret = int(model.geom_bodyid[geom]), model.body("turret").id
     while body not in (0, turret):

@@ -1,4 +1,4 @@
-"""The primary workspace and its wedge of approach vectors (paper, section MSL Robotic Arm); RNAV, metres."""
+"""Primary workspace and its wedge of approach vectors (paper, section MSL Robotic Arm), in RNAV."""
 
 from typing import Final
 
@@ -16,7 +16,7 @@ WEDGE_SIDE_RAD: Final = np.pi / 4
 
 
 def random_surface(rng: np.random.Generator) -> tuple[Vector3, Vector3]:
-    """A point uniform in the cylinder and an outward normal uniform over the wedge's two angles."""
+    """Draw a point, uniform in the cylinder, and an outward normal, uniform over the two wedge angles."""
     point, angles = random_targets(rng, 1)
     x, y, z = (float(v) for v in point[:, 0])
     nx, ny, nz = (-float(v) for v in approach_from(angles)[:, 0])
@@ -24,9 +24,11 @@ def random_surface(rng: np.random.Generator) -> tuple[Vector3, Vector3]:
 
 
 def random_targets(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
-    """Points (3, count) uniform in the cylinder, and angles (2, count) uniform over the wedge, in rad.
+    """Draw points uniform in the cylinder, and approach angles uniform over the wedge.
 
-    The first angle is how far the approach points below horizontal, the second how far to the right.
+    Returns:
+        Points [m] in RNAV, shape (3, count).
+        Angles [rad], shape (2, count): below horizontal, and to the right.
     """
     radius, heading, height, down, side = rng.random((count, 5)).T
     radius, heading = RADIUS_M * np.sqrt(radius), _interpolate(heading, -np.pi, np.pi)
@@ -38,7 +40,14 @@ def random_targets(rng: np.random.Generator, count: int) -> tuple[Array, Array]:
 
 
 def approach_from(angles_rad: Array) -> Array:
-    """Unit approach vectors (3, n), from horizontal forward to vertical down and to either side."""
+    """Compute unit approach vectors from angles below horizontal and to the right.
+
+    Args:
+        angles_rad: Angles, shape (2, n).
+
+    Returns:
+        Unit vectors in RNAV, shape (3, n).
+    """
     down, side = angles_rad
     return np.array([np.cos(down) * np.cos(side), np.cos(down) * np.sin(side), np.sin(down)])
 

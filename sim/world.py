@@ -1,4 +1,4 @@
-"""The world around the arm: which scene, how the rover is tilted, and the rock face to be touched."""
+"""World around the arm: the scene, the tilt of the rover, and the rock face to touch."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -19,7 +19,7 @@ ROCK_HALF_DEPTH_M: Final = 0.04
 
 
 def add_rock(spec: mujoco.MjSpec, p_N_m: Array, normal_N: Array) -> None:
-    """A flat disc of rock that can be touched, on an outcrop that only looks, and a camera on it."""
+    """Add a flat disc of rock with contact, an outcrop without contact, and a camera on it."""
     z = FLIP * normal_N
     z = z / np.linalg.norm(z)
     x = np.cross([0.0, 1.0, 0.0], z)
@@ -42,7 +42,7 @@ def add_rock(spec: mujoco.MjSpec, p_N_m: Array, normal_N: Array) -> None:
 
 
 def _add_camera(spec: mujoco.MjSpec, face: Array) -> None:
-    """Camera `target`: the face, the turret on it and the arm behind, from the front starboard corner."""
+    """Add the camera `target`, which sees face, turret and arm from the front starboard corner."""
     eye, seen = face + np.array([1.25, -1.0, 0.55]), face + np.array([-0.2, 0.05, 0.28])
     back = (eye - seen) / np.linalg.norm(eye - seen)
     right = np.cross([0.0, 0.0, 1.0], back)
@@ -53,7 +53,7 @@ def _add_camera(spec: mujoco.MjSpec, face: Array) -> None:
 
 
 def lower_ground(spec: mujoco.MjSpec, height_m: float) -> None:
-    """Ground and scenery at a height (world z, not above 0); the rover then stands on a terrace."""
+    """Move ground and scenery to a height (world z, at most 0), with a terrace under the rover."""
     if height_m == 0.0:
         return
     spec.geom("ground").pos[2] = height_m
@@ -73,7 +73,7 @@ def lower_ground(spec: mujoco.MjSpec, height_m: float) -> None:
 
 
 def _add_outcrop(spec: mujoco.MjSpec, rock: mujoco.MjsBody, face: Array, z: Array) -> None:
-    """Angular blocks around and below the face, none above it."""
+    """Add angular blocks around and below the face, none above it."""
     looks = {
         "type": mujoco.mjtGeom.mjGEOM_BOX,
         "contype": 0,
@@ -105,12 +105,12 @@ REQUIRED_MUJOCO: Final = "4.0.1"
 
 
 class WrongMujoco(RuntimeError):
-    """Results are bit-identical between runs of one MuJoCo version only."""
+    """MuJoCo version other than the required one; only one version gives identical bits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """A plane rock face through a point; the normal points out of the rock. RNAV, metres."""
+    """Plane rock face through a point in RNAV; the normal points out of the rock."""
 
     p_N_m: Vector3
     normal_N: Vector3
@@ -118,7 +118,7 @@ class Surface:
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """Everything outside the arm."""
+    """Frozen record of the surroundings of the arm."""
 
     scene: Scene = "mars"
     tilt_roll_rad: float = 0.0
@@ -127,25 +127,28 @@ class World:
 
     @property
     def gravity_N_m_s2(self) -> Array:
-        """Gravity in RNAV (and RMECH) axes."""
+        """Return gravity in RNAV (and RMECH) axes, shape (3,)."""
         return gravity_in_rover(self.tilt_roll_rad, self.tilt_pitch_rad, GRAVITY_M_S2[self.scene])
 
     @property
     def ground_N_m(self) -> float:
-        """Height of the ground in RNAV, z down: below a surface that lies low."""
+        """Return the height of the ground in RNAV, z down; it is below a low surface."""
         return 0.0 if self.surface is None else max(0.0, self.surface.p_N_m[2] + BELOW_ROCK_M)
 
     @property
     def tilt_rad(self) -> float:
-        """Angle between the rover's down axis and gravity."""
+        """Return the angle between the down axis of the rover and gravity."""
         return float(np.arccos(np.clip(np.cos(self.tilt_roll_rad) * np.cos(self.tilt_pitch_rad), -1.0, 1.0)))
 
 
 def build(world: World, for_pictures: bool = False) -> mujoco.MjSpec:
-    """The MuJoCo specification of this world with the nominal arm in it.
+    """Make the MuJoCo specification of this world with the nominal arm.
 
-    Without `for_pictures`, geoms that only look are left out: they cost time in every step. The state is the
-    same, so a run can be drawn with the other model.
+    Without `for_pictures`, geoms without contact are left out: they cost time in every step.
+    The state is the same, so a run can be drawn with the other model.
+
+    Raises:
+        WrongMujoco: the version is not the required one.
     """
     if mujoco.__version__ != REQUIRED_MUJOCO:
         raise WrongMujoco(f"MuJoCo {mujoco.__version__} is installed, {REQUIRED_MUJOCO} is required")
@@ -161,7 +164,7 @@ def build(world: World, for_pictures: bool = False) -> mujoco.MjSpec:
 
 @cache
 def _load_scene(scene: Scene, for_pictures: bool) -> mujoco.MjSpec:
-    """Read once in a process: what is done to an arm is done to a copy."""
+    """Read a scene once in a process; callers change a copy."""
     spec = mujoco.MjSpec.from_file(str(MJCF / f"{scene}.xml"))
     if not for_pictures:
         _remove_visuals(spec)
@@ -175,13 +178,13 @@ def _remove_visuals(spec: mujoco.MjSpec) -> None:
 
 
 def params_in_world(world: World, params: Params) -> Params:
-    """Flight parameters of this place: the ground is where the rover's cameras see it."""
+    """Set the height of the ground, as the cameras of the rover see it, in the flight parameters."""
     ground_z_m = float(world.ground_N_m - P_NR_M[2])
     return replace(params, collision=replace(params.collision, ground_z_m=ground_z_m))
 
 
 def inside_rover(p_N_m: Vector3) -> bool:
-    """Whether a point (RNAV) is inside a collision geom of the rover."""
+    """Return whether a point in RNAV is inside a collision geom of the rover."""
     spec = mujoco.MjSpec.from_file(str(MJCF / "rover.xml"))
     _remove_visuals(spec)
     probe = spec.worldbody.add_geom(name="probe", type=mujoco.mjtGeom.mjGEOM_SPHERE, size=(1e-3, 0, 0))

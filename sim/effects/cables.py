@@ -13,9 +13,9 @@ from sim.plant import Plant
 
 @dataclass(frozen=True, slots=True)
 class FlexCable(EachCycle):
-    """A cable holds an output back towards where it was laid, and drags behind whichever way it is bent.
+    """Cable across a joint, with a spring torque towards its neutral angle and a drag against motion.
 
-    The drag takes `give_rad` of motion to turn round, as e to its share (Dahl).
+    The drag follows the model of Dahl: after a reversal it approaches its new value within `give_rad`.
     """
 
     joint: Joint
@@ -25,13 +25,13 @@ class FlexCable(EachCycle):
     give_rad: Annotated[float, ParameterSpec(1e-2, 1.0, unit="rad", typical=0.05)] = 0.05
 
     def begin(self, plant: Plant, hardware: Hardware) -> tuple[float, float]:
-        """Output angle, and the share of the drag: none after a long rest."""
+        """Return the output angle [rad] and the relative drag, which is 0 after a long rest."""
         return float(plant.output_rad()[self.joint]), 0.0
 
     def cycle(
         self, plant: Plant, hardware: Hardware, state: tuple[float, float]
     ) -> tuple[tuple[float, float], Disturbance]:
-        """The drag by how far the output has turned since, whatever its speed."""
+        """Compute the torque of the cable from the travel of the output since the last cycle."""
         (before_rad, share), now_rad = state, float(plant.output_rad()[self.joint])
         moved_rad = now_rad - before_rad
         way = float(np.sign(moved_rad))

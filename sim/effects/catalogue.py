@@ -1,4 +1,4 @@
-"""The catalogue of effects: their names, places, parameters and hypotheses.
+"""Catalogue of effects: their names, places, parameters and hypotheses.
 
 The effects are found in the modules of this folder.
 """
@@ -21,44 +21,44 @@ from sim.effects.effect import EachCycle, EachMove, Effect, ParameterSpec, Timed
 
 @dataclass(frozen=True, slots=True)
 class PlaceField:
-    """A field that says where an effect sits."""
+    """Field of an effect that names its place."""
 
     field: str
     members: Mapping[str, Any]
-    """What it may be, by name."""
+    """Possible values, by name."""
     optional: bool
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterField:
-    """A field that says how large an effect is, or of which shape."""
+    """Field of an effect that is an amplitude or a shape parameter."""
 
     field: str
     spec: ParameterSpec | None
-    """None if the field says nothing of it."""
+    """None if the field declares no ParameterSpec."""
     count: int
-    """Of numbers."""
+    """Number of elements."""
     default: Any
-    """None if it must be given."""
+    """None if the parameter must be given."""
 
     @property
     def is_amplitude(self) -> bool:
-        """Whether it is one number with a value at which nothing is changed."""
+        """Return whether this is one number with a neutral value."""
         return self.count == 1 and self.spec is not None and self.spec.neutral is not None
 
 
 def effect_name(kind: type[Effect]) -> str:
-    """What the command line calls it: CoulombFriction is coulomb-friction."""
+    """Return the name of an effect on the command line: CoulombFriction is coulomb-friction."""
     return re.sub(r"(?<!^)(?=[A-Z])", "-", kind.__name__).lower()
 
 
 def effect_summary(kind: type[Effect]) -> str:
-    """The first sentence of what is written of it."""
+    """Return the summary of the docstring of an effect."""
     return " ".join((kind.__doc__ or "").split("\n\n")[0].split())
 
 
 def effect_timing(kind: type[Effect]) -> str:
-    """When it acts."""
+    """Return in words when an effect acts."""
     for base, words in ((Timed, "from a moment on"), (EachMove, "each move"), (EachCycle, "each cycle")):
         if issubclass(kind, base):
             return words
@@ -66,12 +66,12 @@ def effect_timing(kind: type[Effect]) -> str:
 
 
 def has_flight_parameter(kind: type[Effect]) -> bool:
-    """Whether flight parameters have a word for it."""
+    """Return whether a flight parameter describes this effect."""
     return kind.on_params is not Effect.on_params
 
 
 def place_fields_of(kind: type[Effect]) -> tuple[PlaceField, ...]:
-    """The fields of a joint, a frame, a tool or a literal."""
+    """List the fields of an effect whose type is a joint, a frame, a tool or a literal."""
     hints = get_type_hints(kind)
     found = []
     for field in fields(kind):
@@ -84,7 +84,7 @@ def place_fields_of(kind: type[Effect]) -> tuple[PlaceField, ...]:
 
 
 def parameters_of(kind: type[Effect]) -> tuple[ParameterField, ...]:
-    """The other fields."""
+    """List the fields of an effect that are not its place."""
     hints, places = (
         get_type_hints(kind, include_extras=True),
         {place.field for place in place_fields_of(kind)},
@@ -104,7 +104,11 @@ def parameters_of(kind: type[Effect]) -> tuple[ParameterField, ...]:
 
 
 def all_places(kind: type[Effect]) -> Iterator[dict[str, Any]]:
-    """Every place at which an effect can sit, as its fields; what its class refuses is none."""
+    """List every place that an effect accepts.
+
+    Yields:
+        Field values by field name.
+    """
     known = place_fields_of(kind)
     choices = [[*([None] if place.optional else []), *place.members.values()] for place in known]
     values = {p.field: _neutral_value(p) for p in parameters_of(kind)}
@@ -118,7 +122,7 @@ def all_places(kind: type[Effect]) -> Iterator[dict[str, Any]]:
 
 
 def effect_place_text(kind: type[Effect], place: Mapping[str, Any]) -> str:
-    """A place in words: arm3.z."""
+    """Return a place as text: arm3.z."""
     words = []
     for where in place_fields_of(kind):
         value = place[where.field]
@@ -143,7 +147,7 @@ def _choices_of(hint: Any) -> dict[str, Any]:
 
 @cache
 def catalogue() -> Mapping[str, type[Effect]]:
-    """Every effect's class by its name, in the order of files and of classes in them."""
+    """Return the class of every effect by its name, in the order of files and of classes in them."""
     found: dict[str, type[Effect]] = {}
     for module in iter_modules(sim.effects.__path__):
         path = f"{sim.effects.__name__}.{module.name}"
@@ -153,7 +157,7 @@ def catalogue() -> Mapping[str, type[Effect]]:
 
 
 def effect_classes_in(module: Any) -> Iterator[type[Effect]]:
-    """The effects that a module defines, but those that it keeps to itself."""
+    """List the public effects that a module defines."""
     for name, kind in vars(module).items():
         is_effect = isinstance(kind, type) and issubclass(kind, Effect)
         if is_effect and kind.__module__ == module.__name__ and not name.startswith("_"):
@@ -162,11 +166,11 @@ def effect_classes_in(module: Any) -> Iterator[type[Effect]]:
 
 @dataclass(frozen=True, slots=True)
 class EffectHypothesis:
-    """An effect at a place, its size open."""
+    """Effect at a place, with free parameters."""
 
     kind: type[Effect]
     place: tuple[tuple[str, Any], ...]
-    """Fields and values."""
+    """Field names and values."""
 
     def __str__(self) -> str:
         return ":".join(
@@ -175,26 +179,30 @@ class EffectHypothesis:
 
     @property
     def amplitudes(self) -> tuple[ParameterField, ...]:
-        """The parameters at whose neutral values nothing is changed."""
+        """Return the parameters that have a neutral value."""
         return tuple(p for p in parameters_of(self.kind) if p.is_amplitude)
 
     @property
     def shape_parameters(self) -> tuple[ParameterField, ...]:
-        """The other parameters; each has a default."""
+        """Return the other parameters; each has a default."""
         return tuple(p for p in parameters_of(self.kind) if not p.is_amplitude)
 
     def effect(self, **values: float) -> Effect:
-        """With these parameters; sizes that are not given are neutral, shapes as they are by default."""
+        """Make the effect with these parameters; others are neutral, or have their defaults."""
         neutral = {p.field: p.spec.neutral for p in self.amplitudes if p.spec is not None}
         return self.kind(**dict(self.place), **(neutral | values))
 
     def typical(self, times: float = 1.0) -> Effect:
-        """With all sizes so many times as far from neutral as is typical."""
+        """Make the effect with each amplitude at `times` typical departures from neutral."""
         return self.effect(**{p.field: scaled_value(p, times) for p in self.amplitudes})
 
 
 def scaled_value(parameter: ParameterField, times: float) -> float:
-    """The value of a sized parameter so many typical departures from neutral."""
+    """Return the value that is `times` typical departures from neutral.
+
+    Raises:
+        ValueError: the parameter has no neutral value.
+    """
     size = parameter.spec
     if size is None or size.neutral is None:
         raise ValueError(f"{parameter.field} has no neutral value")
@@ -202,9 +210,9 @@ def scaled_value(parameter: ParameterField, times: float) -> float:
 
 
 def hypotheses(kinds: Mapping[str, type[Effect]] | None = None) -> Iterator[EffectHypothesis]:
-    """Every effect at every place, of these or of the catalogue, whose size is all that is open.
+    """List the hypotheses of these effects, or of the catalogue, at every place.
 
-    That is one whose parameters all have neutral or default values, one at least a neutral one.
+    Each parameter has a neutral or a default value, and at least one of them a neutral value.
     """
     for kind in (catalogue() if kinds is None else kinds).values():
         parameters = parameters_of(kind)

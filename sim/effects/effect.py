@@ -1,4 +1,4 @@
-"""Base classes of effects: each is one way in which a built arm differs from the drawing."""
+"""Base classes of effects, each of which is one difference between a built arm and its drawing."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -18,17 +18,17 @@ from sim.plant import Plant
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParameterSpec(Limits):
-    """The bounds of a parameter, its unit, and how far from neutral it is typically."""
+    """Bounds of a parameter, its unit, and its typical departure from neutral."""
 
     unit: str
     typical: float
-    """Departure from neutral; of a parameter without a neutral value, the value."""
+    """Departure from neutral; for a parameter without a neutral value, the value itself."""
     neutral: float | None = None
-    """Where the effect changes nothing; None for a parameter that only shapes what others bring about."""
+    """Value without any change; None for a shape parameter."""
 
 
 Factor = Annotated[float, ParameterSpec(0.1, 10.0, unit="1", typical=0.2, neutral=1.0)]
-"""Of what the drawing says."""
+"""Factor on the value of the drawing."""
 SmallAngle = Annotated[float, ParameterSpec(-0.1, 0.1, unit="rad", typical=2e-3, neutral=0.0)]
 SmallLength = Annotated[float, ParameterSpec(-0.1, 0.1, unit="m", typical=1.5e-3, neutral=0.0)]
 Compliance = Annotated[float, ParameterSpec(0.0, 1e-3, unit="rad/(N m)", typical=5e-6, neutral=0.0)]
@@ -37,19 +37,23 @@ StartTime = Annotated[float, ParameterSpec(0.0, 1e5, unit="s", typical=10.0)]
 
 
 class SensorError(Protocol):
-    """Something wrong with a sensor."""
+    """Error of a sensor that changes its readings."""
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
-        """The readings as they come, of what they would be."""
+        """Return the wrong readings in place of the right ones."""
 
     def update(self, sensors: Sensors) -> "SensorError":
-        """The same, knowing what was read when it began."""
+        """Return the same error; it keeps the first readings after its begin if it needs them."""
 
 
 def apply_sensor_errors(
     sensor_errors: tuple[SensorError, ...], sensors: Sensors, rng: np.random.Generator
 ) -> tuple[Sensors, tuple[SensorError, ...]]:
-    """The readings with all that is wrong with them, in the order in which it began; and what that knows."""
+    """Apply all sensor errors to the readings, in the order in which they began.
+
+    Returns:
+        The readings, and the errors to apply in the next cycle.
+    """
     begun = []
     for one in sensor_errors:
         begun.append(one.update(sensors))
@@ -58,15 +62,15 @@ def apply_sensor_errors(
 
 
 class ResolverError(Protocol):
-    """Something wrong with a resolver that depends on how its joint stands."""
+    """Error of a resolver that depends on the output angle."""
 
     def error_rad(self, output_rad: Array) -> Array:
-        """What each resolver (5) reads too much at these outputs (5)."""
+        """Return the error of each resolver, shape (5,), at output angles of shape (5,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ActiveEffect:
-    """An effect that acts in every cycle, and what it remembers."""
+    """Effect that acts in every cycle, with its state."""
 
     effect: "EachCycle"
     state: Any = None
@@ -75,15 +79,15 @@ class ActiveEffect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hardware:
-    """What avionics and sensors are made of; joint arrays in the order of Joint."""
+    """Frozen record of avionics and sensors; joint arrays in the order of Joint."""
 
     rad_per_count: Array
-    """Output side: encoder counts and gear ratio as they are, whatever flight software believes."""
+    """True encoder scale, output side; flight software may use another one."""
     counter_zero_rad: Array
-    """Motor angle, output side, at which an encoder's counter happens to read 0."""
+    """Motor angle, output side, at which the counter of an encoder reads 0."""
     resolver_bias_rad: Array
     resolver_step_rad: float
-    """Of the smallest digit; 0 reads exactly."""
+    """Resolution; 0 means no rounding."""
     resolver_noise_rad: float
     current_noise_A: float
     gravity_noise_m_s2: float
@@ -98,27 +102,27 @@ class Hardware:
     winding_s: Array
     """Thermal time constant."""
     ambient_C: Array
-    """Around each motor."""
+    """Temperature around each motor."""
     power_until_s: float
-    """When the bus voltage goes for good; brakes hold without power."""
+    """Time at which the bus voltage fails for good; brakes hold without power."""
     brake_stuck: NDArray[np.bool_]
-    """Brakes that, once on, do not release."""
+    """Brakes that do not release once they are on."""
     missed_cycles: int
-    """For how many cycles from now on flight software is not called."""
+    """Number of the next cycles in which flight software is not called."""
     sensor_errors: tuple["SensorError", ...]
-    """What is wrong with sensors by now."""
+    """Active sensor errors."""
     timed: tuple["Timed", ...]
-    """What is still to happen."""
+    """Effects that have not begun."""
     each_move: tuple["EachMove", ...]
-    """What is drawn anew for every move."""
+    """Effects that are drawn for every move."""
     resolver_errors: tuple["ResolverError", ...]
-    """What is wrong with resolvers, beyond a bias."""
+    """Active errors of resolvers beside their bias."""
     each_cycle: tuple["ActiveEffect", ...]
-    """What acts on the plant in every cycle."""
+    """Effects that act on the plant in every cycle."""
 
 
 def nominal_hardware() -> Hardware:
-    """Avionics as on the drawing; sources in models/mjcf/PROVENANCE.md."""
+    """Return the avionics of the drawing; the sources are in models/mjcf/PROVENANCE.md."""
     return Hardware(
         rad_per_count=2 * np.pi / (256 * np.array([7520.0, 7520.0, 7520.0, 4624.0, 4624.0])),
         counter_zero_rad=np.array([0.7313, -1.2147, 0.3339, -0.9281, 1.6073]),
@@ -147,15 +151,15 @@ def nominal_hardware() -> Hardware:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """Base of all effects: a subclass names its place and parameters and overrides what it changes.
+    """Base of all effects; a subclass has fields for its place and parameters, and overrides what it changes.
 
-    A field of the type of a joint, a frame, a tool or a literal says where it sits; the others are its
-    parameters, with a Size. An effect that flight software has a word for also says what a perfect
-    calibration would write.
+    A field whose type is a joint, a frame, a tool or a literal is part of the place.
+    The others are parameters with a ParameterSpec.
+    An effect that a flight parameter describes also overrides `on_params`.
     """
 
     built_in: ClassVar[bool] = True
-    """Whether the arm has it when its joints look for their hardstops, or only once a run begins."""
+    """True if the arm has the effect during its hardstop initialisation; False if a run adds it."""
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Change the MuJoCo model."""
@@ -165,64 +169,64 @@ class Effect:
         return hardware
 
     def on_params(self, params: Params) -> Params:
-        """The flight parameters that know this effect."""
+        """Return the flight parameters of a perfect calibration of this effect."""
         return params
 
 
 @dataclass(frozen=True, slots=True)
 class Timed(Effect):
-    """An effect that begins at a moment of the run, with the first cycle that is not before it."""
+    """Effect that begins with the first cycle at or after a given time."""
 
     built_in: ClassVar[bool] = False
     at_s: StartTime
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """It is to come."""
+        """Add this effect to those that have not begun."""
         return replace(hardware, timed=(*hardware.timed, self))
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
-        """Change the running plant; the avionics and sensors from now on."""
+        """Change the running plant; return the avionics and sensors from this cycle on."""
         return hardware
 
 
 @dataclass(frozen=True, slots=True)
 class EachMove(Effect):
-    """An effect that is drawn anew whenever a move begins: a motor gets power after all were without."""
+    """Effect that is drawn again for each move: when a motor is powered after all were off."""
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """It is to be drawn."""
+        """Add this effect to those that are drawn for every move."""
         return replace(hardware, each_move=(*hardware.each_move, self))
 
     def draw(self, rng: np.random.Generator) -> MoveDisturbance:
-        """How far off the arm comes to stand this time."""
+        """Draw the disturbance of one move."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
 class EachCycle(Effect):
-    """An effect that depends on the state of the plant: it is looked at once a control cycle.
+    """Effect that depends on the state of the plant and is computed once a control cycle.
 
-    What it remembers is a value that is never changed, so that a run can be forked.
+    Its state is an immutable value, so that a run can be forked.
     """
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """It is to act."""
+        """Add this effect to those that act in every cycle."""
         return replace(hardware, each_cycle=(*hardware.each_cycle, ActiveEffect(self)))
 
     def begin(self, plant: Plant, hardware: Hardware) -> Any:
-        """What it remembers at first; nothing unless overridden."""
+        """Return the initial state; None unless overridden."""
         return None
 
     def cycle(self, plant: Plant, hardware: Hardware, state: Any) -> tuple[Any, Disturbance]:
-        """What it remembers from now on, and what it does to the plant in this cycle.
+        """Return the next state, and the disturbance of the plant in this cycle.
 
-        What it changes of the plant itself it must set anew in every cycle.
+        An override that changes the plant itself sets the change again in every cycle.
         """
         raise NotImplementedError
 
 
 def apply_effects(effects: Iterable[Effect], spec: mujoco.MjSpec, hardware: Hardware) -> Hardware:
-    """Change the MuJoCo model as all of these effects do, one after the other; the avionics and sensors."""
+    """Change the MuJoCo model by all effects, in order; return the avionics and sensors."""
     for effect in effects:
         effect.on_model(spec)
         hardware = effect.on_hardware(hardware)
@@ -230,21 +234,21 @@ def apply_effects(effects: Iterable[Effect], spec: mujoco.MjSpec, hardware: Hard
 
 
 def params_with_effects(effects: Iterable[Effect], params: Params) -> Params:
-    """The flight parameters that know all of these effects."""
+    """Return the flight parameters of a perfect calibration of all these effects."""
     for effect in effects:
         params = effect.on_params(params)
     return params
 
 
 def apply_cycle_effects(plant: Plant, hardware: Hardware) -> Hardware:
-    """Let what acts in every cycle act on the plant in this one; the avionics and sensors after it."""
+    """Apply the effects of every cycle to the plant; return the avionics and sensors after it."""
     hardware, total = evaluate_cycle_effects(plant, hardware)
     plant.set_disturbance(total)
     return hardware
 
 
 def evaluate_cycle_effects(plant: Plant, hardware: Hardware) -> tuple[Hardware, Disturbance]:
-    """The avionics and sensors after this cycle, and all that acts on the plant in it; it is yet to act."""
+    """Compute avionics, sensors and the total disturbance of this cycle; the plant keeps its own."""
     total, running = Disturbance(), []
     for one in hardware.each_cycle:
         before = one.state if one.begun else one.effect.begin(plant, hardware)
@@ -255,12 +259,12 @@ def evaluate_cycle_effects(plant: Plant, hardware: Hardware) -> tuple[Hardware, 
 
 
 def draw_move_disturbance(effects: Iterable[EachMove], rng: np.random.Generator) -> MoveDisturbance:
-    """What one move leaves to chance, by all of these effects."""
+    """Draw the disturbance of one move as the sum over these effects."""
     return sum((effect.draw(rng) for effect in effects), no_move_disturbance())
 
 
 def with_element(values: Array, index: int, value: float) -> Array:
-    """A copy with one element replaced."""
+    """Return a copy with one element replaced."""
     changed = values.copy()
     changed[index] = value
     return changed

@@ -14,12 +14,15 @@ from sim.effects.effect import Effect, Hardware, ParameterSpec, StartTime
 
 @dataclass(frozen=True, slots=True)
 class ContactStiffness(Effect):
-    """What is touched is so many times as stiff under a pad."""
+    """Factor on the stiffness of surfaces under the contact pads."""
 
     factor: Annotated[float, ParameterSpec(0.05, 20.0, unit="1", typical=0.5, neutral=1.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Pads have their stiffness and damping in MuJoCo's direct format; the damping ratio stays."""
+        """Scale stiffness and damping of the pads, at a constant damping ratio.
+
+        They are in MuJoCo's direct format.
+        """
         for geom in spec.geoms:
             if geom.name.endswith("_pad"):
                 geom.solref = geom.solref * np.array([self.factor, self.factor**0.5])
@@ -27,7 +30,7 @@ class ContactStiffness(Effect):
 
 @dataclass(frozen=True, slots=True)
 class SurfacePosition(Effect):
-    """The rock's face is nearer than it was seen, along its normal."""
+    """Offset of the true rock face along its normal from its measured position."""
 
     offset_m: Annotated[float, ParameterSpec(-0.05, 0.05, unit="m", typical=3e-3, neutral=0.0)]
 
@@ -43,14 +46,14 @@ class SurfacePosition(Effect):
 WARM_C = 20.0
 COLD_C = -55.0
 COULOMB_COLD = 2.5
-"""Times the friction when warm, at the cold end."""
+"""Factor on the friction at WARM_C that gives that at COLD_C."""
 VISCOUS_COLD = 8.0
 NO_PADDING_M = 1e3
 
 
 @dataclass(frozen=True, slots=True)
 class Ambient(Effect):
-    """The temperature of the actuators: their grease stiffens in the cold, exponentially."""
+    """Temperature of the actuators; the friction of their grease grows exponentially in the cold."""
 
     temperature_C: Annotated[float, ParameterSpec(-130.0, 50.0, unit="degC", typical=-30.0, neutral=WARM_C)]
 
@@ -63,12 +66,12 @@ class Ambient(Effect):
             motor.damping *= VISCOUS_COLD**share
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Windings begin at this temperature."""
+        """Set the initial temperature of the windings."""
         return replace(hardware, ambient_C=np.full(len(Joint), self.temperature_C))
 
 
 def default_ambient(effects: Iterable[Effect], temperature_C: float) -> tuple[Effect, ...]:
-    """An ambient of this temperature, unless one is among the effects."""
+    """Return an ambient of this temperature, or nothing if the effects contain one."""
     return () if any(isinstance(effect, Ambient) for effect in effects) else (Ambient(temperature_C),)
 
 
@@ -79,32 +82,32 @@ class CurrentNoise(Effect):
     current_A: Annotated[float, ParameterSpec(0.0, 1.0, unit="A", typical=0.02)]
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """In place of what the sensors have."""
+        """Replace the noise of the sensors."""
         return replace(hardware, current_noise_A=self.current_A)
 
 
 @dataclass(frozen=True, slots=True)
 class PowerLoss(Effect):
-    """The motors lose their power, and the brakes fall in."""
+    """Loss of the motor power for the rest of the run; the brakes engage."""
 
     built_in: ClassVar[bool] = False
     at_s: StartTime
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """From then on, for good."""
+        """Set the time of the loss."""
         return replace(hardware, power_until_s=self.at_s)
 
 
 @dataclass(frozen=True, slots=True)
 class NothingToTouch(Effect):
-    """Rover, ground and rocks give way: for poses that are looked at one by one."""
+    """Removal of all contacts with rover, ground and rocks, for poses in free air."""
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Take every geom out of the contacts."""
+        """Exclude every geom from the contacts."""
         for geom in spec.geoms:
             geom.contype = geom.conaffinity = 0
 
     def on_params(self, params: Params) -> Params:
-        """Nothing is to be kept clear of."""
+        """Disable the collision check by a large negative padding."""
         nothing = replace(params.collision, padding_m=-NO_PADDING_M)
         return replace(params, collision=nothing)

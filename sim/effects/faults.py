@@ -1,4 +1,4 @@
-"""What can break in the middle of a run."""
+"""Faults that can begin during a run."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, Final, Literal
@@ -19,20 +19,22 @@ SensorName = Literal[
 SensorFaultKind = Literal["frozen", "biased", "noisy", "nan"]
 INTEGER_SENSORS: Final = ("encoder_count", "switch_closed")
 CHANNEL_COUNTS: Final = {"switch_closed": len(Switch), "gravity_R_m_s2": 3}
-"""Of what is not one for each joint."""
+"""Number of channels of the sensors that do not have one for each joint."""
 TiltAngle = Annotated[float, ParameterSpec(-0.6, 0.6, unit="rad", typical=0.05)]
-"""What a rover stands on without falling over."""
+"""Angle at which a rover can stand."""
 CLOSED_THRESHOLD: Final = 0.5
-"""A switch that reads more than this, bias and noise added to 0 or 1, is closed."""
+"""Reading above which a switch is closed, after bias and noise are added to 0 or 1."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorFault(Timed):
-    """A sensor that keeps its reading, reads too much, is noisy (one sigma), or reads no number.
+    """Sensor whose reading is frozen, biased, noisy (one sigma), or not a number.
 
-    `index` is which joint, switch or axis; None is all of them. `size` is in the unit of the sensor, of a
-    contact switch 1 is from open to closed. ValueError for a count or a switch that is to read no number, for
-    an index that there is none of, and for a size that says nothing.
+    `index` is the joint, switch or axis; None means all of them. `size` is in the unit of the sensor. For a
+    contact switch, 1 is the difference between open and closed.
+
+    Raises:
+        ValueError: a count or a switch cannot be NaN, or `index` or `size` does not fit the sensor.
     """
 
     sensor: SensorName
@@ -53,24 +55,24 @@ class SensorFault(Timed):
             raise ValueError(f"size: a sensor that is {self.kind} has none; leave it out")
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
-        """From now on."""
+        """Add the error to the active ones."""
         return replace(hardware, sensor_errors=(*hardware.sensor_errors, ActiveSensorFault(self)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ActiveSensorFault:
-    """A sensor fault that has begun."""
+    """Sensor fault that has begun."""
 
     fault: SensorFault
     initial_reading: Array | None = None
-    """What it read when it began."""
+    """Reading when the fault began."""
 
     def update(self, sensors: Sensors) -> "ActiveSensorFault":
-        """The same, knowing what was read when it began."""
+        """Return the same fault with the reading of its first cycle."""
         return self if self.initial_reading is not None else replace(self, initial_reading=self._of(sensors))
 
     def read(self, sensors: Sensors, rng: np.random.Generator) -> Sensors:
-        """The readings as they come, of what they would be."""
+        """Return the wrong readings in place of the right ones."""
         true, fault = self._of(sensors), self.fault
         match fault.kind:
             case "frozen":
@@ -104,30 +106,30 @@ class ActiveSensorFault:
 
 @dataclass(frozen=True, slots=True)
 class JointSeized(Timed):
-    """A motor that does not turn any more."""
+    """Motor that is locked at its present angle."""
 
     joint: Joint
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
-        """Locked where it is, whatever its brake is asked."""
+        """Lock the motor, whatever is commanded to its brake."""
         plant.brake(self.joint, True)
         return _jam_brake(hardware, self.joint)
 
 
 @dataclass(frozen=True, slots=True)
 class BrakeStuck(Timed):
-    """A brake that does not release any more; one that is released still falls in when asked."""
+    """Brake that does not release; a released one still engages on command."""
 
     joint: Joint
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
-        """From the next time that it is on."""
+        """Keep the brake on from the next time that it engages."""
         return _jam_brake(hardware, self.joint)
 
 
 @dataclass(frozen=True, slots=True)
 class WeakMotor(Timed):
-    """A motor that turns a current into less torque; its current is read right."""
+    """Motor that makes less torque of a current; the current reading is right."""
 
     joint: Joint
     factor: Annotated[float, ParameterSpec(0.0, 1.0, unit="1", typical=-0.5, neutral=1.0)] = 0.5
@@ -144,36 +146,36 @@ class WeakMotor(Timed):
 
 @dataclass(frozen=True, slots=True)
 class HotMotor(Timed):
-    """A motor in surroundings of this temperature: its heater does not go off."""
+    """Motor at this ambient temperature, because its heater stays on."""
 
     joint: Joint
     temperature_C: Annotated[float, ParameterSpec(-150.0, 250.0, unit="degC", typical=100.0)]
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
-        """The winding is that much hotter at once."""
+        """Set the ambient temperature of the motor."""
         return replace(hardware, ambient_C=with_element(hardware.ambient_C, self.joint, self.temperature_C))
 
 
 @dataclass(frozen=True, slots=True)
 class MissedCycles(Timed):
-    """Flight software is not called for some cycles, and the motor controllers hold the last drive."""
+    """Cycles in which flight software is not called; the motor controllers hold the last command."""
 
     count: Annotated[int, ParameterSpec(1, 6400, unit="cycle", typical=8)]
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
-        """With the next cycle."""
+        """Set the number of missed cycles."""
         return replace(hardware, missed_cycles=self.count)
 
 
 @dataclass(frozen=True, slots=True)
 class TiltStep(Timed):
-    """The rover slips into another attitude."""
+    """Sudden change of the attitude of the rover."""
 
     roll_rad: TiltAngle
     pitch_rad: TiltAngle
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
-        """Gravity turns in the rover's frame."""
+        """Rotate gravity in the rover frame."""
         gravity = plant.model.opt.gravity
         gravity[:] = FLIP * gravity_in_rover(self.roll_rad, self.pitch_rad, float(np.linalg.norm(gravity)))
         return hardware
@@ -181,10 +183,10 @@ class TiltStep(Timed):
 
 @dataclass(frozen=True, slots=True)
 class RockGone(Timed):
-    """The rock crumbles: nothing is touched any more where its face was."""
+    """Loss of the rock face, which no longer makes contact."""
 
     def begin(self, plant: Plant, hardware: Hardware) -> Hardware:
-        """Take the face out of the contacts."""
+        """Exclude the face from the contacts."""
         face = plant.model.geom("rock_face").id
         plant.model.geom_contype[face] = plant.model.geom_conaffinity[face] = 0
         return hardware
@@ -201,7 +203,7 @@ InjectedFault = (
     | RockGone
     | PowerLoss
 )
-"""What can be injected into a run that is under way."""
+"""Faults that can be injected into a run."""
 
 
 def _jam_brake(hardware: Hardware, joint: Joint) -> Hardware:

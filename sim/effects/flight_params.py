@@ -11,40 +11,40 @@ from fsw.kinematics.transforms import Array
 
 
 def joint_of(params: Params, joint: Joint) -> JointParams:
-    """What flight software is told of a joint."""
+    """Return the flight parameters of a joint."""
     found: JointParams = getattr(params.joints, joint.name.lower())
     return found
 
 
 def with_joint(params: Params, joint: Joint, changed: JointParams) -> Params:
-    """The parameters with another joint."""
+    """Return the parameters with those of one joint replaced."""
     return replace(params, joints=replace(params.joints, **{joint.name.lower(): changed}))
 
 
 def link_of(params: Params, frame: Frame) -> LinkParams:
-    """What flight software is told of the link that ends in a frame, which is not that of a tool."""
+    """Return the flight parameters of the link that ends in a frame other than TOOL."""
     found: LinkParams = getattr(params.links, frame.name.lower())
     return found
 
 
 def with_link(params: Params, frame: Frame, changed: LinkParams) -> Params:
-    """The parameters with another link."""
+    """Return the parameters with those of one link replaced."""
     return replace(params, links=replace(params.links, **{frame.name.lower(): changed}))
 
 
 def scale_matrix(matrix: Matrix6, factor: float) -> Matrix6:
-    """Every element times a factor."""
+    """Multiply every element by a factor."""
     return _matrix6(np.array(matrix) * factor)
 
 
 def rotate_matrix(matrix: Matrix6, R: Array) -> Matrix6:
-    """The same spring seen from axes turned back by R: both its rotations and its translations turn."""
+    """Rotate a matrix for screws by R: its rotation and its translation parts."""
     both = np.kron(np.eye(2), R)
     return _matrix6(both @ np.array(matrix) @ both.T)
 
 
 def add_compliance(matrix: Matrix6, axis: int, more: float) -> Matrix6:
-    """More on one place of the diagonal."""
+    """Add a compliance to one element of the diagonal."""
     values = np.array(matrix)
     values[axis, axis] += more
     return _matrix6(values)

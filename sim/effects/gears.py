@@ -20,22 +20,22 @@ from sim.plant import Plant
 
 @dataclass(frozen=True, slots=True)
 class MotorSample:
-    """Where a motor was when it was looked at last."""
+    """Time and angle of a motor in the last cycle."""
 
     time_s: float
     angle_rad: float
 
 
 def sample_motor(plant: Plant, joint: Joint) -> MotorSample:
-    """Where it is."""
+    """Return the present time and angle of a motor."""
     return MotorSample(float(plant.data.time), float(plant.motor_rad()[joint]))
 
 
 def mean_speed_rad_s(before: MotorSample, now: MotorSample) -> float:
     """Compute the mean speed between two samples, output side; 0 if no time has passed.
 
-    A set-point that is held for a cycle makes the speed of the motor ripple within the cycle.
-    The speed at one moment of the cycle is therefore not the mean speed.
+    A set-point is held for a cycle, which makes the speed of the motor ripple within the cycle.
+    The speed at one time of the cycle is therefore not the mean speed.
     """
     elapsed_s = now.time_s - before.time_s
     return (now.angle_rad - before.angle_rad) / elapsed_s if elapsed_s > 0 else 0.0
@@ -43,20 +43,20 @@ def mean_speed_rad_s(before: MotorSample, now: MotorSample) -> float:
 
 @dataclass(frozen=True, slots=True)
 class CoulombFriction(Effect):
-    """Motor and gear resist with so much more torque, whatever their speed."""
+    """Added friction torque of motor and gear, independent of their speed."""
 
     joint: Joint
     torque_Nm: Annotated[float, ParameterSpec(-100.0, 400.0, unit="N m", typical=20.0, neutral=0.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """On the motor hinge; what is taken off leaves at least nothing."""
+        """Add to the friction of the motor hinge; the sum is at least 0."""
         motor = spec.joint(f"{self.joint.name.lower()}_motor")
         motor.frictionloss = max(motor.frictionloss + self.torque_Nm, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class ViscousFriction(Effect):
-    """Motor and gear resist with so much more torque for their speed."""
+    """Added friction torque of motor and gear, proportional to their speed."""
 
     joint: Joint
     damping_Nms_rad: Annotated[
@@ -64,25 +64,25 @@ class ViscousFriction(Effect):
     ]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """On the motor hinge; what is taken off leaves at least nothing."""
+        """Add to the damping of the motor hinge; the sum is at least 0."""
         motor = spec.joint(f"{self.joint.name.lower()}_motor")
         motor.damping[0] = max(motor.damping[0] + self.damping_Nms_rad, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class StribeckFriction(EachCycle):
-    """Motor and gear resist more while they are slow: so much more at rest, a factor e less at the speed."""
+    """Added friction of motor and gear at low speed; it falls by a factor e at the given speed."""
 
     joint: Joint
     torque_Nm: Annotated[float, ParameterSpec(-100.0, 200.0, unit="N m", typical=20.0, neutral=0.0)]
     speed_rad_s: Annotated[float, ParameterSpec(1e-4, 0.1, unit="rad/s", typical=2e-3)] = 2e-3
 
     def begin(self, plant: Plant, hardware: Hardware) -> MotorSample:
-        """From where the motor stands."""
+        """Return the first sample of the motor."""
         return sample_motor(plant, self.joint)
 
     def cycle(self, plant: Plant, hardware: Hardware, state: MotorSample) -> tuple[MotorSample, Disturbance]:
-        """At the speed of the cycle that has passed."""
+        """Compute the friction at the mean speed of the last cycle."""
         now = sample_motor(plant, self.joint)
         slow = float(np.exp(-((mean_speed_rad_s(state, now) / self.speed_rad_s) ** 2)))
         return now, Disturbance(friction_Nm=at_joint(self.joint, self.torque_Nm * slow))
@@ -90,26 +90,26 @@ class StribeckFriction(EachCycle):
 
 @dataclass(frozen=True, slots=True)
 class LoadFriction(EachCycle):
-    """Motor and gear resist with a share of the torque that the gear carries."""
+    """Added friction of motor and gear, proportional to the torque in the gear."""
 
     joint: Joint
     share: Annotated[float, ParameterSpec(0.0, 1.0, unit="1", typical=0.1, neutral=0.0)]
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """Under the load of this moment."""
+        """Compute the friction at the present load."""
         load_Nm = abs(float(plant.gear_torque_Nm()[self.joint]))
         return None, Disturbance(friction_Nm=at_joint(self.joint, self.share * load_Nm))
 
 
 @dataclass(frozen=True, slots=True)
 class ColdFriction(EachCycle):
-    """In the cold motor and gear resist more than the drawing says: at -55 degC times a factor."""
+    """Factor on the friction of motor and gear at -55 degC, against that of the drawing."""
 
     joint: Joint
     factor: Annotated[float, ParameterSpec(0.1, 10.0, unit="1", typical=0.3, neutral=1.0)]
 
     def begin(self, plant: Plant, hardware: Hardware) -> Disturbance:
-        """By the temperature around the motor, exponentially, of what the drawing has there."""
+        """Compute the added friction, exponential in the temperature around the motor."""
         share = (WARM_C - float(hardware.ambient_C[self.joint])) / (WARM_C - COLD_C)
         more = self.factor**share - 1.0
         friction_Nm, damping_Nms_rad = plant.built_friction()
@@ -119,24 +119,24 @@ class ColdFriction(EachCycle):
         )
 
     def cycle(self, plant: Plant, hardware: Hardware, state: Disturbance) -> tuple[Disturbance, Disturbance]:
-        """Grease keeps the temperature that it began with."""
+        """Return the friction of the first cycle: the grease keeps its temperature."""
         return state, state
 
 
 @dataclass(frozen=True, slots=True)
 class OutputFriction(Effect):
-    """Bearing and seal of an output resist with so much more torque, beyond the gear."""
+    """Added friction torque of bearing and seal of an output."""
 
     joint: Joint
     torque_Nm: Annotated[float, ParameterSpec(-3.0, 100.0, unit="N m", typical=5.0, neutral=0.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """On motor and gear hinge together."""
+        """Add to the friction of the output tendon; the sum is at least 0."""
         output = spec.tendon(f"{self.joint.name.lower()}_output")
         output.frictionloss = max(output.frictionloss + self.torque_Nm, 0.0)
 
     def on_params(self, params: Params) -> Params:
-        """The true friction of the output."""
+        """Set the true friction of the output."""
         joint = joint_of(params, self.joint)
         friction_Nm = max(joint.output_friction_Nm + self.torque_Nm, 0.0)
         return with_joint(params, self.joint, replace(joint, output_friction_Nm=friction_Nm))
@@ -148,13 +148,13 @@ WavesPerTurn = Annotated[int, ParameterSpec(1, 100, unit="1", typical=1)]
 
 @dataclass(frozen=True, slots=True)
 class GearHysteresis(Effect):
-    """A gear winds up and back along two curves: friction between motor and output, beside its spring."""
+    """Friction parallel to the spring of a gear, so that wind-up follows two curves."""
 
     joint: Joint
     torque_Nm: Annotated[float, ParameterSpec(0.0, 200.0, unit="N m", typical=10.0, neutral=0.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """On the gear's tendon, as hard as that of the output is."""
+        """Add friction to the gear tendon, as hard as that of the output tendon."""
         if self.torque_Nm:
             name = self.joint.name.lower()
             gear, output = spec.tendon(f"{name}_gear"), spec.tendon(f"{name}_output")
@@ -162,7 +162,7 @@ class GearHysteresis(Effect):
             gear.solref_friction, gear.solimp_friction = output.solref_friction, output.solimp_friction
 
     def on_params(self, params: Params) -> Params:
-        """At rest it holds an output against its motor as friction of the output does."""
+        """Add to the friction of the output, which holds an output at rest in the same way."""
         joint = joint_of(params, self.joint)
         friction_Nm = joint.output_friction_Nm + self.torque_Nm
         return with_joint(params, self.joint, replace(joint, output_friction_Nm=friction_Nm))
@@ -170,17 +170,17 @@ class GearHysteresis(Effect):
 
 @dataclass(frozen=True, slots=True)
 class GearEfficiency(EachCycle):
-    """The efficiency of a gear, times a factor: it loses torque against its load, and holds it up with it."""
+    """Factor on the efficiency of a gear; losses oppose a driven load and support an overhauling one."""
 
     joint: Joint
     factor: Annotated[float, ParameterSpec(0.3, 1.2, unit="1", typical=-0.1, neutral=1.0)]
 
     def begin(self, plant: Plant, hardware: Hardware) -> MotorSample:
-        """From where the motor stands."""
+        """Return the first sample of the motor."""
         return sample_motor(plant, self.joint)
 
     def cycle(self, plant: Plant, hardware: Hardware, state: MotorSample) -> tuple[MotorSample, Disturbance]:
-        """Load over efficiency where the motor drives it, load times efficiency where it drives the motor."""
+        """Compute the loss: load over efficiency if the motor drives, else load times efficiency."""
         load_Nm, now = float(plant.gear_torque_Nm()[self.joint]), sample_motor(plant, self.joint)
         drives = load_Nm * mean_speed_rad_s(state, now) < 0
         lost = 1.0 / self.factor - 1.0 if drives else 1.0 - self.factor
@@ -189,16 +189,16 @@ class GearEfficiency(EachCycle):
 
 @dataclass(frozen=True, slots=True)
 class TransmissionError(EachCycle):
-    """An output is ahead of where its motor should have it by a wave, so many times a turn of the output."""
+    """Periodic error of an output against its motor, with a number of periods per output turn."""
 
     joint: Joint
     cosine_rad: WaveAmplitude
     sine_rad: WaveAmplitude
-    """With the cosine it makes any amplitude and phase."""
+    """Sine part; with the cosine part it gives any amplitude and phase."""
     turns: WavesPerTurn = 1
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """By the angle at which the motor is."""
+        """Compute the error at the present motor angle."""
         angle = self.turns * float(plant.motor_rad()[self.joint])
         ahead_rad = self.cosine_rad * np.cos(angle) + self.sine_rad * np.sin(angle)
         return None, Disturbance(gear_rad=at_joint(self.joint, float(ahead_rad)))

@@ -1,4 +1,4 @@
-"""Frames that do not stand where the drawing has them."""
+"""Effects on frames: displacement and thermal growth."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -21,18 +21,18 @@ from sim.plant import rotation_matrices
 
 @dataclass(frozen=True, slots=True)
 class FrameError(Effect):
-    """A frame displaced by a small screw in its own axes: rx, ry, rz [rad], tx, ty, tz [m]."""
+    """Displacement of a frame by a small screw in its own axes: rx, ry, rz [rad], tx, ty, tz [m]."""
 
     frame: Frame
     screw: Annotated[Row6, ParameterSpec(-0.1, 0.1, unit="rad, m", typical=2e-3, neutral=0.0)]
     tool: Tool | None = None
-    """Which tool, for the frame TOOL."""
+    """Tool, if the frame is TOOL."""
 
     def __post_init__(self) -> None:
         check_tool(self.frame, self.tool)
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Displace the body that stands for the frame."""
+        """Displace the body that represents the frame."""
         if not any(self.screw):
             return
         body = spec.body(self._body())
@@ -42,7 +42,7 @@ class FrameError(Effect):
         body.pos, body.quat = X.p, quat
 
     def on_params(self, params: Params) -> Params:
-        """The six numbers of the displaced link transform."""
+        """Set the six numbers of the displaced link transform."""
         if self.frame is Frame.TOOL:
             name = self._body()
             tool = getattr(params.tools, name)
@@ -53,10 +53,11 @@ class FrameError(Effect):
         return with_link(params, self.frame, changed)
 
     def _carried(self, old: LinkParams, new: LinkParams) -> LinkParams:
-        """The link's spring and lumps where the plant has them, though its transform has changed.
+        """Return the link with its spring and lumps at their place in the plant.
 
-        The rover's spring and bracket, and the turret's mass, sit at the frame and move with it; the other
-        springs and lumps stay. Flight software's link frame turns with the new theta, which is taken back.
+        The spring and bracket of the rover, and the mass of the turret, move with their frame.
+        The other springs and lumps stay.
+        The link frame of flight software turns with theta, so that a change of theta is taken back.
         """
         theta = np.array(old.transform.theta_rad - new.transform.theta_rad)
         back = Pose(rotation_z(theta), np.zeros(3))
@@ -80,12 +81,12 @@ class FrameError(Effect):
 
 @dataclass(frozen=True, slots=True)
 class LinkWarming(Effect):
-    """What ends in a frame grown as the drawing's materials do, without flight software being told."""
+    """Thermal growth of the link that ends in a frame, unknown to flight software."""
 
     frame: Frame
     warming_K: TemperatureRise
     tool: Tool | None = None
-    """Which tool, for the frame TOOL."""
+    """Tool, if the frame is TOOL."""
 
     def __post_init__(self) -> None:
         check_tool(self.frame, self.tool)
@@ -95,7 +96,7 @@ class LinkWarming(Effect):
         self._grown().on_model(spec)
 
     def on_params(self, params: Params) -> Params:
-        """The numbers of the grown link."""
+        """Set the numbers of the grown link."""
         return self._grown().on_params(params) if self.warming_K else params
 
     def _grown(self) -> FrameError:
@@ -105,17 +106,17 @@ class LinkWarming(Effect):
 
 @dataclass(frozen=True, slots=True)
 class Warming(Effect):
-    """Every link and tool grown by the same warming."""
+    """Thermal growth of every link and tool at the same temperature rise."""
 
     warming_K: TemperatureRise
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """One after the other."""
+        """Displace every frame by its growth."""
         for part in self._parts():
             part.on_model(spec)
 
     def on_params(self, params: Params) -> Params:
-        """Likewise."""
+        """Set the numbers of all grown links and tools."""
         return params_with_effects(self._parts(), params)
 
     def _parts(self) -> list[LinkWarming]:
@@ -125,14 +126,18 @@ class Warming(Effect):
 
 @cache
 def _expansions_1_K() -> tuple[Row6, ...]:
-    """Of all that ends in one of BODIES, on the drawing."""
+    """Return the nominal expansion of each of FRAME_BODIES."""
     params = nominal_params()
     links = [link.expansion_1_K for link in params.links.in_order()]
     return (*links, *(tool.expansion_1_K for tool in params.tools.in_order()))
 
 
 def check_tool(frame: Frame, tool: Tool | None) -> None:
-    """Refuse, as a ValueError, the frame TOOL without a tool and another one with a tool."""
+    """Check that a tool is given if, and only if, the frame is TOOL.
+
+    Raises:
+        ValueError: the tool is missing, or the frame has none.
+    """
     if frame is Frame.TOOL and tool is None:
         known = ", ".join(tool.name.lower() for tool in Tool)
         raise ValueError(f"tool: an effect at frame tool names its tool; there are {known}")

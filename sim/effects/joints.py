@@ -1,4 +1,4 @@
-"""Actuators and their sensors that differ from the drawing."""
+"""Effects on gears, hardstops and resolvers of the joints."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated
@@ -15,18 +15,18 @@ from sim.effects.flight_params import joint_of, with_joint
 
 @dataclass(frozen=True, slots=True)
 class HardstopAngle(Effect):
-    """The negative hardstop is off its place by an angle; so is the encoder zero that is found from it."""
+    """Angle of the negative hardstop beyond that of the drawing; it shifts the encoder zero too."""
 
     joint: Joint
     shift_rad: SmallAngle
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Shift the lower end of the output's travel."""
+        """Shift the lower end of the travel of the output."""
         tendon = spec.tendon(f"{self.joint.name.lower()}_output")
         tendon.springlength = tendon.springlength + np.array([self.shift_rad, 0.0])
 
     def on_params(self, params: Params) -> Params:
-        """The true place of the hardstop."""
+        """Set the true angle of the hardstop."""
         joint = joint_of(params, self.joint)
         return with_joint(
             params, self.joint, replace(joint, hardstop_rad=joint.hardstop_rad + self.shift_rad)
@@ -35,18 +35,18 @@ class HardstopAngle(Effect):
 
 @dataclass(frozen=True, slots=True)
 class HardstopStiffness(Effect):
-    """The stiffness of the hardstops of a joint, times a factor."""
+    """Factor on the stiffness of the hardstops of a joint."""
 
     joint: Joint
     factor: Factor
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Scale the spring at both ends of the output's travel."""
+        """Scale the spring at both ends of the travel of the output."""
         tendon = spec.tendon(f"{self.joint.name.lower()}_output")
         tendon.stiffness = tendon.stiffness * self.factor
 
     def on_params(self, params: Params) -> Params:
-        """The true stiffness."""
+        """Set the true stiffness."""
         joint = joint_of(params, self.joint)
         stiffness = joint.hardstop_stiffness_Nm_rad * self.factor
         return with_joint(params, self.joint, replace(joint, hardstop_stiffness_Nm_rad=stiffness))
@@ -54,20 +54,20 @@ class HardstopStiffness(Effect):
 
 @dataclass(frozen=True, slots=True)
 class ResolverBias(Effect):
-    """A resolver reads too much by an angle."""
+    """Constant error of a resolver."""
 
     joint: Joint
     bias_rad: SmallAngle
 
     def on_hardware(self, hardware: Hardware) -> Hardware:
-        """Bias of the reading."""
+        """Add to the bias of the reading."""
         bias_rad = hardware.resolver_bias_rad + at_joint(self.joint, self.bias_rad)
         return replace(hardware, resolver_bias_rad=bias_rad)
 
 
 @dataclass(frozen=True, slots=True)
 class BacklashWidth(Effect):
-    """The dead band of a gear, times a factor."""
+    """Factor on the backlash of a gear."""
 
     joint: Joint
     factor: Annotated[float, ParameterSpec(0.0, 5.0, unit="1", typical=0.1, neutral=1.0)]
@@ -78,14 +78,14 @@ class BacklashWidth(Effect):
         tendon.springlength = tendon.springlength * self.factor
 
     def on_params(self, params: Params) -> Params:
-        """The true width."""
+        """Set the true width."""
         joint = joint_of(params, self.joint)
         return with_joint(params, self.joint, replace(joint, backlash_rad=joint.backlash_rad * self.factor))
 
 
 @dataclass(frozen=True, slots=True)
 class GearStiffness(Effect):
-    """The torsional stiffness of a gear, times a factor."""
+    """Factor on the torsional stiffness of a gear."""
 
     joint: Joint
     factor: Factor
@@ -97,7 +97,7 @@ class GearStiffness(Effect):
         tendon.damping = tendon.damping * self.factor
 
     def on_params(self, params: Params) -> Params:
-        """The true stiffness."""
+        """Set the true stiffness."""
         joint = joint_of(params, self.joint)
         stiffness = joint.gear_stiffness_Nm_rad * self.factor
         return with_joint(params, self.joint, replace(joint, gear_stiffness_Nm_rad=stiffness))
@@ -105,7 +105,7 @@ class GearStiffness(Effect):
 
 @dataclass(frozen=True, slots=True)
 class GearFriction(Effect):
-    """Coulomb and viscous friction of motor and gear, times a factor."""
+    """Factor on Coulomb and viscous friction of motor and gear."""
 
     joint: Joint
     factor: Factor

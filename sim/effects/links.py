@@ -1,4 +1,4 @@
-"""Links and tools of another length or angle along one axis, and links that are warmer on one side."""
+"""Length and angle errors of links and tools along one axis, and thermal bending of links."""
 
 from dataclasses import dataclass
 from typing import Annotated, Final, Literal
@@ -19,32 +19,32 @@ from sim.params import nominal_params
 Axis = Literal["x", "y", "z"]
 AXIS_NAMES: Final = ("x", "y", "z")
 WIDTH_M: Final = 0.1
-"""Of a link, between the side that is warm and the one that is cold; assumed."""
+"""Assumed width of a link between its warm and its cold side."""
 PARALLEL_COSINE: Final = 0.9
-"""Cosine from which on a link is taken to lie along an axis."""
+"""Cosine above which a link counts as parallel to an axis."""
 
 
 @dataclass(frozen=True, slots=True)
 class _FrameEffect(Effect):
-    """An effect that is an error of one frame."""
+    """Effect that is the error of one frame."""
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Displace the frame."""
         self.error().on_model(spec)
 
     def on_params(self, params: Params) -> Params:
-        """The numbers of the displaced link."""
+        """Set the numbers of the displaced link."""
         error = self.error()
         return error.on_params(params) if any(error.screw) else params
 
     def error(self) -> FrameError:
-        """The same as a screw."""
+        """Return the effect as the error of a frame."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
 class LinkLength(_FrameEffect):
-    """The link that ends in a frame is longer along an axis of that frame."""
+    """Added length of the link that ends in a frame, along an axis of that frame."""
 
     frame: Frame
     axis: Axis
@@ -54,13 +54,13 @@ class LinkLength(_FrameEffect):
         _refuse_tool(self.frame, "tool-offset")
 
     def error(self) -> FrameError:
-        """A shift."""
+        """Return a translation."""
         return FrameError(self.frame, row6(self.length_m * _shift(self.axis)))
 
 
 @dataclass(frozen=True, slots=True)
 class LinkAngle(_FrameEffect):
-    """The link that ends in a frame is turned about an axis of that frame."""
+    """Rotation of the link that ends in a frame, about an axis of that frame."""
 
     frame: Frame
     axis: Axis
@@ -70,42 +70,45 @@ class LinkAngle(_FrameEffect):
         _refuse_tool(self.frame, "tool-turn")
 
     def error(self) -> FrameError:
-        """A turn."""
+        """Return a rotation."""
         return FrameError(self.frame, row6(self.angle_rad * _turn(self.axis)))
 
 
 @dataclass(frozen=True, slots=True)
 class ToolOffset(_FrameEffect):
-    """A tool sits farther along an axis of its own."""
+    """Translation of a tool along an axis of its frame."""
 
     tool: Tool
     axis: Axis
     offset_m: SmallLength
 
     def error(self) -> FrameError:
-        """A shift."""
+        """Return a translation."""
         return FrameError(Frame.TOOL, row6(self.offset_m * _shift(self.axis)), self.tool)
 
 
 @dataclass(frozen=True, slots=True)
 class ToolTurn(_FrameEffect):
-    """A tool is turned about an axis of its own."""
+    """Rotation of a tool about an axis of its frame."""
 
     tool: Tool
     axis: Axis
     angle_rad: SmallAngle
 
     def error(self) -> FrameError:
-        """A turn."""
+        """Return a rotation."""
         return FrameError(Frame.TOOL, row6(self.angle_rad * _turn(self.axis)), self.tool)
 
 
 @dataclass(frozen=True, slots=True)
 class ThermalGradient(_FrameEffect):
-    """The link that ends in a frame is warmer on one side, and bends about an axis of that frame.
+    """Bending of the link that ends in a frame, about an axis of that frame, by a warmer side.
 
-    It bends to an arc of its growth over its width, so that its end is turned by that and shifted by half of
-    it times the length. ValueError for an axis that the link lies along.
+    The link bends to an arc. Its end turns by the difference of growth over the width.
+    It shifts by half that angle times the length.
+
+    Raises:
+        ValueError: the link is parallel to the axis.
     """
 
     frame: Frame
@@ -122,14 +125,14 @@ class ThermalGradient(_FrameEffect):
             )
 
     def error(self) -> FrameError:
-        """A turn, and the shift of the end."""
+        """Return the rotation and the translation of the end of the link."""
         p, growth_K = self._along()
         axis = np.array([self.axis == other for other in AXIS_NAMES], float)
         turn = self.gradient_K / WIDTH_M * float(np.linalg.norm(np.cross(axis, growth_K))) * axis
         return FrameError(self.frame, row6(np.concatenate([turn, 0.5 * np.cross(turn, p)])))
 
     def _along(self) -> tuple[Array, Array]:
-        """The link from start to end [m], and its growth [m/K], in axes of its end."""
+        """Return the link from start to end [m] and its growth [m/K], each (3,), in axes of its end."""
         link = link_of(nominal_params(), self.frame)
         X = transform6_to_pose(link.transform)
         return X.R.T @ X.p, np.array(link.expansion_1_K[3:])

@@ -1,4 +1,4 @@
-"""Motors and their controllers that are not the drawing's."""
+"""Effects on motors, their controllers and their supply voltage."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, Final
@@ -16,25 +16,25 @@ from sim.plant import GAINS, MOTOR_CONSTANT, Plant
 
 BUS_V: Final = 28.0
 Setpoints = tuple[tuple[float, float], ...]
-"""Angle and rate of some cycles, the newest first."""
+"""Angle and rate of the last cycles, the newest first."""
 
 
 @dataclass(frozen=True, slots=True)
 class MotorConstant(Effect):
-    """The torque that a motor makes of a current, times a factor; its controller commands currents."""
+    """Factor on the torque that a motor makes of a current; its controller commands currents."""
 
     joint: Joint
     factor: Factor
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Scale the constant, and the gains and the limit, which are in torque."""
+        """Scale the constant, and also the gains and the limit, which are torques in the model."""
         motor = spec.actuator(self.joint.name.lower())
         _scale(motor, MOTOR_CONSTANT, self.factor)
         _scale(motor, GAINS, self.factor)
         motor.forcerange = motor.forcerange * self.factor
 
     def on_params(self, params: Params) -> Params:
-        """The true constant."""
+        """Set the true constant."""
         joint = joint_of(params, self.joint)
         constant = joint.torque_constant_Nm_A * self.factor
         return with_joint(params, self.joint, replace(joint, torque_constant_Nm_A=constant))
@@ -42,29 +42,29 @@ class MotorConstant(Effect):
 
 @dataclass(frozen=True, slots=True)
 class ServoGain(Effect):
-    """The gains of a motor controller, all times a factor."""
+    """Factor on all gains of a motor controller."""
 
     joint: Joint
     factor: Annotated[float, ParameterSpec(0.1, 3.0, unit="1", typical=0.2, neutral=1.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Scale those of position, integral and rate."""
+        """Scale the gains of position, integral and rate."""
         _scale(spec.actuator(self.joint.name.lower()), GAINS, self.factor)
 
 
 @dataclass(frozen=True, slots=True)
 class CommandDelay(EachCycle):
-    """Set-points come to a motor controller late; between two of them it has what lies between."""
+    """Delay of the set-points of a motor controller, interpolated between cycles."""
 
     joint: Joint
     delay_s: Annotated[float, ParameterSpec(0.0, 0.5, unit="s", typical=0.03, neutral=0.0)]
 
     def begin(self, plant: Plant, hardware: Hardware) -> Setpoints:
-        """The arm stands: what there is has been there for long."""
+        """Return a history of the present set-point, which an arm at rest has had for long."""
         return (self._given(plant),) * (int(self.delay_s * CYCLE_HZ) + 2)
 
     def cycle(self, plant: Plant, hardware: Hardware, state: Setpoints) -> tuple[Setpoints, Disturbance]:
-        """The newest goes in, and one of before goes out; on the brake there is nothing to wait for."""
+        """Add the newest set-point and apply the delayed one; a braked motor has no delay."""
         if plant.data.eq_active[plant.at.brake[self.joint]]:
             return (self._given(plant),) * len(state), Disturbance()
         state = (self._given(plant), *state[:-1])
@@ -83,15 +83,15 @@ class CommandDelay(EachCycle):
 
 @dataclass(frozen=True, slots=True)
 class BusSag(EachCycle):
-    """The bus sags under the currents of all motors, and the gains of their controllers with its voltage.
+    """Drop of the bus voltage under the currents of all motors, which lowers the gains of their controllers.
 
-    The voltage of a cycle is that under the currents with which it begins.
+    The voltage of a cycle follows from the currents at its start.
     """
 
     resistance_Ohm: Annotated[float, ParameterSpec(0.0, 5.0, unit="Ohm", typical=0.5, neutral=0.0)]
 
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
-        """By the currents of this moment."""
+        """Compute the loss of gain from the present currents."""
         total_A = float(np.abs(plant.motor_current_A()).sum())
         lost = min(self.resistance_Ohm * total_A / BUS_V, 1.0)
         return None, Disturbance(servo=np.full(len(Joint), -lost))

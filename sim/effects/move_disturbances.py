@@ -1,4 +1,4 @@
-"""What a move leaves to chance: drawn anew whenever one begins, evenly within bounds."""
+"""Disturbances that are drawn for each move, uniform within bounds."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -15,21 +15,21 @@ from sim.effects.geometry import check_tool
 
 @dataclass(frozen=True, slots=True)
 class FramePlay(EachMove):
-    """A frame comes to rest within plus or minus a screw in its own axes: rx, ry, rz [rad], tx, ty, tz [m].
+    """Displacement of a frame within plus or minus a screw in its axes: rx, ry, rz [rad], tx, ty, tz [m].
 
-    Slop of the assembly, wobble of a bearing, hysteresis of the isolators under an instrument.
+    Causes are play of the assembly, wobble of a bearing, and hysteresis of the isolators under an instrument.
     """
 
     frame: Frame
     within: Annotated[Row6, ParameterSpec(0.0, 0.1, unit="rad, m", typical=3e-5, neutral=0.0)]
     tool: Tool | None = None
-    """Which tool, for the frame TOOL."""
+    """Tool, if the frame is TOOL."""
 
     def __post_init__(self) -> None:
         check_tool(self.frame, self.tool)
 
     def draw(self, rng: np.random.Generator) -> MoveDisturbance:
-        """Every axis by itself."""
+        """Draw every axis independently."""
         drawn = no_move_disturbance()
         drawn.screw[:, body_index(self.frame, self.tool)] = self.within * rng.uniform(-1.0, 1.0, 6)
         return drawn
@@ -37,13 +37,13 @@ class FramePlay(EachMove):
 
 @dataclass(frozen=True, slots=True)
 class Windup(EachMove):
-    """Friction inside a gear leaves it twisted, one way or the other."""
+    """Twist of a gear at rest, of either sign, from friction inside it."""
 
     joint: Joint
     within_rad: Annotated[float, ParameterSpec(0.0, 0.1, unit="rad", typical=1e-4, neutral=0.0)]
 
     def draw(self, rng: np.random.Generator) -> MoveDisturbance:
-        """The dead band of the gear shifted."""
+        """Draw a shift of the dead band of the gear."""
         drawn = no_move_disturbance()
         drawn.gear_rad[self.joint] = _draw_uniform(rng, self.within_rad)
         return drawn
@@ -51,13 +51,13 @@ class Windup(EachMove):
 
 @dataclass(frozen=True, slots=True)
 class ServoError(EachMove):
-    """A motor comes to rest beside where its encoder says: lost counts, an ill-tuned controller."""
+    """Error of a motor angle at rest against its encoder, from lost counts or a badly tuned controller."""
 
     joint: Joint
     within_rad: Annotated[float, ParameterSpec(0.0, 0.1, unit="rad", typical=1e-4, neutral=0.0)]
 
     def draw(self, rng: np.random.Generator) -> MoveDisturbance:
-        """Set-points and readings off by the same angle."""
+        """Draw an angle that shifts set-points and readings alike."""
         drawn = no_move_disturbance()
         drawn.motor_rad[self.joint] = _draw_uniform(rng, self.within_rad)
         return drawn

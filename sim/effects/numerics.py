@@ -1,4 +1,4 @@
-"""How the plant is computed, in which no arm has a part: so that a truth is not the simulator's own."""
+"""Numerical settings of the plant, so that the true arm can be computed differently from a simulated one."""
 
 from dataclasses import dataclass
 from typing import Annotated, Final, Literal
@@ -8,23 +8,24 @@ import mujoco
 from sim.effects.effect import Effect, ParameterSpec
 
 SOLVER_ITERATIONS: Final = 30
-"""Of the dual solver, which goes on to its last: three times as many flip a count here and there."""
+"""Iterations of the dual solver, which always uses all; three times as many change single counts."""
 
 
 @dataclass(frozen=True, slots=True)
 class Numerics(Effect):
-    """The plant is computed in finer steps than the model's own, and gears and motors by another scheme.
+    """Shorter time step of the plant, and another integration scheme for gears and motors.
 
-    MuJoCo's discrete integrator takes springs and dampers as they are at the end of a step. With its dual
-    solver it has only those of single hinges there; gears, outputs and motors count as at the beginning.
+    MuJoCo's discrete integrator evaluates springs and dampers at the end of a step.
+    With the dual solver it does so for single hinges only.
+    Gears, outputs and motors are then evaluated at the start of the step.
     """
 
     gears: Literal["implicit", "explicit"]
     finer: Annotated[int, ParameterSpec(2, 20, unit="1", typical=2)] = 2
-    """In how many steps one of the model's is computed; the explicit scheme diverges in fewer than six."""
+    """Steps per step of the model; the explicit scheme diverges with fewer than six."""
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Before anything is compiled."""
+        """Set time step and solver."""
         spec.option.timestep /= self.finer
         if self.gears == "explicit":
             spec.option.solver = mujoco.mjtSolver.mjSOL_PGS

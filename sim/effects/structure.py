@@ -1,4 +1,4 @@
-"""Compliance and mass of the links, of the body of the rover and of the turret."""
+"""Effects on compliance and mass of the links, of the body of the rover and of the turret."""
 
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal
@@ -27,7 +27,7 @@ _LUMPS_OF = (
 
 @dataclass(frozen=True, slots=True)
 class LinkStiffness(Effect):
-    """The spring of the link that ends in a frame, all six stiffnesses times a factor."""
+    """Factor on all six stiffnesses of the link that ends in a frame."""
 
     frame: Frame
     factor: Factor
@@ -43,7 +43,7 @@ class LinkStiffness(Effect):
             joint.damping *= self.factor
 
     def on_params(self, params: Params) -> Params:
-        """Compliance divided by the factor."""
+        """Divide the compliance by the factor."""
         link = link_of(params, self.frame)
         return with_link(
             params, self.frame, replace(link, compliance=scale_matrix(link.compliance, 1 / self.factor))
@@ -52,10 +52,10 @@ class LinkStiffness(Effect):
 
 @dataclass(frozen=True, slots=True)
 class _AddedCompliance(Effect):
-    """An effect that is compliance about one axis of one spring, on top of what it has."""
+    """Effect that adds compliance about one axis of one spring."""
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """In series with the spring that is there."""
+        """Add the compliance in series with the spring."""
         frame, axis, compliance_rad_Nm = self.where()
         joint = spec.joint(f"{SPRING_NAMES[frame]}_{SPRING_AXES[axis]}")
         softer = 1.0 / (1.0 + compliance_rad_Nm * joint.stiffness[0])
@@ -63,20 +63,20 @@ class _AddedCompliance(Effect):
         joint.damping *= softer
 
     def on_params(self, params: Params) -> Params:
-        """An element of the compliance."""
+        """Add to one element of the compliance."""
         frame, axis, compliance_rad_Nm = self.where()
         link = link_of(params, frame)
         changed = replace(link, compliance=add_compliance(link.compliance, axis, compliance_rad_Nm))
         return with_link(params, frame, changed)
 
     def where(self) -> tuple[Frame, int, float]:
-        """Which spring, about which of its axes, by how much."""
+        """Return the frame of the spring, the index of its axis, and the added compliance [rad/(N m)]."""
         raise NotImplementedError
 
 
 @dataclass(frozen=True, slots=True)
 class LinkTorsion(_AddedCompliance):
-    """The link that ends in a frame twists more, about the x axis of its spring."""
+    """Added torsional compliance of the link that ends in a frame, about the x axis of its spring."""
 
     frame: Frame
     compliance_rad_Nm: Compliance
@@ -86,13 +86,13 @@ class LinkTorsion(_AddedCompliance):
         _refuse_rover(self.frame)
 
     def where(self) -> tuple[Frame, int, float]:
-        """About x."""
+        """Return the x axis of the spring."""
         return self.frame, 0, self.compliance_rad_Nm
 
 
 @dataclass(frozen=True, slots=True)
 class LinkBending(_AddedCompliance):
-    """The link that ends in a frame bends more, about an axis of its spring: in link 1 y is pitch, else z."""
+    """Added bending compliance of a link about an axis of its spring; in link 1, y is pitch, else z."""
 
     frame: Frame
     axis: Literal["y", "z"]
@@ -103,25 +103,25 @@ class LinkBending(_AddedCompliance):
         _refuse_rover(self.frame)
 
     def where(self) -> tuple[Frame, int, float]:
-        """About that axis."""
+        """Return the axis of the spring."""
         return self.frame, "xyz".index(self.axis), self.compliance_rad_Nm
 
 
 @dataclass(frozen=True, slots=True)
 class RoverCompliance(_AddedCompliance):
-    """The rover's body under the arm gives way more, about an axis of RMECH."""
+    """Added compliance of the rover's body under the arm, about an axis of RMECH."""
 
     axis: Literal["x", "y", "z"]
     compliance_rad_Nm: Compliance
 
     def where(self) -> tuple[Frame, int, float]:
-        """The first spring."""
+        """Return the axis of the first spring."""
         return Frame.ARM1, "xyz".index(self.axis), self.compliance_rad_Nm
 
 
 @dataclass(frozen=True, slots=True)
 class LinkMass(Effect):
-    """The mass of the link that ends in a frame, times a factor, its centre shifted in link axes."""
+    """Factor on the mass of the link that ends in a frame, and shift of its centre in link axes."""
 
     frame: Frame
     factor: Annotated[float, ParameterSpec(0.1, 10.0, unit="1", typical=0.05, neutral=1.0)]
@@ -136,7 +136,7 @@ class LinkMass(Effect):
             raise ValueError("frame: tool is no link; the mass of the tools is the turret's, arm6")
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Scale masses and inertias and shift both halves."""
+        """Scale mass and inertia of each lump, and shift its centre."""
         for name in _LUMPS_OF[self.frame]:
             body = spec.body(name)
             body.mass *= self.factor
@@ -144,7 +144,7 @@ class LinkMass(Effect):
             body.ipos = body.ipos + np.array(self.shift_m)
 
     def on_params(self, params: Params) -> Params:
-        """The lumps scaled and shifted likewise."""
+        """Scale and shift the lumps in the same way."""
         link = link_of(params, self.frame)
         changed = replace(link, near=self._lump(link.near), far=self._lump(link.far))
         return with_link(params, self.frame, changed)
@@ -166,27 +166,27 @@ def _refuse_rover(frame: Frame) -> None:
 
 
 MIN_MASS_KG = 1e-4
-"""MuJoCo wants some mass where there is none."""
+"""Mass in place of none: MuJoCo refuses a body without mass."""
 
 
 @dataclass(frozen=True, slots=True)
 class StandInTurret(Effect):
-    """What hangs on the turret interface has this mass, with its centre where the turret has it."""
+    """Mass on the turret interface in place of the turret, with the same centre of mass."""
 
     mass_kg: Annotated[float, ParameterSpec(0.0, 60.0, unit="kg", typical=19.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Set the mass and scale the inertia with it."""
+        """Set the mass, and scale the inertia with it."""
         _set_mass(spec, self.mass_kg)
 
     def on_params(self, params: Params) -> Params:
-        """The far lump of the last link."""
+        """Set the far lump of the last link."""
         return _with_turret_lump(params, replace(_turret_lump(params), mass_kg=self.mass_kg))
 
 
 @dataclass(frozen=True, slots=True)
 class TurretMass(Effect):
-    """The turret is heavier, with its centre where it was."""
+    """Added mass of the turret, with the same centre of mass."""
 
     extra_kg: Annotated[float, ParameterSpec(-20.0, 20.0, unit="kg", typical=1.0, neutral=0.0)]
 
@@ -195,25 +195,25 @@ class TurretMass(Effect):
         _set_mass(spec, float(spec.body("turret").mass) + self.extra_kg)
 
     def on_params(self, params: Params) -> Params:
-        """The far lump of the last link."""
+        """Set the far lump of the last link."""
         lump = _turret_lump(params)
         return _with_turret_lump(params, replace(lump, mass_kg=lump.mass_kg + self.extra_kg))
 
 
 @dataclass(frozen=True, slots=True)
 class TurretCentre(Effect):
-    """The turret's centre of mass is farther along an axis of frame Arm6."""
+    """Shift of the centre of mass of the turret along an axis of frame Arm6."""
 
     axis: Literal["x", "y", "z"]
     shift_m: Annotated[float, ParameterSpec(-0.1, 0.1, unit="m", typical=5e-3, neutral=0.0)]
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
-        """Shift the mass."""
+        """Shift the centre of mass."""
         turret = spec.body("turret")
         turret.ipos = turret.ipos + self._shift()
 
     def on_params(self, params: Params) -> Params:
-        """The far lump of the last link."""
+        """Set the far lump of the last link."""
         lump = _turret_lump(params)
         return _with_turret_lump(params, replace(lump, com_m=vector3(np.array(lump.com_m) + self._shift())))
 
@@ -222,7 +222,7 @@ class TurretCentre(Effect):
 
 
 def params_with_stand_in(params: Params, stand_in_kg: float | None) -> Params:
-    """Flight parameters of the arm with a stand-in of this mass; None for its own turret."""
+    """Return the flight parameters with a stand-in turret of this mass; None keeps the turret."""
     return params if stand_in_kg is None else StandInTurret(stand_in_kg).on_params(params)
 
 

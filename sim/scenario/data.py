@@ -1,7 +1,7 @@
-"""A scenario as data: world, arm, commands, faults, and the checks that define success.
+"""Scenario as data: world, arm, commands, faults, and the checks that define success.
 
-Commands are numbered from 1, in the order of the scenario. A scenario file names a check in lower case:
-OverInlet is over_inlet.
+Commands are numbered from 1, in the order of the scenario.
+A scenario file has the names of checks in lower case: OverInlet is over_inlet.
 """
 
 from dataclasses import dataclass, replace
@@ -18,7 +18,7 @@ from sim.effects.faults import InjectedFault
 from sim.world import World
 
 CommandNumber = Annotated[int, Limits(1, 1000)]
-"""Of a command."""
+"""Number of a command in its scenario."""
 Share = Annotated[float, Limits(0.0, 1.0)]
 CheckForce = Annotated[float, Limits(0.0, 1000.0)]
 CheckLength = Annotated[float, Limits(0.0, 1.0)]
@@ -27,17 +27,17 @@ CheckAngle = Annotated[float, Limits(0.0, 3.2)]
 DEGREE: Final = pi / 180
 
 CONTACT_THRESHOLD_N: Final = 1.0
-"""Less than this is no contact: no switch would close."""
+"""Force below which there is no contact, as no switch would close."""
 
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """Every command was carried out, without a refusal or a fault."""
+    """Check that every command was completed, without a refusal or a fault."""
 
 
 @dataclass(frozen=True, slots=True)
 class Placed:
-    """At the end of a command a tool touches the surface next to its point."""
+    """Check that a tool touches the surface next to its point at the end of a command."""
 
     after: CommandNumber
     tool: Tool
@@ -46,7 +46,7 @@ class Placed:
 
 @dataclass(frozen=True, slots=True)
 class SameSpot:
-    """A tool touches where another one touched, both as they truly were at the end of their commands."""
+    """Check that a tool touches the point that another one touched, by their true positions."""
 
     after: CommandNumber
     tool: Tool
@@ -57,48 +57,48 @@ class SameSpot:
 
 @dataclass(frozen=True, slots=True)
 class Preloaded:
-    """At the end of a command a tool presses on the surface with a force, and on the way it does not slip."""
+    """Check that a tool presses with a force at the end of a command, and did not slip before."""
 
     after: CommandNumber
     tool: Tool
     force_N: CheckForce
     share: Share = 0.10
-    """How far the force may be off, as a share of it."""
+    """Tolerance of the force, as a fraction of it."""
     most_N: CheckForce = 400.0
-    """Of the normal force, from the beginning of the command on."""
+    """Limit of the normal force, from the start of the command on."""
     ratio: Annotated[float, Limits(0.0, 10.0)] = 0.35
-    """Of lateral to normal force, from then on."""
+    """Limit of the ratio of lateral to normal force, from the start of the command on."""
     slip_m: CheckLength = 1e-3
-    """Of each contact pad along the surface, while it touches."""
+    """Limit of the slip of each contact pad along the surface, while it touches."""
     pressed_N: CheckForce = 20.0
-    """The normal force from which on ratio and slip count."""
+    """Normal force above which ratio and slip are checked."""
 
 
 @dataclass(frozen=True, slots=True)
 class GravityHeld:
-    """While a command vibrates, and at its end, true gravity lies along a direction of a tool."""
+    """Check that true gravity is along a direction of a tool during vibration and at the end of a command."""
 
     during: CommandNumber
     tool: Tool
     gravity_T: Vector3
-    """In the tool's true axes."""
+    """Direction in the true axes of the tool."""
     angle_rad: CheckAngle = 1.0 * DEGREE
 
 
 @dataclass(frozen=True, slots=True)
 class OverInlet:
-    """At the end of a command a tool is over a taught point, near the line upright to the deck through it."""
+    """Check that a tool is near the line through a taught point upright to the deck, after a command."""
 
     after: CommandNumber
     point: str
     lateral_m: CheckLength = 0.005
     angle_rad: CheckAngle = 2.0 * DEGREE
-    """Between the tool and gravity."""
+    """Limit of the angle between tool and gravity."""
 
 
 @dataclass(frozen=True, slots=True)
 class Docked:
-    """At the end of a command a tool is at a taught point, looks the way it should, and touches."""
+    """Check that a tool has the pose of a taught point and touches, after a command."""
 
     after: CommandNumber
     point: str
@@ -108,7 +108,7 @@ class Docked:
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """At the end of a command the tool of a taught point presses with a force, along its approach."""
+    """Check that the tool of a taught point presses with a force along its approach, after a command."""
 
     after: CommandNumber
     point: str
@@ -118,29 +118,29 @@ class Loaded:
 
 @dataclass(frozen=True, slots=True)
 class Released:
-    """At the end of the scenario a tool touches nothing."""
+    """Check that a tool touches nothing at the end of the scenario."""
 
     tool: Tool
 
 
 @dataclass(frozen=True, slots=True)
 class Stowed:
-    """The arm ends in its stowed pose and knows it."""
+    """Check that the arm ends in its stowed pose, and in the mode of it."""
 
     angle_rad: CheckAngle = 0.02
-    """Of each true output."""
+    """Limit of the error of each true output angle."""
 
 
 @dataclass(frozen=True, slots=True)
 class Faulted:
-    """A fault of this name ended the sequence: the arm is braked, and refuses if that is the response."""
+    """Check that a fault ended the sequence: the arm is braked, and refuses moves if that is the response."""
 
     evr: str
 
 
 @dataclass(frozen=True, slots=True)
 class Recovered:
-    """A fault of this name came, and the sequence went on after it to its end."""
+    """Check that a fault happened, and that the sequence was completed after it."""
 
     evr: str
 
@@ -166,29 +166,29 @@ StartPose = Literal["stowed", "ready"]
 
 @dataclass(frozen=True, slots=True)
 class TaughtPoint:
-    """A place that a tool is taught before a scenario begins: where its true tip and boresight are to be."""
+    """Pose of a tool, by its true tip and boresight, that the arm is taught before a scenario."""
 
     name: str
     tool: Tool
     p_N_m: Vector3
-    """RNAV."""
+    """Position in RNAV."""
     approach_N: Vector3
     branch: str = "AUTO"
 
 
 @dataclass(frozen=True, slots=True)
 class Injection:
-    """A fault of the hardware and when it comes."""
+    """Fault of the hardware, and its time."""
 
     fault: InjectedFault
-    """With the time at which it comes; during a command, since that command began."""
+    """Fault with its time, which counts from the start of the command `during` or of the scenario."""
     during: int | None = None
-    """The number of that command, from 1; None for a time since the scenario began."""
+    """Number of a command, from 1; None if the time counts from the start of the scenario."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """Everything that a run needs but the arm's seed."""
+    """Frozen record of a run without the seed of its arm."""
 
     name: str
     title: str
@@ -202,12 +202,12 @@ class Scenario:
     taught: tuple[TaughtPoint, ...] = ()
     faults: tuple[Injection, ...] = ()
     effects: tuple[Effect, ...] = ()
-    """What is not as the arm's name says."""
+    """Effects beyond those of the named arm."""
 
     def tilted(self, roll_rad: float, pitch_rad: float) -> "Scenario":
-        """The same on a rover that stands otherwise; places in RNAV stay what they are."""
+        """Return the scenario with another attitude of the rover; positions in RNAV stay."""
         return replace(self, world=replace(self.world, tilt_roll_rad=roll_rad, tilt_pitch_rad=pitch_rad))
 
     def fit_arm(self, arm: BuiltArm) -> BuiltArm:
-        """The arm with those effects that it has when its joints look for their hardstops."""
+        """Return the arm with those effects of the scenario that it has before the run."""
         return arm.with_effects(self.effects)

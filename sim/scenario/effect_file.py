@@ -1,4 +1,4 @@
-"""Effects in a file of their own, in the tables of a scenario: [[effect]]."""
+"""Files of effects, with the tables [[effect]] of a scenario."""
 
 import sys
 from collections.abc import Sequence
@@ -17,10 +17,10 @@ TABLE_NAME: Final = "effect"
 
 
 def read_effect_file(path: Path) -> tuple[Effect, ...]:
-    """The effects that a file says.
+    """Read the effects of a file.
 
     Raises:
-        BadEffect: it cannot be read, or anything in it is wrong; a line of the message for each.
+        BadEffect: the file cannot be read, or anything in it is wrong; the message has a line for each problem.
     """
     if path.exists() and not path.is_file():
         raise BadEffect(f"{path}: is no regular file; give the path of a .toml file")
@@ -46,7 +46,12 @@ def read_effect_file(path: Path) -> tuple[Effect, ...]:
 
 
 def effect_file_text(effects: Sequence[Effect], said: Sequence[str]) -> str:
-    """The file that says these effects exactly, under what is to be said of them, a comment a line."""
+    """Write a file of these effects, which reads back exactly, below comments.
+
+    Args:
+        effects: Effects to write.
+        said: Comments, one a line.
+    """
     lines = [f"# {line}" for line in said]
     for effect in effects:
         lines += [
@@ -58,7 +63,7 @@ def effect_file_text(effects: Sequence[Effect], said: Sequence[str]) -> str:
 
 
 def effect_table(effect: Effect) -> dict[str, Any]:
-    """The table that says this effect exactly."""
+    """Return the table of an effect, which reads back exactly."""
     kind = type(effect)
     name = effect_name(kind)
     if catalogue().get(name) is not kind:

@@ -1,4 +1,4 @@
-"""Effects as the command line and scenario files write them: NAME:PLACE:PARAMETER=VALUE,..."""
+"""Effects as text on the command line and in scenarios: NAME:PLACE:PARAMETER=VALUE,..."""
 
 import hashlib
 import re
@@ -25,16 +25,20 @@ from sim.scenario.toml_record import Findings, read_record
 
 
 class NotAnEffect(ValueError):
-    """A file or a class in it that is no effect; the message says what would be right."""
+    """File or class that is no effect; the message says what would be right."""
 
 
 def effect_classes_in_file(path: str) -> tuple[type[Effect], ...]:
-    """All effects of a Python file, which is run; NotAnEffect if it cannot be."""
+    """Run a Python file and return its effects.
+
+    Raises:
+        NotAnEffect: the file cannot be run.
+    """
     return tuple(effect_classes_in(_load_module(Path(path))))
 
 
 def load_effect_class(path: str, name: str) -> type[Effect]:
-    """The class of this name in a Python file, which is run.
+    """Run a Python file and return its class of this name.
 
     Raises:
         NotAnEffect: there is no such file or class, the file cannot be run, or the class is no effect.
@@ -62,7 +66,7 @@ def load_effect_class(path: str, name: str) -> type[Effect]:
 
 
 def _load_module(path: Path) -> ModuleType:
-    """The file as a module of its own, run once for each content that it has."""
+    """Run a file as a module, once for each of its contents."""
     try:
         content = path.read_bytes()
     except OSError as error:
@@ -87,18 +91,18 @@ def _load_module(path: Path) -> ModuleType:
 
 FILE_PATTERN: Final = re.compile(r"(?P<file>.+?\.py):(?P<rest>.*)", re.DOTALL)
 COMMA_PATTERN: Final = re.compile(r",(?![^\[]*\])")
-"""Not one between brackets."""
+"""Comma outside of brackets."""
 
 
 class BadEffect(ValueError):
-    """An effect that cannot be switched on; the message names it and says what would be right."""
+    """Effect that cannot be made; the message names it and says what would be right."""
 
 
 def parse_effect_text(text: str) -> Effect:
-    """The effect that a text says, of the catalogue or from a file: FILE.py:CLASS:PLACE:PARAMETER=VALUE,...
+    """Make the effect of a text, from the catalogue or from FILE.py:CLASS:PLACE:PARAMETER=VALUE,...
 
     Raises:
-        BadEffect: there is none of this name, or its place or its parameters are wrong.
+        BadEffect: the name is not known, or its place or its parameters are wrong.
     """
     file = FILE_PATTERN.fullmatch(text)
     name, *parts = (part.strip() for part in (text if file is None else file["rest"]).split(":"))
@@ -116,10 +120,10 @@ def parse_effect_text(text: str) -> Effect:
 
 
 def find_effect_class(name: str) -> type[Effect]:
-    """The class of an effect by its name in the catalogue, or as FILE.py:CLASS.
+    """Return the class of an effect by its name in the catalogue, or by FILE.py:CLASS.
 
     Raises:
-        BadEffect: there is none.
+        BadEffect: there is no such class.
     """
     file = FILE_PATTERN.fullmatch(name)
     if file is None and not name.endswith(".py"):
@@ -138,10 +142,10 @@ def find_effect_class(name: str) -> type[Effect]:
 
 
 def effect_from_fields(kind: type[Effect], name: str, table: Mapping[str, Any]) -> Effect:
-    """The effect that a table of its fields says.
+    """Make the effect of a table of its fields.
 
     Raises:
-        BadEffect: a field is missing, is not known, or has a value that it cannot have.
+        BadEffect: a field is missing, not known, or has a wrong value.
     """
     findings = Findings({(): 0})
     effect = read_record(kind, dict(table), (), findings)
@@ -151,7 +155,7 @@ def effect_from_fields(kind: type[Effect], name: str, table: Mapping[str, Any]) 
 
 
 def effect_text(effect: Effect) -> str:
-    """The text that says this effect, exactly."""
+    """Return the text of an effect, which reads back exactly."""
     kind = type(effect)
     name = effect_name(kind)
     if catalogue().get(name) is not kind:
@@ -169,13 +173,13 @@ def effect_text(effect: Effect) -> str:
 
 
 def parameter_key(kind: type[Effect], field: str) -> str:
-    """How a parameter is written in SI units."""
+    """Return the name of a parameter with its SI unit."""
     hint = get_type_hints(kind)[field]
     return next(key for key, factor in field_keys(field, hint).factors.items() if factor == 1.0)
 
 
 def _split(name: str, parts: list[str]) -> tuple[str, str]:
-    """Place and parameters; either may be missing."""
+    """Return place and parameters; either may be missing."""
     if len(parts) > 2:
         raise BadEffect(
             f"effect {name}: {shorten(':'.join(parts))} has too many colons; write {_usage(name)}"
@@ -186,7 +190,7 @@ def _split(name: str, parts: list[str]) -> tuple[str, str]:
 
 
 def _parse_place(kind: type[Effect], name: str, text: str) -> dict[str, str]:
-    """The fields of a place: arm3.z."""
+    """Return the fields of a place, such as arm3.z."""
     words, known = text.split(".") if text else [], place_fields_of(kind)
     if len(words) > len(known):
         what = " and ".join(where.field for where in known)
@@ -202,7 +206,7 @@ def _parse_place(kind: type[Effect], name: str, text: str) -> dict[str, str]:
 
 
 def _parse_parameters(name: str, text: str) -> dict[str, Any]:
-    """Parameters and values; a value is a number, a word, or numbers in brackets."""
+    """Return parameters and values; a value is a number, a word, or numbers in brackets."""
     found: dict[str, Any] = {}
     for pair in COMMA_PATTERN.split(text) if text else ():
         key, equals, value = (part.strip() for part in pair.partition("="))

@@ -1,4 +1,4 @@
-"""Scenarios from TOML, strictly: every problem at once, each with its line and with what would be right."""
+"""Scenarios from TOML, checked strictly: one message has every problem, its line, and what would be right."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
@@ -40,11 +40,11 @@ T = TypeVar("T")
 TABLE_LISTS: Final = ("teach", "command", "fault", "effect", "check")
 REQUIRED_LISTS: Final = ("command", "check")
 MAX_SHOWN: Final = 50
-"""Problems in a message."""
+"""Largest number of problems in a message."""
 
 
 class BadScenario(ValueError):
-    """A scenario that is not to be run; a line of the message for every problem, with file and line."""
+    """Scenario that is refused; the message has a line for every problem, with file and line number."""
 
     def __init__(self, file: str, problems: list[Problem]):
         self.problems = tuple(sorted(problems))
@@ -57,7 +57,7 @@ class BadScenario(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class _ScenarioHead:
-    """What a file says before its first table."""
+    """Keys of a file before its first table."""
 
     title: str
     sentence: str
@@ -67,7 +67,7 @@ class _ScenarioHead:
 
 @dataclass(frozen=True, slots=True)
 class _WorldTable:
-    """The table [world]."""
+    """Table [world]."""
 
     scene: Scene = "mars"
     tilt_roll_rad: float = 0.0
@@ -77,19 +77,19 @@ class _WorldTable:
 
     @property
     def built(self) -> World:
-        """The world of the plant."""
+        """Return the world of the plant."""
         return World(self.scene, self.tilt_roll_rad, self.tilt_pitch_rad, self.surface)
 
 
 def built_in_scenarios() -> dict[str, str]:
-    """The text of every scenario that comes with the house, by name."""
+    """Return the text of every built-in scenario, by name."""
     folder = resources.files("sim").joinpath("scenarios")
     files = sorted((f for f in folder.iterdir() if f.name.endswith(".toml")), key=lambda f: f.name)
     return {file.name.removesuffix(".toml"): file.read_text(encoding="utf-8") for file in files}
 
 
 def load_scenario(name: str) -> Scenario:
-    """A scenario that comes with the house, by name, or that of a TOML file, by path.
+    """Load a built-in scenario by name, or a TOML file by path.
 
     Raises:
         BadScenario: there is none, it cannot be read, or something in it is wrong.
@@ -113,10 +113,15 @@ def load_scenario(name: str) -> Scenario:
 
 
 def parse_scenario(text: str, name: str, file: str) -> Scenario:
-    """The scenario that a TOML text says; `file` is how messages call it.
+    """Parse the text of a scenario.
+
+    Args:
+        text: TOML text.
+        name: Name of the scenario.
+        file: Name of the file in messages.
 
     Raises:
-        BadScenario: something in it is wrong; the message has every problem, by line.
+        BadScenario: something is wrong; the message has every problem, by line.
     """
     try:
         data, lines = parse_toml(text)
@@ -224,7 +229,7 @@ def _check_taught(taught: list[TaughtPoint | None], findings: Findings) -> None:
 
 
 def _check_ending(checks: list[Check | None], findings: Findings) -> None:
-    """A scenario says how it ends, in one way."""
+    """Check that a scenario has one way to end."""
     if None in checks or not checks:
         return
     ends = {type(check) for check in checks} & {Done, Faulted, Recovered}
@@ -239,7 +244,7 @@ def _check_ending(checks: list[Check | None], findings: Findings) -> None:
 def _check_sequence(
     start: StartPose, commands: list[Command | None], faults: list[Injection | None], findings: Findings
 ) -> None:
-    """Refuse a sequence that flight software would be bound to refuse halfway, as far as it can be read."""
+    """Report commands that flight software would certainly refuse, as far as the file was read."""
     known: tuple[Command, ...] = _without_none(list(takewhile(lambda command: command is not None, commands)))
     there = _without_none(faults)
     bound = [fault.during for fault in there if prevents_completion(fault.fault)]
@@ -253,7 +258,7 @@ def _check_sequence(
 
 
 def _invalid_commands(commands: tuple[Command, ...]) -> Iterator[tuple[int, str]]:
-    """Commands, by their number from 1, that flight software refuses for their own numbers and words."""
+    """List commands, by number from 1, that flight software refuses for their own arguments."""
     params = nominal_params()
     for number, command in enumerate(commands, start=1):
         problem: str | None = None

@@ -1,4 +1,4 @@
-"""Judging a scenario: each check against the truth of the plant, with what was measured and its bounds."""
+"""Evaluation of scenarios: each check against the true state of the plant, with value and bounds."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -43,26 +43,32 @@ STOP_ONLY_FAULTS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """What was measured for a check, in SI, and between which bounds it has to be."""
+    """Value of a check in SI units, and its bounds."""
 
     name: str
     value: float
-    """NaN where the scenario did not come so far."""
+    """NaN if the scenario ended before."""
     unit: str
     """Empty for yes (1) or no (0) and for plain numbers."""
     low: float = -inf
     high: float = inf
     check: str = ""
-    """As a scenario file calls it."""
+    """Name of the check in a scenario file."""
 
     @property
     def passed(self) -> bool:
-        """Whether it is within its bounds; what was not measured is not."""
+        """Return whether the value is within its bounds; NaN is not."""
         return self.low <= self.value <= self.high
 
 
 def evaluate_checks(scenario: Scenario, stowed_rad: Array, trace: Trace) -> tuple[CheckResult, ...]:
-    """Every check of a scenario, in its order; `stowed_rad` is the stowed pose."""
+    """Evaluate every check of a scenario, in its order.
+
+    Args:
+        scenario: Scenario that was run.
+        stowed_rad: Output angles of the stowed pose, shape (5,).
+        trace: True states of the run.
+    """
     found = [
         replace(measured, check=upper_snake(type(check)).lower())
         for check in scenario.checks
@@ -132,7 +138,7 @@ def _check_same_spot(check: SameSpot, normal: Array, trace: Trace) -> tuple[Chec
 
 
 def _check_preloaded(check: Preloaded, normal: Array, trace: Trace) -> tuple[CheckResult, ...]:
-    """Force at the end of the command; from its beginning on, while pressed, ratio and slip."""
+    """Check force at the end of the command, and ratio and slip from its start while pressed."""
     moments = trace.since(check.after)
     normals = [float(m.force_R_N[check.tool] @ normal) for m in moments]
     pressed = [(m, f) for m, f in zip(moments, normals, strict=True) if f >= check.pressed_N]
@@ -147,7 +153,7 @@ def _check_preloaded(check: Preloaded, normal: Array, trace: Trace) -> tuple[Che
 
 
 def _slips(moments: Sequence[Snapshot], switch: Switch, normal: Array, check: Preloaded) -> list[float]:
-    """How far across a pad has come since it touched: a tool may roll on its pads, or turn about one."""
+    """Return the shift of a pad across the normal since it touched: a tool may roll or turn on its pads."""
     touched = [m for m in moments if m.closed[switch]]
     return [
         _lateral(m.pads_R_m[switch] - touched[0].pads_R_m[switch], normal)
@@ -194,7 +200,7 @@ def _check_released(check: Released, trace: Trace) -> CheckResult:
 
 
 def _check_faulted(check: Faulted, trace: Trace) -> tuple[CheckResult, ...]:
-    """Refusing is asked for where the response to the fault is to refuse."""
+    """Check event and brakes, and the refusal of moves if that is the response to the fault."""
     refuses = () if check.evr in STOP_ONLY_FAULTS else (_bool_result("refuses", trace.ending.refuses),)
     return (
         _bool_result(check.evr, _has_evr(check.evr, trace)),
@@ -215,7 +221,7 @@ def _all_done(trace: Trace) -> bool:
 def _force_result(
     trace: Trace, away: Array, after: int, tool: Tool, force_N: float, share: float
 ) -> CheckResult:
-    """The force along the unit vector `away` of what is pressed on."""
+    """Check the force of a tool along the unit vector `away`."""
     force = _value_after(trace, after, lambda m: float(m.force_R_N[tool] @ away))
     return CheckResult("force", force, "N", (1 - share) * force_N, (1 + share) * force_N)
 
@@ -232,7 +238,7 @@ def _bool_result(name: str, is_so: bool) -> CheckResult:
 
 
 def _value_after(trace: Trace, command: int, measure: Callable[[Snapshot], float]) -> float:
-    """What is measured at the end of a command; NaN if it did not begin."""
+    """Measure at the end of a command; NaN if it did not begin."""
     moment = trace.at_end_of(command)
     return nan if moment is None else measure(moment)
 
@@ -242,17 +248,21 @@ def _maximum(values: Sequence[float]) -> float:
 
 
 def _lateral(v: Array, normal: Array) -> float:
-    """The length of a vector across a unit vector."""
+    """Return the length of a vector across a unit vector."""
     return float(np.linalg.norm(v - (v @ normal) * normal))
 
 
 def _surface_normal(scenario: Scenario) -> Array:
-    """Of the surface, out of it, of length one."""
+    """Return the unit normal out of the surface."""
     return normalize(_surface(scenario).normal_N)
 
 
 def _surface(scenario: Scenario) -> Surface:
-    """The surface that this check is about; the reader of the file has seen that there is one."""
+    """Return the surface of the world; a scenario file with this check has one.
+
+    Raises:
+        ValueError: the world has no surface.
+    """
     if scenario.world.surface is None:
         raise ValueError(f"{scenario.name}: a check of contact needs a surface in its world")
     return scenario.world.surface

@@ -1,4 +1,4 @@
-"""A sequence walked through the mode table before anything moves: which command would be refused, and why."""
+"""Check of a command sequence against the mode table before a run: which commands would be refused, and why."""
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -42,7 +42,7 @@ COMMAND_EVENTS: Final[dict[type[Command], tuple[ModeEvent, ...]]] = {
     Stop: (),
     ClearFault: (ModeEvent.CLEAR,),
 }
-"""What a command that goes well does to the mode, step by step; `_evr_types` knows those with a choice."""
+"""Mode events of a command that succeeds; `_events` has those that depend on arguments."""
 
 
 Modes = frozenset[Mode]
@@ -50,28 +50,34 @@ Modes = frozenset[Mode]
 _CLEARED: Final[Modes] = frozenset(
     Mode(mode) for event in ModeEvent if (mode := next_mode(Mode.FAULTED, event)) not in (None, Mode.FAULTED)
 )
-"""Where a cleared fault leaves the arm depends on where it stands, which cannot be known beforehand."""
+"""Modes after a fault is cleared; which one depends on the position of the arm, which is not known here."""
 
 
 @dataclass(frozen=True, slots=True)
 class SequenceState:
-    """Where a sequence has come to."""
+    """State of a sequence before a command."""
 
     modes: Modes
-    """Those that are possible."""
+    """Possible modes."""
     tool: Tool | None = None
-    """That touches, if it is known."""
+    """Tool that touches, if it is known."""
     faulted_in: int | None = None
-    """The number of the command that an injected fault ended."""
+    """Number of the command that an injected fault ended."""
 
 
 def find_refusals(
     commands: Sequence[Command], start: Mode, faulting: Collection[int] = (), troubled: Collection[int] = ()
 ) -> Iterator[tuple[int, str]]:
-    """The number of each command that would be refused, and what would be right.
+    """Find the commands that would be refused.
 
-    `faulting` are the numbers of commands that are bound to end in a fault, if they move at all, `troubled`
-    of those that may.
+    Args:
+        commands: Sequence.
+        start: Mode before it.
+        faulting: Numbers of commands that certainly end in a fault, if they move.
+        troubled: Numbers of commands that may end in a fault.
+
+    Yields:
+        The number of each refused command, and what would be right.
     """
     standing = SequenceState(frozenset({start}))
     for number, command in enumerate(commands, 1):
@@ -84,12 +90,12 @@ def find_refusals(
 
 
 def is_motion(command: Command) -> bool:
-    """Whether a command moves the arm."""
+    """Return whether a command moves the arm."""
     return COMMAND_EVENTS[type(command)] not in ((), (ModeEvent.CLEAR,))
 
 
 def modes_after(modes: Modes, command: Command) -> Modes:
-    """The modes in which a command may leave the arm; none where it may not begin."""
+    """Return the modes in which a command may leave the arm; none if it may not begin."""
     if isinstance(command, ClearFault):
         return _CLEARED if Mode.FAULTED in modes else frozenset()
     if isinstance(command, ToolChange):
@@ -151,7 +157,7 @@ def _next_state(standing: SequenceState, command: Command, fault: int | None) ->
 
 
 def _enabling_commands(modes: Modes, command: Command) -> str:
-    """The commands after which this one may begin, as far as one command leads there."""
+    """List the commands that lead to a mode in which this one may begin."""
     fit = frozenset(mode for mode in Mode if modes_after(frozenset({mode}), command))
     ways = [
         upper_snake(kind) + (" of force 0" if events is _RELEASE else "")

@@ -1,4 +1,4 @@
-"""How the names of dataclasses and their fields are written in a scenario file, units included."""
+"""Names of dataclasses and their fields in scenario files, with units."""
 
 import re
 from collections.abc import Iterable
@@ -16,10 +16,10 @@ UNIT_FACTORS: Final[dict[str, dict[str, float]]] = {
     "A": {"A": 1.0},
     "Nm": {"Nm": 1.0},
 }
-"""By the suffix of a field: what may stand for it in a file, and how much of the SI unit that is."""
+"""Suffixes in a file by suffix of the field, with their value in its SI unit."""
 
 MAX_SHOWN_LENGTH: Final = 60
-"""Words of a file in a sentence."""
+"""Longest text from a file in a message."""
 
 _POSITION: Final = re.compile(r"p_(?:[A-Z]o[A-Z]o_)?[A-Z]_m$")
 _PER: Final = re.compile(r"_(?:rad|m|s|A|N|Nm|Nms|K)$")
@@ -28,19 +28,19 @@ _FRAME: Final = re.compile(r"_[A-Z]$")
 
 @dataclass(frozen=True, slots=True)
 class FieldKeys:
-    """How one field is written."""
+    """Keys of a scenario file for one field."""
 
     field: str
     stem: str
     factors: dict[str, float]
-    """SI value per value in the file, by key; one key without a unit if there is none."""
+    """SI value per value in the file, by key; a field without unit has one key."""
 
     def __str__(self) -> str:
         return " or ".join(self.factors)
 
 
 def field_keys(field: str, kind: Any) -> FieldKeys:
-    """How a field of this type is written: no letters of frames, `position` for p, and any unit that fits."""
+    """Return the keys of a field: without frames, `position` for p, and with any unit that fits."""
     name = _POSITION.sub("position_m", field)
     if kind is not float:  # of a number, a capital at the end is a unit
         name = _FRAME.sub("", name)
@@ -51,28 +51,28 @@ def field_keys(field: str, kind: Any) -> FieldKeys:
 
 
 def is_position(field: str) -> bool:
-    """Whether a field is the position of a point."""
+    """Return whether a field is the position of a point."""
     return _POSITION.search(field) is not None
 
 
 def shorten(key: str) -> str:
-    """A key of a file, short and legible enough for a sentence."""
+    """Return a text from a file, short and printable enough for a message."""
     text = key if key.isprintable() else repr(key)
     return text if len(text) <= MAX_SHOWN_LENGTH else f"{text[: MAX_SHOWN_LENGTH - 3]}..."
 
 
 def upper_snake(kind: type) -> str:
-    """MoveTool is MOVE_TOOL in a file."""
+    """Return the name of a class in a file: MoveTool is MOVE_TOOL."""
     return re.sub(r"(?<!^)(?=[A-Z])", "_", kind.__name__).upper()
 
 
 def list_choices(known: Iterable[str]) -> str:
-    """These names for the end of a sentence."""
+    """Return a list of names as the end of a message."""
     return f"there are {', '.join(known) or 'none'}"
 
 
 def did_you_mean(said: str, known: Iterable[str]) -> str:
-    """What was probably meant, and what there is; any part of `one or other` may have been meant."""
+    """Suggest the closest name, or part of `one or other`, and list all names."""
     names = list(known)
     near = {part.lower(): name for name in names for part in name.split(" or ")}
     close = get_close_matches(said.lower(), near, n=1)

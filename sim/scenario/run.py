@@ -1,4 +1,4 @@
-"""A scenario in the closed loop, watched by a judge who knows the truth."""
+"""Scenarios in the closed loop, evaluated with the true state of the plant."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -24,11 +24,11 @@ NO_MOTION: Joints5 = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class ScenarioResult:
-    """What came of a scenario."""
+    """Frozen record of the outcome of a scenario."""
 
     outcome: Outcome
     command: int
-    """The number of the last command that began."""
+    """Number of the last command that began."""
     duration_s: float
     checks: tuple[CheckResult, ...]
     evrs: tuple[tuple[float, Evr], ...]
@@ -36,13 +36,20 @@ class ScenarioResult:
 
     @property
     def passed(self) -> bool:
-        """Whether every check is; a run that was stopped, or was not judged, has not passed."""
+        """Return whether every check passed; a run that was stopped or not checked did not."""
         complete = self.outcome is not Outcome.STOPPED and bool(self.checks)
         return complete and all(check.passed for check in self.checks)
 
 
 def scenario_setup(scenario: Scenario, arm: BuiltArm, reference: Reference, seed: int) -> Setup:
-    """How a scenario begins, with an arm fitted for it, its joints known and its places taught."""
+    """Make the setup of a scenario for an arm that has its effects and its taught places.
+
+    Args:
+        scenario: Scenario to run.
+        arm: Arm from `Scenario.fit_arm`, with its taught places.
+        reference: Reference in the memory of flight software.
+        seed: Seed of the noise.
+    """
     poses = arm.params.poses
     start = poses.stowed_rad if scenario.start == "stowed" else poses.ready_rad
     timed = (injection.fault for injection in scenario.faults if injection.during is None)
@@ -55,7 +62,7 @@ def scenario_setup(scenario: Scenario, arm: BuiltArm, reference: Reference, seed
 
 
 class ScenarioRun:
-    """A scenario in a closed loop: iterate over its cycles, then ask for the result."""
+    """Scenario in a closed loop; `result` is complete after the last cycle."""
 
     def __init__(self, loop: ClosedLoop, scenario: Scenario):
         self._loop = loop
@@ -66,10 +73,14 @@ class ScenarioRun:
         self._braked = self._refuses = False
         self._due_s = [fault.fault.at_s for fault in scenario.faults if fault.during is None]
         self.command = 0
-        """The number of the command under way, from 1."""
+        """Number of the present command, from 1."""
 
     def __iter__(self) -> Iterator[CycleRecord]:
-        """Every cycle, as it happens; after a fault, one more in which a move is asked for."""
+        """Run the scenario; after a fault, run one cycle more with a command to move.
+
+        Yields:
+            Every cycle.
+        """
         sequence = run_sequence(self._loop, self._scenario.commands)
         self._outcome = yield from observe_cycles(sequence, self._note)
         self._braked = self._loop.braked
@@ -79,7 +90,11 @@ class ScenarioRun:
             yield record
 
     def stopping(self) -> Iterator[CycleRecord]:
-        """Every cycle of a stop, in place of those that were still to come."""
+        """Stop the arm in place of the remaining commands.
+
+        Yields:
+            Every cycle.
+        """
         self._outcome = yield from observe_cycles(stop_sequence(self._loop), self._watch)
 
     def _note(self, record: CycleRecord) -> None:
@@ -94,11 +109,11 @@ class ScenarioRun:
 
     @property
     def _came(self) -> int:
-        """How many of the scenario's faults have begun."""
+        """Count the faults of the scenario that have begun."""
         return sum(due_s <= self._loop.plant.data.time for due_s in self._due_s)
 
     def _inject(self) -> None:
-        """Let come what is to come during the command that has just begun."""
+        """Inject the faults of the command that has just begun."""
         for injection in self._scenario.faults:
             if injection.during == self.command:
                 begun_s = self._loop.plant.data.time - CYCLE_S
@@ -107,7 +122,7 @@ class ScenarioRun:
                 self._due_s.append(fault.at_s)
 
     def result(self) -> ScenarioResult:
-        """What came of it; after the last cycle."""
+        """Return the result; valid after the last cycle."""
         plant, state = self._loop.plant, self._loop.state
         ending = Ending(
             outcome=self._outcome,

@@ -1,4 +1,4 @@
-"""Teaching an arm its places: led there and surveyed from outside, it keeps where it believed to be."""
+"""Teaching of places: the true tool is moved to a place, and the estimated pose is stored."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -27,25 +27,25 @@ from sim.sequence import run_sequence
 from sim.world import World
 
 TEACH_PASSES: Final = 3
-"""Moves to the front of a place, each aimed off by what the one before missed."""
+"""Number of moves to the front of a place, each corrected by the true error of the last."""
 SURVEY_DISTANCE_M: Final = 0.05
-"""How far in front of a place it is surveyed, clear of what is there."""
+"""Distance in front of a place at which it is measured, clear of objects."""
 TEACH_OFFSET_RAD: Final = 0.01
-"""How far from a place every joint begins."""
+"""Distance of every joint from the place at the start."""
 REST_S: Final = 1.0
 
 
 class NotTaught(RuntimeError):
-    """A place that the arm could not be led to."""
+    """Place that the arm could not be taught."""
 
 
 def teach(
     arm: BuiltArm, reference: Reference, points: tuple[TaughtPoint, ...], world: World, seed: int = 0
 ) -> BuiltArm:
-    """The arm with these places among its parameters.
+    """Return the arm with these places among its parameters.
 
     Raises:
-        NotTaught: flight software refuses to go to one, or does not come to its end.
+        NotTaught: flight software refused or did not complete a move.
     """
     found = tuple(_teach_point(arm, reference, point, world, seed) for point in points)
     names = {point.name for point in found}
@@ -79,7 +79,7 @@ def _teach_point(
 
 
 def _pose_near(arm: BuiltArm, point: TaughtPoint, p_R_m: Array, axis: Array, world: World) -> Array:
-    """A pose beside the place, on the branch asked for; of several the nearest to the ready pose."""
+    """Return a pose beside the place, on its branch; of several the nearest to the ready pose."""
     ready = np.array(arm.params.poses.ready_rad)
     answers = inverse_kinematics(build_arm(arm.params), point.tool, p_R_m, axis, world.gravity_N_m_s2, ready)
     poses = [
@@ -94,7 +94,7 @@ def _pose_near(arm: BuiltArm, point: TaughtPoint, p_R_m: Array, axis: Array, wor
 
 
 def _move_tool_to(loop: ClosedLoop, point: TaughtPoint, p_R_m: Array, axis: Array) -> ToolChannels:
-    """What flight software believes of the tool, at rest after a move."""
+    """Move the tool and return its estimated pose at rest."""
     command = MoveTool(point.tool, vector3(p_R_m), vector3(axis), branch=point.branch)
     evrs = [evr for record in run_sequence(loop, (command,)) for evr in record.outputs.evrs]
     if loop.failure is not None:

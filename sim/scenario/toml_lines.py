@@ -1,11 +1,11 @@
-"""TOML with the line of every value: what Python's parser knows and does not tell."""
+"""TOML with the line of every value, which Python's parser does not return."""
 
 import re
 import tomllib
 from typing import Any, Final
 
 TomlPath = tuple[str | int, ...]
-"""The keys and indices that lead to a value."""
+"""Keys and indices that lead to a value."""
 
 _BLANK: Final = re.compile(r"(?:[ \t\r\n]|#[^\n]*)*")
 _SPACES: Final = re.compile(r"[ \t]*")
@@ -18,7 +18,7 @@ _OTHER: Final = re.compile(r"[^,\]\}\n#]*")
 
 
 class NotToml(ValueError):
-    """A text that is no TOML; `line` is where, from 1."""
+    """Text that is no TOML, and its line, from 1."""
 
     def __init__(self, line: int, why: str):
         super().__init__(f"is not TOML: {why}")
@@ -26,10 +26,10 @@ class NotToml(ValueError):
 
 
 def parse_toml(text: str) -> tuple[dict[str, Any], dict[TomlPath, int]]:
-    """What a text says, and the line of every key, table and element of it.
+    """Parse a text, and find the line of every key, table and element.
 
     Raises:
-        NotToml: Python's parser does not take it.
+        NotToml: Python's parser refuses the text.
     """
     try:
         return tomllib.loads(text), find_lines(text)
@@ -43,12 +43,12 @@ def parse_toml(text: str) -> tuple[dict[str, Any], dict[TomlPath, int]]:
 
 
 def find_lines(text: str) -> dict[TomlPath, int]:
-    """The line, from 1, of every key, table and element of this TOML text, which the parser has accepted."""
+    """Find the line, from 1, of every key, table and element of a text that the parser accepted."""
     return _Finder(text).places
 
 
 class _Finder:
-    """A reader that goes through a text once and notes where things begin."""
+    """Reader that passes a text once and records where values begin."""
 
     def __init__(self, text: str):
         self.places: dict[TomlPath, int] = {(): 1}
@@ -70,7 +70,7 @@ class _Finder:
             self._skip(_BLANK)
 
     def _header(self, opening: str) -> TomlPath:
-        """Read a header; a list of tables counts its elements, and a name under one means the last."""
+        """Read a header; one of a list counts its tables, and a name below it means the last table."""
         begun = self._at
         self._at += len(opening)
         names = self._names()
@@ -96,7 +96,7 @@ class _Finder:
         self._value(place)
 
     def _names(self) -> list[str]:
-        """A key, dotted or not, and the spaces around it."""
+        """Read a key, dotted or not, and the spaces around it."""
         names = []
         while True:
             self._skip(_SPACES)

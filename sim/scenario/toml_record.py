@@ -1,4 +1,4 @@
-"""A table of a scenario file as any frozen dataclass: names, units, types and limits by reflection."""
+"""Frozen dataclasses from tables of a scenario file: names, units, types and limits by reflection."""
 
 import math
 from collections.abc import Mapping
@@ -13,45 +13,46 @@ from sim.scenario.toml_lines import TomlPath
 
 T = TypeVar("T")
 Choices = Mapping[str, tuple[str, ...]]
-"""By the name of a field: what its text may be."""
+"""Allowed texts, by name of a field."""
 
 NO_CHOICES: Final[Choices] = {}
 TYPE_KEY: Final = "type"
-"""The key that says which dataclass a table is."""
+"""Key that names the dataclass of a table."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
 class Problem:
-    """What is wrong on a line of a file, and what would be right."""
+    """Problem on a line of a file, and what would be right."""
 
     line: int
-    """From 1; 0 is of the whole file."""
+    """Line from 1; 0 means the whole file."""
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """The problems of a file, found one by one."""
+    """Problems of a file, collected while it is read."""
 
     lines: Mapping[TomlPath, int]
     problems: list[Problem] = field(default_factory=list)
 
     def report(self, place: TomlPath, text: str) -> None:
-        """Note what is wrong with the value at a place."""
+        """Add a problem with the value at a place."""
         known = next(place[:k] for k in range(len(place), -1, -1) if place[:k] in self.lines)
         self.problems.append(Problem(self.lines[known], text))
 
 
 class _BadValue(Exception):
-    """A value that its field cannot take."""
+    """Value that its field refuses."""
 
 
 def read_record(
     kind: type[T], table: dict[str, Any], place: TomlPath, findings: Findings, choices: Choices = NO_CHOICES
 ) -> T | None:
-    """The dataclass that a table says, all of its fields but those that are not the file's to say.
+    """Read a table as a dataclass, with those of its fields that a file may set.
 
-    None if anything is wrong with it, which is then among the findings.
+    Returns:
+        The dataclass, or None if there are problems, which are added to `findings`.
     """
     before = len(findings.problems)
     hints = get_type_hints(kind, include_extras=True)
@@ -81,7 +82,7 @@ def read_record(
 
 
 def require_table(value: Any, place: TomlPath, findings: Findings) -> dict[str, Any] | None:
-    """The value as a table, or None and a problem."""
+    """Return the value as a table, or None and a problem."""
     if isinstance(value, dict):
         return value
     findings.report(place, f"{place[-1]}: {_show(value)} is no table; write [{place[-1]}] and its keys below")
@@ -91,7 +92,7 @@ def require_table(value: Any, place: TomlPath, findings: Findings) -> dict[str, 
 def read_kind(
     kinds: Mapping[str, type[T]], table: dict[str, Any], place: TomlPath, findings: Findings
 ) -> type[T] | None:
-    """Which of these dataclasses a table is, by its type."""
+    """Return the dataclass that a table names as its type, or None and a problem."""
     if TYPE_KEY not in table:
         findings.report(place, f"{TYPE_KEY}: is missing; {list_choices(kinds)}")
         return None
@@ -107,7 +108,7 @@ def read_kind(
 def _match_keys(
     words: list[FieldKeys], table: dict[str, Any], place: TomlPath, findings: Findings
 ) -> dict[str, str]:
-    """The key that is there for each field; one that does not say its field rightly is a problem."""
+    """Find the key of each field; report unknown keys, wrong units and duplicates."""
     said: dict[str, str] = {}
     for key in table:
         at = (*place, key)
@@ -126,7 +127,7 @@ def _match_keys(
 
 
 def _without_unit(key: str, words: list[FieldKeys]) -> FieldKeys | None:
-    """The field that a key is about that lacks its unit or has one that is not its own."""
+    """Find the field of a key whose unit is missing or wrong."""
     with_unit = [w for w in words if w.stem not in w.factors]
     return next((w for w in with_unit if key == w.stem or key.startswith(f"{w.stem}_")), None)
 
@@ -167,7 +168,7 @@ def _convert_value(kind: Any, value: Any, factor: float, choices: tuple[str, ...
 
 
 def _read_items(kinds: tuple[Any, ...], value: Any, factor: float) -> tuple[Any, ...]:
-    """So many values, or one and more where the type ends in three dots."""
+    """Read a fixed number of values, or one or more if the type ends in three dots."""
     if kinds[-1] is Ellipsis:
         if not isinstance(value, list) or not value:
             raise _BadValue(f"{_show(value)} is not one value or more in brackets")
@@ -180,7 +181,7 @@ def _read_items(kinds: tuple[Any, ...], value: Any, factor: float) -> tuple[Any,
 
 
 def _bare_type(kind: Any) -> Any:
-    """The type without its limits, and without None: what is left out has its default."""
+    """Return the type without limits and without None; a missing value has its default."""
     while get_origin(kind) in (Annotated, UnionType, Union):
         kind = get_args(kind)[0]
     return kind
@@ -220,6 +221,6 @@ def _check_limits(limits: Any, value: Any, factor: float) -> None:
 
 
 def _show(value: Any) -> str:
-    """A value of the file, short enough for a sentence."""
+    """Return a value of the file, short enough for a message."""
     text = str(value).lower() if isinstance(value, bool) else f"{value!r}"
     return shorten(text)

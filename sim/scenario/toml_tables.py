@@ -1,4 +1,4 @@
-"""The tables of a scenario file one by one: a command, a fault, a check, a place that is taught."""
+"""Tables of a scenario file: commands, faults, effects, checks and taught places."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
@@ -25,11 +25,11 @@ from sim.scenario.toml_lines import TomlPath
 from sim.scenario.toml_record import TYPE_KEY, Findings, read_kind, read_record
 
 FAULT_CLASSES: Final[tuple[type[InjectedFault], ...]] = get_args(InjectedFault)
-"""Each is a frozen dataclass with a time `at_s`; that and its fields are what a file says of it."""
+"""Frozen dataclasses with a time `at_s`; a file sets it and the other fields."""
 
 
 def prevents_completion(fault: InjectedFault) -> bool:
-    """Whether no command that moves can come to its end with this fault."""
+    """Return whether no move can be completed with this fault."""
     match fault:
         case PowerLoss() | SensorFault(kind="nan"):
             return True
@@ -39,7 +39,7 @@ def prevents_completion(fault: InjectedFault) -> bool:
 
 RNAV: Final = "RNAV"
 ROVER_FRAMES: Final = (RNAV, "RMECH")
-"""The frames of the rover; where nothing is said, positions are in the first."""
+"""Frames of the rover; the first is the default of positions."""
 FRAMES: Final = (*ROVER_FRAMES, *(frame for frame in COMMAND_FRAMES if frame != ROVER))
 MAX_DISTANCE_M: Final = 20.0
 COMMAND_CLASSES: Final[dict[str, type[Command]]] = {upper_snake(kind): kind for kind in get_args(Command)}
@@ -51,14 +51,14 @@ FAULT_CLASS_BY_NAME: Final[dict[str, type[InjectedFault]]] = {
 
 @dataclass(frozen=True, slots=True)
 class _AtTime:
-    """When a fault comes."""
+    """Time of a fault in the scenario."""
 
     at_s: Annotated[float, Limits(0.0, 1e5)]
 
 
 @dataclass(frozen=True, slots=True)
 class _DuringCommand:
-    """When a fault comes that comes during a command."""
+    """Time of a fault after the start of a command."""
 
     during: int
     after_s: Annotated[float, Limits(0.0, 1e5)]
@@ -67,7 +67,7 @@ class _DuringCommand:
 def list_tables(
     data: dict[str, Any], what: str, findings: Findings
 ) -> Iterator[tuple[TomlPath, dict[str, Any]]]:
-    """Each table of a list of tables, with its place."""
+    """List each table of a list of tables, with its place."""
     found = data.get(what, [])
     if isinstance(found, list) and all(isinstance(table, dict) for table in found):
         yield from (((what, k), table) for k, table in enumerate(found))
@@ -77,7 +77,7 @@ def list_tables(
 
 
 def read_taught_point(table: dict[str, Any], place: TomlPath, findings: Findings) -> TaughtPoint | None:
-    """A place that is taught, or None and problems."""
+    """Read a taught place, or return None and report problems."""
     point = read_record(TaughtPoint, table, place, findings, {"branch": (AUTO, *BRANCHES)})
     if point is not None:
         check_direction("approach", point.approach_N, place, findings)
@@ -86,14 +86,14 @@ def read_taught_point(table: dict[str, Any], place: TomlPath, findings: Findings
 
 
 def check_distance(name: str, p_m: Vector3, place: TomlPath, findings: Findings) -> None:
-    """Refuse a point that no arm comes near."""
+    """Report a point that is far from every arm."""
     if max(map(abs, p_m)) > MAX_DISTANCE_M:
         text = f"{name}: is more than {MAX_DISTANCE_M:g} m away; the workspace is around 2.1, 0, -0.3 in RNAV"
         findings.report((*place, name), text)
 
 
 def check_direction(name: str, direction: Vector3, place: TomlPath, findings: Findings) -> None:
-    """Refuse a direction that is none."""
+    """Report a direction without length."""
     if check_vector(name, direction) is not None:
         findings.report(
             (*place, name), f"{name}: has no length; write a direction, of any length in 1e-9 .. 1e9"
@@ -103,7 +103,17 @@ def check_direction(name: str, direction: Vector3, place: TomlPath, findings: Fi
 def read_command(
     table: dict[str, Any], place: TomlPath, findings: Findings, points: Mapping[str, Tool]
 ) -> Command | None:
-    """A command, its positions in RMECH, or None and problems; `points` are the taught places' tools."""
+    """Read a command, or return None and report problems.
+
+    Args:
+        table: Table of the file.
+        place: Its place in the file.
+        findings: Problems to add to.
+        points: Tools of the taught places, by name.
+
+    Returns:
+        The command, its positions in RMECH.
+    """
     kind = read_kind(COMMAND_CLASSES, table, place, findings)
     if kind is None:
         return None
@@ -137,7 +147,15 @@ def read_command(
 def read_fault(
     table: dict[str, Any], place: TomlPath, findings: Findings, commands: int, has_surface: bool
 ) -> Injection | None:
-    """A fault and when it comes, or None and problems; there are so many commands."""
+    """Read a fault and its time, or return None and report problems.
+
+    Args:
+        table: Table of the file.
+        place: Its place in the file.
+        findings: Problems to add to.
+        commands: Number of commands.
+        has_surface: True if the world has a rock face.
+    """
     kind = read_kind(FAULT_CLASS_BY_NAME, table, place, findings)
     if kind is None:
         return None
@@ -168,7 +186,7 @@ def read_fault(
 
 
 def read_effect(table: dict[str, Any], place: TomlPath, findings: Findings) -> Effect | None:
-    """An effect that is there from the beginning, or None and problems."""
+    """Read an effect that lasts for the whole run, or return None and report problems."""
     if not isinstance(table.get(TYPE_KEY), str):
         findings.report(
             place, f'{TYPE_KEY}: is missing; write the name of an effect, such as "coulomb-friction"'
@@ -196,7 +214,7 @@ def read_check(
     commands: int,
     has_surface: bool,
 ) -> Check | None:
-    """What success means, or None and problems."""
+    """Read a check, or return None and report problems."""
     kind = read_kind(CHECK_CLASSES, table, place, findings)
     if kind is None:
         return None

@@ -1,4 +1,4 @@
-"""What the plant truly did in a scenario, cycle by cycle: what a judge looks at."""
+"""True states of the plant in a scenario, cycle by cycle, for its checks."""
 
 from dataclasses import dataclass
 
@@ -16,71 +16,71 @@ from sim.sequence import Outcome
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
-    """The plant at the end of a cycle; tools in the order of Tool, vectors in RMECH axes."""
+    """Plant at the end of a cycle; tools in the order of Tool, vectors in RMECH axes."""
 
     command: int
-    """The number of the command under way, from 1."""
+    """Number of the present command, from 1."""
     p_RoTo_R_m: Array
-    """(5, 3)"""
+    """Positions, shape (5, 3)."""
     R_RT: Array
-    """(5, 3, 3)"""
+    """Rotations, shape (5, 3, 3)."""
     force_R_N: Array
-    """Of the world on each tool, (5, 3)."""
+    """Contact forces on each tool, shape (5, 3)."""
     closed: NDArray[np.bool_]
-    """As the cycle read them, in the order of Switch."""
+    """Closed switches as this cycle read them, in the order of Switch."""
     pads_R_m: Array
-    """Where they are, (10, 3)."""
+    """Positions of the contact switches, shape (10, 3)."""
     vibrates: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ending:
-    """How a scenario ended."""
+    """State of plant and flight software at the end of a scenario."""
 
     outcome: Outcome
     mode: Mode
-    """As flight software believes."""
+    """Mode of flight software."""
     output_rad: Array
-    """True."""
+    """True output angles, shape (5,)."""
     braked: bool
-    """Every brake holds and no motor has power."""
+    """True if every brake is on and no motor has power."""
     refuses: bool
-    """Whether a move that was asked for after the end was refused."""
+    """True if a command to move after the end was refused."""
     evrs: tuple[tuple[float, Evr], ...]
     """Time [s] and event."""
     pending_faults: int = 0
-    """How many of the scenario's faults have not come."""
+    """Number of faults of the scenario that have not begun."""
 
     @property
     def refusal(self) -> CommandRefused | None:
-        """The refusal that ended the sequence, if one did."""
+        """Return the refusal that ended the sequence, or None."""
         found = [evr for _, evr in self.evrs if isinstance(evr, CommandRefused)]
         return found[0] if found and self.outcome is Outcome.REFUSED else None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """A whole scenario."""
+    """True states of a whole scenario."""
 
     snapshots: tuple[Snapshot, ...]
     ending: Ending
 
     def during(self, command: int) -> tuple[Snapshot, ...]:
-        """The cycles of a command; none if it did not begin."""
+        """Return the cycles of a command; none if it did not begin."""
         return tuple(moment for moment in self.snapshots if moment.command == command)
 
     def since(self, command: int) -> tuple[Snapshot, ...]:
-        """The cycles from the beginning of a command to the end of the scenario."""
+        """Return the cycles from the start of a command to the end of the scenario."""
         return tuple(moment for moment in self.snapshots if moment.command >= command)
 
     def at_end_of(self, command: int) -> Snapshot | None:
-        """The last cycle of a command, or None if it did not begin."""
+        """Return the last cycle of a command, or None if it did not begin."""
         found = self.during(command)
         return found[-1] if found else None
 
 
 def take_snapshot(loop: ClosedLoop, record: CycleRecord, command: int) -> Snapshot:
-    """The plant as it is after a cycle."""
+    """Record the state of the plant after a cycle."""
     plant, truth = loop.plant, loop.truth()
     return Snapshot(
         command=command,
@@ -94,6 +94,6 @@ def take_snapshot(loop: ClosedLoop, record: CycleRecord, command: int) -> Snapsh
 
 
 def is_touching(moment: Snapshot, tool: Tool) -> bool:
-    """Whether a contact switch of a tool is closed."""
+    """Return whether a contact switch of a tool is closed."""
     closed: NDArray[np.bool_] = moment.closed[[Switch(switch) for switch in TOOL_SWITCHES[tool]]]
     return bool(closed.any())
