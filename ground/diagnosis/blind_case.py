@@ -1,4 +1,8 @@
-"""Which effects blind cases have, and how large: drawn from a seed before anything is recorded."""
+"""Blind cases: planned from a seed, sealed by a digest, and loaded for scoring.
+
+`plan_cases` draws the effects of all cases before anything is recorded. `seal` writes the truth and its
+SHA-256. `load_truth` refuses a truth that does not match that digest.
+"""
 
 import hashlib
 import json
@@ -26,21 +30,21 @@ DIGEST: Final = "digest.txt"
 
 @dataclass(frozen=True, slots=True)
 class TrueEffect:
-    """An effect that a case has."""
+    """Effect that is switched on in a blind case."""
 
     name: str
     place: str
     values: dict[str, float]
-    """Of all its parameters, by name, in the units of the diagnosis."""
+    """Values of all its parameters by name, in the units of the diagnosis."""
     times_limit: float
-    """Its size over the detection limit."""
+    """Amplitude as a multiple of the detection limit."""
     spec: str
-    """What switches it on in the plant."""
+    """Text that switches the effect on in the plant."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrueCase:
-    """One case; `background` is what every arm has of its own, `seed` that of its sensors' noise."""
+    """Blind case: its effects, the `background` of every arm, and the seed of the sensor noise."""
 
     name: str
     kind: CaseKind
@@ -51,22 +55,26 @@ class TrueCase:
 
 @dataclass(frozen=True, slots=True)
 class SealedTruth:
-    """All cases; without the salt nobody can try whether a truth that he thinks of has this digest."""
+    """Truth of all cases; the salt prevents that a guessed truth is confirmed by the digest."""
 
     salt: str
     cases: tuple[TrueCase, ...]
 
     def text(self) -> str:
-        """As it is written."""
+        """Return the text of the truth file."""
         return json.dumps(asdict(self), indent=1, sort_keys=True) + "\n"
 
     def digest(self) -> str:
-        """SHA-256 of that."""
+        """Return the SHA-256 of that text."""
         return hashlib.sha256(self.text().encode()).hexdigest()
 
 
 def seal(folder: Path, truth: SealedTruth) -> str:
-    """Write truth and digest; the digest. BadOutput if a file cannot be written."""
+    """Write truth and digest; return the digest.
+
+    Raises:
+        BadOutput: A file cannot be written.
+    """
     digest = truth.digest()
     for name, text in ((TRUTH, truth.text()), (DIGEST, digest + "\n")):
         with atomic_write(folder / name, "out") as file:
@@ -75,10 +83,10 @@ def seal(folder: Path, truth: SealedTruth) -> str:
 
 
 def load_existing_truth(folder: Path, salt: str, cases: int) -> SealedTruth | None:
-    """The truth that a folder holds already; None if there is none.
+    """Load the truth of a folder; None if the folder has none.
 
     Raises:
-        BadRequest: it is of another salt or number of cases, or is not what was sealed.
+        BadRequest: The truth has another salt or number of cases, or does not match its digest.
     """
     if not (folder / DIGEST).exists():
         return None
@@ -92,7 +100,7 @@ def load_existing_truth(folder: Path, salt: str, cases: int) -> SealedTruth | No
 
 
 def read_digest(folder: Path) -> str:
-    """The digest that was published; BadRequest if there is none."""
+    """Read the published digest; BadRequest if there is none."""
     try:
         return (folder / DIGEST).read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError) as error:
@@ -103,10 +111,10 @@ def read_digest(folder: Path) -> str:
 
 
 def load_truth(folder: Path) -> SealedTruth:
-    """The truth, if it is what was sealed.
+    """Load the truth if it matches its digest.
 
     Raises:
-        BadRequest: there is none, or it is another.
+        BadRequest: There is no truth, or it does not match.
     """
     digest = read_digest(folder)
     try:
@@ -126,9 +134,9 @@ def load_truth(folder: Path) -> SealedTruth:
         raise BadRequest(f"{folder / TRUTH}: was sealed, but is no truth ({error})") from error
 
 
-def _parse_truth(said: dict[str, Any]) -> SealedTruth:
+def _parse_truth(document: dict[str, Any]) -> SealedTruth:
     return SealedTruth(
-        said["salt"],
+        document["salt"],
         tuple(
             TrueCase(
                 case["name"],
@@ -137,18 +145,18 @@ def _parse_truth(said: dict[str, Any]) -> SealedTruth:
                 tuple(case["background"]),
                 case["seed"],
             )
-            for case in said["cases"]
+            for case in document["cases"]
         ),
     )
 
 
 KIND_SHARES: Final[dict[CaseKind, float]] = {"none": 0.3, "outside": 0.2, "pair": 0.2}
-"""Of all cases; the others have one effect."""
+"""Shares of all cases; the others have one effect of the catalogue."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedCase:
-    """A case."""
+    """Kind and sampled effects of a case."""
 
     kind: CaseKind
     effects: tuple[SampledEffect, ...]
@@ -160,9 +168,15 @@ def plan_cases(
     outside: Sequence[DetectableEffect],
     rng: np.random.Generator,
 ) -> tuple[PlannedCase, ...]:
-    """So many cases, in a random order.
+    """Plan blind cases in random order.
 
-    Effects are drawn first, then the place of each; of a pair both are of different classes.
+    Effects are sampled first, then the place of each. The two effects of a pair have different classes.
+
+    Args:
+        cases: Number of cases.
+        catalogue: Effects of the catalogue.
+        outside: Effects outside the catalogue.
+        rng: Random generator.
     """
     known, unknown = ([one for one in some if can_sample(one)] for some in (catalogue, outside))
     counts = {kind: round(share * cases) for kind, share in KIND_SHARES.items()}

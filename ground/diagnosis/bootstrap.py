@@ -1,9 +1,9 @@
-"""How sure a choice is: the selection repeated on data that might as well have been seen, and likelihoods.
+"""Uncertainty of the selection: a wild bootstrap over blocks, and likelihoods of alternatives.
 
-Blocks differ in what they can tell (only one of them may touch the ground), so they are not left out or
-doubled. What the best model leaves of each block is added to the data again with a random factor of mean 0
-and variance 1: the design stays as it is, and what is dependent within a block stays so. In sums over
-blocks, c* = c + g (c - G theta).
+Blocks differ in their information (only one may touch the ground), so they are not resampled. Instead, the
+residual of each block is multiplied by a random factor of mean 0 and variance 1, and added to the data (Wu
+1986). The design is unchanged, and correlation within a block is kept. For the products of each block: c* = c
++ g (c - G theta).
 """
 
 from collections.abc import Mapping
@@ -25,33 +25,45 @@ from ground.diagnosis.selection import (
 
 BOOTSTRAP_DRAWS: Final = 200
 SET_COVERAGE: Final = 0.95
-"""A set of alternatives is the fewest that were chosen in this share of the draws."""
+"""A set of alternatives is the smallest that was chosen in this share of the draws."""
 MIN_PROBABILITY: Final = 0.05
-"""What is less probable than that, alone against what was chosen, does not stand in its stead."""
+"""An alternative is dropped if its probability, alone against the chosen one, is below this."""
 
 
 @dataclass(frozen=True, slots=True)
 class Alternatives:
-    """What may stand where a chosen hypothesis stands."""
+    """Hypotheses that may replace a chosen one, itself included."""
 
     hypotheses: Subset
-    """One of each class, most probable first: chosen in SURE of the draws in which any was, or likely."""
+    """One hypothesis of each class, most probable first."""
     probability: tuple[float, ...]
-    """Which it is, given that there is an effect. Whether there is, surprise tells."""
+    """Probability of each, given that there is an effect."""
 
     def with_likelihoods(self, own: int, others: Mapping[int, float]) -> "Alternatives":
-        """With others that are worse than the chosen one by so much deviance, as far as they are likely."""
-        odds = {one: float(np.exp(-max(worse, 0.0) / 2.0)) for one, worse in others.items()}
-        likely = {one: by for one, by in odds.items() if by / (1.0 + by) >= MIN_PROBABILITY}
+        """Add the alternatives that are likely, given how much more deviance each leaves.
+
+        Args:
+            own: Chosen hypothesis.
+            others: Extra deviance of each other hypothesis in its place.
+
+        Returns:
+            Alternatives with the greater of bootstrap frequency and normalised likelihood, rescaled.
+        """
+        likelihoods = {one: float(np.exp(-max(worse, 0.0) / 2.0)) for one, worse in others.items()}
+        likely = {
+            one: likelihood
+            for one, likelihood in likelihoods.items()
+            if likelihood / (1.0 + likelihood) >= MIN_PROBABILITY
+        }
         if not likely:
             return self
         likely[own] = 1.0
         whole = 1.0 + sum(likely.values())
         found = {one: p / whole for one, p in zip(self.hypotheses, self.probability, strict=True)}
-        found |= {one: max(found.get(one, 0.0), by / whole) for one, by in likely.items()}
-        by = max(sum(self.probability), SET_COVERAGE) / sum(found.values())
+        found |= {one: max(found.get(one, 0.0), likelihood / whole) for one, likelihood in likely.items()}
+        likelihood = max(sum(self.probability), SET_COVERAGE) / sum(found.values())
         order = sorted(found, key=lambda one: -found[one])
-        return Alternatives(tuple(order), tuple(found[one] * by for one in order))
+        return Alternatives(tuple(order), tuple(found[one] * likelihood for one in order))
 
 
 def bootstrap_selections(
@@ -61,13 +73,24 @@ def bootstrap_selections(
     seed: int,
     draws: int = BOOTSTRAP_DRAWS,
 ) -> tuple[Subset, ...]:
-    """What is chosen in every draw."""
+    """Repeat the selection on bootstrap draws.
+
+    Args:
+        candidates: Hypotheses that may be selected.
+        rhs: Right-hand side of the case.
+        selection: Selection on the data.
+        seed: Seed of the draws.
+        draws: Number of draws.
+
+    Returns:
+        Selected hypotheses of each draw.
+    """
     equations, rng = candidates.equations, np.random.default_rng(seed)
     fit = fit_linear(equations, rhs, equations.columns(selection.chosen))
-    left = rhs.c - np.einsum("bij,j->bi", equations.G[:, :, fit.active], fit.theta)
+    residual = rhs.c - np.einsum("bij,j->bi", equations.G[:, :, fit.active], fit.theta)
     factors = rng.standard_normal((draws, rhs.c.shape[0], 1))
     return tuple(
-        select_effects(candidates, reduce_block_sums(equations, rhs.c + factor * left)).chosen
+        select_effects(candidates, reduce_block_sums(equations, rhs.c + factor * residual)).chosen
         for factor in factors
     )
 
@@ -75,10 +98,19 @@ def bootstrap_selections(
 def find_alternatives(
     candidates: CandidateSet, cosine: np.ndarray, selection: Selection, drawn: tuple[Subset, ...]
 ) -> tuple[Alternatives, ...]:
-    """For each chosen hypothesis: what was chosen in its stead, and how often.
+    """Count how often other classes replaced each chosen hypothesis.
 
-    In a draw, a chosen hypothesis stands for itself if its class is there; otherwise the one most like it
-    stands for it that stands for no other. Draws with fewer effects say nothing of it.
+    A chosen hypothesis is matched to a drawn one of its class, else to the remaining one with the greatest
+    cosine. Draws with fewer effects are not counted.
+
+    Args:
+        candidates: Hypotheses that may be selected.
+        cosine: Absolute cosines between h hypotheses, unitless, shape (h, h).
+        selection: Selection on the data.
+        drawn: Selected hypotheses of each draw.
+
+    Returns:
+        Smallest set of alternatives for each chosen hypothesis.
     """
     counts: list[dict[int, int]] = [{} for _ in selection.chosen]
     for draw in drawn:
@@ -93,23 +125,25 @@ def find_alternatives(
 def replacement_deviances(
     candidates: CandidateSet, rhs: RightHandSide, chosen: Subset, one: int
 ) -> dict[int, float]:
-    """The best of every other class in the place of one of the chosen, and by how much it is the worse.
+    """Return the best hypothesis of every other class in place of `one`, with its extra deviance.
 
-    In deviance; more parameters count as in the race, by what they explain by chance.
+    The deviance is derived from -log10 p, so that parameters count as in the selection.
     """
     others = tuple(other for other in chosen if other != one)
     best, found = subset_neg_log10_p(candidates, rhs, chosen), dict[int, float]()
-    for rival in rank_additions(candidates, rhs, others)[0]:
-        first = candidates.class_representative(rival)
-        if candidates.label[rival] != candidates.label[one] and first not in found:
-            found[first] = deviance_difference(best - subset_neg_log10_p(candidates, rhs, (*others, rival)))
+    for other_choice in rank_additions(candidates, rhs, others)[0]:
+        first = candidates.class_representative(other_choice)
+        if candidates.label[other_choice] != candidates.label[one] and first not in found:
+            found[first] = deviance_difference(
+                best - subset_neg_log10_p(candidates, rhs, (*others, other_choice))
+            )
     return found
 
 
 def _match_classes(
     candidates: CandidateSet, cosine: np.ndarray, chosen: Subset, draw: Subset
 ) -> list[int | None]:
-    """Which of the draw stands for which of the chosen; of its own class, the chosen itself."""
+    """Match each chosen hypothesis to one of a draw; None if there is none left."""
     free = list(draw)
     stands: list[int | None] = [None] * len(chosen)
     for index, one in enumerate(chosen):
@@ -126,7 +160,7 @@ def _match_classes(
 
 
 def _smallest_set(count: dict[int, int], own: int) -> Alternatives:
-    """The fewest that make up SURE of the draws; the chosen one alone if no draw has it or another."""
+    """Return the most frequent hypotheses that reach SET_COVERAGE; the chosen one if no draw counts."""
     total = sum(count.values())
     if not total:
         return Alternatives((own,), (0.0,))

@@ -1,4 +1,9 @@
-"""A diagnosis tried on motions that took no part in it."""
+"""Closure: the share of the explainable residual that the findings remove on held-out motion.
+
+Held-out motion takes no part in fitting or selection. The explainable residual lies in the directions in
+which detectable effects move that motion, and in the direction of the findings. The energy of noise in those
+directions is subtracted.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -13,17 +18,19 @@ from ground.diagnosis.problem import INTERVAL_QUANTILES, FeatureLayout, Hypothes
 from ground.diagnosis.sensitivity import Sensitivities
 
 NOISE_DRAWS: Final = 2000
+"""Number of noise draws for the interval."""
 MIN_GAP_SIGMAS: Final = 2.0
-"""An explainable gap of less than so many sigmas of what is there by chance cannot be shared out."""
+"""Sigmas of noise above which the explainable energy must lie, else no share is given."""
 MIN_MOVED_SIGMAS: Final = 2.0
-"""Sigmas by which effects that can just be seen together move what may be explained."""
+"""Sigmas by which just detectable effects must move the features along a direction to count as
+explainable."""
 MAX_LEVERAGE: Final = 0.5
-"""A feature of more leverage tells too little of its own noise: it has its floor's."""
+"""Leverage above which a feature does not estimate its own noise; the noise floor is used."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelClosure:
-    """One channel on held-out motion, root mean squares in its unit."""
+    """Root mean squares of one channel on held-out motion, in its unit."""
 
     channel: str
     unit: str
@@ -34,44 +41,45 @@ class ChannelClosure:
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """Share of the explainable gap that is closed; NaN, with an interval of everything, if hardly any is."""
+    """Share of the explainable residual that is removed; NaN, with an infinite interval, if too little."""
 
     share: float
     least: float
     most: float
-    """90 % interval, noise drawn anew."""
+    """Upper end of the 90 % interval, over noise draws."""
     before: float
     after: float
-    """Energy of what can be explained over what is there by chance: 1 where nothing is left."""
+    """Explainable energy over noise energy, plus 1: 1 means that nothing is left."""
     channels: tuple[ChannelClosure, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOutModel:
-    """Motion that took no part, and what can be explained there: m features, d directions, q nuisances."""
+    """Held-out motion and its explainable directions: m features, d directions, q nuisances."""
 
     sensitivities: Sensitivities
     whiten: Whitener
     nuisance: Array
-    """What nuisances do, 1 of each as the fitted motion counts them, in the channels' units, (m, q)."""
+    """Sensitivities to nuisances in units of the fitted `nuisance_unit`, in the channels' units, shape (m,
+    q)."""
     Q: Array
-    """Directions, orthonormal, (m, d)."""
+    """Orthonormal explainable directions, shape (m, d)."""
     doubt: Array
-    """What nuisances leave in whitened features: its covariance is this times its transpose, (m, q)."""
+    """Factor D of the whitened covariance D D' by uncertain nuisances, shape (m, q)."""
     sigma: Array
-    """The floor and what nuisances leave, (m,)."""
+    """Standard deviation by noise floor and uncertain nuisances, shape (m,)."""
 
     @property
     def layout(self) -> FeatureLayout:
-        """Its features."""
+        """Layout of the held-out features."""
         return self.sensitivities.layout
 
 
 def build_held_out_model(equations: NormalEquations, sensitivities: Sensitivities) -> HeldOutModel:
-    """Held-out motion, beside what is fitted.
+    """Build the model of held-out motion, given the fitted campaign.
 
     Raises:
-        ValueError: a block is in both, or nuisances or hypotheses are others.
+        ValueError: A block is in both, or nuisances or hypotheses differ.
     """
     _check_disjoint(equations.layout, sensitivities.layout)
     if len(sensitivities.shared_nuisances) != equations.q or sensitivities.hypotheses != equations.hypotheses:
@@ -92,33 +100,57 @@ def build_held_out_model(equations: NormalEquations, sensitivities: Sensitivitie
 
 
 def compute_closure(held_out_model: HeldOutModel, before: Array, after: Array, seed: int) -> Closure:
-    """Of residuals (m,) in the channels' units."""
-    told = whitened_closure(held_out_model, held_out_model.whiten(before), held_out_model.whiten(after), seed)
-    return replace(told, channels=_channel_closures(held_out_model, before, after))
+    """Compute the closure on held-out motion.
+
+    Args:
+        held_out_model: Model of the held-out motion.
+        before: Residual without the findings, in the units of the channels, shape (m,).
+        after: Residual with the findings, in the units of the channels, shape (m,).
+        seed: Seed of the noise draws.
+
+    Returns:
+        Closure, with every channel.
+    """
+    closure = whitened_closure(
+        held_out_model, held_out_model.whiten(before), held_out_model.whiten(after), seed
+    )
+    return replace(closure, channels=_channel_closures(held_out_model, before, after))
 
 
 def whitened_closure(held_out_model: HeldOutModel, r: Array, rest: Array, seed: int) -> Closure:
-    """Of whitened residuals (m,) before and after; channels are not told."""
+    """Compute the closure of whitened residuals, without channels.
+
+    Args:
+        held_out_model: Model of the held-out motion.
+        r: Whitened residual without the findings, shape (m,).
+        rest: Whitened residual with the findings, shape (m,).
+        seed: Seed of the noise draws.
+
+    Returns:
+        Closure; `channels` is empty.
+    """
     d = r - rest
     Q = np.linalg.qr(np.column_stack([held_out_model.Q, d]))[0] if np.any(d) else held_out_model.Q
     along, mine = Q.T @ r, Q.T @ d
-    chance = _noise_covariance(held_out_model, r, Q)
-    noise = float(np.trace(chance))
-    gap, less = float(along @ along) - noise, float(r @ r - rest @ rest)
+    noise_covariance = _noise_covariance(held_out_model, r, Q)
+    noise = float(np.trace(noise_covariance))
+    gap, removed = float(along @ along) - noise, float(r @ r - rest @ rest)
     share, least, most = np.nan, -np.inf, np.inf
-    if gap > MIN_GAP_SIGMAS * np.sqrt(2.0 * np.sum(chance**2)):
-        share = less / gap
+    if gap > MIN_GAP_SIGMAS * np.sqrt(2.0 * np.sum(noise_covariance**2)):
+        share = removed / gap
         middle = _remove_noise(along, mine, gap)
-        drawn = np.random.default_rng(seed).multivariate_normal(middle, chance, NOISE_DRAWS, method="eigh")
+        drawn = np.random.default_rng(seed).multivariate_normal(
+            middle, noise_covariance, NOISE_DRAWS, method="eigh"
+        )
         gaps = np.sum(drawn**2, axis=1) - noise
         ratios = (2.0 * drawn @ mine - mine @ mine)[gaps > 0.0] / gaps[gaps > 0.0]
         least, most = _interval(ratios, share, float(np.mean(gaps > 0.0)))
     floor = max(noise, float(np.finfo(float).tiny))
-    return Closure(share, least, most, (gap + floor) / floor, (gap + floor - less) / floor, ())
+    return Closure(share, least, most, (gap + floor) / floor, (gap + floor - removed) / floor, ())
 
 
 def _check_disjoint(fitted: FeatureLayout, held_out: FeatureLayout) -> None:
-    """ValueError if a block took part in fitting."""
+    """Raise ValueError if a held-out block took part in fitting."""
     used, held = ({of.blocks[b] for b in np.unique(of.block)} for of in (fitted, held_out))
     both = used & held
     if both:
@@ -126,14 +158,14 @@ def _check_disjoint(fitted: FeatureLayout, held_out: FeatureLayout) -> None:
 
 
 def _detectable_amplitudes(equations: NormalEquations) -> Array:
-    """How large each column must be for its hypothesis to be seen, in standard errors, (K,)."""
+    """Return the amplitude of each column at the detection limit, in standard errors, (k,)."""
     columns = np.bincount(equations.owner, minlength=len(equations.hypotheses))
     limit = {int(k): np.sqrt(noncentrality(int(k))) for k in np.unique(columns) if k}
     return np.array([limit[int(columns[h])] for h in equations.owner])
 
 
 def _noise_covariance(held_out_model: HeldOutModel, r: Array, Q: Array) -> Array:
-    """Covariance of what noise and nuisances do in a span (m, n), (n, n)."""
+    """Return the covariance (n, n) of noise and nuisances in a span (m, n)."""
     lever = np.sum(Q**2, axis=1)
     beside = (r - Q @ (Q.T @ r)) ** 2
     own = np.where(lever < MAX_LEVERAGE, beside / np.maximum(1.0 - lever, MAX_LEVERAGE), 1.0)
@@ -142,7 +174,7 @@ def _noise_covariance(held_out_model: HeldOutModel, r: Array, Q: Array) -> Array
 
 
 def _remove_noise(along: Array, d: Array, energy: float) -> Array:
-    """Of this energy, without what chance added to it: as it was along d, as far as it can be."""
+    """Scale a residual to an energy without noise; the part along d stays if it can."""
     mine = d * (along @ d) / max(float(d @ d), float(np.finfo(float).tiny))
     beside, rest = along - mine, energy - float(mine @ mine)
     if rest <= 0.0:
@@ -150,9 +182,9 @@ def _remove_noise(along: Array, d: Array, energy: float) -> Array:
     return np.asarray(mine + beside * np.sqrt(rest / max(float(beside @ beside), rest * 1e-12)))
 
 
-def _interval(ratios: Array, share: float, told: float) -> tuple[float, float]:
-    """Of ratios drawn; everything if the gap is not positive in as many draws as the interval leaves out."""
-    if told < INTERVAL_QUANTILES[1]:
+def _interval(ratios: Array, share: float, positive_share: float) -> tuple[float, float]:
+    """Return the interval of the drawn shares; infinite if the residual is too rarely positive."""
+    if positive_share < INTERVAL_QUANTILES[1]:
         return -np.inf, np.inf
     least, most = np.quantile(ratios, INTERVAL_QUANTILES)
     return float(min(least, share)), float(max(most, share))
@@ -161,7 +193,7 @@ def _interval(ratios: Array, share: float, told: float) -> tuple[float, float]:
 def _channel_closures(
     held_out_model: HeldOutModel, before: Array, after: Array
 ) -> tuple[ChannelClosure, ...]:
-    """Those that have features."""
+    """Return the root mean squares of the channels that have features."""
     layout, result = held_out_model.layout, []
     for channel in np.unique(layout.channel):
         rows = layout.channel == channel
@@ -172,23 +204,30 @@ def _channel_closures(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOutResiduals:
-    """What is left on held-out motion without the findings and with them, (m,) in the channels' units."""
+    """Residuals of held-out motion without and with the findings, in the channels' units, shape (m,)."""
 
     held_out_model: HeldOutModel
     before: Array
     after: Array
 
     def closure(self, seed: int) -> Closure:
-        """How far the gap shrinks."""
+        """Compute the closure."""
         return compute_closure(self.held_out_model, self.before, self.after, seed)
 
 
 def compute_held_out_residuals(
     diagnosis: Diagnosis, held_out_model: HeldOutModel, gap: Array, change: Array
 ) -> HeldOutResiduals:
-    """Nuisances as fitted elsewhere are taken off, and what the findings change.
+    """Subtract the fitted nuisances, and the change by the findings, from held-out residuals.
 
-    `gap` (m,) is measured less simulated with nuisances at 0; `change` (m,) is by the simulator.
+    Args:
+        diagnosis: Diagnosis of the fitted motion.
+        held_out_model: Model of the held-out motion.
+        gap: Measured minus simulated with nuisances at 0, in the units of the channels, shape (m,).
+        change: Simulated change by the findings, in the units of the channels, shape (m,).
+
+    Returns:
+        Residuals before and after.
     """
     q = diagnosis.equations.q
     before, after = (
@@ -198,6 +237,13 @@ def compute_held_out_residuals(
 
 
 def effect_values(diagnosis: Diagnosis) -> dict[Hypothesis, Array]:
-    """The findings as a simulator takes them."""
+    """Return the values of the findings in the form that a simulator takes.
+
+    Args:
+        diagnosis: Diagnosis with findings.
+
+    Returns:
+        Values of all p parameters of each effect in their units, shape (p,).
+    """
     hypotheses = diagnosis.equations.hypotheses
     return {hypotheses[finding.hypothesis]: finding.values for finding in diagnosis.findings}

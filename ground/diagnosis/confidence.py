@@ -1,8 +1,8 @@
-"""Whether what won is the cause, or only what imitates it best: learnt from simulated cases of the campaign.
+"""Confidence classifier: decides whether the selected effects may be named as the cause.
 
-A cause that is in no catalogue is imitated by something that is. The imitation leaves little behind, but it
-seldom wins by much: its margin over the best of another class, how much it explains, what remains and how
-much its effects are alike make the odds of a logistic regression.
+A cause outside the catalogue is imitated by an effect inside it. The imitation leaves little residual, but it
+seldom wins by a large margin. A logistic regression on `ConfidenceFeatures` gives the log-odds that a
+selection is right. It is trained on simulated cases of the campaign (`thresholds`).
 """
 
 from dataclasses import astuple, dataclass
@@ -17,45 +17,46 @@ from ground.diagnosis.normal_equations import RightHandSide
 from ground.diagnosis.selection import CandidateSet, Subset, best_addition, rank_additions, subset_neg_log10_p
 
 RUNNERS_UP: Final = 6
-"""Hypotheses of other classes that are tried in place of a chosen one."""
+"""Number of hypotheses of other classes that are tried in place of a chosen one."""
 WEIGHT_PRIOR_PRECISION: Final = 1.0
-"""Prior precision of the regression's weights, signs in units of their spread."""
+"""Prior precision of the regression weights, for standardised features."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConfidenceFeatures:
-    """What is looked at."""
+    """Features of the confidence classifier."""
 
     extra_effects: float
-    """Effects beyond one."""
+    """Number of effects minus one."""
     log_deviance: float
-    """Logarithm of the deviance that all of them explain."""
+    """Logarithm of the deviance that all effects explain."""
     log_margin: float
-    """Logarithm of 1 plus the surprise that is lost with another class in place of one, at the least."""
+    """Logarithm of 1 plus the least loss of -log10 p if another class replaces one effect."""
     share: float
-    """The least share of it that an effect has of its own."""
+    """Least share of the deviance that is lost without one effect."""
     max_cosine: float
-    """|cos| between the two that are most alike; 0 of one."""
+    """Greatest absolute cosine between two of the effects; 0 for one effect."""
     lack_of_fit: float
-    """Surprise of what remains in the features."""
+    """-log10 p of the lack-of-fit test."""
     addition: float
-    """Surprise of the best hypothesis that might be added."""
+    """-log10 p of the best hypothesis that could be added."""
 
 
 @dataclass(frozen=True, slots=True)
 class ConfidenceClassifier:
-    """Odds that a name is right, and how high they must be."""
+    """Logistic regression, with the least log-odds for a name."""
 
     weights: tuple[float, ...]
-    """Of 1 and of the signs."""
+    """Weight of the constant 1, then weights of the features."""
     least: float
+    """Least log-odds at which a name is given."""
 
     def log_odds(self, features: ConfidenceFeatures) -> float:
-        """Logarithm of the odds."""
+        """Compute the log-odds that the selection is right."""
         return float(np.dot(self.weights, (1.0, *astuple(features))))
 
     def accepts(self, features: ConfidenceFeatures) -> bool:
-        """Whether a name may be given."""
+        """Check that the log-odds suffice for a name."""
         return self.log_odds(features) >= self.least
 
 
@@ -67,7 +68,19 @@ def compute_confidence_features(
     shares: tuple[float, ...],
     remains: float,
 ) -> ConfidenceFeatures:
-    """Of a model of at least one effect; `remains` is the surprise of what it leaves."""
+    """Compute the features of a selection of at least one effect.
+
+    Args:
+        candidates: Hypotheses that may be selected.
+        cosine: Absolute cosines between h hypotheses, unitless, shape (h, h).
+        rhs: Right-hand side of the case.
+        chosen: Selected hypotheses.
+        shares: Share of the explained deviance that is lost without each.
+        remains: -log10 p of the lack-of-fit test after the selection.
+
+    Returns:
+        Features of the confidence classifier.
+    """
     equations = candidates.equations
     explained = float(likelihood_ratio(equations, rhs, equations.columns(chosen)))
     own = subset_neg_log10_p(candidates, rhs, chosen)
@@ -82,9 +95,16 @@ def compute_confidence_features(
 def train_classifier(
     features: list[ConfidenceFeatures], right: Flags, left_out: Flags, wrong: int
 ) -> ConfidenceClassifier:
-    """From simulated cases in which something was chosen: whether it was right, or its cause was left out.
+    """Train the classifier with simulated cases in which something was selected.
 
-    At most `wrong` of those left out would be given a name.
+    Args:
+        features: Features of the n cases.
+        right: Flag of each case: true if all selected effects are right, shape (n,).
+        left_out: Flag of each case: true if its cause was left out of the catalogue, shape (n,).
+        wrong: Greatest number of left-out cases that may get a name.
+
+    Returns:
+        Classifier; it accepts at most `wrong` of the left-out cases.
     """
     if right.all() or not right.any():
         return ConfidenceClassifier(
@@ -93,11 +113,11 @@ def train_classifier(
     X = np.array([astuple(one) for one in features])
     middle, spread = X.mean(axis=0), X.std(axis=0) + 1e-9
     Z = np.column_stack([np.ones(len(X)), (X - middle) / spread])
-    way = np.where(right, 1.0, -1.0)
+    sign = np.where(right, 1.0, -1.0)
 
     def cost(w: Array) -> tuple[float, Array]:
-        odds = way * (Z @ w)
-        slope = -way / (1.0 + np.exp(np.clip(odds, -500.0, 500.0)))
+        odds = sign * (Z @ w)
+        slope = -sign / (1.0 + np.exp(np.clip(odds, -500.0, 500.0)))
         held = np.concatenate([[0.0], w[1:]])
         return float(
             np.logaddexp(0.0, -odds).sum() + 0.5 * WEIGHT_PRIOR_PRECISION * held @ held
@@ -112,10 +132,10 @@ def train_classifier(
 
 
 def _runner_up_neg_log10_p(candidates: CandidateSet, rhs: RightHandSide, chosen: Subset, index: int) -> float:
-    """Surprise of the best set with another class in place of one of the chosen."""
+    """Return the greatest -log10 p of a set with another class in place of one of the chosen."""
     others = (*chosen[:index], *chosen[index + 1 :])
-    inside = candidates.allowed & (candidates.label != candidates.label[chosen[index]])
+    allowed = candidates.allowed & (candidates.label != candidates.label[chosen[index]])
     order, _ = rank_additions(
-        CandidateSet(candidates.equations, candidates.label, candidates.threshold, inside), rhs, others
+        CandidateSet(candidates.equations, candidates.label, candidates.threshold, allowed), rhs, others
     )
     return max((subset_neg_log10_p(candidates, rhs, (*others, h)) for h in order[:RUNNERS_UP]), default=0.0)

@@ -1,4 +1,4 @@
-"""How large an effect must be to be seen in a campaign: known before data."""
+"""Detectability before data: detection limits, aliased hypotheses and equivalence classes of a campaign."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -16,16 +16,23 @@ from ground.diagnosis.normal_equations import ABSORBED_SHARE, NormalEquations
 from ground.diagnosis.problem import Ints
 
 ALIAS_COSINE: Final = 0.99
-"""|cos| of projected sensitivities above which two hypotheses are one to the campaign."""
+"""Absolute cosine of projected sensitivities above which two hypotheses cannot be distinguished."""
 RANK_TOLERANCE: Final = 1e-9
+"""Eigenvalues below this share of the greatest count as 0."""
 
 
 def alias_cosines(equations: NormalEquations) -> Array:
-    """|cos| of the largest principal angle between the columns of every two hypotheses, (H, H).
+    """Compute the cosine of the largest principal angle between the columns of every two hypotheses.
 
-    In the metric R, with nuisances projected out. 0 between hypotheses of different numbers of columns (one
-    is then a special case of the other at most: parsimony chooses), and of one that is not seen with any
-    other.
+    The metric is R, with nuisances eliminated. The cosine is 0 between hypotheses with different numbers of
+    columns: one is at most a special case of the other, and parsimony decides. It is 0 for a hypothesis that
+    is not identifiable.
+
+    Args:
+        equations: Normal equations of the campaign, with h hypotheses.
+
+    Returns:
+        Absolute cosines, shape (h, h).
     """
     of = [np.flatnonzero(equations.owner == h) for h in range(len(equations.hypotheses))]
     roots = [_inverse_root(equations.R[-1][np.ix_(at, at)]) for at in of]
@@ -44,7 +51,10 @@ def alias_cosines(equations: NormalEquations) -> Array:
 
 
 def equivalence_classes(equations: NormalEquations, above: float = ALIAS_COSINE) -> Ints:
-    """The class of every hypothesis, (H,), numbered by first member: alike, or alike to one that is."""
+    """Return the equivalence class of every hypothesis, shape (h,), numbered by its first member.
+
+    Classes are connected components: two members may have a smaller cosine than `above`.
+    """
     _, label = connected_components(csr_array(alias_cosines(equations) > above), directed=False)
     _, first = np.unique(label, return_index=True)
     order = np.empty(first.size, np.intp)
@@ -53,39 +63,42 @@ def equivalence_classes(equations: NormalEquations, above: float = ALIAS_COSINE)
 
 
 def _inverse_root(R: Array) -> Array:
-    """X with X'R X = 1 where R says anything, (k, k)."""
+    """Return X (k, k) with X'R X = 1 on the range of R."""
     s, V = np.linalg.eigh(R)
-    told = s > RANK_TOLERANCE * max(s[-1], 1.0)
-    return np.asarray(V * np.where(told, 1.0 / np.sqrt(np.where(told, s, 1.0)), 0.0))
+    positive = s > RANK_TOLERANCE * max(s[-1], 1.0)
+    return np.asarray(V * np.where(positive, 1.0 / np.sqrt(np.where(positive, s, 1.0)), 0.0))
 
 
 TEST_FALSE_ALARM: Final = 0.05
 POWER: Final = 0.9
+"""Probability that an effect at the detection limit passes the test."""
 
 
 @dataclass(frozen=True, slots=True)
 class Detectability:
-    """What a campaign can see of one hypothesis."""
+    """Detection limit of one hypothesis in a campaign."""
 
     limit: float
-    """In typical sizes, all size parameters growing together; infinite if it is not seen."""
+    """Detection limit in typical sizes, all amplitudes growing together; infinite if it is not
+    identifiable."""
     blocks: float
-    """In how many blocks, effectively, it is seen: below 2 it cannot be cross-validated."""
+    """Effective number of blocks that show it; below 2 it cannot be cross-validated."""
 
 
 @cache
 def noncentrality(k: int, power: float = POWER, false_alarm: float = TEST_FALSE_ALARM) -> float:
-    """Of a chi-square of k degrees, so that a test of this false alarm has this power."""
+    """Compute the noncentrality of a chi-square with k degrees of freedom for this power and false alarm."""
     beyond = chi2.isf(false_alarm, k)
     return float(brentq(lambda n: ncx2.sf(beyond, k, n) - power, 1e-6, 1e3))
 
 
 def detection_limits(equations: NormalEquations) -> tuple[Detectability, ...]:
-    """Of every hypothesis: the size that a likelihood-ratio test against no effect finds with 90 % power.
+    """Compute the amplitude of every hypothesis that a likelihood-ratio test finds with 90 % power.
 
-    At 5 % false alarm, nuisances free. Its statistic is a noncentral chi-square of k degrees with
-    noncentrality d'R d for sizes d; typical sizes make d = limit * scale. Blocks seen is the inverse of the
-    sum of squared shares of the information that is lost when a block is left out.
+    The test against no effect has 5 % false alarm, with nuisances free. Its statistic is a noncentral
+    chi-square of k degrees with noncentrality d'R d for amplitudes d. Typical sizes give d = limit * scale.
+    The effective number of blocks is the inverse of the sum of squared shares of information lost with each
+    block.
     """
     result = []
     lost = equations.R[-1] - equations.R[:-1]
@@ -103,7 +116,15 @@ def detection_limits(equations: NormalEquations) -> tuple[Detectability, ...]:
 
 
 def column_detection_limit(equations: NormalEquations, columns: Array) -> float:
-    """The same limit of what is no hypothesis: its change of the features (m, k) per typical size."""
+    """Compute the detection limit of an effect outside the catalogue.
+
+    Args:
+        equations: Normal equations of the campaign.
+        columns: Change of the features per typical size, in the units of the channels, shape (m, n).
+
+    Returns:
+        Detection limit in typical sizes; infinite if the nuisances absorb the effect.
+    """
     S, N = equations.whiten(columns), equations.A[:, : equations.q]
     whole = S.sum(axis=1)
     along = N.T @ whole

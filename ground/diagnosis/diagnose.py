@@ -1,4 +1,9 @@
-"""One case, from evidence to verdict."""
+"""Diagnosis of one case, from residuals to verdict.
+
+`diagnose` runs these steps. It selects effects with the linear model (`selection`), and fits them with the
+simulator (`nonlinear_fit`). It linearises the equations at that fit, and selects once more. It tests what
+remains (`residual_analysis`), estimates how sure the choice is (`bootstrap`, `confidence`), and decides.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Final, Literal
@@ -43,17 +48,18 @@ from ground.diagnosis.selection import CandidateSet, Selection, Subset, select_e
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelComparison:
-    """Who won, and against whom."""
+    """Two sets of effects compared by simulation, each with its own nuisances."""
 
     chosen: Subset
+    """Baseline: the set of effects that explains the case better."""
     fit: NonlinearFit
-    """What won, with the simulator, beside nuisances of its own."""
+    """Nonlinear fit of the baseline, with its own nuisances."""
     runner_up: Subset
     deviance_margin: float
-    """By how much, in deviance; parameters count. Infinite if the rival is at a bound, and no finding."""
+    """Advantage of the baseline in deviance, parameters counted; infinite if the runner-up is at a bound."""
 
     def replacement_for(self, one: int, chosen: Subset) -> int | None:
-        """What the rival has in the place of one, if what won the duel was chosen in the end, too."""
+        """Return the runner-up's hypothesis in place of `one`; None if the baseline is not the choice."""
         others = set(chosen) - {one}
         if set(chosen) != set(self.chosen) or one in self.runner_up or not others < set(self.runner_up):
             return None
@@ -63,53 +69,55 @@ class ModelComparison:
 
 Verdict = Literal["named", "set", "none", "unknown"]
 SHORTLIST: Final = 4
-"""Hypotheses that are refined beside those chosen."""
+"""Number of single hypotheses that are linearised again beside those chosen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding:
-    """An effect that was chosen."""
+    """Selected effect, with fitted values and alternatives."""
 
     hypothesis: int
     values: Array
-    """Of all its parameters, in their order and units."""
+    """Fitted values of all parameters, in their order and units, shape (p,)."""
     least: Array
-    """90 % interval of them, within their bounds; NaN of one that only shapes and that data do not tell."""
+    """Lower end of the 90 % intervals within the bounds, shape (p,);
+    NaN for a shape parameter that the data do not determine."""
     most: Array
+    """Upper end, shape (p,)."""
     share: float
-    """Its own share of what all chosen explain: what is lost without it."""
+    """Share of the explained deviance that is lost without this effect."""
     alternatives: Alternatives
     confusable: tuple[int, ...]
-    """Its class, which this campaign cannot tell apart."""
+    """Equivalence class: hypotheses that this campaign cannot distinguish."""
     at_bound: tuple[str, ...] = ()
-    """Parameters that would go beyond their bounds: then it is no cause, whatever it explains."""
+    """Names of the parameters that are at a bound; such an effect is not accepted as a cause."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
-    """What is said of one case."""
+    """Result of one diagnosis."""
 
     verdict: Verdict
     findings: tuple[Finding, ...]
-    """If unknown: what comes nearest, not a name."""
+    """Selected effects; with verdict "unknown" the nearest ones, which are not accepted."""
     ranking: Subset
-    """All single hypotheses that explain anything, best first, whether or not there is an effect."""
+    """Single hypotheses that explain anything, best first, whether or not there is an effect."""
     neg_log10_p: float
-    """Of the best of them, -log10 of its probability if there is no effect."""
+    """-log10 p of the best single hypothesis, without effect."""
     unexplained: tuple[LackOfFit, ...]
-    """What remains after the findings, most surprising first."""
+    """Lack-of-fit tests after the findings, most significant first."""
     unexplained_neg_log10_p: float
-    """Of the first of them; beside findings, of the best hypothesis that might be added if that is more."""
+    """Greatest -log10 p of those tests and, if there are findings, of one more hypothesis."""
     residual_map: tuple[ResidualCell, ...]
-    """Of the residual with no effect, nuisances fitted."""
+    """Map of the residual without effects, nuisances fitted."""
     null_fit: LinearFit
-    """Nuisances alone."""
+    """Linear fit of the nuisances alone."""
     effect_fit: LinearFit
-    """Nuisances beside the findings."""
+    """Linear fit of nuisances and findings."""
     equations: NormalEquations
-    """What `best` is in terms of."""
+    """Normal equations that `effect_fit` refers to."""
     log_odds: float = float("nan")
-    """Log-odds that the findings are the causes (ground.diagnosis.confidence); NaN without findings."""
+    """Log-odds that the findings are the causes (see `confidence`); NaN without findings."""
 
 
 def diagnose(
@@ -119,13 +127,24 @@ def diagnose(
     simulator: Simulator | None = None,
     comparison: ModelComparison | None = None,
 ) -> Diagnosis:
-    """With the simulator in the loop for what is found if it is given, otherwise by its parabolas.
+    """Diagnose one case.
 
-    What won a duel is what all others race against, and its rival may stand in its stead.
+    If two models were compared by simulation, the winner is the baseline, and the loser can be reported as an
+    alternative.
+
+    Args:
+        model: Diagnosis model of the campaign.
+        residuals: Residuals of the case.
+        seed: Seed of the bootstrap.
+        simulator: Simulator for the fit of the selected effects; None for the quadratic surrogate.
+        comparison: Two sets of effects that were compared by simulation already, if any.
+
+    Returns:
+        Verdict, findings, and what remains unexplained.
     """
     rhs, y = reduce_residuals(model.equations, residuals)
-    without = fit_linear(model.equations, rhs, model.equations.columns(()))
-    cells = map_residual(residuals.layout, whitened_residual(model.equations, without, y), seed)
+    null_fit = fit_linear(model.equations, rhs, model.equations.columns(()))
+    cells = map_residual(residuals.layout, whitened_residual(model.equations, null_fit, y), seed)
     selection = select_effects(model.candidates, rhs)
     candidates, first = model.candidates, selection.chosen if comparison is None else comparison.chosen
     if first:
@@ -133,30 +152,41 @@ def diagnose(
         candidates = _relinearise(model, candidates, rhs, y, first, selection.ranking, fit)
         selection = select_effects(candidates, reduce_features(candidates.equations, y))
     if not selection.chosen:
-        return _no_effect(model, selection, without, y, cells, bool(first))
+        return _no_effect(model, selection, null_fit, y, cells, bool(first))
     if set(selection.chosen) == set(first):
         fit = fit.in_order([first.index(one) for one in selection.chosen])
     else:
         fit = fit_subset(model, y, rhs, selection.chosen, simulator)
         candidates = _relinearise(model, candidates, rhs, y, selection.chosen, selection.ranking, fit)
-    equations, there = candidates.equations, reduce_features(candidates.equations, y)
-    best = fit_linear(equations, there, equations.columns(selection.chosen))
-    remaining = find_lack_of_fit(equations, _project_groups(model, equations), best, y)
+    equations, refitted_rhs = candidates.equations, reduce_features(candidates.equations, y)
+    effect_fit = fit_linear(equations, refitted_rhs, equations.columns(selection.chosen))
+    remaining = find_lack_of_fit(equations, _project_groups(model, equations), effect_fit, y)
     features = compute_confidence_features(
-        candidates, model.cosine, there, selection.chosen, selection.shares, remaining[0].neg_log10_p
+        candidates, model.cosine, refitted_rhs, selection.chosen, selection.shares, remaining[0].neg_log10_p
     )
-    findings = _make_findings(model, candidates, there, selection, fit, seed, comparison)
-    verdict, strange = _decide(model, findings, features), max(features.lack_of_fit, features.addition)
+    findings = _make_findings(model, candidates, refitted_rhs, selection, fit, seed, comparison)
+    verdict, structure = _decide(model, findings, features), max(features.lack_of_fit, features.addition)
     return Diagnosis(
-        verdict, findings, selection.ranking, selection.neg_log10_p, remaining, strange, cells, without, best,
-        equations, model.thresholds.trust.log_odds(features),
+        verdict, findings, selection.ranking, selection.neg_log10_p, remaining, structure, cells, null_fit,
+        effect_fit, equations, model.thresholds.trust.log_odds(features),
     )  # fmt: skip
 
 
 def fit_subset(
     model: DiagnosisModel, y: Array, rhs: RightHandSide, chosen: Subset, simulator: Simulator | None
 ) -> NonlinearFit:
-    """Some hypotheses fitted together to whitened features y (m,), from where straight lines have them."""
+    """Fit some hypotheses together, starting from their linear estimate.
+
+    Args:
+        model: Diagnosis model of the campaign.
+        y: Whitened features, shape (m,).
+        rhs: Right-hand side of the same case.
+        chosen: Hypotheses to fit.
+        simulator: Simulator for the final fit; None to stop at the quadratic surrogate.
+
+    Returns:
+        Nonlinear fit, effects in the order of `chosen`.
+    """
     surrogate = QuadraticSurrogate(model.sensitivities)
     fit = fit_nonlinear(surrogate, model.equations, y, _linear_start(model, rhs, chosen))
     if simulator is None:
@@ -168,33 +198,33 @@ def fit_subset(
 def _no_effect(
     model: DiagnosisModel,
     selection: Selection,
-    without: LinearFit,
+    null_fit: LinearFit,
     y: Array,
     cells: tuple[ResidualCell, ...],
-    beyond: bool,
+    rejected: bool,
 ) -> Diagnosis:
-    """No effect; unknown if there is structure all the same, or an effect `beyond` all that it may be."""
-    remaining = find_lack_of_fit(model.equations, model.groups, without, y)
-    strange = remaining[0].neg_log10_p
-    verdict: Verdict = "unknown" if beyond or strange >= model.thresholds.structure else "none"
+    """Report no effect; "unknown" if structure remains or if selected effects were rejected."""
+    remaining = find_lack_of_fit(model.equations, model.groups, null_fit, y)
+    structure = remaining[0].neg_log10_p
+    verdict: Verdict = "unknown" if rejected or structure >= model.thresholds.structure else "none"
     return Diagnosis(
         verdict,
         (),
         selection.ranking,
         selection.neg_log10_p,
         remaining,
-        strange,
+        structure,
         cells,
-        without,
-        without,
+        null_fit,
+        null_fit,
         model.equations,
     )
 
 
 def _decide(model: DiagnosisModel, findings: tuple[Finding, ...], features: ConfidenceFeatures) -> Verdict:
-    """No name is forced where structure remains, or where something else might as well be imitated."""
-    strange = max(features.lack_of_fit, features.addition) >= model.thresholds.unexplained
-    if strange or not model.thresholds.trust.accepts(features) or any(one.at_bound for one in findings):
+    """Withhold the name if structure remains, a bound is reached, or the confidence is too low."""
+    has_structure = max(features.lack_of_fit, features.addition) >= model.thresholds.unexplained
+    if has_structure or not model.thresholds.trust.accepts(features) or any(one.at_bound for one in findings):
         return "unknown"
     alone = all(finding.alternatives.hypotheses == (finding.hypothesis,) for finding in findings)
     return "named" if alone else "set"
@@ -209,7 +239,7 @@ def _make_findings(
     seed: int,
     comparison: ModelComparison | None,
 ) -> tuple[Finding, ...]:
-    """What was chosen, with the values of all of them fitted together."""
+    """Return the chosen effects with values, intervals and alternatives."""
     drawn = find_alternatives(
         candidates, model.cosine, selection, bootstrap_selections(candidates, rhs, selection, seed)
     )
@@ -232,7 +262,7 @@ def _make_findings(
 def _replacements(
     candidates: CandidateSet, rhs: RightHandSide, chosen: Subset, one: int, comparison: ModelComparison | None
 ) -> dict[int, float]:
-    """What leaves how much more deviance in the place of one: by straight lines, and in a duel."""
+    """Return the extra deviance of each hypothesis in place of `one`: linear, or by model comparison."""
     found = replacement_deviances(candidates, rhs, chosen, one)
     other = None if comparison is None else comparison.replacement_for(one, chosen)
     if comparison is not None and other is not None:
@@ -249,29 +279,29 @@ def _relinearise(
     ranking: Subset,
     fit: NonlinearFit,
 ) -> CandidateSet:
-    """The chosen linearised where they were found to be together, the next best where they would be alone.
+    """Linearise the chosen at their joint estimate, and the next best single hypotheses at their own.
 
-    Those at a bound are out.
+    Hypotheses at a bound are excluded.
     """
     surrogate = QuadraticSurrogate(model.sensitivities)
-    inside, changed = candidates.allowed.copy(), _joint_columns(surrogate, chosen, fit)
-    inside[[one for one, at_bound in zip(chosen, fit.at_bound, strict=True) if at_bound]] = False
+    allowed, changed = candidates.allowed.copy(), _joint_columns(surrogate, chosen, fit)
+    allowed[[one for one, at_bound in zip(chosen, fit.at_bound, strict=True) if at_bound]] = False
     for hypothesis in [one for one in ranking[:SHORTLIST] if one not in chosen]:
         alone = fit_nonlinear(surrogate, model.equations, y, _linear_start(model, rhs, (hypothesis,)))
         if alone.at_bound[0]:
-            inside[hypothesis] = False
+            allowed[hypothesis] = False
         elif np.any(alone.change):
             (values,), (slopes,) = alone.values, alone.slopes
             changed[hypothesis] = linearise_at(
                 model.sensitivities.hypotheses[hypothesis], values, alone.change, slopes
             )
     return CandidateSet(
-        form_normal_equations(model.sensitivities, changed), candidates.label, candidates.threshold, inside
+        form_normal_equations(model.sensitivities, changed), candidates.label, candidates.threshold, allowed
     )
 
 
 def _joint_columns(surrogate: QuadraticSurrogate, chosen: Subset, fit: NonlinearFit) -> dict[int, Array]:
-    """Columns of effects where they were found to be; what only all of them change is the largest's."""
+    """Return the columns of jointly fitted effects; their interaction is assigned to the largest effect."""
     own = [surrogate.change({h: v}) for h, v in zip(fit.hypotheses, fit.values, strict=True)]
     largest = int(np.argmax([np.linalg.norm(one / surrogate.sensitivities.layout.sigma) for one in own]))
     own[largest] = fit.change - sum(own[:largest] + own[largest + 1 :], np.zeros(fit.change.size))
@@ -280,7 +310,7 @@ def _joint_columns(surrogate: QuadraticSurrogate, chosen: Subset, fit: Nonlinear
 
 
 def _linear_start(model: DiagnosisModel, rhs: RightHandSide, chosen: Subset) -> dict[Hypothesis, Array]:
-    """Values of some hypotheses beside each other, in straight lines."""
+    """Return the linear estimate of some hypotheses, fitted together."""
     columns = model.equations.columns(chosen)
     theta = fit_linear(model.equations, rhs, columns).theta[model.equations.q :]
     own = {one: theta[model.equations.owner[columns] == one] for one in chosen}
@@ -288,14 +318,14 @@ def _linear_start(model: DiagnosisModel, rhs: RightHandSide, chosen: Subset) -> 
 
 
 def _parameter_values(model: DiagnosisModel, hypothesis: int, t: Array) -> Array:
-    """Values of all parameters of a hypothesis whose sizes are t in standard errors."""
-    what = model.sensitivities.hypotheses[hypothesis]
+    """Return all parameter values of a hypothesis with amplitudes t in standard errors."""
+    effect = model.sensitivities.hypotheses[hypothesis]
     scale = model.equations.scale[model.equations.owner == hypothesis]
-    values, at = what.absent, np.flatnonzero([parameter.is_amplitude for parameter in what.parameters])
-    values[at] += np.array([what.parameters[index].typical for index in at]) * t / scale
+    values, at = effect.absent, np.flatnonzero([parameter.is_amplitude for parameter in effect.parameters])
+    values[at] += np.array([effect.parameters[index].typical for index in at]) * t / scale
     return values
 
 
 def _project_groups(model: DiagnosisModel, equations: NormalEquations) -> tuple[FeatureGroup, ...]:
-    """Groups in terms of the columns as they are."""
+    """Return the feature groups, projected to the present columns."""
     return tuple(replace(group, AQ=equations.A[group.rows].T @ group.Q) for group in model.groups)

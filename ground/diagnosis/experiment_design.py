@@ -1,4 +1,4 @@
-"""Which motion would tell confusable hypotheses apart."""
+"""Experiment design: find the motion that would best distinguish hypotheses that are confusable now."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,23 +13,30 @@ from ground.diagnosis.normal_equations import NormalEquations, form_normal_equat
 
 @dataclass(frozen=True, slots=True)
 class CandidateMotion:
-    """A candidate, and how well it would separate the pair that stays hardest to tell apart."""
+    """Candidate motion, with the separation of the pair of hypotheses that is hardest to distinguish."""
 
     name: str
     separation: float
-    """In sigmas of the floor, with all data before it."""
+    """Separation in sigmas of the noise floor, with all data so far and this motion."""
     now: float
-    """The same without it."""
+    """Separation with all data so far."""
 
 
 def rank_motions(
     equations: NormalEquations, sizes: Mapping[int, Array], candidates: Mapping[str, NormalEquations]
 ) -> tuple[CandidateMotion, ...]:
-    """Candidates, best first, for hypotheses of estimated sizes, by index, in typical sizes.
+    """Rank candidate motions by the least separation over all pairs of hypotheses.
 
-    Of hypothesis g, sized x, the part that h cannot imitate by any size, nuisances free, has the square
-    x'(R_gg - R_gh R_hh^-1 R_hg) x over the data so far and the candidate together. What counts is the least
-    over pairs. A candidate is the prediction of a motion for the same hypotheses and nuisances, prepared.
+    For hypothesis g of amplitudes x, the squared separation from h is x'(R_gg - R_gh R_hh^-1 R_hg) x: the
+    part of g that h cannot imitate, with nuisances free. R sums the data so far and the candidate.
+
+    Args:
+        equations: Normal equations of the data so far.
+        sizes: Amplitudes of each hypothesis, by index, in units of typical sizes, shape (n,).
+        candidates: Normal equations of each candidate motion, for the same hypotheses and nuisances.
+
+    Returns:
+        Candidates, best first.
     """
     now = _separation(_information([equations]), equations, sizes)
     found = [
@@ -40,15 +47,15 @@ def rank_motions(
 
 
 def rank_repeats(model: DiagnosisModel, diagnosis: Diagnosis) -> tuple[CandidateMotion, ...]:
-    """Motions of the campaign that are best done again, for what a diagnosis could not tell apart."""
+    """Rank the campaign's motions by how well a repeat would distinguish the alternatives of a diagnosis."""
     sizes: dict[int, Array] = {}
     for finding in diagnosis.findings:
-        what = model.sensitivities.hypotheses[finding.hypothesis]
-        rivals = (*finding.alternatives.hypotheses, *finding.confusable)
-        if set(rivals) - {finding.hypothesis}:
-            own = what.departures(finding.values)
+        hypothesis = model.sensitivities.hypotheses[finding.hypothesis]
+        alternatives = (*finding.alternatives.hypotheses, *finding.confusable)
+        if set(alternatives) - {finding.hypothesis}:
+            own = hypothesis.departures(finding.values)
             seen = float(np.linalg.norm(own * _scale(model, finding.hypothesis)))
-            sizes |= {h: _equally_visible(model, h, seen) for h in rivals} | {finding.hypothesis: own}
+            sizes |= {h: _equally_visible(model, h, seen) for h in alternatives} | {finding.hypothesis: own}
     if len(sizes) < 2:
         return ()
     layout = model.sensitivities.layout
@@ -58,18 +65,18 @@ def rank_repeats(model: DiagnosisModel, diagnosis: Diagnosis) -> tuple[Candidate
 
 
 def _scale(model: DiagnosisModel, hypothesis: int) -> Array:
-    """Standard errors of a typical size, of each of its columns."""
+    """Return the standard errors per typical size of each column of a hypothesis."""
     return np.asarray(model.equations.scale[model.equations.owner == hypothesis])
 
 
 def _equally_visible(model: DiagnosisModel, hypothesis: int, seen: float) -> Array:
-    """Sizes of another hypothesis that are so many standard errors, in typical ones."""
+    """Return amplitudes in typical sizes with which a hypothesis is `seen` standard errors large."""
     scale = _scale(model, hypothesis)
     return np.asarray(seen / np.sqrt(scale.size) / np.where(scale > 0.0, scale, np.inf))
 
 
 def _information(parts: list[NormalEquations]) -> Array:
-    """R per typical size of several campaigns together, nuisances free, (K, K)."""
+    """Return the information per typical size of several campaigns together, nuisances eliminated, (k, k)."""
     q, prior = parts[0].q, parts[0].prior / parts[0].nuisance_unit ** 2
     total = np.zeros((q + parts[0].owner.size,) * 2)
     for part in parts:
@@ -80,7 +87,7 @@ def _information(parts: list[NormalEquations]) -> Array:
 
 
 def _separation(R: Array, equations: NormalEquations, sizes: Mapping[int, Array]) -> float:
-    """The least over pairs, in sigmas."""
+    """Return the least separation over all pairs, in sigmas."""
     least = np.inf
     for g, x in sizes.items():
         for h in sizes:

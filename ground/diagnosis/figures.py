@@ -1,4 +1,4 @@
-"""Pictures of a diagnosis: where the gap is, who may be its cause, and how far it shrinks."""
+"""Figures of a diagnosis: residual map, probabilities and amplitudes of effects, closure by channel."""
 
 from typing import Any, Final
 
@@ -17,17 +17,17 @@ WIDTH_INCH: Final = 11.0
 ROW_INCH: Final = 0.28
 MARGIN_INCH: Final = 1.3
 MIN_ROWS: Final = 3
-"""Rows that a picture has room for."""
+"""Least number of rows of a figure."""
 DARKEST_RATIO: Final = 10.0
-"""Times the floor, from which on a map has its darkest colour at the least."""
+"""Least ratio to the noise floor that is drawn in the darkest colour."""
 MIN_AXIS_SPAN: Final = (0.5, 4.0)
-"""Times the floor: what the axis of a picture has at the least."""
+"""Least span of the axis, in ratios to the noise floor."""
 LEAST_DRAWN: Final = 1e-3
-"""Times the floor: the least that is drawn."""
+"""Smallest ratio to the noise floor that is drawn."""
 
 
 def residual_map_picture(cells: tuple[ResidualCell, ...]) -> bytes:
-    """A map of ratios to the floor, channels by regimes, those with the largest on top."""
+    """Draw the residual map, channels by regimes, largest ratio on top."""
     rows = list(dict.fromkeys(channel_words(cell.channel, cell.place) for cell in cells))
     columns = sorted({cell.regime for cell in cells})
     ratio = np.full((len(rows), len(columns)), np.nan)
@@ -38,13 +38,13 @@ def residual_map_picture(cells: tuple[ResidualCell, ...]) -> bytes:
 
 
 def effects_picture(result: DiagnosisResult) -> bytes:
-    """Probabilities of what was chosen and of what may stand in its stead, and sizes with intervals."""
+    """Draw the probabilities of findings and alternatives, and amplitudes with intervals."""
     count = sum(1 + len(list_alternatives(finding)) for finding in result.diagnosis.findings)
     return render_png(_size(max(count, MIN_ROWS)), DPI, lambda figure: _draw_effects(figure, result))
 
 
 def closure_picture(closure: Closure) -> bytes:
-    """Every channel on held-out motion, before and after, in units of its floor."""
+    """Draw every channel on held-out motion before and after, in units of its noise floor."""
     return render_png(_size(len(closure.channels)), DPI, lambda figure: _draw_closure(figure, closure))
 
 
@@ -94,7 +94,7 @@ def _draw_effects(figure: Any, result: DiagnosisResult) -> None:
 
 
 def _draw_sizes(axes: Any, model: DiagnosisModel, findings: tuple[Finding, ...]) -> None:
-    """Departures from neutral in typical sizes; grey is what cannot be seen."""
+    """Draw departures from neutral in typical sizes, with the undetectable range in grey."""
     names: list[str] = []
     for finding in findings:
         hypothesis = model.sensitivities.hypotheses[finding.hypothesis]
@@ -119,7 +119,7 @@ def _draw_sizes(axes: Any, model: DiagnosisModel, findings: tuple[Finding, ...])
 
 
 def _rows(count: int) -> tuple[float, float]:
-    """Limits of an axis of rows, the first on top; a single row is not as high as the picture."""
+    """Return the limits of an axis of rows, first row on top, with room for MIN_ROWS."""
     room = max(count, MIN_ROWS)
     return (count + room - 1) / 2.0, (count - room - 1) / 2.0
 
@@ -145,7 +145,7 @@ def _draw_closure(figure: Any, closure: Closure) -> None:
 
 
 def _decimal_ticks(axis: Any) -> None:
-    """Ticks of a logarithmic axis at 1, 2, 5, 10."""
+    """Set ticks of a logarithmic axis at 1, 2, 5 and 10."""
     from matplotlib.ticker import LogLocator, NullLocator
 
     axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))

@@ -1,4 +1,9 @@
-"""Fits of sets of hypotheses to a case: how much they explain, and how much they predict."""
+"""Linear fits of sets of columns to a case: amplitudes, likelihood ratio and cross-validation.
+
+Every function solves R t = r of `normal_equations` for chosen columns. The likelihood-ratio statistic t'r is
+the deviance that the columns explain. Without effect it follows a chi-square distribution with as many
+degrees of freedom as there are columns (Wilks 1938). `columns` has shape (j,) for one set, (n, j) for n sets.
+"""
 
 from dataclasses import dataclass
 from typing import Final
@@ -17,15 +22,16 @@ class LinearFit:
     """Nuisances and chosen columns, fitted together to all blocks."""
 
     active: Ints
-    """Columns of `Prepared.A` that are in it: all nuisances, then the chosen, (n,)."""
+    """Indices of the fitted columns of `NormalEquations.A`: all nuisances, then the chosen columns, shape
+    (n,)."""
     theta: Array
-    """Their sizes, (n,)."""
+    """Fitted values, shape (n,): nuisances in `nuisance_unit`, amplitudes in standard errors."""
     covariance: Array
-    """(n, n)."""
+    """Posterior covariance, shape (n, n)."""
 
 
 def fit_linear(equations: NormalEquations, rhs: RightHandSide, columns: Ints) -> LinearFit:
-    """The most probable nuisances and sizes; singular combinations stay at 0."""
+    """Fit nuisances and chosen columns by maximum posterior; singular combinations stay at 0."""
     active = np.concatenate([np.arange(equations.q), equations.q + columns])
     information = equations.G[:, active[:, None], active].sum(axis=0)
     information[: equations.q, : equations.q] += np.diag(equations.prior)
@@ -34,20 +40,38 @@ def fit_linear(equations: NormalEquations, rhs: RightHandSide, columns: Ints) ->
 
 
 def whitened_residual(equations: NormalEquations, fit: LinearFit, y: Array) -> Array:
-    """Whitened residual after the model, (m,)."""
+    """Compute the residual of a fit.
+
+    Args:
+        equations: Normal equations of the campaign.
+        fit: Linear fit to these features.
+        y: Whitened features, shape (m,).
+
+    Returns:
+        Whitened residual, shape (m,).
+    """
     return np.asarray(y - equations.A[:, fit.active] @ fit.theta)
 
 
 FOLD_PRIOR_SHARE: Final = 0.01
-"""In a fold, a size counts as learnt from data that say as much of it as this share of all data."""
+"""Precision of the prior about 0 in a fold, as a share of the information of all blocks."""
 ASYMPTOTIC_FROM: Final = 300.0
-"""Half a drop beyond which probabilities are taken by their leading term."""
+"""Half a likelihood ratio above which the tail probability is computed by its leading term."""
 RIDGE_SHARE: Final = 1e-9
-"""Share of the scale that is added, so that two columns that are the same can be solved."""
+"""Ridge added to R, so that two identical columns can be solved."""
 
 
 def estimate_amplitudes(equations: NormalEquations, rhs: RightHandSide, columns: Ints) -> Array:
-    """Most probable sizes in standard errors, (j,), of a set of columns; or (n, j) of n sets (n, j)."""
+    """Estimate the amplitudes of sets of columns, with nuisances free.
+
+    Args:
+        equations: Normal equations of the campaign.
+        rhs: Right-hand side of the case.
+        columns: Indices of columns, shape (j,) or (n, j).
+
+    Returns:
+        Amplitudes in standard errors, same shape as `columns`.
+    """
     R = equations.R[-1][columns[..., :, None], columns[..., None, :]] + RIDGE_SHARE * np.eye(
         columns.shape[-1]
     )
@@ -55,21 +79,47 @@ def estimate_amplitudes(equations: NormalEquations, rhs: RightHandSide, columns:
 
 
 def likelihood_ratio(equations: NormalEquations, rhs: RightHandSide, columns: Ints) -> Array:
-    """By how much these columns make the deviance less than no effect, () or (n,)."""
+    """Compute the deviance that columns explain, against no effect.
+
+    Args:
+        equations: Normal equations of the campaign.
+        rhs: Right-hand side of the case.
+        columns: Indices of columns, shape (j,) or (n, j).
+
+    Returns:
+        Likelihood-ratio statistic, shape () or (n,).
+    """
     return np.asarray(np.sum(estimate_amplitudes(equations, rhs, columns) * rhs.all[columns], axis=-1))
 
 
 def within_bounds(equations: NormalEquations, t: Array, columns: Ints) -> Flags:
-    """Whether no size is at or beyond a bound, () or (n,)."""
+    """Check that no amplitude is at or beyond a bound.
+
+    Args:
+        equations: Normal equations of the campaign.
+        t: Amplitudes in units of standard errors, shape (j,) or (n, j).
+        columns: Indices of columns, same shape.
+
+    Returns:
+        Flags, shape () or (n,).
+    """
     least, most = equations.bounds[:, columns]
     return np.asarray(np.all((t > least) & (t < most), axis=-1))
 
 
 def cross_validation_losses(equations: NormalEquations, rhs: RightHandSide, columns: Ints) -> Array:
-    """Deviance of every block as predicted by the others, from that of no effect, (n, B) of n sets (n, j).
+    """Compute the deviance of each block as predicted by the other blocks, relative to no effect.
 
-    The deviance of a block given the others is that of all blocks less that of the others, both with
-    nuisances free: D(t) = t'R t - 2 r't. Normalising terms do not depend on the set.
+    The deviance of a block given the others is that of all blocks minus that of the others, both with
+    nuisances free: D(t) = t'R t - 2 r't. Normalising terms are the same for all sets.
+
+    Args:
+        equations: Normal equations of the campaign.
+        rhs: Right-hand side of the case.
+        columns: Indices of columns, shape (n, j).
+
+    Returns:
+        Losses, shape (n, b); negative where the prediction helps.
     """
     r, t = rhs.r[:, columns], _fold_estimates(equations, rhs, columns)
     return np.asarray(
@@ -78,9 +128,18 @@ def cross_validation_losses(equations: NormalEquations, rhs: RightHandSide, colu
 
 
 def cross_validated_gain(equations: NormalEquations, rhs: RightHandSide, columns: Ints) -> Array:
-    """What sizes as other blocks have them would explain of each block, in sum, (n,): what losses can judge.
+    """Compute the deviance of each block that amplitudes fitted to the other blocks would explain, summed.
 
-    What one block alone shows, or nothing but the prior of nuisances, no block foretells.
+    The gain is near 0 for an effect that only one block shows, or that only the nuisance prior reveals: then
+    cross-validation cannot judge it.
+
+    Args:
+        equations: Normal equations of the campaign.
+        rhs: Right-hand side of the case.
+        columns: Indices of columns, shape (n, j).
+
+    Returns:
+        Gains, shape (n,).
     """
     return np.asarray(
         _block_information(equations, columns, _fold_estimates(equations, rhs, columns)).sum(axis=-1)
@@ -88,10 +147,9 @@ def cross_validated_gain(equations: NormalEquations, rhs: RightHandSide, columns
 
 
 def _fold_estimates(equations: NormalEquations, rhs: RightHandSide, columns: Ints) -> Array:
-    """Sizes as all blocks but one have them, (B, n, j).
+    """Estimate amplitudes from all blocks but one, (b, n, j).
 
-    With LEARNT of the information of all blocks as a prior about 0, so that a fold that says nothing
-    predicts nothing.
+    The weak prior about 0 makes a fold without information predict nothing.
     """
     R = equations.R[:, columns[:, :, None], columns[:, None, :]]
     information = R[:-1] + FOLD_PRIOR_SHARE * R[-1] + RIDGE_SHARE * np.eye(columns.shape[1])
@@ -99,16 +157,23 @@ def _fold_estimates(equations: NormalEquations, rhs: RightHandSide, columns: Int
 
 
 def _block_information(equations: NormalEquations, columns: Ints, t: Array) -> Array:
-    """What each block says of sizes (B, n, j) with the others known, t'R t, (n, B)."""
+    """Compute t'R t of each block given the others, for amplitudes t of shape (b, n, j); shape (n, b)."""
     R = equations.R[:, columns[:, :, None], columns[:, None, :]]
     return np.asarray(np.einsum("fni,fnij,fnj->nf", t, R[-1] - R[:-1], t))
 
 
 def neg_log10_p(dropped: Array, k: Array | float) -> Array:
-    """Of a drop with k more parameters: -log10 of its probability if there is nothing.
+    """Convert likelihood ratios to -log10 of their probability without effect.
 
-    Far out, where that is below the least floating-point number, by the leading term of the incomplete gamma
-    function, so that even there the more surprising is told from the less.
+    Far in the tail the probability underflows. There the leading term of the incomplete gamma function is
+    used, so that the order of strong findings is kept.
+
+    Args:
+        dropped: Likelihood-ratio statistics, unitless, shape () or (n,).
+        k: Degrees of freedom, the number of extra parameters, unitless, shape () or (n,).
+
+    Returns:
+        -log10 of the chi-square tail probability, same shape.
     """
     x, half = np.maximum(dropped, 0.0) / 2.0, np.asarray(k) / 2.0
     far = x - (half - 1.0) * np.log(np.maximum(x, 1.0)) + gammaln(half)
@@ -117,5 +182,5 @@ def neg_log10_p(dropped: Array, k: Array | float) -> Array:
 
 
 def deviance_difference(neg_log10_p: float) -> float:
-    """What a difference in surprise is as one in deviance, where probabilities are likelihoods."""
+    """Convert a difference of -log10 p to a difference of deviance: probabilities count as likelihoods."""
     return float(2.0 * np.log(10.0) * neg_log10_p)

@@ -1,4 +1,4 @@
-"""A campaign ready for cases: everything that is fixed, and can be published, before data."""
+"""Diagnosis model: all that is fixed, and can be published, before a case is measured."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,25 +17,25 @@ from ground.diagnosis.thresholds import SIMULATED_CASES, Thresholds, calibrate_t
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiagnosisModel:
-    """What does not depend on data."""
+    """Normal equations, equivalence classes, detection limits and thresholds of a campaign."""
 
     sensitivities: Sensitivities
     equations: NormalEquations
     cosine: Array
-    """|cos| between hypotheses, (H, H)."""
+    """Absolute cosine between the sensitivities of every two hypotheses, shape (h, h)."""
     label: Ints
-    """Equivalence class of every hypothesis, (H,)."""
+    """Equivalence class of every hypothesis, shape (h,)."""
     limits: tuple[Detectability, ...]
     groups: tuple[FeatureGroup, ...]
     thresholds: Thresholds
 
     @property
     def candidates(self) -> CandidateSet:
-        """All hypotheses that are seen."""
+        """Candidate set of all identifiable hypotheses."""
         return CandidateSet(self.equations, self.label, self.thresholds.effect, self.equations.identifiable)
 
     def confusable(self, hypothesis: int) -> tuple[int, ...]:
-        """Its class, itself included."""
+        """Return the hypotheses of the same equivalence class, itself included."""
         return tuple(int(one) for one in np.flatnonzero(self.label == self.label[hypothesis]))
 
 
@@ -46,7 +46,15 @@ def build_model(
     thresholds: Thresholds | None = None,
     step: Callable[[int, int], None] = lambda *_: None,
 ) -> DiagnosisModel:
-    """Of a campaign's sensitivities; without thresholds they are calibrated with `cases` simulated cases."""
+    """Build the diagnosis model from the sensitivities of a campaign.
+
+    Args:
+        sensitivities: Sensitivities of the campaign.
+        seed: Seed of the simulated cases.
+        cases: Number of simulated cases of each kind.
+        thresholds: Thresholds that are known already; None to calibrate them with simulated cases.
+        step: Called with the number of cases done and the total.
+    """
     equations = form_normal_equations(sensitivities)
     cosine, label, limits, groups = (
         alias_cosines(equations),

@@ -1,8 +1,8 @@
-"""Effects fitted where they are no straight lines: half of them bend at the size that they have.
+"""Nonlinear fit of effects: about half of them are not linear at their estimated size.
 
-Gauss-Newton on the whitened residual w(y - f(x)) - N v, with f(x) what the effects change, over all
-parameters x of the effects (those that only shape them, too) within their bounds; nuisances v are refitted in
-every step with their prior.
+Gauss-Newton minimises |w(y - f(x)) - N v|^2 plus the priors. Here w whitens, f(x) is the change by the
+effects, and x holds all their parameters, shape parameters too, within bounds. The nuisances v are refitted
+in every step with their prior. f is the quadratic surrogate or the simulator (`EffectResponse`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,12 +20,19 @@ from ground.diagnosis.sensitivity import Sensitivities
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuadraticSurrogate:
-    """What effects change in the features; beyond what was simulated each goes on in a straight line."""
+    """Quadratic approximation of the simulator; linear beyond the simulated departures."""
 
     sensitivities: Sensitivities
 
     def change(self, settings: Mapping[Hypothesis, Array]) -> Array:
-        """By these values of all parameters of each effect, (m,); those that only shape change nothing."""
+        """Compute the change of the features.
+
+        Args:
+            settings: Values of all parameters of each effect; shape parameters have no influence.
+
+        Returns:
+            Change in the units of the channels, shape (m,).
+        """
         total = np.zeros(self.sensitivities.layout.size)
         for hypothesis, values in settings.items():
             columns, t = self._departures(hypothesis, values)
@@ -35,7 +42,15 @@ class QuadraticSurrogate:
         return total
 
     def slopes(self, settings: Mapping[Hypothesis, Array], change: Array) -> Array:
-        """By each parameter of each effect times its typical size, (m, n), whatever the change."""
+        """Compute the derivatives by each parameter of each effect, per typical size.
+
+        Args:
+            settings: Values of all parameters of each effect, n in total.
+            change: Not used.
+
+        Returns:
+            Derivatives in the units of the channels, shape (m, n); 0 for shape parameters.
+        """
         parts = []
         for hypothesis, values in settings.items():
             columns, t = self._departures(hypothesis, values)
@@ -47,55 +62,55 @@ class QuadraticSurrogate:
         return np.hstack(parts)
 
     def _within_reach(self, columns: Ints, t: Array) -> Array:
-        """The part of sizes that was simulated."""
+        """Clip amplitudes to the simulated departures."""
         reach = self.sensitivities.reach[columns]
         return np.clip(t, -reach, reach)
 
     def _departures(self, hypothesis: Hypothesis, values: Array) -> tuple[Ints, Array]:
-        """Its columns, and its sizes in typical ones."""
+        """Return the columns of a hypothesis, and its amplitudes in typical sizes."""
         columns = np.flatnonzero(self.sensitivities.owner == self.sensitivities.hypotheses.index(hypothesis))
         return columns, hypothesis.departures(values)
 
 
 MAX_STEPS: Final = 5
 SHAPE_STEP: Final = 0.1
-"""Share of a typical size over which the simulator is differentiated by what only shapes."""
+"""Finite-difference step of a shape parameter, as a share of its typical size."""
 CONVERGED_SIGMAS: Final = 1.0
-"""A step that moves everything by less than this share of its sigma is the last: so far slopes are right."""
+"""The iteration stops when a step moves every parameter by less than this many sigmas."""
 MAX_HALVINGS: Final = 2
 BOUND_TOLERANCE: Final = 1e-6
-"""Share of a typical size by which one that is fitted to its bound may stay short of it."""
+"""Distance from a bound, as a share of a typical size, at which a parameter counts as at the bound."""
 SHAPE_PRIOR_SIGMA: Final = 1.0
-"""Of parameters that only shape: about their typical value, as a share of it."""
+"""Prior sigma of shape parameters about their typical value, as a share of it."""
 
 INFORMATIVE_SHARE: Final = 0.5
-"""Share of that to which data must narrow them to say anything of them."""
+"""Share of the prior sigma below which the data determine a shape parameter."""
 
 
 class EffectResponse(Protocol):
-    """What effects change in the features."""
+    """Response of the features to effects."""
 
     def change(self, settings: Mapping[Hypothesis, Array]) -> Array:
-        """By these values of all parameters of each effect, (m,)."""
+        """Compute the change of the features, shape (m,), for values of all parameters of each effect."""
 
     def slopes(self, settings: Mapping[Hypothesis, Array], change: Array) -> Array:
-        """By each parameter of each effect times its typical size, (m, n), where `change` is known."""
+        """Compute derivatives by each parameter per typical size, shape (m, n), at a known change."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatorResponse:
-    """By the simulator; slopes of sizes are those of the parabolas, near enough to set out along."""
+    """Response by simulation; slopes of amplitudes come from the surrogate, which suffices to start."""
 
     simulator: Simulator
     surrogate: QuadraticSurrogate
 
     def change(self, settings: Mapping[Hypothesis, Array]) -> Array:
-        """One run of the simulator."""
+        """Simulate once with these effects."""
         zero = np.zeros(len(self.simulator.nuisances))
         return np.asarray(self.simulator.predict(settings, zero) - self.simulator.predict({}, zero))
 
     def slopes(self, settings: Mapping[Hypothesis, Array], change: Array) -> Array:
-        """One more run for each parameter that only shapes."""
+        """Simulate once more for each shape parameter."""
         result, column = self.surrogate.slopes(settings, change), 0
         for hypothesis in settings:
             for at, parameter in enumerate(hypothesis.parameters):
@@ -108,37 +123,37 @@ class SimulatorResponse:
         self, settings: Mapping[Hypothesis, Array], change: Array, hypothesis: Hypothesis, at: int
     ) -> Array:
         parameter, values = hypothesis.parameters[at], settings[hypothesis]
-        by, there = SHAPE_STEP * parameter.unit_size, values.copy()
-        there[at] += by if values[at] + by <= parameter.most else -by
-        apart = self.change({**settings, hypothesis: there}) - change
+        by, shifted = SHAPE_STEP * parameter.unit_size, values.copy()
+        shifted[at] += by if values[at] + by <= parameter.most else -by
+        difference = self.change({**settings, hypothesis: shifted}) - change
         return np.asarray(
-            apart
+            difference
             * parameter.unit_size
             * (-1.0 if parameter.typical < 0.0 else 1.0)
-            / (there[at] - values[at])
+            / (shifted[at] - values[at])
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NonlinearFit:
-    """The most probable values of some effects."""
+    """Most probable values of some effects."""
 
     hypotheses: tuple[Hypothesis, ...]
     values: tuple[Array, ...]
-    """Of all parameters of each, in their units."""
+    """Values of all parameters of each effect, in their units, each of shape (p,)."""
     sigma: tuple[Array, ...]
-    """One sigma of each, nuisances free; NaN of what only shapes, where data tell little of it."""
+    """Standard deviations with nuisances free; NaN for a shape parameter that the data do not determine."""
     at_bound: tuple[tuple[str, ...], ...]
-    """Names of those that are at a bound: no finding."""
+    """Names of the amplitude parameters of each effect that are at a bound; then it is not accepted."""
     change: Array
-    """What the effects change in the features, (m,)."""
+    """Change of the features by all effects, shape (m,)."""
     slopes: tuple[Array, ...]
-    """Derivatives of the features by each parameter times its typical size, (m, k) of each."""
+    """Derivatives of the features by each parameter per typical size, of each effect, shape (m, p)."""
     cost: float
-    """Deviance that they leave, and what departures of their shapes add."""
+    """Remaining deviance, including the prior of the shape parameters."""
 
     def in_order(self, order: Sequence[int]) -> "NonlinearFit":
-        """The same effects in another order: which of these is the first, and so on."""
+        """Return the same fit with the effects in another order, given by index."""
         return NonlinearFit(
             tuple(self.hypotheses[one] for one in order),
             tuple(self.values[one] for one in order),
@@ -153,49 +168,68 @@ class NonlinearFit:
 def fit_nonlinear(
     response: EffectResponse, equations: NormalEquations, whitened: Array, start: Mapping[Hypothesis, Array]
 ) -> NonlinearFit:
-    """Of whitened features (m,), from starting values of all parameters of each effect."""
-    who = tuple(start)
-    parameters = tuple(parameter for hypothesis in who for parameter in hypothesis.parameters)
+    """Fit effects to a case by Gauss-Newton with Broyden updates, within bounds.
+
+    Args:
+        response: Response of the features to the effects.
+        equations: Normal equations of the campaign; only their nuisances are used.
+        whitened: Whitened features, shape (m,).
+        start: Initial values of all p parameters of each effect in their units, shape (p,).
+
+    Returns:
+        Fit, effects in the order of `start`.
+    """
+    hypotheses = tuple(start)
+    parameters = tuple(parameter for hypothesis in hypotheses for parameter in hypothesis.parameters)
     unit = np.array([parameter.unit_size for parameter in parameters])
     ends = np.array([[p.least for p in parameters], [p.most for p in parameters]])
-    fit = _GaussNewton(response, equations, whitened, who, parameters)
-    x = np.clip(np.concatenate([start[hypothesis] for hypothesis in who]), *ends)
-    there = fit.evaluate(x)
+    fit = _GaussNewton(response, equations, whitened, hypotheses, parameters)
+    x = np.clip(np.concatenate([start[hypothesis] for hypothesis in hypotheses]), *ends)
+    current = fit.evaluate(x)
     for _ in range(MAX_STEPS):
-        step = fit.step(there, (ends - x) / unit)
-        if np.all(np.abs(step) < CONVERGED_SIGMAS * fit.sigma(there)):
-            there = fit.linear_step(there, np.clip(x + unit * step, *ends))
-            x = there.x
+        step = fit.step(current, (ends - x) / unit)
+        if np.all(np.abs(step) < CONVERGED_SIGMAS * fit.sigma(current)):
+            current = fit.linear_step(current, np.clip(x + unit * step, *ends))
+            x = current.x
             break
         tries = (
-            fit.broyden_step(there, np.clip(x + unit * s, *ends))
+            fit.broyden_step(current, np.clip(x + unit * s, *ends))
             for s in step * 0.5 ** np.arange(MAX_HALVINGS)[:, None]
         )
-        better = next((one for one in tries if one.cost < there.cost), None)
+        better = next((one for one in tries if one.cost < current.cost), None)
         if better is None:
             break
-        there, x = better, better.x
+        current, x = better, better.x
     reached = np.any(np.abs(x - ends) <= BOUND_TOLERANCE * unit, axis=0)
     ended = [p.name if at and p.is_amplitude else "" for p, at in zip(parameters, reached, strict=True)]
     names = tuple(
         tuple(n for n in part if n) for part in np.split(np.array(ended, dtype=object), fit.offsets)
     )
     return NonlinearFit(
-        who,
+        hypotheses,
         tuple(np.split(x, fit.offsets)),
-        tuple(np.split(unit * fit.reported_sigma(there), fit.offsets)),
+        tuple(np.split(unit * fit.reported_sigma(current), fit.offsets)),
         names,
-        there.change,
-        tuple(np.split(there.slopes, fit.offsets, axis=1)),
-        there.cost,
+        current.change,
+        tuple(np.split(current.slopes, fit.offsets, axis=1)),
+        current.cost,
     )
 
 
 def linearise_at(hypothesis: Hypothesis, values: Array, change: Array, slopes: Array) -> Array:
-    """One effect as columns about its estimate, (m, k): the whole change, then what else it may do.
+    """Linearise an effect at its estimate.
 
-    The whole change is what it is at the estimate, so that a straight line through none and the estimate is
-    in the span, and so are all small departures from the estimate.
+    The first column is the whole change at the estimate. So the span contains both the line from no effect to
+    the estimate, and small departures from the estimate.
+
+    Args:
+        hypothesis: Effect with n amplitude parameters.
+        values: Estimated values of all p parameters in their units, shape (p,).
+        change: Change of the features at the estimate, in the units of the channels, shape (m,).
+        slopes: Derivatives by each parameter per typical size, in these units, shape (m, p).
+
+    Returns:
+        Columns, shape (m, n): the whole change, then the slopes of all amplitudes but the largest.
     """
     sized = [i for i, parameter in enumerate(hypothesis.parameters) if parameter.is_amplitude]
     largest = int(np.argmax(np.abs(hypothesis.departures(values))))
@@ -205,7 +239,7 @@ def linearise_at(hypothesis: Hypothesis, values: Array, change: Array, slopes: A
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Iterate:
-    """Where a fit stands."""
+    """Parameters of one iteration, with response and cost."""
 
     x: Array
     change: Array
@@ -215,7 +249,7 @@ class _Iterate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _GaussNewton:
-    """A cost and its derivatives; slopes have the sign of the parameters' typical sizes taken off."""
+    """Cost and derivatives; slopes refer to positive typical sizes."""
 
     response: EffectResponse
     equations: NormalEquations
@@ -224,7 +258,7 @@ class _GaussNewton:
     parameters: tuple[Parameter, ...]
 
     def evaluate(self, x: Array) -> _Iterate:
-        """All that is known where the fit begins."""
+        """Evaluate response, slopes and cost at the start."""
         settings = self._settings(x)
         change = self.response.change(settings)
         slopes = self.response.slopes(settings, change)
@@ -232,13 +266,13 @@ class _GaussNewton:
         return _Iterate(x, change, slopes * signs, self._cost(x, change))
 
     def linear_step(self, before: _Iterate, x: Array) -> _Iterate:
-        """After a step so small that the response need not be asked."""
+        """Take a step that is so small that the response is extrapolated by its slopes."""
         step = (x - before.x) / np.array([parameter.unit_size for parameter in self.parameters])
         change = before.change + before.slopes @ step
         return _Iterate(x, change, before.slopes, self._cost(x, change))
 
     def broyden_step(self, before: _Iterate, x: Array) -> _Iterate:
-        """After a step: slopes are mended so that they explain it (Broyden 1965)."""
+        """Take a step, and correct the slopes so that they explain it (Broyden 1965)."""
         change = self.response.change(self._settings(x))
         step = (x - before.x) / np.array([parameter.unit_size for parameter in self.parameters])
         missed = change - before.change - before.slopes @ step
@@ -247,7 +281,7 @@ class _GaussNewton:
 
     @property
     def offsets(self) -> Ints:
-        """Where among all parameters those of the next hypothesis begin."""
+        """Indices at which the parameters of the next hypothesis begin."""
         return np.cumsum([len(hypothesis.parameters) for hypothesis in self.hypotheses])[:-1]
 
     def _settings(self, x: Array) -> dict[Hypothesis, Array]:
@@ -258,20 +292,20 @@ class _GaussNewton:
         return residual_deviance(self.equations, rest) + float(np.sum(self._shape(x) ** 2))
 
     def sigma(self, there: _Iterate) -> Array:
-        """Of the parameters per typical size, nuisances free."""
+        """Compute standard deviations per typical size, with nuisances free."""
         information, _ = self._normal(there.slopes, np.zeros(self.y.size))
         return np.sqrt(np.diag(np.linalg.pinv(information, rcond=1e-12, hermitian=True)))
 
     def reported_sigma(self, there: _Iterate) -> Array:
-        """The same; NaN of those that the data do not tell."""
-        sigma, only = (
+        """Return the standard deviations; NaN for shape parameters that the data do not determine."""
+        sigma, is_shape = (
             self.sigma(there),
             np.array([not parameter.is_amplitude for parameter in self.parameters]),
         )
-        return np.where(only & (sigma > INFORMATIVE_SHARE * SHAPE_PRIOR_SIGMA), np.nan, sigma)
+        return np.where(is_shape & (sigma > INFORMATIVE_SHARE * SHAPE_PRIOR_SIGMA), np.nan, sigma)
 
     def step(self, there: _Iterate, room: Array) -> Array:
-        """The best step within the bounds, per typical size."""
+        """Compute the Gauss-Newton step within the bounds, in typical sizes."""
         rest = self.y - self.equations.whiten(there.change)
         information, gradient = self._normal(there.slopes, rest)
         gradient = gradient - self._shape(there.x) / SHAPE_PRIOR_SIGMA
@@ -285,15 +319,17 @@ class _GaussNewton:
         return self.equations.A[:, : self.equations.q]
 
     def _normal(self, slopes: Array, rest: Array) -> tuple[Array, Array]:
-        """Information and gradient with nuisances free; what only shapes has its prior."""
+        """Return information and gradient with nuisances eliminated and the prior of shape parameters."""
         S = self.equations.whiten(slopes)
         across = S.T @ self._N
-        only = np.array([not parameter.is_amplitude for parameter in self.parameters]) / SHAPE_PRIOR_SIGMA**2
-        information = S.T @ S - across @ self.equations.C[-1] @ across.T + np.diag(only)
+        is_shape = np.array([not parameter.is_amplitude for parameter in self.parameters])
+        information = (
+            S.T @ S - across @ self.equations.C[-1] @ across.T + np.diag(is_shape / SHAPE_PRIOR_SIGMA**2)
+        )
         return information, S.T @ rest - across @ (self.equations.C[-1] @ (self._N.T @ rest))
 
     def _shape(self, x: Array) -> Array:
-        """Departure of what only shapes from typical, in sigmas."""
+        """Return the departure of shape parameters from typical, in prior sigmas."""
         return np.array([
             0.0 if p.is_amplitude else (v - p.typical) / p.unit_size / SHAPE_PRIOR_SIGMA
             for v, p in zip(x, self.parameters, strict=True)

@@ -1,4 +1,14 @@
-"""What data say, reduced to what fits need: one case, or many at once."""
+"""Normal equations of the linear model, with nuisances eliminated, and the right-hand sides of cases.
+
+The whitened model is y = N v + S t + e, with e of unit covariance and a Gaussian prior of precision P on the
+nuisances v. For each block b, with A = [N S]: G_b = A_b'A_b and c_b = A_b'y_b. Summed over blocks, the
+nuisances are eliminated by the Schur complement:
+
+    C = (G_NN + P)^-1,  W = G_SN C,  R = G_SS - W G_NS,  r = c_S - W c_N,  and then R t = r.
+
+The folds of the cross-validation leave out one block each; the last fold has all blocks. Shapes use m
+features, q shared nuisances, k columns of h hypotheses, b blocks and f = b + 1 folds.
+"""
 
 from dataclasses import dataclass
 from typing import Final
@@ -12,25 +22,32 @@ from ground.diagnosis.sensitivity import Sensitivities
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockCovariance:
-    """What the features of one block share by chance."""
+    """Low-rank covariance of the features of one block, from the nuisances that are random per block."""
 
     rows: Ints
-    """Its features, (n,)."""
+    """Indices of the block's features, shape (n,)."""
     U: Array
-    """Directions, (n, s)."""
+    """Orthonormal directions, shape (n, s)."""
     shrinkage: Array
-    """By which share each of them is to be reduced, (s,)."""
+    """Share by which whitening reduces each direction, shape (s,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Whitener:
-    """Makes the noise of the features independent and of variance 1."""
+    """Linear map that makes the noise of the features independent and of unit variance."""
 
     sigma: Array
     scatter: tuple[BlockCovariance, ...]
 
     def __call__(self, X: Array) -> Array:
-        """The same in whitened features, (m,) or (m, n)."""
+        """Whiten features.
+
+        Args:
+            X: Features in the units of their channels, shape (m,) or (m, n).
+
+        Returns:
+            Whitened features, same shape.
+        """
         Z = (X.T / self.sigma).T
         for block in self.scatter:
             part = Z[block.rows]
@@ -39,7 +56,7 @@ class Whitener:
 
 
 def build_whitener(sensitivities: Sensitivities) -> Whitener:
-    """Of the floor and of the nuisances that are drawn anew in every block."""
+    """Build the whitener from the noise floor and the nuisances that are random per block."""
     layout = sensitivities.layout
     drawn = [index for index, nuisance in enumerate(sensitivities.nuisances) if nuisance.random_per_block]
     if not drawn:
@@ -56,60 +73,71 @@ def build_whitener(sensitivities: Sensitivities) -> Whitener:
 
 
 ABSORBED_SHARE: Final = 1e-6
-"""A column of which the nuisances leave less than this share of its square is not seen."""
+"""A column counts as not identifiable if the nuisances leave less than this share of its square."""
 FLAT_PRIOR_SHARE: Final = 1e-9
-"""Precision of a nuisance of which nothing is known, as a share of what all data say of it."""
+"""Prior precision of a nuisance with infinite sigma, as a share of its information in all data."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalEquations:
-    """A campaign ready for data: B blocks, q nuisances, K columns of H hypotheses, F = B + 1 folds."""
+    """Normal equations of a campaign; they do not depend on measured data.
+
+    Columns are scaled so that an amplitude t of 1 is one standard error, with nuisances free.
+    """
 
     layout: FeatureLayout
     hypotheses: tuple[Hypothesis, ...]
     owner: Ints
-    """Which hypothesis each column belongs to, (K,)."""
+    """Index of the hypothesis that each column belongs to, shape (k,)."""
     whiten: Whitener
     A: Array
-    """Whitened nuisances and columns, [N S], (m, q + K)."""
+    """Whitened nuisances and columns, [N S], shape (m, q + k)."""
     rows: tuple[Ints, ...]
-    """The features of each block that has any, (B)."""
+    """Indices of the features of each block that has any, b arrays."""
     G: Array
-    """(B, q + K, q + K)."""
+    """Normal matrix A'A of each block, shape (b, q + k, q + k)."""
     prior: Array
-    """P, (q,)."""
+    """Prior precision P of the nuisances, shape (q,)."""
     nuisance_unit: Array
-    """What 1 is of each nuisance, in its own unit: its sigma, if it has one, (q,)."""
+    """Size of 1 of each nuisance in its own unit: its sigma if that is finite, shape (q,)."""
     R: Array
-    """(F, K, K)."""
+    """Information of the columns with nuisances eliminated, of each fold, shape (f, k, k)."""
     W: Array
-    """(F, K, q)."""
+    """Elimination matrix G_SN C of each fold, shape (f, k, q)."""
     C: Array
-    """Covariance of the nuisances if there is no effect, (F, q, q)."""
+    """Covariance of the nuisances without effects, of each fold, shape (f, q, q)."""
     scale: Array
-    """How many standard errors a typical size is, (K,); 0 for a column that is not seen."""
+    """Standard errors per typical size, shape (k,); 0 for a column that is not identifiable."""
     bounds: Array
-    """Least and most of each column in standard errors, (2, K)."""
+    """Least and greatest amplitude of each column in standard errors, shape (2, k)."""
 
     @property
     def q(self) -> int:
-        """Number of nuisances that are one number for all blocks."""
+        """Number of shared nuisances."""
         return self.prior.size
 
     @property
     def identifiable(self) -> Flags:
-        """Hypotheses of which every column shows beside the nuisances, (H,)."""
+        """Flags of the hypotheses whose columns are all identifiable beside the nuisances, shape (h,)."""
         hidden = np.zeros(len(self.hypotheses), bool)
         hidden[self.owner[self.scale == 0.0]] = True
         return ~hidden
 
     def columns(self, chosen: tuple[int, ...]) -> Ints:
-        """The columns of some hypotheses, in the order of the hypotheses given."""
+        """Return the columns of some hypotheses, in the order of the hypotheses given."""
         return np.concatenate([np.flatnonzero(self.owner == h) for h in chosen] or [np.zeros(0, np.intp)])
 
 
 def residual_deviance(equations: NormalEquations, y: Array) -> float:
-    """Deviance of whitened features (m,) that nuisances alone leave, their prior counted."""
+    """Compute the deviance that remains when only the nuisances are fitted.
+
+    Args:
+        equations: Normal equations of the campaign.
+        y: Whitened features, shape (m,).
+
+    Returns:
+        Minimum over v of |y - N v|^2 + v'P v.
+    """
     along = equations.A[:, : equations.q].T @ y
     return float(y @ y - along @ equations.C[-1] @ along)
 
@@ -117,10 +145,16 @@ def residual_deviance(equations: NormalEquations, y: Array) -> float:
 def form_normal_equations(
     sensitivities: Sensitivities, changed: dict[int, Array] | None = None
 ) -> NormalEquations:
-    """Sums over blocks and what they say of every hypothesis with nuisances free.
+    """Form the normal equations of all hypotheses, with nuisances eliminated.
 
-    `changed` holds other columns (m, k) for some hypotheses, by index: those linearised elsewhere than at
-    neutral. Their first column is the whole change at an estimate, so that 1 means as estimated.
+    Args:
+        sensitivities: Sensitivities of the campaign.
+        changed: Columns that replace those of some hypotheses, by index, each of shape (m, n) in the units of
+            the channels. They are linearised away from neutral: the first column is the whole change at an
+            estimate, so an amplitude of 1 means the estimate.
+
+    Returns:
+        Normal equations with columns in units of their standard error.
     """
     layout, changed = sensitivities.layout, changed or {}
     parts = [
@@ -141,7 +175,7 @@ def form_normal_equations(
 
 
 def _nuisance_columns(sensitivities: Sensitivities, whiten: Whitener) -> tuple[Array, Array, Array]:
-    """Whitened columns (m, q), prior precisions (q,), and what 1 is of each (q,)."""
+    """Return whitened columns (m, q), prior precisions (q,), and the unit of each nuisance (q,)."""
     sigma = np.array([sensitivities.nuisances[index].sigma for index in sensitivities.shared_nuisances])
     known = np.isfinite(sigma)
     N = whiten(sensitivities.nuisance[:, sensitivities.shared_nuisances])
@@ -151,7 +185,7 @@ def _nuisance_columns(sensitivities: Sensitivities, whiten: Whitener) -> tuple[A
 
 
 def _eliminate_nuisances(G: Array, prior: Array) -> tuple[Array, Array, Array]:
-    """R, W and C of every fold, and of all blocks."""
+    """Return R, W and C of every fold; see the module."""
     q, total = prior.size, G.sum(axis=0)
     folds = np.concatenate([total - G, total[None]])
     C = np.linalg.inv(folds[:, :q, :q] + np.diag(prior))
@@ -161,7 +195,7 @@ def _eliminate_nuisances(G: Array, prior: Array) -> tuple[Array, Array, Array]:
 
 
 def _bounds(sensitivities: Sensitivities, changed: dict[int, Array]) -> Array:
-    """In typical sizes, (2, K); a changed column has none: its estimate kept to them already."""
+    """Return bounds in typical sizes, (2, k); a changed column has none, as its estimate respects them."""
     limits: list[tuple[float, float]] = []
     for index, hypothesis in enumerate(sensitivities.hypotheses):
         if index in changed:
@@ -174,7 +208,7 @@ def _bounds(sensitivities: Sensitivities, changed: dict[int, Array]) -> Array:
 
 
 def _scale_columns(raw: NormalEquations) -> NormalEquations:
-    """The same with columns in units of their standard error; those not seen are 0."""
+    """Scale the columns to units of their standard error; set those that are not identifiable to 0."""
     q, of = raw.q, np.diagonal(raw.R[-1])
     before = np.einsum("bkk->k", raw.G[:, q:, q:])
     scale = np.sqrt(np.where(of > ABSORBED_SHARE * before, of, 0.0))
@@ -189,26 +223,42 @@ def _scale_columns(raw: NormalEquations) -> NormalEquations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RightHandSide:
-    """Data in the campaign's terms (see `prepared`)."""
+    """Right-hand side of the normal equations: the data of one case."""
 
     c: Array
-    """[N S]'y of each block, (B, q + K)."""
+    """Products A'y of each block, shape (b, q + k)."""
     r: Array
-    """What every fold says of the columns with nuisances free, (F, K)."""
+    """Products of the columns with nuisances eliminated, of each fold, shape (f, k)."""
 
     @property
     def all(self) -> Array:
-        """What all blocks say, (K,)."""
+        """Products of all blocks together, shape (k,)."""
         return np.asarray(self.r[-1])
 
 
 def reduce_features(equations: NormalEquations, y: Array) -> RightHandSide:
-    """Of whitened features (m,)."""
+    """Form the right-hand side from features.
+
+    Args:
+        equations: Normal equations of the campaign.
+        y: Whitened features, shape (m,).
+
+    Returns:
+        Right-hand side of all folds.
+    """
     return reduce_block_sums(equations, np.array([y[rows] @ equations.A[rows] for rows in equations.rows]))
 
 
 def reduce_block_sums(equations: NormalEquations, c: Array) -> RightHandSide:
-    """Of sums over blocks (B, q + K)."""
+    """Form the right-hand side from the products of each block.
+
+    Args:
+        equations: Normal equations of the campaign.
+        c: Whitened products A'y of each block, shape (b, n) with n = q + k.
+
+    Returns:
+        Right-hand side of all folds.
+    """
     q, total = equations.q, c.sum(axis=0)
     folds = np.concatenate([total - c, total[None]])
     r = folds[:, q:] - np.einsum("fkq,fq->fk", equations.W, folds[:, :q])
@@ -216,6 +266,14 @@ def reduce_block_sums(equations: NormalEquations, c: Array) -> RightHandSide:
 
 
 def reduce_residuals(equations: NormalEquations, residuals: Residuals) -> tuple[RightHandSide, Array]:
-    """The case, and the whitened features (m,)."""
+    """Whiten residuals and form their right-hand side.
+
+    Args:
+        equations: Normal equations of the campaign.
+        residuals: Residuals in the units of the channels.
+
+    Returns:
+        Right-hand side, and whitened features of shape (m,).
+    """
     y = equations.whiten(residuals.value)
     return reduce_features(equations, y), y

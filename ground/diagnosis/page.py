@@ -1,4 +1,4 @@
-"""A diagnosis as a page: verdict, where, the race, before and after, what is unexplained, what to do next."""
+"""HTML page of a diagnosis: verdict, residual map, effects, closure, lack of fit, next motion, thresholds."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -45,7 +45,7 @@ def save_diagnosis_page(result: DiagnosisResult, path: Path) -> None:
     """Write the page.
 
     Raises:
-        BadOutput: the file cannot be written.
+        BadOutput: The file cannot be written.
     """
     parts = [
         paragraph(" ".join(verdict_sentences(result))),
@@ -111,15 +111,15 @@ def _finding_rows(result: DiagnosisResult, finding: Finding) -> Rows:
 
 
 def _remarks(result: DiagnosisResult) -> Iterator[str]:
-    """What is alike, and what may stand in another's stead."""
+    """Yield the confusable effects and the alternatives of each finding."""
     names = [hypothesis.name for hypothesis in result.model.sensitivities.hypotheses]
     for finding in result.diagnosis.findings:
         own, alike = names[finding.hypothesis], [names[one] for one in finding.confusable]
         if len(alike) > 1:
             yield paragraph(f"One to these motions, whatever their sizes: {', '.join(alike)}.")
         if rest := list_alternatives(finding):
-            said = ", ".join(f"{names[one]} ({format_percent(share)})" for one, share in rest)
-            yield paragraph(f"In the stead of {own} may stand: {said}.")
+            named = ", ".join(f"{names[one]} ({format_percent(share)})" for one, share in rest)
+            yield paragraph(f"In the stead of {own} may stand: {named}.")
 
 
 def _ranking_rows(result: DiagnosisResult) -> Rows:
@@ -198,7 +198,7 @@ def _threshold_section(result: DiagnosisResult) -> Iterator[str]:
     limits = result.model.thresholds
     yield heading("How sure a verdict must be")
     known = format_percent(limits.disowned)
-    strange = format_percent(limits.wrong) if np.isfinite(limits.wrong) else "nobody knows how many"
+    wrong = format_percent(limits.wrong) if np.isfinite(limits.wrong) else "nobody knows how many"
     rows = [
         (
             "an effect may be claimed from",
@@ -209,7 +209,7 @@ def _threshold_section(result: DiagnosisResult) -> Iterator[str]:
         (
             "beside effects, structure from",
             format_number(limits.unexplained),
-            f"{known} of those rightly chosen get no name, {strange} of {limits.strangers} strangers get one",
+            f"{known} of those rightly chosen get no name, {wrong} of {limits.strangers} strangers get one",
         ),
     ]
     yield table(("", "surprise", f"on {limits.cases} simulated cases of this campaign"), rows)

@@ -1,4 +1,14 @@
-"""What the diagnosis asks of a simulator: all that it ever sees of a robot."""
+"""Diagnosis problem: parameters, hypotheses, nuisances, features, and the simulator interface.
+
+A diagnosis compares m features (numbers derived from logs) with the prediction of a simulator. Near the
+nominal state the residual (measured minus simulated) follows a linear model:
+
+    y = N v + S t + e
+
+Here y is the whitened residual, v the nuisances, t the amplitudes of the effects, and e noise of unit
+variance. N and S are the sensitivities. The diagnosis finds the few hypotheses whose amplitudes are not 0.
+These classes are all that the diagnosis knows about a robot.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -11,25 +21,25 @@ from fsw.kinematics.transforms import Array
 
 INTERVAL_LEVEL: Final = 0.9
 INTERVAL_QUANTILES: Final = ((1.0 - INTERVAL_LEVEL) / 2.0, (1.0 + INTERVAL_LEVEL) / 2.0)
-"""Quantiles between which it lies."""
+"""Lower and upper quantile of an interval of this level."""
 
 
 LOG_UNIT: Final = "ln"
-"""Unit of what is told as the logarithm of a factor."""
+"""Unit of a parameter that is the natural logarithm of a factor."""
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One number of an effect; ValueError if its neutral value is out of its bounds."""
+    """Parameter of an effect; ValueError if its neutral value lies outside its bounds."""
 
     name: str
     unit: str
     least: float
     most: float
     typical: float
-    """Departure from neutral, not 0; of a parameter without a neutral value, the value."""
+    """Typical departure from neutral, not 0; typical value for a parameter without a neutral value."""
     neutral: float | None = None
-    """Where the effect changes nothing; None for a parameter that only shapes what the others bring about."""
+    """Value at which the effect changes nothing; None for a shape parameter."""
 
     def __post_init__(self) -> None:
         if self.neutral is None:
@@ -39,23 +49,23 @@ class Parameter:
 
     @property
     def is_amplitude(self) -> bool:
-        """Whether it says how large the effect is, not only what it is like."""
+        """Amplitude parameter: it sets the size of the effect. Otherwise it sets only the shape."""
         return self.neutral is not None
 
     @property
     def unit_size(self) -> float:
-        """What is counted in: its typical size, or 1 of a parameter that shapes and is 0 by default."""
+        """Scale of the parameter: its typical size, or 1 for a shape parameter with default 0."""
         return abs(self.typical) or 1.0
 
     @property
     def absent(self) -> float:
-        """Its value where the effect is absent: neutral, or the typical value of one that only shapes."""
+        """Value while the effect is absent: neutral, or the typical value of a shape parameter."""
         return self.typical if self.neutral is None else self.neutral
 
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:
-    """An effect at a place; ValueError if it has no parameter that says how large it is."""
+    """Effect at a place; ValueError if it has no amplitude parameter."""
 
     effect: str
     place: str
@@ -67,21 +77,28 @@ class Hypothesis:
 
     @property
     def name(self) -> str:
-        """As people are told it."""
+        """Display name."""
         return f"{self.effect} at {self.place}"
 
     @property
     def amplitudes(self) -> tuple[Parameter, ...]:
-        """The parameters that say how large it is: those that the race fits."""
+        """Amplitude parameters: those that the selection fits."""
         return tuple(parameter for parameter in self.parameters if parameter.is_amplitude)
 
     @property
     def absent(self) -> Array:
-        """Values of all parameters where the effect is absent."""
+        """Values of all parameters while the effect is absent, shape (p,)."""
         return np.array([parameter.absent for parameter in self.parameters])
 
     def departures(self, values: Array) -> Array:
-        """Of those that say how large it is, in typical sizes."""
+        """Return the amplitudes in typical sizes.
+
+        Args:
+            values: All parameters in their units, shape (p,).
+
+        Returns:
+            Departures of the amplitude parameters from neutral, shape (n,).
+        """
         return np.array([
             (value - parameter.absent) / parameter.typical
             for value, parameter in zip(values, self.parameters, strict=True)
@@ -91,14 +108,18 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True)
 class Nuisance:
-    """What calibration leaves uncertain, or what is drawn anew in every block; ValueError if sigma <= 0."""
+    """Uncertain parameter that is not a candidate cause; ValueError if sigma is not above 0.
+
+    A shared nuisance has one value in all blocks: calibration leaves it uncertain. A random nuisance is drawn
+    independently in every block: it makes repeats differ.
+    """
 
     name: str
     unit: str
     sigma: float
-    """About what is believed: infinite if nothing is known (not if drawn anew in every block)."""
+    """Prior standard deviation; infinite if nothing is known (not for a random nuisance)."""
     random_per_block: bool = False
-    """Whether it is drawn anew, independently, in every block: scatter between repeats, not a constant."""
+    """Random nuisance: drawn independently in every block."""
 
     def __post_init__(self) -> None:
         if not self.sigma > 0.0 or (self.random_per_block and self.sigma == float("inf")):
@@ -110,24 +131,25 @@ Ints = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureLayout:
-    """What each of m features is; ValueError if the arrays do not agree or a number is not finite."""
+    """Description of m features; ValueError if the arrays do not agree or a number is not finite."""
 
     sigma: Array
-    """Repeatability floor: one sigma of a feature between repeats, in its channel's unit, (m,)."""
+    """Noise floor: standard deviation between repeats, in the unit of the channel, shape (m,)."""
     block: Ints
-    """Which motion under which condition: the unit of cross-validation and of the bootstrap, (m,)."""
+    """Index of the motion under one condition: the unit of cross-validation and bootstrap, shape (m,)."""
     channel: Ints
-    """(m,)."""
+    """Index of the measured quantity, shape (m,)."""
     place: Ints
-    """Where on the robot it was measured, (m,)."""
+    """Index of the location on the robot, shape (m,)."""
     regime: Ints
-    """(m,)."""
+    """Index of the regime of motion, shape (m,)."""
     condition: Array
-    """What a gap may depend on (temperature, load, speed, angle); 0 where it does not apply, (m, c)."""
+    """Conditions that a residual may depend on, such as temperature, load and speed, shape (m, c); 0 where a
+    condition does not apply."""
     blocks: tuple[str, ...]
     channels: tuple[str, ...]
     units: tuple[str, ...]
-    """Of the channels."""
+    """Units of the channels."""
     places: tuple[str, ...]
     regimes: tuple[str, ...]
     conditions: tuple[str, ...]
@@ -159,18 +181,18 @@ class FeatureLayout:
         return self.sigma.size
 
     def select(self, rows: Ints) -> "FeatureLayout":
-        """Some of the features, in that order; all names are kept."""
+        """Return the layout of some features, in the order of `rows`; all names stay."""
         arrays = ("sigma", "block", "channel", "place", "regime", "condition")
         return replace(self, **{name: getattr(self, name)[rows] for name in arrays})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Residuals:
-    """What a log says of a campaign's features; ValueError if it does not fit the layout."""
+    """Measured residuals of a campaign's features; ValueError if they do not fit the layout."""
 
     layout: FeatureLayout
     value: Array
-    """Measured less what the nominal simulator predicts, in the units of the channels, (m,)."""
+    """Measured minus nominal simulation, in the units of the channels, shape (m,)."""
 
     def __post_init__(self) -> None:
         if self.value.shape != (self.layout.size,):
@@ -182,30 +204,35 @@ class Residuals:
 
 
 EffectValues = Mapping[Hypothesis, Array]
-"""Values of all parameters of the effects that are there, in their order and units; absent if not named."""
+"""Values of all parameters of the effects that are switched on, in their order and units."""
 
 
 class Simulator(Protocol):
-    """A simulator bound to one campaign: to what its logs say was commanded, and where each motion began.
+    """Simulator bound to one campaign: to the recorded commands and to the start of each motion.
 
-    The same arguments give the same numbers. A prediction depends on settings and nuisances only, never on
-    what the logs measured in the features.
+    It is deterministic. A prediction depends only on effects and nuisances, never on the measured features.
     """
 
     @property
     def layout(self) -> FeatureLayout:
-        """The m features."""
+        """Description of the m features."""
 
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """What may be the cause, each once."""
+        """Candidate causes, each once."""
 
     @property
     def nuisances(self) -> tuple[Nuisance, ...]:
-        """What may differ without being the cause (q)."""
+        """Nuisance parameters, q of them."""
 
     def predict(self, settings: EffectValues, nuisance: Array) -> Array:
-        """The features (m,) with these effects and these departures of the nuisances (q,), in their units.
+        """Predict the features with these effects and nuisances.
 
-        A nuisance that is drawn in every block departs equally in all of them here.
+        Args:
+            settings: Values of the effects that are switched on.
+            nuisance: Departures from nominal in the units of the nuisances, shape (q,). A random nuisance has
+                the same departure in all blocks here.
+
+        Returns:
+            Features in the units of their channels, shape (m,).
         """

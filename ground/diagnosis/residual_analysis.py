@@ -1,9 +1,9 @@
-"""Whether anything remains that no model explains: where, and on what it depends.
+"""Residual map and lack-of-fit test: is there structure that no model explains, and on what does it depend?
 
-With y = N v + S t + e and the model fitted, what it leaves is M y with M = I - A (A'A + P)^-1 A', of
-covariance M: then Q'M y of any directions Q is tested by a chi-square with covariance Q'M Q. The directions
-are, in every channel and in every regime of it, a constant and the conditions. Beside them stands the energy
-of the channel in that regime; and last, all directions of all channels together.
+For the model y = N v + S t + e with A = [N S], the fit leaves M y with M = I - A (A'A + P)^-1 A', which has
+the covariance M. For directions Q, the projection Q'M y is tested by a chi-square with covariance Q'M Q. The
+directions are a constant and the conditions, in every channel and each of its regimes. The energy of the
+channel in that regime is a second test. A last test takes all directions of all channels together.
 """
 
 from dataclasses import dataclass
@@ -17,25 +17,35 @@ from ground.diagnosis.normal_equations import NormalEquations
 from ground.diagnosis.problem import INTERVAL_QUANTILES, FeatureLayout, Ints
 
 INTERVAL_DRAWS: Final = 400
+"""Number of bootstrap draws for an interval."""
 
 
 @dataclass(frozen=True, slots=True)
 class ResidualCell:
-    """One channel at one place in one regime."""
+    """Residual of one channel at one place in one regime."""
 
     channel: str
     place: str
     regime: str
     features: int
     ratio: float
-    """Root mean square of the residual over its floor: 1 if there is no gap."""
+    """Root mean square of the residual over its noise floor: 1 if there is only noise."""
     least: float
     most: float
-    """90 % interval of that, from a bootstrap over blocks; NaN if there is one block only."""
+    """Upper end of the 90 % interval by a bootstrap over blocks; NaN if there is one block."""
 
 
 def map_residual(layout: FeatureLayout, residual: Array, seed: int) -> tuple[ResidualCell, ...]:
-    """Of residuals in units of their floor (m,), largest first."""
+    """Compute the root mean square of the residual by channel, place and regime.
+
+    Args:
+        layout: Description of the m features.
+        residual: Residual in units of the noise floor, shape (m,).
+        seed: Seed of the bootstrap.
+
+    Returns:
+        Cells, largest ratio first.
+    """
     rng = np.random.default_rng(seed)
     count = len(layout.blocks)
     weight = rng.multinomial(count, np.full(count, 1.0 / count), size=INTERVAL_DRAWS).astype(float)
@@ -54,49 +64,49 @@ def map_residual(layout: FeatureLayout, residual: Array, seed: int) -> tuple[Res
 
 
 def _interval(square: Array, n: Array) -> tuple[float, float]:
-    """Of ratios drawn."""
+    """Return the interval of drawn root mean squares."""
     ratios = np.sqrt(square[n > 0.0] / n[n > 0.0])
     least, most = np.quantile(ratios, INTERVAL_QUANTILES)
     return float(least), float(most)
 
 
 MIN_DIRECTION_SHARE: Final = 1e-6
-"""Directions of less than this share of the largest are not among those tested."""
+"""Directions below this share of the largest are not tested."""
 MIN_GROUP_FEATURES: Final = 4
-"""Features a group must have."""
+"""Least number of features in a group."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureGroup:
-    """Features in which structure is looked for."""
+    """Features that are tested together for structure."""
 
     channel: int
     regime: int | None
-    """None for all regimes together."""
+    """Index of the regime; None for all regimes together."""
     rows: Ints
     Q: Array
-    """Directions, orthonormal, (n, d)."""
+    """Orthonormal directions, shape (n, d)."""
     AQ: Array
-    """A'Q, (q + K, d)."""
+    """Projected columns A'Q, shape (q + k, d)."""
 
 
 @dataclass(frozen=True, slots=True)
 class LackOfFit:
-    """Structure in one group."""
+    """Result of the lack-of-fit test of one group."""
 
     neg_log10_p: float
     """-log10 of its probability if the model is right."""
     channel: str
     place: str
     regime: str
-    """"all" if in all regimes together."""
+    """Regime, or "all"."""
     depends_on: str
-    """The condition that it follows most; "nothing" for an offset, "noise" for energy without direction, and
-    "several" of all groups together."""
+    """Condition with the strongest dependence. "nothing" means an offset, "noise" energy without a direction,
+    "several" all groups together."""
 
 
 def group_features(equations: NormalEquations) -> tuple[FeatureGroup, ...]:
-    """Of a campaign, before data."""
+    """Form the groups of the lack-of-fit test, before data."""
     layout = equations.layout
     result = []
     for channel in np.unique(layout.channel):
@@ -114,7 +124,17 @@ def group_features(equations: NormalEquations) -> tuple[FeatureGroup, ...]:
 def find_lack_of_fit(
     equations: NormalEquations, groups: tuple[FeatureGroup, ...], fit: LinearFit, y: Array
 ) -> tuple[LackOfFit, ...]:
-    """What is left in every group, and in all of them together, most surprising first."""
+    """Test every group, and all groups together, for structure.
+
+    Args:
+        equations: Normal equations of the campaign.
+        groups: Groups of features.
+        fit: Linear fit of the case.
+        y: Whitened features, shape (m,).
+
+    Returns:
+        Results, most significant first; the greater -log10 p of both tests counts.
+    """
     rest = whitened_residual(equations, fit, y)
     total, freedom, found = 0.0, 0, []
     for group in groups:
@@ -128,13 +148,16 @@ def find_lack_of_fit(
         )
         found.append((max(of_direction, of_energy), of_direction >= of_energy, group))
     together = float(neg_log10_p(np.array(total), max(freedom, 1)))
-    result = [_describe(equations.layout, group, rest, high, led) for high, led, group in found]
+    result = [
+        _describe(equations.layout, group, rest, larger, by_direction)
+        for larger, by_direction, group in found
+    ]
     everywhere = LackOfFit(together, "all", "all", "all", "several")
     return tuple(sorted([*result, everywhere], key=lambda one: -one.neg_log10_p))
 
 
 def _directions(layout: FeatureLayout, rows: Ints) -> Array:
-    """A constant and the conditions, each of norm 1 or 0, (n, 1 + c)."""
+    """Return a constant and the centred conditions, each of norm 1 or 0, (n, 1 + c)."""
     centred = layout.condition[rows] - layout.condition[rows].mean(axis=0)
     all_of = np.column_stack([np.ones(rows.size), centred])
     norm = np.linalg.norm(all_of, axis=0)
@@ -143,30 +166,32 @@ def _directions(layout: FeatureLayout, rows: Ints) -> Array:
 
 
 def _chi_square(group: FeatureGroup, fit: LinearFit, rest: Array) -> tuple[float, int]:
-    """Statistic and degrees of freedom of the directions of one group."""
+    """Return statistic and degrees of freedom of the directions of a group."""
     AQ = group.AQ[fit.active]
     s, V = np.linalg.eigh(np.eye(group.Q.shape[1]) - AQ.T @ fit.covariance @ AQ)
-    told = s > MIN_DIRECTION_SHARE
-    along = V[:, told].T @ (group.Q.T @ rest[group.rows])
-    return float(np.sum(along**2 / s[told])), int(told.sum())
+    kept = s > MIN_DIRECTION_SHARE
+    along = V[:, kept].T @ (group.Q.T @ rest[group.rows])
+    return float(np.sum(along**2 / s[kept])), int(kept.sum())
 
 
 def _energy(
     equations: NormalEquations, group: FeatureGroup, fit: LinearFit, rest: Array
 ) -> tuple[float, float]:
-    """Sum of squares in one group, and what it is expected to be."""
+    """Return the sum of squares in a group, and its expectation."""
     A = equations.A[np.ix_(group.rows, fit.active)]
     expected = group.rows.size - float(np.sum((A @ fit.covariance) * A))
     return float(np.sum(rest[group.rows] ** 2)), max(expected, 1.0)
 
 
-def _describe(layout: FeatureLayout, group: FeatureGroup, rest: Array, high: float, led: bool) -> LackOfFit:
-    """In words."""
+def _describe(
+    layout: FeatureLayout, group: FeatureGroup, rest: Array, neg_log10_p: float, by_direction: bool
+) -> LackOfFit:
+    """Return the test result with its names."""
     along = np.abs(_directions(layout, group.rows).T @ rest[group.rows])
     names = ("nothing", *layout.conditions)
     places = np.bincount(layout.place[group.rows])
     return LackOfFit(
-        high, layout.channels[group.channel], layout.places[int(np.argmax(places))],
+        neg_log10_p, layout.channels[group.channel], layout.places[int(np.argmax(places))],
         "all" if group.regime is None else layout.regimes[group.regime],
-        names[int(np.argmax(along))] if led else "noise",
+        names[int(np.argmax(along))] if by_direction else "noise",
     )  # fmt: skip

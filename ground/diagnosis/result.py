@@ -1,4 +1,4 @@
-"""A diagnosis as one plain document: text, numbers, lists and tables; what is not finite is None."""
+"""Result document of a diagnosis: text, numbers, lists and tables for JSON; NaN and infinity become None."""
 
 from dataclasses import asdict, dataclass
 from math import isfinite
@@ -14,7 +14,7 @@ from ground.diagnosis.problem import Hypothesis
 
 @dataclass(frozen=True, slots=True)
 class ToolError:
-    """How far the tools are from where the simulator has them on held-out motion, root mean squares [mm]."""
+    """Root mean square tool error on held-out motion, without and with the findings."""
 
     before_mm: float
     after_mm: float
@@ -23,7 +23,7 @@ class ToolError:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiagnosisResult:
-    """A diagnosis with what belongs to it."""
+    """Diagnosis with closure, tool error, next motion and notes."""
 
     model: DiagnosisModel
     diagnosis: Diagnosis
@@ -32,24 +32,24 @@ class DiagnosisResult:
     tool: ToolError | None
     """None if no held-out motion has tracker poses."""
     next_motion: tuple[CandidateMotion, ...]
-    """Best first; none if nothing is confusable, or nothing was found."""
+    """Candidate motions, best first; empty if nothing is confusable or nothing was found."""
     notes: tuple[str, ...]
-    """What the audit said."""
+    """Notes of the audit."""
     floor: tuple[str, ...]
-    """Where the floor is from."""
+    """Notes on the origin of the noise floor."""
 
 
 def finite_or_none(value: float) -> float | None:
-    """The number; None if it is NaN or infinite, for which JSON has no word."""
+    """Return the number; None if it is NaN or infinite, which JSON cannot hold."""
     return float(value) if isfinite(value) else None
 
 
 MAX_LISTED: Final = 10
-"""Hypotheses of the ranking, and groups with structure, that are told."""
+"""Number of ranked hypotheses, and of groups with structure, in the output."""
 
 
 def to_json(result: DiagnosisResult) -> dict[str, Any]:
-    """All that a result says; the keys are explained in docs/gap.md."""
+    """Return the result document; docs/gap.md explains its keys."""
     diagnosis, model = result.diagnosis, result.model
     return {
         "verdict": diagnosis.verdict,
@@ -92,20 +92,20 @@ def to_json(result: DiagnosisResult) -> dict[str, Any]:
 
 
 def has_lack_of_fit(result: DiagnosisResult) -> bool:
-    """Whether structure remains beyond what is let pass: beside the findings, or without any."""
+    """Check that structure remains beyond the threshold that applies with or without findings."""
     diagnosis, limits = result.diagnosis, result.model.thresholds
     limit = limits.unexplained if diagnosis.findings else limits.structure
     return diagnosis.unexplained_neg_log10_p >= limit
 
 
 def probability_of(hypothesis: int, alternatives: Alternatives) -> float:
-    """Of one among what may stand in its stead; 0 if it is not among the fewest that are told."""
+    """Return the probability of a hypothesis among the alternatives; 0 if it is not one of them."""
     known = dict(zip(alternatives.hypotheses, alternatives.probability, strict=True))
     return float(known.get(hypothesis, 0.0))
 
 
 def list_alternatives(finding: Finding) -> tuple[tuple[int, float], ...]:
-    """What may stand in the stead of a finding, one of each class, and how probably; most probable first."""
+    """Return the alternatives of a finding without itself, one of each class, with their probabilities."""
     known = finding.alternatives
     every = zip(known.hypotheses, known.probability, strict=True)
     return tuple((one, share) for one, share in every if one != finding.hypothesis)
@@ -155,7 +155,7 @@ def _effect_and_place(hypothesis: Hypothesis) -> dict[str, str]:
 
 
 def _plain_table(table: dict[str, Any]) -> dict[str, Any]:
-    """The same with plain numbers."""
+    """Convert the numbers of a table to plain ones."""
     return {key: _plain_value(value) for key, value in table.items()}
 
 

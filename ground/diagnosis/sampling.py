@@ -1,4 +1,4 @@
-"""An effect drawn at random, as large as a campaign can see it: for thresholds and for blind cases alike."""
+"""Random effects of detectable size, for the calibration of thresholds and for blind cases."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,14 +10,14 @@ from fsw.kinematics.transforms import Array
 from ground.diagnosis.problem import Hypothesis, Parameter
 
 LIMIT_MULTIPLES: Final = (0.5, 4.0)
-"""Of the effects drawn, in detection limits."""
+"""Range of the sampled amplitudes, in detection limits."""
 BOUND_SHARE: Final = 0.9
-"""Share of the way to its bounds that a size drawn may go."""
+"""Share of the distance to its bounds that a sampled amplitude may use."""
 
 
 @dataclass(frozen=True, slots=True)
 class DetectableEffect:
-    """An effect that can be drawn: its detection limit [typical sizes], and its class; none if outside."""
+    """Effect with its detection limit in typical sizes and its class; None for an out-of-catalogue effect."""
 
     hypothesis: Hypothesis
     limit: float
@@ -26,7 +26,7 @@ class DetectableEffect:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledEffect:
-    """One that was drawn, with the values of all its parameters, and its size over the limit."""
+    """Sampled effect: values of all its parameters, and its amplitude in detection limits."""
 
     source: DetectableEffect
     values: Array
@@ -34,7 +34,7 @@ class SampledEffect:
 
 
 def can_sample(one: DetectableEffect) -> bool:
-    """Whether the campaign sees it, and its bounds leave room for the smallest size that is drawn."""
+    """Check that the campaign detects the effect and that its bounds allow the smallest amplitude."""
     return (
         bool(np.isfinite(one.limit))
         and max(_room(one, sign) for sign in (-1, 1)) >= LIMIT_MULTIPLES[0] * one.limit
@@ -42,7 +42,7 @@ def can_sample(one: DetectableEffect) -> bool:
 
 
 def sample_effect(some: Sequence[DetectableEffect], rng: np.random.Generator) -> DetectableEffect:
-    """An effect first, then one of its places: an effect with many places is not drawn more often."""
+    """Sample an effect uniformly, then one of its places: many places do not make it more frequent."""
     names = sorted({one.hypothesis.effect for one in some})
     name = names[int(rng.integers(len(names)))]
     places = [one for one in some if one.hypothesis.effect == name]
@@ -50,7 +50,10 @@ def sample_effect(some: Sequence[DetectableEffect], rng: np.random.Generator) ->
 
 
 def sample_amplitude(one: DetectableEffect, rng: np.random.Generator) -> SampledEffect:
-    """All its sizes so many typical ones from neutral, to one side; within the bounds."""
+    """Sample an amplitude log-uniformly, with a random sign, within the bounds.
+
+    All amplitude parameters depart from neutral by the same number of typical sizes.
+    """
     times = float(np.exp(rng.uniform(*np.log(LIMIT_MULTIPLES))))
     sign = int(rng.choice((-1, 1)))
     if _room(one, sign) < LIMIT_MULTIPLES[0] * one.limit:
@@ -63,7 +66,7 @@ def sample_amplitude(one: DetectableEffect, rng: np.random.Generator) -> Sampled
 
 
 def _room(one: DetectableEffect, sign: int) -> float:
-    """How many typical sizes all sizes together may go to one side."""
+    """Return how many typical sizes all amplitudes together may depart to one side."""
     return BOUND_SHARE * min(_parameter_room(parameter, sign) for parameter in one.hypothesis.amplitudes)
 
 

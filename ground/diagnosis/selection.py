@@ -1,4 +1,8 @@
-"""Hypotheses raced: which one, two or three explain a case, and predict blocks they were not fitted to."""
+"""Forward selection: find the one, two or three hypotheses that explain a case.
+
+`select_effects` adds hypotheses to a set one by one, and exchanges those in it. The criterion is -log10 p of
+the likelihood ratio (`linear_fit`). Cross-validation over blocks has a veto.
+"""
 
 from dataclasses import dataclass
 from typing import Final
@@ -18,55 +22,64 @@ from ground.diagnosis.normal_equations import NormalEquations, RightHandSide
 from ground.diagnosis.problem import Ints
 
 MAX_EFFECTS: Final = 3
+"""Largest number of effects in a diagnosis."""
 MIN_PREDICTED_SHARE: Final = 0.1
-"""Share of what effects explain that blocks must be able to foretell of each other to have a say."""
+"""Cross-validation has a veto only if blocks predict at least this share of the likelihood ratio in each
+other."""
 
 Subset = tuple[int, ...]
-"""Hypotheses, by index, in the order chosen."""
+"""Hypotheses by index, in the order chosen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateSet:
-    """Those that race: a campaign, the class of every hypothesis, and how surprising a finding must be."""
+    """Hypotheses that may be selected, with their normal equations and classes."""
 
     equations: NormalEquations
     label: Ints
-    """(H,)."""
+    """Equivalence class of every hypothesis, shape (h,)."""
     threshold: float
-    """In -log10 of a probability (see `thresholds`)."""
+    """Least -log10 p at which a hypothesis is selected (see `thresholds`)."""
     allowed: Flags
-    """Hypotheses that may be chosen, (H,)."""
+    """Flags of the hypotheses that may be chosen, shape (h,)."""
 
     def class_representative(self, one: int) -> int:
-        """The first hypothesis of its class."""
+        """Return the first hypothesis of the same class."""
         return int(np.flatnonzero(self.label == self.label[one])[0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Selection:
-    """Who won, and what else came near."""
+    """Selected hypotheses, and the ranking of single hypotheses."""
 
     chosen: Subset
     ranking: tuple[int, ...]
-    """The best as a single hypothesis, best first: also where none is accepted."""
+    """Single hypotheses that explain anything, best first, even if none is selected."""
     neg_log10_p: float
-    """Of the best single hypothesis, -log10 of its probability if there is no effect."""
+    """-log10 p of the best single hypothesis, without effect."""
     t: Array
-    """Sizes of the chosen in standard errors, as `Prepared.columns` orders them."""
+    """Amplitudes of the chosen in standard errors, in the order of `NormalEquations.columns`."""
     likelihood_ratio: float
-    """Of the deviance, by all of the chosen."""
+    """Deviance that all chosen together explain."""
     shares: tuple[float, ...]
-    """Of that, what is lost without each: the own shares; the rest is common to them."""
+    """Share of that deviance that is lost without each; the rest is common to several."""
 
 
 def select_effects(candidates: CandidateSet, rhs: RightHandSide) -> Selection:
-    """Forward selection with exchange, to at most three effects, of which none may be left out.
+    """Select at most three effects by forward selection with exchange.
 
-    A hypothesis is added if it explains more than no-effect data do, unless with it held-out blocks are
-    predicted worse by more than one standard error of the paired differences between blocks. They have a say
-    only where they can foretell a share of it: not of what one block alone shows, nor of what is seen only
-    because a nuisance would have to be beyond all that is known of it. Of hypotheses of one class only one
-    may be chosen. A size at a bound is no finding.
+    A hypothesis is added if its -log10 p reaches the threshold. Cross-validation rejects it if the loss grows
+    by more than one standard error of the paired differences between blocks. This veto applies only where
+    blocks can predict each other. It does not apply to an effect that only one block shows, nor to one that
+    only the nuisance prior reveals. A class contributes at most one hypothesis. An amplitude at a bound is
+    not accepted.
+
+    Args:
+        candidates: Hypotheses that may be selected.
+        rhs: Right-hand side of the case.
+
+    Returns:
+        Selection; `chosen` is empty if no hypothesis reaches the threshold.
     """
     chosen: Subset = ()
     loss = np.zeros(rhs.c.shape[0])
@@ -83,20 +96,20 @@ def select_effects(candidates: CandidateSet, rhs: RightHandSide) -> Selection:
 
 
 def subset_neg_log10_p(candidates: CandidateSet, rhs: RightHandSide, chosen: Subset) -> float:
-    """Of all of them together: parameters count."""
+    """Return -log10 p of all chosen hypotheses together, against no effect."""
     columns = candidates.equations.columns(chosen)
     return float(neg_log10_p(likelihood_ratio(candidates.equations, rhs, columns), columns.size))
 
 
 def best_addition(candidates: CandidateSet, rhs: RightHandSide, chosen: Subset) -> float:
-    """Surprise of the most surprising hypothesis that could be added to those chosen."""
+    """Return -log10 p of the most significant hypothesis that could be added."""
     return rank_additions(candidates, rhs, chosen)[1]
 
 
 def _extend(
     candidates: CandidateSet, rhs: RightHandSide, chosen: Subset, loss: Array
 ) -> tuple[Subset, Array] | None:
-    """One more, after exchange; None if nothing more is found, or if one of so many is not needed."""
+    """Add one hypothesis, then exchange; return None if no addition is significant and predictive."""
     order, best = rank_additions(candidates, rhs, chosen)
     if not order or best < candidates.threshold:
         return None
@@ -109,7 +122,7 @@ def _extend(
 
 
 def _exchange(candidates: CandidateSet, rhs: RightHandSide, chosen: Subset) -> Subset:
-    """Each of several in turn replaced by what explains more beside the others."""
+    """Replace each of several hypotheses in turn by the one that explains more beside the others."""
     if len(chosen) == 1:
         return chosen
     for index in range(len(chosen)):
@@ -121,7 +134,7 @@ def _exchange(candidates: CandidateSet, rhs: RightHandSide, chosen: Subset) -> S
 
 
 def _all_significant(candidates: CandidateSet, rhs: RightHandSide, chosen: Subset) -> bool:
-    """Whether each one explains, beside the others, more than no-effect data do."""
+    """Check that each hypothesis reaches the threshold beside the others."""
     if len(chosen) == 1:
         return True
     equations, whole = (
@@ -137,47 +150,55 @@ def _all_significant(candidates: CandidateSet, rhs: RightHandSide, chosen: Subse
 
 
 def _is_predictable(equations: NormalEquations, rhs: RightHandSide, shorter: Subset, longer: Subset) -> bool:
-    """Whether of what one more explains, blocks can foretell a share of each other."""
+    """Check that blocks predict in each other a share of what the extra hypothesis explains."""
     few, many = equations.columns(shorter), equations.columns(longer)
-    told = (
+    gain = (
         cross_validated_gain(equations, rhs, many[None])[0]
         - cross_validated_gain(equations, rhs, few[None])[0]
     )
     return bool(
-        told
+        gain
         > MIN_PREDICTED_SHARE
         * (likelihood_ratio(equations, rhs, many) - likelihood_ratio(equations, rhs, few))
     )
 
 
 def _clearly_worse(loss: Array) -> bool:
-    """Whether a loss, by block, is more than a standard error of its sum above 0; one block tells nothing."""
+    """Check that the summed loss exceeds 0 by more than one standard error; False for one block."""
     return loss.size > 1 and bool(loss.sum() > np.std(loss, ddof=1) * np.sqrt(loss.size))
 
 
 def rank_additions(candidates: CandidateSet, rhs: RightHandSide, chosen: Subset) -> tuple[Subset, float]:
-    """What may be added, best first, and the surprise of the most surprising among it.
+    """Rank the hypotheses that may be added, by -log10 p.
 
-    With a known floor, how unlikely an improvement is by chance tells more than a prediction of held-out
-    blocks does, and counts parameters; effects that one block alone shows cannot be predicted at all.
+    With a known noise floor, -log10 p selects better than the prediction of held-out blocks. It counts
+    parameters, and it also judges effects that only one block shows.
+
+    Args:
+        candidates: Hypotheses that may be selected.
+        rhs: Right-hand side of the case.
+        chosen: Hypotheses that are in the set already.
+
+    Returns:
+        Hypotheses, best first, and the greatest -log10 p of an addition; 0 if there is none.
     """
     equations, base = candidates.equations, candidates.equations.columns(chosen)
     beside = float(likelihood_ratio(equations, rhs, base)) if chosen else 0.0
     taken = np.isin(candidates.label, candidates.label[list(chosen)])
-    who, surprises = [np.zeros(0, np.intp)], [np.zeros(0)]
+    indices, significances = [np.zeros(0, np.intp)], [np.zeros(0)]
     for k, hypotheses, columns in _candidate_columns(candidates, base, ~taken):
         t = estimate_amplitudes(equations, rhs, columns)
         gains = np.sum(t * rhs.all[columns], axis=-1) - beside
         ok = within_bounds(equations, t, columns) & (gains > 0.0)
-        who.append(hypotheses[ok])
-        surprises.append(neg_log10_p(gains[ok], k))
-    index, high = np.concatenate(who), np.concatenate(surprises)
-    order = np.argsort(-high, kind="stable")
-    return tuple(int(h) for h in index[order]), float(high[order[0]]) if order.size else 0.0
+        indices.append(hypotheses[ok])
+        significances.append(neg_log10_p(gains[ok], k))
+    index, significance = np.concatenate(indices), np.concatenate(significances)
+    order = np.argsort(-significance, kind="stable")
+    return tuple(int(h) for h in index[order]), float(significance[order[0]]) if order.size else 0.0
 
 
 def _candidate_columns(candidates: CandidateSet, base: Ints, free: Flags) -> list[tuple[int, Ints, Ints]]:
-    """By number of columns k: hypotheses that may be added (n,), and their columns after the base (n, j)."""
+    """Return, for each number of columns, the hypotheses (n,) that may be added, and all columns (n, j)."""
     equations = candidates.equations
     ranks = np.bincount(equations.owner, minlength=len(equations.hypotheses))
     starts = np.cumsum(ranks) - ranks
@@ -191,14 +212,14 @@ def _candidate_columns(candidates: CandidateSet, base: Ints, free: Flags) -> lis
 
 
 def _cross_validation_loss(equations: NormalEquations, rhs: RightHandSide, chosen: Subset) -> Array:
-    """(B,)."""
+    """Return the loss of each block, (b,)."""
     return np.asarray(cross_validation_losses(equations, rhs, equations.columns(chosen)[None])[0])
 
 
 def _own_shares(
     equations: NormalEquations, rhs: RightHandSide, chosen: Subset, total: float
 ) -> tuple[float, ...]:
-    """What is lost without each, as a share of what all explain."""
+    """Return the share of the explained deviance that is lost without each hypothesis."""
     without = [
         float(likelihood_ratio(equations, rhs, equations.columns((*chosen[:i], *chosen[i + 1 :]))))
         if len(chosen) > 1

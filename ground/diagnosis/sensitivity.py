@@ -1,4 +1,8 @@
-"""How the features change with every hypothesis and nuisance: found once per campaign, and kept."""
+"""Sensitivities of the features to every hypothesis and nuisance: computed once for a campaign, and cached.
+
+The simulator f near its nominal state is approximated by f(x) = f(0) + S x + Q x^2 for each amplitude x in
+typical sizes, and by a linear term for each nuisance.
+"""
 
 import json
 import zlib
@@ -17,23 +21,23 @@ from ground.diagnosis.problem import FeatureLayout, Hypothesis, Ints, Nuisance, 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensitivities:
-    """The simulator about its nominal state, in straight lines and parabolas."""
+    """First and second derivatives of the simulator at its nominal state."""
 
     layout: FeatureLayout
     hypotheses: tuple[Hypothesis, ...]
     nuisances: tuple[Nuisance, ...]
     nominal: Array
-    """What is predicted with no effect, (m,)."""
+    """Prediction without effects, shape (m,)."""
     effect: Array
-    """Change per typical size of each size parameter, in the order of `owner`, (m, K)."""
+    """Change per typical size of each amplitude parameter, in the order of `owner`, shape (m, k)."""
     curve: Array
-    """Change per square of that: a parabola through nominal and what could be simulated beside it, (m, K)."""
+    """Change per squared typical size: parabola through nominal and the simulated steps, shape (m, k)."""
     reach: Array
-    """How far from nominal that was, in typical sizes, (K,)."""
+    """Largest simulated departure in typical sizes, shape (k,)."""
     owner: Ints
-    """Which hypothesis each column belongs to, ascending, (K,)."""
+    """Index of the hypothesis that each column belongs to, ascending, shape (k,)."""
     nuisance: Array
-    """Change per unit of each nuisance, (m, q)."""
+    """Change per unit of each nuisance, shape (m, q)."""
 
     def __post_init__(self) -> None:
         m, wanted = self.layout.size, [len(hypothesis.amplitudes) for hypothesis in self.hypotheses]
@@ -52,11 +56,11 @@ class Sensitivities:
 
     @property
     def shared_nuisances(self) -> list[int]:
-        """The nuisances that are one number for all blocks, by index."""
+        """Indices of the nuisances with one value in all blocks."""
         return [index for index, nuisance in enumerate(self.nuisances) if not nuisance.random_per_block]
 
     def only(self, effects: Collection[str]) -> "Sensitivities":
-        """Those of the hypotheses of some effects, beside the same nuisances."""
+        """Return the sensitivities for the hypotheses of some effects; the nuisances stay."""
         chosen = [k for k, hypothesis in enumerate(self.hypotheses) if hypothesis.effect in effects]
         columns = np.flatnonzero(np.isin(self.owner, chosen))
         hypotheses = tuple(self.hypotheses[k] for k in chosen)
@@ -65,7 +69,7 @@ class Sensitivities:
         return replace(self, hypotheses=hypotheses, owner=owner, reach=self.reach[columns], **parts)
 
     def select(self, rows: Ints) -> "Sensitivities":
-        """Those of some of the features, in that order."""
+        """Return the sensitivities of some features, in that order."""
         arrays = ("nominal", "effect", "curve", "nuisance")
         return replace(
             self, layout=self.layout.select(rows), **{name: getattr(self, name)[rows] for name in arrays}
@@ -73,7 +77,7 @@ class Sensitivities:
 
 
 def save_sensitivities(path: Path, found: Sensitivities) -> None:
-    """Keep sensitivities in an .npz file that holds no code; BadOutput if it cannot be written."""
+    """Save sensitivities to an .npz file without pickled objects; BadOutput if it cannot be written."""
     layout = found.layout
     words = {
         "hypotheses": [asdict(hypothesis) for hypothesis in found.hypotheses],
@@ -93,7 +97,11 @@ _READ_ERRORS: Final = (
 
 
 def load_sensitivities(path: Path) -> Sensitivities:
-    """Sensitivities as they were kept; ValueError if the file does not hold any, or is cut or damaged."""
+    """Load sensitivities.
+
+    Raises:
+        ValueError: The file is incomplete, damaged, or holds no sensitivities.
+    """
     try:
         return _read_sensitivities(path)
     except _READ_ERRORS as error:
@@ -123,7 +131,16 @@ _LAYOUT_NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "con
 
 
 def fit_parabola(ends: Sequence[tuple[Array, float]]) -> tuple[Array, Array]:
-    """Slope and bend at 0 of the parabola through 0 and two changes at their sizes; of one, a line."""
+    """Fit a parabola through 0 and two points; through one point, a line.
+
+    Args:
+        ends: One or two simulated changes of the features in the units of their channels, shape (m,), each
+            with
+            its step.
+
+    Returns:
+        First and second-order coefficient at 0, each of shape (m,).
+    """
     (high, up), (low, down) = ends[0], ends[-1]
     bend = np.zeros_like(high) if up == down else (high / up - low / down) / (up - down)
     return high / up - bend * up, bend

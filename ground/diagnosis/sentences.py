@@ -1,4 +1,4 @@
-"""What a diagnosis says, in sentences: the same on its page and on the console."""
+"""Sentences about a diagnosis, used by its page and by the console."""
 
 from collections.abc import Sequence
 from math import exp, inf, isfinite
@@ -11,14 +11,14 @@ from ground.diagnosis.residual_analysis import LackOfFit, ResidualCell
 from ground.diagnosis.result import DiagnosisResult, has_lack_of_fit, list_alternatives, probability_of
 
 MAX_NAMES: Final = 3
-"""Names of a kind in a sentence."""
+"""Largest number of names in a list within a sentence."""
 MIN_SEPARATION: Final = 1.0
-"""Sigmas by which a motion must set two effects apart to be worth its time."""
+"""Separation in sigmas from which on a motion is worth recording."""
 DEPENDS: Final = {"nothing": "a constant offset", "noise": "no condition, as if it were noise"}
 
 
 def verdict_sentences(result: DiagnosisResult) -> tuple[str, str]:
-    """The verdict, and what it is worth."""
+    """Return the verdict, and a sentence on its strength."""
     verdict = result.diagnosis.verdict
     if verdict == "none":
         return _no_effect_sentence(), _detectable_sentence(result.model)
@@ -30,7 +30,7 @@ def verdict_sentences(result: DiagnosisResult) -> tuple[str, str]:
 
 
 def closure_sentence(result: DiagnosisResult) -> str:
-    """How far the gap shrinks."""
+    """Return the share of the explainable residual that the findings remove."""
     found, tool = result.closure, result.tool
     if found is None:
         return "No motion was held out, so how far the gap shrinks is not known."
@@ -45,7 +45,7 @@ def closure_sentence(result: DiagnosisResult) -> str:
 
 
 def finding_words(model: DiagnosisModel, finding: Finding) -> str:
-    """What was found, what it cannot be told from, and what may stand in its stead."""
+    """Return a finding with its confusable effects and its alternatives."""
     own = model.sensitivities.hypotheses[finding.hypothesis].name
     alike = [
         model.sensitivities.hypotheses[one].name for one in finding.confusable if one != finding.hypothesis
@@ -59,7 +59,7 @@ def finding_words(model: DiagnosisModel, finding: Finding) -> str:
 
 
 def alternatives_words(model: DiagnosisModel, finding: Finding, between: str = ", ") -> str:
-    """What may stand in the stead of a finding, the most probable with their probabilities."""
+    """Return the most probable alternatives of a finding with their probabilities."""
     rest = list_alternatives(finding)
     named = [
         f"{model.sensitivities.hypotheses[one].name} ({format_percent(probability)})"
@@ -70,13 +70,13 @@ def alternatives_words(model: DiagnosisModel, finding: Finding, between: str = "
 
 
 def join_names(names: Sequence[str], between: str = ", ") -> str:
-    """The first of them, and how many more."""
+    """Join the first names, and the number of others."""
     more = [f"{len(names) - MAX_NAMES} more"] if len(names) > MAX_NAMES else []
     return between.join([*names[:MAX_NAMES], *more])
 
 
 def size_words(hypothesis: Hypothesis, finding: Finding) -> list[str]:
-    """The fitted parameters with their intervals."""
+    """Return the fitted parameters with their intervals."""
     return [
         f"{parameter.name} {format_quantity(value, parameter.unit)} "
         f"({format_value_interval(least, most, parameter.unit)})"
@@ -88,7 +88,7 @@ def size_words(hypothesis: Hypothesis, finding: Finding) -> list[str]:
 
 
 def lack_of_fit_words(one: LackOfFit) -> str:
-    """What remains in a group."""
+    """Return the description of a group with lack of fit."""
     depends = f"it depends on {DEPENDS.get(one.depends_on, one.depends_on)}"
     if one.channel == "all":
         return "in all channels together, in none of them clearly"
@@ -97,12 +97,12 @@ def lack_of_fit_words(one: LackOfFit) -> str:
 
 
 def channel_words(channel: str, place: str) -> str:
-    """A channel and where it is, unless its name says that."""
+    """Return a channel with its place, unless its name begins with the place."""
     return channel if channel.startswith(place) else f"{channel} at {place}"
 
 
 def unexplained_sentence(result: DiagnosisResult) -> str:
-    """Whether anything remains."""
+    """Return the result of the lack-of-fit test."""
     diagnosis = result.diagnosis
     found = format_number(diagnosis.unexplained_neg_log10_p)
     odds = f"surprise {found}, let pass below {format_number(_lack_of_fit_limit(result))}"
@@ -114,7 +114,7 @@ def unexplained_sentence(result: DiagnosisResult) -> str:
 
 
 def next_sentence(result: DiagnosisResult) -> str:
-    """What to do next, in one sentence."""
+    """Return the recommended next step."""
     diagnosis = result.diagnosis
     if result.next_motion:
         best = result.next_motion[0]
@@ -144,34 +144,34 @@ def next_sentence(result: DiagnosisResult) -> str:
 
 
 def format_percent(share: float) -> str:
-    """Of 1."""
+    """Format a share as a percentage."""
     return f"{100.0 * share:.0f} %"
 
 
 def format_number(value: float) -> str:
-    """Three digits; infinity in words."""
+    """Format a number with three digits, infinity as words."""
     return "beyond count" if value == inf else f"{value:.3g}"
 
 
 def format_quantity(value: float, unit: str) -> str:
-    """Three digits and the unit; a logarithm is told as the factor that it is."""
+    """Format a number with three digits and its unit; a logarithm becomes a factor."""
     if unit == LOG_UNIT:
         return f"times {exp(value):.3g}"
     return f"{value:.3g}" if unit in ("", "1") else f"{value:.3g} {unit}"
 
 
 def format_interval(least: float, most: float, without: str = "assumed") -> str:
-    """A 90 % interval; in words why there is none, by default that the number was not fitted."""
+    """Format a 90 % interval; `without` says why there is none."""
     return f"{least:.3g} to {most:.3g}" if isfinite(least) and isfinite(most) else without
 
 
 def format_value_interval(least: float, most: float, unit: str) -> str:
-    """Of a parameter: of a logarithm, that of the factor that it is."""
+    """Format the interval of a parameter; a logarithm becomes a factor."""
     return format_interval(exp(least), exp(most)) if unit == LOG_UNIT else format_interval(least, most)
 
 
 def format_cell_interval(cell: ResidualCell) -> str:
-    """Of a ratio."""
+    """Format the interval of a residual ratio."""
     return format_interval(cell.least, cell.most, "one motion")
 
 
@@ -246,7 +246,7 @@ def _unknown_sentence(result: DiagnosisResult) -> str:
 
 
 def is_doubtful(result: DiagnosisResult) -> bool:
-    """Whether what was found explains all, within its bounds, and has no name for its odds alone."""
+    """Check that the findings explain everything within bounds, and lack a name only for low confidence."""
     diagnosis = result.diagnosis
     inside = bool(diagnosis.findings) and not any(one.at_bound for one in diagnosis.findings)
     return diagnosis.verdict == "unknown" and inside and not has_lack_of_fit(result)
@@ -258,7 +258,7 @@ def _nearest_names(result: DiagnosisResult) -> str:
 
 
 def best_rejected(result: DiagnosisResult) -> int | None:
-    """The best single hypothesis, if it explains more than chance does and yet was not chosen."""
+    """Return the best single hypothesis if it is significant but nothing was selected; else None."""
     diagnosis = result.diagnosis
     surprising = diagnosis.neg_log10_p >= result.model.thresholds.effect
     return diagnosis.ranking[0] if diagnosis.ranking and surprising and not diagnosis.findings else None

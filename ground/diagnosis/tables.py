@@ -1,4 +1,4 @@
-"""A diagnosis printed for people: a screenful at most."""
+"""Console output of a diagnosis, at most a screenful."""
 
 from collections.abc import Iterator
 
@@ -19,7 +19,7 @@ from ground.render.console import plain_console, pluralize
 
 
 def print_diagnosis(result: DiagnosisResult) -> None:
-    """Print verdict, effects, where, how far, what remains, and what to do next."""
+    """Print verdict, effects, residual map, closure, lack of fit, and the next step."""
     console, diagnosis = plain_console(), result.diagnosis
     first, second = verdict_sentences(result)
     console.print(f"{diagnosis.verdict}: {first} {second}\n")
@@ -42,7 +42,7 @@ def print_diagnosis(result: DiagnosisResult) -> None:
 
 
 def _effect_lines(result: DiagnosisResult) -> Iterator[str]:
-    """What was found, and its parameters below."""
+    """Yield the findings with their parameters."""
     yield "Nearest, and no name:" if result.diagnosis.verdict == "unknown" else "Effects:"
     for finding in result.diagnosis.findings:
         sure = format_percent(probability_of(finding.hypothesis, finding.alternatives))
@@ -50,12 +50,12 @@ def _effect_lines(result: DiagnosisResult) -> Iterator[str]:
         yield f"  {hypothesis.name}: probability {sure}, own share {format_percent(finding.share)}"
         rows = zip(hypothesis.parameters, finding.values, finding.least, finding.most, strict=True)
         for parameter, value, least, most in rows:
-            told = format_value_interval(least, most, parameter.unit)
-            yield f"    {parameter.name}: {format_quantity(value, parameter.unit)} ({told})"
+            interval = format_value_interval(least, most, parameter.unit)
+            yield f"    {parameter.name}: {format_quantity(value, parameter.unit)} ({interval})"
 
 
 def _alternative_lines(result: DiagnosisResult) -> Iterator[str]:
-    """How many are not told from a finding, and how many may stand in its stead."""
+    """Yield the number of confusable effects and of alternatives of each finding."""
     for finding in result.diagnosis.findings:
         alike, rest = len(finding.confusable) - 1, len(list_alternatives(finding))
         if alike or rest:

@@ -1,11 +1,12 @@
-"""How surprising a finding must be: found from simulated cases of this very campaign, before data.
+"""Thresholds of significance and confidence, calibrated before data with simulated cases of the campaign.
 
-Cases without effect set when an effect may be claimed at all. Cases of one effect and of two, raced with all
-hypotheses, set when what remains after the best model means that the cause is not among them. Those, and
-cases of one effect that was taken out of the catalogue, teach when a name may be trusted.
+Three kinds of simulated cases are used. Cases without effect set the thresholds for claiming an effect. Cases
+with one or two effects of the catalogue set the threshold for unexplained structure. These, and cases whose
+effect was left out of the catalogue, train the confidence classifier.
 
-Of those taken out only strangers teach. Where viscous friction is left out, Coulomb friction of the joint
-passes for it, and nothing in the data can tell; what is in no catalogue has no such next of kin there.
+The classifier is trained only on left-out effects that no remaining hypothesis can imitate. An example of the
+opposite: if viscous friction is left out, Coulomb friction of the joint imitates it, and no data can tell.
+Effects outside every catalogue have no such alias.
 """
 
 from collections.abc import Callable
@@ -36,44 +37,45 @@ from ground.diagnosis.sampling import (
 from ground.diagnosis.selection import CandidateSet, best_addition, select_effects
 
 SIMULATED_CASES: Final = 400
-"""Of each kind."""
+"""Number of simulated cases of each kind."""
 MAX_FALSE_ALARM: Final = 0.04
-"""Share of no-effect cases in which anything may be claimed: below 5 % by one sigma of what CASES tell."""
+"""Share of no-effect cases with any claim: below 5 % by one sigma of the sampling error of these cases."""
 MAX_WITHHELD: Final = 0.02
-"""Share of cases of the right model that may be given up for what remains."""
+"""Share of correctly selected cases that may be rejected for their unexplained structure."""
 MAX_WRONG_NAMES: Final = 0.13
-"""Share of strangers that may be given a wrong name."""
+"""Share of left-out cases without an alias that may get a wrong name."""
 NEAR_ALIAS_COSINE: Final = 0.8
-"""|cos| from which on an effect is no stranger to another: that explains two thirds of what it shows."""
+"""Absolute cosine from which on a hypothesis is an alias of a left-out effect: it explains two thirds of
+it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """In -log10 of a probability, with the rates that they had on simulated cases."""
+    """Thresholds in -log10 p, with their error rates on the simulated cases."""
 
     effect: float
-    """A hypothesis must be as surprising as this."""
+    """Least -log10 p of a hypothesis that may be selected."""
     structure: float
-    """Without any effect chosen: what remains is structure from here on."""
+    """-log10 p from which on remaining structure counts, if no effect is selected."""
     unexplained: float
-    """With effects chosen: what remains is not explained by them from here on."""
+    """-log10 p from which on remaining structure counts, beside selected effects."""
     trust: ConfidenceClassifier
-    """Whether a name may be given otherwise."""
+    """Confidence classifier that accepts or withholds a name."""
     false_alarm: float
-    """Share of no-effect cases called an effect or unknown."""
+    """Share of no-effect cases in which an effect or structure is claimed."""
     disowned: float
-    """Share of cases in which the right effects were chosen that were called unknown."""
+    """Share of correctly selected cases that get no name."""
     wrong: float
-    """Share of cases of one stranger given a name; NaN if there are none, or nothing to be named."""
+    """Share of left-out cases that get a name; NaN if there are none."""
     cases: int
-    """Simulated, of each kind but strangers."""
+    """Number of simulated cases of each kind, left-out cases excepted."""
     strangers: int
-    """Simulated; all that were taken out where none is a stranger."""
+    """Number of left-out cases: those without an alias, or all if none is without."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Outcome:
-    """One simulated case in which something was chosen."""
+    """Simulated case in which something was selected."""
 
     features: ConfidenceFeatures
     right: bool
@@ -81,7 +83,7 @@ class _Outcome:
 
     @property
     def remaining(self) -> float:
-        """The most surprising of what remains."""
+        """Greatest -log10 p of the remaining structure."""
         return max(self.features.lack_of_fit, self.features.addition)
 
 
@@ -95,7 +97,21 @@ def calibrate_thresholds(
     cases: int = SIMULATED_CASES,
     step: Callable[[int, int], None] = lambda *_: None,
 ) -> Thresholds:
-    """From `cases` simulated cases of each kind; `step(done, of)` is told how far it is."""
+    """Calibrate thresholds and classifier with simulated cases.
+
+    Args:
+        equations: Normal equations of the campaign, with h hypotheses.
+        label: Indices of the equivalence class of each hypothesis, shape (h,).
+        cosine: Absolute cosines between hypotheses, unitless, shape (h, h).
+        limits: Detection limit of each hypothesis.
+        groups: Feature groups of the lack-of-fit test.
+        seed: Seed of the simulated cases.
+        cases: Number of simulated cases of each kind.
+        step: Called with the number of cases done and the total.
+
+    Returns:
+        Thresholds with their error rates.
+    """
     rng = np.random.default_rng(seed)
     visible = np.array([limit.limit for limit in limits]) < np.inf
     none = CandidateSet(equations, label, 0.0, visible & equations.identifiable)
@@ -107,12 +123,12 @@ def calibrate_thresholds(
     effect, structure = _joint_thresholds(found)
     candidates = CandidateSet(equations, label, effect, none.allowed)
     outcomes: list[_Outcome] = []
-    strangers: list[tuple[CandidateSet, Array]] = []
+    without_alias: list[tuple[CandidateSet, Array]] = []
     with_alias: list[tuple[CandidateSet, Array]] = []
-    known = _detectable_effects(candidates, limits)
-    for index in range(cases if known else 0):
-        one = sample_amplitude(sample_effect(known, rng), rng)
-        others = [other for other in known if other.label != one.source.label] or known
+    detectable = _detectable_effects(candidates, limits)
+    for index in range(cases if detectable else 0):
+        one = sample_amplitude(sample_effect(detectable, rng), rng)
+        others = [other for other in detectable if other.label != one.source.label] or detectable
         two = sample_amplitude(sample_effect(others, rng), rng)
         y = _simulate_features(equations, rng, _amplitudes_of(equations, one))
         both = _simulate_features(
@@ -122,18 +138,18 @@ def calibrate_thresholds(
         outcomes += _selection_outcome(candidates, cosine, groups, both, {one.source.label, two.source.label})
         left = _without_effect(candidates, one.source)
         if left.allowed.any():
-            same = strangers if _has_no_alias(left, cosine, one.source) else with_alias
+            same = without_alias if _has_no_alias(left, cosine, one.source) else with_alias
             same.append((left, y))
         step(cases + index + 1, 2 * cases)
-    left_out = strangers or with_alias
+    left_out = without_alias or with_alias
     outcomes += [one for left, y in left_out for one in _selection_outcome(left, cosine, groups, y, set())]
     return _derive_thresholds(found, effect, structure, outcomes, len(left_out))
 
 
 def _derive_thresholds(
-    found: Array, effect: float, structure: float, outcomes: list[_Outcome], strangers: int
+    found: Array, effect: float, structure: float, outcomes: list[_Outcome], left_out_cases: int
 ) -> Thresholds:
-    """Of no-effect cases (n, 2), and of those in which something was chosen, so many raced as strangers."""
+    """Derive the thresholds from the statistics of no-effect cases (n, 2) and from the other outcomes."""
     cases, right = len(found), [one.remaining for one in outcomes if one.right]
     unexplained = float(np.quantile(right, 1.0 - MAX_WITHHELD)) if right else np.inf
     plain = [one for one in outcomes if one.remaining < unexplained]
@@ -141,23 +157,23 @@ def _derive_thresholds(
         [one.features for one in plain],
         np.array([one.right for one in plain]),
         np.array([one.left_out for one in plain]),
-        int(MAX_WRONG_NAMES * strangers),
+        int(MAX_WRONG_NAMES * left_out_cases),
     )
     named = [one for one in plain if trust.accepts(one.features)]
     return Thresholds(
         effect, structure, unexplained, trust,
         float(np.mean((found[:, 0] >= effect) | (found[:, 1] >= structure))),
         1.0 - sum(one.right for one in named) / max(len(right), 1),
-        sum(one.left_out for one in named) / strangers if strangers else float("nan"),
+        sum(one.left_out for one in named) / left_out_cases if left_out_cases else float("nan"),
         cases,
-        strangers,
+        left_out_cases,
     )  # fmt: skip
 
 
 def _detectable_effects(
     candidates: CandidateSet, limits: tuple[Detectability, ...]
 ) -> list[DetectableEffect]:
-    """All that may be chosen and that its bounds leave room for."""
+    """Return the candidates that are detectable within their bounds."""
     all_seen = [
         DetectableEffect(candidates.equations.hypotheses[h], limits[h].limit, int(candidates.label[h]))
         for h in np.flatnonzero(candidates.allowed)
@@ -166,13 +182,13 @@ def _detectable_effects(
 
 
 def _simulate_features(equations: NormalEquations, rng: np.random.Generator, t: Array) -> Array:
-    """Whitened features of a case of sizes t (K,) in standard errors, (m,)."""
+    """Simulate whitened features (m,) for amplitudes t (k,) in standard errors."""
     v = np.where(equations.prior == 1.0, rng.standard_normal(equations.q), 0.0)
     return np.asarray(equations.A @ np.concatenate([v, t]) + rng.standard_normal(equations.layout.size))
 
 
 def _amplitudes_of(equations: NormalEquations, one: SampledEffect) -> Array:
-    """What was drawn as sizes (K,)."""
+    """Return the amplitudes (k,) of a sampled effect in standard errors."""
     own = equations.owner == equations.hypotheses.index(one.source.hypothesis)
     t = np.zeros(equations.owner.size)
     t[own] = one.source.hypothesis.departures(one.values) * equations.scale[own]
@@ -182,7 +198,7 @@ def _amplitudes_of(equations: NormalEquations, one: SampledEffect) -> Array:
 def _null_statistics(
     candidates: CandidateSet, groups: tuple[FeatureGroup, ...], y: Array
 ) -> tuple[float, float]:
-    """Surprise of the best hypothesis, and of what remains without any."""
+    """Return -log10 p of the best hypothesis, and of the lack-of-fit test without effects."""
     rhs = reduce_features(candidates.equations, y)
     fit = fit_linear(candidates.equations, rhs, candidates.equations.columns(()))
     return best_addition(candidates, rhs, ()), find_lack_of_fit(candidates.equations, groups, fit, y)[
@@ -193,20 +209,26 @@ def _null_statistics(
 def _selection_outcome(
     candidates: CandidateSet, cosine: Array, groups: tuple[FeatureGroup, ...], y: Array, true: set[int | None]
 ) -> list[_Outcome]:
-    """What was chosen and whether it is right, by class; nothing if none was. No truth: it was left out."""
+    """Select effects, and compare their classes with the true ones; empty `true` means left out.
+
+    Returns:
+        One outcome, or none if nothing was selected.
+    """
     rhs = reduce_features(candidates.equations, y)
     selection = select_effects(candidates, rhs)
     if not selection.chosen:
         return []
     fit = fit_linear(candidates.equations, rhs, candidates.equations.columns(selection.chosen))
-    left = find_lack_of_fit(candidates.equations, groups, fit, y)[0].neg_log10_p
-    features = compute_confidence_features(candidates, cosine, rhs, selection.chosen, selection.shares, left)
+    remaining = find_lack_of_fit(candidates.equations, groups, fit, y)[0].neg_log10_p
+    features = compute_confidence_features(
+        candidates, cosine, rhs, selection.chosen, selection.shares, remaining
+    )
     right = {int(candidates.label[h]) for h in selection.chosen} <= true
     return [_Outcome(features, right, not true)]
 
 
 def _without_effect(candidates: CandidateSet, one: DetectableEffect) -> CandidateSet:
-    """The same without an effect, at all places, and without what is of its class."""
+    """Exclude an effect at all places, and the hypotheses of its class."""
     same: Flags = np.array(
         [other.effect == one.hypothesis.effect for other in candidates.equations.hypotheses]
     )
@@ -214,14 +236,14 @@ def _without_effect(candidates: CandidateSet, one: DetectableEffect) -> Candidat
 
 
 def _has_no_alias(left: CandidateSet, cosine: Array, one: DetectableEffect) -> bool:
-    """Whether nothing that is left is like it; those of another number of parameters are like none."""
+    """Check that no allowed hypothesis with as many parameters imitates the effect."""
     return bool(
         cosine[left.equations.hypotheses.index(one.hypothesis), left.allowed].max() < NEAR_ALIAS_COSINE
     )
 
 
 def _joint_thresholds(found: Array) -> tuple[float, float]:
-    """Thresholds at one quantile of both, so that FALSE_ALARM of the cases reach either."""
+    """Return both thresholds at one common quantile, so that MAX_FALSE_ALARM of the cases reach either."""
     low, high = 1.0 - MAX_FALSE_ALARM, 1.0
     for _ in range(30):
         middle = (low + high) / 2.0
