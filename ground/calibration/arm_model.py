@@ -100,7 +100,7 @@ def arm_model(
         campaign: Measured poses.
         preliminary: Fit close to the solution. Without it, all uncertain outputs count as unknown.
         with_backlash: If false, every output counts as resting on the side where it rests most often.
-        held_out: Boolean flags of poses whose measurements must not decide the side of any output, shape (n,).
+        held_out: Boolean flags of poses whose measurements must not decide any side, shape (n,).
 
     Returns:
         The residual model.

@@ -1,4 +1,4 @@
-"""A serial arm from TOML, strictly, and as TOML: every problem at once, each with its line."""
+"""TOML files of serial arms: strict reading, which reports every problem with its line, and writing."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
@@ -15,12 +15,12 @@ MOST_LINKS: Final = 20
 
 
 class BadArmFile(ValueError):
-    """A file that describes no arm; a line of the message for each problem."""
+    """Error: a file does not describe an arm; one line of the message for each problem."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Head:
-    """What a file says beside its links."""
+    """Content of a file apart from its links."""
 
     name: str
     gravity_B_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.80665)
@@ -29,10 +29,17 @@ class _Head:
 
 
 def arm_from_toml(text: str, file: str) -> SerialArm:
-    """The arm that a TOML text describes; `file` is how messages call it.
+    """Read an arm from TOML.
+
+    Args:
+        text: Content of the file.
+        file: Name of the file in messages.
+
+    Returns:
+        The arm.
 
     Raises:
-        BadArmFile: something in it is wrong; the message has every problem, by line.
+        BadArmFile: The file is wrong; the message lists every problem with its line.
     """
     try:
         data, lines = parse_toml(text)
@@ -49,7 +56,15 @@ def arm_from_toml(text: str, file: str) -> SerialArm:
 
 
 def arm_to_toml(arm: SerialArm, about: Iterable[str]) -> str:
-    """The arm as a file that comes back bit by bit; `about` is what its first lines say."""
+    """Format an arm as TOML, from which every bit can be read again.
+
+    Args:
+        arm: Arm to write.
+        about: Comments at the top of the file.
+
+    Returns:
+        The content of the file.
+    """
     lines = [f"# {line}".rstrip() for line in about]
     lines += [
         "",
@@ -77,10 +92,10 @@ def _check_links(links: list[Link], is_given: bool, findings: Findings) -> None:
             findings.report(("link", k), f"name: {name!r} is taken already; give each link its own")
 
 
-def unknown_words(said: Iterable[str], known: Iterable[str], what: str) -> str | None:
-    """The sentence about the first word that is not known; None if all are."""
+def unknown_words(words: Iterable[str], known: Iterable[str], what: str) -> str | None:
+    """Describe the first unknown word; None if all are known."""
     names = tuple(known)
-    wrong = next((word for word in said if word not in names), None)
+    wrong = next((word for word in words if word not in names), None)
     return None if wrong is None else f"{what}: {wrong!r:.60} is not known; {did_you_mean(wrong, names)}"
 
 

@@ -1,4 +1,4 @@
-"""How much each effect that was found amounts to: at the target, and at the joints."""
+"""Calibration of a serial arm from a series of poses, with the contributions of its error terms."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -27,65 +27,74 @@ from ground.calibration.serial.model import (
 from ground.calibration.serial.series import PoseSeries
 
 COMPONENTS: Final = 6
-"""Of a pose."""
+"""Number of components of a pose."""
 REJECTION_FACTOR: Final = 4.0
-"""Squared distances within this factor of the worst are left out at once."""
+"""Poses whose squared distance is within this factor of the worst are left out together."""
 MOST_ROUNDS: Final = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SerialCalibration:
-    """What was found."""
+    """Result of a calibration."""
 
     model: SerialModel
     fit: Fit
 
     @property
     def outliers(self) -> tuple[int, ...]:
-        """Rows of the table that do not agree with the others and were left out."""
+        """Return the rows of the table that were left out because they do not agree with the others."""
         return tuple(int(row) for row in self.model.series.row[~self.fit.used])
 
     @property
     def arm(self) -> SerialArm:
-        """As it is found to be."""
+        """Return the calibrated arm."""
         return self.model.at(self.fit.values)[0]
 
     @property
     def setup(self) -> TrackerSetup:
-        """As it is found to be."""
+        """Return the calibrated setup."""
         return self.model.at(self.fit.values)[1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseErrors:
-    """How far a calibrated arm is from measured poses."""
+    """Errors of an arm model at measured poses."""
 
     position_m: Array
-    """Distance of the target, (n,)."""
+    """Position error of the target, shape (n,)."""
     rotation_rad: Array
-    """(n,)."""
+    """Rotation error of the target, shape (n,)."""
 
     @property
     def rms_m(self) -> float:
-        """Of position."""
+        """Compute the root mean square position error."""
         return float(np.sqrt(np.mean(self.position_m**2)))
 
     @property
     def rms_rad(self) -> float:
-        """Of rotation."""
+        """Compute the root mean square rotation error."""
         return float(np.sqrt(np.mean(self.rotation_rad**2)))
 
 
 def calibrate_series(
     arm: SerialArm, setup: TrackerSetup, series: PoseSeries, terms: Sequence[str]
 ) -> SerialCalibration:
-    """Fit to all poses of a series but those that do not belong to the others.
+    """Fit an arm to a series of poses and leave out outliers.
 
-    The worst go first, all at once that are within a factor of each other, for there may be thousands; those
-    that the next fit agrees with come back.
+    A series may hold thousands of poses, so similarly bad outliers are left out together. Poses that agree
+    with the next fit are included again.
+
+    Args:
+        arm: Arm before the calibration.
+        setup: Initial base and target frames.
+        series: Measured poses.
+        terms: Terms to fit, of TERMS.
+
+    Returns:
+        The calibration.
 
     Raises:
-        NoAgreement: too many poses do not agree.
+        TooManyOutliers: Too many poses do not agree.
     """
     used = np.ones(series.count, bool)
     found = fit_poses(arm, setup, series, terms, used)
@@ -115,13 +124,25 @@ def fit_poses(
     used: Flags,
     start: Array | None = None,
 ) -> SerialCalibration:
-    """Fit to these poses (n,) of a series, from starting values if there are any."""
+    """Fit an arm to selected poses of a series.
+
+    Args:
+        arm: Arm before the calibration.
+        setup: Initial base and target frames.
+        series: Measured poses.
+        terms: Terms to fit, of TERMS.
+        used: Boolean flags of the poses to fit, shape (n,).
+        start: Initial values in the units of the parameters, shape (p,); zeros by default.
+
+    Returns:
+        The calibration.
+    """
     model = serial_model(arm, setup, series, terms)
     return SerialCalibration(model, fit(model.parameters, model, start, used))
 
 
 def pose_errors(arm: SerialArm, setup: TrackerSetup, series: PoseSeries) -> PoseErrors:
-    """How far this arm, as it stands there, is from the poses of a series."""
+    """Compute the errors of an arm with this setup at the poses of a series."""
     model = serial_model(arm, setup, series, ())
     X = model.poses(np.zeros(12))
     turned = np.einsum("ijn,ijn->n", X.R, series.X_TM.R)
@@ -130,7 +151,7 @@ def pose_errors(arm: SerialArm, setup: TrackerSetup, series: PoseSeries) -> Pose
 
 
 def held_out_ratio(found: SerialCalibration, series: PoseSeries) -> float:
-    """What fresh poses are off by, over what noise and the covariance of the fit let expect."""
+    """Compute the error of held-out poses over the error expected from noise and covariance."""
     fresh = serial_model(found.model.arm, found.model.setup, series, found.model.terms)
     return validate_hold_out(found.fit, fresh(found.fit.values)).ratio
 
@@ -140,7 +161,7 @@ NOT_LINKS = ("base", "target")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointError:
-    """What was found of one joint."""
+    """Calibrated errors of one joint."""
 
     name: str
     compliance_rad_per_Nm: float
@@ -148,26 +169,26 @@ class JointError:
     approach_rad: float
     approach_sigma: float
     rms_rad: float
-    """Of its waves at the angles of the poses."""
+    """Root mean square periodic error at the measured poses."""
     peak_rad: float
-    """Largest of them."""
+    """Largest periodic error at the measured poses."""
 
 
 def contributions_m(found: SerialCalibration) -> dict[str, float]:
-    """By how much each term moves the target, root mean square over the poses of the fit."""
+    """Compute the root mean square motion of the target that each term causes."""
     fit, sigma_m = found.fit, found.model.arm.repeats.position_m
     J = fit.at.jacobian[:, 3:]
     names = [parameter.name.split(".") for parameter in fit.parameters]
-    amounts = {}
+    contributions = {}
     for term in found.model.terms:
-        mine = np.array([_term_of(*name) == term for name in names])
-        shift = J[:, :, mine] @ fit.values[mine] * sigma_m
-        amounts[term] = float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))
-    return amounts
+        is_of_term = np.array([_term_of(*name) == term for name in names])
+        shift = J[:, :, is_of_term] @ fit.values[is_of_term] * sigma_m
+        contributions[term] = float(np.sqrt(np.mean(np.sum(shift**2, axis=1))))
+    return contributions
 
 
 def _term_of(place: str, number: str) -> str | None:
-    """Which term a parameter is of; base and target are of none."""
+    """Return the term of a parameter; None for base and target."""
     if place in NOT_LINKS:
         return None
     if number in NON_PERIODIC:
@@ -176,7 +197,7 @@ def _term_of(place: str, number: str) -> str | None:
 
 
 def joint_errors(found: SerialCalibration) -> tuple[JointError, ...]:
-    """Of all joints, from the base outward."""
+    """Compute the errors of all joints, from the base outward."""
     arm, fit = found.arm, found.fit
     sigma = {parameter.name: float(s) for parameter, s in zip(fit.parameters, fit.sigma, strict=True)}
     errors = []
@@ -197,6 +218,14 @@ def joint_errors(found: SerialCalibration) -> tuple[JointError, ...]:
 
 
 def periodic_error_rad(features: Array, amplitudes: Array) -> Array:
-    """A joint's waves (n,), from cosines and sines (n, 2 orders) and their amplitudes (2, orders)."""
+    """Compute the periodic error of a joint.
+
+    Args:
+        features: Cosines and sines, unitless, shape (n, k), k twice the number of orders.
+        amplitudes: Amplitudes of cosines and sines [rad], shape (2, orders).
+
+    Returns:
+        Errors [rad], shape (n,).
+    """
     waves: Array = features @ amplitudes.ravel()
     return waves

@@ -1,4 +1,4 @@
-"""Forward kinematics of a serial arm, and the axes about and along which its numbers move what follows."""
+"""Forward kinematics of a serial arm, with the axes of its parameters and gravity torques."""
 
 from dataclasses import dataclass
 
@@ -7,75 +7,113 @@ import numpy as np
 from fsw.kinematics.transforms import Array, Pose, compose, cross, rotate, rotate_back, rotation_x, rotation_y
 
 LinkGeometry = Array
-"""theta, d, beta, b, alpha, a of one link, (6,)."""
+"""Parameters theta, d, beta, b, alpha, a of one link, shape (6,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinkAxes:
-    """The three axes of a link transform and where they are; batch (n,) each, in the frame of the chain."""
+    """Axes of a link transform and points on them, in the frame of the chain; batch shape (3, n)."""
 
     z: Array
     p_z_m: Array
-    """theta turns about z through this point, d shifts along it."""
+    """theta rotates about z through this point, d translates along it."""
     y: Array
     p_y_m: Array
-    """beta turns about y through this point, b shifts along it."""
+    """beta rotates about y through this point, b translates along it."""
     x: Array
     p_x_m: Array
-    """alpha turns about x through this point, a shifts along it."""
+    """alpha rotates about x through this point, a translates along it."""
 
     def screws(self, X_M: Pose) -> Array:
-        """The screw of a frame M that follows, in its own axes, per unit of the six numbers, (6, n, 6)."""
+        """Compute the derivatives of a later frame by the six parameters of the link.
+
+        Args:
+            X_M: Frame M in the frame of the chain, batch (n,).
+
+        Returns:
+            Screws of M in its own axes per unit of each parameter, shape (6, n, 6).
+        """
         columns = []
         for axis, point in ((self.z, self.p_z_m), (self.y, self.p_y_m), (self.x, self.p_x_m)):
             v = rotate_back(X_M.R, axis)
-            turned = rotate_back(X_M.R, cross(axis, X_M.p - point))
-            columns += [np.concatenate([v, turned]), np.concatenate([np.zeros_like(v), v])]
+            moment = rotate_back(X_M.R, cross(axis, X_M.p - point))
+            columns += [np.concatenate([v, moment]), np.concatenate([np.zeros_like(v), v])]
         return np.stack(columns, axis=-1)
 
 
-def link_transform(X: Pose, turn_rad: Array, six: LinkGeometry) -> tuple[Pose, LinkAxes]:
-    """The end of a link that begins at frames X, batch (n,), its joint turned by (n,); and its axes."""
-    theta, d, beta, b, alpha, a = six
+def link_transform(X: Pose, turn_rad: Array, geometry: LinkGeometry) -> tuple[Pose, LinkAxes]:
+    """Compute the frame at the end of a link (paper equation 1).
+
+    Args:
+        X: Frame at the beginning of the link, batch (n,).
+        turn_rad: Joint angles, shape (n,).
+        geometry: Parameters of the link, angles in radians, lengths in metres, shape (6,).
+
+    Returns:
+        The frame at the end, batch (n,), and the axes of the parameters.
+    """
+    theta, d, beta, b, alpha, a = geometry
     c, s = np.cos(turn_rad + theta), np.sin(turn_rad + theta)
     x, y, z = X.R[:, 0], X.R[:, 1], X.R[:, 2]
     R = np.stack([c * x + s * y, c * y - s * x, z], axis=1)
     p_y = X.p + d * z
-    bent = compose(R, rotation_y(np.array(beta))[..., None])
+    R_beta = compose(R, rotation_y(np.array(beta))[..., None])
     p_x = p_y + b * R[:, 1]
-    X_E = Pose(compose(bent, rotation_x(np.array(alpha))[..., None]), p_x + a * bent[:, 0])
-    return X_E, LinkAxes(z, X.p, R[:, 1], p_y, bent[:, 0], p_x)
+    X_E = Pose(compose(R_beta, rotation_x(np.array(alpha))[..., None]), p_x + a * R_beta[:, 0])
+    return X_E, LinkAxes(z, X.p, R[:, 1], p_y, R_beta[:, 0], p_x)
 
 
-def forward_kinematics(X: Pose, sixes: Array, turn_rad: Array) -> tuple[list[Pose], list[LinkAxes]]:
-    """The ends of all links, the last of which is the flange, and their axes.
+def forward_kinematics(X: Pose, link_geometry: Array, turn_rad: Array) -> tuple[list[Pose], list[LinkAxes]]:
+    """Compute the frames at the ends of all links; the last one is the flange.
 
-    Links (L, 6) that begin at frames X, batch (n,), their joints turned by angles (L, n).
+    Args:
+        X: Frame at the beginning of the first link, batch (n,).
+        link_geometry: Parameters of the links, angles in radians, lengths in metres, shape (joints, 6).
+        turn_rad: Joint angles, shape (joints, n).
+
+    Returns:
+        The frames, batch (n,) each, and the axes of each link.
     """
     ends, axes = [], []
-    for six, turn in zip(sixes, turn_rad, strict=True):
-        X, moved_by = link_transform(X, turn, six)
+    for geometry, turn in zip(link_geometry, turn_rad, strict=True):
+        X, link_axes = link_transform(X, turn, geometry)
         ends.append(X)
-        axes.append(moved_by)
+        axes.append(link_axes)
     return ends, axes
 
 
 def repeat_pose(X: Pose, n: int) -> Pose:
-    """One pose n times, batch (n,)."""
+    """Repeat a pose.
+
+    Args:
+        X: A single pose.
+        n: Number of copies.
+
+    Returns:
+        The pose as a batch (n,).
+    """
     return Pose(np.repeat(X.R[:, :, None], n, axis=2), np.repeat(X.p[:, None], n, axis=1))
 
 
 def load_torque_Nm(
-    ends: list[Pose], axes: list[LinkAxes], masses_kg: Array, p_EoCo_E_m: Array, gravity: Array
+    ends: list[Pose], axes: list[LinkAxes], masses_kg: Array, p_EoCo_E_m: Array, gravity_m_s2: Array
 ) -> Array:
-    """What gravity turns each joint with, positive as the joint is, (L, n).
+    """Compute the gravity torque on each joint.
 
-    Links' masses (L,) at points (L, 3) of the frames at their ends; gravity (3,) in the frame of the chain.
+    Args:
+        ends: Frames at the ends of the links, batch (n,) each.
+        axes: Axes of each link.
+        masses_kg: Masses of the links, shape (joints,).
+        p_EoCo_E_m: Centres of mass in the frames at the ends, shape (joints, 3).
+        gravity_m_s2: Gravity in the frame of the chain, shape (3,).
+
+    Returns:
+        Torques [N m], positive in the direction of the joint, shape (joints, n).
     """
-    weight = masses_kg[:, None] * gravity
-    heavy = [X.p + rotate(X.R, p[:, None]) for X, p in zip(ends, p_EoCo_E_m, strict=True)]
+    weight = masses_kg[:, None] * gravity_m_s2
+    mass_centres = [X.p + rotate(X.R, p[:, None]) for X, p in zip(ends, p_EoCo_E_m, strict=True)]
     torques = []
     for j, about in enumerate(axes):
-        moment = sum(cross(heavy[k] - about.p_z_m, weight[k][:, None]) for k in range(j, len(ends)))
+        moment = sum(cross(mass_centres[k] - about.p_z_m, weight[k][:, None]) for k in range(j, len(ends)))
         torques.append(np.sum(about.z * moment, axis=0))
     return np.array(torques)

@@ -1,4 +1,4 @@
-"""Where the base stands and how the target is held, to begin with: in closed form from measured poses."""
+"""Initial estimate of base and target frames, in closed form from measured poses."""
 
 from typing import Final
 
@@ -13,24 +13,25 @@ from ground.calibration.serial.series import PoseSeries
 
 LEAST_POSES: Final = 20
 LEAST_TURN_RAD: Final = 0.2
-"""Of the target, from one pose to another, about two axes: else base and target cannot be told apart."""
+"""Smallest spread of the rotation of the target about two axes; below it, base and target are confounded."""
 MAX_ROTATION_ERROR_RAD: Final = 0.1
-"""A median misfit above this is no error of an arm."""
+"""Largest median rotation error; a larger one is not an error of an arm."""
 MAX_POSITION_ERROR_M: Final = 0.05
 
 
 class SetupNotFound(ValueError):
-    """Poses that do not fit the arm, or do not tell where it stands; the message says why."""
+    """Error: poses do not fit the arm, or do not determine the setup."""
 
 
 def estimate_setup(arm: SerialArm, series: PoseSeries) -> TrackerSetup:
-    """Base and target for which the arm as it is believed to be comes near the measured poses.
+    """Estimate the frames of base and target from poses of the uncalibrated arm.
 
-    R_TM = R_TB R_BF R_FM is bilinear in R_TB and R_FM: the leading singular pair of the sum of the Kronecker
-    products of R_TM and R_BF has both (M. Shah, J. Mechanisms Robotics 5, 2013). The shifts are then linear.
+    R_TM = R_TB R_BF R_FM is bilinear in R_TB and R_FM. Both follow from the leading singular pair of the sum
+    of Kronecker products of R_TM and R_BF (M. Shah, J. Mechanisms Robotics 5, 2013). Translations are
+    then linear.
 
     Raises:
-        CannotPlace: too few poses, all alike, or not of this arm in these units and frames.
+        SetupNotFound: Too few poses, too similar poses, or poses of another arm, unit or frame.
     """
     if series.count < LEAST_POSES:
         raise SetupNotFound(f"{series.count} poses are too few; {LEAST_POSES} or more are wanted")
@@ -38,19 +39,19 @@ def estimate_setup(arm: SerialArm, series: PoseSeries) -> TrackerSetup:
     X_BF = ends[-1]
     _check_rotations(X_BF)
     R_TB, R_FM = _solve_rotations(series.X_TM.R, X_BF.R)
-    off_rad = _angle(compose(np.swapaxes(series.X_TM.R, 0, 1), _product(R_TB, X_BF.R, R_FM)))
-    if np.median(off_rad) > MAX_ROTATION_ERROR_RAD:
+    rotation_error_rad = _angle(compose(np.swapaxes(series.X_TM.R, 0, 1), _product(R_TB, X_BF.R, R_FM)))
+    if np.median(rotation_error_rad) > MAX_ROTATION_ERROR_RAD:
         raise SetupNotFound(
             f"the target does not turn as the arm's flange does: half of the poses are off by "
-            f"{np.degrees(np.median(off_rad)):.1f} deg or more; see that angles have their units, rotations "
-            "the order that the tracker means, and joints the arm's names and signs"
+            f"{np.degrees(np.median(rotation_error_rad)):.1f} deg or more; "
+            "see that angles have their units, rotations the order that the tracker means, and joints the arm's names and signs"
         )
     setup = _solve_translations(series, X_BF, R_TB, R_FM)
-    off_m = norm(series.X_TM.p - _target_poses(setup, X_BF).p)
-    if np.median(off_m) > MAX_POSITION_ERROR_M:
+    position_error_m = norm(series.X_TM.p - _target_poses(setup, X_BF).p)
+    if np.median(position_error_m) > MAX_POSITION_ERROR_M:
         raise SetupNotFound(
             f"the target does not move as the arm's flange does: half of the poses are off by "
-            f"{np.median(off_m) * 1e3:.0f} mm or more; {_scale_words(series, X_BF)}"
+            f"{np.median(position_error_m) * 1e3:.0f} mm or more; {_scale_words(series, X_BF)}"
         )
     return setup
 
@@ -80,12 +81,12 @@ def _nearest_rotation(M: Array) -> Array:
 
 
 def _solve_translations(series: PoseSeries, X_BF: Pose, R_TB: Array, R_FM: Array) -> TrackerSetup:
-    """The shifts for which the points fit best."""
+    """Find the translations with the least squared position errors."""
     R_TF = np.einsum("ij,jkn->ikn", R_TB, X_BF.R)
     rows = np.concatenate([np.broadcast_to(np.eye(3)[:, :, None], R_TF.shape), R_TF], axis=1)
-    left = series.X_TM.p - np.einsum("ij,jn->in", R_TB, X_BF.p)
+    difference = series.X_TM.p - np.einsum("ij,jn->in", R_TB, X_BF.p)
     flat = np.moveaxis(rows, 2, 0).reshape(-1, 6)
-    shifts = np.linalg.lstsq(flat, left.T.ravel(), rcond=None)[0]
+    shifts = np.linalg.lstsq(flat, difference.T.ravel(), rcond=None)[0]
     return TrackerSetup(Pose(R_TB, shifts[:3]), Pose(R_FM, shifts[3:]))
 
 
@@ -95,10 +96,10 @@ def _target_poses(setup: TrackerSetup, X_BF: Pose) -> Pose:
 
 
 def _scale_words(series: PoseSeries, X_BF: Pose) -> str:
-    """What the units must be wrong by, if that is it."""
-    seen, moved = (np.sqrt(np.mean(np.var(p, axis=1))) for p in (series.X_TM.p, X_BF.p))
-    if not 0.2 < seen / moved < 5.0:
-        return f"it moves {seen / moved:.3g} times as far: see that positions have their unit"
+    """Describe an error of units, if the motions differ in size."""
+    measured, modelled = (np.sqrt(np.mean(np.var(p, axis=1))) for p in (series.X_TM.p, X_BF.p))
+    if not 0.2 < measured / modelled < 5.0:
+        return f"it moves {measured / modelled:.3g} times as far: see that positions have their unit"
     return "see that this is the arm of the file, and that positions and joints have their order and signs"
 
 

@@ -1,4 +1,4 @@
-"""A serial arm as the engine's model: how its measured poses depend on what is to be found."""
+"""Residual model of a serial arm: measured poses as a function of the parameters to fit."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -20,16 +20,24 @@ from ground.calibration.serial.chain import (
 from ground.calibration.serial.series import PoseSeries
 
 NON_PERIODIC: Final = ("compliance", "approach")
-"""The coefficients of a joint before those of its waves: all cosines, then all sines."""
+"""Coefficients of a joint before those of its periodic error, which are all cosines, then all sines."""
 
 
 def coefficient_names(orders: int) -> list[str]:
-    """Of a joint's coefficients."""
+    """List the names of a joint's coefficients."""
     return [*NON_PERIODIC, *(f"{wave}{k + 1}" for wave in ("cos", "sin") for k in range(orders))]
 
 
 def joint_coefficients(arm: SerialArm, orders: int) -> Array:
-    """Of all joints, (joints, 2 + 2 orders)."""
+    """Collect the coefficients of all joints.
+
+    Args:
+        arm: Arm with its joint errors.
+        orders: Number of orders of the periodic error.
+
+    Returns:
+        Coefficients [rad/(N m), rad], shape (joints, 2 + 2 orders).
+    """
     return np.array(
         [
             [one.compliance_rad_per_Nm, one.approach_rad, *one.periodic_rad(orders).ravel()]
@@ -39,19 +47,36 @@ def joint_coefficients(arm: SerialArm, orders: int) -> Array:
 
 
 def features(arm: SerialArm, series: PoseSeries, orders: int) -> Array:
-    """By what each coefficient is multiplied: torque, direction, waves; (joints, n, 2 + 2 orders)."""
+    """Compute the factors of all coefficients: torque, direction of the last move, cosines and sines.
+
+    Args:
+        arm: Arm with its masses.
+        series: Poses.
+        orders: Number of orders of the periodic error.
+
+    Returns:
+        Factors [N m, unitless], shape (joints, n, 2 + 2 orders).
+    """
     q = series.joint_rad
     ends, axes = forward_kinematics(repeat_pose(IDENTITY, series.count), arm.link_geometry, q)
     masses = np.array([one.mass_kg for one in arm.links])
     centres = np.array([one.mass_centre_m for one in arm.links])
     torque = load_torque_Nm(ends, axes, masses, centres, np.array(arm.gravity_B_m_s2))
     phase = q[:, :, None] * np.arange(1, orders + 1)
-    alone = np.stack([torque, series.direction], axis=-1)
-    return np.concatenate([alone, np.cos(phase), np.sin(phase)], axis=-1)
+    non_periodic = np.stack([torque, series.direction], axis=-1)
+    return np.concatenate([non_periodic, np.cos(phase), np.sin(phase)], axis=-1)
 
 
 def joint_errors_rad(arm: SerialArm, features: Array) -> Array:
-    """How much farther the joints stand than they read, (joints, n)."""
+    """Compute the joint errors.
+
+    Args:
+        arm: Arm with its joint errors.
+        features: Factors of the coefficients [N m, unitless], shape (joints, n, k).
+
+    Returns:
+        True less read joint angles [rad], shape (joints, n).
+    """
     orders = (features.shape[2] - len(NON_PERIODIC)) // 2
     errors: Array = np.einsum("jnk,jk->jn", features, joint_coefficients(arm, orders))
     return errors
@@ -62,37 +87,37 @@ COMPLIANCE: Final = "compliance"
 PERIODIC: Final = "waves"
 HYSTERESIS: Final = "approach"
 TERMS: Final = (GEOMETRY, COMPLIANCE, PERIODIC, HYSTERESIS)
-"""What may be found of an arm; where its base and its target are is always found."""
+"""Optional terms of a fit. Base and target frames are always fitted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackerSetup:
-    """Where the arm stands and what it holds, of one series."""
+    """Frames of base and target in one series."""
 
     X_TB: Pose
-    """The arm's base in the tracker's frame."""
+    """Base of the arm in the tracker's frame."""
     X_FM: Pose
-    """The tracker's target in the flange's frame."""
+    """Target of the tracker in the flange frame."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SerialModel:
-    """Whitened error screws of a series, for the parameters of some terms: the engine's Model."""
+    """Residual model of a series with the parameters of some terms."""
 
     arm: SerialArm
-    """As it is believed to be."""
+    """Arm before the calibration."""
     setup: TrackerSetup
     series: PoseSeries
     terms: tuple[str, ...]
     orders: int
     features: Array
-    """Of joints.py."""
+    """Factors of the joint coefficients, from `features`, shape (joints, n, 2 + 2 orders)."""
 
     @property
     def parameters(self) -> list[FitParameter]:
-        """In the order of the values: base, target, links, coefficients of the joints."""
-        sure = self.arm.uncertain
-        sizes = (sure.angle_rad, sure.length_m)
+        """List the parameters in the order of the values: base, target, links, coefficients of the joints."""
+        tolerance = self.arm.uncertain
+        sizes = (tolerance.angle_rad, tolerance.length_m)
         found = [
             _geometry_parameter(place, name, *sizes)
             for place in ("base", "target")
@@ -101,42 +126,56 @@ class SerialModel:
         if GEOMETRY in self.terms:
             links = ((one.name, name) for one in self.arm.links for name in GEOMETRY_NAMES)
             found += [_with_prior(_geometry_parameter(*which, *sizes)) for which in links]
-        alone = [sure.compliance_rad_per_Nm, sure.approach_rad]
-        sigmas = np.array([*alone, *[sure.wave_rad] * (2 * self.orders)])
-        said = coefficient_names(self.orders)
+        non_periodic = [tolerance.compliance_rad_per_Nm, tolerance.approach_rad]
+        sigmas = np.array([*non_periodic, *[tolerance.wave_rad] * (2 * self.orders)])
+        names = coefficient_names(self.orders)
         for one in self.arm.links:
             for k in self._chosen:
                 unit = "rad/(N m)" if k == 0 else "rad"
-                found.append(_with_prior(FitParameter(f"{one.name}.{said[k]}", unit, float(sigmas[k]))))
+                found.append(_with_prior(FitParameter(f"{one.name}.{names[k]}", unit, float(sigmas[k]))))
         return found
 
     @property
     def _chosen(self) -> list[int]:
-        """Which coefficients of a joint are to be found."""
-        alone = [k for k, name in enumerate(NON_PERIODIC) if name in self.terms]
+        """List the indices of the joint coefficients to fit."""
+        non_periodic = [k for k, name in enumerate(NON_PERIODIC) if name in self.terms]
         waves = range(len(NON_PERIODIC), len(NON_PERIODIC) + 2 * self.orders)
-        return [*alone, *(waves if PERIODIC in self.terms else ())]
+        return [*non_periodic, *(waves if PERIODIC in self.terms else ())]
 
     def at(self, values: Array) -> tuple[SerialArm, TrackerSetup]:
-        """The arm and the set-up that values (p,) of the parameters mean."""
+        """Apply parameter values.
+
+        Args:
+            values: Values in the units of the parameters, shape (p,).
+
+        Returns:
+            The arm and the setup with these values.
+        """
         shape = (len(self.arm.links), 6)
-        sixes, rest = np.zeros(shape), values[12:]
+        geometry, rest = np.zeros(shape), values[12:]
         if GEOMETRY in self.terms:
-            sixes, rest = rest[: sixes.size].reshape(shape), rest[sixes.size :]
+            geometry, rest = rest[: geometry.size].reshape(shape), rest[geometry.size :]
         errors = joint_coefficients(self.arm, self.orders)
         errors[:, self._chosen] += rest.reshape(len(self.arm.links), -1)
-        links = (_update_link(*changed) for changed in zip(self.arm.links, sixes, errors, strict=True))
+        links = (_update_link(*changed) for changed in zip(self.arm.links, geometry, errors, strict=True))
         setup = TrackerSetup(
             _move_frame(self.setup.X_TB, values[:6]), _move_frame(self.setup.X_FM, values[6:12])
         )
         return replace(self.arm, links=tuple(links)), setup
 
     def poses(self, values: Array) -> Pose:
-        """X_TM as the model has it, batch (n,)."""
+        """Compute the modelled poses of the target.
+
+        Args:
+            values: Values in the units of the parameters, shape (p,).
+
+        Returns:
+            X_TM, the target in the tracker's frame, batch (n,).
+        """
         return self._chain(values)[0]
 
     def _chain(self, values: Array) -> tuple[Pose, list[LinkAxes]]:
-        """X_TM, and the axes of the base, the target and the links."""
+        """Compute X_TM, and the axes of base, target and links."""
         n = self.series.count
         arm, _ = self.at(values)
         still = np.zeros(n)
@@ -147,16 +186,23 @@ class SerialModel:
         return X_M, [base, target, *axes]
 
     def __call__(self, values: Array) -> Linearisation:
-        """Residuals (n, 6) and their derivatives (n, 6, p)."""
+        """Compute whitened error screws and their derivatives.
+
+        Args:
+            values: Values in the units of the parameters, shape (p,).
+
+        Returns:
+            Residuals, shape (n, 6), and derivatives, shape (n, 6, p).
+        """
         X_M, axes = self._chain(values)
         screws = [one.screws(X_M) for one in axes]
-        moved = screws if GEOMETRY in self.terms else screws[:2]
+        columns = screws if GEOMETRY in self.terms else screws[:2]
         chosen = self._chosen
-        turned = [
+        joint_columns = [
             screw[:, :, :1] * phi[None, :, chosen]
             for screw, phi in zip(screws[2:], self.features, strict=True)
         ]
-        return linearise(X_M, np.concatenate([*moved, *turned], axis=2), self._measured())
+        return linearise(X_M, np.concatenate([*columns, *joint_columns], axis=2), self._measured())
 
     def _measured(self) -> MeasuredPoses:
         noise = self.arm.repeats
@@ -167,7 +213,7 @@ class SerialModel:
 def serial_model(
     arm: SerialArm, setup: TrackerSetup, series: PoseSeries, terms: Sequence[str]
 ) -> SerialModel:
-    """The model of a series with these terms to be found; what the arm is believed to have stays in it."""
+    """Build the residual model of a series; effects of the arm that are not fitted stay in the model."""
     orders = max(arm.orders, arm.uncertain.orders if PERIODIC in terms else 0)
     return SerialModel(arm, setup, series, tuple(terms), orders, features(arm, series, orders))
 
@@ -178,12 +224,12 @@ def _geometry_parameter(place: str, name: str, angle: float, length: float) -> F
 
 
 def _with_prior(parameter: FitParameter) -> FitParameter:
-    """What is expected to be within its scale."""
+    """Set the prior sigma of a parameter to its scale."""
     return replace(parameter, prior_sigma=parameter.scale)
 
 
-def _update_link(one: Link, six: Array, errors: Array) -> Link:
-    theta, d, beta, b, alpha, a = (float(v) for v in np.array(one.geometry) + six)
+def _update_link(one: Link, geometry: Array, errors: Array) -> Link:
+    theta, d, beta, b, alpha, a = (float(v) for v in np.array(one.geometry) + geometry)
     orders = (errors.size - len(NON_PERIODIC)) // 2
     cos, sin = (
         tuple(float(v) for v in part) or None for part in errors[len(NON_PERIODIC) :].reshape(2, orders)
@@ -203,5 +249,5 @@ def _update_link(one: Link, six: Array, errors: Array) -> Link:
     )
 
 
-def _move_frame(X: Pose, six: Array) -> Pose:
-    return link_transform(repeat_pose(X, 1), np.zeros(1), six)[0][0]
+def _move_frame(X: Pose, geometry: Array) -> Pose:
+    return link_transform(repeat_pose(X, 1), np.zeros(1), geometry)[0][0]

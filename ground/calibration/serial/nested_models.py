@@ -1,4 +1,4 @@
-"""What each effect explains: arms with more and more of them, each fitted, cross-validated and judged."""
+"""Nested models with more and more terms, each fitted, cross-validated and compared with held-out poses."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,36 +22,37 @@ from ground.calibration.serial.series import PoseSeries
 from ground.common.progress import Progress
 
 BLOCKS: Final = 5
+"""Number of blocks of time in the cross-validation."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOutErrors:
-    """Squared distances of poses from where the other blocks put them."""
+    """Squared position errors of poses, each predicted from the other blocks."""
 
     square_m2: Array
-    """(n,)."""
+    """Squared errors, shape (n,)."""
     block: Integers
-    """(n,)."""
+    """Index of the block of each pose, shape (n,)."""
 
     @property
     def rms_m(self) -> float:
-        """Over all poses."""
+        """Compute the root mean square over all poses."""
         return float(np.sqrt(np.mean(self.square_m2)))
 
     @property
     def rms_by_block_m(self) -> Array:
-        """(BLOCKS,)."""
+        """Compute the root mean square of each block, shape (BLOCKS,)."""
         return np.sqrt([np.mean(self.square_m2[self.block == k]) for k in range(BLOCKS)])
 
 
 def gain_m(before: HeldOutErrors, after: HeldOutErrors) -> tuple[float, float]:
-    """By how much the error fell, mean over the blocks, and its standard error."""
-    fell = before.rms_by_block_m - after.rms_by_block_m
-    return float(np.mean(fell)), float(np.std(fell, ddof=1) / np.sqrt(fell.size))
+    """Compute the reduction of the error, mean over the blocks, and its standard error."""
+    reduction = before.rms_by_block_m - after.rms_by_block_m
+    return float(np.mean(reduction)), float(np.std(reduction, ddof=1) / np.sqrt(reduction.size))
 
 
 class CrossValidation:
-    """A fit's normal equations, by block of time."""
+    """Normal equations of a fit, by block of time."""
 
     def __init__(self, fitted: Fit, position_sigma_m: float):
         used = fitted.used
@@ -71,34 +72,41 @@ class CrossValidation:
         ]
 
     def held_out(self, more: Array | None = None) -> HeldOutErrors:
-        """With further columns (n, 6, m), in units of what is expected of their coefficients, or without."""
+        """Predict each block from the others.
+
+        Args:
+            more: Additional whitened columns of the Jacobian, in units of prior sigmas, shape (n, 6, m).
+
+        Returns:
+            The squared errors.
+        """
         square = np.empty(self._r.shape[0])
         for k in range(BLOCKS):
-            mine = self.block == k
-            left = self._r[mine] + self._predicted(k, mine, more)
-            square[mine] = np.sum(left[:, 3:] ** 2, axis=1) * self._sigma_m**2
+            in_block = self.block == k
+            residual = self._r[in_block] + self._predicted(k, in_block, more)
+            square[in_block] = np.sum(residual[:, 3:] ** 2, axis=1) * self._sigma_m**2
         return HeldOutErrors(square, self.block)
 
-    def _predicted(self, k: int, mine: Flags, more: Array | None) -> Array:
-        """How a block's residuals change when the others alone are fitted."""
+    def _predicted(self, k: int, in_block: Flags, more: Array | None) -> Array:
+        """Compute the change of a block's residuals if only the other blocks are fitted."""
         factor, g = self._factor[k], self._pull + self._g.sum(axis=0) - self._g[k]
         if more is None:
             step = -cho_solve(factor, g)
-            change: Array = self._J[mine] @ step
+            change: Array = self._J[in_block] @ step
             return change
-        others = ~mine
+        others = ~in_block
         E = more[others].reshape(-1, more.shape[2])
         B = self._J[others].reshape(E.shape[0], -1).T @ E
         solved = cho_solve(factor, np.column_stack([B, g]))
         corner = E.T @ E + np.eye(E.shape[1]) - B.T @ solved[:, :-1]
         extra = -np.linalg.solve(corner, E.T @ self._r[others].ravel() - B.T @ solved[:, -1])
         step = -solved[:, -1] - solved[:, :-1] @ extra
-        both: Array = self._J[mine] @ step + more[mine] @ extra
+        both: Array = self._J[in_block] @ step + more[in_block] @ extra
         return both
 
     def _against(self, J: Array, k: int) -> Array:
-        mine = self.block == k
-        along: Array = J[mine].reshape(-1, J.shape[2]).T @ self._r[mine].ravel()
+        in_block = self.block == k
+        along: Array = J[in_block].reshape(-1, J.shape[2]).T @ self._r[in_block].ravel()
         return along
 
     @staticmethod
@@ -109,23 +117,23 @@ class CrossValidation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NestedModel:
-    """An arm with the terms up to here."""
+    """Fitted model with the terms up to this step."""
 
     terms: tuple[str, ...]
     found: SerialCalibration
     validation: CrossValidation
     held_out: HeldOutErrors
-    """Within the poses of the fit."""
+    """Cross-validated errors within the fitted poses."""
     gain_m: float
-    """By how much the error in cross-validation fell from the step before, mean over the blocks of time."""
+    """Reduction of the cross-validated error from the step before, mean over the blocks of time."""
     gain_sigma_m: float
     fitted: PoseErrors
     fresh: PoseErrors | None
-    """Poses that took no part; None if there are none."""
+    """Errors of poses that were not fitted; None if there are none."""
 
     @property
     def is_significant(self) -> bool:
-        """Whether the error fell by more than a standard error."""
+        """Return whether the error fell by more than a standard error."""
         return self.gain_m > self.gain_sigma_m
 
 
@@ -137,12 +145,23 @@ def fit_nested_models(
     steps: Sequence[tuple[str, ...]],
     progress: Progress,
 ) -> tuple[NestedModel, ...]:
-    """Fit each of these sets of terms to one part of a series, judge it by the other.
+    """Fit each set of terms to one part of a series, and compare it with the other part.
 
-    Poses that the last and largest does not agree with are left out of all.
+    Outliers of the largest model are left out of all fits.
+
+    Args:
+        arm: Arm before the calibration.
+        setup: Initial base and target frames.
+        part: Poses to fit.
+        fresh: Poses to compare with; None if there are none.
+        steps: Sets of terms; the last one is the largest.
+        progress: Callback for progress.
+
+    Returns:
+        One model for each set of terms.
 
     Raises:
-        NoAgreement: too many poses do not agree with the rest.
+        TooManyOutliers: Too many poses do not agree.
     """
     progress(0, len(steps), "fitting")
     whole = calibrate_series(arm, setup, part, steps[-1])
@@ -154,9 +173,17 @@ def fit_nested_models(
         validation = CrossValidation(found.fit, arm.repeats.position_m)
         held_out = validation.held_out()
         gain = gain_m(done[-1].held_out, held_out) if done else (np.inf, 0.0)
-        made, stands = found.arm, found.setup
-        judged = None if fresh is None else pose_errors(made, stands, fresh)
+        calibrated, calibrated_setup = found.arm, found.setup
+        fresh_errors = None if fresh is None else pose_errors(calibrated, calibrated_setup, fresh)
         done.append(
-            NestedModel(terms, found, validation, held_out, *gain, pose_errors(made, stands, part), judged)
+            NestedModel(
+                terms,
+                found,
+                validation,
+                held_out,
+                *gain,
+                pose_errors(calibrated, calibrated_setup, part),
+                fresh_errors,
+            )
         )
     return tuple(done)

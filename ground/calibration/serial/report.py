@@ -1,4 +1,4 @@
-"""The picture of a calibrated serial arm: what is left before and after, and what its joints err by."""
+"""Report of a calibrated serial arm: JSON document, tables, and a plot of residuals and joint errors."""
 
 from pathlib import Path
 from typing import Any, Final
@@ -16,11 +16,11 @@ from ground.render.console import plain_console
 from ground.render.figures import save_figure
 
 MAX_NOISE_RATIO: Final = 1.5
-"""Times the noise that the file says: more is not noise."""
+"""Largest ratio of residuals to the noise of the file; above it, the model lacks an effect."""
 
 
 def serial_json(report: SerialReport, picture_lacks: str | None) -> dict[str, Any]:
-    """The calibration as a JSON document; metres and radians."""
+    """Convert the calibration to a JSON document in metres and radians."""
     last = report.steps[-1]
     fit = last.found.fit
     return {
@@ -81,7 +81,7 @@ def _step_json(step: NestedModel) -> dict[str, Any]:
 
 
 def _links_json(report: SerialReport) -> list[dict[str, Any]]:
-    """By how much each number differs from the file's, and how well that is known."""
+    """List the difference of each link parameter from the file, with its sigma."""
     fit = report.steps[-1].found.fit
     if GEOMETRY not in report.steps[-1].terms:
         return []
@@ -118,7 +118,7 @@ def _temperature_json(test: TemperatureTest | None) -> dict[str, Any] | None:
 
 
 def serial_table(report: SerialReport, picture_lacks: str | None) -> None:
-    """Print what each term explains, what the joints err by, and what is left."""
+    """Print the gain of each term, the errors of the joints, and the remaining errors."""
     console = plain_console()
     console.print(_steps(report))
     last = report.steps[-1]
@@ -141,9 +141,9 @@ def serial_table(report: SerialReport, picture_lacks: str | None) -> None:
 
 
 def _noise_words(sigma0: float) -> str:
-    said = f"noise is {sigma0:.2f} of what the file says"
+    text = f"noise is {sigma0:.2f} of what the file says"
     return (
-        said if sigma0 < MAX_NOISE_RATIO else f"{said}: the arm has errors that none of these terms explains"
+        text if sigma0 < MAX_NOISE_RATIO else f"{text}: the arm has errors that none of these terms explains"
     )
 
 
@@ -156,9 +156,9 @@ def _steps(report: SerialReport) -> Table:
     for k, step in enumerate(report.steps):
         before = report.steps[k - 1].terms if k else ()
         new = ", ".join(step.terms[len(before) :]) if k else "base, target"
-        fell = (step.gain_m, step.gain_sigma_m) if k else ()
+        gain = (step.gain_m, step.gain_sigma_m) if k else ()
         fresh = () if step.fresh is None else (step.fresh.rms_m, step.fresh.position_m.max())
-        cells = [_mm(step.fitted.rms_m, step.held_out.rms_m), _mm(*fell) or ["", ""], _mm(*fresh)]
+        cells = [_mm(step.fitted.rms_m, step.held_out.rms_m), _mm(*gain) or ["", ""], _mm(*fresh)]
         table.add_row(("+ " if k else "") + new, *(cell for group in cells for cell in group))
     return table
 
@@ -180,32 +180,35 @@ def _joints(report: SerialReport) -> Table:
 
 
 def temperature_words(test: TemperatureTest) -> str:
-    """What the air's temperature explains."""
+    """Describe the effect of the air temperature."""
     moved = f"the air's temperature, which moves by {test.range_K:.2f} K"
     gain_um, sigma_um, placebo_um = (
         length * 1e6 for length in (test.gain_m, test.gain_sigma_m, test.placebo_gain_m)
     )
-    fell = f"the validated error falls by {gain_um:.1f} +- {sigma_um:.1f} um"
+    gain = f"the validated error falls by {gain_um:.1f} +- {sigma_um:.1f} um"
     if test.explains:
-        return f"{moved}, explains something: {fell}, more than by any curve that is not the temperature"
+        return f"{moved}, explains something: {gain}, more than by any curve that is not the temperature"
     if test.range_K == 0.0:
         return f"{moved}, explains nothing"
     best = f"by {placebo_um:.1f} um with a curve that is not the temperature ({test.placebo})"
-    return f"{moved}, explains nothing: {fell}; {best}"
+    return f"{moved}, explains nothing: {gain}; {best}"
 
 
 BLUE: Final = "#31688e"
 COLOURS: Final = ("0.7", "#d95f02", BLUE)
 MAX_SPACING_RAD: Final = 0.03
-"""Between two angles that a joint stood at, beyond which its curve is not drawn."""
+"""Largest distance of two measured joint angles between which the curve is drawn."""
 COLUMNS: Final = 3
 
 
 def save_serial_figure(report: SerialReport, path: Path) -> str | None:
-    """Save the picture as PNG; the reason if matplotlib is not there.
+    """Save the plot as PNG.
+
+    Returns:
+        The reason if matplotlib is not installed, else None.
 
     Raises:
-        BadOutput: the file cannot be written.
+        BadOutput: The file cannot be written.
     """
     joints = len(report.arm.links) if PERIODIC in report.steps[-1].terms else 0
     rows = -(-joints // COLUMNS)
@@ -232,7 +235,7 @@ def _draw_errors(axes: Any, report: SerialReport) -> None:
 
 
 def _selected_steps(report: SerialReport) -> list[NestedModel]:
-    """Before, with the first term, and with all."""
+    """Select the first step, the one with the first term, and the last one."""
     steps = report.steps
     return [*steps[:2], *steps[2:][-1:]]
 
@@ -243,13 +246,13 @@ def _errors_mm(step: NestedModel) -> Any:
 
 
 def _label(step: NestedModel) -> str:
-    said = ", ".join(step.terms) if step.terms else "base and target only"
+    text = ", ".join(step.terms) if step.terms else "base and target only"
     shown, where = (step.fitted, "") if step.fresh is None else (step.fresh, ", held out")
-    return f"{said}: {shown.rms_m * 1e3:.2f} mm rms{where}"
+    return f"{text}: {shown.rms_m * 1e3:.2f} mm rms{where}"
 
 
 def _draw_joint(axes: Any, report: SerialReport, k: int) -> None:
-    """The waves of a joint where it was seen."""
+    """Draw the periodic error of a joint at the measured angles."""
     found = report.steps[-1].found
     one = found.arm.links[k]
     turn = np.mod(report.part.joint_rad[k] + np.pi, 2 * np.pi) - np.pi

@@ -1,4 +1,4 @@
-"""The calibration of a serial arm as it is asked for on the command line."""
+"""Calibration of a serial arm as a request of the command line."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,14 +31,14 @@ LEAST_SHARE: Final = 0.05
 
 @dataclass(frozen=True, slots=True)
 class SerialRequest:
-    """What is asked."""
+    """Request for a calibration."""
 
     arm: Path
     table: Path
     mapping: Path
     terms: str = ALL
     share: float = 0.5
-    """Of the poses, from the first in time: these are fitted, the others judge."""
+    """Share of the poses to fit, from the first in time; the others validate."""
     nested: bool = False
     """Whether to fit term by term."""
     out: Path | None = None
@@ -47,29 +47,29 @@ class SerialRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SerialReport:
-    """What came of it."""
+    """Result of a request for a calibration."""
 
     request: SerialRequest
     arm: SerialArm
-    """As the file has it."""
+    """Arm of the file, before the calibration."""
     poses: int
     part: PoseSeries
     fresh: PoseSeries | None
     steps: tuple[NestedModel, ...]
-    """The last one has all terms that were asked for, the first none."""
+    """Models; the first one has no terms, the last one all requested terms."""
     identifiability: Identifiability
     ratio: float | None
-    """Held-out misfit over what noise and covariance let expect."""
+    """Error of held-out poses over the error expected from noise and covariance."""
     temperature: TemperatureTest | None
     digests: dict[str, str]
-    """SHA-256 of the files that were read."""
+    """SHA-256 of the input files."""
 
 
 def calibrate_serial(request: SerialRequest, progress: Progress) -> SerialReport:
-    """Fit the arm of a file to one part of a table of measured poses, and judge it by the other.
+    """Fit the arm of a file to one part of a table of measured poses, and validate it with the other part.
 
     Raises:
-        BadRequest: a file is wrong, or its poses do not tell what is asked; nothing was written.
+        BadRequest: A file is wrong, or its poses do not determine the parameters; nothing was written.
     """
     files = {name: getattr(request, name) for name in ("arm", "table", "mapping", "out", "picture")}
     check_distinct_files(files)
@@ -108,10 +108,12 @@ def _build_report(
 ) -> SerialReport:
     last = steps[-1]
     fit = last.found.fit
-    told = assess_identifiability(fit.parameters, fit.at, fit.used)
+    identifiability = assess_identifiability(fit.parameters, fit.at, fit.used)
     ratio = None if fresh is None else held_out_ratio(last.found, fresh)
-    air = temperature_test(last.found, last.validation)
-    return SerialReport(request, arm, series.count, part, fresh, steps, told, ratio, air, digests)
+    temperature = temperature_test(last.found, last.validation)
+    return SerialReport(
+        request, arm, series.count, part, fresh, steps, identifiability, ratio, temperature, digests
+    )
 
 
 def _read(request: SerialRequest) -> tuple[SerialArm, PoseSeries, dict[str, str]]:
@@ -122,9 +124,11 @@ def _read(request: SerialRequest) -> tuple[SerialArm, PoseSeries, dict[str, str]
     }
     arm = arm_from_toml(_text(data["arm"], request.arm), str(request.arm))
     mapping = mapping_from_toml(_text(data["mapping"], request.mapping), str(request.mapping))
-    said, joints = len(mapping.joints.columns), len(arm.links)
-    if said != joints:
-        raise BadRequest(f"{request.mapping}: joints: {said} columns; the arm {arm.name} has {joints} joints")
+    columns, joints = len(mapping.joints.columns), len(arm.links)
+    if columns != joints:
+        raise BadRequest(
+            f"{request.mapping}: joints: {columns} columns; the arm {arm.name} has {joints} joints"
+        )
     if mapping.arm != arm.name:
         raise BadRequest(
             f"{request.mapping}: its table is of the arm {mapping.arm!r}, {request.arm} describes "
@@ -141,32 +145,32 @@ def _text(data: bytes, file: Path) -> str:
         raise BadRequest(f"{file}: is no text in UTF-8 ({error.reason}, byte {error.start})") from error
 
 
-def _parse_terms(said: str) -> tuple[str, ...]:
-    if said in (ALL, NONE):
-        return TERMS if said == ALL else ()
-    words = [word.strip() for word in said.split(",")]
+def _parse_terms(text: str) -> tuple[str, ...]:
+    if text in (ALL, NONE):
+        return TERMS if text == ALL else ()
+    words = [word.strip() for word in text.split(",")]
     wrong = unknown_words(words, (*TERMS, ALL, NONE), "terms")
     if wrong is not None or ALL in words or NONE in words:
-        raise BadRequest(wrong or f"terms: {said!r}: {ALL} and {NONE} stand alone")
+        raise BadRequest(wrong or f"terms: {text!r}: {ALL} and {NONE} stand alone")
     return tuple(term for term in TERMS if term in words)
 
 
-def _term_sets(terms: tuple[str, ...], is_ladder: bool) -> Sequence[tuple[str, ...]]:
+def _term_sets(terms: tuple[str, ...], is_nested: bool) -> Sequence[tuple[str, ...]]:
     every = [terms[:k] for k in range(len(terms) + 1)]
-    return every if is_ladder else list(dict.fromkeys((every[0], *every[1:2], every[-1])))
+    return every if is_nested else list(dict.fromkeys((every[0], *every[1:2], every[-1])))
 
 
 def _provenance(report: SerialReport) -> list[str]:
-    """What a file that was found says of where it comes from."""
+    """Describe the origin of a calibrated arm."""
     last = report.steps[-1]
-    judged = (
+    validation = (
         ""
         if last.fresh is None
         else f" {last.fresh.position_m.size} others: {last.fresh.rms_m * 1e3:.3f} mm."
     )
     return [
         f"{report.arm.name}, as calibrated by {report.part.count} of {report.poses} measured poses.",
-        f"Position error, root mean square: {last.fitted.rms_m * 1e3:.3f} mm.{judged}",
+        f"Position error, root mean square: {last.fitted.rms_m * 1e3:.3f} mm.{validation}",
         f"Terms: {', '.join(last.terms) or 'none'}.",
         *(f"{name} sha256 {digest}" for name, digest in report.digests.items()),
     ]

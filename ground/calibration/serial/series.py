@@ -1,4 +1,4 @@
-"""Poses of an arm that a tracker measured, in the order in which they were taken."""
+"""Series of measured poses of an arm, in the order of measurement."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -8,32 +8,32 @@ import numpy as np
 from fsw.kinematics.transforms import Array, Flags, Integers, Pose
 
 STILL_RAD: Final = 1e-3
-"""A joint that moved less since the pose before has not shown from which side it came."""
+"""Largest motion of a joint since the last pose after which its direction counts as unknown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PoseSeries:
-    """Joint angles as the arm read them, and its target as the tracker saw it."""
+    """Joint angles that the arm read, with the target that the tracker measured."""
 
     name: str
     joint_rad: Array
-    """(joints, n)."""
+    """Joint angles, shape (joints, n)."""
     direction: Array
-    """+1, -1 or 0: the direction of each joint's last move, (joints, n)."""
+    """Direction of each joint's last move: +1, -1 or 0, shape (joints, n)."""
     X_TM: Pose
-    """The target M in the tracker's frame T, batch (n,)."""
+    """Target M in the tracker's frame T, batch (n,)."""
     air_C: Array | None
-    """(n,)."""
+    """Air temperature, shape (n,); None if unknown."""
     row: Integers
-    """What each pose is called in its table: the first row below the header is 1."""
+    """Row number of each pose in its table; the first row below the header is 1."""
 
     @property
     def count(self) -> int:
-        """How many poses."""
+        """Return the number of poses."""
         return self.row.size
 
     def at(self, poses: Flags | Integers) -> "PoseSeries":
-        """Some of the poses; from where each was reached stays known."""
+        """Select some of the poses; directions of moves stay those of the whole series."""
         air = None if self.air_C is None else self.air_C[poses]
         return PoseSeries(
             self.name,
@@ -46,6 +46,13 @@ class PoseSeries:
 
 
 def move_directions(joint_rad: Array) -> Array:
-    """The direction of each joint's last move, from angles (joints, n) in order of time."""
+    """Compute the direction of each joint's last move.
+
+    Args:
+        joint_rad: Joint angles in order of time, shape (joints, n).
+
+    Returns:
+        +1, -1 or 0, unitless, shape (joints, n).
+    """
     moved = np.diff(joint_rad, axis=1, prepend=joint_rad[:, :1])
     return np.where(np.abs(moved) > STILL_RAD, np.sign(moved), 0.0)

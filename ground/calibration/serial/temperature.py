@@ -1,4 +1,4 @@
-"""Whether the air's temperature explains anything: it must predict better than curves that are not it."""
+"""Test of the air temperature: it must predict better than placebo curves."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,40 +13,46 @@ from ground.calibration.serial.model import GEOMETRY, serial_model
 from ground.calibration.serial.nested_models import CrossValidation, gain_m
 
 SHIFTS: Final = 19
-"""Placebos that are the temperature of another time; chance beats them and two more once in 22 times."""
+"""Number of placebos that are the temperature of another time.
+
+A random curve beats them and the two other placebos once in 22 cases.
+"""
 LENGTHS: Final = ("d", "b", "a")
 EXPANSION_PER_K: Final = 2.3e-5
-"""Of aluminium."""
+"""Thermal expansion of aluminium."""
 MOVES_M_PER_K: Final = 1e-4
 MOVES_RAD_PER_K: Final = 1e-4
-"""What a stand or a tracker may move, one sigma."""
+"""Motion of a stand or a tracker, one sigma."""
 
 
 @dataclass(frozen=True, slots=True)
 class TemperatureTest:
-    """Held-out errors in cross-validation, with and without the air's temperature."""
+    """Cross-validated errors with and without the air temperature."""
 
     range_K: float
     without_m: float
     with_m: float
     gain_m: float
-    """By how much the error falls, mean over blocks of time."""
+    """Reduction of the error, mean over blocks of time."""
     gain_sigma_m: float
     placebo: str
-    """The curve that is not the temperature and explains most."""
+    """Placebo curve with the largest gain."""
     placebo_gain_m: float
 
     @property
     def explains(self) -> bool:
-        """Whether it falls by more than a standard error, and by more than with every placebo."""
+        """Return whether the gain exceeds its standard error and the gain of every placebo."""
         return self.gain_m > self.gain_sigma_m and self.gain_m > self.placebo_gain_m
 
 
 def temperature_test(found: SerialCalibration, validation: CrossValidation) -> TemperatureTest | None:
-    """Let base and links follow the temperature, then curves in its place; None if the air's is not known.
+    """Cross-validate a model in which base and link lengths follow the air temperature or placebo curves.
 
-    The base may shift and turn in proportion to it, and all lengths of the arm grow together. A drift in time
-    has no thermometer: as a placebo serve the clock, the temperature backwards, and that of other times.
+    The base shifts and rotates in proportion to the temperature, and all lengths grow together. Any drift in
+    time can look like temperature, so clock, reversed and shifted temperatures serve as placebos.
+
+    Returns:
+        The test; None if the air temperature is unknown.
     """
     series = found.model.series
     if series.air_C is None:
@@ -68,7 +74,11 @@ def temperature_test(found: SerialCalibration, validation: CrossValidation) -> T
 
 
 def _columns(found: SerialCalibration) -> Array:
-    """What a kelvin moves, in what is expected of it: base (six) and growth of the arm, (n, 6, 7)."""
+    """Compute the Jacobian columns of base (six) and arm growth per kelvin, in units of their expected size.
+
+    Returns:
+        Columns, shape (n, 6, 7).
+    """
     arm = found.arm
     model = serial_model(arm, found.setup, found.model.series.at(found.fit.used), (GEOMETRY,))
     J = model(np.zeros(len(model.parameters))).jacobian
@@ -79,7 +89,7 @@ def _columns(found: SerialCalibration) -> Array:
 
 
 def _placebos(air: Array) -> Iterator[tuple[str, Array]]:
-    """Curves as large as the temperature's."""
+    """Generate placebo curves with the same spread as the temperature."""
     mean, spread = air.mean(), air.std()
     clock = np.linspace(-1.0, 1.0, air.size)
     yield "clock", clock / clock.std() * spread

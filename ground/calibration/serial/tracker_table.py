@@ -1,4 +1,4 @@
-"""Poses that a tracker measured, from a table and a mapping that says which columns are what."""
+"""Measured poses from a table, with a mapping that assigns the columns."""
 
 import hashlib
 from dataclasses import dataclass, field
@@ -19,12 +19,12 @@ from sim.scenario.toml_lines import NotToml, parse_toml
 from sim.scenario.toml_record import Findings, read_record
 
 MIN_STALE_ROWS: Final = 3
-"""So many poses in a row, exactly alike though the arm moved: the tracker had lost its target."""
+"""Number of identical measurements in a row, with a moving arm, that proves that the target was lost."""
 
 
 @dataclass(frozen=True, slots=True)
 class QuantityColumns:
-    """Columns of one quantity, and the unit that they are in."""
+    """Columns of one quantity with their unit."""
 
     columns: tuple[str, ...]
     unit: str
@@ -32,7 +32,7 @@ class QuantityColumns:
 
 @dataclass(frozen=True, slots=True)
 class RotationColumns:
-    """Three angles of the target, about axes in this order; capitals if each axis turns with those before."""
+    """Three Euler angles of the target; capital letters mean intrinsic rotations."""
 
     columns: tuple[str, str, str]
     unit: str
@@ -41,7 +41,7 @@ class RotationColumns:
 
 @dataclass(frozen=True, slots=True)
 class TrackerMapping:
-    """What a mapping says."""
+    """Mapping from columns of a table to quantities."""
 
     joints: QuantityColumns
     position: QuantityColumns
@@ -49,36 +49,43 @@ class TrackerMapping:
     arm: str = "unknown"
     csv: CsvFormat = field(default_factory=CsvFormat)
     time: TimeMapping | None = None
-    """None where the rows are in the order of time."""
+    """Column of time; None if the rows are in the order of time."""
     air: QuantityColumns | None = None
 
 
 def mapping_from_toml(text: str, file: str) -> TrackerMapping:
-    """The mapping that a TOML text says; `file` is how messages call it.
+    """Read a mapping from TOML.
+
+    Args:
+        text: Content of the file.
+        file: Name of the file in messages.
+
+    Returns:
+        The mapping.
 
     Raises:
-        BadImport: something in it is wrong; the message has every problem, by line.
+        BadImport: The file is wrong; the message lists every problem with its line.
     """
     try:
         data, lines = parse_toml(text)
     except NotToml as error:
         raise BadImport([f"{file}:{error.line}: {error}"]) from error
     findings = Findings(lines)
-    said = read_record(TrackerMapping, data, (), findings)
-    if said is not None:
-        _check_quantities(said, findings)
-    if said is None or findings.problems:
+    mapping = read_record(TrackerMapping, data, (), findings)
+    if mapping is not None:
+        _check_quantities(mapping, findings)
+    if mapping is None or findings.problems:
         raise BadImport(f"{file}:{p.line}: {p.text}" for p in sorted(findings.problems))
-    return said
+    return mapping
 
 
-def _check_quantities(said: TrackerMapping, findings: Findings) -> None:
-    """Refuse a unit that is of another quantity, and columns that are too few or too many."""
+def _check_quantities(mapping: TrackerMapping, findings: Findings) -> None:
+    """Check units and number of columns of each quantity."""
     quantities = (
-        ("joints", said.joints, "rad", None),
-        ("position", said.position, "m", 3),
-        ("rotation", said.rotation, "rad", 3),
-        ("air", said.air, "degC", 1),
+        ("joints", mapping.joints, "rad", None),
+        ("position", mapping.position, "m", 3),
+        ("rotation", mapping.rotation, "rad", 3),
+        ("air", mapping.air, "degC", 1),
     )
     for name, one, kind, count in quantities:
         if one is None:
@@ -91,10 +98,18 @@ def _check_quantities(said: TrackerMapping, findings: Findings) -> None:
 
 
 def series_from_table(data: bytes, file: str, mapping: TrackerMapping) -> PoseSeries:
-    """The poses of a table, in order of time.
+    """Read the poses of a table, in order of time.
+
+    Args:
+        data: Content of the file.
+        file: Name of the file in messages.
+        mapping: Columns of each quantity.
+
+    Returns:
+        The series.
 
     Raises:
-        BadImport: it lacks a column or a value, or the tracker stood still while the arm moved.
+        BadImport: A column or a value is missing, or the tracker readings stood still while the arm moved.
     """
     air_columns = () if mapping.air is None else mapping.air.columns
     times = () if mapping.time is None or mapping.time.column is None else (mapping.time.column,)
@@ -113,31 +128,31 @@ def series_from_table(data: bytes, file: str, mapping: TrackerMapping) -> PoseSe
 
 
 def sha256(data: bytes) -> str:
-    """Digest of a file."""
+    """Compute the SHA-256 digest of a file's content."""
     return hashlib.sha256(data).hexdigest()
 
 
-def _values(table: InputTable, said: QuantityColumns | RotationColumns, kind: str) -> Array:
-    """In the unit of the house, (columns, n)."""
-    unit = UNIT_CONVERSIONS[kind][said.unit]
+def _values(table: InputTable, quantity: QuantityColumns | RotationColumns, kind: str) -> Array:
+    """Read the columns of a quantity in SI units (temperatures in Celsius), shape (columns, n)."""
+    unit = UNIT_CONVERSIONS[kind][quantity.unit]
     rows = []
-    for name in said.columns:
+    for name in quantity.columns:
         column = table.numbers(name)
         values = column.values.astype(np.float64)
-        lacking = np.flatnonzero(~column.given | ~np.isfinite(values))
-        if lacking.size:
+        missing = np.flatnonzero(~column.given | ~np.isfinite(values))
+        if missing.size:
             what = "has no value; leave poses out of the table whose joints or target were not measured"
-            raise table.wrong(what, int(lacking[0]), name)
+            raise table.wrong(what, int(missing[0]), name)
         rows.append(values * unit.factor + unit.offset)
     return np.array(rows)
 
 
 def _check_stale(table: InputTable, joint_rad: Array, measured: Array, column: str) -> None:
-    """Refuse measurements that stay the same to the last digit while the arm moves."""
-    alike = np.all(np.diff(measured, axis=1) == 0.0, axis=0) & np.any(
+    """Check that measurements change when the arm moves."""
+    is_stale = np.all(np.diff(measured, axis=1) == 0.0, axis=0) & np.any(
         np.diff(joint_rad, axis=1) != 0.0, axis=0
     )
-    run = np.convolve(alike, np.ones(MIN_STALE_ROWS - 1, int), "valid") == MIN_STALE_ROWS - 1
+    run = np.convolve(is_stale, np.ones(MIN_STALE_ROWS - 1, int), "valid") == MIN_STALE_ROWS - 1
     if run.any():
         row = int(np.flatnonzero(run)[0])
         what = (
