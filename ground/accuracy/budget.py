@@ -1,4 +1,4 @@
-"""The error budget: what every source, at every frame, makes of the tool's error over the workspace."""
+"""Error budget: bounds of tool errors over the workspace, from all error sources at all frames."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
@@ -28,32 +28,35 @@ from ground.common.progress import Progress
 
 MOMENTS: Final = "moments"
 COVERAGE: Final = 0.9973
-"""Three sigma of a normal error; and the share of the poses whose bound is within what is reported."""
+"""Three sigma of a normal error; also the share of poses whose bound is within the reported value."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToolBudget:
-    """What the errors of one tool stay within, pose by pose."""
+    """Bounds of the errors of one tool at each pose."""
 
     poses: Poses
     by_rule: Mapping[str, Bounds]
-    """paper (equation 13), worst case (10), root sum square (11), moments (ours)."""
+    """Bounds by combination rule: paper (equation 13), worst case (10), root sum square (11), moments."""
     lengths: tuple[SquaredLength, ...]
-    """Of what each of COMPONENTS is the length of, as ours has them."""
+    """Distributions of squared error lengths, one for each of COMPONENTS, for the moments rule."""
     share_m: Array
-    """Of every source at every frame in the total by the paper's rule, mean over the poses, (sources, 7)."""
+    """Share of each source at each frame in the paper's total, mean over the poses, shape (sources, 7)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Budget:
-    """The budget of a case."""
+    """Error budget of a case."""
 
     name: str
     case: BudgetCase
     tools: Mapping[Tool, ToolBudget]
 
     def estimate(self, rule: str, component: str) -> float:
-        """The bound [m, rad] that 99.73 % of the poses stay within; by ours, what so many errors do."""
+        """Compute the bound [m, rad] that holds at 99.73 % of the poses.
+
+        The moments rule gives the bound that holds for 99.73 % of the errors.
+        """
         if rule == MOMENTS:
             k = COMPONENTS.index(component)
             return pooled_quantile([tool.lengths[k] for tool in self.tools.values()], COVERAGE)
@@ -62,7 +65,7 @@ class Budget:
 
     @property
     def share_m(self) -> Array:
-        """Over all poses of all tools, (sources, 7)."""
+        """Compute the mean shares over all poses of all tools, shape (sources, 7)."""
         counts = [tool.poses.output_rad.shape[1] for tool in self.tools.values()]
         return np.asarray(np.average([tool.share_m for tool in self.tools.values()], axis=0, weights=counts))
 
@@ -77,21 +80,37 @@ def compute_budgets(
     seed: int,
     progress: Progress,
 ) -> dict[str, Budget]:
-    """The budgets of some cases, at so many poses in all, shared evenly by the tools."""
+    """Compute the budgets of several cases.
+
+    Args:
+        model: Error sources and cases.
+        names: Names of the cases.
+        config: Configuration with the arm.
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
+        tools: Tools of the budget.
+        count: Number of poses in all, shared evenly by the tools.
+        seed: Seed of the poses.
+        progress: Callback for progress.
+
+    Returns:
+        The budgets by name of the case.
+    """
     found: dict[str, dict[Tool, ToolBudget]] = {name: {} for name in names}
     for k, tool in enumerate(tools):
         progress(k, len(tools), tool.name.lower())
         poses = workspace_poses(config.arm, tool, gravity_R_m_s2, -(-count // len(tools)), seed)
-        moved = compute_sensitivity(config, poses, gravity_R_m_s2)
+        sensitivity = compute_sensitivity(config, poses, gravity_R_m_s2)
         for name in names:
-            found[name][tool] = compute_tool_budget(model, model.case[name], poses, moved)
+            found[name][tool] = compute_tool_budget(model, model.case[name], poses, sensitivity)
     return {name: Budget(name, model.case[name], found[name]) for name in names}
 
 
-def compute_tool_budget(model: ErrorModel, case: BudgetCase, poses: Poses, moved: Sensitivity) -> ToolBudget:
-    """What the errors of a case stay within at these poses."""
-    u, at_limit = errors_by_source(model, case, moved)
-    lengths = _squared_lengths(model, case, moved)
+def compute_tool_budget(
+    model: ErrorModel, case: BudgetCase, poses: Poses, sensitivity: Sensitivity
+) -> ToolBudget:
+    """Compute the bounds of the errors of a case at these poses."""
+    u, at_limit = errors_by_source(model, case, sensitivity)
+    lengths = _squared_lengths(model, case, sensitivity)
     worst = bounds(worst_case(u))
     rules = {
         "paper": bounds(paper_rule(u, at_limit)),
@@ -102,22 +121,39 @@ def compute_tool_budget(model: ErrorModel, case: BudgetCase, poses: Poses, moved
     return ToolBudget(poses, rules, lengths, shares(u, at_limit).mean(axis=-1))
 
 
-def _squared_lengths(model: ErrorModel, case: BudgetCase, moved: Sensitivity) -> tuple[SquaredLength, ...]:
-    """Of the errors of a case; where gravity holds an output on a flank, backlash is known and not drawn."""
-    errors, known = [], np.zeros((6, moved.side.shape[1]))
+def _squared_lengths(
+    model: ErrorModel, case: BudgetCase, sensitivity: Sensitivity
+) -> tuple[SquaredLength, ...]:
+    """Compute the distributions of squared error lengths of a case.
+
+    If gravity holds an output at a flank, the backlash is a known offset and not a random error.
+    """
+    errors, known = [], np.zeros((6, sensitivity.side.shape[1]))
     for name, factor in case.sources.items():
         source = model.source[name]
-        u = factor * moved.errors(source)
+        u = factor * sensitivity.errors(source)
         if source.effect == "backlash" and not is_compensated(factor):
-            known += np.einsum("ikn,kn->in", u, moved.side)
-            u = u * (moved.side == 0)
+            known += np.einsum("ikn,kn->in", u, sensitivity.side)
+            u = u * (sensitivity.side == 0)
         errors.append((u, source.distribution))
-    return tuple(squared_length([(u[part], spread) for u, spread in errors], known[part]) for part in PARTS)
+    return tuple(
+        squared_length([(u[part], distribution) for u, distribution in errors], known[part]) for part in PARTS
+    )
 
 
-def errors_by_source(model: ErrorModel, case: BudgetCase, moved: Sensitivity) -> tuple[Array, Flags]:
-    """Errors (sources, 6, 7, n) of a case, and which sources are at their limits."""
-    u = [factor * moved.errors_by_frame(model.source[name]) for name, factor in case.sources.items()]
+def errors_by_source(model: ErrorModel, case: BudgetCase, sensitivity: Sensitivity) -> tuple[Array, Flags]:
+    """Compute the errors of a case by source.
+
+    Args:
+        model: Error sources and cases.
+        case: Sources with their factors.
+        sensitivity: Sensitivity of the tool at each pose.
+
+    Returns:
+        Absolute errors [rad, m], shape (sources, 6, 7, n), and flags of sources that are at their limits,
+        shape (sources,).
+    """
+    u = [factor * sensitivity.errors_by_frame(model.source[name]) for name, factor in case.sources.items()]
     return np.array(u), np.array([model.source[name].at_limit for name in case.sources])
 
 

@@ -1,4 +1,4 @@
-"""The error budget as a page: the paper's rows beside ours, what makes up the error, where it is large."""
+"""Report of the error budget: JSON document, tables, and a page with the paper's values beside ours."""
 
 from math import degrees
 from pathlib import Path
@@ -19,7 +19,7 @@ RULES: Final = ("paper", "moments", "root sum square", "worst case")
 
 
 def budget_json(report: BudgetReport) -> dict[str, Any]:
-    """The budget as a JSON document; metres and radians."""
+    """Convert the budget to a JSON document in metres and radians."""
     return {
         "poses": report.request.poses,
         "seed": report.request.seed,
@@ -84,12 +84,12 @@ def _reproduced_json(found: MagnitudeFit) -> dict[str, Any]:
 
 
 def format_value(component: str, value: float) -> str:
-    """As people read it."""
+    """Format a value in millimetres or degrees."""
     return f"{degrees(value):.2f} deg" if component.endswith("_rad") else f"{value * 1e3:.1f} mm"
 
 
 def budget_table(report: BudgetReport) -> None:
-    """Print the paper's rows beside ours, what makes up the error, and other rules."""
+    """Print the paper's rows beside ours, the shares of the sources, and the other combination rules."""
     console = plain_console()
     console.print(_rows(report))
     for budget in report.budgets.values():
@@ -102,8 +102,8 @@ def budget_table(report: BudgetReport) -> None:
 
 
 def _rows(report: BudgetReport) -> Table:
-    asked = report.request
-    title = f"Error budget by the paper's rule, {asked.poses} poses, tool {asked.tool}"
+    request = report.request
+    title = f"Error budget by the paper's rule, {request.poses} poses, tool {request.tool}"
     table = Table(title=title, title_justify="left")
     for name in ("", "case", "required", "paper", "ours"):
         table.add_column(name, justify="left" if name in ("", "case") else "right")
@@ -152,14 +152,14 @@ def _reproduced(found: MagnitudeFit) -> Table:
 
 
 CELLS: Final = 14
-"""Of the map, along a side."""
+"""Number of cells along each side of the map."""
 
 
 def save_budget_page(report: BudgetReport, path: Path) -> None:
     """Write the page.
 
     Raises:
-        BadOutput: the file cannot be written.
+        BadOutput: The file cannot be written.
     """
     rows = [
         (row.name, row.case, *(format_value(row.component, v) for v in (row.required, row.estimated, value)))
@@ -181,8 +181,9 @@ def save_budget_page(report: BudgetReport, path: Path) -> None:
 
 
 def _poses(report: BudgetReport) -> str:
-    asked = report.request
-    return f"{asked.poses} poses over the workspace, tool {asked.tool}, gravity of {asked.gravity.title()}."
+    request = report.request
+    place = request.gravity.title()
+    return f"{request.poses} poses over the workspace, tool {request.tool}, gravity of {place}."
 
 
 def _case(budget: Budget) -> list[str]:

@@ -1,4 +1,4 @@
-"""The error budget as it is asked for on the command line."""
+"""Error budget as a request of the command line."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,12 +16,12 @@ from ground.common.requests import BadRequest, check_distinct_files, check_seed,
 
 ALL: Final = "all"
 POSES: Final = (100, 200_000)
-"""At least, at most."""
+"""Smallest and largest number of poses."""
 
 
 @dataclass(frozen=True, slots=True)
 class BudgetRequest:
-    """What is asked."""
+    """Request for an error budget."""
 
     case: str = ALL
     tool: str = ALL
@@ -35,23 +35,23 @@ class BudgetRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BudgetReport:
-    """What came of it."""
+    """Result of a request for an error budget."""
 
     request: BudgetRequest
     model: ErrorModel
     budgets: Mapping[str, Budget]
     rows: tuple[tuple[PaperRow, float], ...]
-    """The paper's rows of the cases that were asked for, and ours."""
+    """Rows of the paper for the requested cases, with our values."""
     reproduced: tuple[MagnitudeFit, ...]
-    """Tables 3 and 4, if that was asked for."""
+    """Magnitudes that reproduce Tables 3 and 4 of the paper, if requested."""
     params_sha256: str
 
 
 def run_budget(request: BudgetRequest, progress: Progress) -> BudgetReport:
-    """The budgets of one case or of all.
+    """Compute the budgets of one case or of all cases.
 
     Raises:
-        BadRequest: the request is wrong; nothing was written.
+        BadRequest: The request is wrong; nothing was written.
     """
     model = load_error_model()
     names = tuple(model.case) if request.case == ALL else (request.case,)

@@ -1,4 +1,4 @@
-"""Many errors as one bound: the paper's combinations, equations 10 to 13, and one from their moments."""
+"""Combination of errors into one bound: paper equations 10 to 13, and a rule from moments."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
@@ -12,52 +12,73 @@ from fsw.kinematics.transforms import Array, Flags
 from ground.accuracy.sources import CUMULANTS, Distribution
 
 MIN_SKEWNESS: Final = 0.05
-"""Less is as good as none."""
+"""Smallest skewness; below it, the distribution counts as symmetric."""
 MAX_SKEWNESS: Final = np.sqrt(8.0)
-"""A sum of squares of normals is, if it is one square."""
+"""Skewness of the square of one normal variable, the largest of a sum of such squares."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SquaredLength:
-    """Of an error, pose by pose: its first three cumulants, (n,) each."""
+    """First three cumulants of the squared length of an error at each pose, shape (n,) each."""
 
     mean: Array
     variance: Array
     third: Array
 
     @property
-    def _freedom(self) -> Array:
+    def _degrees_of_freedom(self) -> Array:
         with np.errstate(divide="ignore", invalid="ignore"):
             skewness = np.where(self.variance > 0, self.third / self.variance**1.5, MAX_SKEWNESS)
         return np.asarray(8 / np.clip(skewness, MIN_SKEWNESS, MAX_SKEWNESS) ** 2)
 
     def quantile(self, coverage: float) -> Array:
-        """The length (n,) that the error stays within, with this probability."""
-        freedom = self._freedom
-        normed = (chi2.ppf(coverage, freedom) - freedom) / np.sqrt(2 * freedom)
+        """Compute the error length that is not exceeded with this probability.
+
+        A shifted and scaled chi-square distribution matches the three cumulants.
+
+        Args:
+            coverage: Probability.
+
+        Returns:
+            Lengths, shape (n,).
+        """
+        degrees_of_freedom = self._degrees_of_freedom
+        normed = (chi2.ppf(coverage, degrees_of_freedom) - degrees_of_freedom) / np.sqrt(
+            2 * degrees_of_freedom
+        )
         return np.asarray(np.sqrt(np.maximum(self.mean + normed * np.sqrt(self.variance), 0.0)))
 
     def probability_within(self, length: float) -> Array:
-        """With which probability (n,) the error is no longer than this."""
-        freedom, sigma = self._freedom, np.sqrt(self.variance)
-        apart = length**2 - self.mean
-        normed = np.divide(apart, sigma, out=np.where(apart < 0, -np.inf, np.inf), where=sigma > 0)
-        return np.asarray(chi2.cdf(freedom + np.sqrt(2 * freedom) * normed, freedom))
+        """Compute the probability, shape (n,), that the error is not longer than this."""
+        degrees_of_freedom, sigma = self._degrees_of_freedom, np.sqrt(self.variance)
+        excess = length**2 - self.mean
+        normed = np.divide(excess, sigma, out=np.where(excess < 0, -np.inf, np.inf), where=sigma > 0)
+        return np.asarray(
+            chi2.cdf(degrees_of_freedom + np.sqrt(2 * degrees_of_freedom) * normed, degrees_of_freedom)
+        )
 
 
 def squared_length(errors: Sequence[tuple[Array, Distribution]], known: Array | None = None) -> SquaredLength:
-    """Of a known error (m, n) and independent ones (m, k, n) at their magnitudes, k of a spread at a time."""
+    """Compute the cumulants of squared error lengths.
+
+    Args:
+        errors: Independent errors at their magnitudes, shape (m, k, n), with their distributions.
+        known: Known error to add, shape (m, n); zero by default.
+
+    Returns:
+        The cumulants.
+    """
     m, _, n = errors[0][0].shape
     c = np.zeros((m, n)) if known is None else known
     S = np.zeros((m, m, n))
-    for u, spread in errors:
-        S += CUMULANTS[spread][0] * np.einsum("ikn,jkn->ijn", u, u)
+    for u, distribution in errors:
+        S += CUMULANTS[distribution][0] * np.einsum("ikn,jkn->ijn", u, u)
     S2 = np.einsum("ijn,jkn->ikn", S, S)
     mean = np.einsum("iin->n", S) + np.einsum("in,in->n", c, c)
     variance = 2 * np.einsum("iin->n", S2) + 4 * np.einsum("in,ijn,jn->n", c, S, c)
     third = 8 * np.einsum("ijn,jin->n", S2, S) + 24 * np.einsum("in,ijn,jn->n", c, S2, c)
-    for u, spread in errors:
-        _, k4, k6 = CUMULANTS[spread]
+    for u, distribution in errors:
+        _, k4, k6 = CUMULANTS[distribution]
         if k4:
             square = np.einsum("ikn,ikn->kn", u, u)
             variance += k4 * np.einsum("kn,kn->n", square, square)
@@ -67,7 +88,7 @@ def squared_length(errors: Sequence[tuple[Array, Distribution]], known: Array | 
 
 
 def pooled_quantile(lengths: Sequence[SquaredLength], coverage: float) -> float:
-    """What this share of the errors at all poses stays within, one pose as likely as another."""
+    """Compute the error length that this share of the errors at all poses does not exceed."""
     most = max(float(length.quantile(coverage).max()) for length in lengths)
     if most == 0:
         return 0.0
@@ -79,14 +100,16 @@ def pooled_quantile(lengths: Sequence[SquaredLength], coverage: float) -> float:
 
 
 TOTAL, LATERAL, NORMAL, AXIAL = [3, 4, 5], [4, 5], [3], [1, 2]
-"""Which components of a screw in tool axes make up the error: of position, across and along the approach, and
-of the direction of the approach."""
+"""Components of a screw in tool axes that make up each error.
+
+Total, lateral and normal are errors of position; axial is the error of the approach direction.
+"""
 PARTS: Final = (TOTAL, LATERAL, NORMAL, AXIAL)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bounds:
-    """What the errors at the tool stay within, pose by pose, (n,) each."""
+    """Bounds of the tool errors at each pose, shape (n,) each."""
 
     total_m: Array
     lateral_m: Array
@@ -95,34 +118,70 @@ class Bounds:
 
 
 def bounds(u: Array) -> Bounds:
-    """The bounds that follow from components (6, n), each plus or minus."""
+    """Compute the bounds from components.
+
+    Args:
+        u: Absolute errors [rad, m], shape (6, n).
+
+    Returns:
+        Bounds of each part of the error.
+    """
     return Bounds(*(np.linalg.norm(u[part], axis=0) for part in PARTS))
 
 
 def worst_case(u: Array) -> Array:
-    """All errors (sources, 6, 7, n) added: components (6, n). Paper equation 10."""
+    """Add all errors (paper equation 10).
+
+    Args:
+        u: Absolute errors [rad, m], shape (sources, 6, 7, n).
+
+    Returns:
+        Components [rad, m], shape (6, n).
+    """
     return np.asarray(u.sum(axis=(0, 2)))
 
 
 def root_sum_square(u: Array) -> Array:
-    """As if all were independent. Paper equation 11."""
+    """Combine all errors as independent (paper equation 11).
+
+    Args:
+        u: Absolute errors [rad, m], shape (sources, 6, 7, n).
+
+    Returns:
+        Components [rad, m], shape (6, n).
+    """
     return np.asarray(np.sqrt((u**2).sum(axis=(0, 2))))
 
 
 def paper_rule(u: Array, at_limit: Flags) -> Array:
-    """Frames added source by source; those at their limits added, the others root-sum-squared.
+    """Combine errors by the paper's rule (equations 12 and 13).
 
-    Paper equations 12 and 13, by the text: the root that is printed covers the added ones too.
+    Frames of a source are added. Sources at their limits are added, the others combined as root sum square.
+    This follows the text of the paper: its printed root covers the added sources too.
+
+    Args:
+        u: Absolute errors [rad, m], shape (sources, 6, 7, n).
+        at_limit: Flags of sources at their limits, shape (sources,).
+
+    Returns:
+        Components [rad, m], shape (6, n).
     """
     source = u.sum(axis=2)
     return np.asarray(source[at_limit].sum(axis=0) + np.sqrt((source[~at_limit] ** 2).sum(axis=0)))
 
 
 def shares(u: Array, at_limit: Flags) -> Array:
-    """What each source at each frame makes up of the total by the paper's rule, (sources, 7, n) in metres.
+    """Divide the total error by the paper's rule among sources and frames.
 
-    An added source makes up its own components; one under the root its square over the root. Components make
-    up the length of the error by their square over it. So the shares add up to the total.
+    An added source has the weight one; a source under the root has its own value over the root. A component
+    has the weight of its value over the length of the error. So the shares add up to the total.
+
+    Args:
+        u: Absolute errors [rad, m], shape (sources, 6, 7, n).
+        at_limit: Flags of sources at their limits, shape (sources,).
+
+    Returns:
+        Shares [m], shape (sources, 7, n).
     """
     source = u.sum(axis=2)
     root = np.sqrt((source[~at_limit] ** 2).sum(axis=0))
@@ -134,12 +193,21 @@ def shares(u: Array, at_limit: Flags) -> Array:
 
 
 def moments_rule(lengths: Sequence[SquaredLength], worst: Bounds, coverage: float) -> Bounds:
-    """What the errors stay within, with this probability: PARTS in order, at most the worst case."""
+    """Compute the bounds that hold with this probability, at most the worst case.
+
+    Args:
+        lengths: Distributions of squared lengths in the order of PARTS.
+        worst: Worst-case bounds.
+        coverage: Probability.
+
+    Returns:
+        The bounds.
+    """
     within = [length.quantile(coverage) for length in lengths]
     most = (getattr(worst, field.name) for field in fields(Bounds))
     return Bounds(*(np.minimum(a, b) for a, b in zip(within, most, strict=True)))
 
 
 def _divide(a: Array, b: Array) -> Array:
-    """A / b, or nothing where b is nothing."""
+    """Compute a / b, and 0 where b is 0."""
     return np.divide(a, b, out=np.zeros(np.broadcast_shapes(a.shape, b.shape)), where=b > 0)

@@ -1,4 +1,4 @@
-"""How often bounds hold, and by how much they are too wide, with the intervals that sampling leaves."""
+"""Confidence intervals for three-sigma accuracy, for the coverage of bounds, and for their width."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -16,7 +16,7 @@ NORMAL_QUANTILE: Final = float(norm.ppf(UPPER_CONFIDENCE))
 
 @dataclass(frozen=True, slots=True)
 class ThreeSigma:
-    """Three sigma of an error's length, and what it is at most, with 95 % confidence."""
+    """Three sigma of an error length, with its upper 95 % confidence bound."""
 
     estimate: float
     upper: float
@@ -24,19 +24,25 @@ class ThreeSigma:
 
 @dataclass(frozen=True, slots=True)
 class AccuracyEstimate:
-    """What arms are held to."""
+    """Accuracy and repeatability as arms are specified."""
 
     accuracy: ThreeSigma
-    """Of any arm, about nought."""
+    """Error of any arm about zero."""
     repeatability: ThreeSigma
-    """Of one arm, about its mean."""
+    """Error of one arm about its mean."""
 
 
 def estimate_accuracy(error: Array) -> AccuracyEstimate:
-    """Of errors (components, arms, errors an arm).
+    """Estimate accuracy and repeatability by a variance analysis between and within arms.
+
+    Args:
+        error: Errors in one unit, shape (components, arms, errors).
+
+    Returns:
+        Three-sigma values with upper confidence bounds.
 
     Raises:
-        ValueError: fewer than two arms, or than two errors of each.
+        ValueError: There are fewer than two arms, or fewer than two errors for each arm.
     """
     _, arms, each = error.shape
     if arms < 2 or each < 2:
@@ -45,7 +51,7 @@ def estimate_accuracy(error: Array) -> AccuracyEstimate:
     of_arm = error.mean(axis=2)
     between = _MeanSquare.of(np.sqrt(each) * (of_arm - mean[:, None]), arms - 1)
     within = _MeanSquare.of((error - of_arm[:, :, None]).reshape(len(error), -1), arms * (each - 1))
-    # |mean|^2 is too large by what is left of both variances in it
+    # |mean|^2 is biased upward by the variance of the mean
     about_nought = max(float(mean @ mean) - between.value / (arms * each), 0.0)
     parts = ((1 / each, between), (1 - 1 / each, within))
     total = sum(share * part.value for share, part in parts)
@@ -64,14 +70,14 @@ class _MeanSquare:
     degrees_of_freedom: float
 
     @staticmethod
-    def of(deviations: Array, freedom: int) -> "_MeanSquare":
-        """Of vectors (components, n) that are left with so many degrees of freedom."""
-        S = deviations @ deviations.T / freedom
+    def of(deviations: Array, degrees_of_freedom: int) -> "_MeanSquare":
+        """Compute the mean square of vectors (components, n) with these degrees of freedom."""
+        S = deviations @ deviations.T / degrees_of_freedom
         total, square = float(np.trace(S)), float(np.trace(S @ S))
-        return _MeanSquare(S, total, freedom * (total**2 / square if square > 0 else 1.0))
+        return _MeanSquare(S, total, degrees_of_freedom * (total**2 / square if square > 0 else 1.0))
 
     def above(self) -> float:
-        """From the mean square to the upper bound of what it estimates."""
+        """Compute the distance from the mean square to the upper bound of the variance."""
         return self.value * (
             self.degrees_of_freedom / float(chi2.ppf(1 - UPPER_CONFIDENCE, self.degrees_of_freedom)) - 1
         )
@@ -88,24 +94,34 @@ Interval = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """A bound, pose by pose, against the errors that were measured there."""
+    """Comparison of bounds with measured errors at the same poses."""
 
     share: float
-    """Of the errors that are within their bounds."""
+    """Share of errors within their bounds."""
     share_interval: Interval
     width: float
-    """Bound over the error that the wanted share stays within: 1 is just right, more is too wide."""
+    """Ratio of the bound to the error length that the wanted share does not exceed; above 1 is too wide."""
     width_interval: Interval
 
     def holds(self, wanted: float) -> bool:
-        """Whether so much coverage is within the sampling interval, or below it."""
+        """Return whether the wanted coverage is within the sampling interval or below it."""
         return self.share_interval[1] >= wanted
 
 
 def estimate_coverage(error: Array, bound: Array, wanted: float, arms: int) -> Coverage:
-    """Of errors and their bounds, (n,) each, from so many arms: errors of one arm are not independent.
+    """Estimate coverage and width of bounds.
 
-    Intervals count arms, not errors: exact for one error an arm, too wide for more.
+    Errors of one arm are not independent, so the intervals count arms: exact for one error an arm, too wide
+    for more.
+
+    Args:
+        error: Measured errors [m or rad], shape (n,).
+        bound: Bounds at the same poses, same unit, shape (n,).
+        wanted: Wanted coverage.
+        arms: Number of arms.
+
+    Returns:
+        Coverage and width with their intervals.
     """
     normed = error / bound
     share = float(np.mean(normed <= 1))
@@ -119,18 +135,24 @@ def estimate_coverage(error: Array, bound: Array, wanted: float, arms: int) -> C
 
 
 def min_sample_size(share: float) -> int:
-    """How many independent values say, with confidence, what the quantile of this share is at most."""
+    """Compute the number of independent values that bounds the quantile of this share from above."""
     return int(np.ceil(np.log((1 - CONFIDENCE) / 2) / np.log(share)))
 
 
 def quantile_interval(values: Array, share: float, count: int) -> Interval:
-    """Between which values the quantile of this share lies, by the ranks of `count` independent ones.
+    """Compute a confidence interval of a quantile from the ranks of independent values.
 
-    Infinity where there are too few to say.
+    Args:
+        values: Values, shape (n,).
+        share: Probability of the quantile.
+        count: Number of independent values.
+
+    Returns:
+        Lower and upper end; infinite if there are too few values.
     """
     tail = (1 - CONFIDENCE) / 2
     below, most = (int(binom.ppf(p, count, share)) for p in (tail, 1 - tail))
-    # so many values lie below it, at least and at most: of those in order the next one lies above it
+    # binomial bounds of the number of values below the quantile give the ranks of the interval
     low = float(np.quantile(values, (below - 1) / max(count - 1, 1))) if below > 0 else -np.inf
     high = float(np.quantile(values, most / (count - 1))) if most < count else np.inf
     return low, high

@@ -1,4 +1,4 @@
-"""Measured errors against the budget at their own poses: how often its bounds hold, and how wide they are."""
+"""Comparison of measured errors with the budget at the same poses: coverage, width, and additivity."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,35 +26,37 @@ from ground.accuracy.sources import BudgetCase, ErrorModel
 
 @dataclass(frozen=True, slots=True)
 class AdditivityCheck:
-    """A source that the paper's rule adds: what 99.73 % of the poses, or of the errors, stay within [m]."""
+    """Bounds of a source that the paper's rule adds, over 99.73 % of poses or of errors [m]."""
 
     source: str
     added_m: float
-    """Absolute components, frame by frame: what the rule adds."""
+    """Sum of absolute components over frames, as the rule adds them."""
     together_m: float
-    """Every frame at its limit, but with its sign: one number that is wrong for the whole arm."""
+    """Signed sum with every frame at its limit, as for one wrong number of the whole arm."""
     independent_m: float
-    """Every frame by itself, as far as its spread has it."""
+    """Bound for independent frames with the distribution of the source."""
 
 
 def check_additivity(
-    model: ErrorModel, case: BudgetCase, moved: Sequence[Sensitivity]
+    model: ErrorModel, case: BudgetCase, sensitivity: Sequence[Sensitivity]
 ) -> tuple[AdditivityCheck, ...]:
-    """Of the sources of a case that the rule adds, over the poses of all tools."""
+    """Check the sources that the paper's rule adds, over the poses of all tools."""
     return tuple(
-        _check_source(model, name, factor, moved)
+        _check_source(model, name, factor, sensitivity)
         for name, factor in case.sources.items()
         if model.source[name].at_limit
     )
 
 
 def _check_source(
-    model: ErrorModel, name: str, factor: float, moved: Sequence[Sensitivity]
+    model: ErrorModel, name: str, factor: float, sensitivity: Sequence[Sensitivity]
 ) -> AdditivityCheck:
     source = model.source[name]
-    added = [np.abs(factor * one.errors(source)[TOTAL]).sum(axis=1) for one in moved]
-    signed = [(factor * one.errors(source)[TOTAL]).sum(axis=1) for one in moved]
-    lengths = [squared_length([(factor * one.errors(source)[TOTAL], source.distribution)]) for one in moved]
+    added = [np.abs(factor * one.errors(source)[TOTAL]).sum(axis=1) for one in sensitivity]
+    signed = [(factor * one.errors(source)[TOTAL]).sum(axis=1) for one in sensitivity]
+    lengths = [
+        squared_length([(factor * one.errors(source)[TOTAL], source.distribution)]) for one in sensitivity
+    ]
     return AdditivityCheck(
         name,
         _covered_m(added),
@@ -67,16 +69,33 @@ def _covered_m(shifts: list[Array]) -> float:
     return float(np.quantile(np.linalg.norm(np.concatenate(shifts, axis=-1), axis=0), COVERAGE))
 
 
-def backlash_ratio(model: ErrorModel, moved: Sensitivity, gap: Array) -> Array:
-    """How far outputs in their gaps (5, n) move the tool, over the sum of what each can, (n,)."""
-    by_joint = moved.errors(model.source["backlash"])[TOTAL][:, : len(Joint)]
-    there = np.einsum("ikn,kn->in", by_joint, gap)
+def backlash_ratio(model: ErrorModel, sensitivity: Sensitivity, side: Array) -> Array:
+    """Compute the tool motion by backlash over the sum of the largest motions by each joint.
+
+    Args:
+        model: Error sources.
+        sensitivity: Sensitivity of the tool at each pose.
+        side: Positions of the outputs in their backlash, -1 and +1 at the flanks, shape (5, n).
+
+    Returns:
+        Ratios, shape (n,).
+    """
+    by_joint = sensitivity.errors(model.source["backlash"])[TOTAL][:, : len(Joint)]
+    motion = np.einsum("ikn,kn->in", by_joint, side)
     most = np.linalg.norm(np.abs(by_joint).sum(axis=1), axis=0)
-    return np.asarray(np.linalg.norm(there, axis=0) / most)
+    return np.asarray(np.linalg.norm(motion, axis=0) / most)
 
 
 def paper_rule_variants(u: Array, at_limit: Flags) -> dict[str, Array]:
-    """What the paper's rule says of errors (sources, 6, 7, n), were less of it adding: components (6, n)."""
+    """Combine errors by the paper's rule, and by variants that add less.
+
+    Args:
+        u: Absolute errors [rad, m], shape (sources, 6, 7, n).
+        at_limit: Flags of sources at their limits, shape (sources,).
+
+    Returns:
+        Components [rad, m] by name of the variant, shape (6, n).
+    """
     rooted = np.sqrt((u**2).sum(axis=2, keepdims=True))
     no_source = np.zeros_like(at_limit)
     return {
@@ -88,32 +107,32 @@ def paper_rule_variants(u: Array, at_limit: Flags) -> dict[str, Array]:
 
 
 ON_FLANK: Final = 0.999
-"""Of half a gap."""
+"""Smallest distance from the centre, as a share of half the backlash, that counts as on a flank."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoverageReport:
-    """What a Monte Carlo says of the budget."""
+    """Comparison of a Monte Carlo with the budget."""
 
     arms: int
     error: Mapping[str, Array]
-    """Of each of COMPONENTS, metres or radians, (n,)."""
+    """Errors of each of COMPONENTS, metres or radians, shape (n,)."""
     budget: Budget
-    """At the measured poses."""
+    """Budget at the measured poses."""
     percentile: Mapping[str, float]
-    """What 99.73 % of the errors stay within."""
+    """Error length that 99.73 % of the errors do not exceed."""
     percentile_interval: Mapping[str, Interval]
     by_rule: Mapping[str, Mapping[str, Coverage]]
-    """By rule and component, pose by pose."""
+    """Coverage by rule and component."""
     on_flank: Array
-    """Share of the moves after which each joint's output lies on a flank of its gap, (5,)."""
+    """Share of moves after which each output lies on a flank of its backlash, shape (5,)."""
     side: Array
-    """Mean side on which it lies, from -1 to 1, (5,)."""
+    """Mean position of each output in its backlash, from -1 to 1, shape (5,)."""
     backlash: tuple[float, float, float]
-    """How far backlash moved the tool over the sum of what it can at each joint: median, 95 %, most."""
+    """Ratios of `backlash_ratio`: median, 95 % quantile, maximum."""
     additivity: tuple[AdditivityCheck, ...]
     variant_totals_m: Mapping[str, float]
-    """The total by the paper's rule, and with less of it added: what 99.73 % of the poses stay within."""
+    """Total error by the paper's rule and by variants that add less, which holds at 99.73 % of the poses."""
 
 
 def check_coverage(
@@ -123,19 +142,24 @@ def check_coverage(
     gravity_R_m_s2: Array,
     trials: Sequence[Sequence[MeasuredPlacement]],
 ) -> CoverageReport:
-    """The judgement over all trials, one of each arm."""
+    """Compare the budget of a case with the trials, one trial for each arm."""
     by_tool = {tool: [m for trial in trials for m in trial if m.tool == tool] for tool in Tool}
     by_tool = {tool: found for tool, found in by_tool.items() if found}
-    moved = {tool: _tool_sensitivity(config, gravity_R_m_s2, tool, found) for tool, found in by_tool.items()}
+    sensitivity = {
+        tool: _tool_sensitivity(config, gravity_R_m_s2, tool, found) for tool, found in by_tool.items()
+    }
     budgets = {
-        tool: compute_tool_budget(model, model.case[case], _measured_poses(tool, found), moved[tool])
+        tool: compute_tool_budget(model, model.case[case], _measured_poses(tool, found), sensitivity[tool])
         for tool, found in by_tool.items()
     }
     error = bounds(np.array([m.error for found in by_tool.values() for m in found]).T)
     errors: dict[str, Array] = {name: getattr(error, name) for name in COMPONENTS}
-    gap = np.array([m.gap for found in by_tool.values() for m in found])
+    side = np.array([m.gap for found in by_tool.values() for m in found])
     sums = np.concatenate(
-        [backlash_ratio(model, moved[tool], np.array([m.gap for m in by_tool[tool]]).T) for tool in by_tool]
+        [
+            backlash_ratio(model, sensitivity[tool], np.array([m.gap for m in by_tool[tool]]).T)
+            for tool in by_tool
+        ]
     )
     return CoverageReport(
         arms=len(trials),
@@ -152,16 +176,16 @@ def check_coverage(
             }
             for rule in next(iter(budgets.values())).by_rule
         },
-        on_flank=np.mean(np.abs(gap) > ON_FLANK, axis=0),
-        side=gap.mean(axis=0),
+        on_flank=np.mean(np.abs(side) > ON_FLANK, axis=0),
+        side=side.mean(axis=0),
         backlash=(float(np.median(sums)), float(np.quantile(sums, 0.95)), float(sums.max())),
-        additivity=check_additivity(model, model.case[case], list(moved.values())),
-        variant_totals_m=_variant_totals_m(model, case, moved.values()),
+        additivity=check_additivity(model, model.case[case], list(sensitivity.values())),
+        variant_totals_m=_variant_totals_m(model, case, sensitivity.values()),
     )
 
 
-def _variant_totals_m(model: ErrorModel, case: str, moved: Iterable[Sensitivity]) -> dict[str, float]:
-    by_tool = [paper_rule_variants(*errors_by_source(model, model.case[case], one)) for one in moved]
+def _variant_totals_m(model: ErrorModel, case: str, sensitivity: Iterable[Sensitivity]) -> dict[str, float]:
+    by_tool = [paper_rule_variants(*errors_by_source(model, model.case[case], one)) for one in sensitivity]
     return {
         name: float(np.quantile(np.concatenate([bounds(u[name]).total_m for u in by_tool]), COVERAGE))
         for name in by_tool[0]

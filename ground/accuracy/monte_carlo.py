@@ -1,4 +1,4 @@
-"""The Monte Carlo as it is asked for on the command line."""
+"""Monte Carlo of arms as a request of the command line: jobs, checkpoints, and comparison with the budget."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
@@ -32,22 +32,25 @@ ArmKind = Literal["drawn", "calibrated", "as-built"]
 
 @dataclass(frozen=True, slots=True)
 class ArmJob:
-    """One arm of a Monte Carlo: by itself it gives the same as among others."""
+    """Job for one arm of a Monte Carlo; its result does not depend on other jobs."""
 
     case: str
     built: ArmKind
-    """drawn: the nominal arm with every source of the case. calibrated, as-built: an arm of that name with
-    those that it has not got itself."""
+    """Kind of arm.
+
+    drawn: the nominal arm with every source of the case. calibrated, as-built: an arm of that name, with the
+    sources that it does not have itself.
+    """
     places: int
     how: MoveMethod
     seed: int
     arm: int
     params: Params
-    """What flight software believes; of a calibrated arm, what its calibration was begun with."""
+    """Parameters of flight software; for a calibrated arm, those before its calibration."""
 
 
 def run_job(job: ArmJob) -> dict[str, Any]:
-    """What was measured on the arm, or why a move on it did not end, as a record for JSON."""
+    """Simulate and measure one arm; return a JSON record of the measurements or of the reason for failure."""
     model = load_error_model()
     case, seed = model.case[job.case], np.random.SeedSequence(job.seed, spawn_key=(job.arm,))
     try:
@@ -72,10 +75,13 @@ def _job_key(job: ArmJob) -> dict[str, Any]:
 def run_jobs(
     jobs: Sequence[ArmJob], runner: Runner, results: Checkpoint | None, progress: Progress
 ) -> list[dict[str, Any]]:
-    """The records of all jobs in their order; those that the file has already are not done again.
+    """Run all jobs that have no record in the results yet.
+
+    Returns:
+        The records of all jobs in their order.
 
     Raises:
-        BadRequest: an arm had other parameters when it was done.
+        BadRequest: A record was made with other parameters.
     """
     wanted = {job.arm: digest(job.params) for job in jobs}
     known = [] if results is None else [record for record in results.done if record["arm"] in wanted]
@@ -97,14 +103,20 @@ def run_jobs(
 
 
 def check_arm_record(record: dict[str, Any]) -> None:
-    """See that it is of an arm; KeyError, TypeError or ValueError if it is not."""
+    """Check that a record describes an arm.
+
+    Raises:
+        KeyError: A key is missing.
+        TypeError: A value has the wrong type.
+        ValueError: A value is wrong.
+    """
     if not isinstance(record["arm"], int) or not isinstance(record["params_sha256"], str):
         raise TypeError("arm and params_sha256 are a number and a digest")
     list(read_measurements(record))
 
 
 def read_measurements(record: dict[str, Any]) -> Iterator[MeasuredPlacement]:
-    """What a record of an arm tells."""
+    """Read the measurements of an arm from its record."""
     for place in record.get("places", ()):
         output, error, gap = (np.array(place[name]) for name in ("output_rad", "error", "gap"))
         yield MeasuredPlacement(Tool[record["tool"].upper()], output, error, gap)
@@ -118,13 +130,13 @@ def _measurement_record(measured: MeasuredPlacement) -> dict[str, Any]:
 ARMS: Final = (1, 1_000_000)
 PLACES: Final = (1, 1000)
 WORKERS: Final = (1, 1000)
-"""At least, at most."""
+"""Smallest and largest number."""
 SEED_FIELD: Final = "{seed}"
 
 
 @dataclass(frozen=True, slots=True)
 class MonteCarloRequest:
-    """What is asked."""
+    """Request for a Monte Carlo."""
 
     case: str = "accuracy"
     built: str = "drawn"
@@ -142,24 +154,25 @@ class MonteCarloRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MonteCarloReport:
-    """What came of it."""
+    """Result of a request for a Monte Carlo."""
 
     request: MonteCarloRequest
     model: ErrorModel
     trials: tuple[tuple[MeasuredPlacement, ...], ...]
-    """Of each arm whose moves all came to their end."""
+    """Measurements of each arm whose moves all succeeded."""
     failed: Mapping[int, str]
+    """Reason for failure by index of the arm."""
     coverage: CoverageReport | None
-    """None if there was no arm."""
+    """Comparison with the budget; None if no arm succeeded."""
     three_sigma: Mapping[str, AccuracyEstimate] | None
-    """Of each of COMPONENTS, where there are arms and places enough."""
+    """Accuracy of each of COMPONENTS; None if there are too few arms or placements."""
 
 
 def run_monte_carlo(request: MonteCarloRequest, progress: Progress) -> MonteCarloReport:
-    """Arms of a case, moved and measured, against the budget.
+    """Simulate and measure arms of a case, and compare them with the budget.
 
     Raises:
-        BadRequest: the request is wrong; nothing was moved or written.
+        BadRequest: The request is wrong; nothing was moved or written.
     """
     model = load_error_model()
     _check(request, model)
@@ -217,12 +230,12 @@ def _jobs(request: MonteCarloRequest) -> list[ArmJob]:
 
 
 def _has_arm_files(params: Path | None) -> bool:
-    """Whether every arm has a file of its own."""
+    """Return whether every arm has a parameter file of its own."""
     return params is not None and SEED_FIELD in str(params)
 
 
 def _results_header(request: MonteCarloRequest, jobs: list[ArmJob]) -> dict[str, Any]:
-    """What results depend on, but for how many arms there are: more can be added."""
+    """Collect all inputs of the results except the number of arms, so that arms can be added later."""
     sources = resources.files("ground.accuracy").joinpath("sources.toml").read_bytes()
     same = ("case", "built", "places", "how", "seed")
     return {

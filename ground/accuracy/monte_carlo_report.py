@@ -1,4 +1,4 @@
-"""The Monte Carlo as a page: errors against bounds, coverage, and what equation 13 takes for granted."""
+"""Report of a Monte Carlo: JSON document, tables, and a page with errors, coverage and additivity."""
 
 from dataclasses import asdict
 from math import degrees, isfinite
@@ -23,21 +23,24 @@ JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
 
 
 def monte_carlo_json(report: MonteCarloReport) -> dict[str, Any]:
-    """SI units; null is an end of an interval that so few arms do not tell."""
-    asked, found = report.request, report.coverage
+    """Convert the report to a JSON document in SI units.
+
+    An infinite end of an interval, which too few arms leave open, becomes null.
+    """
+    request, found = report.request, report.coverage
     return {
-        "case": asked.case,
-        "built": asked.built,
-        "how": asked.how,
-        "seed": asked.seed,
-        "places": asked.places,
+        "case": request.case,
+        "built": request.built,
+        "how": request.how,
+        "seed": request.seed,
+        "places": request.places,
         "arms": len(report.trials),
         "failed": {str(arm): why for arm, why in report.failed.items()},
         "judged": None if found is None else _judged_json(found),
         "three_sigma": None
         if report.three_sigma is None
         else {name: asdict(values) for name, values in report.three_sigma.items()},
-        "measured": _measured_json(report) if asked.only is not None else None,
+        "measured": _measured_json(report) if request.only is not None else None,
     }
 
 
@@ -81,7 +84,7 @@ def _interval_json(interval: Interval) -> list[float | None]:
 
 
 def monte_carlo_table(report: MonteCarloReport) -> None:
-    """Print coverage and width of every rule, what equation 13 takes for granted, and three sigma."""
+    """Print coverage and width of every rule, additivity, and three sigma."""
     console = plain_console()
     found = report.coverage
     if found is not None:
@@ -95,7 +98,7 @@ def monte_carlo_table(report: MonteCarloReport) -> None:
 
 
 def _print_rest(console: Console, report: MonteCarloReport) -> None:
-    """What did not come to its end, and where the files are."""
+    """Print failed arms and the paths of the files."""
     for arm, why in report.failed.items():
         console.print(f"arm {arm}: {why}")
     for what, path in (("results", report.request.results), ("report", report.request.report)):
@@ -104,7 +107,7 @@ def _print_rest(console: Console, report: MonteCarloReport) -> None:
 
 
 def rule_rows(found: CoverageReport) -> list[tuple[str, ...]]:
-    """Rule, component, what it says, coverage with its interval, and its width with that."""
+    """Build rows of rule, component, estimate, coverage with its interval, and width with its interval."""
     rows: list[tuple[str, ...]] = []
     for rule in RULES:
         for name in COMPONENTS:
@@ -128,7 +131,7 @@ RULE_HEAD: Final = ("rule", "", "estimate", "covers", "95 %", "width", "95 %")
 
 
 def percentile_sentence(found: CoverageReport) -> str:
-    """A sentence."""
+    """Describe the error lengths that 99.73 % of the errors do not exceed."""
     values = ", ".join(
         f"{name.rsplit('_', 1)[0]} {format_value(name, found.percentile[name])}" for name in COMPONENTS
     )
@@ -139,8 +142,8 @@ def percentile_sentence(found: CoverageReport) -> str:
 
 
 def _rules(report: MonteCarloReport, found: CoverageReport) -> Table:
-    asked = report.request
-    title = f"{asked.case}: {found.arms} arms, {asked.built}, {asked.how}. {percentile_sentence(found)}"
+    request = report.request
+    title = f"{request.case}: {found.arms} arms, {request.built}, {request.how}. {percentile_sentence(found)}"
     table = Table(title=title, title_justify="left")
     for k, name in enumerate(RULE_HEAD):
         table.add_column(name, justify="left" if k < 2 else "right")
@@ -153,7 +156,7 @@ ADDITIVITY_HEAD: Final = ("source", "added", "all with one sign", "each by itsel
 
 
 def additivity_row(one: AdditivityCheck) -> tuple[str, ...]:
-    """Of a source that equation 13 adds, in millimetres."""
+    """Build the row of a source that equation 13 adds, in millimetres."""
     return one.source, *(f"{1e3 * v:.2f} mm" for v in (one.added_m, one.together_m, one.independent_m))
 
 
@@ -167,7 +170,7 @@ def _additivity_table(found: CoverageReport) -> Table:
 
 
 def backlash_sentence(found: CoverageReport) -> str:
-    """Where outputs were found in their gaps, and what that does to the tool."""
+    """Describe the positions of outputs in their backlash and the resulting tool motion."""
     flank = ", ".join(f"{100 * share:.1f}" for share in found.on_flank)
     side = ", ".join(f"{value:+.2f}" for value in found.side)
     median, often, most = found.backlash
@@ -179,7 +182,7 @@ def backlash_sentence(found: CoverageReport) -> str:
 
 
 def additivity_sentence(found: CoverageReport) -> str:
-    """What of the paper's rule makes it wide."""
+    """Describe the effect of the additions on the total by the paper's rule."""
     values = "; ".join(f"{name} {1e3 * value:.1f} mm" for name, value in found.variant_totals_m.items())
     return f"Total by the rule and with less of it added: {values}."
 
@@ -188,7 +191,7 @@ SIGMA_HEAD: Final = ("three sigma", "of any arm", "at most", "of one arm", "at m
 
 
 def sigma_rows(report: MonteCarloReport) -> list[tuple[str, ...]]:
-    """Accuracy and repeatability with their upper bounds."""
+    """Build the rows of accuracy and repeatability with their upper bounds."""
     rows = []
     for name, values in (report.three_sigma or {}).items():
         both = (values.accuracy, values.repeatability)
@@ -207,7 +210,7 @@ def _three_sigma(report: MonteCarloReport) -> Table:
 
 
 def one_arm_table(report: MonteCarloReport) -> None:
-    """Print the errors of one arm, place by place."""
+    """Print the errors of one arm at each placement."""
     title = f"{report.request.case}: arm {report.request.only}, in tool axes"
     table = Table(title=title, title_justify="left")
     for name in ("tool", "x mm", "y mm", "z mm", "about y deg", "about z deg"):
@@ -228,13 +231,13 @@ def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
     """Write the page.
 
     Raises:
-        BadOutput: the file cannot be written.
+        BadOutput: The file cannot be written.
     """
-    asked, found = report.request, report.coverage
+    request, found = report.request, report.coverage
     parts = [
         paragraph(
-            f"Case {asked.case}: {len(report.trials)} arms, {asked.built}, {asked.places} places each, "
-            f"{asked.how}, seed {asked.seed}; {len(report.failed)} arms did not come to their places."
+            f"Case {request.case}: {len(report.trials)} arms, {request.built}, {request.places} places each, "
+            f"{request.how}, seed {request.seed}; {len(report.failed)} arms did not come to their places."
         )
     ]
     if found is not None:

@@ -1,4 +1,4 @@
-"""Two ways to move an arm to a place: plant and flight software, or where statics leave it."""
+"""Placements of a tool, with two move models: closed loop of plant and flight software, or statics."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -28,83 +28,94 @@ from sim.quasi_static import StaticArm, solve_quasi_static_move
 from sim.world import World
 
 START_OFFSET_RAD: Final = 0.05
-"""From where a move to a place begins, each joint to one side or the other: farther than any gap is wide."""
+"""Offset of the start of a move from its end, each joint to a random side; wider than any backlash."""
 LIMIT_MARGIN_RAD: Final = 0.01
-"""How far from the soft limits."""
+"""Distance of the start from the soft limits."""
 POSES_PER_PLACEMENT: Final = 20
-"""Times as many poses as places, of which places are picked at random."""
+"""Number of drawn poses for each placement, from which the placement is picked at random."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:
-    """Where a tool is to be, and how."""
+    """Commanded placement of a tool."""
 
     tool: Tool
     start_rad: Array
     output_rad: Array
     X_RT: Pose
     seed: int
-    """Of what the move leaves to chance."""
+    """Seed of the random errors of the move."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPlacement:
-    """By how much a tool misses its place."""
+    """Error of a tool at a placement."""
 
     tool: Tool
     output_rad: Array
-    """Of the commanded pose, (5,)."""
+    """Commanded joint angles, shape (5,)."""
     error: Array
-    """Screw in tool axes, from commanded to true, (6,); a turn about x is not commanded, and left out."""
+    """Screw [rad, m] from commanded to true pose in tool axes, shape (6,).
+
+    The rotation about x is not commanded, and is 0.
+    """
     gap: Array
-    """Where the outputs lie in their gaps: -1 and +1 are the flanks, (5,)."""
+    """Positions of the outputs in their backlash, -1 and +1 at the flanks, shape (5,)."""
 
 
 MoveModel = Callable[[Placement], tuple[Pose, Array]]
-"""From a place to where the tool came to rest, and to where the outputs lie in their gaps."""
+"""Function from a placement to the true tool pose and the positions of the outputs in their backlash."""
 
 
 def random_placements(
     params: Params, tool: Tool, count: int, seed: np.random.SeedSequence
 ) -> list[Placement]:
-    """Poses over workspace and branches, as flight software believes the arm to hang on Mars."""
+    """Draw placements over workspace and branches, with the gravity deflection known to flight software."""
     arm, gravity = build_arm(params), World().gravity_N_m_s2
     rng = np.random.default_rng(seed)
     poses = workspace_poses(arm, tool, gravity, POSES_PER_PLACEMENT * count, int(rng.integers(2**31)))
-    # neighbours are branches of one target
+    # neighbouring poses are branches of one target, so draw at random
     output = poses.output_rad[:, rng.choice(POSES_PER_PLACEMENT * count, count, replace=False)]
     X_RT = tool_pose(arm, settle_output(arm, output, gravity).frames, tool)
-    away = START_OFFSET_RAD * rng.choice([-1.0, 1.0], output.shape)
+    offset = START_OFFSET_RAD * rng.choice([-1.0, 1.0], output.shape)
     low, high = (
         limit[:, None] for limit in (arm.soft_min_rad + LIMIT_MARGIN_RAD, arm.soft_max_rad - LIMIT_MARGIN_RAD)
     )
-    start = np.clip(output + away, low, high)
+    start = np.clip(output + offset, low, high)
     seeds = rng.integers(2**31, size=count)
     return [Placement(tool, start[:, k], output[:, k], X_RT[k], int(seeds[k])) for k in range(count)]
 
 
-def measure_placements(moved: MoveModel, places: Sequence[Placement]) -> list[MeasuredPlacement]:
-    """What came of moves to these places."""
+def measure_placements(move: MoveModel, places: Sequence[Placement]) -> list[MeasuredPlacement]:
+    """Move to each placement and measure the error."""
     found = []
     for place in places:
-        X_RT, gap = moved(place)
+        X_RT, gap = move(place)
         found.append(MeasuredPlacement(place.tool, place.output_rad, error_in_tool(place.X_RT, X_RT), gap))
     return found
 
 
 def error_in_tool(commanded: Pose, true: Pose) -> Array:
-    """The screw from commanded to true in tool axes, (6,), without the turn about x."""
+    """Compute the tool error.
+
+    Args:
+        commanded: Commanded tool pose X_RT.
+        true: True tool pose X_RT.
+
+    Returns:
+        Screw [rad, m] from commanded to true pose in tool axes without the rotation about x, shape (6,).
+    """
     turn = true.R.T @ np.cross(commanded.R[:, 0], true.R[:, 0])
     return np.concatenate([turn, true.R.T @ (true.p - commanded.p)])
 
 
 def closed_loop_model(arm: BuiltArm, reference: Reference, backlash: BacklashMode) -> MoveModel:
-    """Plant and flight software, in free air.
+    """Build the move model of plant and flight software in free air.
 
-    The move raises RuntimeError if it does not come to its end.
+    The model raises RuntimeError if a move fails.
     """
 
-    def moved(place: Placement) -> tuple[Pose, Array]:
+    def move(place: Placement) -> tuple[Pose, Array]:
         loop = free_air_loop(Setup(arm, World(), joints5(place.start_rad), place.seed, reference))
         X_RT = place.X_RT
         command = MoveTool(place.tool, vector3(X_RT.p), vector3(X_RT.R[:, 0]), backlash=backlash)
@@ -115,24 +126,27 @@ def closed_loop_model(arm: BuiltArm, reference: Reference, backlash: BacklashMod
         X_RT = Pose(truth.R_RT[place.tool], truth.p_RoTo_R_m[place.tool])
         return X_RT, plant.gap_rad() / plant.half_gap_rad
 
-    return moved
+    return move
 
 
 def statics_model(arm: BuiltArm, backlash: BacklashMode) -> MoveModel:
-    """The equilibrium of the arm, its gears as the move leaves them; initialised without any error."""
+    """Build the move model of static equilibrium, with an initialisation without errors.
+
+    The gears have the wind-up and the side of the backlash that the move leaves.
+    """
     believed, true = configure(arm.params), configure(params_with_effects(arm.effects, _nominal_params()))
     static = StaticArm(believed, true, no_reference(believed), true.hardstop_rad - believed.hardstop_rad)
-    by_chance = [effect for effect in arm.effects if isinstance(effect, EachMove)]
+    random_effects = [effect for effect in arm.effects if isinstance(effect, EachMove)]
     gravity = World().gravity_N_m_s2
 
-    def moved(place: Placement) -> tuple[Pose, Array]:
-        scatter = draw_move_disturbance(by_chance, move_rng(hardware_rng(place.seed)))
+    def move(place: Placement) -> tuple[Pose, Array]:
+        disturbance = draw_move_disturbance(random_effects, move_rng(hardware_rng(place.seed)))
         settled = solve_quasi_static_move(
-            static, place.start_rad, place.output_rad, place.tool, gravity, backlash, scatter
+            static, place.start_rad, place.output_rad, place.tool, gravity, backlash, disturbance
         )
         return settled.X_RT, settled.gap_rad / true.half_gap_rad
 
-    return moved
+    return move
 
 
 @cache

@@ -1,4 +1,4 @@
-"""The magnitudes that would make our budget the paper's: as small a change of the assumed ones as will do."""
+"""Search for magnitudes that reproduce the paper's budget, with the smallest change of the assumed ones."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ Component = Literal["total_m", "lateral_m", "normal_m", "axial_rad"]
 
 @dataclass(frozen=True, slots=True)
 class PaperRow:
-    """One row; plus or minus, in metres or radians."""
+    """Row of a table of the paper; plus or minus, in metres or radians."""
 
     name: str
     case: str
@@ -55,32 +55,32 @@ TABLE_4: Final = _paper_rows(
 
 POSES_A_TOOL: Final = 300
 ROW_TOLERANCE: Final = 0.01
-"""A row that is off by this share counts as much as a magnitude that changes by a factor of e."""
+"""A relative error of a row by this share costs as much as a change of a magnitude by a factor of e."""
 
 SourcePart = tuple[str, str]
-"""Of which source, and which part of its magnitudes."""
+"""Name of a source, and name of a part of its magnitudes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MagnitudeFit:
-    """By what the magnitudes are multiplied, and what the rows are then."""
+    """Factors of the magnitudes, with the rows that they give."""
 
     factor: Mapping[SourcePart, float]
     magnitude: Mapping[SourcePart, tuple[float, str]]
-    """The largest of each part, as it would be, and its unit."""
+    """Largest changed magnitude of each part, with its unit."""
     rows: tuple[tuple[PaperRow, float], ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Terms:
-    """A case as a sum: errors (6, n) by source, those of its parts apart."""
+    """Errors (6, n) of a case by source, with separate terms for the parts that may change."""
 
     fixed: Mapping[str, Array]
     part: Mapping[SourcePart, Array]
     at_limit: Mapping[str, bool]
 
     def components(self, factor: Mapping[SourcePart, float]) -> Array:
-        """By the paper's rule, (6, n)."""
+        """Combine the errors by the paper's rule, shape (6, n)."""
         u = {name: fixed.copy() for name, fixed in self.fixed.items()}
         for (name, part), term in self.part.items():
             u[name] += factor[name, part] * term
@@ -91,14 +91,14 @@ class _Terms:
 def reproduce(
     model: ErrorModel, rows: tuple[PaperRow, ...], config: Config, gravity_R_m_s2: Array, seed: int
 ) -> MagnitudeFit:
-    """The change of magnitudes that meets these rows; sourced magnitudes stay."""
-    moved = [
+    """Find the magnitudes that reproduce these rows; magnitudes from documents stay unchanged."""
+    sensitivity = [
         compute_sensitivity(
             config, workspace_poses(config.arm, tool, gravity_R_m_s2, POSES_A_TOOL, seed), gravity_R_m_s2
         )
         for tool in Tool
     ]
-    terms = {name: _terms(model, name, moved) for name in {row.case for row in rows}}
+    terms = {name: _terms(model, name, sensitivity) for name in {row.case for row in rows}}
     parts = list(dict.fromkeys(part for case in terms.values() for part in case.part))
 
     def values(x: Array) -> Array:
@@ -106,9 +106,9 @@ def reproduce(
         found = {name: bounds(case.components(factor)) for name, case in terms.items()}
         return np.array([np.quantile(getattr(found[row.case], row.component), COVERAGE) for row in rows])
 
-    wanted = np.array([row.estimated for row in rows])
+    targets = np.array([row.estimated for row in rows])
     fit = least_squares(
-        lambda x: np.concatenate([np.log(values(x) / wanted) / ROW_TOLERANCE, x]), np.zeros(len(parts))
+        lambda x: np.concatenate([np.log(values(x) / targets) / ROW_TOLERANCE, x]), np.zeros(len(parts))
     )
     factor = dict(zip(parts, np.exp(fit.x).tolist(), strict=True))
     return MagnitudeFit(
@@ -118,24 +118,24 @@ def reproduce(
     )
 
 
-def _terms(model: ErrorModel, name: str, moved: list[Sensitivity]) -> _Terms:
+def _terms(model: ErrorModel, name: str, sensitivity: list[Sensitivity]) -> _Terms:
     fixed, part = {}, {}
     sources = model.case[name].sources
     for source, factor in sources.items():
         parts = _parts(model.source[source])
-        whole = factor * _over_frames(moved, model.source[source])
+        whole = factor * _over_frames(sensitivity, model.source[source])
         fixed[source] = np.zeros_like(whole) if parts else whole
         for which, only in parts.items():
-            part[source, which] = factor * _over_frames(moved, only)
+            part[source, which] = factor * _over_frames(sensitivity, only)
     return _Terms(fixed, part, {source: model.source[source].at_limit for source in sources})
 
 
-def _over_frames(moved: list[Sensitivity], source: ErrorSource) -> Array:
-    return np.concatenate([one.errors_by_frame(source).sum(axis=1) for one in moved], axis=-1)
+def _over_frames(sensitivity: list[Sensitivity], source: ErrorSource) -> Array:
+    return np.concatenate([one.errors_by_frame(source).sum(axis=1) for one in sensitivity], axis=-1)
 
 
 def _parts(source: ErrorSource) -> dict[str, ErrorSource]:
-    """A source that is not from a document, in parts: turns and shifts, of the arm and of the tool frame."""
+    """Split a source without a document into rotations and translations, of the arm and of the tool frame."""
     if source.relative_to != "frames" or source.label == "S":
         return {}
     arm = tuple(frame for frame in Frame if frame is not Frame.TOOL)

@@ -1,7 +1,6 @@
-"""What makes a tool be elsewhere than it should: the sources of error as data, and the cases they make up.
+"""Error sources of a tool as data, and cases that combine them (paper, Tables 2 and 4).
 
-Paper, Tables 2 and 4. A magnitude is what an error stays within, plus or minus; its spread says how it lies
-in there.
+An error stays within plus or minus its magnitude; its distribution describes it there.
 """
 
 import tomllib
@@ -24,7 +23,10 @@ CUMULANTS: Final[dict[Distribution, tuple[float, float, float]]] = {
     "uniform": (1 / 3, -2 / 15, 16 / 63),
     "either side": (1.0, -2.0, 16.0),
 }
-"""Second, fourth and sixth, of magnitude 1: three sigma, anywhere within, at one end or the other."""
+"""Second, fourth and sixth cumulants for magnitude 1.
+
+The magnitude is three sigma (normal), the half width (uniform), or one of two values (either side).
+"""
 
 EffectName = Literal[
     "frame error", "frame play", "servo error", "windup", "hardstop angle", "backlash", "stiffness", "warming"
@@ -35,7 +37,7 @@ FrameName = Literal["arm1", "arm2", "arm3", "arm4", "arm5", "arm6", "tool"]
 
 @dataclass(frozen=True, slots=True)
 class FrameMagnitude:
-    """An error of some frames, in their own axes."""
+    """Magnitude of an error of some frames, in their own axes."""
 
     frames: tuple[FrameName, ...]
     rotation_mrad: Vector3 = (0.0, 0.0, 0.0)
@@ -44,38 +46,41 @@ class FrameMagnitude:
 
 @dataclass(frozen=True, slots=True)
 class ErrorSource:
-    """One source of error."""
+    """Error source with its magnitude and distribution."""
 
     kind: Literal["systematic", "random"]
     text: str
     label: Literal["S", "I", "A"]
-    """Where the magnitude comes from: a public document, inferred, assumed."""
+    """Origin of the magnitude: a public document (S), inferred (I), assumed (A)."""
     basis: str
     distribution: Distribution
     effect: EffectName
-    """How it acts in the plant."""
+    """Kind of effect in the plant."""
     at_limit: bool = False
-    """Whether it may well lie at the end of its range: added, not root-sum-squared (paper equation 13)."""
+    """True if the error may be at the end of its range, so that it is added (paper equation 13)."""
     relative_to: Literal["frames", "load", "temperature"] = "frames"
-    """What the error is a share of: nothing, the deflection under the load, the growth over a warming."""
+    """Reference of the magnitude: none, the deflection under load, or the expansion by warming."""
     at: tuple[FrameMagnitude, ...] = ()
     share: float = 0.0
     warming_K: float = 0.0
 
     @property
     def theta(self) -> Array:
-        """Magnitudes (6, 7) at the frames: turns [rad], then shifts [m]; zero for a share of something."""
+        """Compute the magnitudes at the frames, rotations [rad] above translations [m], shape (6, 7).
+
+        They are zero for a source relative to load or temperature.
+        """
         theta = np.zeros((6, len(Frame)))
-        for place in self.at:
-            for name in place.frames:
-                theta[:3, Frame[name.upper()]] += np.array(place.rotation_mrad) * 1e-3
-                theta[3:, Frame[name.upper()]] += np.array(place.translation_mm) * 1e-3
+        for magnitude in self.at:
+            for name in magnitude.frames:
+                theta[:3, Frame[name.upper()]] += np.array(magnitude.rotation_mrad) * 1e-3
+                theta[3:, Frame[name.upper()]] += np.array(magnitude.translation_mm) * 1e-3
         return theta
 
 
 @dataclass(frozen=True, slots=True)
 class BudgetCase:
-    """Which sources count, and how many times their magnitude."""
+    """Sources of a case, with factors of their magnitudes."""
 
     text: str
     sources: Mapping[str, float]
@@ -83,19 +88,19 @@ class BudgetCase:
 
 @dataclass(frozen=True, slots=True)
 class ErrorModel:
-    """All sources and all cases."""
+    """All error sources and all cases."""
 
     source: Mapping[str, ErrorSource]
     case: Mapping[str, BudgetCase]
 
 
 def is_compensated(backlash: float) -> bool:
-    """Whether flight software allows for backlash, of which so much is left."""
+    """Return whether flight software compensates backlash, given the factor of the source."""
     return backlash < 1
 
 
 def load_error_model() -> ErrorModel:
-    """The sources and cases of the house."""
+    """Load the error sources and cases of the project."""
     text = resources.files("ground.accuracy").joinpath("sources.toml").read_text(encoding="utf-8")
     model: ErrorModel = TypeAdapter(ErrorModel).validate_python(tomllib.loads(text))
     return model

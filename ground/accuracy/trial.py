@@ -1,4 +1,4 @@
-"""One arm of a Monte Carlo: its errors drawn, moved to places of the workspace, measured at the tool."""
+"""Trial of one arm of a Monte Carlo: sample its errors, move it to placements, measure at the tool."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -31,13 +31,13 @@ from sim.effects.structure import LinkStiffness
 from sim.initialisation import RANDOM_TEMPERATURE_C, initial_reference, true_reference
 
 Z_TURN = 2
-"""Of a screw: the turn about z."""
+"""Index of the rotation about z in a screw."""
 
 
 def sample_effects(
     model: ErrorModel, case: BudgetCase, tool: Tool, rng: np.random.Generator
 ) -> tuple[Effect, ...]:
-    """An arm with all sources of a case at their magnitudes; errors of tool frames are this tool's."""
+    """Sample an arm with all sources of a case; errors of tool frames apply to this tool."""
     effects: list[Effect] = []
     for name, factor in case.sources.items():
         effects.extend(sample_source(model.source[name], factor, tool, rng))
@@ -47,9 +47,9 @@ def sample_effects(
 def sample_source(
     source: ErrorSource, factor: float, tool: Tool, rng: np.random.Generator
 ) -> Iterator[Effect]:
-    """One source at so many times its magnitude.
+    """Sample the effects of one source with a factor of its magnitude.
 
-    A gap that nothing allows for is as it is; where one is allowed for, its width is off by this share.
+    Backlash without compensation keeps its width. With compensation, the factor is the error of the width.
     """
     theta, share = factor * source.theta, factor * source.share
     match source.effect:
@@ -71,21 +71,32 @@ def sample_source(
             shift = theta[Z_TURN, : len(Joint)] * sample_errors(source.distribution, len(Joint), rng)
             yield from (HardstopAngle(joint, float(shift[joint])) for joint in Joint)
         case "backlash":
-            wider = 1 + factor * sample_errors(source.distribution, len(Joint), rng) * is_compensated(factor)
-            yield from (BacklashWidth(joint, float(wider[joint])) for joint in Joint)
+            width_factor = 1 + factor * sample_errors(source.distribution, len(Joint), rng) * is_compensated(
+                factor
+            )
+            yield from (BacklashWidth(joint, float(width_factor[joint])) for joint in Joint)
         case "stiffness":
-            stiffer = 1 / (1 + share * sample_errors(source.distribution, len(Joint), rng))
+            stiffness_factor = 1 / (1 + share * sample_errors(source.distribution, len(Joint), rng))
             for joint in Joint:
-                yield LinkStiffness(Frame(joint), float(stiffer[joint]))
-                yield GearStiffness(joint, float(stiffer[joint]))
+                yield LinkStiffness(Frame(joint), float(stiffness_factor[joint]))
+                yield GearStiffness(joint, float(stiffness_factor[joint]))
         case "warming":
             warming_K = share * source.warming_K * sample_errors(source.distribution, len(Frame), rng)
             yield from (LinkWarming(frame, float(warming_K[frame]), _tool_of(frame, tool)) for frame in Frame)
 
 
-def sample_errors(spread: Distribution, count: int, rng: np.random.Generator) -> Array:
-    """Errors of magnitude 1."""
-    match spread:
+def sample_errors(distribution: Distribution, count: int, rng: np.random.Generator) -> Array:
+    """Sample errors of magnitude 1.
+
+    Args:
+        distribution: Distribution of the errors.
+        count: Number of errors.
+        rng: Random generator.
+
+    Returns:
+        Errors, shape (count,).
+    """
+    match distribution:
         case "normal":
             return rng.standard_normal(count) / 3
         case "uniform":
@@ -104,7 +115,7 @@ def _tool_of(frame: Frame, tool: Tool) -> Tool | None:
 
 MoveMethod = Literal["closed-loop", "statics"]
 ARM_SOURCES: Final = ("assembly", "calibration", "deflection", "zero_offset", "backlash")
-"""Sources that an arm has which was built, calibrated and initialised."""
+"""Sources that a built, calibrated and initialised arm has itself."""
 
 
 def run_sampled_trial(
@@ -115,23 +126,23 @@ def run_sampled_trial(
     how: MoveMethod,
     seed: np.random.SeedSequence,
 ) -> list[MeasuredPlacement]:
-    """An arm of a case, drawn from this seed, at so many places.
+    """Sample an arm of a case and measure it at random placements.
 
     Raises:
-        RuntimeError: a move in the closed loop did not come to its end.
+        RuntimeError: A move in the closed loop failed.
     """
-    draw, own = seed.spawn(2)
-    rng = np.random.default_rng(draw)
+    sample_seed, placement_seed = seed.spawn(2)
+    rng = np.random.default_rng(sample_seed)
     tool = Tool(int(rng.integers(len(Tool))))
     effects = sample_effects(model, case, tool, rng)
     backlash: BacklashMode = "on" if is_compensated(case.sources.get("backlash", 0.0)) else "off"
     arm = BuiltArm("drawn", effects, params)
-    moved = (
+    move = (
         statics_model(arm, backlash)
         if how == "statics"
         else closed_loop_model(arm, _exact_reference(arm), backlash)
     )
-    return measure_placements(moved, random_placements(params, tool, places, own))
+    return measure_placements(move, random_placements(params, tool, places, placement_seed))
 
 
 def run_built_trial(
@@ -143,27 +154,29 @@ def run_built_trial(
     how: MoveMethod,
     seed: np.random.SeedSequence,
 ) -> list[MeasuredPlacement]:
-    """An arm with errors of its own, initialised at its hardstops, in the cold, with what the case adds.
+    """Measure a built arm at random placements.
+
+    The arm has errors of its own and those that the case adds. It was initialised at its hardstops.
 
     Raises:
-        RuntimeError: it was not initialised, or a move in the closed loop did not come to its end.
+        RuntimeError: The arm was not initialised, or a move in the closed loop failed.
     """
-    draw, own = seed.spawn(2)
-    rng = np.random.default_rng(draw)
+    sample_seed, placement_seed = seed.spawn(2)
+    rng = np.random.default_rng(sample_seed)
     tool = Tool(int(rng.integers(len(Tool))))
     added = {name: factor for name, factor in case.sources.items() if name not in ARM_SOURCES}
     cold = Ambient(float(rng.uniform(*RANDOM_TEMPERATURE_C)))
     arm = arm_named(name, params)
     effects = (cold, *sample_effects(model, replace(case, sources=added), tool, rng))
-    there = replace(arm, effects=(*arm.effects, *effects))
-    moved = (
-        statics_model(there, "on")
+    tested = replace(arm, effects=(*arm.effects, *effects))
+    move = (
+        statics_model(tested, "on")
         if how == "statics"
-        else closed_loop_model(there, initial_reference(arm), "on")
+        else closed_loop_model(tested, initial_reference(arm), "on")
     )
-    return measure_placements(moved, random_placements(arm.params, tool, places, own))
+    return measure_placements(move, random_placements(arm.params, tool, places, placement_seed))
 
 
 def _exact_reference(arm: BuiltArm) -> Reference:
-    """Zeros as a faultless initialisation would find them, gaps as the parameters have them."""
+    """Build the reference of an initialisation without errors, with the nominal backlash."""
     return replace(true_reference(arm), half_gap_rad=configure(arm.params).half_gap_rad)

@@ -112,7 +112,7 @@ def arm_with_values(nominal: Arm, x: Array, stand_in: bool) -> tuple[Arm, Pose]:
     Args:
         nominal: Nominal arm.
         x: Parameter values, shape (p,), in the units of `arm_parameters`.
-        stand_in: Whether a stand-in turret is mounted. Its mass was weighed and is not changed.
+        stand_in: True if a stand-in turret is mounted. Its mass was weighed and is not changed.
 
     Returns:
         The arm, and X_RD, the frame in which it is mounted: the rover frame displaced by Arm1.

@@ -61,7 +61,7 @@ def calibrate(nominal: Params, campaign: Campaign, with_backlash: bool = True) -
     Args:
         nominal: Nominal parameters of flight software.
         campaign: Measured poses.
-        with_backlash: Whether the model uses the state of the backlash.
+        with_backlash: True if the model uses the state of the backlash.
 
     Returns:
         The calibration.

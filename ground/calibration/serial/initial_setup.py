@@ -44,7 +44,8 @@ def estimate_setup(arm: SerialArm, series: PoseSeries) -> TrackerSetup:
         raise SetupNotFound(
             f"the target does not turn as the arm's flange does: half of the poses are off by "
             f"{np.degrees(np.median(rotation_error_rad)):.1f} deg or more; "
-            "see that angles have their units, rotations the order that the tracker means, and joints the arm's names and signs"
+            "see that angles have their units, rotations the order "
+            "that the tracker means, and joints the arm's names and signs"
         )
     setup = _solve_translations(series, X_BF, R_TB, R_FM)
     position_error_m = norm(series.X_TM.p - _target_poses(setup, X_BF).p)

@@ -40,7 +40,7 @@ class SerialRequest:
     share: float = 0.5
     """Share of the poses to fit, from the first in time; the others validate."""
     nested: bool = False
-    """Whether to fit term by term."""
+    """Fit term by term."""
     out: Path | None = None
     picture: Path | None = None
 

@@ -142,7 +142,7 @@ def _values(table: InputTable, quantity: QuantityColumns | RotationColumns, kind
         missing = np.flatnonzero(~column.given | ~np.isfinite(values))
         if missing.size:
             what = "has no value; leave poses out of the table whose joints or target were not measured"
-            raise table.wrong(what, int(missing[0]), name)
+            raise table.error_at(what, int(missing[0]), name)
         rows.append(values * unit.factor + unit.offset)
     return np.array(rows)
 
@@ -160,4 +160,4 @@ def _check_stale(table: InputTable, joint_rad: Array, measured: Array, column: s
             "move: "
             "the tracker had lost it; leave these rows out"
         )
-        raise table.wrong(what, row, column)
+        raise table.error_at(what, row, column)
