@@ -72,7 +72,7 @@ def solve_fixed_point(
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
         start_rad: Output angles of the orthogonal arm's roots, shape (5, n).
         fold_distance: Distance of these roots from the nearest fold, in m or as a unitless sine, shape (n,).
-        selected: Flags of the roots to solve, shape (n,).
+        selected: Boolean flags of the roots to solve, shape (n,).
 
     Returns:
         The roots of the real arm.

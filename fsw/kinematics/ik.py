@@ -1,9 +1,10 @@
 """Inverse kinematics of the arm for a position and an approach: every branch of a target.
 
-The closed form gives the roots of the square rigid arm. Where the arm is not square, or hangs under
-gravity, aiming off leads from each of them to the root of the real arm; targets close to a singularity,
-where roots meet, part or multiply, are scanned instead. Every root is checked by forward kinematics, and
-only limits reject a root.
+The result has for every branch its joint angles, or the reason that it has none. The closed form gives the
+roots of the orthogonal rigid arm. If the arm is not orthogonal, or deflects under gravity, the fixed-point
+iteration leads from each of them to the root of the real arm. Close to a singularity, roots meet, part or
+multiply. A grid search finds the roots of such targets. Forward kinematics checks every root. Only limits
+reject a root.
 """
 
 from collections.abc import Iterator
@@ -43,132 +44,76 @@ from fsw.kinematics.soft_limits import (
 from fsw.kinematics.task import ROOT_TOLERANCE, task_error
 from fsw.kinematics.transforms import Array, Flags, Integers
 
+NEGLIGIBLE_M: Final = 1e-6
+"""A target out of reach by less than this is at the edge of reach."""
+ROUNDED_M: Final = 1e-10
+"""The same bound for rounding, to be divided by the sine of the wrist.
+
+The smaller the sine, the more the wrist turns for the same error.
+"""
+CHUNK: Final = 4096
+"""Targets per chunk of the fixed-point iteration, to bound the memory."""
+EXACT_CHUNK: Final = 256
+"""Targets per chunk of the closed form alone; chosen for the processor cache."""
+SEARCH_CHUNK: Final = 1024
+"""Targets per chunk of the grid search, to bound the memory."""
+SINGULAR_JOINTS: Final = np.array([Joint.AZIMUTH, Joint.ELBOW, Joint.WRIST])
+"""Joints of the folds, in the order of fold_distances."""
+
 
 class BranchVerdict(IntEnum):
-    """Why a branch is in or out."""
+    """Verdict on a slot: a valid root, or the reason that there is none."""
 
     VALID = 0
     OUTSIDE_LIMITS = 1
     OUT_OF_REACH = 2
     SINGULAR = 3
-    """At a singularity of the rigid arm: a family of poses, or on the real arm no pose at all."""
+    """At a singularity of the rigid arm: a family of poses, or no pose of the real arm."""
     NOT_CONVERGED = 4
     ABSENT = 5
-    """A slot for a further root of a branch that has none."""
+    """Slot for a further root of a branch that has none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IkResult:
-    """The branches of each target, batch axes trailing.
+    """Branches of each target, batch axes trailing.
 
-    The first eight slots are in the order of BRANCHES; a root has the slot of the square arm's root that it
-    belongs to. Very close to singularities a branch of the real arm may have several roots; batches in which
-    that happens have eight slots more for the second roots, and so on.
+    The first eight slots are in the order of BRANCHES. A root has the slot of the orthogonal arm's root to
+    which it belongs. Very close to singularities a branch of the real arm may have several roots. A batch
+    with such targets has eight more slots for the second roots, and so on.
     """
 
     output_rad: Array
-    """(5, slots, ...), in the turn that the limits allow; NaN where there is no root, and where one of an arm
-    that hangs or is not square is so far outside the limits that it was not followed."""
+    """Output angles, (5, slots, ...), with the whole turns that the limits allow.
+
+    NaN if there is no root, or if a root of the real arm is so far outside the limits that it was not
+    followed.
+    """
     torque_Nm: Array
-    """(5, slots, ...), of gravity on each output; 0 for the rigid arm."""
+    """Torque of gravity on each output, (5, slots, ...); 0 for the rigid arm."""
     verdict: Integers
-    """(slots, ...), of Verdict."""
+    """Values of BranchVerdict, (slots, ...)."""
     joint: Integers
-    """(slots, ...), of Joint: the one farthest beyond its limit (OUTSIDE_LIMITS) or at fault (SINGULAR)."""
+    """Values of Joint, (slots, ...).
+
+    The joint farthest beyond its limit (OUTSIDE_LIMITS), or the joint of the fold (SINGULAR).
+    """
     excess: Array
-    """(slots, ...): radians over the limit, metres out of reach, or distance from the singularity in metres
-    (AZIMUTH) or as a sine; otherwise 0."""
+    """Measure of the verdict, (slots, ...): rad over the limit, m out of reach, or distance from the
+    singularity.
+
+    That distance is in m (AZIMUTH) or a sine. All other verdicts have 0.
+    """
     error: Array
-    """(slots, ...): forward check, the largest component of position error [m] and axis error [rad]; NaN
-    without angles."""
+    """Largest component of position error [m] and axis error [rad] in the forward check, (slots, ...).
 
-
-def pad_result(answers: IkResult, slots: int) -> IkResult:
-    """The answers to targets (n,) with at least so many slots."""
-    return IkResult(
-        output_rad=pad_slots(answers.output_rad, slots, np.nan),
-        torque_Nm=pad_slots(answers.torque_Nm, slots, 0.0),
-        verdict=pad_slots(answers.verdict, slots, int(BranchVerdict.ABSENT)),
-        joint=pad_slots(answers.joint, slots, 0),
-        excess=pad_slots(answers.excess, slots, 0.0),
-        error=pad_slots(answers.error, slots, np.nan),
-    )
-
-
-def concatenate_results(pieces: list[IkResult]) -> IkResult:
-    """The answers to the targets (n,) of all pieces, one after the other."""
-    slots = max(piece.verdict.shape[0] for piece in pieces)
-    return concatenate_records([pad_result(piece, slots) for piece in pieces])
-
-
-def replace_results(answers: IkResult, where: NDArray[np.intp], others: IkResult) -> IkResult:
-    """The answers to targets (n,), with others (k,) in the place of those `where`."""
-    slots = max(answers.verdict.shape[0], others.verdict.shape[0])
-    return replace_targets(pad_result(answers, slots), where, pad_result(others, slots))
-
-
-def select_result(answers: IkResult, index: int) -> IkResult:
-    """The answers to one target of a batch (n,)."""
-    return select_targets(answers, index)
-
-
-def describe_slot(arm: Arm, answers: IkResult, slot: int) -> str:
-    """The sentence about one slot of a single target."""
-    return f"{slot_name(slot)}: {_describe_verdict(arm, answers, slot)}"
-
-
-def _describe_verdict(arm: Arm, answers: IkResult, slot: int) -> str:
-    verdict, excess = BranchVerdict(int(answers.verdict[slot])), float(answers.excess[slot])
-    match verdict:
-        case BranchVerdict.VALID:
-            return "valid"
-        case BranchVerdict.OUTSIDE_LIMITS:
-            joint = Joint(int(answers.joint[slot]))
-            angle = float(answers.output_rad[joint, slot])
-            return (
-                describe_estimated_outside(arm, joint, excess)
-                if np.isnan(angle)
-                else describe_outside(arm, joint, angle)
-            )
-        case BranchVerdict.OUT_OF_REACH:
-            return f"out of reach by {format_digits(excess, 3)} m"
-        case BranchVerdict.SINGULAR:
-            return _describe_singularity(Joint(int(answers.joint[slot])), excess)
-        case BranchVerdict.NOT_CONVERGED:
-            return f"no answer found, {answers.error[slot]:.2g} left"
-        case BranchVerdict.ABSENT:
-            return "no further root"
-
-
-def _describe_singularity(joint: Joint, distance: float) -> str:
-    angle_deg = np.degrees(np.arcsin(min(distance, 1.0)))
-    match joint:
-        case Joint.AZIMUTH:
-            what, near = "the turret axis is abreast of the azimuth axis", f"{distance:.3f} m"
-        case Joint.ELBOW:
-            what, near = "the elbow is straight or folded", f"{angle_deg:.2f} deg"
-        case _ if distance < FREE_SINE:
-            return "singular, the approach is parallel to the pitch axes and the wrist pitch is free"
-        case _:
-            what, near = "the approach is parallel to the pitch axes", f"{angle_deg:.2f} deg"
-    return f"singular, no pose: {what}, to within {near}"
-
-
-NEGLIGIBLE_M: Final = 1e-6
-ROUNDED_M: Final = 1e-10
-"""A target out of reach by less than the one, and the other over the wrist's sine, is at the edge of reach,
-within rounding: the smaller the sine, the more the wrist turns."""
-SINGULAR_JOINTS: Final = np.array([Joint.AZIMUTH, Joint.ELBOW, Joint.WRIST])
-"""The joints at fault at the folds of signs_of."""
-CHUNK: Final = 4096
-EXACT_CHUNK: Final = 256
-SEARCH_CHUNK: Final = 1024
-"""Targets at a time, to bound the memory: aimed at, solved exactly (in the cache), scanned for."""
+    NaN if there are no angles.
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reasons:
-    """Why a slot has no root, if it has none: Verdict, Joint and excess as in Answers, (slots, n) each."""
+    """Reason for a missing root of each slot: verdict, joint and excess as in IkResult, (slots, n) each."""
 
     verdict: Integers
     joint: Integers
@@ -183,13 +128,22 @@ def inverse_kinematics(
     gravity_R_m_s2: Array | None = None,
     near_rad: Array | None = None,
 ) -> IkResult:
-    """All branches for positions (3, ...) and unit approach vectors (3, ...), in the rover frame RMECH.
+    """Compute all branches of the inverse kinematics.
 
-    With gravity (3,) the deflected tool meets the target, without it the rigid one. Where limits allow two
-    turns of a joint, the one nearest to `near_rad` (5,) is taken, or to the middle of the range.
+    The same targets in the same batch give the same bits. In another batch they may differ by 1e-12 rad, and
+    next to double roots by the tolerance of the forward check.
 
-    The same targets give the same bits. In another batch they may differ: by 1e-12 rad, and next to double
-    roots by what the forward check allows.
+    Args:
+        arm: Arm.
+        tool: Index of the tool.
+        p_RoTo_R_m: Target positions in the rover frame RMECH, shape (3, ...).
+        approach_R: Approach directions, unit vectors in the rover frame, shape (3, ...).
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,); None for the rigid arm.
+        near_rad: Output angles to stay near if the limits allow two turns of a joint, shape (5,); None for
+            the middle of the limits.
+
+    Returns:
+        The branches of each target.
     """
     targets = p_RoTo_R_m.shape[1:]
     if np.prod(targets) > EXACT_CHUNK:
@@ -197,34 +151,35 @@ def inverse_kinematics(
     p, a = p_RoTo_R_m.reshape(3, -1), approach_R.reshape(3, -1)
     gravity = np.zeros(3) if gravity_R_m_s2 is None else gravity_R_m_s2
     if arm.orthogonal[tool].is_exact and not gravity.any():
-        answers = _solve_exact(arm, tool, p, a, near_rad)
+        result = _solve_exact(arm, tool, p, a, near_rad)
     else:
-        answers = _solve_real(arm, tool, p, a, gravity, near_rad)
-    return IkResult(*(v.reshape(*v.shape[:-1], *targets) for v in record_arrays(answers)))
+        result = _solve_real(arm, tool, p, a, gravity, near_rad)
+    return IkResult(*(v.reshape(*v.shape[:-1], *targets) for v in record_arrays(result)))
 
 
 def _keep_freed_memory() -> None:
-    """Free one large array; after that the C library keeps freed memory, and batches run up to twice as fast.
+    """Free one large array, so that the C library keeps freed memory from then on.
 
-    It would otherwise hand the memory of every intermediate result back to the system and fetch it again.
-    The array is not touched, so it costs nothing.
+    Otherwise it returns the memory of every intermediate result to the system and fetches it again. Batches
+    then take up to twice as long. The array is never touched, so it costs nothing.
     """
     np.empty(31 * 2**20, np.uint8)
 
 
 def _chunks(n: int, size: int) -> Iterator[slice]:
-    """Of n targets so many at a time; one chunk at least."""
+    """Yield slices of at most `size` targets; at least one slice."""
     return (slice(k, k + size) for k in range(0, max(n, 1), size))
 
 
 def _solve_exact(arm: Arm, tool: int, p: Array, a: Array, near_rad: Array | None) -> IkResult:
-    """The square rigid arm, targets (3, n)."""
+    """Solve the orthogonal rigid arm for targets (3, n)."""
     return concatenate_results(
         [_solve_exact_chunk(arm, tool, p[:, k], a[:, k], near_rad) for k in _chunks(p.shape[1], EXACT_CHUNK)]
     )
 
 
 def _solve_exact_chunk(arm: Arm, tool: int, p: Array, a: Array, near_rad: Array | None) -> IkResult:
+    """Solve the orthogonal rigid arm for one chunk of targets."""
     roots = closed_form(arm, tool, p, a)
     X_RT = tool_pose(arm, forward(arm, roots.output_rad), tool)
     error = np.max(np.abs(task_error(X_RT, p[:, None], a[:, None])), axis=0)
@@ -234,34 +189,34 @@ def _solve_exact_chunk(arm: Arm, tool: int, p: Array, a: Array, near_rad: Array 
 
 
 def _solve_real(arm: Arm, tool: int, p: Array, a: Array, gravity: Array, near_rad: Array | None) -> IkResult:
-    """The arm as it is, rigid or hanging, targets (3, n)."""
+    """Solve the arm that is not orthogonal, or that deflects, for targets (3, n)."""
     chunks = [_solve_real_chunk(arm, tool, p[:, k], a[:, k], gravity) for k in _chunks(p.shape[1], CHUNK)]
     found, reasons, candidates = (concatenate_records(parts) for parts in zip(*chunks, strict=True))
-    answers = _classify(arm, found, reasons, near_rad)
+    result = _classify(arm, found, reasons, near_rad)
     close = np.flatnonzero(candidates.is_candidate.any(axis=0))
     for at in np.split(close, range(SEARCH_CHUNK, close.size, SEARCH_CHUNK)) if close.size else ():
-        some = select_targets(candidates, at)
+        selected = select_targets(candidates, at)
         near = find_near_singular_roots(
-            arm, tool, p[:, at], a[:, at], gravity, some, select_targets(found, at)
+            arm, tool, p[:, at], a[:, at], gravity, selected, select_targets(found, at)
         )
-        answers = replace_results(
-            answers, at, _classify(arm, near, _mark_rootless(some, select_targets(reasons, at)), near_rad)
+        result = replace_results(
+            result, at, _classify(arm, near, _mark_rootless(selected, select_targets(reasons, at)), near_rad)
         )
-    return answers
+    return result
 
 
 def _solve_real_chunk(
     arm: Arm, tool: int, p: Array, a: Array, gravity: Array
 ) -> tuple[FoundRoots, _Reasons, SingularityCandidates]:
-    """The roots that aiming off leads to, why others are out, and where to look more closely."""
+    """Find the fixed-point roots, the reasons for missing ones, and the singularity candidates."""
     roots = closed_form(arm, tool, p, a)
     each = roots.missing_m.shape
     start, missing = roots.output_rad.reshape(5, -1), roots.missing_m.reshape(-1)
     p8, a8 = (np.broadcast_to(v[:, None], (3, *each)).reshape(3, -1) for v in (p, a))
     over = limit_excess(arm, wrap_into_limits(arm, start)).max(axis=0)
-    clear = roots.from_fold.reshape(3, -1).min(axis=0)
+    fold_distance = roots.from_fold.reshape(3, -1).min(axis=0)
     fixed_point = solve_fixed_point(
-        arm, tool, p8, a8, gravity, start, clear, (missing == 0) & (over < NEAR_LIMITS_RAD)
+        arm, tool, p8, a8, gravity, start, fold_distance, (missing == 0) & (over < NEAR_LIMITS_RAD)
     )
     output = np.where(fixed_point.error < root_tolerance(gravity), fixed_point.output_rad, np.nan)
     found = FoundRoots(
@@ -272,12 +227,12 @@ def _solve_real_chunk(
 
 
 def _find_reasons(roots: Roots) -> _Reasons:
-    """Of the square arm."""
+    """Find the reasons why roots of the orthogonal arm are missing."""
     free = roots.wrist_sine < FREE_SINE
     out = roots.missing_m > NEGLIGIBLE_M + np.where(
         free, 0.0, ROUNDED_M / np.maximum(roots.wrist_sine, FREE_SINE)
     )
-    singular = free | (roots.missing_m > ROOT_TOLERANCE)  # within rounding, where two roots meet
+    singular = free | (roots.missing_m > ROOT_TOLERANCE)  # reach within rounding: two roots meet
     verdict = np.full(out.shape, int(BranchVerdict.NOT_CONVERGED))
     verdict[singular], verdict[out] = BranchVerdict.SINGULAR, BranchVerdict.OUT_OF_REACH
     nearest = np.where(free, int(Joint.WRIST), SINGULAR_JOINTS[np.argmin(roots.from_fold, axis=0)])
@@ -286,7 +241,7 @@ def _find_reasons(roots: Roots) -> _Reasons:
 
 
 def _mark_outside(arm: Arm, fixed_point: FixedPointRoots, reached: Flags, reasons: _Reasons) -> _Reasons:
-    """Roots of the square arm that were not followed to the end are outside the limits, by about so much."""
+    """Mark roots that were not followed as outside the limits, with their estimated excess."""
     beyond = limit_excess(arm, wrap_into_limits(arm, fixed_point.output_rad))
     outside = (reached & ~fixed_point.followed).reshape(reasons.verdict.shape)
     over, joint = (v.reshape(outside.shape) for v in (beyond.max(axis=0), beyond.argmax(axis=0)))
@@ -298,20 +253,20 @@ def _mark_outside(arm: Arm, fixed_point: FixedPointRoots, reached: Flags, reason
 
 
 def _mark_rootless(candidates: SingularityCandidates, reasons: _Reasons) -> _Reasons:
-    """If a candidate has no root after the scan, it has gone where it would have met another."""
+    """Mark candidates without a root as singular: their root met another one and vanished."""
     distance = candidates.from_fold
     nearest = SINGULAR_JOINTS[np.argmin(distance, axis=0)]
     rootless = (reasons.verdict == BranchVerdict.NOT_CONVERGED) | (reasons.verdict == BranchVerdict.SINGULAR)
-    gone = candidates.is_candidate & rootless
+    vanished = candidates.is_candidate & rootless
     return _Reasons(
-        np.where(gone, BranchVerdict.SINGULAR, reasons.verdict),
-        np.where(gone, nearest, reasons.joint),
-        np.where(gone, np.maximum(distance.min(axis=0), FREE_SINE), reasons.excess),
+        np.where(vanished, BranchVerdict.SINGULAR, reasons.verdict),
+        np.where(vanished, nearest, reasons.joint),
+        np.where(vanished, np.maximum(distance.min(axis=0), FREE_SINE), reasons.excess),
     )
 
 
 def _classify(arm: Arm, found: FoundRoots, reasons: _Reasons, near_rad: Array | None) -> IkResult:
-    """Verdicts on roots, and reasons where there are none."""
+    """Build the result from the roots, and from the reasons for missing ones."""
     q = wrap_into_limits(arm, found.output_rad, near_rad)
     beyond = limit_excess(arm, q)
     over, joint = beyond.max(axis=0), beyond.argmax(axis=0)
@@ -330,3 +285,93 @@ def _classify(arm: Arm, found: FoundRoots, reasons: _Reasons, near_rad: Array | 
         np.where(is_root, np.where(outside, over, 0.0), pad_slots(reasons.excess, slots, 0.0)),
         np.where(is_root | (verdict == BranchVerdict.NOT_CONVERGED), found.error, np.nan),
     )
+
+
+def pad_result(result: IkResult, slots: int) -> IkResult:
+    """Pad the result of targets to a least number of slots.
+
+    Args:
+        result: Result of targets, batch (n,).
+        slots: Least number of slots.
+
+    Returns:
+        The padded result.
+    """
+    return IkResult(
+        output_rad=pad_slots(result.output_rad, slots, np.nan),
+        torque_Nm=pad_slots(result.torque_Nm, slots, 0.0),
+        verdict=pad_slots(result.verdict, slots, int(BranchVerdict.ABSENT)),
+        joint=pad_slots(result.joint, slots, 0),
+        excess=pad_slots(result.excess, slots, 0.0),
+        error=pad_slots(result.error, slots, np.nan),
+    )
+
+
+def concatenate_results(pieces: list[IkResult]) -> IkResult:
+    """Concatenate the results of several batches (n,) in order."""
+    slots = max(piece.verdict.shape[0] for piece in pieces)
+    return concatenate_records([pad_result(piece, slots) for piece in pieces])
+
+
+def replace_results(result: IkResult, where: NDArray[np.intp], others: IkResult) -> IkResult:
+    """Replace the results of some targets.
+
+    Args:
+        result: Result of targets, batch (n,).
+        where: Target indices to replace, shape (k,).
+        others: New results of these targets, batch (k,).
+
+    Returns:
+        A copy of the result with the new values.
+    """
+    slots = max(result.verdict.shape[0], others.verdict.shape[0])
+    return replace_targets(pad_result(result, slots), where, pad_result(others, slots))
+
+
+def select_result(result: IkResult, index: int) -> IkResult:
+    """Select the result of one target of a batch (n,)."""
+    return select_targets(result, index)
+
+
+def describe_slot(arm: Arm, result: IkResult, slot: int) -> str:
+    """Describe one slot of a single target in a sentence."""
+    return f"{slot_name(slot)}: {_describe_verdict(arm, result, slot)}"
+
+
+def _describe_verdict(arm: Arm, result: IkResult, slot: int) -> str:
+    """Describe the verdict on a slot."""
+    verdict, excess = BranchVerdict(int(result.verdict[slot])), float(result.excess[slot])
+    match verdict:
+        case BranchVerdict.VALID:
+            return "valid"
+        case BranchVerdict.OUTSIDE_LIMITS:
+            joint = Joint(int(result.joint[slot]))
+            angle = float(result.output_rad[joint, slot])
+            return (
+                describe_estimated_outside(arm, joint, excess)
+                if np.isnan(angle)
+                else describe_outside(arm, joint, angle)
+            )
+        case BranchVerdict.OUT_OF_REACH:
+            return f"out of reach by {format_digits(excess, 3)} m"
+        case BranchVerdict.SINGULAR:
+            return _describe_singularity(Joint(int(result.joint[slot])), excess)
+        case BranchVerdict.NOT_CONVERGED:
+            return f"no answer found, {result.error[slot]:.2g} left"
+        case BranchVerdict.ABSENT:
+            return "no further root"
+
+
+def _describe_singularity(joint: Joint, distance: float) -> str:
+    """Describe a singularity by the joint of its fold and the distance from it."""
+    angle_deg = np.degrees(np.arcsin(min(distance, 1.0)))
+    match joint:
+        case Joint.AZIMUTH:
+            condition, distance_text = "the turret axis is abreast of the azimuth axis", f"{distance:.3f} m"
+        case Joint.ELBOW:
+            condition, distance_text = "the elbow is straight or folded", f"{angle_deg:.2f} deg"
+        case _ if distance < FREE_SINE:
+            return "singular, the approach is parallel to the pitch axes and the wrist pitch is free"
+        case _:
+            condition, distance_text = "the approach is parallel to the pitch axes", f"{angle_deg:.2f} deg"
+    return f"singular, no pose: {condition}, to within {distance_text}"

@@ -1,4 +1,4 @@
-"""All roots of targets close to a singularity: scanned for, refined, told apart, put into slots."""
+"""Roots of targets close to a singularity: searched, refined, separated and assigned to slots."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -16,19 +16,20 @@ from fsw.kinematics.task import ROOT_TOLERANCE, evaluate_pose, task_error
 from fsw.kinematics.transforms import Array, Flags, wrap_angle
 
 SAME_RAD: Final = 2e-5
-"""Roots closer than this are one root, found twice."""
+"""Roots closer than this are one root."""
 CLOSE_RAD: Final = 1e-2
-"""Roots closer than this may be one, if the pose between them is a root as well."""
+"""Roots closer than this are one root if the pose halfway is a root as well."""
 CHECK_PASSES: Final = 4
+"""Evaluations of load and deflection in that check."""
 MOST_ROOTS: Final = 8
-"""Roots of one branch that are kept; more were never met."""
+"""Largest number of roots kept per branch; more never occurred."""
 UNFOLLOWED_RAD: Final = 0.15
-"""How far a root may be from the square arm's that was not followed, to be that one."""
+"""A root within this angle of an orthogonal arm's root that was not followed belongs to it."""
 
 
 @dataclass(frozen=True, slots=True)
 class SearchEffort:
-    """How hard to look."""
+    """Grid and number of Newton steps of a search."""
 
     grid: Grid
     patience: int
@@ -43,8 +44,11 @@ class FoundRoots:
     """Roots in the slots of their branches, (..., slots, n); NaN where there is none."""
 
     output_rad: Array
+    """Output angles, (5, slots, n)."""
     torque_Nm: Array
+    """Torque of the load on each output, (5, slots, n)."""
     error: Array
+    """Larger of position error [m] and axis error [rad], (slots, n)."""
 
 
 def find_near_singular_roots(
@@ -56,22 +60,35 @@ def find_near_singular_roots(
     candidates: SingularityCandidates,
     known: FoundRoots,
 ) -> FoundRoots:
-    """The known roots of targets (3, n) and all others near candidates, as far as the scan resolves them.
+    """Find all roots near singularity candidates, as far as the grid resolves them.
 
-    Roots come and go in pairs, so the real arm has an odd number of them near an odd number of candidates.
-    Where it has not, one was missed, and the search is repeated thoroughly.
+    Roots appear and vanish in pairs. The real arm therefore has an odd number of roots near an odd number of
+    candidates. If the parity is wrong, a root was missed, and a finer search follows.
+
+    Args:
+        arm: Arm.
+        tool: Index of the tool.
+        p_RoTo_R_m: Target positions in the rover frame, shape (3, n).
+        approach_R: Approach directions, unit vectors in the rover frame, shape (3, n).
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
+        candidates: Singularity candidates of these targets.
+        known: Roots of the fixed-point iteration.
+
+    Returns:
+        The known roots and those found near the candidates.
     """
     targets = _Targets(arm, tool, p_RoTo_R_m, approach_R, gravity_R_m_s2, candidates)
-    found, odd = targets.search(QUICK, known)
-    again = np.flatnonzero(odd)
-    if not again.size:
+    found, is_odd = targets.search(QUICK, known)
+    repeated = np.flatnonzero(is_odd)
+    if not repeated.size:
         return found
-    more, _ = targets.only(again).search(THOROUGH, select_targets(found, again))
-    slots = max(found.error.shape[0], more.error.shape[0])
-    return replace_targets(_pad_roots(found, slots), again, _pad_roots(more, slots))
+    further, _ = targets.only(repeated).search(THOROUGH, select_targets(found, repeated))
+    slots = max(found.error.shape[0], further.error.shape[0])
+    return replace_targets(_pad_roots(found, slots), repeated, _pad_roots(further, slots))
 
 
 def _pad_roots(found: FoundRoots, slots: int) -> FoundRoots:
+    """Pad roots to a least number of slots."""
     return FoundRoots(
         pad_slots(found.output_rad, slots, np.nan),
         pad_slots(found.torque_Nm, slots, 0.0),
@@ -81,7 +98,7 @@ def _pad_roots(found: FoundRoots, slots: int) -> FoundRoots:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Targets:
-    """Targets (3, n) with candidates."""
+    """Targets (3, n) with singularity candidates."""
 
     arm: Arm
     tool: int
@@ -91,54 +108,64 @@ class _Targets:
     candidates: SingularityCandidates
 
     def only(self, where: NDArray[np.intp]) -> "_Targets":
-        """Some of them, every candidate to be scanned."""
+        """Select some targets, with the grid search of every candidate."""
         candidates = select_targets(self.candidates, where)
-        every = replace(candidates, is_searched=candidates.is_candidate)
-        return _Targets(self.arm, self.tool, self.p[:, where], self.a[:, where], self.gravity_R_m_s2, every)
+        all_searched = replace(candidates, is_searched=candidates.is_candidate)
+        return _Targets(
+            self.arm, self.tool, self.p[:, where], self.a[:, where], self.gravity_R_m_s2, all_searched
+        )
 
-    def search(self, search: SearchEffort, known: FoundRoots) -> tuple[FoundRoots, Flags]:
-        """All roots, and which targets lack one; known roots that are no candidates stay as they are."""
+    def search(self, effort: SearchEffort, known: FoundRoots) -> tuple[FoundRoots, Flags]:
+        """Find the roots, and the targets with a wrong parity; known roots that are no candidates stay."""
         candidate = pad_slots(self.candidates.is_candidate, known.error.shape[0], True)
         is_known = np.isfinite(known.error) & np.isfinite(known.output_rad[0])
-        trusted, doubtful = is_known & ~candidate, is_known & candidate
+        kept, repeated = is_known & ~candidate, is_known & candidate
         starts = search_grid(
-            self.arm, self.tool, self.p, self.a, self.gravity_R_m_s2, self.candidates, search.grid
+            self.arm, self.tool, self.p, self.a, self.gravity_R_m_s2, self.candidates, effort.grid
         )
-        start = np.concatenate([known.output_rad[:, doubtful], starts.output_rad], axis=1)
-        of = np.concatenate([np.nonzero(doubtful)[1], starts.target])
-        in_order = np.argsort(of, kind="stable")
-        start, of = start[:, in_order], of[in_order]
+        start = np.concatenate([known.output_rad[:, repeated], starts.output_rad], axis=1)
+        start_target = np.concatenate([np.nonzero(repeated)[1], starts.target])
+        in_order = np.argsort(start_target, kind="stable")
+        start, start_target = start[:, in_order], start_target[in_order]
         refined = refine_roots(
-            self.arm, self.tool, self.p[:, of], self.a[:, of], self.gravity_R_m_s2, start, search.patience, of
+            self.arm,
+            self.tool,
+            self.p[:, start_target],
+            self.a[:, start_target],
+            self.gravity_R_m_s2,
+            start,
+            effort.patience,
+            start_target,
         )
         new = refined.converged
-        q = np.concatenate([known.output_rad[:, trusted], refined.output_rad[:, new]], axis=1)
-        torque = np.concatenate([known.torque_Nm[:, trusted], refined.torque_Nm[:, new]], axis=1)
-        error = np.concatenate([known.error[trusted], refined.error[new]])
-        target = np.concatenate([np.nonzero(trusted)[1], of[new]])
-        slot = np.concatenate([np.nonzero(trusted)[0], np.full(int(new.sum()), -1)])
+        q = np.concatenate([known.output_rad[:, kept], refined.output_rad[:, new]], axis=1)
+        torque = np.concatenate([known.torque_Nm[:, kept], refined.torque_Nm[:, new]], axis=1)
+        error = np.concatenate([known.error[kept], refined.error[new]])
+        target = np.concatenate([np.nonzero(kept)[1], start_target[new]])
+        slot = np.concatenate([np.nonzero(kept)[0], np.full(int(new.sum()), -1)])
         root = self._distinct(q, error, target, slot)
         q, torque, error, target, slot = (v[..., root] for v in (q, torque, error, target, slot))
-        odd = self._is_odd(trusted, q[:, slot < 0], target[slot < 0])
+        is_odd = self._is_odd(kept, q[:, slot < 0], target[slot < 0])
         slot = _assign_slots(self.arm.orthogonal[self.tool], self.candidates, q, target, slot)
-        return self._in_slots(q, torque, error, target, slot), odd
+        return self._in_slots(q, torque, error, target, slot), is_odd
 
     def _distinct(
         self, q: Array, error: Array, target: NDArray[np.intp], slot: NDArray[np.int64]
     ) -> NDArray[np.intp]:
-        """The indices of the different roots among (5, k), by target: of each the known one, or the best.
+        """Find the indices of the distinct roots among (5, k), sorted by target.
 
-        Two are the same if they are as close as steps converge, or if the pose half way is a root too: around
-        a double root all poses of a small stretch meet the target within rounding.
+        Two roots are equal if they agree within the accuracy of the steps, or if the pose halfway is a root
+        too. Around a double root, all poses of a short interval meet the target within rounding. Of equal
+        roots the known one counts, else the most accurate.
         """
-        # one number a root, the same for the same root in any turn: neighbours in its order are compared
+        # one number per root that whole turns do not change: only neighbours in its order are compared
         weight = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0])
         index = np.lexsort((weight @ np.cos(q) + weight[::-1] @ np.sin(q), target))
         step = wrap_angle(np.diff(q[:, index]))
-        apart = np.max(np.abs(step), axis=0, initial=0.0)
+        distance = np.max(np.abs(step), axis=0, initial=0.0)
         same_target = np.diff(target[index]) == 0
-        same = same_target & (apart < SAME_RAD)
-        close = np.flatnonzero(same_target & ~same & (apart < CLOSE_RAD))
+        same = same_target & (distance < SAME_RAD)
+        close = np.flatnonzero(same_target & ~same & (distance < CLOSE_RAD))
         if close.size:
             half_way = q[:, index[close]] + 0.5 * step[:, close]
             same[close] = self._meets(half_way, target[index[close]])
@@ -148,44 +175,44 @@ class _Targets:
         return index[first]
 
     def _meets(self, q: Array, target: NDArray[np.intp]) -> Flags:
-        """Whether poses (5, k) are roots, within rounding."""
+        """Check that poses (5, k) are roots, within rounding."""
         strain = None
         for _ in range(CHECK_PASSES):
-            tried = evaluate_pose(self.arm, self.tool, q, strain, self.gravity_R_m_s2)
-            strain = tried.strain
-        error = np.max(np.abs(task_error(tried.X_RT, self.p[:, target], self.a[:, target])), axis=0)
+            evaluation = evaluate_pose(self.arm, self.tool, q, strain, self.gravity_R_m_s2)
+            strain = evaluation.strain
+        error = np.max(np.abs(task_error(evaluation.X_RT, self.p[:, target], self.a[:, target])), axis=0)
         meets: Flags = error < 2 * ROOT_TOLERANCE
         return meets
 
-    def _is_odd(self, trusted: Flags, q: Array, target: NDArray[np.intp]) -> Flags:
-        """Whether the number of new roots (5, k) of a target is not that of its candidates, but for pairs."""
-        s = self.candidates
-        unfollowed = s.exists & ~s.is_candidate & ~trusted[: len(BRANCHES)]
-        is_one = (_distance_to_orthogonal(s, q, target) < UNFOLLOWED_RAD) & unfollowed[:, target].T
+    def _is_odd(self, kept: Flags, q: Array, target: NDArray[np.intp]) -> Flags:
+        """Find targets whose number of new roots (5, k) differs from that of candidates by an odd number."""
+        candidates = self.candidates
+        unfollowed = candidates.exists & ~candidates.is_candidate & ~kept[: len(BRANCHES)]
+        is_one = (_distance_to_orthogonal(candidates, q, target) < UNFOLLOWED_RAD) & unfollowed[:, target].T
         number = np.bincount(target[~is_one.any(axis=1)], minlength=self.p.shape[1])
-        odd: Flags = (number - (s.exists & s.is_candidate).sum(axis=0)) % 2 == 1
+        odd: Flags = (number - (candidates.exists & candidates.is_candidate).sum(axis=0)) % 2 == 1
         return odd
 
     def _in_slots(
         self, q: Array, torque: Array, error: Array, target: NDArray[np.intp], slot: NDArray[np.int64]
     ) -> FoundRoots:
-        """The roots (..., k) where they belong."""
+        """Arrange the roots (..., k) in slots."""
         n, slots = self.p.shape[1], len(BRANCHES) * (1 + int(slot.max(initial=0)) // len(BRANCHES))
-        nothing = FoundRoots(
+        roots = FoundRoots(
             np.full((5, slots, n), np.nan), np.zeros((5, slots, n)), np.full((slots, n), np.nan)
         )
         kept = slot >= 0
         at = (slot[kept], target[kept])
-        nothing.output_rad[:, *at], nothing.torque_Nm[:, *at] = q[:, kept], torque[:, kept]
-        nothing.error[at] = error[kept]
-        return nothing
+        roots.output_rad[:, *at], roots.torque_Nm[:, *at] = q[:, kept], torque[:, kept]
+        roots.error[at] = error[kept]
+        return roots
 
 
 def _distance_to_orthogonal(candidates: SingularityCandidates, q: Array, target: NDArray[np.intp]) -> Array:
-    """(k, 8): how far poses (5, k) are from the square arm's roots of their targets."""
-    square = np.swapaxes(candidates.output_rad[:, :, target], 1, 2)
-    apart: Array = np.max(np.abs(wrap_angle(q[:, :, None] - square)), axis=0)
-    return apart
+    """Compute the distance [rad] of poses (5, k) from the orthogonal roots of their targets, (k, 8)."""
+    orthogonal = np.swapaxes(candidates.output_rad[:, :, target], 1, 2)
+    distance: Array = np.max(np.abs(wrap_angle(q[:, :, None] - orthogonal)), axis=0)
+    return distance
 
 
 def _assign_slots(
@@ -195,29 +222,31 @@ def _assign_slots(
     target: NDArray[np.intp],
     known: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """The slot of every root (5, k): that of a candidate, of its branch or near it, else a further one.
+    """Assign a slot to every root (5, k): that of a candidate of its branch or near it, else a further one.
 
-    Roots whose slot is known keep it. -1 where a branch is full.
+    Roots with a known slot keep it. A root gets -1 if its branch is full.
     """
     slot = known.copy()
     new = np.flatnonzero(known < 0)
-    apart = _distance_to_orthogonal(candidates, q[:, new], target[new])
-    # a root that was not followed, as it is far outside the limits, may have been found by the way
+    distance = _distance_to_orthogonal(candidates, q[:, new], target[new])
+    # the search may also find a root that was not followed because it is far outside the limits
     unfollowed = candidates.exists & ~candidates.is_candidate
-    near_one: Flags = np.logical_and(unfollowed[:, target[new]].T, apart < UNFOLLOWED_RAD)
-    apart[~(candidates.is_candidate[:, target[new]].T | near_one)] = np.inf
-    home = branch_index(fold_distances(s, q[:, new]))
-    of_branch: Flags = np.equal(np.arange(len(BRANCHES)), home[:, None])
+    near_one: Flags = np.logical_and(unfollowed[:, target[new]].T, distance < UNFOLLOWED_RAD)
+    distance[~(candidates.is_candidate[:, target[new]].T | near_one)] = np.inf
+    own_branch = branch_index(fold_distances(s, q[:, new]))
+    of_branch: Flags = np.equal(np.arange(len(BRANCHES)), own_branch[:, None])
     taken = {(int(k), int(branch)) for k, branch in zip(target[known >= 0], known[known >= 0], strict=True)}
-    at_home: Flags = np.where(np.any(near_one, axis=1, keepdims=True), near_one, of_branch)
-    for k, branch in sorted(np.ndindex(apart.shape), key=lambda at: (not at_home[at], float(apart[at]))):
-        of = int(target[new[k]])
-        if np.isfinite(apart[k, branch]) and slot[new[k]] < 0 and (of, branch) not in taken:
+    is_preferred: Flags = np.where(np.any(near_one, axis=1, keepdims=True), near_one, of_branch)
+    for k, branch in sorted(
+        np.ndindex(distance.shape), key=lambda at: (not is_preferred[at], float(distance[at]))
+    ):
+        its_target = int(target[new[k]])
+        if np.isfinite(distance[k, branch]) and slot[new[k]] < 0 and (its_target, branch) not in taken:
             slot[new[k]] = branch
-            taken.add((of, branch))
+            taken.add((its_target, branch))
     for k in np.flatnonzero(slot[new] < 0):
-        of = int(target[new[k]])
-        further = (int(home[k]) + len(BRANCHES) * count for count in range(1, MOST_ROOTS))
-        slot[new[k]] = next((choice for choice in further if (of, choice) not in taken), -1)
-        taken.add((of, int(slot[new[k]])))
+        its_target = int(target[new[k]])
+        further = (int(own_branch[k]) + len(BRANCHES) * count for count in range(1, MOST_ROOTS))
+        slot[new[k]] = next((choice for choice in further if (its_target, choice) not in taken), -1)
+        taken.add((its_target, int(slot[new[k]])))
     return slot
