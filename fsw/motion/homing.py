@@ -1,4 +1,8 @@
-"""Seeking a hardstop: off it, on it until the joint stalls, back, on it slowly, and slowly off it again."""
+"""Homing of a joint at its hardstop, stage by stage, with checks of angle, current and motion.
+
+The joint leaves the hardstop, stalls on it, retreats, stalls on it slowly, and slowly leaves it again. The
+readings of the two slow stages give the angle of the hardstop and the backlash.
+"""
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -35,77 +39,81 @@ from fsw.messages import Sensors
 from fsw.motion.paths import JointPath, Setpoint, joint_path
 
 AT_LIMIT_SHARE: Final = 0.85
-"""Share of its limit above which a current is at it, noise apart."""
+"""Share of the limit above which a current counts as at the limit, noise included."""
 STUCK_FACTOR: Final = 4
-"""A motor that has not turned for so many times the stall time will not."""
+"""A motor that has not turned for this many stall times is stuck."""
 MAX_READ_SHARE, READ_NOISE_A = 1.2, 0.15
-"""No current can be read above this share of its limit and noise, nor so much against the motion."""
+"""Largest plausible current: this share of its limit and noise; against the motion, noise only."""
 MIN_SPEED_SHARE: Final = 0.2
-"""A sensor is held against the motion only at a speed above this share."""
+"""The sign of a current is checked only above this share of the speed."""
 FREE_RAD: Final = 0.012
-"""A joint goes back this far first: beyond what a hardstop that it was left on gives."""
+"""First move away: more than the deflection of a hardstop on which the joint was left."""
 BREAKAWAY_RAD: Final = 3e-4
-"""A motor that turned this far has broken away."""
+"""Motion after which a motor has overcome its static friction."""
 STEADY_S: Final = 1.0
-"""After so long at a new speed readings count."""
+"""Time at a new speed before readings are used."""
 RUNNING_READINGS: Final = 64
-"""The first readings of the slow run, whose mean current is that of running."""
+"""Number of first readings of the slow run that give the running current."""
 RETURN_HALF_WIDTHS: Final = 4
-"""How many half widths of the gap a joint goes back beyond its hardstop."""
+"""Half widths of the backlash by which a joint leaves its hardstop at the end."""
 
 
 class HomingStage(IntEnum):
-    """What a seeking joint is doing."""
+    """Stages of homing."""
 
     FREE = 0
-    """Off whatever it may have been left on; the current limit rises until it turns."""
+    """Away from the hardstop, on which it may have been left; the current limit rises until it turns."""
     COARSE = 1
     """Towards the hardstop, until it stalls."""
     RETREAT = 2
+    """Away from it, along a planned path."""
     FINE = 3
-    """Against it slowly, until it stalls."""
+    """Towards it slowly, until it stalls."""
     RELEASE = 4
-    """Off it again, as slowly, through the gap."""
+    """Away from it slowly, through the backlash."""
 
 
 RUNNING_FILTER_S: Final = {HomingStage.FREE: 0.25, HomingStage.COARSE: 5.0}
-"""Towards a hardstop too slow to follow its rise, and quick enough for a load that turns with the joint."""
+"""Time constants of the running current.
+
+Towards a hardstop it is too slow to follow the rise of the torque, and fast enough to follow the load.
+"""
 RUNNING_GAIN: Final = {stage: 1.0 / (time_s * CYCLE_HZ) for stage, time_s in RUNNING_FILTER_S.items()}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Homing:
-    """A joint on its way to, on, and from its hardstop."""
+    """Frozen record of the homing of a joint from cycle to cycle."""
 
     joint: Joint
     known: bool
-    """Whether its hardstop has to be where it was before."""
+    """True if the hardstop must be where it was found before."""
     stage: HomingStage
     ticks: int
     """Cycles in this stage."""
     running_A: float
-    """Current of running; while the motor breaks away, how far it was raised."""
+    """Current that keeps the motor running; until the motor turns, the rising current limit."""
     turned: bool
-    """Whether the motor has turned in this stage."""
+    """True if the motor has turned in this stage."""
     start_rad: float
-    """Where the motor was when this stage began."""
+    """Motor angle at the beginning of this stage."""
     anchor_rad: float
-    """Where it was when it last turned noticeably ..."""
+    """Motor angle when it last turned by the least step that counts as motion."""
     anchor_ticks: int
-    """... and for how many cycles it has not."""
+    """Cycles since then."""
     assisting_load_Nm: float = 0.0
-    """Of the load, what pushes the joint on its hardstop."""
+    """Part of the load that pushes the joint towards its hardstop, at least 0."""
     retreat: JointPath | None = None
     readings_towards: Readings = NO_READINGS
     contact_line: ContactLine | None = None
     readings_away: Readings = NO_READINGS
     found: HardstopFit | None = None
-    """Set when all is done."""
+    """Result; None until homing is complete."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HomingUpdate:
-    """A seeking joint one cycle on, the set-points of all joints, and what went wrong."""
+    """Frozen record of homing after a cycle, with the set-point of all joints and the failure, if any."""
 
     homing: Homing
     setpoint: Setpoint
@@ -114,7 +122,7 @@ class HomingUpdate:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HomingInputs:
-    """What a seeking joint sees in this cycle."""
+    """Frozen record of the parameters and readings of the joint in this cycle."""
 
     config: Config
     params: JointParams
@@ -127,24 +135,33 @@ class HomingInputs:
 
 
 def begin_homing(joint: Joint, joints: JointEstimate, anew: bool) -> Homing:
-    """A joint about to look for its hardstop."""
-    known, at = bool(joints.reference.known[joint]) and not anew, float(joints.motor_rad[joint])
-    return Homing(joint, known, HomingStage.FREE, 0, 0.0, False, at, at, 0)
+    """Begin the homing of a joint.
+
+    Args:
+        joint: Joint to be homed.
+        joints: Estimate of the joints.
+        anew: True if the hardstop may be elsewhere than before.
+
+    Returns:
+        Homing in its first stage.
+    """
+    known, motor_rad = bool(joints.reference.known[joint]) and not anew, float(joints.motor_rad[joint])
+    return Homing(joint, known, HomingStage.FREE, 0, 0.0, False, motor_rad, motor_rad, 0)
 
 
 def homing_limit_A(config: Config, homing: Homing) -> float:
-    """The current limit of the joint that seeks: what running takes today, and a fixed margin.
+    """Compute the current limit of the joint: the running current and a margin.
 
-    Until it has broken away there is no margin. On its way back, once it turns, it lifts the load that helped
-    it on its way there.
+    Until the motor turns there is no margin. Away from the hardstop the motor lifts the load that pushes the
+    joint towards it, which adds to the limit.
     """
-    limit = homing.running_A
+    limit_A = homing.running_A
     if homing.stage is not HomingStage.FREE or homing.turned:
         params = config.params.joints.in_order()[homing.joint]
-        limit += params.hardstop_press_Nm / params.torque_constant_Nm_A
+        limit_A += params.hardstop_press_Nm / params.torque_constant_Nm_A
     if homing.stage in (HomingStage.RETREAT, HomingStage.RELEASE) and homing.turned:
-        limit += _load_current_A(config, homing)
-    return min(float(config.current_limit_A[homing.joint]), limit)
+        limit_A += _load_current_A(config, homing)
+    return min(float(config.current_limit_A[homing.joint]), limit_A)
 
 
 def advance_homing(
@@ -155,7 +172,19 @@ def advance_homing(
     load_Nm: Array,
     sensors: Sensors,
 ) -> HomingUpdate:
-    """The homing in this cycle; it is over when `found` is set or an event is reported."""
+    """Advance homing by one cycle.
+
+    Args:
+        config: Configuration of flight software.
+        homing: Homing after the cycle before.
+        setpoint: Set-point of all joints in the cycle before.
+        joints: Estimate of the joints.
+        load_Nm: Estimated loads, shape (5,).
+        sensors: Readings of this cycle.
+
+    Returns:
+        The update; homing has ended if `found` is set or there is an event.
+    """
     j = homing.joint
     inputs = HomingInputs(
         config=config,
@@ -168,9 +197,9 @@ def advance_homing(
         setpoint=setpoint,
     )
     homing = _track_motion(inputs, replace(homing, assisting_load_Nm=max(0.0, -inputs.load_Nm)))
-    wrong = _check_missed(inputs, homing) or _check_current(inputs, homing) or _check_stuck(inputs, homing)
-    if wrong is not None:
-        return _fail(inputs, homing, wrong)
+    failure = _check_missed(inputs, homing) or _check_current(inputs, homing) or _check_stuck(inputs, homing)
+    if failure is not None:
+        return _fail(inputs, homing, failure)
     match homing.stage:
         case HomingStage.FREE:
             return _free(inputs, homing)
@@ -185,25 +214,25 @@ def advance_homing(
 
 
 def _track_motion(inputs: HomingInputs, homing: Homing) -> Homing:
-    """How long the motor has not turned, and what current running takes."""
+    """Update the time since the motor last turned, and the running current."""
     params, speed = inputs.config.params.hardstop, _speed(inputs, homing)
-    way = abs(inputs.motor_rad - homing.anchor_rad)
-    turned = homing.turned or way > BREAKAWAY_RAD
+    moved_rad = abs(inputs.motor_rad - homing.anchor_rad)
+    turned = homing.turned or moved_rad > BREAKAWAY_RAD
     homing = replace(homing, ticks=homing.ticks + 1, turned=turned, anchor_ticks=homing.anchor_ticks + 1)
-    if turned and way > params.stall_speed_share * speed * params.stall_time_s:
+    if turned and moved_rad > params.stall_speed_share * speed * params.stall_time_s:
         homing = replace(homing, anchor_rad=inputs.motor_rad, anchor_ticks=0)
     at_speed = abs(inputs.rate_rad_s) > 0.5 * speed
     if homing.stage is HomingStage.FREE and not at_speed:
-        most = float(inputs.config.current_limit_A[homing.joint])
-        return replace(homing, running_A=min(homing.running_A + params.breakaway_A_s * CYCLE_S, most))
+        most_A = float(inputs.config.current_limit_A[homing.joint])
+        return replace(homing, running_A=min(homing.running_A + params.breakaway_A_s * CYCLE_S, most_A))
     if homing.stage in RUNNING_GAIN and at_speed:
-        more = abs(inputs.current_A) - homing.running_A
-        return replace(homing, running_A=homing.running_A + RUNNING_GAIN[homing.stage] * more)
+        error_A = abs(inputs.current_A) - homing.running_A
+        return replace(homing, running_A=homing.running_A + RUNNING_GAIN[homing.stage] * error_A)
     return homing
 
 
 def _check_missed(inputs: HomingInputs, homing: Homing) -> Evr | None:
-    """A joint that should have met its hardstop by now."""
+    """Check that the output is not past the window in which its hardstop must be."""
     stop = inputs.params.hardstop_rad
     if inputs.resolver_rad >= stop - inputs.config.params.hardstop.window_rad:
         return None
@@ -211,7 +240,10 @@ def _check_missed(inputs: HomingInputs, homing: Homing) -> Evr | None:
 
 
 def _check_current(inputs: HomingInputs, homing: Homing) -> Evr | None:
-    """A current above its limit, or one against the motion: by such a sensor no limit can be set."""
+    """Check that the current is plausible: below its limit, and not against the motion.
+
+    An implausible current sensor cannot bound the torque on the hardstop.
+    """
     limit = homing_limit_A(inputs.config, homing)
     too_much = homing.turned and abs(inputs.current_A) > MAX_READ_SHARE * limit + READ_NOISE_A
     steady = (
@@ -228,7 +260,7 @@ def _check_current(inputs: HomingInputs, homing: Homing) -> Evr | None:
 
 
 def _check_stuck(inputs: HomingInputs, homing: Homing) -> Evr | None:
-    """A motor that does not turn although it should, and has not stalled at its limit either."""
+    """Check that the motor turns, or has stalled at its current limit."""
     limit = homing_limit_A(inputs.config, homing)
     rising = homing.stage is HomingStage.FREE and limit < inputs.config.current_limit_A[homing.joint]
     waited = homing.anchor_ticks * CYCLE_S > STUCK_FACTOR * inputs.config.params.hardstop.stall_time_s
@@ -240,7 +272,7 @@ def _check_stuck(inputs: HomingInputs, homing: Homing) -> Evr | None:
 def _free(inputs: HomingInputs, homing: Homing) -> HomingUpdate:
     if inputs.motor_rad - homing.start_rad < FREE_RAD:
         return _run(inputs, homing, _speed(inputs, homing))
-    # the load that was lifted on the way back helps on the way there
+    # the load that was lifted away from the hardstop assists towards it
     running_A = max(0.0, homing.running_A - _load_current_A(inputs.config, homing))
     return HomingUpdate(
         replace(_enter_stage(inputs, homing, HomingStage.COARSE), running_A=running_A),
@@ -262,7 +294,7 @@ def _search_coarse(inputs: HomingInputs, homing: Homing) -> HomingUpdate:
 
 def _retreat(inputs: HomingInputs, homing: Homing) -> HomingUpdate:
     path, time_s = homing.retreat, homing.ticks * CYCLE_S
-    assert path is not None  # it is what this stage begins with
+    assert path is not None  # _search_coarse sets it
     if time_s >= path.duration_s + STEADY_S:
         return HomingUpdate(_enter_stage(inputs, homing, HomingStage.FINE), _zero_rate(inputs.setpoint))
     return HomingUpdate(homing, path.at(time_s))
@@ -279,60 +311,53 @@ def _search_fine(inputs: HomingInputs, homing: Homing) -> HomingUpdate:
         return _run(inputs, homing, -fine)
     contact_line = fit_contact_line(inputs.config, homing.joint, inputs.load_Nm, homing.readings_towards)
     ratio = inputs.config.params.hardstop.stiffness_ratio
-    drawn = series_compliance(inputs.config, homing.joint)
+    design_rad_Nm = series_compliance(inputs.config, homing.joint)
     if contact_line is None:
         return _fail(inputs, homing, HardstopUnclear(homing.joint))
-    if not 1 / ratio < contact_line.compliance_rad_Nm / drawn < ratio:
-        return _fail(
-            inputs, homing, NoHardstop(homing.joint, 1e6 * contact_line.compliance_rad_Nm, 1e6 * drawn)
-        )
-    return _run(
-        inputs, replace(_enter_stage(inputs, homing, HomingStage.RELEASE), contact_line=contact_line), fine
-    )
+    if not 1 / ratio < contact_line.compliance_rad_Nm / design_rad_Nm < ratio:
+        event = NoHardstop(homing.joint, 1e6 * contact_line.compliance_rad_Nm, 1e6 * design_rad_Nm)
+        return _fail(inputs, homing, event)
+    homing = replace(_enter_stage(inputs, homing, HomingStage.RELEASE), contact_line=contact_line)
+    return _run(inputs, homing, fine)
 
 
 def _release(inputs: HomingInputs, homing: Homing) -> HomingUpdate:
     if homing.turned:
         homing = replace(homing, readings_away=_add_reading(inputs, homing.readings_away))
     j, contact_line = homing.joint, homing.contact_line
-    assert contact_line is not None  # it is what this stage begins with
-    enough = (
+    assert contact_line is not None  # _search_fine sets it
+    end_rad = (
         contact_line.contact_rad
         + homing.assisting_load_Nm * contact_line.compliance_rad_Nm
         + RETURN_HALF_WIDTHS * float(inputs.config.half_gap_rad[j])
     )
-    if inputs.motor_rad < enough:
+    if inputs.motor_rad < end_rad:
         return _run(inputs, homing, inputs.config.params.hardstop.fine_speed_rad_s)
-    result = locate_hardstop(
-        inputs.config,
-        j,
-        inputs.load_Nm,
-        contact_line,
-        measure_backlash(inputs.config, j, inputs.load_Nm, contact_line, homing.readings_away),
-    )
-    moved, bound = result.stop_rad - inputs.params.hardstop_rad, inputs.config.params.hardstop.moved_rad
-    if homing.known and abs(moved) > bound:
-        return _fail(inputs, homing, HardstopMoved(j, moved, bound))
+    backlash = measure_backlash(inputs.config, j, inputs.load_Nm, contact_line, homing.readings_away)
+    result = locate_hardstop(inputs.config, j, inputs.load_Nm, contact_line, backlash)
+    moved_rad = result.stop_rad - inputs.params.hardstop_rad
+    bound_rad = inputs.config.params.hardstop.moved_rad
+    if homing.known and abs(moved_rad) > bound_rad:
+        return _fail(inputs, homing, HardstopMoved(j, moved_rad, bound_rad))
     return HomingUpdate(replace(homing, found=result), _zero_rate(inputs.setpoint))
 
 
 def _is_stalled(inputs: HomingInputs, homing: Homing) -> bool:
-    """Whether the motor has not turned for a while although its current is at the limit."""
+    """Return whether the motor has not turned for the stall time although its current is at the limit."""
     waited = homing.anchor_ticks * CYCLE_S >= inputs.config.params.hardstop.stall_time_s
     limit = homing_limit_A(inputs.config, homing)
     return waited and abs(inputs.current_A) >= AT_LIMIT_SHARE * limit
 
 
 def _run(inputs: HomingInputs, homing: Homing, rate_rad_s: float) -> HomingUpdate:
-    """The set-point at a steady speed, never far ahead of the motor."""
+    """Advance the set-point at a steady speed, but at most `lead_rad` ahead of the motor."""
     j, lead = homing.joint, inputs.config.params.hardstop.lead_rad
     motor, rate = inputs.setpoint.motor_rad.copy(), np.zeros_like(inputs.setpoint.rate_rad_s)
     wanted = motor[j] + rate_rad_s * CYCLE_S
     motor[j] = (
         max(wanted, inputs.motor_rad - lead) if rate_rad_s < 0 else min(wanted, inputs.motor_rad + lead)
     )
-    held_up = motor[j] != wanted
-    rate[j] = 0.0 if held_up else rate_rad_s
+    rate[j] = rate_rad_s if motor[j] == wanted else 0.0
     return HomingUpdate(homing, Setpoint(motor, rate))
 
 
@@ -345,8 +370,9 @@ def _zero_rate(setpoint: Setpoint) -> Setpoint:
 
 
 def _enter_stage(inputs: HomingInputs, homing: Homing, stage: HomingStage) -> Homing:
-    at = inputs.motor_rad
-    return replace(homing, stage=stage, ticks=0, turned=False, start_rad=at, anchor_rad=at, anchor_ticks=0)
+    at_rad = inputs.motor_rad
+    homing = replace(homing, stage=stage, ticks=0, turned=False)
+    return replace(homing, start_rad=at_rad, anchor_rad=at_rad, anchor_ticks=0)
 
 
 def _add_reading(inputs: HomingInputs, readings: Readings) -> Readings:
@@ -354,11 +380,12 @@ def _add_reading(inputs: HomingInputs, readings: Readings) -> Readings:
 
 
 def _speed(inputs: HomingInputs, homing: Homing) -> float:
+    """Return the speed of this stage in rad/s."""
     params = inputs.config.params.hardstop
     coarse = params.coarse_speed_share * inputs.params.speed_rad_s
     return coarse if homing.stage in (HomingStage.FREE, HomingStage.COARSE) else params.fine_speed_rad_s
 
 
 def _load_current_A(config: Config, homing: Homing) -> float:
-    """By how much more current running takes away from the hardstop than towards it."""
+    """Compute how much more current the motor needs away from the hardstop than towards it."""
     return 2 * homing.assisting_load_Nm / float(config.torque_constant_Nm_A[homing.joint])

@@ -1,4 +1,8 @@
-"""Run a move from brake release to brakes on, and command the actuators for it."""
+"""A move from brake release to brakes on: its record, one cycle of it, a stop, and actuator commands.
+
+A move follows paths, homes a joint, or changes a preload. A guarded move and a preload plan further paths
+while they run: a contact is preloaded, and a preload is corrected by the motor currents.
+"""
 
 from dataclasses import dataclass, replace
 from enum import IntEnum
@@ -32,11 +36,11 @@ from fsw.motion.preload import (
 )
 
 MIN_CORRECTION_N: Final = 3.0
-"""A press is not trimmed by less."""
+"""Least correction of a preload that is worth a further path."""
 
 
 class Phase(IntEnum):
-    """What a move is doing."""
+    """Phases of a move."""
 
     RELEASE = 0
     RUN = 1
@@ -46,52 +50,64 @@ class Phase(IntEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Move:
-    """A move under way: paths one after the other, each from rest to rest, or a joint that seeks its stop."""
+    """Frozen record of a move: paths in sequence, each from rest to rest, or the homing of a joint."""
 
     command: str
     end_mode: Mode
     active: Flags
-    """The joints that are released; the others stay on their brakes, without power."""
+    """Joints that are released; the others stay on their brakes, without power."""
     current_limit_A: Array
     paths: tuple[Path, ...]
     setpoint: Setpoint
-    """The set-point of this cycle."""
+    """Set-point of this cycle."""
     guarded_tool: Tool | None = None
-    """Whose contact ends the move; None for a move that is not to touch."""
+    """Tool whose contact ends the move; None for a move that is not to touch."""
     contact_travel: float | None = None
-    """How far a guarded move had come when a switch closed."""
+    """Travel of a guarded move in metres when a switch closed; None before."""
     homing: Homing | None = None
     preload_change: PreloadChange | None = None
     force_fit: ForceFit | None = None
-    """What the currents tell of a press; None once it has been trimmed by it."""
+    """Fit of the motor currents while a preload rises; None once the preload is corrected."""
     vibrate: bool = False
     stopped: bool = False
-    """A command or a fault stopped it: the move ends early and is reported as aborted."""
+    """True if a command or a fault stopped the move: it ends early and is reported as aborted."""
     phase: Phase = Phase.RELEASE
     ticks: int = 0
-    """Cycles in this phase, and for RUN in this path."""
+    """Cycles in this phase; in RUN, cycles in this path."""
     settled_ticks: int = 0
+    """Cycles in a row in which the motors were at rest at their set-points."""
     travelled: float = 0.0
-    """Along the paths over knots that are done."""
+    """Travel along the completed paths over knots, in metres, or in newtons of a preload."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MoveUpdate:
-    """A move one cycle on: the move or None when it is over, what happened, and what it ends in."""
+    """Frozen record of a move after a cycle, None if it has ended, with its events and its final mode."""
 
     move: Move | None
     evrs: tuple[Evr, ...] = ()
     end_mode: Mode | None = None
     found_hardstop: tuple[Joint, HardstopFit] | None = None
-    """The hardstop that was found, and whose."""
+    """Joint of a completed homing and its hardstop."""
     gap_rad: Array | None = None
-    """The backlash that new paths allow for at their end; None without new paths."""
+    """Backlash that the set-points allow for at the end of new paths, (5,); None without new paths."""
 
 
 def advance_move(
     config: Config, move: Move, joints: JointEstimate, load: LoadEstimate, sensors: Sensors
 ) -> MoveUpdate:
-    """The move in this cycle."""
+    """Advance a move by one cycle.
+
+    Args:
+        config: Configuration of flight software.
+        move: Move after the cycle before.
+        joints: Estimate of the joints.
+        load: Estimate of the loads.
+        sensors: Readings of this cycle.
+
+    Returns:
+        The update; its move is None if the move has ended.
+    """
     match move.phase:
         case Phase.RELEASE:
             if move.ticks < config.brake_ticks:
@@ -132,7 +148,10 @@ def _homing_result(move: Move) -> tuple[Joint, HardstopFit] | None:
 
 
 def stop_early(config: Config, move: Move, end_mode: Mode) -> Move:
-    """The move brought to rest early; a joint that seeks its hardstop is slow, and may be stalled: brakes."""
+    """Bring a move to rest early.
+
+    A joint in homing is slow and may be stalled, so it is braked at once.
+    """
     stopped = replace(move, stopped=True, end_mode=end_mode, guarded_tool=None)
     if move.phase is Phase.RELEASE:
         return _enter_phase(stopped, Phase.BRAKE)
@@ -147,7 +166,7 @@ def stop_early(config: Config, move: Move, end_mode: Mode) -> Move:
 
 
 def find_closed_switch(tool: Tool, closed: Flags) -> Switch | None:
-    """The first closed contact switch of a tool."""
+    """Return the first closed contact switch of a tool, or None."""
     return next((switch for switch in TOOL_SWITCHES[tool] if closed[switch]), None)
 
 
@@ -187,34 +206,33 @@ def _follow_paths(config: Config, move: Move, joints: JointEstimate, sensors: Se
 def _press_on_contact(
     config: Config, move: Move, tool: Tool, joints: JointEstimate, made: ContactMade
 ) -> MoveUpdate:
-    """A guarded move whose tool has touched: it stops, and presses just enough to stay in contact.
+    """Stop a guarded move whose tool has touched, and preload the tool just enough to stay in contact.
 
-    A tool that touched before it moved is pressed already. One whose press is refused stays where its switch
-    closed.
+    A tool that touched before it moved is not preloaded further. If no preload can be planned, the tool stays
+    where its switch closed.
     """
-    still = Setpoint(move.setpoint.motor_rad, np.zeros_like(move.setpoint.rate_rad_s))
-    move = replace(move, setpoint=still, contact_travel=made.travel_m)
+    at_rest = Setpoint(move.setpoint.motor_rad, np.zeros_like(move.setpoint.rate_rad_s))
+    move = replace(move, setpoint=at_rest, contact_travel=made.travel_m)
     settling = MoveUpdate(_enter_phase(move, Phase.SETTLE), (made,))
     if made.travel_m == 0:
         return settling
-    here = replace(joints, motor_rad=still.motor_rad)
-    touch = model_contact(config, here, tool)
-    # as if its stiffness were sure: of so little it cannot be too much
-    planned = plan_preload(
-        config, here, replace(touch, force_ratio_std=ESTIMATED_RATIO_STD), holding_force_N(config)
-    )
+    stopped_joints = replace(joints, motor_rad=at_rest.motor_rad)
+    touch = model_contact(config, stopped_joints, tool)
+    # in one leg, as if the stiffness were known: even on a stiffer arm the holding force stays small
+    sure = replace(touch, force_ratio_std=ESTIMATED_RATIO_STD)
+    planned = plan_preload(config, stopped_joints, sure, holding_force_N(config))
     if isinstance(planned, Refusal):
         return settling
-    plan, press = planned
-    on = replace(
+    plan, change = planned
+    pressing = replace(
         move,
-        current_limit_A=preload_limit_A(config, here, press),
+        current_limit_A=preload_limit_A(config, stopped_joints, change),
         paths=plan.paths,
-        preload_change=replace(press, start=touch),
+        preload_change=replace(change, start=touch),
         ticks=0,
         travelled=0.0,
     )
-    return MoveUpdate(on, (made,), gap_rad=plan.gap_rad)
+    return MoveUpdate(pressing, (made,), gap_rad=plan.gap_rad)
 
 
 def _advance_preload(
@@ -225,7 +243,7 @@ def _advance_preload(
     load: LoadEstimate,
     sensors: Sensors,
 ) -> MoveUpdate:
-    """A press runs along its overdrive, and once more by what the currents told on the way."""
+    """Advance a change of preload; when a leg ends, correct the force by the motor currents."""
     fit = move.force_fit
     if fit is not None and not move.stopped:
         preload, rate_N_s = preload_change.state_after(distance_travelled(move)), _travel_rate(move)
@@ -238,44 +256,53 @@ def _advance_preload(
 
 
 def _correct_force(
-    config: Config, move: Move, press: PreloadChange, fit: ForceFit, joints: JointEstimate
+    config: Config, move: Move, change: PreloadChange, fit: ForceFit, joints: JointEstimate
 ) -> MoveUpdate | None:
-    """The press as it was felt, with another leg to go if it is not near enough; None on the way back."""
-    if press.change_N <= 0:
+    """Correct the estimated force by the fit of a leg, and plan another leg if the target is not near.
+
+    Returns:
+        The update, or None if the force falls: a release is not corrected.
+    """
+    if change.change_N <= 0:
         return None
-    heard: tuple[Evr, ...] = ()
-    planned_for = press.state_after(distance_travelled(move))
-    felt = estimate_force_ratio(config, fit, joints, planned_for)
+    evrs: tuple[Evr, ...] = ()
+    planned_for = change.state_after(distance_travelled(move))
+    ratio = estimate_force_ratio(config, fit, joints, planned_for)
     preload = replace(planned_for, force_ratio_std=ESTIMATED_RATIO_STD)
-    if felt is not None:
-        preload = correct_preload(press, felt)
-        heard = (ForceFelt(press.start.tool, felt.along, felt.across),)
-    settled = replace(press, start=preload, end_model_N=preload.model_N)
-    near = abs(press.target_N - preload.force_N) < MIN_CORRECTION_N
-    # from where the plan left off: a gap by which an estimate differs from it would be crossed to and fro;
-    # its gears are wound up by the force as it is believed to be now
-    wound = press.torque_per_N * (preload.force_N - planned_for.force_N)
-    end = replace(press.end, gear_rad=press.end.gear_rad + wound / config.arm.gear_stiffness_Nm_rad)
-    stands = estimate_at(joints, end)
-    planned = None if near else plan_preload(config, stands, preload, press.target_N)
+    if ratio is not None:
+        preload = correct_preload(change, ratio)
+        evrs = (ForceFelt(change.start.tool, ratio.along, ratio.across),)
+    completed = replace(change, start=preload, end_model_N=preload.model_N)
+    near = abs(change.target_N - preload.force_N) < MIN_CORRECTION_N
+    # the next leg starts at the end of the plan: from the estimate, a backlash on which the two differ would
+    # be crossed to and fro; the wind-up of the gears is that of the corrected force
+    extra_Nm = change.torque_per_N * (preload.force_N - planned_for.force_N)
+    end = replace(change.end, gear_rad=change.end.gear_rad + extra_Nm / config.arm.gear_stiffness_Nm_rad)
+    start = estimate_at(joints, end)
+    planned = None if near else plan_preload(config, start, preload, change.target_N)
     if planned is None or isinstance(planned, Refusal):
-        return MoveUpdate(replace(move, preload_change=settled, force_fit=None), heard)
-    plan, rest = planned
-    again = ForceFit(fit.legs_left - 1) if fit.legs_left > 0 else None
-    on = replace(
-        move, phase=Phase.RUN, paths=plan.paths, preload_change=rest, force_fit=again, ticks=0, travelled=0.0
+        return MoveUpdate(replace(move, preload_change=completed, force_fit=None), evrs)
+    plan, next_change = planned
+    next_leg = replace(
+        move,
+        phase=Phase.RUN,
+        paths=plan.paths,
+        preload_change=next_change,
+        force_fit=ForceFit(fit.legs_left - 1) if fit.legs_left > 0 else None,
+        ticks=0,
+        travelled=0.0,
     )
-    return MoveUpdate(on, heard, gap_rad=plan.gap_rad)
+    return MoveUpdate(next_leg, evrs, gap_rad=plan.gap_rad)
 
 
 def distance_travelled(move: Move) -> float:
-    """How far a move has come on its paths over knots."""
+    """Compute the travel of a move on its paths over knots, in metres, or in newtons of a preload."""
     running = move.phase is Phase.RUN and bool(move.paths)
     return _travel(move, move.ticks * CYCLE_S) if running else move.travelled
 
 
 def move_preload(move: Move) -> PreloadState | None:
-    """What a move presses with by now."""
+    """Return the preload that a move has reached, or None if it changes none."""
     return None if move.preload_change is None else move.preload_change.state_after(distance_travelled(move))
 
 
@@ -292,17 +319,17 @@ def _travel_rate(move: Move) -> float:
 def _settle(config: Config, move: Move, joints: JointEstimate) -> MoveUpdate:
     motion = config.params.motion
     error = np.abs(joints.motor_rad - move.setpoint.motor_rad)
-    calm = (
+    at_rest = (
         error.max() < motion.settle_error_rad
         and np.abs(joints.motor_rate_rad_s).max() < motion.settle_rate_rad_s
     )
-    calm_ticks = move.settled_ticks + 1 if calm else 0
-    if calm_ticks >= config.settle_ticks:
+    settled_ticks = move.settled_ticks + 1 if at_rest else 0
+    if settled_ticks >= config.settle_ticks:
         return MoveUpdate(_enter_phase(move, Phase.BRAKE))
     if move.ticks >= config.settle_timeout_ticks:
         joint = Joint(int(error.argmax()))
         return MoveUpdate(move, (NotSettled(joint, float(error[joint])),))
-    return MoveUpdate(replace(move, settled_ticks=calm_ticks, ticks=move.ticks + 1))
+    return MoveUpdate(replace(move, settled_ticks=settled_ticks, ticks=move.ticks + 1))
 
 
 def _enter_phase(move: Move, phase: Phase) -> Move:
@@ -310,7 +337,7 @@ def _enter_phase(move: Move, phase: Phase) -> Move:
 
 
 def _next_cycle(move: Move, setpoint: Setpoint) -> Move:
-    """The move one cycle on in its phase; not by `replace`, which looks at every field first."""
+    """Advance a move by one cycle in its phase; a constructor is faster than `replace`."""
     return Move(
         move.command,
         move.end_mode,
@@ -339,7 +366,17 @@ NO_JOINTS.flags.writeable = False
 def command_actuators(
     config: Config, move: Move | None, joints: JointEstimate, last: ActuatorCommand
 ) -> ActuatorCommand:
-    """Brakes on and power off without a move; its joints powered while it lasts, released until it brakes."""
+    """Command the actuators: power during a move, brakes off until its brake phase.
+
+    Args:
+        config: Configuration of flight software.
+        move: Move under way; without one, all brakes are on and all power is off.
+        joints: Estimate of the joints, of which the encoder zero is used.
+        last: Command of the cycle before.
+
+    Returns:
+        The command; it is `last` itself while nothing moves.
+    """
     if move is None:
         if not (last.power_on.any() or last.vibrate):
             return last
@@ -351,7 +388,7 @@ def command_actuators(
             NO_JOINTS,
             vibrate=False,
         )
-    # unchanged flags and limits are the same arrays, so that nobody compares them
+    # unchanged flags and limits are the same arrays, so no reader needs to compare them
     release = NO_JOINTS if move.phase is Phase.BRAKE else move.active
     count = np.rint((move.setpoint.motor_rad - joints.reference.zero_rad) / config.rad_per_count).astype(
         np.int64

@@ -1,4 +1,4 @@
-"""Path collision check: the arm stays clear of rover and ground all along the paths of a plan."""
+"""Path collision check: the clearance of the deflected arm to rover and ground along paths."""
 
 from typing import Final
 
@@ -15,9 +15,9 @@ from fsw.kinematics.transforms import Array
 from fsw.motion.paths import Path
 
 FINE_STEP_M: Final = 0.01
-"""No point of the arm moves farther between two poses that are checked."""
+"""Largest motion of any point of the arm between two poses of the fine check."""
 COARSE_STEP_M: Final = 0.05
-"""The same for the coarse check, which suffices where nothing is near."""
+"""The same for the coarse check, which suffices if nothing is near."""
 DEFLECTION_CHANGE_M: Final = 0.01
 """Motion that changes of deflection and backlash add between two poses of the coarse check."""
 LEAST_POSES: Final = 9
@@ -40,7 +40,7 @@ def check_paths(
         joints: Estimate of the joints, of which gravity and backlash are used.
         paths: Paths of the motors, one after the other.
         padding_m: Distance to be kept.
-        touching: Tool that is to touch, which may come as close as it likes.
+        touching: Tool that is to touch; no distance is required of it.
 
     Returns:
         The reason for a refusal, or None if the paths are clear.
@@ -50,12 +50,13 @@ def check_paths(
     if not np.isfinite(compute_clearances(config.collision_geometry, coarse, near_m, touching)).any():
         return None
     motor = sample_paths(config, paths, FINE_STEP_M)
-    close = find_violation(
+    violation = find_violation(
         config.collision_geometry, compute_deflected_frames(config, joints, motor), padding_m, touching
     )
-    if close is None:
+    if violation is None:
         return None
-    return f"{close.reason}; {100 * _compute_share(config, motor, close.first):.0f} % of the way are clear"
+    clear_share = _compute_share(config, motor, violation.first)
+    return f"{violation.reason}; {100 * clear_share:.0f} % of the way are clear"
 
 
 def sample_paths(config: Config, paths: tuple[Path, ...], step_m: float) -> Array:
@@ -75,8 +76,8 @@ def sample_paths(config: Config, paths: tuple[Path, ...], step_m: float) -> Arra
 def _sample_path(config: Config, path: Path, step_m: float) -> Array:
     count = LEAST_POSES
     while True:
-        times = np.linspace(0.0, path.duration_s, count)
-        motor = np.array([path.at(time_s).motor_rad for time_s in times]).T
+        times_s = np.linspace(0.0, path.duration_s, count)
+        motor = np.array([path.at(time_s).motor_rad for time_s in times_s]).T
         steps = float(_bound_motion(config, motor).max()) / step_m
         if steps <= 1:
             return motor
@@ -84,9 +85,9 @@ def _sample_path(config: Config, path: Path, step_m: float) -> Array:
 
 
 def compute_deflected_frames(config: Config, joints: JointEstimate, motor_rad: Array) -> Frames:
-    """Compute the frames of the arm under gravity, with each output where its load presses it in its gear.
+    """Compute the frames of the arm under gravity, with each output on the side that its load decides.
 
-    Where friction may hold an output anywhere in its gear, it is taken to be in the middle.
+    An output that friction may hold anywhere between the flanks of its gear is assumed in the middle.
 
     Args:
         config: Configuration of flight software.
@@ -97,10 +98,10 @@ def compute_deflected_frames(config: Config, joints: JointEstimate, motor_rad: A
         Frames of the links in RMECH, batch (n).
     """
     gravity = joints.gravity_R_m_s2
-    hung = settle_output(config.arm, motor_rad, gravity)
-    bounds = bound_gear(config, joints.reference.half_gap_rad, hung.torque_Nm)
+    equilibrium = settle_output(config.arm, motor_rad, gravity)
+    bounds = bound_gear(config, joints.reference.half_gap_rad, equilibrium.torque_Nm)
     output = motor_rad + 0.5 * (bounds.lowest_rad + bounds.highest_rad)
-    return forward(config.arm, output, hung.strain)
+    return forward(config.arm, output, equilibrium.strain)
 
 
 def _bound_motion(config: Config, motor_rad: Array) -> Array:
@@ -110,6 +111,6 @@ def _bound_motion(config: Config, motor_rad: Array) -> Array:
 
 
 def _compute_share(config: Config, motor_rad: Array, pose: int) -> float:
-    """Return the share of the way that lies before a pose."""
+    """Compute the share of the motion that is done before a pose."""
     moved = _bound_motion(config, motor_rad)
     return float(moved[:pose].sum() / max(moved.sum(), 1e-9))

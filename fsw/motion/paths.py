@@ -1,4 +1,4 @@
-"""Paths of motor set-points over time: joint moves, straight tool moves, stops. A path is immutable."""
+"""Paths of motor set-points over time: joint moves, lines over knots, holds and stops; all immutable."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -12,11 +12,12 @@ from fsw.kinematics.chain import forward, joint_jacobian, tool_pose
 from fsw.kinematics.transforms import Array, norm
 
 SPEED_SAMPLES: Final = np.linspace(0.0, 1.0, 9)
+"""Shares of a joint move at which the tool speed is computed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Setpoint:
-    """Motor angles and rates to follow, output side."""
+    """Frozen record of commanded motor angles and rates on the output side, (5,)."""
 
     motor_rad: Array
     rate_rad_s: Array
@@ -24,20 +25,20 @@ class Setpoint:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointPath:
-    """A jerk-limited move of all joints that start and end together, at rest."""
+    """Frozen record of a jerk-limited move of all joints, which start and end together, at rest."""
 
     duration_s: float
     trajectory: Trajectory
 
     def at(self, time_s: float) -> Setpoint:
-        """The set-point at a time from the start; after the end, the end."""
+        """Compute the set-point at a time from the start; after the end, the last one."""
         position, velocity, _ = self.trajectory.at_time(min(time_s, self.duration_s))
         return Setpoint(np.array(position), np.array(velocity))
 
 
 @dataclass(frozen=True, slots=True)
 class Travel:
-    """How far a path goes along its knots and how fast: metres of a line, or newtons of a press."""
+    """Length of a path over knots and its bounds, in metres of a line or newtons of a preload."""
 
     length: float
     speed: float
@@ -47,16 +48,17 @@ class Travel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinePath:
-    """A jerk-limited travel along equally spaced joint knots, joined by cubics; unit as of its Travel."""
+    """Frozen record of a jerk-limited travel over equally spaced knots; cubics join the knots."""
 
     duration_s: float
     travel: Trajectory
     step: float
+    """Travel from one knot to the next, in the unit of its Travel."""
     coefficients: Array
-    """Per segment the cubic in u = (s - s_k) / step, highest power first: (segments, 4, 5)."""
+    """Cubic of each segment in u = (s - s_k) / step, highest power first, (segments, 4, 5)."""
 
     def at(self, time_s: float) -> Setpoint:
-        """The set-point at a time from the start; after the end, the end."""
+        """Compute the set-point at a time from the start; after the end, the last one."""
         s, speed = self.travel_at(time_s)
         u = s / self.step
         k = min(int(u), len(self.coefficients) - 1)
@@ -66,36 +68,37 @@ class LinePath:
         return Setpoint(((a * u + b) * u + c) * u + d, rate)
 
     def travel_at(self, time_s: float) -> tuple[float, float]:
-        """Travelled so far, and the speed."""
+        """Compute travel and speed at a time from the start."""
         position, velocity, _ = self.travel.at_time(min(time_s, self.duration_s))
         return position[0], velocity[0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HoldPath:
-    """Every joint stays where it is for a while."""
+    """Frozen record of a path on which no joint moves."""
 
     duration_s: float
     motor_rad: Array
 
     def at(self, time_s: float) -> Setpoint:
-        """The set-point at any time."""
+        """Return the set-point, the same at any time."""
         return Setpoint(self.motor_rad, np.zeros_like(self.motor_rad))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StopPath:
-    """Every joint comes to rest with constant deceleration, all together."""
+    """Frozen record of a stop with constant deceleration; all joints come to rest together."""
 
     duration_s: float
     start: Setpoint
 
     def at(self, time_s: float) -> Setpoint:
-        """The set-point at a time from the start; after the end, the end."""
+        """Compute the set-point at a time from the start; after the end, the last one."""
         t = min(time_s, self.duration_s)
-        left = 1 - t / self.duration_s
+        remaining = 1 - t / self.duration_s
         return Setpoint(
-            self.start.motor_rad + self.start.rate_rad_s * (t * (1 + left) / 2), self.start.rate_rad_s * left
+            self.start.motor_rad + self.start.rate_rad_s * (t * (1 + remaining) / 2),
+            self.start.rate_rad_s * remaining,
         )
 
 
@@ -103,7 +106,16 @@ Path = JointPath | LinePath | HoldPath | StopPath
 
 
 def joint_path(config: Config, start_rad: Array, end_rad: Array) -> JointPath:
-    """The fastest jerk-limited move between two poses at rest that neither joints nor tools forbid."""
+    """Compute the fastest jerk-limited move within the bounds of joints and tools.
+
+    Args:
+        config: Configuration of flight software.
+        start_rad: Motor angles at the start, shape (5,).
+        end_rad: Motor angles at the end, shape (5,).
+
+    Returns:
+        The path, from rest to rest.
+    """
     speed_rad_s = config.speed_rad_s * _speed_share(config, start_rad, end_rad)
     trajectory = _plan_trajectory(
         start_rad, end_rad, speed_rad_s, config.acceleration_rad_s2, config.jerk_rad_s3
@@ -112,20 +124,32 @@ def joint_path(config: Config, start_rad: Array, end_rad: Array) -> JointPath:
 
 
 def _speed_share(config: Config, start_rad: Array, end_rad: Array) -> float:
-    """At which the drill, which reaches farthest, is no faster than tools may be on an even way there."""
-    way = end_rad - start_rad
-    longest_s = float(np.max(np.abs(way) / config.speed_rad_s))
+    """Compute the share of the joint speeds at which no tool is too fast.
+
+    The drill reaches farthest. Its speed is sampled along a move with all joints at constant rates.
+    """
+    turn_rad = end_rad - start_rad
+    longest_s = float(np.max(np.abs(turn_rad) / config.speed_rad_s))
     if longest_s < CYCLE_S:
         return 1.0
-    poses = start_rad[:, None] + way[:, None] * SPEED_SAMPLES
+    poses = start_rad[:, None] + turn_rad[:, None] * SPEED_SAMPLES
     frames = forward(config.arm, poses)
     J = joint_jacobian(frames, tool_pose(config.arm, frames, Tool.DRILL).p)[3:]
-    fastest = float(norm(np.einsum("ijk,j->ik", J, way / longest_s)).max())
+    fastest = float(norm(np.einsum("ijk,j->ik", J, turn_rad / longest_s)).max())
     return min(1.0, config.params.motion.tool_speed_m_s / fastest)
 
 
 def line_path(config: Config, knots_rad: Array, travel: Travel) -> LinePath:
-    """A way over motor knots (k, 5) at equal spacing along it, no joint above its speed."""
+    """Compute a path over knots, on which no joint exceeds its speed.
+
+    Args:
+        config: Configuration of flight software.
+        knots_rad: Motor angles at equal steps of the travel, shape (k, 5).
+        travel: Length of the path, and bounds of its speed, acceleration and jerk.
+
+    Returns:
+        The path, from rest to rest.
+    """
     step = travel.length / (len(knots_rad) - 1)
     coefficients = _cubics(knots_rad)
     steepest = np.max(_max_slopes(coefficients) / config.speed_rad_s) / step
@@ -136,7 +160,7 @@ def line_path(config: Config, knots_rad: Array, travel: Travel) -> LinePath:
 
 
 def stop_path(config: Config, start: Setpoint) -> StopPath:
-    """The way to rest from a moving set-point."""
+    """Compute the stop from a moving set-point; the slowest joint decides its duration."""
     duration = float(
         np.max(np.abs(start.rate_rad_s) / (config.params.motion.stop_factor * config.acceleration_rad_s2))
     )
@@ -158,7 +182,10 @@ def _plan_trajectory(start: Array, end: Array, speed: Array, acceleration: Array
 
 
 def _max_slopes(coefficients: Array) -> Array:
-    """The largest slope of each joint along the cubics, in rad per knot spacing: at the ends or between."""
+    """Compute the largest slope of each joint along the cubics, in rad per step, shape (5,).
+
+    It is at an end of a segment or at the extremum of the slope inside it.
+    """
     a, b, c, _ = np.moveaxis(coefficients, 1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         between = np.clip(np.nan_to_num(-b / (3 * a)), 0.0, 1.0)
@@ -168,7 +195,7 @@ def _max_slopes(coefficients: Array) -> Array:
 
 
 def _cubics(knots: Array) -> Array:
-    """Hermite cubics through the knots with the slopes of the parabola through each three."""
+    """Compute Hermite cubics through the knots; slopes are those of parabolas through three knots each."""
     slope = np.gradient(knots, axis=0, edge_order=2 if len(knots) > 2 else 1)
     y0, y1, m0, m1 = knots[:-1], knots[1:], slope[:-1], slope[1:]
     return np.stack([2 * (y0 - y1) + m0 + m1, 3 * (y1 - y0) - 2 * m0 - m1, m0, y0], axis=1)

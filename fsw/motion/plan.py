@@ -1,4 +1,7 @@
-"""Plan joint moves and moves over knots: paths, backlash at their end, or the reason for a refusal."""
+"""Plans of joint moves and of moves over knots: paths and the positions at their end, or a refusal.
+
+It also has the soft-limit check of a pose, which all plans use.
+"""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -21,82 +24,105 @@ TOO_SOFT: Final = "the arm of these parameters is too soft to hang still"
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why a move cannot be."""
+    """Frozen record of the reason that a move cannot be planned."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointPositions:
-    """Where motors stand and how the outputs lie in their gears."""
+    """Frozen record of motor angles and gear angles (output less motor), (5,) each."""
 
     motor_rad: Array
     gear_rad: Array
 
     @property
     def output_rad(self) -> Array:
-        """Where the outputs are."""
+        """Return the output angles in radians, shape (5,)."""
         output: Array = self.motor_rad + self.gear_rad
         return output
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """Paths to run one after the other, and where they end."""
+    """Frozen record of paths to follow in sequence, and of the joints at their end."""
 
     paths: tuple[Path, ...]
     end: JointPositions
     gap_rad: Array
-    """The backlash that the last set-points allow for."""
+    """Backlash that the last set-points allow for, (5,)."""
     branch: str | None = None
-    """The inverse-kinematics branch, where one was chosen."""
+    """Inverse-kinematics branch; None if none was chosen."""
 
 
 def likely_positions(joints: JointEstimate) -> JointPositions:
-    """Where the joints are now, as far as is known."""
+    """Return the likely positions of the joints."""
     return JointPositions(joints.motor_rad, joints.gear_rad[:, LIKELY])
 
 
-def estimate_at(joints: JointEstimate, stand: JointPositions) -> JointEstimate:
-    """The joints where a plan ends, their gears as it has them."""
-    gear = np.repeat(stand.gear_rad[:, None], joints.gear_rad.shape[1], axis=1)
-    return replace(joints, motor_rad=stand.motor_rad, gear_rad=gear)
+def estimate_at(joints: JointEstimate, positions: JointPositions) -> JointEstimate:
+    """Return the estimate with the joints at these positions, such as the end of a plan."""
+    gear = np.repeat(positions.gear_rad[:, None], joints.gear_rad.shape[1], axis=1)
+    return replace(joints, motor_rad=positions.motor_rad, gear_rad=gear)
 
 
 def plan_poses(
     config: Config, joints: JointEstimate, poses: list[Array], compensation: Compensation
 ) -> Plan | Refusal:
-    """Joint moves from output pose (5) to output pose, deflection apart; refused beyond the soft limits."""
+    """Plan joint moves through output poses.
+
+    Only the last move ends on a known side of the backlash.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints, from which the first move starts.
+        poses: Output angles in radians, shape (5,) each.
+        compensation: Compensation of backlash and deflection.
+
+    Returns:
+        The plan, or the reason for a refusal, such as a pose beyond the soft limits.
+    """
     paths: list[Path] = []
-    here = likely_positions(joints)
-    gap = np.zeros_like(here.motor_rad)
+    positions = likely_positions(joints)
+    backlash_rad = np.zeros_like(positions.motor_rad)
     for k, pose in enumerate(poses):
         if worst_limit_excess(config, pose) > 0:
             return Refusal(describe_worst_limit(config, pose))
-        hanging = settle_output(config.arm, pose, joints.gravity_R_m_s2)
-        if not hanging.converged:
+        equilibrium = settle_output(config.arm, pose, joints.gravity_R_m_s2)
+        if not equilibrium.converged:
             return Refusal(TOO_SOFT)
-        last = k == len(poses) - 1
-        leg = plan_joint_move(config, joints, here, pose, hanging.torque_Nm, compensation, on_known_side=last)
+        last, load_Nm = k == len(poses) - 1, equilibrium.torque_Nm
+        leg = plan_joint_move(config, joints, positions, pose, load_Nm, compensation, on_known_side=last)
         paths.extend(leg.paths)
-        here, gap = leg.end, leg.gap_rad
-    return Plan(tuple(paths), here, gap)
+        positions, backlash_rad = leg.end, leg.gap_rad
+    return Plan(tuple(paths), positions, backlash_rad)
 
 
 def plan_joint(
     config: Config, joints: JointEstimate, joint: Joint, angle_rad: float, compensation: Compensation
 ) -> Plan | Refusal:
-    """A move of one joint's output to an angle while the others stay on their brakes."""
+    """Plan a move of one output to an angle while the other joints stay on their brakes.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints, from which the move starts.
+        joint: Joint that moves.
+        angle_rad: Output angle at the end.
+        compensation: Compensation of backlash and deflection.
+
+    Returns:
+        The plan, or the reason for a refusal.
+    """
     pose = joints.output_rad.copy()
     pose[joint] = angle_rad
     arm = config.arm
     if not arm.soft_min_rad[joint] <= angle_rad <= arm.soft_max_rad[joint]:
         return Refusal(describe_outside(arm, joint, angle_rad))
-    hanging = settle_output(arm, pose, joints.gravity_R_m_s2)
-    if not hanging.converged:
+    equilibrium = settle_output(arm, pose, joints.gravity_R_m_s2)
+    if not equilibrium.converged:
         return Refusal(TOO_SOFT)
     return plan_joint_move(
-        config, joints, likely_positions(joints), pose, hanging.torque_Nm, compensation, only=joint
+        config, joints, likely_positions(joints), pose, equilibrium.torque_Nm, compensation, only=joint
     )
 
 
@@ -110,10 +136,23 @@ def plan_joint_move(
     on_known_side: bool = True,
     only: Joint | None = None,
 ) -> Plan:
-    """A joint move to outputs (5) under the loads there, such that backlash is on a known side at the end.
+    """Plan a joint move that ends with each output on a known side of its backlash.
 
-    Outputs that their load does not hold are dragged to their places. Where the direct way does not do so by
-    itself, the move first goes as far beyond as that takes. With `only`, the other motors stay.
+    The load holds an output on one side, or the end of the move drags it to one. If the direct move is too
+    short for that, a first move makes room for the run-up.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints.
+        start: Positions at the start.
+        output_rad: Output angles at the end, shape (5,).
+        load_Nm: Loads at the end, shape (5,).
+        compensation: Compensation of backlash and deflection.
+        on_known_side: False to move directly, whatever the side at the end.
+        only: Joint that moves while the other motors stay; None if all move.
+
+    Returns:
+        The plan.
     """
     moving = np.array([only in (None, joint) for joint in Joint])
     bounds = bound_gear(config, joints.reference.half_gap_rad, load_Nm)
@@ -128,27 +167,35 @@ def plan_joint_move(
     gear = np.where(direction == 0, gear, gear_after_output_turn(gear, direction, bounds))
     motor = np.where(moving, output_rad - compensation.allowance(joints, gear), start.motor_rad)
     short = (direction != 0) & (direction * (motor - start.motor_rad) < run_up)
-    before = [np.where(short, motor - direction * run_up, motor)] if short.any() else []
-    paths = tuple(joint_path(config, a, b) for a, b in pairwise((start.motor_rad, *before, motor)))
+    via = [np.where(short, motor - direction * run_up, motor)] if short.any() else []
+    paths = tuple(joint_path(config, a, b) for a, b in pairwise((start.motor_rad, *via, motor)))
     return Plan(paths, JointPositions(motor, gear), compensation.backlash_allowance(joints, gear))
 
 
 def _reverse_at_limits(config: Config, output_rad: Array, run_up_rad: Array, direction: Array) -> Array:
-    """The directions, turned round where the run-up would leave the soft limits."""
-    before = output_rad - direction * run_up_rad
-    outside_limits = (before < config.arm.soft_min_rad) | (before > config.arm.soft_max_rad)
+    """Reverse the directions (5,) whose run-up would leave the soft limits."""
+    run_up_start = output_rad - direction * run_up_rad
+    outside_limits = (run_up_start < config.arm.soft_min_rad) | (run_up_start > config.arm.soft_max_rad)
     allowed: Array = np.where(outside_limits, -direction, direction)
     return allowed
 
 
 def worst_limit_excess(config: Config, output_rad: Array) -> Array:
-    """By how much the worst joint of (5, ...) is beyond its soft limit; negative is inside."""
-    over: Array = limit_excess(config.arm, output_rad).max(axis=0)
-    return over
+    """Compute the largest excess of a joint over its soft limit.
+
+    Args:
+        config: Configuration of flight software.
+        output_rad: Output angles, shape (5, ...).
+
+    Returns:
+        Excess in radians, shape (...); negative inside all limits.
+    """
+    excess: Array = limit_excess(config.arm, output_rad).max(axis=0)
+    return excess
 
 
 def describe_worst_limit(config: Config, output_rad: Array) -> str:
-    """The sentence about the joint of a pose (5) that is farthest beyond its soft limit."""
+    """Describe the joint of a pose, shape (5,), that is farthest beyond its soft limit."""
     joint = Joint(int(np.argmax(limit_excess(config.arm, output_rad))))
     return describe_outside(config.arm, joint, output_rad[joint])
 
@@ -161,30 +208,41 @@ def plan_over_knots(
     compensation: Compensation,
     travel: Travel,
 ) -> Plan:
-    """Paths over equally spaced outputs (5, k) under their loads (5, k), from where the joints stand.
+    """Plan paths over equally spaced outputs, from the present positions.
 
-    Where a gear is to be crossed first, there is a joint move while the outputs stand still; so there is to
-    the first outputs, where the joints stand elsewhere.
+    If a gear crosses its backlash at a knot, a joint move inserted there crosses it while the outputs rest.
+    If the joints are not at the first outputs, a joint move to these comes first.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints.
+        output_rad: Output angles at the knots, shape (5, k).
+        load_Nm: Loads at the knots, shape (5, k).
+        compensation: Compensation of backlash and deflection.
+        travel: Length of all knots together, and bounds of speed, acceleration and jerk.
+
+    Returns:
+        The plan.
     """
     step = travel.length / (output_rad.shape[1] - 1)
     stiffness = config.arm.gear_stiffness_Nm_rad
-    here = likely_positions(joints)
+    start = likely_positions(joints)
     paths: list[Path] = []
-    gear, knots = here.gear_rad, [here.motor_rad]
-    unmade = np.zeros_like(here.gear_rad)
+    gear, knots = start.gear_rad, [start.motor_rad]
+    pending_turn = np.zeros_like(start.gear_rad)
     first = output_rad[:, 0] - compensation.allowance(joints, gear)
-    if np.abs(first - here.motor_rad).max() > STILL_RAD:
-        paths.append(joint_path(config, here.motor_rad, first))
+    if np.abs(first - start.motor_rad).max() > STILL_RAD:
+        paths.append(joint_path(config, start.motor_rad, first))
         knots = [first]
-    for k, moved in enumerate(np.diff(output_rad).T, start=1):
+    for k, turn in enumerate(np.diff(output_rad).T, start=1):
         bounds = bound_gear(config, joints.reference.half_gap_rad, load_Nm[:, k])
-        wound = (load_Nm[:, k] - load_Nm[:, k - 1]) / stiffness
-        # many knots that are each too little to drag an output add up
-        unmade = unmade + moved
-        new_gear = gear_after_output_turn(gear + wound, unmade, bounds)
-        unmade = np.where(np.abs(unmade) > STILL_RAD, 0.0, unmade)
+        wind_up = (load_Nm[:, k] - load_Nm[:, k - 1]) / stiffness
+        # steps that are each too small to drag an output add up over many knots
+        pending_turn = pending_turn + turn
+        new_gear = gear_after_output_turn(gear + wind_up, pending_turn, bounds)
+        pending_turn = np.where(np.abs(pending_turn) > STILL_RAD, 0.0, pending_turn)
         allowance = compensation.allowance(joints, new_gear)
-        crossed = allowance - compensation.allowance(joints, gear + wound)
+        crossed = allowance - compensation.allowance(joints, gear + wind_up)
         if np.abs(crossed).max() > STILL_RAD:
             if len(knots) > 1:
                 paths.append(_knot_path(config, knots, step, travel))

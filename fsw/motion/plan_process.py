@@ -1,4 +1,4 @@
-"""Holding the turret against gravity: the wrist and turret angles that lay it along a direction of a tool."""
+"""Pose of a process: the wrist and turret angles at which gravity has a given direction in a tool."""
 
 import numpy as np
 
@@ -14,15 +14,26 @@ from fsw.motion.compensation import Compensation
 from fsw.motion.plan import Refusal, describe_worst_limit, worst_limit_excess
 
 MAX_DEFLECTION_PASSES = 40
-"""Of turning wrist and turret and bending the arm anew. Each takes off a factor of 80 or more, times the sine
-of the angle of gravity to the plane of both axes: in that plane the two turns of the wrist meet."""
+"""Largest number of passes that turn wrist and turret and compute the deflection again.
+
+Each pass reduces the error by a factor of at least 80 times the sine of the angle between gravity and the
+plane of both axes. In that plane the two solutions of the wrist coincide.
+"""
 DIRECTION_TOLERANCE_RAD = 1e-9
 
 
 def find_gravity_pose(config: Config, joints: JointEstimate, command: Process) -> Array | Refusal:
-    """Outputs (5) that differ in wrist and turret from where they are, so that gravity lies along gravity_T.
+    """Find the outputs at which gravity is along `gravity_T`, by turning wrist and turret only.
 
-    Of the two turns of the wrist that do, the nearer one within the limits.
+    The wrist has two solutions; the nearer one within the soft limits is taken.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints.
+        command: Command with the tool and the direction of gravity in its frame.
+
+    Returns:
+        Output angles in radians, shape (5,), or the reason for a refusal.
     """
     compensation = Compensation(command.backlash, command.deflection)
     gravity = compensation.gravity(joints)
@@ -45,13 +56,13 @@ def _solve_side(
     gravity_R_m_s2: Array,
     side: float,
 ) -> Array | Refusal:
-    """The pose with gravity on this side of the plane of wrist and turret axis."""
+    """Find the pose (5,) with gravity on one side of the plane of wrist and turret axis."""
     arm, pose = config.arm, joints.output_rad.copy()
     for _ in range(MAX_DEFLECTION_PASSES):
         frames = settle_output(arm, pose, gravity_R_m_s2).frames
         R_RT = tool_pose(arm, frames, command.tool).R
-        off_rad = float(np.linalg.norm(R_RT.T @ down_R - down_T))
-        if off_rad < DIRECTION_TOLERANCE_RAD:
+        error_rad = float(np.linalg.norm(R_RT.T @ down_R - down_T))
+        if error_rad < DIRECTION_TOLERANCE_RAD:
             return pose
         wrist_R, turret_R = frames.X_RL.R[:, 2, Joint.WRIST + 1], frames.X_RL.R[:, 2, Joint.TURRET + 1]
         pointed_R = R_RT @ down_T
@@ -61,36 +72,37 @@ def _solve_side(
         pose[Joint.WRIST :] = wrap_into_limits(arm, pose, joints.output_rad)[Joint.WRIST :]
     return Refusal(
         _describe_wrist_range(wrist_R, turret_R, down_R, pointed_R)
-        or f"no pose found: gravity would be {off_rad:.6g} rad off"
+        or f"no pose found: gravity would be {error_rad:.6g} rad off"
     )
 
 
 def _intermediate_direction(
     wrist_R: Array, turret_R: Array, down_R: Array, pointed_R: Array, side: float
 ) -> Array:
-    """What the turret can make of the pointed direction and the wrist can turn down; else what is nearest.
+    """Find the direction to which the turret turns the pointed one, and which the wrist then turns down.
 
-    It has the angle of down to the wrist axis and that of the pointed direction to the turret axis. The axes
-    need not be square to each other.
+    Its angle to the wrist axis is that of `down_R`; its angle to the turret axis is that of `pointed_R`. The
+    axes need not be perpendicular. If there is no such direction, the result is the nearest one.
     """
     cosine = float(wrist_R @ turret_R)
-    square = 1.0 - cosine**2
+    sine_squared = 1.0 - cosine**2
     along_wrist, along_turret = float(wrist_R @ down_R), float(turret_R @ pointed_R)
-    a, b = (along_wrist - cosine * along_turret) / square, (along_turret - cosine * along_wrist) / square
+    a = (along_wrist - cosine * along_turret) / sine_squared
+    b = (along_turret - cosine * along_wrist) / sine_squared
     in_plane = a * wrist_R + b * turret_R
-    out = np.sqrt(max(1.0 - float(in_plane @ in_plane), 0.0) / square)
-    between: Array = in_plane + side * out * np.cross(wrist_R, turret_R)
+    out_of_plane = np.sqrt(max(1.0 - float(in_plane @ in_plane), 0.0) / sine_squared)
+    between: Array = in_plane + side * out_of_plane * np.cross(wrist_R, turret_R)
     return between
 
 
 def _angle_about(axis_R: Array, start_R: Array, end_R: Array) -> float:
-    """The angle about an axis from one direction to another, as seen along the axis."""
+    """Compute the angle about an axis from one direction to another, both projected along the axis."""
     along = float(axis_R @ start_R) * float(axis_R @ end_R)
     return float(np.arctan2(axis_R @ np.cross(start_R, end_R), start_R @ end_R - along))
 
 
 def _describe_wrist_range(wrist_R: Array, turret_R: Array, down_R: Array, pointed_R: Array) -> str:
-    """What the wrist can do, where that is not enough; else nothing."""
+    """Describe the range of the wrist if it does not suffice; else return an empty text."""
     wanted = angle_between(turret_R, pointed_R)
     to_down, to_turret = angle_between(wrist_R, down_R), angle_between(wrist_R, turret_R)
     least, most = abs(to_down - to_turret), np.pi - abs(np.pi - to_down - to_turret)

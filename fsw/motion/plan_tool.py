@@ -1,4 +1,4 @@
-"""Plan moves of a tool: straight lines, and joint moves to an inverse-kinematics branch."""
+"""Plans of tool moves: joint moves to an inverse-kinematics branch, and straight lines."""
 
 from dataclasses import dataclass, replace
 
@@ -28,33 +28,137 @@ from fsw.motion.plan import (
     worst_limit_excess,
 )
 
+AUTO = "AUTO"
+"""Branch of a command that leaves the choice to flight software."""
 MAX_KNOT_STEP_RAD = 0.2
-"""A joint that moves more than this between two knots has not stayed on its branch."""
+"""Largest turn of a joint between two knots that stay on one branch."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line:
-    """A straight tool move, from the pose that the motor angles have under the plan's assumptions."""
+    """Frozen record of a straight tool move; it starts at the modelled pose of the motor angles."""
 
     tool: Tool
     compensation: Compensation
     gravity_R_m_s2: Array
+    """Gravity that deflects the modelled arm, (3,); zero if deflection is not compensated."""
     output_rad: Array
-    """At the start."""
+    """Outputs at the start, (5,)."""
     p_m: Array
+    """Position of the tool at the start in RMECH, (3,)."""
     axis: Array
-    """Where the tool looks at the start."""
+    """Direction of the tool axis at the start in RMECH, (3,)."""
     end_p_m: Array
     end_axis: Array
 
     @property
     def length_m(self) -> float:
-        """From start to end."""
+        """Return the distance from start to end."""
         return float(np.linalg.norm(self.end_p_m - self.p_m))
 
 
+def plan_tool(
+    config: Config, joints: JointEstimate, command: MoveTool, reference: Tool | None = None
+) -> Plan | Refusal:
+    """Plan a move to a target: straight, or a joint move to the fastest valid branch with a clear path.
+
+    A branch is valid if the target and the end of the straight travel after it are within limits.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints, from which the move starts.
+        command: Command with the target, the branch and the compensation.
+        reference: Tool whose present deflection relative compensation uses; None for that of the command.
+
+    Returns:
+        The plan, or the reason for a refusal.
+    """
+    compensation = Compensation(command.backlash, command.deflection)
+    p_m, approach = _target_in_rover(config, joints, command, compensation)
+    travel_m = np.array([0.0, command.line_m])
+    targets, approaches = compensation.target(
+        config,
+        joints,
+        command.tool if reference is None else reference,
+        p_m[:, None] + approach[:, None] * travel_m,
+        np.tile(approach[:, None], 2),
+    )
+    if command.straight:
+        plan = plan_straight(config, joints, command, targets[:, 0], approaches[:, 0])
+        return plan if isinstance(plan, Refusal) else _refuse_blocked(config, joints, plan)
+    result = inverse_kinematics(
+        config.arm, command.tool, targets, approaches, compensation.gravity(joints), joints.motor_rad
+    )
+    valid = np.all(result.verdict == BranchVerdict.VALID, axis=-1)
+    names = [BRANCHES[slot % len(BRANCHES)] for slot in range(len(valid))]
+    wanted = np.array([command.branch in (AUTO, name) for name in names])
+    if not np.any(valid & wanted):
+        return Refusal(_explain_refusal(config, command.tool, result, wanted))
+    output = np.where(valid & wanted, result.output_rad[..., 0], np.nan)
+    return _plan_first_clear(config, joints, command, compensation, output, names)
+
+
+def _plan_first_clear(
+    config: Config,
+    joints: JointEstimate,
+    command: MoveTool,
+    compensation: Compensation,
+    output_rad: Array,
+    names: list[str],
+) -> Plan | Refusal:
+    """Plan a move to the fastest of the poses (5, slots) with a clear path; an invalid slot is NaN."""
+    duration_s = np.max(np.abs(output_rad - joints.output_rad[:, None]) / config.speed_rad_s[:, None], axis=0)
+    reasons = []
+    for slot in np.argsort(duration_s)[: np.count_nonzero(np.isfinite(duration_s))]:
+        pose = output_rad[:, slot]
+        load_Nm = settle_output(config.arm, pose, joints.gravity_R_m_s2).torque_Nm
+        move = plan_joint_move(config, joints, likely_positions(joints), pose, load_Nm, compensation)
+        plan = _refuse_blocked(config, joints, move)
+        if not isinstance(plan, Refusal):
+            return replace(plan, branch=names[slot])
+        reasons.append(f"{names[slot]}: {plan.reason}")
+    return Refusal(f"{command.tool.name}: {reasons[0]}")
+
+
+def _refuse_blocked(config: Config, joints: JointEstimate, plan: Plan) -> Plan | Refusal:
+    """Return the plan, or a refusal if its paths are not clear."""
+    collision = check_paths(config, joints, plan.paths, config.params.collision.padding_m)
+    return plan if collision is None else Refusal(collision)
+
+
+def _target_in_rover(
+    config: Config, joints: JointEstimate, command: MoveTool, compensation: Compensation
+) -> tuple[Array, Array]:
+    """Return the position and the unit approach of a target in RMECH, shape (3,) each."""
+    p_m, approach = np.array(command.p_FoTo_F_m), np.array(command.approach_F)
+    if command.frame != ROVER:
+        frames = settle_output(config.arm, joints.output_rad, compensation.gravity(joints)).frames
+        X_RF = _frame_pose(config, frames, command.frame)
+        p_m, approach = X_RF.R @ p_m + X_RF.p, X_RF.R @ approach
+    return p_m, approach / np.linalg.norm(approach)
+
+
+def _frame_pose(config: Config, frames: Frames, name: str) -> Pose:
+    """Return the pose of an arm frame or a tool in RMECH by its name."""
+    if name in Tool.__members__:
+        return tool_pose(config.arm, frames, Tool[name])
+    k = Frame[name]
+    return Pose(frames.X_RF.R[:, :, k], frames.X_RF.p[:, k])
+
+
+def _explain_refusal(config: Config, tool: Tool, result: IkResult, wanted: NDArray[np.bool_]) -> str:
+    """Explain why no wanted branch is valid: the reason of the nearest one, at the target or after it."""
+    for k, name in enumerate(("the target", "the end of the approach")):
+        verdict, excess = result.verdict[:, k], result.excess[:, k]
+        if not np.any(wanted & (verdict == BranchVerdict.VALID)):
+            # by verdict first (a limit is nearer than the reach), then by excess
+            nearest = int(np.lexsort((excess, verdict, ~wanted))[0])
+            return f"{tool.name}: {name}: {describe_slot(config.arm, select_result(result, k), nearest)}"
+    return f"{tool.name}: no branch asked for reaches the target and the end of the approach alike"
+
+
 def plan_guarded(config: Config, joints: JointEstimate, command: GuardedMove) -> Plan | Refusal:
-    """A straight line from where the tool stands to the end of the guarded travel, the way the tool looks."""
+    """Plan a guarded move: a straight line along the tool axis, from the present position to the end."""
     compensation = Compensation(command.backlash, command.deflection)
     line = start_line(config, joints, command.tool, compensation)
     approach = np.array(command.approach_R) / np.linalg.norm(command.approach_R)
@@ -71,7 +175,18 @@ def plan_guarded(config: Config, joints: JointEstimate, command: GuardedMove) ->
 def plan_straight(
     config: Config, joints: JointEstimate, command: MoveTool, p_RoTo_R_m: Array, approach_R: Array
 ) -> Plan | Refusal:
-    """A straight line to a place, while the tool turns evenly to look along an approach."""
+    """Plan a straight line to a position, while the tool turns evenly to an approach.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints.
+        command: Command with the tool and its compensation.
+        p_RoTo_R_m: Position at the end in RMECH, shape (3,).
+        approach_R: Unit direction of the tool axis at the end, shape (3,).
+
+    Returns:
+        The plan, or the reason for a refusal.
+    """
     line = start_line(config, joints, command.tool, Compensation(command.backlash, command.deflection))
     line = replace(line, end_p_m=p_RoTo_R_m, end_axis=approach_R)
     problem = _check_line_length(config, line)
@@ -81,7 +196,7 @@ def plan_straight(
 
 
 def plan_retract(config: Config, joints: JointEstimate, command: Retract) -> Plan | Refusal:
-    """A straight line back along the tool's axis."""
+    """Plan a straight line back along the tool axis."""
     compensation = Compensation(command.backlash, command.deflection)
     line = start_line(config, joints, command.tool, compensation)
     line = replace(line, end_p_m=line.p_m - command.distance_m * line.axis)
@@ -92,7 +207,10 @@ def plan_retract(config: Config, joints: JointEstimate, command: Retract) -> Pla
 
 
 def start_line(config: Config, joints: JointEstimate, tool: Tool, compensation: Compensation) -> Line:
-    """A line that has yet to go anywhere, so that its plan begins without a step."""
+    """Build a line of no length at the modelled pose of a tool.
+
+    A line that starts there begins at the present set-points, without a step.
+    """
     gravity = compensation.gravity(joints)
     output = joints.motor_rad + compensation.allowance(joints, likely_positions(joints).gear_rad)
     X_RT = tool_pose(config.arm, settle_output(config.arm, output, gravity).frames, tool)
@@ -110,54 +228,58 @@ def _check_line_length(config: Config, line: Line) -> str | None:
 
 
 def _check_line_direction(config: Config, line: Line) -> str | None:
-    """A guarded move goes where its tool looks: elsewhere its contact switch would not be what touches."""
-    most = config.params.motion.line_turn_rad
+    """Check that a guarded move is along the tool axis, so that the contact switch touches first."""
+    most_rad = config.params.motion.line_turn_rad
     for name, direction in (("the approach", line.end_axis), ("the way to the end", line.end_p_m - line.p_m)):
-        off = float(np.arccos(np.clip(line.axis @ direction / np.linalg.norm(direction), -1.0, 1.0)))
-        if off > most:
+        angle_rad = float(np.arccos(np.clip(line.axis @ direction / np.linalg.norm(direction), -1.0, 1.0)))
+        if angle_rad > most_rad:
             return (
-                f"{name} is {np.degrees(off):.1f} deg from where the tool looks, "
-                f"at most {np.degrees(most):.1f} deg are allowed"
+                f"{name} is {np.degrees(angle_rad):.1f} deg from where the tool looks, "
+                f"at most {np.degrees(most_rad):.1f} deg are allowed"
             )
     return None
 
 
 def _plan_line(config: Config, joints: JointEstimate, line: Line, speed_m_s: float) -> Plan | Refusal:
+    """Plan the paths along a line, within the reach and the soft limits of the arm."""
     share = np.linspace(0.0, 1.0, int(np.ceil(line.length_m / config.params.motion.line_step_m)) + 1)
-    found = _follow_line(config, line, share)
-    over = worst_limit_excess(config, found.output_rad)
-    if not np.all(found.converged):
-        reached_m = share[np.argmin(found.converged)] * line.length_m
+    roots = _follow_line(config, line, share)
+    excess = worst_limit_excess(config, roots.output_rad)
+    if not np.all(roots.converged):
+        reached_m = share[np.argmin(roots.converged)] * line.length_m
         return Refusal(f"the straight move leaves the reach of the arm after {reached_m:.3f} m")
-    if np.any(over > 0):
-        k = int(np.argmax(over > 0))
+    if np.any(excess > 0):
+        k = int(np.argmax(excess > 0))
         along_m = share[k] * line.length_m
         return Refusal(
-            f"{along_m:.3f} m along the line, {describe_worst_limit(config, found.output_rad[:, k])}"
+            f"{along_m:.3f} m along the line, {describe_worst_limit(config, roots.output_rad[:, k])}"
         )
     motion = config.params.motion
     travel = Travel(line.length_m, speed_m_s, motion.line_acceleration_m_s2, motion.line_jerk_m_s3)
-    return plan_over_knots(config, joints, found.output_rad, found.torque_Nm, line.compensation, travel)
+    return plan_over_knots(config, joints, roots.output_rad, roots.torque_Nm, line.compensation, travel)
 
 
 def _follow_line(config: Config, line: Line, share: Array) -> NewtonRoots:
-    """Outputs at each share (k,) of the line: all at once, or knot by knot where that loses the branch."""
+    """Find the outputs at shares (k,) of the line.
+
+    All knots are solved at once. If one of them leaves the branch, each is solved from the ones before it.
+    """
     p_m = line.p_m[:, None] + share * (line.end_p_m - line.p_m)[:, None]
     axes = line.axis[:, None] + share * (line.end_axis - line.axis)[:, None]
     axes /= norm(axes)
     start = np.tile(line.output_rad[:, None], share.size)
-    found = refine_roots(config.arm, line.tool, p_m, axes, line.gravity_R_m_s2, start)
-    steps = np.abs(np.diff(found.output_rad, prepend=line.output_rad[:, None]))
-    if np.all(found.converged) and steps.max() < MAX_KNOT_STEP_RAD:
-        return found
+    roots = refine_roots(config.arm, line.tool, p_m, axes, line.gravity_R_m_s2, start)
+    steps = np.abs(np.diff(roots.output_rad, prepend=line.output_rad[:, None]))
+    if np.all(roots.converged) and steps.max() < MAX_KNOT_STEP_RAD:
+        return roots
     knots: list[NewtonRoots] = []
     last = before = line.output_rad
     for k in range(share.size):
         knot = refine_roots(
             config.arm, line.tool, p_m[:, k], axes[:, k], line.gravity_R_m_s2, 2 * last - before
         )
-        followed = knot.converged & (np.abs(knot.output_rad - last).max() < MAX_KNOT_STEP_RAD)
-        knots.append(replace(knot, converged=followed))
+        stays = knot.converged & (np.abs(knot.output_rad - last).max() < MAX_KNOT_STEP_RAD)
+        knots.append(replace(knot, converged=stays))
         before, last = last, knot.output_rad
     return NewtonRoots(
         output_rad=np.stack([knot.output_rad for knot in knots], axis=-1),
@@ -165,100 +287,3 @@ def _follow_line(config: Config, line: Line, share: Array) -> NewtonRoots:
         error=np.stack([knot.error for knot in knots]),
         converged=np.stack([knot.converged for knot in knots]),
     )
-
-
-AUTO = "AUTO"
-
-
-def plan_tool(
-    config: Config, joints: JointEstimate, command: MoveTool, reference: Tool | None = None
-) -> Plan | Refusal:
-    """A joint move to the quickest valid and clear branch from where the joints are, or to the named one.
-
-    A branch is valid if the target and the end of the straight travel after it are within limits. Relative
-    to `reference`, or else to the tool itself, a target moves along with that tool's deflection of now.
-    """
-    compensation = Compensation(command.backlash, command.deflection)
-    p_m, approach = _target_in_rover(config, joints, command, compensation)
-    along = np.array([0.0, command.line_m])
-    targets, approaches = compensation.target(
-        config,
-        joints,
-        command.tool if reference is None else reference,
-        p_m[:, None] + approach[:, None] * along,
-        np.tile(approach[:, None], 2),
-    )
-    if command.straight:
-        plan = plan_straight(config, joints, command, targets[:, 0], approaches[:, 0])
-        return plan if isinstance(plan, Refusal) else _refuse_blocked(config, joints, plan)
-    answers = inverse_kinematics(
-        config.arm, command.tool, targets, approaches, compensation.gravity(joints), joints.motor_rad
-    )
-    valid = np.all(answers.verdict == BranchVerdict.VALID, axis=-1)
-    names = [BRANCHES[slot % len(BRANCHES)] for slot in range(len(valid))]
-    wanted = np.array([command.branch in (AUTO, name) for name in names])
-    if not np.any(valid & wanted):
-        return Refusal(_explain_refusal(config, command.tool, answers, wanted))
-    output = np.where(valid & wanted, answers.output_rad[..., 0], np.nan)
-    return _plan_first_clear(config, joints, command, compensation, output, names)
-
-
-def _plan_first_clear(
-    config: Config,
-    joints: JointEstimate,
-    command: MoveTool,
-    compensation: Compensation,
-    output_rad: Array,
-    names: list[str],
-) -> Plan | Refusal:
-    """The quickest of the poses (5, slots) to which the way is clear; NaN is none."""
-    turns_s = np.max(np.abs(output_rad - joints.output_rad[:, None]) / config.speed_rad_s[:, None], axis=0)
-    met = []
-    for slot in np.argsort(turns_s)[: np.count_nonzero(np.isfinite(turns_s))]:
-        pose = output_rad[:, slot]
-        load_Nm = settle_output(config.arm, pose, joints.gravity_R_m_s2).torque_Nm
-        plan = _refuse_blocked(
-            config,
-            joints,
-            plan_joint_move(config, joints, likely_positions(joints), pose, load_Nm, compensation),
-        )
-        if not isinstance(plan, Refusal):
-            return replace(plan, branch=names[slot])
-        met.append(f"{names[slot]}: {plan.reason}")
-    return Refusal(f"{command.tool.name}: {met[0]}")
-
-
-def _refuse_blocked(config: Config, joints: JointEstimate, plan: Plan) -> Plan | Refusal:
-    meeting = check_paths(config, joints, plan.paths, config.params.collision.padding_m)
-    return plan if meeting is None else Refusal(meeting)
-
-
-def _target_in_rover(
-    config: Config, joints: JointEstimate, command: MoveTool, compensation: Compensation
-) -> tuple[Array, Array]:
-    """Position and unit approach in RMECH."""
-    p_m, approach = np.array(command.p_FoTo_F_m), np.array(command.approach_F)
-    if command.frame != ROVER:
-        frames = settle_output(config.arm, joints.output_rad, compensation.gravity(joints)).frames
-        X_RF = _frame_pose(config, frames, command.frame)
-        p_m, approach = X_RF.R @ p_m + X_RF.p, X_RF.R @ approach
-    return p_m, approach / np.linalg.norm(approach)
-
-
-def _frame_pose(config: Config, frames: Frames, name: str) -> Pose:
-    """An arm frame or a tool, by its name."""
-    if name in Tool.__members__:
-        return tool_pose(config.arm, frames, Tool[name])
-    k = Frame[name]
-    return Pose(frames.X_RF.R[:, :, k], frames.X_RF.p[:, k])
-
-
-def _explain_refusal(config: Config, tool: Tool, answers: IkResult, wanted: NDArray[np.bool_]) -> str:
-    """Of the branches asked for, the reason of the nearest: at the target, else at the end of the line."""
-    for place, name in ((0, "the target"), (1, "the end of the approach")):
-        verdict, excess = answers.verdict[:, place], answers.excess[:, place]
-        if not np.any(wanted & (verdict == BranchVerdict.VALID)):
-            # by verdict first, a limit is nearer than reach, then by how much
-            nearest = int(np.lexsort((excess, verdict, ~wanted))[0])
-            return f"{tool.name}: {name}: {describe_slot(config.arm, select_result(answers, place), nearest)}"
-    return f"{tool.name}: no branch asked for reaches the target and the end of the approach alike"

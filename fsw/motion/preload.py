@@ -1,9 +1,10 @@
 """Preload without a force sensor: overdrive through the modelled stiffness, corrected by motor currents.
 
-While the overdrive grows, the load of every joint rises by what the rock gives back; friction, weight and
-bias stay what they are and drop out. Five loads against a force of three components and a torque about the
-tool's axis: an arm of five joints cannot keep a tool from turning about that axis, so the pads slide, and
-their friction resists.
+The plan of a change of force comes first, then the fit of the currents that corrects it.
+
+While the overdrive rises, the reaction of the surface adds to the load of every joint; friction, weight and
+bias are constant and drop out. Five loads determine three components of force and a torque about the tool
+axis. An arm of five joints cannot prevent rotation about that axis: the pads slide, and friction resists.
 """
 
 from dataclasses import dataclass, field, replace
@@ -36,85 +37,124 @@ from fsw.motion.plan import (
 MAX_NEWTON_STEPS: Final = 20
 ROUNDING_N: Final = 1e-6
 RAMP_S: Final = 1.0
-"""In which the rate of the force builds up."""
+"""Time in which the rate of the force rises to its bound."""
 PRIOR_RATIO_STD: Final = 0.25
-"""By how much a built arm's stiffness may well differ from the model's."""
+"""Prior standard deviation of the force ratio: a built arm differs from the model in stiffness."""
 ESTIMATED_RATIO_STD: Final = 0.1
-"""So well is it known once it was felt."""
+"""Standard deviation of the force ratio below which it counts as known."""
 RATIO_SIGMAS: Final = 1.5
-"""Times that the stiffness may well be off."""
+"""Standard deviations by which an unknown force ratio may exceed its estimate."""
 FRICTION_FACTOR: Final = 1.5
-"""Friction may have risen by so much since it was felt at the hardstop."""
+"""Factor by which friction may have risen since it was measured at the hardstop."""
+MIN_RATE_SHARE: Final = 0.75
+"""Share of its highest rate at which the force must rise to be fitted; slower, friction differs."""
+CURRENT_NOISE_A: Final = 0.02
+"""Standard deviation of one reading of a current."""
+TRANSVERSE_STD: Final = 0.3
+"""Prior standard deviation of each transverse force, in newtons per newton of the model."""
+TWIST_STD_M: Final = 0.0225
+"""Prior standard deviation of the torque about the tool axis, per newton of the model.
+
+Pads 45 mm from the axis with a friction coefficient of 0.5 transmit this torque.
+"""
+BACKLASH_STEP_NM: Final = 3.0
+"""Step of a load if an output crosses its backlash earlier or later than predicted."""
+STEP_SLOPE_FACTOR: Final = 0.75**0.5 / 2
+"""Change of the slope of a load by a step in the middle of evenly spread forces.
+
+Its unit is the step over the standard deviation of the forces.
+"""
+MIN_CYCLES: Final = 2
+"""A straight line is fitted to more cycles than this."""
+MIN_RATIO_STD: Final = 0.05
+"""Least standard deviation of an estimated force ratio."""
+RATIO_RANGE: Final = (0.5, 2.0)
+"""Plausible force ratios; any other is rejected."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreloadState:
-    """A tool that presses: where it touched, how it looked there, and how far the arm is overdriven since.
+    """Frozen record of a tool in contact: its pose at the contact, and the overdrive since.
 
-    The overdrive is counted in newtons of the model: with so many the modelled arm would press. The built arm
-    is stiffer or softer, and presses with a share of them.
+    The unit of overdrive is the newton of the model: the force that the modelled arm would apply. The built
+    arm is stiffer or softer and applies `force_ratio` times as much.
     """
 
     tool: Tool
     p_RoTo_R_m: Array
+    """Position of the tool at the contact, (3,)."""
     axis_R: Array
+    """Unit direction of the tool axis at the contact, (3,)."""
     model_N: float
+    """Overdrive in newtons of the model."""
     resolver_offset_rad: Array
-    """How far the resolvers were from the believed outputs when it touched, (5,)."""
+    """Resolvers less estimated outputs at the contact, (5,)."""
     force_ratio: float = 1.0
-    """True over modelled force, as far as it was felt."""
+    """Estimate of true over modelled force."""
     force_ratio_std: float = PRIOR_RATIO_STD
-    """Standard deviation of what is to be felt next."""
+    """Standard deviation of the ratio for the next change of force."""
 
     @property
     def force_N(self) -> float:
-        """With what it is believed to press."""
+        """Return the estimated force in newtons."""
         return self.force_ratio * self.model_N
 
     def reaction_at(self, force_N: Array | float) -> ToolForce:
-        """What comes back of a force or forces (...)."""
+        """Return the reaction to a force.
+
+        Args:
+            force_N: Force of the tool on the surface, scalar or shape (...).
+
+        Returns:
+            Force on the tool in RMECH, batch (...).
+        """
         column = self.axis_R.reshape(3, *(1,) * np.ndim(force_N))
         return ToolForce(self.tool, -column * force_N)
 
     @property
     def reaction(self) -> ToolForce:
-        """What comes back of the force as it is believed to be."""
+        """Return the reaction to the estimated force."""
         return self.reaction_at(self.force_N)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreloadChange:
-    """A change of force under way, to its end or to where it is to be felt first."""
+    """Frozen record of one leg of a change of force; a leg may end short of the target."""
 
     start: PreloadState
     end_model_N: float
+    """Overdrive at the end of this leg, in newtons of the model."""
     target_N: float
+    """Commanded force."""
     torque_per_N: Array
-    """By how much each joint's load rises with the force, (5,)."""
+    """Load of each joint in newton metres per newton of the model, (5,)."""
     free_Nm: Array
-    """What the joints carry without it, (5,)."""
+    """Loads without the force, (5,)."""
     end: JointPositions
-    """Of the motors and gears."""
+    """Motor and gear angles at the end of this leg."""
 
     @property
     def change_N(self) -> float:
-        """Of the model's force."""
+        """Return the change of overdrive in newtons of the model."""
         return self.end_model_N - self.start.model_N
 
     def state_after(self, travelled_N: float) -> PreloadState:
-        """What is pressed with when so much of the change is done."""
+        """Return the preload after a part of the change, in newtons of the model."""
         if travelled_N >= abs(self.change_N) - ROUNDING_N:
             return replace(self.start, model_N=self.end_model_N)
         return replace(self.start, model_N=self.start.model_N + float(np.sign(self.change_N)) * travelled_N)
 
 
 def holding_force_N(config: Config) -> float:
-    """With what a touch ends, so that the tool stays in contact: one step more than closes its switch."""
+    """Compute the force that keeps a tool in contact: one step more than the force that closes its switch."""
     return config.params.motion.switch_force_N + config.params.preload.step_N
 
 
 def model_contact(config: Config, joints: JointEstimate, tool: Tool) -> PreloadState:
-    """A tool that touches with what closes its switch: so little pushes it that friction does not count."""
+    """Model the preload of a tool that has just touched with the force that closes its switch.
+
+    Friction is neglected at so small a force.
+    """
     arm, gravity, force_N = config.arm, joints.gravity_R_m_s2, config.params.motion.switch_force_N
     free = tool_pose(arm, settle_output(arm, joints.output_rad, gravity).frames, tool)
     push = ToolForce(tool, -free.R[:, 0] * force_N)
@@ -125,10 +165,20 @@ def model_contact(config: Config, joints: JointEstimate, tool: Tool) -> PreloadS
 def plan_preload(
     config: Config, joints: JointEstimate, preload: PreloadState, force_N: float
 ) -> tuple[Plan, PreloadChange] | Refusal:
-    """The overdrive from one force to another, such that the tool stays where it touches and looks as it did.
+    """Plan the overdrive from one force to another at a constant pose of the tool.
 
-    What the arm gives way, sideways and in its angle too, is made up for at every force on the way, so
-    nothing is left for friction to hold.
+    Each knot compensates the deflection of the arm in position and direction, so the tool does not need
+    friction to stay in place.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints, from which the change starts.
+        preload: Preload at the start.
+        force_N: Commanded force.
+
+    Returns:
+        The plan and its change of force, or the reason for a refusal. While the stiffness of the arm is not
+        known, both end short of the commanded force.
     """
     params = config.params.preload
     end_N = _first_force_N(preload, force_N) / preload.force_ratio
@@ -137,9 +187,9 @@ def plan_preload(
     output = _solve_outputs(config, joints, preload, forces)
     if output is None:
         return Refusal(f"no overdrive found from {preload.force_N:.1f} to {force_N:.1f} N")
-    over = worst_limit_excess(config, output)
-    if np.any(over > 0):
-        k = int(np.argmax(over > 0))
+    excess = worst_limit_excess(config, output)
+    if np.any(excess > 0):
+        k = int(np.argmax(excess > 0))
         return Refusal(
             f"at {preload.force_ratio * forces[k]:.1f} N, {describe_worst_limit(config, output[:, k])}"
         )
@@ -151,29 +201,38 @@ def plan_preload(
         return Refusal(TOO_SOFT)
     load_Nm, carried_Nm = pushed.torque_Nm, carried.torque_Nm
     travel = Travel(change_N, params.rate_N_s, params.rate_N_s / RAMP_S, 2 * params.rate_N_s / RAMP_S**2)
-    # gaps are crossed under the believed force; what the model winds gears up beyond that is overdrive
+    # outputs cross their backlash under the estimated force; wind-up beyond that is overdrive
     overdriven = output - (load_Nm - carried_Nm) / config.arm.gear_stiffness_Nm_rad[:, None]
     plan = plan_over_knots(config, joints, overdriven, carried_Nm, Compensation(), travel)
-    meeting = check_paths(config, joints, plan.paths, config.params.collision.padding_m, preload.tool)
-    if meeting is not None:
-        return Refusal(meeting)
+    collision = check_paths(config, joints, plan.paths, config.params.collision.padding_m, preload.tool)
+    if collision is not None:
+        return Refusal(collision)
     per_N = (load_Nm[:, -1] - load_Nm[:, 0]) / (end_N - preload.model_N)
     free_Nm = load_Nm[:, 0] - per_N * preload.model_N
     return plan, PreloadChange(preload, end_N, force_N, per_N, free_Nm, plan.end)
 
 
 def _first_force_N(preload: PreloadState, force_N: float) -> float:
-    """The force to go to: all of it, or, while little is known of the stiffness, what cannot be too much."""
+    """Return the force of the first leg: less than commanded while the force ratio is not known."""
     if preload.force_ratio_std <= ESTIMATED_RATIO_STD or force_N <= preload.force_N:
         return force_N
     return preload.force_N + (force_N - preload.force_N) / (1 + RATIO_SIGMAS * preload.force_ratio_std)
 
 
-def preload_limit_A(config: Config, joints: JointEstimate, press: PreloadChange) -> Array:
-    """Current limits (5) that stall the motors before the force is much larger than it ought to be."""
-    most_N = max(press.start.force_N, press.target_N) * (1 + config.params.preload.guard_share)
-    carried = np.abs(press.free_Nm) + np.abs(press.torque_per_N) * most_N
-    torque = carried + FRICTION_FACTOR * joints.reference.friction_Nm
+def preload_limit_A(config: Config, joints: JointEstimate, change: PreloadChange) -> Array:
+    """Compute current limits that stall the motors before the force much exceeds the commanded one.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate of the joints, of which the measured friction is used.
+        change: Change of force.
+
+    Returns:
+        Current limits in amperes, shape (5,).
+    """
+    most_N = max(change.start.force_N, change.target_N) * (1 + config.params.preload.guard_share)
+    carried_Nm = np.abs(change.free_Nm) + np.abs(change.torque_per_N) * most_N
+    torque = carried_Nm + FRICTION_FACTOR * joints.reference.friction_Nm
     limit: Array = np.minimum(torque / config.torque_constant_Nm_A, config.current_limit_A)
     return limit
 
@@ -181,68 +240,64 @@ def preload_limit_A(config: Config, joints: JointEstimate, press: PreloadChange)
 def _solve_outputs(
     config: Config, joints: JointEstimate, preload: PreloadState, forces: Array
 ) -> Array | None:
-    """Outputs (5, k) at which the pushed arm keeps the tool where it touches; None if there are none."""
+    """Find outputs (5, k) that keep the tool at its contact pose under forces (k,), or None."""
     arm, push, tool = config.arm, preload.reaction_at(forces), preload.tool
     p, axis = preload.p_RoTo_R_m[:, None], preload.axis_R[:, None]
     output = np.tile(joints.output_rad[:, None], forces.size)
     for _ in range(MAX_NEWTON_STEPS):
-        hanging = settle_output(arm, output, joints.gravity_R_m_s2, push)
-        X_RT = tool_pose(arm, hanging.frames, tool)
+        equilibrium = settle_output(arm, output, joints.gravity_R_m_s2, push)
+        X_RT = tool_pose(arm, equilibrium.frames, tool)
         error = task_error(X_RT, p, axis)
         if np.abs(error).max() < ROOT_TOLERANCE:
             return output
-        J = np.moveaxis(task_jacobian(hanging.frames, X_RT, axis), -1, 0)
-        # the pseudo-inverse has an answer at a singularity too
+        J = np.moveaxis(task_jacobian(equilibrium.frames, X_RT, axis), -1, 0)
+        # the pseudo-inverse exists at a singularity too
         output = output - (np.linalg.pinv(J) @ np.moveaxis(error, -1, 0)[..., None])[..., 0].T
     return None
 
 
-MIN_RATE_SHARE: Final = 0.75
-"""Of its highest rate that the force must rise with: slower, friction is not what it is in motion."""
-CURRENT_NOISE_A: Final = 0.02
-"""Noise of one reading of a current."""
-TRANSVERSE_STD: Final = 0.3
-"""Of a newton of the model, so much may well be felt across."""
-TWIST_STD_M: Final = 0.0225
-"""Torque about the axis that pads 45 mm off it, with a friction coefficient of 0.5, pass on for a newton."""
-BACKLASH_STEP_NM: Final = 3.0
-"""The step of a load where a gap is crossed earlier or later than believed."""
-STEP_SLOPE_FACTOR: Final = 0.75**0.5 / 2
-"""A step of a load in the middle of an even spread of forces changes the slope by so much of the step over
-the standard deviation of the forces."""
-MIN_CYCLES: Final = 2
-"""With more a straight line can be told."""
-MIN_RATIO_STD: Final = 0.05
-RATIO_RANGE: Final = (0.5, 2.0)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceFit:
-    """What the currents have told on a leg of a press, and how many legs may follow.
+    """Frozen record of sums over cycles, for a straight line of each joint's load over the force.
 
-    Sums over the cycles in which a joint says something, (5,) each, for a straight line over the force.
+    A joint counts in the cycles in which its current shows the load.
     """
 
     legs_left: int = 2
+    """Number of corrections that may follow."""
     n: Array = field(default_factory=lambda: np.zeros(5))
     sums: Array = field(default_factory=lambda: np.zeros((2, 3, 5)))
-    """Of the model's force [N], of what it would load a joint with, and of what the currents tell [N m]; and
-    of each times the force."""
+    """Sums of the model's force [N], of its modelled load and of the measured load [N m], (3, 5).
 
-    def add_cycle(self, model_N: float, model_Nm: Array, push_Nm: Array, says: Flags) -> "ForceFit":
-        """One cycle more."""
-        terms = np.stack((np.full_like(push_Nm, model_N), model_Nm, push_Nm)) * says
-        return ForceFit(self.legs_left, self.n + says, self.sums + np.stack((terms, model_N * terms)))
+    The first row has the sums, the second those of each times the force.
+    """
+
+    def add_cycle(self, model_N: float, model_Nm: Array, push_Nm: Array, counts: Flags) -> "ForceFit":
+        """Add one cycle.
+
+        Args:
+            model_N: Force of the model.
+            model_Nm: Loads by that force in the model, shape (5,).
+            push_Nm: Loads by the force as measured by the currents, shape (5,).
+            counts: Joints whose currents show the load, shape (5,).
+
+        Returns:
+            The fit with this cycle.
+        """
+        terms = np.stack((np.full_like(push_Nm, model_N), model_Nm, push_Nm)) * counts
+        return ForceFit(self.legs_left, self.n + counts, self.sums + np.stack((terms, model_N * terms)))
 
 
 @dataclass(frozen=True, slots=True)
 class ForceRatio:
-    """What is felt for a newton of the model."""
+    """Frozen record of the estimated force in newtons per newton of the model."""
 
     along: float
+    """Component along the tool axis."""
     across: float
+    """Component across the tool axis."""
     std: float
-    """Standard deviation of the first."""
+    """Standard deviation of the component along the axis."""
 
 
 def update_force_fit(
@@ -255,61 +310,87 @@ def update_force_fit(
     load: LoadEstimate,
     sensors: Sensors,
 ) -> ForceFit:
-    """The fit with this cycle's currents, if the force rises briskly."""
+    """Add the currents of this cycle to the fit if the force rises fast enough.
+
+    The measured load is the motor torque less friction, and less the load without the force.
+
+    Args:
+        config: Configuration of flight software.
+        fit: Fit of the cycles before.
+        preload: Preload of this cycle.
+        rate_N_s: Rate of the overdrive.
+        setpoint: Set-point of this cycle.
+        joints: Estimate of the joints.
+        load: Estimate of the loads.
+        sensors: Readings of this cycle.
+
+    Returns:
+        The fit with this cycle.
+    """
     if rate_N_s <= MIN_RATE_SHARE * config.params.preload.rate_N_s:
         return fit
     friction = joints.reference.friction_Nm
     resisting = np.where(np.isfinite(friction), friction, 0.0) * np.sign(setpoint.rate_rad_s)
     carried = resisting - config.torque_constant_Nm_A * sensors.current_A
     push = carried - (load.torque_Nm - load.press_torque_Nm)
-    # in its gap a gear passes nothing on
+    # a gear inside its backlash transmits no torque
     half, bounds = joints.reference.half_gap_rad, joints.bounds
     lowest_rad, highest_rad = bounds.lowest_rad[:, LIKELY], bounds.highest_rad[:, LIKELY]
     held = held_on_flank(half, lowest_rad, highest_rad, np.zeros_like(push))
-    # its encoder counts: the friction of a motor that has yet to break away is not what it is in motion
+    # only a motor that turns counts: static friction differs from friction in motion
     follows = joints.motor_rate_rad_s * setpoint.rate_rad_s > 0.5 * setpoint.rate_rad_s**2
-    says = held & follows
-    return fit.add_cycle(preload.model_N, load.press_torque_Nm / preload.force_ratio, push, says)
+    model_Nm = load.press_torque_Nm / preload.force_ratio
+    return fit.add_cycle(preload.model_N, model_Nm, push, held & follows)
 
 
 def estimate_force_ratio(
     config: Config, fit: ForceFit, joints: JointEstimate, preload: PreloadState
 ) -> ForceRatio | None:
-    """What the rock gives back for a newton of the model; None if that cannot be.
+    """Estimate the force per newton of the model by the maximum of the posterior density.
 
-    The likeliest of what was likely beforehand and of what the joints that moved tell, by its noise.
+    The unknowns are the force along the tool axis, two forces across it and the torque about it. Each has a
+    Gaussian prior; the measurements are the slopes of the measured loads over the force.
+
+    Args:
+        config: Configuration of flight software.
+        fit: Fit of a leg.
+        joints: Estimate of the joints.
+        preload: Preload at the end of the leg.
+
+    Returns:
+        The ratio; None without measurements or if the ratio is implausible.
     """
-    says = fit.n > MIN_CYCLES
-    if not says.any():
+    counts = fit.n > MIN_CYCLES
+    if not counts.any():
         return None
-    n, (mean, mixed) = fit.n[says], fit.sums[:, :, says] / fit.n[says]
+    n, (mean, mixed) = fit.n[counts], fit.sums[:, :, counts] / fit.n[counts]
     spread_N2, model_Nm, push_Nm = mixed - mean * mean[0]
-    # a straight line's slope, and what noise and a step of the load in its middle make of it
+    # the slope of a straight line, and its error by noise and by a step of the load in its middle
     model_Nm_N, push_Nm_N = model_Nm / spread_N2, push_Nm / spread_N2
-    reading_Nm = CURRENT_NOISE_A * config.torque_constant_Nm_A[says] / np.sqrt(n)
+    reading_Nm = CURRENT_NOISE_A * config.torque_constant_Nm_A[counts] / np.sqrt(n)
     noise_Nm_N = np.hypot(reading_Nm, STEP_SLOPE_FACTOR * BACKLASH_STEP_NM) / np.sqrt(spread_N2)
-    levers = np.column_stack((model_Nm_N, _transverse_jacobian(config, joints, preload)[says]))
+    levers = np.column_stack((model_Nm_N, _transverse_jacobian(config, joints, preload)[counts]))
     levers /= noise_Nm_N[:, None]
-    likely = np.array([preload.force_ratio, 0.0, 0.0, 0.0])
-    spread = np.array([preload.force_ratio_std, TRANSVERSE_STD, TRANSVERSE_STD, TWIST_STD_M])
-    information = np.diag(spread**-2) + levers.T @ levers
-    weighted_residual = levers.T @ (push_Nm_N / noise_Nm_N - levers @ likely)
-    along, *across, _ = likely + np.linalg.solve(information, weighted_residual)
-    unsure = max(float(np.sqrt(np.linalg.inv(information)[0, 0])), MIN_RATIO_STD)
-    believable = RATIO_RANGE[0] < along < RATIO_RANGE[1]
-    return ForceRatio(float(along), float(np.hypot(*across)), unsure) if believable else None
+    prior = np.array([preload.force_ratio, 0.0, 0.0, 0.0])
+    prior_std = np.array([preload.force_ratio_std, TRANSVERSE_STD, TRANSVERSE_STD, TWIST_STD_M])
+    information = np.diag(prior_std**-2) + levers.T @ levers
+    weighted_residual = levers.T @ (push_Nm_N / noise_Nm_N - levers @ prior)
+    along, *across, _ = prior + np.linalg.solve(information, weighted_residual)
+    std = max(float(np.sqrt(np.linalg.inv(information)[0, 0])), MIN_RATIO_STD)
+    plausible = RATIO_RANGE[0] < along < RATIO_RANGE[1]
+    return ForceRatio(float(along), float(np.hypot(*across)), std) if plausible else None
 
 
 def _transverse_jacobian(config: Config, joints: JointEstimate, preload: PreloadState) -> Array:
-    """Loads (5, 3) by a newton along the tool's y axis, by one along z, and by a newton metre about x."""
+    """Compute the loads (5, 3) by unit forces along the tool's y and z axes and a unit torque about x."""
     frames = settle_output(config.arm, joints.output_rad, joints.gravity_R_m_s2, preload.reaction).frames
     X_RT = tool_pose(config.arm, frames, preload.tool)
     J = joint_jacobian(frames, X_RT.p)
     return np.column_stack((J[3:].T @ X_RT.R[:, 1:], J[:3].T @ X_RT.R[:, 0]))
 
 
-def correct_preload(press: PreloadChange, felt: ForceRatio) -> PreloadState:
-    """What is pressed with at the end of a press, by what was felt on the way."""
-    force_N = press.start.force_N + felt.along * press.change_N
-    done = replace(press.start, model_N=press.end_model_N)
-    return replace(done, force_ratio=force_N / press.end_model_N, force_ratio_std=felt.std)
+def correct_preload(change: PreloadChange, ratio: ForceRatio) -> PreloadState:
+    """Return the preload at the end of a change of force, by the ratio estimated during it."""
+    force_N = change.start.force_N + ratio.along * change.change_N
+    done = replace(change.start, model_N=change.end_model_N)
+    return replace(done, force_ratio=force_N / change.end_model_N, force_ratio_std=ratio.std)
