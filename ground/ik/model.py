@@ -1,4 +1,4 @@
-"""The arm whose inverse kinematics is asked for: which one, with which tool, and how it hangs."""
+"""Arm model of an inverse-kinematics request: arm, tool, and gravity to compensate."""
 
 import math
 from collections.abc import Iterator
@@ -17,16 +17,16 @@ from ground.ik.targets import IkTargets
 
 COMPENSATIONS: Final = ("absolute", "off")
 MOST_WARMING_K: Final = 200.0
-"""Either way, more than from the warmest day of calibration to the coldest night on Mars."""
+"""Largest temperature difference from calibration; the coldest night on Mars is nearer."""
 
 
 BATCH_SIZE: Final = 8192
-"""Targets at a time: about a second."""
+"""Number of targets in a part of a batch; solving a part takes about a second."""
 
 
 @dataclass(frozen=True, slots=True)
 class ModelRequest:
-    """What is asked; degrees and kelvin."""
+    """Request for an arm model; angles in degrees, temperatures in kelvin."""
 
     tool: str = "apxs"
     compensate: str = "absolute"
@@ -40,7 +40,7 @@ class ModelRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IkModel:
-    """What flight software believes about the arm, and the gravity to compensate, if any."""
+    """Arm as flight software knows it, with the gravity to compensate; None without compensation."""
 
     request: ModelRequest
     arm: Arm
@@ -50,35 +50,35 @@ class IkModel:
 
     @property
     def description(self) -> str:
-        """The arm and its load in words."""
-        asked = self.request
-        words = f"{asked.tool.upper()}, {asked.arm} arm"
-        if asked.warming_K:
-            words += f" {asked.warming_K:+g} K"
+        """Describe the arm and its load."""
+        request = self.request
+        text = f"{request.tool.upper()}, {request.arm} arm"
+        if request.warming_K:
+            text += f" {request.warming_K:+g} K"
         if self.gravity_R_m_s2 is None:
-            return words + ", rigid"
-        tilted = f", roll {asked.tilt_roll_deg:g} pitch {asked.tilt_pitch_deg:g} deg"
-        level = asked.tilt_roll_deg == asked.tilt_pitch_deg == 0.0
-        return words + f", hanging in the gravity of {asked.gravity.title()}" + ("" if level else tilted)
+            return text + ", rigid"
+        tilted = f", roll {request.tilt_roll_deg:g} pitch {request.tilt_pitch_deg:g} deg"
+        level = request.tilt_roll_deg == request.tilt_pitch_deg == 0.0
+        return text + f", hanging in the gravity of {request.gravity.title()}" + ("" if level else tilted)
 
     def solve_in_batches(self, targets: IkTargets, progress: Progress) -> Iterator[IkResult]:
-        """The answers to many targets, some at a time, (S, n) each; S may differ."""
+        """Solve the inverse kinematics in parts, (S, n) each; the number of slots S may differ."""
         for start in range(0, len(targets), BATCH_SIZE):
             progress(start, len(targets), "solving")
-            yield self.answers(targets.part(start, BATCH_SIZE))
+            yield self.solve(targets.part(start, BATCH_SIZE))
 
-    def answers(self, targets: IkTargets) -> IkResult:
-        """Every branch of every target, (S, n)."""
+    def solve(self, targets: IkTargets) -> IkResult:
+        """Solve the inverse kinematics of all targets for every branch, shape (S, n)."""
         return inverse_kinematics(
             self.arm, self.tool, targets.p_RoTo_R_m, targets.approach_R, self.gravity_R_m_s2
         )
 
 
 def build_ik_model(request: ModelRequest) -> IkModel:
-    """The arm that is meant.
+    """Build the arm model of a request.
 
     Raises:
-        BadRequest: a field of the request is wrong.
+        BadRequest: A field of the request is wrong.
     """
     tool = _parse_tool(request.tool)
     if request.compensate not in COMPENSATIONS:

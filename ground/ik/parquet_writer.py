@@ -1,4 +1,4 @@
-"""Answers of a batch as a Parquet table: one row for each target and branch that it has."""
+"""Parquet writer of inverse-kinematics results: one row for each target and each of its branches."""
 
 import json
 from typing import Any, BinaryIO, Final
@@ -16,7 +16,7 @@ NAME_TYPE: Final = pa.dictionary(pa.int8(), pa.string())
 
 
 class ParquetWriter:
-    """A row group for each part of the batch."""
+    """Writer of a Parquet file with one row group for each part of the batch."""
 
     def __init__(self, file: BinaryIO, about: dict[str, Any]) -> None:
         schema = pa.schema(
@@ -36,27 +36,27 @@ class ParquetWriter:
         self._writer = parquet.ParquetWriter(file, schema, write_page_checksum=True)
         self._next = 0
 
-    def add(self, answers: IkResult) -> None:
-        """Write the answers of the next targets, (S, n); what a target has not is null."""
-        slots, count = answers.verdict.shape
-        target, slot = np.nonzero(answers.verdict.T != BranchVerdict.ABSENT)
-        verdict, excess = answers.verdict[slot, target], answers.excess[slot, target]
-        outside, away = verdict == BranchVerdict.OUTSIDE_LIMITS, verdict == BranchVerdict.OUT_OF_REACH
+    def add(self, result: IkResult) -> None:
+        """Write the results of the next targets, shape (S, n); values that do not apply are null."""
+        slots, count = result.verdict.shape
+        target, slot = np.nonzero(result.verdict.T != BranchVerdict.ABSENT)
+        verdict, excess = result.verdict[slot, target], result.excess[slot, target]
+        outside, unreachable = verdict == BranchVerdict.OUTSIDE_LIMITS, verdict == BranchVerdict.OUT_OF_REACH
         columns = [
             pa.array(self._next + target),
             _name_column(slot, [slot_name(k) for k in range(slots)]),
             _name_column(verdict, VERDICT_NAMES),
-            *(_number_column(angle[slot, target]) for angle in answers.output_rad),
-            _name_column(answers.joint[slot, target], JOINT_NAMES, ~outside),
+            *(_number_column(angle[slot, target]) for angle in result.output_rad),
+            _name_column(result.joint[slot, target], JOINT_NAMES, ~outside),
             _number_column(np.where(outside, excess, np.nan)),
-            _number_column(np.where(away, excess, np.nan)),
-            _number_column(answers.error[slot, target]),
+            _number_column(np.where(unreachable, excess, np.nan)),
+            _number_column(result.error[slot, target]),
         ]
         self._writer.write_table(pa.table(columns, schema=self._schema))
         self._next += count
 
     def close(self) -> None:
-        """Write what belongs at the end."""
+        """Write the footer of the file."""
         self._writer.close()
 
 

@@ -1,4 +1,4 @@
-"""What the arm reaches in its primary workspace: how many branches are valid, and why the others are out."""
+"""Reach map of the primary workspace: sampling, counts of valid branches, and plot."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,32 +31,36 @@ from sim.workspace import (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReachSamples:
-    """Targets in the workspace, and how many valid branches each has."""
+    """Targets in the workspace with their numbers of valid branches."""
 
     p_NoTo_N_m: Array
-    """(3, n)."""
+    """Positions in RNAV, shape (3, n)."""
     angles_rad: Array
-    """(2, n): of the approach, below horizontal and to the right of straight ahead."""
+    """Approach angles below horizontal and to the right of straight ahead, shape (2, n)."""
     valid: NDArray[np.int64]
-    """(n,)."""
+    """Number of valid branches, shape (n,)."""
 
 
 def sample_workspace(model: IkModel, count: int, seed: int, progress: Progress) -> tuple[ReachSamples, Tally]:
-    """Random targets of the workspace with their answers, counted; the same for the same seed."""
+    """Draw random targets of the workspace and solve their inverse kinematics.
+
+    Returns:
+        The targets, and counts over all of them.
+    """
     p_N_m, angles = random_targets(np.random.default_rng(seed), count)
     targets = IkTargets(p_R_from_N(p_N_m.T).T, approach_from(angles))
     valid, counted = [], Tally()
-    for answers in model.solve_in_batches(targets, progress):
-        valid.append((answers.verdict == BranchVerdict.VALID).sum(axis=0))
-        counted += tally(answers)
+    for result in model.solve_in_batches(targets, progress):
+        valid.append((result.verdict == BranchVerdict.VALID).sum(axis=0))
+        counted += tally(result)
     return ReachSamples(p_N_m, angles, np.concatenate(valid)), counted
 
 
 SAMPLES_PER_CELL: Final = 40
 CELLS: Final = (4, 30)
-"""Along a side of a map: at least, at most."""
+"""Smallest and largest number of cells along each side of a map."""
 MIN_SAMPLES: Final = 5
-"""In a cell; with less its mean says nothing, and it stays grey."""
+"""Smallest number of samples in a cell; cells with fewer samples are grey."""
 GREY: Final = "0.85"
 BLUE: Final = "#31688e"
 X_RANGE: Final = (CENTRE_X_M - RADIUS_M, CENTRE_X_M + RADIUS_M)
@@ -64,11 +68,14 @@ Y_RANGE: Final = (-RADIUS_M, RADIUS_M)
 Z_RANGE: Final = (TOP_Z_M, BOTTOM_Z_M)
 
 
-def save_reach_figure(samples: ReachSamples, counted: Tally, model: "IkModel", path: Path) -> str | None:
-    """Save the picture as PNG; the reason if matplotlib is not there to draw it.
+def save_reach_figure(samples: ReachSamples, counted: Tally, model: IkModel, path: Path) -> str | None:
+    """Save the plot as PNG.
+
+    Returns:
+        The reason if matplotlib is not installed, else None.
 
     Raises:
-        BadOutput: the file cannot be written.
+        BadOutput: The file cannot be written.
     """
 
     def draw(figure: Any) -> None:
@@ -96,10 +103,10 @@ def _draw_maps(figure: Any, samples: ReachSamples) -> None:
     side, top, wedge = figure.subplots(1, 3)
     x, y, z = samples.p_NoTo_N_m
     down_deg, right_deg = np.degrees(samples.angles_rad)
-    most = max(float(np.quantile(samples.valid, 0.99)), 1.0)
+    scale_max = max(float(np.quantile(samples.valid, 0.99)), 1.0)
 
     def mapped(axes: Any, across: Array, along: Array, ranges: Any) -> Any:
-        return _draw_map(axes, (across, along, samples.valid), ranges, most)
+        return _draw_map(axes, (across, along, samples.valid), ranges, scale_max)
 
     mapped(side, x, z, (X_RANGE, Z_RANGE))
     side.axhline(0.0, color="white", linewidth=1.5, linestyle="--")
@@ -130,19 +137,19 @@ def _every(step: float) -> Any:
     return MultipleLocator(step)
 
 
-def _draw_map(axes: Any, points: tuple[Array, Array, Any], ranges: Any, most: float) -> Any:
-    """Mean number of valid branches in each cell, grey where there are too few samples."""
+def _draw_map(axes: Any, points: tuple[Array, Array, Any], ranges: Any, scale_max: float) -> Any:
+    """Draw the mean number of valid branches in each cell; cells with too few samples are grey."""
     across, along, valid = points
     cells = int(np.clip(np.sqrt(len(valid) / SAMPLES_PER_CELL), *CELLS))
     sums, edges_across, edges_along = np.histogram2d(across, along, cells, ranges, weights=valid)
     counts, _, _ = np.histogram2d(across, along, cells, ranges)
     mean = np.ma.masked_where(counts < MIN_SAMPLES, sums / np.maximum(counts, 1))
     axes.set_facecolor(GREY)
-    return axes.pcolormesh(edges_across, edges_along, mean.T, vmin=0.0, vmax=most, cmap="viridis")
+    return axes.pcolormesh(edges_across, edges_along, mean.T, vmin=0.0, vmax=scale_max, cmap="viridis")
 
 
 def _reasons(counted: Tally) -> dict[str, int]:
-    """Branches that are out, by the joint farthest beyond its limit or whatever else it was."""
+    """Count invalid branches by the joint farthest beyond its limit, or by another reason."""
     out = {f"{joint} limit": count for joint, count in counted.outside_by_joint.items()}
     for verdict, count in counted.by_verdict.items():
         if verdict not in ("valid", "outside_limits"):
@@ -151,7 +158,7 @@ def _reasons(counted: Tally) -> dict[str, int]:
 
 
 def _bars(axes: Any, counts: dict[str, int], whole: int) -> None:
-    """A bar for each name, with its share of the whole in percent."""
+    """Draw a bar for each name, with its share of the total in percent."""
     shares = [100.0 * count / whole for count in counts.values()]
     drawn = axes.barh(list(counts), shares, color=BLUE)
     labels = [f"{share:.2g} %" if 0.0 < share < 10.0 else f"{share:.0f} %" for share in shares]
@@ -161,11 +168,11 @@ def _bars(axes: Any, counts: dict[str, int], whole: int) -> None:
     axes.set_xlim(0.0, 1.25 * max([*shares, 1.0]))
 
 
-def _title(samples: ReachSamples, counted: Tally, model: "IkModel") -> str:
-    some = 100.0 * (1.0 - counted.targets_by_valid[0] / counted.targets)
+def _title(samples: ReachSamples, counted: Tally, model: IkModel) -> str:
+    reachable_percent = 100.0 * (1.0 - counted.targets_by_valid[0] / counted.targets)
     return (
         f"Reach in the primary workspace, RNAV: {model.description}\n"
-        f"{counted.targets} random targets, {some:.2f} % with a valid branch; "
+        f"{counted.targets} random targets, {reachable_percent:.2f} % with a valid branch; "
         f"limits only, no collisions; grey: fewer than {MIN_SAMPLES} targets"
     )
 
@@ -175,7 +182,7 @@ MOST_SAMPLES: Final = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class ReachRequest:
-    """What is asked."""
+    """Request for a reach map."""
 
     model: ModelRequest = field(default_factory=ModelRequest)
     samples: int = 20_000
@@ -185,20 +192,20 @@ class ReachRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReachReport:
-    """What came of it."""
+    """Result of a request for a reach map."""
 
     request: ReachRequest
     model: IkModel
     tally: Tally
     picture_problem: str | None
-    """Why there is no picture although one was asked for."""
+    """Reason why a requested picture is missing."""
 
 
 def reach(request: ReachRequest, progress: Progress) -> ReachReport:
-    """Sample the workspace, and draw it if a picture is asked for.
+    """Sample the workspace, and draw the map if requested.
 
     Raises:
-        BadRequest: the request is wrong, or the picture cannot be written; nothing was written.
+        BadRequest: The request is wrong, or the picture cannot be written; nothing was written.
     """
     model = build_ik_model(request.model)
     check_seed(request.seed)

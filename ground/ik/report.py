@@ -1,4 +1,4 @@
-"""Answers of the inverse kinematics as tables for people and as documents for programs."""
+"""Report of inverse-kinematics results: tables and JSON documents."""
 
 from math import degrees
 from typing import Any, Final
@@ -16,11 +16,11 @@ from ground.ik.tally import JOINT_NAMES, VERDICT_NAMES, Tally
 from ground.render.console import plain_console
 
 WIDEST: Final = 240
-"""Columns; more than any of the tables has."""
+"""Number of columns, larger than the width of any table."""
 
 
 def ik_json(report: IkReport) -> dict[str, Any]:
-    """The answers to one target as a JSON document."""
+    """Convert the result for one target to a JSON document."""
     branches = [_branch_json(report, slot) for slot in _present_slots(report)]
     return {
         "valid": sum(branch["verdict"] == "valid" for branch in branches),
@@ -34,7 +34,7 @@ def ik_json(report: IkReport) -> dict[str, Any]:
 
 
 def ik_table(report: IkReport) -> None:
-    """Print each branch of a target: its angles, and why it is out."""
+    """Print the joint angles of each branch of a target, or the reason why it is invalid."""
     branches = [_branch_json(report, slot) for slot in _present_slots(report)]
     valid = sum(branch["verdict"] == "valid" for branch in branches)
     table = Table()
@@ -52,7 +52,7 @@ def ik_table(report: IkReport) -> None:
 
 
 def batch_json(report: BatchReport) -> dict[str, Any]:
-    """What came of a batch as a JSON document."""
+    """Convert the summary of a batch to a JSON document."""
     return {
         **_tally_json(report.tally),
         **_model_json(report.model),
@@ -63,13 +63,13 @@ def batch_json(report: BatchReport) -> dict[str, Any]:
 
 
 def batch_table(report: BatchReport) -> None:
-    """Print what came of a batch: counts, and where the answers are."""
+    """Print the summary of a batch: counts, and the path of the results."""
     _print_tally(f"{report.model.description}: {report.tally.targets} targets", report.tally)
     plain_console().print(f"out       {report.request.out}", soft_wrap=True)
 
 
 def reach_json(report: ReachReport) -> dict[str, Any]:
-    """A reach map as a JSON document."""
+    """Convert a reach map to a JSON document."""
     request = report.request
     drawn = request.picture is not None and report.picture_problem is None
     return {
@@ -82,33 +82,33 @@ def reach_json(report: ReachReport) -> dict[str, Any]:
 
 
 def reach_table(report: ReachReport) -> None:
-    """Print a reach map: counts, and where the picture is."""
+    """Print a reach map: counts, and the path of the picture."""
     title = f"{report.model.description}: {report.tally.targets} random targets of the primary workspace"
     _print_tally(title, report.tally)
     if report.request.picture is not None:
-        said = f"none  ({report.picture_problem})" if report.picture_problem else report.request.picture
-        plain_console().print(f"picture   {said}", soft_wrap=True)
+        reason = f"none  ({report.picture_problem})" if report.picture_problem else report.request.picture
+        plain_console().print(f"picture   {reason}", soft_wrap=True)
 
 
 def _present_slots(report: IkReport) -> list[int]:
-    return [int(slot) for slot in np.flatnonzero(report.answers.verdict != BranchVerdict.ABSENT)]
+    return [int(slot) for slot in np.flatnonzero(report.result.verdict != BranchVerdict.ABSENT)]
 
 
 def _branch_json(report: IkReport, slot: int) -> dict[str, Any]:
-    answers, name = report.answers, slot_name(slot)
-    verdict = VERDICT_NAMES[int(answers.verdict[slot])]
+    result, name = report.result, slot_name(slot)
+    verdict = VERDICT_NAMES[int(result.verdict[slot])]
     angles, error, excess = (
-        answers.output_rad[:, slot],
-        float(answers.error[slot]),
-        float(answers.excess[slot]),
+        result.output_rad[:, slot],
+        float(result.error[slot]),
+        float(result.excess[slot]),
     )
-    said = describe_slot(report.model.arm, answers, slot).removeprefix(f"{name}: ")
+    reason = describe_slot(report.model.arm, result, slot).removeprefix(f"{name}: ")
     return {
         "branch": name,
         "verdict": verdict,
-        "reason": None if verdict == "valid" else said,
+        "reason": None if verdict == "valid" else reason,
         "output_deg": [degrees(angle) for angle in angles] if np.isfinite(angles).all() else None,
-        "limiting_joint": JOINT_NAMES[int(answers.joint[slot])] if verdict == "outside_limits" else None,
+        "limiting_joint": JOINT_NAMES[int(result.joint[slot])] if verdict == "outside_limits" else None,
         "beyond_limit_deg": degrees(excess) if verdict == "outside_limits" else None,
         "out_of_reach_m": excess if verdict == "out_of_reach" else None,
         "forward_error": error if np.isfinite(error) else None,
@@ -116,28 +116,28 @@ def _branch_json(report: IkReport, slot: int) -> dict[str, Any]:
 
 
 def _model_json(model: IkModel) -> dict[str, Any]:
-    asked, gravity = model.request, model.gravity_R_m_s2
+    request, gravity = model.request, model.gravity_R_m_s2
     return {
-        "tool": asked.tool.lower(),
-        "arm": asked.arm,
-        "compensate": asked.compensate,
-        "gravity": asked.gravity,
-        "tilt_deg": {"roll": asked.tilt_roll_deg, "pitch": asked.tilt_pitch_deg},
+        "tool": request.tool.lower(),
+        "arm": request.arm,
+        "compensate": request.compensate,
+        "gravity": request.gravity,
+        "tilt_deg": {"roll": request.tilt_roll_deg, "pitch": request.tilt_pitch_deg},
         "gravity_R_m_s2": None if gravity is None else gravity.tolist(),
-        "warming_K": asked.warming_K,
+        "warming_K": request.warming_K,
         "params_sha256": model.params_sha256,
     }
 
 
 def _tally_json(tally: Tally) -> dict[str, Any]:
-    """Shares: of targets, or of the branches that are out."""
-    few = sum(count for valid, count in tally.targets_by_valid.items() if valid <= 4)
+    """Convert counts to shares of targets, or of invalid branches."""
+    at_most_four = sum(count for valid, count in tally.targets_by_valid.items() if valid <= 4)
     return {
         "targets": tally.targets,
         "targets_by_valid_branches": {
             str(valid): count / tally.targets for valid, count in sorted(tally.targets_by_valid.items())
         },
-        "targets_with_at_most_four": few / tally.targets,
+        "targets_with_at_most_four": at_most_four / tally.targets,
         "valid_by_branch": {name: tally.valid_by_branch[name] / tally.targets for name in tally.branches},
         "out_by_verdict": _shares_out(tally, {k: n for k, n in tally.by_verdict.items() if k != "valid"}),
         "outside_limits_by_joint": _shares_out(tally, tally.outside_by_joint),
@@ -145,7 +145,7 @@ def _tally_json(tally: Tally) -> dict[str, Any]:
 
 
 def _shares_out(tally: Tally, counts: dict[str, int]) -> dict[str, float]:
-    """Of the branches that are out, the most frequent first."""
+    """Compute shares of the invalid branches, in descending order."""
     ordered = sorted(counts.items(), key=lambda item: -item[1])
     return {name: count / max(tally.out, 1) for name, count in ordered}
 
@@ -171,7 +171,7 @@ def _print_tally(title: str, tally: Tally) -> None:
 
 
 def _print_whole(title: str, table: Table) -> None:
-    """However narrow the terminal is: a line that is wrapped can be read, one that is cut off cannot."""
+    """Print a table at full width, because wrapped lines are readable and truncated ones are not."""
     console = plain_console(max(Console().width, WIDEST))
     console.print(title)
     console.print(table)

@@ -1,4 +1,4 @@
-"""Inverse kinematics of one target or of a file of them."""
+"""Inverse kinematics of one target, or of a file of targets, as a request of the command line."""
 
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
@@ -19,7 +19,7 @@ from ground.ik.writers import open_writer
 
 @dataclass(frozen=True, slots=True)
 class IkRequest:
-    """What is asked: one target, or a file of them and one for the answers."""
+    """Request for one target, or for a file of targets and a file for the results."""
 
     model: ModelRequest = field(default_factory=ModelRequest)
     frame: str = "rnav"
@@ -31,17 +31,17 @@ class IkRequest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IkReport:
-    """The answers to one target."""
+    """Result for one target."""
 
     request: IkRequest
     model: IkModel
-    answers: IkResult
-    """(S,)."""
+    result: IkResult
+    """Result of every branch, shape (S,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BatchReport:
-    """What came of a file of targets; the answers are in the file `request.out`."""
+    """Summary of a batch; the file `request.out` holds the results."""
 
     request: IkRequest
     model: IkModel
@@ -49,14 +49,14 @@ class BatchReport:
 
 
 def solve(request: IkRequest, progress: Progress) -> IkReport | BatchReport:
-    """Answer a request.
+    """Solve the inverse kinematics of a request.
 
     Raises:
-        BadRequest: the request is wrong, or a file cannot be read or written; nothing was written.
+        BadRequest: The request is wrong, or a file cannot be read or written; nothing was written.
     """
     model = build_ik_model(request.model)
     if request.batch is None and request.out is None:
-        return IkReport(request, model, select_result(model.answers(_one_target(request)), 0))
+        return IkReport(request, model, select_result(model.solve(_one_target(request)), 0))
     if request.batch is None or request.out is None:
         raise BadRequest("batch and out: give both, the file with the targets and the one for the answers")
     if request.position_m is not None or request.approach is not None:
@@ -82,10 +82,10 @@ def _solve_batch(
         check_output(out, SUFFIXES, "out")
         targets = read_targets(batch, request.frame)
         counted = Tally()
-        with open_writer(out, _about(request, model)) as answers_file:
-            for answers in model.solve_in_batches(targets, progress):
-                answers_file.add(answers)
-                counted += tally(answers)
+        with open_writer(out, _about(request, model)) as writer:
+            for result in model.solve_in_batches(targets, progress):
+                writer.add(result)
+                counted += tally(result)
             progress(1, 1, "writing")
     except BadOutput as error:
         raise BadRequest(str(error)) from error
@@ -93,7 +93,7 @@ def _solve_batch(
 
 
 def _about(request: IkRequest, model: IkModel) -> dict[str, object]:
-    """What a reader of the file must know to make it again."""
+    """Describe how the file was made, so that it can be made again."""
     params = request.model.params
     return {
         "marsarm": version("marsarm"),

@@ -1,4 +1,4 @@
-"""Counts over many targets: which branches are valid, and why the others are out."""
+"""Counts over many targets: valid branches, and reasons of invalid ones."""
 
 from collections import Counter
 from dataclasses import dataclass, field
@@ -20,12 +20,12 @@ class Tally:
     """Counts that add up over parts of a batch."""
 
     targets_by_valid: Counter[int] = field(default_factory=Counter)
-    """Targets, by how many valid branches they have."""
+    """Number of targets by their number of valid branches."""
     valid_by_branch: Counter[str] = field(default_factory=Counter)
     by_verdict: Counter[str] = field(default_factory=Counter)
-    """Branches of targets, without those that are absent."""
+    """Number of branches by verdict, without absent ones."""
     outside_by_joint: Counter[str] = field(default_factory=Counter)
-    """Branches outside limits, by the joint that is farthest beyond its limit."""
+    """Number of branches outside limits, by the joint farthest beyond its limit."""
 
     def __add__(self, other: "Tally") -> "Tally":
         return Tally(
@@ -37,28 +37,28 @@ class Tally:
 
     @property
     def targets(self) -> int:
-        """How many targets there were."""
+        """Return the number of targets."""
         return self.targets_by_valid.total()
 
     @property
     def branches(self) -> list[str]:
-        """Every branch by name, and then every other root that was valid somewhere."""
+        """List the names of all branches, then of all other roots that were valid for any target."""
         return list(dict.fromkeys((*BRANCHES, *sorted(self.valid_by_branch))))
 
     @property
     def out(self) -> int:
-        """How many branches of targets are out, for whatever reason."""
+        """Return the number of invalid branches."""
         return self.by_verdict.total() - self.by_verdict["valid"]
 
 
-def tally(answers: IkResult) -> Tally:
-    """The counts of a batch (n,)."""
-    valid = answers.verdict == BranchVerdict.VALID
-    outside = answers.verdict == BranchVerdict.OUTSIDE_LIMITS
+def tally(result: IkResult) -> Tally:
+    """Count the results of a batch."""
+    valid = result.verdict == BranchVerdict.VALID
+    outside = result.verdict == BranchVerdict.OUTSIDE_LIMITS
     verdicts = Counter(
         {
             VERDICT_NAMES[k]: int(count)
-            for k, count in _count_values(answers.verdict)
+            for k, count in _count_values(result.verdict)
             if k != BranchVerdict.ABSENT
         }
     )
@@ -66,7 +66,7 @@ def tally(answers: IkResult) -> Tally:
         Counter(dict(_count_values(valid.sum(axis=0)))),
         Counter({slot_name(slot): int(count) for slot, count in enumerate(valid.sum(axis=1)) if count}),
         verdicts,
-        Counter({Joint(k).name.lower(): count for k, count in _count_values(answers.joint[outside])}),
+        Counter({Joint(k).name.lower(): count for k, count in _count_values(result.joint[outside])}),
     )
 
 

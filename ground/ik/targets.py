@@ -1,4 +1,4 @@
-"""Targets of a batch from a file, .npz or Parquet; nothing in the file is trusted."""
+"""Targets of a batch from an .npz or Parquet file, with checks of all content."""
 
 import os
 import warnings
@@ -25,32 +25,41 @@ from sim.frames import p_R_from_N
 FRAMES: Final = ("rnav", "rmech")
 
 TargetLabel = Callable[[int], tuple[str, str]]
-"""What the position and the approach of a target are called, by its number."""
+"""Function from the index of a target to the names of its position and approach in messages."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IkTargets:
-    """Where the tool's origin is to be and along which direction its boresight, in RMECH."""
+    """Targets: position of the tool's origin and direction of its boresight, in RMECH."""
 
     p_RoTo_R_m: Array
-    """(3, n)."""
+    """Positions, shape (3, n)."""
     approach_R: Array
-    """(3, n), of length 1."""
+    """Unit vectors, shape (3, n)."""
 
     def __len__(self) -> int:
         return int(self.p_RoTo_R_m.shape[1])
 
     def part(self, start: int, count: int) -> "IkTargets":
-        """Some of them, from number `start` on."""
+        """Select `count` targets from index `start` on."""
         these = slice(start, start + count)
         return IkTargets(self.p_RoTo_R_m[:, these], self.approach_R[:, these])
 
 
 def make_targets(position_m: Array, approach: Array, frame: str, naming: TargetLabel) -> IkTargets:
-    """Targets from positions (3, n) in `frame` and directions (3, n) of any length; its axes are the rover's.
+    """Build targets after checks.
+
+    Args:
+        position_m: Positions in `frame`, shape (3, n).
+        approach: Directions of any length in rover axes, shape (3, n).
+        frame: Name of the frame, of FRAMES.
+        naming: Names of positions and approaches in messages.
+
+    Returns:
+        The targets.
 
     Raises:
-        BadRequest: no such frame, numbers that are not finite, a point far away, or no direction.
+        BadRequest: The frame is unknown, a number is infinite or NaN, a point is too far, or a direction is 0.
     """
     if frame not in FRAMES:
         raise BadRequest(f"frame: {frame!r} is not known; there are {', '.join(FRAMES)}")
@@ -73,7 +82,7 @@ def make_targets(position_m: Array, approach: Array, frame: str, naming: TargetL
         1,
         "has no direction; give the one in which the tool is to point, such as 0 0 1 for down",
     )
-    unit = approach / largest  # first, so that the length is a number
+    unit = approach / largest  # scaled first, so that the norm does not overflow
     unit = unit / np.linalg.norm(unit, axis=0)
     return IkTargets(p_R_from_N(position_m.T).T if frame == "rnav" else position_m, unit)
 
@@ -82,8 +91,8 @@ def _refuse(wrong: NDArray[np.bool_], values: Array, naming: TargetLabel, which:
     if not wrong.any():
         return
     first = int(np.argmax(wrong))
-    said = format_numbers(tuple(float(value) for value in values[:, first]))
-    raise BadRequest(f"{naming(first)[which]}: {said} {complaint}")
+    numbers = format_numbers(tuple(float(value) for value in values[:, first]))
+    raise BadRequest(f"{naming(first)[which]}: {numbers} {complaint}")
 
 
 SUFFIXES: Final = (".npz", ".parquet")
@@ -93,15 +102,18 @@ APPROACH_COLUMNS: Final = ("approach_x", "approach_y", "approach_z")
 
 
 def read_targets(path: Path, frame: str) -> IkTargets:
-    """The targets of a file: `position_m` and `approach` (n, 3), or in Parquet a column for each component.
+    """Read the targets of a file.
+
+    An .npz file holds arrays `position_m` and `approach`, shape (n, 3). A Parquet file has one column for
+    each component.
 
     Raises:
-        BadRequest: the file cannot be read, lacks an array or a column, or holds a target that is none.
+        BadRequest: The file cannot be read, an array or column is missing, or a target is wrong.
     """
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise BadRequest(f"batch {path}: its name must end in {' or '.join(SUFFIXES)}")
-    if os.path.exists(path) and not os.path.isfile(path):  # a pipe, say, which would never end
+    if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe could block forever
         raise BadRequest(f"batch {path}: is not a regular file")
     with _read_errors(path):
         position, approach = _from_npz(path) if suffix == ".npz" else _from_parquet(path)
@@ -126,21 +138,21 @@ def read_targets(path: Path, frame: str) -> IkTargets:
 
 @contextmanager
 def _read_errors(path: Path) -> Iterator[None]:
-    """What the readers of files raise about files that are torn, or of another kind, becomes a sentence."""
+    """Convert errors of the readers, from damaged or foreign files, to one sentence."""
     kind = "a NumPy .npz file" if path.suffix.lower() == ".npz" else "a Parquet file"
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of files from other times
+            warnings.simplefilter("ignore")  # old file formats raise warnings
             yield
     except BadRequest:
         raise
     except MemoryError as error:
         raise BadRequest(f"batch {path}: is too large for the memory; give it in parts") from error
     except OSError as error:
-        if error.strerror is None:  # of the readers, not of the machine
+        if error.strerror is None:  # raised by a reader of the format, not by the system
             raise BadRequest(f"batch {path}: cannot be read as {kind}: {_one_line(error)}") from error
         raise BadRequest(f"batch {path}: cannot be read ({error.strerror})") from error
-    except Exception as error:  # torn headers end in a tokenizer, a decompressor, anywhere
+    except Exception as error:  # damaged headers raise errors of any kind
         raise BadRequest(f"batch {path}: cannot be read as {kind}: {_one_line(error)}") from error
 
 
@@ -149,7 +161,7 @@ def _one_line(error: Exception) -> str:
 
 
 def _from_npz(path: Path) -> tuple[Array, Array]:
-    """Positions and approaches, (3, n) each."""
+    """Read positions and approaches, shape (3, n) each."""
     with path.open("rb") as file:
         if file.read(len(ZIP_MAGIC)) != ZIP_MAGIC or not zipfile.is_zipfile(file):
             raise BadRequest(f"batch {path}: is not a NumPy .npz file, or only a part of one")
@@ -168,28 +180,28 @@ def _from_npz(path: Path) -> tuple[Array, Array]:
 
 
 def _three_rows(path: Path, name: str, values: object) -> Array:
-    """An array (n, 3) of real numbers as (3, n)."""
+    """Check an array (n, 3) of real numbers; return it as (3, n)."""
     if not isinstance(values, np.ndarray):
         raise BadRequest(f"batch {path}: {name} is not an array")
     if values.ndim != 2 or values.shape[1] != 3:
         raise BadRequest(f"batch {path}: {name} has the shape {values.shape}, not (n, 3)")
     if values.dtype.kind not in "fiu":
         raise BadRequest(f"batch {path}: {name} holds {values.dtype}, not real numbers")
-    with np.errstate(over="ignore"):  # of longer numbers
+    with np.errstate(over="ignore"):  # wider number types may overflow
         return np.ascontiguousarray(values.T, dtype=np.float64)
 
 
 def _from_parquet(path: Path) -> tuple[Array, Array]:
-    """Positions and approaches, (3, n) each; a null is NaN."""
+    """Read positions and approaches, shape (3, n) each; null becomes NaN."""
     from pyarrow import parquet, types
 
     with path.open("rb") as source, parquet.ParquetFile(source, page_checksum_verification=True) as file:
-        there = file.schema_arrow.names
-        missing = [name for name in (*POSITION_COLUMNS, *APPROACH_COLUMNS) if there.count(name) != 1]
+        column_names = file.schema_arrow.names
+        missing = [name for name in (*POSITION_COLUMNS, *APPROACH_COLUMNS) if column_names.count(name) != 1]
         if missing:
             raise BadRequest(
                 f"batch {path}: there must be one column {' and one '.join(missing)}; it has "
-                f"{_list_names(there)}"
+                f"{_list_names(column_names)}"
             )
         table = file.read(columns=[*POSITION_COLUMNS, *APPROACH_COLUMNS])
     for column in table.schema:

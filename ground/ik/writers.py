@@ -1,4 +1,4 @@
-"""Answers of a batch to a file, part by part, so that a long batch needs no more memory than a short one."""
+"""Writers of batch results, part by part, so that memory does not grow with the batch."""
 
 import json
 import tempfile
@@ -25,22 +25,22 @@ FIELDS: Final[dict[str, tuple[type, float, tuple[int, ...]]]] = {
     "excess": (np.float64, 0.0, ()),
     "forward_error": (np.float64, np.nan, ()),
 }
-"""Arrays (n, S, ...) of an .npz file: type, value of a slot that is absent, and shape of one answer."""
+"""Arrays (n, S, ...) of an .npz file: type, value of an absent slot, and shape of one result."""
 
 
 class BatchWriter(Protocol):
-    """Takes the answers of a batch, part by part."""
+    """Protocol of writers that take the results of a batch part by part."""
 
-    def add(self, answers: IkResult) -> None:
-        """Write the answers of the next targets, (S, n)."""
+    def add(self, result: IkResult) -> None:
+        """Write the results of the next targets, shape (S, n)."""
 
 
 @contextmanager
 def open_writer(path: Path, about: dict[str, Any]) -> Iterator[BatchWriter]:
-    """Open a writer for the suffix of `path`; the file is there when the block has ended well, else not.
+    """Open a writer for the suffix of `path`; the file appears only if the block completes without error.
 
     Raises:
-        BadOutput: the file cannot be written.
+        BadOutput: The file cannot be written.
     """
     with atomic_write(path, "out") as file, ExitStack() as stack:
         if path.suffix.lower() == ".npz":
@@ -57,30 +57,33 @@ def open_writer(path: Path, about: dict[str, Any]) -> Iterator[BatchWriter]:
 
 
 class NpzWriter:
-    """One array after the other, as the format wants it: parts wait in nameless files until all are there."""
+    """Writer of an .npz file.
+
+    The format stores one array after another, so parts wait in temporary files.
+    """
 
     def __init__(self, spools: dict[str, IO[bytes]]) -> None:
         self._spools = spools
         self._parts: list[tuple[int, int]] = []
-        """Targets and slots of each part."""
+        """Number of targets and of slots in each part."""
 
-    def add(self, answers: IkResult) -> None:
-        """Write the answers of the next targets, (S, n)."""
-        slots, count = answers.verdict.shape
+    def add(self, result: IkResult) -> None:
+        """Write the results of the next targets, shape (S, n)."""
+        slots, count = result.verdict.shape
         self._parts.append((count, slots))
-        outside = answers.verdict == BranchVerdict.OUTSIDE_LIMITS
+        outside = result.verdict == BranchVerdict.OUTSIDE_LIMITS
         arrays = {
-            "output_rad": answers.output_rad.transpose(2, 1, 0),
-            "verdict": answers.verdict.T,
-            "joint": np.where(outside, answers.joint, NO_JOINT).T,
-            "excess": answers.excess.T,
-            "forward_error": answers.error.T,
+            "output_rad": result.output_rad.transpose(2, 1, 0),
+            "verdict": result.verdict.T,
+            "joint": np.where(outside, result.joint, NO_JOINT).T,
+            "excess": result.excess.T,
+            "forward_error": result.error.T,
         }
         for name, (dtype, _, _) in FIELDS.items():
             self._spools[name].write(np.ascontiguousarray(arrays[name], dtype=dtype).tobytes())
 
     def pack(self, file: BinaryIO, about: dict[str, Any]) -> None:
-        """Put the parts together, with as many slots as the largest has."""
+        """Assemble the file; every part gets the largest number of slots."""
         slots = max(part[1] for part in self._parts)
         names = {
             "branch_names": np.array([slot_name(slot) for slot in range(slots)]),
@@ -106,14 +109,14 @@ class NpzWriter:
         np.lib.format.write_array_header_1_0(member, header)
         spool = self._spools[name]
         spool.seek(0)
-        for count, own in self._parts:
-            size = count * own * int(np.prod(shape)) * np.dtype(dtype).itemsize
-            part: NDArray[Any] = np.frombuffer(spool.read(size), dtype).reshape(count, own, *shape)
+        for count, used in self._parts:
+            size = count * used * int(np.prod(shape)) * np.dtype(dtype).itemsize
+            part: NDArray[Any] = np.frombuffer(spool.read(size), dtype).reshape(count, used, *shape)
             whole: NDArray[Any] = np.full((count, slots, *shape), absent, dtype)
-            whole[:, :own] = part
+            whole[:, :used] = part
             member.write(whole.tobytes())
 
 
 def _entry(name: str) -> zipfile.ZipInfo:
-    """An entry without the time of day, so that the same answers are the same bytes."""
+    """Create an entry without time stamp, so that equal results give equal bytes."""
     return zipfile.ZipInfo(f"{name}.npy")

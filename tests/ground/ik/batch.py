@@ -31,4 +31,4 @@ def expected(position_m=P_M, approach=A, **model):
     """The answers straight from the kinematics, (S, n)."""
     unit = approach / np.linalg.norm(approach, axis=1)[:, None]
     targets = IkTargets(p_R_from_N(position_m).T, unit.T)
-    return build_ik_model(ModelRequest(**model)).answers(targets)
+    return build_ik_model(ModelRequest(**model)).solve(targets)
