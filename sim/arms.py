@@ -31,7 +31,6 @@ STIFFNESS_SIGMA, BACKLASH_SIGMA, MASS_SIGMA, FRICTION_SIGMA = 0.20, 0.10, 0.03, 
 COM_SIGMA_M: Final = 5e-3
 CALIBRATED_FRAME_SIGMA_RAD, CALIBRATED_FRAME_SIGMA_M = 0.25e-3, 0.15e-3
 CALIBRATED_ZERO_SIGMA_RAD, CALIBRATED_STIFFNESS_SIGMA = 0.2e-3, 0.03
-
 SPRING_FRAMES: Final = (Frame.ARM1, Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5)
 IDENTIFIABLE_AXES: Final[dict[Frame, tuple[int, ...]]] = {
     Frame.ARM1: (0, 1, 2, 3, 4, 5),
@@ -43,6 +42,49 @@ IDENTIFIABLE_AXES: Final[dict[Frame, tuple[int, ...]]] = {
     Frame.TOOL: (0, 1, 2, 3, 4, 5),
 }
 """Axes of the frame screws that tool poses can determine: 26 of 42, those of the tool first."""
+
+
+class UnknownArm(ValueError):
+    """Name that is not an arm."""
+
+
+@dataclass(frozen=True, slots=True)
+class BuiltArm:
+    """Frozen record of an arm: its differences from the drawing, and its flight parameters."""
+
+    name: str
+    effects: tuple[Effect, ...]
+    params: Params
+
+    def with_effects(self, effects: Iterable[Effect]) -> "BuiltArm":
+        """Return the arm with those of these effects that it has before a run begins."""
+        return replace(self, effects=(*self.effects, *(effect for effect in effects if effect.built_in)))
+
+
+def arm_named(name: str, params: Params | None = None) -> BuiltArm:
+    """Make the arm of this name: `nominal`, `as-built:SEED` or `calibrated:SEED`.
+
+    `params` replaces the nominal flight parameters. The tolerances depend on the seed alone.
+
+    Raises:
+        UnknownArm: the name has none of these forms.
+    """
+    flight_params = params or nominal_params()
+    if name == "nominal":
+        return BuiltArm(name, (), flight_params)
+    match = re.fullmatch(r"(as-built|calibrated):([0-9]{1,9})", name)
+    if match is None:
+        raise UnknownArm(f"arm {name!r} is not known; write nominal, as-built:SEED or calibrated:SEED")
+    seed = int(match[2])
+    effects = draw_tolerances(seed)
+    if match[1] == "calibrated":
+        flight_params = params_with_effects((*effects, *draw_calibration_errors(seed)), flight_params)
+    return BuiltArm(name, effects, replace(flight_params, arm_name=name))
+
+
+def effects_of_run(effects: Iterable[Effect]) -> tuple[Effect, ...]:
+    """Return the effects that begin with a run, not with the making of the arm."""
+    return tuple(effect for effect in effects if not effect.built_in)
 
 
 def draw_tolerances(seed: int) -> tuple[Effect, ...]:
@@ -72,8 +114,10 @@ def draw_calibration_errors(seed: int) -> tuple[Effect, ...]:
     rng = np.random.default_rng([seed, 1])
     effects: list[Effect] = []
     for frame, tool in _all_frames():
-        seen = np.isin(np.arange(6), IDENTIFIABLE_AXES[frame])
-        screw = np.where(seen, _draw_screw(rng, CALIBRATED_FRAME_SIGMA_RAD, CALIBRATED_FRAME_SIGMA_M), 0.0)
+        determined = np.isin(np.arange(6), IDENTIFIABLE_AXES[frame])
+        screw = np.where(
+            determined, _draw_screw(rng, CALIBRATED_FRAME_SIGMA_RAD, CALIBRATED_FRAME_SIGMA_M), 0.0
+        )
         effects.append(FrameError(frame, row6(screw), tool))
     for joint in Joint:
         effects.append(HardstopAngle(joint, -CALIBRATED_ZERO_SIGMA_RAD * rng.standard_normal()))
@@ -95,46 +139,3 @@ def _draw_factor(rng: np.random.Generator, sigma: float) -> float:
 
 def _draw_screw(rng: np.random.Generator, angle_rad: float, length_m: float) -> Row6:
     return row6(rng.standard_normal(6) * np.repeat([angle_rad, length_m], 3))
-
-
-class UnknownArm(ValueError):
-    """Name that is not an arm."""
-
-
-@dataclass(frozen=True, slots=True)
-class BuiltArm:
-    """Frozen record of an arm: its differences from the drawing, and its flight parameters."""
-
-    name: str
-    effects: tuple[Effect, ...]
-    params: Params
-
-    def with_effects(self, effects: Iterable[Effect]) -> "BuiltArm":
-        """Return the arm with those of these effects that it has before a run begins."""
-        return replace(self, effects=(*self.effects, *(effect for effect in effects if effect.built_in)))
-
-
-def effects_of_run(effects: Iterable[Effect]) -> tuple[Effect, ...]:
-    """Return the effects that begin with a run, not with the making of the arm."""
-    return tuple(effect for effect in effects if not effect.built_in)
-
-
-def arm_named(name: str, params: Params | None = None) -> BuiltArm:
-    """Make the arm of this name: `nominal`, `as-built:SEED` or `calibrated:SEED`.
-
-    `params` replaces the nominal flight parameters. The tolerances depend on the seed alone.
-
-    Raises:
-        UnknownArm: the name has none of these forms.
-    """
-    believed = params or nominal_params()
-    if name == "nominal":
-        return BuiltArm(name, (), believed)
-    match = re.fullmatch(r"(as-built|calibrated):([0-9]{1,9})", name)
-    if match is None:
-        raise UnknownArm(f"arm {name!r} is not known; write nominal, as-built:SEED or calibrated:SEED")
-    seed = int(match[2])
-    effects = draw_tolerances(seed)
-    if match[1] == "calibrated":
-        believed = params_with_effects((*effects, *draw_calibration_errors(seed)), believed)
-    return BuiltArm(name, effects, replace(believed, arm_name=name))

@@ -114,8 +114,8 @@ class Avionics:
             gravity_R_m_s2=self._gravity_R + noise[10:],
         )
         if hardware.sensor_errors:
-            sensors, begun = apply_sensor_errors(hardware.sensor_errors, sensors, self._rng)
-            self._hardware = replace(hardware, sensor_errors=begun)
+            sensors, updated = apply_sensor_errors(hardware.sensor_errors, sensors, self._rng)
+            self._hardware = replace(hardware, sensor_errors=updated)
         return sensors
 
     @property
@@ -146,10 +146,10 @@ class Avionics:
         """
         now_s, hardware = self._plant.data.time, self._hardware
         final_K = current_A * current_A * self._winding_K_A2
-        # less is left of what it was short of, the longer ago that is
-        left = np.expm1((self._winding_time_s - now_s) / hardware.winding_s)
+        # exponential approach to the final rise
+        decay = np.expm1((self._winding_time_s - now_s) / hardware.winding_s)
         self._winding_time_s = now_s
-        self._winding_rise_K = self._winding_rise_K + left * (self._winding_rise_K - final_K)
+        self._winding_rise_K = self._winding_rise_K + decay * (self._winding_rise_K - final_K)
         return self._winding_rise_K
 
     def apply(self, drive: ActuatorCommand) -> None:
@@ -184,9 +184,9 @@ class Avionics:
 
     def _begin_move(self) -> None:
         """Draw the disturbance of a move; an arm in contact keeps the one before."""
-        drawn = draw_move_disturbance(self._hardware.each_move, self._move_rng)
+        disturbance = draw_move_disturbance(self._hardware.each_move, self._move_rng)
         if not self._plant.data.ncon:
-            self._plant.set_move_disturbance(drawn)
+            self._plant.set_move_disturbance(disturbance)
 
     def _shake(self, on: bool) -> None:
         """Turn the unbalance of the vibration motor by a quarter turn; remove its force once it is off."""

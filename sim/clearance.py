@@ -45,12 +45,12 @@ class ClearanceModel:
             poses_rad: Output angles, shape (5, n).
         """
         strain = np.moveaxis(settle_output(self.arm, poses_rad, self.gravity_R_m_s2).strain, -1, 0)
-        outside = inside = MAX_CLEARANCE_M
-        for output, bent in zip(poses_rad.T, strain, strict=True):
-            self.plant.show(output, bent)
+        outside = within = MAX_CLEARANCE_M
+        for output, springs in zip(poses_rad.T, strain, strict=True):
+            self.plant.show(output, springs)
             outside = self._least(self._outside, outside)
-            inside = self._least(self._self, inside)
-        return Clearance(outside, inside)
+            within = self._least(self._self, within)
+        return Clearance(outside, within)
 
     def _least(self, pairs: Array, least_m: float) -> float:
         """Return the least distance [m] of these pairs of geoms, at most `least_m`.
@@ -66,8 +66,8 @@ class ClearanceModel:
         for k in np.argsort(spheres):
             if spheres[k] >= least_m:
                 break
-            apart = mujoco.mj_geomDistance(model, data, int(one[k]), int(other[k]), least_m, None)
-            least_m = min(least_m, apart)
+            distance_m = mujoco.mj_geomDistance(model, data, int(one[k]), int(other[k]), least_m, None)
+            least_m = min(least_m, distance_m)
         return least_m
 
 

@@ -27,21 +27,21 @@ def tool_forces(plant: Plant) -> Array:
     wrench = np.zeros(6)
     bodies = model.geom_bodyid[data.contact.geom]
     for tool in Tool:
-        of_tool = bodies == model.body(tool.name.lower()).id
-        for k in np.flatnonzero(of_tool.any(axis=1)):
+        is_tool = bodies == model.body(tool.name.lower()).id
+        for k in np.flatnonzero(is_tool.any(axis=1)):
             mujoco.mj_contactForce(model, data, k, wrench)
             force_W = data.contact.frame[k].reshape(3, 3).T @ wrench[:3]  # of the first geom on the second
-            total[tool] += FLIP * force_W * (1.0 if of_tool[k, 1] else -1.0)
+            total[tool] += FLIP * force_W * (1.0 if is_tool[k, 1] else -1.0)
     return total
 
 
 def hull_force_N(plant: Plant) -> float:
     """Return the largest normal force between the arm and the rover, the bit boxes excluded."""
     model, data = plant.model, plant.data
-    most, wrench = 0.0, np.zeros(6)
+    largest_N, wrench = 0.0, np.zeros(6)
     for k in range(data.ncon):
         geoms = [model.geom(geom) for geom in data.contact.geom[k]]
         if any(model.body(geom.bodyid[0]).name == HULL and not geom.name.startswith(DOCK) for geom in geoms):
             mujoco.mj_contactForce(model, data, k, wrench)
-            most = max(most, float(wrench[0]))
-    return most
+            largest_N = max(largest_N, float(wrench[0]))
+    return largest_N

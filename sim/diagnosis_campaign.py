@@ -29,7 +29,6 @@ from sim.sequence import Outcome, run_sequence
 from sim.world import Surface, World
 
 Degrees5 = tuple[int, int, int, int, int]
-
 ROLL_RAD: Final = float(np.radians(20.0))
 SESSION_COLD_C: Final = -50.0
 FAST_RAD, SLOW_RAD, TURN_RAD = (float(np.radians(deg)) for deg in (5.0, 0.75, 0.75))
@@ -63,6 +62,24 @@ PRESS_N: Final = 60.0
 STANDOFF_M: Final = 0.02
 """Distance from a rock at which a placement begins."""
 OVERTRAVEL_M: Final = 0.03
+SESSION_SETTLE_S: Final = 8.0
+"""Time on the brakes before a session; longer changes every reading by less than its noise."""
+SESSION_REST_S: Final = 1.0
+"""Rest before and after a motion."""
+PLACEMENTS: Final = (
+    ("place-drill", Tool.DRILL, (0.0, -50.0, 100.0, 130.0, 90.0)),
+    ("place-apxs", Tool.APXS, (0.0, -50.0, 100.0, 130.0, 90.0)),
+)
+"""Names, tools, and the poses [deg] from which a rock is touched."""
+HELD_OUT_SESSIONS: Final = (
+    "poses-level-5",
+    "poses-level-8",
+    "poses-rolled-3",
+    "poses-rolled-7",
+    "elsewhere-cold",
+    "elsewhere-warm",
+)
+"""Sessions for the hold-out validation of a diagnosis that is fitted to the others."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,25 +98,43 @@ class DiagnosisSession:
     """True if a laser tracker measures the turret whenever the arm rests."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionCycle:
+    """Frozen record of one cycle of a session."""
+
+    record: CycleRecord
+    rested: bool
+    """True if the arm has rested long enough to be measured."""
+
+
+class SessionFailed(RuntimeError):
+    """Session with a command that was not completed."""
+
+
+def campaign_sessions(params: Params) -> tuple[DiagnosisSession, ...]:
+    """List all sessions of the campaign, in order, for an arm with these flight parameters."""
+    return (*pose_sessions(), *sweep_sessions(params), *coordinated_sessions(), *placement_sessions(params))
+
+
 def pose_sessions() -> list[DiagnosisSession]:
     """List sessions with two poses on every branch, level and rolled; the first of each is repeated."""
-    found = []
-    for named, pairs, roll_rad in (("level", POSES, 0.0), ("rolled", TILTED_POSES, ROLL_RAD)):
-        for number, (here, there) in enumerate(pairs, 1):
-            for again in ("", "-again") if number == 1 else ("",):
-                block = f"poses-{named}-{number}"
-                found.append(
+    sessions = []
+    for attitude, pairs, roll_rad in (("level", POSES, 0.0), ("rolled", TILTED_POSES, ROLL_RAD)):
+        for number, (start, goal) in enumerate(pairs, 1):
+            for suffix in ("", "-again") if number == 1 else ("",):
+                block = f"poses-{attitude}-{number}"
+                sessions.append(
                     DiagnosisSession(
-                        block + again,
+                        block + suffix,
                         block,
                         World("mars", roll_rad),
                         WARM_C,
-                        _radians(here),
-                        (MoveJoints(joints5(np.radians(there)), "off"),),
+                        _radians(start),
+                        (MoveJoints(joints5(np.radians(goal)), "off"),),
                         tracked=True,
                     )
                 )
-    return found
+    return sessions
 
 
 def sweep_sessions(params: Params) -> list[DiagnosisSession]:
@@ -107,14 +142,14 @@ def sweep_sessions(params: Params) -> list[DiagnosisSession]:
 
     Each joint moves away and back fast, then slowly, then by a small angle.
     """
-    found = []
+    sessions = []
     for joint in Joint:
-        for again in ("", "-again") if joint is Joint.ELEVATION else ("",):
+        for suffix in ("", "-again") if joint is Joint.ELEVATION else ("",):
             name = joint.name.lower()
             roll_rad = ROLL_RAD if joint in (Joint.AZIMUTH, Joint.TURRET) else 0.0
-            found.append(
+            sessions.append(
                 DiagnosisSession(
-                    f"sweep-{name}{again}",
+                    f"sweep-{name}{suffix}",
                     f"sweep-{name}",
                     World("mars", roll_rad),
                     WARM_C,
@@ -123,7 +158,7 @@ def sweep_sessions(params: Params) -> list[DiagnosisSession]:
                     tracked=False,
                 )
             )
-    return found
+    return sessions
 
 
 def coordinated_sessions() -> list[DiagnosisSession]:
@@ -140,6 +175,19 @@ def coordinated_sessions() -> list[DiagnosisSession]:
             ("elsewhere-warm", "elsewhere-warm", WARM_C, HELD_OUT_POSE),
         )
     ]
+
+
+def placement_sessions(params: Params) -> list[DiagnosisSession]:
+    """List placements, each on a rock in front of the modelled position of the tool."""
+    config, sessions = configure(params), []
+    for name, tool, pose_deg in PLACEMENTS:
+        start = np.radians(pose_deg)
+        gravity = World("mars").gravity_N_m_s2
+        flank = np.sign(settle_output(config.arm, start, gravity).torque_Nm)
+        deflected = settle(config.arm, start, flank * config.half_gap_rad, gravity)
+        X_RT = tool_pose(config.arm, deflected.frames, tool)
+        sessions.append(placement_session(name, tool, start, X_RT.p, X_RT.R[:, 0]))
+    return sessions
 
 
 def placement_session(
@@ -186,64 +234,13 @@ def _sweep(params: Params, joint: Joint) -> tuple[Command, ...]:
     )
 
 
-def _at_speed(params: Params, joint: Joint, share: float) -> SetParam:
+def _at_speed(params: Params, joint: Joint, fraction: float) -> SetParam:
     speed_rad_s = params.joints.in_order()[joint].speed_rad_s
-    return SetParam(f"joints.{joint.name.lower()}.speed_rad_s", share * speed_rad_s)
+    return SetParam(f"joints.{joint.name.lower()}.speed_rad_s", fraction * speed_rad_s)
 
 
 def _radians(pose: Degrees5) -> tuple[float, ...]:
     return joints5(np.radians(pose))
-
-
-SESSION_SETTLE_S: Final = 8.0
-"""Time on the brakes before a session; longer changes every reading by less than its noise."""
-SESSION_REST_S: Final = 1.0
-"""Rest before and after a motion."""
-PLACEMENTS: Final = (
-    ("place-drill", Tool.DRILL, (0.0, -50.0, 100.0, 130.0, 90.0)),
-    ("place-apxs", Tool.APXS, (0.0, -50.0, 100.0, 130.0, 90.0)),
-)
-"""Names, tools, and the poses [deg] from which a rock is touched."""
-HELD_OUT_SESSIONS: Final = (
-    "poses-level-5",
-    "poses-level-8",
-    "poses-rolled-3",
-    "poses-rolled-7",
-    "elsewhere-cold",
-    "elsewhere-warm",
-)
-"""Sessions for the hold-out validation of a diagnosis that is fitted to the others."""
-
-
-class SessionFailed(RuntimeError):
-    """Session with a command that was not completed."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SessionCycle:
-    """Frozen record of one cycle of a session."""
-
-    record: CycleRecord
-    rested: bool
-    """True if the arm has rested long enough to be measured."""
-
-
-def campaign_sessions(params: Params) -> tuple[DiagnosisSession, ...]:
-    """List all sessions of the campaign, in order, for an arm with these flight parameters."""
-    return (*pose_sessions(), *sweep_sessions(params), *coordinated_sessions(), *placement_sessions(params))
-
-
-def placement_sessions(params: Params) -> list[DiagnosisSession]:
-    """List placements, each on a rock in front of the modelled position of the tool."""
-    config, found = configure(params), []
-    for name, tool, pose_deg in PLACEMENTS:
-        start = np.radians(pose_deg)
-        gravity = World("mars").gravity_N_m_s2
-        side = np.sign(settle_output(config.arm, start, gravity).torque_Nm)
-        hanging = settle(config.arm, start, side * config.half_gap_rad, gravity)
-        X_RT = tool_pose(config.arm, hanging.frames, tool)
-        found.append(placement_session(name, tool, start, X_RT.p, X_RT.R[:, 0]))
-    return found
 
 
 def start_session(
@@ -269,8 +266,8 @@ def start_session(
 def round_to_counts(motor_rad: Array, zero_rad: Array, rad_per_count: Array) -> Array:
     """Round motor angles, shape (5,), to the nearest whole encoder counts."""
     count = np.rint((motor_rad - zero_rad) / rad_per_count).astype(np.int64)
-    whole: Array = count * rad_per_count + zero_rad
-    return whole
+    rounded_rad: Array = count * rad_per_count + zero_rad
+    return rounded_rad
 
 
 def run_session(loop: ClosedLoop, session: DiagnosisSession) -> Iterator[SessionCycle]:

@@ -76,8 +76,8 @@ def compute_hardstop_loads(params: Params, gravity_R_m_s2: Array) -> HardstopLoa
         gravity_R_m_s2: Gravity in the rover frame, shape (3,).
     """
     poses = np.array([homing_start_poses(params, joint)[-1] for joint in Joint]).T
-    for joint, of_joint in zip(Joint, params.joints.in_order(), strict=True):
-        poses[joint, joint] = of_joint.hardstop_rad
+    for joint, joint_params in zip(Joint, params.joints.in_order(), strict=True):
+        poses[joint, joint] = joint_params.hardstop_rad
     torques = settle_output(build_arm(params), poses, gravity_R_m_s2).torque_Nm
     return HardstopLoads(poses, np.diag(torques).copy())
 
@@ -153,17 +153,17 @@ def equalise_loads(params: Params, gravity_R_m_s2: Array, wanted_Nm: Array) -> P
     """
     limits = [params.joints.in_order()[joint] for _, joint in FREE_ANGLES]
 
-    def missed_Nm(angles: Array) -> Array:
+    def torque_error_Nm(angles: Array) -> Array:
         found = compute_hardstop_loads(_with_free_angles(params, angles), gravity_R_m_s2).torque_Nm
-        missed: Array = (found - wanted_Nm)[list(EQUALISED_JOINTS)]
-        return missed
+        error_Nm: Array = (found - wanted_Nm)[list(EQUALISED_JOINTS)]
+        return error_Nm
 
-    first = np.array([getattr(params.hardstop, pose)[joint] for pose, joint in FREE_ANGLES])
+    start = np.array([getattr(params.hardstop, pose)[joint] for pose, joint in FREE_ANGLES])
     low, high = [joint.soft_min_rad for joint in limits], [joint.soft_max_rad for joint in limits]
-    found = least_squares(missed_Nm, first, bounds=(low, high), xtol=1e-10)
-    if np.abs(found.fun).max() > LOAD_TOLERANCE_NM:
-        raise NoPlan(f"the torques miss what was wanted by {np.round(found.fun, 1)} N m at best")
-    return _with_free_angles(params, found.x)
+    solution = least_squares(torque_error_Nm, start, bounds=(low, high), xtol=1e-10)
+    if np.abs(solution.fun).max() > LOAD_TOLERANCE_NM:
+        raise NoPlan(f"the torques miss what was wanted by {np.round(solution.fun, 1)} N m at best")
+    return _with_free_angles(params, solution.x)
 
 
 def without_turret(arm: BuiltArm, on_earth: bool) -> BuiltArm:

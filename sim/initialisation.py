@@ -27,6 +27,12 @@ from sim.world import World, build
 
 START_DISTANCE_RAD: Final = 0.05
 """Distance from the hardstop at the start of a homing that is only measured, to save time."""
+RANDOM_TEMPERATURE_C = (-55.0, 10.0)
+DAILY_FRICTION_SIGMA = 0.1
+"""One sigma of the change of friction from day to day, log-normal."""
+RANDOM_NOISE_A = (0.01, 0.04)
+RANDOM_OFFSET_RAD = 0.05
+RANDOM_DISTANCE_RAD = (0.02, 0.15)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,13 +114,13 @@ class InitialisationRun:
             if isinstance(evr, JointCalibrated):
                 self._stops.append(self._hardstop_result(evr))
         if state.move is not None and state.move.homing is not None:
-            seek = state.move.homing
-            j = seek.joint
+            homing = state.move.homing
+            j = homing.joint
             self._samples.append(
                 HomingSample(
                     time_s,
                     j,
-                    seek.stage,
+                    homing.stage,
                     float(state.joints.motor_rad[j]),
                     float(state.joints.motor_rate_rad_s[j]),
                     float(record.sensors.current_A[j]),
@@ -195,13 +201,13 @@ def initialise_joints(
     Yields:
         The result of each joint.
     """
-    known = None
+    reference = None
     for joint in HARDSTOP_ORDER:
-        result = prepare_homing(arm, joint, world or World(), seed, reference=known).finish()
+        result = prepare_homing(arm, joint, world or World(), seed, reference=reference).finish()
         yield result
         if result.outcome is not Outcome.DONE:
             return
-        known = result.reference
+        reference = result.reference
 
 
 def initial_reference(arm: BuiltArm, seed: int = 0) -> Reference:
@@ -221,23 +227,15 @@ def true_reference(arm: BuiltArm) -> Reference:
     spec = build(World())
     hardware = apply_effects(arm.effects, spec, nominal_hardware())
     plant = Plant(spec.compile())
-    off_place = configure(arm.params).hardstop_rad - plant.stop_rad()
+    hardstop_error_rad = configure(arm.params).hardstop_rad - plant.stop_rad()
     return Reference(
         calibrated=np.ones(len(Joint), bool),
         known=np.ones(len(Joint), bool),
-        zero_rad=hardware.counter_zero_rad + off_place,
+        zero_rad=hardware.counter_zero_rad + hardstop_error_rad,
         half_gap_rad=plant.half_gap_rad,
-        resolver_bias_rad=hardware.resolver_bias_rad - off_place,
+        resolver_bias_rad=hardware.resolver_bias_rad - hardstop_error_rad,
         friction_Nm=np.array([spec.joint(f"{name}_motor").frictionloss for name in JOINT_NAMES]),
     )
-
-
-RANDOM_TEMPERATURE_C = (-55.0, 10.0)
-DAILY_FRICTION_SIGMA = 0.1
-"""One sigma of the change of friction from day to day, log-normal."""
-RANDOM_NOISE_A = (0.01, 0.04)
-RANDOM_OFFSET_RAD = 0.05
-RANDOM_DISTANCE_RAD = (0.02, 0.15)
 
 
 def prepare_random_homing(arm: BuiltArm, joint: Joint, world: World, seed: int) -> InitialisationRun:

@@ -45,20 +45,20 @@ class OpenLoopArm:
     """Arm at the start of a recorded run."""
 
     def __init__(
-        self, start: RecordedStart, effects: Iterable[Effect], manner: SimulationOptions = NOISE_FREE
+        self, start: RecordedStart, effects: Iterable[Effect], options: SimulationOptions = NOISE_FREE
     ):
         spec = build(start.world)
         hardware = apply_effects(effects, spec, replace(nominal_hardware(), counter_zero_rad=start.zero_rad))
         self.plant = Plant(spec.compile())
-        # a hardstop that is not where it was taken to be has shifted the zero that was found there
-        off_rad = start.hardstop_rad - self.plant.stop_rad()
-        hardware = replace(hardware, counter_zero_rad=hardware.counter_zero_rad - off_rad)
-        hardware = hardware if manner.seed is not None else _without_noise(hardware)
-        self.avionics = Avionics(self.plant, hardware, hardware_rng(manner.seed or 0))
-        # the motors stand where these counters read what was read, whatever shifted their zeros
+        # an error of the assumed hardstop shifted the zero that homing found
+        hardstop_error_rad = start.hardstop_rad - self.plant.stop_rad()
+        hardware = replace(hardware, counter_zero_rad=hardware.counter_zero_rad - hardstop_error_rad)
+        hardware = hardware if options.seed is not None else _without_noise(hardware)
+        self.avionics = Avionics(self.plant, hardware, hardware_rng(options.seed or 0))
+        # counters must read what they read in the recorded run, so the motors shift with the zeros
         self.plant.place(
             start.motor_rad + (hardware.counter_zero_rad - start.zero_rad),
-            manner.settle_s,
+            options.settle_s,
             self.avionics.act if hardware.each_cycle else None,
         )
 

@@ -129,13 +129,13 @@ class PlacementRun:
         normal = normalize(placement.normal_N)
         target = p_R_from_N(np.array(placement.target_N_m)) + height_m * normal
         truth = plant.truth()
-        miss = truth.p_RoTo_R_m[placement.tool] - target
-        along = float(miss @ normal)
+        error = truth.p_RoTo_R_m[placement.tool] - target
+        along = float(error @ normal)
         boresight = truth.R_RT[placement.tool][:, 0]
         shift = plant.tool_shift(placement.tool, plant.gap_rad() - record.outputs.joint.planned_gap_rad)
         return PlacementError(
-            total_m=float(np.linalg.norm(miss)),
-            lateral_m=float(np.linalg.norm(miss - along * normal)),
+            total_m=float(np.linalg.norm(error)),
+            lateral_m=float(np.linalg.norm(error - along * normal)),
             normal_m=along,
             axis_rad=angle_between(-boresight, normal),
             backlash_m=float(np.linalg.norm(shift)),

@@ -22,10 +22,9 @@ SCREW_AXES = ("rx", "ry", "rz", "tx", "ty", "tz")
 """Axes of screws and springs: rotations, then translations."""
 
 HARD_FRICTION = 1e-4
-"""Factor on the inverse weight of dry friction, as MuJoCo's own regularisation is too soft.
+"""Factor on the inverse weight of dry friction, as MuJoCo's hardest regularisation is too soft.
 
-An output held by friction then creeps with a time constant of hours.
-The hardest value of a model file gives four seconds.
+An output held by friction then creeps with a time constant of hours, not of four seconds.
 """
 
 ALL_ACTUATORS = 0b111110
@@ -43,7 +42,7 @@ TOOL_P_NR_M = np.tile(P_NR_M, (len(Tool), 1))
 """Full arrays for axes and origins of all tools: broadcasting would take twice as long."""
 
 
-# MuJoCo would write its warnings to a file in whatever directory this is; Plant.step looks at their count
+# MuJoCo would write its warnings to a file in the current directory; Plant.step checks their count
 mujoco.set_mju_user_warning(lambda _: None)
 
 
@@ -99,7 +98,7 @@ class Plant:
     """MuJoCo model and data of an arm in its world, as avionics and judges access them."""
 
     def __init__(self, model: mujoco.MjModel):
-        self.model = model = copy(model)  # it is changed below: two plants of one model are alike
+        self.model = model = copy(model)  # changed below; two plants of one model are equal
         self.data = mujoco.MjData(model)
         rate_gain = model.actuator_gainprm[:, RATE_GAIN].copy()
         gear_excess_s = match_reference_damping(model)
@@ -127,10 +126,8 @@ class Plant:
         self._built_quat = model.body_quat[self.at.bodies]
         self._built = Pose(rotation_matrices(self._built_quat), model.body_pos[self.at.bodies].T.copy())
         self._bands_rad = model.tendon_lengthspring[self.at.gear_tendons].copy()
-        damping, stiffness = (
-            model.tendon_damping[self.at.gear_tendons],
-            model.tendon_stiffness[self.at.gear_tendons],
-        )
+        damping = model.tendon_damping[self.at.gear_tendons]
+        stiffness = model.tendon_stiffness[self.at.gear_tendons]
         self._free_damping_Nms_rad = damping.copy()
         self._flank_damping_Nms_rad = damping - gear_excess_s * stiffness
         self._on_flank = np.zeros(len(Joint), bool).tobytes()
@@ -199,12 +196,9 @@ class Plant:
         self.model.tendon_lengthspring[self.at.gear_tendons] = self._bands_rad + shift_rad[:, None]
 
     def place(self, motor_rad: Array, settle_s: float, begin: Callable[[], None] | None = None) -> None:
-        """Put the motors at these angles with brakes on, and let the arm settle under gravity.
+        """Put the motors at these angles, shape (5,), with brakes on, and let the arm settle under gravity.
 
-        Args:
-            motor_rad: Motor angles, shape (5,).
-            settle_s: Time to settle.
-            begin: Called once before gravity is applied, to begin effects.
+        `begin` is called once before gravity is applied, to begin effects.
         """
         mujoco.mj_resetData(self.model, self.data)
         self.data.qpos[self.at.motor] = motor_rad
@@ -216,7 +210,7 @@ class Plant:
             begin()
         gravity, cycles = self.model.opt.gravity.copy(), round(settle_s * CYCLE_HZ / 2)
         for share in (np.arange(cycles) + 1) / cycles:
-            # a dropped arm would rest anywhere in the band of its friction
+            # gravity rises smoothly: a dropped arm would rest anywhere in the band of its friction
             self.model.opt.gravity[:] = gravity * share * share * (3 - 2 * share)
             self.step()
         for _ in range(cycles):
@@ -224,12 +218,7 @@ class Plant:
         self.data.time = 0.0
 
     def show(self, output_rad: Array, strain: Array) -> None:
-        """Set the geometry only.
-
-        Args:
-            output_rad: Output angles, shape (5,).
-            strain: Spring displacements [rad, m], shape (6, 5); further columns are ignored.
-        """
+        """Set the geometry only, from output angles, shape (5,), and spring strains, (6, 5) or wider."""
         self.data.qpos[self.at.motor] = output_rad
         self.data.qpos[self.at.springs] = strain[:, : len(SPRING_NAMES)].T
         mujoco.mj_kinematics(self.model, self.data)
@@ -240,14 +229,10 @@ class Plant:
         self.data.eq_active[self.at.brake[joint]] = on
 
     def command(self, motor_rad: Array, rate_rad_s: Array) -> None:
-        """Set the set-points of the motor controllers, converted from those of the reference step.
+        """Set the set-points of the motor controllers, each (5,), converted from those of the reference step.
 
         A servo compares its set-point with the angle at the start of a step, half a step too early.
         Only the feedback of its rate is reduced by the damping that the integrator adds.
-
-        Args:
-            motor_rad: Set-points of the motor angles, shape (5,).
-            rate_rad_s: Set-points of the motor rates, shape (5,).
         """
         self.data.ctrl[0::2] = motor_rad - self._lead_s * rate_rad_s
         self.data.ctrl[1::2] = self._rate_share * rate_rad_s
@@ -261,21 +246,18 @@ class Plant:
         self.damp_gears()
         end_s = self.data.time + 1.0 / CYCLE_HZ
         mujoco.mj_step(self.model, self.data, self.steps_per_cycle)
-        self.data.time = end_s  # a step need not be exact in binary, a cycle is
+        self.data.time = end_s  # a cycle is exact in binary, a step need not be
         self.update_motors()
         self._check()
 
     def damp_gears(self) -> None:
-        """Set the damping of the gears, which differs on a flank and inside the backlash.
-
-        The values are those that the reference step would compute.
-        """
+        """Set the damping of the gears as the reference step does: other on a flank than in the backlash."""
         views = self._views
         on_flank = (views.gear_length_rad < views.low_flank_rad) | (
             views.gear_length_rad > views.high_flank_rad
         )
-        if (seen := on_flank.tobytes()) != self._on_flank:
-            self._on_flank = seen
+        if (flags := on_flank.tobytes()) != self._on_flank:
+            self._on_flank = flags
             damping = np.where(on_flank, self._flank_damping_Nms_rad, self._free_damping_Nms_rad)
             self.model.tendon_damping[self.at.gear_tendons] = damping
 
@@ -300,18 +282,12 @@ class Plant:
         return output
 
     def gap_rad(self) -> Array:
-        """Return the true position in the backlash without wind-up, shape (5,).
-
-        It is plus or minus half the width if a joint rests on a flank.
-        """
+        """Return the true position in the backlash, shape (5,): plus or minus half its width on a flank."""
         gear = self._gear_rad()
         return np.asarray(np.clip(gear, -self.half_gap_rad, self.half_gap_rad))
 
     def gear_torque_Nm(self) -> Array:
-        """Return the torque in each gear, shape (5,).
-
-        It is positive if the load pulls an output to positive angles.
-        """
+        """Return the torque in each gear, shape (5,); a load towards positive angles is positive."""
         torque: Array = self.model.tendon_stiffness[self.at.gear_tendons] * (
             self._gear_rad() - self.gap_rad()
         )
@@ -342,25 +318,14 @@ class Plant:
         return current
 
     def tool_shift(self, tool: Tool, output_rad: Array) -> Array:
-        """Compute the displacement of a tool for a small change of the output angles.
-
-        Args:
-            tool: Tool.
-            output_rad: Change of the output angles, shape (5,).
-
-        Returns:
-            Displacement [m] in RMECH axes, shape (3,).
-        """
+        """Return the shift [m] of a tool in RMECH, shape (3,), by a small output change, shape (5,)."""
         jacobian = np.zeros((3, self.model.nv))
         mujoco.mj_jacSite(self.model, self.data, jacobian, None, self.at.tools[tool])
         shift: Array = FLIP * (jacobian[:, self.at.gear] @ output_rad)
         return shift
 
     def pads_R_m(self) -> Array:
-        """Return the positions of the contact switches in RMECH, shape (10, 3).
-
-        They are those of the last call of `truth`.
-        """
+        """Return the positions of the contact switches in RMECH, (10, 3), of the last call of `truth`."""
         p_R_m: Array = FLIP * self.data.site_xpos.take(self.at.pads, 0) - P_NR_M
         return p_R_m
 
@@ -401,7 +366,7 @@ def match_reference_damping(model: mujoco.MjModel) -> float:
     excess_s = float(model.opt.timestep) - REFERENCE_STEP_S
     model.dof_damping[model.jnt_dofadr] -= excess_s * model.jnt_stiffness
     if model.opt.solver == mujoco.mjtSolver.mjSOL_PGS:
-        excess_s = -REFERENCE_STEP_S  # the dual solver takes tendons and servos as they are at the beginning
+        excess_s = -REFERENCE_STEP_S  # the dual solver evaluates them at the start of a step
     model.actuator_gainprm[:, RATE_GAIN] -= excess_s * model.actuator_gainprm[:, POSITION_GAIN]
     return excess_s
 

@@ -27,6 +27,9 @@ WAKE_S: Final = 1.0
 """Time before the first move, in which flight software measures gravity."""
 REST_S: Final = 2.0
 """Time on the brakes before a rest position is measured."""
+MAX_STEP_RAD: Final = 0.02
+SOFT_LIMIT_MARGIN_RAD: Final = 0.02
+"""Least distance of random poses from the soft limits."""
 
 
 def free_air_loop(setup: Setup) -> ClosedLoop:
@@ -54,11 +57,6 @@ def run_and_rest(loop: ClosedLoop, command: Command) -> str | None:
 def _run_idle(loop: ClosedLoop, duration_s: float) -> None:
     for _ in range(round(duration_s * CYCLE_HZ)):
         loop.cycle()
-
-
-MAX_STEP_RAD: Final = 0.02
-SOFT_LIMIT_MARGIN_RAD: Final = 0.02
-"""Least distance of random poses from the soft limits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,13 +179,13 @@ def pose_in_workspace(
     while True:
         p_N_m, angles = random_targets(rng, 1)
         approach = approach_from(angles)[:, 0]
-        answers = inverse_kinematics(
+        solutions = inverse_kinematics(
             config.arm, tool, p_R_from_N(p_N_m[:, 0]), approach, np.zeros(3), np.zeros(5)
         )
-        first_roots = answers.verdict[: len(BRANCHES)]
+        first_roots = solutions.verdict[: len(BRANCHES)]
         valid = np.flatnonzero(wanted & (first_roots == BranchVerdict.VALID))
         if valid.size:
-            return _clip_to_limits(config, np.asarray(answers.output_rad[:, rng.choice(valid)]))
+            return _clip_to_limits(config, np.asarray(solutions.output_rad[:, rng.choice(valid)]))
 
 
 def _clip_to_limits(config: Config, pose: Array) -> Array:

@@ -69,14 +69,14 @@ def preview_placement(arm: BuiltArm, world: World, placement: Placement, stowed:
         hit = _unstow_collision(config, plant, joints)
         if hit is not None:
             return _infeasible(placement, f"{hit} on the way from the stowed to the ready pose")
-    tried = []
+    previews = []
     for via_m in (0.0, VIA_M):
         for branch in (AUTO, *BRANCHES):
             found = _check_branch(config, plant, joints, replace(placement, branch=branch, via_m=via_m))
             if found.problem is None:
                 return found
-            tried.append(found)
-    return tried[0]
+            previews.append(found)
+    return previews[0]
 
 
 def unstow_duration_s(arm: BuiltArm) -> float:
@@ -203,9 +203,9 @@ def random_placement(seed: int, arm: BuiltArm, tool: Tool, max_tilt_rad: float) 
         tilt, heading = rng.uniform(0.0, max_tilt_rad), rng.uniform(-np.pi, np.pi)
         roll, pitch = float(tilt * np.cos(heading)), float(tilt * np.sin(heading))
         world = World("mars", roll, pitch, Surface(point, normal))
-        seen = preview_placement(arm, world, Placement(tool, point, normal))
-        if seen.problem is None:
-            return world, seen
+        preview = preview_placement(arm, world, Placement(tool, point, normal))
+        if preview.problem is None:
+            return world, preview
 
 
 def run_placement(

@@ -64,25 +64,25 @@ def solve_quasi_static_move(
         disturbance: Displacements of frames, gears and motors in this move.
     """
     believed, true, reference = arm.believed, arm.true, arm.reference
-    hanging = settle_output(believed.arm, goal_rad, gravity_R_m_s2)
-    loads = bound_loads(believed, hanging.torque_Nm, gravity_R_m_s2)
-    lying = bound_gear(believed, reference.half_gap_rad, loads)
-    start = JointPositions(start_rad - lying.lowest_rad[:, LIKELY], lying.lowest_rad[:, LIKELY])
+    deflected = settle_output(believed.arm, goal_rad, gravity_R_m_s2)
+    loads = bound_loads(believed, deflected.torque_Nm, gravity_R_m_s2)
+    gear_bounds = bound_gear(believed, reference.half_gap_rad, loads)
+    start = JointPositions(start_rad - gear_bounds.lowest_rad[:, LIKELY], gear_bounds.lowest_rad[:, LIKELY])
     joints = replace(
         uninitialised_estimate(believed, reference),
         initialised=True,
         motor_rad=start.motor_rad,
         imu_R_m_s2=gravity_R_m_s2,
     )
-    plan = plan_joint_move(believed, joints, start, goal_rad, hanging.torque_Nm, Compensation(backlash))
+    plan = plan_joint_move(believed, joints, start, goal_rad, deflected.torque_Nm, Compensation(backlash))
     off_rad = arm.off_rad + disturbance.motor_rad
     motor = start.motor_rad + off_rad
     torque = settle_output(true.arm, goal_rad, gravity_R_m_s2).torque_Nm
     gear = start.gear_rad
     bounds = bound_gear(true, true.half_gap_rad, torque)
-    for knot in (*(path.at(path.duration_s).motor_rad for path in plan.paths), plan.end.motor_rad):
-        gear = np.clip(gear - (knot + off_rad - motor), bounds.lowest_rad, bounds.highest_rad)
-        motor = knot + off_rad
+    for waypoint_rad in (*(path.at(path.duration_s).motor_rad for path in plan.paths), plan.end.motor_rad):
+        gear = np.clip(gear - (waypoint_rad + off_rad - motor), bounds.lowest_rad, bounds.highest_rad)
+        motor = waypoint_rad + off_rad
     frames = settle_output(true.arm, motor + gear + disturbance.gear_rad, gravity_R_m_s2).frames
     X_RT = tool_pose(true.arm, frames, tool)
     bodies = [body_index(frame, tool) for frame in Frame]

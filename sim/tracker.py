@@ -164,10 +164,10 @@ def _measure_body(
     tracker: Tracker, plant: Plant, X_GN: Pose, targets: TrackerTargets, X_GB: Pose, rng: np.random.Generator
 ) -> TargetReadings:
     p_G = X_GB.R @ targets.p_BoQ_B_m + X_GB.p[:, None]
-    way = np.array(tracker.p_GoWo_G_m)[:, None] - p_G
-    distance = np.linalg.norm(way, axis=0)
-    facing = np.einsum("ik,ik->k", X_GB.R @ targets.axis_B, way / distance) > np.cos(VISIBLE_CONE_RAD)
-    clear = np.array([_is_unobstructed(plant, X_GN, p, w) for p, w in zip(p_G.T, way.T, strict=True)])
+    to_tracker = np.array(tracker.p_GoWo_G_m)[:, None] - p_G
+    distance = np.linalg.norm(to_tracker, axis=0)
+    facing = np.einsum("ik,ik->k", X_GB.R @ targets.axis_B, to_tracker / distance) > np.cos(VISIBLE_CONE_RAD)
+    clear = np.array([_is_unobstructed(plant, X_GN, p, w) for p, w in zip(p_G.T, to_tracker.T, strict=True)])
     sigma = tracker.noise_m(distance)
     noisy = p_G + sigma * rng.standard_normal(p_G.shape)
     X_GW = tracker.X_GW

@@ -34,7 +34,8 @@ class FlexCable(EachCycle):
         """Compute the torque of the cable from the travel of the output since the last cycle."""
         (before_rad, share), now_rad = state, float(plant.output_rad()[self.joint])
         moved_rad = now_rad - before_rad
-        way = float(np.sign(moved_rad))
-        share = way + (share - way) * float(np.exp(-abs(moved_rad) / self.give_rad)) if way else share
+        direction = float(np.sign(moved_rad))
+        if direction:
+            share = direction + (share - direction) * float(np.exp(-abs(moved_rad) / self.give_rad))
         torque_Nm = -self.stiffness_Nm_rad * (now_rad - self.laid_rad) - self.drag_Nm * share
         return (now_rad, share), Disturbance(output_Nm=at_joint(self.joint, torque_Nm))

@@ -85,21 +85,19 @@ def place_fields_of(kind: type[Effect]) -> tuple[PlaceField, ...]:
 
 def parameters_of(kind: type[Effect]) -> tuple[ParameterField, ...]:
     """List the fields of an effect that are not its place."""
-    hints, places = (
-        get_type_hints(kind, include_extras=True),
-        {place.field for place in place_fields_of(kind)},
-    )
+    hints = get_type_hints(kind, include_extras=True)
+    places = {place.field for place in place_fields_of(kind)}
     found = []
     for field in fields(kind):
         if field.name not in places:
             marks = getattr(hints[field.name], "__metadata__", ())
-            size = next((mark for mark in marks if isinstance(mark, ParameterSpec)), None)
-            plain = hints[field.name]
-            while get_origin(plain) is Annotated:
-                plain = get_args(plain)[0]
-            count = len(get_args(plain)) if get_origin(plain) is tuple else 1
+            spec = next((mark for mark in marks if isinstance(mark, ParameterSpec)), None)
+            hint = hints[field.name]
+            while get_origin(hint) is Annotated:
+                hint = get_args(hint)[0]
+            count = len(get_args(hint)) if get_origin(hint) is tuple else 1
             default = None if field.default is MISSING else field.default
-            found.append(ParameterField(field.name, size, count, default))
+            found.append(ParameterField(field.name, spec, count, default))
     return tuple(found)
 
 
@@ -109,11 +107,11 @@ def all_places(kind: type[Effect]) -> Iterator[dict[str, Any]]:
     Yields:
         Field values by field name.
     """
-    known = place_fields_of(kind)
-    choices = [[*([None] if place.optional else []), *place.members.values()] for place in known]
+    place_fields = place_fields_of(kind)
+    choices = [[*([None] if field.optional else []), *field.members.values()] for field in place_fields]
     values = {p.field: _neutral_value(p) for p in parameters_of(kind)}
     for chosen in product(*choices):
-        place = {where.field: value for where, value in zip(known, chosen, strict=True)}
+        place = {field.field: value for field, value in zip(place_fields, chosen, strict=True)}
         try:
             kind(**place, **values)
         except ValueError:
@@ -124,10 +122,10 @@ def all_places(kind: type[Effect]) -> Iterator[dict[str, Any]]:
 def effect_place_text(kind: type[Effect], place: Mapping[str, Any]) -> str:
     """Return a place as text: arm3.z."""
     words = []
-    for where in place_fields_of(kind):
-        value = place[where.field]
+    for field in place_fields_of(kind):
+        value = place[field.field]
         if value is not None:
-            words.append(next(name for name, member in where.members.items() if member == value))
+            words.append(next(name for name, member in field.members.items() if member == value))
     return ".".join(words)
 
 
@@ -203,10 +201,10 @@ def scaled_value(parameter: ParameterField, times: float) -> float:
     Raises:
         ValueError: the parameter has no neutral value.
     """
-    size = parameter.spec
-    if size is None or size.neutral is None:
+    spec = parameter.spec
+    if spec is None or spec.neutral is None:
         raise ValueError(f"{parameter.field} has no neutral value")
-    return size.neutral + times * size.typical
+    return spec.neutral + times * spec.typical
 
 
 def hypotheses(kinds: Mapping[str, type[Effect]] | None = None) -> Iterator[EffectHypothesis]:

@@ -54,11 +54,11 @@ def apply_sensor_errors(
     Returns:
         The readings, and the errors to apply in the next cycle.
     """
-    begun = []
-    for one in sensor_errors:
-        begun.append(one.update(sensors))
-        sensors = begun[-1].read(sensors, rng)
-    return sensors, tuple(begun)
+    updated = []
+    for error in sensor_errors:
+        updated.append(error.update(sensors))
+        sensors = updated[-1].read(sensors, rng)
+    return sensors, tuple(updated)
 
 
 class ResolverError(Protocol):
@@ -249,13 +249,13 @@ def apply_cycle_effects(plant: Plant, hardware: Hardware) -> Hardware:
 
 def evaluate_cycle_effects(plant: Plant, hardware: Hardware) -> tuple[Hardware, Disturbance]:
     """Compute avionics, sensors and the total disturbance of this cycle; the plant keeps its own."""
-    total, running = Disturbance(), []
+    total, active = Disturbance(), []
     for one in hardware.each_cycle:
         before = one.state if one.begun else one.effect.begin(plant, hardware)
-        state, influence = one.effect.cycle(plant, hardware, before)
-        total += influence
-        running.append(ActiveEffect(one.effect, state, True))
-    return replace(hardware, each_cycle=tuple(running)), total
+        state, disturbance = one.effect.cycle(plant, hardware, before)
+        total += disturbance
+        active.append(ActiveEffect(one.effect, state, True))
+    return replace(hardware, each_cycle=tuple(active)), total
 
 
 def draw_move_disturbance(effects: Iterable[EachMove], rng: np.random.Generator) -> MoveDisturbance:

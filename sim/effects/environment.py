@@ -11,6 +11,13 @@ from fsw.dictionary.enums import Joint
 from fsw.dictionary.params import Params
 from sim.effects.effect import Effect, Hardware, ParameterSpec, StartTime
 
+WARM_C = 20.0
+COLD_C = -55.0
+COULOMB_COLD = 2.5
+"""Factor on the friction at WARM_C that gives that at COLD_C."""
+VISCOUS_COLD = 8.0
+NO_PADDING_M = 1e3
+
 
 @dataclass(frozen=True, slots=True)
 class ContactStiffness(Effect):
@@ -41,14 +48,6 @@ class SurfacePosition(Effect):
             R = np.zeros(9)
             mujoco.mju_quat2Mat(R, rock.quat)
             rock.pos = rock.pos + self.offset_m * R.reshape(3, 3)[:, 2]
-
-
-WARM_C = 20.0
-COLD_C = -55.0
-COULOMB_COLD = 2.5
-"""Factor on the friction at WARM_C that gives that at COLD_C."""
-VISCOUS_COLD = 8.0
-NO_PADDING_M = 1e3
 
 
 @dataclass(frozen=True, slots=True)

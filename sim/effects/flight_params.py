@@ -39,14 +39,14 @@ def scale_matrix(matrix: Matrix6, factor: float) -> Matrix6:
 
 def rotate_matrix(matrix: Matrix6, R: Array) -> Matrix6:
     """Rotate a matrix for screws by R: its rotation and its translation parts."""
-    both = np.kron(np.eye(2), R)
-    return _matrix6(both @ np.array(matrix) @ both.T)
+    R6 = np.kron(np.eye(2), R)
+    return _matrix6(R6 @ np.array(matrix) @ R6.T)
 
 
-def add_compliance(matrix: Matrix6, axis: int, more: float) -> Matrix6:
+def add_compliance(matrix: Matrix6, axis: int, added: float) -> Matrix6:
     """Add a compliance to one element of the diagonal."""
     values = np.array(matrix)
-    values[axis, axis] += more
+    values[axis, axis] += added
     return _matrix6(values)
 
 

@@ -17,6 +17,9 @@ from sim.effects.environment import COLD_C, WARM_C
 from sim.effects.flight_params import joint_of, with_joint
 from sim.plant import Plant
 
+WaveAmplitude = Annotated[float, ParameterSpec(-0.01, 0.01, unit="rad", typical=3e-4, neutral=0.0)]
+WavesPerTurn = Annotated[int, ParameterSpec(1, 100, unit="1", typical=1)]
+
 
 @dataclass(frozen=True, slots=True)
 class MotorSample:
@@ -111,11 +114,11 @@ class ColdFriction(EachCycle):
     def begin(self, plant: Plant, hardware: Hardware) -> Disturbance:
         """Compute the added friction, exponential in the temperature around the motor."""
         share = (WARM_C - float(hardware.ambient_C[self.joint])) / (WARM_C - COLD_C)
-        more = self.factor**share - 1.0
+        increase = self.factor**share - 1.0
         friction_Nm, damping_Nms_rad = plant.built_friction()
         return Disturbance(
-            friction_Nm=at_joint(self.joint, more * float(friction_Nm[self.joint])),
-            damping_Nms_rad=at_joint(self.joint, more * float(damping_Nms_rad[self.joint])),
+            friction_Nm=at_joint(self.joint, increase * float(friction_Nm[self.joint])),
+            damping_Nms_rad=at_joint(self.joint, increase * float(damping_Nms_rad[self.joint])),
         )
 
     def cycle(self, plant: Plant, hardware: Hardware, state: Disturbance) -> tuple[Disturbance, Disturbance]:
@@ -140,10 +143,6 @@ class OutputFriction(Effect):
         joint = joint_of(params, self.joint)
         friction_Nm = max(joint.output_friction_Nm + self.torque_Nm, 0.0)
         return with_joint(params, self.joint, replace(joint, output_friction_Nm=friction_Nm))
-
-
-WaveAmplitude = Annotated[float, ParameterSpec(-0.01, 0.01, unit="rad", typical=3e-4, neutral=0.0)]
-WavesPerTurn = Annotated[int, ParameterSpec(1, 100, unit="1", typical=1)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,8 +181,8 @@ class GearEfficiency(EachCycle):
     def cycle(self, plant: Plant, hardware: Hardware, state: MotorSample) -> tuple[MotorSample, Disturbance]:
         """Compute the loss: load over efficiency if the motor drives, else load times efficiency."""
         load_Nm, now = float(plant.gear_torque_Nm()[self.joint]), sample_motor(plant, self.joint)
-        drives = load_Nm * mean_speed_rad_s(state, now) < 0
-        lost = 1.0 / self.factor - 1.0 if drives else 1.0 - self.factor
+        motor_drives = load_Nm * mean_speed_rad_s(state, now) < 0
+        lost = 1.0 / self.factor - 1.0 if motor_drives else 1.0 - self.factor
         return now, Disturbance(friction_Nm=at_joint(self.joint, lost * abs(load_Nm)))
 
 

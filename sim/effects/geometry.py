@@ -49,10 +49,10 @@ class FrameError(Effect):
             moved = replace(tool, transform=self._displaced(tool.transform))
             return replace(params, tools=replace(params.tools, **{name: moved}))
         link = link_of(params, self.frame)
-        changed = self._carried(link, replace(link, transform=self._displaced(link.transform)))
+        changed = self._with_fixed_lumps(link, replace(link, transform=self._displaced(link.transform)))
         return with_link(params, self.frame, changed)
 
-    def _carried(self, old: LinkParams, new: LinkParams) -> LinkParams:
+    def _with_fixed_lumps(self, old: LinkParams, new: LinkParams) -> LinkParams:
         """Return the link with its spring and lumps at their place in the plant.
 
         The spring and bracket of the rover, and the mass of the turret, move with their frame.
@@ -93,13 +93,13 @@ class LinkWarming(Effect):
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Displace the frame by the growth, in its own axes."""
-        self._grown().on_model(spec)
+        self._frame_error().on_model(spec)
 
     def on_params(self, params: Params) -> Params:
         """Set the numbers of the grown link."""
-        return self._grown().on_params(params) if self.warming_K else params
+        return self._frame_error().on_params(params) if self.warming_K else params
 
-    def _grown(self) -> FrameError:
+    def _frame_error(self) -> FrameError:
         expansion_1_K = _expansions_1_K()[body_index(self.frame, self.tool)]
         return FrameError(self.frame, row6(self.warming_K * np.array(expansion_1_K)), self.tool)
 
@@ -120,8 +120,8 @@ class Warming(Effect):
         return params_with_effects(self._parts(), params)
 
     def _parts(self) -> list[LinkWarming]:
-        inner = [LinkWarming(frame, self.warming_K) for frame in Frame if frame is not Frame.TOOL]
-        return inner + [LinkWarming(Frame.TOOL, self.warming_K, tool) for tool in Tool]
+        links = [LinkWarming(frame, self.warming_K) for frame in Frame if frame is not Frame.TOOL]
+        return links + [LinkWarming(Frame.TOOL, self.warming_K, tool) for tool in Tool]
 
 
 @cache

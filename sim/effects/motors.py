@@ -61,19 +61,19 @@ class CommandDelay(EachCycle):
 
     def begin(self, plant: Plant, hardware: Hardware) -> Setpoints:
         """Return a history of the present set-point, which an arm at rest has had for long."""
-        return (self._given(plant),) * (int(self.delay_s * CYCLE_HZ) + 2)
+        return (self._present_setpoint(plant),) * (int(self.delay_s * CYCLE_HZ) + 2)
 
     def cycle(self, plant: Plant, hardware: Hardware, state: Setpoints) -> tuple[Setpoints, Disturbance]:
         """Add the newest set-point and apply the delayed one; a braked motor has no delay."""
         if plant.data.eq_active[plant.at.brake[self.joint]]:
-            return (self._given(plant),) * len(state), Disturbance()
-        state = (self._given(plant), *state[:-1])
+            return (self._present_setpoint(plant),) * len(state), Disturbance()
+        state = (self._present_setpoint(plant), *state[:-1])
         whole, part = divmod(self.delay_s * CYCLE_HZ, 1.0)
         newer, older = (np.array(state[int(whole) + k]) for k in (0, 1))
         plant.data.ctrl[self._inputs()] = (1.0 - part) * newer + part * older
         return state, Disturbance()
 
-    def _given(self, plant: Plant) -> tuple[float, float]:
+    def _present_setpoint(self, plant: Plant) -> tuple[float, float]:
         angle_rad, rate_rad_s = plant.data.ctrl[self._inputs()]
         return float(angle_rad), float(rate_rad_s)
 
@@ -93,8 +93,8 @@ class BusSag(EachCycle):
     def cycle(self, plant: Plant, hardware: Hardware, state: None) -> tuple[None, Disturbance]:
         """Compute the loss of gain from the present currents."""
         total_A = float(np.abs(plant.motor_current_A()).sum())
-        lost = min(self.resistance_Ohm * total_A / BUS_V, 1.0)
-        return None, Disturbance(servo=np.full(len(Joint), -lost))
+        voltage_loss = min(self.resistance_Ohm * total_A / BUS_V, 1.0)
+        return None, Disturbance(servo=np.full(len(Joint), -voltage_loss))
 
 
 def _scale(motor: mujoco.MjsActuator, which: int | slice, factor: float) -> None:

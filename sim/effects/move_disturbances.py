@@ -63,5 +63,5 @@ class ServoError(EachMove):
         return drawn
 
 
-def _draw_uniform(rng: np.random.Generator, most: float) -> Array:
-    return np.asarray(rng.uniform(-most, most))
+def _draw_uniform(rng: np.random.Generator, bound: float) -> Array:
+    return np.asarray(rng.uniform(-bound, bound))

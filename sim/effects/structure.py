@@ -15,6 +15,8 @@ from sim.effects.flight_params import add_compliance, link_of, scale_matrix, wit
 from sim.plant import SCREW_AXES as SPRING_AXES
 from sim.plant import SPRING_NAMES
 
+MIN_MASS_KG = 1e-4
+"""Mass in place of none: MuJoCo refuses a body without mass."""
 _LUMPS_OF = (
     ("arm1",),
     ("link1", "link1_far"),
@@ -163,10 +165,6 @@ def _refuse_rigid(frame: Frame) -> None:
 def _refuse_rover(frame: Frame) -> None:
     if frame is Frame.ARM1:
         raise ValueError("frame: the spring of arm1 is the rover's; take rover-compliance")
-
-
-MIN_MASS_KG = 1e-4
-"""Mass in place of none: MuJoCo refuses a body without mass."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,7 +20,7 @@ def read_effect_file(path: Path) -> tuple[Effect, ...]:
     """Read the effects of a file.
 
     Raises:
-        BadEffect: the file cannot be read, or anything in it is wrong; the message has a line for each problem.
+        BadEffect: the file cannot be read or is wrong; the message has a line for each problem.
     """
     if path.exists() and not path.is_file():
         raise BadEffect(f"{path}: is no regular file; give the path of a .toml file")
@@ -40,19 +40,19 @@ def read_effect_file(path: Path) -> tuple[Effect, ...]:
             )
     found = [read_effect(table, place, findings) for place, table in list_tables(data, TABLE_NAME, findings)]
     if findings.problems:
-        told = [f"{path}:{problem.line}: {problem.text}" for problem in sorted(findings.problems)]
-        raise BadEffect("\n".join(told))
+        problem_lines = [f"{path}:{problem.line}: {problem.text}" for problem in sorted(findings.problems)]
+        raise BadEffect("\n".join(problem_lines))
     return tuple(effect for effect in found if effect is not None)
 
 
-def effect_file_text(effects: Sequence[Effect], said: Sequence[str]) -> str:
+def effect_file_text(effects: Sequence[Effect], comments: Sequence[str]) -> str:
     """Write a file of these effects, which reads back exactly, below comments.
 
     Args:
         effects: Effects to write.
-        said: Comments, one a line.
+        comments: Comments, one a line.
     """
-    lines = [f"# {line}" for line in said]
+    lines = [f"# {line}" for line in comments]
     for effect in effects:
         lines += [
             "",
@@ -68,7 +68,7 @@ def effect_table(effect: Effect) -> dict[str, Any]:
     name = effect_name(kind)
     if catalogue().get(name) is not kind:
         name = f"{sys.modules[kind.__module__].__file__}:{kind.__name__}"
-    places = {where.field: getattr(effect, where.field) for where in place_fields_of(kind)}
+    places = {place.field: getattr(effect, place.field) for place in place_fields_of(kind)}
     words = {field: _place_name(kind, field, value) for field, value in places.items() if value is not None}
     values = {p.field: getattr(effect, p.field) for p in parameters_of(kind)}
     numbers = {parameter_key(kind, field): value for field, value in values.items() if value is not None}
@@ -76,7 +76,7 @@ def effect_table(effect: Effect) -> dict[str, Any]:
 
 
 def _place_name(kind: type[Effect], field: str, value: Any) -> str:
-    members = next(where.members for where in place_fields_of(kind) if where.field == field)
+    members = next(place.members for place in place_fields_of(kind) if place.field == field)
     return next(name for name, member in members.items() if member == value)
 
 

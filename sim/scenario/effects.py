@@ -23,9 +23,91 @@ from sim.effects.effect import Effect
 from sim.scenario.names import did_you_mean, field_keys, list_choices, shorten
 from sim.scenario.toml_record import Findings, read_record
 
+FILE_PATTERN: Final = re.compile(r"(?P<file>.+?\.py):(?P<rest>.*)", re.DOTALL)
+COMMA_PATTERN: Final = re.compile(r",(?![^\[]*\])")
+"""Comma outside of brackets."""
+
+
+class BadEffect(ValueError):
+    """Effect that cannot be made; the message names it and says what would be right."""
+
 
 class NotAnEffect(ValueError):
     """File or class that is no effect; the message says what would be right."""
+
+
+def parse_effect_text(text: str) -> Effect:
+    """Make the effect of a text, from the catalogue or from FILE.py:CLASS:PLACE:PARAMETER=VALUE,...
+
+    Raises:
+        BadEffect: the name is not known, or its place or its parameters are wrong.
+    """
+    file = FILE_PATTERN.fullmatch(text)
+    name, *parts = (part.strip() for part in (text if file is None else file["rest"]).split(":"))
+    if file is not None:
+        name = f"{file['file']}:{name}"
+    kind = find_effect_class(name)
+    place, said = _split(name, parts)
+    table = {**_parse_place(kind, name, place), **_parse_parameters(name, said)}
+    missing = [where for where in place_fields_of(kind) if not where.optional and where.field not in table]
+    if missing:
+        raise BadEffect(
+            f"effect {name}: place: {missing[0].field} is missing; there are {', '.join(missing[0].members)}"
+        )
+    return effect_from_fields(kind, f"{name}:{place}" if place else name, table)
+
+
+def effect_text(effect: Effect) -> str:
+    """Return the text of an effect, which reads back exactly."""
+    kind = type(effect)
+    name = effect_name(kind)
+    if catalogue().get(name) is not kind:
+        name = f"{sys.modules[kind.__module__].__file__}:{kind.__name__}"
+    place = effect_place_text(
+        kind, {where.field: getattr(effect, where.field) for where in place_fields_of(kind)}
+    )
+    said = []
+    for parameter in parameters_of(kind):
+        value = getattr(effect, parameter.field)
+        if value is not None:
+            key = parameter_key(kind, parameter.field)
+            said.append(f"{key}={list(value) if isinstance(value, tuple) else repr(value)}")
+    return ":".join(part for part in (name, place, ",".join(said)) if part)
+
+
+def find_effect_class(name: str) -> type[Effect]:
+    """Return the class of an effect by its name in the catalogue, or by FILE.py:CLASS.
+
+    Raises:
+        BadEffect: there is no such class.
+    """
+    file = FILE_PATTERN.fullmatch(name)
+    if file is None and not name.endswith(".py"):
+        if name not in catalogue():
+            close = get_close_matches(name.lower(), catalogue(), n=1)
+            meant = f"did you mean {close[0]}? " if close else ""
+            raise BadEffect(
+                f"effect {shorten(name)!r} is not known; {meant}`marsarm effects` lists what there is"
+            )
+        return catalogue()[name]
+    path, wanted = (name, "") if file is None else (file["file"], file["rest"])
+    try:
+        return load_effect_class(path, wanted)
+    except NotAnEffect as error:
+        raise BadEffect(str(error)) from error
+
+
+def effect_from_fields(kind: type[Effect], name: str, table: Mapping[str, Any]) -> Effect:
+    """Make the effect of a table of its fields.
+
+    Raises:
+        BadEffect: a field is missing, not known, or has a wrong value.
+    """
+    findings = Findings({(): 0})
+    effect = read_record(kind, dict(table), (), findings)
+    if effect is None:
+        raise BadEffect("\n".join(f"effect {name}: {problem.text}" for problem in findings.problems))
+    return effect
 
 
 def effect_classes_in_file(path: str) -> tuple[type[Effect], ...]:
@@ -65,6 +147,12 @@ def load_effect_class(path: str, name: str) -> type[Effect]:
     return kind
 
 
+def parameter_key(kind: type[Effect], field: str) -> str:
+    """Return the name of a parameter with its SI unit."""
+    hint = get_type_hints(kind)[field]
+    return next(key for key, factor in field_keys(field, hint).factors.items() if factor == 1.0)
+
+
 def _load_module(path: Path) -> ModuleType:
     """Run a file as a module, once for each of its contents."""
     try:
@@ -87,95 +175,6 @@ def _load_module(path: Path) -> ModuleType:
         del sys.modules[name]
         raise NotAnEffect(f"effect {path}: cannot be run: {type(error).__name__}: {error}") from error
     return module
-
-
-FILE_PATTERN: Final = re.compile(r"(?P<file>.+?\.py):(?P<rest>.*)", re.DOTALL)
-COMMA_PATTERN: Final = re.compile(r",(?![^\[]*\])")
-"""Comma outside of brackets."""
-
-
-class BadEffect(ValueError):
-    """Effect that cannot be made; the message names it and says what would be right."""
-
-
-def parse_effect_text(text: str) -> Effect:
-    """Make the effect of a text, from the catalogue or from FILE.py:CLASS:PLACE:PARAMETER=VALUE,...
-
-    Raises:
-        BadEffect: the name is not known, or its place or its parameters are wrong.
-    """
-    file = FILE_PATTERN.fullmatch(text)
-    name, *parts = (part.strip() for part in (text if file is None else file["rest"]).split(":"))
-    if file is not None:
-        name = f"{file['file']}:{name}"
-    kind = find_effect_class(name)
-    place, said = _split(name, parts)
-    table = {**_parse_place(kind, name, place), **_parse_parameters(name, said)}
-    missing = [where for where in place_fields_of(kind) if not where.optional and where.field not in table]
-    if missing:
-        raise BadEffect(
-            f"effect {name}: place: {missing[0].field} is missing; there are {', '.join(missing[0].members)}"
-        )
-    return effect_from_fields(kind, f"{name}:{place}" if place else name, table)
-
-
-def find_effect_class(name: str) -> type[Effect]:
-    """Return the class of an effect by its name in the catalogue, or by FILE.py:CLASS.
-
-    Raises:
-        BadEffect: there is no such class.
-    """
-    file = FILE_PATTERN.fullmatch(name)
-    if file is None and not name.endswith(".py"):
-        if name not in catalogue():
-            close = get_close_matches(name.lower(), catalogue(), n=1)
-            meant = f"did you mean {close[0]}? " if close else ""
-            raise BadEffect(
-                f"effect {shorten(name)!r} is not known; {meant}`marsarm effects` lists what there is"
-            )
-        return catalogue()[name]
-    path, wanted = (name, "") if file is None else (file["file"], file["rest"])
-    try:
-        return load_effect_class(path, wanted)
-    except NotAnEffect as error:
-        raise BadEffect(str(error)) from error
-
-
-def effect_from_fields(kind: type[Effect], name: str, table: Mapping[str, Any]) -> Effect:
-    """Make the effect of a table of its fields.
-
-    Raises:
-        BadEffect: a field is missing, not known, or has a wrong value.
-    """
-    findings = Findings({(): 0})
-    effect = read_record(kind, dict(table), (), findings)
-    if effect is None:
-        raise BadEffect("\n".join(f"effect {name}: {problem.text}" for problem in findings.problems))
-    return effect
-
-
-def effect_text(effect: Effect) -> str:
-    """Return the text of an effect, which reads back exactly."""
-    kind = type(effect)
-    name = effect_name(kind)
-    if catalogue().get(name) is not kind:
-        name = f"{sys.modules[kind.__module__].__file__}:{kind.__name__}"
-    place = effect_place_text(
-        kind, {where.field: getattr(effect, where.field) for where in place_fields_of(kind)}
-    )
-    said = []
-    for parameter in parameters_of(kind):
-        value = getattr(effect, parameter.field)
-        if value is not None:
-            key = parameter_key(kind, parameter.field)
-            said.append(f"{key}={list(value) if isinstance(value, tuple) else repr(value)}")
-    return ":".join(part for part in (name, place, ",".join(said)) if part)
-
-
-def parameter_key(kind: type[Effect], field: str) -> str:
-    """Return the name of a parameter with its SI unit."""
-    hint = get_type_hints(kind)[field]
-    return next(key for key, factor in field_keys(field, hint).factors.items() if factor == 1.0)
 
 
 def _split(name: str, parts: list[str]) -> tuple[str, str]:

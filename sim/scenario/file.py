@@ -142,16 +142,16 @@ def _read_scenario(data: dict[str, Any], name: str, findings: Findings) -> Scena
     ]
     _check_taught(taught, findings)
     points = {point.name: point.tool for point in taught if point is not None}
-    asked = list(list_tables(data, "command", findings))
-    commands = [read_command(table, place, findings, points) for place, table in asked]
+    command_tables = list(list_tables(data, "command", findings))
+    commands = [read_command(table, place, findings, points) for place, table in command_tables]
     touchable = world is None or world.surface is not None
     faults = [
-        read_fault(table, place, findings, len(asked), touchable)
+        read_fault(table, place, findings, len(command_tables), touchable)
         for place, table in list_tables(data, "fault", findings)
     ]
     effects = [read_effect(table, place, findings) for place, table in list_tables(data, "effect", findings)]
     checks = [
-        read_check(table, place, findings, tuple(points), len(asked), touchable)
+        read_check(table, place, findings, tuple(points), len(command_tables), touchable)
         for place, table in list_tables(data, "check", findings)
     ]
     _check_ending(checks, findings)
@@ -245,15 +245,20 @@ def _check_sequence(
     start: StartPose, commands: list[Command | None], faults: list[Injection | None], findings: Findings
 ) -> None:
     """Report commands that flight software would certainly refuse, as far as the file was read."""
-    known: tuple[Command, ...] = _without_none(list(takewhile(lambda command: command is not None, commands)))
-    there = _without_none(faults)
-    bound = [fault.during for fault in there if prevents_completion(fault.fault)]
+    read_commands: tuple[Command, ...] = _without_none(
+        list(takewhile(lambda command: command is not None, commands))
+    )
+    read_faults = _without_none(faults)
+    bound = [fault.during for fault in read_faults if prevents_completion(fault.fault)]
     faulting = [number for number in bound if number is not None]
-    timed = any(fault.during is None for fault in there) or None in faults
-    during = [fault.during for fault in there if fault.during is not None]
-    troubled = range(1, len(known) + 1) if timed else during
+    timed = any(fault.during is None for fault in read_faults) or None in faults
+    during = [fault.during for fault in read_faults if fault.during is not None]
+    troubled = range(1, len(read_commands) + 1) if timed else during
     mode = Mode.STOWED if start == "stowed" else Mode.DEPLOYED
-    for number, problem in (*find_refusals(known, mode, faulting, troubled), *_invalid_commands(known)):
+    for number, problem in (
+        *find_refusals(read_commands, mode, faulting, troubled),
+        *_invalid_commands(read_commands),
+    ):
         findings.report(("command", number - 1), f"command {number}: {problem}")
 
 

@@ -139,11 +139,13 @@ def _check_same_spot(check: SameSpot, normal: Array, trace: Trace) -> tuple[Chec
 
 def _check_preloaded(check: Preloaded, normal: Array, trace: Trace) -> tuple[CheckResult, ...]:
     """Check force at the end of the command, and ratio and slip from its start while pressed."""
-    moments = trace.since(check.after)
-    normals = [float(m.force_R_N[check.tool] @ normal) for m in moments]
-    pressed = [(m, f) for m, f in zip(moments, normals, strict=True) if f >= check.pressed_N]
+    snapshots = trace.since(check.after)
+    normals = [float(m.force_R_N[check.tool] @ normal) for m in snapshots]
+    pressed = [(m, f) for m, f in zip(snapshots, normals, strict=True) if f >= check.pressed_N]
     ratios = [_lateral(m.force_R_N[check.tool], normal) / f for m, f in pressed]
-    slips = [slip for switch in TOOL_SWITCHES[check.tool] for slip in _slips(moments, switch, normal, check)]
+    slips = [
+        slip for switch in TOOL_SWITCHES[check.tool] for slip in _slips(snapshots, switch, normal, check)
+    ]
     return (
         _force_result(trace, normal, check.after, check.tool, check.force_N, check.share),
         CheckResult("most force", _maximum(normals), "N", high=check.most_N),
@@ -152,9 +154,9 @@ def _check_preloaded(check: Preloaded, normal: Array, trace: Trace) -> tuple[Che
     )
 
 
-def _slips(moments: Sequence[Snapshot], switch: Switch, normal: Array, check: Preloaded) -> list[float]:
+def _slips(snapshots: Sequence[Snapshot], switch: Switch, normal: Array, check: Preloaded) -> list[float]:
     """Return the shift of a pad across the normal since it touched: a tool may roll or turn on its pads."""
-    touched = [m for m in moments if m.closed[switch]]
+    touched = [m for m in snapshots if m.closed[switch]]
     return [
         _lateral(m.pads_R_m[switch] - touched[0].pads_R_m[switch], normal)
         for m in touched
@@ -163,8 +165,8 @@ def _slips(moments: Sequence[Snapshot], switch: Switch, normal: Array, check: Pr
 
 
 def _check_gravity(check: GravityHeld, gravity_R_m_s2: Array, trace: Trace) -> CheckResult:
-    moments = trace.during(check.during)
-    held = [m for m in moments if m.vibrates] + list(moments[-1:])
+    snapshots = trace.during(check.during)
+    held = [m for m in snapshots if m.vibrates] + list(snapshots[-1:])
     wanted = np.array(check.gravity_T)
     angles = [angle_between(m.R_RT[check.tool].T @ gravity_R_m_s2, wanted) for m in held]
     return CheckResult("gravity off", _maximum(angles), "rad", high=check.angle_rad)
@@ -239,8 +241,8 @@ def _bool_result(name: str, is_so: bool) -> CheckResult:
 
 def _value_after(trace: Trace, command: int, measure: Callable[[Snapshot], float]) -> float:
     """Measure at the end of a command; NaN if it did not begin."""
-    moment = trace.at_end_of(command)
-    return nan if moment is None else measure(moment)
+    snapshot = trace.at_end_of(command)
+    return nan if snapshot is None else measure(snapshot)
 
 
 def _maximum(values: Sequence[float]) -> float:

@@ -1,4 +1,4 @@
-"""Check of a command sequence against the mode table before a run: which commands would be refused, and why."""
+"""Check of a command sequence against the mode table before a run, to find commands that would be refused."""
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -79,14 +79,14 @@ def find_refusals(
     Yields:
         The number of each refused command, and what would be right.
     """
-    standing = SequenceState(frozenset({start}))
+    before = SequenceState(frozenset({start}))
     for number, command in enumerate(commands, 1):
-        problem = _refusal_reason(standing, command)
+        problem = _refusal_reason(before, command)
         if problem is not None:
             yield number, problem
-        standing = _next_state(standing, command, number if number in faulting else None)
+        before = _next_state(before, command, number if number in faulting else None)
         if number in troubled and is_motion(command):
-            standing = replace(standing, modes=standing.modes | {Mode.FAULTED})
+            before = replace(before, modes=before.modes | {Mode.FAULTED})
 
 
 def is_motion(command: Command) -> bool:
@@ -99,7 +99,7 @@ def modes_after(modes: Modes, command: Command) -> Modes:
     if isinstance(command, ClearFault):
         return _CLEARED if Mode.FAULTED in modes else frozenset()
     if isinstance(command, ToolChange):
-        modes &= {Mode.GUARDED}  # what touches nothing may move back, but has no spot to come back to
+        modes &= {Mode.GUARDED}  # a tool that touches nothing may retract, but there is no point to return to
     return _apply_events(modes, _events(command))
 
 
@@ -119,13 +119,12 @@ def _events(command: Command) -> tuple[ModeEvent, ...]:
             return COMMAND_EVENTS[type(command)]
 
 
-def _refusal_reason(standing: SequenceState, command: Command) -> str | None:
-    name, modes = upper_snake(type(command)), standing.modes
+def _refusal_reason(before: SequenceState, command: Command) -> str | None:
+    name, modes = upper_snake(type(command)), before.modes
     if modes == {Mode.FAULTED} and not isinstance(command, ClearFault | Stop):
         asks = "asks for motion" if is_motion(command) else "comes"
         return (
-            f"{name} {asks} while the fault of command {standing.faulted_in} stands; "
-            "put CLEAR_FAULT before it"
+            f"{name} {asks} while the fault of command {before.faulted_in} stands; put CLEAR_FAULT before it"
         )
     if not modes_after(modes, command):
         if isinstance(command, ClearFault):
@@ -133,27 +132,27 @@ def _refusal_reason(standing: SequenceState, command: Command) -> str | None:
         # a fault that may have come would have ended the sequence
         here = " or ".join(mode.name for mode in sorted(modes - {Mode.FAULTED}))
         return f"{name} is refused in mode {here}; before it comes {_enabling_commands(modes, command)}"
-    if isinstance(command, ToolChange) and command.tool is standing.tool:
+    if isinstance(command, ToolChange) and command.tool is before.tool:
         return f"{name}: {command.tool.name.lower()} is the tool that touches already; name another"
-    wrong_tool = isinstance(command, GuardedMove | Retract | Preload) and command.tool is not standing.tool
-    if wrong_tool and standing.tool is not None:
-        touching = standing.tool.name.lower()
+    wrong_tool = isinstance(command, GuardedMove | Retract | Preload) and command.tool is not before.tool
+    if wrong_tool and before.tool is not None:
+        touching = before.tool.name.lower()
         return f"{name}: {touching} is the tool that touches; write {touching}"
     return None
 
 
-def _next_state(standing: SequenceState, command: Command, fault: int | None) -> SequenceState:
+def _next_state(before: SequenceState, command: Command, fault: int | None) -> SequenceState:
     if fault is not None and is_motion(command):
         return SequenceState(frozenset({Mode.FAULTED}), faulted_in=fault)
-    if standing.modes == {Mode.FAULTED} and not isinstance(command, ClearFault):
-        return standing
-    # one that is refused was told already; go on as if what is missing had been there
-    modes = modes_after(standing.modes, command) or modes_after(frozenset(Mode), command)
+    if before.modes == {Mode.FAULTED} and not isinstance(command, ClearFault):
+        return before
+    # a refusal was reported already; continue as if the missing command had been there
+    modes = modes_after(before.modes, command) or modes_after(frozenset(Mode), command)
     if not modes <= {Mode.GUARDED, Mode.PRELOAD}:
-        return SequenceState(modes, faulted_in=standing.faulted_in)
+        return SequenceState(modes, faulted_in=before.faulted_in)
     if isinstance(command, GuardedMove | PlaceTool | ToolChange):
-        return replace(standing, modes=modes, tool=command.tool)
-    return replace(standing, modes=modes)
+        return replace(before, modes=modes, tool=command.tool)
+    return replace(before, modes=modes)
 
 
 def _enabling_commands(modes: Modes, command: Command) -> str:

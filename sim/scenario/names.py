@@ -42,12 +42,14 @@ class FieldKeys:
 def field_keys(field: str, kind: Any) -> FieldKeys:
     """Return the keys of a field: without frames, `position` for p, and with any unit that fits."""
     name = _POSITION.sub("position_m", field)
-    if kind is not float:  # of a number, a capital at the end is a unit
+    if kind is not float:  # the last capital of a number is a unit
         name = _FRAME.sub("", name)
     stem, _, unit = name.rpartition("_")
-    if not stem or unit not in UNIT_FACTORS or _PER.search(stem):  # a unit over another is written in one way
+    if not stem or unit not in UNIT_FACTORS or _PER.search(stem):  # a unit per another has one spelling
         return FieldKeys(field, name, {name: 1.0})
-    return FieldKeys(field, stem, {f"{stem}_{said}": factor for said, factor in UNIT_FACTORS[unit].items()})
+    return FieldKeys(
+        field, stem, {f"{stem}_{suffix}": factor for suffix, factor in UNIT_FACTORS[unit].items()}
+    )
 
 
 def is_position(field: str) -> bool:
@@ -71,10 +73,10 @@ def list_choices(known: Iterable[str]) -> str:
     return f"there are {', '.join(known) or 'none'}"
 
 
-def did_you_mean(said: str, known: Iterable[str]) -> str:
+def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Suggest the closest name, or part of `one or other`, and list all names."""
     names = list(known)
-    near = {part.lower(): name for name in names for part in name.split(" or ")}
-    close = get_close_matches(said.lower(), near, n=1)
+    near = {part.lower(): whole for whole in names for part in whole.split(" or ")}
+    close = get_close_matches(name.lower(), near, n=1)
     meant = f"did you mean {near[close[0]]}? " if close else ""
     return meant + list_choices(names)

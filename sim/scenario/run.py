@@ -108,7 +108,7 @@ class ScenarioRun:
         self._snapshots.append(take_snapshot(self._loop, record, self.command))
 
     @property
-    def _came(self) -> int:
+    def _begun_faults(self) -> int:
         """Count the faults of the scenario that have begun."""
         return sum(due_s <= self._loop.plant.data.time for due_s in self._due_s)
 
@@ -130,7 +130,7 @@ class ScenarioRun:
             output_rad=plant.output_rad(),
             braked=self._braked,
             refuses=self._refuses,
-            pending_faults=len(self._scenario.faults) - self._came,
+            pending_faults=len(self._scenario.faults) - self._begun_faults,
             evrs=tuple(self._evrs),
         )
         stowed = np.array(self._loop.config.params.poses.stowed_rad)

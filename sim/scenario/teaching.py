@@ -65,14 +65,14 @@ def _teach_point(
     for _ in range(TEACH_PASSES):
         believed = _move_tool_to(loop, point, aim, towards)
         truth = loop.plant.truth()
-        missed = wanted - truth.p_RoTo_R_m[point.tool]
-        turned = axis - truth.R_RT[point.tool][:, 0]
-        aim, towards = aim + missed, towards + turned
-    approach = believed.R_RT[:, 0] + turned
+        error_m = wanted - truth.p_RoTo_R_m[point.tool]
+        axis_error = axis - truth.R_RT[point.tool][:, 0]
+        aim, towards = aim + error_m, towards + axis_error
+    approach = believed.R_RT[:, 0] + axis_error
     return TeachPoint(
         name=point.name,
         tool=point.tool.name.lower(),
-        p_RoTo_R_m=vector3(believed.p_RoTo_R_m + missed + SURVEY_DISTANCE_M * approach),
+        p_RoTo_R_m=vector3(believed.p_RoTo_R_m + error_m + SURVEY_DISTANCE_M * approach),
         approach_R=vector3(approach),
         branch=point.branch,
     )
@@ -81,10 +81,12 @@ def _teach_point(
 def _pose_near(arm: BuiltArm, point: TaughtPoint, p_R_m: Array, axis: Array, world: World) -> Array:
     """Return a pose beside the place, on its branch; of several the nearest to the ready pose."""
     ready = np.array(arm.params.poses.ready_rad)
-    answers = inverse_kinematics(build_arm(arm.params), point.tool, p_R_m, axis, world.gravity_N_m_s2, ready)
+    solutions = inverse_kinematics(
+        build_arm(arm.params), point.tool, p_R_m, axis, world.gravity_N_m_s2, ready
+    )
     poses = [
-        answers.output_rad[:, slot]
-        for slot in np.flatnonzero(answers.verdict == BranchVerdict.VALID)
+        solutions.output_rad[:, slot]
+        for slot in np.flatnonzero(solutions.verdict == BranchVerdict.VALID)
         if point.branch in (AUTO, BRANCHES[slot % len(BRANCHES)])
     ]
     if not poses:

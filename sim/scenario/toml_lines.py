@@ -34,10 +34,10 @@ def parse_toml(text: str) -> tuple[dict[str, Any], dict[TomlPath, int]]:
     try:
         return tomllib.loads(text), find_lines(text)
     except tomllib.TOMLDecodeError as error:
-        said = re.fullmatch(r"(.*) \(at (?:line (\d+), column \d+|end of document)\)", str(error), re.DOTALL)
-        if said is None:
+        match = re.fullmatch(r"(.*) \(at (?:line (\d+), column \d+|end of document)\)", str(error), re.DOTALL)
+        if match is None:
             raise NotToml(1, str(error)) from error
-        raise NotToml(int(said[2]) if said[2] else text.count("\n") + 1, said[1]) from error
+        raise NotToml(int(match[2]) if match[2] else text.count("\n") + 1, match[1]) from error
     except (ValueError, RecursionError) as error:  # a number or a list without end
         raise NotToml(1, str(error)) from error
 

@@ -26,17 +26,6 @@ from sim.scenario.toml_record import TYPE_KEY, Findings, read_kind, read_record
 
 FAULT_CLASSES: Final[tuple[type[InjectedFault], ...]] = get_args(InjectedFault)
 """Frozen dataclasses with a time `at_s`; a file sets it and the other fields."""
-
-
-def prevents_completion(fault: InjectedFault) -> bool:
-    """Return whether no move can be completed with this fault."""
-    match fault:
-        case PowerLoss() | SensorFault(kind="nan"):
-            return True
-        case _:
-            return False
-
-
 RNAV: Final = "RNAV"
 ROVER_FRAMES: Final = (RNAV, "RMECH")
 """Frames of the rover; the first is the default of positions."""
@@ -47,6 +36,15 @@ CHECK_CLASSES: Final[dict[str, type[Check]]] = {upper_snake(kind).lower(): kind 
 FAULT_CLASS_BY_NAME: Final[dict[str, type[InjectedFault]]] = {
     upper_snake(kind): kind for kind in FAULT_CLASSES
 }
+
+
+def prevents_completion(fault: InjectedFault) -> bool:
+    """Return whether no move can be completed with this fault."""
+    match fault:
+        case PowerLoss() | SensorFault(kind="nan"):
+            return True
+        case _:
+            return False
 
 
 @dataclass(frozen=True, slots=True)

@@ -67,11 +67,11 @@ class Trace:
 
     def during(self, command: int) -> tuple[Snapshot, ...]:
         """Return the cycles of a command; none if it did not begin."""
-        return tuple(moment for moment in self.snapshots if moment.command == command)
+        return tuple(snapshot for snapshot in self.snapshots if snapshot.command == command)
 
     def since(self, command: int) -> tuple[Snapshot, ...]:
         """Return the cycles from the start of a command to the end of the scenario."""
-        return tuple(moment for moment in self.snapshots if moment.command >= command)
+        return tuple(snapshot for snapshot in self.snapshots if snapshot.command >= command)
 
     def at_end_of(self, command: int) -> Snapshot | None:
         """Return the last cycle of a command, or None if it did not begin."""
@@ -93,7 +93,7 @@ def take_snapshot(loop: ClosedLoop, record: CycleRecord, command: int) -> Snapsh
     )
 
 
-def is_touching(moment: Snapshot, tool: Tool) -> bool:
+def is_touching(snapshot: Snapshot, tool: Tool) -> bool:
     """Return whether a contact switch of a tool is closed."""
-    closed: NDArray[np.bool_] = moment.closed[[Switch(switch) for switch in TOOL_SWITCHES[tool]]]
+    closed: NDArray[np.bool_] = snapshot.closed[[Switch(switch) for switch in TOOL_SWITCHES[tool]]]
     return bool(closed.any())
