@@ -1,4 +1,8 @@
-"""Looks at recordings before they are believed: sentences about what is wrong with them."""
+"""Audit of recordings before a diagnosis: reasons to refuse them, and notes on anomalies.
+
+`refusals` finds errors that prevent a comparison with the simulator. `audit_recordings` finds anomalies that
+a user should know: stale or saturated sensors, wrong units, time skew, and missing motion.
+"""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,25 +21,30 @@ from ground.diagnosis.arm.segments import find_rests, find_segments
 
 CONTINUOUS: Final = ("resolver_rad", "current_A", "gravity_R_m_s2")
 STALE_TICKS: Final = CYCLE_HZ
-"""A noisy sensor does not read the same for so long, nor does an encoder of a joint that is driven."""
+"""Time in ticks for which a working noisy sensor, or the encoder of a driven joint, does not stay
+constant."""
 CLIPPED_TICKS: Final = 4
+"""Number of readings at one extreme that counts as saturation."""
 MAX_SKEW_TICKS: Final = 8
-"""Ticks by which encoders may follow their set-points late or early, to be looked for."""
+"""Greatest lag in ticks between encoders and set-points that is searched."""
 SKEW_TICKS: Final = 2
+"""Greatest normal lag in ticks."""
 SKEW_MISFIT_SHARE: Final = 0.25
-"""Another lag must leave so much less, squared, to be believed."""
+"""Another lag is reported if its squared misfit is below this share of the normal one."""
 RESOLVER_TOLERANCE_RAD: Final = 0.2
-"""Resolver and encoder of a joint differ by less, unless one of them is in another unit."""
+"""Greatest median difference of resolver and encoder if both have the right unit and zero."""
 PLAUSIBLE_GRAVITY_M_S2: Final = (1.0, 12.0)
+"""Range of gravity on Mars and on Earth."""
 MIN_SEGMENTS: Final = 2
+"""Least number of motions of a joint, one each way."""
 
 
 def refusals(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
-    """Why recordings cannot be compared with a simulator of these parameters at all."""
+    """Return the reasons why recordings cannot be compared with a simulator of these parameters."""
     wrong = [
-        f"{one.name}: {said}"
+        f"{one.name}: {reason}"
         for one in recordings
-        for said in (*_not_finite(one.sensors), *_not_finite(one.drive), *_time_base(one))
+        for reason in (*_not_finite(one.sensors), *_not_finite(one.drive), *_time_base(one))
     ]
     others = [
         f"{one.name}: was made with other flight parameters ({digest(one.params)[:12]}) than the simulator's "
@@ -47,10 +56,14 @@ def refusals(recordings: Sequence[Recording], base: Params) -> tuple[str, ...]:
 
 
 def load_checked_recordings(paths: Sequence[Path], base: Params | None = None) -> list[Recording]:
-    """Recordings that may be compared with a simulator of these parameters, or else of the first one's.
+    """Load recordings, and check that they can be compared with a simulator of these parameters.
+
+    Args:
+        paths: Logs.
+        base: Flight parameters of the simulator; None for those of the first log.
 
     Raises:
-        NotForDiagnosis: one may not; the message says why.
+        NotForDiagnosis: One cannot be compared; the message says why.
     """
     recordings = [load_recording(path) for path in paths]
     wrong = refusals(recordings, base or recordings[0].params) if recordings else ()
@@ -60,20 +73,20 @@ def load_checked_recordings(paths: Sequence[Path], base: Params | None = None) -
 
 
 def find_missing_motion(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """What is missing, if nothing can be said of any actuator, nor of links and frames."""
+    """Return what is missing if neither actuators nor links and frames can be diagnosed; else nothing."""
     if any(_motions(recordings).values()) or any(one.tracker_poses.tick.size for one in recordings):
         return ()
     return tuple(_audit_campaign(recordings))
 
 
 def audit_recordings(recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """What is to be said of a campaign's recordings that can be compared."""
-    found = [f"{one.name}: {said}" for one in recordings for said in find_anomalies(one)]
+    """Return notes on each recording, and on the campaign as a whole."""
+    found = [f"{one.name}: {note}" for one in recordings for note in find_anomalies(one)]
     return (*found, *_audit_campaign(recordings))
 
 
 def find_anomalies(recording: Recording) -> Iterator[str]:
-    """What is odd about one recording."""
+    """Yield the anomalies of one recording."""
     yield from recording.notes
     yield from _stale(recording)
     yield from _clipped(recording)
@@ -115,8 +128,8 @@ def _stale(recording: Recording) -> Iterator[str]:
                 )
     for segment in find_segments(recording):
         counts = recording.sensors["encoder_count"][segment.first : segment.end, segment.joint]
-        asked = recording.drive["setpoint_count"][segment.first : segment.end, segment.joint]
-        if np.ptp(counts) == 0 and np.ptp(asked) > 0:
+        commanded = recording.drive["setpoint_count"][segment.first : segment.end, segment.joint]
+        if np.ptp(counts) == 0 and np.ptp(commanded) > 0:
             yield (
                 f"encoder_count[{int(segment.joint)}] does not move from {segment.first / CYCLE_HZ:.2f} s on "
                 f"while {segment.joint.name.lower()} is driven"
@@ -143,11 +156,11 @@ def _clipped(recording: Recording) -> Iterator[str]:
 
 
 def _units(recording: Recording) -> Iterator[str]:
-    apart = np.median(recording.sensors["resolver_rad"].T - recording.motor_rad(), axis=1)
+    offset_rad = np.median(recording.sensors["resolver_rad"].T - recording.motor_rad(), axis=1)
     for joint in Joint:
-        if abs(apart[joint]) > RESOLVER_TOLERANCE_RAD:
+        if abs(offset_rad[joint]) > RESOLVER_TOLERANCE_RAD:
             yield (
-                f"{joint.name.lower()}: resolver and encoder are {apart[joint]:.3g} rad apart; one is "
+                f"{joint.name.lower()}: resolver and encoder are {offset_rad[joint]:.3g} rad apart; one is "
                 f"in another unit, has another sign, or the zeros are of another arm"
             )
     strength = float(np.median(np.linalg.norm(recording.sensors["gravity_R_m_s2"], axis=1)))
@@ -156,11 +169,13 @@ def _units(recording: Recording) -> Iterator[str]:
 
 
 def _skew(recording: Recording) -> Iterator[str]:
-    """Encoders against the set-points that they follow: by how many ticks they fit best."""
+    """Find the lag at which encoders fit their set-points best."""
     for segment in find_segments(recording):
-        asked = recording.setpoint_rad()[segment.joint, segment.first : segment.end]
-        went = recording.motor_rad()[segment.joint, segment.first : segment.end]
-        misfit = {lag: _misfit(asked, went, lag) for lag in range(-MAX_SKEW_TICKS, MAX_SKEW_TICKS + 1)}
+        commanded = recording.setpoint_rad()[segment.joint, segment.first : segment.end]
+        measured = recording.motor_rad()[segment.joint, segment.first : segment.end]
+        misfit = {
+            lag: _misfit(commanded, measured, lag) for lag in range(-MAX_SKEW_TICKS, MAX_SKEW_TICKS + 1)
+        }
         best = min(misfit, key=misfit.__getitem__)
         usual = min(misfit[lag] for lag in misfit if abs(lag) <= SKEW_TICKS)
         if misfit[best] < SKEW_MISFIT_SHARE * usual:
@@ -172,7 +187,7 @@ def _skew(recording: Recording) -> Iterator[str]:
 
 
 def _unused(recording: Recording) -> Iterator[str]:
-    """A pose that the tracker took at another tick than the last of a rest is compared with nothing."""
+    """Report tracker poses that are not at the last tick of a rest; nothing is compared with them."""
     ticks = recording.tracker_poses.tick
     odd = ticks[~np.isin(ticks, find_rests(recording))]
     if odd.size:
@@ -182,15 +197,15 @@ def _unused(recording: Recording) -> Iterator[str]:
         )
 
 
-def _misfit(asked: Array, went: Array, lag: int) -> float:
-    size = asked.size - 2 * MAX_SKEW_TICKS
+def _misfit(commanded: Array, measured: Array, lag: int) -> float:
+    size = commanded.size - 2 * MAX_SKEW_TICKS
     if size <= 0:
         return 0.0
-    apart = (
-        went[MAX_SKEW_TICKS + lag : MAX_SKEW_TICKS + lag + size]
-        - asked[MAX_SKEW_TICKS : MAX_SKEW_TICKS + size]
+    difference = (
+        measured[MAX_SKEW_TICKS + lag : MAX_SKEW_TICKS + lag + size]
+        - commanded[MAX_SKEW_TICKS : MAX_SKEW_TICKS + size]
     )
-    return float(np.sum(apart**2))
+    return float(np.sum(difference**2))
 
 
 def _audit_campaign(recordings: Sequence[Recording]) -> Iterator[str]:
@@ -212,14 +227,14 @@ def _audit_campaign(recordings: Sequence[Recording]) -> Iterator[str]:
 
 
 def _motions(recordings: Sequence[Recording]) -> Counter[Joint]:
-    """How often each joint moves."""
+    """Count the motions of each joint."""
     count = Counter(dict.fromkeys(Joint, 0))
     count.update(segment.joint for one in recordings for segment in find_segments(one))
     return count
 
 
 def _longest_same(column: Array) -> tuple[int, int]:
-    """How many readings in a row are the same at the most, and where they begin."""
+    """Return the length and the start of the longest run of equal readings."""
     edges = np.concatenate([[0], np.flatnonzero(np.diff(column) != 0) + 1, [column.size]])
     lengths = np.diff(edges)
     k = int(np.argmax(lengths))

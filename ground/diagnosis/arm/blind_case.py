@@ -1,4 +1,7 @@
-"""Looks into a blind log, all of its bytes unpacked, for anything that would give its truth away."""
+"""Blind cases of this arm: random background of every arm, and a leakage check of every log.
+
+The leakage check unpacks all bytes of a log. It searches them for names, numbers and seeds of the truth.
+"""
 
 import json
 import re
@@ -27,12 +30,12 @@ from sim.effects.sensors import CounterStart
 from sim.initialisation import DAILY_FRICTION_SIGMA, true_reference
 
 PLANT_NUMERICS: Final = Numerics("explicit", 7)
-"""Finer and by another scheme than the solver's, and none that it knows; where steps are not much finer, that
-scheme nearly diverges, and gears lie otherwise than finer computations have them."""
+"""Numerics of the plant: finer than the solver's, and of a scheme that the solver does not know. With steps
+that are not much finer, this scheme nearly diverges, and gears settle elsewhere than with finer steps."""
 
 
 def sample_background(rng: np.random.Generator) -> tuple[Effect, ...]:
-    """Errors that a calibration leaves, friction of the day, counters anywhere, and another computation."""
+    """Sample the errors left by a calibration, friction of the day, counter offsets and other numerics."""
     errors = draw_calibration_errors(int(rng.integers(2**31)))
     friction = tuple(
         GearFriction(joint, float(np.exp(DAILY_FRICTION_SIGMA * rng.standard_normal()))) for joint in Joint
@@ -45,43 +48,48 @@ ALLOWED_KEYS: Final = frozenset({
     *("marsarm", "mujoco", "numpy", "python", "cpu", "git"),
     *("params", "params_sha256", "boot", "commands", "commands_sha256", SESSION, CHANNELS_KEY),
 })  # fmt: skip
-"""All that the header of a blind log may say."""
+"""Keys that the header of a blind log may have."""
 FORBIDDEN_WORDS: Final = ("calibrated:", "as-built:", "mjcf_sha256", "scenario")
+"""Words that a blind log must not contain."""
 MIN_DIGITS: Final = 8
-"""Digits from which on a number is nobody else's."""
+"""Number of digits from which on a number identifies the truth."""
 NUMBER_PATTERN: Final = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?")
 
 
 class TruthLeaked(RuntimeError):
-    """A blind log that gives something away; the message says what."""
+    """Leak of the truth in a blind log; the message says what leaked."""
 
 
 def blind_reference(arm: BuiltArm) -> Reference:
-    """The zeros that hardstops told of this arm; all else that they tell is as on the drawing."""
+    """Return the joint zeros that homing of this arm finds; all else is nominal."""
     return replace(_nominal_reference(), zero_rad=true_reference(arm).zero_rad)
 
 
 @cache
 def _nominal_reference() -> Reference:
-    """What hardstops would tell of the drawing's arm; once in each process."""
+    """Return the homing result of the nominal arm; computed once in each process."""
     return true_reference(arm_named("nominal"))
 
 
 def check_leakage(path: Path, case: TrueCase) -> None:
-    """Raise TellsTruth if a log says something of its case's truth."""
+    """Check that a log does not reveal the truth of its case.
+
+    Raises:
+        TruthLeaked: The log contains a header key, topic, name or number of the truth.
+    """
     log = read_log(path)
-    more = sorted(set(log.header) - ALLOWED_KEYS)
-    if more:
-        raise TruthLeaked(f"{path}: its header says {', '.join(more)}")
-    told = sorted(topic for topic in log.truth if topic in log.packets)
-    if told:
-        raise TruthLeaked(f"{path}: has the plant's own state in {', '.join(told)}")
-    believed = json.loads(log.header["boot"])["reference"]
-    drawn = record_to_json(_nominal_reference())
-    other = sorted(name for name in drawn if name != "zero_rad" and believed[name] != drawn[name])
-    if other:
+    extra_keys = sorted(set(log.header) - ALLOWED_KEYS)
+    if extra_keys:
+        raise TruthLeaked(f"{path}: its header says {', '.join(extra_keys)}")
+    truth_topics = sorted(topic for topic in log.truth if topic in log.packets)
+    if truth_topics:
+        raise TruthLeaked(f"{path}: has the plant's own state in {', '.join(truth_topics)}")
+    reference = json.loads(log.header["boot"])["reference"]
+    nominal = record_to_json(_nominal_reference())
+    changed = sorted(name for name in nominal if name != "zero_rad" and reference[name] != nominal[name])
+    if changed:
         raise TruthLeaked(
-            f"{path}: flight software begins with {', '.join(other)} that are not the drawing's"
+            f"{path}: flight software begins with {', '.join(changed)} that are not the drawing's"
         )
     content = _log_bytes(path)
     for word in (*FORBIDDEN_WORDS, *sorted(_secret_words(case))):
@@ -93,21 +101,21 @@ def check_leakage(path: Path, case: TrueCase) -> None:
 
 
 def _secret_words(case: TrueCase) -> set[str]:
-    """Names of its effects, as far as no other word is like them, and its seed."""
+    """Return the hyphenated names of the effects, which no other text contains, and the seed."""
     names = {spec.split(":")[0] for spec in case.background} | {effect.name for effect in case.effects}
     seed = str(case.seed)
     return {name for name in names if "-" in name} | ({seed} if len(seed) >= MIN_DIGITS else set())
 
 
 def _secret_numbers(case: TrueCase) -> set[float]:
-    """Those that have many digits, as they are switched on."""
+    """Return the numbers with many digits in the effects."""
     specs = (*case.background, *(effect.spec for effect in case.effects))
     texts = {text for spec in specs for text in NUMBER_PATTERN.findall(spec)}
     return {float(text) for text in texts if sum(c.isdigit() for c in text) >= MIN_DIGITS}
 
 
 def _log_bytes(path: Path) -> bytes:
-    """What records hold, unpacked."""
+    """Return the unpacked contents of all records."""
     found: list[bytes] = [path.name.encode()]
     with path.open("rb") as file:
         for record in StreamReader(file).records:

@@ -1,4 +1,4 @@
-"""What is known of a campaign before a case: sensitivities, keys of the features, thresholds; all kept."""
+"""Campaign model: sensitivities, feature keys and thresholds, computed before a case and cached."""
 
 import hashlib
 import json
@@ -22,20 +22,20 @@ from ground.diagnosis.sensitivity import Sensitivities
 from ground.diagnosis.thresholds import Thresholds
 
 CALIBRATION_SEED: Final = 0
-"""Of the cases that thresholds are calibrated with."""
+"""Seed of the simulated cases that calibrate the thresholds."""
 _THRESHOLDS_ADAPTER: Final = TypeAdapter(Thresholds)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CampaignModel:
-    """A campaign that cases repeat."""
+    """Campaign whose motions a case repeats."""
 
     model: DiagnosisModel
-    """Of the motions that are fitted."""
+    """Diagnosis model of the fitted motions."""
     keys: tuple[str, ...]
-    """Of their features."""
+    """Keys of their features."""
     held_out: Sensitivities | None
-    """Of the motions that are held out."""
+    """Sensitivities of the held-out motions, if there are any."""
     held_out_keys: tuple[str, ...]
 
 
@@ -47,11 +47,19 @@ def load_campaign_model(
     progress: Progress,
     kinds: Sequence[str] | None = None,
 ) -> CampaignModel:
-    """Of these logs; what is not kept yet is computed, in minutes.
+    """Load the campaign model of these logs; compute in minutes what is not cached.
+
+    Args:
+        logs: Logs of the fitted motions.
+        held_out: Logs of the held-out motions.
+        kept_in: Cache folder.
+        run: Runner of parallel jobs.
+        progress: Called with done, total and step.
+        kinds: Names of the effects of the catalogue; None for all.
 
     Raises:
-        BadRequest: what is kept cannot be read.
-        BadOutput: a file cannot be written.
+        BadRequest: A cached file cannot be read.
+        BadOutput: A file cannot be written.
     """
     fitted = compute_sensitivities(logs, kept_in, run, progress, kinds)
     thresholds = fitted.path.with_suffix(".thresholds.json")
@@ -67,23 +75,23 @@ def load_campaign_model(
     keys = fitted.keys()
     if not held_out:
         return CampaignModel(made, keys, None, ())
-    apart = compute_sensitivities(held_out, kept_in, run, progress, kinds)
-    return CampaignModel(made, keys, apart.sensitivities, apart.keys())
+    held_out_sensitivities = compute_sensitivities(held_out, kept_in, run, progress, kinds)
+    return CampaignModel(made, keys, held_out_sensitivities.sensitivities, held_out_sensitivities.keys())
 
 
 def save_thresholds(found: Thresholds, path: Path) -> None:
-    """Keep them with a digest of the code that found them; BadOutput if they cannot be written."""
+    """Save thresholds with a digest of the code that found them; BadOutput if they cannot be written."""
     with atomic_write(path, "thresholds") as file:
         file.write(json.dumps({"code": _code_digest(), **asdict(found)}).encode())
 
 
 def load_thresholds(path: Path) -> Thresholds | None:
-    """As they were kept, None if other code found them; BadRequest if they cannot be read."""
+    """Load thresholds; None if other code found them, BadRequest if they cannot be read."""
     try:
-        said = json.loads(path.read_bytes())
-        if said.pop("code", None) != _code_digest():
+        document = json.loads(path.read_bytes())
+        if document.pop("code", None) != _code_digest():
             return None
-        found = _THRESHOLDS_ADAPTER.validate_python(said)
+        found = _THRESHOLDS_ADAPTER.validate_python(document)
         if len(found.trust.weights) != len(fields(ConfidenceFeatures)) + 1:
             raise ValueError(f"{len(found.trust.weights)} weights")
     except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
@@ -94,7 +102,7 @@ def load_thresholds(path: Path) -> Thresholds | None:
 
 @cache
 def _code_digest() -> str:
-    """SHA-256 of what draws, races and judges the simulated cases."""
+    """Return the SHA-256 of the code that simulates, selects and decides."""
     total = hashlib.sha256()
     for source in sorted(Path(ground.diagnosis.__path__[0]).glob("*.py")):
         total.update(source.read_bytes())

@@ -1,4 +1,9 @@
-"""Sensitivities of the arm's simulator: differences of what each effect can touch, on several cores; kept."""
+"""Sensitivities of a campaign: parallel finite differences of the arm's simulator, cached in files.
+
+`compute_sensitivities` is the entry. It simulates one side of every column, adapts the steps to the noise,
+simulates the other side with the same steps, and fits a parabola (`finite_differences`). The name of the
+cache file holds a digest of logs, model, parameters, catalogue and code.
+"""
 
 import hashlib
 import json
@@ -60,9 +65,9 @@ COMPARING_MODULES: Final = (
     "ground.diagnosis.normal_equations",
     "ground.diagnosis.sensitivity",
 )
-"""Modules beyond the simulator and this package that have a part in it."""
+"""Modules outside the simulator and this package that influence the result."""
 NUMERICS_SHARE: Final = 0.1
-"""Of the difference to half the time step, what remains of the plant's numerics when it is fitted."""
+"""Share of the difference to another time step that remains as numerical error after the fit."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,36 +75,41 @@ class _Job:
     logs: Logs
     kinds: Names
     columns: tuple[int, ...]
-    """That are simulated at once."""
+    """Indices of the columns that are simulated at once."""
     side: int
     shares: tuple[float, ...]
     nominal: Array
-    """What the simulator has without effects, (m,)."""
+    """Prediction without effects, shape (m,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CachedSensitivities:
-    """Sensitivities, and where they are kept; what else is known of a campaign is kept beside."""
+    """Sensitivities and the path of their cache file; other files of the campaign stand beside it."""
 
     sensitivities: Sensitivities
     path: Path
 
     def keys(self) -> Names:
-        """The names of the rows; BadRequest if they are not there, or are other than so many."""
+        """Load the keys of the rows; BadRequest if they are missing or of another number."""
         return load_keys(self.path, self.sensitivities.layout.size)
 
 
 def compute_sensitivities(
     logs: Sequence[Path], kept_in: Path, run: Runner, progress: Progress, kinds: Sequence[str] | None = None
 ) -> CachedSensitivities:
-    """Those of a campaign's logs for these effects of the catalogue, all by default; from a file if there is.
+    """Compute the sensitivities of a campaign, or load them from the cache.
 
-    The file's name has the digest of logs, model and catalogue in it; any change makes another file.
+    Args:
+        logs: Logs of the campaign.
+        kept_in: Cache folder.
+        run: Runner of parallel jobs.
+        progress: Called with done, total and step.
+        kinds: Names of the effects of the catalogue; None for all.
 
     Raises:
-        NotForDiagnosis: a log cannot be compared.
-        BadRequest: what is kept cannot be read, or the folder cannot be made.
-        BadOutput: a file cannot be written.
+        NotForDiagnosis: A log cannot be compared.
+        BadRequest: A cached file cannot be read, or the folder cannot be made.
+        BadOutput: A file cannot be written.
     """
     paths, names = tuple(sorted(logs)), tuple(catalogue() if kinds is None else kinds)
     path = kept_in / _cache_name(paths, names)
@@ -118,7 +128,7 @@ def _cache_name(logs: Logs, kinds: Names) -> str:
 
 
 def _select_effects(whole: CachedSensitivities, names: Names, path: Path) -> CachedSensitivities:
-    """Of some effects alone, from those of all."""
+    """Select some effects from the sensitivities of all, and cache them."""
     return _save_cache(whole.sensitivities.only(names), whole.keys(), path)
 
 
@@ -130,9 +140,9 @@ def _save_cache(found: Sensitivities, keys: Sequence[str], path: Path) -> Cached
 
 
 def _difference_all(paths: Logs, names: Names, run: Runner, progress: Progress) -> Sensitivities:
-    """One side of every column, mended until it can be seen well, and the other side by the same steps.
+    """Simulate one side of every column with adaptive steps, then the other side with the same steps.
 
-    What has its slope from a nuisance stays as it is: no step of its own makes it seen better.
+    A column with its slope from a nuisance keeps its step: another step would not change that slope.
     """
     simulator = _simulator(paths, names)
     columns = list_columns(simulator)
@@ -170,7 +180,7 @@ def _adapt_steps(
     last: Mapping[int, OneSidedStep],
     seen: Mapping[int, float],
 ) -> dict[int, float]:
-    """Better shares, of columns that are seen too little or too well."""
+    """Return better steps for columns whose steps are too small or too large."""
     found: dict[int, float] = {}
     for k, by in seen.items():
         share = adapt_step(last[k].share, by)
@@ -182,9 +192,10 @@ def _adapt_steps(
 def _assemble(
     paths: Logs, names: Names, up: Mapping[int, OneSidedStep], down: Mapping[int, OneSidedStep]
 ) -> Sensitivities:
-    """Parabolas through what was simulated, or lines where that is one side.
+    """Fit parabolas through the simulated steps, or lines where there is one side.
 
-    Of a hypothesis that is a nuisance as well only the bend is: the slope is that of the nuisance's sigma.
+    A hypothesis that is also a nuisance takes its slope from the nuisance, and only its curvature from its
+    own steps.
     """
     simulator = _simulator(paths, names)
     columns = list_columns(simulator)
@@ -215,7 +226,7 @@ def _assemble(
 
 
 def _restrict_nuisances(simulator: ArmSimulator, column: Array) -> Array:
-    """Nuisances (m, q) of their columns: where they show alone, and what they are more beside others."""
+    """Return the nuisance columns (m, q): restricted to their place, and relative to their baseline."""
     uncertain = simulator.nuisance_effects
     plain = {one.effect(1.0): k for k, one in enumerate(uncertain) if one.only_place and not one.baseline}
     cut = column.copy()
@@ -229,29 +240,29 @@ def _restrict_nuisances(simulator: ArmSimulator, column: Array) -> Array:
 
 
 def _raise_floor(simulator: ArmSimulator, nuisance: Array) -> FeatureLayout:
-    """The floor, with a share of what the plant's own numerics are off by: they fit but nearly."""
+    """Add a share of the numerical errors to the noise floor: the fit removes them only in part."""
     own = nuisance[:, [k for k, one in enumerate(simulator.nuisance_effects) if one.only_place]]
     sigma = np.sqrt(simulator.layout.sigma**2 + np.sum((NUMERICS_SHARE * own) ** 2, axis=1))
     return replace(simulator.layout, sigma=sigma)
 
 
 def keys_path(path: Path) -> Path:
-    """Where the names of a sensitivity file's rows are."""
+    """Return the path of the keys of a sensitivity file."""
     return path.with_suffix(".keys.json")
 
 
 def load_keys(path: Path, rows: int) -> Names:
-    """The names of a sensitivity file's rows; BadRequest if they are not there, or are other than so many."""
-    keys, anew = keys_path(path), f"remove {path}, and both are made anew"
+    """Load the keys of the rows of a sensitivity file; BadRequest if there are not `rows` of them."""
+    keys, advice = keys_path(path), f"remove {path}, and both are made anew"
     try:
-        said = _NAMES.validate_json(keys.read_bytes(), strict=True)
+        names = _NAMES.validate_json(keys.read_bytes(), strict=True)
     except OSError as error:
-        raise BadRequest(f"{keys}: cannot be read ({error.strerror}); {anew}") from error
+        raise BadRequest(f"{keys}: cannot be read ({error.strerror}); {advice}") from error
     except ValidationError as error:
-        raise BadRequest(f"{keys}: cannot be read ({error.errors()[0]['msg']}); {anew}") from error
-    if len(said) != rows:
-        raise BadRequest(f"{keys}: names {len(said)} of {rows} rows; {anew}")
-    return said
+        raise BadRequest(f"{keys}: cannot be read ({error.errors()[0]['msg']}); {advice}") from error
+    if len(names) != rows:
+        raise BadRequest(f"{keys}: names {len(names)} of {rows} rows; {advice}")
+    return names
 
 
 def _load_cache(path: Path) -> Sensitivities:
@@ -269,7 +280,7 @@ def _check_folder(kept_in: Path) -> None:
 
 
 def campaign_digest(logs: Logs, kinds: Names) -> str:
-    """SHA-256 of all that they depend on: logs, parameters, model, and what simulates and compares."""
+    """Return the SHA-256 of all inputs of the sensitivities: logs, parameters, model and code."""
     total = hashlib.sha256("\n".join(kinds).encode())
     for path in logs:
         total.update(path.read_bytes())
@@ -287,13 +298,13 @@ def campaign_digest(logs: Logs, kinds: Names) -> str:
 
 
 def list_sources(package: ModuleType) -> list[Path]:
-    """All its modules."""
+    """Return all modules of a package."""
     return sorted(Path(package.__path__[0]).rglob("*.py"))
 
 
 @cache
 def _simulator(logs: Logs, kinds: Names) -> ArmSimulator:
-    """Once in each process."""
+    """Build the simulator; once in each process."""
     feature_set = build_feature_set(load_checked_recordings(logs))
     return build_simulator(
         feature_set, estimate_floor(feature_set).sigma, {name: catalogue()[name] for name in kinds}

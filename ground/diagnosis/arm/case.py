@@ -1,4 +1,9 @@
-"""One case: an arm's recordings beside a campaign whose sensitivities are known."""
+"""Diagnosis of one case of this arm, with a campaign whose sensitivities are known.
+
+`diagnose_case` restricts the campaign to the features of the case, and fits the nuisances with the simulator
+(`nuisance_fit`). It diagnoses the residual (`ground.diagnosis.diagnose`), and tests the findings on held-out
+motion (`ground.diagnosis.closure`).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -30,10 +35,18 @@ from sim.plant import SCREW_AXES
 
 
 def compute_tool_error(keys: Sequence[str], before: Array, after: Array, sigma: Array) -> ToolError | None:
-    """Root mean squares over rests and tools of features (m,) with these keys; None without whole screws.
+    """Compute the root mean square tool error over rests and the five tools.
 
-    A turret that is off by a turn w and a shift v has its tool, p away, off by v + w x p. `sigma` (m,) is
-    the floor.
+    A turret that is rotated by w and shifted by v moves its tool at p by v + w x p.
+
+    Args:
+        keys: Keys of the m features.
+        before: Residual without the findings, rotation in rad and shift in m, turret frame, shape (m,).
+        after: Residual with the findings, rotation in rad and shift in m, turret frame, shape (m,).
+        sigma: Noise floor in the same units, shape (m,).
+
+    Returns:
+        Errors in mm; None if no rest has all six components of a pose.
     """
     rows = _screw_rows(keys)
     if not rows.size:
@@ -46,7 +59,7 @@ def compute_tool_error(keys: Sequence[str], before: Array, after: Array, sigma: 
 
 
 def _screw_rows(keys: Sequence[str]) -> Ints:
-    """Rows of all six numbers of each rest that has them, (r, 6)."""
+    """Return the rows of the six pose components of each rest that has all of them, (r, 6)."""
     known: dict[str, dict[str, int]] = {}
     for row, key in enumerate(keys):
         rest, _, axis = key.rpartition("/")
@@ -56,33 +69,33 @@ def _screw_rows(keys: Sequence[str]) -> Ints:
 
 
 MIN_FEATURE_SHARE: Final = 0.5
-"""Of the campaign's features that a case must have, else there is too little motion."""
+"""Least share of the campaign's features that a case must have."""
 OWN_FLOOR_RATIO: Final = 1.2
-"""Repeats that differ by so many times the floor of the campaign make a floor of their own."""
+"""Ratio to the campaign's noise floor from which on the noise floor of the case replaces it."""
 
 
 class TooLittleMotion(NotForDiagnosis):
-    """A case that lacks most of the campaign; the message says which motions."""
+    """Case that lacks most of the campaign; the message names the missing motions."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedCase:
-    """A case in the campaign's features, the simulator asked about the nuisances that it has."""
+    """Case in the campaign's features, resimulated at its nuisances."""
 
     model: DiagnosisModel
-    """Of the campaign, in the features that the case has."""
+    """Diagnosis model of the campaign, restricted to the features of the case."""
     simulator: CaseSimulator
     residual: Array
-    """Measured less simulated with nuisances at 0, in straight lines from where they are, (m,)."""
+    """Measured minus simulated, extrapolated linearly to nuisances at 0, shape (m,)."""
     comparison: ModelComparison | None
-    """Between what explains it best and what does so nearly as well, if anything does."""
+    """Comparison of the best model and the runner-up, if there is one."""
     held_out: CaseSimulator | None
     held_out_residual: Array
-    """The same of motion that takes no part."""
+    """The same residual for held-out motion, shape (n,)."""
     notes: tuple[str, ...]
-    """Of the audit."""
+    """Notes of the audit."""
     floor: tuple[str, ...]
-    """Where the floor is from."""
+    """Notes on the origin of the noise floor."""
 
 
 def diagnose_case(
@@ -92,10 +105,17 @@ def diagnose_case(
     seed: int,
     patch: tuple[Effect, ...] = (),
 ) -> DiagnosisResult:
-    """Of a case's recordings, beside a simulator with the effects of a patch.
+    """Diagnose a case.
+
+    Args:
+        recordings: Recordings that are fitted.
+        held_out: Recordings that the findings are tested on.
+        campaign: Campaign that the recordings repeat.
+        seed: Seed of bootstrap and noise draws.
+        patch: Effects that are switched on in the simulator.
 
     Raises:
-        TooLittleMotion: most motions of the campaign are missing.
+        TooLittleMotion: Most motions of the campaign are missing.
     """
     return diagnose_fitted_case(fit_case(recordings, held_out, campaign, patch), campaign, seed)
 
@@ -106,7 +126,7 @@ def fit_case(
     campaign: CampaignModel,
     patch: tuple[Effect, ...] = (),
 ) -> FittedCase:
-    """What a diagnosis is made of; TooLittleMotion as `solved`."""
+    """Fit the nuisances of a case; arguments and errors as for `diagnose_case`."""
     if not recordings:
         raise TooLittleMotion("there is no log that a diagnosis could be made of")
     recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
@@ -117,30 +137,42 @@ def fit_case(
         arm, layout, campaign.keys, None if patch else campaign.model.sensitivities.nominal
     )
     _check_motion(first, campaign)
-    known = _restrict_model(campaign.model, first)
+    model = _restrict_model(campaign.model, first)
     notes = (
         *audit_recordings(recordings),
         *_missing_session_notes(first, campaign),
-        *_threshold_notes(known, campaign),
+        *_threshold_notes(model, campaign),
     )
-    best = fit_nuisances(known, first, patch)
-    apart = _held_out_simulator(held_out, campaign, best.simulator.arm.patch)
-    there = np.zeros(0)
-    if apart is not None and campaign.held_out is not None:
-        there = apart.residual() + campaign.held_out.nuisance[apart.rows] @ best.nuisance
-    return FittedCase(known, best.simulator, best.residual, best.comparison, apart, there, notes, floor)
+    nuisance_fit = fit_nuisances(model, first, patch)
+    held_out_simulator = _held_out_simulator(held_out, campaign, nuisance_fit.simulator.arm.patch)
+    held_out_residual = np.zeros(0)
+    if held_out_simulator is not None and campaign.held_out is not None:
+        held_out_residual = (
+            held_out_simulator.residual()
+            + campaign.held_out.nuisance[held_out_simulator.rows] @ nuisance_fit.nuisance
+        )
+    return FittedCase(
+        model,
+        nuisance_fit.simulator,
+        nuisance_fit.residual,
+        nuisance_fit.comparison,
+        held_out_simulator,
+        held_out_residual,
+        notes,
+        floor,
+    )
 
 
 def diagnose_fitted_case(fitted: FittedCase, campaign: CampaignModel, seed: int) -> DiagnosisResult:
-    """The diagnosis."""
+    """Diagnose a case whose nuisances are fitted."""
     residuals = Residuals(fitted.model.sensitivities.layout, fitted.residual)
     diagnosis = diagnose(fitted.model, residuals, seed, fitted.simulator, fitted.comparison)
-    shut, at_tool = _try_held_out(diagnosis, fitted, campaign, seed)
+    closure, tool_error = _try_held_out(diagnosis, fitted, campaign, seed)
     return DiagnosisResult(
         fitted.model,
         diagnosis,
-        shut,
-        at_tool,
+        closure,
+        tool_error,
         rank_repeats(fitted.model, diagnosis),
         fitted.notes,
         fitted.floor,
@@ -150,10 +182,10 @@ def diagnose_fitted_case(fitted: FittedCase, campaign: CampaignModel, seed: int)
 def _held_out_simulator(
     recordings: Sequence[Recording], campaign: CampaignModel, patch: tuple[Effect, ...]
 ) -> CaseSimulator | None:
-    """What it is tried on; None if nothing is held out.
+    """Build the simulator of held-out motion; None if there is none.
 
     Raises:
-        TooLittleMotion: nothing of it is comparable.
+        TooLittleMotion: None of it can be compared with the campaign.
     """
     if campaign.held_out is None or not recordings:
         return None
@@ -170,13 +202,13 @@ def _case_simulator(
 ) -> tuple[ArmSimulator, tuple[str, ...]]:
     feature_set = build_feature_set(recordings)
     floor = estimate_floor(feature_set)
-    raced = dict.fromkeys(hypothesis.effect for hypothesis in campaign.model.sensitivities.hypotheses)
-    kinds = {name: catalogue()[name] for name in raced}
+    effects = dict.fromkeys(hypothesis.effect for hypothesis in campaign.model.sensitivities.hypotheses)
+    kinds = {name: catalogue()[name] for name in effects}
     return build_simulator(feature_set, floor.sigma, kinds, LONG_SETTLING, patch), floor.notes
 
 
 def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisModel:
-    """Of the features that the case has, with its own floor where that is higher."""
+    """Restrict the campaign to the features of the case, with the higher of both noise floors."""
     found = campaign.sensitivities.select(case.rows)
     higher = np.maximum(found.layout.sigma, case.layout.sigma)
     if len(case.rows) == campaign.sensitivities.layout.size and np.all(
@@ -190,16 +222,18 @@ def _restrict_model(campaign: DiagnosisModel, case: CaseSimulator) -> DiagnosisM
 def _try_held_out(
     diagnosis: Diagnosis, fitted: FittedCase, campaign: CampaignModel, seed: int
 ) -> tuple[Closure | None, ToolError | None]:
-    """On held-out motion, as a share and at the tools; None if there is none, or no tracker looked."""
+    """Compute closure and tool error on held-out motion; None if there is none, or no tracker."""
     case = fitted.held_out
     if campaign.held_out is None or case is None:
         return None, None
     settings, zero = effect_values(diagnosis), np.zeros(len(case.nuisances))
     change = case.predict(settings, zero) - case.predict({}, zero)
-    apart = build_held_out_model(fitted.model.equations, campaign.held_out.select(case.rows))
-    left = compute_held_out_residuals(diagnosis, apart, fitted.held_out_residual, change)
+    held_out_model = build_held_out_model(fitted.model.equations, campaign.held_out.select(case.rows))
+    residuals = compute_held_out_residuals(diagnosis, held_out_model, fitted.held_out_residual, change)
     keys = [campaign.held_out_keys[row] for row in case.rows]
-    return left.closure(seed), compute_tool_error(keys, left.before, left.after, apart.sigma)
+    return residuals.closure(seed), compute_tool_error(
+        keys, residuals.before, residuals.after, held_out_model.sigma
+    )
 
 
 def _check_motion(case: CaseSimulator, campaign: CampaignModel) -> None:
@@ -213,16 +247,16 @@ def _check_motion(case: CaseSimulator, campaign: CampaignModel) -> None:
 
 
 def _missing_session_notes(case: CaseSimulator, campaign: CampaignModel) -> list[str]:
-    """What is to be said of sessions that the campaign has and the case has not."""
+    """Return a note on sessions of the campaign that the case lacks."""
     missing = _missing_sessions(case, campaign)
     return (
         [f"of the campaign's motions nothing comparable is there of {', '.join(missing)}"] if missing else []
     )
 
 
-def _threshold_notes(known: DiagnosisModel, campaign: CampaignModel) -> list[str]:
-    """What is to be said of thresholds that were found for other features, or for a lower floor."""
-    if known is campaign.model:
+def _threshold_notes(model: DiagnosisModel, campaign: CampaignModel) -> list[str]:
+    """Return a note if thresholds were calibrated for other features, or for a lower noise floor."""
+    if model is campaign.model:
         return []
     return ["thresholds are those of the whole campaign with its own floor, which this is not"]
 

@@ -1,4 +1,8 @@
-"""The simulator of one case, in the features of the campaign whose sensitivities are known."""
+"""Case simulator: predicts the features of one case, in the order of the campaign's features.
+
+A case may lack features of the campaign, or have others. Repeats of a motion got the same drive, so only the
+first of them is simulated.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -17,79 +21,96 @@ MOTION_CONDITIONS: Final = tuple(
     CONDITIONS.index(name) for name in ("speed_rad_s", "sin_angle", "cos_angle", "way")
 )
 MOTION_TOLERANCE: Final = 0.02
-"""Of one motion in two logs: speeds [rad/s], sines and cosines of angles differ by less."""
+"""Greatest difference of speed [rad/s], sine and cosine of an angle, for the same motion in two logs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CaseSimulator:
-    """A case's simulator (ground.diagnosis.problem.Simulator) in m features of a campaign."""
+    """Simulator of a case (`ground.diagnosis.problem.Simulator`) in m features of a campaign."""
 
     arm: ArmSimulator
     nominal: Array
-    """What the simulator has for all features of the case under its own drive, (n,)."""
+    """Nominal prediction of all n features of the case under its own drive, shape (n,)."""
     at: Ints
-    """Which of them each of the m features is."""
+    """Index of each of the m features among those n, shape (m,)."""
     rows: Ints
-    """Which of the campaign's features they are, ascending, (m,)."""
+    """Index of each of the m features among the campaign's, ascending, shape (m,)."""
 
     @property
     def layout(self) -> FeatureLayout:
-        """The m features."""
+        """Layout of the m features."""
         return self.arm.layout.select(self.at)
 
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """The arm's."""
+        """Hypotheses of the arm's simulator."""
         return self.arm.hypotheses
 
     @property
     def nuisances(self) -> tuple[Nuisance, ...]:
-        """The arm's."""
+        """Nuisances of the arm's simulator."""
         return self.arm.nuisances
 
     def predict(self, settings: EffectValues, nuisance: Array) -> Array:
-        """The features (m,); of repeats only the first is simulated."""
+        """Predict the features, shape (m,)."""
         effects = tuple(self.arm.effects(settings, nuisance))
         if not effects:
             return np.asarray(self.nominal[self.at])
         return np.asarray((self.nominal + simulate_change(self.arm, effects, self.nominal))[self.at])
 
     def residual(self) -> Array:
-        """What was measured less what the simulator has, (m,)."""
+        """Return measured minus nominal features, shape (m,)."""
         return np.asarray((measure_features(self.arm.feature_set) - self.nominal)[self.at])
 
 
 def build_case_simulator(
     arm: ArmSimulator, layout: FeatureLayout, keys: Sequence[str], nominal: Array | None = None
 ) -> CaseSimulator:
-    """To those features of a campaign, by their keys, that the case has too.
+    """Bind the simulator to the features that case and campaign share.
 
-    One prediction is made, unless `nominal` has what the simulator had of the campaign, (M,). A feature that
-    has the key but was of another motion (at another angle or speed) is none.
+    A feature with the same key is dropped if it belongs to another motion: at another angle or speed.
+
+    Args:
+        arm: Simulator of the arm under the drive of the case.
+        layout: Layout of the campaign's features, m of them.
+        keys: Keys of the campaign's features.
+        nominal: Nominal prediction for the campaign in the units of the channels, shape (m,); None to
+            simulate
+            the case.
+
+    Returns:
+        Simulator of the shared features.
     """
     number = {key: k for k, key in enumerate(feature_keys(arm.feature_set))}
     rows = np.array([row for row, key in enumerate(keys) if key in number], np.intp)
     at = np.array([number[keys[row]] for row in rows], np.intp)
-    here = _simulate_nominal(arm) if nominal is None else np.full(arm.layout.size, np.nan)
+    predicted = _simulate_nominal(arm) if nominal is None else np.full(arm.layout.size, np.nan)
     if nominal is not None:
-        here[at] = nominal[rows]
-    apart = np.abs(arm.layout.condition[at] - layout.condition[rows])[:, list(MOTION_CONDITIONS)]
-    same = np.all(apart < MOTION_TOLERANCE, axis=1) & _is_simulated(arm.feature_set)[at]
-    return CaseSimulator(arm, here, at[same], rows[same])
+        predicted[at] = nominal[rows]
+    difference = np.abs(arm.layout.condition[at] - layout.condition[rows])[:, list(MOTION_CONDITIONS)]
+    same = np.all(difference < MOTION_TOLERANCE, axis=1) & _is_simulated(arm.feature_set)[at]
+    return CaseSimulator(arm, predicted, at[same], rows[same])
 
 
 def resimulate(
     case: CaseSimulator, patch: tuple[Effect, ...], only: Callable[[MotionFeatures], bool], otherwise: Array
 ) -> CaseSimulator:
-    """The same with another patch: rests, and the moving recordings that are wanted, are computed anew.
+    """Simulate a case again with another patch: its rests, and some of its motions.
 
-    The others change by `otherwise` (m,).
+    Args:
+        case: Simulator of the case, with m features.
+        patch: Effects that are switched on.
+        only: Predicate of the motions to simulate.
+        otherwise: Change of the other motions in the units of the channels, shape (m,).
+
+    Returns:
+        Simulator with the patch and the new nominal prediction.
     """
     arm, known = case.arm.with_patch(patch), first_recordings(case.arm.feature_set)
-    there = arm.predict_effects((), lambda one: one.recording.name in known and only(one))
-    anew, near = copy_repeats(arm.feature_set, known, there, np.nan), case.nominal.copy()
-    near[case.at] += otherwise
-    return replace(case, arm=arm, nominal=np.where(np.isfinite(anew), anew, near))
+    predicted = arm.predict_effects((), lambda one: one.recording.name in known and only(one))
+    simulated, extrapolated = copy_repeats(arm.feature_set, known, predicted, np.nan), case.nominal.copy()
+    extrapolated[case.at] += otherwise
+    return replace(case, arm=arm, nominal=np.where(np.isfinite(simulated), simulated, extrapolated))
 
 
 def simulate_change(
@@ -98,9 +119,16 @@ def simulate_change(
     nominal: Array,
     only: Callable[[MotionFeatures], bool] = every_motion,
 ) -> Array:
-    """By how much effects change all features of a case, (n,); 0 of motions that are not stepped.
+    """Simulate the change of the features by effects, only in motions that the effects can influence.
 
-    Of a block's repeats only the first is stepped, and only where the effects can show.
+    Args:
+        arm: Simulator of the arm, with n features.
+        effects: Effects that are switched on.
+        nominal: Prediction without effects in the units of the channels, shape (n,).
+        only: Predicate of the motions to simulate.
+
+    Returns:
+        Change, shape (n,); 0 in motions that are not simulated.
     """
     touched, known = AffectedMotions(effects), first_recordings(arm.feature_set)
 
@@ -111,7 +139,7 @@ def simulate_change(
 
 
 def _is_simulated(feature_set: FeatureSet) -> Flags:
-    """Features that any simulation tells, (n,): of repeats those alone that their firsts have too."""
+    """Return flags (n,) of the simulated features: those of repeats only if the first motion has them too."""
     known = first_recordings(feature_set)
     stepped = [np.full(len(one.features), one.recording.name in known) for one in feature_set.motions]
     rests = np.ones(sum(len(one.features) for one in feature_set.rests), bool)
@@ -120,7 +148,7 @@ def _is_simulated(feature_set: FeatureSet) -> Flags:
 
 
 def _simulate_nominal(arm: ArmSimulator) -> Array:
-    """Of the case under its own drive, (n,); NaN of repeats that have features their firsts have not."""
+    """Simulate the case without effects, (n,); NaN for features that the first of the repeats lacks."""
     known = first_recordings(arm.feature_set)
     return copy_repeats(
         arm.feature_set, known, arm.predict_effects((), lambda one: one.recording.name in known), np.nan
@@ -128,13 +156,13 @@ def _simulate_nominal(arm: ArmSimulator) -> Array:
 
 
 def feature_keys(feature_set: FeatureSet) -> list[str]:
-    """A name for each feature, the same in every recording of the session."""
+    """Return a unique key of each feature, equal in every recording of the session."""
     named = zip(feature_set.sessions, feature_set.features, strict=True)
     return [f"{session}/{feature.key}" for session, feature in named]
 
 
 def first_recordings(feature_set: FeatureSet) -> set[str]:
-    """The moving recordings that repeat none before them."""
+    """Return the names of the motions that do not repeat an earlier one."""
     first: dict[str, str] = {}
     for one in feature_set.motions:
         first.setdefault(one.recording.block, one.recording.name)
@@ -142,7 +170,17 @@ def first_recordings(feature_set: FeatureSet) -> set[str]:
 
 
 def copy_repeats(feature_set: FeatureSet, first: set[str], values: Array, otherwise: float = 0.0) -> Array:
-    """What was not simulated: of repeats as in the first of their block."""
+    """Fill the features of repeats with those of the first motion of their block.
+
+    Args:
+        feature_set: Features of all recordings, n of them.
+        first: Names of the simulated motions.
+        values: Features in the units of the channels, NaN where not simulated, shape (n,).
+        otherwise: Value where the first motion has none.
+
+    Returns:
+        Filled features, shape (n,).
+    """
     known = {
         (feature.block, feature.key): value
         for session, feature, value in zip(feature_set.sessions, feature_set.features, values, strict=True)

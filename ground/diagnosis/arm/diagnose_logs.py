@@ -1,4 +1,4 @@
-"""Logs diagnosed: from a request to all that is said of them."""
+"""Command `diagnose`: checks a request, loads logs and campaign model, and diagnoses the case."""
 
 import hashlib
 import os
@@ -26,29 +26,30 @@ from sim.params import BadParams, nominal_params, params_over_nominal
 from sim.scenario.names import shorten
 
 MAX_SUGGESTIONS: Final = 3
-"""Names that may have been meant."""
+"""Largest number of suggested names in an error."""
 
 
 @dataclass(frozen=True, slots=True)
 class DiagnoseRequest:
-    """What is asked."""
+    """Checked request for a diagnosis."""
 
     logs: tuple[Path, ...]
     held_out: tuple[Path, ...] = ()
-    """Logs that take no part in fitting or choosing."""
+    """Logs that take no part in fitting or selection."""
     params: Path | None = None
-    """Flight parameters over nominal ones, as TOML."""
+    """Flight parameters that differ from nominal, as TOML."""
     kinds: tuple[str, ...] | None = None
-    """Names of the effects that may be the cause; None for the whole catalogue."""
+    """Names of the candidate effects; None for the whole catalogue."""
     campaign: Path | None = None
-    """Folder with logs of the campaign that these repeat, and its sensitivities; None for their own."""
+    """Folder of the campaign that the logs repeat, with its cache; None if the logs are their own
+    campaign."""
     seed: int = 0
     patch: tuple[Effect, ...] = ()
-    """Effects that are switched on in the simulator from the beginning."""
+    """Effects that are switched on in the simulator from the start."""
 
     @property
     def base(self) -> Params:
-        """The flight parameters that the arm had."""
+        """Flight parameters of the arm."""
         return nominal_params() if self.params is None else params_over_nominal(self.params)
 
 
@@ -61,16 +62,23 @@ def build_request(
     seed: int = 0,
     effects: Sequence[str] = (),
 ) -> DiagnoseRequest:
-    """The request, folders opened and everything checked that needs no log to be read.
+    """Build the request: list the logs of folders, and check all that needs no log.
 
-    `names` are effects with commas between them, `effects` what is switched on already.
+    Args:
+        logs: Logs or folders of logs that are fitted.
+        held_out: Logs or folders of logs that the findings are tested on.
+        params: File of flight parameters, if they differ from nominal.
+        names: Candidate effects, separated by commas; None for all.
+        campaign: Folder of the campaign, if the logs repeat one.
+        seed: Seed of bootstrap and noise draws.
+        effects: Effects that are switched on in the simulator.
 
     Raises:
-        BadRequest: a file is not there or is given twice, a name is not known, or parameters are wrong.
+        BadRequest: A file is missing or given twice, a name is unknown, or parameters are wrong.
     """
     check_seed(seed)
-    fitted, apart = tuple(_expand_logs(logs, "log")), tuple(_expand_logs(held_out, "held-out log"))
-    _check_different(fitted, apart)
+    fitted, held_out_logs = tuple(_expand_logs(logs, "log")), tuple(_expand_logs(held_out, "held-out log"))
+    _check_different(fitted, held_out_logs)
     if params is not None:
         try:
             params_over_nominal(params)
@@ -79,11 +87,13 @@ def build_request(
     if campaign is not None and not os.path.isdir(campaign):
         raise BadRequest(f"campaign {campaign}: there is no such folder of logs")
     kinds = None if names is None else _parse_effects(names)
-    return DiagnoseRequest(fitted, apart, params, kinds, campaign, seed, parse_effects(tuple(effects)))
+    return DiagnoseRequest(
+        fitted, held_out_logs, params, kinds, campaign, seed, parse_effects(tuple(effects))
+    )
 
 
 def _expand_logs(given: Sequence[Path], what: str) -> Iterator[Path]:
-    """Files as they are, folders as what is in them, in the order of names."""
+    """Yield files, and the logs inside folders sorted by name."""
     for path in given:
         if os.path.isdir(path):  # unlike Path.is_dir, False for any bad name
             inside = sorted(one for one in path.glob("*.mcap") if one.is_file())
@@ -98,17 +108,17 @@ def _expand_logs(given: Sequence[Path], what: str) -> Iterator[Path]:
             raise BadRequest(f"{what} {path}: there is no such file or folder")
 
 
-def _check_different(fitted: tuple[Path, ...], apart: tuple[Path, ...]) -> None:
-    """Refuse the same data twice, under one name or two."""
+def _check_different(fitted: tuple[Path, ...], held_out: tuple[Path, ...]) -> None:
+    """Refuse logs with the same contents."""
     known: dict[str, Path] = {}
-    for path in (*fitted, *apart):
+    for path in (*fitted, *held_out):
         try:
             same = known.setdefault(_file_digest(path), path)
         except OSError as error:
             raise BadRequest(f"log {path}: cannot be read ({error.strerror})") from error
         if same is path:
             continue
-        if path in apart and same in fitted:
+        if path in held_out and same in fitted:
             raise BadRequest(
                 f"held-out log {path}: this is log {same} too; what is held out takes no part in fitting"
             )
@@ -121,7 +131,7 @@ def _file_digest(path: Path) -> str:
 
 
 def _parse_effects(names: str) -> tuple[str, ...]:
-    """In the order of the catalogue."""
+    """Return the names in the order of the catalogue."""
     known = {effect_name(one.kind) for one in list_candidates(None)}
     wanted = {name.strip() for name in names.split(",")}
     problems = [_unknown_effect(name, known) for name in sorted(wanted - known)]
@@ -142,21 +152,23 @@ def _unknown_effect(name: str, known: set[str]) -> str:
 
 
 def diagnose_logs(request: DiagnoseRequest, progress: Progress) -> DiagnosisResult:
-    """What the logs say.
+    """Diagnose the logs of a request.
 
     Raises:
-        NotForDiagnosis: they cannot be diagnosed; the message says what they lack.
-        BadRequest: what is kept of the campaign cannot be read.
-        BadOutput: it cannot be written.
+        NotForDiagnosis: They cannot be diagnosed; the message says what they lack.
+        BadRequest: A cached file of the campaign cannot be read.
+        BadOutput: A cached file cannot be written.
     """
     base = request.base
-    fitted, apart = (load_checked_recordings(paths, base) for paths in (request.logs, request.held_out))
-    _check_sessions((*request.logs, *request.held_out), (*fitted, *apart))
-    _check_held_out(fitted, apart)
+    fitted, held_out_recordings = (
+        load_checked_recordings(paths, base) for paths in (request.logs, request.held_out)
+    )
+    _check_sessions((*request.logs, *request.held_out), (*fitted, *held_out_recordings))
+    _check_held_out(fitted, held_out_recordings)
     _check_motion(fitted)
     logs, held_out = request.logs, request.held_out
     if request.campaign is not None:
-        logs, held_out = _campaign_logs(request.campaign, fitted, apart)
+        logs, held_out = _campaign_logs(request.campaign, fitted, held_out_recordings)
     campaign = load_campaign_model(
         logs,
         held_out,
@@ -165,24 +177,24 @@ def diagnose_logs(request: DiagnoseRequest, progress: Progress) -> DiagnosisResu
         progress,
         request.kinds,
     )
-    return diagnose_case(fitted, apart, campaign, request.seed, request.patch)
+    return diagnose_case(fitted, held_out_recordings, campaign, request.seed, request.patch)
 
 
 def _cache_folder() -> Path:
-    """Of the user, as the XDG base directory specification has it: an empty variable is none."""
+    """Return the user's cache folder by the XDG specification; an empty variable counts as unset."""
     base = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache").expanduser()
     return base / "marsarm" / "sensitivities"
 
 
 def _check_motion(recordings: Sequence[Recording]) -> None:
-    """Before anything is computed that takes minutes."""
+    """Refuse too little motion, before the long computation."""
     missing = find_missing_motion(recordings)
     if missing:
         raise NotForDiagnosis("\n".join(("too little motion for a diagnosis:", *missing)))
 
 
 def _check_sessions(paths: Sequence[Path], recordings: Sequence[Recording]) -> None:
-    """Features are known by their session's name."""
+    """Refuse two logs of one session, as the session's name identifies features."""
     known: dict[str, Path] = {}
     for path, one in zip(paths, recordings, strict=True):
         if known.setdefault(one.name, path) is not path:
@@ -192,7 +204,7 @@ def _check_sessions(paths: Sequence[Path], recordings: Sequence[Recording]) -> N
 
 
 def _check_held_out(fitted: Sequence[Recording], held_out: Sequence[Recording]) -> None:
-    """A repeat of a motion that is fitted is not held out."""
+    """Refuse a held-out repeat of a fitted motion."""
     used = {one.block: one.name for one in fitted}
     both = [one for one in held_out if one.block in used]
     if both:
@@ -205,9 +217,10 @@ def _check_held_out(fitted: Sequence[Recording], held_out: Sequence[Recording]) 
 def _campaign_logs(
     folder: Path, fitted: Sequence[Recording], held_out: Sequence[Recording]
 ) -> tuple[Logs, Logs]:
-    """All of a campaign's logs, divided as these are: a session that is not here is on the side it has there.
+    """Divide all logs of a campaign as the logs of the case are divided.
 
-    So what is kept of the campaign serves for a part of it, too; what is missing is told.
+    A session that the case lacks stays on its side in the campaign, so the cache of the whole campaign
+    serves.
     """
     inside = {path.stem: path for path in folder.glob("*.mcap")}
     outside = {path.stem: path for path in (folder / HELD_OUT_FOLDER).glob("*.mcap")}
@@ -216,6 +229,6 @@ def _campaign_logs(
     missing = sorted((sides[0] | sides[1]) - known.keys())
     if missing:
         raise NotForDiagnosis(f"campaign {folder}: has no session {', '.join(missing)}")
-    apart = (outside.keys() - sides[0]) | sides[1]
-    logs = tuple(known[name] for name in sorted(known.keys() - apart))
-    return logs, tuple(known[name] for name in sorted(apart)) if held_out else ()
+    held_out_names = (outside.keys() - sides[0]) | sides[1]
+    logs = tuple(known[name] for name in sorted(known.keys() - held_out_names))
+    return logs, tuple(known[name] for name in sorted(held_out_names)) if held_out else ()

@@ -1,4 +1,8 @@
-"""All recordings of a campaign as features: what they are, what was measured, what a simulator predicts."""
+"""Features of all recordings of a campaign: their list, their measured values and their simulated values.
+
+Features of motions come from sensor readings bin by bin (`features`). Features of rests come from static
+equilibrium (`rest_poses`): resolver angles, and turret poses as screws relative to nominal.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
@@ -37,32 +41,33 @@ from sim.params import nominal_params
 from sim.plant import SCREW_AXES
 
 READING_FIELDS: Final = frozenset({"resolver_bias_rad", "resolver_errors", "sensor_errors"})
-"""Of hardware, what nothing but readings hangs on."""
+"""Fields of the hardware that influence only readings."""
 FRICTION_MARGIN: Final = 0.3
-"""Share of the outputs' friction: a load so near to it may or may not have dragged an output over its gap."""
+"""Change of the output friction, as a share, for the sensitivity of rests to friction. Near the friction
+limit, the side of the backlash is ambiguous."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestFeatures:
-    """A recording's rests, what statics make of them by the drawing, and which of them the tracker saw."""
+    """Rests of one recording, their nominal equilibrium, and those with a tracker pose."""
 
     turning_points: TurningPoints
     nominal: RestPoses
     tracked_rests: tuple[tuple[int, int], ...]
-    """Number among the rests, and among the tracker's poses."""
+    """Index among the rests, and index among the tracker poses."""
     features: tuple[Feature, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FeatureSet:
-    """A campaign's recordings, ready to be compared: the moving ones, then the rests of all."""
+    """Features of a campaign's recordings: the motions first, then the rests."""
 
     motions: tuple[MotionFeatures, ...]
     rests: tuple[RestFeatures, ...]
 
     @property
     def features(self) -> tuple[Feature, ...]:
-        """Of the moving recordings, then of the rests."""
+        """Features of the motions, then of the rests."""
         return (
             *(feature for one in self.motions for feature in one.features),
             *(feature for one in self.rests for feature in one.features),
@@ -70,7 +75,7 @@ class FeatureSet:
 
     @property
     def sessions(self) -> tuple[str, ...]:
-        """The recording that each feature is of, by name."""
+        """Name of the recording of each feature."""
         return (
             *(one.recording.name for one in self.motions for _ in one.features),
             *(one.turning_points.recording.name for one in self.rests for _ in one.features),
@@ -78,14 +83,16 @@ class FeatureSet:
 
 
 def build_feature_set(recordings: Sequence[Recording]) -> FeatureSet:
-    """Recordings with a tracker are looked at where they rest, the others in motion as well."""
+    """List the features: rests of all recordings, and motions of those without tracker poses."""
     config = configure(nominal_params())
-    knots = [find_turning_points(one) for one in recordings if one.world.surface is None]
-    unsure_Nm = FRICTION_MARGIN * config.output_friction_Nm
-    nominal, less, more = (solve_rests(knots, _more_friction(by * unsure_Nm)) for by in (0.0, -1.0, 1.0))
+    turning_points = [find_turning_points(one) for one in recordings if one.world.surface is None]
+    friction_step_Nm = FRICTION_MARGIN * config.output_friction_Nm
+    nominal, less, more = (
+        solve_rests(turning_points, _more_friction(by * friction_step_Nm)) for by in (0.0, -1.0, 1.0)
+    )
     return FeatureSet(
         tuple(list_motion_features(one, config) for one in recordings if not one.tracker_poses.tick.size),
-        tuple(_list_rest_features(*one) for one in zip(knots, nominal, less, more, strict=True)),
+        tuple(_list_rest_features(*one) for one in zip(turning_points, nominal, less, more, strict=True)),
     )
 
 
@@ -94,7 +101,14 @@ def _more_friction(torque_Nm: Array) -> tuple[Effect, ...]:
 
 
 def measure_features(feature_set: FeatureSet) -> Array:
-    """What the logs say, (m,)."""
+    """Compute the measured features.
+
+    Args:
+        feature_set: Features of all recordings.
+
+    Returns:
+        Features in the units of their channels, shape (m,).
+    """
     values = [evaluate_features(one, one.recording.sensors) for one in feature_set.motions]
     for one in feature_set.rests:
         tracked = one.turning_points.recording.tracker_poses
@@ -109,12 +123,12 @@ def measure_features(feature_set: FeatureSet) -> Array:
 
 
 def every_motion(_: MotionFeatures) -> bool:
-    """Every moving recording."""
+    """Return True: simulate every motion."""
     return True
 
 
 def no_motion(_: MotionFeatures) -> bool:
-    """Rests alone."""
+    """Return False: simulate only rests."""
     return False
 
 
@@ -124,7 +138,16 @@ def simulate_features(
     options: SimulationOptions,
     wanted: Callable[[MotionFeatures], bool] = every_motion,
 ) -> Array:
-    """What the simulator has with these effects, (m,); NaN for moving recordings that are not wanted.
+    """Compute the features that the simulator predicts.
+
+    Args:
+        feature_set: Features of all recordings.
+        effects: Effects that are switched on.
+        options: Simulation options of the motions.
+        wanted: Predicate of the motions to simulate.
+
+    Returns:
+        Features in the units of their channels, shape (m,); NaN for motions that are not wanted.
 
     Raises:
         PlantDiverged: MuJoCo counted a warning.
@@ -143,7 +166,7 @@ def simulate_features(
 def simulate_motion(
     recording: Recording, effects: Sequence[Effect], options: SimulationOptions
 ) -> SensorColumns:
-    """The sensors of an arm with these effects under the recorded drive, by tick; a manner without noise."""
+    """Simulate the sensors of an arm with these effects under the recorded drive, without noise, by tick."""
     readers = [effect for effect in effects if changes_readings_only(effect)]
     acting = tuple(effect for effect in effects if effect not in readers)
     readings = (simulate_open_loop_cached if readers else simulate_open_loop)(
@@ -153,7 +176,7 @@ def simulate_motion(
 
 
 def changes_readings_only(effect: Effect) -> bool:
-    """Whether it changes nothing but what is read: then the plant need not be stepped again."""
+    """Check that an effect changes only readings, so that the plant need not be simulated again."""
     if type(effect).on_model is not Effect.on_model:
         return False
     before = nominal_hardware()
@@ -163,7 +186,7 @@ def changes_readings_only(effect: Effect) -> bool:
 
 
 def _apply_readers(readings: Sequence[Sensors], readers: Sequence[Effect]) -> Iterator[Sensors]:
-    """The same readings, without noise, as avionics with these effects would have sensed them."""
+    """Yield the readings that avionics with these effects would sense, without noise."""
     hardware, rng = nominal_hardware(), np.random.default_rng(0)
     for effect in readers:
         hardware = effect.on_hardware(hardware)
@@ -174,7 +197,7 @@ def _apply_readers(readings: Sequence[Sensors], readers: Sequence[Effect]) -> It
 
 
 def _read_resolvers(sensors: Sensors, hardware: Hardware) -> Sensors:
-    """Without noise a resolver reads its output, with what is wrong with it."""
+    """Replace the resolver angles by those with bias and resolver errors."""
     output_rad = sensors.resolver_rad
     resolver_rad = output_rad + hardware.resolver_bias_rad
     for error in hardware.resolver_errors:
@@ -182,29 +205,37 @@ def _read_resolvers(sensors: Sensors, hardware: Hardware) -> Sensors:
     return replace(sensors, resolver_rad=resolver_rad)
 
 
-def _list_rest_features(knots: TurningPoints, nominal: RestPoses, *others: RestPoses) -> RestFeatures:
-    """Doubt is by how much a feature would differ if friction of the outputs were a little more or less."""
-    recording = knots.recording
-    rest_of = {knots.tick[k]: r for r, k in enumerate(knots.rests)}
-    seen = tuple((rest_of[t], k) for k, t in enumerate(recording.tracker_poses.tick.tolist()) if t in rest_of)
+def _list_rest_features(
+    turning_points: TurningPoints, nominal: RestPoses, *others: RestPoses
+) -> RestFeatures:
+    """List the features of rests; `doubt` is their change with a little more or less output friction."""
+    recording = turning_points.recording
+    rest_of = {turning_points.tick[k]: r for r, k in enumerate(turning_points.rests)}
+    tracked = tuple(
+        (rest_of[t], k) for k, t in enumerate(recording.tracker_poses.tick.tolist()) if t in rest_of
+    )
     features: list[Feature] = []
     for joint in Joint:
-        for r, k in enumerate(knots.rests):
-            angle = float(knots.motor_rad[joint, k])
+        for r, k in enumerate(turning_points.rests):
+            angle = float(turning_points.motor_rad[joint, k])
             condition = (recording.temperature_C, 0.0, 0.0, float(np.sin(angle)), float(np.cos(angle)), 0.0)
             name = joint.name.lower()
             features.append(Feature(RESOLVER, name, "rest", recording.block, condition, f"rest {r}/{name}"))
     condition = (recording.temperature_C, 0.0, 0.0, 0.0, 0.0, 0.0)
     for axis, named in enumerate(SCREW_AXES):
         channel = SCREW_TURN if axis < 3 else SCREW_SHIFT
-        for r, _ in seen:
+        for r, _ in tracked:
             features.append(
                 Feature(channel, "turret", "pose", recording.block, condition, f"rest {r}/{named}")
             )
-    made = RestFeatures(knots, nominal, seen, tuple(features))
-    apart = np.abs([_static_values(made, one) - _static_values(made, nominal) for one in others]).max(axis=0)
-    doubted = zip(features, apart, strict=True)
-    return replace(made, features=tuple(replace(feature, doubt=float(by)) for feature, by in doubted))
+    rest_features = RestFeatures(turning_points, nominal, tracked, tuple(features))
+    differences = np.abs(
+        [_static_values(rest_features, one) - _static_values(rest_features, nominal) for one in others]
+    ).max(axis=0)
+    doubted = zip(features, differences, strict=True)
+    return replace(
+        rest_features, features=tuple(replace(feature, doubt=float(by)) for feature, by in doubted)
+    )
 
 
 def _static_values(one: RestFeatures, found: RestPoses) -> Array:

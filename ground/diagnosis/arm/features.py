@@ -1,4 +1,8 @@
-"""What is compared of a recording in motion: the same numbers from recorded and from simulated sensors."""
+"""Features of a recording in motion: the same numbers from recorded and from simulated sensors.
+
+For every motion of a joint and every bin of a quarter of a second, three channels are averaged: motor
+current, following error (encoder minus set-point), and resolver minus encoder. The IMU adds its mean.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -23,7 +27,7 @@ SensorColumns = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class Feature:
-    """One number that is compared."""
+    """Number that is compared between measurement and simulation."""
 
     channel: int
     place: str
@@ -31,19 +35,19 @@ class Feature:
     block: str
     condition: tuple[float, ...]
     key: str
-    """What the same feature is called in every log of its session: motion, channel, number."""
+    """Key of the same feature in every log of its session: motion, channel, number."""
     doubt: float = 0.0
-    """One sigma of what nobody knows of it beside noise, in its channel's unit."""
+    """Standard deviation of its error beside noise, in the unit of its channel."""
 
 
 def feature_channel(feature: Feature) -> str:
-    """As people are told it: what was measured, and where."""
+    """Return the display name of the channel with its place."""
     return f"{feature.place} {CHANNELS[feature.channel]}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionFeatures:
-    """What is looked at of one recording, and where."""
+    """Segments and features of one recording in motion."""
 
     recording: Recording
     segments: tuple[Segment, ...]
@@ -51,7 +55,10 @@ class MotionFeatures:
 
 
 def list_motion_features(recording: Recording, config: Config) -> MotionFeatures:
-    """Its features: three channels of every moving joint bin by bin before a tool touches, and the IMU."""
+    """List the features of a recording: three channels of every moving joint by bin, and the IMU.
+
+    Bins after a possible touch are left out.
+    """
     segments, block = tuple(find_segments(recording)), recording.block
     features: list[Feature] = []
     for number, load_Nm in enumerate(_loads(recording, config, segments)):
@@ -65,7 +72,7 @@ def list_motion_features(recording: Recording, config: Config) -> MotionFeatures
 def _segment_features(
     recording: Recording, config: Config, segments: tuple[Segment, ...], number: int, load_Nm: float
 ) -> Iterator[Feature]:
-    """Of one of the segments, channel by channel; in doubt are beginnings, most of all a joint's first."""
+    """Yield the features of one segment by channel; the start of a motion has doubt."""
     segment = segments[number]
     j, motor = segment.joint, recording.motor_rad()[segment.joint]
     is_first = not any(s.joint is j and s.first < segment.first for s in segments)
@@ -93,7 +100,17 @@ def _segment_features(
 
 
 def evaluate_features(here: MotionFeatures, sensors: SensorColumns) -> Array:
-    """The features' numbers in sensors by tick, recorded or simulated, (m,)."""
+    """Compute the features from sensors.
+
+    Args:
+        here: Segments and features of the recording, m of them.
+        sensors: Readings by field, recorded or simulated, each of shape (n, ...) with n ticks, in the units
+            of
+            their names.
+
+    Returns:
+        Features in the units of their channels, shape (m,).
+    """
     recording, values = here.recording, []
     touch = _touch_tick(recording)
     encoder = sensors["encoder_count"].T * recording.rad_per_count[:, None]
@@ -113,7 +130,7 @@ def evaluate_features(here: MotionFeatures, sensors: SensorColumns) -> Array:
 
 
 def assumed_sigma(feature: Feature) -> float:
-    """One sigma of a feature by the noise of the drawing's sensors: what is assumed without repeats."""
+    """Return the nominal sensor noise of a feature, for use without repeats."""
     return ASSUMED_SIGMA[feature.channel]
 
 
@@ -126,26 +143,28 @@ ASSUMED_SIGMA: Final = (
     2e-5,
     3e-5,
 )
-"""By channel, in its unit: noise of current sensors and resolvers, counts, the IMU for ten seconds."""
+"""Standard deviation by channel in its unit, from noise of current sensors and resolvers, encoder counts, the
+IMU over ten seconds, and the tracker."""
 
 
 START_DOUBT: Final = (0.02, 2e-5, 0.0)
-"""Doubt about current, following and resolver while a motion begins: it hangs on the plant's own numerics."""
+"""Doubt of current, following error and resolver at the start of a motion, which depends on numerics."""
 START_S: Final = 1.0
+"""Duration of the start of a motion."""
 TOUCH_MARGIN_S: Final = 2.0
-"""So long before a touch nothing is compared any more: another arm may have touched by then, and under the
-recorded drive it would push as the real one never did."""
+"""Time before a touch from which on nothing is compared. Another arm may touch earlier, and the recorded
+drive would then push it against the rock."""
 BACKLASH_MARGIN: Final = 1.5
-"""Gaps that a joint must turn before it is sure where its output lies: nobody saw how it came there."""
+"""Multiples of its backlash that a joint must turn before the side of its backlash is known."""
 
 
 def _compared_bins(
     recording: Recording, segment: Segment, channel: int, touch: int
 ) -> list[tuple[int, int, int]]:
-    """Number, first tick and end of its bins that are compared: none once a tool may touch something.
+    """Return number, first tick and end of the compared bins: none after a possible touch.
 
-    A motor that is to turn by less than a count in a cycle is driven by counts: what its servo asks for then
-    hangs on where in a count it lies.
+    A motor slower than one count per cycle is driven count by count. Its servo then depends on the position
+    within a count, so only its resolver is compared.
     """
     j = segment.joint
     rate = np.abs(recording.drive["setpoint_rate_rad_s"][:, j])
@@ -158,14 +177,14 @@ def _compared_bins(
 
 
 def _touch_tick(recording: Recording) -> int:
-    """The tick from which on a tool may touch something."""
+    """Return the tick from which on a tool may touch."""
     closed = recording.sensors["switch_closed"]
     at = np.flatnonzero((closed & ~closed[0]).any(axis=1))
     return int(at[0]) - round(TOUCH_MARGIN_S * CYCLE_HZ) if at.size else recording.ticks + 1
 
 
 def _loads(recording: Recording, config: Config, segments: tuple[Segment, ...]) -> Array:
-    """Modelled load of the moving joint of each segment, in its middle."""
+    """Compute the static load of the moving joint in the middle of each segment, shape (s,)."""
     if not segments:
         return np.zeros(0)
     mids = np.array([(s.first + s.end) // 2 for s in segments])

@@ -1,7 +1,7 @@
-"""Columns of the sensitivities: differences of the arm's simulator beside nominal.
+"""Finite differences of the arm's simulator: columns, adaptive steps, and simultaneous simulation.
 
-Under a recorded drive a difference stays in the joint that it comes from (sim/open_loop.py). So one kind of
-effect is simulated at several joints at once, and each has the motion of its own joint.
+Under a recorded drive, an effect at one joint changes only that joint (sim/open_loop.py). So effects of one
+kind are simulated at several joints at once, and each takes the motions of its own joint.
 """
 
 import math
@@ -21,23 +21,23 @@ from ground.diagnosis.problem import LOG_UNIT
 from sim.effects.effect import Effect
 
 TARGET_SIGMAS: Final = 15.0
-"""Standard errors beside the nuisances that a step is to be: 4.6 times the limit of detection."""
+"""Target size of a step in standard errors beside the nuisances: 4.6 times the detection limit."""
 MAX_STEP_RATIO: Final = 2.0
-"""A step is mended if it is that many times too large or too small."""
+"""A step is adapted if it misses the target by more than this factor."""
 MIN_STEP_SHARE: Final = 1e-3
 MAX_STEP_SHARE: Final = 2.0
-"""Of a typical size."""
+"""Greatest step, as a share of a typical size."""
 MAX_ROUNDS: Final = 3
-"""That steps are mended in."""
+"""Greatest number of rounds in which steps are adapted."""
 
 
 def step_error(seen: float) -> float:
-    """How far a step that is so many standard errors is from what it should be; infinite if it is unseen."""
+    """Return the absolute logarithm of a step over its target, both in standard errors; infinite for 0."""
     return abs(math.log(seen / TARGET_SIGMAS)) if seen else math.inf
 
 
 def adapt_step(share: float, seen: float) -> float | None:
-    """Another share for a step that is so many standard errors; None if none would be better."""
+    """Return a better share for a step of so many standard errors; None if it is good enough."""
     if not seen or 1.0 / MAX_STEP_RATIO <= seen / TARGET_SIGMAS <= MAX_STEP_RATIO:
         return None
     better = min(max(share * TARGET_SIGMAS / seen, MIN_STEP_SHARE), MAX_STEP_SHARE)
@@ -46,35 +46,35 @@ def adapt_step(share: float, seen: float) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class JacobianColumn:
-    """A number whose sensitivity is wanted: a size parameter of a hypothesis, or a nuisance."""
+    """Column of the sensitivities: an amplitude parameter of a hypothesis, or a nuisance."""
 
     hypothesis: int | None
     index: int
-    """Which of the hypothesis' parameters; of a nuisance, which one."""
+    """Index among the hypothesis' parameters, or among the nuisances."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OneSidedStep:
-    """What was simulated on one side of nominal."""
+    """Simulated step on one side of nominal."""
 
     share: float
-    """Of a typical size, the step; 1 of a nuisance's sigma."""
+    """Step as a share of the typical size; 1 means one sigma of a nuisance."""
     size: float
-    """The step as bounds allow it, in typical sizes, or in units of the nuisance."""
+    """Step within the bounds, in typical sizes, or in the unit of the nuisance."""
     change: Array
-    """Of the features, (m,)."""
+    """Change of the features, shape (m,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Perturbation:
-    """A state beside nominal."""
+    """Effects of a step, and its size."""
 
     effects: tuple[Effect, ...]
     size: float
 
 
 def list_columns(simulator: ArmSimulator) -> list[JacobianColumn]:
-    """Every size parameter of every hypothesis in order, then the nuisances."""
+    """List every amplitude parameter of every hypothesis in order, then the nuisances."""
     sized = [
         JacobianColumn(k, at)
         for k, hypothesis in enumerate(simulator.hypotheses)
@@ -85,10 +85,13 @@ def list_columns(simulator: ArmSimulator) -> list[JacobianColumn]:
 
 
 def find_aliases(simulator: ArmSimulator, columns: Sequence[JacobianColumn]) -> dict[int, tuple[int, float]]:
-    """Nuisances that are a hypothesis or another nuisance as well: that one's column, and what 1 is of it.
+    """Find the nuisances that equal a hypothesis or another nuisance.
 
-    Not a hypothesis that is a factor: its steps are many sigmas of the nuisance, there it is no straight
-    line, and gaps change sides on the way.
+    A hypothesis that is a factor is excluded: its step is many sigmas of the nuisance, where the response is
+    not linear and backlash changes sides.
+
+    Returns:
+        For each alias its column, the equal column, and the typical size of that.
     """
     known: dict[str, tuple[int, float]] = {}
     found: dict[int, tuple[int, float]] = {}
@@ -108,10 +111,14 @@ def find_aliases(simulator: ArmSimulator, columns: Sequence[JacobianColumn]) -> 
 def find_shared_slopes(
     simulator: ArmSimulator, columns: Sequence[JacobianColumn]
 ) -> dict[int, tuple[int, float]]:
-    """Hypotheses that take their slope from a nuisance: its column, and how much of it a typical size is.
+    """Find the hypotheses that take their slope from a nuisance.
 
-    Where they are small they are the same thing. With slopes from different steps, the difference would look
-    like something that the nuisance cannot explain.
+    Small departures of both are the same effect. Slopes from different steps would differ, and the nuisance
+    could not explain the difference.
+
+    Returns:
+        For each such hypothesis its column, the nuisance's column, and its typical size in the nuisance's
+        unit.
     """
     same = find_aliases(simulator, columns)
     own = {
@@ -130,19 +137,19 @@ def find_shared_slopes(
 
 
 def count_sides(simulator: ArmSimulator, column: JacobianColumn) -> int:
-    """On how many sides of nominal there is something to simulate: one if bounds leave one."""
+    """Count the sides of nominal within the bounds."""
     return len(_perturb_both_sides(simulator, column, 1.0))
 
 
 def steps_to_rest(simulator: ArmSimulator, column: JacobianColumn) -> bool:
-    """Whether the arm is stepped to its rests, too."""
+    """Check that the effect needs a dynamic simulation up to the rests."""
     return any(isinstance(effect, STEPPED_EFFECTS) for effect in _typical_step(simulator, column).effects)
 
 
 def group_columns(
     simulator: ArmSimulator, columns: Sequence[JacobianColumn], wanted: Sequence[int]
 ) -> list[tuple[int, ...]]:
-    """Which of the columns that are wanted are simulated at once, what takes long first."""
+    """Group columns that are simulated at once; slow groups come first."""
     groups: dict[Hashable, list[int]] = {}
     for k in wanted:
         groups.setdefault(_group_key(simulator, columns[k]) or k, []).append(k)
@@ -151,7 +158,7 @@ def group_columns(
 
 
 def _group_key(simulator: ArmSimulator, column: JacobianColumn) -> tuple[str, int | None] | None:
-    """What it is, wherever it is; None if it does not stay in a joint, or the arm is stepped to its rests."""
+    """Return kind and parameter of an effect at a joint; None if it must be simulated alone."""
     whole = _typical_step(simulator, column)
     if steps_to_rest(simulator, column) or _joint_name(whole) is None:
         return None
@@ -159,7 +166,7 @@ def _group_key(simulator: ArmSimulator, column: JacobianColumn) -> tuple[str, in
 
 
 def step_size(simulator: ArmSimulator, column: JacobianColumn, share: float) -> float:
-    """What a share of a typical size is within bounds, upwards if there is room."""
+    """Return the step within the bounds for a share of the typical size, upwards if there is room."""
     return _perturb_both_sides(simulator, column, share)[0].size
 
 
@@ -170,9 +177,17 @@ def simulate_side(
     number: int,
     shares: Sequence[float],
 ) -> list[OneSidedStep]:
-    """The changes on one side of columns that are simulated at once, each by a share of a typical size.
+    """Simulate one side of columns that are simulated at once. Repeats of a motion are not simulated.
 
-    Of repeats only the first is simulated: the others were given the same drive.
+    Args:
+        simulator: Simulator of the arm.
+        columns: Columns of one group.
+        nominal: Prediction without effects in the units of the channels, shape (m,).
+        number: 0 for the first side, 1 for the second.
+        shares: Step of each column as a share of its typical size.
+
+    Returns:
+        Step of each column.
     """
     ends = [
         _perturb_both_sides(simulator, column, by)[number] for column, by in zip(columns, shares, strict=True)
@@ -194,7 +209,7 @@ def _simulate_alone(
 
 
 def _simulate_together(simulator: ArmSimulator, ends: Sequence[_Perturbation], nominal: Array) -> list[Array]:
-    """Motions simulated once, with all effects, and each joint's own of it; rests one by one."""
+    """Simulate motions once with all effects and rests for each effect; select each joint's features."""
     every = tuple(effect for end in ends for effect in end.effects)
     moved = simulate_change(simulator, every, nominal)
     moving = np.arange(moved.size) < sum(len(one.features) for one in simulator.feature_set.motions)
@@ -206,32 +221,32 @@ def _simulate_together(simulator: ArmSimulator, ends: Sequence[_Perturbation], n
 
 
 def _features_at(simulator: ArmSimulator, name: str | None) -> Flags:
-    """Features at a place, (m,)."""
+    """Return flags of the features at a place, (m,)."""
     return np.array([place == name for place in simulator.layout.places])[simulator.layout.place]
 
 
 def _joint_name(end: _Perturbation) -> str | None:
-    """The joint that it sits at, by name; None if it sits elsewhere."""
+    """Return the name of the effect's joint; None if it has none."""
     (effect,) = end.effects
     joint = getattr(effect, "joint", None)
     return None if joint is None else Joint(joint).name.lower()
 
 
 def _typical_step(simulator: ArmSimulator, column: JacobianColumn) -> _Perturbation:
-    """A typical size, upwards if there is room."""
+    """Return a step of the typical size, upwards if there is room."""
     return _perturb_both_sides(simulator, column, 1.0)[0]
 
 
 def _perturb_both_sides(
     simulator: ArmSimulator, column: JacobianColumn, share: float
 ) -> tuple[_Perturbation, ...]:
-    """Up and down, where bounds allow it."""
+    """Return steps up and down, within the bounds."""
     found = (_perturb(simulator, column, sign * share) for sign in (1.0, -1.0))
     return tuple(end for end in found if end is not None)
 
 
 def _perturb(simulator: ArmSimulator, column: JacobianColumn, share: float) -> _Perturbation | None:
-    """None where there is nothing on that side."""
+    """Return the step of a share of the typical size; None if the bounds leave no room."""
     zero = np.zeros(len(simulator.nuisances))
     if column.hypothesis is None:
         one = simulator.nuisance_effects[column.index]

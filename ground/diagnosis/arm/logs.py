@@ -1,4 +1,4 @@
-"""What the diagnosis takes from a log: the drive, the sensors at the same ticks, where it began, and how."""
+"""Recordings for a diagnosis: drive and sensors of the same ticks, start state, world and tracker poses."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
@@ -26,12 +26,12 @@ COUNTS: Final = "setpoint_count"
 
 
 class NotForDiagnosis(ValueError):
-    """A log that cannot be compared with the simulator; the message says what it lacks."""
+    """Log that cannot be compared with the simulator; the message says what it lacks."""
 
 
 @dataclass(frozen=True, slots=True)
 class _SessionHeader:
-    """What a log's header says of its session, if anything."""
+    """Description of the session in the header of a log; None where it is silent."""
 
     name: str | None = None
     block: str | None = None
@@ -44,7 +44,7 @@ _SESSION_ADAPTER: Final = TypeAdapter(_SessionHeader)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """A session as it was recorded, n ticks from 0 on; arrays by field, ticks first."""
+    """Recorded session of n ticks; arrays by field, ticks first."""
 
     name: str
     block: str
@@ -55,40 +55,41 @@ class Recording:
     rad_per_count: Array
     drive: Mapping[str, NDArray[Any]]
     drives: tuple[ActuatorCommand, ...]
-    """The same tick by tick; what does not change is the same array, as flight software hands it on."""
+    """Drive as one command for each tick; unchanged values share one array, as flight software shares
+    them."""
     sensors: Mapping[str, NDArray[Any]]
     tracker_poses: TrackerPoses
     notes: tuple[str, ...] = ()
-    """What its log has lost."""
+    """Notes on lost messages of the log."""
 
     @property
     def ticks(self) -> int:
-        """How many."""
+        """Number of ticks."""
         return len(self.drive[COUNTS])
 
     def motor_rad(self) -> Array:
-        """By encoders, (5, n)."""
+        """Return the motor angles by encoders, shape (5, n)."""
         rad: Array = self.sensors["encoder_count"].T * self.rad_per_count[:, None]
         return rad + self.start.zero_rad[:, None]
 
     def setpoint_rad(self) -> Array:
-        """(5, n)."""
+        """Return the set-points, shape (5, n)."""
         rad: Array = self.drive[COUNTS].T * self.rad_per_count[:, None]
         return rad + self.start.zero_rad[:, None]
 
 
 def load_recording(path: Path) -> Recording:
-    """A log read back, ours or an imported one.
+    """Load a log of this project, or an imported one.
 
     Raises:
-        NotForDiagnosis: something without which nothing can be compared is not there.
+        NotForDiagnosis: The log lacks data that a comparison needs.
     """
     try:
         log = read_log(path)
         inputs = inputs_from_log(log)
         tracker = path.with_suffix(".tracker.csv")
         tracked = read_tracker_poses(tracker) if tracker.exists() else no_tracker_poses()
-        said = _read_session(log.header.get(SESSION, "{}"), path)
+        session = _read_session(log.header.get(SESSION, "{}"), path)
     except (LogError, NotReplayable, ValueError) as error:
         raise NotForDiagnosis(str(error)) from error
     if inputs.reference is None:
@@ -102,7 +103,7 @@ def load_recording(path: Path) -> Recording:
     joints = inputs.params.joints.in_order()
     rad_per_count = np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in joints])
     reference: Reference = inputs.reference
-    world = said.world or world_from_imu(inputs.sensors["gravity_R_m_s2"].mean(axis=0), path)
+    world = session.world or world_from_imu(inputs.sensors["gravity_R_m_s2"].mean(axis=0), path)
     start = RecordedStart(
         world,
         sensors["encoder_count"][0] * rad_per_count + reference.zero_rad,
@@ -110,12 +111,12 @@ def load_recording(path: Path) -> Recording:
         np.array([j.hardstop_rad for j in joints]),
     )
     warm_C = float(np.mean(sensors["winding_C"][0]))
-    name = said.name or path.stem
+    name = session.name or path.stem
     return Recording(
         name=name,
-        block=said.block or name,
+        block=session.block or name,
         world=world,
-        temperature_C=warm_C if said.temperature_C is None else said.temperature_C,
+        temperature_C=warm_C if session.temperature_C is None else session.temperature_C,
         params=inputs.params,
         start=start,
         rad_per_count=rad_per_count,
@@ -130,25 +131,32 @@ def load_recording(path: Path) -> Recording:
 def _read_session(text: str, path: Path) -> _SessionHeader:
     where = f"log {path}: {SESSION} in its header"
     try:
-        said = _SESSION_ADAPTER.validate_json(text)
+        session = _SESSION_ADAPTER.validate_json(text)
     except ValidationError as error:
         raise NotForDiagnosis(f"{where}: {error.errors()[0]['msg']}") from error
-    if said.temperature_C is not None and not np.isfinite(said.temperature_C):
-        raise NotForDiagnosis(f"{where}: temperature_C is {said.temperature_C}; it must be finite")
-    world = said.world or World()
+    if session.temperature_C is not None and not np.isfinite(session.temperature_C):
+        raise NotForDiagnosis(f"{where}: temperature_C is {session.temperature_C}; it must be finite")
+    world = session.world or World()
     most = float(np.max(np.abs([world.tilt_roll_rad, world.tilt_pitch_rad])))
     if not most <= MAX_TILT_RAD:
         raise NotForDiagnosis(
             f"{where}: tilts the rover by {most:.3g} rad; at most {MAX_TILT_RAD:.3g} is right"
         )
-    return said
+    return session
 
 
 def world_from_imu(gravity_R_m_s2: Array, path: Path) -> World:
-    """The world as an IMU's mean reading (3,) tells it, for logs that do not say: scene and tilt, no rock.
+    """Derive the world from gravity, for logs without a description: scene and tilt, no rock.
+
+    Args:
+        gravity_R_m_s2: Mean reading of the IMU in the rover frame, shape (3,).
+        path: Log, for the error.
+
+    Returns:
+        World with the scene of the nearest gravity.
 
     Raises:
-        NotForDiagnosis: it reads nothing.
+        NotForDiagnosis: The IMU reads no gravity.
     """
     strength = float(np.linalg.norm(gravity_R_m_s2))
     if not 0.0 < strength < np.inf:
@@ -170,7 +178,7 @@ def _split_drive(drive: Mapping[str, NDArray[Any]]) -> Iterator[ActuatorCommand]
 
 
 def _changes(values: NDArray[Any]) -> list[bool]:
-    """In which ticks there is something else than before; in the first there is."""
+    """Return for every tick whether a value changed; True for the first."""
     other = (values[1:] != values[:-1]).any(axis=tuple(range(1, values.ndim)))
     return [True, *other.tolist()]
 

@@ -1,4 +1,4 @@
-"""The repeatability floor of a campaign's features: from repeats, or what it is assumed to be."""
+"""Noise floor of a campaign's features: estimated from repeats, else assumed from sensor noise."""
 
 from dataclasses import dataclass
 
@@ -9,22 +9,22 @@ from ground.diagnosis.arm.feature_set import FeatureSet, measure_features
 from ground.diagnosis.arm.features import CHANNELS, assumed_sigma
 
 MIN_PAIRS = 8
-"""Pairs of a channel that tell its floor."""
+"""Least number of pairs of repeats that estimate the noise floor of a channel."""
 
 DOUBT_SIGMAS = 3.0
-"""Sigmas from which on doubt about a feature is counted."""
+"""Doubt above this many sigmas of the noise is added to the noise floor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseFloor:
-    """One sigma of every feature between repeats, (m,), and where it comes from."""
+    """Standard deviation of every feature between repeats, shape (m,), and notes on its origin."""
 
     sigma: Array
     notes: tuple[str, ...]
 
 
 def estimate_floor(feature_set: FeatureSet) -> NoiseFloor:
-    """Channel by channel what repeats differ by, over what was assumed; never below that."""
+    """Estimate the noise floor by channel from repeats; it is never below the assumed sensor noise."""
     features, values = feature_set.features, measure_features(feature_set)
     sigma = np.array([assumed_sigma(feature) for feature in features])
     sigma = np.where(np.isfinite(tracker := _tracker_sigma(feature_set)), tracker, sigma)
@@ -58,7 +58,7 @@ def estimate_floor(feature_set: FeatureSet) -> NoiseFloor:
 
 
 def _tracker_sigma(feature_set: FeatureSet) -> Array:
-    """What the tracker's own fits say of its poses; NaN elsewhere."""
+    """Return the standard deviations of tracker poses by the tracker; NaN elsewhere."""
     found = [np.full(len(one.features), np.nan) for one in feature_set.motions]
     for posed in feature_set.rests:
         seen = [k for _, k in posed.tracked_rests]

@@ -1,7 +1,8 @@
-"""Where a case's nuisances are: the simulator asked about them until they stay.
+"""Nuisance fit of a case: resimulation at the estimated nuisances until they converge.
 
-They may be large, and are no straight lines: what they bend looks like effects. Where they are depends on
-what they are fitted beside, so that what wins may have to fight for it once more.
+Nuisance parameters can be large and act nonlinearly, so linearisation error can look like an effect. Their
+estimate depends on the effects that are fitted beside them. So the best model and its runner-up each get
+their own nuisances, and both are compared by simulation.
 """
 
 from collections.abc import Callable
@@ -25,38 +26,47 @@ from sim.effects.effect import Effect
 from sim.plant import PlantDiverged
 
 MIN_CHANGE_SIGMAS: Final = 0.25
-"""Sigmas by which a nuisance must have moved for the simulator to be asked again."""
+"""Sigmas by which a nuisance must change for a resimulation."""
 MAX_SIGMAS: Final = 10.0
-"""Sigmas up to which it is asked: what an effect makes of a nuisance that is like it may be no arm at all."""
+"""Greatest simulated departure: an effect can push a similar nuisance beyond any real arm."""
 MAX_UPDATES: Final = 3
+"""Greatest number of resimulations."""
 RUNNER_UP_SHARE: Final = 0.2
-"""Of the surprise, the share by which a rival may fall short before it has nuisances of its own."""
+"""A runner-up is simulated if its -log10 p falls short by at most this share."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NuisanceFit:
-    """The simulator asked about some nuisances, and what explains the case in straight lines from there."""
+    """Case simulated at estimated nuisances, and the effects selected there."""
 
     simulator: CaseSimulator
     nuisance: Array
-    """(q,)."""
+    """Nuisances of the simulation in their units, shape (q,)."""
     residual: Array
-    """Measured less simulated with nuisances at 0, in straight lines from where they are, (m,)."""
+    """Measured minus simulated, extrapolated linearly to nuisances at 0, shape (m,)."""
     rhs: RightHandSide
     selection: Selection
     null_deviance: float
-    """Deviance that nuisances alone leave."""
+    """Deviance with nuisances alone."""
     cost: float
-    """Deviance that is left beside what won, and what as many effects without a cause would explain."""
+    """Deviance beside the selected effects, plus the threshold for as many parameters."""
     comparison: ModelComparison | None = None
-    """Between what won and what explains it nearly as well."""
+    """Comparison of the selected effects and the runner-up, if it was simulated."""
 
 
 def fit_nuisances(model: DiagnosisModel, first: CaseSimulator, patch: tuple[Effect, ...]) -> NuisanceFit:
-    """The nuisances settled alone, and if there is an effect all the same, beside it.
+    """Fit the nuisances alone, and if an effect remains, beside the effect.
 
-    Alone they would take the place of an effect that they are like. That they bend may still be the simpler
-    explanation.
+    Fitted beside an effect, nuisances give way to it; fitted alone, they can imitate it. The nonlinear
+    response of nuisances alone can still be the simpler explanation, so the lower cost wins.
+
+    Args:
+        model: Diagnosis model of the campaign.
+        first: Simulator at nominal nuisances.
+        patch: Effects that are switched on in the simulator.
+
+    Returns:
+        Best fit, with the comparison to its runner-up.
     """
     first_look = _select_from(model, first, np.zeros(len(first.nuisances)))
     alone = _iterate(model, first_look, patch, lambda _: ())
@@ -72,43 +82,58 @@ def fit_nuisances(model: DiagnosisModel, first: CaseSimulator, patch: tuple[Effe
 def _compare_runner_up(
     model: DiagnosisModel, alone: NuisanceFit, beside: NuisanceFit, patch: tuple[Effect, ...]
 ) -> NuisanceFit:
-    """What won or what comes nearest to it, each beside nuisances of its own: the more surprising one."""
-    rival = _find_runner_up(model, alone, beside.selection.chosen)
-    if not rival:
+    """Compare the selected effects with the runner-up, each with its own nuisances; return the better fit."""
+    runner_up = _find_runner_up(model, alone, beside.selection.chosen)
+    if not runner_up:
         return beside
     try:
-        return _compare_by_simulation(model, alone, beside, rival, patch)
+        return _compare_by_simulation(model, alone, beside, runner_up, patch)
     except PlantDiverged:  # there is no such arm, so it explains nothing
         return beside
 
 
 def _compare_by_simulation(
-    model: DiagnosisModel, alone: NuisanceFit, beside: NuisanceFit, rival: Subset, patch: tuple[Effect, ...]
+    model: DiagnosisModel,
+    alone: NuisanceFit,
+    beside: NuisanceFit,
+    runner_up: Subset,
+    patch: tuple[Effect, ...],
 ) -> NuisanceFit:
-    there = _iterate(model, alone, patch, lambda _: rival)
-    if not there.selection.chosen:  # where the rival would be, nothing may be the simpler explanation
-        return there if there.null_deviance < beside.cost else beside
+    runner_up_fit = _iterate(model, alone, patch, lambda _: runner_up)
+    if not runner_up_fit.selection.chosen:  # where the rival would be, nothing may be the simpler explanation
+        return runner_up_fit if runner_up_fit.null_deviance < beside.cost else beside
     chosen = beside.selection.chosen
     current = _iterate(model, beside, patch, lambda _: chosen)
-    ours, mine = _fit_simulated(model, current, chosen, alone.null_deviance)
-    theirs, other = _fit_simulated(model, there, rival, alone.null_deviance)
-    if other > mine:
+    simulated, significance = _fit_simulated(model, current, chosen, alone.null_deviance)
+    runner_up_simulated, runner_up_significance = _fit_simulated(
+        model, runner_up_fit, runner_up, alone.null_deviance
+    )
+    if runner_up_significance > significance:
         return replace(
-            there, comparison=ModelComparison(rival, theirs, chosen, deviance_difference(other - mine))
+            runner_up_fit,
+            comparison=ModelComparison(
+                runner_up,
+                runner_up_simulated,
+                chosen,
+                deviance_difference(runner_up_significance - significance),
+            ),
         )
-    if not np.isfinite(mine):
+    if not np.isfinite(significance):
         return beside
     return replace(
-        current, comparison=ModelComparison(chosen, ours, rival, deviance_difference(mine - other))
+        current,
+        comparison=ModelComparison(
+            chosen, simulated, runner_up, deviance_difference(significance - runner_up_significance)
+        ),
     )
 
 
 def _fit_simulated(
     model: DiagnosisModel, current: NuisanceFit, chosen: Subset, before: float
 ) -> tuple[NonlinearFit, float]:
-    """Some effects with the simulator, where nuisances are, and the surprise of what they explain.
+    """Fit some effects with the simulator; return the fit, and -log10 p of what it explains of `before`.
 
-    Of a deviance `before`. What is at a bound is no finding, and surprises nobody: -inf.
+    Returns -inf for an effect at a bound, which is not accepted.
     """
     fit = fit_subset(model, model.equations.whiten(current.residual), current.rhs, chosen, current.simulator)
     if any(fit.at_bound):
@@ -118,14 +143,17 @@ def _fit_simulated(
 
 
 def _find_runner_up(model: DiagnosisModel, alone: NuisanceFit, chosen: Subset) -> Subset:
-    """The best with another class in place of one of them, where nuisances favour neither; or nothing."""
+    """Return the best set with one hypothesis of another class, or () if it is far behind.
+
+    The nuisances are those fitted alone, so that they favour neither set.
+    """
     candidates, found = model.candidates, dict[Subset, float]()
     for index, one in enumerate(chosen):
         others = (*chosen[:index], *chosen[index + 1 :])
         order, _ = rank_additions(candidates, alone.rhs, others)
-        rival = next((h for h in order if candidates.label[h] != candidates.label[one]), None)
-        if rival is not None:
-            instead = (*chosen[:index], rival, *chosen[index + 1 :])
+        runner_up = next((h for h in order if candidates.label[h] != candidates.label[one]), None)
+        if runner_up is not None:
+            instead = (*chosen[:index], runner_up, *chosen[index + 1 :])
             found[instead] = subset_neg_log10_p(candidates, alone.rhs, instead)
     best = max(found, key=found.__getitem__, default=())
     return (
@@ -141,20 +169,20 @@ def _iterate(
     patch: tuple[Effect, ...],
     beside: Callable[[NuisanceFit], Subset],
 ) -> NuisanceFit:
-    """Until nuisances stay where they are beside some effects, or leave no effect to be found."""
+    """Resimulate until the nuisances beside some effects converge, or no effect is left."""
     current = start
     least = MIN_CHANGE_SIGMAS * np.array([nuisance.sigma for nuisance in model.sensitivities.nuisances])
-    for asked_before in range(MAX_UPDATES):
-        if asked_before and not current.selection.chosen:
+    for update in range(MAX_UPDATES):
+        if update and not current.selection.chosen:
             break
-        arm, there = current.simulator.arm, _estimate_nuisances(model, current, beside(current))
-        by = there - current.nuisance
-        moved = arm.effects({}, np.where(np.abs(by) > least, by, 0.0))
+        arm, estimated = current.simulator.arm, _estimate_nuisances(model, current, beside(current))
+        difference = estimated - current.nuisance
+        moved = arm.effects({}, np.where(np.abs(difference) > least, difference, 0.0))
         if not moved:
             break
-        near, otherwise = (*patch, *arm.effects({}, there)), model.sensitivities.nuisance @ by
+        near, otherwise = (*patch, *arm.effects({}, estimated)), model.sensitivities.nuisance @ difference
         current = _select_from(
-            model, resimulate(current.simulator, near, AffectedMotions(tuple(moved)), otherwise), there
+            model, resimulate(current.simulator, near, AffectedMotions(tuple(moved)), otherwise), estimated
         )
     return current
 
@@ -178,9 +206,9 @@ def _select_from(model: DiagnosisModel, simulator: CaseSimulator, nuisance: Arra
 
 
 def _estimate_nuisances(model: DiagnosisModel, current: NuisanceFit, beside: Subset) -> Array:
-    """As they are beside some effects, (q,), within what can be asked.
+    """Estimate the nuisances beside some effects, (q,), limited to MAX_SIGMAS.
 
-    Those that are drawn in every block, and those that cannot be had in parts, stay 0.
+    Random and one-sided nuisances stay 0.
     """
     equations = model.equations
     fit = fit_linear(equations, current.rhs, equations.columns(beside))

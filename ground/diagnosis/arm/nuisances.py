@@ -1,4 +1,4 @@
-"""What may differ without being the cause: what a calibration leaves, and what is another every day."""
+"""Nuisance parameters of the arm: errors left by a calibration, and friction that varies from day to day."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -33,34 +33,34 @@ NUMERICS: Final = {
     "scheme": Numerics("explicit", 6),
     "scheme and time step": Numerics("explicit", 8),
 }
-"""Other ways to compute the plant; the explicit one diverges in steps that are not much finer."""
+"""Other numerics of the plant; the explicit scheme diverges in steps that are not much finer."""
 FRICTION_STEP_LN: Final = 2.0 * DAILY_FRICTION_SIGMA
-"""How a plant is computed tells more where friction is more: asked so far to both sides, ln."""
+"""Change of friction, as a logarithm to both sides, at which other numerics are compared again."""
 COUNT_RAD: Final = 3.3e-6
-"""A count of an encoder: where in it a set-point falls is chance, the same all along."""
+"""Encoder count: the position of a set-point within a count is random but constant."""
 NUMERICS_SIGMA: Final = 2.0
-"""One sigma of what the plant's own numerics are off by, in differences to half the time step."""
+"""Prior sigma of numerical errors, in differences to half the time step."""
 
 
 @dataclass(frozen=True, slots=True)
 class NuisanceEffect:
-    """A number that the calibration leaves uncertain, and the effect that it is."""
+    """Nuisance parameter, and the effect that it switches on."""
 
     nuisance: Nuisance
     effect: Callable[[float], Effect]
-    """With this departure."""
+    """Effect for a departure."""
     same_as: str
-    """What it is as well where it is small: a hypothesis, as told, or another of these."""
+    """Name of the hypothesis or nuisance that equals it for small departures."""
     one_sided: bool = False
-    """Whether it departs to positive numbers only."""
+    """One-sided nuisance: it departs only to positive values."""
     only_place: str = ""
-    """Where alone it shows, if not everywhere."""
+    """Place of the only features that it influences; empty for all."""
     baseline: tuple[Effect, ...] = ()
-    """If there are any: only what it is more with these than without."""
+    """Effects that stay on; the column is the additional change beside them."""
 
 
 def list_nuisance_effects() -> Iterator[NuisanceEffect]:
-    """What a calibration leaves (sim.arms), and what friction is on another day."""
+    """Yield calibration errors (sim.arms), friction of the day, and numerics of the plant."""
     yield from _frame_nuisances()
     for joint in Joint:
         yield _joint_nuisance(joint, "zero", "rad", CALIBRATED_ZERO_SIGMA_RAD, HardstopAngle)
@@ -80,7 +80,7 @@ def list_nuisance_effects() -> Iterator[NuisanceEffect]:
 
 
 def _frame_nuisances() -> Iterator[NuisanceEffect]:
-    """Turns and shifts of frames, the last of them with every tool."""
+    """Yield rotations and shifts of frames; the last frame has those of every tool."""
     inner: list[tuple[Frame, Tool | None]] = [(f, None) for f in Frame if f is not Frame.TOOL]
     for frame, tool in (*inner, *((Frame.TOOL, tool) for tool in Tool)):
         for axis in IDENTIFIABLE_AXES[frame]:
@@ -95,11 +95,11 @@ def _frame_nuisances() -> Iterator[NuisanceEffect]:
 
 
 _TURN_SHIFT: Final = ({"rad": "link-angle", "m": "link-length"}, {"rad": "tool-turn", "m": "tool-offset"})
-"""Of frames, and of tools."""
+"""Effects of rotation and shift, of frames and of tools."""
 
 
 def _session_nuisances() -> Iterator[NuisanceEffect]:
-    """What differs a little from session to session: nobody sets out the same twice."""
+    """Yield small variations between sessions."""
     for joint in Joint:
         yield _joint_nuisance(joint, "friction", LOG_UNIT, 0.01, GearFriction, random_per_block=True)
         yield _joint_nuisance(joint, "gear stiffness", LOG_UNIT, 0.02, GearStiffness, random_per_block=True)
@@ -110,7 +110,7 @@ def _session_nuisances() -> Iterator[NuisanceEffect]:
 def _numerics_nuisance(
     word: str, numerics: Numerics, name: str, beside: tuple[Effect, ...] = ()
 ) -> NuisanceEffect:
-    """The plant of one joint computed otherwise: the whole difference, for it cannot be had in parts."""
+    """Return other numerics at one joint, on or off."""
     nuisance = Nuisance(f"{word} {name}", "1", NUMERICS_SIGMA)
     return NuisanceEffect(
         nuisance, lambda _: numerics, word, one_sided=True, only_place=name, baseline=beside
@@ -125,12 +125,12 @@ def _joint_nuisance(
     kind: Any,
     random_per_block: bool = False,
 ) -> NuisanceEffect:
-    """An effect of one number at a joint or a frame; of a factor, its logarithm."""
+    """Return an effect of one parameter at a joint or frame; a factor is given by its logarithm."""
     name = place.name.lower()
-    said = f"{word} {name} of a session" if random_per_block else f"{word} {name}"
+    full_name = f"{word} {name} of a session" if random_per_block else f"{word} {name}"
     effect = partial(_scaled_effect, kind, place) if unit == LOG_UNIT else partial(kind, place)
     return NuisanceEffect(
-        Nuisance(said, unit, sigma, random_per_block), effect, f"{effect_name(kind)} at {name}"
+        Nuisance(full_name, unit, sigma, random_per_block), effect, f"{effect_name(kind)} at {name}"
     )
 
 

@@ -1,4 +1,4 @@
-"""The plant stepped under a recorded drive: what its sensors read, and where the turret was."""
+"""Open-loop simulation of a recording: sensor readings and turret poses under the recorded drive."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -22,11 +22,11 @@ SENSOR_FIELDS: Final = tuple(Sensors.__dataclass_fields__)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenLoopRun:
-    """What a stepped plant shows of one recording."""
+    """Result of an open-loop simulation."""
 
     readings: tuple[Sensors, ...]
     X_RF: Mapping[int, Pose]
-    """The turret's interface in RMECH after some numbers of cycles."""
+    """Pose of the turret interface in RMECH after the given numbers of cycles."""
 
 
 def simulate_open_loop(
@@ -35,7 +35,13 @@ def simulate_open_loop(
     options: SimulationOptions = NOISE_FREE,
     pose_ticks: frozenset[int] = frozenset(),
 ) -> OpenLoopRun:
-    """An arm with these effects, looked at after so many cycles.
+    """Simulate an arm with these effects under the recorded drive.
+
+    Args:
+        recording: Recorded session.
+        effects: Effects that are switched on.
+        options: Simulation options.
+        pose_ticks: Numbers of cycles after which the turret pose is taken.
 
     Raises:
         PlantDiverged: MuJoCo counted a warning.
@@ -59,18 +65,18 @@ def simulate_open_loop_cached(
     options: SimulationOptions,
     pose_ticks: frozenset[int] = frozenset(),
 ) -> OpenLoopRun:
-    """The same, kept for who asks again: about effects on readings alone, or about an arm without any."""
+    """Simulate as `simulate_open_loop`, and cache runs that several effects share."""
     return simulate_open_loop(recording, effects, options, pose_ticks)
 
 
 def order_effects(recording: Recording, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """What the arm is made of, what is around it, and what came later: the cold changes friction there is."""
+    """Order effects: built-in ones, ambient, those of the run; cold changes the friction of the first."""
     built = (effect for effect in effects if effect.built_in)
     return (*built, Ambient(recording.temperature_C), *effects_of_run(effects))
 
 
 def stack_readings(readings: Sequence[Sensors]) -> SensorColumns:
-    """Readings by field, ticks first."""
+    """Stack readings by field, ticks first."""
     return {name: np.array([getattr(one, name) for one in readings]) for name in SENSOR_FIELDS}
 
 

@@ -1,4 +1,4 @@
-"""The files that a diagnosis may leave."""
+"""Output files of a diagnosis: report page, patch of effects, and new flight parameters."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,31 +20,37 @@ from sim.scenario.effects import effect_text
 
 
 class NothingToWrite(Exception):
-    """There is nothing that such a file could say; the message says why."""
+    """No content for a file; the message says why."""
 
 
 def effects_of_findings(
     result: DiagnosisResult, kinds: Mapping[str, type[Effect]] | None = None
 ) -> tuple[Effect, ...]:
-    """The effects of a diagnosis, of the catalogue or of these, each of the size that was found.
+    """Return the effects of a diagnosis with their fitted values.
+
+    Args:
+        result: Diagnosis.
+        kinds: Classes of the candidate effects; None for the catalogue.
 
     Raises:
-        NothingToWrite: the verdict names none.
+        NothingToWrite: The verdict names no effect.
     """
-    said = result.diagnosis
-    if said.verdict in ("none", "unknown"):
-        raise NothingToWrite(f"the verdict is {said.verdict}, so there is no effect to switch on")
+    diagnosis = result.diagnosis
+    if diagnosis.verdict in ("none", "unknown"):
+        raise NothingToWrite(f"the verdict is {diagnosis.verdict}, so there is no effect to switch on")
     made = {to_hypothesis(one): one for one in list_candidates(kinds)}
-    named = [(result.model.sensitivities.hypotheses[one.hypothesis], one.values) for one in said.findings]
+    named = [
+        (result.model.sensitivities.hypotheses[one.hypothesis], one.values) for one in diagnosis.findings
+    ]
     return tuple(make_effect(made[hypothesis], hypothesis, values) for hypothesis, values in named)
 
 
 def save_patch(result: DiagnosisResult, path: Path) -> None:
-    """Write the file that switches on what was found, for --effect and for a scenario.
+    """Write the file that switches on the findings, for --effect and for a scenario.
 
     Raises:
-        NothingToWrite: the verdict names no effect.
-        BadOutput: the file cannot be written.
+        NothingToWrite: The verdict names no effect.
+        BadOutput: The file cannot be written.
     """
     effects = effects_of_findings(result)
     with atomic_write(path, "patch") as file:
@@ -52,10 +58,10 @@ def save_patch(result: DiagnosisResult, path: Path) -> None:
 
 
 def new_params(base: Params, effects: tuple[Effect, ...]) -> Params:
-    """Flight parameters that know what was found, as far as they have a word for it.
+    """Return flight parameters that include the effects, as far as there are parameters for them.
 
     Raises:
-        NothingToWrite: they have none for any of it, or flight software would not take them.
+        NothingToWrite: There is no parameter for any effect, or flight software refuses the values.
     """
     params = base
     for effect in effects:
@@ -71,26 +77,28 @@ def new_params(base: Params, effects: tuple[Effect, ...]) -> Params:
 
 
 def save_new_params(result: DiagnosisResult, base: Params, path: Path) -> None:
-    """Write the parameter file for --params: all that is not nominal in `base` and in what was found.
+    """Write the parameter file for --params: all values of `base` and the findings that are not nominal.
 
     Raises:
-        NothingToWrite: there are no new parameters.
-        BadOutput: the file cannot be written.
+        NothingToWrite: There are no new parameters.
+        BadOutput: The file cannot be written.
     """
     effects = effects_of_findings(result)
     params = new_params(base, effects)
-    silent = [effect_name(type(effect)) for effect in effects if not has_flight_parameter(type(effect))]
-    said = [
+    without_parameter = [
+        effect_name(type(effect)) for effect in effects if not has_flight_parameter(type(effect))
+    ]
+    comments = [
         "Flight parameters that know what a diagnosis found; those that are not here are nominal.",
         *(f"Effect: {effect_text(effect)}" for effect in effects),
-        *(f"They have no word for {name}." for name in silent),
+        *(f"They have no word for {name}." for name in without_parameter),
     ]
     with atomic_write(path, "new-params") as file:
-        file.write(params_toml(nominal_params(), params, said).encode())
+        file.write(params_toml(nominal_params(), params, comments).encode())
 
 
 def _patch_comments(result: DiagnosisResult) -> list[str]:
-    """What was found and what it was not told from, a sentence a line."""
+    """Return comment lines: the findings, their confusable effects and their alternatives."""
     names = [hypothesis.name for hypothesis in result.model.sensitivities.hypotheses]
     lines = ["What a diagnosis found; switch it on with --effect and the name of this file."]
     for finding in result.diagnosis.findings:
@@ -104,7 +112,7 @@ def _patch_comments(result: DiagnosisResult) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class DiagnosisFiles:
-    """Where they go; None for none."""
+    """Paths of the output files; None for a file that is not wanted."""
 
     report: Path | None = None
     patch: Path | None = None
@@ -112,7 +120,11 @@ class DiagnosisFiles:
 
 
 def check_diagnosis_files(files: DiagnosisFiles, params: Path | None, effects: Sequence[str] = ()) -> None:
-    """Refuse, before anything is done, what could not be written or is read."""
+    """Refuse, before any computation, paths that cannot be written or that are also read.
+
+    Raises:
+        BadRequest: The message names the path.
+    """
     read = {f"effect {text}": Path(text) for text in effects if text.endswith(".toml")}
     check_distinct_files(
         {
@@ -138,10 +150,10 @@ def check_diagnosis_files(files: DiagnosisFiles, params: Path | None, effects: S
 def save_diagnosis_files(
     result: DiagnosisResult, request: DiagnoseRequest, files: DiagnosisFiles
 ) -> tuple[str, ...]:
-    """Write them; sentences about those that have nothing to say.
+    """Write the files; return sentences about those without content.
 
     Raises:
-        BadRequest: a file cannot be written.
+        BadRequest: A file cannot be written.
     """
     savers: tuple[tuple[str, Path | None, Callable[[Path], None]], ...] = (
         ("report", files.report, lambda path: save_diagnosis_page(result, path)),

@@ -1,4 +1,4 @@
-"""A campaign recorded for a diagnosis, of any arm that can be simulated."""
+"""Recording of a diagnosis campaign with a simulated arm: logs and tracker poses."""
 
 import json
 import os
@@ -44,10 +44,19 @@ def record_campaign(
     progress: Progress,
     effects: tuple[Effect, ...] = (),
 ) -> list[Path]:
-    """A log of each session, without the truth: nothing in it says what the plant was made of.
+    """Record a log of each session, without the state of the plant.
+
+    Args:
+        folder: Folder of the logs.
+        sessions: Sessions of the campaign.
+        arm: Simulated arm.
+        reference: Joint zeros that flight software starts with.
+        seed: Seed of the sensor noise.
+        progress: Called with done, total and session.
+        effects: Effects that begin with the run.
 
     Raises:
-        SessionFailed: a motion did not come to its end.
+        SessionFailed: A motion did not complete.
     """
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
@@ -75,7 +84,7 @@ def _record_session(path: Path, session: DiagnosisSession, loop: ClosedLoop, see
 
 
 def session_json(session: DiagnosisSession) -> str:
-    """What those who did it know of a session, in JSON."""
+    """Return the description of a session for the header of its log."""
     known = {"name": session.name, "block": session.block, "temperature_C": session.temperature_C}
     return json.dumps({**known, "world": record_to_json(session.world)})
 
@@ -83,7 +92,7 @@ def session_json(session: DiagnosisSession) -> str:
 def _measure_turret(
     loop: ClosedLoop, session: DiagnosisSession, tick: int, rng: np.random.Generator
 ) -> list[tuple[int, Pose, Array]]:
-    """The turret as the tracker sees it at the start of the next cycle; nothing if it does not."""
+    """Measure the turret pose with the tracker; nothing if too few targets are visible."""
     loop.plant.truth()  # brings the kinematics up to date
     try:
         seen = measure_pose(
@@ -102,12 +111,12 @@ def _stack_poses(rows: list[tuple[int, Pose, Array]]) -> TrackerPoses:
 
 
 HELD_OUT_FOLDER: Final = "held-out"
-"""Folder, in that of the logs, of those on which a diagnosis is tried."""
+"""Name of the folder of held-out logs, inside the folder of logs."""
 
 
 @dataclass(frozen=True, slots=True)
 class RecordRequest:
-    """What is asked."""
+    """Request to record a campaign."""
 
     out: Path
     arm: str = "nominal"
@@ -117,10 +126,11 @@ class RecordRequest:
 
 
 def check_record_request(request: RecordRequest) -> None:
-    """Refuse what cannot be recorded, or not there; nothing is written.
+    """Refuse a request that cannot be carried out; write nothing.
 
     Raises:
-        BadRequest, BadOutput: the message says why.
+        BadRequest: Seed, effects, arm or folder are wrong.
+        BadOutput: The folder cannot be written.
     """
     check_seed(request.seed)
     parse_effects(request.effects)
@@ -131,10 +141,10 @@ def check_record_request(request: RecordRequest) -> None:
 
 
 def record_logs(request: RecordRequest, progress: Progress) -> list[Path]:
-    """Logs of all sessions, those held out in a folder of their own; all of them or none.
+    """Record all sessions, held-out ones in their own folder; write all logs or none.
 
     Raises:
-        BadRequest: the arm cannot carry out a session with these effects.
+        BadRequest: The arm cannot carry out a session with these effects.
     """
     effects = parse_effects(request.effects)
     arm = select_arm(request.arm, request.params).with_effects(effects)

@@ -1,7 +1,7 @@
-"""Where the arm rests by statics, with any effects: the turret's pose, and outputs against motors.
+"""Rest poses by static equilibrium with any effects: turret poses, and outputs relative to motors.
 
-Motors are where encoders say. Each output is dragged along in its gear from one knot of the motors' way
-to the next, as friction lets it (fsw.estimate.gear); nothing is stepped.
+Motors are at their encoder angles. Friction drags each output within its gear from one turning point of the
+motor to the next (fsw.estimate.gear). No dynamics are simulated, except for STEPPED_EFFECTS.
 """
 
 from collections.abc import Sequence
@@ -29,40 +29,39 @@ from sim.plant import Plant
 from sim.world import World, build
 
 MEAN_TICKS = CYCLE_HZ // 4
-"""Resolvers are averaged over the end of a rest."""
+"""Number of ticks at the end of a rest over which resolvers are averaged."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TurningPoints:
-    """Where motors turned or rested in one recording, k of them; those at rest are looked at."""
+    """Turning points and rests of the motors in one recording, k of them."""
 
     recording: Recording
     motor_rad: Array
-    """By encoders and believed zeros, (5, k)."""
+    """Motor angles by encoders and reference zeros, shape (5, k)."""
     tick: tuple[int, ...]
     rests: tuple[int, ...]
-    """Which knots are rests, ascending."""
+    """Indices of the rests among the turning points, ascending."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestPoses:
-    """What statics say of the rests of one recording, r of them."""
+    """Equilibria of the r rests of one recording."""
 
     resolver_rad: Array
-    """Resolvers less motor angles by encoders, (5, r)."""
+    """Resolvers minus motor angles by encoders, shape (5, r)."""
     X_RF: Pose
-    """The turret's interface in RMECH, batch (r,)."""
+    """Pose of the turret interface in RMECH, batch (r,)."""
 
 
 STEPPED_EFFECTS: Final = (GearHysteresis, Numerics)
-"""Effects that statics cannot have: friction within a gear takes its output along, and how a plant creeps
-hangs on how it is computed. The arm is stepped."""
+"""Effects that need dynamic simulation: hysteresis inside a gear, and numerics that influence creep."""
 NO_RESTS: Final = RestPoses(np.zeros((len(Joint), 0)), no_tracker_poses().X_RF)
-"""Of a recording in which the arm never rests."""
+"""Result for a recording without rests."""
 
 
 def find_turning_points(recording: Recording) -> TurningPoints:
-    """The rests, and where motions end and begin."""
+    """Find the rests, and the starts and ends of motions."""
     rests = find_rests(recording)
     turns = {tick for s in find_segments(recording) for tick in (s.first, s.end - 1)}
     ticks = sorted({*rests, *turns})
@@ -70,19 +69,26 @@ def find_turning_points(recording: Recording) -> TurningPoints:
     return TurningPoints(recording, motor, tuple(ticks), tuple(ticks.index(tick) for tick in rests))
 
 
-def read_resolvers(knots: TurningPoints) -> Array:
-    """The same of the sensors as they were recorded, (5, r)."""
-    recording = knots.recording
-    ends = [knots.tick[k] + 1 for k in knots.rests]
-    apart = recording.sensors["resolver_rad"].T - recording.motor_rad()
-    means = [apart[:, max(end - MEAN_TICKS, 0) : end].mean(axis=1) for end in ends]
+def read_resolvers(turning_points: TurningPoints) -> Array:
+    """Compute the recorded resolvers minus motor angles at the rests.
+
+    Args:
+        turning_points: Turning points of a recording with r rests.
+
+    Returns:
+        Differences in rad, shape (5, r).
+    """
+    recording = turning_points.recording
+    ends = [turning_points.tick[k] + 1 for k in turning_points.rests]
+    difference_rad = recording.sensors["resolver_rad"].T - recording.motor_rad()
+    means = [difference_rad[:, max(end - MEAN_TICKS, 0) : end].mean(axis=1) for end in ends]
     return np.stack(means, axis=-1) if means else NO_RESTS.resolver_rad
 
 
-def solve_rests(knots: Sequence[TurningPoints], effects: Sequence[Effect]) -> list[RestPoses]:
-    """The rests of each recording, of the arm of the drawing with these effects."""
+def solve_rests(turning_points: Sequence[TurningPoints], effects: Sequence[Effect]) -> list[RestPoses]:
+    """Solve the equilibria of each recording, for the nominal arm with these effects."""
     if any(isinstance(effect, STEPPED_EFFECTS) for effect in effects):
-        return [_simulate_rests(one, effects) if one.rests else NO_RESTS for one in knots]
+        return [_simulate_rests(one, effects) if one.rests else NO_RESTS for one in turning_points]
     hardware, params = nominal_hardware(), nominal_params()
     for effect in effects:
         before = hardware.counter_zero_rad
@@ -91,52 +97,56 @@ def solve_rests(knots: Sequence[TurningPoints], effects: Sequence[Effect]) -> li
             params = effect.on_params(params)
         # else flight software's word for the shifted zero is a turned link: one of both is enough
     config = configure(params)
-    return [_solve_statics(one, config, hardware, effects) if one.rests else NO_RESTS for one in knots]
+    return [
+        _solve_statics(one, config, hardware, effects) if one.rests else NO_RESTS for one in turning_points
+    ]
 
 
-def _simulate_rests(knots: TurningPoints, effects: Sequence[Effect]) -> RestPoses:
-    """Under the recorded drive, without noise."""
-    recording = knots.recording
-    ticks = [knots.tick[k] for k in knots.rests]
+def _simulate_rests(turning_points: TurningPoints, effects: Sequence[Effect]) -> RestPoses:
+    """Simulate the rests under the recorded drive, without noise."""
+    recording = turning_points.recording
+    ticks = [turning_points.tick[k] for k in turning_points.rests]
     found = simulate_open_loop(recording, effects, pose_ticks=frozenset(ticks))
-    apart = []
+    differences_rad = []
     for reading in (found.readings[tick] for tick in ticks):
         motor = reading.encoder_count * recording.rad_per_count + recording.start.zero_rad
-        apart.append(reading.resolver_rad - motor)
-    return RestPoses(np.stack(apart, -1), stack_poses([found.X_RF[tick] for tick in ticks]))
+        differences_rad.append(reading.resolver_rad - motor)
+    return RestPoses(np.stack(differences_rad, -1), stack_poses([found.X_RF[tick] for tick in ticks]))
 
 
 def _solve_statics(
-    knots: TurningPoints, config: Config, hardware: Hardware, effects: Sequence[Effect]
+    turning_points: TurningPoints, config: Config, hardware: Hardware, effects: Sequence[Effect]
 ) -> RestPoses:
-    recording = knots.recording
+    recording = turning_points.recording
     gravity = recording.world.gravity_N_m_s2
-    off_rad = recording.start.hardstop_rad - config.hardstop_rad
-    lost_rad = nominal_hardware().counter_zero_rad - hardware.counter_zero_rad
-    motor = knots.motor_rad - (off_rad + lost_rad)[:, None]
+    hardstop_error_rad = recording.start.hardstop_rad - config.hardstop_rad
+    counter_error_rad = nominal_hardware().counter_zero_rad - hardware.counter_zero_rad
+    motor = turning_points.motor_rad - (hardstop_error_rad + counter_error_rad)[:, None]
     plant = _plant_with(recording.world, tuple(effects)) if hardware.each_cycle else None
-    half = config.half_gap_rad
+    half_backlash_rad = config.half_gap_rad
     load = settle_output(config.arm, motor, gravity).torque_Nm
     gear, driven = np.zeros(5), motor[:, 0]
     outputs = np.zeros_like(motor)
-    for k, at in enumerate(motor.T):
-        hardware, more = (hardware, NO_DISTURBANCE) if plant is None else _act_at(plant, hardware, at, gear)
-        before, driven = driven, at + more.gear_rad
-        bounds = bound_gear(config, half, load[:, k] + more.output_Nm)
+    for k, motor_rad in enumerate(motor.T):
+        hardware, disturbance = (
+            (hardware, NO_DISTURBANCE) if plant is None else _act_at(plant, hardware, motor_rad, gear)
+        )
+        before, driven = driven, motor_rad + disturbance.gear_rad
+        bounds = bound_gear(config, half_backlash_rad, load[:, k] + disturbance.output_Nm)
         gear = np.clip(gear - (driven - before), bounds.lowest_rad, bounds.highest_rad)
         outputs[:, k] = driven + gear
-    at_rest = list(knots.rests)
+    at_rest = list(turning_points.rests)
     outputs = outputs[:, at_rest]
     frames = settle_output(config.arm, outputs, gravity).frames
     resolver = outputs + hardware.resolver_bias_rad[:, None]
     for error in hardware.resolver_errors:
         resolver += np.stack([error.error_rad(output) for output in outputs.T], axis=-1)
-    return RestPoses(resolver - knots.motor_rad[:, at_rest], frames.X_RF[5])
+    return RestPoses(resolver - turning_points.motor_rad[:, at_rest], frames.X_RF[5])
 
 
 @lru_cache(maxsize=4)
 def _plant_with(world: World, effects: tuple[Effect, ...]) -> Plant:
-    """What effects ask; of the recordings of a campaign many are of one world."""
+    """Build the plant with effects; recordings of a campaign often share a world."""
     spec = build(world)
     for effect in effects:
         effect.on_model(spec)
@@ -146,6 +156,6 @@ def _plant_with(world: World, effects: tuple[Effect, ...]) -> Plant:
 def _act_at(
     plant: Plant, hardware: Hardware, motor_rad: Array, gear_rad: Array
 ) -> tuple[Hardware, Disturbance]:
-    """What acts in every cycle, asked at a knot: how far it shifts gears, and its torque on outputs."""
+    """Evaluate the effects of a cycle at a pose: new hardware, gear shifts and output torques."""
     plant.data.qpos[plant.at.motor], plant.data.qpos[plant.at.gear] = motor_rad, gear_rad
     return evaluate_cycle_effects(plant, hardware)

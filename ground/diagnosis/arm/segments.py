@@ -1,4 +1,4 @@
-"""The motions in a recording, found from its drive alone, so that imported logs have them too."""
+"""Segments of motion and rests in a recording, found from its drive alone, so that imported logs work too."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -11,18 +11,18 @@ from fsw.kinematics.transforms import Array
 from ground.diagnosis.arm.logs import Recording
 
 BIN_TICKS: Final = CYCLE_HZ // 4
-"""Sensors are compared by their means over a quarter of a second."""
+"""Width of a bin in ticks: a quarter of a second."""
 STILL_COUNTS: Final = 50
-"""A set-point that wanders by less in a motion does not move its joint."""
+"""Least range of the set-point in a motion."""
 SLOW_SHARE: Final = 0.5
-"""Of the speed that a joint has by its parameters."""
+"""Share of the nominal speed below which a motion is slow."""
 REVERSAL_S: Final = 1.0
-"""So long after a joint has set out the other way, what happens is of the reversal."""
+"""Time after a reversal that belongs to the regime "reversal"."""
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A joint under power and in motion, from one tick to before another."""
+    """Motion of a powered joint, from tick `first` to before `end`."""
 
     joint: Joint
     first: int
@@ -31,20 +31,20 @@ class Segment:
     """+1 or -1."""
     slow: bool
     reversed: bool
-    """Whether the joint moved the other way before, in this recording."""
+    """Motion against the previous motion of the joint in this recording."""
 
     def bins(self) -> list[tuple[int, int]]:
-        """First tick and the one after the last of each whole bin."""
+        """Return the first tick, and the one after the last, of each whole bin."""
         return [(k, k + BIN_TICKS) for k in range(self.first, self.end - BIN_TICKS + 1, BIN_TICKS)]
 
     def regime(self, first: int) -> str:
-        """In which regime a bin that begins there is."""
+        """Return the regime of a bin that begins at this tick."""
         early = first - self.first < REVERSAL_S * CYCLE_HZ
         return "reversal" if self.reversed and early else "slow" if self.slow else "fast"
 
 
 def find_segments(recording: Recording) -> list[Segment]:
-    """In the order of joints, then of time."""
+    """Find the segments in the order of joints, then of time."""
     found = []
     for joint in Joint:
         power = recording.drive["power_on"][:, joint].astype(np.int8)
@@ -54,16 +54,16 @@ def find_segments(recording: Recording) -> list[Segment]:
             moved = recording.drive["setpoint_count"][first:end, joint]
             if np.ptp(moved) < STILL_COUNTS:
                 continue
-            way = int(np.sign(moved[-1] - moved[0])) or 1
+            direction = int(np.sign(moved[-1] - moved[0])) or 1
             most = float(np.abs(recording.drive["setpoint_rate_rad_s"][first:end, joint]).max())
             slow = most < SLOW_SHARE * recording.params.joints.in_order()[joint].speed_rad_s
-            found.append(Segment(joint, int(first), int(end), way, slow, before * way < 0))
-            before = way
+            found.append(Segment(joint, int(first), int(end), direction, slow, before * direction < 0))
+            before = direction
     return found
 
 
 def find_rests(recording: Recording) -> list[int]:
-    """Ticks at the end of every rest on the brakes that lasts for half a second at least."""
+    """Find the last tick of every rest on the brakes of at least half a second."""
     still = ~recording.drive["power_on"].any(axis=1) & ~recording.drive["brake_release"].any(axis=1)
     edges = np.flatnonzero(np.diff(still.astype(np.int8), prepend=0, append=0))
     pairs = zip(edges[::2], edges[1::2], strict=True)
@@ -71,5 +71,13 @@ def find_rests(recording: Recording) -> list[int]:
 
 
 def bin_means(values: Array, bins: list[tuple[int, int]]) -> Array:
-    """Means over bins of what is listed by tick, (b,)."""
+    """Compute means over bins.
+
+    Args:
+        values: Values by tick in any unit, shape (n,).
+        bins: First tick, and the one after the last, of each of b bins.
+
+    Returns:
+        Means in the same unit, shape (b,).
+    """
     return np.array([values[first:end].mean() for first, end in bins])

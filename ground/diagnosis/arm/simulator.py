@@ -1,4 +1,4 @@
-"""The arm's simulator as the diagnosis asks it: the catalogue's effects, and what is uncertain anyway."""
+"""Arm simulator for the diagnosis: predicts features with effects of the catalogue and with nuisances."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -31,53 +31,53 @@ from sim.effects.structure import LinkBending, LinkStiffness, LinkTorsion, Rover
 from sim.open_loop import SimulationOptions
 
 SHORT_SETTLING: Final = SimulationOptions(settle_s=4.0)
-"""The arm settles before a recording for less long than in the closed loop: enough for differences."""
+"""Settling time before a recording, shorter than in the closed loop: sufficient for differences."""
 LONG_SETTLING: Final = SimulationOptions(settle_s=8.0)
-"""Long enough for what a case is compared with."""
+"""Settling time that suffices for comparison with a case."""
 REST_ONLY_EFFECTS: Final = (
     *(LinkLength, LinkAngle, ThermalGradient, LinkWarming, Warming, FrameError, ToolOffset, ToolTurn),
     *(LinkStiffness, LinkBending, LinkTorsion, RoverCompliance, ContactStiffness, SurfacePosition),
 )
-"""Effects that show where the arm rests, or not at all; in free motion they are below its noise."""
+"""Effects that influence rests or nothing; their change of motions is below the noise."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArmSimulator:
-    """Ours, bound to a campaign (ground.diagnosis.problem.Simulator): the drawing, and what is switched on.
+    """Arm simulator bound to a campaign (`ground.diagnosis.problem.Simulator`).
 
-    Whatever flight parameters know of the arm, the simulator is told by effects alone.
+    It uses the nominal arm. Flight parameters do not change it, only effects do.
     """
 
     feature_set: FeatureSet
     layout: FeatureLayout
-    """Its m features, with their floor."""
+    """Layout of its m features, with their noise floor."""
     catalogue_entry: Mapping[Hypothesis, catalogue.EffectHypothesis]
-    """What each hypothesis switches on."""
+    """Entry of the catalogue for each hypothesis."""
     nuisance_effects: tuple[NuisanceEffect, ...]
     options: SimulationOptions
     patch: tuple[Effect, ...]
-    """Always on."""
+    """Effects that are always on."""
 
     @property
     def hypotheses(self) -> tuple[Hypothesis, ...]:
-        """What may be the cause."""
+        """Candidate causes."""
         return tuple(self.catalogue_entry)
 
     @property
     def nuisances(self) -> tuple[Nuisance, ...]:
-        """What is uncertain, as the diagnosis knows it."""
+        """Nuisance parameters in the form of the diagnosis."""
         return tuple(one.nuisance for one in self.nuisance_effects)
 
     def with_patch(self, patch: tuple[Effect, ...]) -> "ArmSimulator":
-        """The same with another patch."""
+        """Return the simulator with another patch."""
         return replace(self, patch=patch)
 
     def predict(self, settings: EffectValues, nuisance: Array) -> Array:
-        """The features (m,); errors as of `simulate_features`."""
+        """Predict the features, shape (m,); errors as for `simulate_features`."""
         return self.predict_effects(self.effects(settings, nuisance))
 
     def effects(self, settings: EffectValues, nuisance: Array) -> list[Effect]:
-        """What is switched on beside the patch: hypotheses, and nuisances that are not 0."""
+        """Return the effects beside the patch: hypotheses, and nuisances that are not 0."""
         found = [make_effect(self.catalogue_entry[one], one, values) for one, values in settings.items()]
         found += [one.effect(float(v)) for one, v in zip(self.nuisance_effects, nuisance, strict=True) if v]
         return found
@@ -85,7 +85,7 @@ class ArmSimulator:
     def predict_effects(
         self, effects: Sequence[Effect], wanted: Callable[[MotionFeatures], bool] = every_motion
     ) -> Array:
-        """Features (m,) with the patch and these; those of moving recordings that are not wanted are NaN."""
+        """Predict the features with patch and effects, (m,); NaN for motions that are not wanted."""
         return simulate_features(self.feature_set, (*self.patch, *effects), self.options, wanted)
 
 
@@ -96,21 +96,32 @@ def build_simulator(
     options: SimulationOptions = SHORT_SETTLING,
     patch: tuple[Effect, ...] = (),
 ) -> ArmSimulator:
-    """With a floor (m,); `kinds` are hypotheses, by default the catalogue's."""
-    made = {to_hypothesis(one): one for one in list_candidates(kinds)}
+    """Build the simulator of a campaign.
+
+    Args:
+        feature_set: Features of all recordings.
+        sigma: Noise floor in the units of the channels, shape (m,).
+        kinds: Classes of the candidate effects by name; None for the catalogue.
+        options: Simulation options of the motions.
+        patch: Effects that are always on.
+
+    Returns:
+        Simulator with all candidate effects and nuisances.
+    """
+    entries = {to_hypothesis(one): one for one in list_candidates(kinds)}
     return ArmSimulator(
-        feature_set, build_layout(feature_set, sigma), made, tuple(list_nuisance_effects()), options, patch
+        feature_set, build_layout(feature_set, sigma), entries, tuple(list_nuisance_effects()), options, patch
     )
 
 
 @dataclass(frozen=True, slots=True)
 class AffectedMotions:
-    """Whether effects can show in a moving recording: at a joint if it moves, of geometry never."""
+    """Predicate of the motions that effects can influence: at a joint if it moves, geometry never."""
 
     effects: tuple[Effect, ...]
 
     def __call__(self, one: MotionFeatures) -> bool:
-        """Any of them."""
+        """Check that any of the effects influences the motion."""
         return any(self._shows(effect, one) for effect in self.effects)
 
     def _shows(self, effect: Effect, one: MotionFeatures) -> bool:
@@ -121,14 +132,14 @@ class AffectedMotions:
 
 
 def list_candidates(kinds: Mapping[str, type[Effect]] | None) -> Iterator[catalogue.EffectHypothesis]:
-    """The catalogue's hypotheses that may be a cause: no chance from move to move, nor what logs tell."""
+    """Yield the candidate causes of the catalogue: no per-move disturbance, and nothing that logs record."""
     return (one for one in catalogue.hypotheses(kinds) if not issubclass(one.kind, (EachMove, Ambient)))
 
 
 def to_hypothesis(one: catalogue.EffectHypothesis) -> Hypothesis:
-    """In the words of the diagnosis; parameters that are many numbers stay as they are by default.
+    """Convert an entry of the catalogue to a hypothesis; array parameters keep their defaults.
 
-    Of a factor that is one where nothing is changed, it is told the logarithm: there it is symmetric.
+    A factor with neutral value 1 is given by its logarithm, which makes it symmetric.
     """
     parameters = [p for p in (*one.amplitudes, *one.shape_parameters) if p.spec is not None and p.count == 1]
     return Hypothesis(
@@ -139,7 +150,7 @@ def to_hypothesis(one: catalogue.EffectHypothesis) -> Hypothesis:
 
 
 def is_factor(size: ParameterSpec) -> bool:
-    """Whether it multiplies something, and cannot be 0."""
+    """Check that a parameter multiplies something and cannot be 0."""
     return size.neutral == 1.0 and size.low > 0.0
 
 
@@ -152,13 +163,30 @@ def _to_parameter(parameter: catalogue.ParameterField, size: ParameterSpec) -> P
 
 
 def make_effect(made: catalogue.EffectHypothesis, hypothesis: Hypothesis, values: Array) -> Effect:
-    """The effect that a hypothesis, as told, is with these values of its parameters."""
+    """Create the effect of a hypothesis.
+
+    Args:
+        made: Entry of the catalogue.
+        hypothesis: Hypothesis with p parameters.
+        values: Values of the parameters in the units of the diagnosis, shape (p,).
+
+    Returns:
+        Effect with these values.
+    """
     named = zip(hypothesis.parameters, values, strict=True)
     return made.effect(**{p.name: _effect_value(made, p.name, float(v)) for p, v in named})
 
 
 def build_layout(feature_set: FeatureSet, sigma: Array) -> FeatureLayout:
-    """What the features are; each place has channels of its own."""
+    """Describe the features; every place has its own channels.
+
+    Args:
+        feature_set: Features of all recordings.
+        sigma: Noise floor in the units of the channels, shape (m,).
+
+    Returns:
+        Layout of the m features.
+    """
     features = feature_set.features
     named = [feature_channel(feature) for feature in features]
     blocks, places, regimes = (
@@ -187,7 +215,7 @@ def _name_indices(names: tuple[str, ...], of: list[str]) -> Ints:
 
 
 def _effect_value(made: catalogue.EffectHypothesis, field: str, value: float) -> float:
-    """As the effect has it: a factor for a logarithm, a whole number where it has one."""
+    """Convert a value to the effect's own: a factor for a logarithm, an integer where it has one."""
     parameter = next(p for p in (*made.amplitudes, *made.shape_parameters) if p.field == field)
     if parameter.spec is not None and is_factor(parameter.spec):
         return float(np.exp(value))

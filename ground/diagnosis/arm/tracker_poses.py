@@ -1,4 +1,4 @@
-"""Where a laser tracker saw the turret, beside a log: a table of poses by tick."""
+"""Turret poses measured by a laser tracker: a CSV table by tick, beside a log."""
 
 import csv
 from dataclasses import dataclass
@@ -16,26 +16,26 @@ SIGMA_COLUMNS: Final = ("rx_sigma_rad", "ry_sigma_rad", "rz_sigma_rad", "x_sigma
 
 
 class BadTracker(ValueError):
-    """A table that is none of tracker poses; the message says where and why."""
+    """Table that does not hold tracker poses; the message says where and why."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackerPoses:
-    """Poses of the turret's interface in RMECH, n of them, in the order of ticks."""
+    """Poses of the turret interface in RMECH, n of them, in the order of ticks."""
 
     tick: NDArray[np.int64]
     X_RF: Pose
     sigma: Array
-    """Of the screw from true to measured, in axes of the turret, rotation first, (6, n)."""
+    """Standard deviation of the screw from true to measured, turret axes, rotation first, shape (6, n)."""
 
 
 def no_tracker_poses() -> TrackerPoses:
-    """Of a log without a tracker."""
+    """Return an empty table."""
     return TrackerPoses(np.zeros(0, np.int64), Pose(np.zeros((3, 3, 0)), np.zeros((3, 0))), np.zeros((6, 0)))
 
 
 def write_tracker_poses(path: Path, seen: TrackerPoses) -> None:
-    """As CSV: rotation vector, position, and sigmas."""
+    """Write a CSV file: rotation vector, position, and standard deviations."""
     turn = Rotation.from_matrix(np.moveaxis(seen.X_RF.R, -1, 0)).as_rotvec() if seen.tick.size else []
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
@@ -46,10 +46,10 @@ def write_tracker_poses(path: Path, seen: TrackerPoses) -> None:
 
 
 def read_tracker_poses(path: Path) -> TrackerPoses:
-    """The poses of a CSV file.
+    """Read a CSV file.
 
     Raises:
-        BadTracker: it cannot be read, has other columns, or something in it is no number or is there twice.
+        BadTracker: It cannot be read, a column is missing, or a value is wrong or repeated.
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:
