@@ -59,7 +59,7 @@ def make_targets(position_m: Array, approach: Array, frame: str, naming: TargetL
         The targets.
 
     Raises:
-        BadRequest: The frame is unknown, a number is infinite or NaN, a point is too far, or a direction is 0.
+        BadRequest: The frame is unknown, a number is not finite, a point is too far, or a direction is 0.
     """
     if frame not in FRAMES:
         raise BadRequest(f"frame: {frame!r} is not known; there are {', '.join(FRAMES)}")

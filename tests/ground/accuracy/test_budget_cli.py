@@ -1,4 +1,4 @@
-"""`marsarm budget`: the paper's rows beside ours; bad input is named and nothing is written."""
+"""`marsarm budget`: the paper's rows beside ours; errors are named and nothing is written."""
 
 import json
 from pathlib import Path
@@ -14,7 +14,7 @@ from tests.ground.command import marsarm
 
 
 def quiet(*_) -> None:
-    """Progress that nobody sees."""
+    """Ignore progress."""
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""How far a built arm is from its drawing, before any calibration."""
+"""Errors of a built arm before any calibration."""
 
 import numpy as np
 from numpy.random import SeedSequence
@@ -10,7 +10,7 @@ from sim.initialisation import true_reference
 
 
 def errors_m(name, how, seed, count):
-    """Total error of the APXS at places of the workspace, (count,)."""
+    """Compute the total errors of the APXS at placements in the workspace, shape (count,)."""
     arm = arm_named(name)
     moved = (
         statics_model(arm, "on") if how == "statics" else closed_loop_model(arm, true_reference(arm), "on")
@@ -20,7 +20,7 @@ def errors_m(name, how, seed, count):
 
 
 def test_as_built_arms_are_10_to_20_mm_off():
-    """100 arms at two places each: nobody passes by drawing good arms."""
+    """Use 100 arms at two placements each, so that a few good arms cannot decide."""
     errors = np.concatenate([errors_m(f"as-built:{seed}", "statics", seed, 2) for seed in range(100)])
     assert 10e-3 < np.sqrt(np.mean(errors**2)) < 20e-3
 

@@ -1,4 +1,4 @@
-"""Rules that make one bound of many errors: what the paper's equations say, and what moments say."""
+"""Combination rules: the paper's equations, and the rule from moments."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""How often bounds hold, with exact intervals."""
+"""Coverage of bounds with exact confidence intervals."""
 
 import numpy as np
 import pytest

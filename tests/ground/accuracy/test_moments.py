@@ -1,4 +1,4 @@
-"""Our rule: what a sum of independent errors stays within, from the moments of each."""
+"""Moments rule: quantiles of the length of a sum of independent errors."""
 
 import numpy as np
 import pytest
@@ -11,12 +11,12 @@ COVERAGE = 0.9973
 DRAWS = 400_000
 
 
-@pytest.mark.parametrize("spread", CUMULANTS)
-def test_cumulants_are_those_of_drawn_errors(spread):
-    e = sample_errors(spread, 2_000_000, np.random.default_rng(0))
+@pytest.mark.parametrize("distribution", CUMULANTS)
+def test_cumulants_are_those_of_drawn_errors(distribution):
+    e = sample_errors(distribution, 2_000_000, np.random.default_rng(0))
     m2, m4, m6 = (float(np.mean(e**k)) for k in (2, 4, 6))
     found = (m2, m4 - 3 * m2**2, m6 - 15 * m4 * m2 + 30 * m2**3)
-    assert found == pytest.approx(CUMULANTS[spread], abs=0.01)
+    assert found == pytest.approx(CUMULANTS[distribution], abs=0.01)
 
 
 @pytest.mark.parametrize("size", [1, 2, 3])
@@ -33,8 +33,11 @@ def test_the_length_of_a_normal_vector_stays_within_its_quantile(size, seed):
 @pytest.mark.parametrize("seed", range(6))
 def test_the_length_of_a_sum_of_all_kinds_stays_within_its_quantile(size, seed):
     rng = np.random.default_rng([seed, 7])
-    errors = [(rng.standard_normal((size, 5, 1)), spread) for spread in CUMULANTS]
-    total = sum(u[:, :, 0] @ sample_errors(spread, 5 * DRAWS, rng).reshape(5, DRAWS) for u, spread in errors)
+    errors = [(rng.standard_normal((size, 5, 1)), distribution) for distribution in CUMULANTS]
+    total = sum(
+        u[:, :, 0] @ sample_errors(distribution, 5 * DRAWS, rng).reshape(5, DRAWS)
+        for u, distribution in errors
+    )
     within = squared_length(errors).quantile(COVERAGE)[0]
     assert within == pytest.approx(np.quantile(np.linalg.norm(total, axis=0), COVERAGE), rel=0.05)
 

@@ -1,4 +1,4 @@
-"""`marsarm monte-carlo`: arms against the budget; resumed, re-run alone, refused."""
+"""`marsarm monte-carlo`: arms against the budget; resumed runs, single arms, refused requests."""
 
 import json
 import sys
@@ -18,7 +18,7 @@ STATICS = MonteCarloRequest(arms=150, how="statics", seed=3)
 
 
 def quiet(*_) -> None:
-    """Progress that nobody sees."""
+    """Ignore progress."""
 
 
 @pytest.fixture(scope="module")
@@ -155,29 +155,29 @@ def test_bad_input_is_named(wrong, words):
 def test_every_built_arm_has_the_parameters_of_a_file_of_its_own(tmp_path):
     for seed in (7, 8):
         (tmp_path / f"{seed}.toml").write_text(f'arm_name = "as-built:{seed}"\n')
-    asked = replace(
+    wanted = replace(
         STATICS, case="mars", built="as-built", arms=2, places=2, seed=7, params=tmp_path / "{seed}.toml"
     )
-    assert len(run_monte_carlo(asked, quiet).trials) == 2
+    assert len(run_monte_carlo(wanted, quiet).trials) == 2
     (tmp_path / "8.toml").write_text('arm_name = "as-built:7"\n')
     with pytest.raises(BadRequest, match="these are of the arm as-built:7, not of as-built:8"):
-        run_monte_carlo(asked, quiet)
+        run_monte_carlo(wanted, quiet)
 
 
 @pytest.mark.parametrize("line", ['{"x": 1}', '{"arm": 0, "params_sha256": "0", "places": [{}]}', "[]"])
 def test_a_line_that_is_no_result_is_named(tmp_path, line):
-    asked = replace(STATICS, arms=1, results=tmp_path / "r.jsonl")
-    run_monte_carlo(asked, quiet)
-    with asked.results.open("a") as file:
+    wanted = replace(STATICS, arms=1, results=tmp_path / "r.jsonl")
+    run_monte_carlo(wanted, quiet)
+    with wanted.results.open("a") as file:
         file.write(f"{line}\n")
     with pytest.raises(BadRequest, match="line 3 is no result"):
-        run_monte_carlo(asked, quiet)
+        run_monte_carlo(wanted, quiet)
 
 
 def test_results_of_other_parameter_files_are_not_mixed_in(tmp_path):
     own = tmp_path / "7.toml"
     own.write_text('arm_name = "as-built:7"\n')
-    asked = replace(
+    wanted = replace(
         STATICS,
         built="as-built",
         arms=1,
@@ -185,10 +185,10 @@ def test_results_of_other_parameter_files_are_not_mixed_in(tmp_path):
         params=tmp_path / "{seed}.toml",
         results=tmp_path / "r.jsonl",
     )
-    run_monte_carlo(asked, quiet)
+    run_monte_carlo(wanted, quiet)
     own.write_text('arm_name = "as-built:7"\n[joints.elbow]\nspeed_rad_s = 0.01\n')
     with pytest.raises(BadRequest, match="arm 0 in it was run with other parameters"):
-        run_monte_carlo(asked, quiet)
+        run_monte_carlo(wanted, quiet)
 
 
 def test_the_command_prints_one_document(tmp_path):

@@ -1,4 +1,4 @@
-"""An error at a frame, in the springs or in the temperature moves the tool as the arm that has it does."""
+"""Sensitivities agree with the motion of an arm that has the error at a frame, spring or temperature."""
 
 from dataclasses import replace
 
@@ -28,12 +28,15 @@ def poses() -> Poses:
 
 
 @pytest.fixture(scope="module")
-def moved(poses: Poses) -> Sensitivity:
+def sensitivity(poses: Poses) -> Sensitivity:
     return compute_sensitivity(CONFIG, poses, MARS)
 
 
 def shift(before: Arm, after: Arm, poses: Poses, output_rad: Array) -> Array:
-    """Shift (3, n) in tool axes of the tool at motors that stand where they put `before` at the poses."""
+    """Compute the shift of the tool in tool axes, shape (3, n).
+
+    The motors stand where they put `before` at the poses.
+    """
     here = tool_pose(before, settle_output(before, poses.output_rad, MARS).frames, poses.tool)
     there = tool_pose(after, settle_output(after, output_rad, MARS).frames, poses.tool)
     return rotate_back(here.R, there.p - here.p)
@@ -50,7 +53,7 @@ def test_the_same_seed_gives_the_same_poses(poses):
     assert np.array_equal(again.output_rad, poses.output_rad)
 
 
-def test_a_softer_arm_sags_by_its_share_more(poses, moved):
+def test_a_softer_arm_sags_by_its_share_more(poses, sensitivity):
     softer = replace(
         ARM,
         compliance=ARM.compliance * (1 + SMALL),
@@ -58,26 +61,26 @@ def test_a_softer_arm_sags_by_its_share_more(poses, moved):
     )
     torque = settle_output(ARM, poses.output_rad, MARS).torque_Nm
     wound = poses.output_rad + SMALL * torque / ARM.gear_stiffness_Nm_rad[:, None]
-    expected = SMALL * moved.deflection.sum(axis=1)[3:]
-    # the load itself moves with the arm, which the paper's equation 9 leaves out
+    expected = SMALL * sensitivity.deflection.sum(axis=1)[3:]
+    # the load changes with the deflection, which the paper's equation 9 neglects
     assert np.abs(shift(ARM, softer, poses, wound) - expected).max() < 0.06 * np.abs(expected).max()
 
 
-def test_a_warmer_arm_grows(poses, moved):
+def test_a_warmer_arm_grows(poses, sensitivity):
     rigid = np.zeros((6, 6, 60))
     before = tool_pose(ARM, forward(ARM, poses.output_rad, rigid), poses.tool)
     warm = heat_arm(ARM, 1.0)
     after = tool_pose(warm, forward(warm, poses.output_rad, rigid), poses.tool)
-    grown = moved.expansion_1_K.sum(axis=1)[3:]
-    # the hanging arm lies a few milliradians beside the rigid one
+    grown = sensitivity.expansion_1_K.sum(axis=1)[3:]
+    # the deflected arm differs from the rigid one by a few milliradians
     assert np.allclose(rotate_back(before.R, after.p - before.p), grown, atol=2e-2 * np.abs(grown).max())
 
 
-def test_absolute_components_bound_every_draw(moved):
+def test_absolute_components_bound_every_draw(sensitivity):
     rng = np.random.default_rng(0)
     source = MODEL.source["assembly"]
-    bound = moved.errors_by_frame(source).sum(axis=1)
-    u = moved.errors(source)
+    bound = sensitivity.errors_by_frame(source).sum(axis=1)
+    u = sensitivity.errors(source)
     for _ in range(50):
         draw = np.einsum("ikn,k->in", u, rng.uniform(-1.0, 1.0, u.shape[1]))
         assert np.all(np.abs(draw) <= bound)

@@ -1,4 +1,4 @@
-"""The sources of error are those of the paper, and each says where its magnitude comes from."""
+"""Error sources agree with the paper, and each one names the origin of its magnitude."""
 
 import numpy as np
 import pytest

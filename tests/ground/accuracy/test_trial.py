@@ -1,4 +1,4 @@
-"""Each source, as an effect in plant and flight software, moves the tool by what the budget says."""
+"""Each source, as an effect in plant and flight software, moves the tool as the budget predicts."""
 
 from collections.abc import Iterable
 
@@ -28,10 +28,10 @@ CONFIG = configure(NOMINAL.params)
 TOOL = Tool.MAHLI
 PLACE = random_placements(NOMINAL.params, TOOL, 1, np.random.SeedSequence(4))[0]
 LARGER = {"slop": 20.0, "wobble": 10.0, "encoder": 10.0, "distortion_gradient": 5.0, "motor_controller": 5.0}
-"""Errors of hundredths of a millimetre would be lost in what the plant does by itself."""
+"""Factors that make errors larger than the other errors of the plant."""
 CLOSE_M, CLOSE_RAD, CLOSE_SHARE = 3e-5, 4e-5, 0.02
 LOAD_MOVES_SHARE = 0.08
-"""A softer arm changes its load, which the paper's equation 9 leaves out."""
+"""Tolerance for the change of the load on a softer arm, which the paper's equation 9 neglects."""
 
 
 def effects(name: str) -> list[Effect]:
@@ -46,7 +46,7 @@ def here() -> Sensitivity:
 
 
 def predicted(found: Iterable[Effect], gap: Array) -> Array:
-    """The screw in tool axes (6,) by the sensitivities, to what was drawn."""
+    """Predict the screw in tool axes, shape (6,), from the sensitivities and the sampled effects."""
     found, moved = list(found), here()
     theta, shares = np.zeros((6, len(Frame))), np.zeros(len(Frame))
     by_chance = draw_move_disturbance(
@@ -74,7 +74,7 @@ def predicted(found: Iterable[Effect], gap: Array) -> Array:
 
 def where(*found: Effect, backlash: str = "on") -> tuple[Pose, Array]:
     arm = BuiltArm("tried", tuple(found), NOMINAL.params)
-    # gaps as the parameters have them, whatever they are
+    # nominal backlash, whatever the true backlash is
     return closed_loop_model(arm, true_reference(NOMINAL if _widths(found) else arm), backlash)(PLACE)
 
 

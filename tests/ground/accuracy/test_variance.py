@@ -1,4 +1,4 @@
-"""Between arms and within them: simulated arms whose variances are known."""
+"""Variance between and within simulated arms with known variances."""
 
 import numpy as np
 import pytest

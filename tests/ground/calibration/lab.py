@@ -1,4 +1,4 @@
-"""Campaigns for tests: settled by the equations, each made once."""
+"""Simulated campaigns for tests, each made once."""
 
 from functools import cache
 
@@ -31,7 +31,7 @@ def truth(seed: int):
 
 
 def quiet(*_) -> None:
-    """Progress that nobody sees."""
+    """Ignore progress."""
 
 
 def moved(X: Pose, by: np.ndarray) -> Pose:

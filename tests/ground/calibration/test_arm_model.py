@@ -1,4 +1,4 @@
-"""The hanging arm as the engine sees it: exact derivatives, and parameters that are the same arm."""
+"""Model of the deflected arm: exact derivatives, and equality with flight parameters."""
 
 from dataclasses import replace
 
@@ -26,7 +26,7 @@ PARAMETERS = arm_parameters()
 SCALE = np.array([parameter.scale for parameter in PARAMETERS])
 
 ROUNDING = 1e-6
-"""Of whitened residuals: the equilibrium is found to 1e-11, the noise is 1e-5."""
+"""Rounding of whitened residuals: the equilibrium is found to 1e-11, the noise is 1e-5."""
 
 
 def some_numbers(seed: int):
@@ -52,7 +52,7 @@ def test_derivatives_are_those_of_finite_differences(model):
 
 def test_turns_of_the_outputs_move_the_turret_as_other_motor_angles_do(model):
     x, believed = some_numbers(1), model.believed
-    by_joints = joint_jacobian(settle_poses(NOMINAL, x, believed))
+    jacobian = joint_jacobian(settle_poses(NOMINAL, x, believed))
     step = 1e-5
     for joint in Joint:
         turn = step * (np.arange(5) == joint)[:, None]
@@ -61,7 +61,7 @@ def test_turns_of_the_outputs_move_the_turret_as_other_motor_angles_do(model):
             for s in (-1, 1)
         )
         numeric = error_screw(X, MeasuredPoses(Y, np.zeros((0, 6, 6)))) / (2 * step)
-        np.testing.assert_allclose(by_joints[:, :, joint], numeric, atol=1e-5)
+        np.testing.assert_allclose(jacobian[:, :, joint], numeric, atol=1e-5)
 
 
 def test_the_arm_of_the_model_is_the_arm_of_the_parameter_file(model):
@@ -72,11 +72,11 @@ def test_the_arm_of_the_model_is_the_arm_of_the_parameter_file(model):
         where = np.flatnonzero(believed.turret_kg == kg)
         arm = build_arm(StandInTurret(kg).on_params(params_with_values(NOMINAL, x)))
         at = believed.at(where)
-        gap = (
+        backlash_rad = (
             at.backlash_rad * np.exp(x[BACKLASHES])[:, None]
             - at.friction_Nm / arm.gear_stiffness_Nm_rad[:, None]
         )
-        frames = settle(arm, at.motor_rad, gap, at.gravity_R_m_s2).frames
+        frames = settle(arm, at.motor_rad, backlash_rad, at.gravity_R_m_s2).frames
         np.testing.assert_allclose(frames.X_RF.p[:, 5], X.p[:, where], atol=2e-6)
         np.testing.assert_allclose(frames.X_RF.R[:, :, 5], X.R[:, :, where], atol=2e-6)
 
@@ -94,9 +94,9 @@ def test_zeros_in_the_hardstops_are_the_same_arm_at_angles_that_are_so_much_larg
     zero, shifted = move_zeros_to_hardstops(NOMINAL, x)
     np.testing.assert_array_equal(zero, x[list(ENCODER_ZEROS)])
     motor = np.random.default_rng(3).uniform(-1, 1, (5, 40))
-    gravity, gap = 9.81 * gravity_direction(0.3, 0.1), 1e-3 * np.ones((5, 1))
-    one = settle(build_arm(params_with_values(NOMINAL, x)), motor, gap, gravity).frames.X_RF
-    other = settle(build_arm(shifted), motor + zero[:, None], gap, gravity).frames.X_RF
+    gravity, backlash_rad = 9.81 * gravity_direction(0.3, 0.1), 1e-3 * np.ones((5, 1))
+    one = settle(build_arm(params_with_values(NOMINAL, x)), motor, backlash_rad, gravity).frames.X_RF
+    other = settle(build_arm(shifted), motor + zero[:, None], backlash_rad, gravity).frames.X_RF
     np.testing.assert_allclose(one.p[:, 5], other.p[:, 5], atol=1e-6)
     np.testing.assert_allclose(one.R[:, :, 5], other.R[:, :, 5], atol=1e-6)
     for joint, new, old in zip(Joint, shifted.joints.in_order(), NOMINAL.joints.in_order(), strict=True):
@@ -109,7 +109,7 @@ def test_a_pose_whose_gap_nobody_knows_tells_nothing_along_that_joint(model):
     np.testing.assert_array_equal(6 - counted.sum(axis=1), unknown.sum(axis=0))
     shifted = replace(model, believed=_elsewhere(model.believed, unknown))
     off = shifted(np.zeros(SCALE.size)).residual - model(np.zeros(SCALE.size)).residual
-    # a gap of 4 mrad would show as 40 sigma; what is left is of second order
+    # a backlash of 4 mrad would show as 40 sigma; the remainder is of second order
     assert np.abs(off).max() < 1.0
 
 

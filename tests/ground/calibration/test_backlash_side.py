@@ -1,4 +1,4 @@
-"""Which outputs are taken to lie where flight software believes them to, when it is not sure."""
+"""Outputs whose side of the backlash is confirmed by others."""
 
 import numpy as np
 
@@ -6,11 +6,11 @@ from ground.calibration.backlash_side import OutputErrors, find_consensus
 
 NOISE_RAD = 3e-5
 WIDTH_RAD = 2e-4
-"""How well the width of the gap is known before the campaign: it moves all outputs of a side alike."""
+"""Uncertainty of the backlash width before the campaign; it is common to all outputs of a side."""
 
 
 def on_one_side(off_rad, width_rad=WIDTH_RAD):
-    """Outputs that were dragged to one side, of a gap as wide as is known."""
+    """Return outputs that were dragged to one side."""
     off = np.array(off_rad)
     return OutputErrors(off, np.full(off.size, NOISE_RAD), np.full((off.size, off.size), width_rad**2))
 
@@ -27,7 +27,7 @@ def test_one_that_slipped_is_left_out():
 
 
 def test_outputs_that_slipped_each_by_itself_do_not_make_a_narrower_gap():
-    """All are within what is known of its width, no two of them agree."""
+    """All agree with the uncertain width, but no two agree with each other."""
     assert not find_consensus(on_one_side(np.linspace(-5e-4, 5e-4, 6))).any()
 
 

@@ -1,4 +1,4 @@
-"""As-built arms are found: held-out poses, intervals, rank, clusters, outliers, and the true optimum."""
+"""Calibration of as-built arms: held-out poses, intervals, rank, groups, outliers, and the true optimum."""
 
 from dataclasses import replace
 
@@ -37,7 +37,7 @@ def test_an_as_built_arm_is_calibrated(seed):
 def test_the_frames_have_rank_26_of_42_and_what_is_one_is_named_as_one():
     found = calibration()
     assert found.frame_identifiability.rank == 26
-    # where the hanging arm tells a little more, it is far less
+    # deflection makes other combinations visible, but far less
     s = found.frame_identifiability.singular_values
     assert s[25] > 10 * s[26]
     groups = {
@@ -46,7 +46,7 @@ def test_the_frames_have_rank_26_of_42_and_what_is_one_is_named_as_one():
     }
     assert groups[frozenset({"arm2.tz", "arm3.tz", "arm4.tz", "arm5.ty"})] == 1
     assert groups[frozenset({"arm1.rz", "arm2.ry"})] == 1
-    assert sum(len(names) - seen for names, seen in groups.items()) == 42 - 26
+    assert sum(len(names) - identified for names, identified in groups.items()) == 42 - 26
 
 
 def test_the_optimum_is_that_of_least_squares_with_numeric_derivatives():
@@ -67,7 +67,7 @@ def test_the_optimum_is_that_of_least_squares_with_numeric_derivatives():
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_true_arm_lies_where_the_covariance_says(seed):
-    """Nine in ten of the 90 % intervals of the combinations that the data tell hold the truth."""
+    """Nine of ten 90 % intervals contain the truth, for the combinations that the data determine."""
     arm = arm_named(f"as-built:{seed}")
     sigmas = compare_with_truth(arm, calibration(seed), hardstop_errors_rad(arm)).sigmas
     low, high = binom.interval(0.999, sigmas.size, 0.9)

@@ -1,4 +1,4 @@
-"""`marsarm calibrate`: a file that flight software loads, a document, a page; bad input writes nothing."""
+"""`marsarm calibrate`: parameter file, document and page; with bad input nothing is written."""
 
 import json
 from dataclasses import replace

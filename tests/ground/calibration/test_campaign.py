@@ -1,4 +1,4 @@
-"""The campaign in the closed loop: what is measured is the true arm, where flight software has brought it."""
+"""Campaign in the closed loop: measurements show the true arm at the poses that flight software reached."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from sim.arms import arm_named
 from tests.ground.calibration.lab import campaign, quiet
 
 ZERO_RAD = 3e-4
-"""Within which a hardstop tells a zero; at two metres that is 0.6 mm."""
+"""Tolerance of an encoder zero from a hardstop; at two metres it is 0.6 mm."""
 
 
 def test_the_papers_campaign_is_planned():

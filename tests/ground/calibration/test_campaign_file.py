@@ -1,4 +1,4 @@
-"""A campaign as a table: what is written is read again; what is wrong is named, with what would be right."""
+"""Campaign tables: content is read back, and errors are named with a remedy."""
 
 import os
 from dataclasses import replace
@@ -42,13 +42,13 @@ def test_a_missing_column_is_named(tmp_path):
 
 
 def test_a_column_of_texts_and_one_with_gaps_are_named(tmp_path):
-    def spoilt(t):
+    def damaged(t):
         t = t.set_column(t.column_names.index("p_x_m"), "p_x_m", pa.array(["one"] * t.num_rows))
         holes = [None, *t["p_y_m"].to_pylist()[1:]]
         return t.set_column(t.column_names.index("p_y_m"), "p_y_m", pa.array(holes))
 
     with pytest.raises(BadData, match=r"p_x_m: holds string.*\n.*p_y_m: no number in 1 rows, the first is 0"):
-        read_campaign(table(tmp_path, spoilt))
+        read_campaign(table(tmp_path, damaged))
 
 
 def test_a_file_that_is_no_table_is_refused(tmp_path):

@@ -1,4 +1,4 @@
-"""The engine, on a planar arm of as many joints as the test likes: nothing in it is about our arm."""
+"""Calibration engine on a planar arm with any number of joints."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ NOISE_M = 1e-4
 
 
 class Planar:
-    """A planar chain: unknown lengths and joint zeros, tip measured in the plane."""
+    """Planar chain with unknown lengths and joint zeros; the tip is measured in the plane."""
 
     def __init__(self, rng, joints=3, poses=60, lengths=None, angles=None):
         self.angles = rng.uniform(-2, 2, (joints, poses)) if angles is None else angles
@@ -60,12 +60,12 @@ def test_the_jacobian_of_the_planar_chain_is_right():
 def test_the_optimum_is_that_of_least_squares(joints, prior):
     rng = np.random.default_rng(joints)
     model = Planar(rng, joints, lengths=3e-3 * rng.standard_normal(2 * joints))
-    asked = parameters(joints, prior)
+    unknowns = parameters(joints, prior)
 
     def residual(x):
         return np.concatenate([model(x).residual.ravel(), x / prior])
 
-    found = fit(asked, model)
+    found = fit(unknowns, model)
     other = least_squares(residual, np.zeros(2 * joints), x_scale=1e-3, xtol=1e-15, ftol=1e-15, gtol=1e-15)
     assert found.converged
     np.testing.assert_allclose(found.values, other.x, atol=1e-3 * found.sigma.min())
@@ -104,7 +104,7 @@ def test_noise_that_is_larger_than_said_is_told():
 
 
 def test_joints_that_never_move_are_one_with_what_they_cannot_be_told_from():
-    """With the second joint locked, two links are one: of lengths and zeros only combinations are seen."""
+    """With the second joint locked, two links act as one: only combinations are identified."""
     rng = np.random.default_rng(7)
     angles = rng.uniform(-2, 2, (3, 60))
     angles[1] = 0.3

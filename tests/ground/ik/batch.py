@@ -1,4 +1,4 @@
-"""A small batch of targets, as files and as answers."""
+"""Small batch of targets, as files and as results."""
 
 import numpy as np
 import pyarrow as pa
@@ -23,12 +23,12 @@ def save(path, position_m=P_M, approach=A) -> None:
 
 
 def solved(batch, out, **model):
-    """Answer a batch."""
+    """Solve a batch."""
     return solve(IkRequest(ModelRequest(**model), batch=batch, out=out), lambda *_: None)
 
 
 def expected(position_m=P_M, approach=A, **model):
-    """The answers straight from the kinematics, (S, n)."""
+    """Compute the results directly with the kinematics, shape (S, n)."""
     unit = approach / np.linalg.norm(approach, axis=1)[:, None]
     targets = IkTargets(p_R_from_N(position_m).T, unit.T)
     return build_ik_model(ModelRequest(**model)).solve(targets)

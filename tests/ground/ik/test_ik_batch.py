@@ -77,7 +77,7 @@ def test_the_same_targets_give_the_same_bytes(tmp_path):
 
 
 def more_slots(answers):
-    """The same answers with a second root of the first branch, at the first target only."""
+    """Return the same results with a second root of the first branch, at the first target only."""
     verdict = np.full_like(answers.verdict, BranchVerdict.ABSENT)
     verdict[0, 0] = BranchVerdict.VALID
 

@@ -1,4 +1,4 @@
-"""Batches that are refused: bad targets, foreign files, outputs that cannot be; nothing is written."""
+"""Refused batches: bad targets, foreign files, impossible outputs; nothing is written."""
 
 import io
 import json

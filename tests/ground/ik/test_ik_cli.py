@@ -1,4 +1,4 @@
-"""`marsarm ik` for one target: what it answers, and what it refuses."""
+"""`marsarm ik` for one target: results and refused requests."""
 
 import json
 
@@ -28,13 +28,13 @@ def answer(position=POSITION, approach=APPROACH, frame="rnav", **model):
 
 
 def valid_poses(document) -> np.ndarray:
-    """Output angles (5, n) of the valid branches."""
+    """Return the output angles of the valid branches, shape (5, n)."""
     valid = [b["output_deg"] for b in document["branches"] if b["verdict"] == "valid"]
     return np.radians(np.array(valid).T)
 
 
 def misses(X_RT, position, approach) -> tuple[float, float]:
-    """The largest miss of a target in RNAV: metres, and radians."""
+    """Compute the largest errors at a target in RNAV: metres, and radians."""
     p_R_m, unit = p_R_from_N(np.array(position)), np.array(approach) / np.linalg.norm(approach)
     return np.abs(X_RT.p - p_R_m[:, None]).max(), np.abs(X_RT.R[:, 0] - unit[:, None]).max()
 
@@ -52,18 +52,18 @@ def test_the_rigid_arm_points_every_tool_where_it_was_asked(tool):
 def test_the_tilted_hanging_arm_meets_its_target_where_the_rigid_one_would_not(gravity):
     world = World(gravity, np.radians(15.0), np.radians(-12.0))
     arm = build_arm(arm_named("calibrated:3").params)
-    asked = {"tool": "drill", "arm": "calibrated:3", "gravity": gravity}
-    compensated = valid_poses(answer(tilt_roll_deg=15.0, tilt_pitch_deg=-12.0, **asked))
-    rigid = valid_poses(answer(compensate="off", **asked))
+    model = {"tool": "drill", "arm": "calibrated:3", "gravity": gravity}
+    compensated = valid_poses(answer(tilt_roll_deg=15.0, tilt_pitch_deg=-12.0, **model))
+    rigid = valid_poses(answer(compensate="off", **model))
 
-    def hanging(output_rad):
+    def deflected(output_rad):
         motor_rad, gap = output_rad, np.zeros_like(output_rad)
-        for _ in range(20):  # the motor stands where the wound-up gear leaves the output as asked
+        for _ in range(20):  # find the motor angle for which the wound-up gear gives this output
             motor_rad = motor_rad + output_rad - settle(arm, motor_rad, gap, world.gravity_N_m_s2).output_rad
         return tool_pose(arm, settle(arm, motor_rad, gap, world.gravity_N_m_s2).frames, Tool.DRILL)
 
-    assert max(misses(hanging(compensated), POSITION, APPROACH)) < 1e-7
-    assert misses(hanging(rigid), POSITION, APPROACH)[0] > 1e-3
+    assert max(misses(deflected(compensated), POSITION, APPROACH)) < 1e-7
+    assert misses(deflected(rigid), POSITION, APPROACH)[0] > 1e-3
 
 
 def test_a_warm_arm_is_answered_as_the_warm_arm_that_it_is():
@@ -87,7 +87,7 @@ def test_the_length_of_the_approach_does_not_matter_however_large():
 
 
 def test_a_branch_out_of_limits_says_which_joint_and_by_how_much():
-    """The rigid arm shows its angles too; the hanging one is not followed that far."""
+    """The rigid arm shows its angles too; those of the deflected arm may be unknown far beyond limits."""
     for document in (answer(), answer(compensate="off")):
         outside = [b for b in document["branches"] if b["verdict"] == "outside_limits"]
         assert outside

@@ -1,4 +1,4 @@
-"""What the arm reaches in its primary workspace, and the picture of it."""
+"""Reach map of the primary workspace, and its picture."""
 
 import json
 import sys
@@ -16,7 +16,7 @@ from tests.ground.command import marsarm
 
 
 def quiet(*_) -> None:
-    """Progress that nobody sees."""
+    """Ignore progress."""
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""A made-up arm, its mapping and its table as files."""
+"""Synthetic arm, mapping and table as files."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ unit = "degC"
 
 
 def rows(count=300, seed=3):
-    """The table's numbers (count, 10): joints, x, y, z, rx, ry, rz, air; degrees, millimetres."""
+    """Return the table, shape (count, 10): joints, x, y, z, rx, ry, rz, air; degrees and millimetres."""
     poses = series(built_arm(drawn_arm(3), 1), setup(2), count, seed)
     angles = Rotation.from_matrix(np.moveaxis(poses.X_TM.R, -1, 0)).as_euler("XYZ", degrees=True)
     air = 22 + 0.1 * np.sin(np.arange(count))
@@ -43,14 +43,14 @@ def rows(count=300, seed=3):
 
 
 def text(numbers):
-    """As a spreadsheet of another country writes it."""
+    """Format the table with semicolons and decimal commas."""
     head = ";".join((*JOINTS, "x", "y", "z", "rx", "ry", "rz", "air"))
     lines = [";".join(f"{value:.9g}".replace(".", ",") for value in row) for row in numbers]
     return "\n".join([head, *lines, ""])
 
 
 def write(folder: Path, numbers=None):
-    """arm.toml, poses.csv and mapping.toml."""
+    """Write arm.toml, poses.csv and mapping.toml."""
     (folder / "arm.toml").write_text(arm_to_toml(drawn_arm(3), ["Made up."]))
     (folder / "poses.csv").write_text(text(rows() if numbers is None else numbers))
     (folder / "mapping.toml").write_text(MAPPING)

@@ -1,4 +1,4 @@
-"""A serial arm that nobody built, with errors that the test knows, and poses of it that nobody measured."""
+"""Synthetic serial arm with known errors, and synthetic measurements of its poses."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ ORDERS = 6
 
 
 def drawn_arm(joints=4):
-    """As in its file."""
+    """Return the arm of the file."""
     turns = (np.pi / 2, -np.pi / 2, 0.0)
     links = tuple(
         Link(
@@ -33,7 +33,7 @@ def drawn_arm(joints=4):
 
 
 def built_arm(arm, seed):
-    """As it is: every number is off by what the file says that it may be."""
+    """Return a built arm, with random errors of the size that the file states."""
     rng, sure = np.random.default_rng(seed), arm.uncertain
 
     def off(one):
@@ -57,7 +57,7 @@ def built_arm(arm, seed):
 
 
 def setup(seed):
-    """Somewhere, held somehow."""
+    """Return random base and target frames."""
     rng = np.random.default_rng(seed)
     R = np.moveaxis(Rotation.random(2, rng=rng).as_matrix(), 0, -1)
     p = rng.uniform(-1, 1, (3, 2))
@@ -65,12 +65,12 @@ def setup(seed):
 
 
 def series(arm, stands, count, seed, noise=1.0, air=None):
-    """Poses of this arm as a tracker would measure them."""
+    """Simulate measured poses of this arm."""
     rng = np.random.default_rng([seed, 1])
     q = rng.uniform(-2.5, 2.5, (len(arm.links), count))
     blank = Pose(np.repeat(np.eye(3)[:, :, None], count, 2), np.zeros((3, count)))
-    asked = PoseSeries("made", q, move_directions(q), blank, air, np.arange(1, count + 1))
-    X = serial_model(arm, stands, asked, ()).poses(np.zeros(12))
+    unmeasured = PoseSeries("made", q, move_directions(q), blank, air, np.arange(1, count + 1))
+    X = serial_model(arm, stands, unmeasured, ()).poses(np.zeros(12))
     turn = Rotation.from_rotvec(noise * ROTATION_RAD * rng.standard_normal((count, 3))).as_matrix()
     R = np.einsum("nij,jkn->ikn", turn, X.R)
-    return replace(asked, X_TM=Pose(R, X.p + noise * POSITION_M * rng.standard_normal((3, count))))
+    return replace(unmeasured, X_TM=Pose(R, X.p + noise * POSITION_M * rng.standard_normal((3, count))))

@@ -1,4 +1,4 @@
-"""The chain against its definition, and the load against the energy that it comes from."""
+"""Forward kinematics against its definition, and load torques against the potential energy."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from tests.ground.calibration.serial.synthetic import built_arm, drawn_arm
 
 
 def matrix(six, q):
-    """Paper equation 1 as the product of six matrices."""
+    """Compute paper equation 1 as the product of six matrices."""
     theta, d, beta, b, alpha, a = six
 
     def turn(axis, angle):

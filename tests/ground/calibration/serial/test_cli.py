@@ -1,4 +1,4 @@
-"""The verb calibrate-serial as a user meets it."""
+"""Command `marsarm calibrate-serial`."""
 
 import json
 
@@ -17,17 +17,17 @@ VERB = ("calibrate-serial", *NAMES.values())
 
 
 def quiet(*_) -> None:
-    """Progress that nobody sees."""
+    """Ignore progress."""
 
 
-def asked(folder, **options):
-    """For the files of a folder."""
+def make_request(folder, **options):
+    """Make a request for the files of a folder."""
     return SerialRequest(**{name: folder / file for name, file in NAMES.items()} | options)
 
 
 @pytest.fixture(scope="module")
 def ended(tmp_path_factory):
-    """The command as the page has it, and its folder."""
+    """Run the command as in the documents; return its folder and its result."""
     folder = tmp_path_factory.mktemp("serial")
     write(folder)
     options = ("--ladder", "--out", "found.toml", "--picture", "found.png", "--json")
@@ -59,7 +59,7 @@ def test_the_arm_that_was_found_says_where_it_is_from_and_can_be_judged_again(en
     found = (folder / "found.toml").read_text()
     assert json.loads(done.stdout)["sha256"]["table"] in found
     assert arm_from_toml(found, "found.toml").name == "made up"
-    again = calibrate_serial(asked(folder, arm=folder / "found.toml", terms="none"), quiet)
+    again = calibrate_serial(make_request(folder, arm=folder / "found.toml", terms="none"), quiet)
     assert again.steps[-1].fresh.rms_m < 1.2 * POSITION_M * 3**0.5
 
 
@@ -106,7 +106,7 @@ def test_what_cannot_be_done_is_said_and_nothing_is_written(tmp_path, option, ch
     before = {one.name: one.read_bytes() for one in tmp_path.iterdir()}
     paths = {k: tmp_path / v if k in ("out", "table") else v for k, v in option.items()}
     with pytest.raises(BadRequest) as error:
-        calibrate_serial(asked(tmp_path, **{"out": tmp_path / "found.toml"} | paths), quiet)
+        calibrate_serial(make_request(tmp_path, **{"out": tmp_path / "found.toml"} | paths), quiet)
     assert said in str(error.value)
     assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == before
 

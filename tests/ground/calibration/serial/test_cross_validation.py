@@ -1,4 +1,4 @@
-"""Cross-validation against fits that never saw the block, and temperature against curves that are not it."""
+"""Cross-validation against fits without the block, and temperature against placebo curves."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ COUNT = 300
 
 
 def validated(air, moved_m):
-    """What a temperature (n,) is said to explain of an arm whose target was moved by (3, n)."""
+    """Cross-validate an arm with air temperature (n,) and target shifts (3, n)."""
     drawn = drawn_arm(3)
     part = series(built_arm(drawn, 1), setup(2), COUNT, 3, air=air)
     part = replace(part, X_TM=Pose(part.X_TM.R, part.X_TM.p + moved_m))

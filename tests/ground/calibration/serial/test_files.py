@@ -1,4 +1,4 @@
-"""Arms, mappings and tables as files: what is in them comes back, what is wrong is named with its line."""
+"""Files of arms, mappings and tables: content is read back, and errors are named with their line."""
 
 import tomllib
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Base and target in closed form, and poses that do not tell them."""
+"""Closed-form estimate of base and target, and poses that do not determine them."""
 
 from dataclasses import replace
 

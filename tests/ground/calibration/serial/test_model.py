@@ -1,4 +1,4 @@
-"""The model of a serial arm: its derivatives, and what the engine finds of an arm whose errors are known."""
+"""Model of a serial arm: its derivatives, and the calibration of an arm with known errors."""
 
 from dataclasses import replace
 
@@ -29,7 +29,7 @@ def test_the_derivatives_are_those_of_finite_differences(joints):
 
 @pytest.fixture(scope="module")
 def known():
-    """An arm as drawn and as built, its set-up, and what a calibration finds."""
+    """Return an arm as drawn and as built, its setup, and its calibration."""
     drawn = drawn_arm()
     built = built_arm(drawn, 5)
     stands = setup(6)
@@ -95,8 +95,8 @@ def test_poses_that_do_not_belong_are_named_and_left_out(known):
     p = part.X_TM.p.copy()
     p[:, 41] += [0.0, 0.05, 0.0]
     p[:, 97] += [0.0, 0.0, 0.001]
-    spoilt = replace(part, X_TM=Pose(part.X_TM.R, p))
-    found = calibrate_series(drawn, estimate_setup(drawn, spoilt), spoilt, TERMS)
+    with_outliers = replace(part, X_TM=Pose(part.X_TM.R, p))
+    found = calibrate_series(drawn, estimate_setup(drawn, with_outliers), with_outliers, TERMS)
     assert found.outliers == (42, 98)
 
 

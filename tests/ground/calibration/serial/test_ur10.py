@@ -1,4 +1,4 @@
-"""A real UR10: half of a series judged by the other half, and an arm of one series in another."""
+"""Measured UR10: one half of a series validates the other, and one series another."""
 
 import json
 
@@ -9,7 +9,7 @@ from validation.ur10 import BOUNDS_MM, FILES, TABLES, document
 
 
 def quiet(*_) -> None:
-    """Progress that nobody sees."""
+    """Ignore progress."""
 
 
 @pytest.mark.real_data
