@@ -1,4 +1,4 @@
-"""What crosses the boundary of flight software in each cycle."""
+"""Messages between flight software and avionics in each cycle."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -17,47 +17,51 @@ Flags = NDArray[np.bool_]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensors:
-    """What the avionics read at the start of a cycle; arrays in the order of Joint and Switch."""
+    """Readings of the avionics at the start of a cycle; arrays in the order of Joint and Switch."""
 
     cycle: int
-    """The avionics' own count of cycles, from any number on: a step of more than one is a cycle missed."""
+    """Cycle counter of the avionics, with any start; a step of more than one means missed cycles."""
     encoder_count: Counts
-    """Of the motors, counted from anywhere."""
+    """Counts of the motor encoders, with any zero."""
     resolver_rad: Annotated[Floats, Limits(-6.5, 6.5)]
     """Output angles."""
     current_A: Annotated[Floats, Limits(-20.0, 20.0)]
-    """Of the motors, driving forward if positive."""
+    """Currents of the motors, positive for forward torque."""
     winding_C: Annotated[Floats, Limits(-130.0, 150.0)]
-    """Temperature of the motors' windings."""
+    """Temperatures of the motor windings."""
     switch_closed: Flags
-    """Which contact switches touch."""
+    """True for contact switches that are closed."""
     gravity_R_m_s2: Annotated[Floats, Limits(-20.0, 20.0)]
-    """Gravity (downward pull) in the rover frame RMECH, from the rover's IMU."""
+    """Gravity (downward) in the rover frame RMECH, from the IMU of the rover."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ActuatorCommand:
-    """What flight software asks of the motor controllers and brakes; arrays in the order of Joint."""
+    """Commands to motor controllers and brakes; arrays in the order of Joint."""
 
     setpoint_count: Counts
-    """Where the motors are to be, in counts of their encoders."""
+    """Commanded motor positions, in counts of the encoders."""
     setpoint_rate_rad_s: Annotated[Floats, Limits(-0.1, 0.1)]
-    """Output side, motor angle over gear ratio."""
+    """Commanded motor rates on the output side: motor rate over gear ratio."""
     current_limit_A: Annotated[Floats, Limits(0.0, 20.0)]
-    """Most that each motor may draw."""
+    """Largest current of each motor."""
     power_on: Flags
-    """Which motor controllers have power."""
+    """True for motor controllers with power."""
     brake_release: Flags
-    """Which brakes are to let go."""
+    """True for brakes to release."""
     vibrate: bool
-    """Whether the turret's vibration motor runs."""
+    """True if the vibration motor of the turret runs."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outputs:
-    """What a cycle gives: the drive, the channels (tool channels only when refreshed) and the EVRs."""
+    """Outputs of a cycle: actuator command, channels and EVRs."""
 
     drive: ActuatorCommand
+    """Commands to motor controllers and brakes."""
     joint: JointChannels
+    """Channels of the joints."""
     tool: ToolChannels | None
+    """Channels of the tool; None in cycles that do not refresh them."""
     evrs: tuple[Evr, ...]
+    """Event reports of the cycle, in order."""

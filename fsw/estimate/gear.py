@@ -1,14 +1,14 @@
-"""Where an output lies against its motor: backlash and wind-up together, known to within an interval.
+"""Gear angle of each joint, output less motor angle: backlash and wind-up together, estimated as an interval.
 
-The gear angle is output less motor angle. The gear's spring, with a dead band of the backlash, carries the
-load less what the friction of the output takes, which is anything up to F either way:
+The spring of the gear has a dead band, the backlash. It carries the load less the friction of the output,
+which is between -F and F:
 
     angle_under(load - F)  <=  gear angle  <=  angle_under(load + F)
 
-Between these bounds friction holds the output where it is while the motor turns; at a bound the gear drags
-it. So side of the gap, wind-up, hysteresis and history are one clip. It is monotone in the angle and in the
-load: what is believed at the least, with the least load, and at the most, with the most, bound the truth for
-good. Where both end on one flank the side is known; where they do not, nothing has decided it.
+Between these bounds, friction holds the output at rest while the motor turns. At a bound the gear drags the
+output. Side of the backlash, wind-up, hysteresis and history are therefore one clip. It is monotone in the
+angle and in the load. The lowest estimate with the lowest load and the highest with the highest load thus
+bound the true angle. If both end on one flank the side is known; otherwise it is undecided.
 """
 
 from dataclasses import dataclass
@@ -21,24 +21,38 @@ from fsw.config import Config
 from fsw.kinematics.transforms import Array
 
 LEAST, LIKELY, MOST = range(3)
+"""Columns of interval estimates: lowest, likely and highest."""
 ERROR_SIGNS: Final = np.array([-1.0, 0.0, 1.0])
+"""Signs of the load error for the lowest, likely and highest estimate."""
 MARS_GRAVITY_M_S2: Final = 3.711
 ON_FLANK_RAD: Final = 1e-6
+"""An output this close to a flank lies on it."""
 STILL_RAD: Final = 2e-5
-"""An output that is to move less than this is left where it lies."""
+"""An output that shall move by less than this is left at rest."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GearBounds:
-    """Between which gear angles friction can hold each output; (5, ...)."""
+    """Bounds between which friction can hold each output, (5, ...)."""
 
     lowest_rad: Array
+    """Lowest gear angles, (5, ...)."""
     highest_rad: Array
+    """Highest gear angles, (5, ...)."""
 
 
-def bound_gear(config: Config, half_gap_rad: Array, load_Nm: Array) -> GearBounds:
-    """The bounds under loads (5, ...), which pull the output to positive angles if they are positive."""
-    friction, half = _rows(config.output_friction_Nm, load_Nm), _rows(half_gap_rad, load_Nm)
+def bound_gear(config: Config, half_backlash_rad: Array, load_Nm: Array) -> GearBounds:
+    """Compute the bounds of the gear angles under loads.
+
+    Args:
+        config: Configuration of flight software.
+        half_backlash_rad: Half the width of the backlash, shape (5,).
+        load_Nm: Torques of the load, positive towards positive angles, shape (5, ...).
+
+    Returns:
+        The bounds in rad, shape (5, ...) each.
+    """
+    friction, half = _rows(config.output_friction_Nm, load_Nm), _rows(half_backlash_rad, load_Nm)
     stiffness = _rows(config.arm.gear_stiffness_Nm_rad, load_Nm)
     least, most = load_Nm - friction, load_Nm + friction
     return GearBounds(
@@ -48,7 +62,17 @@ def bound_gear(config: Config, half_gap_rad: Array, load_Nm: Array) -> GearBound
 
 
 def bound_loads(config: Config, load_Nm: Array, gravity_R_m_s2: Array, more_Nm: Array | None = None) -> Array:
-    """Modelled loads (5) at the least, likely and at the most, `more_Nm` (5) as uncertain on top; (5, 3)."""
+    """Compute the lowest, likely and highest loads.
+
+    Args:
+        config: Configuration of flight software.
+        load_Nm: Modelled loads, shape (5,).
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
+        more_Nm: Further uncertainty of the loads, shape (5,).
+
+    Returns:
+        Loads in N m, shape (5, 3).
+    """
     error = load_error(config, gravity_R_m_s2)
     if more_Nm is not None:
         error = error + more_Nm
@@ -57,49 +81,87 @@ def bound_loads(config: Config, load_Nm: Array, gravity_R_m_s2: Array, more_Nm: 
 
 
 def load_error(config: Config, gravity_R_m_s2: Array) -> Array:
-    """How far modelled loads (5) may be from the true ones: in proportion to gravity, as most of it is."""
+    """Compute the error bound of modelled loads, in proportion to gravity, which causes most of it.
+
+    Args:
+        config: Configuration of flight software.
+        gravity_R_m_s2: Gravity in the rover frame, shape (3,).
+
+    Returns:
+        Error bounds in N m, shape (5,).
+    """
     error: Array = config.load_error_Nm * (sqrt(float(gravity_R_m_s2 @ gravity_R_m_s2)) / MARS_GRAVITY_M_S2)
     return error
 
 
 def gear_after_motor_turn(gear_rad: Array, motion_rad: Array, bounds: GearBounds) -> Array:
-    """The gear angles (5, 3) after the motors turned by so much (5)."""
+    """Compute the gear angles after a turn of the motors.
+
+    Args:
+        gear_rad: Lowest, likely and highest gear angles, shape (5, 3).
+        motion_rad: Turn of the motors on the output side, shape (5,).
+        bounds: Bounds of the gear angles, shape (5, 3).
+
+    Returns:
+        Gear angles in rad, shape (5, 3).
+    """
     turned = gear_rad - motion_rad[:, None]
     after: Array = np.minimum(np.maximum(turned, bounds.lowest_rad), bounds.highest_rad)
     return after
 
 
 def gear_after_output_turn(gear_rad: Array, moved_rad: Array, bounds: GearBounds) -> Array:
-    """The gear angles (5, ...) once the *outputs* have moved by so much: what a set-point must allow for."""
+    """Compute the gear angles after a motion of the outputs, for the compensation of set-points.
+
+    Args:
+        gear_rad: Gear angles, shape (5, ...).
+        moved_rad: Motion of the outputs, shape (5, ...).
+        bounds: Bounds of the gear angles, shape (5, ...).
+
+    Returns:
+        Gear angles in rad, shape (5, ...).
+    """
     dragged = np.where(moved_rad > 0, bounds.lowest_rad, bounds.highest_rad)
     held = np.clip(gear_rad, bounds.lowest_rad, bounds.highest_rad)
     moved: Array = np.where(np.abs(moved_rad) > STILL_RAD, dragged, held)
     return moved
 
 
-def locate_in_backlash(half_gap_rad: Array, gear_rad: Array) -> Array:
-    """How the outputs lie in their gaps, for gear angles (5, 3).
+def locate_in_backlash(half_backlash_rad: Array, gear_rad: Array) -> Array:
+    """Locate the outputs inside their backlash.
+
+    Args:
+        half_backlash_rad: Half the width of the backlash, shape (5,).
+        gear_rad: Lowest, likely and highest gear angles, shape (5, 3).
 
     Returns:
-        (3, 5): the likely place in the gap, wind-up not counted; +1 or -1 where the output surely lies on
-        that side, 0 where nothing has decided; how far the gear angle may be from its likely value.
+        Three rows, shape (3, 5): likely position inside the backlash in rad, without wind-up; side, +1 or -1
+        if it is certain, else 0; largest error of the likely gear angle in rad.
     """
-    gap, side, unsure = [], [], []
-    for (least, likely, most), half in zip(gear_rad.tolist(), half_gap_rad.tolist(), strict=True):
-        gap.append(min(max(likely, -half), half))
+    position, side, uncertainty = [], [], []
+    for (least, likely, most), half in zip(gear_rad.tolist(), half_backlash_rad.tolist(), strict=True):
+        position.append(min(max(likely, -half), half))
         flank = half - ON_FLANK_RAD
         side.append(1.0 if least >= flank else -1.0 if most <= -flank else 0.0)
-        unsure.append(max(most - likely, likely - least))
-    return np.array((gap, side, unsure))
+        uncertainty.append(max(most - likely, likely - least))
+    return np.array((position, side, uncertainty))
 
 
-def clip_to_backlash(half_gap_rad: Array, gear_rad: Array) -> Array:
-    """The part of gear angles (5, ...) that is backlash: half the width on a flank."""
-    half = _rows(half_gap_rad, gear_rad)
-    gap: Array = np.minimum(np.maximum(gear_rad, -half), half)
-    return gap
+def clip_to_backlash(half_backlash_rad: Array, gear_rad: Array) -> Array:
+    """Compute the part of gear angles that is backlash: half its width on a flank.
+
+    Args:
+        half_backlash_rad: Half the width of the backlash, shape (5,).
+        gear_rad: Gear angles, shape (5, ...).
+
+    Returns:
+        Position inside the backlash in rad, shape (5, ...).
+    """
+    half = _rows(half_backlash_rad, gear_rad)
+    position: Array = np.minimum(np.maximum(gear_rad, -half), half)
+    return position
 
 
 def _rows(per_joint: Array, like: Array) -> Array:
-    """A value per joint (5) beside joint arrays (5, ...)."""
+    """Reshape a value per joint (5,) to broadcast with joint arrays (5, ...)."""
     return per_joint if like.ndim == 1 else per_joint.reshape(-1, *(1,) * (like.ndim - 1))

@@ -1,4 +1,7 @@
-"""The load on the joints and the deflected tool pose, at a lower rate than the cycle."""
+"""Estimate of the joints from encoders and resolvers, and of the load and the deflected tool pose.
+
+The joints are estimated every cycle, the load at a lower rate.
+"""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -24,36 +27,43 @@ from fsw.kinematics.transforms import Array
 from fsw.messages import Sensors
 
 GRAVITY_FILTER_S: Final = 1.0
+"""Time constant of the smoothing of gravity."""
 GRAVITY_GAIN: Final = np.array(1.0 / (GRAVITY_FILTER_S * CYCLE_HZ))
 ANYWHERE_RAD: Final = 1.0
+"""Bound of the gear angles before a load is known."""
 RESOLVER_FILTER_S: Final = 0.25
+"""Time constant of the smoothing of the resolver error."""
 RESOLVER_GAIN: Final = np.array(1.0 / (RESOLVER_FILTER_S * CYCLE_HZ))
 PER_S: Final = np.array(float(CYCLE_HZ))
+"""Cycles per second."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointEstimate:
-    """Output side, order of Joint."""
+    """Estimate of the joints on the output side, in the order of Joint."""
 
     initialised: bool
-    """Whether anything has been read yet."""
+    """True once sensors have been read."""
     reference: Reference
+    """Encoder zeros and resolver biases."""
     motor_rad: Array
-    """Of a joint that is not calibrated, what its resolver said at first and the motion since."""
+    """Motor angles, (5,); for an uncalibrated joint, its first resolver reading plus the motion since."""
     motor_rate_rad_s: Array
+    """Motor rates, (5,)."""
     gear_rad: Array
-    """Output less motor angle, backlash and wind-up: at least, likely, at most; (5, 3)."""
+    """Output less motor angle, backlash and wind-up: lowest, likely and highest, (5, 3)."""
     bounds: GearBounds
+    """Bounds of the gear angles under the present load, (5, 3)."""
     resolver_error_rad: Array
-    """Resolver less believed output and learned bias, smoothed."""
+    """Resolver less estimated output and learned bias, smoothed, (5,)."""
     imu_R_m_s2: Array
-    """Gravity as the IMU reads it, smoothed."""
+    """Gravity as the IMU reads it, smoothed, (3,)."""
     down_R: Array | None = None
-    """The direction of gravity as the ground set it."""
+    """Direction of gravity that the ground has set, (3,); None if it has not."""
 
     @property
     def gravity_R_m_s2(self) -> Array:
-        """Gravity, in the direction that the ground set or the IMU reads."""
+        """Gravity, in the direction that the ground has set, else that of the IMU, (3,)."""
         if self.down_R is None:
             return self.imu_R_m_s2
         gravity: Array = self.down_R * np.linalg.norm(self.imu_R_m_s2)
@@ -61,36 +71,44 @@ class JointEstimate:
 
     @property
     def output_rad(self) -> Array:
-        """The likely output angles."""
+        """Likely output angles, (5,)."""
         output: Array = self.motor_rad + self.gear_rad[:, LIKELY]
         return output
 
     @property
     def backlash_state(self) -> Array:
-        """How the outputs lie in their gaps, (3, 5): place, side, uncertainty of the gear angle."""
+        """Position, side, and uncertainty of the gear angle inside the backlash, (3, 5)."""
         return locate_in_backlash(self.reference.half_gap_rad, self.gear_rad)
 
     @property
     def gap_rad(self) -> Array:
-        """Likely place of the output in its gap, wind-up not counted."""
-        gap: Array = self.backlash_state[0]
-        return gap
+        """Likely position of each output inside its backlash, without wind-up, (5,)."""
+        position: Array = self.backlash_state[0]
+        return position
 
     @property
     def side(self) -> Array:
-        """Side of the gap where it is known, else 0."""
+        """Side of the backlash, +1 or -1 if it is certain, else 0, (5,)."""
         side: Array = self.backlash_state[1]
         return side
 
     @property
     def uncertainty_rad(self) -> Array:
-        """How far the gear angle may be from its likely value; an error of its stiffness comes on top."""
+        """Largest error of the likely gear angle, (5,); an error of the gear stiffness adds to it."""
         uncertainty: Array = self.backlash_state[2]
         return uncertainty
 
 
 def uninitialised_estimate(config: Config, reference: Reference) -> JointEstimate:
-    """Nothing has been read yet; every output may be anywhere in its gear until a load is known."""
+    """Build the estimate before the first reading, with gear angles that are unknown until a load is known.
+
+    Args:
+        config: Configuration of flight software.
+        reference: Encoder zeros and resolver biases.
+
+    Returns:
+        The estimate.
+    """
     zeros = np.zeros_like(config.half_gap_rad)
     anywhere = np.outer(np.ones_like(zeros), [-ANYWHERE_RAD, 0.0, ANYWHERE_RAD])
     return JointEstimate(
@@ -106,7 +124,7 @@ def uninitialised_estimate(config: Config, reference: Reference) -> JointEstimat
 
 
 def update_joints(config: Config, last: JointEstimate, sensors: Sensors) -> JointEstimate:
-    """The estimate with this cycle's readings."""
+    """Update the estimate with the readings of this cycle."""
     if not last.initialised:
         return _initialise(config, last, sensors)
     motor = sensors.encoder_count * config.rad_per_count + last.reference.zero_rad
@@ -126,39 +144,8 @@ def update_joints(config: Config, last: JointEstimate, sensors: Sensors) -> Join
     )
 
 
-def apply_calibration(
-    config: Config, joints: JointEstimate, load_Nm: Array, joint: Joint, found: HardstopFit
-) -> JointEstimate:
-    """The estimate with a joint's zero such that its output met the hardstop where the drawing has it.
-
-    The joint has just been dragged off its stop, to positive angles.
-    """
-    this = np.arange(load_Nm.size) == joint
-    shift = config.params.joints.in_order()[joint].hardstop_rad - found.stop_rad
-    read = joints.output_rad + joints.reference.resolver_bias_rad + joints.resolver_error_rad
-    half = np.where(this, found.half_gap_rad, joints.reference.half_gap_rad)
-    bounds = bound_gear(config, half, bound_loads(config, load_Nm, joints.gravity_R_m_s2))
-    gear = np.where(this[:, None], bounds.lowest_rad, joints.gear_rad)
-    motor = joints.motor_rad + np.where(this, shift, 0.0)
-    bias = read - motor - gear[:, LIKELY]
-    return replace(
-        joints,
-        reference=record_calibration(
-            joints.reference,
-            joint,
-            zero_rad=float(joints.reference.zero_rad[joint] + shift),
-            half_gap_rad=found.half_gap_rad,
-            resolver_bias_rad=float(bias[joint]),
-            friction_Nm=found.running_Nm - float(load_Nm[joint]),
-        ),
-        motor_rad=motor,
-        gear_rad=gear,
-        bounds=bounds,
-        resolver_error_rad=np.where(this, 0.0, joints.resolver_error_rad),
-    )
-
-
 def _initialise(config: Config, last: JointEstimate, sensors: Sensors) -> JointEstimate:
+    """Initialise the motor angles from the first readings."""
     reference = provisional_reference(config, last.reference, sensors)
     motor = sensors.encoder_count * config.rad_per_count + reference.zero_rad
     return replace(
@@ -170,10 +157,62 @@ def _initialise(config: Config, last: JointEstimate, sensors: Sensors) -> JointE
     )
 
 
+def apply_calibration(
+    config: Config, joints: JointEstimate, load_Nm: Array, joint: Joint, found: HardstopFit
+) -> JointEstimate:
+    """Set the encoder zero of a joint so that its output met the hardstop at the nominal angle.
+
+    The gear must just have dragged the joint off its hardstop, to positive angles.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate before the calibration.
+        load_Nm: Modelled loads, shape (5,).
+        joint: Calibrated joint.
+        found: Result of the calibration.
+
+    Returns:
+        The estimate after the calibration.
+    """
+    this = np.arange(load_Nm.size) == joint
+    shift = config.params.joints.in_order()[joint].hardstop_rad - found.stop_rad
+    read = joints.output_rad + joints.reference.resolver_bias_rad + joints.resolver_error_rad
+    half = np.where(this, found.half_backlash_rad, joints.reference.half_gap_rad)
+    bounds = bound_gear(config, half, bound_loads(config, load_Nm, joints.gravity_R_m_s2))
+    gear = np.where(this[:, None], bounds.lowest_rad, joints.gear_rad)
+    motor = joints.motor_rad + np.where(this, shift, 0.0)
+    bias = read - motor - gear[:, LIKELY]
+    return replace(
+        joints,
+        reference=record_calibration(
+            joints.reference,
+            joint,
+            zero_rad=float(joints.reference.zero_rad[joint] + shift),
+            half_backlash_rad=found.half_backlash_rad,
+            resolver_bias_rad=float(bias[joint]),
+            friction_Nm=found.running_Nm - float(load_Nm[joint]),
+        ),
+        motor_rad=motor,
+        gear_rad=gear,
+        bounds=bounds,
+        resolver_error_rad=np.where(this, 0.0, joints.resolver_error_rad),
+    )
+
+
 def apply_load(
     config: Config, joints: JointEstimate, load_Nm: Array, more_Nm: Array | None = None
 ) -> JointEstimate:
-    """The estimate under newly modelled loads, and so much (5) more uncertain ones."""
+    """Update the gear angles under newly modelled loads.
+
+    Args:
+        config: Configuration of flight software.
+        joints: Estimate under the previous loads.
+        load_Nm: Modelled loads, shape (5,).
+        more_Nm: Further uncertainty of the loads, shape (5,).
+
+    Returns:
+        The estimate under the new loads.
+    """
     loads = bound_loads(config, load_Nm, joints.gravity_R_m_s2, more_Nm)
     bounds = bound_gear(config, joints.reference.half_gap_rad, loads)
     gear = gear_after_motor_turn(joints.gear_rad, np.zeros_like(load_Nm), bounds)
@@ -182,18 +221,20 @@ def apply_load(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadEstimate:
-    """Spring strains (6, 6), links second, and joint torques (5)."""
+    """Estimate of spring strains and joint torques."""
 
     known: bool
-    """Whether there was a look at the load; the first one converges, later ones only follow."""
+    """True after the first estimate, which iterates to convergence; later ones iterate once."""
     strain: Array
+    """Spring displacements, (6, 6), links second."""
     torque_Nm: Array
+    """Torque of the load on each joint, (5,)."""
     press_torque_Nm: Array
-    """The part of it that a press causes."""
+    """Part of the torque that a contact force causes, (5,)."""
 
 
 def no_load(n: int) -> LoadEstimate:
-    """No load known yet."""
+    """Build the estimate of a load that is not known yet."""
     return LoadEstimate(False, np.zeros((6, n + 1)), np.zeros(n), np.zeros(n))
 
 
@@ -205,24 +246,28 @@ def update_load(
     last: LoadEstimate,
     push: ToolForce | None = None,
 ) -> tuple[LoadEstimate, JointEstimate, ToolChannels]:
-    """One pass of the statics at the present outputs: load, bounds of the gears, and the tool channels."""
+    """Update strain, load, gear bounds and tool channels with one pass of the statics."""
     arm, output = config.arm, joints.output_rad
     strain = last.strain if last.known else settle_output(arm, output, joints.gravity_R_m_s2).strain
     frames = forward(arm, output, strain)
     strain, torque = compute_load(arm, frames, joints.gravity_R_m_s2, push)
-    of_push, unsure = np.zeros_like(torque), None
+    push_Nm, uncertainty_Nm = np.zeros_like(torque), None
     if push is not None:
-        of_push = torque - compute_load(arm, frames, joints.gravity_R_m_s2)[1]
-        unsure = _force_uncertainty(config, of_push, push)
+        push_Nm = torque - compute_load(arm, frames, joints.gravity_R_m_s2)[1]
+        uncertainty_Nm = _force_uncertainty(config, push_Nm, push)
     X_RT = tool_pose(arm, frames, tool)
     channels = ToolChannels(tick, tool, X_RT.p, X_RT.R, output, torque)
-    return LoadEstimate(True, strain, torque, of_push), apply_load(config, joints, torque, unsure), channels
+    return (
+        LoadEstimate(True, strain, torque, push_Nm),
+        apply_load(config, joints, torque, uncertainty_Nm),
+        channels,
+    )
 
 
-def _force_uncertainty(config: Config, of_push_Nm: Array, push: ToolForce) -> Array:
-    """By how much the loads (5) of a press may be off: no sensor feels the force."""
+def _force_uncertainty(config: Config, push_Nm: Array, push: ToolForce) -> Array:
+    """Compute the uncertainty of the loads (5,) of a contact force; no sensor measures the force."""
     force_N, preload = float(np.linalg.norm(push.force_R_N)), config.params.preload
-    unsure: Array = np.abs(of_push_Nm) * (
+    uncertainty_Nm: Array = np.abs(push_Nm) * (
         max(preload.error_share * force_N, preload.error_N) / max(force_N, 1e-9)
     )
-    return unsure
+    return uncertainty_Nm

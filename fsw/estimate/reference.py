@@ -1,4 +1,4 @@
-"""What hardstop initialisation leaves behind: flight software keeps it while the power is off."""
+"""Reference of encoders and resolvers: the result of hardstop calibration, kept while the power is off."""
 
 from dataclasses import dataclass, replace
 
@@ -11,36 +11,37 @@ from fsw.messages import Flags, Sensors
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """What encoders and resolvers mean; output side, order of Joint."""
+    """Reference of encoders and resolvers on the output side, in the order of Joint."""
 
     calibrated: Flags
-    """Which joints have found their hardstop; what the others have here is only provisional."""
+    """True for joints that have found their hardstop; the values of others are provisional, (5,)."""
     known: Flags
-    """Which have at any time; where one is found anew, it is held against what it was."""
+    """True for joints calibrated at any time; a new result is compared with the last one, (5,)."""
     zero_rad: Array
-    """Motor angle at encoder count 0."""
+    """Motor angle at encoder count 0, (5,)."""
     half_gap_rad: Array
-    """Half the width of the backlash, measured where it could be."""
+    """Half the width of the backlash, measured if possible, else nominal, (5,)."""
     resolver_bias_rad: Array
+    """Resolver reading less estimated output at the calibration, (5,)."""
     friction_Nm: Array
-    """Torque that it takes to turn a joint without load; infinite where nobody has felt it."""
+    """Torque that turns a joint without load, (5,); infinite if it was never measured."""
 
 
 def no_reference(config: Config) -> Reference:
-    """Nothing is known but what the parameters say."""
+    """Build the reference of an arm of which only the parameters are known."""
     zeros = np.zeros_like(config.half_gap_rad)
     never = np.zeros(zeros.size, bool)
     return Reference(never, never, zeros, config.half_gap_rad, zeros, np.full(zeros.size, np.inf))
 
 
 def provisional_reference(config: Config, reference: Reference, sensors: Sensors) -> Reference:
-    """The reference with joints that were never calibrated where their resolvers say: good to watch by."""
+    """Set the encoder zeros of joints that were never calibrated from their resolvers."""
     read = sensors.resolver_rad - sensors.encoder_count * config.rad_per_count
     return replace(reference, zero_rad=np.where(reference.known, reference.zero_rad, read))
 
 
 def forget_joint(reference: Reference, joint: int) -> Reference:
-    """The reference without a joint, whose numbers stay as provisional ones."""
+    """Mark a joint as uncalibrated; its values stay as provisional ones."""
     others = np.arange(reference.zero_rad.size) != joint
     return replace(reference, calibrated=reference.calibrated & others)
 
@@ -49,17 +50,17 @@ def record_calibration(
     reference: Reference,
     joint: int,
     zero_rad: float,
-    half_gap_rad: float,
+    half_backlash_rad: float,
     resolver_bias_rad: float,
     friction_Nm: float,
 ) -> Reference:
-    """The reference with a joint that is now calibrated."""
+    """Record the calibration of a joint."""
     this = np.arange(reference.zero_rad.size) == joint
     return Reference(
         calibrated=reference.calibrated | this,
         known=reference.known | this,
         zero_rad=np.where(this, zero_rad, reference.zero_rad),
-        half_gap_rad=np.where(this, half_gap_rad, reference.half_gap_rad),
+        half_gap_rad=np.where(this, half_backlash_rad, reference.half_gap_rad),
         resolver_bias_rad=np.where(this, resolver_bias_rad, reference.resolver_bias_rad),
         friction_Nm=np.where(this, friction_Nm, reference.friction_Nm),
     )

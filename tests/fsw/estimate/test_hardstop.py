@@ -88,7 +88,7 @@ def test_a_load_that_lifts_the_output_off_its_stop_hides_the_gap():
     assert width is None
     result = locate_hardstop(CONFIG, Joint.ELEVATION, 40.0, press, width)
     assert not result.backlash_measured
-    assert 2 * result.half_gap_rad == drawn.backlash_rad
+    assert 2 * result.half_backlash_rad == drawn.backlash_rad
     assert result.stop_rad == pytest.approx(STOP_RAD, abs=0.05e-3)
 
 
@@ -98,7 +98,7 @@ def test_a_width_that_is_no_gap_leaves_the_drawing_s(width):
     press = fit_contact_line(CONFIG, Joint.WRIST, 0.0, towards)
     assert press is not None
     result = locate_hardstop(CONFIG, Joint.WRIST, 0.0, press, width)
-    assert 2 * result.half_gap_rad == pytest.approx(2 * CONFIG.half_gap_rad[Joint.WRIST])
+    assert 2 * result.half_backlash_rad == pytest.approx(2 * CONFIG.half_gap_rad[Joint.WRIST])
 
 
 def test_readings_without_a_rise_have_no_line():
