@@ -1,6 +1,6 @@
-"""The names that a Python user needs: flight software, the closed loop, and the ground tools.
+"""Public names for Python users: flight software, the closed loop, and reading of logs.
 
-Everything else is imported from where it is: `fsw`, `sim` and `ground`.
+Import everything else from `fsw`, `sim` and `ground`.
 """
 
 from fsw.config import Config, configure

@@ -1,4 +1,4 @@
-"""The verb `budget`; thin."""
+"""Define the verb `budget`."""
 
 from typing import Annotated
 
@@ -20,21 +20,21 @@ def budget(
         str, typer.Option(help="drill, drt, mahli, apxs or portion.", metavar="TOOL|all")
     ] = "all",
     poses: Annotated[
-        int, typer.Option(help="How many in all, over the workspace and its branches.")
+        int, typer.Option(help="Number of random poses in the workspace, over all branches.")
     ] = 15_000,
-    seed: Annotated[int, typer.Option(help="Of the random poses.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the random poses.")] = 0,
     gravity: Annotated[str, typer.Option(help="mars or earth.", metavar="mars|earth")] = "mars",
     params: ParamsOption = None,
     reproduce: Annotated[
-        bool, typer.Option("--reproduce", help="Find the magnitudes that would give the paper's rows.")
+        bool, typer.Option("--reproduce", help="Find the magnitudes that reproduce the paper's rows.")
     ] = False,
     report: ReportOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """How accurate the arm is to be expected, before it is built: ten sources of error at seven frames.
+    """Predict the accuracy of the arm before it is built, from ten sources of error at seven frames.
 
-    Every source is a small turn or shift of some frames, propagated to the tool over the primary workspace.
-    What 99.73 percent of the poses stay within is set beside the paper's tables, with what makes it up.
+    Every source is a small rotation or translation of some frames. It is propagated to the tool over the
+    primary workspace. The bound of 99.73 percent of the poses is compared with the paper's tables.
 
     Example: marsarm budget --case accuracy --tool apxs --report budget.html
     """
@@ -46,9 +46,9 @@ def budget(
     request = BudgetRequest(case, tool, poses, seed, params, gravity, report, reproduce)
     try:
         with progress_bar() as progress:
-            found = run_budget(request, progress)
+            result = run_budget(request, progress)
             if report is not None:
-                save_budget_page(found, report)
+                save_budget_page(result, report)
     except BadRequest as error:
         fail(str(error), EXIT_BAD_INPUT, as_json)
-    print_result(budget_json(found), as_json, lambda: budget_table(found))
+    print_result(budget_json(result), as_json, lambda: budget_table(result))

@@ -1,4 +1,4 @@
-"""The verb `diagnose`; thin."""
+"""Define the verb `diagnose`."""
 
 import sys
 from pathlib import Path
@@ -17,51 +17,56 @@ from ground.cli.options import (
     print_result,
 )
 
+LogsArgument = Annotated[
+    list[Path], typer.Argument(help="Logs, or folders: all .mcap files in them.", metavar="LOG...")
+]
+HeldOutOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        help="Logs that are not fitted; the reduction of their residuals validates the result; repeatable.",
+        metavar="LOG",
+    ),
+]
+CatalogueOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Effects of `marsarm effects` that may be the cause; all of them if not given.",
+        metavar="NAME,NAME,...",
+    ),
+]
+CampaignOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder with logs of the campaign that these repeat; it caches the sensitivities. Without it "
+        "the sensitivities of the logs themselves are computed, which takes minutes.",
+        metavar="DIR",
+    ),
+]
+PatchOption = Annotated[
+    Path | None, typer.Option(help="Write the identified effects, for --effect.", metavar="FILE.toml")
+]
+NewParamsOption = Annotated[
+    Path | None,
+    typer.Option(help="Write flight parameters with these effects, for --params.", metavar="FILE.toml"),
+]
+
 
 def diagnose(
-    log: Annotated[
-        list[Path],
-        typer.Argument(help="Logs, or folders: all .mcap files in them.", metavar="LOG..."),
-    ],
-    held_out: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="Logs that take no part, to see on them how far the gap shrinks; as often as you like.",
-            metavar="LOG",
-        ),
-    ] = None,
+    log: LogsArgument,
+    held_out: HeldOutOption = None,
     params: ParamsOption = None,
-    catalogue: Annotated[
-        str | None,
-        typer.Option(
-            help="Effects that may be the cause, from `marsarm effects`; all of them if not given.",
-            metavar="NAME,NAME,...",
-        ),
-    ] = None,
-    campaign: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder with logs of the campaign that these repeat; its sensitivities are kept there. "
-            "Without it those of the logs themselves are computed, which takes minutes.",
-            metavar="DIR",
-        ),
-    ] = None,
+    catalogue: CatalogueOption = None,
+    campaign: CampaignOption = None,
     effect: EffectOption = None,
     seed: SeedOption = 0,
-    patch: Annotated[
-        Path | None,
-        typer.Option(help="Write the effects that were found, for --effect.", metavar="FILE.toml"),
-    ] = None,
-    new_params: Annotated[
-        Path | None,
-        typer.Option(help="Write flight parameters that know them, for --params.", metavar="FILE.toml"),
-    ] = None,
+    patch: PatchOption = None,
+    new_params: NewParamsOption = None,
     report: ReportOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Why an arm is not where its simulator has it: where the gap is, which effect, how far it shrinks.
+    """Find why an arm and its simulation differ: the effect, its place and the residual that remains.
 
-    The verdict is a name, a set of names, none (no effect is seen) or unknown (not in the catalogue).
+    The verdict is a name, a set of names, none (no effect is detected) or unknown (not in the catalogue).
 
     Example: marsarm diagnose logs/ --held-out more/ --report gap.html --patch found.toml
     """
@@ -87,6 +92,6 @@ def diagnose(
     try:
         for sentence in save_diagnosis_files(result, request, files):
             print(sentence, file=sys.stderr)
-    except BadRequest as error:  # after minutes: what was found is told all the same
+    except BadRequest as error:  # the result took minutes, so it is printed before the files are written
         print(error, file=sys.stderr)
         raise typer.Exit(EXIT_BAD_INPUT) from error

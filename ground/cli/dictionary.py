@@ -1,4 +1,4 @@
-"""The verb `dictionary`; thin."""
+"""Define the verbs `effects` and `dictionary`."""
 
 from typing import Annotated
 
@@ -8,9 +8,9 @@ from ground.cli.options import EXIT_BAD_INPUT, JsonOption, fail, print_result
 
 
 def effects(as_json: JsonOption = False) -> None:
-    """List the effects that the plant knows: what each is, where it can sit, and its parameters.
+    """List the effects of the plant: meaning, possible places, and parameters.
 
-    Switch one on with --effect of run, place or hardstop, or with [[effect]] in a scenario.
+    To use one, give --effect to run, place or hardstop, or write [[effect]] in a scenario.
 
     Example: marsarm run contact-science --effect coulomb-friction:elbow:torque_Nm=25
     """
@@ -23,22 +23,21 @@ def dictionary(
     pattern: Annotated[
         str | None,
         typer.Argument(
-            help="Only what is called so: command, EVR, topic, field or parameter; * is any letters.",
+            help="Name of a command, EVR, topic, field or parameter; * stands for any letters.",
             metavar="GLOB",
         ),
     ] = None,
     as_json: JsonOption = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print it as a Markdown page.")] = False,
 ) -> None:
-    """Every command, event report, channel and parameter, with type, unit, limits and what it means.
+    """List every command, event report, channel and parameter, with type, unit, limits and meaning.
 
-    Made from the classes that flight software runs on. The plant's truth channels are in it and are marked.
+    The list is made from the classes that flight software runs on. Truth channels of the plant are marked.
 
     Example: marsarm dictionary 'joints.elbow.*'
     """
     from ground.common.requests import BadRequest
-    from ground.dictionary.entries import build_dictionary as whole_dictionary
-    from ground.dictionary.entries import filter_dictionary
+    from ground.dictionary.entries import build_dictionary, filter_dictionary
     from ground.dictionary.tables import dictionary_json, dictionary_markdown, dictionary_tables
 
     if as_json and markdown:
@@ -47,7 +46,7 @@ def dictionary(
             EXIT_BAD_INPUT,
             as_json,
         )
-    whole = whole_dictionary()
+    whole = build_dictionary()
     try:
         part = whole if pattern is None else filter_dictionary(whole, pattern)
     except BadRequest as error:

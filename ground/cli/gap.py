@@ -1,4 +1,4 @@
-"""The verbs `gap ...`; thin."""
+"""Define the verb `gap record`."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -19,7 +19,7 @@ from ground.cli.options import (
 )
 
 gap_app = typer.Typer(
-    help="Record the logs from which the gap between arm and simulation is diagnosed.\n\n"
+    help="Record logs from which `marsarm diagnose` finds why arm and simulation differ.\n\n"
     "Example: marsarm gap record --out logs",
     no_args_is_help=True,
 )
@@ -27,7 +27,7 @@ gap_app = typer.Typer(
 
 @gap_app.callback()
 def _group() -> None:
-    """Keep `record` a word of its own."""
+    """Make typer keep `record` as a verb, though it is the only one of the group."""
 
 
 @gap_app.command()
@@ -39,9 +39,9 @@ def record(
     seed: SeedOption = 0,
     as_json: JsonOption = False,
 ) -> None:
-    """Record the campaign of motions that `marsarm diagnose` is made for; half a minute.
+    """Record the campaign of motions for `marsarm diagnose`; it takes half a minute.
 
-    Logs hold no truth of the plant. Motions on which a diagnosis may be tried are in DIR/held-out.
+    Logs hold no truth of the plant. Motions to validate a diagnosis on are in DIR/held-out.
 
     Example: marsarm gap record --effect link-length:arm3.x:length_m=0.003 --out logs
     """
@@ -59,7 +59,7 @@ def record(
 
 @contextmanager
 def report_bad_input(as_json: bool) -> Iterator[None]:
-    """End the command with a sentence and status 2 if its input is bad."""
+    """Print the error and exit with status 2 if the input is bad."""
     from ground.common.files import BadOutput
     from ground.common.requests import BadRequest
     from ground.diagnosis.arm.logs import NotForDiagnosis

@@ -1,4 +1,4 @@
-"""The verb `hardstop`; thin."""
+"""Define the verb `hardstop`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -20,62 +20,72 @@ from ground.cli.options import (
 )
 
 JointAngles = tuple[float, float, float, float, float]
+JointOption = Annotated[
+    str | None,
+    typer.Option(help="azimuth, elevation, elbow, wrist or turret; all if not given.", metavar="NAME"),
+]
+AllOption = Annotated[
+    bool, typer.Option("--all", help="All joints, one after the other, as flight software does it.")
+]
+RepeatOption = Annotated[
+    int,
+    typer.Option(
+        help="Number of repetitions. Each begins near the hardstop, with its own temperature (-55 to "
+        "10 degC), friction, noise and pose.",
+        metavar="N",
+    ),
+]
+SceneOption = Annotated[str, typer.Option(help="mars or earth.", metavar="mars|earth")]
+TurretOption = Annotated[
+    bool,
+    typer.Option(
+        "--turret/--no-turret",
+        help="Without its turret the arm is calibrated on Earth, in poses with the joint torques of Mars.",
+    ),
+]
+StartOption = Annotated[
+    JointAngles | None,
+    typer.Option(
+        help="Start pose for one joint, degrees; if not given, its planned pose near its hardstop.",
+        metavar="J1 J2 J3 J4 J5",
+    ),
+]
+TemperatureOption = Annotated[
+    float | None,
+    typer.Option(
+        help="Temperature of the actuators, degC; 20 if not given. Friction rises in the cold.",
+        metavar="DEGC",
+    ),
+]
+PictureOption = Annotated[
+    Path | None, typer.Option(help="Draw current, speed and angle.", metavar="FILE.png")
+]
+PlanOption = Annotated[
+    bool, typer.Option("--plan", help="Move nothing; show the poses and the torques that they equalise.")
+]
 
 
 def hardstop(
-    joint: Annotated[
-        str | None,
-        typer.Option(help="azimuth, elevation, elbow, wrist or turret; all if not given.", metavar="NAME"),
-    ] = None,
-    every: Annotated[
-        bool, typer.Option("--all", help="All joints, one after the other, as flight software does it.")
-    ] = False,
-    repeat: Annotated[
-        int,
-        typer.Option(
-            help="So many times, each from near the hardstop, at another temperature (-55 to 10 degC), with "
-            "other friction, noise and pose.",
-            metavar="N",
-        ),
-    ] = 1,
+    joint: JointOption = None,
+    every: AllOption = False,
+    repeat: RepeatOption = 1,
     arm: ArmOption = "nominal",
-    scene: Annotated[str, typer.Option(help="mars or earth.", metavar="mars|earth")] = "mars",
-    turret: Annotated[
-        bool,
-        typer.Option(
-            "--turret/--no-turret",
-            help="Without its turret the arm is calibrated on Earth, in poses of the torques of Mars.",
-        ),
-    ] = True,
-    start: Annotated[
-        JointAngles | None,
-        typer.Option(
-            help="Where the arm stands, degrees, for one joint; if not given, in its pose near its hardstop.",
-            metavar="J1 J2 J3 J4 J5",
-        ),
-    ] = None,
+    scene: SceneOption = "mars",
+    turret: TurretOption = True,
+    start: StartOption = None,
     tilt_roll: RollOption = 0.0,
     tilt_pitch: PitchOption = 0.0,
-    temperature: Annotated[
-        float | None,
-        typer.Option(
-            help="Of the actuators, degC; 20 if not given. Friction rises in the cold.", metavar="DEGC"
-        ),
-    ] = None,
+    temperature: TemperatureOption = None,
     seed: SeedOption = 0,
     params: ParamsOption = None,
     effect: EffectOption = None,
-    picture: Annotated[
-        Path | None, typer.Option(help="Draw current, speed and angle.", metavar="FILE.png")
-    ] = None,
-    plan: Annotated[
-        bool, typer.Option("--plan", help="Move nothing; show the poses and the torques they equalise.")
-    ] = False,
+    picture: PictureOption = None,
+    plan: PlanOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Run joints against their negative hardstops and take the encoder zeros from there.
+    """Run joints against their negative hardstops and set the encoder zeros there.
 
-    Flight software begins without any zero. Errors are against the true hardstop of the arm.
+    Flight software begins without any zero. Errors are relative to the true hardstop of the arm.
 
     Example: marsarm hardstop --joint elbow --arm as-built:7 --temperature -40 --picture elbow.png
     """

@@ -1,4 +1,4 @@
-"""The verbs of the inverse kinematics: `ik` and `reach`; thin."""
+"""Define the verbs of the inverse kinematics: `ik` and `reach`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -20,20 +20,20 @@ ToolOption = Annotated[str, typer.Option(help="drill, drt, mahli, apxs or portio
 CompensateOption = Annotated[
     str,
     typer.Option(
-        help="absolute: the tool of the hanging arm meets the target; off: that of the rigid arm, "
-        "and gravity and tilt do not matter.",
+        help="absolute: the tool of the arm deflected by gravity meets the target; off: that of the rigid "
+        "arm, and gravity and tilt do not matter.",
         metavar="absolute|off",
     ),
 ]
 GravityOption = Annotated[str, typer.Option(help="mars or earth.", metavar="mars|earth")]
 WarmingOption = Annotated[
-    float, typer.Option(help="How much warmer the arm is than at calibration, in kelvin.", metavar="K")
+    float, typer.Option(help="Temperature of the arm above that at calibration, in kelvin.", metavar="K")
 ]
 BelievedArmOption = Annotated[
     str,
     typer.Option(
-        help="nominal, as-built:SEED or calibrated:SEED: the arm as its flight parameters have it, which "
-        "is what flight software believes; those of as-built are nominal.",
+        help="nominal, as-built:SEED or calibrated:SEED: the arm that flight software assumes, by its "
+        "flight parameters; those of as-built are nominal.",
         metavar="ARM",
     ),
 ]
@@ -42,17 +42,17 @@ BelievedArmOption = Annotated[
 def ik(
     tool: ToolOption = "apxs",
     position: Annotated[
-        Vector | None, typer.Option(help="Where the tool's origin is to be, in metres.", metavar="X Y Z")
+        Vector | None, typer.Option(help="Position of the tool's origin, in metres.", metavar="X Y Z")
     ] = None,
     approach: Annotated[
         Vector | None,
-        typer.Option(help="Where the tool is to point, of any length.", metavar="AX AY AZ"),
+        typer.Option(help="Direction of the tool, of any length.", metavar="AX AY AZ"),
     ] = None,
     frame: Annotated[
         str,
         typer.Option(
-            help="Of position and approach. rnav: from the ground below the rover, as for place; rmech: "
-            "parallel to it, from the rover's mechanical frame.",
+            help="Frame of position and approach. rnav: from the ground below the rover, as for place; "
+            "rmech: parallel to it, from the rover's mechanical frame.",
             metavar="rnav|rmech",
         ),
     ] = "rnav",
@@ -66,7 +66,7 @@ def ik(
     batch: Annotated[
         Path | None,
         typer.Option(
-            help="Many targets: .npz with position_m and approach (n, 3), or .parquet with position_x_m, "
+            help="File of targets: .npz with position_m and approach (n, 3), or .parquet with position_x_m, "
             "position_y_m, position_z_m, approach_x, approach_y, approach_z.",
             metavar="FILE",
         ),
@@ -74,16 +74,15 @@ def ik(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Where their answers go, .npz or .parquet; what was there is replaced.", metavar="FILE"
+            help="File for their solutions, .npz or .parquet; an existing file is replaced.", metavar="FILE"
         ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Every branch of a target: its five output angles, or the reason that it is out.
+    """Compute the five output angles of every branch of a target, or the reason why it is invalid.
 
-    x forward, y right, z down; collisions are not looked at. A target that no branch reaches is an answer
-    too, with status 0. Branches of a hanging arm that are far outside the limits have no angles, and say by
-    about how much.
+    x forward, y right, z down; collisions are not checked. The exit status is 0 also if no branch reaches the
+    target. With compensation, a branch far outside the limits has no angles, only its approximate excess.
 
     Example: marsarm ik --tool mahli --position 2.1 0 -0.3 --approach 0.5 0 0.85 --tilt-pitch 10
     """
@@ -114,16 +113,16 @@ def reach(
     warming: WarmingOption = 0.0,
     arm: BelievedArmOption = "nominal",
     params: ParamsOption = None,
-    samples: Annotated[int, typer.Option(help="How many random targets.")] = 20_000,
-    seed: Annotated[int, typer.Option(help="Of the random targets.")] = 0,
+    samples: Annotated[int, typer.Option(help="Number of random targets.")] = 20_000,
+    seed: Annotated[int, typer.Option(help="Seed of the random targets.")] = 0,
     picture: Annotated[Path, typer.Option(help="Draw the map.", metavar="FILE.png")] = Path("reach.png"),
     no_picture: Annotated[bool, typer.Option("--no-picture", help="Draw no picture.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """How many branches are valid in the primary workspace, and which; and why the others are out.
+    """Count the valid branches in the primary workspace, and the reasons why others are invalid.
 
     The workspace is a cylinder 0.8 m across and 1.0 m tall around RNAV x = 2.1 m, from 0.2 m below the ground
-    up; approaches from horizontal to vertical down, to 45 deg on either side. Collisions are not looked at.
+    up; approaches from horizontal to vertical down, to 45 deg on either side. Collisions are not checked.
 
     Example: marsarm reach --tool drill --gravity earth --picture drill.png
     """

@@ -1,4 +1,4 @@
-"""The verb `log import`; thin."""
+"""Define the verbs `log info`, `channels`, `plot`, `export`, `recover` and `import`."""
 
 import sys
 from collections.abc import Iterator
@@ -14,31 +14,29 @@ if TYPE_CHECKING:
     from ground.telemetry.read import Log
 
 LogArgument = Annotated[Path, typer.Argument(help="A telemetry log (MCAP).", metavar="LOG")]
-FromOption = Annotated[
-    float | None, typer.Option("--from", help="Seconds of log time to begin at.", metavar="S")
-]
+FromOption = Annotated[float | None, typer.Option("--from", help="First log time, in seconds.", metavar="S")]
 ToOption = Annotated[
-    float | None, typer.Option("--to", help="Seconds of log time to end before.", metavar="S")
+    float | None, typer.Option("--to", help="Log time to end before, in seconds.", metavar="S")
 ]
 
 log_app = typer.Typer(
-    help="Look into telemetry logs, export and recover them.\n\nExample: marsarm log info run.mcap",
+    help="Inspect, plot, export, recover and import telemetry logs.\n\nExample: marsarm log info run.mcap",
     no_args_is_help=True,
 )
 
 
 @log_app.command()
 def info(log: LogArgument, as_json: JsonOption = False) -> None:
-    """What a log holds: versions, duration, topics, events; whether it is whole.
+    """Summarize a log: versions, duration, topics, events, and whether it is complete.
 
     Example: marsarm log info run.mcap
     """
     from ground.telemetry.tables import info_json, info_table
 
-    with _bad_input(as_json):
-        found = _read(log)
-        document = info_json(found)
-    print_result(document, as_json, lambda: info_table(found))
+    with _report_bad_input(as_json):
+        read = _read(log)
+        document = info_json(read)
+    print_result(document, as_json, lambda: info_table(read))
 
 
 @log_app.command()
@@ -51,17 +49,17 @@ def channels(
     stop: ToOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Each channel with its type, unit, count and range.
+    """List the channels with type, unit, count and range.
 
     Example: marsarm log channels run.mcap '/joint.*_rad'
     """
     from ground.telemetry.inspection import select_channels
     from ground.telemetry.tables import channels_json, channels_table
 
-    with _bad_input(as_json):
+    with _report_bad_input(as_json):
         read = _read(log, start, stop)
-        found = select_channels(read, glob or ())
-    print_result(channels_json(read, found), as_json, lambda: channels_table(found))
+        selected = select_channels(read, glob or ())
+    print_result(channels_json(read, selected), as_json, lambda: channels_table(selected))
 
 
 @log_app.command()
@@ -70,10 +68,11 @@ def plot(
     channel: Annotated[
         list[str],
         typer.Argument(
-            help="Such as '/joint.motor_rad', '/joint.motor_rad[2]', '/joint.gap*'.", metavar="CHANNEL..."
+            help="Names or patterns such as '/joint.motor_rad', '/joint.motor_rad[2]', '/joint.gap*'.",
+            metavar="CHANNEL...",
         ),
     ],
-    out: Annotated[Path, typer.Option(help="The picture.", metavar="FILE.png")],
+    out: Annotated[Path, typer.Option(help="File for the picture.", metavar="FILE.png")],
     start: FromOption = None,
     stop: ToOption = None,
     as_json: JsonOption = False,
@@ -88,15 +87,15 @@ def plot(
     from ground.telemetry.figure import save_log_figure
     from ground.telemetry.inspection import select_channels
 
-    with _bad_input(as_json):
+    with _report_bad_input(as_json):
         check_distinct_files({"LOG": log, "out": check_output(out, (".png",), "out")})
         read = _read(log, start, stop)
-        found = select_channels(read, channel)
-        missing = save_log_figure(found, read.evrs, out)
-    if missing is not None:
-        fail(f"out {out}: not drawn, {missing}", EXIT_BAD_INPUT, as_json)
-    document = {"log": str(log), "picture": str(out), "channels": [one.name for one in found]}
-    print_result(document, as_json, lambda: print(f"{pluralize(len(found), 'channel')} in {out}"))
+        selected = select_channels(read, channel)
+        problem = save_log_figure(selected, read.evrs, out)
+    if problem is not None:
+        fail(f"out {out}: not drawn, {problem}", EXIT_BAD_INPUT, as_json)
+    document = {"log": str(log), "picture": str(out), "channels": [one.name for one in selected]}
+    print_result(document, as_json, lambda: print(f"{pluralize(len(selected), 'channel')} in {out}"))
 
 
 @log_app.command()
@@ -104,17 +103,19 @@ def export(
     log: LogArgument,
     out: Annotated[
         Path,
-        typer.Argument(help="A file for one topic, or a folder for all.", metavar="OUT.parquet|OUT.csv|DIR"),
+        typer.Argument(
+            help="A file for one topic, or a folder for several.", metavar="OUT.parquet|OUT.csv|DIR"
+        ),
     ],
     topic: Annotated[
-        list[str] | None, typer.Option(help="A topic, such as /joint; may be given again.", metavar="TOPIC")
+        list[str] | None, typer.Option(help="A topic, such as /joint; repeatable.", metavar="TOPIC")
     ] = None,
-    as_csv: Annotated[bool, typer.Option("--csv", help="Files in a folder are CSV, not Parquet.")] = False,
+    as_csv: Annotated[bool, typer.Option("--csv", help="Write CSV files to a folder, not Parquet.")] = False,
     start: FromOption = None,
     stop: ToOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Write topics as tables; Parquet keeps every bit, the units and the log's header.
+    """Write topics as tables; Parquet keeps exact values, units and the header of the log.
 
     Example: marsarm log export run.mcap tables --topic /joint --topic /sensors
     """
@@ -122,7 +123,7 @@ def export(
     from ground.telemetry.export import export as carry_out
     from ground.telemetry.tables import export_json, export_table
 
-    with _bad_input(as_json), progress_bar() as progress:
+    with _report_bad_input(as_json), progress_bar() as progress:
         read = _read(log, start, stop)
         files = carry_out(read, out, topic or (), progress, ".csv" if as_csv else ".parquet")
     print_result(export_json(read, files), as_json, lambda: export_table(read, files))
@@ -134,7 +135,7 @@ def recover(
     good: Annotated[Path, typer.Argument(help="The log to write.", metavar="GOOD.mcap")],
     as_json: JsonOption = False,
 ) -> None:
-    """Write all that is undamaged in a log to a new one, and say what is lost.
+    """Copy all undamaged messages of a log to a new one, and list what is lost.
 
     Example: marsarm log recover run.mcap saved.mcap
     """
@@ -142,14 +143,14 @@ def recover(
     from ground.telemetry.recover import recover as carry_out
     from ground.telemetry.tables import recovery_json, recovery_table
 
-    with _bad_input(as_json), progress_bar() as progress:
+    with _report_bad_input(as_json), progress_bar() as progress:
         recovered = carry_out(bad, good, progress)
     print_result(recovery_json(bad, good, recovered), as_json, lambda: recovery_table(good, recovered))
 
 
 @contextmanager
-def _bad_input(as_json: bool) -> Iterator[None]:
-    """End with a sentence where a file or a request is wrong."""
+def _report_bad_input(as_json: bool) -> Iterator[None]:
+    """Print the error and exit with status 2 if a file or the request is bad."""
     from ground.common.files import BadOutput
     from ground.common.requests import BadRequest
     from ground.telemetry.errors import LogError
@@ -163,7 +164,11 @@ def _bad_input(as_json: bool) -> Iterator[None]:
 
 
 def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) -> "Log":
-    """The log between two times; NoSuchChannel where there is nothing."""
+    """Read a log between two times.
+
+    Raises:
+        NoSuchChannel: the log has no message between these times.
+    """
     from ground.telemetry.inspection import NoSuchChannel, bound_ns
     from ground.telemetry.lost_messages import trailing_bytes_text
     from ground.telemetry.read import read_log
@@ -176,20 +181,21 @@ def _read(log: Path, start_s: float | None = None, stop_s: float | None = None) 
     return read
 
 
+@log_app.command("import")
 def import_log(
     table: Annotated[
         Path, typer.Argument(help="Telemetry as .parquet, .csv, .tsv or .txt.", metavar="TABLE")
     ],
-    mapping: Annotated[
-        Path, typer.Argument(help="Which columns are which channels.", metavar="MAPPING.toml")
+    mapping: Annotated[Path, typer.Argument(help="The channel of each column.", metavar="MAPPING.toml")],
+    log: Annotated[
+        Path, typer.Argument(help="The log to write; an existing file is replaced.", metavar="OUT.mcap")
     ],
-    log: Annotated[Path, typer.Argument(help="The log; what was there is replaced.", metavar="OUT.mcap")],
     as_json: JsonOption = False,
 ) -> None:
-    """Read someone else's telemetry, a table with named columns, into a log like ours.
+    """Convert telemetry of another system, a table with named columns, into a log.
 
-    docs/import.md says how a mapping is written. Nothing is made up: a channel that is not mapped is not in
-    the log, and a packet that lacks a field is kept under /imported/ with those that it has.
+    docs/import.md describes the mapping. Missing values are not invented: the log has no unmapped channel.
+    A packet that lacks a field is written under /imported/ with the fields that it has.
 
     Example: marsarm log import arm.csv arm.toml arm.mcap
     """

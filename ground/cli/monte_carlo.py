@@ -1,4 +1,4 @@
-"""The verb `monte-carlo`; thin."""
+"""Define the verb `monte-carlo`."""
 
 import os
 from pathlib import Path
@@ -8,60 +8,70 @@ import typer
 
 from ground.cli.options import EXIT_ARM_SAFE, EXIT_BAD_INPUT, JsonOption, ReportOption, fail, print_result
 
+CaseOption = Annotated[
+    str, typer.Option(help="accuracy, repeatability, mars or mars-repeatability.", metavar="CASE")
+]
+BuiltOption = Annotated[
+    str,
+    typer.Option(
+        help="drawn: the nominal arm with every source of the case. calibrated or as-built: such arms, "
+        "with the sources that the case adds to them.",
+        metavar="drawn|calibrated|as-built",
+    ),
+]
+HowOption = Annotated[
+    str,
+    typer.Option(
+        help="closed-loop: plant and flight software. statics: the equilibrium of motors, gears and springs "
+        "after a move, thirty times faster.",
+        metavar="closed-loop|statics",
+    ),
+]
+SeedOption = Annotated[
+    int, typer.Option(help="Seed of arms, places and moves; calibrated arm K is calibrated:SEED+K.")
+]
+OnlyOption = Annotated[
+    int | None,
+    typer.Option(help="Run arm number K alone; its results are the same as among others.", metavar="K"),
+]
+ParamsOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="TOML file of flight parameters that replace nominal ones; {seed} in its name stands for the "
+        "seed of an arm.",
+        metavar="FILE.toml",
+    ),
+]
+ResultsOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Write the measurements arm by arm; an interrupted run continues from this file.",
+        metavar="FILE.jsonl",
+    ),
+]
+
 
 def monte_carlo(
-    case: Annotated[
-        str, typer.Option(help="accuracy, repeatability, mars or mars-repeatability.", metavar="CASE")
-    ] = "accuracy",
-    built: Annotated[
-        str,
-        typer.Option(
-            help="drawn: the nominal arm with every source of the case. calibrated or as-built: such arms, "
-            "with what the case adds to them.",
-            metavar="drawn|calibrated|as-built",
-        ),
-    ] = "drawn",
-    arms: Annotated[int, typer.Option(help="How many.")] = 500,
-    places: Annotated[int, typer.Option(help="How many each is moved to.")] = 1,
-    how: Annotated[
-        str,
-        typer.Option(
-            help="closed-loop: plant and flight software. statics: where a move leaves motors, gears and "
-            "springs at rest, thirty times faster.",
-            metavar="closed-loop|statics",
-        ),
-    ] = "closed-loop",
-    seed: Annotated[
-        int, typer.Option(help="Of arms, places and moves; calibrated arm K is calibrated:SEED+K.")
-    ] = 0,
-    only: Annotated[
-        int | None, typer.Option(help="Run arm number K alone, as it is among the others.", metavar="K")
-    ] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes; all cores if not given.")] = None,
+    case: CaseOption = "accuracy",
+    built: BuiltOption = "drawn",
+    arms: Annotated[int, typer.Option(help="Number of arms.")] = 500,
+    places: Annotated[int, typer.Option(help="Number of places that each arm is moved to.")] = 1,
+    how: HowOption = "closed-loop",
+    seed: SeedOption = 0,
+    only: OnlyOption = None,
+    workers: Annotated[int | None, typer.Option(help="Number of processes; all cores if not given.")] = None,
     cluster: Annotated[
-        bool, typer.Option("--cluster", help="On the Ray cluster that RAY_ADDRESS names.")
+        bool, typer.Option("--cluster", help="Run on the Ray cluster that RAY_ADDRESS names.")
     ] = False,
-    params: Annotated[
-        Path | None,
-        typer.Option(
-            help="TOML with flight parameters over the nominal ones; {seed} in its name stands for an arm's.",
-            metavar="FILE.toml",
-        ),
-    ] = None,
-    results: Annotated[
-        Path | None,
-        typer.Option(
-            help="Keep what is measured, arm by arm; a run that was stopped goes on from there.",
-            metavar="FILE.jsonl",
-        ),
-    ] = None,
+    params: ParamsOption = None,
+    results: ResultsOption = None,
     report: ReportOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Arms drawn by the error budget, moved by flight software, measured: does the budget hold?
+    """Check the error budget on arms with sampled errors, which flight software moves.
 
-    Every arm has errors of its own; every move leaves some to chance. By how much the tool misses its place
-    is held against the bounds of the budget there. Arm K is the same whichever others there are.
+    Every arm has errors of its own, and every move adds random ones. The position error of the tool is
+    compared with the bounds of the budget. Arm K is the same whatever other arms there are.
 
     Example: marsarm monte-carlo --case mars --arms 200 --results mars.jsonl --report mars.html
     """
@@ -91,12 +101,12 @@ def monte_carlo(
     )
     try:
         with progress_bar() as progress:
-            found = run_monte_carlo(request, progress)
+            result = run_monte_carlo(request, progress)
             if report is not None:
-                save_monte_carlo_page(found, report)
+                save_monte_carlo_page(result, report)
     except BadRequest as error:
         fail(str(error), EXIT_BAD_INPUT, as_json)
     print_table = monte_carlo_table if only is None else one_arm_table
-    print_result(monte_carlo_json(found), as_json, lambda: print_table(found))
-    if not found.trials:
+    print_result(monte_carlo_json(result), as_json, lambda: print_table(result))
+    if not result.trials:
         raise typer.Exit(EXIT_ARM_SAFE)

@@ -1,4 +1,4 @@
-"""What the verbs of the command line share: options, exit statuses, and how results are shown."""
+"""Options and exit statuses that verbs share, and functions that print results and errors."""
 
 import json
 import sys
@@ -16,16 +16,16 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON documen
 ArmOption = Annotated[str, typer.Option(help="nominal, as-built:SEED or calibrated:SEED.", metavar="ARM")]
 RollOption = Annotated[float, typer.Option(help="Rover roll, right side down, in degrees.", metavar="DEG")]
 PitchOption = Annotated[float, typer.Option(help="Rover pitch, nose up, in degrees.", metavar="DEG")]
-SeedOption = Annotated[int, typer.Option(help="Of everything random that is not the arm.")]
+SeedOption = Annotated[int, typer.Option(help="Seed of everything random except the arm.")]
 ParamsOption = Annotated[
     Path | None,
-    typer.Option(help="TOML with flight parameters that replace nominal ones.", metavar="FILE.toml"),
+    typer.Option(help="TOML file of flight parameters that replace nominal ones.", metavar="FILE.toml"),
 ]
 EffectOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Switch an effect on, one from `marsarm effects` or FILE.py:CLASS for its name, or those of a "
-        "FILE.toml with [[effect]] tables; as often as you like.",
+        help="Switch on an effect of `marsarm effects`, or FILE.py:CLASS as its name, or all of a FILE.toml "
+        "with [[effect]] tables; repeatable.",
         metavar="NAME:PLACE:PARAMETER=VALUE,...",
     ),
 ]
@@ -33,12 +33,12 @@ ReportOption = Annotated[
     Path | None, typer.Option(help="Write a page with tables and pictures.", metavar="FILE.html")
 ]
 DiskOption = Annotated[
-    Literal["go-on", "stop"], typer.Option(help="What the run does when its log can no longer be written.")
+    Literal["go-on", "stop"], typer.Option(help="Reaction of the run if its log can no longer be written.")
 ]
 
 
 def print_result(document: dict[str, Any], as_json: bool, table: Callable[[], None]) -> None:
-    """Print a result, for a program or for a person."""
+    """Print a result as JSON for a program, or as a table for a person."""
     if as_json:
         print(json.dumps(document, indent=2, allow_nan=False))
     else:
@@ -46,7 +46,7 @@ def print_result(document: dict[str, Any], as_json: bool, table: Callable[[], No
 
 
 def fail(message: str, status: int, as_json: bool) -> NoReturn:
-    """Say why nothing was done, and end."""
+    """Print an error message and exit."""
     if as_json:
         print(json.dumps({"error": message}))
     print(message, file=sys.stderr)

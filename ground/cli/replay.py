@@ -1,4 +1,4 @@
-"""The verb `replay`; thin."""
+"""Define the verb `replay`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -9,26 +9,26 @@ from ground.cli.options import EXIT_ARM_SAFE, EXIT_BAD_INPUT, JsonOption, fail, 
 
 
 def replay(
-    log: Annotated[Path, typer.Argument(help="A telemetry log, whole or cut short.", metavar="LOG")],
+    log: Annotated[Path, typer.Argument(help="A telemetry log, complete or truncated.", metavar="LOG")],
     channel: Annotated[
         str,
         typer.Option(
-            help="Compare only channels that match, such as '/joint.*'; events and lengths in any case.",
+            help="Compare only channels that match, such as '/joint.*'; events and lengths always.",
             metavar="GLOB",
         ),
     ] = "*",
     params: Annotated[
         Path | None,
         typer.Option(
-            help="TOML with parameters in place of those in the log: what would it have done?",
+            help="TOML file of parameters that replace those of the log.",
             metavar="FILE.toml",
         ),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Feed a log's sensors and commands through today's flight software, and compare what it puts out.
+    """Feed the sensors and commands of a log to today's flight software, and compare its outputs.
 
-    The exit status is 0 if all is the same, 3 if not.
+    The exit status is 0 if all outputs are identical, 3 if not.
 
     Example: marsarm replay run.mcap --channel '/joint.*'
     """

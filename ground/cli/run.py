@@ -1,4 +1,4 @@
-"""The verbs `run` and `scenarios`; thin."""
+"""Define the verbs `run` and `scenarios`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -24,15 +24,15 @@ def run(
     arm: Annotated[
         str | None,
         typer.Option(
-            help="nominal, as-built:SEED or calibrated:SEED; as the scenario says if not given.",
+            help="nominal, as-built:SEED or calibrated:SEED; that of the scenario if not given.",
             metavar="ARM",
         ),
     ] = None,
     tilt: Annotated[
         tuple[float, float] | None,
         typer.Option(
-            help="Of the rover, degrees: roll, right side down, and pitch, nose up; as the scenario says if "
-            "not given.",
+            help="Tilt of the rover, degrees: roll, right side down, and pitch, nose up; if not given, that "
+            "of the scenario.",
             metavar="ROLL PITCH",
         ),
     ] = None,
@@ -44,11 +44,11 @@ def run(
     when_disk_full: DiskOption = "go-on",
     movie: Annotated[Path | None, typer.Option(help="Draw the whole run.", metavar="FILE.gif")] = None,
     picture: Annotated[
-        Path | None, typer.Option(help="Draw the arm where it is judged last.", metavar="FILE.png")
+        Path | None, typer.Option(help="Draw the arm at the last check.", metavar="FILE.png")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Run a scenario in the closed loop, and judge it by what the arm truly did.
+    """Run a scenario in the closed loop, and check it against the true motion of the arm.
 
     Example: marsarm run tool-change --arm calibrated:7 --tilt 10 -5 --movie sol46.gif
     """
@@ -72,12 +72,12 @@ def run(
 
 
 def scenarios(as_json: JsonOption = False) -> None:
-    """List the scenarios that come with the house.
+    """List the built-in scenarios.
 
     Example: marsarm scenarios --json
     """
     from ground.runs.tables import scenarios_json, scenarios_table
     from sim.scenario.file import built_in_scenarios, load_scenario
 
-    found = tuple(load_scenario(name) for name in built_in_scenarios())
-    print_result({"scenarios": scenarios_json(found)}, as_json, lambda: scenarios_table(found))
+    loaded = tuple(load_scenario(name) for name in built_in_scenarios())
+    print_result({"scenarios": scenarios_json(loaded)}, as_json, lambda: scenarios_table(loaded))

@@ -1,4 +1,4 @@
-"""The words beside a field in the source: a string below it, which Python itself forgets."""
+"""Units of fields by their names, and docstrings of fields, which Python does not keep, from the source."""
 
 import ast
 import inspect
@@ -29,7 +29,7 @@ UNIT_SYMBOLS: Final = {
     "s2": "s2",
     "s3": "s3",
 }
-"""By a part of the suffix."""
+"""Unit for each part of a suffix."""
 
 DIMENSIONLESS: Final = {
     "tick": "cycle",
@@ -46,7 +46,7 @@ DIMENSIONLESS: Final = {
     "along": "1",
     "across": "1",
 }
-"""By the last word of a name without a unit: what is counted, or 1 for a pure number."""
+"""Unit for the last word of a name without a unit suffix: the counted thing, or 1 for a pure number."""
 
 UNIT_VECTORS: Final = ("approach", "gravity", "normal", "R")
 """First words of names of directions and rotations, whose components are pure numbers."""
@@ -56,11 +56,11 @@ UNITS_BY_NAME: Final = {
     "value": "of the parameter",
     "bound": "cycle",
 }
-"""Names whose unit their text, or their fellow, says."""
+"""Unit of names for which the docstring, or another field, gives the unit."""
 
 
 def unit_of(name: str) -> str | None:
-    """The unit that a field's name tells, "1" for a pure number, or None where it tells none."""
+    """Derive the unit of a field from its name: "1" for a pure number, None if the name has no unit."""
     words = name.split("_")
     suffix: list[str] = []
     while words and words[-1] in UNIT_SYMBOLS and len(suffix) < 2:
@@ -75,24 +75,24 @@ def unit_of(name: str) -> str | None:
 
 @cache
 def field_docs(kind: type) -> dict[str, str]:
-    """What the source says of each field of a dataclass, by name; a field without words is not there."""
-    found = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
-    return _attribute_docs(found.body) if isinstance(found, ast.ClassDef) else {}
+    """Read the docstrings of the fields of a dataclass, by name; fields without one are left out."""
+    node = ast.parse(textwrap.dedent(inspect.getsource(kind))).body[0]
+    return _attribute_docs(node.body) if isinstance(node, ast.ClassDef) else {}
 
 
 @cache
 def alias_docs(module: str) -> dict[str, str]:
-    """What a module says of each of its own names, such as `BacklashMode`."""
+    """Read the docstrings of the names that a module assigns, such as `BacklashMode`."""
     return _attribute_docs(ast.parse(inspect.getsource(sys.modules[module])).body)
 
 
 def class_doc(kind: type) -> str:
-    """The docstring of a class, lines joined, paragraphs kept."""
+    """Return the docstring of a class with the lines of each paragraph joined."""
     return _unwrap(inspect.getdoc(kind) or "")
 
 
 def _attribute_docs(body: list[ast.stmt]) -> dict[str, str]:
-    """The strings that stand right below an assignment."""
+    """Collect the strings that directly follow an assignment, by the assigned name."""
     return {
         _target(node): _unwrap(inspect.cleandoc(below.value.value))
         for node, below in pairwise(body)

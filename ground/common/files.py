@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Checks of output paths, and files that are written completely or not at all."""
 
 import os
 import secrets
@@ -10,14 +10,19 @@ from typing import BinaryIO
 
 
 class BadOutput(ValueError):
-    """A file cannot be written where it was asked for; what was there before is still there."""
+    """Error for a file that cannot be written at its path; an existing file is unchanged."""
 
 
 def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: str) -> Path:
-    """Give the path back if a file can be written there; `what` is the option that named it.
+    """Return the path if a file can be written there.
+
+    Args:
+        path: The path to check.
+        suffixes: Allowed suffixes, in lower case.
+        what: Name of the option that gave the path, for the error.
 
     Raises:
-        BadOutput: wrong suffix, no such folder, a name that cannot be, no file, or no right to write.
+        BadOutput: wrong suffix, no such folder, impossible name, not a regular file, or no permission.
     """
     file = Path(path)
     if file.suffix.lower() not in suffixes:
@@ -33,48 +38,53 @@ def check_output(path: str | os.PathLike[str], suffixes: tuple[str, ...], what: 
     return file
 
 
-def check_new_path(place: Path, what: str) -> None:
-    """BadOutput if there is no folder to make this in, or it has a bad name, or is a link to nothing."""
-    if not os.path.isdir(place.parent):  # unlike Path.is_dir, False for any bad name
-        raise BadOutput(f"{what} {place}: there is no folder {place.parent}")
+def check_new_path(path: Path, what: str) -> None:
+    """Check that a file or folder can be made at this path.
+
+    Raises:
+        BadOutput: no parent folder, impossible name, or a link to a path that does not exist.
+    """
+    if not os.path.isdir(path.parent):  # unlike Path.is_dir, False for any bad name
+        raise BadOutput(f"{what} {path}: there is no folder {path.parent}")
     try:
-        place.lstat()
+        path.lstat()
     except FileNotFoundError:
         pass  # it is new
     except OSError as error:
-        raise BadOutput(f"{what} {place}: cannot be written ({error.strerror})") from error
-    if os.path.islink(place) and not os.path.exists(place):
-        raise BadOutput(f"{what} {place}: this is a link to {os.readlink(place)}, which is not there")
+        raise BadOutput(f"{what} {path}: cannot be written ({error.strerror})") from error
+    if os.path.islink(path) and not os.path.exists(path):
+        raise BadOutput(f"{what} {path}: this is a link to {os.readlink(path)}, which is not there")
 
 
 @contextmanager
 def atomic_write(path: Path, what: str) -> Iterator[BinaryIO]:
-    """Open a temporary file beside `path` that takes its place when the block ends well, and else goes.
+    """Open a temporary file that replaces `path` when the block succeeds, and is deleted when it fails.
 
     Raises:
-        BadOutput: the file cannot be written, at the start or on the way.
+        BadOutput: the file cannot be opened, written or moved.
     """
-    place = Path(os.path.realpath(path))  # a link stays a link
+    target = Path(os.path.realpath(path))  # a link stays a link
     try:
-        with atomic_path(place) as part, part.open("xb") as file:
+        with atomic_path(target) as part, part.open("xb") as file:
             yield file
     except OSError as error:
         raise BadOutput(f"{what} {path}: cannot be written ({error.strerror or error})") from error
 
 
 @contextmanager
-def atomic_path(place: Path) -> Iterator[Path]:
-    """The path of a file or folder to be made: it takes this place when the block ends well, and else goes.
+def atomic_path(target: Path) -> Iterator[Path]:
+    """Give a temporary path for a file or folder that the block makes.
 
-    A folder takes the place of none but an empty one.
+    It replaces `target` when the block succeeds, and is deleted when the block fails. A folder can replace
+    only an empty folder.
 
     Raises:
-        OSError: it cannot take the place, in which all is as it was.
+        OSError: it cannot replace the target, which is then unchanged.
     """
-    part = place.with_name(f".marsarm-{secrets.token_hex(8)}.part")
+    part = target.with_name(f".marsarm-{secrets.token_hex(8)}.part")
     try:
         yield part
-        os.replace(part, place)
+        os.replace(part, target)
     except BaseException:
         if part.is_dir():
             shutil.rmtree(part, ignore_errors=True)

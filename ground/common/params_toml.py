@@ -1,4 +1,4 @@
-"""Flight parameters as the TOML that --params reads: those that are not as in others."""
+"""Flight parameters written as the TOML that --params reads."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
@@ -7,26 +7,26 @@ from typing import Any
 from fsw.dictionary.params import Params
 
 
-def params_toml(base: Params, params: Params, said: Sequence[str]) -> str:
-    """Every parameter that is not as in `base`, under what is to be said of them, a comment a line."""
+def params_toml(base: Params, params: Params, comments: Sequence[str]) -> str:
+    """Write the parameters that differ from `base` as TOML, below these comment lines."""
     changed = _changed_values(asdict(base), asdict(params))
-    return "\n".join([*(f"# {line}" for line in said), "", *_lines(changed, ()), ""])
+    return "\n".join([*(f"# {line}" for line in comments), "", *_lines(changed, ()), ""])
 
 
 def _changed_values(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
-    """What is another value, tables of numbers whole."""
-    found: dict[str, Any] = {}
+    """Select the values that differ; a leaf table is complete or left out."""
+    changed: dict[str, Any] = {}
     for key, value in new.items():
         if not isinstance(value, dict) or _is_leaf(value):
             if value != old[key]:
-                found[key] = value
+                changed[key] = value
         elif inner := _changed_values(old[key], value):
-            found[key] = inner
-    return found
+            changed[key] = inner
+    return changed
 
 
 def _is_leaf(table: dict[str, Any]) -> bool:
-    """Lumps and transforms: no table within, and small."""
+    """Check for a point mass or a link transform, which is written as an inline table."""
     return set(table) in ({"mass_kg", "com_m"}, {"theta_rad", "d_m", "beta_rad", "b_m", "alpha_rad", "a_m"})
 
 

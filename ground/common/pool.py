@@ -1,4 +1,4 @@
-"""Many pieces of work at once: on the cores of this machine, or on a Ray cluster."""
+"""Runners that apply a function to many jobs: on the cores of this machine, or on a Ray cluster."""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -12,14 +12,14 @@ Result = TypeVar("Result")
 
 
 class Runner(Protocol):
-    """Does work, a function of a module, on jobs; results come as they are done, in any order."""
+    """Function that applies a module-level function to jobs, in parallel."""
 
     def __call__(self, work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
-        """The results."""
+        """Yield each result when it is ready, in any order."""
 
 
 def local_runner(workers: int) -> Runner:
-    """In so many processes, that stay for the next call; with one, in this process."""
+    """Make a runner with this many processes, reused by the next call; one worker runs in this process."""
     idle: list[ProcessPoolExecutor] = []
 
     def run(work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
@@ -30,7 +30,7 @@ def local_runner(workers: int) -> Runner:
         try:
             for done in as_completed([pool.submit(work, job) for job in jobs]):
                 yield done.result()
-        except BaseException:  # also of who asks no more
+        except BaseException:  # GeneratorExit too: the caller may stop early
             pool.shutdown(wait=False, cancel_futures=True)
             raise
         idle.append(pool)
@@ -39,7 +39,9 @@ def local_runner(workers: int) -> Runner:
 
 
 def cluster_runner() -> Runner:
-    """On the Ray cluster that RAY_ADDRESS names, or on one that is started here; marsarm is installed on it.
+    """Make a runner on the Ray cluster that RAY_ADDRESS names, or on a new local one.
+
+    The nodes of the cluster must have marsarm installed.
 
     Raises:
         BadRequest: ray is not installed.

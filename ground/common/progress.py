@@ -1,6 +1,6 @@
-"""How long work tells how far it has come."""
+"""Interface for progress reports of long work."""
 
 from collections.abc import Callable
 
 Progress = Callable[[float, float, str], None]
-"""Told what is done, what is to be done, and what it is."""
+"""Function of the amount done, the total amount, and the name of the current activity."""

@@ -1,4 +1,4 @@
-"""A progress bar on standard error, only where a person sees it."""
+"""Progress bar on standard error, shown only on a terminal."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -9,7 +9,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 @contextmanager
 def progress_bar() -> Iterator[Callable[[float, float, str], None]]:
-    """Give a function that is told what is done, what is to be done, and what it is."""
+    """Show a progress bar; give the function that updates it, a `ground.common.progress.Progress`."""
     columns = (
         TextColumn("{task.description:<12}"),
         BarColumn(),
@@ -20,7 +20,7 @@ def progress_bar() -> Iterator[Callable[[float, float, str], None]]:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("starting", total=None)
 
-        def tell(done: float, total: float, what: str) -> None:
+        def update(done: float, total: float, what: str) -> None:
             bar.update(task, completed=min(done, total), total=total, description=what)
 
-        yield tell
+        yield update

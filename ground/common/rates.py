@@ -1,4 +1,4 @@
-"""Rates with exact intervals."""
+"""Proportions of hits with exact confidence intervals."""
 
 from dataclasses import dataclass
 
@@ -7,29 +7,44 @@ from scipy.stats import beta
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """How often, with its exact interval; 0 to 1 if there was no case."""
+    """Proportion of hits with its exact confidence interval, which is 0 to 1 if there was no case."""
 
     hits: int
     of: int
+    """Number of cases."""
     least: float
+    """Lower end of the interval."""
     most: float
+    """Upper end of the interval."""
 
     @property
     def share(self) -> float:
-        """NaN if there was no case."""
+        """Observed proportion; NaN if there was no case."""
         return self.hits / self.of if self.of else float("nan")
 
 
 def estimate_rate(hits: int, of: int, level: float = 0.95) -> Rate:
-    """ValueError unless 0 <= hits <= of."""
+    """Estimate a proportion with its Clopper-Pearson interval.
+
+    Raises:
+        ValueError: not 0 <= hits <= of.
+    """
     return Rate(hits, of, *clopper_pearson(hits, of, level))
 
 
 def clopper_pearson(hits: float, of: int, level: float = 0.95) -> tuple[float, float]:
-    """Least and most that the probability of a hit may be; hits need not be whole.
+    """Compute the exact confidence interval of the probability of a hit (Clopper and Pearson 1934).
 
-    At these so many hits or more, or so few or fewer, have (1 - level) / 2: quantiles of beta distributions
-    (Clopper and Pearson 1934).
+    At the lower end, as many hits or more have the probability (1 - level) / 2. At the upper end, as many or
+    fewer have it. Both ends are quantiles of beta distributions.
+
+    Args:
+        hits: Number of hits, not necessarily whole.
+        of: Number of cases.
+        level: Confidence level.
+
+    Returns:
+        Lower and upper end of the interval.
 
     Raises:
         ValueError: not 0 <= hits <= of.

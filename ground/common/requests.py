@@ -1,4 +1,4 @@
-"""What several verbs are asked, and the checks that they share; nothing is done before it is checked."""
+"""Checks and conversions of request fields that several verbs share, made before any work begins."""
 
 import math
 import os
@@ -18,16 +18,16 @@ from sim.scenario.effects import BadEffect, parse_effect_text
 from sim.world import GRAVITY_M_S2, MAX_TILT_RAD, World
 
 MAX_TARGET_DISTANCE_M: Final = 100.0
-"""A target beyond this is a slip of the pen, and its square need not be a number."""
+"""Largest distance of a target: farther ones are typing errors, and their squares may overflow."""
 NOMINAL_ARM: Final = "nominal"
-"""Parameters of this name are of the drawing: any arm may be flown with them."""
+"""Arm name of the nominal parameters, with which any arm may be flown."""
 MIN_COMPONENT: Final = 1e-6
-"""The largest component of a vector that still has a direction."""
+"""A vector whose largest component is below this has no direction."""
 WORKSPACE_HINT: Final = "the workspace is around 2.1 0 -0.3 in RNAV"
 
 
 class BadRequest(ValueError):
-    """A request that cannot be carried out; nothing moved and nothing was written."""
+    """Error for a request that cannot be carried out; nothing moved and nothing was written."""
 
 
 def check_finite(name: str, values: tuple[float, ...]) -> None:
@@ -37,7 +37,7 @@ def check_finite(name: str, values: tuple[float, ...]) -> None:
 
 
 def check_target_distance(name: str, position_m: tuple[float, ...]) -> None:
-    """Refuse a point that no rover's arm is asked for."""
+    """Refuse a point that is much too far from the rover."""
     if math.hypot(*position_m) > MAX_TARGET_DISTANCE_M:
         raise BadRequest(
             f"{name}: {format_numbers(position_m)} m is farther than {MAX_TARGET_DISTANCE_M:g} m from the "
@@ -46,7 +46,16 @@ def check_target_distance(name: str, position_m: tuple[float, ...]) -> None:
 
 
 def scale_direction(name: str, vector: Vector3, what: str) -> Vector3:
-    """The vector with a largest component of 1, so that its length is a number; `what` it ought to be."""
+    """Scale a vector to a largest component of 1, so that its length cannot overflow.
+
+    Args:
+        name: Name of the option, for the error.
+        vector: Vector of any length.
+        what: Description of a correct value, for the error.
+
+    Raises:
+        BadRequest: the vector has no direction.
+    """
     largest = max(abs(component) for component in vector)
     if largest < MIN_COMPONENT:
         raise BadRequest(f"{name}: {format_numbers(vector)} has no direction; give {what}")
@@ -55,7 +64,11 @@ def scale_direction(name: str, vector: Vector3, what: str) -> Vector3:
 
 
 def select_arm(name: str, params: Path | None) -> BuiltArm:
-    """The arm of this name, its flight parameters over those of a TOML file if there is one."""
+    """Return the arm of this name, with the flight parameters of a TOML file if one is given.
+
+    Raises:
+        BadRequest: the name or the file is wrong.
+    """
     try:
         return arm_named(name, None if params is None else load_params(name, params))
     except UnknownArm as error:
@@ -63,7 +76,15 @@ def select_arm(name: str, params: Path | None) -> BuiltArm:
 
 
 def load_params(name: str, path: Path) -> Params:
-    """The nominal flight parameters with those of a TOML file in their place, unless of another arm."""
+    """Read a TOML file of flight parameters over the nominal ones.
+
+    Args:
+        name: Name of the arm that is flown with them.
+        path: The TOML file.
+
+    Raises:
+        BadRequest: the file is wrong, or its parameters belong to another arm.
+    """
     try:
         params = params_over_nominal(path)
     except BadParams as error:
@@ -77,7 +98,11 @@ def load_params(name: str, path: Path) -> Params:
 
 
 def parse_effects(texts: tuple[str, ...]) -> tuple[Effect, ...]:
-    """The effects that these texts say, or the files that they name."""
+    """Parse effects, each written as text or as the name of a TOML file of effects.
+
+    Raises:
+        BadRequest: some are wrong; the message lists all errors.
+    """
     effects: list[Effect] = []
     problems: list[str] = []
     for text in texts:
@@ -91,31 +116,46 @@ def parse_effects(texts: tuple[str, ...]) -> tuple[Effect, ...]:
 
 
 def make_world(scene: str, roll_deg: float, pitch_deg: float, scene_option: str = "scene") -> World:
-    """A world without a surface, its rover tilted within what the arm is used at."""
+    """Make a world without a surface, with a rover tilted up to the limit of the arm.
+
+    Args:
+        scene: mars or earth.
+        roll_deg: Roll of the rover, right side down.
+        pitch_deg: Pitch of the rover, nose up.
+        scene_option: Name of the option that gave the scene, for the error.
+
+    Raises:
+        BadRequest: the scene is unknown, or the tilt is not finite or too large.
+    """
     if scene not in GRAVITY_M_S2:
         raise BadRequest(f"{scene_option}: {scene!r} is not known; there are {', '.join(GRAVITY_M_S2)}")
     if not np.all(np.isfinite((roll_deg, pitch_deg))):
         raise BadRequest(f"tilt: {format_numbers((roll_deg, pitch_deg))} deg is not finite")
     roll, pitch = (float(np.radians(angle)) for angle in (roll_deg, pitch_deg))
     world = World(cast(Literal["mars", "earth"], scene), roll, pitch)
-    most = max(abs(roll), abs(pitch), world.tilt_rad)
-    if most > MAX_TILT_RAD + 1e-12:
+    largest_rad = max(abs(roll), abs(pitch), world.tilt_rad)
+    if largest_rad > MAX_TILT_RAD + 1e-12:
         limit_deg = round(math.degrees(MAX_TILT_RAD), 9)
         raise BadRequest(
             f"tilt: roll {roll_deg} and pitch {pitch_deg} deg tilt the rover by "
-            f"{_format_beyond(math.degrees(most), limit_deg)} deg; the arm is used up to {limit_deg:g} deg"
+            f"{_format_beyond(math.degrees(largest_rad), limit_deg)} deg; the arm is used up to "
+            f"{limit_deg:g} deg"
         )
     return world
 
 
 def check_seed(seed: int) -> None:
-    """Refuse a seed that numpy would."""
+    """Refuse a negative seed, which numpy does not accept."""
     if seed < 0:
         raise BadRequest(f"seed: {seed} must not be negative")
 
 
 def check_distinct_files(files: dict[str, Path | None]) -> None:
-    """Refuse two names for one file, through links too."""
+    """Refuse two options that name the same file, also through links.
+
+    Args:
+        files: Path of each option by its name; None if it is not given.
+    """
     given = [(name, path) for name, path in files.items() if path is not None]
     for (one, path), (other, same) in combinations(given, 2):
         if _same_file(path, same):
@@ -123,7 +163,7 @@ def check_distinct_files(files: dict[str, Path | None]) -> None:
 
 
 def format_numbers(values: tuple[float, ...]) -> str:
-    """Numbers as a user would type them."""
+    """Format numbers as a user types them."""
     return " ".join(f"{value:g}" for value in values)
 
 
@@ -134,6 +174,6 @@ def _same_file(one: Path, other: Path) -> bool:
 
 
 def _format_beyond(value: float, limit: float) -> str:
-    """A number with as many digits, three at least, as show that it is beyond its limit."""
+    """Format a number with three digits, or with as many as show that it exceeds its limit."""
     texts = (f"{value:.{digits}g}" for digits in range(3, 17))
     return next((text for text in texts if float(text) > limit), f"{value!r}")

@@ -1,4 +1,4 @@
-"""The console that reports are printed on."""
+"""Text for the terminal: consoles, styled cells, plurals and sparklines."""
 
 from typing import Final
 
@@ -14,7 +14,15 @@ SPARKLINE_WIDTH: Final = 40
 
 
 def magnitude_sparkline(size: NDArray[np.float64], width: int = SPARKLINE_WIDTH) -> str:
-    """Sizes (n,), none negative, over time: the greatest of each column; a dot where there is nothing."""
+    """Draw magnitudes over time as a line of block characters.
+
+    Args:
+        size: Magnitudes, not negative, shape (n,), any unit.
+        width: Largest number of characters; each shows the maximum of its part.
+
+    Returns:
+        The line; a dot where the maximum is zero.
+    """
     if not size.size:
         return ""
     columns = [part.max() for part in np.array_split(size, min(width, len(size)))]
@@ -24,9 +32,9 @@ def magnitude_sparkline(size: NDArray[np.float64], width: int = SPARKLINE_WIDTH)
 
 
 def value_sparklines(*series: NDArray[np.float64]) -> list[str]:
-    """Values of several series on one scale, a character each."""
-    every = np.concatenate(series)
-    finite = every[np.isfinite(every)]
+    """Draw several series, each of shape (n,), on one scale, with a block character for each value."""
+    values_of_all = np.concatenate(series)
+    finite = values_of_all[np.isfinite(values_of_all)]
     low, high = (finite.min(), finite.max()) if finite.size else (0.0, 0.0)
     return ["".join(_block(value, low, high) for value in values) for values in series]
 
@@ -41,7 +49,7 @@ def _block(value: float, low: float, high: float) -> str:
 
 
 def pluralize(count: int, one: str) -> str:
-    """So many of these: 1 channel, 2 channels."""
+    """Format a count with its noun: 1 channel, 2 channels."""
     return f"{count} {one}" if count == 1 else f"{count} {one}s"
 
 
@@ -49,10 +57,10 @@ WARNING_STYLE: Final = "bold"
 
 
 def plain_console(width: int | None = None) -> Console:
-    """One that prints what it is given: titles, paths and messages may hold brackets."""
+    """Make a console that interprets no markup: titles, paths and messages may contain brackets."""
     return Console(highlight=False, markup=False, width=width)
 
 
 def styled_cell(text: str, style: str) -> Text:
-    """A cell of a table in a style of its own."""
+    """Make a cell of a table with its own style."""
     return Text(text, style=style)

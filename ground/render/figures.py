@@ -1,4 +1,4 @@
-"""Figures drawn with matplotlib, which may be missing."""
+"""Figures drawn with matplotlib, which may not be installed."""
 
 import os
 from collections.abc import Callable
@@ -12,7 +12,16 @@ from ground.common.files import atomic_write
 def save_figure(
     path: Path, size_inch: tuple[float, float], dpi: int, draw: Callable[[Any], None]
 ) -> str | None:
-    """Save as PNG what `draw` puts on a figure; the reason if matplotlib is not there to draw it.
+    """Draw a figure and save it as PNG.
+
+    Args:
+        path: The PNG file.
+        size_inch: Width and height.
+        dpi: Pixels per inch.
+        draw: Function that draws on a matplotlib figure.
+
+    Returns:
+        None, or the reason why there is no picture: matplotlib is missing.
 
     Raises:
         BadOutput: the file cannot be written.
@@ -27,8 +36,12 @@ def save_figure(
 
 
 def render_png(size_inch: tuple[float, float], dpi: int, draw: Callable[[Any], None]) -> bytes:
-    """What `draw` puts on a figure, as the bytes of a PNG; ImportError without matplotlib."""
-    os.environ.pop("MPLBACKEND", None)  # one that matplotlib does not know stops its import; none is needed
+    """Draw a figure, and return the bytes of a PNG.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
+    os.environ.pop("MPLBACKEND", None)  # an unknown backend stops the import, and none is needed
     import matplotlib
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

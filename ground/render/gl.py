@@ -1,8 +1,8 @@
-"""OpenGL without a display: whether this machine has it, and a camera that uses it.
+"""OpenGL without a display: a probe of this machine, and a camera.
 
-The context is made here and not by MUJOCO_GL=egl: on a machine without libEGL that setting breaks the
-import of mujoco itself, and it has no effect once mujoco has been imported. Where MUJOCO_GL is set, it rules;
-the command line lets only the values through that turn OpenGL off.
+The context is made here and not by MUJOCO_GL=egl. Without libEGL that setting breaks the import of mujoco,
+and it has no effect after the import. If MUJOCO_GL is set, it takes precedence. The command line passes on
+only values that turn OpenGL off.
 """
 
 import functools
@@ -24,9 +24,9 @@ PROBE_MODEL = "<mujoco><worldbody><camera name='eye' pos='0 0 2'/><geom size='1'
 
 @functools.cache
 def unavailable_reason() -> str | None:
-    """Say why this machine cannot draw with OpenGL, or None if it can.
+    """Return why this machine cannot draw with OpenGL, or None if it can.
 
-    Drawing is tried in a process of its own, once: a broken driver may print, hang or crash.
+    A separate process tries to draw, once: a broken driver may print, block or crash.
     """
     env = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     try:
@@ -50,7 +50,11 @@ def unavailable_reason() -> str | None:
 
 
 def draw_something() -> None:
-    """Draw a sphere; raise whatever the driver raises, or RuntimeError if the picture is blank."""
+    """Draw a sphere to test the driver.
+
+    Raises:
+        RuntimeError: the picture is blank. The driver may raise other errors.
+    """
     model = mujoco.MjModel.from_xml_string(PROBE_MODEL)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -65,7 +69,7 @@ def _new_context(width: int, height: int) -> Any:
         os.environ.setdefault("EGL_LOG_LEVEL", "fatal")  # Mesa complains about each driver that it tries
         try:
             from mujoco.egl import GLContext
-        except AttributeError as error:  # what PyOpenGL makes of a missing library
+        except AttributeError as error:  # PyOpenGL raises this for a missing library
             raise RuntimeError("libEGL is missing") from error
         return GLContext(width, height)
     if not hasattr(mujoco, "GLContext"):
@@ -74,7 +78,7 @@ def _new_context(width: int, height: int) -> Any:
 
 
 class GlCamera:
-    """A camera of the model, drawn by MuJoCo's renderer."""
+    """Camera of the model that uses MuJoCo's renderer."""
 
     def __init__(self, model: mujoco.MjModel, camera_id: int, size: tuple[int, int]) -> None:
         self._model = model
@@ -89,17 +93,17 @@ class GlCamera:
         self._context = self._offscreen_context(size)
 
     def _offscreen_context(self, size: tuple[int, int]) -> mujoco.MjrContext:
-        """Make a drawing context of this size, whatever size the model asks for."""
-        wanted = self._model.vis.global_
-        kept = wanted.offwidth, wanted.offheight
-        wanted.offwidth, wanted.offheight = size
+        """Make a drawing context of this size, independent of the size that the model sets."""
+        visual = self._model.vis.global_
+        model_size = visual.offwidth, visual.offheight
+        visual.offwidth, visual.offheight = size
         context = mujoco.MjrContext(self._model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
-        wanted.offwidth, wanted.offheight = kept
+        visual.offwidth, visual.offheight = model_size
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, context)
         return context
 
     def take(self, data: mujoco.MjData) -> Image:
-        """Draw the scene as it is now: (height, width, 3)."""
+        """Draw the scene in its current state; shape (height, width, 3), 0 to 255."""
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         mujoco.mjv_updateScene(self._model, data, self._option, None, self._view, everything, self._scene)
         image = np.empty((self._rect.height, self._rect.width, 3), dtype=np.uint8)
@@ -109,7 +113,7 @@ class GlCamera:
         return np.ascontiguousarray(image[::-1])  # OpenGL counts rows from the bottom
 
     def close(self) -> None:
-        """Give the context back; the camera takes no pictures after that."""
+        """Free the context; the camera cannot take pictures afterwards."""
         self._gl.make_current()
         self._context.free()
         self._gl.free()

@@ -1,4 +1,4 @@
-"""A page of tables and pictures: one HTML file that needs no other."""
+"""Pages of tables and pictures, each a single self-contained HTML file."""
 
 import base64
 import html
@@ -16,7 +16,12 @@ STYLE: Final = (
 
 
 def save_page(title: str, parts: list[str], path: Path) -> None:
-    """Write the page.
+    """Write a page.
+
+    Args:
+        title: Plain text.
+        parts: Parts in HTML, as the other functions here make them.
+        path: The HTML file.
 
     Raises:
         BadOutput: the file cannot be written.
@@ -27,22 +32,22 @@ def save_page(title: str, parts: list[str], path: Path) -> None:
 
 
 def paragraph(text: str) -> str:
-    """A paragraph of plain text."""
+    """Make a paragraph of plain text."""
     return f"<p>{html.escape(text)}</p>"
 
 
 def heading(text: str) -> str:
-    """A heading under the title."""
+    """Make a heading below the title."""
     return f"<h2>{html.escape(text)}</h2>"
 
 
 def image(png: bytes, alt: str) -> str:
-    """A picture, in the page itself."""
+    """Embed a PNG picture in the page."""
     return f"<img alt='{html.escape(alt)}' src='data:image/png;base64,{base64.b64encode(png).decode()}'>"
 
 
 def table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
-    """A table of plain text."""
+    """Make a table of plain text."""
     cells = "".join(f"<th>{html.escape(name)}</th>" for name in head)
     lines = "".join(
         "<tr>" + "".join(f"<td>{html.escape(cell)}</td>" for cell in row) + "</tr>" for row in rows

@@ -1,7 +1,7 @@
-"""Pictures and movies of a scene, by MuJoCo's renderer or, without OpenGL, by rays cast into the same model.
+"""Pictures and movies of a scene, by MuJoCo's renderer or, without OpenGL, by ray casting in the same model.
 
-A picture that cannot be drawn never stops a run: the result says what is missing. A path that cannot be
-written is bad input; `check_picture_path` finds it before any work is done.
+A picture that cannot be drawn never stops a run: the result states what is missing. A path that cannot be
+written is bad input, and `check_picture_path` refuses it before any work begins.
 """
 
 import importlib.util
@@ -26,26 +26,28 @@ APT = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri"
 
 
 class PictureError(ValueError):
-    """A picture was asked for that cannot be taken: a path, a camera or a size is wrong."""
+    """Error for a picture that cannot be taken: a path, a camera or a size is wrong."""
 
 
 @dataclass(frozen=True, slots=True)
 class PictureResult:
-    """Where the picture is, what drew it, and how to get a better one; path is None if there is none."""
+    """Frozen record of a picture or movie: its file, and the renderer that drew it."""
 
     path: Path | None
+    """None if there is no picture."""
     renderer: Renderer
     hint: str | None = None
+    """Reason why there is no picture, or only one by ray casting, and what to install."""
 
 
 class Camera(Protocol):
-    """Something that takes pictures of a scene."""
+    """Camera of a scene."""
 
     def take(self, data: mujoco.MjData) -> Image:
-        """Draw the scene as it is now: (height, width, 3)."""
+        """Draw the scene in its current state; shape (height, width, 3), 0 to 255."""
 
     def close(self) -> None:
-        """Give back what the camera holds."""
+        """Free the resources of the camera."""
 
 
 def save_picture(
@@ -55,28 +57,33 @@ def save_picture(
     path: str | os.PathLike[str],
     size: tuple[int, int] = (1280, 720),
 ) -> PictureResult:
-    """Save what a camera of the model sees as a PNG file.
+    """Save the view of a camera of the model as a PNG file.
 
-    `data` must be current (after mj_forward or mj_step); `size` is width and height in pixels.
+    Args:
+        model: The model.
+        data: Its state, current (after mj_forward or mj_step).
+        camera: Name of a camera of the model.
+        path: The PNG file.
+        size: Width and height in pixels.
 
     Raises:
         PictureError: the path cannot be written, there is no such camera, or the size is not positive.
     """
     file = check_picture_path(path, ".png", "picture")
-    eye, shown = _open(model, camera, file, size)
-    if eye is None:
-        return shown
+    opened, result = _open_camera(model, camera, file, size)
+    if opened is None:
+        return result
     try:
-        image = eye.take(data)
+        image = opened.take(data)
     finally:
-        eye.close()
+        opened.close()
     import PIL.Image
 
     try:
         PIL.Image.fromarray(image).save(file)
     except OSError as error:
         return _not_saved("picture", file, error)
-    return shown
+    return result
 
 
 def save_movie(
@@ -87,42 +94,55 @@ def save_movie(
     size: tuple[int, int] = (640, 360),
     frames_per_s: float = 16.0,
 ) -> PictureResult:
-    """Save a GIF with one frame for each pose, each an array of qpos (model.nq,).
+    """Save a GIF with one frame for each pose.
 
-    Poses and not pictures, so that a run collects a few numbers a frame and the drawing comes after it.
+    A run only stores poses, which are small; the frames are drawn after it.
+
+    Args:
+        model: The model.
+        poses: Positions qpos, each of shape (model.nq,), in metres and radians.
+        camera: Name of a camera of the model.
+        path: The GIF file.
+        size: Width and height in pixels.
+        frames_per_s: Frame rate.
 
     Raises:
         PictureError: the path cannot be written, there is no such camera, or the size is not positive.
     """
     file = check_picture_path(path, ".gif", "movie")
-    eye, shown = _open(model, camera, file, size)
-    if eye is None:
-        return shown
+    opened, result = _open_camera(model, camera, file, size)
+    if opened is None:
+        return result
     data = mujoco.MjData(model)
     frames = []
     try:
         for qpos in poses:
             data.qpos[:] = qpos
             mujoco.mj_kinematics(model, data)
-            mujoco.mj_comPos(model, data)  # what mj_camlight needs for cameras that follow a body
+            mujoco.mj_comPos(model, data)  # mj_camlight needs it for cameras that follow a body
             mujoco.mj_camlight(model, data)
-            frames.append(eye.take(data))
+            frames.append(opened.take(data))
     finally:
-        eye.close()
+        opened.close()
     try:
         write_gif(frames, file, frames_per_s)
     except OSError as error:
         return _not_saved("movie", file, error)
-    return shown
+    return result
 
 
 def _not_saved(what: str, file: Path, error: OSError) -> PictureResult:
-    """What was run is told all the same."""
+    """Report a file that could not be written; the run itself succeeded."""
     return PictureResult(None, "none", f"no {what}: {file} cannot be written ({error.strerror or error})")
 
 
 def write_gif(frames: Iterable[Image], path: str | os.PathLike[str], frames_per_s: float = 16.0) -> None:
-    """Write images (height, width, 3) as a GIF that repeats for ever.
+    """Write images as a GIF that repeats endlessly.
+
+    Args:
+        frames: Images, each of shape (height, width, 3), 0 to 255.
+        path: The GIF file.
+        frames_per_s: Frame rate.
 
     Raises:
         PictureError: the path cannot be written or there is no frame.
@@ -138,10 +158,10 @@ def write_gif(frames: Iterable[Image], path: str | os.PathLike[str], frames_per_
 
 
 def check_picture_path(path: str | os.PathLike[str], suffix: str, what: Literal["picture", "movie"]) -> Path:
-    """Give the path back if a picture or movie can be written there.
+    """Return the path if a picture or movie can be written there.
 
     Raises:
-        PictureError: wrong suffix, no such folder, a name that cannot be, or no right to write.
+        PictureError: wrong suffix, no such folder, impossible name, or no permission.
     """
     try:
         return check_output(path, (suffix,), what)
@@ -149,10 +169,10 @@ def check_picture_path(path: str | os.PathLike[str], suffix: str, what: Literal[
         raise PictureError(str(error)) from error
 
 
-def _open(
+def _open_camera(
     model: mujoco.MjModel, camera: str, file: Path, size: tuple[int, int]
 ) -> tuple[Camera | None, PictureResult]:
-    """Open a camera of the model, the best that this machine has, and say what its picture will be."""
+    """Open a camera of the model with the best renderer of this machine, and describe its picture."""
     camera_id = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, camera)
     if camera_id < 0:
         names = ", ".join(model.camera(number).name for number in range(model.ncam)) or "none"

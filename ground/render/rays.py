@@ -1,7 +1,7 @@
-"""A camera for machines without OpenGL: MuJoCo casts a ray for each pixel, numpy shades what it hits.
+"""Camera for machines without OpenGL: MuJoCo casts a ray for each pixel, numpy shades the surface.
 
-The rays see what the renderer would draw: every geom of groups 0 to 2 that is not transparent, whatever its
-shape. A texture counts by its mean colour; decorations (sites, contacts) and reflections are left out.
+The rays see every opaque geom of groups 0 to 2, as the renderer does. A texture is replaced by its mean
+colour. Decorations (sites, contacts) and reflections are left out.
 """
 
 import copy
@@ -14,9 +14,9 @@ Image = NDArray[np.uint8]
 Floats = NDArray[np.float64]
 
 TILE_PIXELS = 32
-"""Rays of one square tile are cast together, at the few geoms that stand in its way."""
+"""Side of a square tile, whose rays are cast together at the few geoms near them."""
 SUBPIXELS = np.array([[-0.25, -0.25], [0.25, -0.25], [-0.25, 0.25], [0.25, 0.25]])
-"""Where in a pixel on an edge the extra rays go, in pixels from its middle."""
+"""Offsets of the four rays of a pixel on an edge, in pixels from its centre."""
 AMBIENT = 0.36
 SUN = 0.75
 SUN_DISTANCE_M = 1000.0
@@ -30,7 +30,7 @@ HIDDEN = 5
 
 
 class RayCamera:
-    """A camera of the model, drawn with rays."""
+    """Camera of the model that draws by ray casting."""
 
     def __init__(self, model: mujoco.MjModel, camera_id: int, size: tuple[int, int]) -> None:
         self._rays = Rays(model)
@@ -41,27 +41,30 @@ class RayCamera:
         self._rgb = np.array([_colour(model, geom) for geom in range(model.ngeom)]).reshape(-1, 3)
 
     def take(self, data: mujoco.MjData) -> Image:
-        """Draw the scene as it is now: (height, width, 3). Pixels on edges get four rays, the others one."""
+        """Draw the scene in its current state; shape (height, width, 3), 0 to 255.
+
+        Pixels on edges get four rays, the others one.
+        """
         width, height = self._size
         columns, rows = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
-        middle = np.column_stack([columns.ravel(), rows.ravel()])
-        rgb, look = self._shade(data, middle)
-        edge = _edge_pixels(look.reshape(height, width, 4)).ravel()
-        finer = (middle[edge, None, :] + SUBPIXELS).reshape(-1, 2)
+        centre = np.column_stack([columns.ravel(), rows.ravel()])
+        rgb, face = self._shade(data, centre)
+        edge = _edge_pixels(face.reshape(height, width, 4)).ravel()
+        finer = (centre[edge, None, :] + SUBPIXELS).reshape(-1, 2)
         rgb[edge] = self._shade(data, finer)[0].reshape(-1, len(SUBPIXELS), 3).mean(axis=1)
         return (255.0 * np.clip(rgb, 0.0, 1.0) + 0.5).astype(np.uint8).reshape(height, width, 3)
 
     def close(self) -> None:
-        """Nothing is held that needs giving back."""
+        """Do nothing: the camera holds no resources."""
 
     def _shade(self, data: mujoco.MjData, pixel: Floats) -> tuple[Floats, Floats]:
-        """Colours (n, 3) at image points (n, 2), and what tells one face from another (n, 4)."""
-        rgb, look = np.empty((len(pixel), 3)), np.empty((len(pixel), 4))
+        """Compute colours (n, 3) at image points (n, 2), and geom and normal of the faces there (n, 4)."""
+        rgb, face = np.empty((len(pixel), 3)), np.empty((len(pixel), 4))
         tile = (pixel // TILE_PIXELS) @ [1.0, 1e6]
         order = np.argsort(tile, kind="stable")
         for part in np.split(order, np.flatnonzero(np.diff(tile[order])) + 1):
-            rgb[part], look[part] = self._shade_tile(data, pixel[part])
-        return rgb, look
+            rgb[part], face[part] = self._shade_tile(data, pixel[part])
+        return rgb, face
 
     def _shade_tile(self, data: mujoco.MjData, pixel: Floats) -> tuple[Floats, Floats]:
         eye = data.cam_xpos[self._camera_id]
@@ -76,18 +79,18 @@ class RayCamera:
         return rgb, np.column_stack([geom, normal])
 
     def _directions(self, data: mujoco.MjData, pixel: Floats) -> Floats:
-        """Unit vectors in the world through image points, counted in pixels from the top left: (n, 3)."""
+        """Compute unit vectors (n, 3) in the world through image points, in pixels from the top left."""
         right, down = ((2 * pixel - self._size) * self._half_height / self._size[1]).T
         R_WC = data.cam_xmat[self._camera_id].reshape(3, 3)
         return _unit(np.column_stack([right, -down, np.full(len(pixel), -1.0)]) @ R_WC.T)
 
 
 class Rays:
-    """Casts rays into a copy of the model, in which geoms can be hidden."""
+    """Ray caster on a copy of the model, in which geoms can be hidden."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = copy.copy(model)
-        # The bounding volumes of bodies leave out geoms without contact, and rays would pass through these.
+        # Bounding volumes of bodies exclude geoms without contact, so rays would pass through those geoms.
         self._model.body_bvhadr[:] = -1
         self._group = model.geom_group.copy()
         self._tint = model.light_diffuse[0] / max(model.light_diffuse[0].max(), 1e-6) if model.nlight else 1.0
@@ -95,11 +98,21 @@ class Rays:
     def cast(
         self, data: mujoco.MjData, origin: Floats, direction: Floats
     ) -> tuple[NDArray[np.int32], Floats, Floats]:
-        """Cast rays from one point: what they hit first (-1 for nothing), how far away, and its normal."""
+        """Cast rays from one point.
+
+        Args:
+            data: State of the scene.
+            origin: Point in world axes, shape (3,), in metres.
+            direction: Unit vectors in world axes, shape (n, 3).
+
+        Returns:
+            Geom index of the first hit, -1 for none, shape (n,); its distance in metres, shape (n,); and its
+            normal, shape (n, 3).
+        """
         count = len(direction)
         geom, distance, normal = np.full(count, -1, np.int32), np.zeros(count), np.zeros((count, 3))
         if count:
-            self._hide_all_but(self._in_the_way(data, origin, direction))
+            self._hide_all_but(self._geoms_in_cone(data, origin, direction))
             rays, normals = direction.ravel(), normal.reshape(-1)
             mujoco.mj_multiRay(
                 self._model,
@@ -118,7 +131,16 @@ class Rays:
         return geom, distance, normal
 
     def brightness(self, data: mujoco.MjData, point: Floats, normal: Floats) -> Floats:
-        """Light on surface points (n, 3): skylight from above, and the sun where nothing stands before it."""
+        """Compute the light on surface points: skylight from above, and the sun where nothing casts a shadow.
+
+        Args:
+            data: State of the scene.
+            point: Points in world axes, shape (n, 3), in metres.
+            normal: Unit normals there, shape (n, 3).
+
+        Returns:
+            Factors on red, green and blue, shape (n, 3).
+        """
         sun = data.light_xdir[0] if self._model.nlight else np.array([0.0, 0.0, -1.0])
         sunlight = np.maximum(0.0, -(normal @ sun))
         facing = sunlight > 0.0
@@ -129,17 +151,17 @@ class Rays:
         skylight = AMBIENT + 0.08 * normal[:, 2]
         return np.asarray(skylight[:, None] + SUN * sunlight[:, None] * self._tint)
 
-    def _in_the_way(self, data: mujoco.MjData, origin: Floats, direction: Floats) -> NDArray[np.bool_]:
-        """Geoms (ngeom,) whose bounding sphere reaches into the cone about the rays."""
-        middle = _unit(direction.mean(axis=0, keepdims=True))[0]
-        opening = np.arccos(np.clip(direction @ middle, -1.0, 1.0)).max()
+    def _geoms_in_cone(self, data: mujoco.MjData, origin: Floats, direction: Floats) -> NDArray[np.bool_]:
+        """Find geoms (ngeom,) whose bounding sphere intersects the cone around the rays."""
+        axis = _unit(direction.mean(axis=0, keepdims=True))[0]
+        opening = np.arccos(np.clip(direction @ axis, -1.0, 1.0)).max()
         offset = data.geom_xpos - origin
         distance, radius = np.linalg.norm(offset, axis=1), self._model.geom_rbound
         outside = distance > radius
-        aside = np.arccos(np.clip(_unit(offset) @ middle, -1.0, 1.0))
+        off_axis = np.arccos(np.clip(_unit(offset) @ axis, -1.0, 1.0))
         aperture = np.arcsin(np.divide(radius, distance, out=np.ones_like(radius), where=outside))
-        boundless = radius <= 0.0  # planes
-        return np.asarray(boundless | ~outside | (aside < opening + aperture + 1e-6))
+        unbounded = radius <= 0.0  # planes
+        return np.asarray(unbounded | ~outside | (off_axis < opening + aperture + 1e-6))
 
     def _hide_all_but(self, shown: NDArray[np.bool_]) -> None:
         self._model.geom_group[:] = np.where(shown, self._group, HIDDEN)
@@ -149,11 +171,11 @@ def _unit(vector: Floats) -> Floats:
     return np.asarray(vector / np.maximum(np.linalg.norm(vector, axis=1, keepdims=True), 1e-12))
 
 
-def _edge_pixels(look: Floats) -> NDArray[np.bool_]:
-    """Pixels (height, width) that show another geom or another face than a neighbour does."""
-    edge = np.zeros(look.shape[:2], dtype=bool)
-    across = np.abs(np.diff(look, axis=1)).max(axis=2) > 0.5
-    along = np.abs(np.diff(look, axis=0)).max(axis=2) > 0.5
+def _edge_pixels(face: Floats) -> NDArray[np.bool_]:
+    """Find pixels (height, width) that show another geom or face than a neighbour."""
+    edge = np.zeros(face.shape[:2], dtype=bool)
+    across = np.abs(np.diff(face, axis=1)).max(axis=2) > 0.5
+    along = np.abs(np.diff(face, axis=0)).max(axis=2) > 0.5
     edge[:, 1:] |= across
     edge[:, :-1] |= across
     edge[1:] |= along
@@ -162,7 +184,10 @@ def _edge_pixels(look: Floats) -> NDArray[np.bool_]:
 
 
 def _colour(model: mujoco.MjModel, geom: int) -> Floats:
-    """Colour of a geom: its own unless that is the default, else its material's, times the texture's mean."""
+    """Return the colour (3,) of a geom: its own, or its material's if that is the default.
+
+    It is multiplied by the mean colour of the texture.
+    """
     rgba, material = model.geom_rgba[geom], int(model.geom_matid[geom])
     if material < 0:
         return np.array(rgba[:3], dtype=np.float64)

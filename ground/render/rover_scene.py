@@ -1,4 +1,4 @@
-"""A picture of what flight software takes arm and rover to be, over how they look."""
+"""Changes of the scene before it is drawn: a tilted rover, or the collision shapes of flight software."""
 
 from pathlib import Path
 from typing import Final
@@ -18,15 +18,17 @@ from sim.plant import Plant
 from sim.world import World, build
 
 CENTRE_M: Final = np.array([0.5, 0.0, 0.0])
-"""Of the slope, in world axes from the rover's origin: rover and workspace lie about it."""
+"""Centre of the slope, in world axes from the rover's origin; rover and workspace are around it."""
 RADIUS_M: Final = 2.3
-"""Of the slope: beyond the rear wheels and the reach of the arm."""
+"""Radius of the slope, larger than the distance to the rear wheels and the reach of the arm."""
+ARM_RGBA: Final = (0.10, 0.45, 0.95, 0.45)
+ROVER_RGBA: Final = (1.0, 0.45, 0.05, 0.30)
 
 
 def tilt_rover(spec: mujoco.MjSpec) -> None:
-    """Turn rover, arm and rock until gravity points down, on a slope whose lower edge lies in the plain.
+    """Rotate rover, arm and rock until gravity points down, on a slope whose lower edge lies in the plain.
 
-    Plain, scenery, sky, light and cameras stay level, and so does the horizon. A level rover stays as it is.
+    Plain, scenery, sky, light, cameras and horizon stay level. A level rover is not changed.
     """
     gravity = spec.option.gravity.copy()
     if not gravity[:2].any():
@@ -37,22 +39,22 @@ def tilt_rover(spec: mujoco.MjSpec) -> None:
     mujoco.mju_negQuat(quat, quat)
     spec.option.gravity = (0.0, 0.0, -g_m_s2)
     ground, scenery = spec.geom("ground"), spec.body("mars_scenery")
-    middle = CENTRE_M + ground.pos
-    frame = spec.worldbody.add_frame(pos=middle - _rotate(quat, middle), quat=quat)
+    centre = CENTRE_M + ground.pos
+    frame = spec.worldbody.add_frame(pos=centre - _rotate(quat, centre), quat=quat)
     if spec.camera("target") is not None:
-        face = spec.body("rock").pos
-        spec.camera("target").pos += frame.pos + _rotate(quat, face) - face
-    for one in (*spec.worldbody.bodies, *spec.worldbody.geoms):
-        if one not in (ground, scenery):
-            one.set_frame(frame)
+        rock = spec.body("rock").pos
+        spec.camera("target").pos += frame.pos + _rotate(quat, rock) - rock
+    for element in (*spec.worldbody.bodies, *spec.worldbody.geoms):
+        if element not in (ground, scenery):
+            element.set_frame(frame)
     drop_m = RADIUS_M * float(np.linalg.norm(gravity[:2])) / g_m_s2
-    for one in (ground, scenery):
-        if one is not None:
-            one.pos[2] -= drop_m
+    for element in (ground, scenery):
+        if element is not None:
+            element.pos[2] -= drop_m
     spec.worldbody.add_geom(
         name="slope",
         type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-        pos=middle - (0.0, 0.0, 2.0 * drop_m),
+        pos=centre - (0.0, 0.0, 2.0 * drop_m),
         size=(RADIUS_M, 2.0 * drop_m, 0.0),
         contype=0,
         conaffinity=0,
@@ -62,13 +64,9 @@ def tilt_rover(spec: mujoco.MjSpec) -> None:
 
 
 def _rotate(quat: Array, v: Array) -> Array:
-    turned = np.zeros(3)
-    mujoco.mju_rotVecQuat(turned, v, quat)
-    return turned
-
-
-ARM_RGBA: Final = (0.10, 0.45, 0.95, 0.45)
-ROVER_RGBA: Final = (1.0, 0.45, 0.05, 0.30)
+    rotated = np.zeros(3)
+    mujoco.mju_rotVecQuat(rotated, v, quat)
+    return rotated
 
 
 def save_collision_picture(
@@ -78,25 +76,32 @@ def save_collision_picture(
     camera: str = "workspace",
     size: tuple[int, int] = (1280, 720),
 ) -> PictureResult:
-    """Save the arm at output angles (5), hanging on Mars, with the shapes of arm and rover around it.
+    """Save a picture of the arm, deflected by gravity on Mars, with the collision shapes of arm and rover.
+
+    Args:
+        params: Flight parameters.
+        output_rad: Output angles, shape (5,).
+        path: The PNG file.
+        camera: Name of a camera of the scene.
+        size: Width and height in pixels.
 
     Raises:
         PictureError: the path cannot be written or there is no such camera.
     """
     config, world = configure(params), World()
-    at_rest = settle_output(config.arm, output_rad[:, None], world.gravity_N_m_s2)
+    equilibrium = settle_output(config.arm, output_rad[:, None], world.gravity_N_m_s2)
     spec = build(world, for_pictures=True)
     shapes = config.collision_geometry
-    _add_shapes(spec, shapes.arm, place_shapes(shapes, at_rest.frames)[:, 0], ARM_RGBA)
+    _add_shapes(spec, shapes.arm, place_shapes(shapes, equilibrium.frames)[:, 0], ARM_RGBA)
     _add_shapes(spec, shapes.rover, shapes.rover.X_CS, ROVER_RGBA)
     plant = Plant(spec.compile())
-    plant.show(output_rad, at_rest.strain[:, :, 0])
+    plant.show(output_rad, equilibrium.strain[:, :, 0])
     mujoco.mj_forward(plant.model, plant.data)
     return save_picture(plant.model, plant.data, camera, path, size)
 
 
 def _add_shapes(spec: mujoco.MjSpec, solids: RoundedBoxes, X_RS: Pose, rgba: tuple[float, ...]) -> None:
-    """Solids as geoms that only look; a capsule of MuJoCo lies along z, ours along x."""
+    """Add solids as geoms without contact; the axis of a capsule is z in MuJoCo and x here."""
     for k in range(solids.part.size):
         R_WS, half, radius = FLIP[:, None] * X_RS.R[:, :, k], solids.half_m[:, k], solids.radius_m[k]
         if solids.is_capsule[k]:

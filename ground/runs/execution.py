@@ -1,4 +1,7 @@
-"""What is kept of a run: its log, a picture and a movie; the run goes on without any of them."""
+"""Execution of a run in the closed loop: find the hardstops, record every cycle, draw the picture and movie.
+
+A run continues if its log, picture or movie cannot be written.
+"""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -25,34 +28,20 @@ from sim.plant import Plant
 from sim.record import CycleRecord
 from sim.world import World, build
 
-
-def initialise(arm: BuiltArm, seed: int, progress: Progress) -> list[InitialisationResult]:
-    """Every joint at its hardstop, one after the other; the last one of the list may have failed."""
-    stops: list[InitialisationResult] = []
-    for run in initialise_joints(arm, seed=seed):
-        if run.failure is not None:
-            raise run.failure
-        stops.append(run)
-        progress(len(stops), len(HARDSTOP_ORDER), "initialising")
-    return stops
-
-
 FRAME_PERIOD_S = 3.0
 PICTURE_SIZE = (1280, 720)
 MOVIE_SHADOWS = 1024
-"""Pixels across a shadow map: coarser than for a picture, and several times faster."""
+"""Side of a shadow map in pixels: coarser than for a picture, and several times faster."""
 
 Qpos = NDArray[np.float64]
-"""Of everything that moves, as MuJoCo lists it."""
-
-
+"""Positions of the model as in MuJoCo's qpos, shape (nq,), in metres and radians."""
 WhenDiskFull = Literal["go-on", "stop"]
-"""What a run does whose log can no longer be written."""
+"""Reaction of a run if its log can no longer be written."""
 
 
 @dataclass(frozen=True, slots=True)
 class LogNotWritten(Evr):
-    """The log of the run could not be written on; said by the ground, not by flight software."""
+    """Event of the ground, not of flight software: the log of the run could not be continued."""
 
     severity = Severity.WARNING_HI
     text = "log {e.path}: not recorded from {e.from_s:.2f} s on ({e.why}); what was closed before can be read"
@@ -63,7 +52,7 @@ class LogNotWritten(Evr):
 
 @dataclass(frozen=True, slots=True)
 class RunFiles:
-    """Where what is kept goes; None for what is not."""
+    """Frozen record of the files that a run writes; None for each that it does not."""
 
     log: Path | None = None
     picture: Path | None = None
@@ -76,27 +65,31 @@ NO_FILES: Final = RunFiles()
 
 @dataclass(frozen=True, slots=True)
 class Artifacts:
-    """What became of it."""
+    """Frozen record of the files that a run wrote."""
 
     picture: PictureResult | None
     movie: PictureResult | None
     log_problem: str | None
-    """Why there is no whole log."""
+    """Reason why the log is not complete."""
     events: tuple[tuple[float, Evr], ...] = ()
-    """Time [s] and event of what the ground has to say of it."""
+    """Time [s] and event of each event of the ground."""
 
 
 def no_artifacts(files: RunFiles) -> Artifacts:
-    """Of a run that never began, its arm not initialised."""
-    why = f"log {files.log}: not recorded (the arm was not initialised)"
-    return Artifacts(None, None, None if files.log is None else why)
+    """Return the artifacts of a run that did not begin because its arm was not initialised."""
+    reason = f"log {files.log}: not recorded (the arm was not initialised)"
+    return Artifacts(None, None, None if files.log is None else reason)
 
 
 def check_run_files(files: RunFiles, **others: Path | None) -> None:
-    """Refuse files that cannot be written, or over each other or others that are read.
+    """Check that the files can be written, and that no two options name the same file.
+
+    Args:
+        files: Files that the run writes.
+        **others: Files that the run reads, by option.
 
     Raises:
-        BadRequest: they cannot; the log itself is opened before the run and says the rest.
+        BadRequest: a path is wrong. Opening the log, before the run, can still fail.
     """
     check_distinct_files({**others, "log": files.log, "picture": files.picture, "movie": files.movie})
     try:
@@ -110,64 +103,84 @@ def check_run_files(files: RunFiles, **others: Path | None) -> None:
         raise BadRequest(str(error)) from error
 
 
+def initialise(arm: BuiltArm, seed: int, progress: Progress) -> list[InitialisationResult]:
+    """Find the hardstop of every joint, one after the other; stop at the first joint that fails.
+
+    Returns:
+        The result of each joint; only the last one may have failed.
+    """
+    stops: list[InitialisationResult] = []
+    for run in initialise_joints(arm, seed=seed):
+        if run.failure is not None:
+            raise run.failure
+        stops.append(run)
+        progress(len(stops), len(HARDSTOP_ORDER), "initialising")
+    return stops
+
+
 @dataclass(slots=True)
 class Frames:
-    """Poses of a run, one every so often, to be drawn after it."""
+    """Poses of a run at regular intervals, which are drawn after it."""
 
     poses: list[Qpos] = field(default_factory=list)
     best: Qpos | None = None
-    """For the picture."""
+    """Pose for the picture."""
 
     def note(self, plant: Plant, record: CycleRecord) -> bool:
-        """Take the pose if it is time for one; whether it was."""
+        """Store the pose if one is due, and return whether it was."""
         due = record.tick % round(FRAME_PERIOD_S * CYCLE_HZ) == 0
         if due:
             self.poses.append(plant.data.qpos.copy())
         return due
 
     def choose(self, plant: Plant) -> None:
-        """Take the pose of now for the picture."""
+        """Store the current pose for the picture."""
         self.best = plant.data.qpos.copy()
 
 
 class RunLog:
-    """A recorder whose disk may fill up: an event says what was not recorded."""
+    """Recorder that survives a full disk: an event states from when on nothing was recorded."""
 
     def __init__(self, path: Path | None, recorder: Recorder | None):
         self._path = path
         self._recorder = recorder
         self._last_s = 0.0
         self.events: tuple[tuple[float, LogNotWritten], ...] = ()
-        """Time [s] and event: one, if the log could not be written on."""
+        """Time [s] and event; empty if the log is complete, else one."""
 
     def write(self, record: CycleRecord) -> None:
-        """Record a cycle if it can be."""
+        """Record a cycle, unless recording has failed before."""
         if self._recorder is None or self.events:
             return
         self._last_s = record.tick / CYCLE_HZ
         try:
             self._recorder.write(record)
         except OSError as error:
-            self._failed(self._recorder, error)
+            self._note_failure(self._recorder, error)
 
     def close(self) -> None:
-        """End the file."""
+        """Complete and close the file."""
         if self._recorder is None:
             return
         try:
             self._recorder.close()
         except OSError as error:
             if not self.events:
-                self._failed(self._recorder, error)
+                self._note_failure(self._recorder, error)
 
-    def _failed(self, recorder: Recorder, error: OSError) -> None:
+    def _note_failure(self, recorder: Recorder, error: OSError) -> None:
         from_s = recorder.written_cycles / CYCLE_HZ
         event = LogNotWritten(str(self._path), from_s, error.strerror or str(error))
         self.events = ((self._last_s, event),)
 
 
 def open_log(path: Path | None, header: Mapping[str, str], config: Config) -> RunLog:
-    """A log that begins with what the run is made of; one of nothing without a path.
+    """Open the log of a run.
+
+    Args:
+        path: The log; None for a log that records nothing.
+        header: Header of the log, which describes the run.
+        config: Configuration of flight software.
 
     Raises:
         BadRequest: the file cannot be opened.
@@ -181,17 +194,26 @@ def open_log(path: Path | None, header: Mapping[str, str], config: Config) -> Ru
 
 
 class StoppableRun(Protocol):
-    """A run that can be stopped before its end."""
+    """Run that can be stopped before its end."""
 
     def __iter__(self) -> Iterator[CycleRecord]:
-        """Every cycle, as it happens."""
+        """Run cycle by cycle."""
 
     def stopping(self) -> Iterator[CycleRecord]:
-        """Every cycle of a stop, in place of those that were still to come."""
+        """Stop the arm cycle by cycle, instead of the remaining cycles."""
 
 
 def record_cycles(run: StoppableRun, log: RunLog, when_disk_full: WhenDiskFull) -> Iterator[CycleRecord]:
-    """Every cycle, recorded as far as it can be; a stop where it can not, if so asked."""
+    """Run and record cycle by cycle.
+
+    Args:
+        run: The run.
+        log: Log in which each cycle is written.
+        when_disk_full: Reaction to a log that can no longer be written: continue, or stop the arm.
+
+    Yields:
+        Each cycle, after it was recorded.
+    """
     for record in run:
         log.write(record)
         yield record
@@ -201,14 +223,23 @@ def record_cycles(run: StoppableRun, log: RunLog, when_disk_full: WhenDiskFull) 
 
 
 def describe_activity(record: CycleRecord) -> str:
-    """What the arm is doing, for a progress bar."""
+    """Return the current mode of the arm in words, for a progress bar."""
     return record.outputs.joint.mode.name.lower().replace("_", " ")
 
 
 def save_artifacts(
     files: RunFiles, world: World, frames: Frames, last: Qpos, log: RunLog, progress: Progress
 ) -> Artifacts:
-    """Draw the picture and the movie of a run, from the model with everything that only looks."""
+    """Draw the picture and the movie of a run, and collect its artifacts.
+
+    Args:
+        files: Files that the run writes.
+        world: World of the run; its scene is drawn with all visual details.
+        frames: Poses of the run.
+        last: Last pose, drawn if no pose was chosen, shape (nq,), in metres and radians.
+        log: Log of the run, closed.
+        progress: Receiver of the progress.
+    """
     problem = next((event.message for _, event in log.events), None)
     if files.picture is None and files.movie is None:
         return Artifacts(None, None, problem, log.events)
@@ -224,11 +255,11 @@ def save_artifacts(
         picture = save_picture(model, data, camera, files.picture, PICTURE_SIZE)
     if files.movie is not None:
 
-        def drawn() -> Iterator[Qpos]:
+        def iter_poses() -> Iterator[Qpos]:
             for k, pose in enumerate(frames.poses):
                 progress(k, len(frames.poses), "drawing")
                 yield pose
 
         model.vis.quality.shadowsize = MOVIE_SHADOWS
-        movie = save_movie(model, drawn(), "overview", files.movie)
+        movie = save_movie(model, iter_poses(), "overview", files.movie)
     return Artifacts(picture, movie, problem, log.events)

@@ -1,4 +1,4 @@
-"""The poses of the hardstop initialisation, the torques in them, and how much room there is."""
+"""Hardstop initialisation of one joint or of all, once or repeatedly, and the plan of its poses."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -38,15 +38,15 @@ from sim.world import World
 MOST_REPEATS: Final = 1000
 COLDEST_C, WARMEST_C = -130.0, 50.0
 EXPECTED_S: Final = 1500.0
-"""Of calibrating all joints, about; for the progress bar."""
+"""Approximate duration of the initialisation of all joints, for the progress bar."""
 
 
 @dataclass(frozen=True, slots=True)
 class HardstopRequest:
-    """What is asked; degrees, degrees Celsius."""
+    """Frozen record of the options of `marsarm hardstop`."""
 
     joint: str | None = None
-    """None for all."""
+    """Name of a joint; None for all."""
     repeat: int = 1
     arm: str = "nominal"
     scene: str = "mars"
@@ -54,35 +54,37 @@ class HardstopRequest:
     tilt_pitch_deg: float = 0.0
     turret: bool = True
     start_deg: tuple[float, ...] | None = None
-    """Where the joint begins; None for near its hardstop, in its pose."""
+    """Start pose; None for the planned pose of the joint, near its hardstop."""
     temperature_C: float | None = None
-    """None for a warm day, or for another one every time if there are several."""
+    """Temperature of the actuators; None for 20 degC, or for a random one in each of several repetitions."""
     seed: int = 0
     params: Path | None = None
     effects: tuple[str, ...] = ()
-    """As the command line writes them."""
+    """Effects as text, as on the command line."""
     picture: Path | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HardstopReport:
-    """What came of it; a run for every repetition and joint, or one of all joints."""
+    """Frozen record of the runs of a request."""
 
     request: HardstopRequest
     runs: tuple[InitialisationResult, ...]
+    """One run for every repetition and joint, or one run of all joints."""
     poses_rad: tuple[tuple[float, ...], ...]
-    """In which each joint runs to its hardstop, in the order of Joint; its own angle is where it waits."""
+    """Pose in which each joint runs to its hardstop, in the order of Joint; its own angle is the first."""
     picture_problem: str | None
+    """Reason why there is no picture."""
 
     @property
     def outcome(self) -> Outcome:
-        """That of the last run; the first that fails is the last."""
+        """Outcome of the last run; a run that fails is the last."""
         return self.runs[-1].outcome
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HardstopJob:
-    """A request that can be carried out."""
+    """Frozen record of a checked request."""
 
     joints: tuple[Joint, ...]
     arm: BuiltArm
@@ -92,13 +94,13 @@ class HardstopJob:
 
 
 def hardstop(request: HardstopRequest, progress: Progress) -> HardstopReport:
-    """Find hardstops, and draw how if a picture is asked for.
+    """Find hardstops, and draw a figure of it if the request has a picture.
 
     Raises:
         BadRequest: the request is wrong; nothing moved and nothing was written.
     """
     job = prepare_hardstop(request)
-    runs = tuple(_runs(request, job, progress))
+    runs = tuple(_iter_runs(request, job, progress))
     problem = None
     if request.picture is not None:
         try:
@@ -110,7 +112,11 @@ def hardstop(request: HardstopRequest, progress: Progress) -> HardstopReport:
 
 
 def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
-    """The job, after every check that can be made before anything moves or is written."""
+    """Check a request, before anything moves or is written, and build its job.
+
+    Raises:
+        BadRequest: the request is wrong.
+    """
     check_seed(request.seed)
     if not 1 <= request.repeat <= MOST_REPEATS:
         raise BadRequest(f"repeat: {request.repeat} is not within 1 .. {MOST_REPEATS}")
@@ -134,31 +140,11 @@ def prepare_hardstop(request: HardstopRequest) -> HardstopJob:
     arm = select_arm(request.arm, request.params).with_effects(effects)
     return HardstopJob(
         joints=HARDSTOP_ORDER if request.joint is None else (_parse_joint(request.joint),),
-        arm=arm if request.turret else _without_turret(arm, request),
+        arm=arm if request.turret else _remove_turret(arm, request),
         world=world,
-        start_rad=None if request.start_deg is None else _check_start(arm, request.start_deg),
+        start_rad=None if request.start_deg is None else _parse_start(arm, request.start_deg),
         effects=(*default_ambient(effects, temperature_C), *effects_of_run(effects)),
     )
-
-
-def _without_turret(arm: BuiltArm, request: HardstopRequest) -> BuiltArm:
-    try:
-        return without_turret(arm, on_earth=request.scene == "earth")
-    except NoPlan as error:
-        raise BadRequest(f"hardstop: no poses for Earth without a turret: {error}") from error
-
-
-def _check_start(arm: BuiltArm, start_deg: tuple[float, ...]) -> Joints5:
-    """A pose in which the arm could stand: between its hardstops."""
-    start = np.radians(start_deg)
-    for joint, angle_rad, of_joint in zip(Joint, start, arm.params.joints.in_order(), strict=True):
-        low, high = of_joint.hardstop_rad, of_joint.soft_max_rad
-        if not low <= angle_rad <= high:
-            raise BadRequest(
-                f"start: joint {joint.name.lower()}: {degrees(angle_rad):g} deg is outside "
-                f"{degrees(low):.1f} .. {degrees(high):.1f} deg"
-            )
-    return joints5(start)
 
 
 def _parse_joint(name: str) -> Joint:
@@ -168,10 +154,32 @@ def _parse_joint(name: str) -> Joint:
     return known[name.lower()]
 
 
-def _runs(request: HardstopRequest, job: HardstopJob, progress: Progress) -> Iterator[InitialisationResult]:
-    """One after the other until one fails."""
+def _remove_turret(arm: BuiltArm, request: HardstopRequest) -> BuiltArm:
+    try:
+        return without_turret(arm, on_earth=request.scene == "earth")
+    except NoPlan as error:
+        raise BadRequest(f"hardstop: no poses for Earth without a turret: {error}") from error
+
+
+def _parse_start(arm: BuiltArm, start_deg: tuple[float, ...]) -> Joints5:
+    """Convert a start pose to radians, and check that it is between hardstops and upper soft limits."""
+    start = np.radians(start_deg)
+    for joint, angle_rad, params in zip(Joint, start, arm.params.joints.in_order(), strict=True):
+        low, high = params.hardstop_rad, params.soft_max_rad
+        if not low <= angle_rad <= high:
+            raise BadRequest(
+                f"start: joint {joint.name.lower()}: {degrees(angle_rad):g} deg is outside "
+                f"{degrees(low):.1f} .. {degrees(high):.1f} deg"
+            )
+    return joints5(start)
+
+
+def _iter_runs(
+    request: HardstopRequest, job: HardstopJob, progress: Progress
+) -> Iterator[InitialisationResult]:
+    """Carry out one run after the other until one fails."""
     if request.joint is None and request.repeat == 1:
-        yield _all(request, job, progress)
+        yield _run_all_joints(request, job, progress)
         return
     total = request.repeat * len(job.joints)
     for k in range(total):
@@ -192,15 +200,15 @@ def _runs(request: HardstopRequest, job: HardstopJob, progress: Progress) -> Ite
             return
 
 
-def _all(request: HardstopRequest, job: HardstopJob, progress: Progress) -> InitialisationResult:
+def _run_all_joints(request: HardstopRequest, job: HardstopJob, progress: Progress) -> InitialisationResult:
     start_rad = job.arm.params.hardstop.start_rad
     loop = ClosedLoop(Setup(job.arm, job.world, start_rad, request.seed, effects=job.effects))
     run = InitialisationRun(loop, CalibrateAll())
     for record in run:
         if record.tick % CYCLE_HZ == 0:
-            seeking = loop.state.move.homing if loop.state.move is not None else None
-            doing = "moving" if seeking is None else seeking.joint.name.lower()
-            progress(record.tick / CYCLE_HZ, EXPECTED_S, doing)
+            homing = loop.state.move.homing if loop.state.move is not None else None
+            activity = "moving" if homing is None else homing.joint.name.lower()
+            progress(record.tick / CYCLE_HZ, EXPECTED_S, activity)
     if loop.failure is not None:
         raise loop.failure
     return run.result()
@@ -208,22 +216,23 @@ def _all(request: HardstopRequest, job: HardstopJob, progress: Progress) -> Init
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StopPlan:
-    """One place and what hangs on the arm there."""
+    """Frozen record of the planned poses on Mars or Earth, with their joint torques and clearance."""
 
     place: str
+    """Planet and turret, for the report."""
     params: Params
     loads: HardstopLoads
     clearance: Clearance
 
 
 def plan_stops(request: HardstopRequest) -> tuple[StopPlan, ...]:
-    """The plan for Mars with the turret and the one for Earth without it, whose torques are to be the same.
+    """Plan the poses for Mars with the turret, and for Earth without it with equal joint torques.
 
     Raises:
-        BadRequest: the request is wrong, asks for motion too, or there is no such plan.
+        BadRequest: the request is wrong, has options of a motion, or there is no such plan.
     """
-    asked_to_move = (request.joint, request.start_deg, request.picture) != (None, None, None)
-    if asked_to_move or request.repeat > 1 or not request.turret:
+    has_motion_options = (request.joint, request.start_deg, request.picture) != (None, None, None)
+    if has_motion_options or request.repeat > 1 or not request.turret:
         raise BadRequest("plan: moves nothing, and is of both places; give nothing but --arm and --params")
     whole = prepare_hardstop(request).arm
     bare = prepare_hardstop(replace(request, scene="earth", turret=False)).arm

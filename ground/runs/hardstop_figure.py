@@ -1,4 +1,4 @@
-"""The picture of a joint meeting its hardstop: current, speed and angle over time, and current over angle."""
+"""Figure of joints at their hardstops: current, speed and angle over time, and current over angle."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -13,9 +13,9 @@ from ground.render.figures import save_figure
 from sim.initialisation import HomingSample, InitialisationResult
 
 BEFORE_S: Final = 3.0
-"""How much of the long way to the hardstop is shown."""
+"""Time before the contact with the hardstop from which the figure begins."""
 PAUSE_S: Final = 1.0
-"""Between two turns of a joint."""
+"""Shortest time between two homing attempts of a joint."""
 BLUE, ORANGE, GREEN, RED, GREY = "#31688e", "#d95f02", "#2a9d8f", "#c1121f", "0.6"
 COLOURS: Final = {
     HomingStage.FREE: "0.8",
@@ -34,45 +34,48 @@ NAMES: Final = {
 
 
 def save_hardstop_figure(runs: Sequence[InitialisationResult], path: Path) -> str | None:
-    """Save the picture as PNG, the first run of each joint; the reason if matplotlib is not there.
+    """Save the figure of the first run of each joint as PNG.
+
+    Returns:
+        None, or the reason why there is no figure: matplotlib is missing.
 
     Raises:
         BadOutput: the file cannot be written.
     """
-    seen = _by_joint(runs)
-    rows = max(len(seen), 1)
+    samples_by_joint = _samples_by_joint(runs)
+    rows = max(len(samples_by_joint), 1)
 
     def draw(figure: Any) -> None:
         figure.suptitle("Against the negative hardstop: motor current, speed and angle", fontsize=12)
         panels = figure.subplots(rows, 4, squeeze=False)
-        for axes, (joint, samples) in zip(panels, seen.items(), strict=False):
-            _draw(axes, joint, samples)
-        drawn = dict(zip(*reversed(panels[0][0].get_legend_handles_labels()), strict=True))
-        if drawn:
-            figure.legend(drawn.values(), drawn.keys(), loc="outside lower center", ncols=len(drawn))
+        for axes, (joint, samples) in zip(panels, samples_by_joint.items(), strict=False):
+            _draw_joint(axes, joint, samples)
+        legend = dict(zip(*reversed(panels[0][0].get_legend_handles_labels()), strict=True))
+        if legend:
+            figure.legend(legend.values(), legend.keys(), loc="outside lower center", ncols=len(legend))
 
     return save_figure(path, (15, 1.2 + 3.4 * rows), 90, draw)
 
 
-def _by_joint(runs: Sequence[InitialisationResult]) -> dict[Joint, list[HomingSample]]:
-    """The last turn of each joint in its first run, without most of the way there."""
-    seen: dict[Joint, list[HomingSample]] = {}
+def _samples_by_joint(runs: Sequence[InitialisationResult]) -> dict[Joint, list[HomingSample]]:
+    """Select the last homing attempt of each joint in its first run, without most of the approach."""
+    selected: dict[Joint, list[HomingSample]] = {}
     for joint in HARDSTOP_ORDER:
-        samples = next((turn for turn in (_last_turn(run, joint) for run in runs) if turn), None)
+        samples = next((found for found in (_last_attempt(run, joint) for run in runs) if found), None)
         if samples is not None:
             at_stop = [s.time_s for s in samples if s.stage > HomingStage.COARSE]
             first_s = (at_stop[0] if at_stop else samples[-1].time_s) - BEFORE_S
-            seen[joint] = [s for s in samples if s.time_s >= first_s]
-    return seen
+            selected[joint] = [s for s in samples if s.time_s >= first_s]
+    return selected
 
 
-def _last_turn(run: InitialisationResult, joint: Joint) -> list[HomingSample]:
+def _last_attempt(run: InitialisationResult, joint: Joint) -> list[HomingSample]:
     samples = [s for s in run.samples if s.joint is joint]
     pauses = [k for k, (a, b) in enumerate(pairwise(samples), 1) if b.time_s - a.time_s > PAUSE_S]
     return samples[pauses[-1] :] if pauses else samples
 
 
-def _draw(axes: Any, joint: Joint, samples: list[HomingSample]) -> None:
+def _draw_joint(axes: Any, joint: Joint, samples: list[HomingSample]) -> None:
     current, speed, angle, press = axes
     zero_s, last = samples[0].time_s, samples[-1]
     name = joint.name.lower()
@@ -93,7 +96,7 @@ def _draw(axes: Any, joint: Joint, samples: list[HomingSample]) -> None:
     limit_A = np.array([s.limit_A for s in samples])
     current.plot(time_s, limit_A, color=RED, linewidth=0.8, linestyle="--", label="current limit")
     current.plot(time_s, -limit_A, color=RED, linewidth=0.8, linestyle="--")
-    for stall_s in _stalls(samples):
+    for stall_s in _stall_times_s(samples):
         for panel in (current, speed, angle):
             panel.axvline(stall_s - zero_s, color="black", linewidth=0.8, linestyle=":", label="stall")
     current.set(title=f"{name}: current", xlabel="time [s]", ylabel="A")
@@ -102,8 +105,8 @@ def _draw(axes: Any, joint: Joint, samples: list[HomingSample]) -> None:
     press.set(title=f"{name}: current over angle", xlabel="mrad from where it ends", ylabel="A")
 
 
-def _stalls(samples: list[HomingSample]) -> list[float]:
-    """When a stall was seen: the ends of the ways towards the hardstop."""
+def _stall_times_s(samples: list[HomingSample]) -> list[float]:
+    """Find the times of stalls, which end the stages that move towards the hardstop."""
     return [
         a.time_s
         for a, b in pairwise(samples)

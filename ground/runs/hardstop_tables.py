@@ -1,4 +1,4 @@
-"""Hardstops that were found as tables for people and as documents for programs."""
+"""Reports of `marsarm hardstop`: results and plans as JSON documents and as tables."""
 
 from math import degrees
 from typing import Any
@@ -15,7 +15,7 @@ from sim.initialisation import HardstopResult
 
 
 def hardstop_json(report: HardstopReport) -> dict[str, Any]:
-    """The result as a JSON document."""
+    """Return the report as a JSON document."""
     request = report.request
     return {
         "outcome": report.outcome.value,
@@ -38,15 +38,15 @@ def hardstop_json(report: HardstopReport) -> dict[str, Any]:
 
 
 def hardstop_table(report: HardstopReport) -> None:
-    """Print what was found, and what went wrong."""
+    """Print the hardstop errors, and the events of failed runs."""
     console = plain_console()
     request = report.request
     table = Table(title=f"Hardstops of {request.arm} on {request.scene}: {report.outcome.value}")
-    many = request.repeat > 1
+    is_repeated = request.repeat > 1
     for name in (
         "joint",
         "zero error mrad",
-        *(("3 sigma mrad",) if many else ()),
+        *(("3 sigma mrad",) if is_repeated else ()),
         "without wind-up mrad",
         "half backlash error mrad",
         "load N m",
@@ -58,7 +58,7 @@ def hardstop_table(report: HardstopReport) -> None:
         if row["found"] == 0:
             table.add_row(joint.name.lower(), "not found")
             continue
-        spread = (f"{row['zero_error_3_sigma_mrad']:.3f}",) if many else ()
+        spread = (f"{row['zero_error_3_sigma_mrad']:.3f}",) if is_repeated else ()
         table.add_row(
             joint.name.lower(),
             f"{row['zero_error_mrad']:+.3f}",
@@ -70,7 +70,7 @@ def hardstop_table(report: HardstopReport) -> None:
         )
     console.print(table)
     console.print("errors are against the true hardstop of this arm, which flight software cannot see")
-    if not many:
+    if not is_repeated:
         for run in report.runs:
             for time_s, evr in run.evrs:
                 if isinstance(evr, JointCalibrated) or evr.severity >= Severity.WARNING_LO:
@@ -83,7 +83,7 @@ def hardstop_table(report: HardstopReport) -> None:
 
 
 def plan_json(plans: tuple[StopPlan, ...]) -> dict[str, Any]:
-    """The plans as a JSON document."""
+    """Return the plans as a JSON document."""
     return {
         plan.place: {
             "joints": {
@@ -107,7 +107,7 @@ def plan_json(plans: tuple[StopPlan, ...]) -> dict[str, Any]:
 
 
 def plan_table(plans: tuple[StopPlan, ...]) -> None:
-    """Print where each joint meets its hardstop, and with what load."""
+    """Print the pose and the load of each joint at its hardstop."""
     console = plain_console()
     for plan in plans:
         table = Table(title=f"At the hardstops, {plan.place}", title_justify="left")
@@ -117,22 +117,22 @@ def plan_table(plans: tuple[StopPlan, ...]) -> None:
             pose = [f"{degrees(angle):.1f}" for angle in plan.loads.pose_rad[:, joint]]
             table.add_row(joint.name.lower(), f"{plan.loads.torque_Nm[joint]:.1f}", *pose)
         console.print(table)
-        room = plan.clearance
+        clearance = plan.clearance
         console.print(
-            f"on the way at least {1e3 * room.outside_m:.0f} mm from rover and ground, "
-            f"{1e3 * room.self_m:.0f} mm from itself"
+            f"on the way at least {1e3 * clearance.outside_m:.0f} mm from rover and ground, "
+            f"{1e3 * clearance.self_m:.0f} mm from itself"
         )
 
 
 def _joints(report: HardstopReport) -> list[Joint]:
-    asked = report.request.joint
-    return list(Joint) if asked is None else [Joint[asked.upper()]]
+    name = report.request.joint
+    return list(Joint) if name is None else [Joint[name.upper()]]
 
 
 def _joint_json(report: HardstopReport, joint: Joint) -> dict[str, Any]:
-    """Means over the repetitions, and their spread; what was found last counts."""
-    turns = [[stop for stop in run.stops if stop.joint is joint] for run in report.runs]
-    stops = [of_run[-1] for of_run in turns if of_run]
+    """Compute means and spreads over the repetitions, from the last hardstop that each run found."""
+    stops_by_run = [[stop for stop in run.stops if stop.joint is joint] for run in report.runs]
+    stops = [of_run[-1] for of_run in stops_by_run if of_run]
     if not stops:
         return {"found": 0}
     error = 1e3 * np.array([stop.zero_error_rad for stop in stops])

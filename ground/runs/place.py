@@ -1,4 +1,4 @@
-"""The placement job: check the request, run it, keep the evidence."""
+"""Placement of an instrument on a surface: check the request, carry it out, report."""
 
 import time
 from dataclasses import asdict, dataclass, replace
@@ -48,11 +48,13 @@ from sim.world import Surface, World, inside_rover
 
 @dataclass(frozen=True, slots=True)
 class PlaceRequest:
-    """What is asked; RNAV, metres, degrees."""
+    """Frozen record of the options of `marsarm place`."""
 
     tool: str = "apxs"
     target_m: Vector3 = (2.05, 0.1, -0.25)
+    """Point on the surface, in RNAV."""
     normal: Vector3 = (-0.5, 0.1, -0.85)
+    """Direction out of the surface, in RNAV, of any length."""
     tilt_roll_deg: float = 0.0
     tilt_pitch_deg: float = 0.0
     arm: str = "nominal"
@@ -60,25 +62,31 @@ class PlaceRequest:
     seed: int = 0
     params: Path | None = None
     effects: tuple[str, ...] = ()
-    """As the command line writes them."""
+    """Effects as text, as on the command line."""
     has_surface: bool = True
+    """False for a world without the rock."""
     files: RunFiles = NO_FILES
 
 
 @dataclass(frozen=True, slots=True)
 class PlaceJob:
-    """A request that can be carried out."""
+    """Frozen record of a checked request."""
 
     arm: BuiltArm
     world: World
     placement: Placement
     expected_s: float
+    """Expected duration, for the progress bar."""
     effects: tuple[Effect, ...]
-    """Those that were asked for."""
+    """Effects of the request."""
 
 
 def prepare_placement(request: PlaceRequest) -> PlaceJob:
-    """The job, after every check that can be made before anything moves or is written."""
+    """Check a request, before anything moves or is written, and build its job.
+
+    Raises:
+        BadRequest: the request is wrong, or the target cannot be reached.
+    """
     tool = _parse_tool(request.tool)
     check_finite("target", request.target_m)
     check_finite("normal", request.normal)
@@ -96,12 +104,12 @@ def prepare_placement(request: PlaceRequest) -> PlaceJob:
             f"target: {format_numbers(request.target_m)} m is inside the rover; {WORKSPACE_HINT}"
         )
     check_run_files(request.files, params=request.params)
-    seen = preview_placement(arm, world, Placement(tool, request.target_m, normal), stowed=True)
-    if seen.problem is not None:
-        raise BadRequest(f"target: {format_numbers(request.target_m)} m cannot be reached: {seen.problem}")
+    preview = preview_placement(arm, world, Placement(tool, request.target_m, normal), stowed=True)
+    if preview.problem is not None:
+        raise BadRequest(f"target: {format_numbers(request.target_m)} m cannot be reached: {preview.problem}")
     if not request.has_surface:
         world = level
-    return PlaceJob(arm, world, seen.placement, seen.duration_s + unstow_duration_s(arm), effects)
+    return PlaceJob(arm, world, preview.placement, preview.duration_s + unstow_duration_s(arm), effects)
 
 
 def _parse_tool(name: str) -> Tool:
@@ -115,12 +123,13 @@ def _parse_tool(name: str) -> Tool:
 
 @dataclass(frozen=True, slots=True)
 class PlaceReport:
-    """What came of it."""
+    """Frozen record of a placement and its artifacts."""
 
     request: PlaceRequest
     params_sha256: str
     result: PlacementResult
     realtime_factor: float
+    """Duration on Mars over wall time."""
     artifacts: Artifacts
 
 

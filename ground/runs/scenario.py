@@ -1,4 +1,4 @@
-"""The scenario job: check the request, run it, judge it, keep the evidence."""
+"""Execution of a scenario: check the request, run it, apply its checks, report."""
 
 import time
 from dataclasses import asdict, dataclass, replace
@@ -33,35 +33,36 @@ from sim.sequence import Outcome
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """What is asked; degrees; what is None is as the scenario says."""
+    """Frozen record of the options of `marsarm run`; None takes the value of the scenario."""
 
     scenario: str
-    """The name of one that comes with the house, or the path of a TOML file."""
+    """Name of a built-in scenario, or path of a TOML file."""
     arm: str | None = None
     tilt_deg: tuple[float, float] | None = None
-    """Roll and pitch."""
+    """Roll and pitch of the rover."""
     seed: int = 0
     files: RunFiles = NO_FILES
     effects: tuple[str, ...] = ()
-    """Besides those of the scenario, as the command line writes them."""
+    """Effects in addition to those of the scenario, as text as on the command line."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunReport:
-    """What came of it."""
+    """Frozen record of a run and its artifacts."""
 
     request: RunRequest
     scenario: Scenario
-    """With the tilt and the effects of the request."""
+    """Scenario with the tilt and the effects of the request."""
     arm: str
     params_sha256: str
     result: ScenarioResult
     realtime_factor: float
+    """Duration on Mars over wall time."""
     artifacts: Artifacts
 
     @property
     def passed(self) -> bool:
-        """Whether the run did all that its scenario calls success."""
+        """True if the run was completed and passed all checks of its scenario."""
         return self.result.passed
 
 
@@ -83,23 +84,23 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
         raise BadRequest(f"scenario {scenario.name}: {error}") from error
     setup = scenario_setup(scenario, arm, reference, request.seed)
     loop = ClosedLoop(setup, with_truth=request.files.log is not None)
-    judged = ScenarioRun(loop, scenario)
+    scenario_run = ScenarioRun(loop, scenario)
     header = run_header(loop, arm.name, request.seed, asdict(request), scenario.commands, scenario.effects)
     log = open_log(request.files.log, header, loop.config)
-    frames, shown, total = Frames(), _picture_command(scenario), len(scenario.commands)
+    frames, picture_command, total = Frames(), _picture_command(scenario), len(scenario.commands)
     started = time.perf_counter()
     try:
-        for record in record_cycles(judged, log, request.files.when_disk_full):
+        for record in record_cycles(scenario_run, log, request.files.when_disk_full):
             if frames.note(loop.plant, record):
-                progress(judged.command - 1, total, describe_activity(record))
-            if judged.command == shown:
+                progress(scenario_run.command - 1, total, describe_activity(record))
+            if scenario_run.command == picture_command:
                 frames.choose(loop.plant)
     finally:
         log.close()
     wall_s = time.perf_counter() - started
     if loop.failure is not None:
         raise loop.failure
-    result = judged.result()
+    result = scenario_run.result()
     return RunReport(
         request=request,
         scenario=scenario,
@@ -112,7 +113,7 @@ def run(request: RunRequest, progress: Progress) -> RunReport:
 
 
 def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
-    """The scenario on its arm, after every check that can be made before anything moves or is written."""
+    """Check a request, before anything moves or is written, and return its scenario and arm."""
     check_seed(request.seed)
     try:
         scenario = load_scenario(request.scenario)
@@ -123,13 +124,13 @@ def _prepare(request: RunRequest) -> tuple[Scenario, BuiltArm]:
         tilted = make_world(scenario.world.scene, *request.tilt_deg)
         scenario = scenario.tilted(tilted.tilt_roll_rad, tilted.tilt_pitch_rad)
     scenario = replace(scenario, effects=(*scenario.effects, *parse_effects(request.effects)))
-    read = Path(request.scenario)
-    check_run_files(request.files, scenario=read if read.suffix == ".toml" else None)
+    path = Path(request.scenario)
+    check_run_files(request.files, scenario=path if path.suffix == ".toml" else None)
     return scenario, scenario.fit_arm(arm)
 
 
 def _picture_command(scenario: Scenario) -> int:
-    """The command at whose end the picture is taken: the last one that a check looks at."""
+    """Return the number of the command at whose end the picture is taken: the last one with a check."""
     numbers = [getattr(check, name, 0) for check in scenario.checks for name in ("after", "during")]
     return max(numbers) or len(scenario.commands)
 

@@ -1,4 +1,4 @@
-"""Scenarios and what came of them as tables for people and as documents for programs."""
+"""Reports of `marsarm place`, `run` and `scenarios`: JSON documents and tables."""
 
 from math import degrees, isfinite
 from pathlib import Path
@@ -20,9 +20,12 @@ from sim.scenario.effects import effect_text
 from sim.scenario.judge import CheckResult
 from sim.scenario.names import upper_snake
 
+DISPLAY_UNITS: Final = {"m": ("mm", 1e3), "rad": ("deg", degrees(1.0))}
+"""Unit of reports for each SI unit, and the conversion factor."""
+
 
 def place_json(report: PlaceReport) -> dict[str, Any]:
-    """A placement as a JSON document."""
+    """Return a placement as a JSON document."""
     request, result = report.request, report.result
     contact, standoff = result.contact, result.standoff
     return {
@@ -48,7 +51,7 @@ def place_json(report: PlaceReport) -> dict[str, Any]:
 
 
 def place_table(report: PlaceReport) -> None:
-    """Print a placement: a short table, the warnings, and where the files are."""
+    """Print a placement: a table of errors, the warnings, and the files."""
     result, request = report.result, report.request
     console = plain_console()
     table = Table(
@@ -72,7 +75,7 @@ def place_table(report: PlaceReport) -> None:
 
 
 def artifacts_json(artifacts: Artifacts) -> dict[str, Any]:
-    """The artifacts of a run, for its document."""
+    """Return the artifacts of a run as a part of its JSON document."""
     return {
         "log_problem": artifacts.log_problem,
         "picture": None if artifacts.picture is None else _path_text(artifacts.picture.path),
@@ -81,7 +84,7 @@ def artifacts_json(artifacts: Artifacts) -> dict[str, Any]:
 
 
 def print_artifacts(console: Console, artifacts: Artifacts, log: Path | None) -> None:
-    """Print where the files are, or why there are none."""
+    """Print the files of a run, or the reasons why there are none."""
     for name, drawn in (("picture", artifacts.picture), ("movie", artifacts.movie)):
         if drawn is not None:
             console.print(
@@ -111,7 +114,7 @@ def _error_json(error: PlacementError) -> dict[str, float]:
 
 
 def evr_json(time_s: float, evr: Evr) -> dict[str, Any]:
-    """An event and its time as a JSON document."""
+    """Return an event and its time as a JSON document."""
     return {
         "time_s": time_s,
         "name": evr.name,
@@ -125,12 +128,8 @@ def _path_text(path: Any) -> str | None:
     return None if path is None else str(path)
 
 
-DISPLAY_UNITS: Final = {"m": ("mm", 1e3), "rad": ("deg", degrees(1.0))}
-"""The unit that people read, and how many of it a unit of the house is."""
-
-
 def run_json(report: RunReport) -> dict[str, Any]:
-    """A run as a JSON document."""
+    """Return a run as a JSON document."""
     result, world = report.result, report.scenario.world
     return {
         "scenario": report.scenario.name,
@@ -138,7 +137,7 @@ def run_json(report: RunReport) -> dict[str, Any]:
         "passed": report.passed,
         "arm": report.arm,
         "commands_begun": result.command,
-        "checks": [_measured_json(measured) for measured in result.checks],
+        "checks": [_check_json(check) for check in result.checks],
         "duration_s": result.duration_s,
         "realtime_factor": report.realtime_factor,
         "tilt_deg": {"roll": degrees(world.tilt_roll_rad), "pitch": degrees(world.tilt_pitch_rad)},
@@ -152,7 +151,7 @@ def run_json(report: RunReport) -> dict[str, Any]:
 
 
 def run_table(report: RunReport) -> None:
-    """Print a run: each check with its bounds, the warnings, and where the files are."""
+    """Print a run: each check with its bounds, the warnings, and the files."""
     result, scenario = report.result, report.scenario
     console = plain_console()
     passed = "passed" if report.passed else "NOT passed"
@@ -161,8 +160,8 @@ def run_table(report: RunReport) -> None:
     )
     for name in ("check", "", "measured", "bound", ""):
         table.add_column(name, justify="right" if name in ("measured", "bound") else "left")
-    for measured in result.checks:
-        table.add_row(*_check_cells(measured))
+    for check in result.checks:
+        table.add_row(*_check_cells(check))
     console.print(table)
     number = result.command
     if result.outcome != "done" and number > 0:
@@ -177,7 +176,7 @@ def run_table(report: RunReport) -> None:
 
 
 def scenarios_json(scenarios: tuple[Scenario, ...]) -> list[dict[str, Any]]:
-    """The scenarios that come with the house as a JSON document."""
+    """Return the built-in scenarios as a JSON document."""
     return [
         {
             "name": scenario.name,
@@ -192,39 +191,40 @@ def scenarios_json(scenarios: tuple[Scenario, ...]) -> list[dict[str, Any]]:
 
 
 def scenarios_table(scenarios: tuple[Scenario, ...]) -> None:
-    """Print a line for each scenario that comes with the house."""
+    """Print a line for each built-in scenario."""
     width = max(len(scenario.name) for scenario in scenarios)
     for scenario in scenarios:
         plain_console().print(f"{scenario.name:<{width}}  {scenario.sentence}", soft_wrap=True)
 
 
-def _measured_json(measured: CheckResult) -> dict[str, Any]:
-    value, low, high, unit = _in_unit(measured)
+def _check_json(check: CheckResult) -> dict[str, Any]:
+    value, low, high, unit = _in_display_unit(check)
     return {
-        "check": measured.check,
-        "name": measured.name,
-        "value": _finite(value),
+        "check": check.check,
+        "name": check.name,
+        "value": _finite_or_none(value),
         "unit": unit or None,
-        "low": _finite(low),
-        "high": _finite(high),
-        "passed": measured.passed,
+        "low": _finite_or_none(low),
+        "high": _finite_or_none(high),
+        "passed": check.passed,
     }
 
 
-def _check_cells(measured: CheckResult) -> tuple[str | Text, ...]:
-    value, low, high, unit = _in_unit(measured)
-    end = styled_cell("ok", "") if measured.passed else styled_cell("NOT", WARNING_STYLE)
+def _check_cells(check: CheckResult) -> tuple[str | Text, ...]:
+    value, low, high, unit = _in_display_unit(check)
+    verdict = styled_cell("ok", "") if check.passed else styled_cell("NOT", WARNING_STYLE)
     if low == high == 1.0:
-        return measured.check, measured.name, "yes" if value == 1.0 else "no", "yes", end
-    said = f"{value:.3g} {unit}".rstrip() if isfinite(value) else "not reached"
-    most = f"at most {high:.3g}" if not isfinite(low) else f"{low:.3g} .. {high:.3g}"
-    return measured.check, measured.name, said, f"{most} {unit}".rstrip(), end
+        return check.check, check.name, "yes" if value == 1.0 else "no", "yes", verdict
+    measured = f"{value:.3g} {unit}".rstrip() if isfinite(value) else "not reached"
+    bound = f"at most {high:.3g}" if not isfinite(low) else f"{low:.3g} .. {high:.3g}"
+    return check.check, check.name, measured, f"{bound} {unit}".rstrip(), verdict
 
 
-def _in_unit(measured: CheckResult) -> tuple[float, float, float, str]:
-    unit, factor = DISPLAY_UNITS.get(measured.unit, (measured.unit, 1.0))
-    return factor * measured.value, factor * measured.low, factor * measured.high, unit
+def _in_display_unit(check: CheckResult) -> tuple[float, float, float, str]:
+    """Convert value, lower and upper bound of a check to the unit of reports."""
+    unit, factor = DISPLAY_UNITS.get(check.unit, (check.unit, 1.0))
+    return factor * check.value, factor * check.low, factor * check.high, unit
 
 
-def _finite(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return value if isfinite(value) else None
