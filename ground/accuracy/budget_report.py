@@ -114,7 +114,7 @@ def _rows(report: BudgetReport) -> Table:
 
 
 def _shares(report: BudgetReport, budget: Budget) -> Table:
-    table = Table(title=f"{budget.name}: what makes up the total [mm]", title_justify="left")
+    table = Table(title=f"{budget.name}: shares of the total [mm]", title_justify="left")
     table.add_column("source")
     table.add_column("")
     for frame in Frame:
@@ -140,7 +140,7 @@ def _rules(budget: Budget) -> Table:
 
 
 def _reproduced(found: MagnitudeFit) -> Table:
-    table = Table(title="Magnitudes that would make it the paper's", title_justify="left")
+    table = Table(title="Magnitudes that reproduce the paper", title_justify="left")
     for name in ("source", "part", "magnitude", "times ours"):
         table.add_column(name, justify="right" if name in ("magnitude", "times ours") else "left")
     for (source, part), factor in found.factor.items():
@@ -168,7 +168,7 @@ def save_budget_page(report: BudgetReport, path: Path) -> None:
     sources = [(s.text, s.label, s.kind, s.basis) for s in report.model.source.values()]
     parts = [
         paragraph(
-            f"{_poses(report)} Plus or minus, what the bounds of 99.73 % of the poses stay within; ours are "
+            f"{_poses(report)} Bounds, plus or minus, that hold at 99.73 % of the poses; ours are "
             "our magnitudes by the paper's rule."
         ),
         table(("", "case", "required", "paper", "ours"), rows),
@@ -206,7 +206,7 @@ def _draw(figure: Any, budget: Budget) -> None:
     for frame in Frame:
         bars.barh([names[k] for k in order], share[order, frame], left=left, label=frame.name.lower())
         left += share[order, frame]
-    bars.set(title="What makes up the total, mean over the poses", xlabel="mm")
+    bars.set(title="Shares of the total, mean over the poses", xlabel="mm")
     bars.legend(fontsize=8)
     _map(figure, area, budget)
 

@@ -135,10 +135,10 @@ def percentile_sentence(found: CoverageReport) -> str:
     values = ", ".join(
         f"{name.rsplit('_', 1)[0]} {format_value(name, found.percentile[name])}" for name in COMPONENTS
     )
-    said = f"{100 * COVERAGE:.2f} % of the errors stay within {values}."
+    text = f"{100 * COVERAGE:.2f} % of the errors stay within {values}."
     if found.arms >= min_sample_size(COVERAGE):
-        return said
-    return f"{said} So few arms cannot be sure of it; {min_sample_size(COVERAGE)} can."
+        return text
+    return f"{text} A confidence bound needs {min_sample_size(COVERAGE)} arms."
 
 
 def _rules(report: MonteCarloReport, found: CoverageReport) -> Table:
@@ -161,7 +161,7 @@ def additivity_row(one: AdditivityCheck) -> tuple[str, ...]:
 
 
 def _additivity_table(found: CoverageReport) -> Table:
-    table = Table(title="What equation 13 adds, and what the source does by itself", title_justify="left")
+    table = Table(title="Bounds of the sources that equation 13 adds", title_justify="left")
     for name in ADDITIVITY_HEAD:
         table.add_column(name, justify="left" if name == "source" else "right")
     for one in found.additivity:
@@ -175,9 +175,9 @@ def backlash_sentence(found: CoverageReport) -> str:
     side = ", ".join(f"{value:+.2f}" for value in found.side)
     median, often, most = found.backlash
     return (
-        f"Outputs lie on a flank of their gap in {flank} % of the moves (J1 to J5), on the mean on the side "
-        f"{side}. At the tool the five gaps make {100 * median:.0f} % of their sum (median; 95 % stay "
-        f"within {100 * often:.0f} %, most {100 * most:.0f} %)."
+        f"Outputs lie on a flank of their backlash in {flank} % of the moves (J1 to J5), at the mean "
+        f"position {side}. At the tool, backlash makes {100 * median:.0f} % of the sum over joints "
+        f"(median; 95 % stay within {100 * often:.0f} %, most {100 * most:.0f} %)."
     )
 
 
@@ -237,7 +237,7 @@ def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
     parts = [
         paragraph(
             f"Case {request.case}: {len(report.trials)} arms, {request.built}, {request.places} places each, "
-            f"{request.how}, seed {request.seed}; {len(report.failed)} arms did not come to their places."
+            f"{request.how}, seed {request.seed}; {len(report.failed)} arms failed."
         )
     ]
     if found is not None:
@@ -250,13 +250,13 @@ def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:
                 "The 95 % intervals count arms."
             ),
             table(RULE_HEAD, rule_rows(found)),
-            heading("What equation 13 takes for granted"),
+            heading("Additivity in equation 13"),
             table(ADDITIVITY_HEAD, [additivity_row(one) for one in found.additivity]),
             paragraph(backlash_sentence(found)),
             paragraph(additivity_sentence(found)),
         ]
     if report.three_sigma is not None:
-        parts += [heading("Between arms and within them"), table(SIGMA_HEAD, sigma_rows(report))]
+        parts += [heading("Accuracy and repeatability"), table(SIGMA_HEAD, sigma_rows(report))]
     save_page("The error budget against a Monte Carlo", parts, path)
 
 

@@ -110,7 +110,7 @@ def _check_units(campaign: Campaign) -> Iterator[str]:
         )
     sides = np.setdiff1d(believed.side, (-1.0, 0.0, 1.0))
     if sides.size:
-        yield f"side_*: {sides[0]:.4g} is no side; give +1 or -1 where it is sure, else 0"
+        yield f"side_*: {sides[0]:.4g} is not a side; give +1 or -1 if the side is certain, else 0"
     kg = believed.turret_kg[~np.isnan(believed.turret_kg)]
     low_kg, high_kg = TURRET_KG
     if np.any((kg < low_kg) | (kg > high_kg)):
@@ -131,37 +131,33 @@ def _check_tracker(campaign: Campaign) -> Iterator[str]:
         few = np.flatnonzero(campaign.targets_seen[row] < MIN_TARGETS)
         if few.size:
             yield (
-                f"targets_{name}: {_list_poses(few)} with fewer than {MIN_TARGETS}: no frame can be built "
-                "of them; "
-                "measure again or leave out"
+                f"targets_{name}: {_list_poses(few)} with fewer than {MIN_TARGETS}: "
+                "measure again or leave these poses out"
             )
     lost = np.flatnonzero(campaign.misfit_m > MAX_MISFIT_M)
     if lost.size:
         yield (
             f"misfit_m: {_list_poses(lost)} with targets up to {1e3 * campaign.misfit_m.max():.2f} mm "
-            "from where "
-            "rigid bodies have them: the tracker lost its lock or took another target; measure again"
+            "from a rigid body: the tracker lost its lock or took another target; measure again"
         )
     moved = np.flatnonzero(campaign.tracker_moved_m > MAX_TRACKER_MOTION_M)
     if moved.size:
         yield (
             f"tracker_moved_m: {_list_poses(moved)}, ground up to "
             f"{1e3 * campaign.tracker_moved_m.max():.1f} mm "
-            "from where it was: the tracker lost its lock or was moved; measure again"
+            "from its first position: the tracker lost its lock or was moved; measure again"
         )
     stale = np.flatnonzero(_find_stale(campaign)) + 1
     if stale.size:
         yield (
-            f"p_*_m: {_list_poses(stale)} exactly where the pose before was, though joints moved: the "
-            "tracker "
-            "lost its lock; measure again"
+            f"p_*_m: {_list_poses(stale)} equal to the pose before, although joints moved: the "
+            "tracker lost its lock; measure again"
         )
     again = np.setdiff1d(_find_copies(campaign), stale)
     if again.size:
         yield (
-            f"p_*_m, q_*: {_list_poses(again)} to the last digit as a pose before, which no tracker "
-            "measures; "
-            "leave out rows that were copied"
+            f"p_*_m, q_*: {_list_poses(again)} equal to an earlier pose to the last digit: "
+            "leave out copied rows"
         )
 
 
@@ -195,10 +191,10 @@ def _check_frames(nominal: Params, campaign: Campaign) -> Iterator[str]:
     hint = (
         f"{best} ({1e3 * found[best]:.0f} mm)"
         if found[best] < MAX_MEDIAN_ERROR_M
-        else "none of the usual mix-ups explains it"
+        else "no common mistake of convention explains it"
     )
     yield (
-        f"measured poses: {1e3 * as_given:.0f} mm from the drawing's (median); a built arm is within "
+        f"measured poses: {1e3 * as_given:.0f} mm from the nominal ones (median); a built arm is within "
         f"{1e3 * MAX_MEDIAN_ERROR_M:.0f} mm. {hint[0].upper()}{hint[1:]}"
     )
 
@@ -208,7 +204,7 @@ def _check_stray_poses(off_m: Array) -> Iterator[str]:
     outliers = np.flatnonzero(off_m > MAX_ERROR_M)
     if outliers.size:
         yield (
-            f"measured poses: {_list_poses(outliers)} up to {1e3 * off_m.max():.0f} mm from the drawing's, "
+            f"measured poses: {_list_poses(outliers)} up to {1e3 * off_m.max():.0f} mm from nominal, "
             f"the others {1e3 * float(np.median(off_m)):.0f} mm (median): the tracker lost its lock or took "
             "another target; measure again or leave out"
         )
@@ -217,14 +213,14 @@ def _check_stray_poses(off_m: Array) -> Iterator[str]:
 def _wrong_conventions(X: Pose) -> dict[str, Pose]:
     flip = np.diag([1.0, -1.0, -1.0])
     return {
-        "the frames are swapped: this is the rover in the turret": inverse(X),
+        "the frames are swapped: give the turret in the rover": inverse(X),
         "positions are in RNAV: give them in RMECH": Pose(X.R, X.p - P_NR_M[:, None]),
         "axes are z up: give x forward, y right, z down": Pose(
             np.einsum("ij,jkn->ikn", flip, X.R), flip @ X.p
         ),
         "quaternions are conjugated: give turret to rover": Pose(X.R.swapaxes(0, 1), X.p),
-        "poses stand one row too high": Pose(np.roll(X.R, 1, axis=2), np.roll(X.p, 1, axis=1)),
-        "poses stand one row too low": Pose(np.roll(X.R, -1, axis=2), np.roll(X.p, -1, axis=1)),
+        "poses are one row too high": Pose(np.roll(X.R, 1, axis=2), np.roll(X.p, 1, axis=1)),
+        "poses are one row too low": Pose(np.roll(X.R, -1, axis=2), np.roll(X.p, -1, axis=1)),
     }
 
 
@@ -240,13 +236,13 @@ def _check_fit(found: Fit, frames: Identifiability, verdict: HoldOutValidation) 
     if frames.rank < FRAME_RANK:
         unseen = "; ".join(f"{', '.join(g.names)} as {g.identified}" for g in frames.unidentifiable_groups())
         yield (
-            f"rank: the frames show {frames.rank} of {FRAME_RANK} combinations ({unseen}); "
-            "more poses, and others, tell more"
+            f"rank: the poses identify {frames.rank} of {FRAME_RANK} frame combinations ({unseen}); "
+            "add poses that differ from these"
         )
     if found.sigma0 > MAX_SIGMA0:
         yield (
             f"residuals: {found.sigma0:.2f} times the noise, p = {found.p_value:.1e}; {MAX_SIGMA0} at most: "
-            "something acts that neither the arm nor the tracker has in its model"
+            "the models of arm and tracker lack an effect"
         )
     if found.sigma0 < MIN_SIGMA0:
         yield (
@@ -261,8 +257,8 @@ def _check_fit(found: Fit, frames: Identifiability, verdict: HoldOutValidation) 
     prior = np.array([parameter.prior_sigma for parameter in found.parameters])
     for k in np.flatnonzero(np.abs(found.values) > MAX_PRIOR_SIGMAS * prior):
         yield (
-            f"{found.parameters[k].name}: {found.values[k]:.3g} {found.parameters[k].unit} from the drawing, "
-            f"{abs(found.values[k]) / prior[k]:.0f} times what arms are built to"
+            f"{found.parameters[k].name}: {found.values[k]:.3g} {found.parameters[k].unit} from nominal, "
+            f"{abs(found.values[k]) / prior[k]:.0f} times the manufacturing tolerance"
         )
 
 

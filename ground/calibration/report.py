@@ -88,7 +88,7 @@ def calibration_table(report: CalibrateReport) -> None:
     found = report.found
     console.print(_summary_table(found))
     console.print(_zero_table(found))
-    console.print("Told apart by no pose of this campaign, and left by the drawing:")
+    console.print("Not identifiable from this campaign, kept at nominal values:")
     for group in found.frame_identifiability.unidentifiable_groups():
         console.print(f"  {describe_group(group)}")
     if report.verification is not None:
@@ -103,8 +103,8 @@ def describe_group(group: UnidentifiableGroup) -> str:
     """Describe a group of unidentifiable parameters."""
     names = ", ".join(group.names)
     if group.identified == 0:
-        return f"{names}: not seen"
-    return f"{names}: seen as {pluralize(group.identified, 'combination')}"
+        return f"{names}: not identified"
+    return f"{names}: identified as {pluralize(group.identified, 'combination')}"
 
 
 def summary_rows(found: Calibration) -> list[tuple[str, str]]:
@@ -126,7 +126,7 @@ def summary_rows(found: Calibration) -> list[tuple[str, str]]:
             for name, e in errors
         ),
         ("residuals", f"{best.sigma0:.3f} of the noise, p = {best.p_value:.2g}"),
-        ("held-out poses", f"{found.hold_out.ratio:.3f} of what noise and covariance let expect"),
+        ("held-out poses", f"{found.hold_out.ratio:.3f} of the error that noise and covariance predict"),
         (
             "rank, frames",
             (
@@ -183,8 +183,8 @@ def _place_row(place: PlaceErrors) -> tuple[str, str, str, str, str]:
 
 
 def _verification_table(found: Verification) -> Table:
-    apart = 1e3 * np.abs(found.zero_rad - found.expected_rad).max()
-    title = f"Fresh targets, full turret; hardstops anew, within {apart:.3f} mrad of what was written"
+    difference = 1e3 * np.abs(found.zero_rad - found.expected_rad).max()
+    title = f"Fresh targets, full turret; new hardstops within {difference:.3f} mrad of the parameters"
     table = Table(title=title, title_justify="left")
     for name in ("", "rms", "largest", "lateral", "axis"):
         table.add_column(name, justify="right" if name else "left")
@@ -200,30 +200,30 @@ def save_calibration_page(report: CalibrateReport, path: Path) -> None:
         BadOutput: The file cannot be written.
     """
     found = report.found
-    words = [describe_group(group) for group in found.frame_identifiability.unidentifiable_groups()]
+    groups = [describe_group(group) for group in found.frame_identifiability.unidentifiable_groups()]
     parts = [
         table(("", ""), summary_rows(found)),
         heading("Pose by pose"),
         paragraph(
-            "Shaded: shoulder-in poses. Grey: calibrated numbers, but every output always on one side of its "
-            "gap, as if the backlash state were not known."
+            "Shaded: shoulder-in poses. Grey: calibrated parameters, but every output always on one side of "
+            "its backlash, as if the backlash state were not known."
         ),
         image(
             render_png((12, 7), 110, lambda figure: _draw_errors(figure, found)), "errors before and after"
         ),
         heading("Encoder zeros"),
         table(("joint", "zero (rz of its frame)", "hardstop at"), zero_rows(found)),
-        heading("How well combinations of the 42 frame numbers are seen"),
+        heading("Identifiability of the 42 frame parameters"),
         image(
             render_png((12, 3.2), 110, lambda figure: _draw_singular_values(figure, found)), "singular values"
         ),
-        paragraph("Told apart by no pose of this campaign, and left by the drawing:"),
-        *(paragraph(one) for one in words),
+        paragraph("Not identifiable from this campaign, kept at nominal values:"),
+        *(paragraph(one) for one in groups),
     ]
     if report.verification is not None:
         head = ("", "rms", "largest", "lateral", "axis")
         parts += [heading("Fresh targets, full turret"), table(head, place_rows(report.verification))]
-    parts += [heading("Where it comes from"), *(paragraph(line) for line in provenance(found))]
+    parts += [heading("Provenance"), *(paragraph(line) for line in provenance(found))]
     save_page(f"Calibration of {found.campaign.arm_name}", parts, path)
 
 
@@ -241,15 +241,15 @@ def errors_without_backlash(found: Calibration) -> Array:
 
 
 def _draw_errors(figure: Any, found: Calibration) -> None:
-    of_position, of_turn = figure.subplots(2, 1, sharex=True)
+    position_axes, rotation_axes = figure.subplots(2, 1, sharex=True)
     series = (
         ("uncalibrated", found.before, "tab:red", "o"),
         ("calibrated, backlash state left out", errors_without_backlash(found), "0.55", "x"),
         ("calibrated", found.after, "tab:blue", "."),
     )
     for axes, part, label in (
-        (of_position, slice(3, 6), "position [mm]"),
-        (of_turn, slice(0, 3), "turn [mrad]"),
+        (position_axes, slice(3, 6), "position [mm]"),
+        (rotation_axes, slice(0, 3), "rotation [mrad]"),
     ):
         for name, error, colour, marker in series:
             size = 1e3 * np.linalg.norm(error[part], axis=0)
@@ -258,14 +258,14 @@ def _draw_errors(figure: Any, found: Calibration) -> None:
         axes.set(ylabel=label, ylim=(0, None))
         unknown = np.flatnonzero(found.unknown.any(axis=0))
         off = 1e3 * np.linalg.norm(found.after[part][:, unknown], axis=0)
-        name = "calibrated, a side of a gap unknown"
+        name = "calibrated, side of a backlash unknown"
         axes.plot(unknown, off, "o", color="tab:blue", fillstyle="none", label=name, markersize=6)
     out = np.flatnonzero(~found.best.used)
     if out.size:
         left_out = 1e3 * np.linalg.norm(found.after[3:, out], axis=0)
-        of_position.plot(out, left_out, "ko", fillstyle="none", label="outlier")
-    of_position.legend(fontsize=8, ncols=3, loc="upper left")
-    of_turn.set(xlabel="pose, in the order in which they were taken")
+        position_axes.plot(out, left_out, "ko", fillstyle="none", label="outlier")
+    position_axes.legend(fontsize=8, ncols=3, loc="upper left")
+    rotation_axes.set(xlabel="pose, in the order in which they were taken")
 
 
 def _shade(axes: Any, found: Calibration) -> None:
@@ -280,8 +280,10 @@ def _draw_singular_values(figure: Any, found: Calibration) -> None:
     axes, values = figure.subplots(), found.frame_identifiability.singular_values
     rank = found.frame_identifiability.rank
     shown = np.maximum(values, 1e-3)
-    axes.semilogy(np.arange(1, rank + 1), shown[:rank], "o", color="tab:blue", label="seen")
-    axes.semilogy(np.arange(rank + 1, values.size + 1), shown[rank:], "o", color="tab:red", label="not seen")
+    axes.semilogy(np.arange(1, rank + 1), shown[:rank], "o", color="tab:blue", label="identified")
+    axes.semilogy(
+        np.arange(rank + 1, values.size + 1), shown[rank:], "o", color="tab:red", label="not identified"
+    )
     axes.axvline(rank + 0.5, color="0.7", linewidth=0.8)
-    axes.set(xlabel=f"combination; {rank} of {values.size} are seen", ylabel="sigmas at its scale")
+    axes.set(xlabel=f"combination; {rank} of {values.size} are identified", ylabel="sigmas per scale")
     axes.legend(fontsize=8)

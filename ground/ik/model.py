@@ -59,7 +59,7 @@ class IkModel:
             return text + ", rigid"
         tilted = f", roll {request.tilt_roll_deg:g} pitch {request.tilt_pitch_deg:g} deg"
         level = request.tilt_roll_deg == request.tilt_pitch_deg == 0.0
-        return text + f", hanging in the gravity of {request.gravity.title()}" + ("" if level else tilted)
+        return text + f", deflected by the gravity of {request.gravity.title()}" + ("" if level else tilted)
 
     def solve_in_batches(self, targets: IkTargets, progress: Progress) -> Iterator[IkResult]:
         """Solve the inverse kinematics in parts, (S, n) each; the number of slots S may differ."""

@@ -58,7 +58,7 @@ def solve(request: IkRequest, progress: Progress) -> IkReport | BatchReport:
     if request.batch is None and request.out is None:
         return IkReport(request, model, select_result(model.solve(_one_target(request)), 0))
     if request.batch is None or request.out is None:
-        raise BadRequest("batch and out: give both, the file with the targets and the one for the answers")
+        raise BadRequest("batch and out: give both, a file with targets and a file for the results")
     if request.position_m is not None or request.approach is not None:
         raise BadRequest("position and approach: the targets are in the batch; give one or the other")
     return _solve_batch(request, model, request.batch, request.out, progress)

@@ -126,12 +126,11 @@ def serial_table(report: SerialReport, picture_lacks: str | None) -> None:
         console.print(_joints(report))
     fit = last.found.fit
     console.print(
-        f"{len(fit.parameters)} parameters; the poses tell {report.identifiability.rank} combinations of "
-        "them; "
-        f"{_noise_words(fit.sigma0)}"
+        f"{len(fit.parameters)} parameters; the poses identify "
+        f"{report.identifiability.rank} combinations of them; {_noise_words(fit.sigma0)}"
     )
     rows = ", ".join(map(str, last.found.outliers))
-    console.print(f"left out, for they agree with no other: {f'rows {rows}' if rows else 'no pose'}")
+    console.print(f"left out as outliers: {f'rows {rows}' if rows else 'no pose'}")
     if report.temperature is not None:
         console.print(temperature_words(report.temperature))
     if report.request.out is not None:
@@ -168,7 +167,7 @@ def _mm(*lengths_m: float) -> list[str]:
 
 
 def _joints(report: SerialReport) -> Table:
-    table = Table(title="How the joints err: urad/Nm, urad, mrad, mrad", title_justify="left")
+    table = Table(title="Joint errors: urad/Nm, urad, mrad, mrad", title_justify="left")
     table.add_column("joint")
     for name in ("compliance", "+-", "approach", "+-", "waves", "largest"):
         table.add_column(name, justify="right")

@@ -111,12 +111,12 @@ BAD = {
         replace(campaign(), believed=replace(B, turret_kg=np.where(np.arange(160) < 3, np.inf, B.turret_kg))),
         "turret_kg: 8 .. inf",
     ),
-    "no side": (replace(campaign(), believed=replace(B, side=0.5 * B.side)), "is no side; give"),
+    "no side": (replace(campaign(), believed=replace(B, side=0.5 * B.side)), "is not a side; give"),
     "millinewton metres": (
         replace(campaign(), believed=replace(B, friction_Nm=1e3 * B.friction_Nm)),
         "newton metres",
     ),
-    "copied rows": (campaign().at(np.tile(np.arange(40), 4)), r"poses 40, 41, .* rows that were copied"),
+    "copied rows": (campaign().at(np.tile(np.arange(40), 4)), r"poses 40, 41, .* copied rows"),
     "swapped": (with_poses(inverse(X)), "The frames are swapped"),
     "rnav": (with_poses(Pose(X.R, X.p + P_NR_M[:, None])), "Positions are in RNAV"),
     "quaternion": (with_poses(Pose(X.R.swapaxes(0, 1), X.p)), "Quaternions are conjugated"),
@@ -148,5 +148,5 @@ def test_an_arm_without_a_name_is_refused(tmp_path):
 def test_a_tracker_that_stands_still_is_noticed():
     p = X.p.copy()
     p[:, 50] = p[:, 49]
-    with pytest.raises(BadData, match=r"p_.*: pose 50 exactly where the pose before was"):
+    with pytest.raises(BadData, match=r"p_.*: pose 50 equal to the pose before"):
         check_data(NOMINAL, with_poses(Pose(X.R, p)))
