@@ -1,4 +1,4 @@
-"""What the models in models/mjcf promise to the rest of the house."""
+"""Properties of the models in models/mjcf on which the project depends."""
 
 from itertools import pairwise
 from pathlib import Path
@@ -85,7 +85,7 @@ def nominal_tool_in_rnav(tool: str, pose_deg: tuple[float, ...]) -> Array:
 
 
 def is_arm(model: mujoco.MjModel, geom: int) -> bool:
-    """Everything that moves is the arm."""
+    """Return whether a body moves, as only those of the arm do."""
     return bool(model.body_weldid[model.geom_bodyid[geom]] != 0)
 
 
@@ -135,7 +135,7 @@ def test_arm_and_turret_weigh_what_the_paper_says() -> None:
 
 @pytest.mark.parametrize("scene", SCENES)
 def test_leaving_the_decoration_out_does_not_change_the_motion(scene: str) -> None:
-    """A plant without pictures compiles with discardvisual, for speed; the numbers must be the same bits."""
+    """Compare bits: a plant without pictures compiles with discardvisual, for speed."""
     spec = mujoco.MjSpec.from_file(str(MJCF / scene))
     spec.compiler.discardvisual = True
     full, lean = load(scene), spec.compile()
@@ -231,7 +231,7 @@ def test_the_way_from_stowed_to_ready_is_inside_the_soft_limits() -> None:
 
 
 def test_switches_close_on_a_flat_surface_before_anything_else_touches() -> None:
-    """The drill against a flat wall: both prongs touch, and nothing else does."""
+    """Press the drill on a flat wall: only the two prongs touch."""
     spec = mujoco.MjSpec.from_file(str(MJCF / "mars.xml"))
     drill = posed(load("mars.xml"), READY_DEG).site("drill")
     outward = drill.xmat.reshape(3, 3)[:, 0]
@@ -256,7 +256,7 @@ def test_the_cameras_are_there_and_pictures_may_be_large(scene: str, camera: str
 
 
 def test_no_rock_stands_in_the_workspace() -> None:
-    """The workspace is a cylinder 0.8 m across about RNAV x = 2.1 m; sim/world.py puts the targets there."""
+    """Check the cylinder 0.8 m across about RNAV x = 2.1 m; sim/world.py puts the targets there."""
     model = load("mars_ground.xml")
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)

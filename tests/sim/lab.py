@@ -1,4 +1,4 @@
-"""The bench on which these tests put the arm: a plant of any world, brought to rest with care."""
+"""Test bench for the arm: a plant of any world, brought to rest with care."""
 
 from collections.abc import Callable
 from copy import copy
@@ -30,7 +30,7 @@ CYCLE_HZ = 64
 
 
 def plant(world: World | None = None, time_step_s: float | None = None, edit: Edit | None = None) -> Plant:
-    """The nominal arm in a world, with the model's own time step; `edit` changes its specification first."""
+    """Build the nominal arm in a world, at the model's time step; `edit` changes its specification first."""
     if edit is None:
         return Plant(copy(_unedited(world or World(), time_step_s)))
     spec = _spec(world or World(), time_step_s)
@@ -51,18 +51,18 @@ def _unedited(world: World, time_step_s: float | None) -> mujoco.MjModel:
 
 
 def tilted(roll_deg: float = 0.0, pitch_deg: float = 0.0, scene: str = "mars") -> World:
-    """A world with a rover that does not stand level."""
+    """Return a world with a tilted rover."""
     return World(scene, float(np.radians(roll_deg)), float(np.radians(pitch_deg)))
 
 
 def without_output_friction(spec: mujoco.MjSpec) -> None:
-    """Outputs that turn freely in their bearings."""
+    """Remove the friction of the outputs."""
     for name in JOINT_NAMES:
         spec.tendon(f"{name}_output").frictionloss = 0.0
 
 
 def soon_at_rest(spec: mujoco.MjSpec) -> None:
-    """No friction of the output, and links with twenty times the damping: statics without the wait."""
+    """Remove output friction and multiply link damping by twenty, so that statics need no wait."""
     without_output_friction(spec)
     for joint in spec.joints:
         if not joint.name.endswith("_motor"):
@@ -70,12 +70,12 @@ def soon_at_rest(spec: mujoco.MjSpec) -> None:
 
 
 def gentle(amount: float) -> float:
-    """From 0 to 1 with rates that are zero at both ends."""
+    """Return a smooth step from 0 to 1, with zero rates at both ends."""
     return amount * amount * (3 - 2 * amount)
 
 
 def run(plant: Plant, duration_s: float, each_cycle: Callable[[float], None] | None = None) -> None:
-    """Let time pass; `each_cycle` is told how much of it has, from 0 to 1."""
+    """Step the plant; `each_cycle` gets the elapsed share of the time, from 0 to 1."""
     cycles = round(duration_s * CYCLE_HZ)
     for k in range(cycles):
         if each_cycle is not None:
@@ -91,11 +91,11 @@ def load(
     rest_s: float = 5.0,
     gear_rad: Array | None = None,
 ) -> Plant:
-    """Brakes on, gravity brought up gently, if wanted beyond its value and back, and a while to come to rest.
+    """Put the arm on its brakes, apply gravity gently, with an overload if wanted, and let it settle.
 
-    An arm that is dropped comes to rest anywhere in the band in which friction can hold it; one that is
-    loaded gently ends at the edge of that band, which is a pose that can be compared. The gears begin in the
-    middle of their backlash, or where `gear_rad` says.
+    A dropped arm rests anywhere in the band in which friction can hold it. An arm under slowly growing load
+    rests at the edge of that band, which is a pose that can be compared. The gears begin in the middle of
+    their backlash, or at `gear_rad`.
     """
     full = plant.model.opt.gravity.copy()
     plant.model.opt.gravity[:] = 0.0
@@ -117,31 +117,31 @@ def load(
 
 
 def hold_by_motors(plant: Plant) -> None:
-    """Power on, brakes released: each motor controller keeps the angle at which its motor was placed."""
+    """Apply power and release the brakes: each motor controller holds the present angle of its motor."""
     plant.model.opt.disableactuator = 0
     for joint in Joint:
         plant.brake(joint, False)
 
 
 def gear_rad(plant: Plant) -> Array:
-    """Output less motor angles: backlash and wind-up."""
+    """Return output less motor angles: backlash and wind-up."""
     return plant.output_rad() - plant.motor_rad()
 
 
 def gear_torque_Nm(plant: Plant) -> Array:
-    """What the gears transmit, from their wind-up and the drawing's stiffness and backlash."""
+    """Return the gear torques, from wind-up and the nominal stiffness and backlash."""
     gear = gear_rad(plant)
     return STIFFNESS_NM_RAD * (gear - np.clip(gear, -HALF_GAP_RAD, HALF_GAP_RAD))
 
 
 def tool_distance_mm(a: Plant, b: Plant) -> float:
-    """The farthest that any tool of one arm is from the same tool of the other."""
+    """Return the largest distance between the same tools of two arms."""
     apart = a.truth().p_RoTo_R_m - b.truth().p_RoTo_R_m
     return 1e3 * float(np.linalg.norm(apart, axis=1).max())
 
 
 def ended(loop: ClosedLoop, cycles: int = 20 * CYCLE_HZ) -> list:
-    """The events until the arm stands, and a little longer."""
+    """Run until the arm is at rest, and a little longer; return the events."""
     evrs = []
     for _ in range(cycles):
         record = loop.cycle()
@@ -156,7 +156,7 @@ def ended(loop: ClosedLoop, cycles: int = 20 * CYCLE_HZ) -> list:
 
 
 def standing(loop: ClosedLoop) -> bool:
-    """On its brakes, without power, and at rest."""
+    """Return whether the arm is at rest on its brakes without power."""
     plant = loop.plant
     on = plant.data.eq_active[plant.at.brake].all()
     still = np.abs(plant.data.qvel[plant.at.motor]).max() < 1e-5

@@ -1,4 +1,4 @@
-"""Built arms: drawn with the stated magnitudes, the same for the same seed, unknown to flight software."""
+"""Built arms: drawn with the stated magnitudes, equal for equal seeds, unknown to flight software."""
 
 from collections import defaultdict
 
@@ -40,7 +40,7 @@ UNSEEN = [place for place in AXES if place not in SEEN]
 
 @pytest.fixture(scope="module")
 def drawn() -> dict[str, lab.Array]:
-    """Every number of 200 arms, by what it is."""
+    """Return every number of 200 arms, by kind."""
     values: dict[str, list[float]] = defaultdict(list)
     for seed in SEEDS:
         for effect in draw_tolerances(seed):
@@ -88,7 +88,7 @@ def test_what_is_drawn_is_what_is_stated(drawn: dict[str, lab.Array]) -> None:
 def test_two_hundred_arms_have_the_stated_spread(
     drawn: dict[str, lab.Array], name: str, sigma: float
 ) -> None:
-    """Mean and standard deviation within four of their standard errors; none beyond five sigma."""
+    """Check mean and standard deviation within four standard errors, and all values within five sigma."""
     values = drawn[name]
     n = values.size
     assert abs(values.mean()) < 4 * sigma / n**0.5
@@ -140,7 +140,7 @@ def test_a_calibrated_arm_is_the_same_arm_and_flies_with_other_parameters() -> N
 
 
 def test_a_calibration_leaves_a_tenth_of_what_it_found() -> None:
-    """Over 40 arms: the tool where perfect and calibrated parameters put it, for the same joint angles."""
+    """Compare tool poses of perfect and calibrated parameters over 40 arms, at equal joint angles."""
     miss: dict[str, list[float]] = defaultdict(list)
     for seed in range(40):
         perfect = params_with_effects(draw_tolerances(seed), nominal_params())
@@ -182,7 +182,7 @@ def test_there_are_26_identifiable_axes_of_42() -> None:
 
 @pytest.fixture(scope="module")
 def screws() -> lab.Array:
-    """How every frame axis moves the tool in its own axes, for 60 poses: shape (360, 42), m and rad."""
+    """Return the Jacobian of the tool in its axes for every frame axis and 60 poses: (360, 42), m and rad."""
     arm = build_arm(nominal_params())
     rng = np.random.default_rng(17)
     rows = []
@@ -195,7 +195,7 @@ def screws() -> lab.Array:
 
 
 def rank(matrix: lab.Array) -> int:
-    """With a gap of a million between what counts and what does not."""
+    """Return the rank, with a ratio of a million between determined and undetermined directions."""
     values = np.linalg.svd(matrix, compute_uv=False)
     counted = int(np.sum(values > 1e-3))
     assert np.all(values[counted:] < 1e-9)
@@ -218,7 +218,7 @@ def test_no_other_axis_tells_anything_new(screws: lab.Array, place: tuple[Frame,
 
 @pytest.mark.parametrize("frame", Frame)
 def test_the_columns_are_what_frame_errors_do(screws: lab.Array, frame: Frame) -> None:
-    """The first pose against finite differences through the flight parameters."""
+    """Compare the first pose with finite differences through the flight parameters."""
     params = nominal_params()
     arm = build_arm(params)
     pose = np.random.default_rng(17).uniform(arm.soft_min_rad, arm.soft_max_rad)

@@ -1,4 +1,4 @@
-"""Motor controllers, brakes, encoders, resolvers, switches and the IMU, as flight software meets them."""
+"""Motor controllers, brakes, encoders, resolvers, switches and the IMU, as flight software uses them."""
 
 from dataclasses import replace
 
@@ -31,7 +31,7 @@ def avionics_of(plant: Plant, hardware: Hardware | None = None, seed: int = 5) -
 
 
 def drive_to(motor_rad: lab.Array, **changes: lab.Array) -> ActuatorCommand:
-    """Power on, brakes released, and the set-points at these angles."""
+    """Apply power, release the brakes and set the set-points to these angles."""
     count = np.rint((motor_rad - COUNTER_ZERO_RAD) / CONFIG.rad_per_count).astype(np.int64)
     return replace(
         ActuatorCommand(count, np.zeros(5), CONFIG.current_limit_A, ALL, ALL, vibrate=False), **changes
@@ -91,7 +91,7 @@ def test_resolvers_read_with_16_bit_bias_and_noise(ready: Plant) -> None:
 @pytest.mark.parametrize("limit_share", [1.0, 0.3])
 @pytest.mark.parametrize("side", [1, -1])
 def test_the_current_limit_limits_the_torque(ready: Plant, limit_share: float, side: int) -> None:
-    """Set-points a tenth of a radian away, against closed brakes: as much as a motor can do."""
+    """Command a tenth of a radian against closed brakes, which needs the full torque of a motor."""
     sensors = avionics_of(ready)
     limit = limit_share * CONFIG.current_limit_A
     sensors.apply(drive_to(lab.READY_RAD + side * 0.1, current_limit_A=limit, brake_release=NONE))
@@ -130,7 +130,7 @@ def test_power_is_switched_for_each_motor_by_itself(ready: Plant, dead: Joint) -
 
 
 def test_a_brake_locks_75_ms_after_the_drive_that_asks_for_it(ready: Plant) -> None:
-    """To the nearest cycle: five of 15.6 ms; until then the motors run on."""
+    """The delay is rounded to five cycles of 15.6 ms; until then the motors run on."""
     sensors = avionics_of(ready)
     rate = np.radians(0.5)
     way = iter(lab.READY_RAD + rate * np.arange(1, 500)[:, None] / CYCLE_HZ)
@@ -175,7 +175,7 @@ def test_a_brake_asked_to_change_its_mind_does_what_it_was_asked_last(ready: Pla
 
 
 def test_a_winding_warms_by_what_its_current_heats() -> None:
-    """The level arm on Earth in the grip of its motors: I squared R into 450 or 200 J/K."""
+    """Hold the level arm on Earth by its motors: I squared R heats 450 or 200 J/K."""
     plant = lab.load(lab.plant(World("earth")), lab.STRAIGHT_RAD, duration_s=4.0)
     sensors = avionics_of(plant, replace(nominal_hardware(), current_noise_A=0.0))
     cold = sensors.sense().winding_C
@@ -226,7 +226,7 @@ def test_a_switch_closes_above_its_force_and_no_other_with_it(ready: Plant, swit
 
 @pytest.mark.parametrize("tool", [tool for tool in Tool if TOOL_SWITCHES[tool]])
 def test_a_tool_on_a_wall_closes_the_switches_whose_pads_bear_the_load(ready: Plant, tool: Tool) -> None:
-    """The wall stands half a millimetre in front of the tool, and gravity pulls towards it."""
+    """The wall is half a millimetre in front of the tool, and gravity pulls towards it."""
     mujoco.mj_resetData(ready.model, ready.data)
     ready.data.qpos[ready.at.motor] = lab.READY_RAD
     mujoco.mj_kinematics(ready.model, ready.data)
@@ -256,7 +256,7 @@ def test_a_tool_on_a_wall_closes_the_switches_whose_pads_bear_the_load(ready: Pl
 
 
 def pad_forces_N(plant: Plant) -> lab.Array:
-    """The normal force on the pad of each switch, from the contacts themselves."""
+    """Return the normal force on the pad of each switch, from the contacts."""
     pads = [plant.model.geom(f"{switch.name.lower()}_pad").id for switch in Switch]
     total, force = np.zeros(len(Switch)), np.zeros(6)
     for k, contact in enumerate(plant.data.contact):

@@ -1,4 +1,4 @@
-"""What a tool presses with that meets a rock: looked for, or not."""
+"""Contact forces of a tool that meets a rock, expected or not."""
 
 import mujoco
 import numpy as np
@@ -32,7 +32,7 @@ NOW_S = 0.0
 
 
 def facing_rock(tool, motor_rad, effects=(), ahead_m=0.0, pose_rad=None):
-    """The arm at a pose, and a rock some way ahead of where the tool is in the one that faces it."""
+    """Return the arm at a pose, with a rock at a distance in front of the tool."""
     arm, pose = arm_named("nominal"), facing(CONFIG, tool) if pose_rad is None else pose_rad
     X_RT = tool_pose(CONFIG.arm, settle_output(CONFIG.arm, pose, MARS_R_m_s2).frames, tool)
     p_N = X_RT.p + ahead_m * X_RT.R[:, 0] + P_NR_M
@@ -42,7 +42,7 @@ def facing_rock(tool, motor_rad, effects=(), ahead_m=0.0, pose_rad=None):
 
 
 def peak_force_N(loop, command) -> tuple[float, list]:
-    """The largest contact force at any step until the arm stands, and the events."""
+    """Return the largest contact force at any step until the arm is at rest, and the events."""
     peak, model, data = 0.0, loop.plant.model, loop.plant.data
 
     def step():
@@ -61,7 +61,7 @@ TOUCHING = [tool for tool in Tool if TOOL_SWITCHES[tool]]
 
 
 def guarded_with_dead(tool, switches) -> tuple[float, list]:
-    """A guarded move to a rock with switches that never close: the peak force and the events."""
+    """Run a guarded move to a rock with switches that never close; return peak force and events."""
     effects = tuple(SensorFault(NOW_S, "switch_closed", "biased", switch, -1.0) for switch in switches)
     loop, X_RT = facing_rock(tool, facing(CONFIG, tool), effects, ahead_m=0.04)
     axis = X_RT.R[:, 0]
@@ -86,7 +86,7 @@ STRETCHED_RAD = np.radians([0.0, -45.0, 60.0, 60.0, 0.0])
 
 
 def with_turret_of(pose_rad, turned_rad):
-    """A pose with the turret of another."""
+    """Return a pose with the turret angle of another."""
     return np.where(np.arange(5) == Joint.TURRET, turned_rad, pose_rad)
 
 

@@ -1,4 +1,4 @@
-"""A tool that has touched rests: no contact is lost, no switch changes, and the force stays."""
+"""Tools at rest in contact: no contact is lost, no switch changes, and the force stays."""
 
 import pytest
 
@@ -17,7 +17,7 @@ POINT_N_M, NORMAL_N = (2.05, 0.1, -0.25), (-0.5, 0.1, -0.85)
 @pytest.mark.parametrize("arm_name", ["nominal", "calibrated:1"])
 @pytest.mark.parametrize("tool", [Tool.APXS, Tool.DRILL])
 def test_a_touch_rests_half_a_second_after_the_last_set_point(tool: Tool, arm_name: str) -> None:
-    """Within 20 % of the mean of the last second, and within 5 % from 2 s or the brakes on."""
+    """The force is within 20 % of the mean of the last second, and within 5 % from 2 s or the brakes on."""
     arm = arm_named(arm_name)
     world = World(surface=Surface(POINT_N_M, NORMAL_N))
     loop = ClosedLoop(Setup(arm, world, arm.params.poses.ready_rad, reference=true_reference(arm)))

@@ -1,4 +1,4 @@
-"""Where the arm hangs: flight statics and the settled plant agree, in every branch and with every turret."""
+"""Deflected arm: flight statics and the settled plant agree, in every branch and with every turret."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -22,12 +22,12 @@ from sim.world import MAX_TILT_RAD, World
 from tests.sim import lab
 
 TURRETS_KG = (34.0, 8.0, 19.0, 30.0)
-"""As flown, the two that stood in for it at calibration, and the one of the verification."""
+"""Masses of the flight turret, of two stand-ins at calibration, and of that of the verification."""
 POSES_PER_TURRET = 50
 SCENES: tuple[Literal["mars", "earth"], ...] = ("mars", "earth")
 
 NEAR_M, NEAR_RAD = 1e-6, 1e-6
-"""A hundredth of the 0.1 mm and 0.1 mrad that are asked: both sides are to solve the same equations."""
+"""A hundredth of the required 0.1 mm and 0.1 mrad, as both sides solve the same equations."""
 STILL_RAD_S, STILL_RAD_S2 = 1e-8, 1e-6
 
 PARAMS = nominal_params()
@@ -35,24 +35,24 @@ PARAMS = nominal_params()
 
 @dataclass(frozen=True)
 class Case:
-    """An arm on its brakes, somewhere."""
+    """An arm at rest on its brakes."""
 
     branch: int
     motor_rad: lab.Array
     world: World
     gap_rad: lab.Array
-    """On the flank that the load presses each gear to."""
+    """Positions in the backlash, on the flank that each load presses."""
 
 
 def arm_with(turret_kg: float) -> Arm:
-    """The arm that flight software believes in, with another turret on it."""
+    """Return the arm of flight software with a turret of this mass."""
     arm6 = PARAMS.links.arm6
     arm6 = replace(arm6, far=replace(arm6.far, mass_kg=turret_kg))
     return build_arm(replace(PARAMS, links=replace(PARAMS.links, arm6=arm6)))
 
 
 def plant_with(turret_kg: float) -> Plant:
-    """The plant with another turret on it. It touches nothing: this is about its own weight."""
+    """Return the plant with a turret of this mass, without contacts: only its weight matters here."""
 
     def edit(spec: mujoco.MjSpec) -> None:
         lab.soon_at_rest(spec)
@@ -67,10 +67,10 @@ def plant_with(turret_kg: float) -> Plant:
 
 @cache
 def cases(turret_kg: float) -> tuple[Case, ...]:
-    """Every branch in turn, at targets that the arm reaches inside its limits; half of them on Earth.
+    """Return cases of every branch, at targets that the arm reaches inside its limits, half of them on Earth.
 
-    Where the load leaves a gear between its flanks, or on either of them, statics cannot say where it rests,
-    and nothing but friction would bring it to rest within minutes: about one pose in two hundred is left out.
+    A load near zero leaves a gear between its flanks or on either of them. Statics then cannot predict where
+    it rests, and friction alone needs minutes. About one pose in two hundred is left out for that.
     """
     rng, arm = np.random.default_rng([2264, round(turret_kg)]), arm_with(turret_kg)
     pose = rng.uniform(arm.soft_min_rad, arm.soft_max_rad, (1000, 5)).T
@@ -88,7 +88,7 @@ def cases(turret_kg: float) -> tuple[Case, ...]:
 
 
 def tilted(rng: np.random.Generator, scene: Literal["mars", "earth"]) -> World:
-    """A world that leans at most as far as an arm may place anything, to any side."""
+    """Return a world at most as tilted as a placement allows, in any direction."""
     while True:
         roll, pitch = rng.uniform(-MAX_TILT_RAD, MAX_TILT_RAD, 2)
         world = World(scene, float(roll), float(pitch))
@@ -97,7 +97,7 @@ def tilted(rng: np.random.Generator, scene: Literal["mars", "earth"]) -> World:
 
 
 def pressed_to(arm: Arm, motor_rad: lab.Array, world: World) -> tuple[lab.Array, NDArray[np.bool_]]:
-    """The flank that the load presses each gear to, and whether it would push it there from the other."""
+    """Return the flank that each load presses, and whether it would also return there from the other."""
     gravity = world.gravity_N_m_s2
     side = np.sign(settle(arm, motor_rad, np.zeros(5), gravity).torque_Nm)
     as_they_are_and_each_turned_over = np.column_stack([side, side[:, None] * (1 - 2 * np.eye(5))])
@@ -109,7 +109,7 @@ def pressed_to(arm: Arm, motor_rad: lab.Array, world: World) -> tuple[lab.Array,
 def settle_down(plant: Plant, case: Case) -> None:
     """Let the plant come to rest on its brakes, its gears near their flanks from the start.
 
-    From the middle of its gap a light turret takes a minute to arrive.
+    From the middle of its backlash a light turret needs a minute.
     """
     plant.model.opt.gravity[:] = FLIP * case.world.gravity_N_m_s2
     lab.load(plant, case.motor_rad, duration_s=2.0, rest_s=3.0, gear_rad=case.gap_rad)
@@ -144,7 +144,7 @@ def test_they_are_in_all_branches_and_tilted_by_up_to_thirty_degrees(scene: str,
 
 
 def test_on_earth_the_arm_hangs_by_centimetres() -> None:
-    """The agreement is not one about nothing."""
+    """The deflections are large, so that the agreement means something."""
     arm = arm_with(34.0)
     case = next(case for case in cases(34.0) if case.world.scene == "earth")
     straight = settle(arm, lab.STRAIGHT_RAD, np.zeros(5), case.world.gravity_N_m_s2)

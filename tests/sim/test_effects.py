@@ -1,4 +1,4 @@
-"""Each effect changes what it says in the plant, and on_params makes flight software know it exactly."""
+"""Effects change the plant as they claim, and on_params makes flight software know them exactly."""
 
 import mujoco
 import numpy as np
@@ -57,7 +57,7 @@ def known(*effects: Effect) -> Params:
 
 
 def rigid_difference_m(plant: Plant, arm: Arm, motor_error_rad: lab.Array | None = None) -> float:
-    """The farthest apart that plant and flight kinematics have any point of a tool frame's unit axes."""
+    """Return the largest distance of plant and flight kinematics at points of the unit axes of a tool."""
     error = np.zeros(5) if motor_error_rad is None else motor_error_rad
     worst = 0.0
     for seed in range(4):
@@ -76,7 +76,7 @@ def rigid_difference_m(plant: Plant, arm: Arm, motor_error_rad: lab.Array | None
 
 
 def rest_difference_m(plant: Plant, arm: Arm, motor_error_rad: lab.Array | None = None) -> float:
-    """How far the settled plant's tools are from where flight statics put them, on Earth and tilted."""
+    """Return the distances of the settled tools from flight statics, on a tilted rover on Earth."""
     error = np.zeros(5) if motor_error_rad is None else motor_error_rad
     lab.load(plant, lab.LEFT_RAD - error, duration_s=2.0, rest_s=2.0)
     gravity_N_m_s2 = TILTED_EARTH.gravity_N_m_s2
@@ -143,7 +143,7 @@ def test_a_frame_error_at_a_tool_names_its_tool() -> None:
 def test_the_loaded_arm_with_a_frame_error_rests_where_flight_software_says(
     frame: Frame, tool: Tool | None
 ) -> None:
-    """Springs and masses that go with the frame in the plant go with it in the flight parameters."""
+    """Springs and masses that move with the frame in the plant do so in the flight parameters."""
     effect = FrameError(frame, tuple(0.2 * s for s in SCREW), tool)
     assert rest_difference_m(built(effect, world=TILTED_EARTH), build_arm(known(effect))) < 1e-6
 
@@ -156,7 +156,7 @@ def drawn_stops(params: Params) -> lab.Array:
 def test_a_hardstop_off_its_place_is_an_error_of_the_zero_until_flight_software_knows_it(
     joint: Joint,
 ) -> None:
-    """The zero is such that the output meets its stop where that is believed: it shows in the tool."""
+    """Homing sets the zero so that the output meets its assumed hardstop: the error shows in the tool."""
     effect = HardstopAngle(joint, 0.02)
     plant = built(effect)
     shift = plant.stop_rad() - drawn_stops(PARAMS)

@@ -1,4 +1,4 @@
-"""Torque and energy: the plant weighs what the mass table says, and loses only what its dampers take."""
+"""Torque and energy: the plant weighs as much as the mass table, and loses energy only to its dampers."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ SIDEWAYS_M_S2 = (3.711, 0.0, 0.0)
 
 @pytest.mark.parametrize(("scene", "gravity_m_s2"), [("mars", 3.711), ("earth", 9.81)])
 def test_straight_out_the_elevation_carries_what_the_mass_table_says(scene: str, gravity_m_s2: float) -> None:
-    """The gear's torque, reached once from less load and once from more: friction drops out of the mean."""
+    """The gear torque is the mean of approaches from less and from more load, which cancels friction."""
     by_hand = gravity_m_s2 * sum(kg * arm_m for kg, arm_m in OUTBOARD)
     from_less = lab.gear_torque_Nm(lab.load(lab.plant(World(scene)), lab.STRAIGHT_RAD, duration_s=12.0))
     from_more = lab.gear_torque_Nm(
@@ -43,7 +43,7 @@ def test_the_torque_that_holds_the_arm_is_its_load_give_or_take_the_friction() -
 
 
 def measured(spec: mujoco.MjSpec) -> None:
-    """The energy is computed in every step, and nothing rubs."""
+    """Remove friction from the specification, and compute the energy in every step."""
     spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     lab.without_output_friction(spec)
     for name in lab.JOINT_NAMES:
@@ -53,16 +53,16 @@ def measured(spec: mujoco.MjSpec) -> None:
 
 
 def measured_undamped(spec: mujoco.MjSpec) -> None:
-    """Neither does anything damp."""
+    """Remove friction and damping."""
     measured(spec)
     for part in (*spec.joints, *spec.tendons):
         part.damping = 0.0 * part.damping
 
 
 def free_swing(plant: Plant) -> tuple[lab.Array, lab.Array, lab.Array]:
-    """Three seconds of the level arm swinging about its azimuth axis under sideways gravity.
+    """Swing the level arm about its azimuth axis for three seconds, under sideways gravity.
 
-    Total energy, kinetic energy and the power of the dampers after each step.
+    Returns total energy, kinetic energy and the power of the dampers after each step.
     """
     model, data = plant.model, plant.data
     model.opt.gravity[:] = SIDEWAYS_M_S2
@@ -83,7 +83,7 @@ def free_swing(plant: Plant) -> tuple[lab.Array, lab.Array, lab.Array]:
 
 
 def effective_damping(model: mujoco.MjModel) -> tuple[lab.Array, lab.Array]:
-    """What joints and tendons lose with the square of their rates, what the integrator adds included."""
+    """Return the damping of joints and tendons, with the part that the integrator adds."""
     step_s = model.opt.timestep
     joints = model.dof_damping + step_s * model.jnt_stiffness
     on_flank = model.tendon_damping != 0
@@ -91,7 +91,7 @@ def effective_damping(model: mujoco.MjModel) -> tuple[lab.Array, lab.Array]:
 
 
 def test_without_friction_and_damping_a_free_swing_keeps_its_energy() -> None:
-    """At the reference step, to one per cent of what goes back and forth, and none is ever gained."""
+    """The tolerance at the reference step is one per cent of the exchanged energy; no step gains any."""
     total, kinetic, _ = free_swing(lab.plant(time_step_s=REFERENCE_STEP_S, edit=measured_undamped))
     assert kinetic.max() > 10.0
     assert total.max() - total[0] < 1e-3
@@ -102,7 +102,7 @@ def test_without_friction_and_damping_a_free_swing_keeps_its_energy() -> None:
     ("step_s", "share"), [(None, 0.01), (REFERENCE_STEP_S, 0.0015)], ids=["own", "reference"]
 )
 def test_with_damping_a_free_swing_loses_what_the_dampers_take(step_s: float | None, share: float) -> None:
-    """To a share of what goes back and forth."""
+    """The tolerance is a share of the exchanged energy."""
     plant = lab.plant(time_step_s=step_s, edit=measured)
     total, kinetic, power = free_swing(plant)
     taken = plant.model.opt.timestep * power[1:].sum()

@@ -1,4 +1,4 @@
-"""What breaks in the middle of a run: how the plant shows it, and what flight software makes of it."""
+"""Faults during a run: their effect on the plant, and the response of flight software."""
 
 from dataclasses import replace
 from functools import cache
@@ -131,7 +131,7 @@ def test_a_switch_biased_by_one_is_stuck_whatever_touches(size, closed):
 
 @cache
 def moving() -> ClosedLoop:
-    """In the middle of a move of all joints; to be forked, never to be run."""
+    """Return a run in the middle of a move of all joints; tests fork it and never run it."""
     arm = arm_named("nominal")
     setup = Setup(arm, World(), joints5(lab.READY_RAD), seed=4, reference=lab.true_reference(arm))
     loop = ClosedLoop(setup, with_truth=True)
@@ -146,7 +146,7 @@ def now_s() -> float:
 
 
 def told(record) -> tuple:
-    """All that leaves a cycle, bit for bit."""
+    """Return all outputs of a cycle, bit for bit."""
     sensors, drive, truth = record.sensors, record.outputs.drive, record.truth
     arrays = (
         sensors.encoder_count, sensors.resolver_rad, sensors.current_A, sensors.winding_C,

@@ -1,4 +1,4 @@
-"""Dry friction of the outputs: full at any speed, no creep below it, and a gap that is crossed once."""
+"""Dry friction of the outputs: full at any speed, no creep below it, and one crossing of the backlash."""
 
 import numpy as np
 import pytest
@@ -8,11 +8,11 @@ from tests.sim import lab
 
 SLOW_RAD_S = np.radians(0.1)
 CREEP_RAD = 1e-6
-"""In 60 s at nine tenths of the friction: a five-hundredth of what moves the tool by a millimetre."""
+"""Limit for 60 s at nine tenths of the friction: a five-hundredth of what moves the tool by a millimetre."""
 
 
 def weightless() -> Plant:
-    """The ready pose without gravity, on its brakes."""
+    """Return the ready pose without gravity, on its brakes."""
     plant = lab.plant()
     plant.model.opt.gravity[:] = 0.0
     plant.place(lab.READY_RAD, 0.0)
@@ -21,7 +21,7 @@ def weightless() -> Plant:
 
 @pytest.mark.parametrize("direction", [1, -1])
 def test_output_friction_is_there_in_full_at_a_tenth_of_a_degree_per_second(direction: int) -> None:
-    """The motors drag the outputs along at a steady rate; what the gears transmit is the friction."""
+    """The motors drag the outputs at a steady rate, so that the gear torque is the friction."""
     plant = weightless()
     lab.hold_by_motors(plant)
     travelled = 0.0
@@ -63,7 +63,7 @@ def test_above_the_friction_an_output_in_its_gap_goes_to_the_flank(side: int) ->
 
 
 def flanks(gear_rad: lab.Array, joint: int) -> list[int]:
-    """The flanks on which a joint lay, in turn, and 0 for the gap between them, repetitions left out."""
+    """Return the sequence of flanks on which a joint lay, with 0 for between them, without repetitions."""
     half = lab.HALF_GAP_RAD[joint]
     side = np.where(np.abs(gear_rad) < half, 0, np.sign(gear_rad)).astype(int)
     return [int(s) for k, s in enumerate(side) if k == 0 or s != side[k - 1]]
@@ -71,9 +71,9 @@ def flanks(gear_rad: lab.Array, joint: int) -> list[int]:
 
 @pytest.mark.parametrize("held", ["brakes", "motors"])
 def test_the_gap_is_crossed_once_when_gravity_changes_side(held: str) -> None:
-    """Gravity turns over a horizontal line in 40 s; every joint but the azimuth changes side, each once.
+    """Turn gravity over a horizontal line in 40 s; every joint but the azimuth changes flank, each once.
 
-    The steps are watched one by one: a bounce of a single step would show.
+    Every step is checked, so that a bounce of a single step would show.
     """
     plant = lab.plant()
     pose = np.radians([0.0, -60.0, 60.0, 0.0, 90.0])
@@ -98,7 +98,7 @@ def test_the_gap_is_crossed_once_when_gravity_changes_side(held: str) -> None:
 
 
 def test_the_gap_is_crossed_once_when_a_joint_carries_its_load_over_the_vertical() -> None:
-    """The wrist swings the turret through the pose in which it hangs from its joint, at 1 deg/s."""
+    """The wrist swings the turret at 1 deg/s through the pose of zero load."""
     plant = lab.plant()
     lab.load(plant, np.radians([0.0, -60.0, 60.0, 40.0, 0.0]))
     lab.hold_by_motors(plant)

@@ -1,4 +1,4 @@
-"""Joints against the hardstops of the plant: what is found, and what happens when something is wrong."""
+"""Joints at the hardstops of the plant: results of homing, and responses to faults."""
 
 from dataclasses import dataclass, replace
 
@@ -50,7 +50,7 @@ class Shifted:
 
 
 def finished(run: InitialisationRun) -> InitialisationResult:
-    """The run to its end; nothing may ever exceed its limits."""
+    """Run to the end and check that no limit is ever exceeded."""
     for _ in run:
         pass
     result = run.result()
@@ -60,7 +60,7 @@ def finished(run: InitialisationRun) -> InitialisationResult:
 
 
 def failed(run: InitialisationRun, event: type[evrs.Evr], joint: Joint) -> None:
-    """The run ends with this event, braked, and the joint is not calibrated."""
+    """Check that the run ends with this event, braked, and that the joint is not calibrated."""
     result = finished(run)
     happened = [evr for _, evr in result.evrs]
     assert result.outcome is Outcome.FAULTED

@@ -1,4 +1,4 @@
-"""The poses of the hardstop initialisation: clear of everything, gentle, alike on two planets."""
+"""Poses of the hardstop initialisation: clear of everything, with low loads that are equal on two planets."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ def bare() -> Params:
 
 
 def run_from(params: Params, joint: Joint, pose_rad: np.ndarray) -> np.ndarray:
-    """A joint's way from a pose to its hardstop, (5, n)."""
+    """Return the path of a joint from a pose to its hardstop, (5, n)."""
     stop_rad = params.joints.in_order()[joint].hardstop_rad
     poses = np.repeat(pose_rad[:, None], 12, axis=1)
     poses[joint] = np.linspace(stop_rad, pose_rad[joint], 12)

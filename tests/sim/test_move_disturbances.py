@@ -1,4 +1,4 @@
-"""What a move leaves to chance is drawn when it begins, from the seed of the run, and from nothing else."""
+"""Move disturbances are drawn when a move begins, from the seed of the run and nothing else."""
 
 from dataclasses import replace
 

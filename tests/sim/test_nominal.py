@@ -1,4 +1,4 @@
-"""The nominal plant is what flight software believes: kinematics, masses, stiffness and actuators."""
+"""Nominal plant and flight parameters agree: kinematics, masses, stiffness and actuators."""
 
 import mujoco
 import numpy as np
@@ -33,20 +33,20 @@ def nominal() -> Plant:
 
 
 def random_poses(seed: int, count: int) -> lab.Array:
-    """Outputs inside the soft limits, (5, count)."""
+    """Draw output angles inside the soft limits, (5, count)."""
     rng, arm = np.random.default_rng(seed), CONFIG.arm
     return rng.uniform(arm.soft_min_rad, arm.soft_max_rad, (count, 5)).T
 
 
 def posed(plant: Plant, output_rad: lab.Array) -> None:
-    """Every spring and gear at zero, and the outputs at these angles."""
+    """Set every spring and gear to zero, and the outputs to these angles."""
     mujoco.mj_resetData(plant.model, plant.data)
     plant.data.qpos[plant.at.motor] = output_rad
     mujoco.mj_kinematics(plant.model, plant.data)
 
 
 def in_rmech(plant: Plant, body: str) -> tuple[lab.Array, lab.Array]:
-    """Position and axes of a body in the rover frame."""
+    """Return position and axes of a body in the rover frame."""
     rmech, of = plant.data.body("rmech"), plant.data.body(body)
     R_RW = rmech.xmat.reshape(3, 3).T
     return R_RW @ (of.xpos - rmech.xpos), R_RW @ of.xmat.reshape(3, 3)
@@ -85,7 +85,7 @@ def test_every_frame_of_the_rigid_arm_is_where_flight_kinematics_say(nominal: Pl
 def test_each_link_has_the_mass_and_the_centre_that_flight_software_believes(
     nominal: Plant, link: int
 ) -> None:
-    """In the rover frame at the zero pose, where each link frame is known from the flight kinematics."""
+    """Compare in the rover frame at the zero pose, where flight kinematics give each link frame."""
     mujoco.mj_resetData(nominal.model, nominal.data)
     mujoco.mj_kinematics(nominal.model, nominal.data)
     frames = forward(CONFIG.arm, np.zeros(5))

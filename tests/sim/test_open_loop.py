@@ -1,4 +1,4 @@
-"""An arm under a recorded drive reads what it read in the closed loop, and what differs stays where it is."""
+"""Open-loop arm: it repeats the readings of the closed loop, and differences stay in their joint."""
 
 from dataclasses import fields
 
@@ -29,7 +29,7 @@ BRIEF = SimulationOptions(settle_s=2.0)
 
 @pytest.fixture(scope="module")
 def run() -> tuple[RecordedStart, list[CycleRecord]]:
-    """Wrist there and back by two degrees."""
+    """Record a move of the wrist by two degrees and back."""
     ready = np.array(ARM.params.poses.ready_rad)
     rad_per_count = np.array([2 * np.pi / (j.encoder_counts_per_turn * j.gear_ratio) for j in JOINTS])
     start = round_to_counts(ready, REFERENCE.zero_rad, rad_per_count)

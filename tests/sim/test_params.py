@@ -204,7 +204,7 @@ def test_bad_parameters_are_refused_and_each_is_named_with_its_place(
 
 
 def compliance(changes: dict[tuple[int, int], float]) -> str:
-    """The nominal upper arm with other entries in its compliance."""
+    """Return the nominal upper arm with other entries in its compliance."""
     rows = [list(row) for row in nominal_params().links.arm3.compliance]
     for (row, column), value in changes.items():
         rows[row][column] = value
@@ -262,7 +262,7 @@ def test_the_compliance_of_every_link_is_looked_at(tmp_path: Path, link: str) ->
     ],
 )
 def test_what_is_missing_is_named(missing: str) -> None:
-    """A file over the nominal one cannot leave anything out; the nominal one can."""
+    """A file over the nominal one may leave anything out; the nominal one may not."""
     table = nominal_table()
     *groups, name = missing.split(".")
     group = table
@@ -288,7 +288,7 @@ def test_any_number_that_is_not_one_is_named() -> None:
 
 
 def nominal_table() -> dict[str, Any]:
-    """What the nominal file holds, to be changed."""
+    """Return the content of the nominal file, to be changed."""
     return tomllib.loads(_nominal_text())
 
 
@@ -297,7 +297,7 @@ def _last_name(place: tuple[str | int, ...]) -> int:
 
 
 def numbers_of(table: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
-    """Where the numbers of a table are."""
+    """Return the places of the numbers of a table."""
     if isinstance(table, dict | list):
         for key, value in table.items() if isinstance(table, dict) else enumerate(table):
             yield from numbers_of(value, (*place, key))

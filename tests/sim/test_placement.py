@@ -1,4 +1,4 @@
-"""Looking ahead for a free way, and placing an instrument on it."""
+"""Preview of a path without collisions, and placement of an instrument along it."""
 
 import re
 from dataclasses import replace
@@ -21,7 +21,7 @@ from tests.sim import lab
 NOMINAL = arm_named("nominal")
 OPEN: tuple[Vector3, Vector3] = ((2.1, 0.2, -0.3), (-0.3, 0.0, -1.0))
 BEHIND_AN_EDGE: tuple[Vector3, Vector3] = ((2.166, -0.129, -0.127), (-0.927, 0.275, -0.254))
-"""A face so steep that the way from the ready pose leads through the rock."""
+"""Face so steep that the path from the ready pose leads through the rock."""
 
 
 def seen(surface: tuple[Vector3, Vector3], tool: Tool = Tool.APXS) -> Preview:
@@ -146,7 +146,7 @@ def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on() -> None
 
 
 def test_a_software_error_puts_the_brakes_on_and_is_said() -> None:
-    """Commands of no known kind reach the outermost loop as an exception, once, and nowhere else."""
+    """Commands of no known kind reach the outermost loop as an exception, once, and nothing else."""
     loop = ClosedLoop(Setup(NOMINAL, World(), NOMINAL.params.poses.ready_rad, seed=1))
     loop.cycle()
     record = loop.cycle(("not a command",))  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""A tour of poses: flight software knows on which side of its backlash a joint lies, and allows for it."""
+"""Pose sequences: flight software knows the flank of each joint, and compensates for it."""
 
 import numpy as np
 import pytest

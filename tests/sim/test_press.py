@@ -1,4 +1,4 @@
-"""Pressing in the plant: the force is what was asked for, and the tool does not slip."""
+"""Preloads in the plant: the force is the commanded one, and the tool does not slip."""
 
 from functools import cache
 
@@ -25,7 +25,7 @@ from tests.sim.lab import load, plant, run, soon_at_rest, tilted, true_reference
 POINT_N_M = (2.05, 0.1, -0.25)
 NORMAL = np.array((-0.5, 0.1, -0.85)) / np.linalg.norm((-0.5, 0.1, -0.85))
 PRESSED_N = 20.0
-"""Less is a touch."""
+"""Force below which a tool only touches."""
 PLACE = PlaceTool(Tool.DRILL, tuple(p_R_from_N(np.array(POINT_N_M)).tolist()), tuple((-NORMAL).tolist()))
 
 
@@ -59,7 +59,7 @@ def test_a_push_on_a_tool_moves_it_as_it_does_in_the_plant(force_R_N):
 
 @cache
 def half_pressed() -> ClosedLoop:
-    """The drill on its rock, pressed with half of what it is to be; never run on itself."""
+    """Return a run with the drill on its rock at half of its preload; tests fork it and never run it."""
     loop = on_the_rock()
     for _ in run_sequence(loop, (PLACE, Preload(Tool.DRILL, 300.0))):
         if loop.state.preload is not None and loop.state.preload.force_N > 150.0:

@@ -1,4 +1,4 @@
-"""The same seed gives the same messages at the same times, bit for bit."""
+"""Equal seeds give equal messages at equal times, bit for bit."""
 
 import hashlib
 import subprocess
@@ -23,7 +23,7 @@ GOAL = tuple(float(a) for a in np.radians([0.4, -60.3, 110.5, 129.0, 91.0]))
 
 
 def records(arm_name: str = "as-built:3", seed: int = 1) -> list[CycleRecord]:
-    """A short move of a built arm on a tilted rover, and a second at rest."""
+    """Run a short move of a built arm on a tilted rover, and a second at rest."""
     arm = arm_named(arm_name)
     world = World(tilt_roll_rad=0.1)
     setup = Setup(arm, world, arm.params.poses.ready_rad, seed, lab.true_reference(arm))
@@ -33,7 +33,7 @@ def records(arm_name: str = "as-built:3", seed: int = 1) -> list[CycleRecord]:
 
 
 def bits(value: Any) -> str:
-    """Everything in a record, with every bit of its numbers."""
+    """Return everything in a record, with every bit of its numbers."""
     if is_dataclass(value):
         inner = ",".join(f"{f.name}={bits(getattr(value, f.name))}" for f in fields(value))
         return f"{type(value).__name__}({inner})"
@@ -109,7 +109,7 @@ def test_asking_for_the_truth_does_not_change_the_run(first: list[CycleRecord]) 
 
 
 def test_a_software_error_ends_with_the_brakes_holding_and_nothing_after_it(monkeypatch):
-    """An exception in flight software: power off at once, and the plant goes on until the brakes hold."""
+    """After an exception the power is off at once, and the plant goes on until the brakes hold."""
     arm = arm_named("nominal")
     ready = arm.params.poses.ready_rad
     loop = ClosedLoop(Setup(arm, World(), ready, reference=lab.true_reference(arm)))

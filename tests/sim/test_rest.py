@@ -1,4 +1,4 @@
-"""Where the arm comes to rest: it converges with the step, and each gear stands where its load puts it."""
+"""Rest positions of the arm: they converge with the time step, and each gear rests where its load puts it."""
 
 import numpy as np
 import pytest
@@ -14,10 +14,10 @@ from tests.sim import lab
 
 CONVERGED_MM = 0.005
 STOPPED_MM = 0.02
-"""With the motors on: they stand within three of their counts of where they are to be."""
+"""Limit with the motors on, which stop within three of their counts of their set-points."""
 FINE_S = REFERENCE_STEP_S
 AT_REST_J = 1e-7
-"""The arm then still swings by about 6 um."""
+"""Energy at which the arm still swings by about 6 um."""
 WORLDS = {
     "mars": World(),
     "mars, 25 deg": lab.tilted(20, -15),
@@ -63,7 +63,7 @@ def test_after_a_move_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(wo
 
 
 def moved(world: World, time_step_s: float | None, goal_rad: tuple[float, ...]) -> ClosedLoop:
-    """The arm after a move from the ready pose, on its brakes again."""
+    """Return the arm after a move from the ready pose, on its brakes again."""
     arm = arm_named("nominal")
     ready, known = arm.params.poses.ready_rad, lab.true_reference(arm)
     loop = ClosedLoop(Setup(arm, world, ready, seed=1, reference=known, time_step_s=time_step_s))
@@ -78,10 +78,10 @@ def moved(world: World, time_step_s: float | None, goal_rad: tuple[float, ...]) 
 
 @pytest.mark.parametrize("side", [1, -1])
 def test_at_rest_a_gear_stands_at_half_its_backlash_and_its_wind_up(side: int) -> None:
-    """Known torques on all five outputs, no gravity; they are the only loads, and friction bears its share.
+    """Apply known torques to all outputs, without gravity, so that friction carries a known share.
 
-    Coming from less load, friction bears its full F of the load's torque, and the gear the rest. Coming from
-    more load by more than 2 F, friction has turned round, and the gear bears F more than the load.
+    If the load grew, friction carries its full F of it, and the gear the rest. If the load fell by more than
+    2 F, friction has changed sign, and the gear carries F more than the load.
     """
     torque = side * np.array([400.0, 400.0, 300.0, 120.0, 60.0])
     plant = lab.plant()

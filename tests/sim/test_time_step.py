@@ -1,4 +1,4 @@
-"""The plant at its own time step does what it does at the reference step."""
+"""Plant at its own time step: it behaves as at the reference step."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -12,12 +12,12 @@ from sim.plant import REFERENCE_STEP_S, Plant
 from tests.sim import lab
 
 SIDEWAYS = lab.tilted(20, -15)
-"""Every gear then carries a load, and lies on a flank."""
+"""Gravity under which every gear carries a load and rests on a flank."""
 
 
 @cache
 def modes(time_step_s: float | None) -> lab.Array:
-    """Frequency [Hz] and damping ratio of the three slowest modes, by linearisation at rest: (3, 2)."""
+    """Return frequency [Hz] and damping ratio of the three slowest modes, linearised at rest: (3, 2)."""
     plant = lab.plant(SIDEWAYS, time_step_s, edit=lab.without_output_friction)
     lab.load(plant, lab.READY_RAD, duration_s=4.0, rest_s=10.0)
     model = plant.model
@@ -45,7 +45,7 @@ def test_without_correction_the_damping_would_be_another() -> None:
 
 @dataclass(frozen=True)
 class Way:
-    """A joint turned to and fro under load; one row a control cycle."""
+    """Record of a joint that turned back and forth under load; one row a cycle."""
 
     motor_rad: lab.Array
     current_A: lab.Array
@@ -81,7 +81,7 @@ def rms(values: lab.Array) -> float:
 
 @JOINTS
 def test_a_motor_follows_its_set_point_as_at_the_reference_step(joint: Joint) -> None:
-    """To a few encoder counts; its current to a few times the noise of its sensor."""
+    """Tolerances are a few encoder counts, and a few times the noise of the current sensor."""
     own, reference = (to_and_fro(joint, np.radians(1.0), step_s) for step_s in (None, REFERENCE_STEP_S))
     assert rms(own.motor_rad - reference.motor_rad) < 1e-5
     assert rms(own.current_A - reference.current_A) < 0.08
@@ -89,7 +89,7 @@ def test_a_motor_follows_its_set_point_as_at_the_reference_step(joint: Joint) ->
 
 @JOINTS
 def test_a_slow_joint_sticks_and_slips_as_much_as_at_the_reference_step(joint: Joint) -> None:
-    """The swing of the output about its even way, at a tenth of a degree per second."""
+    """Compare the swing of the output about its mean motion, at a tenth of a degree per second."""
     swings = []
     for step_s in (None, REFERENCE_STEP_S):
         output = to_and_fro(joint, np.radians(0.1), step_s).output_rad[70:150]
@@ -100,7 +100,7 @@ def test_a_slow_joint_sticks_and_slips_as_much_as_at_the_reference_step(joint: J
 
 @cache
 def over_the_vertical(time_step_s: float | None) -> lab.Array:
-    """Gears [rad] while the wrist swings the turret through the pose in which it hangs, one row a cycle."""
+    """Return gears [rad] while the wrist swings the turret through the pose of zero load, one row a cycle."""
     plant: Plant = lab.plant(time_step_s=time_step_s)
     lab.load(plant, np.radians([0.0, -60.0, 60.0, 40.0, 0.0]))
     lab.hold_by_motors(plant)
@@ -115,7 +115,7 @@ def over_the_vertical(time_step_s: float | None) -> lab.Array:
 
 
 def crossings(gears_rad: lab.Array, joint: Joint) -> int:
-    """How often a joint went from one flank of its gap to the other."""
+    """Count the changes of a joint from one flank to the other."""
     gear, half = gears_rad[:, joint], lab.HALF_GAP_RAD[joint]
     return int(np.count_nonzero(np.diff(np.sign(gear[np.abs(gear) >= half]))))
 

@@ -1,4 +1,4 @@
-"""The world around the arm: tilt and gravity, frames, the rock face, and where the rover is."""
+"""World around the arm: tilt and gravity, frames, the rock face, and the position of the rover."""
 
 import mujoco
 import numpy as np

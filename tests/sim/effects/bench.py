@@ -1,4 +1,4 @@
-"""A joint on a bench: the arm with effects, one joint turned as its controller is told."""
+"""Test bench for one joint: the arm with effects, and one joint turned at a set speed."""
 
 from dataclasses import dataclass, replace
 from functools import cache
@@ -26,7 +26,7 @@ def _nominal(world: World) -> mujoco.MjSpec:
 def built(
     *effects: Effect, world: World | None = None, calm: bool = False, steps_per_cycle: int | None = None
 ) -> tuple[Plant, Hardware]:
-    """The arm with these effects, without rover and ground; calm: soon at rest, see tests.sim.lab."""
+    """Build the arm with these effects, without rover and ground; `calm` settles soon, see tests.sim.lab."""
     spec = _nominal(world or World()).copy()
     if steps_per_cycle is not None:
         spec.option.timestep = 1.0 / (steps_per_cycle * lab.CYCLE_HZ)
@@ -40,13 +40,13 @@ def built(
 
 
 def avionics(plant: Plant, hardware: Hardware) -> Avionics:
-    """Without noise of the sensors."""
+    """Make avionics without sensor noise."""
     quiet = {"resolver_noise_rad": 0.0, "current_noise_A": 0.0, "gravity_noise_m_s2": 0.0}
     return Avionics(plant, replace(hardware, **quiet), np.random.default_rng(1))
 
 
 def at(plant: Plant, motor_rad: Array) -> Plant:
-    """The motors at these angles, everything undeflected; nothing moves."""
+    """Set the motors to these angles, undeflected and at rest."""
     mujoco.mj_resetData(plant.model, plant.data)
     plant.data.qpos[plant.at.motor] = motor_rad
     mujoco.mj_forward(plant.model, plant.data)
@@ -55,17 +55,17 @@ def at(plant: Plant, motor_rad: Array) -> Plant:
 
 @dataclass(frozen=True)
 class Turned:
-    """A joint that was turned; one row a control cycle."""
+    """Record of a joint that was turned; one row a control cycle."""
 
     current_A: Array
-    """As a cycle ends, which is what the sensors read."""
+    """Current at the end of each cycle, as sensors read it."""
     mean_A: Array
-    """Over the cycle: a set-point that is held for it makes the current fall within it."""
+    """Mean current of each cycle: a set-point that is held for a cycle lets the current fall within it."""
     motor_rad: Array
     output_rad: Array
 
     def steady_A(self) -> float:
-        """In the last second, over whole cycles: within one the speed of a motor ripples."""
+        """Return the mean current of the last second, over whole cycles: speed ripples within a cycle."""
         return float(self.mean_A[-64:].mean())
 
 
@@ -80,9 +80,9 @@ def turned(
     back: bool = False,
     world: World | None = None,
 ) -> Turned:
-    """One joint brought to a share of its speed within a second, and kept there; back: and then back again.
+    """Bring one joint to a share of its speed within a second, and hold it; with `back`, turn it back too.
 
-    `every` so many steps of physics the effects are looked at; else once a cycle.
+    The effects are evaluated once every `every` steps of physics, or once a cycle.
     """
     plant, hardware = built(*effects, world=world, steps_per_cycle=steps_per_cycle)
     state, in_cycle = [hardware], plant.steps_per_cycle

@@ -1,4 +1,4 @@
-"""What friction, gears, motors and cables do to a joint that is turned at a steady speed, by the formulas."""
+"""Effects of friction, gears, motors and cables on a joint at steady speed, against their formulas."""
 
 from functools import cache
 
@@ -36,7 +36,7 @@ def as_drawn(joint: Joint, speed: float = 1.0, seconds: float = 2.5) -> bench.Tu
 
 
 def more_Nm(joint: Joint, *effects: Effect, speed: float = 1.0, seconds: float = 2.5) -> float:
-    """The torque that the current says an effect costs."""
+    """Return the torque that an effect adds, from the current."""
     with_it = bench.turned(joint, *effects, speed=speed, seconds=seconds)
     found = with_it.steady_A() - as_drawn(joint, speed, seconds).steady_A()
     return found * float(bench.TORQUE_CONSTANT_NM_A[joint])
@@ -78,13 +78,13 @@ def test_stribeck_friction_falls_with_the_speed(speed: float, times: float) -> N
 
 @cache
 def gravity_Nm(joint: Joint) -> float:
-    """Half the difference of the torques of turning either way, by the currents of the arm as drawn."""
+    """Return half the difference of the torques in both directions, from currents of the nominal arm."""
     up, down = (as_drawn(joint, speed).steady_A() for speed in (1.0, -1.0))
     return -0.5 * (up + down) * float(bench.TORQUE_CONSTANT_NM_A[joint])
 
 
 def carried_Nm(joint: Joint, way: float) -> float:
-    """What a gear carries that turns its output this way: gravity, and the friction of the output."""
+    """Return the torque in a gear that turns its output in this direction: gravity and output friction."""
     return abs(gravity_Nm(joint) - way * lab.OUTPUT_FRICTION_NM[joint])
 
 
@@ -110,7 +110,7 @@ def test_a_gear_of_less_efficiency_costs_more_against_the_load_than_with_it(fact
 @pytest.mark.parametrize("factor", [0.8, 1.25])
 def test_a_motor_of_another_constant_draws_another_current_for_the_same_torque(factor: float) -> None:
     joint = Joint.AZIMUTH
-    """Asked for by friction that is put on."""
+    """Added friction loads the motor."""
     joint, other = Joint.AZIMUTH, MotorConstant(Joint.AZIMUTH, factor)
     rubs = CoulombFriction(joint, 20.0)
     more_A = bench.turned(joint, other, rubs).steady_A() - bench.turned(joint, other).steady_A()
@@ -160,7 +160,7 @@ def test_the_bus_sags_by_its_resistance_times_all_currents_and_the_gains_with_it
 
 @TIMES
 def test_a_flex_cable_pulls_by_its_stiffness_and_drags_by_its_drag(times: float) -> None:
-    """One way and then the other: the drag turns round, the pull to where it was laid does not."""
+    """Turn in both directions: the drag changes sign, the spring torque does not."""
     joint, laid = Joint.TURRET, -0.5
     effect = FlexCable(joint, 10.0 * times, 2.0 * times, laid, give_rad=0.01)
     start = lab.READY_RAD.copy()
@@ -191,7 +191,7 @@ def test_a_transmission_error_moves_the_output_of_a_standing_motor_by_its_wave(t
 
 @TIMES
 def test_a_gear_with_hysteresis_comes_back_short_by_its_friction_over_its_stiffness(times: float) -> None:
-    """Wound up by 150 N m and let go slowly, without gravity: its friction and the output's hold the rest."""
+    """Load with 150 N m and release slowly, without gravity: friction of gear and output holds the rest."""
     joint, twist = Joint.ELBOW, []
     stiff = [GearStiffness(other, 1.0) for other in Joint]
     for effects in (stiff, [*stiff, GearHysteresis(joint, 10.0 * times)]):

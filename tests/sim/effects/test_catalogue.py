@@ -1,4 +1,4 @@
-"""The catalogue: every effect says what it is, where it can sit and how large it is."""
+"""Catalogue: every effect has a summary, places and parameter specifications."""
 
 import pytest
 
@@ -91,7 +91,7 @@ def test_every_effect_comes_back_from_what_is_written_of_it(kind: type[Effect]) 
 
 
 def value_of(parameter) -> object:
-    """Neither neutral nor round."""
+    """Return a value that is neither neutral nor round."""
     size = parameter.spec
     if size is None or isinstance(parameter.default, int):
         return parameter.default

@@ -1,4 +1,4 @@
-"""Effects that are looked at once a control cycle: that is often enough, and a run can be forked."""
+"""Effects that are evaluated once a control cycle: the rate suffices, and a run can be forked."""
 
 from functools import cache
 
@@ -28,32 +28,32 @@ EFFECTS = (
     FlexCable(JOINT, 20.0, 6.0, give_rad=0.02),
 )
 WHOLE = 8
-"""Steps of physics in a control cycle: finer than the plant's, so that a cycle has halves."""
+"""Steps of physics in a control cycle: finer than those of the plant, so that a cycle has halves."""
 
 
 @cache
 def reversal(effect: EachCycle | None, every: int) -> bench.Turned:
-    """One way and back: every effect here depends on what changes then."""
+    """Turn a joint forth and back: every effect here depends on what changes then."""
     effects = () if effect is None else (effect,)
     return bench.turned(JOINT, *effects, seconds=2.0, every=every, steps_per_cycle=WHOLE, back=True)
 
 
 def apart(effect: EachCycle, every: int) -> lab.Array:
-    """Root mean squares of output angle and current, to the same looked at in every step of physics."""
+    """Return RMS differences of output angle and current from an evaluation in every step of physics."""
     one, other = reversal(effect, every), reversal(effect, 1)
     return np.sqrt([np.mean((getattr(one, what) - getattr(other, what)) ** 2) for what in SEEN])
 
 
 SEEN = ("output_rad", "mean_A")
 NOISE = np.array([1e-4, 0.02])
-"""Of resolver and current sensor."""
+"""Noise of resolver and current sensor."""
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: type(effect).__name__)
 def test_looked_at_once_a_cycle_an_effect_does_what_it_does_looked_at_in_every_step(
     effect: EachCycle,
 ) -> None:
-    """What that leaves is small beside the effect itself, or lost in the noise of a sensor."""
+    """The remaining difference is small beside the effect, or below the noise of a sensor."""
     drawn, there = reversal(None, WHOLE), reversal(effect, 1)
     size = np.sqrt([np.mean((getattr(there, what) - getattr(drawn, what)) ** 2) for what in SEEN])
     assert np.all(apart(effect, WHOLE) < 0.15 * size + 0.02 * NOISE)
@@ -65,7 +65,7 @@ def test_looked_at_twice_as_often_it_is_nearer(effect: EachCycle) -> None:
 
 
 def test_every_effect_of_each_cycle_is_looked_at_here_but_for_three() -> None:
-    """Delay and voltage are of a cycle by what they are, and grease keeps its temperature."""
+    """Delay and voltage are defined per cycle, and grease keeps its temperature."""
     left = {CommandDelay, BusSag, ColdFriction}
     assert {kind for kind in catalogue().values() if issubclass(kind, EachCycle)} == left | {
         type(e) for e in EFFECTS

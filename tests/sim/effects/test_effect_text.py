@@ -1,4 +1,4 @@
-"""Effects as they are written: what is wrong is said with its effect, its place and what would be right."""
+"""Effects as text: an error names the effect, its place, and what would be right."""
 
 from math import pi
 

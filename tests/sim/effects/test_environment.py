@@ -1,4 +1,4 @@
-"""What the tools touch: nearer than it was seen, or of another stiffness."""
+"""Surfaces that the tools touch: nearer than measured, or with another stiffness."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ DEEP_M = 2e-4
 
 
 def in_rock(*effects: Effect, deep_m: float = DEEP_M, calm: bool = False) -> Plant:
-    """The pads of the APXS a little inside of a rock, nothing moving."""
+    """Put the pads of the APXS slightly inside a rock, at rest."""
     truth = bench.at(bench.built()[0], lab.READY_RAD).truth()
     normal = -truth.R_RT[Tool.APXS][:, 0]
     face = truth.p_RoTo_R_m[Tool.APXS] + P_NR_M + deep_m * normal
@@ -43,7 +43,7 @@ def test_a_surface_that_is_nearer_is_met_that_much_earlier(offset_m: float) -> N
 
 @pytest.mark.parametrize("factor", [0.5, 2.0, 4.0])
 def test_what_is_stiffer_gives_way_less_under_the_same_force(factor: float) -> None:
-    """The arm on its brakes pressed into the rock by its own springs, at rest."""
+    """Press the braked arm into the rock by its own springs, at rest."""
     stiffness = []
     for effects in ((), (ContactStiffness(factor),)):
         plant = in_rock(*effects, deep_m=1e-3, calm=True)

@@ -1,4 +1,4 @@
-"""Sizes at their neutral values change nothing, bit for bit: model, flight parameters, runs."""
+"""Neutral amplitudes change no bit of model, flight parameters and runs."""
 
 from functools import cache
 
@@ -41,7 +41,7 @@ def test_flight_parameters_are_the_same() -> None:
 
 @cache
 def ran(*effects: Effect) -> list[object]:
-    """All readings, and what was true, of a run with a move in it."""
+    """Return all readings and true states of a run with a move."""
     arm = BuiltArm("nominal", effects, NOMINAL.params)
     reference = true_reference(arm_named("nominal"))
     loop = ClosedLoop(Setup(arm, World(), NOMINAL.params.poses.ready_rad, 3, reference), with_truth=True)
@@ -61,7 +61,7 @@ def test_a_run_is_the_same() -> None:
 
 
 def test_effects_that_are_not_neutral_do_show() -> None:
-    """Lest the test above looks at nothing: each of these alone changes the run."""
+    """Each of these alone changes the run, so that the test above compares something."""
     nothing = ran()
     for name in ("coulomb-friction:elbow", "command-delay:elbow"):
         (one,) = (hypothesis for hypothesis in hypotheses() if str(hypothesis) == name)

@@ -1,4 +1,4 @@
-"""A plant that is computed otherwise: the same arm, near enough, and no hypothesis."""
+"""Plant with other numerical settings: nearly the same arm, and not a hypothesis."""
 
 import numpy as np
 import pytest

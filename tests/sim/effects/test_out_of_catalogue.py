@@ -1,4 +1,4 @@
-"""Effects that no catalogue has: each changes what it says it does, and nothing where it is neutral."""
+"""Out-of-catalogue effects: each changes what it claims to change, and nothing at its neutral value."""
 
 from collections.abc import Callable
 from functools import cache
@@ -20,7 +20,7 @@ KINDS = {
 }
 NOMINAL = arm_named("nominal")
 AT = {"SettlingRover": "y", "RockingLink": "link3.z"}
-"""Where it shows in the session below; at the elbow if not named."""
+"""Joint at which an effect shows in the session below; the elbow if not named."""
 SHOWN: dict[str, tuple[str, ...]] = {
     "TightSpots": ("current_A",),
     "DraggingBrake": ("current_A",),
@@ -36,7 +36,7 @@ SHOWN: dict[str, tuple[str, ...]] = {
     "SettlingRover": (),
     "RockingLink": (),
 }
-"""The readings that it changes."""
+"""Readings that an effect changes."""
 EACH = pytest.mark.parametrize("name", KINDS)
 
 
@@ -47,7 +47,7 @@ def at(name: str) -> EffectHypothesis:
 
 @cache
 def ran(*effects: Effect) -> dict[str, np.ndarray]:
-    """Readings of the first seconds of a session in which all joints move, and where the turret went."""
+    """Return the first readings of a session in which all joints move, and the positions of the turret."""
     session = next(one for one in campaign_sessions(NOMINAL.params) if one.name == "poses-level-1")
     loop = start_session(session, BuiltArm("nominal", effects, NOMINAL.params), true_reference(NOMINAL), 3)
     rows: dict[str, list[np.ndarray]] = {name: [] for name in ("current_A", "encoder_count", "resolver_rad")}
@@ -98,7 +98,7 @@ LEAST = {"current_A": 0.02, "encoder_count": 1, "resolver_rad": 3e-5}
 
 @pytest.mark.parametrize("name", ["DeadCurrent", "SluggishCurrent", "OvalResolver", "LateResolver"])
 def test_a_sensor_that_reads_wrong_moves_nothing_at_first(name: str) -> None:
-    """Flight software may act on what it reads, later: before the move everything else is as it was."""
+    """Flight software may react to wrong readings later; before the move all else is unchanged."""
     with_it, without = ran(at(name).typical()), ran()
     others = {"current_A", "encoder_count", "resolver_rad"} - set(SHOWN[name])
     assert all(np.array_equal(with_it[other][:64], without[other][:64]) for other in others)

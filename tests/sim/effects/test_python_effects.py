@@ -1,4 +1,4 @@
-"""Effects from files that are not of the house: the example of the documentation, and what is no effect."""
+"""Effects from files outside of the project: the example of the documentation, and refused files."""
 
 import re
 from pathlib import Path
@@ -18,7 +18,7 @@ PAGE = Path(__file__).parents[3] / "docs" / "effects.md"
 
 @pytest.fixture
 def dent(tmp_path: Path) -> Path:
-    """The example as it is written."""
+    """Write the example of the documentation to a file."""
     file = tmp_path / "dent.py"
     file.write_text(re.search(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)[1])
     return file

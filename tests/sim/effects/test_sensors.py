@@ -1,4 +1,4 @@
-"""What sensors read that do not read what is."""
+"""Sensors with wrong readings."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ TIMES = pytest.mark.parametrize("times", [0.5, 1.0, 2.0])
 
 
 def read(*effects: Effect, motor_rad: lab.Array = lab.LEFT_RAD, current_A: float = 0.0) -> Sensors:
-    """At these motor angles, undeflected, without noise, motors drawing this current."""
+    """Read the sensors at these motor angles, undeflected, without noise, at these motor currents."""
     plant, hardware = bench.built(*effects)
     bench.at(plant, motor_rad)
     plant.data.actuator_force[:] = current_A * bench.TORQUE_CONSTANT_NM_A
@@ -81,7 +81,7 @@ def test_an_encoder_that_lost_count_reads_too_much_and_its_motor_goes_less_far(
 @pytest.mark.parametrize(("axis", "sign"), [("x", -1.0), ("y", 1.0)])
 @TIMES
 def test_an_imu_mounted_askew_sees_gravity_turned(axis: str, sign: float, times: float) -> None:
-    """Down is z: about x it leans to -y, about y to +x."""
+    """Down is z: a rotation about x tilts it to -y, one about y to +x."""
     angle = 5e-3 * times
     g = read(GravityDirection(axis, angle)).gravity_R_m_s2
     size = np.linalg.norm(World().gravity_N_m_s2)

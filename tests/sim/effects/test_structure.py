@@ -1,4 +1,4 @@
-"""Frames, springs and masses that are not the drawing's move the tools as kinematics and statics say."""
+"""Wrong frames, springs and masses move the tools as kinematics and statics predict."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from tests.sim.effects import bench
 PARAMS = nominal_params()
 ARM = build_arm(PARAMS)
 TILTED = lab.tilted(15, -10, "earth")
-"""Every joint carries a load: none lies anywhere in its gap."""
+"""Tilt at which every joint carries a load, so that every output rests on a flank."""
 GRAVITY = TILTED.gravity_N_m_s2
 TIMES = pytest.mark.parametrize("times", [0.5, 1.0, 2.0])
 TITANIUM_1_K = 8.6e-6
@@ -60,13 +60,13 @@ def frame_of(effect) -> Frame:
 
 
 def stiff_moved_m(*effects: Effect) -> lab.Array:
-    """By how much the drill of the undeflected plant is elsewhere, with these effects than without."""
+    """Return the shift of the drill of the undeflected plant by these effects."""
     places = [bench.at(bench.built(*e)[0], lab.LEFT_RAD).truth().p_RoTo_R_m[TOOL] for e in ((), effects)]
     return places[1] - places[0]
 
 
 def jacobian() -> lab.Array:
-    """Of the drill by screws of the frames, (6, 6, 7), undeflected."""
+    """Return the undeflected Jacobian of the drill for screws of the frames, (6, 6, 7)."""
     frames = forward(ARM, lab.LEFT_RAD)
     return frame_jacobian(frames, tool_pose(ARM, frames, TOOL))
 
@@ -87,7 +87,7 @@ def test_a_link_or_tool_of_another_angle_moves_the_tool_by_its_jacobian(effect) 
 @pytest.mark.parametrize("axis", ["y", "z"])
 @TIMES
 def test_a_link_that_is_warm_on_one_side_bends_to_an_arc(axis: str, times: float) -> None:
-    """Two thousand short pieces, each turned a little against the one before."""
+    """Compare with two thousand short pieces, each rotated slightly against the last."""
     length, gradient_K = 0.785, 20.0 * times
     bend = TITANIUM_1_K * gradient_K * length / WIDTH_M
     turns = bend * (np.arange(2000) + 0.5) / 2000
@@ -117,7 +117,7 @@ def test_an_arm_that_is_warmer_reaches_farther_by_what_flight_software_makes_of_
 
 
 def settled_m(*effects: Effect) -> lab.Array:
-    """Where the drill of the plant comes to rest on its brakes."""
+    """Return the position of the drill of the plant at rest on its brakes."""
     plant, _ = bench.built(*effects, world=TILTED, calm=True)
     return lab.load(plant, lab.LEFT_RAD, duration_s=2.0, rest_s=2.0).truth().p_RoTo_R_m[TOOL]
 
@@ -128,7 +128,7 @@ def drawn_m() -> lab.Array:
 
 
 def wrenches() -> lab.Array:
-    """What each of the first five springs carries as drawn, by its strain: C x wrench = strain."""
+    """Return the wrench on each of the first five springs of the nominal arm: C x wrench = strain."""
     hanging = settle_output(ARM, lab.LEFT_RAD, GRAVITY)
     return np.array([hanging.strain[:3, k] / np.diag(ARM.compliance[:3, :3, k]) for k in range(5)]).T
 

@@ -1,4 +1,4 @@
-"""A good scenario file and the ways to spoil it: what for what, the line that is told, and the words."""
+"""A valid scenario file and edits that make it wrong: text, replacement, line of the error, and message."""
 
 GOOD = """\
 title = "T"

@@ -1,4 +1,4 @@
-"""The force on a tool against what MuJoCo's own sensors feel and what it adds up."""
+"""Contact forces on a tool, against MuJoCo's sensors and against their sum."""
 
 import mujoco
 import numpy as np
@@ -15,12 +15,12 @@ from sim.world import Surface, World, build
 from tests.sim import lab
 
 DEEP_M = 0.004
-"""How far the motors would bring the tool into the rock."""
+"""Depth to which the motors would move the tool into the rock."""
 SETTLE_S = 16.0
 
 
 def pressed(tool: Tool, point_N_m: tuple[float, float, float], normal_N: tuple[float, float, float]) -> Plant:
-    """The arm at rest with a tool pressed against a rock."""
+    """Return the arm at rest with a tool pressed against a rock."""
     world = World(surface=Surface(point_N_m, normal_N))
     normal = np.array(normal_N) / np.linalg.norm(normal_N)
     config = configure(arm_named("nominal").params)

@@ -1,4 +1,4 @@
-"""Effects in a file of their own: what is written comes back, and what is wrong is told by its line."""
+"""Effect files: written effects read back, and errors have line numbers."""
 
 import pytest
 

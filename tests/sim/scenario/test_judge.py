@@ -1,4 +1,4 @@
-"""A judge against truth that is made up: each bound from either side."""
+"""Checks of a scenario on made-up true states: each bound from either side."""
 
 from dataclasses import replace
 from math import isnan
@@ -35,7 +35,7 @@ from sim.world import Surface, World
 STOWED_RAD = np.array([1.5, -0.3, -2.8, 3.1, 0.6])
 POINT_N = np.array([2.0, 0.1, -0.2])
 UP_N = (0.0, 0.0, -1.0)
-"""The surface lies level; its normal points up."""
+"""Upward normal of the level surface."""
 INLET = TaughtPoint("inlet", Tool.PORTION, (0.6, 0.1, -1.2), (0.0, 0.0, 1.0))
 BOX = TaughtPoint("box", Tool.DRILL, (0.94, 0.28, -0.86), (-1.0, 0.0, 0.0))
 ENDING = Ending(Outcome.DONE, Mode.DEPLOYED, STOWED_RAD + 1.0, True, False, ())
@@ -55,7 +55,7 @@ def off_by(*values: float) -> np.ndarray:
 
 
 def looking(direction: np.ndarray) -> np.ndarray:
-    """Axes as columns whose x lies along a direction."""
+    """Return axes as columns, the x axis along a direction."""
     x = direction / np.linalg.norm(direction)
     y = np.cross([0.3, 0.9, 0.1], x)
     y = y / np.linalg.norm(y)
@@ -71,7 +71,7 @@ def at(
     touching: bool = True,
     vibrates: bool = False,
 ) -> Snapshot:
-    """A moment with one tool somewhere."""
+    """Make a snapshot with one tool at a pose."""
     p, force, axes = REST.p_RoTo_R_m.copy(), REST.force_R_N.copy(), REST.R_RT.copy()
     p[tool], force[tool] = np.asarray(p_N_m) - P_NR_M, force_N
     if R is not None:
@@ -83,7 +83,7 @@ def at(
 def verdict(
     check: Check, *moments: Snapshot, ending: Ending = ENDING, world: World | None = None
 ) -> dict[str, CheckResult]:
-    """What is measured for a check, by name."""
+    """Return the results of a check, by name."""
     surface = Surface((float(POINT_N[0]), float(POINT_N[1]), float(POINT_N[2])), UP_N)
     scenario = Scenario(
         name="made up",
@@ -158,7 +158,7 @@ def test_same_spot_counts_from_where_the_first_tool_truly_was():
 
 
 def press(normal_N: float, lateral_N: float = 0.0, slip_m: float = 0.0, command: int = 2) -> Snapshot:
-    """The drill pressed on the surface: the world pushes it up."""
+    """Make snapshots of the drill pressed on the surface: the contact force points up."""
     return at(Tool.DRILL, POINT_N + off_by(slip_m, 0.0, 0.0), command, (lateral_N, 0.0, -normal_N))
 
 

@@ -1,4 +1,4 @@
-"""A sequence walked through the mode table: what flight software would refuse is refused before it runs."""
+"""Check of sequences against the mode table: what flight software would refuse is refused before the run."""
 
 from typing import get_args
 

@@ -1,4 +1,4 @@
-"""What a scenario file says, read as commands, faults and checks."""
+"""Scenario files, read as commands, faults and checks."""
 
 from dataclasses import MISSING, fields
 from math import pi
@@ -66,7 +66,7 @@ def command(**table: object) -> Command:
 
 
 def sample(hint: object, name: str, k: int) -> object:
-    """A value for a field as a file says it."""
+    """Return a value for a field as it stands in a file."""
     if name in SAMPLES:
         return SAMPLES[name]
     args = [arg for arg in get_args(hint) if arg is not Ellipsis]

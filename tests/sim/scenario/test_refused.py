@@ -1,4 +1,4 @@
-"""What is wrong in a scenario file is told all at once, with its line and the words that would be right."""
+"""Errors of a scenario file: all at once, with line numbers and what would be right."""
 
 import pytest
 

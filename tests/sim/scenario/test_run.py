@@ -1,4 +1,4 @@
-"""Scenarios in the closed loop: what happens when, and what is made of it."""
+"""Scenarios in the closed loop: order of events and results."""
 
 from dataclasses import replace
 

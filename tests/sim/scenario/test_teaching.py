@@ -1,4 +1,4 @@
-"""An arm that is taught a place comes back to it, whatever it believes of itself."""
+"""Taught places: the true tool returns to them, whatever the errors of flight software."""
 
 import numpy as np
 import pytest
@@ -17,12 +17,12 @@ from sim.world import World
 from tests.sim import lab
 
 AIR = TaughtPoint("air", Tool.APXS, (2.0, 0.2, -0.5), (0.3, 0.0, 1.0))
-"""Where nothing is in the way."""
+"""Place in free air."""
 WORLD = World(tilt_roll_rad=0.1, tilt_pitch_rad=-0.2)
 
 
 def missed_m(name: str, point: TaughtPoint = AIR) -> tuple[float, float, float]:
-    """How far the true tool is from its place [m] and axis [rad], and how far off it is believed [m]."""
+    """Return the true errors of the tool in position [m] and axis [rad], and the stored offset [m]."""
     arm = arm_named(name)
     reference = lab.true_reference(arm)
     known = teach(arm, reference, (point,), WORLD)

@@ -1,4 +1,4 @@
-"""On which line things stand in a TOML file."""
+"""Line numbers of values in a TOML file."""
 
 import random
 import tomllib
@@ -74,7 +74,7 @@ WHERE: dict[TomlPath, int] = {
 
 
 def places_of(value, place=()):
-    """Every key, table and element of what the parser gave."""
+    """List every key, table and element of a parsed file."""
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, item in items:
         yield (*place, key)
