@@ -1,11 +1,10 @@
-"""The part of the dictionary that a pattern names."""
+"""Entries of the dictionary: commands, EVRs, channels and parameters; and their selection by a pattern."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from enum import IntEnum
 from fnmatch import fnmatchcase
-from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -19,31 +18,31 @@ from fsw.dictionary.validity import COMPONENT_LIMITS
 from fsw.protect.responses import RESPONSE_TO
 from ground.common.fields import alias_docs, class_doc, field_docs, unit_of
 from ground.common.requests import BadRequest
-from ground.telemetry.events import json_value
+from ground.telemetry.json_codec import record_to_json
 from ground.telemetry.schema import array_shape
-from ground.telemetry.topics import PACKET_TOPICS, Topic, channel_matches, channel_name
+from ground.telemetry.topics import PACKET_TOPICS, Topic, channel_matches, channel_name, strip_optional
 from sim.params import nominal_params
 from sim.scenario.names import did_you_mean, upper_snake
 
 
 @dataclass(frozen=True, slots=True)
 class FieldDefinition:
-    """One number, flag, name or array of them."""
+    """Definition of a field: a number, flag, name, or an array of them."""
 
     name: str
     type: str
     unit: str | None
-    """None for what has none: a flag, a name, text."""
+    """Unit; None for flags, names and text."""
     low: float | None
     high: float | None
     text: str
     default: Any = None
-    """Of an argument, its default; of a parameter, its nominal value; None where there is none."""
+    """Default of an argument, or nominal value of a parameter; None if there is none."""
 
 
 @dataclass(frozen=True, slots=True)
 class Definition:
-    """A command, an EVR or a packet of channels, with its fields."""
+    """Definition of a command, an EVR or a packet of channels, with its fields."""
 
     name: str
     text: str
@@ -52,31 +51,31 @@ class Definition:
 
 @dataclass(frozen=True, slots=True)
 class CommandDefinition(Definition):
-    """A command has another name in scenario files."""
+    """Definition of a command, which has another name in scenario files."""
 
     scenario_name: str
 
 
 @dataclass(frozen=True, slots=True)
 class EvrDefinition(Definition):
-    """An EVR also says how much it matters."""
+    """Definition of an EVR, with its severity."""
 
     severity: str
     message: str
     response: str | None
-    """What is done about it, if it is a fault."""
+    """Response of flight software, if the EVR is a fault."""
 
 
 @dataclass(frozen=True, slots=True)
 class PacketDefinition(Definition):
-    """A packet is a topic of a log; truth is the plant's own, which flight software never sees."""
+    """Definition of a packet, which is a topic of a log; truth is state of the plant."""
 
     is_truth: bool
 
 
 @dataclass(frozen=True, slots=True)
 class Dictionary:
-    """All words that flight and ground share."""
+    """Dictionary of commands, EVRs, channels and parameters that flight and ground share."""
 
     commands: tuple[CommandDefinition, ...]
     evrs: tuple[EvrDefinition, ...]
@@ -85,7 +84,7 @@ class Dictionary:
 
 
 def build_dictionary() -> Dictionary:
-    """The dictionary of this version."""
+    """Build the dictionary of this version."""
     return Dictionary(
         commands=tuple(_command(kind) for kind in get_args(Command)),
         evrs=tuple(_evr(kind) for kind in _evr_types()),
@@ -99,7 +98,7 @@ def _command(kind: type) -> CommandDefinition:
 
 
 def _evr_types() -> Iterator[type[Evr]]:
-    """Every event, in the order of the source."""
+    """Yield every EVR in the order of the source."""
     for module in (evrs, faults):
         for kind in vars(module).values():
             is_event = isinstance(kind, type) and issubclass(kind, Evr) and kind not in (Evr, Fault)
@@ -120,20 +119,20 @@ def _evr(kind: type[Evr]) -> EvrDefinition:
 
 
 def _packet(topic: Topic) -> PacketDefinition:
-    told = tuple(one for one in _fields(topic.packet) if one.name in topic.field_names)
-    return PacketDefinition(topic.name, class_doc(topic.packet), told, topic.is_truth)
+    recorded = tuple(one for one in _fields(topic.packet) if one.name in topic.field_names)
+    return PacketDefinition(topic.name, class_doc(topic.packet), recorded, topic.is_truth)
 
 
 def _fields(kind: type) -> Iterator[FieldDefinition]:
-    """The fields of a command, an EVR or a packet."""
+    """Yield the fields of a command, an EVR or a packet."""
     hints = get_type_hints(kind, include_extras=True)
     for field in fields(kind):
-        default = None if field.default is MISSING else json_value(field.default)
+        default = None if field.default is MISSING else record_to_json(field.default)
         yield _field(kind, field.name, hints[field.name], field.name, default)
 
 
 def _parameters(kind: type, nominal: Any, place: str) -> Iterator[FieldDefinition]:
-    """The numbers and names below a parameter group, by dotted name; * is any element of a list."""
+    """Yield the parameters of a group by dotted name; * stands for any element of a list."""
     hints = get_type_hints(kind, include_extras=True)
     for field in fields(kind):
         name, hint = f"{place}{field.name}", hints[field.name]
@@ -143,7 +142,7 @@ def _parameters(kind: type, nominal: Any, place: str) -> Iterator[FieldDefinitio
         elif get_origin(hint) is tuple and is_dataclass(get_args(hint)[0]):
             yield from _parameters(get_args(hint)[0], None, f"{name}.*.")
         else:
-            yield _field(kind, field.name, hint, name, None if value is None else json_value(value))
+            yield _field(kind, field.name, hint, name, None if value is None else record_to_json(value))
 
 
 def _field(kind: type, own: str, hint: Any, name: str, default: Any) -> FieldDefinition:
@@ -155,7 +154,7 @@ def _field(kind: type, own: str, hint: Any, name: str, default: Any) -> FieldDef
 
 
 def _limits(kind: type, name: str, hint: Any) -> Limits | None:
-    """The limits of a number, or those of each component of a parameter's vector."""
+    """Return the limits of a number, or of each component of a vector parameter."""
     own = (one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Limits))
     of_vector = (limits for unit, limits in COMPONENT_LIMITS.items() if name.endswith(unit))
     is_vector = get_origin(hint) is tuple and kind.__module__ != commands.__name__
@@ -163,7 +162,7 @@ def _limits(kind: type, name: str, hint: Any) -> Limits | None:
 
 
 def _type_text(kind: type, name: str) -> str:
-    """What is said of the type: of an enumeration, or of a name such as Backlash."""
+    """Return the documentation of an enumeration, or of a named type such as Backlash."""
     hint = get_type_hints(kind)[name]
     if isinstance(hint, type) and issubclass(hint, IntEnum):
         return class_doc(hint)
@@ -171,14 +170,14 @@ def _type_text(kind: type, name: str) -> str:
 
 
 def _alias(kind: type, name: str) -> str | None:
-    """The name of the command argument's type, where commands.py has given it one."""
+    """Return the name of the type of an argument, if `commands` defines one."""
     values = {value: alias for alias, value in vars(commands).items() if get_origin(value) is Literal}
     return values.get(get_type_hints(kind)[name])
 
 
 def is_numeric_type(hint: Any) -> bool:
-    """Whether an annotation is of numbers that a unit could be of."""
-    kind = _bare(hint)
+    """Return whether an annotation is of numbers, which can have a unit."""
+    kind = strip_optional(hint)
     if get_origin(kind) is np.ndarray:
         return get_args(get_args(kind)[1])[0] is not np.bool_
     if get_origin(kind) is tuple:
@@ -187,8 +186,8 @@ def is_numeric_type(hint: Any) -> bool:
 
 
 def type_name(owner: type, name: str, hint: Any) -> str:
-    """A type in words that say how many there are of what."""
-    kind = _bare(hint)
+    """Return a type as text with its shape, such as float64[5]."""
+    kind = strip_optional(hint)
     if get_origin(kind) is np.ndarray:
         shape = ", ".join(map(str, array_shape(owner, name)))
         return f"{np.dtype(get_args(get_args(kind)[1])[0]).name}[{shape}]"
@@ -202,7 +201,7 @@ def type_name(owner: type, name: str, hint: Any) -> str:
 
 
 def _tuple_name(kind: Any) -> str:
-    """float[3] of three numbers, float[6, 6] of six by six, with ... for any number."""
+    """Return float[3] for three numbers, float[6, 6] for six by six; ... stands for any number."""
     sizes = []
     while get_origin(kind) is tuple:
         arguments = get_args(kind)
@@ -211,21 +210,13 @@ def _tuple_name(kind: Any) -> str:
     return f"{kind.__name__}[{', '.join(sizes)}]"
 
 
-def _bare(hint: Any) -> Any:
-    while get_origin(hint) is Annotated:
-        hint = get_args(hint)[0]
-    if get_origin(hint) is UnionType:
-        return next(one for one in get_args(hint) if one is not NoneType)
-    return hint
-
-
 E = TypeVar("E", bound=Definition)
 
 
 def filter_dictionary(whole: Dictionary, pattern: str) -> Dictionary:
-    """The entries whose names match, whole, and of the others the fields that do; capitals do not count.
+    """Select the entries that match a pattern, and the matching fields of other entries; ignore case.
 
-    A field is called by its own name or after its entry's, as /sensors.current_A or /sensors/current_A.
+    A field matches by its own name, or with its entry as /sensors.current_A or /sensors/current_A.
 
     Raises:
         BadRequest: nothing matches.
@@ -247,9 +238,9 @@ def _matching_entries(entries: Iterable[E], pattern: str) -> Iterator[E]:
         if any(_matches(name, pattern) for name in names):
             yield entry
             continue
-        told = tuple(one for one in entry.fields if _field_matches(entry, one.name, pattern))
-        if told:
-            yield replace(entry, fields=told)
+        matching = tuple(one for one in entry.fields if _field_matches(entry, one.name, pattern))
+        if matching:
+            yield replace(entry, fields=matching)
 
 
 def _field_matches(entry: Definition, field: str, pattern: str) -> bool:
@@ -261,7 +252,7 @@ def _matches(name: str, pattern: str) -> bool:
 
 
 def _suggest_name(whole: Dictionary, pattern: str) -> str:
-    """What was probably meant, and how to find it; all names would be a page."""
+    """Suggest a similar name; a list of all names would be a page."""
     entries: list[Definition] = [*whole.commands, *whole.evrs, *whole.packets]
     names = [entry.name for entry in entries] + [one.name for one in whole.parameters]
     names += [channel_name(packet.name, one.name) for packet in whole.packets for one in packet.fields]

@@ -1,4 +1,4 @@
-"""The dictionary as tables for people, as a document for programs, and as Markdown."""
+"""Output of the dictionary: tables for people, a JSON document, and Markdown."""
 
 import re
 from collections.abc import Iterable, Iterator
@@ -13,16 +13,16 @@ from ground.dictionary.entries import Definition, Dictionary, EvrDefinition, Fie
 
 COLUMNS: Final = ("name", "type", "unit", "limits", "default", "text")
 FIELD_PATTERN: Final = re.compile(r"\{e\.(\w+)[^}]*\}")
-"""Of an EVR's text: what is filled in, and how it is written."""
+"""Placeholder in the message of an EVR: name of the field and its format."""
 
 
 def dictionary_json(whole: Dictionary) -> dict[str, Any]:
-    """The dictionary as a JSON document."""
+    """Return the dictionary as a JSON document."""
     return asdict(whole)
 
 
 def dictionary_tables(whole: Dictionary) -> None:
-    """Print the dictionary section by section: a heading and a sentence for each entry, then its fields."""
+    """Print the dictionary by section: heading, sentence and fields of each entry."""
     console = Console(highlight=False)
     for title, entries in _sections(whole):
         console.rule(title, align="left")
@@ -36,7 +36,7 @@ def dictionary_tables(whole: Dictionary) -> None:
 
 
 def dictionary_markdown(whole: Dictionary) -> str:
-    """The dictionary as a Markdown page."""
+    """Return the dictionary as a Markdown page."""
     return "\n".join(_markdown(whole)) + "\n"
 
 
@@ -82,9 +82,9 @@ def _sentence(entry: Definition) -> str:
     text = " ".join(entry.text.split())
     if not isinstance(entry, EvrDefinition):
         return text
-    done = "" if entry.response is None else f" Response: {entry.response}."
+    response = "" if entry.response is None else f" Response: {entry.response}."
     message = FIELD_PATTERN.sub(r"{\1}", entry.message)
-    return f'{text} "{message}"{done}'
+    return f'{text} "{message}"{response}'
 
 
 def _table(fields: Iterable[FieldDefinition]) -> Table:
@@ -104,7 +104,7 @@ def _cells(one: FieldDefinition) -> tuple[str, ...]:
 
 
 def _default_text(default: Any) -> str:
-    """A default, unless it is too long for a table."""
+    """Format a default; "..." if it is too long for a table."""
     match default:
         case None:
             return ""

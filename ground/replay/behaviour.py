@@ -1,4 +1,4 @@
-"""What flight software put out in a run: its packets by topic, and its events."""
+"""Outputs of flight software in a run: packets by topic, and events."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,26 +21,26 @@ OUTPUT_TOPICS: Final[tuple[Topic, ...]] = tuple(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TopicSeries:
-    """The packets of one topic."""
+    """Packets of one topic."""
 
     ticks: NDArray[np.int64]
-    """Shape (n,), rising."""
+    """Tick of each packet, rising, shape (n,)."""
     fields: Mapping[str, NDArray[Any]]
-    """Shape (n, ...) each."""
+    """Values by field, shape (n, ...)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Behaviour:
-    """All that left flight software; a topic without packets is not there."""
+    """Outputs of flight software in a run; topics without packets are absent."""
 
     ticks: int
-    """How many cycles, from tick 0."""
+    """Number of cycles, from tick 0."""
     series: Mapping[str, TopicSeries]
     evrs: tuple[EvrEntry, ...]
 
 
 def behaviour_from_log(log: Log, ticks: int) -> Behaviour:
-    """What a log holds of the first so many ticks."""
+    """Return the outputs in a log, up to a number of ticks."""
     series = {}
     for topic in OUTPUT_TOPICS:
         if topic.name in log.packets:
@@ -54,7 +54,7 @@ def behaviour_from_log(log: Log, ticks: int) -> Behaviour:
 
 
 def behaviour_from_outputs(outputs: Sequence[Outputs]) -> Behaviour:
-    """What a run gave, cycle by cycle from tick 0."""
+    """Return the outputs of a run, given for each cycle from tick 0."""
     series = {}
     for topic in OUTPUT_TOPICS:
         packet_of = attrgetter(topic.path.removeprefix(OUTPUTS_PREFIX))

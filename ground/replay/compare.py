@@ -1,4 +1,4 @@
-"""One behaviour against another: lengths, events and channels, and where they first part."""
+"""Comparison of two runs: lengths, events and channels, with the first tick of each difference."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,45 +14,55 @@ from ground.telemetry.format import EVR_TOPIC
 from ground.telemetry.topics import channel_name
 
 MIN_DIFFERENCE: Final = np.finfo(np.float64).smallest_subnormal.item()
-"""How far apart 0.0 and -0.0 are: they are not the same."""
+"""Difference that is reported for 0.0 and -0.0, which are not the same."""
 
 
 def array_difference(a: NDArray[Any], b: NDArray[Any], tolerance: float) -> NDArray[np.float64]:
-    """How far apart numbers are, shape of both; 0 where they are the same, and nowhere else.
+    """Compute the absolute difference of each pair of numbers.
 
-    Infinite where only one is a number, LEAST where no number says by how much, as of 0.0 and -0.0.
+    Args:
+        a: Numbers, shape (...).
+        b: Numbers, same shape and unit.
+        tolerance: Relative tolerance for numbers beyond 1, absolute below; 0 compares bit for bit.
+
+    Returns:
+        Differences, same shape and unit: 0 only if the numbers are the same, infinite if only one of them is
+        NaN, at least MIN_DIFFERENCE if they differ, as 0.0 and -0.0 do.
     """
     with np.errstate(invalid="ignore", over="ignore"):
-        off = _distance(a, b)
+        distance = _distance(a, b)
     if {a.dtype.kind, b.dtype.kind} == {"f"}:
-        same = _floats_equal(a, b, off, tolerance)
+        same = _floats_equal(a, b, distance, tolerance)
     else:
         same = _exactly_equal(a, b)
-    return np.where(same, 0.0, np.where(np.isnan(off), np.inf, np.maximum(off, MIN_DIFFERENCE)))
+    return np.where(same, 0.0, np.where(np.isnan(distance), np.inf, np.maximum(distance, MIN_DIFFERENCE)))
 
 
 def _distance(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.float64]:
-    """Of whole numbers, that of the integers: as floats, large neighbours are one number."""
+    """Compute absolute differences; integers stay integers, since large ones are not exact as floats."""
     if not (_is_integer(a) and _is_integer(b)):
         return np.abs(a.astype(np.float64) - b.astype(np.float64))
-    c, d = a.astype(np.uint64), b.astype(np.uint64)  # negative ones wrap, and so does their difference
+    c, d = (
+        a.astype(np.uint64),
+        b.astype(np.uint64),
+    )  # negative numbers wrap around, and their difference wraps back
     return np.where(a > b, c - d, d - c).astype(np.float64)
 
 
 def _floats_equal(
-    a: NDArray[Any], b: NDArray[Any], off: NDArray[np.float64], tolerance: float
+    a: NDArray[Any], b: NDArray[Any], distance: NDArray[np.float64], tolerance: float
 ) -> NDArray[np.bool_]:
     a, b = a.astype(np.float64), b.astype(np.float64)
     both_nan = np.isnan(a) & np.isnan(b)
     if tolerance == 0.0:
         same: NDArray[np.bool_] = a.view(np.int64) == b.view(np.int64)
     else:
-        same = (a == b) | (np.isfinite(off) & (off <= tolerance * np.maximum(1.0, np.abs(a))))
+        same = (a == b) | (np.isfinite(distance) & (distance <= tolerance * np.maximum(1.0, np.abs(a))))
     return np.asarray(same | both_nan)
 
 
 def _exactly_equal(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
-    """Numbers of any two kinds; Python compares an int with a float without rounding it."""
+    """Compare numbers of two kinds; Python compares an int with a float without rounding."""
     if _is_integer(a) and _is_integer(b):
         return np.asarray(a == b)
     return np.asarray(a.astype(object) == b.astype(object), np.bool_)
@@ -63,97 +73,103 @@ def _is_integer(numbers: NDArray[Any]) -> bool:
 
 
 BEFORE, AFTER = 8, 24
-"""Ticks of the topic that are kept before and from the first difference on."""
+"""Messages that are kept before the first difference, and from it on."""
 
 ChannelFilter = Callable[[str, str], bool]
-"""Whether to compare a field of a topic."""
+"""Function of topic and field that returns whether to compare the channel."""
 Number = float | int | bool
 
 
 @dataclass(frozen=True, slots=True)
 class LengthDifference:
-    """A topic with more messages on one side."""
+    """Topic with messages at ticks where the other run has none."""
 
     topic: str
     recorded: int
     replayed: int
     first_tick: int
-    """The first tick at which only one side has a message."""
+    """First tick with a message in only one run."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChannelDifference:
-    """A channel with other values; an array is one channel, judged component by component."""
+    """Channel whose values differ; an array is one channel, compared component by component."""
 
     channel: str
     first_tick: int
     first_component: tuple[int, ...]
-    """Of an array: the one that differs most at the first tick."""
+    """Index of the component that differs most at the first tick; () for a single number."""
     at_first: tuple[Number, Number]
-    """Its values there, recorded and replayed."""
+    """Recorded and replayed value of that component at the first tick."""
     recorded: NDArray[Any]
-    """Its values around there."""
+    """Recorded values of that component around the first tick."""
     replayed: NDArray[Any]
+    """Replayed values around the first tick."""
     ticks: int
-    """At how many ticks the channel differs."""
+    """Number of ticks at which the channel differs."""
     compared: int
-    """At how many it was compared."""
+    """Number of ticks at which it was compared."""
     greatest: float
-    """The greatest difference; as of `apart`."""
+    """Greatest difference, as `array_difference` computes it."""
     greatest_tick: int
     component: tuple[int, ...]
-    """Of an array: the one with the greatest difference."""
+    """Index of the component with the greatest difference."""
     profile: NDArray[np.float64]
-    """The greatest difference of any component at each tick compared, shape (compared,)."""
+    """Greatest difference of any component at each compared tick, shape (compared,)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Differences:
-    """What is not the same; nothing of it if all is."""
+    """Differences between a recorded and a replayed run."""
 
     tolerance: float
     ticks: tuple[int, int]
-    """Recorded and replayed."""
+    """Number of recorded and of replayed ticks."""
     lengths: tuple[LengthDifference, ...]
     evrs: tuple[EvrDifference, ...]
     channels: tuple[ChannelDifference, ...]
     channels_compared: int
     evrs_compared: bool
     not_compared: tuple[str, ...]
-    """Sentences about what only one side can tell."""
+    """Sentences about topics and channels that only one run has."""
 
     @property
     def identical(self) -> bool:
-        """Whether all that was compared is the same."""
+        """True if all compared values are the same."""
         same_length = self.ticks[0] == self.ticks[1]
         return same_length and not (self.lengths or self.evrs or self.channels)
 
     @property
     def nothing_compared(self) -> bool:
-        """Whether there was nothing on both sides that could have differed."""
+        """True if the runs have neither events nor a channel in common."""
         return not (self.channels_compared or self.evrs_compared)
 
 
 def every_channel(topic: str, field: str) -> bool:
-    """Choose all."""
+    """Select every channel."""
     return True
 
 
 def compare_behaviours(
     recorded: Behaviour, replayed: Behaviour, tolerance: float = 0.0, chosen: ChannelFilter = every_channel
 ) -> Differences:
-    """What is not the same; NaN is the same as NaN.
+    """Compare two runs; NaN equals NaN.
 
-    `tolerance` is relative to numbers beyond 1, absolute below; 0 is bit for bit. Whole numbers and flags
-    are to be the same at any tolerance.
-    Flight software always says that it is up: without any event, a log is of something else, and what it has
-    not got is not compared.
+    Flight software always reports that it has booted. A log without any event therefore has another source,
+    such as an imported table, and topics that it lacks are not compared.
+
+    Args:
+        recorded: Recorded run.
+        replayed: Replayed run.
+        tolerance: Relative tolerance for floats beyond 1, absolute below; 0 compares bit for bit. Integers
+            and flags must be equal.
+        chosen: Channels to compare; lengths and events are always compared.
     """
-    foreign = not recorded.evrs and recorded.ticks > 0
-    lacking = [topic for topic in replayed.series if topic not in recorded.series] if foreign else []
+    is_imported = not recorded.evrs and recorded.ticks > 0
+    lacking = [topic for topic in replayed.series if topic not in recorded.series] if is_imported else []
     topics = [t for t in dict.fromkeys((*recorded.series, *replayed.series)) if t not in lacking]
-    untold = [
-        f"{topic}: not recorded; not compared" for topic in (*lacking, *([EVR_TOPIC] if foreign else []))
+    not_compared = [
+        f"{topic}: not recorded; not compared" for topic in (*lacking, *([EVR_TOPIC] if is_imported else []))
     ]
     lengths = [_length_difference(topic, recorded, replayed) for topic in topics]
     channels, compared = [], 0
@@ -162,7 +178,7 @@ def compare_behaviours(
         if ours is None or theirs is None:
             continue
         comparable, sentences = _comparable(topic, ours, theirs)
-        untold += sentences
+        not_compared += sentences
         for name in (name for name in comparable if chosen(topic, name)):
             compared += 1
             channels.append(_channel_difference(channel_name(topic, name), name, ours, theirs, tolerance))
@@ -171,27 +187,29 @@ def compare_behaviours(
         ticks=(recorded.ticks, replayed.ticks),
         lengths=tuple(
             one
-            for one in (*lengths, None if foreign else _evr_length_difference(recorded, replayed))
+            for one in (*lengths, None if is_imported else _evr_length_difference(recorded, replayed))
             if one is not None
         ),
-        evrs=() if foreign else evr_differences(recorded.evrs, replayed.evrs, tolerance),
+        evrs=() if is_imported else evr_differences(recorded.evrs, replayed.evrs, tolerance),
         channels=tuple(one for one in channels if one is not None),
         channels_compared=compared,
-        evrs_compared=not foreign,
-        not_compared=tuple(untold),
+        evrs_compared=not is_imported,
+        not_compared=tuple(not_compared),
     )
 
 
 def _comparable(topic: str, ours: TopicSeries, theirs: TopicSeries) -> tuple[list[str], list[str]]:
-    """The fields that both sides have, in one shape; and sentences about the others."""
+    """Return the fields that both runs have in equal shape, and sentences about the others."""
     lone = sorted(ours.fields.keys() ^ theirs.fields.keys())
     both = [name for name in ours.fields if name in theirs.fields]
-    fit = [name for name in both if ours.fields[name].shape[1:] == theirs.fields[name].shape[1:]]
+    comparable = [name for name in both if ours.fields[name].shape[1:] == theirs.fields[name].shape[1:]]
     sentences = [f"{channel_name(topic, name)}: only one side has it; not compared" for name in lone]
     sentences += [
-        f"{channel_name(topic, name)}: has another shape; not compared" for name in both if name not in fit
+        f"{channel_name(topic, name)}: has another shape; not compared"
+        for name in both
+        if name not in comparable
     ]
-    return fit, sentences
+    return comparable, sentences
 
 
 NO_TICKS: Final = np.zeros(0, np.int64)
@@ -220,19 +238,19 @@ def _evr_length_difference(recorded: Behaviour, replayed: Behaviour) -> LengthDi
 def _channel_difference(
     channel: str, name: str, ours: TopicSeries, theirs: TopicSeries, tolerance: float
 ) -> ChannelDifference | None:
-    """Where a channel differs at the ticks that both sides have; None where nowhere."""
+    """Compare a channel at the ticks that both runs have; None if it is the same."""
     ticks, mine, yours = np.intersect1d(ours.ticks, theirs.ticks, return_indices=True)
     a, b = ours.fields[name][mine], theirs.fields[name][yours]
     if not a.size:
         return None
     shape = a.shape[1:]
     a, b = (side.reshape(len(ticks), -1) for side in (a, b))
-    off = array_difference(a, b, tolerance)
-    profile = off.max(axis=1)
+    difference = array_difference(a, b, tolerance)
+    profile = difference.max(axis=1)
     if not profile.any():
         return None
     first, worst = int(np.flatnonzero(profile)[0]), int(profile.argmax())
-    k, window = int(off[first].argmax()), slice(max(0, first - BEFORE), first + AFTER)
+    k, window = int(difference[first].argmax()), slice(max(0, first - BEFORE), first + AFTER)
     return ChannelDifference(
         channel=channel,
         first_tick=int(ticks[first]),
@@ -244,7 +262,7 @@ def _channel_difference(
         compared=len(ticks),
         greatest=float(profile[worst]),
         greatest_tick=int(ticks[worst]),
-        component=_index(int(off[worst].argmax()), shape),
+        component=_index(int(difference[worst].argmax()), shape),
         profile=profile,
     )
 

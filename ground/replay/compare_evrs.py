@@ -1,4 +1,4 @@
-"""Events of one run against those of another: missing, added, changed."""
+"""Comparison of the events of two runs: missing, added and changed events."""
 
 from collections import defaultdict
 from collections.abc import Sequence
@@ -12,19 +12,19 @@ from ground.telemetry.events import EvrEntry
 
 
 class EvrChange(StrEnum):
-    """How an event differs."""
+    """Kind of difference of an event."""
 
     MISSING = "missing"
-    """It was recorded and did not come."""
+    """Recorded, not replayed."""
     ADDED = "added"
-    """It came and was not recorded."""
+    """Replayed, not recorded."""
     CHANGED = "changed"
-    """It came at another tick, or with other fields, or after another one of its tick."""
+    """Replayed at another tick, with other fields, or in another order within its tick."""
 
 
 @dataclass(frozen=True, slots=True)
 class EvrDifference:
-    """An event that differs; one of the two sides may be None."""
+    """Event that differs; it may be None in one run."""
 
     kind: EvrChange
     recorded: EvrEntry | None
@@ -32,40 +32,40 @@ class EvrDifference:
 
     @property
     def name(self) -> str:
-        """Of the event."""
+        """Name of the event."""
         return next(one.name for one in (self.recorded, self.replayed) if one is not None)
 
     @property
     def tick(self) -> int:
-        """The earlier of its ticks."""
+        """Earlier one of its two ticks."""
         return min(one.tick for one in (self.recorded, self.replayed) if one is not None)
 
 
 def evr_differences(
     recorded: Sequence[EvrEntry], replayed: Sequence[EvrEntry], tolerance: float = 0.0
 ) -> tuple[EvrDifference, ...]:
-    """What differs, by tick.
+    """Find the differences between events, in order of ticks.
 
-    Events of one tick and name are pairs, in their order; of those left over, any of the same words, and then
-    any of the same name: they came at another tick.
+    Events of equal tick and name are paired in their order. Events without a partner are paired at other
+    ticks, first by equal message, then by equal name.
     """
     found: list[EvrDifference] = []
-    left: tuple[list[EvrEntry], list[EvrEntry]] = ([], [])
+    unpaired: tuple[list[EvrEntry], list[EvrEntry]] = ([], [])
     ours, theirs = _group_by(recorded, "tick"), _group_by(replayed, "tick")
     for tick in sorted({*ours, *theirs}):
-        found += _compare_tick(ours.get(tick, []), theirs.get(tick, []), tolerance, left)
+        found += _compare_tick(ours.get(tick, []), theirs.get(tick, []), tolerance, unpaired)
     for key in ("message", "name"):
-        pairs, left = _pair_evrs(*left, key)
+        pairs, unpaired = _pair_evrs(*unpaired, key)
         found += [EvrDifference(EvrChange.CHANGED, one, other) for one, other in pairs]
-    found += [EvrDifference(EvrChange.MISSING, one, None) for one in left[0]]
-    found += [EvrDifference(EvrChange.ADDED, None, other) for other in left[1]]
+    found += [EvrDifference(EvrChange.MISSING, one, None) for one in unpaired[0]]
+    found += [EvrDifference(EvrChange.ADDED, None, other) for other in unpaired[1]]
     return tuple(sorted(found, key=lambda difference: (difference.tick, difference.name)))
 
 
 def _pair_evrs(
     ours: list[EvrEntry], theirs: list[EvrEntry], key: str
 ) -> tuple[list[tuple[EvrEntry, EvrEntry]], tuple[list[EvrEntry], list[EvrEntry]]]:
-    """Events that have something in common, in order; and those without a partner."""
+    """Pair events of equal message or name in order; return the pairs and the events without a partner."""
     pairs, rest = [], []
     free = _group_by(theirs, key)
     for one in ours:
@@ -82,17 +82,17 @@ def _compare_tick(
     ours: list[EvrEntry],
     theirs: list[EvrEntry],
     tolerance: float,
-    left: tuple[list[EvrEntry], list[EvrEntry]],
+    unpaired: tuple[list[EvrEntry], list[EvrEntry]],
 ) -> list[EvrDifference]:
-    """Pairs of one name that differ; `left` gets those without a partner."""
+    """Compare the events of one tick by name; `unpaired` receives those without a partner."""
     found = []
     mine, yours = _group_by(ours, "name"), _group_by(theirs, "name")
     for name in dict.fromkeys((*mine, *yours)):
         for one, other in zip_longest(mine.get(name, []), yours.get(name, [])):
             if one is None:
-                left[1].append(other)
+                unpaired[1].append(other)
             elif other is None:
-                left[0].append(one)
+                unpaired[0].append(one)
             elif not _evrs_equal(one, other, tolerance):
                 found.append(EvrDifference(EvrChange.CHANGED, one, other))
     names = [[evr.name for evr in side] for side in (ours, theirs)]
@@ -112,7 +112,7 @@ def _group_by(evrs: Sequence[EvrEntry], key: str) -> dict[Any, list[EvrEntry]]:
 def _evrs_equal(one: EvrEntry, other: EvrEntry, tolerance: float) -> bool:
     if tolerance == 0.0:
         return one == other
-    # The words round the numbers; within a tolerance they may round them to either side.
+    # Messages contain rounded numbers, which may differ although the fields agree within the tolerance.
     return one.severity == other.severity and _values_close(one.fields, other.fields, tolerance)
 
 

@@ -1,4 +1,4 @@
-"""What a log holds of what went into flight software: what it began with, its sensors and its commands."""
+"""Inputs of flight software from a log: start conditions, sensors and commands."""
 
 import json
 from collections.abc import Mapping
@@ -15,52 +15,51 @@ from fsw.dictionary.params import Params
 from fsw.dictionary.validity import check_arm, check_limits
 from fsw.estimate.reference import Reference
 from fsw.messages import Sensors
-from ground.telemetry.format import COMMAND_TOPIC, TICK_NS
+from ground.telemetry.format import COMMAND_TOPIC, SENSOR_TOPIC, TICK_NS
 from ground.telemetry.json_codec import BadJson, command_from_json, record_from_json
 from ground.telemetry.lost_messages import LostMessages, trailing_bytes_text
 from ground.telemetry.read import Log
 from ground.telemetry.schema import PER_JOINT, packet_layout
 from sim.params import nominal_params
 
-SENSOR_TOPIC: Final = "/sensors"
 REQUIRED_TOPICS: Final = (None, SENSOR_TOPIC, COMMAND_TOPIC)
-"""Topics without which a replay ends; what is lost of the others is a difference of length."""
+"""Topics whose loss ends a replay, None for an unknown topic; a loss of others is a difference of length."""
 REQUIRED_KEYS: Final = ("params", "params_sha256", "boot")
 
 
 class NotReplayable(ValueError):
-    """A log that cannot be replayed; the message says why."""
+    """Error of a log that cannot be replayed; the message says why."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Inputs:
-    """All that flight software was given, from its first cycle on."""
+    """Inputs of flight software from its first cycle on."""
 
     params: Params
     mode: Mode
     reference: Reference | None
     sensors: Mapping[str, NDArray[Any]]
-    """By field of Sensors, a row a tick."""
+    """Values by field of Sensors, one row for each tick, shape (ticks, ...)."""
     commands: Mapping[int, tuple[Command, ...]]
-    """By tick."""
+    """Commands by tick."""
     ticks: int
     notes: tuple[str, ...]
-    """Sentences about what is not as it was."""
+    """Sentences about inputs that differ from those of the run."""
 
     def sensors_at(self, tick: int) -> Sensors:
-        """The readings of one cycle, arrays of its own."""
+        """Return the readings of one cycle; arrays are copies."""
         row: dict[str, Any] = {name: values[tick] for name, values in self.sensors.items()}
         row = {n: v.copy() if isinstance(v, np.ndarray) else v.item() for n, v in row.items()}
         return Sensors(**row)
 
 
 def inputs_from_log(log: Log) -> Inputs:
-    """What a log holds of what went into flight software.
+    """Return the inputs of flight software in a log.
 
-    A log cut short, or with a gap, is good up to the last tick that is surely whole.
+    If the log is truncated or messages are missing, they end with the last tick that is complete.
 
     Raises:
-        NotReplayable: it lacks something, or something in it is unknown to today's flight software.
+        NotReplayable: the log lacks an input, or this version of flight software does not know it.
     """
     notes: list[str] = [] if not log.behind else [trailing_bytes_text(log.behind)]
     try:
@@ -82,17 +81,17 @@ def _start_conditions(log: Log, notes: list[str]) -> tuple[Params, Mode, Referen
             f"its header has no {', '.join(lacking)}, so nobody knows what flight software began with; "
             f"record it with this marsarm, or import it with a [start]"
         )
-    written = _header_document(log, "params")
-    seen = len(notes)
-    params: Params = record_from_json(Params, written, "params", notes, nominal_params())
-    if len(notes) == seen and digest(params) != log.header["params_sha256"]:
+    document = _header_document(log, "params")
+    count = len(notes)
+    params: Params = record_from_json(Params, document, "params", notes, nominal_params())
+    if len(notes) == count and digest(params) != log.header["params_sha256"]:
         raise BadJson(
             "its parameters do not match their own digest: the header was changed; "
             "give the log as it was written"
         )
-    wrong = [*check_limits(params), *check_arm(params)]
-    if wrong:
-        raise BadJson(f"params: {wrong[0]}")
+    problems = [*check_limits(params), *check_arm(params)]
+    if problems:
+        raise BadJson(f"params: {problems[0]}")
     boot = _header_document(log, "boot")
     if not isinstance(boot, dict) or not {"mode", "reference"} <= boot.keys():
         raise BadJson("boot: must be mode and reference")
@@ -119,7 +118,7 @@ def _decode_reference(value: Any, notes: list[str]) -> Reference | None:
 
 
 def _count_whole_ticks(log: Log, notes: list[str]) -> int:
-    """How many ticks from 0 on are surely all there."""
+    """Count the ticks from 0 on that are complete."""
     if SENSOR_TOPIC not in log.packets:
         raise NotReplayable(
             f"log {log.path}: has no {SENSOR_TOPIC}, so there is nothing to replay; give the log of a run"
@@ -130,8 +129,8 @@ def _count_whole_ticks(log: Log, notes: list[str]) -> int:
             f"log {log.path}: begins at tick {ticks[0]}; what flight software knew by then is unknown; "
             "give a log that begins at tick 0"
         )
-    gaps = np.flatnonzero(np.diff(ticks) != 1)
-    end = len(ticks) if gaps.size == 0 else int(gaps[0]) + 1
+    breaks = np.flatnonzero(np.diff(ticks) != 1)
+    end = len(ticks) if breaks.size == 0 else int(breaks[0]) + 1
     notes += [f"recovered: {one.sentence}" for one in log.lost]
     end = min(
         end, *(_last_tick_before(one) + 1 for one in log.lost if one.topic in REQUIRED_TOPICS), len(ticks)
@@ -146,12 +145,12 @@ def _count_whole_ticks(log: Log, notes: list[str]) -> int:
 
 
 def _last_tick_before(lost: LostMessages) -> int:
-    """The tick of the last message of its topic before what was lost; with none, the first tick."""
+    """Return the tick of the last message before a loss, 0 if there is none."""
     return 0 if lost.after_ns is None else lost.after_ns // TICK_NS
 
 
 def _sensor_columns(log: Log) -> dict[str, NDArray[Any]]:
-    """The columns of the sensor packets, each of the type and shape that flight software takes."""
+    """Return the fields of the sensor packets, and check type and shape of each."""
     packets = log[SENSOR_TOPIC]
     columns = {}
     for field in packet_layout(Sensors, [field.name for field in fields(Sensors)]).fields:

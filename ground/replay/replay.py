@@ -1,4 +1,4 @@
-"""Recorded sensors and commands through today's flight software, and what came of it."""
+"""Replay: today's flight software runs on recorded sensors and commands, and its outputs are compared."""
 
 import json
 from dataclasses import dataclass
@@ -25,38 +25,38 @@ from sim.params import BadParams, params_over
 from sim.scenario.names import did_you_mean
 
 OTHER_PROCESSOR_TOLERANCE: Final = 1e-12
-"""What numbers may differ by on a processor whose kernels round sums in another order."""
+"""Tolerance for another processor, whose kernels may round sums in another order."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReplayRequest:
-    """What is asked."""
+    """Request of a replay."""
 
     log: Path
     channel: str = "*"
-    """Which channels to compare, as in `/joint.*` or `/joint/*`; lengths and events are in any case."""
+    """Pattern of channels to compare, such as `/joint.*`; lengths and events are always compared."""
     params: Path | None = None
-    """Parameters in place of those of the log."""
+    """File with parameters that replace those of the log; None for none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReplayReport:
-    """What came of it."""
+    """Result of a replay."""
 
     request: ReplayRequest
     header: dict[str, str]
     differences: Differences
     changed_params: tuple[str, ...]
-    """Sentences: which parameter has another value than in the log."""
+    """Sentences about parameters that differ from the log."""
     notes: tuple[str, ...]
     same_processor: bool
 
 
 def replay(request: ReplayRequest, progress: Progress) -> ReplayReport:
-    """Replay a log and compare.
+    """Replay a log and compare the outputs.
 
     Raises:
-        BadRequest: the log or the parameters cannot be read or flown, or there is nothing to compare.
+        BadRequest: the log or the parameters cannot be read or used, or there is nothing to compare.
     """
     try:
         log = read_log(request.log)
@@ -83,29 +83,33 @@ def replay(request: ReplayRequest, progress: Progress) -> ReplayReport:
 
 
 def run_flight_software(inputs: Inputs, params: Params, progress: Progress) -> list[Outputs]:
-    """What today's flight software makes of these inputs, cycle by cycle; it ends with a software error."""
+    """Run today's flight software on recorded inputs, up to the end or a software error.
+
+    Returns:
+        Outputs of each cycle.
+    """
     config = configure(params)
     state = boot(config, inputs.mode, inputs.reference)
     last = outputs_at_rest(state)
-    given: list[Outputs] = []
+    outputs: list[Outputs] = []
     for tick in range(inputs.ticks):
         sensors, commands = inputs.sensors_at(tick), inputs.commands.get(tick, ())
         state, last, failure = step_flight_software(config, state, last, sensors, commands)
-        given.append(last)
+        outputs.append(last)
         if failure is not None:
             break
         if tick % CYCLE_HZ == 0:
             progress(tick, inputs.ticks, "replaying")
-    return given
+    return outputs
 
 
 def is_same_processor(log: Log) -> bool:
-    """Whether a log was made on a processor with the instruction sets and kernels of this one."""
+    """Return whether a log was made on a processor with the same instruction sets and kernels."""
     return log.header.get("cpu") == json.dumps(cpu_features())
 
 
 def _check_channel(pattern: str, recorded: Behaviour) -> None:
-    """A pattern must fit a channel that is recorded; if none is, one that flight software puts out."""
+    """Refuse a pattern that matches no recorded channel, or, if none is recorded, no output channel."""
     channels = [(topic, name) for topic, series in recorded.series.items() for name in series.fields]
     channels = channels or [(topic.name, name) for topic in OUTPUT_TOPICS for name in topic.field_names]
     if not any(channel_matches(topic, name, pattern) for topic, name in channels):
@@ -114,7 +118,7 @@ def _check_channel(pattern: str, recorded: Behaviour) -> None:
 
 
 def _changed_values(before: Any, after: Any, place: str) -> list[str]:
-    """A sentence for each value that differs between two records in JSON's words."""
+    """List a sentence for each value that differs between two records as JSON."""
     if isinstance(before, dict) and isinstance(after, dict):
         return [
             line for k in before for line in _changed_values(before[k], after[k], f"{place}.{k}".lstrip("."))

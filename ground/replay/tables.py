@@ -1,4 +1,4 @@
-"""A replay as a table for people and as a document for programs."""
+"""Output of a replay: a table for people and a JSON document."""
 
 from collections.abc import Iterator
 from math import isfinite
@@ -16,11 +16,11 @@ from ground.replay.replay import ReplayReport
 from ground.telemetry.events import EvrEntry
 
 MAX_EVRS: Final = 30
-"""Lines for people; the document has all."""
+"""Events in the table; the JSON document has all."""
 
 
 def replay_json(report: ReplayReport) -> dict[str, Any]:
-    """A replay as a JSON document."""
+    """Return a replay as a JSON document."""
     return {
         "log": str(report.request.log),
         "recorded_by": {
@@ -34,7 +34,7 @@ def replay_json(report: ReplayReport) -> dict[str, Any]:
 
 
 def differences_json(found: Differences) -> dict[str, Any]:
-    """What differs between two runs, for a document."""
+    """Return the differences between two runs as a JSON document."""
     return {
         "identical": found.identical,
         "tolerance": found.tolerance,
@@ -80,7 +80,7 @@ def replay_table(report: ReplayReport) -> None:
 
 
 def verdict_line(found: Differences) -> str:
-    """One line that says whether two runs are the same."""
+    """Return one line that says whether two runs are the same."""
     ticks = f"{pluralize(found.ticks[0], 'tick')}, {found.ticks[0] / CYCLE_HZ:.1f} s"
     if found.identical:
         same = "identical" if found.tolerance == 0 else f"the same to {found.tolerance:g}"
@@ -93,7 +93,7 @@ def verdict_line(found: Differences) -> str:
 
 
 def differences_table(console: Console, found: Differences) -> None:
-    """Print what differs."""
+    """Print the differences between two runs."""
     for line in found.not_compared:
         console.print(f"note      {line}", soft_wrap=True, markup=False)
     for one in found.evrs[:MAX_EVRS]:
@@ -112,7 +112,7 @@ def differences_table(console: Console, found: Differences) -> None:
 
 
 def _channel_lines(c: ChannelDifference) -> Iterator[str]:
-    """A channel: where it differs, how that goes over time, and the values around the first tick."""
+    """Yield the lines of a channel: its difference, the course over time, values at the first tick."""
     yield (
         f"channel   {_component_name(c.channel, c.component)}: from tick {c.first_tick} on, at {c.ticks} of "
         f"{c.compared} ticks, by up to {c.greatest:.3g} at tick {c.greatest_tick}"
@@ -164,7 +164,7 @@ def _component_name(channel: str, component: tuple[int, ...]) -> str:
 
 
 def _finite_json(value: Any) -> Any:
-    """The value as strict JSON has it: what is no number becomes its name."""
+    """Convert NaN and infinities to text, since strict JSON lacks them."""
     if isinstance(value, dict):
         return {key: _finite_json(item) for key, item in value.items()}
     if isinstance(value, list):

@@ -1,4 +1,4 @@
-"""The messages in a log's chunks: unpacked, checked against their CRC, and found without walking each one."""
+"""Messages in the chunks of a log: decompressed, checked by CRC, and located through the message index."""
 
 import zlib
 from collections.abc import Sequence
@@ -32,77 +32,86 @@ MESSAGE_DTYPE: Final = np.dtype(
         ("publish_ns", "<u8"),
     ]
 )
-"""How a message record begins; the message itself follows. `length` counts from behind itself."""
+"""Head of a message record; the message follows. `length` counts the bytes after the field itself."""
 MESSAGE_OVERHEAD: Final = MESSAGE_DTYPE.itemsize - RECORD_HEAD.size
-"""Bytes that `length` counts beside the message."""
+"""Bytes of the head that `length` includes."""
 
 BATCH_BYTES: Final = 1 << 20
-"""Bytes that are taken apart at a time: what the processor keeps at hand."""
+"""Bytes that are decompressed together; they fit the cache of a processor."""
 
 Offsets = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MessageBatch:
-    """All messages of some chunks in the order of the file.
-
-    `heads` are of type HEAD, shape (n,), `starts` says where in `data` each of them begins.
-    """
+    """Frozen record of all messages of some chunks, in the order of the file."""
 
     data: NDArray[np.uint8]
+    """Decompressed chunks, one after the other, shape (bytes,)."""
     heads: NDArray[np.void]
+    """Heads of the messages, type MESSAGE_DTYPE, shape (n,)."""
     starts: Offsets
+    """Byte in `data` where each head begins, shape (n,)."""
     channels: dict[int, Channel]
-    """Those that these chunks declare."""
+    """Channels that these chunks declare, by number."""
 
 
-def decompress_chunk(data: bytes, place: ChunkLocation, decompressor: zstandard.ZstdDecompressor) -> bytes:
-    """The records of a chunk, as its CRC has them; ZstdError or ValueError when they are not."""
-    packed = memoryview(data)[place.begin : place.end]
-    # Checked before memory is reserved for it.
-    if zstandard.frame_content_size(packed) != place.size:
-        raise ValueError(f"a chunk claims {place.size} bytes; its data does not")
+def decompress_chunk(data: bytes, chunk: ChunkLocation, decompressor: zstandard.ZstdDecompressor) -> bytes:
+    """Decompress the records of a chunk and check their CRC.
+
+    Raises:
+        ZstdError, ValueError: the data is damaged.
+    """
+    packed = memoryview(data)[chunk.begin : chunk.end]
+    # Checked first: a damaged size could reserve any amount of memory.
+    if zstandard.frame_content_size(packed) != chunk.size:
+        raise ValueError(f"a chunk claims {chunk.size} bytes; its data does not")
     plain = decompressor.decompress(packed, allow_extra_data=False)
-    if zlib.crc32(plain) != place.crc32:
+    if zlib.crc32(plain) != chunk.crc32:
         raise ValueError("a chunk does not match its CRC")
     return plain
 
 
 def read_batches(
-    data: bytes, places: Sequence[ChunkLocation], indexes: Sequence[Sequence[Span]]
+    data: bytes, chunks: Sequence[ChunkLocation], indexes: Sequence[Sequence[Span]]
 ) -> list[MessageBatch]:
-    """Unpack chunks, some at a time; the `indexes` of their messages are tried and not trusted.
+    """Decompress chunks in batches of about BATCH_BYTES.
+
+    Args:
+        data: Content of the file.
+        chunks: Chunks to read, in the order of the file.
+        indexes: Message indexes of each chunk; an index that proves wrong is not used.
 
     Raises:
-        NotAsWritten: a chunk does not match its CRC, or does not consist of records.
+        CorruptData: a chunk does not match its CRC, or does not consist of records.
     """
     decompressor, found, begin, size = zstandard.ZstdDecompressor(), [], 0, 0
-    for k, place in enumerate(places):
-        size += place.size
-        if size >= BATCH_BYTES or k == len(places) - 1:
-            found.append(read_batch(data, places[begin : k + 1], indexes[begin : k + 1], decompressor))
+    for k, chunk in enumerate(chunks):
+        size += chunk.size
+        if size >= BATCH_BYTES or k == len(chunks) - 1:
+            found.append(read_batch(data, chunks[begin : k + 1], indexes[begin : k + 1], decompressor))
             begin, size = k + 1, 0
     return found
 
 
 def read_batch(
     data: bytes,
-    places: Sequence[ChunkLocation],
+    chunks: Sequence[ChunkLocation],
     indexes: Sequence[Sequence[Span]],
     decompressor: zstandard.ZstdDecompressor,
 ) -> MessageBatch:
-    """The messages of some chunks; errors as of `read_batches`."""
+    """Read the messages of some chunks as one batch; arguments and errors as in `read_batches`."""
     plain, channels, at = [], dict[int, Channel](), 0
     try:
-        for place in places:
-            at = place.at
-            plain.append(decompress_chunk(data, place, decompressor))
+        for chunk in chunks:
+            at = chunk.at
+            plain.append(decompress_chunk(data, chunk, decompressor))
         begins = np.cumsum([0, *map(len, plain)])
         buffer = np.frombuffer(b"".join(plain), np.uint8)
         starts, heads, is_tiled = locate_by_index(data, indexes, buffer, begins)
         walked = []
         for k in np.flatnonzero(~is_tiled).tolist():
-            at = places[k].at
+            at = chunks[k].at
             walked += [int(begins[k]) + start for start in walk_records(plain[k], channels)]
     except PARSE_ERRORS as error:
         raise CorruptData(str(error) or type(error).__name__, at) from error
@@ -113,16 +122,32 @@ def read_batch(
 
 
 def heads_at(buffer: NDArray[np.uint8], starts: Offsets) -> NDArray[np.void]:
-    """The heads of the messages at these places, type HEAD, shape (n,)."""
+    """Read the heads of messages.
+
+    Args:
+        buffer: Decompressed chunks, shape (bytes,).
+        starts: Byte where each head begins, shape (n,).
+
+    Returns:
+        Heads of type MESSAGE_DTYPE, shape (n,).
+    """
     if not len(starts):
         return np.zeros(0, MESSAGE_DTYPE)
     return sliding_window_view(buffer, MESSAGE_DTYPE.itemsize)[starts].view(MESSAGE_DTYPE)[:, 0]
 
 
 def walk_records(plain: bytes, channels: dict[int, Channel]) -> list[int]:
-    """Where in a chunk its messages begin, one record after the other; its channels are added.
+    """Find the messages of a chunk by reading record after record.
 
-    ValueError when records do not fill the chunk.
+    Args:
+        plain: Decompressed chunk.
+        channels: Dictionary that receives the channels of the chunk.
+
+    Returns:
+        Byte where each message begins.
+
+    Raises:
+        ValueError: the records do not fill the chunk.
     """
     starts, end = [], 0
     for at, opcode, body in iter_records(plain, 0):
@@ -144,11 +169,20 @@ def walk_records(plain: bytes, channels: dict[int, Channel]) -> list[int]:
 def locate_by_index(
     data: bytes, indexes: Sequence[Sequence[Span]], buffer: NDArray[np.uint8], begins: Offsets
 ) -> tuple[Offsets, NDArray[np.void], NDArray[np.bool_]]:
-    """Where messages begin by the indexes, in order, their heads, and which chunks they tile without a gap.
+    """Find the messages of chunks through their message indexes, and check each index against the records.
 
-    `begins` has where each chunk begins, and the end of the last. In a chunk that is tiled every record is a
-    message and begins where the one before it ends: then its index is right, whatever happened to the file.
-    Of the other chunks nothing is said.
+    A chunk is tiled if every record is a message and begins where the one before it ends. Its index is then
+    right, even if the file is damaged elsewhere.
+
+    Args:
+        data: Content of the file.
+        indexes: Spans of index entries in `data`, for each of the k chunks.
+        buffer: Decompressed chunks, shape (bytes,).
+        begins: Byte where each chunk begins in `buffer`, then the end of the last, shape (k + 1,).
+
+    Returns:
+        Byte where each message of a tiled chunk begins, rising, shape (n,); their heads, shape (n,); whether
+        each chunk is tiled, shape (k,).
     """
     sizes = [[end - begin for begin, end in of_chunk] for of_chunk in indexes]
     whole = [k for k, of_chunk in enumerate(sizes) if not any(size % 16 for size in of_chunk)]
@@ -163,7 +197,7 @@ def locate_by_index(
     chunk = chunk[kept]
     starts = np.sort(begins[chunk] + offset[kept].astype(np.int64))
     heads = heads_at(buffer, starts)
-    # The length in broken bytes may be anything; as unsigned numbers wrap around, none but the due one fits.
+    # A damaged length may be any number. Unsigned sums wrap around, so only the true length matches.
     ends = starts.astype(np.uint64) + heads["length"] + np.uint64(RECORD_HEAD.size)
     is_first, is_last = np.diff(chunk, prepend=-1) != 0, np.diff(chunk, append=-1) != 0
     due = np.where(is_last, begins[chunk + 1], np.roll(starts, -1)).astype(np.uint64)

@@ -1,14 +1,13 @@
-"""Commands and EVRs as messages: the words that people read, and the fields as JSON."""
+"""Commands and EVRs as log messages: text for people, and fields as JSON."""
 
 import json
 import struct
 from dataclasses import dataclass, fields
-from enum import IntEnum
 from typing import Any, Final, Self, get_type_hints
 
 from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Evr, Severity
-from ground.telemetry.errors import SchemaError
+from ground.telemetry.json_codec import record_to_json
 from ground.telemetry.schema import ENCAPSULATION, CdrWriter, align, ros_time
 
 LOG_LEVELS: Final = {
@@ -25,16 +24,16 @@ LOG_LEVELS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class LogEntry:
-    """A line of the log: whole numbers and strings; the kinds below say which."""
+    """Base of the messages without a fixed layout; their fields are integers and strings."""
 
     @classmethod
     def ros_text(cls) -> str:
-        """The body of the ROS 2 message definition."""
+        """Return the body of the ROS 2 message definition."""
         names = {int: "int64", str: "string"}
         return "".join(f"{names[kind]} {name}\n" for name, kind in get_type_hints(cls).items())
 
     def encode(self) -> bytes:
-        """The entry in CDR: numbers on eight bytes; strings with their length, ended by a zero."""
+        """Encode the entry in CDR: integers of eight bytes; strings with a length, ended by a zero."""
         out = CdrWriter()
         for field in fields(self):
             value = getattr(self, field.name)
@@ -46,7 +45,11 @@ class LogEntry:
 
     @classmethod
     def decode(cls, message: bytes) -> Self:
-        """The entry that `encode` gave; struct.error, UnicodeDecodeError or ValueError where it did not."""
+        """Decode a message that `encode` made.
+
+        Raises:
+            struct.error, UnicodeDecodeError, ValueError: the message is damaged.
+        """
         values: list[int | str] = []
         at = len(ENCAPSULATION)
         for kind in get_type_hints(cls).values():
@@ -76,7 +79,7 @@ class EvrEntry(LogEntry):
 
     @property
     def fields(self) -> dict[str, Any]:
-        """The typed fields; enums by name, tuples and arrays as lists."""
+        """Fields by name; enums by name, tuples and arrays as lists."""
         return dict(json.loads(self.fields_json))
 
 
@@ -90,45 +93,26 @@ class CommandEntry(LogEntry):
 
     @property
     def fields(self) -> dict[str, Any]:
-        """The arguments; enums by name, tuples as lists."""
+        """Arguments by name; enums by name, tuples as lists."""
         return dict(json.loads(self.fields_json))
 
 
-def json_value(value: Any) -> Any:
-    """A command's or EVR's field in JSON's words; NaN and infinities stay, as Python's JSON has them.
-
-    Raises:
-        SchemaError: JSON has no word for it.
-    """
-    match value:
-        case IntEnum():
-            return value.name
-        case None | bool() | int() | float() | str():
-            return value
-        case tuple() | list():
-            return [json_value(item) for item in value]
-        case _ if hasattr(value, "tolist"):  # numpy arrays and scalars
-            return value.tolist()
-        case _:
-            raise SchemaError(f"{type(value).__name__} in a command or EVR; use numbers, text, enums, tuples")
-
-
 def json_fields(event: Evr | Command) -> dict[str, Any]:
-    """The fields of a command or EVR in JSON's words."""
-    return {f.name: json_value(getattr(event, f.name)) for f in fields(event)}
+    """Encode the fields of a command or EVR as JSON."""
+    return dict(record_to_json(event))
 
 
 def evr_entry(tick: int, evr: Evr) -> EvrEntry:
-    """An EVR as it goes into the log."""
+    """Return the log entry of an EVR."""
     return EvrEntry(tick, evr.severity, evr.name, evr.message, json.dumps(json_fields(evr)))
 
 
 def command_entry(tick: int, command: Command) -> CommandEntry:
-    """A command as it goes into the log."""
+    """Return the log entry of a command."""
     return CommandEntry(tick, type(command).__name__, json.dumps(json_fields(command)))
 
 
 def rosout_message(time_ns: int, evr: Evr) -> bytes:
-    """An EVR as a rcl_interfaces/Log, for the log panels of others."""
+    """Encode an EVR as rcl_interfaces/Log, for the log panels of other tools."""
     out = CdrWriter().add("iI", *ros_time(time_ns)).add("B", LOG_LEVELS[evr.severity])
     return bytes(out.text(evr.name).text(evr.message).text("").text("").add("I", 0).data)

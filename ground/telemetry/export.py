@@ -1,4 +1,4 @@
-"""A log as tables for other programs: Parquet or CSV, one table for each topic."""
+"""Export of a log to Parquet or CSV, one table for each topic."""
 
 import csv
 import json
@@ -31,7 +31,7 @@ TABLE_SUFFIXES: Final = (".parquet", ".csv")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TopicTable:
-    """A topic as columns of one length: time_ns, tick, and each number of each field."""
+    """Topic as columns of one length: time_ns, tick, and each number of each field."""
 
     topic: str
     columns: Mapping[str, ColumnValues]
@@ -40,12 +40,12 @@ class TopicTable:
 
 
 def index_suffixes(shape: tuple[int, ...]) -> list[str]:
-    """How the columns of a field of this shape are told apart: [2], [0,1]; in the order of its numbers."""
-    return [index_text(place) for place in np.ndindex(*shape)]
+    """Return the suffix of each column of a field of this shape, row by row: "[2]" or "[0,1]"."""
+    return [index_text(index) for index in np.ndindex(*shape)]
 
 
 def topic_table(log: Log, topic: str) -> TopicTable:
-    """A topic of a log as a table."""
+    """Convert a topic of a log to a table."""
     columns: dict[str, ColumnValues] = {"time_ns": log.time_ns[topic], "tick": log.time_ns[topic] // TICK_NS}
     units = {"time_ns": "ns"}
     if topic == EVR_TOPIC:
@@ -58,7 +58,7 @@ def topic_table(log: Log, topic: str) -> TopicTable:
             values, unit = packets[field], unit_of(field)
             numbers = values.reshape(len(values), prod(values.shape[1:]))
             for k, end in enumerate(index_suffixes(values.shape[1:])):
-                # A packet has a tick of its own as well; both are kept.
+                # Some packets have a field `tick` of their own, and both columns are kept.
                 name = f"{field}{end}" if field not in columns else f"packet.{field}{end}"
                 columns[name] = np.ascontiguousarray(numbers[:, k])
                 if unit is not None:
@@ -85,37 +85,49 @@ def _command_columns(commands: Sequence[CommandEntry]) -> dict[str, ColumnValues
 def export(
     log: Log, out: Path, topics: Sequence[str], progress: Progress, kind: str = ".parquet"
 ) -> dict[str, Path]:
-    """Write these topics, or all without one, to a file or, one file each, into a folder; files by topic.
+    """Write topics to one file, or to one file each in a folder; all files appear together at the end.
 
-    All files appear together, when each of them is whole. `kind` is the suffix of files in a folder.
+    Args:
+        log: Log to export.
+        out: File for one topic, or folder.
+        topics: Topics to write; all if empty.
+        progress: Called for each topic.
+        kind: Suffix of the files in a folder.
+
+    Returns:
+        File of each topic.
 
     Raises:
         NoSuchChannel: the log has no such topic.
-        BadOutput: a file cannot be written, or is asked to hold several tables.
-        BadRequest: a file is that of the log.
+        BadOutput: a file cannot be written, or one file is given for several topics.
+        BadRequest: a file is the log itself.
     """
     chosen = _select_topics(log, topics)
     files = _output_files(out, chosen, kind)
     for topic, path in files.items():
         check_distinct_files({"LOG": log.path, f"out ({topic})": path})
     header = json.dumps(dict(log.header))
-    made = _make_folder(out)
+    is_new_folder = _make_folder(out)
     try:
-        with ExitStack() as all_whole:
+        with ExitStack() as open_files:
             for k, (topic, path) in enumerate(files.items()):
                 progress(k, len(files), topic)
-                file = all_whole.enter_context(atomic_write(path, "out"))
+                file = open_files.enter_context(atomic_write(path, "out"))
                 write = write_csv if path.suffix == ".csv" else write_parquet
                 write(topic_table(log, topic), header, file)
     except BaseException:
-        if made:
+        if is_new_folder:
             out.rmdir()
         raise
     return files
 
 
 def _make_folder(out: Path) -> bool:
-    """Make the folder if there is none, and whether it was made; BadOutput where it cannot be."""
+    """Make the folder if it does not exist, and return whether it was made.
+
+    Raises:
+        BadOutput: the folder cannot be made.
+    """
     if out.suffix in TABLE_SUFFIXES or os.path.isdir(out):
         return False
     try:
@@ -135,8 +147,8 @@ def _select_topics(log: Log, topics: Sequence[str]) -> list[str]:
 
 
 def _output_files(out: Path, topics: Sequence[str], kind: str) -> dict[str, Path]:
-    """Where each topic goes, after every check that can be made before anything is written."""
-    if out.suffix in TABLE_SUFFIXES and not os.path.isdir(out):  # unlike Path.is_dir, False for any bad name
+    """Return the file of each topic, after all checks that are possible before writing."""
+    if out.suffix in TABLE_SUFFIXES and not os.path.isdir(out):  # unlike Path.is_dir, never raises
         if kind == ".csv" != out.suffix:
             raise BadOutput(f"out {out}: with --csv its name must end in .csv, or be that of a folder")
         if len(topics) != 1:
@@ -158,10 +170,10 @@ def _output_files(out: Path, topics: Sequence[str], kind: str) -> dict[str, Path
 
 
 def write_parquet(table: TopicTable, header: str, file: BinaryIO) -> None:
-    """Write a table whose metadata has the log's header and the units; every bit of a number is kept."""
+    """Write a Parquet table with the header of the log and the units as metadata; numbers keep every bit."""
     fields, arrays = [], []
     for name, column in table.columns.items():
-        # Not from pandas' point of view: a NaN is a number here, not a missing one.
+        # pandas takes a NaN for a missing value; here it is a number.
         array = pa.array(column, from_pandas=False)
         unit = table.units.get(name)
         fields.append(pa.field(name, array.type, metadata=None if unit is None else {"unit": unit}))
@@ -173,7 +185,7 @@ def write_parquet(table: TopicTable, header: str, file: BinaryIO) -> None:
 
 
 def write_csv(table: TopicTable, header: str, file: BinaryIO) -> None:
-    """Write a table with a line of names; a number reads back exactly. The header has no place in it."""
+    """Write a CSV table with one line of names; numbers read back exactly, and the header is not written."""
     text = TextIOWrapper(file, "utf-8", newline="")
     out = csv.writer(text, lineterminator="\n")
     out.writerow(table.columns)
@@ -183,8 +195,8 @@ def write_csv(table: TopicTable, header: str, file: BinaryIO) -> None:
 
 
 def _csv_values(column: ColumnValues) -> Sequence[Any]:
-    """Floats in the fewest digits that read back exactly, which `csv` asks `repr` for; flags as 0 and 1."""
+    """Convert flags to 0 and 1, and numbers to Python numbers, whose text reads back exactly."""
     if isinstance(column, np.ndarray):
-        words: list[Any] = (column.astype(np.int8) if column.dtype.kind == "b" else column).tolist()
-        return words
+        values: list[Any] = (column.astype(np.int8) if column.dtype.kind == "b" else column).tolist()
+        return values
     return column

@@ -1,4 +1,4 @@
-"""Channels of a log over time, one above the other, with the event reports as marks."""
+"""Figure of channels over time, one panel each, with event reports as vertical lines."""
 
 from collections.abc import Sequence
 from enum import IntEnum
@@ -16,23 +16,26 @@ from ground.telemetry.inspection import ChannelSeries, index_text
 from ground.telemetry.topics import PACKET_TOPICS
 
 MAX_PANELS: Final = 12
-"""Panels in a picture; more cannot be read."""
+"""Panels in a figure; more would be too small to read."""
 MAX_LEGEND: Final = 9
-"""Lines in a panel that are named."""
+"""Lines that the legend of a panel can name."""
 MAX_EVR_NAMES: Final = 12
-"""Event reports whose names fit above the panels."""
+"""Event reports that are named above the panels."""
 COLOURS: Final = {"warning": "#c1121f", "command": "#31688e", "other": "0.75"}
 
 
 class TooManyChannels(ValueError):
-    """More is asked for than a picture can show."""
+    """Error of a request for more channels than a figure has panels."""
 
 
 def save_log_figure(channels: Sequence[ChannelSeries], evrs: Sequence[EvrEntry], path: Path) -> str | None:
-    """Save the picture as PNG; the reason if matplotlib is not there to draw it.
+    """Save the figure as PNG.
+
+    Returns:
+        None, or why there is no figure: matplotlib is not installed.
 
     Raises:
-        TooMuch: more channels than a picture can show.
+        TooManyChannels: there are more channels than panels.
         BadOutput: the file cannot be written.
     """
     if len(channels) > MAX_PANELS:
@@ -45,7 +48,7 @@ def save_log_figure(channels: Sequence[ChannelSeries], evrs: Sequence[EvrEntry],
         panels = figure.subplots(len(channels), 1, sharex=True, squeeze=False)[:, 0]
         for axes, channel in zip(panels, channels, strict=True):
             _draw_channel(axes, channel)
-            for evr in sorted(evrs, key=lambda evr: evr.severity):  # the graver cover the others
+            for evr in sorted(evrs, key=lambda evr: evr.severity):  # the severest are drawn last, on top
                 axes.axvline(_time_s(evr), color=COLOURS[_colour_key(evr)], linewidth=0.8, zorder=0)
         _label_evrs(panels[0], evrs)
         panels[-1].set_xlabel("log time [s]")
@@ -58,7 +61,7 @@ def _draw_channel(axes: Any, channel: ChannelSeries) -> None:
     flat = channel.values.reshape(len(time_s), -1).astype(float)
     names = _line_names(channel)
     steps = "steps-post" if channel.values.dtype.kind in "biu" else "default"
-    # A channel that speaks once has no line.
+    # A channel with one message has no line.
     marker = "." if len(time_s) < 2 else None
     for k, name in enumerate(names):
         axes.plot(time_s, flat[:, k], drawstyle=steps, marker=marker, linewidth=1.0, label=name)
@@ -85,7 +88,7 @@ def _title(channel: ChannelSeries, names: Sequence[str | None]) -> str:
 
 
 def _value_names(channel: ChannelSeries) -> type[IntEnum] | None:
-    """What the numbers of a channel mean, where they are words in flight software."""
+    """Return the enumeration of a channel, None if its values are plain numbers."""
     for topic, _ in PACKET_TOPICS:
         if topic.name == channel.topic and channel.field in topic.field_names:
             kind = get_type_hints(topic.packet)[channel.field]
@@ -94,17 +97,17 @@ def _value_names(channel: ChannelSeries) -> type[IntEnum] | None:
 
 
 def _line_names(channel: ChannelSeries) -> list[str | None]:
-    """What the lines of a channel are called: joints where flight software lists joints, else numbers."""
+    """Return the label of each line: joint or index; None for a single number."""
     shape = channel.values.shape[1:]
     if shape == (len(Joint),) and channel.topic in {topic.name for topic, _ in PACKET_TOPICS}:
         return [joint.name.lower() for joint in Joint]
-    return [", ".join(map(str, place)) or None for place in np.ndindex(*shape)]
+    return [", ".join(map(str, index)) or None for index in np.ndindex(*shape)]
 
 
 def _label_evrs(axes: Any, evrs: Sequence[EvrEntry]) -> None:
-    """Names above the uppermost panel, the graver ones first, where they do not cover each other.
+    """Write names of events above the first panel, the severest first, where they do not overlap.
 
-    How many have no room is said.
+    The title counts the events without a name.
     """
     low, high = axes.get_xlim()
     named: list[float] = []

@@ -1,4 +1,4 @@
-"""What the writer and the reader of a log agree on beyond MCAP and CDR."""
+"""Conventions of a log beyond MCAP and CDR: version, names of records, keys and topics, length of a cycle."""
 
 import json
 import zlib
@@ -6,28 +6,29 @@ from collections.abc import Mapping
 from typing import Final
 
 TICK_NS: Final = 15_625_000
-"""One cycle at 64 Hz; exact."""
+"""Length of a cycle at 64 Hz, exact."""
 
 CHUNK_S: Final = 0.005
-"""Wall time after which a chunk is closed; with the time that this takes, what a kill can cost."""
+"""Wall time after which a chunk is closed. A killed run loses this time plus the time to write a chunk."""
 
 FORMAT: Final = "2"
-"""Version of what a log holds; a reader refuses one that it does not know."""
+"""Version of the format; a reader refuses others."""
 
 FORMAT_RECORD: Final = "marsarm.format"
 HEADER_RECORD: Final = "marsarm.header"
 CHANNELS_KEY: Final = "channels"
-"""Of the header: what every channel is, by topic, so that a reader needs no schema or channel record."""
+"""Key of the header: every channel by topic, so that a reader needs no schema or channel record."""
 
 LAYOUT_KEY: Final = "layout"
 TRUTH_KEY: Final = "truth"
 TRUTH_TEXT: Final = "the plant's own state; flight software never sees it"
 DERIVED_KEY: Final = "derived"
-"""Of a channel's metadata: it was computed from other channels, for the tools of others."""
+"""Key of the metadata of a channel that was computed from other channels, for other tools."""
 EVR_TOPIC: Final = "/evr"
 COMMAND_TOPIC: Final = "/command"
+SENSOR_TOPIC: Final = "/sensors"
 
 
 def header_crc32(header: Mapping[str, str]) -> str:
-    """The check of a header; MCAP has none for metadata in a file cut short."""
+    """Compute the CRC of a header; MCAP has none for metadata in a truncated file."""
     return str(zlib.crc32(json.dumps(dict(header), sort_keys=True).encode()))

@@ -1,4 +1,4 @@
-"""What a log's header says of its run: what made it, and all that flight software began with."""
+"""Header of a log: software, processor, start conditions of flight software, commands and plant."""
 
 import ctypes
 import hashlib
@@ -28,13 +28,13 @@ from sim.scenario.effects import effect_text
 
 @cache
 def cpu_features() -> tuple[str, ...]:
-    """The machine, the instruction sets that numpy makes use of, and whose kernels its OpenBLAS does."""
-    used = sorted(name for name, there in NUMPY_FEATURES.items() if there)
-    return (platform.machine(), *used, f"OpenBLAS {_blas_kernels()}")
+    """Return the machine, the instruction sets that numpy uses, and the kernels of its OpenBLAS."""
+    features = sorted(name for name, is_used in NUMPY_FEATURES.items() if is_used)
+    return (platform.machine(), *features, f"OpenBLAS {_blas_kernels()}")
 
 
 def _blas_kernels() -> str:
-    """Other kernels are what changes last digits; "unknown" where numpy has another linear algebra."""
+    """Return the kernels of OpenBLAS, which decide the last digits of sums; "unknown" for another library."""
     folder = Path(np.__file__).parents[1] / "numpy.libs"
     for library in sorted(folder.glob("libscipy_openblas*")):
         try:
@@ -49,7 +49,7 @@ def _blas_kernels() -> str:
 REPOSITORY: Final = Path(__file__).resolve().parents[2]
 GIT_TIMEOUT_S: Final = 5.0
 SESSION: Final = "session"
-"""Header key: what was done under which conditions, in JSON, for a diagnosis of the gap."""
+"""Key of the header: motion and conditions of a session as JSON, for the diagnosis."""
 
 
 def run_header(
@@ -60,12 +60,18 @@ def run_header(
     commands: Sequence[Command],
     effects: Sequence[Effect] = (),
 ) -> dict[str, str]:
-    """The header of a run that has not begun; `commands` is what it is going to be asked.
+    """Return the header of a run that has not begun.
 
-    `effects` are those that were switched on beyond what the arm's name says.
+    Args:
+        loop: Flight software and plant at tick 0.
+        arm: Name of the arm.
+        seed: Seed of the run.
+        request: Request that the run carries out.
+        commands: Commands of the run.
+        effects: Effects that are switched on in addition to those of the arm.
 
     Raises:
-        ValueError: the run has begun; what flight software began with is gone.
+        ValueError: the run has begun, so the start conditions are no longer known.
     """
     return {
         **flight_header(loop, commands),
@@ -78,7 +84,7 @@ def run_header(
 
 
 def flight_header(loop: ClosedLoop, commands: Sequence[Command]) -> dict[str, str]:
-    """The part of it that tells nothing of the plant: all that flight software began with and is asked.
+    """Return the part of the header that knows nothing of the plant: versions, start conditions and commands.
 
     Raises:
         ValueError: the run has begun.
@@ -93,7 +99,7 @@ def flight_header(loop: ClosedLoop, commands: Sequence[Command]) -> dict[str, st
 
 
 def versions_header() -> dict[str, str]:
-    """The software and the processor that make a log."""
+    """Return the versions of the software, and the processor."""
     return {
         "marsarm": version("marsarm"),
         "mujoco": mujoco.__version__,
@@ -105,9 +111,12 @@ def versions_header() -> dict[str, str]:
 
 
 def start_header(params: Params, mode: Mode, reference: Reference | None) -> dict[str, str]:
-    """All that flight software begins with: what replay needs beside sensors and commands.
+    """Return the start conditions of flight software: all that replay needs besides sensors and commands.
 
-    `reference` is what is remembered of the joints, None for nothing.
+    Args:
+        params: Parameters.
+        mode: First mode.
+        reference: Stored reference of the joints; None if there is none.
     """
     boot = {"mode": mode.name, "reference": None if reference is None else record_to_json(reference)}
     return {
@@ -118,13 +127,13 @@ def start_header(params: Params, mode: Mode, reference: Reference | None) -> dic
 
 
 def commands_header(commands: Sequence[Command]) -> dict[str, str]:
-    """A command sequence and its digest."""
+    """Return a command sequence and its digest."""
     text = json.dumps([{"type": type(c).__name__, "fields": record_to_json(c)} for c in commands])
     return {"commands": text, "commands_sha256": hashlib.sha256(text.encode()).hexdigest()}
 
 
 def model_digest(model: mujoco.MjModel) -> str:
-    """SHA-256 of the compiled plant: the files of models/mjcf, the world, and what effects made of them."""
+    """Compute the SHA-256 of the compiled plant: models/mjcf, the world and the effects."""
     content = np.empty(mujoco.mj_sizeModel(model), np.uint8)
     mujoco.mj_saveModel(model, None, content)
     return hashlib.sha256(content.data).hexdigest()
@@ -132,7 +141,7 @@ def model_digest(model: mujoco.MjModel) -> str:
 
 @cache
 def git_revision() -> str:
-    """The commit of this tree, "-dirty" appended if files of it are changed; "unknown" outside of git."""
+    """Return the commit of this tree, with "-dirty" if files are changed; "unknown" outside of git."""
     if not (REPOSITORY / ".git").exists():
         return "unknown"
     command = ["git", "-C", str(REPOSITORY), "describe", "--always", "--abbrev=40", "--dirty", "--exclude=*"]

@@ -1,10 +1,9 @@
-"""What a log holds, in numbers: its run as a whole, and each of its channels."""
+"""Summary of a log, selection of its channels by pattern, and the range of a channel."""
 
 import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from typing import Final
 
 import numpy as np
@@ -14,21 +13,22 @@ from fsw.dictionary.evrs import Severity
 from ground.common.fields import unit_of
 from ground.telemetry.format import TICK_NS
 from ground.telemetry.read import Log
+from ground.telemetry.topics import channel_matches
 from sim.scenario.names import did_you_mean
 
 MAX_LOG_S: Final = 9e9
-"""No log is as long; its nanoseconds still have room in eight bytes."""
+"""Limit of log times; its nanoseconds fit in eight bytes."""
 INDEXED_PATTERN: Final = re.compile(r"(.*)\[([0-9]{1,9}(?:,[0-9]{1,9})*)\]")
-"""A pattern with the place of one number behind it."""
+"""Pattern of a channel, followed by the index of one number."""
 
 
 class NoSuchChannel(ValueError):
-    """A log has no channel, or no topic, that this name fits."""
+    """Error of a name or pattern that matches no channel or topic of a log."""
 
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
-    """One topic of a log; `rate_hz` is over the whole log."""
+    """Topic of a log; `rate_hz` is the mean over the whole log."""
 
     name: str
     messages: int
@@ -38,64 +38,63 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class LogInfo:
-    """A log as a whole; `cycles` counts those in which anything was written."""
+    """Summary of a log; `cycles` counts the cycles with at least one message."""
 
     first_s: float | None
     duration_s: float
     cycles: int
     topics: tuple[TopicInfo, ...]
     evrs: dict[str, int]
-    """How many of each severity there are, the gravest first."""
+    """Number of EVRs by severity, the severest first."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChannelSeries:
-    """A field of a packet, or one number of it, over the whole log.
-
-    `values` has shape (n, ...), one for each of `time_ns`.
-    """
+    """Field of a packet, or one number of it, over the whole log."""
 
     topic: str
     field: str
     time_ns: NDArray[np.uint64]
+    """Log time of each message, shape (n,)."""
     values: NDArray[np.generic]
+    """Value in each message, shape (n, ...)."""
     is_truth: bool
-    place: tuple[int, ...] = ()
-    """Which number of the field it is; () for the whole field."""
+    index: tuple[int, ...] = ()
+    """Index of the number in its field; () for the whole field."""
 
     @property
     def name(self) -> str:
-        """What it is called everywhere: /joint.motor_rad, /joint.motor_rad[2]."""
-        return f"{self.topic}.{self.field}{index_text(self.place)}"
+        """Name of the channel: /joint.motor_rad or /joint.motor_rad[2]."""
+        return f"{self.topic}.{self.field}{index_text(self.index)}"
 
     @property
     def unit(self) -> str | None:
-        """From the suffix of the name, "1" for a pure number; None where the name tells none."""
+        """Unit that the suffix of the name gives; "1" for a pure number, None without a suffix."""
         return unit_of(self.field)
 
     @property
     def type_name(self) -> str:
-        """Kind of number and shape: float64[5]."""
+        """Type and shape: float64[5]."""
         shape = "".join(f"[{n}]" for n in self.values.shape[1:])
         return f"{self.values.dtype.base.name}{shape}"
 
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """The finite values of a channel; None where there are none."""
+    """Range of the finite values of a channel; None if there are none."""
 
     low: float | int | None
     high: float | int | None
     not_finite: int
 
 
-def index_text(place: tuple[int, ...]) -> str:
-    """How one number of a field is told from the others, as in tables: [2], [0,1]; nothing for ()."""
-    return f"[{','.join(map(str, place))}]" if place else ""
+def index_text(index: tuple[int, ...]) -> str:
+    """Format the index of one number of a field: "[2]" or "[0,1]"; empty for ()."""
+    return f"[{','.join(map(str, index))}]" if index else ""
 
 
 def summarize_log(log: Log) -> LogInfo:
-    """The log in a few numbers."""
+    """Summarize a log."""
     times = [time_ns for time_ns in log.time_ns.values() if len(time_ns)]
     cycles = np.unique(np.concatenate(times)) if times else np.zeros(0, np.uint64)
     duration_s = (int(cycles[-1]) - int(cycles[0]) + TICK_NS) / 1e9 if len(cycles) else 0.0
@@ -109,12 +108,20 @@ def summarize_log(log: Log) -> LogInfo:
         duration_s=duration_s,
         cycles=len(cycles),
         topics=tuple(topics),
-        evrs={severity_name(grade): counts[grade] for grade in sorted(counts, reverse=True)},
+        evrs={severity_name(severity): counts[severity] for severity in sorted(counts, reverse=True)},
     )
 
 
 def bound_ns(option: str, time_s: float | None) -> int | None:
-    """A bound of log time; NoSuchChannel where it is no time that a log can have."""
+    """Convert a bound of log time to nanoseconds; None stays None.
+
+    Args:
+        option: Name of the bound, for the message.
+        time_s: Log time.
+
+    Raises:
+        NoSuchChannel: no log has this time.
+    """
     if time_s is None:
         return None
     if not 0.0 <= time_s < MAX_LOG_S:
@@ -122,18 +129,19 @@ def bound_ns(option: str, time_s: float | None) -> int | None:
     return round(time_s * 1e9)
 
 
-def severity_name(grade: int) -> str:
-    """A severity by name; its number where this dictionary has none."""
-    return Severity(grade).name if grade in list(Severity) else str(grade)
+def severity_name(severity: int) -> str:
+    """Return the name of a severity, or its number if the dictionary does not know it."""
+    return Severity(severity).name if severity in list(Severity) else str(severity)
 
 
 def select_channels(log: Log, globs: Sequence[str] = ()) -> tuple[ChannelSeries, ...]:
-    """The channels that any of these patterns fits, in the order of the patterns; all without one.
+    """Select the channels that match any of some patterns, in their order; all without a pattern.
 
-    A pattern is as /joint.motor_rad, or /joint/motor_rad, * being any letters; [2] behind it is one number.
+    A pattern is /joint.motor_rad or /joint/motor_rad. `*` stands for any letters. An index such as [2] at the
+    end selects one number.
 
     Raises:
-        NoSuchChannel: a pattern fits none.
+        NoSuchChannel: a pattern matches no channel.
     """
     every = [
         ChannelSeries(topic, name, log.time_ns[topic], packets[name], topic in log.truth)
@@ -142,42 +150,42 @@ def select_channels(log: Log, globs: Sequence[str] = ()) -> tuple[ChannelSeries,
     ]
     found: dict[str, ChannelSeries] = {}
     for glob in globs or ("*",):
-        fitting = _matching(every, glob)
-        if not fitting and globs:
+        matching = _matching(every, glob)
+        if not matching and globs:
             hint, _, _ = did_you_mean(glob, [one.name for one in every]).rpartition("there are ")
             raise NoSuchChannel(
                 f"log {log.path} has no channel {glob}; {hint}`marsarm log channels {log.path}` lists them, "
                 "and a pattern is written as '/joint.motor_rad*' or '/joint.motor_rad[2]'"
             )
-        found |= {one.name: one for one in fitting}
+        found |= {one.name: one for one in matching}
     return tuple(found.values())
 
 
 def _matching(every: Sequence[ChannelSeries], glob: str) -> list[ChannelSeries]:
-    """The channels, or numbers of them, that a pattern fits."""
-    numbered = INDEXED_PATTERN.fullmatch(glob)
-    if numbered is not None:
-        base, place = numbered[1], tuple(map(int, numbered[2].split(",")))
-        return [_select_number(one, place) for one in every if _fits(one, base) and _has_index(one, place)]
-    return [one for one in every if _fits(one, glob)]
+    """Return the channels, or single numbers of them, that match a pattern."""
+    indexed = INDEXED_PATTERN.fullmatch(glob)
+    if indexed is not None:
+        base, index = indexed[1], tuple(map(int, indexed[2].split(",")))
+        return [
+            _select_number(one, index)
+            for one in every
+            if channel_matches(one.topic, one.field, base) and _has_index(one, index)
+        ]
+    return [one for one in every if channel_matches(one.topic, one.field, glob)]
 
 
-def _fits(channel: ChannelSeries, glob: str) -> bool:
-    return any(fnmatchcase(f"{channel.topic}{mark}{channel.field}", glob) for mark in "./")
-
-
-def _has_index(channel: ChannelSeries, place: tuple[int, ...]) -> bool:
+def _has_index(channel: ChannelSeries, index: tuple[int, ...]) -> bool:
     shape = channel.values.shape[1:]
-    return len(shape) == len(place) and all(k < size for k, size in zip(place, shape, strict=True))
+    return len(shape) == len(index) and all(k < size for k, size in zip(index, shape, strict=True))
 
 
-def _select_number(channel: ChannelSeries, place: tuple[int, ...]) -> ChannelSeries:
-    index: tuple[slice | int, ...] = (slice(None), *place)
-    return replace(channel, values=channel.values[index], place=place)
+def _select_number(channel: ChannelSeries, index: tuple[int, ...]) -> ChannelSeries:
+    key: tuple[slice | int, ...] = (slice(None), *index)
+    return replace(channel, values=channel.values[key], index=index)
 
 
 def range_of(channel: ChannelSeries) -> Range:
-    """The least and the greatest value, and how many are NaN or infinite."""
+    """Return the smallest and the largest finite value, and the number of NaN and infinite values."""
     values = channel.values
     if values.dtype.kind == "b":
         values = values.astype(np.int8)

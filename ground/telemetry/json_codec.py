@@ -1,4 +1,4 @@
-"""Records as JSON has them, and back again, exactly: commands, parameters, what flight software remembers."""
+"""JSON codec of records such as commands, parameters and the reference of the joints; it is exact."""
 
 from dataclasses import MISSING, Field, fields, is_dataclass
 from enum import IntEnum
@@ -7,39 +7,54 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import numpy as np
 
 from fsw.dictionary.commands import Command
-from ground.telemetry.events import json_value
+from ground.telemetry.errors import SchemaError
 from ground.telemetry.topics import strip_optional
 
 COMMAND_TYPES: dict[str, type[Command]] = {kind.__name__: kind for kind in get_args(Command)}
 
 
 class BadJson(ValueError):
-    """JSON that does not fit the record it is to be; the message says where and what would."""
+    """Error of JSON that does not fit its record; the message says where, and what would be right."""
 
 
 def record_to_json(value: Any) -> Any:
-    """A record in JSON's words: fields by name, enums by name, tuples and arrays as lists.
+    """Encode a record, or a value in it, as JSON: fields by name, enums by name, tuples and arrays as lists.
 
-    Floats are written so that they read back bit for bit; NaN and infinities as Python's JSON has them.
+    Floats read back bit for bit. NaN and infinities are written as Python's `json` writes them.
 
     Raises:
-        SchemaError: JSON has no word for something in it.
+        SchemaError: a value has no JSON type.
     """
-    if is_dataclass(value):
-        return {f.name: record_to_json(getattr(value, f.name)) for f in fields(value)}
-    if isinstance(value, tuple):
-        return [record_to_json(item) for item in value]
-    return json_value(value)
+    match value:
+        case IntEnum():
+            return value.name
+        case None | bool() | int() | float() | str():
+            return value
+        case tuple() | list():
+            return [record_to_json(item) for item in value]
+        case _ if is_dataclass(value):
+            return {f.name: record_to_json(getattr(value, f.name)) for f in fields(value)}
+        case _ if hasattr(value, "tolist"):  # numpy arrays and scalars
+            return value.tolist()
+        case _:
+            raise SchemaError(f"{type(value).__name__} in a command or EVR; use numbers, text, enums, tuples")
 
 
 def record_from_json(kind: Any, value: Any, place: str, notes: list[str], base: Any = None) -> Any:
-    """The record of a type that `record_to_json` put into JSON's words.
+    """Decode a value of a type that `record_to_json` encoded.
 
-    A record made by another version may lack a field, which is then that of `base` or its default, or have
-    one that is gone, which is left out; `notes` gets a sentence for each.
+    Another version may have written other fields. Unknown fields are left out; missing fields are taken from
+    `base` or from their defaults.
+
+    Args:
+        kind: Type of the value: a record, or the annotation of a field.
+        value: Parsed JSON.
+        place: Dotted name of the value, for messages.
+        notes: List that receives a sentence for each unknown or missing field.
+        base: Record that gives missing fields; None for the defaults.
 
     Raises:
-        NotPlain: a value is not of its type, or a field is missing.
+        BadJson: a value is not of its type, or a field is missing and has no default.
     """
     kind = strip_optional(kind)
     origin = get_origin(kind)
@@ -53,7 +68,7 @@ def record_from_json(kind: Any, value: Any, place: str, notes: list[str], base: 
         return _check_choice(get_args(kind), value, place)
     if issubclass(kind, IntEnum):
         return kind[_check_choice(tuple(kind.__members__), value, place)]
-    # A whole number stands for a float where a person wrote one; it stays what it was.
+    # A person may write an integer where a float is due; it stays an integer.
     if not isinstance(value, (int, float) if kind is float else kind) or (
         isinstance(value, bool) and kind is not bool
     ):
@@ -62,10 +77,10 @@ def record_from_json(kind: Any, value: Any, place: str, notes: list[str], base: 
 
 
 def command_from_json(name: str, arguments: Any, notes: list[str]) -> Command:
-    """The command of this name with these arguments.
+    """Decode a command from its name and its arguments.
 
     Raises:
-        NotPlain: there is no such command, or an argument is wrong.
+        BadJson: there is no such command, or an argument is wrong.
     """
     kind = COMMAND_TYPES[_check_choice(tuple(COMMAND_TYPES), name, "command")]
     command: Command = record_from_json(kind, arguments, name, notes)
@@ -109,7 +124,7 @@ def _decode_tuple(kinds: tuple[Any, ...], value: Any, place: str, notes: list[st
 
 
 def _decode_array(dtype: np.dtype[Any], value: Any, place: str) -> Any:
-    """One row of flags or floats."""
+    """Decode an array of one dimension, of flags or floats."""
     kinds = (bool,) if dtype.kind == "b" else (int, float)
     if not isinstance(value, list) or not all(type(item) in kinds for item in value):
         raise BadJson(f"{place}: {value!r:.80} is no list of {dtype}")

@@ -1,4 +1,4 @@
-"""What a damaged log has lost, and the error that tells it."""
+"""Messages that a damaged log has lost, as records, text and metadata; and the error of such a log."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -6,42 +6,42 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
-from ground.telemetry.errors import LogCorrupt
+from ground.telemetry.errors import LogError
 from ground.telemetry.format import header_crc32
 
 RECOVERED_RECORD: Final = "marsarm.recovered"
-"""Metadata of a recovered log: what could not be saved."""
+"""Name of the metadata that lists what a recovered log has lost."""
 MAX_SPANS: Final = 3
-"""So many spans of time are named in a sentence."""
+"""Spans of time that one sentence names."""
 
 
 @dataclass(frozen=True, slots=True)
 class LostMessages:
-    """Messages that were written and cannot be read any more; None where nothing tells."""
+    """Messages that were written and cannot be read any more; None stands for unknown."""
 
     topic: str | None
-    """None: of all topics."""
+    """Topic of the messages; None for all topics."""
     count: int | None
     after_ns: int | None
-    """Log time of the last message in front of the damage; None: it is at the beginning."""
+    """Log time of the last message before the damage; None if the damage is at the beginning."""
     before_ns: int | None
-    """Log time of the first message behind the damage; None: nothing follows."""
+    """Log time of the first message after the damage; None if no message follows."""
 
     @property
     def sentence(self) -> str:
-        """What was lost, in words."""
+        """Sentence: how many messages of which topic were lost, and when."""
         count = "an unknown number of" if self.count is None else str(self.count)
         messages = "message" if self.count == 1 else "messages"
         return f"{count} {messages} of {self.topic or 'all topics'} lost, {self.when}"
 
     @property
     def when(self) -> str:
-        """The span of time, in words."""
+        """Span of log time as text."""
         return span_text(self.after_ns, self.before_ns)
 
 
 def span_text(after_ns: int | None, before_ns: int | None) -> str:
-    """A span of log time in words."""
+    """Format a span of log time."""
     match after_ns, before_ns:
         case None, None:
             return "at an unknown time"
@@ -54,12 +54,12 @@ def span_text(after_ns: int | None, before_ns: int | None) -> str:
 
 
 def trailing_bytes_text(size: int) -> str:
-    """What is said of a file that goes on behind the end of its log."""
+    """Format the note about bytes after the end of the log."""
     return f"{size} bytes behind the end of the log are left out; a file holds one log"
 
 
 def summarize_losses(lost: Sequence[LostMessages]) -> str:
-    """All that was lost in one clause: how much of which topics, and when."""
+    """Summarize all losses in one clause: how many messages of which topics, and when."""
     if not lost:
         return "no message was lost"
     known = sum(one.count or 0 for one in lost)
@@ -72,13 +72,17 @@ def summarize_losses(lost: Sequence[LostMessages]) -> str:
 
 
 def loss_metadata(lost: Sequence[LostMessages]) -> dict[str, str]:
-    """The metadata that says in a recovered log what was lost, with its CRC."""
-    said = {"lost": json.dumps([asdict(one) for one in lost])}
-    return said | {"crc32": header_crc32(said)}
+    """Return the metadata that lists the losses in a recovered log, with a CRC."""
+    record = {"lost": json.dumps([asdict(one) for one in lost])}
+    return record | {"crc32": header_crc32(record)}
 
 
 def losses_in(record: Mapping[str, str]) -> tuple[LostMessages, ...]:
-    """What `loss_metadata` said, nothing for an empty record; ValueError or TypeError for any other."""
+    """Read the metadata that `loss_metadata` made; an empty record lists no loss.
+
+    Raises:
+        ValueError, TypeError: the record is damaged.
+    """
     if not record:
         return ()
     if record.get("crc32") != header_crc32({"lost": record.get("lost", "")}):
@@ -86,9 +90,14 @@ def losses_in(record: Mapping[str, str]) -> tuple[LostMessages, ...]:
     return tuple(LostMessages(**one) for one in json.loads(record["lost"]))
 
 
-class LogDamaged(LogCorrupt):  # says what is so
-    """The bytes of a log are not those that were written; `lost` is what cannot be read for it."""
+class LogDamaged(LogError):
+    """Error of a log whose bytes changed after it was written."""
 
     def __init__(self, path: Path, why: str, offset: int, lost: Sequence[LostMessages]) -> None:
-        super().__init__(path, f"{why}, {summarize_losses(lost)}", offset)
+        """Compose the message; `offset` is the byte where the damage shows, `lost` what cannot be read."""
+        advice = (
+            "the file was changed after it was written, and `marsarm log recover` saves what is undamaged"
+        )
+        super().__init__(path, f"{why}, {summarize_losses(lost)} (byte {offset}); {advice}")
+        self.offset = offset
         self.lost = tuple(lost)

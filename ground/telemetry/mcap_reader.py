@@ -1,4 +1,4 @@
-"""The container: takes an MCAP log of ours apart and sees that its records are as written."""
+"""Reader of the MCAP container: splits a marsarm log into records, and checks that they are as written."""
 
 import struct
 import zlib
@@ -20,20 +20,20 @@ from ground.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, header
 
 RECORD_HEAD: Final = struct.Struct("<BQ")
 CHUNK_HEAD: Final = struct.Struct("<QQQII4sQ")
-"""First and last log time, size and CRC unpacked, length and name of the compression, length of the data."""
+"""Head of a chunk: first and last log time, size and CRC decompressed, name of the compression, data size."""
 
 FOOTER_SIZE: Final = RECORD_HEAD.size + 8 + 8 + 4
 
 MESSAGE_INDEX: Final = int(Opcode.MESSAGE_INDEX)
-"""As a plain number: most records of a log are such, and an enum takes its time."""
+"""Opcode as an int: most records are message indexes, and an enum compares slowly."""
 
 ENTRIES_SIZE: Final = struct.Struct("<I")
 
 MAX_CHUNK_BYTES: Final = 1 << 26
-"""Bytes that a chunk may claim to unpack to; ours have a million at most."""
+"""Limit of the decompressed size that a chunk may claim; the recorder writes a million bytes at most."""
 
 MAX_UNPACKED_BYTES: Final = 1 << 33
-"""Bytes that are unpacked at once: a day of telemetry. Zeros pack so well that a file claims any number."""
+"""Limit of bytes decompressed at once: a day of telemetry. A small file of zeros could claim any size."""
 
 PARSE_ERRORS: Final = (
     McapError,
@@ -45,15 +45,15 @@ PARSE_ERRORS: Final = (
     TypeError,
     AttributeError,
 )
-"""What broken bytes raise in what takes them apart; ValueError covers CRC, Unicode and JSON."""
+"""Errors that damaged bytes raise in a parser; ValueError includes CRC, Unicode and JSON."""
 
 
 Span = tuple[int, int]
-"""Where something begins and ends in the file."""
+"""First byte in the file, and the byte after the last."""
 
 
 class CorruptData(Exception):
-    """The bytes at `offset` are not those that were written."""
+    """Error of bytes at `offset` that changed after they were written."""
 
     def __init__(self, why: str, offset: int) -> None:
         super().__init__(why)
@@ -63,7 +63,7 @@ class CorruptData(Exception):
 
 @dataclass(frozen=True, slots=True)
 class ChunkLocation:
-    """A chunk in the file: its record begins at `at`, its compressed data is `begin` to `end`."""
+    """Location of a chunk in the file: its record begins at `at`, its compressed data is `begin` to `end`."""
 
     at: int
     begin: int
@@ -76,26 +76,26 @@ class ChunkLocation:
 
 @dataclass(slots=True)
 class McapContent:
-    """What a log consists of: metadata by name, chunks and the entries of their message indexes."""
+    """Records of a log: metadata by name, chunks and the entries of their message indexes."""
 
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     chunks: list[ChunkLocation] = field(default_factory=list)
     indexes: list[list[Span]] = field(default_factory=list)
-    """For each chunk, by channel: where log time and offset of each message stand, eight bytes each."""
+    """Spans of the index entries of each chunk; an entry is log time and offset, eight bytes each."""
     complete: bool = False
-    """The CRC of all that the run wrote holds."""
+    """True if the CRC of the data section matches."""
     closed: bool = False
-    """Complete, and ended as MCAP files end."""
+    """True if the log is complete and has the end of an MCAP file."""
     data_end: int = 0
-    """Where the records of the run end; a closed log has its summary there."""
-    behind: int = 0
-    """Bytes behind the end of a closed log, which are no part of it."""
+    """Byte where the data section ends; a closed log has its summary there."""
+    trailing_bytes: int = 0
+    """Bytes after the end of a closed log; they are not part of it."""
     crc_holds: bool = True
-    """False where the run ends with another CRC than its bytes have."""
+    """False if the data section has a CRC that does not match."""
 
 
 def iter_records(data: bytes, at: int) -> Iterator[tuple[int, int, memoryview]]:
-    """Offset, opcode and content of the complete MCAP records in `data` from byte `at`."""
+    """Yield offset, opcode and content of each complete MCAP record in `data` from byte `at` on."""
     view, size = memoryview(data), len(data)
     while at + RECORD_HEAD.size <= size:
         opcode, length = RECORD_HEAD.unpack_from(data, at)
@@ -107,7 +107,11 @@ def iter_records(data: bytes, at: int) -> Iterator[tuple[int, int, memoryview]]:
 
 
 def parse_chunk(data: bytes, at: int, length: int) -> ChunkLocation:
-    """The chunk whose record begins at `at`; ValueError for what no chunk of ours says of itself."""
+    """Parse the head of the chunk whose record begins at `at`.
+
+    Raises:
+        ValueError: the recorder writes no such chunk.
+    """
     head = at + RECORD_HEAD.size
     first_ns, last_ns, size, crc32, name_length, name, packed = CHUNK_HEAD.unpack_from(data, head)
     if name_length != 4 or name != b"zstd" or size > MAX_CHUNK_BYTES or packed != length - CHUNK_HEAD.size:
@@ -117,7 +121,11 @@ def parse_chunk(data: bytes, at: int, length: int) -> ChunkLocation:
 
 
 def add_record(found: McapContent, data: bytes, at: int, opcode: int, body: memoryview) -> None:
-    """Add one record; ValueError for one that a log of ours does not have at its top level."""
+    """Parse one record and add it to `found`.
+
+    Raises:
+        ValueError: a marsarm log has no such record at its top level.
+    """
     match opcode:
         case Opcode.CHUNK:
             found.chunks.append(parse_chunk(data, at, len(body)))
@@ -128,47 +136,56 @@ def add_record(found: McapContent, data: bytes, at: int, opcode: int, body: memo
         case Opcode.HEADER if at == len(MCAP0_MAGIC):
             pass
         case Opcode.DATA_END:
-            # A CRC of zero is MCAP's word for none, but ours always have one.
+            # In MCAP a CRC of 0 means none, but the recorder always writes one.
             crc32 = DataEnd.read(ReadDataStream(BytesIO(body))).data_section_crc
             found.crc_holds = found.complete = crc32 == compute_crc32(data, 0, at)
             end = find_log_end(data, at)
             found.closed = found.complete and end is not None
-            found.behind = 0 if end is None else len(data) - end
+            found.trailing_bytes = 0 if end is None else len(data) - end
         case _:
             raise ValueError(f"a record with opcode {opcode} and {len(body)} bytes has no place here")
 
 
 def check_header(path: Path, found: McapContent) -> None:
-    """See that this is a log of ours, of a format known here, with its header as written."""
-    ours = found.metadata.get(FORMAT_RECORD)
-    if ours is None:
+    """Check that a file is a marsarm log of a known format, and that its header matches its CRC.
+
+    Raises:
+        LogNotReadable: it is not, or it ends before its header.
+        CorruptData: the header does not match its CRC.
+    """
+    about = found.metadata.get(FORMAT_RECORD)
+    if about is None:
         raise LogNotReadable(path, "an MCAP file, but not a marsarm log, or cut short before its header")
-    if ours.get("version") != FORMAT:
-        raise LogNotReadable(path, f"log format {ours.get('version')}; this marsarm reads format {FORMAT}")
+    if about.get("version") != FORMAT:
+        raise LogNotReadable(path, f"log format {about.get('version')}; this marsarm reads format {FORMAT}")
     if HEADER_RECORD not in found.metadata:
         raise LogNotReadable(path, "cut short before the end of its header; it holds no cycle")
-    if header_crc32(found.metadata[HEADER_RECORD]) != ours.get("header_crc32"):
+    if header_crc32(found.metadata[HEADER_RECORD]) != about.get("header_crc32"):
         raise CorruptData("the header does not match its CRC", len(MCAP0_MAGIC))
 
 
 def read_records(path: Path, data: bytes) -> McapContent:
-    """Take apart a file that begins with MCAP's magic; chunks are found, not yet unpacked.
+    """Split a file that begins with the magic of MCAP into records; chunks are located, not decompressed.
 
     Raises:
-        LogNotReadable: it is not a log of ours.
-        NotAsWritten: a record is not as written.
+        LogNotReadable: it is not a marsarm log.
+        CorruptData: a record is damaged.
     """
-    found, headed, at = McapContent(data_end=len(MCAP0_MAGIC)), False, 0
+    found, has_header, at = McapContent(data_end=len(MCAP0_MAGIC)), False, 0
     try:
         for at, opcode, body in iter_records(data, len(MCAP0_MAGIC)):
-            # Most records are such, so they come first; the length tells one from a chunk that lost a bit.
-            if opcode == MESSAGE_INDEX and headed and len(body) == 6 + ENTRIES_SIZE.unpack_from(body, 2)[0]:
+            # Most records are message indexes. The length check excludes a chunk whose opcode lost a bit.
+            if (
+                opcode == MESSAGE_INDEX
+                and has_header
+                and len(body) == 6 + ENTRIES_SIZE.unpack_from(body, 2)[0]
+            ):
                 begin = at + RECORD_HEAD.size
                 found.indexes[-1].append((begin + 6, begin + len(body)))
                 continue
-            if not headed and opcode not in (Opcode.HEADER, Opcode.METADATA):
+            if not has_header and opcode not in (Opcode.HEADER, Opcode.METADATA):
                 check_header(path, found)
-                headed = True
+                has_header = True
             add_record(found, data, at, opcode, body)
             if opcode == Opcode.DATA_END:
                 found.data_end = at
@@ -183,18 +200,18 @@ def read_records(path: Path, data: bytes) -> McapContent:
 
 
 def find_log_end(data: bytes, begin: int) -> int | None:
-    """Where the log ends that `begin` is in: behind the next magic; None where there is none."""
+    """Find the end of the log that contains byte `begin`, after the next magic; None without a magic."""
     found = data.find(MCAP0_MAGIC, begin)
     return None if found < 0 else found + len(MCAP0_MAGIC)
 
 
 def compute_crc32(data: bytes, begin: int, end: int) -> int:
-    """The CRC of a part, without a copy."""
+    """Compute the CRC of a part without copying it."""
     return zlib.crc32(memoryview(data)[begin:end])
 
 
 def read_summary(data: bytes) -> list[tuple[int, bytes]]:
-    """Opcode and content of the records in a closed log's summary; nothing where its CRC does not hold."""
+    """Return opcode and content of the records in the summary of a log; empty if its CRC does not match."""
     at = len(data) - len(MCAP0_MAGIC) - FOOTER_SIZE
     try:
         opcode, length = RECORD_HEAD.unpack_from(data, at)
@@ -202,14 +219,18 @@ def read_summary(data: bytes) -> list[tuple[int, bytes]]:
     except PARSE_ERRORS:
         return []
     begin = footer.summary_start
-    whole = opcode == Opcode.FOOTER and length == FOOTER_SIZE - RECORD_HEAD.size and 0 < begin <= at
+    is_footer = opcode == Opcode.FOOTER and length == FOOTER_SIZE - RECORD_HEAD.size and 0 < begin <= at
     # The footer's own CRC is its last field.
-    if not whole or footer.summary_crc != compute_crc32(data, begin, at + FOOTER_SIZE - 4):
+    if not is_footer or footer.summary_crc != compute_crc32(data, begin, at + FOOTER_SIZE - 4):
         return []
     return [(code, bytes(body)) for _, code, body in iter_records(data[:at], begin)]
 
 
 def parse_channel(body: bytes | memoryview) -> Channel:
-    """A channel record; one of NOT_AS_WRITTEN where it is none."""
+    """Parse a channel record.
+
+    Raises:
+        Exception: one of PARSE_ERRORS, if the record is damaged.
+    """
     channel: Channel = Channel.read(ReadDataStream(BytesIO(body)))
     return channel

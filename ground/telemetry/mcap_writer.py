@@ -1,4 +1,4 @@
-"""The MCAP container as it is written: chunks with their indexes, and a summary at the end."""
+"""Writer of the MCAP container: chunks with their message indexes, and a summary at the end."""
 
 import struct
 import zlib
@@ -28,29 +28,29 @@ from zstandard import ZstdCompressor
 from ground.telemetry.mcap_reader import CHUNK_HEAD, RECORD_HEAD
 
 COMPRESSION_LEVEL: Final = -5
-"""A log is an eighth larger than at level 1, and takes half the time."""
+"""Level of zstd: a log is an eighth larger than at level 1, and takes half the time."""
 INDEX_HEAD: Final = struct.Struct("<BQHI")
-"""Opcode, length of the rest, channel and bytes of entries of a message index."""
+"""Head of a message index: opcode, length of the rest, channel, bytes of entries."""
 FOOTER_HEAD: Final = struct.Struct("<BQQQ")
 MESSAGE_START: Final = struct.Struct("<BQH")
-"""Opcode, length of the rest, and channel of a message record."""
+"""Start of a message record: opcode, length of the rest, channel; constant for a fixed layout."""
 
 
 class RawFile(Protocol):
-    """What a log is written to: a file without a buffer of its own."""
+    """Unbuffered file."""
 
     def write(self, data: memoryview, /) -> int | None:
-        """Write some of the data and say how much."""
+        """Write a part of the data and return its size in bytes."""
 
     def truncate(self, size: int, /) -> int:
-        """Cut the file."""
+        """Truncate the file."""
 
     def close(self) -> None:
-        """End it."""
+        """Close the file."""
 
 
 class LogRow(NamedTuple):
-    """Message records of one time, back to back."""
+    """Message records of one log time, one after the other."""
 
     time_ns: int
     data: bytes
@@ -58,7 +58,7 @@ class LogRow(NamedTuple):
 
 @dataclass(slots=True)
 class McapState:
-    """What a file holds so far, as far as its growth and its summary need to know."""
+    """State of a file that is being written: all that the next chunk and the summary need."""
 
     size: int = 0
     crc: int = 0
@@ -69,10 +69,16 @@ class McapState:
     first_ns: int = 0
     last_ns: int = 0
     by_channel: dict[int, int] = field(default_factory=dict)
-    """Messages of each."""
+    """Messages so far, by channel."""
 
     def count(self, first_ns: int, last_ns: int, entries: Mapping[int, list[int]]) -> None:
-        """Count the messages of a chunk, a time and a place each."""
+        """Count the messages of a chunk.
+
+        Args:
+            first_ns: First log time.
+            last_ns: Last log time.
+            entries: Log time and offset of each message, by channel.
+        """
         self.first_ns = min(self.first_ns, first_ns) if self.by_channel else first_ns
         self.last_ns = max(self.last_ns, last_ns)
         for channel, numbers in entries.items():
@@ -80,7 +86,7 @@ class McapState:
 
 
 class McapWriter:
-    """A file that grows by whole chunks, each written at once; after any of them it can be read so far."""
+    """Writer of whole chunks; the file is readable after each."""
 
     def __init__(self, file: RawFile, written: McapState | None = None) -> None:
         self._file = file
@@ -90,7 +96,7 @@ class McapWriter:
     def begin(
         self, metadata: Sequence[Metadata], schemas: Sequence[Schema], channels: Sequence[Channel]
     ) -> None:
-        """Write what comes before any message; schemas and channels in a chunk, so that they have a CRC."""
+        """Write metadata, schemas and channels; the last two go into a chunk, so that they have a CRC."""
         self.written.schemas, self.written.channels = schemas, channels
         out, at = [MCAP0_MAGIC, encode_record(Header("", "marsarm"))], len(MCAP0_MAGIC)
         at += len(out[-1])
@@ -102,7 +108,7 @@ class McapWriter:
         self._write_chunk(b"".join(encode_record(one) for one in (*schemas, *channels)), 0, 0, {})
 
     def add_chunk(self, rows: Sequence[LogRow]) -> None:
-        """Write these messages, at least one, as one chunk with its message indexes."""
+        """Write one or more rows as one chunk with its message indexes."""
         entries: dict[int, list[int]] = defaultdict(list)
         at = 0
         for time_ns, data in rows:
@@ -115,7 +121,7 @@ class McapWriter:
         self.written.count(first_ns, last_ns, entries)
 
     def finish(self) -> None:
-        """Write the summary; the file is whole after it."""
+        """Write the summary, which completes the file."""
         end = encode_record(DataEnd(self.written.crc))
         groups: dict[Opcode, Sequence[McapRecord]] = {
             Opcode.SCHEMA: self.written.schemas,
@@ -136,7 +142,7 @@ class McapWriter:
         self._write(end + summary + encode_record(Footer(start, at, crc)) + MCAP0_MAGIC)
 
     def close(self) -> None:
-        """End the file as it is."""
+        """Close the file without a summary."""
         self._file.close()
 
     def _statistics(self) -> Statistics:
@@ -181,7 +187,11 @@ class McapWriter:
         self.written.chunks.append(index)
 
     def _write(self, data: bytes) -> None:
-        """Write all of it, or leave the file as it was and raise OSError."""
+        """Write all of the data, or restore the file.
+
+        Raises:
+            OSError: the disk is full or gone.
+        """
         rest = memoryview(data)
         try:
             while rest:
@@ -194,7 +204,7 @@ class McapWriter:
 
 
 def message_offsets(data: bytes) -> Iterator[tuple[int, int]]:
-    """Channel and beginning of each of these message records."""
+    """Yield channel and first byte of each message record."""
     at = 0
     while at < len(data):
         _, length, channel = MESSAGE_START.unpack_from(data, at)
@@ -203,7 +213,7 @@ def message_offsets(data: bytes) -> Iterator[tuple[int, int]]:
 
 
 def encode_record(record: McapRecord) -> bytes:
-    """The bytes of a record."""
+    """Encode a record."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]  # mcap annotates only part of itself

@@ -1,8 +1,8 @@
-"""Packets into MCAP message records, the one part of recording that a control cycle waits for.
+"""Packing of packets into MCAP message records, the only part of recording that a control cycle waits for.
 
-What costs time is the number of calls, not of bytes. So all numbers of a cycle are packed at once and cut
-apart, and one join puts them and the arrays, as they are, in their places. The join copies the arrays, so
-that nothing of the cycle is held on to.
+The cost is set by the number of calls, not of bytes. One call of struct packs all numbers of a cycle. The
+result is cut, and one join puts the pieces and the arrays in order. The join copies the arrays, so no
+reference to the cycle remains.
 """
 
 from collections.abc import Sequence
@@ -16,26 +16,32 @@ import numpy as np
 from mcap.opcode import Opcode
 
 from ground.telemetry.errors import SchemaError
+from ground.telemetry.mcap_writer import MESSAGE_START
 from ground.telemetry.schema import ENCAPSULATION, Layout
 
 MESSAGE_HEADER: Final = Struct("<BQHIQQ")
 """Opcode, length of the rest, channel, sequence, log time and publish time of a message record."""
-MESSAGE_START: Final = Struct("<BQH")
-"""What of it is the same for all messages of a channel whose length is fixed."""
 AFTER_LENGTH: Final = MESSAGE_HEADER.size - 9
+"""Bytes of the header after the length."""
 DTYPE: Final = attrgetter("dtype")
 STRUCT_CODES: Final = {"<i8": "q", "<f8": "d", "|b1": "?"}
-"""How struct writes a number that is no array."""
+"""Code of `struct` for a number of each numpy type."""
 
 
 def message_record(channel: int, sequence: int, time_ns: int, data: bytes) -> bytes:
-    """One message as an MCAP record."""
+    """Encode one message as an MCAP record."""
     head = MESSAGE_HEADER.pack(Opcode.MESSAGE, AFTER_LENGTH + len(data), channel, sequence, time_ns, time_ns)
     return head + data
 
 
 def number_messages(counts: dict[int, int], time_ns: int, messages: Sequence[tuple[int, bytes]]) -> bytes:
-    """The records of messages by channel, back to back; counts them."""
+    """Encode messages as MCAP records, one after the other, and number them by channel.
+
+    Args:
+        counts: Messages so far by channel; raised here.
+        time_ns: Log time of all messages.
+        messages: Channel and body of each message.
+    """
     records = []
     for channel, data in messages:
         records.append(message_record(channel, counts[channel], time_ns, data))
@@ -44,15 +50,15 @@ def number_messages(counts: dict[int, int], time_ns: int, messages: Sequence[tup
 
 
 def join_bytes(pieces: Sequence[Any]) -> bytes:
-    """Bytes and arrays, one after the other."""
+    """Join bytes and arrays, one after the other."""
     try:
         return b"".join(pieces)
-    except TypeError:  # an array in another order in memory than row by row
+    except TypeError:  # an array that does not lie row by row in memory
         return b"".join([p.tobytes() if isinstance(p, np.ndarray) else p for p in pieces])
 
 
 class PacketSource(NamedTuple):
-    """Where the packets of a channel are in the record of a cycle, as a dotted path."""
+    """Source of the packets of a channel: `path` is their dotted name in the record of a cycle."""
 
     path: str
     channel: int
@@ -60,7 +66,7 @@ class PacketSource(NamedTuple):
 
 
 class Packer:
-    """Turns packets that come together into message records, one after the other; no layout needs padding."""
+    """Packer of the packets that occur together in a cycle; no layout needs padding."""
 
     def __init__(self, sources: Sequence[PacketSource]) -> None:
         self._fields = [(f"{path}.{f.name}", f) for path, _, layout in sources for f in layout.fields]
@@ -69,7 +75,7 @@ class Packer:
         starts = [f"start of {path}" for path, _, _ in sources]
         counts = [f"count of {path}" for path, _, _ in sources]
         values = ["time", "encapsulation", *starts, *counts, *numbers]
-        order: list[tuple[str, str]] = []  # the code of each value, none of an array, and its name
+        order: list[tuple[str, str]] = []  # struct code of each value, empty for an array, and its name
         for path, _, layout in sources:
             order += [(f"{MESSAGE_START.size}s", f"start of {path}"), ("I", f"count of {path}")]
             order += [("Q", "time"), ("Q", "time"), (f"{len(ENCAPSULATION)}s", "encapsulation")]
@@ -95,10 +101,15 @@ class Packer:
         self._size = sum(MESSAGE_HEADER.size + layout.dtype.itemsize for _, _, layout in sources)
 
     def pack(self, cycle: Any, time_ns: int, counts: Sequence[int]) -> bytes:
-        """The records of a cycle; each has the sequence number that the count of its channel gives.
+        """Encode the packets of a cycle as message records.
+
+        Args:
+            cycle: Record of the cycle.
+            time_ns: Log time.
+            counts: Sequence number of each packet, in the order of the sources.
 
         Raises:
-            SchemaError: an array's type is not that of the layout, or a number does not fit.
+            SchemaError: an array has not the type of the layout, or a number does not fit.
         """
         arrays = self._arrays(cycle)
         values = (time_ns, ENCAPSULATION, *self._starts, *counts, *self._numbers(cycle))
@@ -113,7 +124,11 @@ class Packer:
         return data
 
     def check(self, cycle: Any) -> None:
-        """See that every field is as the layout says; SchemaError names one that is not."""
+        """Check every field against the layout.
+
+        Raises:
+            SchemaError: a field differs; the message names it.
+        """
         for name, field in self._fields:
             given, dtype = attrgetter(name)(cycle), np.dtype(field.kind)
             if field.shape is None:

@@ -1,4 +1,4 @@
-"""Reads a log into numpy arrays; what it gives was written, or it says what is wrong."""
+"""Strict reader of logs into numpy arrays: it returns what was written, or reports the damage."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -42,31 +42,33 @@ NO_MCAP: Final = (
 )
 
 MAX_LOG_BYTES: Final = 1 << 32
-"""Of a file that is read at all: 1,000 times a log of ten minutes."""
+"""Limit of the size of a log: 1,000 times a log of ten minutes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Log:
-    """What a log holds; packets are read-only.
+    """Content of a log; packets are read-only.
 
-    `log["/sensors"]["encoder_count"]` has one row a message, shape (n, 5). A topic that got no message is not
-    there. A log cut short by the death of its writer is `truncated`: it holds all chunks that were complete.
+    `log["/sensors"]["encoder_count"]` has one row for each message, shape (n, 5). Topics without messages are
+    absent.
     """
 
     path: Path
     header: Mapping[str, str]
     truncated: bool
+    """True if the writer died before it closed the log; all complete chunks are here."""
     packets: Mapping[str, NDArray[np.void]]
+    """Packets by topic, shape (n,)."""
     time_ns: Mapping[str, NDArray[np.uint64]]
-    """Log time of each message, shape (n,), by topic; EVRs and commands included."""
+    """Log time of each message by topic, with EVRs and commands, shape (n,)."""
     evrs: tuple[EvrEntry, ...]
     commands: tuple[CommandEntry, ...]
     truth: frozenset[str] = frozenset()
     """Topics of the plant's own state, which flight software never saw."""
     lost: tuple[LostMessages, ...] = ()
-    """In a log that was recovered from a damaged one: what could not be saved."""
+    """Losses of a log that was recovered from a damaged one."""
     behind: int = 0
-    """Bytes in the file behind the end of the log, which were not read."""
+    """Bytes in the file after the end of the log; they are not read."""
 
     def __getitem__(self, topic: str) -> NDArray[np.void]:
         if topic not in self.packets:
@@ -74,30 +76,37 @@ class Log:
         return self.packets[topic]
 
     def ticks(self, topic: str) -> NDArray[np.int64]:
-        """The cycle of each message of a topic, shape (n,)."""
+        """Return the tick of each message of a topic, shape (n,)."""
         return (self.time_ns[topic] // TICK_NS).astype(np.int64)
 
 
 @dataclass(frozen=True, slots=True)
 class LogSelection:
-    """What is asked of a log: topics, None for all; log times from `start_ns` to before `end_ns`."""
+    """Selected part of a log: topics, None for all, and log times from `start_ns` to before `end_ns`."""
 
     topics: frozenset[str] | None
     start_ns: int
     end_ns: int | None
 
     def has_topic(self, topic: str) -> bool:
-        """Whether a topic is asked for."""
+        """Return whether a topic is selected."""
         return self.topics is None or topic in self.topics
 
     def overlaps(self, chunk: ChunkLocation) -> bool:
-        """Whether a chunk may hold something from the time asked for."""
+        """Return whether a chunk may have messages of the selected time."""
         return chunk.last_ns >= self.start_ns and (self.end_ns is None or chunk.first_ns < self.end_ns)
 
     def is_at(self, time_ns: NDArray[np.uint64]) -> NDArray[np.bool_]:
-        """Which messages are of the time asked for, shape (n,)."""
-        begun = time_ns >= self.start_ns
-        return begun if self.end_ns is None else begun & (time_ns < self.end_ns)
+        """Return whether each message is of the selected time.
+
+        Args:
+            time_ns: Log times, shape (n,).
+
+        Returns:
+            Flags, shape (n,).
+        """
+        is_after_start = time_ns >= self.start_ns
+        return is_after_start if self.end_ns is None else is_after_start & (time_ns < self.end_ns)
 
 
 def read_log(
@@ -106,24 +115,32 @@ def read_log(
     start_ns: int | None = None,
     end_ns: int | None = None,
 ) -> Log:
-    """Read a log, whole or cut short; all of it, or these topics from `start_ns` to before `end_ns`.
+    """Read a log, closed or truncated.
 
-    EVRs and commands are topics too: /evr and /command.
+    Args:
+        path: File.
+        topics: Topics to read, with /evr and /command; None for all.
+        start_ns: First log time; None for the beginning.
+        end_ns: Log time before which reading ends; None for the end.
 
     Raises:
-        LogNotReadable: there is no such file, or it is not a log of ours.
-        LogDamaged: a CRC, a length or a sequence shows that bytes are not as written; it says what is lost.
+        LogNotReadable: there is no such file, or it is not a marsarm log.
+        LogDamaged: a CRC, a length or a sequence shows damage; the error lists the losses.
     """
     path = Path(path)
-    wanted = LogSelection(None if topics is None else frozenset(topics), max(start_ns or 0, 0), end_ns)
-    return parse_log(path, read_log_bytes(path), wanted)
+    selection = LogSelection(None if topics is None else frozenset(topics), max(start_ns or 0, 0), end_ns)
+    return parse_log(path, read_log_bytes(path), selection)
 
 
 def read_log_bytes(path: Path) -> bytes:
-    """A file's content; LogNotReadable where there is none, or more than any log has."""
+    """Read the content of a file.
+
+    Raises:
+        LogNotReadable: it cannot be read, is no regular file, or is larger than any log.
+    """
     try:
         about = path.stat()
-        # A pipe would be waited for, and a device may have no end.
+        # Reading a pipe would block, and a device may have no end.
         if not S_ISREG(about.st_mode):
             raise LogNotReadable(path, "is not a regular file; give the path of a log, such as run.mcap")
         if about.st_size > MAX_LOG_BYTES:
@@ -138,29 +155,29 @@ def read_log_bytes(path: Path) -> bytes:
 WHOLE_LOG = LogSelection(None, 0, None)
 
 
-def parse_log(path: Path, data: bytes, wanted: LogSelection = WHOLE_LOG) -> Log:
-    """Read a log from a file's content; errors as of `read_log`."""
+def parse_log(path: Path, data: bytes, selection: LogSelection = WHOLE_LOG) -> Log:
+    """Parse a log from the content of its file; errors as in `read_log`."""
     if not data.startswith(MCAP0_MAGIC):
         raise LogNotReadable(path, NO_MCAP if data else "an empty file; nothing was written to it")
     try:
-        return _parse_checked(path, data, wanted)
+        return _parse_checked(path, data, selection)
     except CorruptData as error:
         found = salvage(data)
         why = "; ".join((error.why, *found.notes))
         raise LogDamaged(path, why, error.offset, found.lost) from error
 
 
-def _parse_checked(path: Path, data: bytes, wanted: LogSelection) -> Log:
+def _parse_checked(path: Path, data: bytes, selection: LogSelection) -> Log:
     found = read_records(path, data)
     if not found.complete and has_intact_chunk(data, found.data_end):
         raise CorruptData("a record is broken", found.data_end)
-    chosen = _select_chunks(found, wanted)
+    chosen = _select_chunks(found, selection)
     _check_room(path, sum(found.chunks[k].size for k in chosen))
     batches = read_batches(data, [found.chunks[k] for k in chosen], [found.indexes[k] for k in chosen])
-    if not found.crc_holds:  # said after the chunks, which say better where
+    if not found.crc_holds:  # checked after the chunks, whose errors name a more exact place
         raise CorruptData("the data does not match its CRC", found.data_end)
     try:
-        return _build_log(path, found, batches, wanted, not chosen or chosen[0] == 0)
+        return _build_log(path, found, batches, selection, not chosen or chosen[0] == 0)
     except PARSE_ERRORS as error:
         raise CorruptData(str(error), found.data_end) from error
 
@@ -171,37 +188,37 @@ def _check_room(path: Path, size: int) -> None:
         raise LogNotReadable(path, f"{why}; ask for a part, from one time to another")
 
 
-def _select_chunks(found: McapContent, wanted: LogSelection) -> list[int]:
-    """The chunks to unpack.
+def _select_chunks(found: McapContent, selection: LogSelection) -> list[int]:
+    """Return the chunks to decompress.
 
-    What a chunk says of its times is covered by the CRC of a closed log alone, and its channels may be
-    declared in a chunk that is not unpacked: where this cannot be told, all chunks are.
+    Chunks can be skipped only if two conditions hold. The log is closed: only its CRC covers the times of a
+    chunk. The header lists the channels: else a skipped chunk might declare them.
     """
     can_skip = found.closed and CHANNELS_KEY in found.metadata[HEADER_RECORD]
-    return [k for k, chunk in enumerate(found.chunks) if not can_skip or wanted.overlaps(chunk)]
+    return [k for k, chunk in enumerate(found.chunks) if not can_skip or selection.overlaps(chunk)]
 
 
 def _build_log(
-    path: Path, found: McapContent, batches: Sequence[MessageBatch], wanted: LogSelection, from_start: bool
+    path: Path, found: McapContent, batches: Sequence[MessageBatch], selection: LogSelection, from_start: bool
 ) -> Log:
-    """All topics that are asked for; one of NOT_AS_WRITTEN when a message is not as it should be."""
+    """Build the log of the selected topics; a damaged message raises one of PARSE_ERRORS."""
     header = found.metadata[HEADER_RECORD]
     channels = _find_topics(header, batches)
     packets, times, bodies = {}, {}, dict[str, list[bytes]]()
     for number, channel in channels.items():
         topic, layout = channel.topic, channel.layout
-        if not wanted.has_topic(topic):
+        if not selection.has_topic(topic):
             continue
         rows = rows_of(batches, number)
         heads = heads_of(batches, rows)
         check_complete(topic, heads, from_start)
         check_order(topic, heads["time_ns"], layout is not None)
-        is_asked = wanted.is_at(heads["time_ns"])
-        if not is_asked.any():
+        is_selected = selection.is_at(heads["time_ns"])
+        if not is_selected.any():
             continue
-        if not is_asked.all():
-            rows = select_rows(rows, is_asked)
-        times[topic] = heads["time_ns"][is_asked]
+        if not is_selected.all():
+            rows = select_rows(rows, is_selected)
+        times[topic] = heads["time_ns"][is_selected]
         if layout is None:
             bodies[topic] = bodies_of(batches, rows)
         else:
@@ -216,12 +233,16 @@ def _build_log(
         commands=tuple(map(CommandEntry.decode, bodies.get(COMMAND_TOPIC, []))),
         truth=frozenset(channel.topic for channel in channels.values() if channel.is_truth),
         lost=losses_in(found.metadata.get(RECOVERED_RECORD, {})),
-        behind=found.behind if found.closed else 0,
+        behind=found.trailing_bytes if found.closed else 0,
     )
 
 
 def _find_topics(header: Mapping[str, str], batches: Sequence[MessageBatch]) -> dict[int, KnownTopic]:
-    """The channels of ours; ValueError where a message's channel is nowhere declared."""
+    """Return the flight channels by number.
+
+    Raises:
+        ValueError: a message has a channel that is declared nowhere.
+    """
     records: dict[int, Channel] = {}
     for batch in batches:
         records |= batch.channels

@@ -1,4 +1,4 @@
-"""Writes a run to an MCAP log that survives the death of its writer."""
+"""Recorder of a run into an MCAP log that stays readable if the run is killed, and creation of the file."""
 
 import os
 import sys
@@ -43,16 +43,16 @@ from sim.record import CycleRecord
 def create_log(
     path: Path, header: Mapping[str, str], channels: tuple[TopicSpec, ...]
 ) -> Iterator[tuple[FileIO, McapState]]:
-    """A log that holds what comes before any message; open for the block.
+    """Create a log with header and channels, open for a block.
 
-    When the block ends well, it takes the place of what was at this path, and else it goes.
+    At the end of the block the new file replaces the file at `path`. After an error the new file is deleted.
 
     Raises:
-        LogNotWritable: there can be no file, or there is no room; what was there is still there.
+        LogNotWritable: the file cannot be written, or the disk is full; a previous file is unchanged.
     """
-    place = _resolve_path(path)
+    target = _resolve_path(path)
     try:
-        with atomic_path(place) as part, FileIO(part, "xb", opener=_open_above_stdio) as file:
+        with atomic_path(target) as part, FileIO(part, "xb", opener=_open_above_stdio) as file:
             yield file, _write_header(file, header, channels)
     except OSError as error:
         why = f"cannot be written ({error.strerror}); give a path with room that you may write"
@@ -60,16 +60,20 @@ def create_log(
 
 
 def _open_above_stdio(path: str, flags: int) -> int:
-    """A file, not in the place of a standard stream that is closed: a new process takes those for its own."""
-    found = os.open(path, flags, 0o666)
+    """Open a file with a descriptor above 2: a new process would take a lower one for its standard stream."""
+    descriptor = os.open(path, flags, 0o666)
     try:
-        return fcntl(found, F_DUPFD_CLOEXEC, 3)
+        return fcntl(descriptor, F_DUPFD_CLOEXEC, 3)
     finally:
-        os.close(found)
+        os.close(descriptor)
 
 
 def _resolve_path(path: Path) -> Path:
-    """Where the file goes, links followed."""
+    """Return the path with links resolved.
+
+    Raises:
+        LogNotWritable: no file can be written there.
+    """
     try:
         if path.is_dir():
             raise LogNotWritable(path, "is a directory; give the path of a file, such as run.mcap in it")
@@ -95,15 +99,9 @@ def _write_header(file: FileIO, header: Mapping[str, str], channels: tuple[Topic
 
 
 class Recorder:
-    """A log being written; a context manager, or call `close`.
+    """Log being written; a context manager, or call `close`.
 
-    Opening it replaces the file at `path` by `header` (versions, digests, seed) and all channels, once they
-    are written. The messages depend on the records alone; only where a chunk ends depends on the wall clock.
-    With the configuration of an arm, the messages that other tools draw it from are there too. A `chunk_s` of
-    0 is a chunk for every cycle.
-
-    Raises:
-        LogNotWritable: there can be no file at this path; what was there is still there.
+    The messages depend only on the records of the cycles. The ends of the chunks depend on the wall clock.
     """
 
     def __init__(
@@ -113,6 +111,17 @@ class Recorder:
         config: Config | None = None,
         chunk_s: float = CHUNK_S,
     ) -> None:
+        """Replace the file at `path` by a log with header and channels.
+
+        Args:
+            path: File.
+            header: Versions, digests, seed and more, as `run_header` returns them.
+            config: Configuration of the arm, to record messages for other tools too; None for none.
+            chunk_s: Wall time of a chunk; 0 for one chunk each cycle.
+
+        Raises:
+            LogNotWritable: no log can be written at this path; a previous file is unchanged.
+        """
         self.path = Path(path)
         channels = topic_specs()
         ids = {one.topic: one.id for one in channels}
@@ -126,38 +135,38 @@ class Recorder:
         self._counts = [0] * len(self._sources)
         self._event_ids = ids[COMMAND_TOPIC], ids[EVR_TOPIC], ids[ROSOUT_TOPIC]
         self._event_counts = dict.fromkeys(self._event_ids, 0)
-        self._has_standard = config is not None
+        self._has_ros_messages = config is not None
         self._last_tick = -1
         with create_log(self.path, header, channels) as (file, written):
             try:
-                self._handover = WriterPipe(file, written, ids, config, chunk_s)
+                self._pipe = WriterPipe(file, written, ids, config, chunk_s)
             except OSError as error:
                 why = f"has no process to write it ({error.strerror}); see that {sys.executable} starts"
                 raise LogNotWritable(self.path, why) from error
-            self.close = finalize(self, self._handover.close)
-            """Write what waits and the index, and close the file; a second call does nothing.
+            self.close = finalize(self, self._pipe.close)
+            """Write the waiting cycles and the summary, and close the file; a second call does nothing.
 
-            It raises the OSError of a disk that is full or gone. A recorder that is let go closes itself.
+            It raises OSError if the disk is full or gone. A recorder without references closes itself.
             """
 
     @property
     def writer_process(self) -> int:
-        """Number of the process that writes the log."""
-        return self._handover.process
+        """Id of the process that writes the log."""
+        return self._pipe.process
 
     @property
     def written_cycles(self) -> int:
-        """The tick after the last cycle in the log, once it is closed or has failed; 0 if there is none."""
-        last_ns = self._handover.written_ns
+        """Tick after the last cycle in the log; known after `close` or an error, 0 without a cycle."""
+        last_ns = self._pipe.written_ns
         return 0 if last_ns is None else last_ns // TICK_NS + 1
 
     def write(self, record: CycleRecord) -> None:
-        """Add one cycle; its messages reach the operating system when the chunk closes.
+        """Add one cycle; the operating system receives its messages when the chunk closes.
 
         Raises:
-            SchemaError: a packet is not laid out as its schema says, or holds what a log cannot.
+            SchemaError: a packet differs from its layout, or a value cannot be recorded.
             OSError: the disk is full or gone.
-            ValueError: the log is closed, or goes back, or a cycle before was interrupted on its way.
+            ValueError: the log is closed, the tick does not rise, or an earlier write was interrupted.
         """
         if record.tick <= self._last_tick:
             raise ValueError(f"cycle {record.tick} after cycle {self._last_tick}: a log goes forward")
@@ -167,8 +176,8 @@ class Recorder:
         data = packer.pack(record, time_ns, [*compress(self._counts, present)])
         if record.commands or record.outputs.evrs:
             data = self._with_events(record, time_ns, data)
-        sampled = self._has_standard and record.tick % SAMPLE_CYCLES == 0
-        self._handover.put(time_ns, data, joint_sample(record) if sampled else None)
+        sampled = self._has_ros_messages and record.tick % SAMPLE_CYCLES == 0
+        self._pipe.put(time_ns, data, joint_sample(record) if sampled else None)
         self._last_tick = record.tick
         self._counts = [*map(add, self._counts, present)]
 
@@ -181,19 +190,19 @@ class Recorder:
         self.close()
 
     def _packer(self, present: tuple[bool, ...]) -> Packer:
-        """What packs the packets that these cycles have."""
+        """Return the packer of cycles in which these packets are present."""
         return self._packers.setdefault(present, Packer([*compress(self._sources, present)]))
 
     def _with_events(self, record: CycleRecord, time_ns: int, data: bytes) -> bytes:
-        """The commands before the packets, the EVRs and their log lines after them."""
-        command_id, evr_id, line_id = self._event_ids
+        """Put the commands before the packets, and the EVRs with their ROS messages after them."""
+        command_id, evr_id, rosout_id = self._event_ids
         before = [(command_id, command_entry(record.tick, one).encode()) for one in record.commands]
         after = [
             message
             for evr in record.outputs.evrs
             for message in (
                 (evr_id, evr_entry(record.tick, evr).encode()),
-                (line_id, rosout_message(time_ns, evr)),
+                (rosout_id, rosout_message(time_ns, evr)),
             )
         ]
         counts = dict(self._event_counts)

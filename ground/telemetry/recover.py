@@ -1,4 +1,4 @@
-"""Writes what can be saved of a damaged log into a whole one."""
+"""Recovery: writes all undamaged messages of a damaged log to a new, complete log."""
 
 import json
 from collections.abc import Mapping
@@ -21,29 +21,34 @@ from ground.telemetry.topic_arrays import decode_topics, known_topics
 
 @dataclass(frozen=True, slots=True)
 class RecoveryReport:
-    """What came of a recovery."""
+    """Result of a recovery."""
 
     saved: Mapping[str, int]
-    """Messages by topic."""
+    """Number of saved messages by topic."""
     lost: tuple[LostMessages, ...]
-    """Of this recovery and of those before it."""
+    """Losses of this recovery and of earlier ones."""
     header_lost: bool
-    """Whether versions, parameters and commands of the run are gone."""
+    """True if versions, parameters and commands of the run are lost."""
     notes: tuple[str, ...] = ()
-    """Sentences about what was left out because it is not of this log, or was put in its place."""
+    """Sentences about parts that were left out, because they belong to another log, or were reordered."""
 
 
 def recover(bad: Path, good: Path, progress: Progress) -> RecoveryReport:
-    """Read what is undamaged in `bad` and write it to `good` as a whole log.
+    """Write the undamaged messages of one log to another.
 
-    Messages are counted anew, so that the new log is complete in itself; a record of its own says what was
-    lost. `good` appears only when it is whole and reads back.
+    Messages are renumbered, so the new log is complete in itself. Metadata in it lists the losses. The new
+    file appears only after it was read back without an error.
+
+    Args:
+        bad: Damaged log.
+        good: New file.
+        progress: Called for each chunk.
 
     Raises:
-        LogNotReadable: `bad` cannot be read, or holds nothing of a marsarm log.
-        LogDamaged: what is undamaged does not make a log.
+        LogNotReadable: `bad` cannot be read, or has no part of a marsarm log.
+        LogDamaged: the undamaged parts do not form a log.
         BadOutput: `good` cannot be written.
-        BadRequest: `good` is the file of `bad`.
+        BadRequest: `good` and `bad` are the same file.
     """
     data = read_log_bytes(bad)
     check_distinct_files({"BAD": bad, "GOOD": check_output(good, (".mcap",), "GOOD")})
@@ -52,11 +57,11 @@ def recover(bad: Path, good: Path, progress: Progress) -> RecoveryReport:
     _check_ours(bad, found)
     lost = (*found.lost_before, *found.lost)
     with atomic_write(good, "GOOD") as file:
-        saved, doubled = _write(file, found, lost, progress)
+        saved, duplicates = _write(file, found, lost, progress)
         file.flush()
         parse_log(bad, Path(file.name).read_bytes())
     notes = (
-        found.notes if not doubled else (*found.notes, f"{doubled} messages that were there twice left out")
+        (*found.notes, f"{duplicates} messages that were there twice left out") if duplicates else found.notes
     )
     return RecoveryReport(saved, lost, HEADER_RECORD not in found.metadata, notes)
 
@@ -74,10 +79,10 @@ def _check_ours(bad: Path, found: SalvagedLog) -> None:
 def _write(
     file: BinaryIO, found: SalvagedLog, lost: tuple[LostMessages, ...], progress: Progress
 ) -> tuple[dict[str, int], int]:
-    """Write all that was found; messages by topic, and how many were not written as they were there twice."""
+    """Write all messages once; return their number by topic, and the number of duplicates left out."""
     numbers = {old: new for new, old in enumerate(sorted(found.channels), 1)}
     header = _renumber_topics(found.metadata.get(HEADER_RECORD, {}), numbers)
-    # With an index of attachments, of which there are none, the summary would point to nothing.
+    # There are no attachments, and an empty index of them would point to nothing.
     indexes = IndexType.CHUNK | IndexType.MESSAGE | IndexType.METADATA
     writer = Writer(file, chunk_size=1 << 30, index_types=indexes, enable_data_crcs=True)
     writer.start(profile="", library="marsarm")
@@ -87,37 +92,37 @@ def _write(
     _register_topics(writer, found)
     counts: dict[int, int] = {}
     seen: dict[int, int] = {}
-    doubled = 0
+    duplicates = 0
     for k, chunk in enumerate(found.chunks):
         for number, sequence, time_ns, publish_ns, message in chunk.messages():
             if number not in numbers:
                 continue
             if sequence <= seen.get(number, -1):
-                doubled += 1
+                duplicates += 1
             else:
                 writer.add_message(numbers[number], time_ns, message, publish_ns, counts.get(number, 0))
                 counts[number], seen[number] = counts.get(number, 0) + 1, sequence
         writer.flush()  # type: ignore[no-untyped-call]  # mcap annotates only part of itself
         progress(k, len(found.chunks), "writing")
     writer.finish()  # type: ignore[no-untyped-call]
-    return {found.channels[number].topic: count for number, count in counts.items()}, doubled
+    return {found.channels[number].topic: count for number, count in counts.items()}, duplicates
 
 
 def _renumber_topics(header: Mapping[str, str], numbers: Mapping[int, int]) -> dict[str, str]:
-    """The header, with the numbers that the channels have in the new file."""
+    """Replace the numbers of the channels in the header by those of the new file."""
     if CHANNELS_KEY not in header:
         return dict(header)
-    said = decode_topics(header)
+    topics = decode_topics(header)
     kept = {
         one["topic"]: {**{name: value for name, value in one.items() if name != "topic"}, "id": numbers[old]}
-        for old, one in said.items()
+        for old, one in topics.items()
         if old in numbers
     }
     return {**header, CHANNELS_KEY: json.dumps(kept)}
 
 
 def _register_topics(writer: Writer, found: SalvagedLog) -> None:
-    """Write schemas and channels, numbered from 1 in their order; a schema that is lost is 0, MCAP's none."""
+    """Write schemas and channels, numbered from 1; a lost schema becomes 0, which means none in MCAP."""
     schemas = {
         number: writer.register_schema(schema.name, schema.encoding, schema.data)
         for number, schema in found.schemas.items()

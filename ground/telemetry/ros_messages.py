@@ -1,6 +1,6 @@
-"""The messages that other people's tools know: joint states, frame transforms, shapes of the arm.
+"""ROS 2 messages for other tools: their definitions, and the encoder of joint states, transforms and markers.
 
-They follow from the flight channels, and are there so that a log shows an arm with no configuration.
+They are computed from flight channels. With them, a viewer shows the arm of a log without configuration.
 """
 
 import math
@@ -14,6 +14,7 @@ import numpy as np
 from fsw.collision.geometry import PARTS, TURRET_FRAME, RoundedBoxes
 from fsw.config import Config
 from fsw.dictionary.enums import Joint, Tool
+from fsw.dictionary.types import vector3
 from fsw.kinematics.arm import Arm
 from fsw.kinematics.transforms import IDENTITY, Array, Pose, inverse, rotation_x, rotation_z
 from ground.telemetry.schema import ROS_TIME, CdrWriter, ros_time
@@ -101,7 +102,7 @@ uint32 line
 
 
 def nested_types(text: str) -> list[str]:
-    """The parts that a definition is made of, each after those that use it."""
+    """List the types that a definition uses, each after the types that use it."""
     found: list[str] = []
     for line in text.splitlines():
         part = line.split()[0].removesuffix("[]")
@@ -111,7 +112,7 @@ def nested_types(text: str) -> list[str]:
 
 
 def ros_schema(name: str) -> bytes:
-    """The definition of a message with all that it is made of, as a ros2msg schema has it."""
+    """Return the definition of a message with all types that it uses, as a ros2msg schema."""
     text = ROS_MESSAGES[name]
     return "".join(
         [text, *(f"{SEPARATOR}\nMSG: {part}\n{ROS_TYPES[part]}" for part in nested_types(text))]
@@ -119,16 +120,16 @@ def ros_schema(name: str) -> bytes:
 
 
 SAMPLE_CYCLES: Final = 8
-"""Cycles from one sample to the next: 8 Hz, in which no joint turns by more than a degree."""
+"""Cycles between samples: 8 Hz; no joint turns by more than a degree between two samples."""
 
 JOINT_STATES_TOPIC: Final = "/joint_states"
 TF_TOPIC: Final = "/tf"
 TF_STATIC_TOPIC: Final = "/tf_static"
 MARKERS_TOPIC: Final = "/arm_markers"
 ROOT_FRAME: Final = "map"
-"""As RMECH, but z up, as 3D panels expect it."""
+"""Root frame: RMECH turned so that z is up, as 3D panels expect."""
 ROVER_FRAME: Final = "rover"
-"""RMECH."""
+"""Frame of the rover, RMECH."""
 
 POSE_STRUCT: Final = struct.Struct("<7d")
 SAMPLE_STRUCT: Final = struct.Struct(f"<{3 * len(Joint)}d")
@@ -138,39 +139,39 @@ ROVER_COLOUR: Final = (0.75, 0.75, 0.78, 0.35)
 
 
 class JointSample(NamedTuple):
-    """What the messages of a cycle are made of; in the order of Joint."""
+    """Joint values from which the messages of a cycle are made, in the order of Joint."""
 
     output_rad: list[float]
     rate_rad_s: list[float]
     current_A: list[float]
 
     def to_bytes(self) -> bytes:
-        """As it is handed to another process."""
+        """Encode the sample for another process."""
         return SAMPLE_STRUCT.pack(*self.output_rad, *self.rate_rad_s, *self.current_A)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
-        """What `to_bytes` gave."""
+        """Decode a sample that `to_bytes` encoded."""
         numbers, n = list(SAMPLE_STRUCT.unpack(data)), len(Joint)
         return cls(numbers[:n], numbers[n : 2 * n], numbers[2 * n :])
 
 
 def joint_sample(record: CycleRecord) -> JointSample:
-    """What the standard messages of this cycle are made of."""
+    """Return the sample of a cycle."""
     joint, sensors = record.outputs.joint, record.sensors
     return JointSample(joint.output_rad.tolist(), joint.motor_rate_rad_s.tolist(), sensors.current_A.tolist())
 
 
 @dataclass(frozen=True, slots=True)
 class JointFrame:
-    """A frame that one joint turns: rotation (x, y, z, w) and position where the joint is at zero."""
+    """Frame that one joint turns: quaternion (x, y, z, w) and position at zero angle."""
 
     zero_rad: float
     q: tuple[float, float, float, float]
     p_m: tuple[float, float, float]
 
     def at(self, angle_rad: float) -> tuple[float, ...]:
-        """Position and rotation in the frame before it."""
+        """Return position and quaternion in the previous frame at an angle of the joint."""
         angle = self.zero_rad + angle_rad
         c, s = math.cos(angle), math.sin(angle)
         half_c, half_s = math.cos(0.5 * angle), math.sin(0.5 * angle)
@@ -183,13 +184,13 @@ class JointFrame:
 
 
 class RosEncoder:
-    """Makes the standard messages of one arm; the same sample gives the same bytes."""
+    """Encoder of the ROS 2 messages of one arm; the same sample gives the same bytes."""
 
     def __init__(self, config: Config) -> None:
         self._arm, self._config = config.arm, config
         X_LF = link_poses(config.arm)
         self._turning = [
-            JointFrame(float(config.arm.theta_rad[k]), quaternion(X_LF[k].R), triple(X_LF[k].p))
+            JointFrame(float(config.arm.theta_rad[k]), quaternion(X_LF[k].R), vector3(X_LF[k].p))
             for k in range(1, 6)
         ]
         self._constant_Nm_A = config.torque_constant_Nm_A.tolist()
@@ -198,8 +199,8 @@ class RosEncoder:
             [(f"arm{k}", f"arm{k + 1}") for k in range(1, 6)]
         )
 
-    def fixed(self, time_ns: int) -> Iterator[tuple[str, bytes]]:
-        """Topic and message of what never changes: frames, and shapes as flight software knows them."""
+    def static_messages(self, time_ns: int) -> Iterator[tuple[str, bytes]]:
+        """Yield topic and message of constant data: fixed frames, and collision shapes of flight software."""
         arm = self._arm
         X_RL = rotation_z(arm.theta_rad[0])
         X_LF = link_poses(arm)[0]
@@ -209,12 +210,12 @@ class RosEncoder:
             *(("arm6", tool.name.lower(), arm.X_FT[tool]) for tool in Tool),
         ]
         message, places = transforms_template([(parent, child) for parent, child, _ in fixed])
-        fill_transforms(message, places, time_ns, [(*triple(X.p), *quaternion(X.R)) for _, _, X in fixed])
+        fill_transforms(message, places, time_ns, [(*vector3(X.p), *quaternion(X.R)) for _, _, X in fixed])
         yield TF_STATIC_TOPIC, bytes(message)
         yield MARKERS_TOPIC, self._markers(time_ns)
 
-    def sample(self, time_ns: int, sample: JointSample) -> Iterator[tuple[str, bytes]]:
-        """Topic and message of a cycle; frames only of angles that are finite."""
+    def cycle_messages(self, time_ns: int, sample: JointSample) -> Iterator[tuple[str, bytes]]:
+        """Yield topic and message of a cycle; transforms only if all angles are finite."""
         torque_Nm = [k * i for k, i in zip(self._constant_Nm_A, sample.current_A, strict=True)]
         ROS_TIME.pack_into(self._joints, 4, *ros_time(time_ns))
         for place, values in zip(
@@ -253,12 +254,12 @@ class RosEncoder:
 
 
 def link_poses(arm: Arm) -> Pose:
-    """The frame at each unloaded link's end in the link's own, which its joint turns; batch (6,)."""
+    """Return the pose of the frame at the end of each unloaded link in the frame of the link, shape (6,)."""
     return Pose(arm.X_CF.R, arm.X_CF.p + arm.p_LC_m)
 
 
 def joint_state_template() -> tuple[bytearray, tuple[int, ...]]:
-    """A joint state without numbers, and where position, velocity and effort go."""
+    """Return a joint state of zeros, and the bytes where position, velocity and effort begin."""
     out = CdrWriter().header(0, "")
     out.add("I", len(Joint))
     for joint in Joint:
@@ -266,24 +267,31 @@ def joint_state_template() -> tuple[bytearray, tuple[int, ...]]:
     places = []
     for _ in range(3):
         out.add("I", len(Joint))
-        places.append(out.place(len(Joint)))
+        places.append(out.reserve(len(Joint)))
     return out.data, tuple(places)
 
 
 def transforms_template(names: Sequence[tuple[str, str]]) -> tuple[bytearray, list[tuple[int, int]]]:
-    """Frame transforms without numbers, and where stamp and pose of each go."""
+    """Return transforms of zeros between named frames, and the bytes where stamp and pose of each begin."""
     out, places = CdrWriter().add("I", len(names)), []
     for parent, child in names:
         at = len(out.data) + -len(out.data) % 4
         out.header(0, parent).text(child)
-        places.append((at, out.place(7)))
+        places.append((at, out.reserve(7)))
     return out.data, places
 
 
 def fill_transforms(
     message: bytearray, places: Sequence[tuple[int, int]], time_ns: int, poses: Sequence[tuple[float, ...]]
 ) -> None:
-    """Fill in the stamp and the poses: position, then rotation as x, y, z, w."""
+    """Write stamps and poses into a message.
+
+    Args:
+        message: Transforms from `transforms_template`.
+        places: Bytes where stamp and pose of each transform begin.
+        time_ns: Log time.
+        poses: Position, then quaternion x, y, z, w, of each transform.
+    """
     seconds = ros_time(time_ns)
     for (at, place), pose in zip(places, poses, strict=True):
         ROS_TIME.pack_into(message, at, *seconds)
@@ -291,11 +299,11 @@ def fill_transforms(
 
 
 def marker_shapes(solids: RoundedBoxes, k: int) -> Iterator[tuple[int, Pose, tuple[float, float, float]]]:
-    """What a rounded box is drawn of, in its own axes: kind, place and size; capsules lie along x."""
+    """Yield type, pose and size of the markers that draw a rounded box; capsules lie along x."""
     half, radius = solids.half_m[:, k], float(solids.radius_m[k])
     width = 2 * radius
     if not solids.is_capsule[k]:
-        yield CUBE, IDENTITY, triple(2 * (half + radius))
+        yield CUBE, IDENTITY, vector3(2 * (half + radius))
         return
     if half[0] > 0:
         along_x = Pose(np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]), np.zeros(3))
@@ -313,23 +321,24 @@ def add_marker(
     scale: tuple[float, float, float],
     colour: tuple[float, float, float, float],
 ) -> None:
-    """Add a visualization_msgs/Marker that stays with its frame; the label is namespace, number and frame."""
+    """Add a visualization_msgs/Marker that moves with its frame; `label` is namespace, number and frame."""
     name, number, frame = label
     out.header(time_ns, frame).text(name).add("iii", number, kind, 0)
-    out.add("d" * 7, *triple(X.p), *quaternion(X.R)).add("ddd", *scale).add("ffff", *colour)
+    out.add("d" * 7, *vector3(X.p), *quaternion(X.R)).add("ddd", *scale).add("ffff", *colour)
     out.add("iI?", 0, 0, True).add("II", 0, 0)  # for ever, with its frame, no points, no colours
     out.text("").header(0, "").text("").add("I", 0).add("I", 0)  # no texture
     out.text("").text("").text("").add("I", 0).add("?", False)  # no text, no mesh
 
 
-def triple(v: Array) -> tuple[float, float, float]:
-    """Three numbers."""
-    x, y, z = v.tolist()
-    return x, y, z
-
-
 def quaternion(R: Array) -> tuple[float, float, float, float]:
-    """A rotation as x, y, z, w; by its largest component, so that none is lost to rounding."""
+    """Convert a rotation to a unit quaternion; dividing by its largest component avoids cancellation.
+
+    Args:
+        R: Rotation matrix, shape (3, 3).
+
+    Returns:
+        Quaternion x, y, z, w.
+    """
     squares = np.array(
         [
             1 + R[0, 0] - R[1, 1] - R[2, 2],

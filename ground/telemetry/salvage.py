@@ -1,4 +1,4 @@
-"""What is undamaged in a damaged log, and what is missing between."""
+"""Search of a damaged log for intact chunks, and the messages that are missing between them."""
 
 import zlib
 from collections.abc import Iterator, Mapping, Sequence, Set
@@ -45,14 +45,17 @@ from ground.telemetry.topic_arrays import decode_topics, known_topics
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IntactChunk:
-    """A chunk whose CRC holds: its records, and the heads of its messages, type HEAD, shape (n,)."""
+    """Chunk whose CRC matches."""
 
     plain: bytes
+    """Decompressed records."""
     starts: list[int]
+    """Byte in `plain` where each message begins."""
     heads: NDArray[np.void]
+    """Heads of the messages, type MESSAGE_DTYPE, shape (n,)."""
 
     def messages(self) -> Iterator[tuple[int, int, int, int, bytes]]:
-        """Channel, sequence, log time, publish time and body of each message."""
+        """Yield channel, sequence, log time, publish time and body of each message."""
         for start, head in zip(self.starts, self.heads.tolist(), strict=True):
             _, length, *rest = head
             begin = start + MESSAGE_DTYPE.itemsize
@@ -61,7 +64,7 @@ class IntactChunk:
 
 @dataclass(frozen=True, slots=True)
 class MissingRange:
-    """Messages missing of a channel: they stood behind chunk `after` and before chunk `before`."""
+    """Missing messages of a channel; they were between the chunks `after` and `before`."""
 
     channel: int
     count: int
@@ -72,16 +75,22 @@ class MissingRange:
 def find_missing(
     chunks: Sequence[IntactChunk], numbers: Set[int], totals: Mapping[int, int]
 ) -> list[MissingRange]:
-    """Where the sequences of these channels break off; `totals` tell what is missing at the end."""
+    """Find breaks in the sequence numbers of channels.
+
+    Args:
+        chunks: Intact chunks in order.
+        numbers: Channels to check, in addition to those with messages.
+        totals: Messages that each channel had; they show how many are missing at the end.
+    """
     heads = np.concatenate([np.zeros(0, MESSAGE_DTYPE), *(chunk.heads for chunk in chunks)])
     of_chunk = np.repeat(np.arange(len(chunks)), [len(chunk.heads) for chunk in chunks])
-    gaps = []
+    missing = []
     for number in sorted(numbers | set(heads["channel"].tolist())):
         rows = np.flatnonzero(heads["channel"] == number)
         counted = heads["sequence"][rows].astype(np.int64)
         before = np.append(-1, counted)
         for k in np.flatnonzero(np.diff(before) > 1):
-            gaps.append(
+            missing.append(
                 MissingRange(
                     channel=number,
                     count=int(counted[k] - before[k] - 1),
@@ -89,11 +98,11 @@ def find_missing(
                     before=int(of_chunk[rows[k]]),
                 )
             )
-        missing = totals.get(number, 0) - int(before[-1]) - 1
-        if missing > 0:
-            behind = int(of_chunk[rows[-1]]) if len(rows) else -1
-            gaps.append(MissingRange(number, missing, behind, len(chunks)))
-    return gaps
+        count = totals.get(number, 0) - int(before[-1]) - 1
+        if count > 0:
+            last = int(of_chunk[rows[-1]]) if len(rows) else -1
+            missing.append(MissingRange(number, count, last, len(chunks)))
+    return missing
 
 
 def find_losses(
@@ -103,35 +112,39 @@ def find_losses(
     totals: Mapping[int, int] | None,
     is_complete: bool,
 ) -> tuple[LostMessages, ...]:
-    """What is missing before, between and after these chunks; `names` has the topics of channels.
+    """Find the messages that are missing before, between and after chunks.
 
-    Messages of channels that are not `known` cannot be told from noise, and are lost as well. Unless the log
-    `is_complete`, nobody knows what came after its end.
+    Args:
+        chunks: Intact chunks in order.
+        names: Topics by channel.
+        known: Channels with a known layout; messages of others cannot be decoded and count as lost.
+        totals: Messages that each channel had; None if the summary is lost.
+        is_complete: Whether the end of the log is known; if not, an unknown number may be missing there.
     """
     chunks = [chunk for chunk in chunks if len(chunk.heads)]
     heads = np.concatenate([np.zeros(0, MESSAGE_DTYPE), *(chunk.heads for chunk in chunks)])
-    gaps = find_missing(chunks, known, totals or {})
-    # A channel that speaks in every chunk shows at which seam something is missing; a rare one does not.
-    seams = sorted({gap.after for gap in gaps if gap.before == gap.after + 1})
+    missing = find_missing(chunks, known, totals or {})
+    # A channel with messages in every chunk shows between which chunks some are missing; a rare one does not.
+    breaks = sorted({one.after for one in missing if one.before == one.after + 1})
     ends = [int(chunk.heads["time_ns"].max()) for chunk in chunks]
     begins = [int(chunk.heads["time_ns"].min()) for chunk in chunks]
 
     def lost_at(number: int, count: int | None, first: int, last: int) -> LostMessages:
-        """Messages lost from behind one chunk to before the one behind another."""
+        """Return the loss after chunk `first` and before the chunk that follows `last`."""
         after_ns = ends[first] if first >= 0 else None
         before_ns = begins[last + 1] if last + 1 < len(chunks) else None
         return LostMessages(names.get(number, f"channel {number}"), count, after_ns, before_ns)
 
     lost = []
-    for gap in gaps:
-        inside = [seam for seam in seams if gap.after <= seam < gap.before] or [gap.after, gap.before - 1]
-        lost.append(lost_at(gap.channel, gap.count, inside[0], inside[-1]))
+    for one in missing:
+        inside = [chunk for chunk in breaks if one.after <= chunk < one.before] or [one.after, one.before - 1]
+        lost.append(lost_at(one.channel, one.count, inside[0], inside[-1]))
     for number in sorted(known) if totals is None else ():
-        # Of a channel that is silent afterwards, nothing tells whether it spoke at a seam.
-        speaks = [k for k, chunk in enumerate(chunks) if (chunk.heads["channel"] == number).any()]
-        behind = [seam for seam in seams if seam >= max(speaks, default=-1)]
-        if behind:
-            lost.append(lost_at(number, None, behind[0], behind[-1]))
+        # A break after the last message of a channel may have cost any number of its messages.
+        present = [k for k, chunk in enumerate(chunks) if (chunk.heads["channel"] == number).any()]
+        later = [chunk for chunk in breaks if chunk >= max(present, default=-1)]
+        if later:
+            lost.append(lost_at(number, None, later[0], later[-1]))
     for number in sorted(set(heads["channel"].tolist()) - known):
         count = int((heads["channel"] == number).sum())
         lost.append(LostMessages(names.get(number, f"channel {number}"), count, None, None))
@@ -145,22 +158,22 @@ ZSTD_MAGIC: Final = b"\x28\xb5\x2f\xfd"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SalvagedLog:
-    """All that a damaged log still holds for sure."""
+    """Undamaged content of a damaged log."""
 
     metadata: Mapping[str, Mapping[str, str]]
-    """The format and header records; without the header where its CRC does not hold."""
+    """Format and header records; no header if its CRC does not match."""
     chunks: tuple[IntactChunk, ...]
     channels: Mapping[int, Channel]
     schemas: Mapping[int, Schema]
     lost: tuple[LostMessages, ...]
     lost_before: tuple[LostMessages, ...]
-    """In recoveries before this one."""
+    """Losses that earlier recoveries reported."""
     notes: tuple[str, ...]
-    """Sentences about what in the file is not of this log, or not in its place."""
+    """Sentences about parts of the file that belong to another log, or are out of order."""
 
 
 def intact_chunks(data: bytes, at: int) -> Iterator[bytes]:
-    """The records of each chunk from byte `at` on whose CRC holds, whatever became of the bytes around it."""
+    """Yield the records of each chunk from byte `at` on whose CRC matches; bytes around it may be damaged."""
     decompressor = zstandard.ZstdDecompressor()
     view = memoryview(data)
     while (found := data.find(ZSTD_MAGIC, at)) >= 0:
@@ -172,7 +185,7 @@ def intact_chunks(data: bytes, at: int) -> Iterator[bytes]:
             size = zstandard.frame_content_size(view[found : found + 18])
             if not 0 <= size <= MAX_CHUNK_BYTES:
                 continue
-            # The frame knows its end; no frame is larger than this.
+            # The decompressor finds the end of the frame; this is an upper limit of its size.
             frame = view[found : found + size + (size >> 8) + 512]
             one = decompressor.decompressobj()
             plain = one.decompress(frame)
@@ -184,12 +197,12 @@ def intact_chunks(data: bytes, at: int) -> Iterator[bytes]:
 
 
 def has_intact_chunk(data: bytes, at: int) -> bool:
-    """Whether there is an undamaged chunk from byte `at` on."""
+    """Return whether there is an intact chunk from byte `at` on."""
     return next(intact_chunks(data, at), None) is not None
 
 
 def salvage(data: bytes) -> SalvagedLog:
-    """Look for everything in a file that its checks still vouch for; of several logs, in the first."""
+    """Find all content of a file that a CRC confirms; if the file holds several logs, of the first."""
     data, notes = first_log(data)
     metadata = _find_metadata(data)
     channels, schemas, totals = _parse_summary(data)
@@ -213,16 +226,16 @@ def salvage(data: bytes) -> SalvagedLog:
         lost_before = losses_in(metadata.pop(RECOVERED_RECORD, {}))
     except PARSE_ERRORS:
         lost_before = (LostMessages(None, None, None, None),)
-    names = {number: said["topic"] for number, said in _declared_topics(header).items()}
+    names = {number: topic["topic"] for number, topic in _declared_topics(header).items()}
     names |= {number: channel.topic for number, channel in channels.items()}
     lost = find_losses(chunks, names, set(channels), totals, totals is not None or _is_complete(data))
     return SalvagedLog(metadata, tuple(chunks), channels, schemas, lost, lost_before, tuple(notes))
 
 
 def first_log(data: bytes) -> tuple[bytes, list[str]]:
-    """The first log in a file, to behind the magic that ends it or begins another; what is left out.
+    """Return the first log of a file, up to the magic that ends it or begins another, and notes on the rest.
 
-    Every run counts its messages from 0, so chunks of two runs would make one false log.
+    Every run numbers its messages from 0, so chunks of two runs must not be mixed.
     """
     end = find_log_end(data, len(MCAP0_MAGIC))
     if end is None or end == len(data):
@@ -231,7 +244,7 @@ def first_log(data: bytes) -> tuple[bytes, list[str]]:
 
 
 def sort_chunks(chunks: Sequence[IntactChunk], notes: list[str]) -> list[IntactChunk]:
-    """Each chunk once, in the order in which they were written."""
+    """Return each chunk once, in the order of writing; `notes` receives a sentence for each change."""
     once = list({chunk.plain: chunk for chunk in chunks}.values())
     if len(once) < len(chunks):
         count = len(chunks) - len(once)
@@ -243,7 +256,7 @@ def sort_chunks(chunks: Sequence[IntactChunk], notes: list[str]) -> list[IntactC
 
 
 def _chunk_sort_key(chunk: IntactChunk) -> tuple[int, ...]:
-    """Time of a chunk's first message, its channel and number; a chunk of declarations comes first."""
+    """Return time, channel and sequence number of the first message; a chunk without messages sorts first."""
     if not len(chunk.heads):
         return ()
     first = chunk.heads[0]
@@ -251,7 +264,7 @@ def _chunk_sort_key(chunk: IntactChunk) -> tuple[int, ...]:
 
 
 def _declared_topics(header: Mapping[str, str]) -> dict[int, dict[str, Any]]:
-    """What a header says of its channels; nothing where it is another's."""
+    """Return the description of channels in a header; empty if the header is damaged or of another kind."""
     try:
         return decode_topics(header)
     except PARSE_ERRORS:
@@ -261,8 +274,8 @@ def _declared_topics(header: Mapping[str, str]) -> dict[int, dict[str, Any]]:
 def _add_declared(
     header: Mapping[str, str], channels: dict[int, Channel], schemas: dict[int, Schema]
 ) -> None:
-    """Add the channels that only the header knows any more; those that were derived from them stay away."""
-    said = _declared_topics(header)
+    """Add the flight channels whose records are lost, from their description in the header."""
+    topics = _declared_topics(header)
     try:
         known = known_topics(header, {})
     except PARSE_ERRORS:
@@ -273,7 +286,7 @@ def _add_declared(
         text = one.layout.ros_text if one.layout is not None else entries[one.topic].ros_text()
         schema_id = max(schemas, default=0) + 1
         schemas[schema_id] = Schema(
-            id=schema_id, name=said[number]["schema"], encoding="ros2msg", data=ros_definition(None, text)
+            id=schema_id, name=topics[number]["schema"], encoding="ros2msg", data=ros_definition(None, text)
         )
         metadata = {} if one.layout is None else {LAYOUT_KEY: one.layout.to_json()}
         if one.is_truth:
@@ -284,9 +297,9 @@ def _add_declared(
 
 
 def _parse_summary(data: bytes) -> tuple[dict[int, Channel], dict[int, Schema], dict[int, int] | None]:
-    """Channels, schemas and how many messages each channel had, if the log's summary is as written."""
+    """Return channels, schemas and the number of messages by channel, as far as the summary is undamaged."""
     channels, schemas, totals = dict[int, Channel](), dict[int, Schema](), None
-    for opcode, body in read_summary(data):  # its CRC holds
+    for opcode, body in read_summary(data):
         if opcode == Opcode.CHANNEL:
             channel = parse_channel(body)
             channels[channel.id] = channel
@@ -305,11 +318,11 @@ def _parse_schemas(plain: bytes) -> Iterator[Schema]:
 
 
 def _find_metadata(data: bytes) -> dict[str, dict[str, str]]:
-    """The format and header records, wherever they are; the header only with the CRC that it should have."""
+    """Find the format, header and recovery records anywhere in a file; a header only if its CRC matches."""
     found = {}
     for name in (FORMAT_RECORD, HEADER_RECORD, RECOVERED_RECORD):
-        word = len(name).to_bytes(4, "little") + name.encode()
-        at = data.find(word)
+        encoded_name = len(name).to_bytes(4, "little") + name.encode()
+        at = data.find(encoded_name)
         if at < RECORD_HEAD.size:
             continue
         try:
@@ -317,14 +330,14 @@ def _find_metadata(data: bytes) -> dict[str, dict[str, str]]:
         except PARSE_ERRORS:
             continue
         found[name] = record.metadata
-    due = found.get(FORMAT_RECORD, {}).get("header_crc32")
-    if HEADER_RECORD in found and header_crc32(found[HEADER_RECORD]) != due:
+    expected = found.get(FORMAT_RECORD, {}).get("header_crc32")
+    if HEADER_RECORD in found and header_crc32(found[HEADER_RECORD]) != expected:
         del found[HEADER_RECORD]
     return found
 
 
 def _is_complete(data: bytes) -> bool:
-    """Whether the CRC of all that the run wrote holds; it ends where the data end record stands."""
+    """Return whether the data section ends with a data end record whose CRC matches."""
     body = (4).to_bytes(8, "little")
     at = data.rfind(bytes([Opcode.DATA_END]) + body)
     size = RECORD_HEAD.size

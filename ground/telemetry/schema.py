@@ -1,4 +1,4 @@
-"""Packets as fixed-layout messages: a dataclass gives the numpy type, the ROS 2 text and the CDR bytes."""
+"""Layout of packets as messages: numpy type, ROS 2 definition and JSON; and the encoder of CDR."""
 
 import json
 import re
@@ -16,55 +16,15 @@ from fsw.dictionary.types import Limits
 from ground.common.fields import field_docs, unit_of
 from ground.telemetry.errors import SchemaError
 
-ROS_TIME: Final = struct.Struct("<iI")
-"""builtin_interfaces/Time: seconds and nanoseconds."""
-
-
-def ros_time(time_ns: int) -> tuple[int, int]:
-    """Seconds and nanoseconds of a time."""
-    return divmod(time_ns, 1_000_000_000)
-
-
-class CdrWriter:
-    """A message in the making; values are added in the order of its definition."""
-
-    def __init__(self) -> None:
-        self.data = bytearray(ENCAPSULATION)
-
-    def add(self, kinds: str, *values: float) -> Self:
-        """Add numbers, each of a kind of struct's: as "d" for float64."""
-        for kind, value in zip(kinds, values, strict=True):
-            size = struct.calcsize(f"<{kind}")
-            self.data = self.data.ljust(align(len(self.data), size), b"\0") + struct.pack(f"<{kind}", value)
-        return self
-
-    def text(self, text: str) -> Self:
-        """Add a string."""
-        # What comes from the operating system may hold bytes that are no text: keep them legible.
-        content = text.encode(errors="backslashreplace") + b"\0"
-        self.add("I", len(content))
-        self.data += content
-        return self
-
-    def header(self, time_ns: int, frame: str) -> Self:
-        """Add a std_msgs/Header."""
-        return self.add("iI", *ros_time(time_ns)).text(frame)
-
-    def place(self, numbers: int) -> int:
-        """Add so many float64 to be filled in later; where they begin."""
-        self.add("d" * numbers, *[0.0] * numbers)
-        return len(self.data) - 8 * numbers
-
-
 ENCAPSULATION: Final = b"\x00\x01\x00\x00"
-"""CDR, XCDR1, little endian. Alignment counts from the byte after it."""
+"""Encapsulation header: CDR, XCDR1, little endian. Alignment counts from the byte after it."""
 
 DTYPES: Final[dict[type, str]] = {bool: "|b1", int: "<i8", float: "<f8"}
 
 ROS_DTYPE_KINDS: Final = "biuf"
-"""Kinds of numpy types that ROS 2 has."""
+"""Kinds of numpy types that exist in ROS 2."""
 MAX_NUMBER_BYTES: Final = 8
-"""Of one number."""
+"""Size of the largest number of ROS 2."""
 
 Shape = tuple[int, ...]
 PER_JOINT: Final = (len(Joint),)
@@ -76,47 +36,47 @@ ARRAY_SHAPES: Final[Mapping[str, Shape]] = {
     "Truth.p_RoTo_R_m": (len(Tool), 3),
     "Truth.R_RT": (len(Tool), 3, 3),
 }
-"""Shapes of the arrays that do not have one number for each joint."""
+"""Shapes of arrays that are not by joint."""
 
-# Foxglove and rosidl refuse a whole log for one capital letter or double underscore in a field's name.
+# Foxglove and rosidl reject a whole log if one name of a field has a capital letter or a double underscore.
 ROS_NAME: Final = re.compile(r"[a-z](_?[a-z0-9]+)*")
 
 
 def strip_annotated(hint: Any) -> Any:
-    """The type under an Annotated."""
+    """Return the type inside an Annotated."""
     return get_args(hint)[0] if get_origin(hint) is Annotated else hint
 
 
 def align(offset: int, size: int) -> int:
-    """The next offset, from the start of the message, where CDR places a value of this size."""
+    """Return the next offset from the start of a message where CDR places a value of this size."""
     return offset + (len(ENCAPSULATION) - offset) % size
 
 
 def ros_definition(doc: str | None, body: str) -> bytes:
-    """A ROS 2 message definition, headed by the first line of a docstring."""
+    """Return a ROS 2 message definition with the first line of a docstring as its comment."""
     heading = (doc or "").strip().split("\n")[0]
     return f"# {heading}\n{body}".encode()
 
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """One field of a packet: name, numpy type ("<f8"), shape (None: not an array), notes for people."""
+    """Field of a packet: name, numpy type such as "<f8", shape (None for a single number), comments."""
 
     name: str
     kind: str
     shape: Shape | None
     note: str = ""
-    """Unit, limits, names of the values."""
+    """Comment with unit, limits and names of the values."""
     doc: str = ""
 
     @property
     def size(self) -> int:
-        """Bytes of one number, and what they are aligned to."""
+        """Size of one number in bytes, and its alignment."""
         return np.dtype(self.kind).itemsize
 
     @property
     def ros_lines(self) -> str:
-        """The field in a ROS 2 message definition, where names are lower case; the comments say the rest."""
+        """Lines of the field in a ROS 2 message definition; names are lower case, comments hold the rest."""
         count = "" if self.shape is None else f"[{prod(self.shape)}]"
         remarks = [] if self.name.islower() else [self.name]
         if self.shape is not None and len(self.shape) > 1:
@@ -130,13 +90,13 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The fields of a packet, in the order of its bytes."""
+    """Layout of a packet: its fields in the order of the bytes."""
 
     fields: tuple[Field, ...]
 
     @property
     def dtype(self) -> np.dtype[np.void]:
-        """The numpy type that views a message's bytes, encapsulation included."""
+        """Structured numpy type of a whole message with its encapsulation header."""
         formats = [np.dtype((f.kind, f.shape or ())) for f in self.fields]
         offsets, end = [], len(ENCAPSULATION)
         for one in formats:
@@ -147,35 +107,35 @@ class Layout:
 
     @property
     def ros_text(self) -> str:
-        """The body of the ROS 2 message definition."""
+        """Body of the ROS 2 message definition."""
         return "".join(f.ros_lines for f in self.fields)
 
     def to_json(self) -> str:
-        """The layout as a log keeps it, so that a reader needs no dataclass."""
+        """Encode the layout for a log, so that a reader needs no dataclass."""
         return json.dumps([[f.name, f.kind, f.shape] for f in self.fields])
 
     @classmethod
     def from_json(cls, text: str) -> "Layout":
-        """The layout that `to_json` gave, without the notes.
+        """Decode a layout that `to_json` encoded; comments are lost.
 
         Raises:
-            TypeError, ValueError: it is none, or of something that is no number.
+            TypeError, ValueError: the text is not a layout of numbers.
         """
         rows = json.loads(text)
-        made = cls(tuple(Field(name, kind, shape and tuple(shape)) for name, kind, shape in rows))
-        whole = made.dtype
-        if not all(is_ros_number(whole[name].base) for name in whole.names or ()):
+        layout = cls(tuple(Field(name, kind, shape and tuple(shape)) for name, kind, shape in rows))
+        dtype = layout.dtype
+        if not all(is_ros_number(dtype[name].base) for name in dtype.names or ()):
             raise ValueError(f"a field is no number: {text}")
-        return made
+        return layout
 
 
 def is_ros_number(scalar: np.dtype[Any]) -> bool:
-    """Whether ROS 2 has such a type."""
+    """Return whether ROS 2 has this type of number."""
     return scalar.kind in ROS_DTYPE_KINDS and scalar.itemsize <= MAX_NUMBER_BYTES
 
 
 def note_of(name: str, hint: Any) -> str:
-    """Unit, limits and names of the values of a field, as far as there are any."""
+    """Return a comment with unit, limits and names of the values of a field, as far as they exist."""
     unit, limits, kind = unit_of(name), limits_of(hint), strip_annotated(hint)
     remarks = [] if unit in (None, "1") else [f"[{unit}]"]
     if limits is not None:
@@ -186,17 +146,17 @@ def note_of(name: str, hint: Any) -> str:
 
 
 def array_shape(owner: type, name: str) -> Shape:
-    """The shape of an array field of a packet."""
+    """Return the shape of an array field of a packet."""
     return ARRAY_SHAPES.get(f"{owner.__name__}.{name}", PER_JOINT)
 
 
 def limits_of(hint: Any) -> Limits | None:
-    """The limits of an annotation; None if it has none."""
+    """Return the limits of an annotation, None if it has none."""
     return next((one for one in get_args(hint)[1:] if isinstance(one, Limits)), None)
 
 
 def packet_field(owner: type, name: str, hint: Any) -> Field:
-    """The field that an annotation declares.
+    """Return the field that an annotation declares.
 
     Raises:
         SchemaError: the annotation has no fixed layout.
@@ -216,12 +176,13 @@ def packet_field(owner: type, name: str, hint: Any) -> Field:
 
 
 def packet_layout(packet: type, names: Iterable[str]) -> Layout:
-    """The layout of these fields of a packet, from its annotations.
+    """Return the layout of fields of a packet, from its annotations.
 
-    The largest numbers come first, and of one size those that are no arrays, so that nothing is padded.
+    Fields are ordered by size, the largest first, and within a size single numbers before arrays. This order
+    needs no padding.
 
     Raises:
-        SchemaError: a field has no fixed layout, or its name in lower case is not one of its own in ROS 2.
+        SchemaError: a field has no fixed layout, or its name in lower case is taken or not legal in ROS 2.
     """
     hints = get_type_hints(packet, include_extras=True)
     fields = [packet_field(packet, name, hints[name]) for name in names]
@@ -234,3 +195,43 @@ def packet_layout(packet: type, names: Iterable[str]) -> Layout:
             )
         seen.add(name)
     return Layout(tuple(sorted(fields, key=lambda f: (-f.size, f.shape is not None))))
+
+
+ROS_TIME: Final = struct.Struct("<iI")
+"""builtin_interfaces/Time: seconds and nanoseconds."""
+
+
+def ros_time(time_ns: int) -> tuple[int, int]:
+    """Split a time into seconds and nanoseconds."""
+    return divmod(time_ns, 1_000_000_000)
+
+
+class CdrWriter:
+    """Message that is being encoded in CDR; values are added in the order of its definition."""
+
+    def __init__(self) -> None:
+        self.data = bytearray(ENCAPSULATION)
+
+    def add(self, kinds: str, *values: float) -> Self:
+        """Add numbers; `kinds` has a code of `struct` for each, such as "d" for float64."""
+        for kind, value in zip(kinds, values, strict=True):
+            size = struct.calcsize(f"<{kind}")
+            self.data = self.data.ljust(align(len(self.data), size), b"\0") + struct.pack(f"<{kind}", value)
+        return self
+
+    def text(self, text: str) -> Self:
+        """Add a string."""
+        # Text from the operating system may hold bytes that UTF-8 does not have.
+        content = text.encode(errors="backslashreplace") + b"\0"
+        self.add("I", len(content))
+        self.data += content
+        return self
+
+    def header(self, time_ns: int, frame: str) -> Self:
+        """Add a std_msgs/Header."""
+        return self.add("iI", *ros_time(time_ns)).text(frame)
+
+    def reserve(self, numbers: int) -> int:
+        """Add zeros of type float64 to be overwritten later, and return the byte where they begin."""
+        self.add("d" * numbers, *[0.0] * numbers)
+        return len(self.data) - 8 * numbers

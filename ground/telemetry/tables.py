@@ -1,4 +1,4 @@
-"""Logs as tables for people and as documents for programs."""
+"""Output of the verbs of `marsarm log`: tables for people and JSON documents."""
 
 import json
 from collections.abc import Sequence
@@ -16,15 +16,15 @@ from ground.telemetry.read import Log
 from ground.telemetry.recover import RecoveryReport
 
 OMITTED_KEYS: Final = ("channels", "commands", "params")
-"""What a header holds for programs; it fills screens."""
+"""Keys of the header that are too long for people."""
 PIPE_WIDTH: Final = 120
-"""Columns of a table that goes into a file or a pipe."""
+"""Width of a table that goes into a file or a pipe."""
 JSON_KEYS: Final = ("boot", "cpu", "request")
-"""What a header holds as JSON."""
+"""Keys of the header whose values are JSON."""
 
 
 def info_json(log: Log) -> dict[str, Any]:
-    """A log as a JSON document; without what its header holds for programs alone."""
+    """Return a log as a JSON document, without the keys of the header in OMITTED_KEYS."""
     info = summarize_log(log)
     return {
         "log": str(log.path),
@@ -57,7 +57,7 @@ def _parse_header_value(name: str, text: str) -> Any:
 
 
 def lost_json(lost: Sequence[LostMessages]) -> list[dict[str, Any]]:
-    """What was lost as a JSON document; seconds of log time, null where nothing tells."""
+    """Return losses as a JSON document; times in seconds of log time, null for unknown."""
     return [
         {
             "topic": one.topic,
@@ -70,7 +70,7 @@ def lost_json(lost: Sequence[LostMessages]) -> list[dict[str, Any]]:
 
 
 def info_table(log: Log) -> None:
-    """Print a log: its header, how long it is, its topics and event reports."""
+    """Print a log: header, duration, topics and event reports."""
     console, info = plain_console(), summarize_log(log)
     for name, text in sorted(log.header.items()):
         if name not in OMITTED_KEYS:
@@ -101,7 +101,7 @@ def _duration(info: LogInfo) -> str:
 
 
 def channels_json(log: Log, channels: Sequence[ChannelSeries]) -> dict[str, Any]:
-    """The channels of a log as a JSON document."""
+    """Return the channels of a log as a JSON document."""
     return {"log": str(log.path), "channels": [_channel_json(one, range_of(one)) for one in channels]}
 
 
@@ -119,7 +119,7 @@ def _channel_json(channel: ChannelSeries, values: Range) -> dict[str, Any]:
 
 
 def channels_table(channels: Sequence[ChannelSeries]) -> None:
-    """Print the channels of a log, one a line."""
+    """Print the channels of a log, one in each line."""
     table = Table(box=None, pad_edge=False)
     for name in ("channel", "type", "unit", "count", "min", "max", "NaN, inf"):
         is_text = name in ("channel", "type", "unit")
@@ -143,7 +143,7 @@ def _number(value: float | int | None) -> str:
 
 
 def recovery_json(bad: Path, good: Path, recovered: RecoveryReport) -> dict[str, Any]:
-    """A recovery as a JSON document."""
+    """Return a recovery as a JSON document."""
     return {
         "bad": str(bad),
         "good": str(good),
@@ -155,7 +155,7 @@ def recovery_json(bad: Path, good: Path, recovered: RecoveryReport) -> dict[str,
 
 
 def recovery_table(good: Path, recovered: RecoveryReport) -> None:
-    """Print what was saved and what was lost."""
+    """Print the saved and the lost messages."""
     console = plain_console()
     console.print(f"{sum(recovered.saved.values())} messages saved in {good}", soft_wrap=True)
     if recovered.header_lost:
@@ -180,7 +180,7 @@ def _lost_table(console: Console, lost: Sequence[LostMessages]) -> None:
 
 
 def export_json(log: Log, files: dict[str, Path]) -> dict[str, Any]:
-    """An export as a JSON document."""
+    """Return an export as a JSON document."""
     rows = {topic: len(log.time_ns[topic]) for topic in files}
     return {
         "log": str(log.path),
@@ -189,7 +189,7 @@ def export_json(log: Log, files: dict[str, Path]) -> dict[str, Any]:
 
 
 def export_table(log: Log, files: dict[str, Path]) -> None:
-    """Print which files were written."""
+    """Print the files that were written."""
     for topic, path in files.items():
         plain_console().print(
             f"{topic:<16} {pluralize(len(log.time_ns[topic]), 'row')} in {path}", soft_wrap=True

@@ -1,4 +1,4 @@
-"""From messages to numpy arrays by topic, checked for length, order and completeness."""
+"""Conversion of messages to numpy arrays by topic, with checks of length, order and completeness."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ from ground.telemetry.schema import Layout
 
 @dataclass(frozen=True, slots=True)
 class KnownTopic:
-    """A channel of ours; the layout is None for EVRs and commands, which have no fixed one."""
+    """Flight channel; the layout is None for EVRs and commands."""
 
     topic: str
     layout: Layout | None
@@ -32,29 +32,30 @@ class KnownTopic:
 
 
 def decode_topics(header: Mapping[str, str]) -> dict[int, dict[str, Any]]:
-    """What a header says of its channels, by number, the topic with it; empty where it says nothing.
+    """Return the description of each channel in a header, by number; empty if the header has none.
 
-    KeyError, TypeError, AttributeError or ValueError when it says something else.
+    Raises:
+        KeyError, TypeError, AttributeError, ValueError: the header is damaged.
     """
     topics = json.loads(header.get(CHANNELS_KEY, "{}"))
-    return {int(said["id"]): {**said, "topic": topic} for topic, said in topics.items()}
+    return {int(about["id"]): {**about, "topic": topic} for topic, about in topics.items()}
 
 
 def known_topics(header: Mapping[str, str], records: Mapping[int, Channel]) -> dict[int, KnownTopic]:
-    """The channels of ours: as the header announces them, or, where it does not, as their records say.
+    """Return the flight channels, from the header, or else from the channel records.
 
-    Channels of others, and those that repeat ours in the form of other tools, are left out.
+    Channels of other programs, and channels that are derived for other tools, are left out.
     """
-    said = decode_topics(header) or {number: _topic_document(channel) for number, channel in records.items()}
+    topics = decode_topics(header) or {number: _topic_document(one) for number, one in records.items()}
     return {
         number: KnownTopic(one["topic"], _parse_layout(one["layout"]), bool(one["truth"]))
-        for number, one in said.items()
+        for number, one in topics.items()
         if one["topic"] in (EVR_TOPIC, COMMAND_TOPIC) or (one["layout"] is not None and not one["derived"])
     }
 
 
 def _topic_document(channel: Channel) -> dict[str, Any]:
-    """What a channel's record says, in the words of a header."""
+    """Describe a channel from its record, as a header does."""
     layout = channel.metadata.get(LAYOUT_KEY)
     return {
         "topic": channel.topic,
@@ -69,36 +70,44 @@ def _parse_layout(rows: Any) -> Layout | None:
 
 
 BatchRows = Sequence[NDArray[np.int64]]
-"""Which messages of each batch, shapes (n,)."""
+"""Rows of the messages of a channel in each batch, shape (n,)."""
 
 
 def rows_of(batches: Sequence[MessageBatch], channel_id: int) -> BatchRows:
-    """The messages of a channel."""
+    """Find the messages of a channel in each batch."""
     return [np.flatnonzero(batch.heads["channel"] == channel_id) for batch in batches]
 
 
 def heads_of(batches: Sequence[MessageBatch], rows: BatchRows) -> NDArray[np.void]:
-    """Their heads, type HEAD, shape (n,)."""
+    """Return the heads of messages, type MESSAGE_DTYPE, shape (n,)."""
     found = [batch.heads[of_batch] for batch, of_batch in zip(batches, rows, strict=True)]
     return np.concatenate([np.zeros(0, MESSAGE_DTYPE), *found])
 
 
 def select_rows(rows: BatchRows, is_chosen: NDArray[np.bool_]) -> BatchRows:
-    """Those of the messages that are chosen; `is_chosen` has shape (n,) over all batches."""
+    """Select messages; `is_chosen` has shape (n,) over all batches."""
     of_batch = np.split(is_chosen, np.cumsum([len(one) for one in rows])[:-1])
     return [one[chosen] for one, chosen in zip(rows, of_batch, strict=True)]
 
 
 def check_complete(topic: str, heads: NDArray[np.void], from_start: bool) -> None:
-    """See that no message is missing from the first, or from the start, to the last; ValueError else."""
-    counted = heads["sequence"].astype(np.int64)
-    first = 0 if from_start or not len(counted) else int(counted[0])
-    if not np.array_equal(counted, np.arange(first, first + len(counted))):
+    """Check that sequence numbers are consecutive, from 0 if `from_start`.
+
+    Raises:
+        ValueError: a message is missing or out of order.
+    """
+    sequence = heads["sequence"].astype(np.int64)
+    first = 0 if from_start or not len(sequence) else int(sequence[0])
+    if not np.array_equal(sequence, np.arange(first, first + len(sequence))):
         raise ValueError(f"messages of {topic} are missing or out of order")
 
 
 def check_order(topic: str, time_ns: NDArray[np.uint64], one_a_cycle: bool) -> None:
-    """See that time goes forward, and, of packets, that there is one at a time; ValueError else."""
+    """Check the order of log times, shape (n,); with `one_a_cycle` they must rise strictly.
+
+    Raises:
+        ValueError: a time is before the previous one, or equal to it.
+    """
     for k in np.flatnonzero(time_ns[1:] <= time_ns[:-1]) + 1:
         if time_ns[k] < time_ns[k - 1]:
             raise ValueError(
@@ -115,9 +124,13 @@ def check_order(topic: str, time_ns: NDArray[np.uint64], one_a_cycle: bool) -> N
 def packets_of(
     batches: Sequence[MessageBatch], rows: BatchRows, topic: str, layout: Layout
 ) -> NDArray[np.void]:
-    """The messages as one read-only array, shape (n,); ValueError when one has not the layout's length."""
+    """Copy messages to one read-only array of the type of the layout, shape (n,).
+
+    Raises:
+        ValueError: a message has another length than the layout.
+    """
     dtype = layout.dtype
-    # Seen to before memory is reserved for a layout that may be nonsense.
+    # Checked first: a damaged layout could reserve any amount of memory.
     lengths = np.concatenate([batch.heads["length"][one] for batch, one in zip(batches, rows, strict=True)])
     if (lengths != MESSAGE_OVERHEAD + dtype.itemsize).any():
         raise ValueError(f"a message of {topic} is not {dtype.itemsize} bytes long")
@@ -133,7 +146,7 @@ def packets_of(
 
 
 def bodies_of(batches: Sequence[MessageBatch], rows: BatchRows) -> list[bytes]:
-    """The messages one by one."""
+    """Return the bodies of messages."""
     bodies = []
     for batch, of_batch in zip(batches, rows, strict=True):
         begins = batch.starts[of_batch] + MESSAGE_DTYPE.itemsize

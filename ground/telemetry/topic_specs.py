@@ -1,4 +1,4 @@
-"""Every channel of a log, known before its first cycle: what the recorder announces and the header says."""
+"""Specification of every channel that the recorder writes, and its form in the header and in MCAP records."""
 
 import json
 from collections.abc import Mapping
@@ -30,12 +30,12 @@ DERIVED_TOPICS: Final = {
     MARKERS_TOPIC: ("visualization_msgs/msg/MarkerArray", "the parameters: shapes of the collision check"),
     ROSOUT_TOPIC: ("rcl_interfaces/msg/Log", "/evr"),
 }
-"""Schema of each derived channel, and what it was computed from."""
+"""Schema and source of each derived channel."""
 
 
 @dataclass(frozen=True, slots=True)
 class TopicSpec:
-    """One channel; the layout is None where messages have no fixed one."""
+    """Specification of a channel; the layout is None if its messages have no fixed layout."""
 
     id: int
     topic: str
@@ -46,7 +46,7 @@ class TopicSpec:
 
 
 def topic_specs() -> tuple[TopicSpec, ...]:
-    """All channels, flight first."""
+    """Return all channels, flight channels first."""
     packets = [
         (topic.name, topic.packet, packet_layout(topic.packet, topic.field_names), topic.is_truth)
         for topic, _ in PACKET_TOPICS
@@ -70,7 +70,7 @@ def topic_specs() -> tuple[TopicSpec, ...]:
 
 
 def encode_topics(channels: tuple[TopicSpec, ...]) -> str:
-    """The channels as the header holds them: a JSON object by topic."""
+    """Encode the channels for the header: a JSON object by topic."""
     return json.dumps(
         {
             one.topic: {
@@ -86,7 +86,7 @@ def encode_topics(channels: tuple[TopicSpec, ...]) -> str:
 
 
 def mcap_records(channels: tuple[TopicSpec, ...]) -> tuple[list[Schema], list[Channel]]:
-    """Schema and channel records; channels of one schema share it."""
+    """Return schema and channel records; channels of equal schema share one record."""
     texts = {one.schema: one.text for one in channels}
     ids = {name: k + 1 for k, name in enumerate(texts)}
     schemas = [Schema(id=ids[name], name=name, encoding="ros2msg", data=text) for name, text in texts.items()]
@@ -103,5 +103,5 @@ def mcap_records(channels: tuple[TopicSpec, ...]) -> tuple[list[Schema], list[Ch
 
 
 def schema_name(name: str) -> str:
-    """What a schema of ours is called in a log."""
+    """Return the full name of a marsarm schema."""
     return f"marsarm/msg/{name}"

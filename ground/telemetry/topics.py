@@ -1,4 +1,4 @@
-"""Which topic each part of a cycle goes to, read from the annotations of CycleRecord."""
+"""Topics of a log, derived from the annotations of CycleRecord, and the names of their channels."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass
@@ -12,19 +12,19 @@ from sim.record import CycleRecord
 
 
 def channel_name(topic: str, field: str) -> str:
-    """The name of a field of a topic, as it is printed everywhere."""
+    """Return the name of the channel of a field."""
     return f"{topic}.{field}"
 
 
 def channel_matches(topic: str, field: str, pattern: str) -> bool:
-    """Whether a pattern fits a channel in either spelling; capitals count."""
+    """Return whether a pattern matches a channel as /topic.field or /topic/field; case matters."""
     spellings = (channel_name(topic, field), f"{topic}/{field}")
     return any(fnmatchcase(spelling, pattern) for spelling in spellings)
 
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """One channel: its name, where in a CycleRecord its packet is, which fields of the packet it keeps."""
+    """Topic: its name, the dotted path of its packet in a CycleRecord, and its recorded fields."""
 
     name: str
     path: str
@@ -33,12 +33,12 @@ class Topic:
 
     @property
     def is_truth(self) -> bool:
-        """Whether the packet is the plant's own: flight software cannot see what sim/ defines."""
+        """True if `sim` defines the packet: flight software cannot see it."""
         return self.packet.__module__.split(".")[0] == "sim"
 
 
 def strip_optional(hint: Any) -> Any:
-    """The type X of an annotation `X` or `X | None`."""
+    """Return the type X of an annotation `X` or `X | None`."""
     kind = strip_annotated(hint)
     if get_origin(kind) not in (Union, UnionType):
         return kind
@@ -47,9 +47,9 @@ def strip_optional(hint: Any) -> Any:
 
 
 def topics_in(owner: type, path: str = "") -> Iterator[Topic]:
-    """The topics of a packet type: its plain fields are one, each dataclass in it is a topic by its own name.
+    """Yield the topics of a packet type: one for its plain fields, and one for each dataclass in it.
 
-    Tuples are left out: in a cycle they hold commands and EVRs, which are messages of their own.
+    Tuples are left out, since they hold commands and EVRs, which are separate messages.
     """
     hints = get_type_hints(owner, include_extras=True)
     types = {f.name: strip_optional(hints[f.name]) for f in fields(owner)}
@@ -61,5 +61,5 @@ def topics_in(owner: type, path: str = "") -> Iterator[Topic]:
             yield from topics_in(kind, f"{path}.{name}".lstrip("."))
 
 
-# The tick is the time of every message of the cycle; it is CycleRecord's only plain field.
+# The tick, the only plain field of CycleRecord, has no topic: it is the log time of every message.
 PACKET_TOPICS: Final = tuple((topic, attrgetter(topic.path)) for topic in topics_in(CycleRecord))

@@ -1,7 +1,6 @@
-"""Hands the rows of a run to the process that writes its log, so that no control cycle waits for the disk.
+"""Pipe to the process that writes a log, so that no control cycle waits for the disk.
 
-The pipe between them is the queue. Only when it is full, because the disk did not keep up for as long as it
-holds, does a cycle wait for it too.
+The pipe is the queue. A cycle waits only if the pipe is full, because the disk was too slow for seconds.
 """
 
 import errno
@@ -24,18 +23,22 @@ from ground.telemetry.writer_process import END, PIPE_BYTES, READY, ROW_HEAD, Wr
 
 WRITER_CODE: Final = "import sys; sys.path[:] = {}; from ground.telemetry.writer_process import main; main()"
 CODE_PATH: Final = [os.path.abspath(folder) for folder in sys.path]
-"""Where this process found the code, whatever folder it works in later."""
+"""Absolute import path of this process, which may change its working folder later."""
 RUN_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""What is sent to a whole group of processes and is for the run, which ends its log."""
+"""Signals to a process group that the run must handle; it then closes its log."""
 
 
 class WriterPipe:
-    """A log in the hands of its writer; nothing that was put is dropped silently."""
+    """Connection to the process that writes a log; no row is lost without an error."""
 
     def __init__(
         self, file: FileIO, written: McapState, ids: Mapping[str, int], config: Config | None, chunk_s: float
     ) -> None:
-        """Share the file of a log that has been begun; OSError if there can be no process to write it."""
+        """Start the process that continues the log in `file`.
+
+        Raises:
+            OSError: the process cannot start.
+        """
         job = pickle.dumps(WriterJob(file.fileno(), written, ids, config, chunk_s))
         self._process = os.getpid()
         self._ended: WriterStatus | None = None
@@ -61,20 +64,21 @@ class WriterPipe:
 
     @property
     def process(self) -> int:
-        """Of the writer."""
+        """Id of the writing process."""
         return self._writer.pid
 
     @property
     def written_ns(self) -> int | None:
-        """Time of the last row that the operating system has, known once the writer has ended."""
+        """Time of the last written row; None before the writer has ended, or without a row."""
         return None if self._ended is None else self._ended.written_ns
 
     def put(self, time_ns: int, data: bytes, sample: JointSample | None) -> None:
-        """Hand over the records of a cycle, and what the messages for other tools are made of.
+        """Send the records of a cycle, and its sample for the messages to other tools.
 
         Raises:
-            OSError: what ended the writer.
-            ValueError: the log is closed, or what was put before was interrupted on its way.
+            OSError: the writer has ended; the error is its own.
+            ValueError: the log is closed, or an earlier call was interrupted.
+            RuntimeError: another process opened the log.
         """
         if os.getpid() != self._process:
             raise RuntimeError("a log is written by the process that opened it; open another here")
@@ -86,25 +90,29 @@ class WriterPipe:
         self._send(encode_row(time_ns, data, sample))
 
     def close(self) -> None:
-        """Have the log completed, and wait for it; OSError if it could not be."""
-        if os.getpid() != self._process:  # a fork, for which it is not to be completed or waited for
+        """Complete the log and wait for the writer.
+
+        Raises:
+            OSError: the log could not be completed.
+        """
+        if os.getpid() != self._process:  # a fork must neither complete the log nor wait for the writer
             self._inlet.close()
             self._outlet.close()
             self._writer.returncode = 0
             return
         if self._ended is None and not self._is_torn:
-            with suppress(OSError):  # the writer has ended, and says why
+            with suppress(OSError):  # the writer has ended; _raise reports why
                 self._send(END)
         self._end()
         self._raise()
 
     def _widen(self) -> None:
         if hasattr(fcntl, "F_SETPIPE_SZ"):
-            with suppress(OSError):  # beyond what this user may have, it holds what it holds
+            with suppress(OSError):  # the user may not have a pipe of this size
                 fcntl.fcntl(self._inlet, fcntl.F_SETPIPE_SZ, PIPE_BYTES)
 
     def _send(self, data: bytes) -> None:
-        self._is_torn = True  # until all is sent: what comes after half a row would not be understood
+        self._is_torn = True  # until all is sent: the writer could not read a row after half a row
         rest = memoryview(data)
         try:
             while rest:
@@ -116,17 +124,17 @@ class WriterPipe:
         self._is_torn = False
 
     def _end(self) -> None:
-        """Let the writer end, and hear how it did."""
+        """Close the pipe, wait for the writer and read its status."""
         if self._ended is not None:
             return
         self._inlet.close()
         with self._outlet:
-            said = self._outlet.read().rpartition(b"\n")[2]  # behind what was not waited for
-        status = self._writer.wait()
+            report = self._outlet.read().rpartition(b"\n")[2]  # the last line
+        exit_status = self._writer.wait()
         self._ended = (
-            WriterStatus(**json.loads(said))
-            if said
-            else WriterStatus(None, errno.EPIPE, _describe_exit(status))
+            WriterStatus(**json.loads(report))
+            if report
+            else WriterStatus(None, errno.EPIPE, _describe_exit(exit_status))
         )
 
     def _raise(self) -> None:
@@ -136,7 +144,7 @@ class WriterPipe:
 
 @contextmanager
 def _block_signals(signals: tuple[signal.Signals, ...]) -> Iterator[None]:
-    """Processes that are started in the block never get these signals."""
+    """Block signals; processes that start in the block inherit this."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
     try:
         yield
@@ -145,7 +153,7 @@ def _block_signals(signals: tuple[signal.Signals, ...]) -> Iterator[None]:
 
 
 def encode_row(time_ns: int, data: bytes, sample: JointSample | None) -> bytes:
-    """A row as the writer takes it."""
+    """Encode a row for the writer."""
     extra = b"" if sample is None else sample.to_bytes()
     return b"".join((ROW_HEAD.pack(time_ns, len(data), len(extra)), data, extra))
 

@@ -1,7 +1,7 @@
-"""The process that writes a log: takes rows from standard input and writes them, chunk by chunk.
+"""Process that writes a log: it reads rows from standard input and writes them chunk by chunk.
 
-It goes on for as long as rows may come. A run that ends without closing its log, whatever ended it, loses
-nothing that it has handed over; its log is cut short. Interrupts are for the run; they are kept from here.
+It runs until its input ends. If the run dies without closing its log, all rows that it sent are written, and
+the log is truncated. The run starts this process with interrupts blocked.
 """
 
 import errno
@@ -25,86 +25,86 @@ from ground.telemetry.ros_messages import JointSample, RosEncoder
 
 
 class Expander:
-    """Adds the records of the standard messages of one arm; without a configuration there are none."""
+    """Adds the ROS 2 messages of one arm to its rows; without a configuration it adds none."""
 
     def __init__(self, config: Config | None, ids: Mapping[str, int]) -> None:
-        self._standard = None if config is None else RosEncoder(config)
+        self._encoder = None if config is None else RosEncoder(config)
         self._ids = ids
         self._counts = dict.fromkeys(ids.values(), 0)
-        self._begun = False
+        self._has_begun = False
 
     def __call__(self, rows: Sequence[tuple[LogRow, JointSample | None]]) -> list[LogRow]:
-        """The same rows, those with a sample followed by what is made of it."""
+        """Return the rows; each row with a sample is followed by a row of ROS 2 messages."""
         expanded = []
         for row, sample in rows:
             expanded.append(row)
-            if self._standard is not None and sample is not None:
-                expanded.append(self._derived(self._standard, row.time_ns, sample))
+            if self._encoder is not None and sample is not None:
+                expanded.append(self._derived(self._encoder, row.time_ns, sample))
         return expanded
 
-    def _derived(self, standard: RosEncoder, time_ns: int, sample: JointSample) -> LogRow:
-        messages = [] if self._begun else list(standard.fixed(time_ns))
-        self._begun = True
-        messages += standard.sample(time_ns, sample)
+    def _derived(self, encoder: RosEncoder, time_ns: int, sample: JointSample) -> LogRow:
+        messages = [] if self._has_begun else list(encoder.static_messages(time_ns))
+        self._has_begun = True
+        messages += encoder.cycle_messages(time_ns, sample)
         return LogRow(
             time_ns, number_messages(self._counts, time_ns, [(self._ids[t], data) for t, data in messages])
         )
 
 
 ROW_HEAD: Final = struct.Struct("<QII")
-"""Before each row: time [ns], length of its records, length of its sample or 0."""
+"""Head of a row: log time [ns], length of its records, length of its sample or 0."""
 READY: Final = b"ready for rows\n"
-"""The line that it says when it can take them."""
+"""Line that the process prints when it can read rows."""
 END: Final = ROW_HEAD.pack(0, 0, 0)
-"""A row of nothing: the log is complete."""
+"""Empty row: the log is complete."""
 PIPE_BYTES: Final = 1 << 20
-"""What may wait: seconds of a run that keeps pace with the clock."""
+"""Size of the pipe: seconds of a run in real time."""
 MAX_ROWS: Final = 1024
-"""In one chunk; it has about 20 when the disk keeps up."""
+"""Rows in one chunk at most; there are about 20 if the disk is fast enough."""
 
 
 @dataclass(frozen=True, slots=True)
 class WriterJob:
-    """What is to be written where."""
+    """Job of the writing process."""
 
     file_descriptor: int
-    """Of a log that has been begun."""
+    """File of a log with header and channels."""
     written: McapState
     ids: Mapping[str, int]
-    """Of the channels, by topic."""
+    """Number of each channel, by topic."""
     config: Config | None
     chunk_s: float
 
 
 @dataclass(slots=True)
 class WriterStatus:
-    """How far a log was written, and why no further."""
+    """Status of the writer at its end: the last written row, and the error if there was one."""
 
     written_ns: int | None = None
-    """Time of the last row that the operating system has; None before the first."""
+    """Log time of the last row that was written; None before the first."""
     error_number: int = 0
-    """As of an OSError; 0 where there was none."""
+    """`errno` of an OSError; 0 without an error."""
     why: str = ""
 
 
 class ByteSource(Protocol):
-    """Where rows come from."""
+    """Source of bytes, such as a pipe."""
 
     def read1(self, most: int, /) -> bytes:
-        """What is there, waiting for the first of it; nothing at the end."""
+        """Read the available bytes, after waiting for the first; empty at the end."""
 
 
 class RowStream:
-    """Rows as they come out of a pipe, in whatever pieces."""
+    """Rows of a pipe, which may deliver them in pieces of any size."""
 
     def __init__(self, inlet: ByteSource) -> None:
         self._inlet = inlet
         self._bytes = b""
         self.is_complete = False
-        """Whether the end of the log has come."""
+        """True after the row that ends the log."""
 
     def take(self) -> tuple[list[tuple[LogRow, JointSample | None]], bool]:
-        """All rows that are there, waiting for the first piece, and whether there may be more to come."""
+        """Wait for bytes, then return all complete rows, and whether more may follow."""
         piece = self._inlet.read1(PIPE_BYTES)
         self._bytes += piece
         rows, at = [], 0
@@ -127,9 +127,20 @@ class RowStream:
 def write_rows(
     stream: RowStream, log: McapWriter, expand: Expander, chunk_s: float, ended: WriterStatus
 ) -> None:
-    """Write all that comes, and the summary if the log is complete; OSError if the disk is full or gone."""
+    """Write all rows of a stream, and the summary if the log is complete.
+
+    Args:
+        stream: Rows.
+        log: Writer.
+        expand: Function that adds the ROS 2 messages.
+        chunk_s: Wall time of a chunk; 0 for one chunk each row.
+        ended: Status to update.
+
+    Raises:
+        OSError: the disk is full or gone.
+    """
     most_rows = MAX_ROWS if chunk_s > 0 else 1
-    pause_s = min(chunk_s, CHUNK_S)  # between two looks: the end of the log may come in a long chunk
+    pause_s = min(chunk_s, CHUNK_S)  # the pipe is read this often, as the log may end during a long chunk
     waiting: list[tuple[LogRow, JointSample | None]] = []
     due_s, goes_on = 0.0, True
     while goes_on:
@@ -142,15 +153,17 @@ def write_rows(
                 log.add_chunk(expand(waiting[k : k + most_rows]))
                 ended.written_ns = waiting[min(k + most_rows, len(waiting)) - 1][0].time_ns
             waiting = []
-        if goes_on and sum(len(row.data) for row, _ in rows) < PIPE_BYTES // 4:  # there is room to wait
+        if (
+            goes_on and sum(len(row.data) for row, _ in rows) < PIPE_BYTES // 4
+        ):  # the pipe has room for the pause
             time.sleep(max(began_s + pause_s - time.monotonic(), 0.0))
     if stream.is_complete:
         log.finish()
 
 
 def main() -> None:
-    """Do the job that comes first on standard input; say on standard output how it ended."""
-    sys.stdout.flush()  # what this Python says of itself when it starts
+    """Do the job that is first on standard input, and print the status on standard output."""
+    sys.stdout.flush()  # a message that Python printed at its start
     ended = WriterStatus()
     with FileIO(sys.stdin.fileno(), closefd=False) as raw, BufferedReader(raw) as inlet:
         job: WriterJob = pickle.load(inlet)
@@ -165,5 +178,5 @@ def main() -> None:
 
 
 def _send_status(text: bytes) -> None:
-    with suppress(BrokenPipeError):  # the run has gone
+    with suppress(BrokenPipeError):  # the run has ended
         os.write(sys.stdout.fileno(), text)

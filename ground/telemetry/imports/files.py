@@ -1,4 +1,4 @@
-"""Files that are read whole, and are refused if they are none or too large."""
+"""Reading of whole files with a limit of size, and the error of an import."""
 
 import os
 from collections.abc import Iterable
@@ -7,7 +7,7 @@ from typing import Final
 
 
 class BadImport(ValueError):
-    """A table or a mapping that cannot be imported; a line of the message for each problem."""
+    """Error of a table or a mapping that cannot be imported; the message has one line for each problem."""
 
     def __init__(self, problems: Iterable[str]):
         self.problems = tuple(problems)
@@ -17,18 +17,18 @@ class BadImport(ValueError):
 MAX_TABLE_BYTES: Final = 1 << 32
 
 
-def read_file(path: Path, most: int) -> bytes:
-    """What is in a file.
+def read_file(path: Path, max_bytes: int) -> bytes:
+    """Read a file.
 
     Raises:
-        BadImport: it cannot be read, is no regular file, or is larger than `most` bytes.
+        BadImport: it cannot be read, is not a regular file, or is larger than `max_bytes`.
     """
-    if os.path.exists(path) and not os.path.isfile(path):  # a pipe, say, which would never end
+    if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe might never end
         raise BadImport([f"{path}: is not a regular file; give the path of one"])
     try:
         size = path.stat().st_size
-        if size > most:
-            raise BadImport([f"{path}: has {size} bytes, more than {most}; is it the right file?"])
+        if size > max_bytes:
+            raise BadImport([f"{path}: has {size} bytes, more than {max_bytes}; is it the right file?"])
         return path.read_bytes()
     except (OSError, ValueError) as error:
         raise BadImport([f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})"]) from error

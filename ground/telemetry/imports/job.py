@@ -1,4 +1,4 @@
-"""What was imported as a table for people and as a document for programs."""
+"""Import of a table: request, conversion to a log, and the report as table and JSON document."""
 
 import hashlib
 import json
@@ -15,7 +15,7 @@ from ground.common.files import BadOutput, atomic_write, check_output
 from ground.common.progress import Progress
 from ground.common.requests import BadRequest, check_distinct_files
 from ground.render.console import plain_console, pluralize
-from ground.telemetry.format import TICK_NS
+from ground.telemetry.format import SENSOR_TOPIC, TICK_NS
 from ground.telemetry.header import SESSION, commands_header, start_header, versions_header
 from ground.telemetry.imports.files import MAX_TABLE_BYTES, BadImport, read_file
 from ground.telemetry.imports.log_file import TopicMessages, write_table_log
@@ -25,14 +25,13 @@ from ground.telemetry.imports.packets import IncompleteTopic, build_topics, inco
 from ground.telemetry.imports.table import MAX_CELLS, read_table
 from ground.telemetry.imports.times import sort_by_time
 
-SENSOR_TOPIC: Final = "/sensors"
 UNKNOWN_CPU: Final = "[]"
-"""Nobody knows what the table's numbers were computed on."""
+"""Value of `cpu` in the header: the processor that computed the table is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class ImportRequest:
-    """What is asked."""
+    """Request of an import: the table, its mapping and the new log."""
 
     table: Path
     mapping: Path
@@ -41,24 +40,24 @@ class ImportRequest:
 
 @dataclass(frozen=True, slots=True)
 class TopicReport:
-    """What a topic of the log has; ticks are those of its first and last message."""
+    """Summary of a topic: its messages, and the ticks of the first and the last."""
 
     topic: str
     messages: int
     first_tick: int
     last_tick: int
     missing_ticks: int
-    """Between the two."""
+    """Ticks without a message between the first and the last."""
 
 
 @dataclass(frozen=True, slots=True)
 class ImportReport:
-    """What came of it."""
+    """Result of an import."""
 
     request: ImportRequest
     rows: int
     rows_moved: int
-    """In how many places the file was not in order of time."""
+    """Places where the file was not in order of time."""
     topics: tuple[TopicReport, ...]
     commands: int
     incomplete: tuple[IncompleteTopic, ...]
@@ -67,7 +66,7 @@ class ImportReport:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImportedLog:
-    """A log in memory."""
+    """Converted log in memory."""
 
     mapping: TableMapping
     rows: int
@@ -77,13 +76,13 @@ class ImportedLog:
 
     @property
     def commands(self) -> tuple[tuple[int, Command], ...] | None:
-        """With their ticks; None where the mapping has no start, and so no word about commands."""
+        """Commands with their ticks; None if the mapping has no [start], so that commands are unknown."""
         start = self.mapping.start
         return None if start is None else tuple((one.tick, one.command) for one in start.commands)
 
 
 def import_table(request: ImportRequest, progress: Progress) -> ImportReport:
-    """Carry out an import.
+    """Convert a table to a log.
 
     Raises:
         BadRequest: the table, the mapping or the path of the log is wrong; nothing was written.
@@ -94,26 +93,33 @@ def import_table(request: ImportRequest, progress: Progress) -> ImportReport:
         progress(0, 3, "reading the mapping")
         text = read_file(request.mapping, MAX_MAPPING_BYTES)
         progress(1, 3, "reading the table")
-        made = convert_table(
+        converted = convert_table(
             read_file(request.table, MAX_TABLE_BYTES), str(request.table), text, str(request.mapping)
         )
         progress(2, 3, "writing the log")
         with atomic_write(request.log, "log") as file:
-            write_table_log(file, made.header, made.series, made.commands)
+            write_table_log(file, converted.header, converted.series, converted.commands)
     except (BadImport, BadOutput) as error:
         raise BadRequest(str(error)) from error
     except MemoryError as error:
         raise BadRequest(f"{request.table}: is too large for the memory; give it in parts") from error
-    return _report(request, made)
+    return _report(request, converted)
 
 
 def convert_table(
     table: bytes, table_file: str, mapping: bytes, mapping_file: str, cells: int = MAX_CELLS
 ) -> ImportedLog:
-    """The log that a table and a mapping make; the names are how messages call them.
+    """Convert the content of a table to a log in memory.
+
+    Args:
+        table: Content of the table.
+        table_file: Name of the table, for messages.
+        mapping: Content of the mapping.
+        mapping_file: Name of the mapping, for messages; paths in the mapping start from its folder.
+        cells: Limit of the numbers in the table.
 
     Raises:
-        BadImport: one of them is wrong; of the mapping, every problem at once.
+        BadImport: the table or the mapping is wrong; all problems of a mapping are reported together.
     """
     try:
         text = mapping.decode("utf-8-sig")
@@ -121,44 +127,44 @@ def convert_table(
         raise BadImport(
             [f"{mapping_file}: is no text in UTF-8 ({error.reason}, byte {error.start})"]
         ) from error
-    said = parse_mapping(text, mapping_file, Path(mapping_file).parent)
-    times = () if said.time.column is None else (said.time.column,)
-    names = dict.fromkeys((*times, *(name for channel in said.channels for name in channel.columns)))
+    parsed = parse_mapping(text, mapping_file, Path(mapping_file).parent)
+    times = () if parsed.time.column is None else (parsed.time.column,)
+    names = dict.fromkeys((*times, *(name for channel in parsed.channels for name in channel.columns)))
     if not names:
         raise BadImport(
             [f"{mapping_file}: channel: none has columns; there is nothing to take from the table"]
         )
-    read = sort_by_time(read_table(table, table_file, tuple(names), said.csv, cells), said.time)
-    with np.errstate(over="ignore", invalid="ignore"):  # what becomes infinite is looked for and refused
-        series = build_topics(read, said, cells)
-    if said.start is not None:
-        _check_replayable(mapping_file, said, said.start, series)
+    rows = sort_by_time(read_table(table, table_file, tuple(names), parsed.csv, cells), parsed.time)
+    with np.errstate(over="ignore", invalid="ignore"):  # a value that becomes infinite is refused later
+        series = build_topics(rows, parsed, cells)
+    if parsed.start is not None:
+        _check_replayable(mapping_file, parsed, parsed.start, series)
     about = {
         "table": table_file,
         "table_sha256": hashlib.sha256(table).hexdigest(),
         "mapping": mapping_file,
         "mapping_sha256": hashlib.sha256(mapping).hexdigest(),
     }
-    return ImportedLog(said, read.rows, read.rows_moved, series, _import_header(said, about))
+    return ImportedLog(parsed, rows.rows, rows.rows_moved, series, _import_header(parsed, about))
 
 
 def _check_replayable(
     file: str, mapping: TableMapping, start: FlightStart, series: tuple[TopicMessages, ...]
 ) -> None:
-    """Refuse a start without readings in every cycle, and commands in a cycle that is not there."""
+    """Refuse [start] without sensors in every cycle, and commands after the last cycle."""
     sensors = next((one for one in series if one.topic == SENSOR_TOPIC), None)
     if sensors is None:
-        said = next((one.fields for one in incomplete_topics(mapping) if one.topic == SENSOR_TOPIC), ())
-        what = f"it lacks {', '.join(said)}" if said else "there is none"
+        lacking = next((one.fields for one in incomplete_topics(mapping) if one.topic == SENSOR_TOPIC), ())
+        what = f"it lacks {', '.join(lacking)}" if lacking else "there is none"
         raise BadImport(
             [f"{file}: start: replay needs all of {SENSOR_TOPIC}, {what}; map it, or leave out [start]"]
         )
-    gaps = np.flatnonzero(np.diff(sensors.ticks) != 1)
-    if sensors.ticks[0] != 0 or gaps.size:
+    breaks = np.flatnonzero(np.diff(sensors.ticks) != 1)
+    if sensors.ticks[0] != 0 or breaks.size:
         where = (
             f"tick {sensors.ticks[0]} comes first"
             if sensors.ticks[0] != 0
-            else (f"tick {sensors.ticks[gaps[0]] + 1} is missing")
+            else (f"tick {sensors.ticks[breaks[0]] + 1} is missing")
         )
         raise BadImport(
             [
@@ -167,25 +173,25 @@ def _check_replayable(
             ]
         )
     last = int(sensors.ticks[-1])
-    never = [one for one in start.commands if one.tick > last]
-    if never:
+    late = [one for one in start.commands if one.tick > last]
+    if late:
         raise BadImport(
             f"{file}:{one.line}: command: at_s is {one.tick / CYCLE_HZ:.15g}, the table ends at "
             f"{last / CYCLE_HZ:.15g}; it would never be given: leave it out"
-            for one in never
+            for one in late
         )
 
 
 def _import_header(mapping: TableMapping, about: dict[str, str]) -> dict[str, str]:
     start = mapping.start
-    begins = {} if start is None else start_header(start.params, start.mode, start.reference)
+    conditions = {} if start is None else start_header(start.params, start.mode, start.reference)
     commands = [] if start is None else [one.command for one in start.commands]
-    done = {} if mapping.session is None else {SESSION: json.dumps(asdict(mapping.session))}
+    session = {} if mapping.session is None else {SESSION: json.dumps(asdict(mapping.session))}
     return {
         **versions_header(),
-        **begins,
+        **conditions,
         **commands_header(commands),
-        **done,
+        **session,
         "cpu": UNKNOWN_CPU,
         "arm": mapping.arm,
         "seed": "unknown",
@@ -194,7 +200,7 @@ def _import_header(mapping: TableMapping, about: dict[str, str]) -> dict[str, st
     }
 
 
-def _report(request: ImportRequest, made: ImportedLog) -> ImportReport:
+def _report(request: ImportRequest, converted: ImportedLog) -> ImportReport:
     topics = tuple(
         TopicReport(
             topic=one.topic,
@@ -203,28 +209,28 @@ def _report(request: ImportRequest, made: ImportedLog) -> ImportReport:
             last_tick=int(one.ticks[-1]),
             missing_ticks=int(one.ticks[-1] - one.ticks[0] + 1) - one.ticks.size,
         )
-        for one in made.series
+        for one in converted.series
     )
-    start = made.mapping.start
+    start = converted.mapping.start
     commands = 0 if start is None else len(start.commands)
     return ImportReport(
         request,
-        made.rows,
-        made.rows_moved,
+        converted.rows,
+        converted.rows_moved,
         topics,
         commands,
-        incomplete_topics(made.mapping),
+        incomplete_topics(converted.mapping),
         start is not None,
     )
 
 
 def duration_s(topic: TopicReport) -> float:
-    """From the first message of a topic to the last."""
+    """Return the time from the first message of a topic to the last."""
     return (topic.last_tick - topic.first_tick) * TICK_NS * 1e-9
 
 
 def import_json(report: ImportReport) -> dict[str, Any]:
-    """An import as a JSON document."""
+    """Return an import as a JSON document."""
     return {
         "log": str(report.request.log),
         "rows": report.rows,
@@ -237,7 +243,7 @@ def import_json(report: ImportReport) -> dict[str, Any]:
 
 
 def import_tables(report: ImportReport) -> None:
-    """Print an import: a row for each topic, and what keeps packets from being whole."""
+    """Print an import: a row for each topic, and the missing fields of incomplete topics."""
     console = plain_console()
     table = Table(title=f"{report.request.log}: {pluralize(report.rows, 'row')}", title_justify="left")
     for name in ("topic", "messages", "first tick", "last tick", "ticks without"):

@@ -1,4 +1,4 @@
-"""Writes a log whose messages are known beforehand: those of a table that was imported."""
+"""Writer of a log from an imported table, whose messages are all known in advance."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ CHUNK_BYTES: Final = 1 << 18
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TopicMessages:
-    """The messages of one topic: `data` (n,) has the layout's type and is written as it is."""
+    """Messages of one topic."""
 
     topic: str
     schema: str
@@ -38,8 +38,9 @@ class TopicMessages:
     layout: Layout
     is_truth: bool
     ticks: NDArray[np.int64]
-    """The cycle of each message, (n,), growing."""
+    """Tick of each message, rising, shape (n,)."""
     data: NDArray[np.void]
+    """Messages in the type of the layout, shape (n,)."""
 
 
 def write_table_log(
@@ -48,7 +49,7 @@ def write_table_log(
     series: Sequence[TopicMessages],
     commands: Sequence[tuple[int, Command]] | None,
 ) -> None:
-    """Write a whole log, messages in order of time; without `commands` it has no channel for them.
+    """Write a closed log, messages in order of time; if `commands` is None, the log has no channel for them.
 
     Raises:
         OSError: the disk is full or gone.
@@ -66,23 +67,23 @@ def write_table_log(
     for one in series:
         bodies.append(np.ascontiguousarray(one.data))
         ticks.append(one.ticks)
-    for which, sequence, tick in _sort_messages(ticks):
-        time_ns, body = tick * TICK_NS, bodies[which][sequence]
-        writer.add_message(ids[which], time_ns, bytes(body), time_ns, sequence)
+    for k, sequence, tick in _sort_messages(ticks):
+        time_ns, body = tick * TICK_NS, bodies[k][sequence]
+        writer.add_message(ids[k], time_ns, bytes(body), time_ns, sequence)
     writer.finish()  # type: ignore[no-untyped-call]  # mcap annotates only part of itself
 
 
 def _sort_messages(ticks: Sequence[Any]) -> Any:
-    """Which series, which of its messages, and the tick; by tick, and in a tick by series."""
-    which = np.concatenate([np.full(len(one), k, np.int64) for k, one in enumerate(ticks)])
+    """Return series, message in the series, and tick, of all messages in order of tick, then of series."""
+    series = np.concatenate([np.full(len(one), k, np.int64) for k, one in enumerate(ticks)])
     sequence = np.concatenate([np.arange(len(one)) for one in ticks])
     tick = np.concatenate([np.asarray(one, np.int64) for one in ticks])
-    order = np.lexsort((sequence, which, tick))
-    return zip(which[order].tolist(), sequence[order].tolist(), tick[order].tolist(), strict=True)
+    order = np.lexsort((sequence, series, tick))
+    return zip(series[order].tolist(), sequence[order].tolist(), tick[order].tolist(), strict=True)
 
 
 def _topic_specs(series: Sequence[TopicMessages], has_commands: bool) -> tuple[TopicSpec, ...]:
-    """The channels, commands first."""
+    """Return the channels, commands first."""
     found = []
     if has_commands:
         text = ros_definition(CommandEntry.__doc__, CommandEntry.ros_text())

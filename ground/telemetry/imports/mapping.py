@@ -1,4 +1,4 @@
-"""What a mapping says, once it has been checked: which columns are which channels."""
+"""Records of a checked mapping: columns and channels, time, format of the text, start and session."""
 
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal
@@ -16,34 +16,34 @@ from ground.telemetry.imports.units import Conversion
 
 GridMode = Literal["exact", "nearest", "hold", "linear"]
 TICK: Final = "tick"
-"""The value that is the number of the cycle."""
+"""Value of a mapping that stands for the number of the cycle."""
 MAX_TICK: Final = 1 << 39
-"""A table may begin here and span as much: more ticks, in nanoseconds, do not fit a log. 272 years."""
+"""Limit of the first tick and of the span of a table, 272 years; more nanoseconds do not fit a log."""
 UNIT_NS: Final = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1_000, "ns": 1}
 
 
 @dataclass(frozen=True, slots=True)
 class TimeMapping:
-    """The table [time]: when each row was, and what to do where that is between two cycles."""
+    """Table [time]: times of the rows, and treatment of rows between two cycles."""
 
     column: str | None = None
     unit: Literal["s", "ms", "us", "ns"] | None = None
     format: str | None = None
-    """Of a column of text, in the words of strptime."""
+    """Format of a column of text, as for strptime."""
     rate_Hz: Annotated[float | None, Limits(1e-3, 1e6)] = None
-    """Of rows without a time column."""
+    """Rate of the rows of a table without a time column."""
     grid: GridMode = "exact"
     share: Annotated[float, Limits(0.0, 0.5)] = 0.01
-    """With grid exact: how far a row may be from its cycle, as a share of a cycle."""
+    """Largest distance of a row from its cycle, as a share of a cycle, with grid "exact"."""
     gap_s: Annotated[float, Limits(1e-3, 60.0)] = 1.0
-    """With grids hold and linear: how long there may be no row."""
+    """Longest time without a row, with grids "hold" and "linear"."""
     sort: bool = False
-    """Whether to put rows in the order of their times, which else is an error."""
+    """True to sort the rows by time; else rows out of order are an error."""
     first_tick: int = 0
-    """The cycle of the first row."""
+    """Tick of the first row."""
 
     def __post_init__(self) -> None:
-        """See that it is said in one way when a row was."""
+        """Check that exactly one source of times is given."""
         if (self.column is None) == (self.rate_Hz is None):
             raise ValueError(
                 "time: give column and unit, or rate_Hz for rows at a fixed rate; one of the two"
@@ -58,13 +58,13 @@ class TimeMapping:
 
 @dataclass(frozen=True, slots=True)
 class CsvFormat:
-    """The table [csv]: how a text table is written."""
+    """Table [csv]: separator and decimal sign of a text table."""
 
     separator: str = ","
     decimal: Literal[".", ","] = "."
 
     def __post_init__(self) -> None:
-        """See that columns can be told apart."""
+        """Check that the separator is one character and not the decimal sign."""
         if len(self.separator) != 1 or not self.separator.isascii() or self.separator in '"\r\n':
             raise ValueError(
                 f"csv: separator {self.separator!r} is not one character; write ',' or ';' or a tab"
@@ -75,55 +75,55 @@ class CsvFormat:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MappedChannel:
-    """One field of a message, and where its values come from."""
+    """Field of a message, and the columns or the constant that give its values."""
 
     target: ChannelTarget
     columns: tuple[str, ...]
-    """Empty if it is a constant."""
+    """Columns of the table; empty for a constant."""
     constant: NDArray[Any] | str | None
-    """As it goes into the log, or TICK."""
+    """Constant in the type of the log, or TICK."""
     conversion: Conversion
     gain: NDArray[np.float64]
     offset: NDArray[np.float64]
     line: int
-    """Of the mapping."""
+    """Line in the mapping."""
 
 
 @dataclass(frozen=True, slots=True)
 class TimedCommand:
-    """A command, and the first cycle that sees it."""
+    """Command, and the tick of the first cycle that receives it."""
 
     tick: int
     command: Command
     line: int
-    """Of the mapping."""
+    """Line in the mapping."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FlightStart:
-    """What flight software began with, for a table that is to be replayed."""
+    """Table [start]: start conditions of flight software, for replay."""
 
     params: Params
     mode: Mode
     reference: Reference | None
     commands: tuple[TimedCommand, ...]
-    """In order of their ticks."""
+    """Commands in order of their ticks."""
 
 
 @dataclass(frozen=True, slots=True)
 class SessionMapping:
-    """The table [session]: what was done, for a diagnosis of the gap."""
+    """Table [session]: motion and conditions, for the diagnosis."""
 
     name: str
     block: str | None = None
-    """The same in all repeats of a motion; the name if it is not said."""
+    """Name that all repeats of a motion share; None for the name of the session."""
     temperature_C: Annotated[float | None, Limits(-273.15, 1000.0)] = None
-    """Of the air; that of the windings in the first row if it is not said."""
+    """Temperature of the air; None for that of the windings in the first row."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TableMapping:
-    """A mapping without a problem."""
+    """Checked mapping."""
 
     file: str
     arm: str

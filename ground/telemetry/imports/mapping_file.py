@@ -1,4 +1,4 @@
-"""Mappings from TOML, strictly: every problem at once, each with its line and with what would be right."""
+"""Strict parser of mappings in TOML: channels, [start], [[command]], [session]; it reports all problems."""
 
 import math
 from collections.abc import Mapping
@@ -9,7 +9,7 @@ from typing import Annotated, Any, Final, TypeVar
 import numpy as np
 
 from fsw.config import CYCLE_HZ, configure
-from fsw.dictionary.enums import Joint, Mode, Tool
+from fsw.dictionary.enums import Mode, Tool
 from fsw.dictionary.params import Params
 from fsw.dictionary.types import Joints5, Limits
 from fsw.estimate.reference import Reference
@@ -41,14 +41,13 @@ from sim.scenario.toml_record import Findings, read_record, require_table
 from sim.scenario.toml_tables import list_tables, read_command
 
 Flags5 = tuple[bool, bool, bool, bool, bool]
-NONE: Final = (0.0,) * len(Joint)
 COMMAND_ROUNDING: Final = 1e-6
-"""Of a cycle; a command this little after one is seen in it."""
+"""Share of a cycle by which a command may follow the start of a cycle and still belong to it."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Reference:
-    """The table [start.reference]: what was remembered of the joints; order of Joint."""
+    """Table [start.reference]: stored reference of the joints, in the order of Joint."""
 
     calibrated: Flags5
     zero_rad: Joints5
@@ -60,7 +59,7 @@ class _Reference:
 
 @dataclass(frozen=True, slots=True)
 class _Start:
-    """The table [start] but for the reference."""
+    """Table [start] without the reference."""
 
     mode: Mode
     params: str | None = None
@@ -68,16 +67,16 @@ class _Start:
 
 @dataclass(frozen=True, slots=True)
 class _CommandTime:
-    """When a command is given."""
+    """Time of a command."""
 
     at_s: Annotated[float, Limits(0.0, 1e7)]
 
 
 def parse_start(data: dict[str, Any], folder: Path, findings: Findings) -> FlightStart | None:
-    """What flight software began with; None where the mapping does not say, or says it wrongly."""
-    asked = list(list_tables(data, "command", findings))
+    """Parse [start] and [[command]]; None if there is no [start], or `findings` received a problem of it."""
+    command_tables = list(list_tables(data, "command", findings))
     if "start" not in data:
-        if asked:
+        if command_tables:
             findings.report(("command",), "command: is for a table that is to be replayed; write [start] too")
         return None
     table = require_table(data["start"], ("start",), findings)
@@ -85,14 +84,14 @@ def parse_start(data: dict[str, Any], folder: Path, findings: Findings) -> Fligh
         return None
     own = {key: value for key, value in table.items() if key != "reference"}
     if isinstance(own.get("mode"), str):
-        own["mode"] = own["mode"].lower()  # as names in columns, in capitals or not
+        own["mode"] = own["mode"].lower()  # case does not matter, as for names in columns
     start = read_record(_Start, own, ("start",), findings)
     params = None if start is None else _load_params(start.params, folder, findings)
     if start is None or params is None:
         return None
     reference = _parse_reference(table, params, findings)
     points = {point.name: teach_point_tool(point) for point in params.teach}
-    commands = [_parse_command(table, place, findings, points) for place, table in asked]
+    commands = [_parse_command(table, place, findings, points) for place, table in command_tables]
     in_order = sorted((one for one in commands if one is not None), key=lambda one: one.tick)
     return FlightStart(params, start.mode, reference, tuple(in_order))
 
@@ -110,24 +109,24 @@ def _load_params(name: str | None, folder: Path, findings: Findings) -> Params |
 
 
 def _parse_reference(table: dict[str, Any], params: Params, findings: Findings) -> Reference | None:
-    """What was remembered; None for nothing."""
+    """Parse the stored reference of the joints; None if there is none."""
     if "reference" not in table:
         return None
     place = ("start", "reference")
     inner = require_table(table["reference"], place, findings)
-    said = None if inner is None else read_record(_Reference, inner, place, findings)
-    if said is None:
+    fields = None if inner is None else read_record(_Reference, inner, place, findings)
+    if fields is None:
         return None
-    known = np.array(said.calibrated if said.known is None else said.known)
-    drawn = configure(params).half_gap_rad
-    friction = np.zeros(known.size) if said.friction_Nm is None else np.array(said.friction_Nm)
+    known = np.array(fields.calibrated if fields.known is None else fields.known)
+    nominal_rad = configure(params).half_gap_rad
+    friction = np.zeros(known.size) if fields.friction_Nm is None else np.array(fields.friction_Nm)
     return Reference(
-        calibrated=np.array(said.calibrated),
+        calibrated=np.array(fields.calibrated),
         known=known,
-        zero_rad=np.array(said.zero_rad),
-        half_gap_rad=drawn if said.half_gap_rad is None else np.array(said.half_gap_rad),
-        resolver_bias_rad=np.array(said.resolver_bias_rad),
-        friction_Nm=np.where(known & (said.friction_Nm is not None), friction, np.inf),
+        zero_rad=np.array(fields.zero_rad),
+        half_gap_rad=nominal_rad if fields.half_gap_rad is None else np.array(fields.half_gap_rad),
+        resolver_bias_rad=np.array(fields.resolver_bias_rad),
+        friction_Nm=np.where(known & (fields.friction_Nm is not None), friction, np.inf),
     )
 
 
@@ -146,13 +145,13 @@ T = TypeVar("T")
 
 KNOWN_KEYS: Final = ("arm", "time", "csv", "channel", "start", "command", "session")
 LIST_KEYS: Final = ("columns", "gain", "offset")
-"""Keys of a channel that may be one value, too."""
+"""Keys of a channel that may be a single value instead of a list."""
 MAX_MAPPING_BYTES: Final = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class _Channel:
-    """A table [[channel]] but for its constant value."""
+    """Table [[channel]] without its constant value."""
 
     name: str
     columns: tuple[str, ...] | None = None
@@ -163,16 +162,21 @@ class _Channel:
 
 @dataclass(frozen=True, slots=True)
 class _Head:
-    """What a mapping says before its first table."""
+    """Keys before the first table of a mapping."""
 
     arm: str = "unknown"
 
 
 def parse_mapping(text: str, file: str, folder: Path) -> TableMapping:
-    """The mapping that a TOML text says; `file` is how messages call it, paths in it are from `folder`.
+    """Parse a mapping.
+
+    Args:
+        text: Mapping in TOML.
+        file: Name of its file, for messages.
+        folder: Folder from which paths in the mapping start.
 
     Raises:
-        BadImport: something in it is wrong; the message has every problem, by line.
+        BadImport: the mapping is wrong; the message has every problem with its line.
     """
     if len(text) > MAX_MAPPING_BYTES:
         raise BadImport([f"{file}: has {len(text)} characters; a mapping has at most {MAX_MAPPING_BYTES}"])
@@ -218,28 +222,30 @@ def _parse_channel(table: dict[str, Any], place: TomlPath, findings: Findings) -
     before = len(findings.problems)
     listed = {k: [v] if k in LIST_KEYS and not isinstance(v, list) else v for k, v in table.items()}
     constant = listed.pop("value", None)
-    said = read_record(_Channel, listed, place, findings)
-    if said is None:
+    fields = read_record(_Channel, listed, place, findings)
+    if fields is None:
         return None
-    if (said.columns is None) == (constant is None):
-        findings.report(place, f"{said.name}: give columns, or value for what never changes; one of the two")
+    if (fields.columns is None) == (constant is None):
+        findings.report(
+            place, f"{fields.name}: give columns, or value for what never changes; one of the two"
+        )
         return None
-    target = _find_target(said, table, place, findings)
+    target = _find_target(fields, table, place, findings)
     if target is None:
         return None
-    conversion = _find_conversion(said, target, place, findings)
+    conversion = _find_conversion(fields, target, place, findings)
     gain, offset = (
-        _per_column(name, getattr(said, name), target, place, findings) for name in ("gain", "offset")
+        _per_column(name, getattr(fields, name), target, place, findings) for name in ("gain", "offset")
     )
-    if said.columns is not None:
-        _check_columns(said.columns, target, place, findings)
-    if target.members is not None and (said.gain, said.offset) != ((1.0,), (0.0,)):
+    if fields.columns is not None:
+        _check_columns(fields.columns, target, place, findings)
+    if target.members is not None and (fields.gain, fields.offset) != ((1.0,), (0.0,)):
         findings.report(place, f"{target.name}: is a name; it has neither gain nor offset")
-    kept = None if constant is None else _parse_constant(constant, target, place, findings)
+    parsed = None if constant is None else _parse_constant(constant, target, place, findings)
     if len(findings.problems) > before:
         return None
     line = findings.lines[place]
-    channel = MappedChannel(target, said.columns or (), kept, conversion, gain, offset, line)
+    channel = MappedChannel(target, fields.columns or (), parsed, conversion, gain, offset, line)
     _check_finite(channel, (*place, "value"), findings)
     return channel
 
@@ -255,24 +261,24 @@ def _check_finite(channel: MappedChannel, at: TomlPath, findings: Findings) -> N
 
 
 def _find_target(
-    said: _Channel, table: dict[str, Any], place: TomlPath, findings: Findings
+    fields: _Channel, table: dict[str, Any], place: TomlPath, findings: Findings
 ) -> ChannelTarget | None:
     known = known_targets()
-    if said.name in known:
-        return known[said.name]
+    if fields.name in known:
+        return known[fields.name]
     at = (*place, "name")
-    if not said.name.startswith(IMPORT_PREFIX):
-        findings.report(at, f"name: {said.name!r} is not known; {_suggest_name(said.name)}")
+    if not fields.name.startswith(IMPORT_PREFIX):
+        findings.report(at, f"name: {fields.name!r} is not known; {_suggest_name(fields.name)}")
         return None
-    if said.unit is None or said.unit not in known_units():
-        findings.report((*place, "unit"), f"unit: {_describe_unit(said.unit, known_units())}")
+    if fields.unit is None or fields.unit not in known_units():
+        findings.report((*place, "unit"), f"unit: {_describe_unit(fields.unit, known_units())}")
         return None
-    columns = said.columns or ("value",)
+    columns = fields.columns or ("value",)
     single = not isinstance(table.get("columns", table.get("value")), list)
-    target = custom_target(said.name, len(columns), said.unit, single)
+    target = custom_target(fields.name, len(columns), fields.unit, single)
     if isinstance(target, ChannelTarget):
         return target
-    findings.report(at, f"name: {said.name}: {target}")
+    findings.report(at, f"name: {fields.name}: {target}")
     return None
 
 
@@ -283,22 +289,22 @@ def _suggest_name(name: str) -> str:
 
 
 def _find_conversion(
-    said: _Channel, target: ChannelTarget, place: TomlPath, findings: Findings
+    fields: _Channel, target: ChannelTarget, place: TomlPath, findings: Findings
 ) -> Conversion:
     at = (*place, "unit")
     if target.members is not None:
-        if said.unit is not None:
+        if fields.unit is not None:
             findings.report(at, f"unit: {target.name} is a name or its number; leave it out")
         return Conversion()
     known = conversions(target.unit or "1")
-    if said.unit is None and target.unit in ("bool", "cycle", "count", "1"):
+    if fields.unit is None and target.unit in ("bool", "cycle", "count", "1"):
         return Conversion()  # nothing else could be meant
-    if said.unit not in known:
+    if fields.unit not in known:
         findings.report(
-            at, f"unit: {_describe_unit(said.unit, known)}; {target.name} is kept in {target.unit}"
+            at, f"unit: {_describe_unit(fields.unit, known)}; {target.name} is kept in {target.unit}"
         )
         return Conversion()
-    return known[said.unit]
+    return known[fields.unit]
 
 
 def _describe_unit(unit: str | None, known: Any) -> str:
@@ -330,7 +336,7 @@ def _check_columns(
 
 
 def _parse_constant(value: Any, target: ChannelTarget, place: TomlPath, findings: Findings) -> Any:
-    """The constant as it is given, one for each element; TICK where it is the number of the cycle."""
+    """Parse a constant, one value for each element; TICK stands for the number of the cycle."""
     at = (*place, "value")
     if value == TICK and target.unit == "cycle":
         return TICK

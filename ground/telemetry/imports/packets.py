@@ -1,4 +1,4 @@
-"""The channels of a mapping as messages: whole packets under our topics, incomplete ones under their own."""
+"""Messages from the channels of a mapping: complete packets in flight topics, others in custom topics."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -18,16 +18,16 @@ from ground.telemetry.schema import ENCAPSULATION, Layout
 
 @dataclass(frozen=True, slots=True)
 class IncompleteTopic:
-    """A topic of ours that the mapping gives a part of."""
+    """Flight topic for which the mapping has only some of the fields."""
 
     topic: str
     kept_as: str
     fields: tuple[str, ...]
-    """Those that would make it whole."""
+    """Fields that the mapping lacks."""
 
 
 def incomplete_topics(mapping: TableMapping) -> tuple[IncompleteTopic, ...]:
-    """Which of our topics are incomplete, and what they lack."""
+    """Find the flight topics that a mapping gives incompletely."""
     found = []
     for topic, channels in _group_by_topic(mapping):
         if topic in TOPICS:
@@ -39,10 +39,15 @@ def incomplete_topics(mapping: TableMapping) -> tuple[IncompleteTopic, ...]:
 
 
 def build_topics(table: InputTable, mapping: TableMapping, cells: int) -> tuple[TopicMessages, ...]:
-    """Every topic with its messages, none with more numbers than `cells`.
+    """Build the messages of every topic.
+
+    Args:
+        table: Table.
+        mapping: Mapping.
+        cells: Limit of the numbers in one topic.
 
     Raises:
-        BadImport: something in the table is not as the mapping says.
+        BadImport: the table does not fit the mapping.
     """
     cycles = cycles_of(table, mapping.time)
     check_grid(table, mapping.time, cycles)
@@ -70,8 +75,8 @@ def _build_topic(
 ) -> TopicMessages:
     columns = [read_columns(table, channel) for channel in channels]
     rows = _complete_rows(table, topic, [column for each in columns for column in each])
-    most = cells // sum(channel.target.size for channel in channels)
-    chosen = pick_rows(table, mapping.time, cycles, rows, most)
+    max_messages = cells // sum(channel.target.size for channel in channels)
+    chosen = pick_rows(table, mapping.time, cycles, rows, max_messages)
     if name == topic and topic in TOPICS:
         layout = topic_layout(topic)
     else:
@@ -87,7 +92,7 @@ def _build_topic(
             data[channel.target.field.name] = interpolate(values, held)
     return TopicMessages(
         topic=name,
-        schema=_schema(name, topic),
+        schema=_schema(name),
         doc=_doc(name, topic),
         layout=layout,
         is_truth=topic in TOPICS and TOPICS[topic].is_truth,
@@ -97,26 +102,26 @@ def _build_topic(
 
 
 def _complete_rows(table: InputTable, topic: str, columns: list[InputColumn]) -> NDArray[np.int64]:
-    """The rows in which a topic has a message: those with a value in all of its columns."""
+    """Return the rows that have a value in all columns of a topic, shape (k,)."""
     if not columns:
         return np.arange(table.rows)
     given = np.stack([column.given for column in columns])
-    some = given.any(axis=0)
-    part = np.flatnonzero(some & ~given.all(axis=0))
-    if part.size:
-        row = int(part[0])
+    is_any = given.any(axis=0)
+    partial = np.flatnonzero(is_any & ~given.all(axis=0))
+    if partial.size:
+        row = int(partial[0])
         absent = columns[int(np.flatnonzero(~given[:, row])[0])].name
-        there = columns[int(np.flatnonzero(given[:, row])[0])].name
-        what = f"has no value, but {there!r} has; a message of {topic} needs all of its columns, or none"
-        raise table.wrong(what, row, absent)
-    if not some.any():
-        raise table.wrong(
+        present = columns[int(np.flatnonzero(given[:, row])[0])].name
+        what = f"has no value, but {present!r} has; a message of {topic} needs all of its columns, or none"
+        raise table.error_at(what, row, absent)
+    if not is_any.any():
+        raise table.error_at(
             f"no row has a value for {topic}; leave it out of the mapping", column=columns[0].name
         )
-    return np.flatnonzero(some)
+    return np.flatnonzero(is_any)
 
 
-def _schema(name: str, topic: str) -> str:
+def _schema(name: str) -> str:
     if name in TOPICS:
         return TOPICS[name].packet.__name__
     words = name.removeprefix(IMPORT_PREFIX).split("_")

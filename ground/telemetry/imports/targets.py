@@ -1,4 +1,4 @@
-"""What a column may be mapped to: our channels by name, and channels of the table's own."""
+"""Targets of a mapping: flight channels by name, and custom channels that only the table has."""
 
 import re
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from ground.telemetry.schema import ROS_NAME, Field, Layout, packet_layout, stri
 from ground.telemetry.topics import PACKET_TOPICS, Topic
 
 IMPORT_PREFIX: Final = "/imported/"
-"""Before the name of a topic that flight software does not have."""
+"""Prefix of the topics that flight software does not have."""
 CUSTOM_NAME: Final = re.compile(r"/imported/([a-z](?:_?[a-z0-9]+)*)\.(\w+)")
 UNIT_OF_DTYPE: Final = {"|b1": "bool"}
 TOPICS: Final[dict[str, Topic]] = {topic.name: topic for topic, _ in PACKET_TOPICS}
@@ -23,32 +23,33 @@ TOPICS: Final[dict[str, Topic]] = {topic.name: topic for topic, _ in PACKET_TOPI
 
 @dataclass(frozen=True, slots=True)
 class ChannelTarget:
-    """A field of a message."""
+    """Field of a message to which columns are mapped."""
 
     topic: str
     field: Field
     unit: str | None
-    """Of the house; None for the name of a member of `members`."""
+    """Unit in the log; None for a member of an enumeration."""
     members: type[IntEnum] | None = None
+    """Enumeration of the values; None for numbers and flags."""
 
     @property
     def name(self) -> str:
-        """As a mapping names it."""
+        """Name in a mapping."""
         return f"{self.topic}.{self.field.name}"
 
     def member(self, word: str) -> int | None:
-        """The number of the member of this name, in capitals or not; None if there is none."""
+        """Return the value of a member of the enumeration; case does not matter; None if there is none."""
         known = {} if self.members is None else self.members.__members__
         return known[word.upper()].value if word.upper() in known else None
 
     @property
     def size(self) -> int:
-        """How many columns it takes."""
+        """Number of columns."""
         return int(np.prod(self.field.shape or ()))
 
     @property
     def columns_text(self) -> str:
-        """What the columns are, for a sentence."""
+        """Description of the columns, for messages."""
         match self.size, self.field.shape:
             case 1, _:
                 return "one"
@@ -64,13 +65,13 @@ class ChannelTarget:
 
 @cache
 def topic_layout(name: str) -> Layout:
-    """The layout of a topic of ours, the one that the recorder writes."""
+    """Return the layout of a flight topic, as the recorder writes it."""
     return packet_layout(TOPICS[name].packet, TOPICS[name].field_names)
 
 
 @cache
 def known_targets() -> dict[str, ChannelTarget]:
-    """Every channel of ours, by name."""
+    """Return every flight channel by name."""
     found = {}
     for topic in TOPICS.values():
         hints = get_type_hints(topic.packet, include_extras=True)
@@ -84,34 +85,40 @@ def known_targets() -> dict[str, ChannelTarget]:
 
 
 def custom_target(name: str, columns: int, unit: str, single: bool) -> ChannelTarget | str:
-    """The channel of the table's own that this name is, or the sentence that says why it is none."""
-    said = CUSTOM_NAME.fullmatch(name)
-    if said is None or not ROS_NAME.fullmatch(said[2].lower()):
+    """Return a custom channel, or a sentence that says why the name is wrong.
+
+    Args:
+        name: Name of the channel, /imported/NAME.FIELD.
+        columns: Number of columns.
+        unit: Unit in the table.
+        single: Whether the field is a single number, not an array.
+    """
+    match = CUSTOM_NAME.fullmatch(name)
+    if match is None or not ROS_NAME.fullmatch(match[2].lower()):
         return "write /imported/NAME.FIELD, words of a-z and 0-9 joined by one _, as /imported/arm.speed_m_s"
-    if f"/{said[1]}" in TOPICS:
-        return (
-            f"{IMPORT_PREFIX}{said[1]} is for what there is of an incomplete /{said[1]}; choose another name"
-        )
-    field = said[2]
-    house = unit_of(field) or ("bool" if unit == "bool" else "1")
-    if unit not in conversions(house):
-        return f"ends in {house}, not in what {unit} is kept in; write {_with_unit_suffix(field, unit)}"
-    kind = {"bool": "|b1", "count": "<i8", "cycle": "<i8"}.get(house, "<f8")
+    if f"/{match[1]}" in TOPICS:
+        name = match[1]
+        return f"{IMPORT_PREFIX}{name} is for what there is of an incomplete /{name}; choose another name"
+    field = match[2]
+    kept_unit = unit_of(field) or ("bool" if unit == "bool" else "1")
+    if unit not in conversions(kept_unit):
+        return f"ends in {kept_unit}, not in what {unit} is kept in; write {_with_unit_suffix(field, unit)}"
+    kind = {"bool": "|b1", "count": "<i8", "cycle": "<i8"}.get(kept_unit, "<f8")
     return ChannelTarget(
-        f"{IMPORT_PREFIX}{said[1]}", Field(field, kind, None if single else (columns,)), house
+        f"{IMPORT_PREFIX}{match[1]}", Field(field, kind, None if single else (columns,)), kept_unit
     )
 
 
-def conversions(house: str) -> dict[str, Conversion]:
-    """The units that may be given for what is kept in this one."""
-    return UNIT_CONVERSIONS.get(house, {house: Conversion()})
+def conversions(kept_unit: str) -> dict[str, Conversion]:
+    """Return the units of a table that convert to a unit of the log."""
+    return UNIT_CONVERSIONS.get(kept_unit, {kept_unit: Conversion()})
 
 
 def _with_unit_suffix(field: str, unit: str) -> str:
-    """The field with the suffix of this unit, in the place of another."""
+    """Replace the suffix of a field by that of a unit."""
     words = field.split("_")
     while len(words) > 1 and words[-1] in UNIT_SYMBOLS:
         words.pop()
-    house = next(house for house, known in UNIT_CONVERSIONS.items() if unit in known)
-    suffix = {"degC": "C", "N m": "Nm", "1": "share", "cycle": "cycles"}.get(house, house)
+    kept_unit = next(kept_unit for kept_unit, known in UNIT_CONVERSIONS.items() if unit in known)
+    suffix = {"degC": "C", "N m": "Nm", "1": "share", "cycle": "cycles"}.get(kept_unit, kept_unit)
     return "_".join([*words, suffix.replace("/", "_")])

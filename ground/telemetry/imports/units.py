@@ -1,4 +1,4 @@
-"""The units in which a table may have its numbers, and what they are in those of the house."""
+"""Units that a table may use, and their conversion to the units of a log."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import Final
 
 @dataclass(frozen=True, slots=True)
 class Conversion:
-    """SI value = factor * value + offset."""
+    """Linear conversion: value in the log = factor * value + offset."""
 
     factor: float = 1.0
     offset: float = 0.0
@@ -49,9 +49,9 @@ UNIT_CONVERSIONS: Final[dict[str, dict[str, Conversion]]] = {
     "bool": _scaled(bool=1.0),
     "1": {"1": Conversion(), "%": Conversion(1e-2)},
 }
-"""By the unit of the house: what may be converted to it."""
+"""Conversions by the unit in the log, then by the unit in the table."""
 
 
 def known_units() -> Iterable[str]:
-    """Every unit that a mapping may name."""
+    """Return every unit that a mapping may name."""
     return dict.fromkeys(symbol for symbols in UNIT_CONVERSIONS.values() for symbol in symbols)

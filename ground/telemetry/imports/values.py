@@ -1,4 +1,4 @@
-"""Columns as the numbers of a channel: units, gain and offset applied, types held to."""
+"""Conversion of columns to the values of a channel: gain, offset, unit and type."""
 
 from typing import Any, Final
 
@@ -11,11 +11,15 @@ from sim.scenario.names import did_you_mean
 
 INT64_LIMIT: Final = 2.0**63
 MAX_EXACT_INT: Final = 1 << 53
-"""Whole numbers beyond it are not all floats."""
+"""Limit up to which every integer is exact as a float."""
 
 
 def read_columns(table: InputTable, channel: MappedChannel) -> list[InputColumn]:
-    """The columns of a channel; BadImport where one holds what the channel cannot."""
+    """Read the columns of a channel.
+
+    Raises:
+        BadImport: a column has values that the channel cannot hold.
+    """
     read = table.numbers if channel.target.members is None else table.names
     return [read(name) for name in channel.columns]
 
@@ -23,10 +27,19 @@ def read_columns(table: InputTable, channel: MappedChannel) -> list[InputColumn]
 def channel_values(
     table: InputTable, channel: MappedChannel, columns: list[InputColumn], rows: NDArray[np.int64]
 ) -> NDArray[Any]:
-    """The channel in these rows, (k, *shape), of the type that the log has.
+    """Convert columns to the values of a channel.
+
+    Args:
+        table: Table, for messages.
+        channel: Channel of the mapping.
+        columns: Columns of the channel; none for a constant.
+        rows: Rows to convert, shape (k,).
+
+    Returns:
+        Values in the type of the log, shape (k, *shape of the field).
 
     Raises:
-        BadImport: a value is none that the channel can have.
+        BadImport: the channel cannot hold a value.
     """
     shape = channel.target.field.shape or ()
     if not columns:
@@ -36,7 +49,7 @@ def channel_values(
 
 
 def _constant_rows(channel: MappedChannel, count: int) -> NDArray[Any]:
-    """A row for each message; the number of the cycle is put in by whoever knows it."""
+    """Repeat a constant for each message; the caller fills in the number of the cycle."""
     kind = np.dtype(channel.target.field.kind)
     if isinstance(channel.constant, str):
         assert channel.constant == TICK
@@ -64,7 +77,16 @@ def _convert(
 
 
 def convert_to_si(channel: MappedChannel, values: NDArray[np.float64], k: int | slice) -> NDArray[np.float64]:
-    """SI values; what is not changed keeps every bit, the sign of zero and the kind of NaN included."""
+    """Apply gain, offset and unit; a step that changes nothing is left out, so that every bit is kept.
+
+    Args:
+        channel: Channel of the mapping.
+        values: Values of the table, shape (n,).
+        k: Column, or all columns.
+
+    Returns:
+        Values in the unit of the log, shape (n,).
+    """
     gain, offset, unit = channel.gain[k], channel.offset[k], channel.conversion
     if np.any(gain != 1.0):
         values = values * gain
@@ -85,12 +107,12 @@ def _convert_numbers(
     k: int,
     rows: NDArray[np.int64],
 ) -> NDArray[np.float64]:
-    """SI values; refuses those that become infinite or no number on the way."""
+    """Convert numbers; refuse a finite number that becomes infinite or NaN."""
     made = convert_to_si(channel, values, k)
     beyond = np.flatnonzero(np.isfinite(values) & ~np.isfinite(made))
     if beyond.size:
         what = f"{values[beyond[0]]} is too large for its gain, offset and unit; are they right?"
-        raise table.wrong(what, int(rows[beyond[0]]), column.name)
+        raise table.error_at(what, int(rows[beyond[0]]), column.name)
     return made
 
 
@@ -102,7 +124,7 @@ def _check_exact(
     large = np.flatnonzero((values > MAX_EXACT_INT) | (values < -MAX_EXACT_INT))
     if large.size:
         row = int(rows[large[0]])
-        raise table.wrong(f"{values[large[0]]} is too large to be a number without loss", row, column.name)
+        raise table.error_at(f"{values[large[0]]} is too large to be a number without loss", row, column.name)
 
 
 def _convert_counts(
@@ -113,10 +135,10 @@ def _convert_counts(
     k: int,
     rows: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """Counts: whole as they are, or rounded where they come out of a gain or an offset."""
+    """Convert counts; a result of gain or offset is rounded."""
     gain, offset = float(channel.gain[k]), float(channel.offset[k])
     if values.dtype == np.bool_:
-        raise table.wrong(
+        raise table.error_at(
             f"holds flags; {channel.target.name} is counted; map a column of whole numbers",
             column=column.name,
         )
@@ -130,12 +152,12 @@ def _convert_counts(
     if not good.all():
         row = int(np.flatnonzero(~good)[0])
         what = f"{numbers[row]} is no whole number, which {channel.target.name} takes"
-        raise table.wrong(what, int(rows[row]), column.name)
+        raise table.error_at(what, int(rows[row]), column.name)
     large = np.flatnonzero(np.abs(numbers) > MAX_EXACT_INT)
     if large.size:
         row = int(large[0])
         what = f"{numbers[row]:.17g} is too large to be counted without loss; give whole numbers, and no gain"
-        raise table.wrong(what, int(rows[row]), column.name)
+        raise table.error_at(what, int(rows[row]), column.name)
     return np.rint(numbers).astype(np.int64)
 
 
@@ -147,17 +169,17 @@ def _convert_counts_exactly(
     table: InputTable,
     column: InputColumn,
     values: NDArray[np.int64],
-    line: tuple[int, int],
+    gain_and_offset: tuple[int, int],
     rows: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """Gain * value + offset without a float between; what leaves 64 bits comes back far off."""
-    gain, offset = line
+    """Compute gain * value + offset in integers; a result that overflows 64 bits is far from its float."""
+    gain, offset = gain_and_offset
     made = values * np.int64(gain) + np.int64(offset)
     about = values.astype(np.float64) * gain + offset
     beyond = np.flatnonzero(np.abs(made.astype(np.float64) - about) > INT64_LIMIT / 2)
     if beyond.size:
         what = f"{values[beyond[0]]} with its gain and offset has more than 64 bits; are they right?"
-        raise table.wrong(what, int(rows[beyond[0]]), column.name)
+        raise table.error_at(what, int(rows[beyond[0]]), column.name)
     return made
 
 
@@ -169,7 +191,7 @@ def _convert_flags(
     k: int,
     rows: NDArray[np.int64],
 ) -> NDArray[np.bool_]:
-    """True and false, or 1 and 0; a gain of -1 and an offset of 1 turn them round."""
+    """Convert flags from true and false, or 1 and 0; a gain of -1 and an offset of 1 invert them."""
     is_scaled = channel.gain[k] != 1.0 or channel.offset[k] != 0.0
     if values.dtype == np.bool_ and not is_scaled:
         return values
@@ -178,7 +200,7 @@ def _convert_flags(
     odd = np.flatnonzero((numbers != 0.0) & (numbers != 1.0))
     if odd.size:
         what = f"{numbers[odd[0]]} is neither true nor false, 1 nor 0, which {channel.target.name} takes"
-        raise table.wrong(what, int(rows[odd[0]]), column.name)
+        raise table.error_at(what, int(rows[odd[0]]), column.name)
     return np.equal(numbers, 1.0)
 
 
@@ -189,7 +211,7 @@ def _convert_names(
     values: NDArray[Any],
     rows: NDArray[np.int64],
 ) -> NDArray[np.int64]:
-    """Members by name or number."""
+    """Convert names or numbers of members of an enumeration to their values."""
     members = channel.target.members
     assert members is not None
     by_number = {str(member.value): member.value for member in members}
@@ -200,5 +222,5 @@ def _convert_names(
     if unknown.size:
         word = column.words[values[unknown[0]]]
         hint = did_you_mean(word[:60], list(members.__members__))
-        raise table.wrong(f"{word!r:.60} is not known; {hint}", int(rows[unknown[0]]), column.name)
+        raise table.error_at(f"{word!r:.60} is not known; {hint}", int(rows[unknown[0]]), column.name)
     return found

@@ -12,7 +12,8 @@ import pytest
 from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC, Writer
 
-from ground.telemetry.errors import LogCorrupt, LogError, LogNotReadable
+from ground.telemetry.errors import LogError, LogNotReadable
+from ground.telemetry.lost_messages import LogDamaged
 from ground.telemetry.mcap_reader import iter_records
 from ground.telemetry.read import Log, read_log
 
@@ -102,7 +103,7 @@ def test_a_flipped_bit_in_a_chunk_is_reported_with_its_place(tmp_path: Path, log
     at = len(log_bytes) // 3
     flipped[at] ^= 1
     with pytest.raises(
-        LogCorrupt,
+        LogDamaged,
         match=r"\(byte \d+\); the file was changed after it was written, and `marsarm log recover`",
     ) as caught:
         read_back(tmp_path / "flipped.mcap", bytes(flipped))
@@ -112,7 +113,7 @@ def test_a_flipped_bit_in_a_chunk_is_reported_with_its_place(tmp_path: Path, log
 def test_a_chunk_taken_out_is_missed(tmp_path: Path, log_bytes: bytes) -> None:
     chunks = [at for at, opcode, _ in iter_records(log_bytes, len(MCAP0_MAGIC)) if opcode == Opcode.CHUNK]
     without_second = log_bytes[: chunks[1]] + log_bytes[chunks[2] : chunks[4]]
-    with pytest.raises(LogCorrupt, match="missing or out of order"):
+    with pytest.raises(LogDamaged, match="missing or out of order"):
         read_back(tmp_path / "short.mcap", without_second)
 
 

@@ -13,8 +13,9 @@ from mcap.opcode import Opcode
 from mcap.writer import MCAP0_MAGIC, Writer
 
 from ground.telemetry import chunks
-from ground.telemetry.errors import LogCorrupt, LogNotReadable
+from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.format import FORMAT, FORMAT_RECORD, HEADER_RECORD, TICK_NS, header_crc32
+from ground.telemetry.lost_messages import LogDamaged
 from ground.telemetry.mcap_reader import iter_records
 from ground.telemetry.read import read_log
 from ground.telemetry.salvage import salvage
@@ -146,13 +147,13 @@ def test_times_that_do_not_go_forward_are_refused(
     tmp_path: Path, times_ns: tuple[int, ...], why: str
 ) -> None:
     messages = [("/a", k, time_ns, 0.5) for k, time_ns in enumerate(times_ns)]
-    with pytest.raises(LogCorrupt, match=why):
+    with pytest.raises(LogDamaged, match=why):
         read_log(written(tmp_path / "times.mcap", messages, {}))
 
 
 def test_a_header_that_announces_nonsense_is_refused(tmp_path: Path) -> None:
     for nonsense in ("[1]", "{", '{"/a": 1}', '{"/a": {"id": 1, "layout": [["x", "O", null]]}}'):
-        with pytest.raises(LogCorrupt):
+        with pytest.raises(LogDamaged):
             read_log(written(tmp_path / "n.mcap", [("/a", 0, 5, 0.5)], {"channels": nonsense}))
 
 
@@ -169,7 +170,7 @@ def test_a_log_whose_last_chunk_is_whole_but_whose_length_is_not_is_not_taken_fo
     cut = bytearray(data[: ends[-1] - 1])
     cut[ends[-2] + 6] ^= 0x10  # of the length of the last chunk
     (tmp_path / "cut.mcap").write_bytes(cut)
-    with pytest.raises(LogCorrupt, match="a record is broken"):
+    with pytest.raises(LogDamaged, match="a record is broken"):
         read_log(tmp_path / "cut.mcap")
 
 

@@ -13,7 +13,8 @@ from fsw.dictionary.commands import Command
 from fsw.dictionary.evrs import Evr
 from fsw.dictionary.faults import Fault
 from ground.telemetry.errors import LogNotWritable, SchemaError
-from ground.telemetry.events import command_entry, evr_entry, json_value
+from ground.telemetry.events import command_entry, evr_entry
+from ground.telemetry.json_codec import record_to_json
 from ground.telemetry.read import read_log
 from ground.telemetry.recorder import Recorder
 
@@ -135,4 +136,4 @@ def test_every_command_goes_into_a_log(kind: Any) -> None:
 
 def test_a_field_that_json_has_no_word_for_is_refused() -> None:
     with pytest.raises(SchemaError, match="object in a command or EVR"):
-        json_value(object())
+        record_to_json(object())

@@ -6,9 +6,9 @@ from typing import Any
 import pytest
 
 from ground.common.requests import BadRequest
-from ground.telemetry.errors import LogCorrupt, LogNotReadable
+from ground.telemetry.errors import LogNotReadable
 from ground.telemetry.format import TICK_NS
-from ground.telemetry.lost_messages import LostMessages
+from ground.telemetry.lost_messages import LogDamaged, LostMessages
 from ground.telemetry.read import read_log
 from ground.telemetry.recover import RecoveryReport, recover
 from validation.damage import CUT_EVERY, flip_bits, is_part, original, truncate_file
@@ -64,7 +64,7 @@ def test_what_a_broken_chunk_held_is_told_by_topic_and_time(tmp_path: Path, data
 
 def test_the_strict_reader_tells_the_same_span(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "bad.mcap").write_bytes(broken(data, chunk_of(data, 5) + 200))
-    with pytest.raises(LogCorrupt, match=r"lost, between 0\.062500 s and 0\.093750 s \(byte"):
+    with pytest.raises(LogDamaged, match=r"lost, between 0\.062500 s and 0\.093750 s \(byte"):
         read_log(tmp_path / "bad.mcap")
 
 
@@ -118,7 +118,7 @@ def test_chunks_out_of_order_are_put_in_order(tmp_path: Path, data: bytes) -> No
     recovered = saved(tmp_path, shuffled)
     assert (recovered.lost, recovered.notes) == ((), ("its chunks are out of order",))
     assert read_log(tmp_path / "good.mcap").ticks("/joint").tolist() == list(range(N_CYCLES))
-    with pytest.raises(LogCorrupt, match="its chunks are out of order, no message was lost"):
+    with pytest.raises(LogDamaged, match="its chunks are out of order, no message was lost"):
         read_log(tmp_path / "bad.mcap")
 
 
