@@ -1,4 +1,4 @@
-"""Telemetry channels: a channel is a field, its packet the dataclass."""
+"""Telemetry channels: each channel is a field, and its packet is the dataclass."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -12,52 +12,52 @@ from fsw.dictionary.types import Limits
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointChannels:
-    """Once a cycle: what the joints do and what is asked of them; output side, order of Joint."""
+    """State and commands of the joints in each cycle, on the output side, in the order of Joint."""
 
     tick: int
-    """The cycle, counted from boot."""
+    """Number of the cycle since boot."""
     mode: Mode
-    """What the arm is doing."""
+    """Mode of the arm."""
     busy: bool
-    """Whether a command is under way."""
+    """True while a command runs."""
     motor_rad: Annotated[NDArray[np.float64], Limits(-6.5, 6.5)]
-    """Encoder angle over gear ratio, zero applied: the output angle without backlash and wind-up.
+    """Encoder angle over gear ratio with the zero applied: the output angle without backlash and wind-up.
 
-    Of a joint that is not calibrated, what its resolver said at first and the motion since.
+    For an uncalibrated joint, the first resolver reading plus the motion since.
     """
     motor_rate_rad_s: Annotated[NDArray[np.float64], Limits(-0.1, 0.1)]
-    """How fast the motor angle changes."""
+    """Rate of the motor angle."""
     setpoint_rad: Annotated[NDArray[np.float64], Limits(-6.5, 6.5)]
-    """Motor angle that was asked for last, or where the brakes hold the motor."""
+    """Last commanded motor angle, or the angle at which the brakes hold the motor."""
     output_rad: Annotated[NDArray[np.float64], Limits(-6.5, 6.5)]
-    """Believed, with backlash and wind-up."""
+    """Estimated output angle, with backlash and wind-up."""
     gap_rad: Annotated[NDArray[np.float64], Limits(-0.01, 0.01)]
-    """Believed output less motor angle inside the backlash, wind-up not counted."""
+    """Estimated position of the output inside its backlash, without wind-up."""
     gap_side: Annotated[NDArray[np.float64], Limits(-1.0, 1.0)]
-    """+1 or -1 where the output surely lies on that flank, 0 floating: where nothing has decided it."""
+    """Side of the backlash: +1 or -1 if the output certainly lies on that flank, 0 if it is undecided."""
     gap_uncertainty_rad: Annotated[NDArray[np.float64], Limits(0.0, 0.02)]
-    """Half the range in which output less motor angle may be."""
+    """Largest error of the estimated output less motor angle."""
     planned_gap_rad: Annotated[NDArray[np.float64], Limits(-0.01, 0.01)]
-    """The gap that the last plan's set-points allow for."""
+    """Position inside the backlash that the set-points of the last plan allow for."""
     calibrated: NDArray[np.bool_]
-    """Which joints have found their hardstop."""
+    """True for joints that have found their hardstop."""
     resolver_error_rad: Annotated[NDArray[np.float64], Limits(-0.1, 0.1)]
-    """Resolver less believed output and the bias learned at the hardstop, smoothed."""
+    """Resolver less estimated output and learned bias, smoothed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ToolChannels:
-    """At a lower rate: where flight software believes the tool to be, gravity deflection included."""
+    """Estimated pose of the tool with gravity deflection, at a lower rate than the cycle."""
 
     tick: int
-    """The cycle, counted from boot."""
+    """Number of the cycle since boot."""
     tool: Tool
-    """Which tool this is about: that of the last tool command."""
+    """Tool of the last tool command."""
     p_RoTo_R_m: Annotated[NDArray[np.float64], Limits(-5.0, 5.0)]
-    """The tool's origin in the rover frame RMECH."""
+    """Origin of the tool in the rover frame RMECH."""
     R_RT: Annotated[NDArray[np.float64], Limits(-1.0, 1.0)]
-    """Tool axes as columns, 3x3, in the rover frame RMECH."""
+    """Axes of the tool as columns, 3x3, in the rover frame RMECH."""
     output_rad: Annotated[NDArray[np.float64], Limits(-6.5, 6.5)]
-    """Joint angles at the output, backlash and wind-up included."""
+    """Output angles, with backlash and wind-up."""
     load_torque_Nm: Annotated[NDArray[np.float64], Limits(-1500.0, 1500.0)]
-    """Torque that each joint is believed to carry, order of Joint."""
+    """Estimated torque of the load on each joint, order of Joint."""

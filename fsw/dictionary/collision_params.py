@@ -1,4 +1,4 @@
-"""Parameters of collision: what the parts of the arm and of the rover are inside of. SI units."""
+"""Parameters of the collision check: shapes that enclose the parts of the arm and of the rover. SI units."""
 
 from dataclasses import dataclass
 from typing import Annotated
@@ -8,31 +8,31 @@ from fsw.dictionary.types import Angle, Limits, Vector3
 
 @dataclass(frozen=True, slots=True)
 class Capsule:
-    """All points within a radius of a segment; from one end to the other."""
+    """All points within a radius of a segment."""
 
     from_m: Vector3
     """One end of the segment."""
     to_m: Vector3
-    """The other end."""
+    """Other end of the segment."""
     radius_m: Annotated[float, Limits(0.001, 1.0)]
-    """How far from the segment it reaches."""
+    """Radius about the segment."""
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A box along the axes of its frame, turned about z."""
+    """Box along the axes of its frame, turned about z."""
 
     centre_m: Vector3
-    """Its middle."""
+    """Centre."""
     half_m: Vector3
-    """Half its edges, x, y, z."""
+    """Half the lengths of the edges x, y, z."""
     turn_rad: Angle = 0.0
-    """How far it is turned about z."""
+    """Turn about z."""
 
 
 @dataclass(frozen=True, slots=True)
 class PartGeometry:
-    """What a part is inside of."""
+    """Shapes that enclose a part."""
 
     capsules: tuple[Capsule, ...] = ()
     boxes: tuple[Box, ...] = ()
@@ -40,9 +40,9 @@ class PartGeometry:
 
 @dataclass(frozen=True, slots=True)
 class ArmGeometry:
-    """The parts of the arm: links in their frames before their springs, the turret in Arm6, tools in theirs.
+    """Parts of the arm: links in the frames before their springs, turret in Arm6, tools in their frames.
 
-    The housing of azimuth and elevation is not among them: it turns between the plates of its bracket.
+    The housing of azimuth and elevation is not included: it turns between the plates of its bracket.
     """
 
     link2: PartGeometry
@@ -59,7 +59,7 @@ class ArmGeometry:
 
 @dataclass(frozen=True, slots=True)
 class RoverGeometry:
-    """The parts of the rover, in RMECH."""
+    """Parts of the rover, in RMECH."""
 
     chassis: PartGeometry
     shoulder_bracket: PartGeometry
@@ -74,11 +74,11 @@ class RoverGeometry:
 
 @dataclass(frozen=True, slots=True)
 class CollisionParams:
-    """What the arm is not to meet, and how far it keeps from it."""
+    """Obstacles of the arm, and the distance to keep from them."""
 
     padding_m: Annotated[float, Limits(0.0, 0.2)]
     """Distance that parts keep from each other."""
     ground_z_m: Annotated[float, Limits(0.0, 5.0)]
-    """Height of level ground in RMECH; z points down."""
+    """Position of level ground along the z axis of RMECH, which points down."""
     arm: ArmGeometry
     rover: RoverGeometry

@@ -1,4 +1,4 @@
-"""Commands: what the ground may ask. SI units; positions and directions in the rover frame RMECH."""
+"""Commands of the ground. SI units; positions and directions in the rover frame RMECH."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -7,84 +7,84 @@ from fsw.dictionary.enums import Joint, Tool
 from fsw.dictionary.types import Joints5, Vector3
 
 BacklashMode = Literal["off", "on"]
-"""Whether set-points allow for the gap, and moves end with every output on a known side of it."""
+"""Backlash compensation: set-points allow for the backlash, and each output ends on a known side of it."""
 DeflectionMode = Literal["off", "absolute", "relative"]
-"""What is done about gravity: nothing, all of it, or only how it differs from where the arm is now."""
+"""Gravity compensation: none, of the whole deflection, or of its change from the present pose."""
 JointDeflectionMode = Literal["off", "absolute"]
-"""The same of a move that goes to angles: there is no tool to count from."""
+"""Gravity compensation of a move to joint angles, which has no tool as reference."""
 ROVER: Final = "ROVER"
-"""The name of frame RMECH in a command."""
+"""Name of frame RMECH in a command."""
 
 
 @dataclass(frozen=True, slots=True)
 class Calibrate:
-    """Run one joint to its negative hardstop and take its encoder zero from there; the others stay braked."""
+    """Run one joint to its negative hardstop and set its encoder zero there; the others stay braked."""
 
     joint: Joint
     anew: bool = False
-    """Take the hardstop where it is, even if it is not where it was found last."""
+    """Accept a hardstop that is not at the angle of the last calibration."""
 
 
 @dataclass(frozen=True, slots=True)
 class CalibrateAll:
-    """Calibrate every joint, in an order and by way of poses in which each may run to its hardstop."""
+    """Calibrate every joint, in a fixed order and in poses in which each joint may reach its hardstop."""
 
     anew: bool = False
-    """Take the hardstops where they are, even if they are not where they were found last."""
+    """Accept hardstops that are not at the angles of the last calibration."""
 
 
 @dataclass(frozen=True, slots=True)
 class MoveJoint:
-    """Move one calibrated joint to an output angle; the others stay on their brakes."""
+    """Move one calibrated joint to an output angle; the others stay braked."""
 
     joint: Joint
     angle_rad: float
-    """Of the output."""
+    """Output angle."""
     backlash: BacklashMode = "on"
 
 
 @dataclass(frozen=True, slots=True)
 class Unstow:
-    """Leave the stowed pose along the parameters' way points and end in the ready pose."""
+    """Leave the stowed pose through the way points of the parameters and end in the ready pose."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stow:
-    """Go to the ready pose and from there along the same way points into the stowed pose."""
+    """Move to the ready pose, then through the same way points to the stowed pose."""
 
 
 @dataclass(frozen=True, slots=True)
 class MoveJoints:
-    """Move all joints to these output angles, synchronised and jerk-limited."""
+    """Move all joints to output angles, synchronised and with limited jerk."""
 
     angle_rad: Joints5
-    """Of the outputs, order of Joint."""
+    """Output angles, order of Joint."""
     backlash: BacklashMode = "on"
     deflection: JointDeflectionMode = "absolute"
-    """Whether wind-up of the gears is allowed for."""
+    """Compensation of the wind-up of the gears."""
     relative: bool = False
-    """Whether the angles count from where the outputs are."""
+    """True if the angles count from the present output angles."""
 
 
 @dataclass(frozen=True, slots=True)
 class MoveTool:
     """Move the tool to a position with its x axis along an approach direction.
 
-    With backlash compensation it may pass the position by some millimetres, in any direction, before it comes
-    back to it: outputs that their load does not hold are dragged to their places.
+    With backlash compensation, the tool may first pass the position by some millimetres in any direction. The
+    gears drag outputs that their load does not hold.
     """
 
     tool: Tool
     p_FoTo_F_m: Vector3
-    """Where the tool's origin is to be."""
+    """Target position of the tool's origin."""
     approach_F: Vector3
-    """Direction that the tool's x axis is to have, of any length."""
+    """Target direction of the tool's x axis, of any length."""
     frame: str = ROVER
-    """Frame F of position and approach: ROVER, or an arm frame or a tool as it is believed to stand."""
+    """Frame F of position and approach: ROVER, or an arm frame or a tool at its estimated pose."""
     straight: bool = False
-    """Whether the tool moves in a straight line, turning evenly, or the joints move evenly."""
+    """True for a straight line with an even turn of the tool; false for an even motion of the joints."""
     line_m: float = 0.0
-    """Straight travel along the approach that must remain possible from there."""
+    """Length of straight travel along the approach that must be possible from the target."""
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "absolute"
     branch: str = "AUTO"
@@ -93,11 +93,11 @@ class MoveTool:
 
 @dataclass(frozen=True, slots=True)
 class GuardedMove:
-    """Move the tool in a straight line, slowly, until a contact switch closes; no contact is a fault."""
+    """Move the tool slowly in a straight line until a contact switch closes; no contact is a fault."""
 
     tool: Tool
     end_p_RoTo_R_m: Vector3
-    """Where the tool stops at the latest."""
+    """Position at which the tool stops at the latest."""
     approach_R: Vector3
     """Direction of the tool's x axis, of any length."""
     backlash: BacklashMode = "on"
@@ -106,17 +106,17 @@ class GuardedMove:
 
 @dataclass(frozen=True, slots=True)
 class PlaceTool:
-    """Go to a standoff in front of a place, and from there straight on until a contact switch closes."""
+    """Move to a standoff in front of a target, then straight on until a contact switch closes."""
 
     tool: Tool
     p_RoTo_R_m: Vector3
-    """The place."""
+    """Position of the target."""
     approach_R: Vector3
     """Direction of the tool's x axis, of any length."""
     standoff_m: float = 0.10
-    """How far before the place the guarded move begins."""
+    """Distance before the target at which the guarded move begins."""
     overtravel_m: float = 0.05
-    """How far beyond the place contact may be looked for."""
+    """Distance beyond the target up to which contact may occur."""
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "absolute"
     branch: str = "AUTO"
@@ -125,28 +125,28 @@ class PlaceTool:
 
 @dataclass(frozen=True, slots=True)
 class Preload:
-    """Press the tool that touches by overdrive through the modelled stiffness; no force releases it."""
+    """Press the touching tool with a force, by overdrive through the modelled stiffness; 0 releases it."""
 
     tool: Tool
     force_N: float
-    """Along the tool's axis."""
+    """Force along the tool axis."""
 
 
 @dataclass(frozen=True, slots=True)
 class ToolChange:
-    """Put another tool on the spot that the arm touches: back off, turn the turret, touch again.
+    """Put another tool on the touched spot: retreat, turn the turret, touch again.
 
-    The spot is where the touching tool is believed to be, so that only what differs between the two poses of
-    deflection, backlash and kinematics enters: absolute compensation comes to the same as relative.
+    The spot is the estimated position of the touching tool. Only the difference of deflection, backlash and
+    kinematics between the two poses matters. Absolute and relative compensation therefore agree.
     """
 
     tool: Tool
     standoff_m: float = 0.10
-    """How far the tools back off."""
+    """Distance by which the tools retreat."""
     overtravel_m: float = 0.03
-    """How far beyond the spot contact may be looked for."""
+    """Distance beyond the spot up to which contact may occur."""
     hover_m: float = 0.0
-    """Distance at which to stop in front of the spot; 0 is to touch."""
+    """Distance in front of the spot at which to stop; 0 to touch."""
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "relative"
     branch: str = "AUTO"
@@ -158,39 +158,39 @@ class MoveTeachPoint:
     """Move a tool to a point that was taught on this arm, or to a distance in front of it."""
 
     point: str
-    """Its name in the parameters."""
+    """Name of the point in the parameters."""
     away_m: float = 0.0
     """Distance in front of the point."""
     along_gravity: bool = False
-    """Whether the tool looks along gravity, and stands off against it, whatever way it looked when taught."""
+    """True if the tool axis is along gravity instead of as taught; away_m is then against gravity."""
     straight: bool = False
-    """Whether the tool moves in a straight line, turning evenly, or the joints move evenly."""
+    """True for a straight line with an even turn of the tool; false for an even motion of the joints."""
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "absolute"
 
 
 @dataclass(frozen=True, slots=True)
 class Dock:
-    """From in front of a taught point straight on, through it, until the tool touches."""
+    """Move straight on from in front of a taught point, through it, until the tool touches."""
 
     point: str
-    """Its name in the parameters."""
+    """Name of the point in the parameters."""
     overtravel_m: float = 0.01
-    """How far beyond the point contact may be looked for."""
+    """Distance beyond the point up to which contact may occur."""
     backlash: BacklashMode = "on"
 
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """Turn wrist and turret until gravity, tilt included, lies along a direction of a tool; hold, vibrate."""
+    """Turn wrist and turret until gravity with tilt is along a direction of a tool; hold and vibrate."""
 
     tool: Tool
     gravity_T: Vector3
-    """Direction, in the tool's axes."""
+    """Direction of gravity in the axes of the tool."""
     duration_s: float
-    """How long it is held."""
+    """Time to hold the direction."""
     vibrate: bool = True
-    """Whether the turret's vibration motor runs meanwhile."""
+    """True if the vibration motor of the turret runs meanwhile."""
     backlash: BacklashMode = "on"
     deflection: JointDeflectionMode = "absolute"
 
@@ -201,34 +201,34 @@ class Retract:
 
     tool: Tool
     distance_m: float
-    """How far."""
+    """Distance."""
     backlash: BacklashMode = "on"
     deflection: DeflectionMode = "absolute"
 
 
 @dataclass(frozen=True, slots=True)
 class SetTilt:
-    """Take this attitude of the rover in place of the direction of gravity that the IMU reads, until boot."""
+    """Use this attitude of the rover, instead of the direction of gravity from the IMU, until boot."""
 
     roll_rad: float
-    """Right side down, after the pitch."""
+    """Roll, right side down, applied after the pitch."""
     pitch_rad: float
-    """Nose up."""
+    """Pitch, nose up."""
 
 
 @dataclass(frozen=True, slots=True)
 class SetParam:
-    """Give one number of the parameters, by its dotted name, another value until boot."""
+    """Set one number of the parameters, by its dotted name, until boot."""
 
     name: str
-    """Such as monitors.tilt_rad."""
+    """Name, such as monitors.tilt_rad."""
     value: float
-    """In the unit of the parameter."""
+    """Value in the unit of the parameter."""
 
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Stop the motion under way, brakes on; not a fault."""
+    """Stop the current motion and engage the brakes; not a fault."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,11 +1,11 @@
-"""The names of the arm's parts, in the order in which every array lists them."""
+"""Enumerations of the dictionary, in the order in which every array lists their members."""
 
 from enum import IntEnum
 from typing import Final
 
 
 class Mode(IntEnum):
-    """What the arm is doing; which events change it is in fsw/executive/modes.py."""
+    """Mode of the arm; fsw/executive/modes.py defines the transitions."""
 
     STOWED = 0
     DEPLOYED = 1
@@ -14,7 +14,7 @@ class Mode(IntEnum):
     RETRACTING = 4
     FAULTED = 5
     PRELOAD = 6
-    """A tool is pressed on something; it moves only to press more or less."""
+    """A tool presses on a surface, and only the force may change."""
 
 
 class Joint(IntEnum):
@@ -28,7 +28,7 @@ class Joint(IntEnum):
 
 
 HARDSTOP_ORDER: Final = (Joint.TURRET, Joint.WRIST, Joint.ELEVATION, Joint.ELBOW, Joint.AZIMUTH)
-"""In which the joints find their hardstops; the short ways that this takes are clear of the rover."""
+"""Order in which the joints find their hardstops; the moves in this order stay clear of the rover."""
 
 
 class Frame(IntEnum):
@@ -75,3 +75,4 @@ TOOL_SWITCHES: Final[dict[Tool, tuple[Switch, ...]]] = {
     Tool.APXS: (Switch.APXS_1, Switch.APXS_2),
     Tool.PORTION: (),
 }
+"""Contact switches of each tool."""

@@ -1,4 +1,4 @@
-"""Event reports: what flight software says happened, as typed objects."""
+"""Event reports (EVRs) of flight software, as typed objects."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -8,7 +8,7 @@ from fsw.dictionary.enums import Joint, Mode, Switch, Tool
 
 
 class Severity(IntEnum):
-    """How much an event matters, after NASA's F Prime."""
+    """Severity of an event, after NASA's F Prime."""
 
     DIAGNOSTIC = 0
     ACTIVITY_LO = 1
@@ -21,25 +21,25 @@ class Severity(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Evr:
-    """An event; a subclass gives the severity, the text and the fields that the text names."""
+    """Event; a subclass gives the severity, the text and the fields that the text names."""
 
     severity: ClassVar[Severity]
     text: ClassVar[str]
 
     @property
     def name(self) -> str:
-        """The name of the event."""
+        """Name of the event."""
         return type(self).__name__
 
     @property
     def message(self) -> str:
-        """The text with its fields filled in."""
+        """Text with its fields filled in."""
         return self.text.format(e=self)
 
 
 @dataclass(frozen=True, slots=True)
 class Booted(Evr):
-    """The first cycle: which parameters flight software runs on."""
+    """Flight software runs its first cycle, on these parameters."""
 
     severity = Severity.ACTIVITY_HI
     text = "flight software up, parameters {e.params_sha256}"
@@ -57,7 +57,7 @@ class CommandAccepted(Evr):
 
 @dataclass(frozen=True, slots=True)
 class CommandCompleted(Evr):
-    """A command reached its end as asked."""
+    """A command completed as commanded."""
 
     severity = Severity.COMMAND
     text = "{e.command} completed"
@@ -76,7 +76,7 @@ class CommandRefused(Evr):
 
 @dataclass(frozen=True, slots=True)
 class CommandAborted(Evr):
-    """A command was ended before it was done."""
+    """A command was ended before it was complete."""
 
     severity = Severity.WARNING_LO
     text = "{e.command} aborted"
@@ -105,7 +105,7 @@ class JointCalibrated(Evr):
     )
     joint: Joint
     moved_rad: float
-    """Against the zero of before, or what the resolver said."""
+    """Change of the encoder zero, or its difference from the first resolver reading."""
     running_Nm: float
     compliance_urad_Nm: float
     backlash_rad: float
@@ -114,7 +114,7 @@ class JointCalibrated(Evr):
 
 @dataclass(frozen=True, slots=True)
 class BranchChosen(Evr):
-    """Which inverse-kinematics branch a tool move takes."""
+    """A tool move takes this branch of the inverse kinematics."""
 
     severity = Severity.ACTIVITY_LO
     text = "{e.tool.name}: branch {e.branch}"
@@ -124,7 +124,7 @@ class BranchChosen(Evr):
 
 @dataclass(frozen=True, slots=True)
 class ContactMade(Evr):
-    """A contact switch closed in a guarded move: the move's goal."""
+    """A contact switch closed in a guarded move, as intended."""
 
     severity = Severity.ACTIVITY_HI
     text = "contact on {e.switch.name} after {e.travel_m:.4f} m"
@@ -134,7 +134,7 @@ class ContactMade(Evr):
 
 @dataclass(frozen=True, slots=True)
 class Preloaded(Evr):
-    """The overdrive for a force is done; no sensor has felt it."""
+    """The overdrive for a force is complete; no sensor measures the force."""
 
     severity = Severity.ACTIVITY_HI
     text = "{e.tool.name} pressed with {e.force_N:.1f} N"
@@ -144,7 +144,7 @@ class Preloaded(Evr):
 
 @dataclass(frozen=True, slots=True)
 class ForceFelt(Evr):
-    """How the motors' currents rose with the force of a press; the rest of the way makes up for it."""
+    """The motor currents show this share of the modelled force; the rest of the press corrects it."""
 
     severity = Severity.ACTIVITY_LO
     text = "{e.tool.name}: a newton of the model is {e.along:.3f} N along its axis, {e.across:.3f} N across"
@@ -155,7 +155,7 @@ class ForceFelt(Evr):
 
 @dataclass(frozen=True, slots=True)
 class SpotTaken(Evr):
-    """A tool change counts from where the touching tool is believed to be."""
+    """A tool change starts from this estimated position of the touching tool."""
 
     severity = Severity.ACTIVITY_LO
     text = "spot of {e.tool.name} at {e.x_m:.4f} {e.y_m:.4f} {e.z_m:.4f} m in RMECH"
@@ -167,7 +167,7 @@ class SpotTaken(Evr):
 
 @dataclass(frozen=True, slots=True)
 class ParamSet(Evr):
-    """A parameter has another value; the digest is of all parameters."""
+    """A parameter has a new value; the digest is of all parameters."""
 
     severity = Severity.ACTIVITY_HI
     text = "{e.parameter} is {e.value:.9g}, parameters {e.params_sha256}"
@@ -178,7 +178,7 @@ class ParamSet(Evr):
 
 @dataclass(frozen=True, slots=True)
 class TiltSet(Evr):
-    """The ground said how the rover stands."""
+    """The ground set the tilt of the rover."""
 
     severity = Severity.ACTIVITY_HI
     text = "tilt set, {e.off_rad:.4f} rad from what the IMU reads"
@@ -187,7 +187,7 @@ class TiltSet(Evr):
 
 @dataclass(frozen=True, slots=True)
 class CyclesSkipped(Evr):
-    """Flight software was not called for some cycles, which is tolerated."""
+    """Flight software was not called for a tolerable number of cycles."""
 
     severity = Severity.WARNING_LO
     text = "{e.cycles} cycles missed"
@@ -196,7 +196,7 @@ class CyclesSkipped(Evr):
 
 @dataclass(frozen=True, slots=True)
 class FaultResponse(Evr):
-    """What was done about a fault."""
+    """Flight software responded to a fault."""
 
     severity = Severity.WARNING_HI
     text = "response {e.response}"
@@ -213,7 +213,7 @@ class FaultCleared(Evr):
 
 @dataclass(frozen=True, slots=True)
 class SoftwareError(Evr):
-    """An exception reached the outermost loop; brakes are on and flight software has ended."""
+    """An exception reached the outermost loop; the brakes are on and flight software has ended."""
 
     severity = Severity.FATAL
     text = "software error: {e.what}"

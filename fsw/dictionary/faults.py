@@ -1,4 +1,4 @@
-"""Faults: events that something is done about; what, is in fsw/protect/responses.py."""
+"""Faults: events that need a response; fsw/protect/responses.py defines the responses."""
 
 from dataclasses import dataclass
 
@@ -8,36 +8,36 @@ from fsw.dictionary.evrs import Evr, Severity
 
 @dataclass(frozen=True, slots=True)
 class Fault(Evr):
-    """What went wrong; a subclass gives the text and its fields."""
+    """Fault; a subclass gives the text and its fields."""
 
     severity = Severity.WARNING_HI
 
 
 @dataclass(frozen=True, slots=True)
 class StalledEarly(Fault):
-    """A joint that was looking for its hardstop stalled where there is none."""
+    """A joint that searched for its hardstop stalled at another angle."""
 
     text = "{e.joint.name} stalled at {e.angle_rad:.4f} rad, its hardstop is at {e.stop_rad:.4f} rad"
     joint: Joint
     angle_rad: float
-    """As its resolver reads."""
+    """Resolver reading."""
     stop_rad: float
 
 
 @dataclass(frozen=True, slots=True)
 class HardstopMissed(Fault):
-    """A joint went beyond the place where its hardstop should be."""
+    """A joint passed the angle of its hardstop."""
 
     text = "{e.joint.name} is at {e.angle_rad:.4f} rad and met no hardstop at {e.stop_rad:.4f} rad"
     joint: Joint
     angle_rad: float
-    """As its resolver reads."""
+    """Resolver reading."""
     stop_rad: float
 
 
 @dataclass(frozen=True, slots=True)
 class NoHardstop(Fault):
-    """What a joint was pressed against is softer or harder than a hardstop."""
+    """A joint pressed on an obstacle that is softer or harder than a hardstop."""
 
     text = (
         "{e.joint.name} is pressed on something that gives {e.compliance_urad_Nm:.2f} urad per N m, "
@@ -50,7 +50,7 @@ class NoHardstop(Fault):
 
 @dataclass(frozen=True, slots=True)
 class HardstopMoved(Fault):
-    """A hardstop is not where it was found last."""
+    """A hardstop is not at the angle of the last calibration."""
 
     text = "{e.joint.name}: its hardstop moved by {e.moved_rad:.6f} rad, bound {e.bound_rad:.6f} rad"
     joint: Joint
@@ -60,7 +60,7 @@ class HardstopMoved(Fault):
 
 @dataclass(frozen=True, slots=True)
 class MotorStuck(Fault):
-    """A motor did not turn: not driven, seized, or held up while its current reads less than its limit."""
+    """A motor did not turn: it has no power, is seized, or is held up below its current limit."""
 
     text = "{e.joint.name} does not turn at {e.current_A:.2f} A, limit {e.limit_A:.2f} A"
     joint: Joint
@@ -70,7 +70,7 @@ class MotorStuck(Fault):
 
 @dataclass(frozen=True, slots=True)
 class CurrentImplausible(Fault):
-    """A current was read that is above its limit, or drives against the motion."""
+    """A current reading is above its limit, or of the wrong sign for the motion."""
 
     text = "{e.joint.name} reads {e.current_A:.2f} A, which cannot be at a limit of {e.limit_A:.2f} A"
     joint: Joint
@@ -80,7 +80,7 @@ class CurrentImplausible(Fault):
 
 @dataclass(frozen=True, slots=True)
 class HardstopUnclear(Fault):
-    """A joint stalled, but its torque did not rise along a line as it does on a hardstop."""
+    """A joint stalled, but its torque did not rise linearly as on a hardstop."""
 
     text = "{e.joint.name} stalled where no hardstop can be told from its current"
     joint: Joint
@@ -88,7 +88,7 @@ class HardstopUnclear(Fault):
 
 @dataclass(frozen=True, slots=True)
 class ResolverDisagrees(Fault):
-    """A resolver is not where encoder, wind-up and backlash say that the output is."""
+    """A resolver disagrees with the output angle from encoder, wind-up and backlash."""
 
     text = "{e.joint.name}: resolver off by {e.error_rad:.5f} rad, bound {e.bound_rad:.5f} rad"
     joint: Joint
@@ -106,7 +106,7 @@ class SensorNotFinite(Fault):
 
 @dataclass(frozen=True, slots=True)
 class GravityImplausible(Fault):
-    """The gravity reading is smaller or larger than any gravity the arm works in."""
+    """The gravity reading is outside the range in which the arm works."""
 
     text = "gravity reads {e.gravity_m_s2:.3g} m/s2, bounds {e.min_m_s2:.3g} .. {e.max_m_s2:.3g} m/s2"
     gravity_m_s2: float
@@ -116,7 +116,7 @@ class GravityImplausible(Fault):
 
 @dataclass(frozen=True, slots=True)
 class SetpointUnsafe(Fault):
-    """A set-point was about to go out that is not finite, beyond the limits or too far from the last one."""
+    """A set-point was held back: not finite, beyond the limits, or too far from the last one."""
 
     text = "{e.joint.name}: set-point {e.setpoint_rad:.4f} rad held back, last {e.last_rad:.4f} rad"
     joint: Joint
@@ -126,7 +126,7 @@ class SetpointUnsafe(Fault):
 
 @dataclass(frozen=True, slots=True)
 class SoftLimitPassed(Fault):
-    """A joint is beyond its soft limit and moving outward."""
+    """A joint is beyond its soft limit and moves outward."""
 
     text = "{e.joint.name} at {e.angle_rad:.4f} rad, soft limit {e.limit_rad:.4f} rad"
     joint: Joint
@@ -156,7 +156,7 @@ class FollowingErrorHigh(Fault):
 
 @dataclass(frozen=True, slots=True)
 class ContactInFreeSpace(Fault):
-    """A contact switch closed where nothing was to be touched."""
+    """A contact switch closed in a move without intended contact."""
 
     text = "contact on {e.switch.name} in free space"
     switch: Switch
@@ -164,7 +164,7 @@ class ContactInFreeSpace(Fault):
 
 @dataclass(frozen=True, slots=True)
 class NoContact(Fault):
-    """A guarded move came to the end of its travel without contact."""
+    """A guarded move ended without contact."""
 
     text = "no contact within {e.travel_m:.4f} m of guarded travel"
     travel_m: float
@@ -181,7 +181,7 @@ class NotSettled(Fault):
 
 @dataclass(frozen=True, slots=True)
 class MotorStalled(Fault):
-    """A motor does not turn although it is to."""
+    """A motor does not turn although it is commanded to."""
 
     text = "{e.joint.name} stalled: turns at {e.rate_rad_s:.5f} rad/s, asked for {e.asked_rad_s:.5f} rad/s"
     joint: Joint
@@ -191,7 +191,7 @@ class MotorStalled(Fault):
 
 @dataclass(frozen=True, slots=True)
 class OverTemperature(Fault):
-    """A winding is hotter than it may be."""
+    """A winding is above its highest temperature."""
 
     text = "{e.joint.name}: winding at {e.winding_C:.1f} degC, bound {e.bound_C:.1f} degC"
     joint: Joint
@@ -201,7 +201,7 @@ class OverTemperature(Fault):
 
 @dataclass(frozen=True, slots=True)
 class UnderTemperature(Fault):
-    """A motor was moved that is colder than it may be."""
+    """A motor below its lowest temperature was moved."""
 
     text = "{e.joint.name}: winding at {e.winding_C:.1f} degC, bound {e.bound_C:.1f} degC"
     joint: Joint
@@ -211,7 +211,7 @@ class UnderTemperature(Fault):
 
 @dataclass(frozen=True, slots=True)
 class SensorFrozen(Fault):
-    """A reading has stayed the same to the last bit for longer than a live sensor can."""
+    """A reading stayed the same to the last bit for longer than a working sensor allows."""
 
     text = "{e.sensor} reads the same for {e.cycles} cycles"
     sensor: str
@@ -220,7 +220,7 @@ class SensorFrozen(Fault):
 
 @dataclass(frozen=True, slots=True)
 class CyclesMissed(Fault):
-    """Flight software was not called for more cycles than a move may go on without it."""
+    """Flight software was not called for more cycles than a move tolerates."""
 
     text = "{e.cycles} cycles missed, at most {e.bound} are tolerated"
     cycles: int
@@ -229,7 +229,7 @@ class CyclesMissed(Fault):
 
 @dataclass(frozen=True, slots=True)
 class TiltChanged(Fault):
-    """Gravity turned while the arm moved, or is not where the ground said."""
+    """Gravity turned while the arm moved, or disagrees with the tilt that the ground set."""
 
     text = "gravity turned by {e.turned_rad:.4f} rad, bound {e.bound_rad:.4f} rad"
     turned_rad: float
@@ -238,7 +238,7 @@ class TiltChanged(Fault):
 
 @dataclass(frozen=True, slots=True)
 class ContactLost(Fault):
-    """No contact switch of a tool is closed that is to press."""
+    """A tool that presses has no closed contact switch."""
 
     text = "{e.tool.name} lost contact"
     tool: Tool
@@ -246,7 +246,7 @@ class ContactLost(Fault):
 
 @dataclass(frozen=True, slots=True)
 class PreloadOutside(Fault):
-    """What the joints carry says another force than the one that is pressed with."""
+    """The force estimated from the joints differs from the commanded one."""
 
     text = "force on {e.tool.name} off by {e.error_N:.1f} N from {e.force_N:.1f} N, bound {e.bound_N:.1f} N"
     tool: Tool

@@ -1,7 +1,7 @@
-"""Parameters: everything about the arm and its motion that flight software takes on trust.
+"""Parameters of flight software: everything that it assumes about the arm and its motion.
 
-Plain records of numbers, so that they load strictly, hash to one digest and read as they are.
-SI units, named in the suffix. Limits are annotations; the loader and the ground dictionary read them.
+Plain records of numbers load strictly, have one digest and read well. The names give SI units. Annotations
+give the limits; the loader and the ground dictionary read them.
 """
 
 from dataclasses import dataclass
@@ -12,59 +12,59 @@ from fsw.dictionary.types import Angle, Joints5, Length, Limits, Matrix6, Row6, 
 
 _ZERO_ROW: Row6 = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 RIGID: Matrix6 = (_ZERO_ROW, _ZERO_ROW, _ZERO_ROW, _ZERO_ROW, _ZERO_ROW, _ZERO_ROW)
+"""Compliance of a rigid link."""
 
 
 @dataclass(frozen=True, slots=True)
 class Transform6:
-    """The general link transform D = Rz(theta) Tz(d) Ry(beta) Ty(b) Rx(alpha) Tx(a), paper equation 1."""
+    """General link transform D = Rz(theta) Tz(d) Ry(beta) Ty(b) Rx(alpha) Tx(a), equation 1 of the paper."""
 
     theta_rad: Angle = 0.0
-    """Turn about z; the angle of the link's joint is added to it."""
+    """Turn about z, to which the angle of the link's joint is added."""
     d_m: Length = 0.0
-    """Way along z, after theta."""
+    """Translation along z, after theta."""
     beta_rad: Angle = 0.0
     """Turn about y, after d."""
     b_m: Length = 0.0
-    """Way along y, after beta."""
+    """Translation along y, after beta."""
     alpha_rad: Angle = 0.0
     """Turn about x, after b."""
     a_m: Length = 0.0
-    """Way along x, after alpha."""
+    """Translation along x, after alpha."""
 
 
 @dataclass(frozen=True, slots=True)
 class PointMass:
-    """A point mass; its position is in the link frame, which turns with the link's joint."""
+    """Point mass in the link frame, which turns with the joint of the link."""
 
     mass_kg: Annotated[float, Limits(0.0, 200.0)] = 0.0
-    """Its mass."""
+    """Mass."""
     com_m: Vector3 = (0.0, 0.0, 0.0)
-    """Where it is."""
+    """Position."""
 
 
 @dataclass(frozen=True, slots=True)
 class LinkParams:
-    """One link: the transform to the frame at its end, its spring, and its mass on either side of the spring.
+    """Link: the transform to the frame at its end, its spring, and its mass on either side of the spring.
 
-    The spring sits at the elastic centre, given in the link frame (the frame at the link's start, turned by
-    the link's joint). The compliance maps (moment, force) to (rotation, translation): rad/(N m), rad/N,
-    m/(N m), m/N.
+    The spring is at the elastic centre, in the link frame. The link frame is the frame at the start of the
+    link, turned by its joint. The compliance maps (moment, force) to (rotation, translation).
     """
 
     transform: Transform6
     elastic_centre_m: Vector3 = (0.0, 0.0, 0.0)
-    """Where the spring sits."""
+    """Position of the spring in the link frame."""
     compliance: Matrix6 = RIGID
-    """What the spring gives, moment first; no units of one kind: rad/(N m), rad/N, m/(N m), m/N."""
+    """Compliance of the spring, moment first, with mixed units: rad/(N m), rad/N, m/(N m), m/N."""
     near: PointMass = PointMass()
     far: PointMass = PointMass()
     expansion_1_K: Row6 = _ZERO_ROW
-    """Growth per kelvin at the link's end, in its end frame: rotation [rad/K], translation [m/K]."""
+    """Expansion per kelvin at the end of the link, in its end frame: rotation [rad/K], translation [m/K]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Links:
-    """The links by the frame at their end; arm1 is the rover up to the azimuth joint and has no joint."""
+    """Links, named by the frame at their end; arm1 is the rover up to the azimuth joint, without a joint."""
 
     arm1: LinkParams
     arm2: LinkParams
@@ -74,17 +74,17 @@ class Links:
     arm6: LinkParams
 
     def in_order(self) -> tuple[LinkParams, ...]:
-        """The links from the rover outward."""
+        """Return the links from the rover outward."""
         return (self.arm1, self.arm2, self.arm3, self.arm4, self.arm5, self.arm6)
 
 
 @dataclass(frozen=True, slots=True)
 class ToolParams:
-    """Where a tool frame stands on the turret interface, frame Arm6; tool x is the approach direction."""
+    """Pose of a tool frame in the turret frame Arm6; the x axis of the tool is the approach direction."""
 
     transform: Transform6
     expansion_1_K: Row6 = _ZERO_ROW
-    """Growth per kelvin, in tool axes."""
+    """Expansion per kelvin, in tool axes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,40 +98,40 @@ class Tools:
     portion: ToolParams
 
     def in_order(self) -> tuple[ToolParams, ...]:
-        """The tools in the order of Tool."""
+        """Return the tools in the order of Tool."""
         return (self.drill, self.drt, self.mahli, self.apxs, self.portion)
 
 
 @dataclass(frozen=True, slots=True)
 class JointParams:
-    """One joint and its actuator; angles, speeds and torques are those of the output."""
+    """Joint and its actuator; angles, speeds and torques are those of the output."""
 
     gear_ratio: Annotated[float, Limits(1.0, 1e5)]
-    """Turns of the motor for one of the output."""
+    """Turns of the motor for one turn of the output."""
     encoder_counts_per_turn: Annotated[int, Limits(1, 65536)]
-    """Of the motor."""
+    """Encoder counts per turn of the motor."""
     backlash_rad: Annotated[float, Limits(0.0, 0.02)]
-    """Full width of the gap, as drawn."""
+    """Nominal full width of the backlash."""
     gear_stiffness_Nm_rad: Annotated[float, Limits(1e3, 1e8)]
-    """Of the wind-up between motor and output."""
+    """Stiffness of the gear between motor and output."""
     output_friction_Nm: Annotated[float, Limits(0.0, 200.0)]
-    """Torque that the output resists with before it turns."""
+    """Static friction of the output."""
     load_error_Nm: Annotated[float, Limits(0.0, 100.0)]
-    """How far the modelled load, less the friction of the output, may be from the true one on Mars."""
+    """Largest error of the modelled load, less the friction of the output, on Mars."""
     torque_constant_Nm_A: Annotated[float, Limits(1.0, 1e4)]
-    """Of the motor, at the output."""
+    """Torque constant of the motor, at the output."""
     hardstop_rad: Angle
-    """Where the output meets its negative hardstop."""
+    """Output angle at the negative hardstop."""
     hardstop_stiffness_Nm_rad: Annotated[float, Limits(1e3, 1e8)]
-    """Of the hardstop itself, gear apart."""
+    """Stiffness of the hardstop, without the gear."""
     hardstop_press_Nm: Annotated[float, Limits(1.0, 2000.0)]
-    """Torque beyond that of running at which a joint on its hardstop is to stall."""
+    """Torque, above the running torque, at which a joint on its hardstop stalls."""
     hardstop_rated_Nm: Annotated[float, Limits(1.0, 5000.0)]
-    """Torque that the hardstop is made for."""
+    """Rated torque of the hardstop."""
     soft_min_rad: Angle
-    """Lowest output angle that a move may ask for."""
+    """Lowest output angle of a move."""
     soft_max_rad: Angle
-    """Highest output angle that a move may ask for."""
+    """Highest output angle of a move."""
     speed_rad_s: Annotated[float, Limits(1e-3, 0.1)]
     """Highest speed of a move."""
     acceleration_rad_s2: Annotated[float, Limits(1e-3, 1.0)]
@@ -139,7 +139,7 @@ class JointParams:
     jerk_rad_s3: Annotated[float, Limits(1e-3, 10.0)]
     """Highest jerk of a move."""
     current_limit_A: Annotated[float, Limits(0.1, 20.0)]
-    """Most that the motor may draw in a move."""
+    """Current limit of the motor in a move."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,184 +153,186 @@ class Joints:
     turret: JointParams
 
     def in_order(self) -> tuple[JointParams, ...]:
-        """The joints in the order of Joint."""
+        """Return the joints in the order of Joint."""
         return (self.azimuth, self.elevation, self.elbow, self.wrist, self.turret)
 
 
 @dataclass(frozen=True, slots=True)
 class HardstopParams:
-    """How a joint finds its negative hardstop, and where the others are meanwhile."""
+    """Search of the negative hardstops, and poses of the joints during it."""
 
     start_rad: Joints5
-    """Where a joint waits for its turn."""
+    """Angles of the joints before their calibration."""
     park_rad: Joints5
-    """Where it goes after it."""
+    """Angles of the joints after their calibration."""
     again_rad: Joints5
-    """Where the elevation has its turn again once all joints are calibrated: its load there is chosen."""
+    """Pose for the second calibration of the elevation, when all joints are calibrated and its load is
+    known."""
     pose_tolerance_rad: Annotated[float, Limits(0.0, 0.5)]
-    """How far a joint may be from there."""
+    """Largest distance of a joint from these angles."""
     coarse_speed_share: Annotated[float, Limits(0.01, 1.0)]
-    """Of the speed of a move, until the hardstop is met for the first time."""
+    """Speed until the first contact with the hardstop, as a share of the speed of a move."""
     fine_speed_rad_s: Annotated[float, Limits(1e-4, 0.01)]
-    """While it is measured."""
+    """Speed of the measurement."""
     retreat_rad: Annotated[float, Limits(0.005, 0.2)]
-    """Way back between the two."""
+    """Way back between first contact and measurement."""
     breakaway_A_s: Annotated[float, Limits(0.01, 20.0)]
-    """How fast the current limit rises until the motor turns."""
+    """Rate at which the current limit rises until the motor turns."""
     lead_rad: Annotated[float, Limits(1e-4, 2e-3)]
-    """How far the set-point may be ahead of a motor that is held up."""
+    """Largest lead of the set-point before a motor that is held up."""
     stall_speed_share: Annotated[float, Limits(0.001, 0.5)]
-    """Of the speed that it seeks with; a motor that is slower may have stalled."""
+    """Share of the commanded speed below which a motor may have stalled."""
     stall_time_s: Annotated[float, Limits(0.05, 10.0)]
-    """A motor slower than this share of its speed for this long, at its current limit, has stalled."""
+    """Time below this share of the speed, at the current limit, after which a motor has stalled."""
     window_rad: Annotated[float, Limits(1e-3, 0.1)]
-    """How far from its place, as the resolver tells it, a hardstop may be met."""
+    """Largest distance of a hardstop from its nominal angle, by the resolver."""
     moved_rad: Annotated[float, Limits(1e-4, 0.1)]
-    """How far it may have moved since it was found last."""
+    """Largest change of a hardstop since the last calibration."""
     stiffness_ratio: Annotated[float, Limits(1.1, 10.0)]
-    """A hardstop that seems softer or harder than the drawing's by more is none."""
+    """Largest ratio of measured to nominal stiffness, or of nominal to measured, of a hardstop."""
 
 
 @dataclass(frozen=True, slots=True)
 class PoseParams:
-    """Named arm poses and the way between them."""
+    """Named poses of the arm and the way between them."""
 
     stowed_rad: Joints5
-    """The arm folded away; outputs."""
+    """Output angles of the stowed arm."""
     unstow_via_rad: tuple[Joints5, ...]
-    """Outputs on the way from there to the ready pose, in order."""
+    """Output angles of the way points from the stowed to the ready pose, in order."""
     ready_rad: Joints5
-    """Where work begins and ends; outputs."""
+    """Output angles of the pose in which work begins and ends."""
 
 
 @dataclass(frozen=True, slots=True)
 class MotionParams:
-    """How a move begins, runs and ends."""
+    """Parameters of moves."""
 
     brake_delay_s: Annotated[float, Limits(0.02, 1.0)]
-    """Time a brake takes to hold or let go, at most."""
+    """Largest time that a brake takes to engage or release."""
     settle_error_rad: Annotated[float, Limits(1e-6, 1e-2)]
-    """How far from its set-point a motor at rest may be."""
+    """Largest distance of a motor at rest from its set-point."""
     settle_rate_rad_s: Annotated[float, Limits(1e-7, 1e-2)]
-    """How fast a motor at rest may still turn."""
+    """Largest rate of a motor at rest."""
     settle_time_s: Annotated[float, Limits(0.0, 10.0)]
-    """How long both must hold."""
+    """Time for which both must hold."""
     settle_timeout_s: Annotated[float, Limits(0.1, 60.0)]
-    """How long it may take until they do."""
+    """Largest time until both hold."""
     stop_factor: Annotated[float, Limits(1.0, 100.0)]
-    """A commanded stop may use this many times the acceleration of a move."""
+    """Deceleration of a commanded stop, as a multiple of the acceleration of a move."""
     stowed_rad: Annotated[float, Limits(0.0, 0.2)]
-    """How close to the stowed pose every joint of a stowed arm is."""
+    """Largest distance of each joint of a stowed arm from the stowed pose."""
     approach_rad: Annotated[float, Limits(1e-5, 0.05)]
-    """An output that its load does not hold is dragged at least this far to the place where it is to rest."""
+    """Least distance over which the gear drags an output that its load does not hold to its goal."""
     tool_speed_m_s: Annotated[float, Limits(1e-3, 1.0)]
-    """No joint move takes the drill faster: what it hits unforeseen, it hits as hard as it is fast."""
+    """Largest speed of the drill in a joint move; it limits the impact on an unforeseen obstacle."""
     guarded_speed_m_s: Annotated[float, Limits(1e-4, 0.02)]
-    """Of the tool, while it looks for contact."""
+    """Speed of the tool in a guarded move."""
     switch_force_N: Annotated[float, Limits(0.1, 50.0)]
-    """At which a contact switch closes."""
+    """Force at which a contact switch closes."""
     retract_speed_m_s: Annotated[float, Limits(1e-4, 0.05)]
-    """Of the tool, in straight moves that look for nothing."""
+    """Speed of the tool in straight moves that do not seek contact."""
     line_acceleration_m_s2: Annotated[float, Limits(1e-4, 0.1)]
-    """Of the tool, in straight moves."""
+    """Acceleration of the tool in straight moves."""
     line_jerk_m_s3: Annotated[float, Limits(1e-4, 1.0)]
-    """Of the tool, in straight moves."""
+    """Jerk of the tool in straight moves."""
     line_step_m: Annotated[float, Limits(1e-3, 0.1)]
     """Spacing of the inverse-kinematics knots of a straight move."""
     line_max_m: Annotated[float, Limits(0.01, 2.0)]
     """Longest straight move."""
     line_turn_rad: Annotated[float, Limits(0.0, 0.5)]
-    """How far the tool may look away from the approach when a guarded move begins."""
+    """Largest angle between tool axis and approach at the start of a guarded move."""
     load_period: Annotated[int, Limits(1, 640)]
-    """Cycles between two estimates of load, backlash side and deflected tool pose."""
+    """Number of cycles between two estimates of load, backlash side and deflected tool pose."""
 
 
 @dataclass(frozen=True, slots=True)
 class PreloadParams:
-    """How a tool is pressed on what it touches."""
+    """Parameters of pressing a tool on a surface."""
 
     most_N: Annotated[float, Limits(1.0, 1000.0)]
-    """The largest force that may be commanded."""
+    """Largest force that may be commanded."""
     rate_N_s: Annotated[float, Limits(0.1, 200.0)]
-    """How fast the force grows."""
+    """Rate of the force."""
     step_N: Annotated[float, Limits(0.1, 100.0)]
-    """The smallest change of a press: spacing of the knots of an overdrive."""
+    """Smallest change of force: spacing of the knots of an overdrive."""
     error_share: Annotated[float, Limits(0.0, 1.0)]
-    """How far the true force may be from the believed one, as a share of it, but at least error_N."""
+    """Largest error of the estimated force, as a share of it, but at least error_N."""
     error_N: Annotated[float, Limits(0.0, 100.0)]
-    """The least that the true force is taken to be off by."""
+    """Least bound of the error of the estimated force."""
     guard_share: Annotated[float, Limits(0.05, 1.0)]
-    """How far beyond the torque that a force takes the current limits are set, as a share of it."""
+    """Margin of the current limits above the torque that a force takes, as a share of it."""
 
 
 @dataclass(frozen=True, slots=True)
 class TeachPoint:
-    """A tool's place in RMECH as flight software believed it when the true tool was where it should be."""
+    """Taught point: the pose of a tool in RMECH that flight software estimated at the correct pose."""
 
     name: str
-    """What commands call it."""
+    """Name of the point in commands."""
     tool: str
-    """Which tool was taught, by its name in Tool."""
+    """Taught tool, by its name in Tool."""
     p_RoTo_R_m: Vector3
-    """Where it was believed to be."""
+    """Estimated position of the tool."""
     approach_R: Vector3
-    """Where it looked, as it was believed."""
+    """Estimated direction of the tool's x axis."""
     branch: str = "AUTO"
-    """Of the inverse kinematics; AUTO, or one of the names in kinematics.branches.BRANCHES."""
+    """Branch of the inverse kinematics: AUTO, or one of the names in kinematics.branches.BRANCHES."""
 
 
 @dataclass(frozen=True, slots=True)
 class MonitorParams:
-    """Bounds of the monitors; a persistence is the number of cycles a bound must be passed in a row."""
+    """Bounds of the monitors; a persistence is the number of cycles in a row beyond a bound."""
 
     gravity_min_m_s2: Annotated[float, Limits(0.0, 10.0)]
-    """The least; a smaller reading is no gravity."""
+    """Lowest plausible gravity."""
     gravity_max_m_s2: Annotated[float, Limits(1.0, 30.0)]
-    """Outside these a gravity reading is no gravity."""
+    """Highest plausible gravity."""
     setpoint_step_factor: Annotated[float, Limits(1.0, 3.0)]
-    """Largest change of a set-point in a cycle, in units of the joint's speed times the cycle."""
+    """Largest change of a set-point per cycle, in units of joint speed times cycle time."""
     following_error_rad: Annotated[float, Limits(1e-5, 0.1)]
-    """How far a motor may be from its set-point."""
+    """Largest distance of a motor from its set-point."""
     following_persistence: Annotated[int, Limits(1, 640)]
-    """For how long it must be farther."""
+    """Cycles of a larger following error."""
     soft_limit_margin_rad: Annotated[float, Limits(0.0, 0.03)]
-    """Room beyond the soft limits of the output for wind-up and backlash of the motor angle."""
+    """Margin of the motor angle beyond the soft limits of the output, for wind-up and backlash."""
     over_current_fraction: Annotated[float, Limits(0.1, 1.0)]
-    """Share of the joint's current limit."""
+    """Share of the current limit of the joint."""
     over_current_persistence: Annotated[int, Limits(1, 640)]
-    """For how long a motor must draw more."""
+    """Cycles of a larger current."""
     resolver_error_rad: Annotated[float, Limits(1e-4, 0.1)]
-    """How far a resolver may be from the believed output, its bias and the unknown share of the gap apart."""
+    """Largest difference of resolver and estimated output, beyond the bias and the uncertainty of the gear
+    angle."""
     resolver_persistence: Annotated[int, Limits(1, 640)]
-    """For how long a resolver must be off by more."""
+    """Cycles of a larger resolver error."""
     stall_share: Annotated[float, Limits(0.001, 0.9)]
-    """A motor slower than this share of the speed that is asked for has stalled."""
+    """Share of the commanded speed below which a motor has stalled."""
     stall_error_rad: Annotated[float, Limits(1e-5, 0.1)]
-    """A motor that is closer to its set-point is held up by friction, if at all."""
+    """Distance from the set-point below which a motor is never stalled; friction may hold it."""
     stall_persistence: Annotated[int, Limits(1, 640)]
-    """For how long a motor must be slower."""
+    """Cycles of a lower speed."""
     winding_min_C: Annotated[float, Limits(-150.0, 50.0)]
-    """The coldest winding that may be moved."""
+    """Lowest temperature of a winding that may move."""
     winding_max_C: Annotated[float, Limits(0.0, 250.0)]
-    """The hottest winding that is tolerated."""
+    """Highest temperature of a winding."""
     winding_persistence: Annotated[int, Limits(1, 640)]
-    """For how long a winding must be outside these."""
+    """Cycles of a winding outside these temperatures."""
     frozen_persistence: Annotated[int, Limits(2, 6400)]
-    """For how long a reading must stay the same to the last bit."""
+    """Cycles in which a reading stays the same to the last bit."""
     missed_cycles: Annotated[int, Limits(0, 64)]
-    """Missed cycles in a row that are tolerated."""
+    """Largest number of missed cycles in a row."""
     tilt_rad: Annotated[float, Limits(1e-3, 0.5)]
-    """How far gravity may turn during a move, and be from what the ground set."""
+    """Largest turn of gravity during a move, and its largest difference from the commanded tilt."""
     tilt_persistence: Annotated[int, Limits(1, 640)]
-    """For how long gravity must be turned by more."""
+    """Cycles of a larger turn."""
     contact_persistence: Annotated[int, Limits(1, 640)]
-    """Cycles for which a tool that presses may have no switch closed."""
+    """Cycles in which a tool that presses has no closed switch."""
     preload_error_N: Annotated[float, Limits(1.0, 500.0)]
-    """How far the force that the joints' wind-up tells may be from the one that is pressed with."""
+    """Largest difference between commanded force and force estimated from the wind-up of the joints."""
     preload_persistence: Annotated[int, Limits(1, 640)]
-    """For how long the force must be off by more."""
+    """Cycles of a larger force error."""
     guarded_force_N: Annotated[float, Limits(1.0, 500.0)]
-    """Force on a guarded tool, as the joints' wind-up tells it, while no switch of it is closed."""
+    """Largest force on a guarded tool, estimated from wind-up, while none of its switches is closed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -338,7 +340,7 @@ class Params:
     """All parameters of flight software."""
 
     arm_name: str
-    """Whose parameters these are."""
+    """Name of the arm."""
     links: Links
     tools: Tools
     joints: Joints

@@ -7,7 +7,7 @@ from typing import Annotated
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The closed range in which a number is believable."""
+    """Closed range of plausible values of a number."""
 
     low: float
     high: float
@@ -23,18 +23,18 @@ Matrix6 = tuple[Row6, Row6, Row6, Row6, Row6, Row6]
 
 
 def vector3(values: Iterable[float]) -> Vector3:
-    """Three numbers."""
+    """Convert three numbers to a vector."""
     x, y, z = (float(value) for value in values)
     return (x, y, z)
 
 
 def joints5(values: Iterable[float]) -> Joints5:
-    """One number a joint, in the order of Joint."""
+    """Convert one number per joint to a tuple, in the order of Joint."""
     a, b, c, d, e = (float(value) for value in values)
     return (a, b, c, d, e)
 
 
 def row6(values: Iterable[float]) -> Row6:
-    """A screw, or a row of a compliance."""
+    """Convert six numbers to a screw or a row of a compliance."""
     a, b, c, d, e, f = (float(value) for value in values)
     return (a, b, c, d, e, f)

@@ -1,4 +1,4 @@
-"""Parameters that are not to be flown: numbers beyond belief, and numbers that together are no arm."""
+"""Validity of parameters: numbers outside their limits, and combinations that no arm can have."""
 
 import math
 from collections.abc import Iterator
@@ -12,27 +12,30 @@ from fsw.dictionary.params import Params, Tools, Transform6
 from fsw.dictionary.types import Limits, Matrix6
 
 COMPONENT_LIMITS: Final = {"_m": Limits(-5.0, 5.0), "_1_K": Limits(-1e-4, 1e-4)}
-"""For the components of every vector, by the unit in its name."""
+"""Limits of the components of every vector, by the unit in its name."""
 MAX_COMPLIANCE: Final = 1e-4
+"""Largest component of a compliance, in rad or m per N m or N."""
 MIN_LINK_M: Final = 0.2
-"""Of upper arm and forearm: with none, the elbow moves nothing."""
+"""Least length of upper arm and forearm; the elbow needs both."""
 ORTHOGONAL_RAD: Final = {"arm2": 0.5 * math.pi, "arm3": 0.0, "arm4": 0.0, "arm5": -0.5 * math.pi, "arm6": 0.0}
-"""Turn about x from each joint axis to the next, as the square arm has it; about y there is none."""
+"""Turn about x from each joint axis to the next in the orthogonal arm; the turn about y is 0."""
 MAX_SKEW_RAD: Final = 0.02
-"""How far an axis may be from that: the inverse kinematics begin with the square arm,
-and lose some from 0.03 on."""
+"""Largest deviation of an axis from the orthogonal arm.
+
+The inverse kinematics starts from the orthogonal arm, and loses roots from 0.03 on.
+"""
 MIN_LEAN_RAD: Final = 0.5
-"""How close to the turret axis a boresight may come; turning about it would have no effect."""
+"""Least angle between boresight and turret axis; a turn about a parallel boresight has no effect."""
 MAX_STOP_DEPTH_RAD: Final = 0.1
-"""How far below its soft limit a hardstop may be."""
+"""Largest distance of a hardstop below the soft limit."""
 MAX_RATED_SHARE: Final = 0.5
-"""Of the torque that a hardstop is made for; speed, noise and old friction need the rest."""
+"""Share of the rated torque of a hardstop; speed, noise and friction need the rest."""
 ROUNDING: Final = 1e-12
-"""Relative; what is left of arithmetic in a matrix that ought to be symmetric."""
+"""Relative rounding error of a symmetric matrix."""
 
 
 def check_limits(record: Any, place: str = "") -> Iterator[str]:
-    """Sentences about numbers outside their limits or not finite, and ranges that are upside down."""
+    """Yield a sentence for each number that is not finite or outside its limits, and for each empty range."""
     hints = get_type_hints(type(record), include_extras=True)
     for field in fields(record):
         value, where = getattr(record, field.name), f"{place}{field.name}"
@@ -60,7 +63,7 @@ def check_limits(record: Any, place: str = "") -> Iterator[str]:
 
 
 def check_arm(params: Params) -> Iterator[str]:
-    """Sentences about numbers, each within its limits, that together are no arm that could be flown."""
+    """Yield a sentence for each combination of numbers within their limits that no arm can have."""
     for field in fields(params.links):
         link, where = getattr(params.links, field.name), f"links.{field.name}"
         problem = _check_compliance(link.compliance)
@@ -74,22 +77,23 @@ def check_arm(params: Params) -> Iterator[str]:
 
 
 def _check_axes(name: str, link: Transform6) -> Iterator[str]:
-    """Sentences about a link that leaves the chain without an elbow, or with axes that are not its own."""
+    """Yield a sentence for each link that is too short, or whose axes deviate from the orthogonal arm."""
     where = f"links.{name}.transform"
     if name in ("arm3", "arm4") and link.a_m < MIN_LINK_M:
         yield f"{where}.a_m: {link.a_m} is below {MIN_LINK_M}, the shortest link"
     if name not in ORTHOGONAL_RAD:
         return
-    for angle, value, square in (
+    for angle, value, orthogonal in (
         ("alpha_rad", link.alpha_rad, ORTHOGONAL_RAD[name]),
         ("beta_rad", link.beta_rad, 0.0),
     ):
-        if abs(value - square) > MAX_SKEW_RAD:
-            yield f"{where}.{angle}: {value} is not within {MAX_SKEW_RAD} of the square arm's {square:.6g}"
+        if abs(value - orthogonal) > MAX_SKEW_RAD:
+            nominal = f"the square arm's {orthogonal:.6g}"
+            yield f"{where}.{angle}: {value} is not within {MAX_SKEW_RAD} of {nominal}"
 
 
 def _check_boresights(tools: Tools) -> Iterator[str]:
-    """Sentences about tools that look along the turret axis."""
+    """Yield a sentence for each tool whose boresight is nearly parallel to the turret axis."""
     for field in fields(tools):
         beta = getattr(tools, field.name).transform.beta_rad
         if math.asin(abs(math.cos(beta))) < MIN_LEAN_RAD:
@@ -98,7 +102,7 @@ def _check_boresights(tools: Tools) -> Iterator[str]:
 
 
 def _check_poses(params: Params) -> Iterator[str]:
-    """Sentences about named poses beyond the soft limits."""
+    """Yield a sentence for each named pose beyond the soft limits."""
     poses = {"poses.stowed_rad": params.poses.stowed_rad, "poses.ready_rad": params.poses.ready_rad}
     poses |= {f"poses.unstow_via_rad.{k}": via for k, via in enumerate(params.poses.unstow_via_rad)}
     stops = params.hardstop
@@ -113,7 +117,7 @@ def _check_poses(params: Params) -> Iterator[str]:
 
 
 def _check_hardstops(params: Params) -> Iterator[str]:
-    """Sentences about hardstops that are not a little beyond the soft limits, or pressed on too hard."""
+    """Yield a sentence for each hardstop too far from the soft limit, or pressed too hard."""
     room_rad = params.monitors.soft_limit_margin_rad
     for field, joint in zip(fields(params.joints), params.joints.in_order(), strict=True):
         low, high = joint.soft_min_rad - MAX_STOP_DEPTH_RAD, joint.soft_min_rad - room_rad
@@ -131,19 +135,19 @@ def _check_hardstops(params: Params) -> Iterator[str]:
 
 
 def _check_geometry(collision: CollisionParams) -> Iterator[str]:
-    """Sentences about parts without a shape, and boxes that are inside out."""
+    """Yield a sentence for each part without a shape, and for each box with a negative edge."""
     for place, parts in (("arm", collision.arm), ("rover", collision.rover)):
         for field in fields(parts):
             shapes, where = getattr(parts, field.name), f"collision.{place}.{field.name}"
             if not shapes.capsules and not shapes.boxes:
-                yield f"{where}: has neither capsules nor boxes; what has no shape is never met"
+                yield f"{where}: has neither capsules nor boxes; a part needs at least one shape"
             for k, box in enumerate(shapes.boxes):
                 if min(box.half_m) <= 0:
                     yield f"{where}.boxes.{k}.half_m: {box.half_m} must be positive"
 
 
 def _check_compliance(compliance: Matrix6) -> str | None:
-    """Why no spring has this compliance; measured in units in which its diagonal is 1."""
+    """Return the reason why no spring has this compliance; scaled so that its diagonal is 1."""
     C = np.array(compliance)
     if np.abs(C).max() > MAX_COMPLIANCE:
         worst = C.flat[np.abs(C).argmax()]
@@ -151,19 +155,20 @@ def _check_compliance(compliance: Matrix6) -> str | None:
         return f"{worst} is outside {limits} (rad or m, per N m or N), no link is as soft"
     unit = np.sqrt(np.abs(np.diag(C)))
     scale = np.outer(unit, unit)
-    lopsided = np.abs(C - C.T) > ROUNDING * scale
-    if np.any(lopsided):
-        row, column = np.argwhere(lopsided)[0]
+    asymmetric = np.abs(C - C.T) > ROUNDING * scale
+    if np.any(asymmetric):
+        row, column = np.argwhere(asymmetric)[0]
         there, across = C[row, column], C[column, row]
         return f"is not symmetric: {there} at [{row}][{column}], {across} across the diagonal"
-    gives = np.where(unit > 0, unit, 1.0)
-    weakest = np.linalg.eigvalsh(C / np.outer(gives, gives)).min()
+    positive_unit = np.where(unit > 0, unit, 1.0)
+    weakest = np.linalg.eigvalsh(C / np.outer(positive_unit, positive_unit)).min()
     if np.any(np.abs(C) > scale * (1 + ROUNDING)) or weakest < -ROUNDING:
         return "is not positive semidefinite: under some load the link would give way against the load"
     return None
 
 
 def _leaf_numbers(value: Any) -> Iterator[float]:
+    """Yield all floats of a nested tuple."""
     if isinstance(value, tuple):
         for item in value:
             yield from _leaf_numbers(item)
