@@ -1,4 +1,4 @@
-"""MuJoCo's arm and rover beside flight software's shapes of them."""
+"""Clearances of the arm by MuJoCo, as a reference for those of flight software."""
 
 from functools import lru_cache
 
@@ -20,7 +20,7 @@ FAR_M = 10.0
 
 @lru_cache
 def plant() -> Plant:
-    """Arm, rover and level ground, only what collides."""
+    """Build a plant with arm, rover and level ground."""
     return Plant(build(World()).compile())
 
 
@@ -34,12 +34,12 @@ def obstacle_of(model: mujoco.MjModel, geom: int) -> str:
 
 
 def mujoco_clearances(output_rad: np.ndarray, strain: np.ndarray) -> np.ndarray:
-    """Distances (PARTS, OBSTACLES, n) of MuJoCo's geoms at poses (5, n) with springs strained (6, 6, n)."""
+    """Compute the distances (PARTS, OBSTACLES, n) of MuJoCo's geoms at poses (5, n) and strains (6, 6, n)."""
     model, data = plant().model, plant().data
     arm, others = (
         [geom for geom in range(model.ngeom) if model.geom_contype[geom] == side] for side in (1, 2)
     )
-    apart = np.full((len(PARTS), len(OBSTACLES), output_rad.shape[1]), np.inf)
+    distance = np.full((len(PARTS), len(OBSTACLES), output_rad.shape[1]), np.inf)
     for k in range(output_rad.shape[1]):
         plant().show(output_rad[:, k], strain[:, :, k])
         for a in arm:
@@ -47,5 +47,5 @@ def mujoco_clearances(output_rad: np.ndarray, strain: np.ndarray) -> np.ndarray:
             for b in others:
                 j = OBSTACLES.index(obstacle_of(model, b))
                 d = mujoco.mj_geomDistance(model, data, a, b, FAR_M, None)
-                apart[i, j, k] = min(apart[i, j, k], d)
-    return apart
+                distance[i, j, k] = min(distance[i, j, k], d)
+    return distance

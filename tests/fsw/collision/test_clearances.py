@@ -1,4 +1,4 @@
-"""How close the arm comes to rover and ground, judged by MuJoCo's model of them."""
+"""Clearances of the arm to rover and ground, with MuJoCo as the reference."""
 
 from dataclasses import replace
 
@@ -20,29 +20,29 @@ SHAPES = CONFIG.params.collision
 PADDING_M = SHAPES.padding_m
 LINKS = ("link2", "link3", "link4")
 PRISM_M = 0.0045
-"""How far the prism that stands for the turret's core is outside of it, at its edges."""
+"""Largest distance by which the prism of the turret's core is outside the core, at the edges."""
 ROUNDING_M = 2e-6
 READY = np.array(CONFIG.params.poses.ready_rad)
 STOWED = np.array(CONFIG.params.poses.stowed_rad)
 
 
 def collides_only(shapes):
-    """Without the shapes of what only looks in MuJoCo: sieves, percussion, dust cover."""
+    """Remove the shapes of parts that only have visual geoms in MuJoCo: sieves, percussion, dust cover."""
     turret = replace(shapes.arm.turret, boxes=shapes.arm.turret.boxes[:-1])
     drill = replace(shapes.arm.drill, capsules=shapes.arm.drill.capsules[:-1])
     mahli = replace(shapes.arm.mahli, capsules=shapes.arm.mahli.capsules[:-1])
     return replace(shapes, arm=replace(shapes.arm, turret=turret, drill=drill, mahli=mahli))
 
 
-def hung(poses_rad):
+def settle_poses(poses_rad):
     return settle_output(CONFIG.arm, poses_rad, MARS_R_m_s2)
 
 
 @pytest.fixture(scope="module")
 def compared():
-    """Clearances of random poses over the limits, ours and MuJoCo's, and ours of what collides there."""
+    """Compute clearances of random poses: ours, ours with the colliding shapes only, and MuJoCo's."""
     poses = in_limits(CONFIG, np.random.default_rng(31), 60)
-    at_rest = hung(poses)
+    at_rest = settle_poses(poses)
     same = with_params(collision={"arm": collides_only(SHAPES).arm})
     ours, alike = (
         compute_clearances(geometry, at_rest.frames, FAR_M)
@@ -81,7 +81,7 @@ def test_every_geom_that_collides_belongs_to_a_part_or_an_obstacle():
 
 
 def test_parts_in_the_turret_frame_move_with_the_tools_of_the_parameters():
-    """A drill that is calibrated 3 cm farther out is 3 cm closer to what it looks at."""
+    """A drill that is calibrated as 3 cm longer is 3 cm closer to the obstacle ahead of it."""
     longer = replace(CONFIG.params.tools.drill.transform, a_m=0.39)
     other = with_params(tools={"drill": replace(CONFIG.params.tools.drill, transform=longer)})
     X_FT, X_FT_longer = CONFIG.arm.X_FT[Tool.DRILL], other.arm.X_FT[Tool.DRILL]
@@ -91,14 +91,14 @@ def test_parts_in_the_turret_frame_move_with_the_tools_of_the_parameters():
 
 
 def test_distances_beyond_what_is_asked_for_are_left_out_and_the_others_are_the_same():
-    frames = hung(in_limits(CONFIG, np.random.default_rng(32), 100)).frames
+    frames = settle_poses(in_limits(CONFIG, np.random.default_rng(32), 100)).frames
     everything = compute_clearances(GEOMETRY, frames, FAR_M)
     near = compute_clearances(GEOMETRY, frames, 0.05)
     np.testing.assert_array_equal(near, np.where(everything <= 0.05, everything, np.inf))
 
 
 def test_the_height_above_ground_follows_the_parameter():
-    frames = hung(in_limits(CONFIG, np.random.default_rng(33), 20)).frames
+    frames = settle_poses(in_limits(CONFIG, np.random.default_rng(33), 20)).frames
     lower = configure(replace(CONFIG.params, collision=replace(SHAPES, ground_z_m=SHAPES.ground_z_m + 0.2)))
     here, there = (
         compute_clearances(config.collision_geometry, frames, FAR_M)[:, GROUND] for config in (CONFIG, lower)
@@ -107,7 +107,7 @@ def test_the_height_above_ground_follows_the_parameter():
 
 
 def lowered_onto_the_ground(steps=60):
-    """The elevation turns down until the turret is in the ground."""
+    """Return frames of a path on which the elevation turns the turret into the ground."""
     poses = np.tile(READY[:, None], steps)
     poses[1] += np.linspace(0.0, 0.6, steps)
     return forward(CONFIG.arm, poses)
@@ -167,7 +167,7 @@ def test_the_way_out_of_the_padding_is_free_and_the_way_farther_in_is_not():
 
 
 def test_to_be_close_to_one_thing_gives_no_leave_to_come_close_to_another():
-    """The path begins with a tool in the padding over the ground and ends at the mast."""
+    """The path starts with a tool within the padding above the ground, and ends at the mast."""
     height = compute_clearances(GEOMETRY, lowered_onto_the_ground(steps=200), FAR_M)[:, GROUND].min(axis=0)
     k = int(np.flatnonzero((height > 0) & (height < PADDING_M))[0])
     start = READY + np.array([0.0, 0.6 * k / 199, 0.0, 0.0, 0.0])
@@ -177,7 +177,7 @@ def test_to_be_close_to_one_thing_gives_no_leave_to_come_close_to_another():
 
 
 def pose_that_meets(obstacle):
-    """A random pose within the limits that meets this obstacle and nothing else."""
+    """Find a random pose within the limits that collides with this obstacle and no other."""
     poses = in_limits(CONFIG, np.random.default_rng(35), 20_000)
     for some in np.split(poses, 20, axis=1):
         met = (compute_clearances(GEOMETRY, forward(CONFIG.arm, some), 0.0) <= 0).any(axis=0)
@@ -197,11 +197,11 @@ def test_whatever_the_arm_meets_is_named(obstacle):
 
 @pytest.mark.parametrize("pose", [READY, STOWED], ids=["ready", "stowed"])
 def test_named_poses_are_clear_by_more_than_the_padding(pose):
-    assert find_violation(GEOMETRY, hung(pose[:, None]).frames, PADDING_M) is None
+    assert find_violation(GEOMETRY, settle_poses(pose[:, None]).frames, PADDING_M) is None
 
 
 def test_no_point_of_the_arm_is_farther_from_a_joint_than_its_lever():
-    frames = hung(in_limits(CONFIG, np.random.default_rng(34), 200)).frames
+    frames = settle_poses(in_limits(CONFIG, np.random.default_rng(34), 200)).frames
     for tool in Tool:
         tip = np.einsum("ijn,j->in", frames.X_RF.R[:, :, 5], CONFIG.arm.X_FT[tool].p) + frames.X_RF.p[:, 5]
         for joint in range(5):

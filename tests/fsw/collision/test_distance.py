@@ -1,4 +1,4 @@
-"""Distances of segments and boxes, against points along them, against MuJoCo, and against themselves."""
+"""Distances of segments and boxes, compared with sampled points, with MuJoCo and with swapped arguments."""
 
 import mujoco
 import numpy as np
@@ -36,7 +36,7 @@ def test_a_segment_without_length_is_a_point(p, half):
 
 @given(coordinates, coordinates, coordinates, coordinates)
 def test_two_segments_are_as_far_apart_either_way_round(p, along, other_p, other_along):
-    """A segment is a box with a length only, about its middle."""
+    """A segment is a box about its middle with a length only."""
     X = [segment_pose(p, along), segment_pose(other_p, other_along)]
     half = [one(np.array([0.5 * np.linalg.norm(v), 0, 0])) for v in (along, other_along)]
     X_AB = inverse(X[0]) @ X[1]
@@ -92,7 +92,7 @@ def mujoco_distance(half_A, half_B, X_AB):
 
 
 def test_a_box_that_is_run_through_by_a_long_one_is_met():
-    """No edge of the wide box, no corner of either is inside the other."""
+    """No edge of the wide box and no corner of either box is inside the other."""
     wide, long = one(np.array([1.0, 1.0, 0.1])), one(np.array([0.05, 0.05, 3.0]))
     X = screw_exp(one(np.array([0.02, 0.01, 0.3, 0.0, 0.0, 0.0])))
     assert box_distance(X, wide, long)[0] == 0.0

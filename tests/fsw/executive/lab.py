@@ -1,4 +1,4 @@
-"""Flight software in every situation that commands can meet, and a command of every kind to give it."""
+"""Rigs in every state in which a command may arrive, and a command of every type."""
 
 from dataclasses import replace
 
@@ -34,16 +34,16 @@ from tests.fsw.rig import Rig, config_of, facing, floats, with_params
 
 START = facing(config_of(), Tool.APXS)
 STRONGER = replace(config_of().params.joints.elevation, hardstop_press_Nm=300.0)
-"""In the ready pose gravity presses the elevation on its hardstop too hard for the drawing's."""
+"""Elevation with a larger pressing torque: in the ready pose gravity exceeds its share of the nominal one."""
 _X_RT = Rig(with_params(), start_rad=START).tool_pose(Tool.APXS)
 HERE = TeachPoint("here", "apxs", floats(_X_RT.p), floats(_X_RT.R[:, 0]))
-"""Where the APXS stands in these tests."""
+"""Pose of the APXS at the start of these tests, as a taught point."""
 CONFIG = with_params(
     hardstop={"start_rad": floats(START), "park_rad": floats(START), "again_rad": floats(START)},
     joints={"elevation": STRONGER},
     teach=(HERE,),
 )
-"""Any joint may look for its hardstop from where these tests begin."""
+"""Configuration in which any joint may be homed from the pose in which these tests start."""
 NAN = float("nan")
 INF = float("inf")
 TOUCHED = {"switch_closed": np.arange(10) == Switch.APXS_1}
@@ -121,12 +121,12 @@ def preloaded():
     return rig
 
 
-SITUATIONS = [
+RIGS = [
     stowed, uncalibrated, deployed, moving_free, guarded_moving, guarded_in_contact, retracting,
     calibrating, preloading, preloaded, being_stopped_by_a_fault, faulted,
 ]  # fmt: skip
 TOUCHING = (guarded_in_contact, preloading, preloaded)
-"""The situations in which a switch is closed."""
+"""Rigs with a closed switch."""
 
 
 def _place(rig: Rig) -> PlaceTool:
@@ -158,7 +158,7 @@ COMMANDS = {
 
 
 def refusal(rig: Rig, command: Command) -> str:
-    """Why a command is refused that leaves everything as it was."""
+    """Return the reason for which a command is refused, and check that it changes nothing."""
     before = rig.state
     rig.evrs.clear()
     rig.cycle(command)

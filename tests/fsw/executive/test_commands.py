@@ -1,4 +1,4 @@
-"""Every command in every situation: accepted, or refused with its reason and nothing changed."""
+"""Single commands: their arguments, their effect, stops, faults and cleared faults."""
 
 from dataclasses import replace
 
@@ -63,14 +63,14 @@ IN_STOWED, IN_GUARDED = (f"not allowed in mode {name}" for name in ("STOWED", "G
 @pytest.mark.parametrize("place", range(3))
 def test_numbers_of_a_command_that_are_not_finite_are_refused(bad, place):
     rig = deployed()
-    spoilt = floats(np.where(np.arange(3) == place, bad, 1.0))
+    not_finite = floats(np.where(np.arange(3) == place, bad, 1.0))
     five = floats(np.where(np.arange(5) == place, bad, 1.0))
     fine = (1.0, 0.0, 0.0)
     assert refusal(rig, MoveJoints(five)) == "a joint angle is not finite"
     assert refusal(rig, MoveJoint(Joint(place), bad)) == "the joint angle is not finite"
     for kind in (MoveTool, GuardedMove):
-        assert refusal(rig, kind(Tool.APXS, spoilt, fine)) == "position or approach is not finite"
-        assert refusal(rig, kind(Tool.APXS, fine, spoilt)) == "position or approach is not finite"
+        assert refusal(rig, kind(Tool.APXS, not_finite, fine)) == "position or approach is not finite"
+        assert refusal(rig, kind(Tool.APXS, fine, not_finite)) == "position or approach is not finite"
 
 
 @pytest.mark.parametrize("kind", [MoveTool, GuardedMove])
@@ -106,7 +106,7 @@ def test_what_is_no_tool_is_refused_and_the_tools_there_are_are_told(kind, tool)
 
 
 def test_a_joint_may_be_given_by_its_number():
-    """Commands are plain records: nothing turns the number into a name on the way."""
+    """Commands are plain records, so a number is not converted to a Joint."""
     number: int = int(Joint.ELBOW)
     rig = deployed()
     assert "joint elbow: 171.9 deg is outside" in refusal(rig, MoveJoint(number, 3.0))
@@ -206,10 +206,10 @@ def test_unstow_leads_past_the_way_points_to_the_ready_pose():
     evrs = rig.run(Unstow())
     assert CommandCompleted("Unstow") in evrs
     assert rig.state.mode is Mode.DEPLOYED
-    # a joint that is already there is left as the loads on the way leave it in its friction
+    # friction holds a joint that is there already within this bound
     held_rad = 2 * CONFIG.output_friction_Nm / CONFIG.arm.gear_stiffness_Nm_rad + 1e-5
-    off = np.abs(rig.state.joints.output_rad - CONFIG.params.poses.ready_rad)
-    assert (off < held_rad).all()
+    error_rad = np.abs(rig.state.joints.output_rad - CONFIG.params.poses.ready_rad)
+    assert (error_rad < held_rad).all()
     modes = [(evr.before, evr.after) for evr in evrs if isinstance(evr, ModeChanged)]
     assert modes == [(Mode.STOWED, Mode.FREE_SPACE), (Mode.FREE_SPACE, Mode.DEPLOYED)]
 
@@ -267,7 +267,7 @@ def test_a_joint_may_begin_anywhere_between_its_hardstop_and_its_place(joint):
 
 
 def next_to_its_stop(joint):
-    """So near that this joint, in an arm without hardstops, soon is where its own should be."""
+    """Return a rig without hardstops, with this joint close to the angle of its hardstop."""
     stop = CONFIG.params.joints.in_order()[joint].hardstop_rad
     return Rig(CONFIG, start_rad=np.where(np.arange(5) == joint, stop + 0.05, START))
 
@@ -505,7 +505,7 @@ def test_a_fault_cleared_in_contact_leaves_the_arm_where_only_a_retraction_is_al
 
 
 @pytest.mark.parametrize(
-    ("situation", "end"),
+    ("make_rig", "end"),
     [
         (deployed, Mode.DEPLOYED),
         (moving_free, Mode.DEPLOYED),
@@ -514,13 +514,13 @@ def test_a_fault_cleared_in_contact_leaves_the_arm_where_only_a_retraction_is_al
         (retracting, Mode.GUARDED),
     ],
 )
-def test_a_fault_cleared_with_all_switches_open_remembers_that_the_arm_may_touch(situation, end):
-    rig = situation()
+def test_a_fault_cleared_with_all_switches_open_remembers_that_the_arm_may_touch(make_rig, end):
+    rig = make_rig()
     mode = rig.state.mode
     rig.cycle(winding_C=[NAN] * 5)
     assert rig.state.fault.mode is mode
     rig.run()
-    for _ in range(3):  # a fault in the cycle in which it is cleared stands where the first one did
+    for _ in range(3):  # a new fault in the cycle of ClearFault keeps what is known of the first one
         rig.cycle(ClearFault(), winding_C=[NAN] * 5)
         assert rig.state.mode is Mode.FAULTED
     rig.cycle(ClearFault())

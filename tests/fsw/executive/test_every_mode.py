@@ -1,4 +1,4 @@
-"""Every command in every situation: accepted, or refused with its reason and nothing changed."""
+"""Every command in every mode, at rest or moving: accepted, or refused with a reason and nothing changed."""
 
 from itertools import product
 from typing import get_args
@@ -25,21 +25,21 @@ from fsw.dictionary.enums import Mode
 from fsw.dictionary.evrs import CommandAccepted, CommandCompleted, CommandRefused
 from fsw.executive.modes import EVENT_OF, next_mode
 from tests.fsw.executive import lab
-from tests.fsw.executive.lab import COMMANDS, SITUATIONS, TOUCHED, TOUCHING
+from tests.fsw.executive.lab import COMMANDS, RIGS, TOUCHED, TOUCHING
 
 NOT_CALIBRATED = "not calibrated: {}; until it is, a joint may only look for its hardstop"
 NO_MOVES = (SetTilt, SetParam, Stop)
-"""What is done at once where nothing is under way."""
+"""Commands without a move; they complete at once if nothing is under way."""
 
 
 def in_mode(name: str, *allowed: type) -> dict[type, str]:
-    """Everything is refused in a mode but what is allowed, and there is no fault to clear."""
+    """Return the refusals in a mode without a fault: all commands but the allowed ones."""
     refused = {kind: f"not allowed in mode {name}" for kind in COMMANDS if kind not in (*allowed, *NO_MOVES)}
     return refused | {ClearFault: "no fault stands"}
 
 
 def under_way(name: str, clearing: str = "no fault stands") -> dict[type, str]:
-    """Everything waits for what is under way but a stop."""
+    """Return the refusals while a command is under way: all commands but a stop."""
     return {kind: f"{name} is under way" for kind in COMMANDS if kind is not Stop} | {ClearFault: clearing}
 
 
@@ -71,26 +71,26 @@ REFUSED = {
     lab.being_stopped_by_a_fault: FAULT | {ClearFault: "the arm is still being stopped"},
     lab.faulted: FAULT,
 }
-"""By situation, the commands that are refused and why; the others are accepted."""
+"""Refused commands and their reasons by rig; all other commands are accepted."""
 
 
 def test_the_table_speaks_of_every_mode_and_every_command():
-    assert {make().state.mode for make in SITUATIONS} == set(Mode)
-    assert set(REFUSED) == set(SITUATIONS)
+    assert {make().state.mode for make in RIGS} == set(Mode)
+    assert set(REFUSED) == set(RIGS)
     assert set(COMMANDS) == set(get_args(Command))
 
 
 @pytest.mark.parametrize(
-    ("situation", "kind"),
-    list(product(SITUATIONS, COMMANDS)),
+    ("make_rig", "kind"),
+    list(product(RIGS, COMMANDS)),
     ids=lambda value: getattr(value, "__name__", None),
 )
-def test_every_command_in_every_situation(situation, kind):
-    rig = situation()
+def test_every_command_in_every_situation(make_rig, kind):
+    rig = make_rig()
     before, name = rig.state, kind.__name__
     rig.evrs.clear()
-    rig.cycle(COMMANDS[kind](rig), **(TOUCHED if situation in TOUCHING else {}))
-    reason = REFUSED[situation].get(kind)
+    rig.cycle(COMMANDS[kind](rig), **(TOUCHED if make_rig in TOUCHING else {}))
+    reason = REFUSED[make_rig].get(kind)
     refused = [evr for evr in rig.evrs if isinstance(evr, CommandRefused)]
     if reason:
         assert refused == [CommandRefused(name, reason)]

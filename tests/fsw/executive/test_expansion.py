@@ -1,4 +1,4 @@
-"""Commands of several moves: what the moves are, and that they are checked before the first begins."""
+"""Compound commands: their steps, and the check of all steps before the first one begins."""
 
 import numpy as np
 import pytest
@@ -77,9 +77,9 @@ def test_without_compensation_a_tool_change_counts_from_the_rigid_arm():
     command = ToolChange(Tool.MAHLI, deflection="off")
     back, to_standoff, touch = expand_command(CONFIG, rig.state.joints, rig.state.tool, command)
     assert {back.deflection, to_standoff.deflection, touch.deflection} == {"off"}
-    hanging = rig.tool_pose(Tool.APXS)
+    deflected = rig.tool_pose(Tool.APXS)
     spot = np.array(to_standoff.p_FoTo_F_m) + 0.10 * np.array(to_standoff.approach_F)
-    assert 2e-3 < np.linalg.norm(spot - hanging.p) < 0.1
+    assert 2e-3 < np.linalg.norm(spot - deflected.p) < 0.1
 
 
 def test_a_tool_that_is_not_to_touch_stops_in_front_of_the_spot():

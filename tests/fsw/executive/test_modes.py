@@ -1,4 +1,4 @@
-"""The mode machine, walked: every mode with every event."""
+"""Mode machine: every event in every mode, and properties of the table as a whole."""
 
 import pytest
 
@@ -7,7 +7,7 @@ from fsw.executive.modes import TRANSITIONS, ModeEvent, next_mode
 
 NO = None
 STOW, DEPL, FREE, GUARD, BACK, FAULT, PRESS = Mode
-# columns in the order of Event: UNSTOW, MOVE_FREE, MOVE_GUARDED, MOVE_BACK, DONE, FAULT,
+# columns in the order of ModeEvent: UNSTOW, MOVE_FREE, MOVE_GUARDED, MOVE_BACK, DONE, FAULT,
 # CLEAR, CLEAR_STOWED, CLEAR_TOUCHING, STOP, STOP_STOWED, DONE_STOWED, PRESS, DONE_RELEASED, CLEAR_PRESSED
 TABLE = {
     Mode.STOWED: (FREE, NO, NO, NO, NO, FAULT, NO, NO, NO, NO, NO, NO, NO, NO, NO),

@@ -1,4 +1,4 @@
-"""A decision of protection changes mode, move and sequence; a standing fault is answered once."""
+"""Decisions of protection change mode, move and sequence; a standing fault has one response only."""
 
 import numpy as np
 import pytest

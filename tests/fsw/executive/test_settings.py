@@ -1,4 +1,4 @@
-"""What the ground may set: the tilt, and any one number of the parameters."""
+"""Settings by command: the tilt, and any single number of the parameters."""
 
 import numpy as np
 import pytest
@@ -103,7 +103,7 @@ def test_gravity_lies_where_the_ground_says_from_then_on():
     rig.run(SetTilt(0.005, -0.003))
     gravity = rig.state.joints.gravity_R_m_s2
     assert np.linalg.norm(gravity) == pytest.approx(3.711)
-    # right side down: gravity has a part to the right; nose down: a part forward
+    # right side down: gravity has a component to the right; nose down: a component forward
     np.testing.assert_allclose(gravity / 3.711, [0.003, 0.005, 1.0], atol=2e-5)
     np.testing.assert_allclose(rig.state.joints.imu_R_m_s2, MARS_R_m_s2, atol=1e-9)
     assert any(

@@ -1,4 +1,4 @@
-"""The judge of these tests: outputs that follow their motors through play, wind-up and friction, at rest."""
+"""Reference for tests of motion: outputs at rest after motor turns, with backlash, wind-up and friction."""
 
 import numpy as np
 
@@ -23,21 +23,21 @@ def likely(joints: JointEstimate) -> np.ndarray:
 
 
 def gears_along(config: Config, gear_rad: np.ndarray, motor_rad: np.ndarray) -> np.ndarray:
-    """The gear angles (n, 5) of motors that turn through these angles (n, 5), from the first one's."""
+    """Compute gear angles (n, 5) along motor angles (n, 5), from the gear angles at the first of them."""
     gears = np.tile(gear_rad, (len(motor_rad), 1))
-    for _ in range(3):  # the loads are those of the outputs, which are the motors' nearly
+    for _ in range(3):  # the loads depend on the outputs, which depend on the loads
         loads = settle_output(config.arm, (motor_rad + gears).T, MARS_R_m_s2).torque_Nm
         bounds = [bound_gear(config, config.half_gap_rad, load[:, None]) for load in loads.T]
         turns = np.diff(motor_rad, axis=0, prepend=motor_rad[:1])
         gear, gears = gear_rad[:, None], np.empty_like(gears)
-        for k, (turn, under) in enumerate(zip(turns, bounds, strict=True)):
-            gear = gear_after_motor_turn(gear, turn, under)
+        for k, (turn, bound) in enumerate(zip(turns, bounds, strict=True)):
+            gear = gear_after_motor_turn(gear, turn, bound)
             gears[k] = gear[:, 0]
     return gears
 
 
 def gear_at_end(config: Config, joints: JointEstimate, plan: Plan, n: int = 400) -> np.ndarray:
-    """The gear angles that a plan ends with."""
+    """Compute the gear angles at the end of a plan."""
     gear = likely(joints)
     for path in plan.paths:
         gear = gears_along(config, gear, sampled(path, n)[1])[-1]
@@ -45,5 +45,5 @@ def gear_at_end(config: Config, joints: JointEstimate, plan: Plan, n: int = 400)
 
 
 def tool_at(config: Config, output_rad: np.ndarray, tool: int, gravity_R_m_s2=MARS_R_m_s2) -> Pose:
-    """X_RT at rest with the outputs (5, ...) at these angles."""
+    """Compute X_RT at rest for outputs (5, ...)."""
     return tool_pose(config.arm, settle_output(config.arm, output_rad, gravity_R_m_s2).frames, tool)

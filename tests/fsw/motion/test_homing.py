@@ -1,4 +1,4 @@
-"""A joint on its way to its hardstop: what it finds there, and what it says if something else is there."""
+"""Homing of a joint: its results at a hardstop, and its faults if the hardstop is not as expected."""
 
 import numpy as np
 import pytest

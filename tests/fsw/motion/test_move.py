@@ -1,4 +1,4 @@
-"""A move from brake release to brakes on, phase by phase, and what it asks of motors and brakes."""
+"""Moves from brake release to brakes on, phase by phase, and their commands to motors and brakes."""
 
 from dataclasses import replace
 
@@ -30,7 +30,7 @@ def move_by(angle_rad: float, **fields) -> Move:
 
 
 def following(move):
-    """Joints that are where the set-point is."""
+    """Return joints that are at the set-point."""
     joints = Rig(CONFIG).state.joints
     return replace(joints, motor_rad=move.setpoint.motor_rad, motor_rate_rad_s=move.setpoint.rate_rad_s)
 

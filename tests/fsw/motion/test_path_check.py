@@ -1,4 +1,4 @@
-"""Whether a plan's way is clear: how finely it is looked at, how the arm hangs there, and what is refused."""
+"""Collision checks of paths: spacing of samples, deflection of the arm at them, and refusals."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ GEOMETRY = CONFIG.collision_geometry
 PARAMS = CONFIG.params
 PADDING_M = PARAMS.collision.padding_m
 RUN_UP_MM = 4.0
-"""How far a tool may pass its place to come to rest on a known side of its gaps."""
+"""Run-up of a tool past its target, so that it ends on a known side of its backlash."""
 READY = np.array(PARAMS.poses.ready_rad)
 JOINTS = Rig(CONFIG).state.joints
 
@@ -42,7 +42,7 @@ poses = st.integers(0, 2**32 - 1).map(lambda seed: in_limits(CONFIG, np.random.d
 
 
 def points_of_arm(frames):
-    """Tool tips, the far corners of the turret, elbow, wrist: (3, k, n) in RMECH."""
+    """Return tool tips, far corners of the turret, elbow and wrist in RMECH, (3, k, n)."""
     tips = np.array([X.p for X in CONFIG.arm.X_FT])
     corners = np.array([[0.3, 0.3, -0.15], [-0.3, 0.3, -0.15], [0.0, -0.35, -0.15], [0.25, -0.25, 0.0]])
     p_F = np.concatenate([tips, corners]).T
@@ -67,14 +67,14 @@ def test_no_point_of_the_arm_moves_farther_than_a_step_between_two_samples_of_a_
 @settings(max_examples=5)
 @given(poses)
 def test_what_happens_between_two_samples_of_the_first_look_is_within_half_a_step_and_the_sway(pair):
-    """Springs, gears and all: every pose of the way is that close to one that is looked at."""
+    """With deflection and backlash, every pose of a path is that close to one that is checked."""
     path = joint_path(CONFIG, *pair)
-    seen, finely = (
+    coarse, fine = (
         points_of_arm(compute_deflected_frames(CONFIG, JOINTS, sample_paths(CONFIG, (path,), step_m)))
         for step_m in (COARSE_STEP_M, FINE_STEP_M)
     )
-    for pose in np.moveaxis(finely[:, :, ::5], -1, 0):
-        away = np.linalg.norm(seen - pose[:, :, None], axis=0).max(axis=0).min()
+    for pose in np.moveaxis(fine[:, :, ::5], -1, 0):
+        away = np.linalg.norm(coarse - pose[:, :, None], axis=0).max(axis=0).min()
         assert away <= 0.5 * COARSE_STEP_M + DEFLECTION_CHANGE_M
 
 
@@ -103,7 +103,7 @@ def test_the_arm_hangs_as_it_settles_with_every_gap_on_the_side_of_its_load():
 
 
 def way(*poses_rad):
-    """A plan through these outputs from the first."""
+    """Plan paths through these outputs from the first one."""
     start = replace(JOINTS, motor_rad=poses_rad[0] - JOINTS.gear_rad[:, 1])
     plan = plan_poses(CONFIG, start, [np.array(pose) for pose in poses_rad[1:]], Compensation("off"))
     assert isinstance(plan, Plan)
@@ -163,7 +163,7 @@ def test_from_within_the_padding_the_way_up_is_free_and_the_way_down_is_not():
 
 @pytest.mark.parametrize(("touching", "free"), [(Tool.APXS, True), (Tool.DRILL, False), (None, False)])
 def test_only_the_tool_that_is_to_touch_may_reach_the_ground(touching, free):
-    """The APXS looks straight down and ends 10 mm above the ground."""
+    """The APXS points straight down and ends 10 mm above the ground."""
     above = (2.0, 0.0, PARAMS.collision.ground_z_m - 0.01)
     plan = plan_tool(config_of(), JOINTS, MoveTool(Tool.APXS, above, (0.0, 0.0, 1.0)), Tool.APXS)
     assert isinstance(plan, Plan)
@@ -196,13 +196,13 @@ def test_all_joints_are_calibrated_on_a_way_that_is_as_clear_as_mujoco_says():
 
 
 def test_where_the_arm_goes_by_command_is_what_is_looked_at():
-    """The rig's arm follows a plan; no point of it was farther than a step from what was looked at."""
+    """The arm of the rig follows a plan; each point stays within a step of a checked pose."""
     rig = Rig(CONFIG)
     goal = READY + np.array([0.1, 0.05, -0.1, 0.1, 0.2])
     rig.until_moving(MoveJoints(floats(goal)), cycles=8)
-    seen = points_of_arm(forward(CONFIG.arm, sample_paths(CONFIG, rig.state.move.paths, FINE_STEP_M)))
+    checked = points_of_arm(forward(CONFIG.arm, sample_paths(CONFIG, rig.state.move.paths, FINE_STEP_M)))
     while rig.outputs.joint.busy:
         rig.cycle()
         motor = rig.state.joints.motor_rad[:, None]
         here = points_of_arm(forward(CONFIG.arm, motor))
-        assert np.linalg.norm(seen - here, axis=0).max(axis=0).min() <= 0.5 * FINE_STEP_M + 1e-4
+        assert np.linalg.norm(checked - here, axis=0).max(axis=0).min() <= 0.5 * FINE_STEP_M + 1e-4

@@ -1,4 +1,4 @@
-"""Paths over time: from rest to rest, within their bounds, and straight where they are to be straight."""
+"""Paths over time: from rest to rest, within their bounds, and straight for straight moves."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -24,7 +24,7 @@ STOP_FACTOR = CONFIG.params.motion.stop_factor
 STRAIGHT_M = 20e-6
 AXIS_RAD = 20e-6
 STEP_M = 1e-6
-"""How closely one path of a plan goes on where the tool was left by the one before."""
+"""Largest step of the tool between the end of one path of a plan and the start of the next."""
 
 poses = st.integers(0, 2**32 - 1).map(lambda seed: in_limits(CONFIG, np.random.default_rng(seed), 2).T)
 
@@ -52,7 +52,7 @@ def test_a_joint_move_keeps_to_its_speed_and_acceleration_and_never_turns_back(p
 
 
 def line(length_m: float) -> Travel:
-    """A straight move with the speed of a guarded one."""
+    """Return the travel of a straight move with the speed of a guarded one."""
     motion = CONFIG.params.motion
     return Travel(length_m, 0.005, motion.line_acceleration_m_s2, motion.line_jerk_m_s3)
 
@@ -116,30 +116,30 @@ def straight(plan) -> LinePath:
 
 
 def along(config, tool, path, gear_rad, samples=160):
-    """The tool over a path whose outputs follow their motors, and the gear angles at its end."""
+    """Compute the tool poses along a path whose outputs follow the motors, and the gear angles at its end."""
     _, motor, _ = sampled(path, samples)
     gears = gears_along(config, gear_rad, motor)
     return tool_at(config, (motor + gears).T, tool), gears[-1]
 
 
 def line_errors(X):
-    """Of the tool over a line: distance from the straight chord, turn against the start, length."""
+    """Compute the errors of a line: distance from its chord, turn of the axis, and length."""
     p, axis = X.p.T, X.R[:, 0].T
     start, end = p[0], p[-1]
     chord = (end - start) / np.linalg.norm(end - start)
-    off = p - start
-    off = off - np.outer(off @ chord, chord)
+    offset = p - start
+    offset = offset - np.outer(offset @ chord, chord)
     turn = np.arccos(np.clip(axis @ axis[0], -1, 1))
-    return np.linalg.norm(off, axis=1).max(), turn.max(), float(np.linalg.norm(end - start))
+    return np.linalg.norm(offset, axis=1).max(), turn.max(), float(np.linalg.norm(end - start))
 
 
 def without_play(name):
-    """Gaps of no width and outputs without friction: what is left is the geometry of the line."""
+    """Return a configuration without backlash and friction, so that only the geometry remains."""
     return replace(config_of(name), half_gap_rad=np.zeros(5), output_friction_Nm=np.zeros(5))
 
 
 def settled(config, start_rad=None):
-    """The rig after some looks at the load."""
+    """Return a rig after some estimates of the load."""
     rig = Rig(config, start_rad=start_rad)
     for _ in range(3 * config.params.motion.load_period):
         rig.cycle()
@@ -179,7 +179,7 @@ CROSSING = [
         for tool in Tool
         for kind in ("guarded", "retract")
         for start in ("facing", "ready")
-        # at the ready pose the drill looks along the pitch axes: no line starts there
+        # in the ready pose the drill is parallel to the pitch axes: no line starts there
         if (tool, start) != (Tool.DRILL, "ready")
     ),
 ]
@@ -189,7 +189,7 @@ CROSSING = [
 def test_a_line_is_straight_also_where_gaps_are_crossed_and_the_crossing_leaves_the_tool_where_it_was(
     tool, kind, start
 ):
-    """A gear is crossed in a joint move of its own while the output stands still; then the line goes on."""
+    """A separate joint move crosses the backlash while the outputs rest; then the line continues."""
     rig = Rig(CONFIG, start_rad=facing(CONFIG, tool) if start == "facing" else None)
     joints, begin = rig.state.joints, rig.tool_pose(tool)
     if kind == "guarded":
@@ -211,7 +211,7 @@ def test_a_line_is_straight_also_where_gaps_are_crossed_and_the_crossing_leaves_
             assert turn_rad < AXIS_RAD
             length += piece_m
         else:
-            # the motor crosses what the output has of play and wind-up, and the output stands
+            # the motor crosses backlash and wind-up while the output rests
             np.testing.assert_allclose(X.p, np.tile(here[:, None], X.p.shape[1]), atol=STEP_M)
             crossed = np.abs(path.at(path.duration_s).motor_rad - path.at(0.0).motor_rad)
             assert (crossed <= 2 * (CONFIG.half_gap_rad + WIND_UP_RAD) + 1e-9).all()

@@ -1,4 +1,4 @@
-"""From a command to a plan: the quickest valid branch, the named one, or a sentence that says why not."""
+"""Plans of commands: the fastest valid branch, the named branch, straight lines, and reasons for refusals."""
 
 import re
 from dataclasses import replace
@@ -29,7 +29,7 @@ def joints_at(pose=None):
 
 
 def targets(tool, n=RNG_TARGETS):
-    """Tool moves whose targets the arm is known to reach."""
+    """Return tool moves to targets that the arm can reach."""
     q = in_limits(CONFIG, np.random.default_rng(300 + tool), n, shrink=0.2)
     q[2] = np.where(np.abs(q[2]) < 0.4, 0.8, q[2])
     here = settle(CONFIG.arm, q, np.zeros_like(q), MARS_R_m_s2)
@@ -104,10 +104,10 @@ def test_a_target_is_refused_if_the_line_beyond_it_cannot_be_run():
 def test_out_of_reach_is_refused_with_the_nearest_branch_and_the_missing_metres():
     refusal = plan_tool(CONFIG, joints_at(), MoveTool(Tool.APXS, (9.0, 0.0, 0.0), (1.0, 0.0, 0.0)))
     assert isinstance(refusal, Refusal)
-    told = re.fullmatch(r"APXS: the target: (.+): out of reach by ([\d.]+) m", refusal.reason)
-    assert told[1] in BRANCHES
-    # the arm ends 1.1 + 0.16 + 0.83 + 0.79 + tool from the rover's origin at most
-    assert 5.5 < float(told[2]) < 7.0
+    match = re.fullmatch(r"APXS: the target: (.+): out of reach by ([\d.]+) m", refusal.reason)
+    assert match[1] in BRANCHES
+    # the largest reach from the rover's origin is 1.1 + 0.16 + 0.83 + 0.79 m and the tool
+    assert 5.5 < float(match[2]) < 7.0
 
 
 def test_a_target_too_near_the_azimuth_axis_is_refused_with_the_missing_metres():
@@ -123,11 +123,11 @@ def test_a_named_branch_is_refused_for_its_own_reason(name):
         for command in targets(tool, 4):
             plan = plan_tool(CONFIG, joints, replace(command, branch=name))
             if isinstance(plan, Refusal):
-                told = re.fullmatch(rf"{tool.name}: the target: {name}: (.+)", plan.reason)
+                match = re.fullmatch(rf"{tool.name}: the target: {name}: (.+)", plan.reason)
                 reasons = (
                     r"joint \w+: (.+ deg is|about .+ deg) outside its soft limits .+|out of reach by [\d.]+ m"
                 )
-                assert re.fullmatch(reasons, told[1])
+                assert re.fullmatch(reasons, match[1])
                 refused += 1
     assert refused > 0
 
@@ -139,9 +139,9 @@ def test_beyond_the_soft_limits_the_refusal_names_the_joint_and_its_limits():
         (2, np.radians(171), "elbow"),
         (4, -0.4, "turret"),
     ]:
-        asked = pose.copy()
-        asked[joint] = bad
-        refusal = plan_poses(CONFIG, joints_at(), [asked], Compensation())
+        outside = pose.copy()
+        outside[joint] = bad
+        refusal = plan_poses(CONFIG, joints_at(), [outside], Compensation())
         low, high = np.degrees([CONFIG.arm.soft_min_rad[joint], CONFIG.arm.soft_max_rad[joint]])
         assert refusal.reason == (
             f"joint {name}: {np.degrees(bad):.1f} deg is outside its soft limits {low:.1f} .. {high:.1f} deg"
@@ -164,7 +164,7 @@ def test_poses_are_met_at_the_output_gap_and_wind_up_allowed_for():
     poses = list(in_limits(CONFIG, np.random.default_rng(8), 5, shrink=0.05).T)
     joints = joints_at()
     plan = plan_poses(CONFIG, joints, poses, Compensation())
-    # the last pose may be reached by way of a place from which outputs are dragged to it
+    # the last move may need a run-up, which is a path of its own
     assert len(plan.paths) in (5, 6)
     np.testing.assert_allclose(plan.end.output_rad, poses[-1], atol=1e-9)
     np.testing.assert_allclose(gear_at_end(CONFIG, joints, plan), plan.end.gear_rad, atol=1e-9)
@@ -213,8 +213,8 @@ def test_without_backlash_compensation_the_set_points_do_not_know_of_the_gap_and
     plan = plan_poses(CONFIG, joints_at(), [pose], Compensation(backlash="off"))
     assert len(plan.paths) == 1
     np.testing.assert_array_equal(plan.gap_rad, 0)
-    off = plan.end.output_rad - pose
-    np.testing.assert_allclose(np.abs(off), CONFIG.half_gap_rad, atol=1e-12)
+    error_rad = plan.end.output_rad - pose
+    np.testing.assert_allclose(np.abs(error_rad), CONFIG.half_gap_rad, atol=1e-12)
 
 
 @pytest.mark.parametrize("joint", Joint)
@@ -230,7 +230,7 @@ def test_one_joint_alone_is_planned_to_its_angle_and_the_other_motors_stay(joint
 
 @pytest.mark.parametrize("tool", Tool)
 def test_relative_compensation_at_the_reference_pose_leaves_the_arm_where_it_is(tool):
-    """The rigid arm's target, with the reference tool in place: only differences of deflection count."""
+    """At the rigid target of the reference tool the difference of deflections is 0."""
     joints = joints_at(facing(CONFIG, tool))
     X = tool_pose(CONFIG.arm, forward(CONFIG.arm, joints.output_rad), tool)
     command = MoveTool(tool, floats(X.p), floats(X.R[:, 0]), deflection="relative")
@@ -239,21 +239,21 @@ def test_relative_compensation_at_the_reference_pose_leaves_the_arm_where_it_is(
 
 
 def test_a_line_out_of_reach_says_where_it_ends():
-    """A tool that looks outward; how far its line can go is known from the targets along it."""
+    """The tool points outward; inverse kinematics along the line gives the reach."""
     pose = facing(CONFIG, Tool.APXS)
     pose[1:4] = [-0.4, 0.9, -0.9]
     rig = Rig(CONFIG, start_rad=pose)
     refusal = plan_guarded(CONFIG, rig.state.joints, rig.touch(Tool.APXS, 0.5))
     assert isinstance(refusal, Refusal)
-    told = re.fullmatch(r"the straight move leaves the reach of the arm after ([\d.]+) m", refusal.reason)
-    reached = float(told[1])
+    match = re.fullmatch(r"the straight move leaves the reach of the arm after ([\d.]+) m", refusal.reason)
+    reached = float(match[1])
     assert 0.1 < reached < 0.5
     X, ahead_m = rig.tool_pose(Tool.APXS), np.array([0.0, reached - 0.02, reached + 0.02])
     p = X.p[:, None] + ahead_m * X.R[:, [0]]
     axes = np.repeat(X.R[:, [0]], 3, axis=1)
-    answers = inverse_kinematics(CONFIG.arm, Tool.APXS, p, axes, MARS_R_m_s2)
-    branch = np.nanargmin(np.abs(answers.output_rad[..., 0] - pose[:, None]).max(axis=0))
-    assert list(answers.verdict[branch]) == [
+    result = inverse_kinematics(CONFIG.arm, Tool.APXS, p, axes, MARS_R_m_s2)
+    branch = np.nanargmin(np.abs(result.output_rad[..., 0] - pose[:, None]).max(axis=0))
+    assert list(result.verdict[branch]) == [
         BranchVerdict.VALID,
         BranchVerdict.VALID,
         BranchVerdict.OUT_OF_REACH,
@@ -268,12 +268,12 @@ def longest(config):
 def test_a_line_longer_than_the_longest_is_refused_before_anything_is_planned(distance_m):
     rig = Rig(CONFIG, start_rad=facing(CONFIG, Tool.APXS))
     refusal = plan_guarded(CONFIG, rig.state.joints, rig.touch(Tool.APXS, distance_m))
-    said = f"the straight move is {distance_m:.3g} m long, the longest allowed is {longest(CONFIG)} m"
-    assert refusal == Refusal(said)
+    reason = f"the straight move is {distance_m:.3g} m long, the longest allowed is {longest(CONFIG)} m"
+    assert refusal == Refusal(reason)
 
 
 def turned(X, angle_rad, about=1):
-    """The approach of a tool, turned about one of its own axes."""
+    """Return the approach of a tool, turned about one of its axes."""
     side = X.R[:, 3 - about]
     return np.cos(angle_rad) * X.R[:, 0] + np.sin(angle_rad) * side
 
@@ -334,7 +334,7 @@ def test_a_line_that_can_be_followed_knot_by_knot_is_planned(tool, pose, length_
 LOST_AT_ONCE = [
     (Tool.DRT, (-1.7069743, -1.4192549, 0.1796573, -1.2550237, 3.8179913), 0.2),
 ]
-"""Newton from the start of the line does not converge, or leaps, somewhere along it."""
+"""Lines on which Newton's method from the start of the line diverges or leaves the branch."""
 
 
 @pytest.mark.parametrize(("tool", "pose", "length_m"), LOST_AT_ONCE)
@@ -390,7 +390,7 @@ def test_a_refusal_never_speaks_of_an_angle_that_is_no_number():
 
 
 def test_a_target_next_to_a_double_root_is_planned_though_a_branch_has_several_roots():
-    """One of its branches has three: there are more slots than branches."""
+    """One branch has three roots, so there are more slots than branches."""
     p, a = (1.55434449, -0.95322549, 0.15111527), (-0.52713579, -0.84977996, -0.00137068)
     command = MoveTool(Tool.DRILL, p, a)
     plan = plan_tool(CONFIG, joints_at(), command)

@@ -1,4 +1,4 @@
-"""Pressing: the tool stays where it touches while the arm is overdriven, and is released the same way."""
+"""Preloads: the tool stays in place while the overdrive rises, and while it is released."""
 
 from dataclasses import replace
 
@@ -14,11 +14,11 @@ from tests.fsw.executive.lab import TOUCHED, guarded_in_contact
 from tests.fsw.rig import Rig
 
 STAYS_M = 2e-5
-"""Encoder counts and backlash bounds are some microns at the tool."""
+"""Tolerance: encoder counts and bounds of the backlash move the tool by some micrometres."""
 
 
 def tool_under_force(rig: Rig):
-    """The tool of the arm as flight software believes it, what it presses on pushing back."""
+    """Compute the tool pose of the modelled arm under the reaction of the surface."""
     state, arm = rig.state, rig.config.arm
     push = None if state.preload is None else state.preload.reaction
     here = settle_output(arm, state.joints.output_rad, state.joints.imu_R_m_s2, push)

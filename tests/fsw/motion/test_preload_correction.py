@@ -1,4 +1,4 @@
-"""A press is trimmed by the currents: they tell the force of the rock, whatever friction and weight add."""
+"""Preload correction by motor currents: they show the contact force in spite of friction and weight."""
 
 from dataclasses import replace
 
@@ -23,10 +23,14 @@ def pressed(
     across=(0.0, 0.0),
     force_N: float = 200.0,
 ):
-    """A press on an arm so many times as stiff as believed, its motors drawing what that takes.
+    """Return a rig after a preload, with the motor currents of an arm of another stiffness.
 
-    Friction is so many times what the hardstops told, and every current is off by so much torque. Across are
-    the newtons along the tool's y and z axes that come with each newton of the model.
+    Args:
+        stiffness: True stiffness over modelled stiffness.
+        friction: True friction over the friction measured at the hardstops.
+        offset_Nm: Error of every current, as a torque.
+        across: Forces along the tool's y and z axes per newton of the model.
+        force_N: Commanded force.
     """
     rig = guarded_in_contact()
     joints = rig.state.joints
@@ -42,8 +46,8 @@ def press(rig, force_N: float, stiffness: float, friction=1.0, offset_Nm=0.0, ac
         rig.cycle(current_A=currents(rig, stiffness, friction, offset_Nm, across), **TOUCHED)
 
 
-def heard(rig, least: int = 1) -> list[ForceFelt]:
-    """What was felt; a leg that is not all of the press, and the rest of it."""
+def force_events(rig, least: int = 1) -> list[ForceFelt]:
+    """Return the events with the estimated force, one for each leg."""
     found = [evr for evr in rig.evrs if isinstance(evr, ForceFelt)]
     assert len(found) >= least
     return found
@@ -60,7 +64,7 @@ def currents(rig, stiffness: float, friction: float, offset_Nm: float, across) -
         return np.full(5, 1e-9 * state.tick)
     of_model = move.preload_change.torque_per_N * state.preload.model_N
     per_N = (stiffness - 1.0) * move.preload_change.torque_per_N + levers_across(rig) @ np.array(across)
-    # the load that flight software believes in holds the believed push already
+    # the estimated load contains the estimated reaction already
     extra = per_N * state.preload.model_N + (1 - state.preload.force_ratio) * of_model
     resisting = friction * FRICTION_NM * np.sign(move.setpoint.rate_rad_s)
     torque = resisting - state.load.torque_Nm - extra + offset_Nm
@@ -68,7 +72,7 @@ def currents(rig, stiffness: float, friction: float, offset_Nm: float, across) -
 
 
 def levers_across(rig) -> np.ndarray:
-    """Loads (5, 2) by a newton along the tool's y axis, and by one along its z axis."""
+    """Compute the loads (5, 2) by unit forces along the tool's y and z axes."""
     arm, state = rig.config.arm, rig.state
     frames = forward(arm, state.joints.output_rad)
     X_RT = tool_pose(arm, frames, state.preload.tool)
@@ -79,8 +83,8 @@ def levers_across(rig) -> np.ndarray:
 @pytest.mark.parametrize(("friction", "offset_Nm"), [(1.0, 0.0), (1.05, 5.0)])
 def test_the_share_of_the_force_is_felt_and_made_up_for(stiffness, friction, offset_Nm):
     rig = pressed(stiffness, friction, offset_Nm)
-    for felt in heard(rig):
-        assert felt.along == pytest.approx(stiffness, abs=0.03)
+    for event in force_events(rig):
+        assert event.along == pytest.approx(stiffness, abs=0.03)
     assert rig.state.preload.model_N * stiffness == pytest.approx(200.0, rel=0.04)
     assert preloads(rig) == [pytest.approx(200.0, abs=MIN_CORRECTION_N)]
 
@@ -98,31 +102,31 @@ def test_what_was_felt_is_remembered_by_the_presses_that_follow(stiffness):
 
 def test_an_arm_as_stiff_as_believed_is_pressed_once():
     rig = pressed(1.0)
-    assert [felt.along for felt in heard(rig)] == [pytest.approx(1.0, abs=0.01)] * 2
+    assert [event.along for event in force_events(rig)] == [pytest.approx(1.0, abs=0.01)] * 2
     assert rig.state.preload.model_N == pytest.approx(200.0, abs=MIN_CORRECTION_N)
 
 
 @pytest.mark.parametrize("across", [(0.15, 0.0), (0.0, -0.2)])
 def test_a_force_across_is_told_from_the_one_along(across):
     rig = pressed(0.85, across=across)
-    for felt in heard(rig):
-        assert felt.along == pytest.approx(0.85, abs=0.03)
-        assert felt.across == pytest.approx(np.hypot(*across), abs=0.05)
+    for event in force_events(rig):
+        assert event.along == pytest.approx(0.85, abs=0.03)
+        assert event.across == pytest.approx(np.hypot(*across), abs=0.05)
 
 
-@pytest.mark.parametrize(("share", "is_believed"), [(0.3, False), (0.8, True), (3.0, False)])
-def test_what_cannot_be_is_not_believed(share, is_believed):
+@pytest.mark.parametrize(("share", "is_plausible"), [(0.3, False), (0.8, True), (3.0, False)])
+def test_what_cannot_be_is_not_believed(share, is_plausible):
     rig = guarded_in_contact()
-    joints, pressing = rig.state.joints, model_contact(rig.config, rig.state.joints, Tool.APXS)
-    per_N = plan_preload(rig.config, joints, pressing, 300.0)[1].torque_per_N
+    joints, preload = rig.state.joints, model_contact(rig.config, rig.state.joints, Tool.APXS)
+    per_N = plan_preload(rig.config, joints, preload, 300.0)[1].torque_per_N
     fit = ForceFit(legs_left=0)
     for model_N in np.linspace(20.0, 280.0, 1000):
         fit = fit.add_cycle(model_N, per_N * model_N, share * per_N * model_N, np.ones(5, bool))
-    felt = estimate_force_ratio(rig.config, fit, joints, pressing)
-    assert (felt is not None) == is_believed
+    ratio = estimate_force_ratio(rig.config, fit, joints, preload)
+    assert (ratio is not None) == is_plausible
 
 
 def test_nothing_felt_tells_nothing():
     rig = guarded_in_contact()
-    pressing = model_contact(rig.config, rig.state.joints, Tool.APXS)
-    assert estimate_force_ratio(rig.config, ForceFit(), rig.state.joints, pressing) is None
+    preload = model_contact(rig.config, rig.state.joints, Tool.APXS)
+    assert estimate_force_ratio(rig.config, ForceFit(), rig.state.joints, preload) is None

@@ -1,4 +1,4 @@
-"""Holding the turret against gravity: what is asked for is what the hanging arm then does."""
+"""Poses of processes: the deflected arm has gravity in the commanded direction of the tool."""
 
 from dataclasses import replace
 
@@ -18,20 +18,20 @@ CONFIG = config_of()
 
 
 def tilted(rng: np.random.Generator, most_rad: float) -> np.ndarray:
-    """Gravity of Mars on a rover tilted any way by up to so much."""
+    """Return the gravity of Mars on a rover with a random tilt of at most `most_rad`."""
     tilt, heading = rng.uniform(0, most_rad), rng.uniform(-np.pi, np.pi)
     return 3.711 * np.array([np.sin(tilt) * np.cos(heading), np.sin(tilt) * np.sin(heading), np.cos(tilt)])
 
 
 def down_in(config: Config, output_rad: np.ndarray, gravity: np.ndarray, tool: Tool) -> np.ndarray:
-    """Gravity in a tool of the hanging arm."""
-    hanging = tool_pose(config.arm, settle_output(config.arm, output_rad, gravity).frames, tool).R
-    return hanging.T @ gravity / np.linalg.norm(gravity)
+    """Compute the direction of gravity in a tool of the deflected arm."""
+    R_RT = tool_pose(config.arm, settle_output(config.arm, output_rad, gravity).frames, tool).R
+    return R_RT.T @ gravity / np.linalg.norm(gravity)
 
 
 @pytest.mark.parametrize("arm", ["nominal", *(f"calibrated:{seed}" for seed in range(1, 9))])
 def test_what_wrist_and_turret_can_bring_about_is_found_exactly_whether_the_arm_is_square_or_not(arm):
-    """On Mars and as heavy as on Earth, from anywhere: gravity as another wrist and turret would have it."""
+    """Starts and gravities are random; the direction is that of another wrist and turret angle."""
     config = config_of(arm)
     rng = np.random.default_rng([*arm.encode(), 80])
     rig = Rig(config)
