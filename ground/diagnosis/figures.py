@@ -87,8 +87,8 @@ def _draw_effects(figure: Any, result: DiagnosisResult) -> None:
             names.append((row, model.sensitivities.hypotheses[one].name))
             row += 1
     bars.set_yticks(*zip(*names, strict=True), fontsize=8)
-    role = "Nearest (no name)" if result.diagnosis.verdict == "unknown" else "Chosen (blue)"
-    title = f"{role} and what may stand in its stead"
+    role = "Nearest (not named)" if result.diagnosis.verdict == "unknown" else "Chosen (blue)"
+    title = f"{role} and alternatives"
     bars.set(title=title, xlabel="probability", xlim=(0.0, 1.0), ylim=_rows(row))
     _draw_sizes(sizes, model, result.diagnosis.findings)
 

@@ -64,8 +64,8 @@ def _residual_section(result: DiagnosisResult) -> Iterator[str]:
     cells = result.diagnosis.residual_map
     yield heading("Where the gap is")
     yield paragraph(
-        "Root mean square of measured less simulated, over what repeats differ by: 1 is the floor. What "
-        "calibration leaves uncertain is fitted, and no effect is on."
+        "Root mean square of measured less simulated, over the noise floor between repeats: 1 means only "
+        "noise. The nuisance parameters are fitted, and no effect is on."
     )
     yield image(residual_map_picture(cells), "map of the gap: channels by regimes")
     rows = [
@@ -81,7 +81,9 @@ def _effect_section(result: DiagnosisResult) -> Iterator[str]:
     findings = result.diagnosis.findings
     yield heading("Which effect")
     if findings and result.diagnosis.verdict == "unknown":
-        yield paragraph("What is chosen here comes nearest. It does not explain the gap, and is no name.")
+        yield paragraph(
+            "The effects here are the nearest. They do not explain the gap, so no cause is named."
+        )
     if findings:
         yield image(effects_picture(result), "probabilities and sizes")
         head = ("effect", "parameter", "value", "90 %", "bounds", "probability", "own share")
@@ -116,10 +118,10 @@ def _remarks(result: DiagnosisResult) -> Iterator[str]:
     for finding in result.diagnosis.findings:
         own, alike = names[finding.hypothesis], [names[one] for one in finding.confusable]
         if len(alike) > 1:
-            yield paragraph(f"One to these motions, whatever their sizes: {', '.join(alike)}.")
+            yield paragraph(f"These motions cannot distinguish: {', '.join(alike)}.")
         if rest := list_alternatives(finding):
             named = ", ".join(f"{names[one]} ({format_percent(share)})" for one, share in rest)
-            yield paragraph(f"In the stead of {own} may stand: {named}.")
+            yield paragraph(f"Alternatives to {own}: {named}.")
 
 
 def _ranking_rows(result: DiagnosisResult) -> Rows:
@@ -128,7 +130,7 @@ def _ranking_rows(result: DiagnosisResult) -> Rows:
     rows: Rows = []
     for one in result.diagnosis.ranking[:MAX_LISTED]:
         hypothesis, limit = model.sensitivities.hypotheses[one], model.limits[one].limit
-        role = "chosen" if one in chosen else "not told from it" if one in alike else ""
+        role = "chosen" if one in chosen else "confusable" if one in alike else ""
         seen = " and ".join(format_quantity(abs(limit * p.typical), p.unit) for p in hypothesis.amplitudes)
         rows.append((hypothesis.name, role, f"{seen} from neutral" if np.isfinite(limit) else "never"))
     return rows
@@ -138,7 +140,7 @@ def _closure_section(result: DiagnosisResult) -> Iterator[str]:
     found, tool = result.closure, result.tool
     yield heading("How far the gap shrinks")
     if not result.diagnosis.findings:
-        yield paragraph("There is nothing to switch on, so it does not.")
+        yield paragraph("No effect was found, so it does not shrink.")
     elif found is None:
         yield paragraph(closure_sentence(result))
     else:
@@ -174,8 +176,8 @@ def _lack_of_fit_section(result: DiagnosisResult) -> Iterator[str]:
             )
             for one in result.diagnosis.unexplained[:MAX_LISTED]
         ]
-        yield table(("channel", "regime", "depends on", "surprise"), rows)
-    yield paragraph("Surprise is -log10 of the probability of as much if nothing were there.")
+        yield table(("channel", "regime", "depends on", "-log10 p"), rows)
+    yield paragraph("p is the probability of as much without structure.")
 
 
 def _next_section(result: DiagnosisResult) -> Iterator[str]:
@@ -187,10 +189,10 @@ def _next_section(result: DiagnosisResult) -> Iterator[str]:
         ]
         yield table(("motion", "sigmas apart now", "with it"), rows)
     if result.notes:
-        yield paragraph("What the audit of the logs said:")
+        yield paragraph("Notes of the audit:")
         yield table(("note",), [(note,) for note in result.notes])
     if result.floor:
-        yield paragraph("Where the floor is from:")
+        yield paragraph("Origin of the noise floor:")
         yield table(("floor",), [(note,) for note in result.floor])
 
 
@@ -198,7 +200,7 @@ def _threshold_section(result: DiagnosisResult) -> Iterator[str]:
     limits = result.model.thresholds
     yield heading("How sure a verdict must be")
     known = format_percent(limits.disowned)
-    wrong = format_percent(limits.wrong) if np.isfinite(limits.wrong) else "nobody knows how many"
+    wrong = format_percent(limits.wrong) if np.isfinite(limits.wrong) else "an unknown share"
     rows = [
         (
             "an effect may be claimed from",
@@ -209,7 +211,7 @@ def _threshold_section(result: DiagnosisResult) -> Iterator[str]:
         (
             "beside effects, structure from",
             format_number(limits.unexplained),
-            f"{known} of those rightly chosen get no name, {wrong} of {limits.strangers} strangers get one",
+            f"{known} of correct choices get no name, {wrong} of {limits.strangers} left-out effects get one",
         ),
     ]
-    yield table(("", "surprise", f"on {limits.cases} simulated cases of this campaign"), rows)
+    yield table(("", "-log10 p", f"on {limits.cases} simulated cases of this campaign"), rows)

@@ -91,7 +91,13 @@ def save_sensitivities(path: Path, found: Sensitivities) -> None:
 
 
 _READ_ERRORS: Final = (
-    *(OSError, EOFError, BadZipFile, zlib.error, RuntimeError),  # the last of what zipfile cannot unpack
+    *(
+        OSError,
+        EOFError,
+        BadZipFile,
+        zlib.error,
+        RuntimeError,
+    ),  # zipfile raises the last for unknown compression
     *(ValueError, KeyError, TypeError),
 )
 

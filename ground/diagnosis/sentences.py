@@ -35,7 +35,7 @@ def closure_sentence(result: DiagnosisResult) -> str:
     if found is None:
         return "No motion was held out, so how far the gap shrinks is not known."
     if not isfinite(found.share):
-        return "On held-out motion there is hardly a gap above the noise, so no share of it can be told."
+        return "On held-out motion the gap is hardly above the noise, so no share is given."
     at_tool = "" if tool is None else f"; at the tool {tool.before_mm:.2g} mm become {tool.after_mm:.2g}"
     closed = f"{format_percent(found.share)} {_format_percent_interval(found.least, found.most)}"
     return (
@@ -51,7 +51,7 @@ def finding_words(model: DiagnosisModel, finding: Finding) -> str:
         model.sensitivities.hypotheses[one].name for one in finding.confusable if one != finding.hypothesis
     ]
     if alike:
-        own += f" (or {join_names(alike, ' or ')}, which these motions do not tell from it)"
+        own += f" (or {join_names(alike, ' or ')}, which these motions cannot distinguish)"
     if not list_alternatives(finding):
         return own
     sure = format_percent(probability_of(finding.hypothesis, finding.alternatives))
@@ -105,11 +105,11 @@ def unexplained_sentence(result: DiagnosisResult) -> str:
     """Return the result of the lack-of-fit test."""
     diagnosis = result.diagnosis
     found = format_number(diagnosis.unexplained_neg_log10_p)
-    odds = f"surprise {found}, let pass below {format_number(_lack_of_fit_limit(result))}"
+    odds = f"-log10 p {found}, threshold {format_number(_lack_of_fit_limit(result))}"
     if not has_lack_of_fit(result):
-        return f"No structure is seen in what remains ({odds})."
+        return f"The residual shows no structure ({odds})."
     if diagnosis.unexplained[0].neg_log10_p < diagnosis.unexplained_neg_log10_p:
-        return f"One more hypothesis beside those found would explain more than chance does ({odds})."
+        return f"One more hypothesis beside the findings would be significant ({odds})."
     return f"Structure remains {lack_of_fit_words(diagnosis.unexplained[0])} ({odds})."
 
 
@@ -120,27 +120,27 @@ def next_sentence(result: DiagnosisResult) -> str:
         best = result.next_motion[0]
         if best.separation < MIN_SEPARATION:
             return (
-                "No motion of this campaign would tell apart what cannot be told apart now: the best, "
-                f"{best.name}, sets it {format_number(best.separation)} sigmas apart."
+                "No motion of this campaign would distinguish the confusable effects: the best, "
+                f"{best.name}, separates them by {format_number(best.separation)} sigmas."
             )
         return (
-            f"Record {best.name}: what cannot be told apart now ({format_number(best.now)} sigmas) it would "
-            f"set {format_number(best.separation)} sigmas apart."
+            f"Record {best.name}: it would separate the confusable effects by "
+            f"{format_number(best.separation)} sigmas (now {format_number(best.now)})."
         )
     near = best_rejected(result)
     if near is not None:
         name, blocks = result.model.sensitivities.hypotheses[near].name, result.model.limits[near].blocks
         shown = format_number(blocks)
-        return f"Record more motions that would show {name}: these show it in {shown}, effectively."
+        return f"Record more motions that would show {name}: these show it in effectively {shown}."
     if is_doubtful(result):
-        return "Repeat the motions that show it: that makes it surer, or leaves something unexplained."
+        return "Repeat the motions that show it: this confirms it, or reveals unexplained structure."
     if diagnosis.verdict == "unknown":
-        return "Write an effect that would show so, and diagnose again with it in the catalogue."
+        return "Add an effect that would show this to the catalogue, and diagnose again."
     if result.notes:
-        return f"See to what the audit says: {result.notes[0]}."
+        return f"Resolve the note of the audit: {result.notes[0]}."
     if result.closure is None:
-        return "Hold motion out, to see how far the gap shrinks."
-    return "Nothing that this campaign could tell."
+        return "Hold out motion, to measure how far the gap shrinks."
+    return "This campaign cannot show more."
 
 
 def format_percent(share: float) -> str:
@@ -150,7 +150,7 @@ def format_percent(share: float) -> str:
 
 def format_number(value: float) -> str:
     """Format a number with three digits, infinity as words."""
-    return "beyond count" if value == inf else f"{value:.3g}"
+    return "infinite" if value == inf else f"{value:.3g}"
 
 
 def format_quantity(value: float, unit: str) -> str:
@@ -188,7 +188,7 @@ def _lack_of_fit_limit(result: DiagnosisResult) -> float:
 
 def _effects_pronoun(result: DiagnosisResult) -> str:
     verdict, count = result.diagnosis.verdict, len(result.diagnosis.findings)
-    words = {"set": "what is named first", "unknown": "what comes nearest"}
+    words = {"set": "the first effect", "unknown": "the nearest effect"}
     return words.get(verdict, "it" if count == 1 else "them")
 
 
@@ -197,7 +197,7 @@ def _causes_sentence(result: DiagnosisResult) -> str:
     if len(findings) > 1:
         names = ", ".join(model.sensitivities.hypotheses[one.hypothesis].name for one in findings)
         open_for = sum(bool(list_alternatives(one)) for one in findings)
-        rest = f"; others may stand in the stead of {open_for} of them" if open_for else ""
+        rest = f"; {open_for} of them may have another cause instead" if open_for else ""
         return f"The gap has {len(findings)} causes: {names}{rest}."
     (finding,) = findings
     name = finding_words(model, finding)
@@ -210,16 +210,16 @@ def _causes_sentence(result: DiagnosisResult) -> str:
 
 def _no_effect_sentence() -> str:
     return (
-        "No effect is seen: all that differs from the simulator is within the floor and within what "
-        "calibration leaves uncertain."
+        "No effect is seen: all differences from the simulator are within the noise floor and the "
+        "uncertainty of the calibration."
     )
 
 
 def _detectable_sentence(model: DiagnosisModel) -> str:
     seen = sum(one.limit <= 1.0 for one in model.limits)
     return (
-        f"Of {len(model.limits)} hypotheses these motions would have shown {seen} at their typical size; "
-        "smaller ones may be there."
+        f"These motions would show {seen} of {len(model.limits)} hypotheses at their typical size; "
+        "smaller effects may exist."
     )
 
 
@@ -227,18 +227,17 @@ def _unknown_sentence(result: DiagnosisResult) -> str:
     diagnosis = result.diagnosis
     if is_doubtful(result):
         return (
-            f"{_nearest_names(result)} would explain the gap, but might as well imitate a cause outside the "
-            "catalogue: no name is forced."
+            f"{_nearest_names(result)} would explain the gap, but could also imitate a cause outside the "
+            "catalogue, so no cause is named."
         )
     if not has_lack_of_fit(result):
         return "No effect of the catalogue explains the gap within its bounds."
     if diagnosis.unexplained[0].neg_log10_p < diagnosis.unexplained_neg_log10_p:
         return (
-            "The gap is not explained: beside what comes nearest, one more hypothesis would explain more "
-            "than chance does."
+            "The gap is not explained: beside the nearest effects, one more hypothesis would be significant."
         )
     what = (
-        "There is a gap that nothing in the catalogue surely explains"
+        "No effect of the catalogue surely explains the gap"
         if best_rejected(result) is not None
         else "There is an effect that is not in the catalogue"
     )
@@ -269,12 +268,12 @@ def _nearest_sentence(result: DiagnosisResult) -> str:
     best = best_rejected(result)
     if best is not None:
         return (
-            f"Nearest comes {model.sensitivities.hypotheses[best].name}, which explains more than chance "
-            "does but does not predict motions that it was not fitted to; no name is forced."
+            f"The nearest is {model.sensitivities.hypotheses[best].name}. It is significant, but does "
+            "not predict motions that it was not fitted to, so no cause is named."
         )
     if not diagnosis.findings:
-        return "None of the catalogue comes near it, and no name is forced."
+        return "No effect of the catalogue comes near, so no cause is named."
     names = _nearest_names(result)
     bounds = [name for one in diagnosis.findings for name in one.at_bound]
     beyond = f", and would go beyond the bounds of {', '.join(bounds)}" if bounds else ""
-    return f"Nearest comes {names}{beyond}; it is no name for it."
+    return f"The nearest is {names}{beyond}; no cause is named."

@@ -26,7 +26,7 @@ def print_diagnosis(result: DiagnosisResult) -> None:
     if diagnosis.findings:
         for line in _effect_lines(result):
             console.print(line)
-        if len(diagnosis.findings) > 1:  # of one, the verdict says it
+        if len(diagnosis.findings) > 1:  # for one finding, the verdict contains them
             for line in _alternative_lines(result):
                 console.print(line)
     console.print("Where:")
@@ -43,7 +43,7 @@ def print_diagnosis(result: DiagnosisResult) -> None:
 
 def _effect_lines(result: DiagnosisResult) -> Iterator[str]:
     """Yield the findings with their parameters."""
-    yield "Nearest, and no name:" if result.diagnosis.verdict == "unknown" else "Effects:"
+    yield "Nearest, not named:" if result.diagnosis.verdict == "unknown" else "Effects:"
     for finding in result.diagnosis.findings:
         sure = format_percent(probability_of(finding.hypothesis, finding.alternatives))
         hypothesis = result.model.sensitivities.hypotheses[finding.hypothesis]
@@ -60,4 +60,4 @@ def _alternative_lines(result: DiagnosisResult) -> Iterator[str]:
         alike, rest = len(finding.confusable) - 1, len(list_alternatives(finding))
         if alike or rest:
             own = result.model.sensitivities.hypotheses[finding.hypothesis].name
-            yield f"{own}: {alike} not told from it, {rest} that may stand in its stead"
+            yield f"{own}: {alike} confusable with it, {rest} alternatives"

@@ -1,4 +1,4 @@
-"""Blind cases, whose truth is sealed before they are recorded: made, solved, and scored once.
+"""Blind cases, whose truth is sealed before they are recorded: make, solve and score them.
 
 `python -m validation.blind make|solve|score`; `python -m validation.blind.brief` does all three in a minute.
 """
@@ -25,7 +25,7 @@ from validation.blind.table import save_score, score_json, score_markdown
 
 EXIT_LEAKED = 1
 
-FolderArgument = Annotated[Path, typer.Argument(help="A folder that `make` made.", metavar="FOLDER")]
+FolderArgument = Annotated[Path, typer.Argument(help="Folder made by `make`.", metavar="FOLDER")]
 JobsOption = Annotated[int | None, typer.Option(help="Processes; all cores if not given.")]
 
 app = typer.Typer(
@@ -41,15 +41,15 @@ app = typer.Typer(
 
 @app.command()
 def make(
-    out: Annotated[Path, typer.Option(help="Folder of the cases; a new one, or one to go on with.")],
-    cases: Annotated[int, typer.Option(help="How many.")] = 200,
-    seed: Annotated[int, typer.Option(help="Of effects, sizes, arms and noise.")] = 0,
+    out: Annotated[Path, typer.Option(help="Folder of the cases; a new one, or one to continue.")],
+    cases: Annotated[int, typer.Option(help="Number of cases.")] = 200,
+    seed: Annotated[int, typer.Option(help="Seed of effects, sizes, arms and noise.")] = 0,
     jobs: JobsOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Record blind cases: with no effect, one, two, or one that is in no catalogue.
 
-    The digest of the truth is in digest.txt before any case is recorded. What was stopped goes on.
+    The digest of the truth is in digest.txt before any case is recorded. An interrupted run continues.
 
     Example: python -m validation.blind make --cases 200 --seed 1 --out blind
     """
@@ -77,7 +77,7 @@ def make(
 
 @app.command()
 def solve(folder: FolderArgument, jobs: JobsOption = None, as_json: JsonOption = False) -> None:
-    """Diagnose every blind case that is not solved yet; the truth is not looked at.
+    """Diagnose every blind case without a result; the truth is not read.
 
     Example: python -m validation.blind solve blind
     """
@@ -96,10 +96,10 @@ def score(
     out: Annotated[
         Path | None, typer.Option(help="Write the score as a page.", metavar="FILE.md|FILE.json")
     ] = None,
-    partial: Annotated[bool, typer.Option("--partial", help="Score what is solved.")] = False,
+    partial: Annotated[bool, typer.Option("--partial", help="Score only solved cases.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Hold what was said of blind cases against their truth, whose digest is checked first.
+    """Compare the results of blind cases with their truth, whose digest is checked first.
 
     Example: python -m validation.blind score blind --out blind.md
     """
@@ -113,8 +113,8 @@ def score(
     print_result(score_json(found), as_json, lambda: print(score_markdown(found), end=""))
 
 
-def _worker_count(asked: int | None) -> int:
-    return (os.cpu_count() or 1) if asked is None else asked
+def _worker_count(requested: int | None) -> int:
+    return (os.cpu_count() or 1) if requested is None else requested
 
 
 if __name__ == "__main__":

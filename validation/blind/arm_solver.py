@@ -1,4 +1,4 @@
-"""The diagnosis of one blind case of our arm."""
+"""Solver of blind cases of this arm: campaign model and diagnosis of one case."""
 
 from functools import cache
 from pathlib import Path
@@ -22,7 +22,7 @@ from validation.blind.solve import DIAGNOSIS_SEED, NoDiagnosis, Solver
 
 
 def split_logs(folder: Path) -> tuple[list[Path], list[Path]]:
-    """A folder's logs: those that a diagnosis is made of, and those that are held out."""
+    """Split the logs of a folder into those that are fitted and those that are held out."""
     logs = sorted(folder.glob("*.mcap"))
     return [log for log in logs if log.stem not in HELD_OUT_SESSIONS], [
         log for log in logs if log.stem in HELD_OUT_SESSIONS
@@ -30,10 +30,10 @@ def split_logs(folder: Path) -> tuple[list[Path], list[Path]]:
 
 
 def load_model(campaign: Path, run: Runner, progress: Progress) -> CampaignModel:
-    """All that is known of a campaign before cases; kept beside its logs, computed where it is not.
+    """Load the campaign model; compute and cache what is missing.
 
     Raises:
-        BadRequest: its logs are not there, or what is kept cannot be read.
+        BadRequest: Logs of the campaign are missing, or a cached file cannot be read.
     """
     fitted, held = split_logs(campaign)
     if not fitted or not held:
@@ -44,42 +44,45 @@ def load_model(campaign: Path, run: Runner, progress: Progress) -> CampaignModel
 
 
 def load_campaign_sensitivities(campaign: Path) -> CampaignSensitivities:
-    """Its sensitivities."""
+    """Load the sensitivities of a campaign."""
     found = load_cached_model(campaign)
-    assert found.held_out is not None  # `known` refuses a campaign without
+    assert found.held_out is not None  # `load_model` refuses a campaign without held-out logs
     return CampaignSensitivities(found.model.sensitivities, found.held_out)
 
 
 @cache
 def load_cached_model(campaign: Path) -> CampaignModel:
-    """All that is known of it, read once in each process."""
+    """Load the campaign model once in each process."""
     return load_model(campaign, local_runner(1), lambda *_: None)
 
 
-def case_features(here: FittedCase) -> CaseFeatures:
-    """What a case's logs say, as its diagnosis has it."""
-    apart = here.held_out
-    rows = np.zeros(0, np.intp) if apart is None else apart.rows
+def case_features(fitted_case: FittedCase) -> CaseFeatures:
+    """Return the measured residuals of a case, as its diagnosis uses them."""
+    held_out = fitted_case.held_out
+    rows = np.zeros(0, np.intp) if held_out is None else held_out.rows
     return CaseFeatures(
-        CaseResiduals(here.simulator.rows, here.residual), CaseResiduals(rows, here.held_out_residual)
+        CaseResiduals(fitted_case.simulator.rows, fitted_case.residual),
+        CaseResiduals(rows, fitted_case.held_out_residual),
     )
 
 
 def diagnose_folder(case: Path, campaign: Path) -> tuple[dict[str, Any], CaseFeatures]:
-    """What is said of the logs in a folder, beside the campaign in another, and what it is made of.
+    """Diagnose the logs of a folder with the campaign of another; return result document and residuals.
 
     Raises:
-        NoDiagnosis: a log cannot be compared, most motions are missing, or the plant diverges.
+        NoDiagnosis: A log cannot be compared, most motions are missing, or the plant diverges.
     """
     return diagnose_against(case, load_cached_model(campaign))
 
 
 def diagnose_against(case: Path, campaign: CampaignModel) -> tuple[dict[str, Any], CaseFeatures]:
-    """The same, of a campaign of which this is known; NoDiagnosis likewise."""
+    """Diagnose the logs of a folder with a campaign model; NoDiagnosis as for `diagnose_folder`."""
     try:
         fitted, held = (load_checked_recordings(logs, nominal_params()) for logs in split_logs(case))
-        here = fit_case(fitted, held, campaign)
-        return to_json(diagnose_fitted_case(here, campaign, DIAGNOSIS_SEED)), case_features(here)
+        fitted_case = fit_case(fitted, held, campaign)
+        return to_json(diagnose_fitted_case(fitted_case, campaign, DIAGNOSIS_SEED)), case_features(
+            fitted_case
+        )
     except (NotForDiagnosis, PlantDiverged) as error:
         raise NoDiagnosis(str(error)) from error
 

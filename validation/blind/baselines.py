@@ -1,4 +1,8 @@
-"""What others say of a blind case, from the same features: kept beside what the diagnosis says."""
+"""Baseline methods on the same features as the diagnosis, for comparison in the score.
+
+`largest_error` takes the place of the largest residual for the cause. `everything_free` fits all effects at
+once. `gaussian_process` predicts held-out residuals without naming a cause.
+"""
 
 from typing import Any, Final
 
@@ -16,25 +20,34 @@ from ground.diagnosis.result import finite_or_none
 from validation.blind.case_features import HeldOutTrial, no_change
 
 MAX_FEATURES: Final = 400
-"""Of a channel, at most, that a Gaussian process is fitted to: evenly thinned."""
+"""Greatest number of features of a channel that a Gaussian process is fitted to; evenly thinned."""
 MAX_BOUND_SIGMAS: Final = 1e6
-"""Standard errors: beyond any bound that matters."""
+"""Limit of all bounds in standard errors, beyond any bound that matters."""
 LENGTH_SCALE_RANGE: Final = (0.1, 100.0)
-"""Of a kernel, in standard deviations of the conditions."""
+"""Range of the kernel's length scale, in standard deviations of the conditions."""
 
 
 def largest_error(layout: FeatureLayout, residual: Array) -> str:
-    """The place whose residual (m,), over its floor, has the largest mean square: taken for the cause."""
+    """Return the place with the largest mean square residual.
+
+    Args:
+        layout: Description of the m features.
+        residual: Residual in units of the noise floor, shape (m,).
+    """
     count = np.bincount(layout.place, minlength=len(layout.places))
     square = np.bincount(layout.place, residual**2, minlength=len(layout.places))
     return layout.places[int(np.argmax(square / np.maximum(count, 1)))]
 
 
 def everything_free(equations: NormalEquations, case: RightHandSide) -> tuple[int, Array]:
-    """All hypotheses fitted at once within their bounds: the one that explains most, and all sizes (K,).
+    """Fit all hypotheses at once within their bounds, by the least squares that mujoco.sysid uses.
 
-    By the least squares that mujoco.sysid fits with, in straight lines. Typical sizes are 1. What one
-    explains is measured as t'R t of its own columns.
+    Args:
+        equations: Normal equations of the campaign.
+        case: Right-hand side of the case.
+
+    Returns:
+        Hypothesis with the largest t'R t of its own columns, and all amplitudes in typical sizes, shape (k,).
     """
     columns = np.flatnonzero(equations.scale > 0.0)
     R = equations.R[-1][np.ix_(columns, columns)]
@@ -61,10 +74,18 @@ def everything_free(equations: NormalEquations, case: RightHandSide) -> tuple[in
 
 
 def gaussian_process(layout: FeatureLayout, residual: Array, held_out: FeatureLayout) -> Array:
-    """What a Gaussian process per channel, over the conditions, predicts of held-out residuals, (m_held,).
+    """Predict held-out residuals with one Gaussian process for each channel, over the conditions.
 
-    Residuals are in units of their floor, so that the noise is 1. The kernel is s^2 exp(-|x - x'|^2 / 2 l^2)
-    of the standardised conditions; s and l make the marginal likelihood largest. It names nothing.
+    The noise is 1. The kernel is s^2 exp(-|x - x'|^2 / 2 l^2) of standardised conditions; s and l maximise
+    the marginal likelihood.
+
+    Args:
+        layout: Description of the m fitted features.
+        residual: Residual in units of the noise floor, shape (m,).
+        held_out: Description of the n held-out features.
+
+    Returns:
+        Predicted residual in units of the noise floor, shape (n,).
     """
     result = np.zeros(held_out.size)
     for number, channel in enumerate(held_out.channels):
@@ -83,7 +104,7 @@ def gaussian_process(layout: FeatureLayout, residual: Array, held_out: FeatureLa
 
 
 def _predict_channel(x: Array, y: Array, new: Array) -> Array:
-    """Of one channel, in the most likely kernel."""
+    """Predict one channel with the most likely kernel."""
     square, across = _squares(x, x), _squares(new, x)
 
     def cost(log: Array) -> float:
@@ -99,12 +120,12 @@ def _predict_channel(x: Array, y: Array, new: Array) -> Array:
 
 
 def _squares(a: Array, b: Array) -> Array:
-    """Squared distances, (n, m)."""
+    """Return squared distances, (n, m)."""
     return np.asarray(np.sum((a[:, None, :] - b[None, :, :]) ** 2, axis=-1))
 
 
 def baselines(case: HeldOutTrial, seed: int) -> dict[str, dict[str, Any]]:
-    """The place of the largest error; all effects fitted at once; a Gaussian process on the residual."""
+    """Return the results of all baseline methods on a case."""
     rest, before = case.left(no_change)
     found, layout = case.fitted.sensitivities, case.held.sensitivities.layout
     equations = case.equations

@@ -1,8 +1,7 @@
-"""The blind cases in small: made, solved and scored in a minute, where `make blind` takes hours.
+"""Brief run of the blind cases: make, solve and score in a minute, where `make blind` takes hours.
 
-Two sessions in place of 31, at rest alone; one kind of effects in place of all; a case without effect and
-one with an effect. They are drawn, sealed, recorded, checked, diagnosed and scored as in the campaign. It
-alone has motions, and effects that are in no catalogue.
+It has two sessions instead of 31, at rest only, one kind of effect, a case without effect, and a case with
+one. All steps are those of the campaign. Only the campaign has motions and out-of-catalogue effects.
 """
 
 import json
@@ -33,36 +32,36 @@ from validation.options import campaign_parser
 
 EXAMPLE: Final = "example: python -m validation.blind.brief --seed 3"
 SESSIONS: Final = ("poses-rolled-1", "poses-level-5")
-"""The last one is held out."""
+"""Sessions; the last one is held out."""
 KINDS: Final = ("resolver-bias",)
 CASES_MADE: Final = 2
 
 
 def known(campaign: Path, run: Runner, progress: Progress) -> CampaignModel:
-    """What is known of the campaign before cases, of these kinds."""
+    """Load the campaign model of these kinds."""
     return load_campaign_model(*split_logs(campaign), campaign, run, progress, KINDS)
 
 
 @cache
 def reference_of(campaign: Path) -> CampaignModel:
-    """The same, read once."""
+    """Load it once."""
     return known(campaign, local_runner(1), _quiet)
 
 
 def kept(campaign: Path) -> CampaignSensitivities:
-    """Its sensitivities."""
+    """Load its sensitivities."""
     found = reference_of(campaign)
     assert found.held_out is not None
     return CampaignSensitivities(found.model.sensitivities, found.held_out)
 
 
 def diagnosed(case: Path, campaign: Path) -> tuple[dict[str, Any], CaseFeatures]:
-    """What is said of a case, and what it is made of."""
+    """Diagnose a case; return result document and residuals."""
     return diagnose_against(case, reference_of(campaign))
 
 
 def document(folder: Path, seed: int) -> dict[str, Any]:
-    """Make, solve, score."""
+    """Make, solve and score; return the document."""
     campaign, arm = folder / CAMPAIGN_FOLDER, arm_named("nominal")
     wanted = [one for one in all_sessions() if one.name in SESSIONS]
     record_campaign(campaign, wanted, arm, true_reference(arm), seed, _quiet)
@@ -90,14 +89,14 @@ def document(folder: Path, seed: int) -> dict[str, Any]:
 
 
 def _quiet(*_: Any) -> None:
-    """Progress that nobody sees."""
+    """Ignore progress."""
 
 
 def main() -> int:
     """Print the score as JSON; exit status 1 if a name is wrong, or a clear effect is not named."""
-    asked = campaign_parser("blind", __doc__, EXAMPLE).parse_args()
+    options = campaign_parser("blind", __doc__, EXAMPLE).parse_args()
     with TemporaryDirectory() as folder:
-        found = document(Path(folder), asked.seed)
+        found = document(Path(folder), options.seed)
     print(json.dumps(found, indent=2))
     return 0 if found["in_bounds"] else 1
 

@@ -1,4 +1,4 @@
-"""How far what is said of a case closes its gap on held-out motion: one sum for all who say anything."""
+"""Closure of a case on held-out motion, computed the same way for diagnosis, baselines and truth."""
 
 import json
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from ground.diagnosis.sensitivity import Sensitivities
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CampaignSensitivities:
-    """A campaign's sensitivities, of the motions that are fitted and of those that are held out."""
+    """Sensitivities of a campaign's fitted and held-out motions."""
 
     fitted: Sensitivities
     held: Sensitivities
@@ -27,7 +27,7 @@ class CampaignSensitivities:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CaseResiduals:
-    """Which features of the campaign a case has, and what was measured less predicted, (n,) each."""
+    """Rows of the campaign's features that a case has, and their residuals, (n,) each."""
 
     rows: Ints
     value: Array
@@ -35,13 +35,13 @@ class CaseResiduals:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CaseFeatures:
-    """Of a case."""
+    """Residuals of the fitted and of the held-out motions of a case."""
 
     fitted: CaseResiduals
     held: CaseResiduals
 
     def document(self) -> dict[str, Any]:
-        """Plain; every number comes back as it was."""
+        """Return the JSON document; numbers are exact."""
         return {
             name: {"rows": one.rows.tolist(), "value": one.value.tolist()}
             for name, one in (("fitted", self.fitted), ("held", self.held))
@@ -50,24 +50,24 @@ class CaseFeatures:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CasePart:
-    """Some features: their sensitivities, and what was measured less predicted."""
+    """Sensitivities and residuals of some features."""
 
     sensitivities: Sensitivities
     value: Array
 
 
-def split_case(kept: CampaignSensitivities, case: CaseFeatures) -> tuple[CasePart, CasePart]:
-    """What a diagnosis is made of, and what it is tried on."""
-    fitted = CasePart(kept.fitted.select(case.fitted.rows), case.fitted.value)
-    return fitted, CasePart(kept.held.select(case.held.rows), case.held.value)
+def split_case(sensitivities: CampaignSensitivities, case: CaseFeatures) -> tuple[CasePart, CasePart]:
+    """Return the fitted and the held-out part of a case."""
+    fitted = CasePart(sensitivities.fitted.select(case.fitted.rows), case.fitted.value)
+    return fitted, CasePart(sensitivities.held.select(case.held.rows), case.held.value)
 
 
 def read_case_features(path: Path) -> CaseFeatures:
-    """As they were written; BadRequest if they cannot be read."""
+    """Read residuals from a file; BadRequest if they cannot be read."""
     try:
-        said = json.loads(path.read_bytes())
+        document = json.loads(path.read_bytes())
         fitted, held = (
-            CaseResiduals(np.array(said[name]["rows"], np.intp), np.array(said[name]["value"], float))
+            CaseResiduals(np.array(document[name]["rows"], np.intp), np.array(document[name]["value"], float))
             for name in ("fitted", "held")
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
@@ -77,21 +77,24 @@ def read_case_features(path: Path) -> CaseFeatures:
 
 
 FeatureChange = Callable[[Sensitivities], Array]
-"""What is said to have changed in the features, (m,)."""
+"""Function that returns the change of the features, shape (m,), by assumed effects."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeldOutTrial:
-    """A case with its nuisances alone, ready for what is said of it."""
+    """Case ready for tests of assumed effects on held-out motion."""
 
     fitted: CasePart
     held: CasePart
     equations: NormalEquations
-    """Of the fitted part."""
+    """Normal equations of the fitted part."""
     held_out_model: HeldOutModel
 
     def left(self, change: FeatureChange) -> tuple[Array, Array]:
-        """Residuals (m,) of the fitted part, whitened, and of the held-out part, raw; nuisances refitted."""
+        """Return residuals under assumed effects: of the fitted part whitened, of the held-out part raw.
+
+        The nuisances are refitted beside the assumed effects.
+        """
         equations = self.equations
         rest = equations.whiten(self.fitted.value - change(self.fitted.sensitivities))
         N = equations.A[:, : equations.q]
@@ -101,25 +104,25 @@ class HeldOutTrial:
         ) - self.held_out_model.nuisance @ v
 
     def closed(self, change: FeatureChange, seed: int) -> Closure:
-        """On held-out motion, against nuisances alone."""
+        """Return the closure on held-out motion, relative to nuisances alone."""
         return compute_closure(self.held_out_model, self.left(no_change)[1], self.left(change)[1], seed)
 
 
 def no_change(found: Sensitivities) -> Array:
-    """No change."""
+    """Return no change, shape (m,)."""
     return np.zeros(found.layout.size)
 
 
 def prepare_trial(fitted: CasePart, held: CasePart) -> HeldOutTrial:
-    """ValueError if a motion is in both."""
+    """Prepare a case for tests; ValueError if a motion is in both parts."""
     equations = form_normal_equations(fitted.sensitivities)
     return HeldOutTrial(fitted, held, equations, build_held_out_model(equations, held.sensitivities))
 
 
 def closure_of_truth(case: HeldOutTrial, true: dict[Hypothesis, Array], seed: int) -> Closure:
-    """What the true effects achieve, their sizes fitted from the true ones on, by the parabolas."""
+    """Return the closure of the true effects, their values fitted from the true ones by the surrogate."""
     surrogate = QuadraticSurrogate(case.fitted.sensitivities)
     whitened = case.equations.whiten(case.fitted.value)
     best = fit_nonlinear(surrogate, case.equations, whitened, true)
-    said = dict(zip(best.hypotheses, best.values, strict=True))
-    return case.closed(lambda found: QuadraticSurrogate(found).change(said), seed)
+    fitted = dict(zip(best.hypotheses, best.values, strict=True))
+    return case.closed(lambda found: QuadraticSurrogate(found).change(fitted), seed)

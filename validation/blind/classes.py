@@ -1,4 +1,4 @@
-"""The campaign's classes and detection limits, published before there are cases."""
+"""Equivalence classes and detection limits of a campaign, published before its cases."""
 
 import json
 from collections.abc import Mapping
@@ -19,20 +19,20 @@ EffectAndPlace = tuple[str, str]
 
 @dataclass(frozen=True, slots=True)
 class EquivalenceClasses:
-    """Which hypotheses the campaign cannot tell apart."""
+    """Classes of hypotheses that the campaign cannot distinguish."""
 
     label: Mapping[EffectAndPlace, int]
 
     def of(self, effect: str, place: str) -> int | None:
-        """The class of one; None if the campaign has no such hypothesis."""
+        """Return the class of a hypothesis; None if the campaign does not have it."""
         return self.label.get((effect, place))
 
     def places(self, label: int) -> frozenset[str]:
-        """Where its members sit."""
+        """Return the places of the members."""
         return frozenset(place for (_, place), one in self.label.items() if one == label)
 
     def sizes(self) -> dict[int, int]:
-        """How many classes have how many members."""
+        """Return the number of classes by number of members."""
         _, members = np.unique(list(self.label.values()), return_counts=True)
         return {int(size): int(np.sum(members == size)) for size in np.unique(members)}
 
@@ -40,7 +40,7 @@ class EquivalenceClasses:
 def classes_json(
     hypotheses: tuple[Hypothesis, ...], label: Ints, limits: list[float]
 ) -> list[dict[str, Any]]:
-    """As a document; a limit that is infinite is None: the effect is not seen."""
+    """Return the JSON document; an infinite limit is None."""
     return [
         {
             "name": one.effect,
@@ -53,11 +53,11 @@ def classes_json(
 
 
 def load_classes(campaign: Path) -> EquivalenceClasses:
-    """As they were published; BadRequest if they cannot be read."""
+    """Load the published classes; BadRequest if they cannot be read."""
     try:
-        said = json.loads((campaign / CLASSES_FILE).read_bytes())
+        document = json.loads((campaign / CLASSES_FILE).read_bytes())
         return EquivalenceClasses(
-            {(one["name"], one["place"]): one["class"] for one in said if one["limit"] is not None}
+            {(one["name"], one["place"]): one["class"] for one in document if one["limit"] is not None}
         )
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BadRequest(

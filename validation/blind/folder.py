@@ -1,4 +1,4 @@
-"""What the verbs `gap blind ...` are asked, checked before anything is done."""
+"""Folder of blind cases: its layout, its result files, and checks of `python -m validation.blind`."""
 
 import json
 import os
@@ -47,7 +47,7 @@ class _Closure:
 
 @dataclass(frozen=True, slots=True)
 class _BaselineResult:
-    """What a baseline says: an effect, a place alone, or neither."""
+    """Result of a baseline: an effect, a place, or neither."""
 
     name: str = ""
     place: str = ""
@@ -72,15 +72,15 @@ _RESULT_ADAPTER: Final = TypeAdapter(_ResultFile)
 
 
 def parse_result(raw: bytes) -> dict[str, Any]:
-    """The whole document; ValueError, in a line, if it has not the form that a score is made of."""
+    """Parse a result file; ValueError in one line if the score cannot use it."""
     try:
         _RESULT_ADAPTER.validate_json(raw, strict=True)
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(str(step) for step in first["loc"])
         raise ValueError(f"{where}: {first['msg']}" if where else first["msg"]) from error
-    said: dict[str, Any] = json.loads(raw)
-    return said
+    document: dict[str, Any] = json.loads(raw)
+    return document
 
 
 CAMPAIGN_FOLDER: Final = "campaign"
@@ -90,32 +90,30 @@ PARTIAL_SUFFIX: Final = ".part"
 
 
 def case_name(number: int) -> str:
-    """Of one among cases from 0 on."""
+    """Return the name of a case by its number from 0."""
     return f"case-{number:03d}"
 
 
 def list_cases(folder: Path) -> tuple[Path, ...]:
-    """The cases that are recorded, in order.
+    """List the recorded cases in order.
 
     Raises:
-        BadRequest: this is no folder of blind cases, or none is recorded.
+        BadRequest: This is no folder of blind cases, or none is recorded.
     """
     read_digest(folder)
     found = tuple(sorted(path for path in (folder / CASES_FOLDER).glob("case-*") if path.is_dir()))
     if not found:
-        raise BadRequest(
-            f"{folder}: no case is recorded yet; `python -m validation.blind make` goes on where it was"
-        )
+        raise BadRequest(f"{folder}: no case is recorded yet; `python -m validation.blind make` continues")
     return found
 
 
 def result_path(case: Path) -> Path:
-    """Where what was said of a case is kept."""
+    """Return the path of a case's result."""
     return case.parent.parent / SOLVED_FOLDER / f"{case.name}.json"
 
 
 def load_results(folder: Path) -> dict[str, dict[str, Any]]:
-    """What was said of every case that is solved, by its name; BadRequest if one cannot be read."""
+    """Load the results of all solved cases by name; BadRequest if one cannot be read."""
     found = {}
     for path in sorted((folder / SOLVED_FOLDER).glob("case-*[0-9].json")):
         try:
@@ -126,7 +124,7 @@ def load_results(folder: Path) -> dict[str, dict[str, Any]]:
 
 
 def write_json(path: Path, document: Mapping[str, Any] | list[Any]) -> None:
-    """A document, whole or not at all; BadOutput if it cannot be written."""
+    """Write a document atomically; BadOutput if it cannot be written."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -139,7 +137,12 @@ MAX_CASES = 1000
 
 
 def check_make(cases: int, seed: int, out: Path, jobs: int) -> None:
-    """BadRequest or BadOutput if there cannot be such cases there; nothing is written."""
+    """Refuse arguments of `make` that are wrong, before anything is written.
+
+    Raises:
+        BadRequest: A number is out of range, or the folder holds something else.
+        BadOutput: The folder cannot be made.
+    """
     if not 1 <= cases <= MAX_CASES:
         raise BadRequest(f"cases: {cases} is not within 1 .. {MAX_CASES}")
     check_seed(seed)
@@ -155,6 +158,6 @@ def check_make(cases: int, seed: int, out: Path, jobs: int) -> None:
 
 
 def check_jobs(jobs: int) -> None:
-    """BadRequest unless there is a process to work in."""
+    """Refuse a number of processes below 1 with BadRequest."""
     if jobs < 1:
         raise BadRequest(f"jobs: {jobs} is not 1 or more")

@@ -1,4 +1,4 @@
-"""Makes blind cases of our arm: the solver's campaign, the sealed truth, then the logs of every case."""
+"""Making of blind cases of this arm: the solver's campaign, the sealed truth, then the logs of every case."""
 
 import shutil
 from collections.abc import Callable, Iterator, Sequence
@@ -44,14 +44,14 @@ from validation.blind.out_of_catalogue import (
 
 @dataclass(frozen=True, slots=True)
 class MadeCases:
-    """What there is now."""
+    """Result of `make`."""
 
     digest: str
     cases: int
     recorded: int
-    """Of them, by this call."""
+    """Number of cases that this call recorded."""
     left_out: tuple[str, ...]
-    """Sessions of all cases whose motion did not come to its end: there is no log of them."""
+    """Sessions whose motion did not complete; there is no log of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,12 +68,20 @@ def make_cases(
     progress: Progress,
     publish: Callable[[str], None] = lambda _: None,
 ) -> MadeCases:
-    """So many cases from a seed; what is there already stays. `publish` is told the digest before any case.
+    """Make blind cases from a seed; cases that exist stay.
+
+    Args:
+        folder: Folder of the cases.
+        cases: Number of cases.
+        seed: Seed of effects, arms and noise.
+        run: Runner of parallel jobs.
+        progress: Called with done, total and case.
+        publish: Called with the digest of the truth before any case is recorded.
 
     Raises:
-        BadRequest: the folder holds cases of another seed or number, or cannot be written.
-        TellsTruth: a log would give its truth away; it is not there.
-        BadOutput: a file cannot be written.
+        BadRequest: The folder holds cases of another seed or number, or cannot be written.
+        TruthLeaked: A log would reveal its truth; it is removed.
+        BadOutput: A file cannot be written.
     """
     try:
         return _make_cases(folder, cases, seed, run, progress, publish)
@@ -98,7 +106,7 @@ def _make_cases(
 
 
 def left_out(folder: Path, truth: SealedTruth, wanted: Sequence[DiagnosisSession]) -> Iterator[str]:
-    """Sessions of which there is no log."""
+    """Yield the sessions without a log."""
     for case in truth.cases:
         for session in wanted:
             if not (folder / CASES_FOLDER / case.name / f"{session.name}.mcap").exists():
@@ -108,18 +116,18 @@ def left_out(folder: Path, truth: SealedTruth, wanted: Sequence[DiagnosisSession
 def draw_truth(
     cases: int, seed: int, catalogue: Sequence[DetectableEffect], outside: Sequence[DetectableEffect]
 ) -> SealedTruth:
-    """The same for the same seed, and for a campaign that sees the same."""
+    """Draw the truth; the same seed and detection limits give the same truth."""
     plan = plan_cases(cases, catalogue, outside, np.random.default_rng([seed, 8]))
     return SealedTruth(salt(seed), tuple(_true_case(number, case, seed) for number, case in enumerate(plan)))
 
 
 def salt(seed: int) -> str:
-    """Of a seed; it does not tell which."""
+    """Return the salt of a seed; it does not reveal the seed."""
     return np.random.default_rng([seed, 9]).bytes(16).hex()
 
 
 def _record_campaign(folder: Path, seed: int, progress: Progress) -> None:
-    """The nominal arm's logs: what the solver knows of the campaign before there are cases."""
+    """Record the nominal arm: all that the solver knows about the campaign before the cases."""
     if not (folder / CAMPAIGN_FOLDER).exists():
         part = folder / (CAMPAIGN_FOLDER + PARTIAL_SUFFIX)
         shutil.rmtree(part, ignore_errors=True)
@@ -132,7 +140,7 @@ def _record_campaign(folder: Path, seed: int, progress: Progress) -> None:
 def _list_detectable(
     campaign: Path, seed: int, run: Runner, progress: Progress
 ) -> tuple[list[DetectableEffect], list[DetectableEffect]]:
-    """Every hypothesis and every effect outside, with limits by the motions that are not held out."""
+    """List the effects inside and outside the catalogue with their detection limits by the fitted motions."""
     model = load_model(campaign, run, progress).model
     found = [one.limit for one in model.limits]
     write_json(campaign / CLASSES_FILE, classes_json(model.sensitivities.hypotheses, model.label, found))
@@ -165,7 +173,7 @@ def _spec(name: tuple[str, str], values: Array) -> str:
 
 
 def _record_job(job: _Job) -> str:
-    """One case, all of it or nothing; its name."""
+    """Record one case completely or not at all; return its name."""
     place = job.folder / CASES_FOLDER / job.case.name
     part = place.with_name(f".{place.name}{PARTIAL_SUFFIX}")
     shutil.rmtree(part, ignore_errors=True)
@@ -181,7 +189,7 @@ def _record_job(job: _Job) -> str:
 
 
 def record_case(folder: Path, case: TrueCase, wanted: Sequence[DiagnosisSession]) -> None:
-    """Logs of some sessions; one whose motion does not come to its end has none."""
+    """Record the sessions of a case; a session whose motion does not complete gets no log."""
     effects = true_effects(case)
     nominal = arm_named("nominal")
     arm = nominal.with_effects(effects)
@@ -196,11 +204,11 @@ def record_case(folder: Path, case: TrueCase, wanted: Sequence[DiagnosisSession]
 
 
 def true_effects(case: TrueCase) -> tuple[Effect, ...]:
-    """All that its plant is made of."""
+    """Return all effects of the plant."""
     return tuple(resolve_effect(spec) for spec in (*case.background, *(one.spec for one in case.effects)))
 
 
 @cache
 def all_sessions() -> tuple[DiagnosisSession, ...]:
-    """Of the campaign, once in each process."""
+    """Return the sessions of the campaign, computed once in each process."""
     return campaign_sessions(arm_named("nominal").params)

@@ -1,4 +1,7 @@
-"""Effects that no catalogue has, from a folder of Python files, and how large each must be to be seen."""
+"""Out-of-catalogue effects from a folder of Python files, and their detection limits.
+
+The limits come from open-loop simulation with and without each effect (`change`), with adaptive steps.
+"""
 
 import hashlib
 from collections.abc import Mapping, Sequence
@@ -40,7 +43,16 @@ from sim.scenario.effects import BadEffect, effect_classes_in_file, effect_text,
 
 
 def change(feature_set: FeatureSet, effects: Sequence[Effect], options: SimulationOptions) -> Array:
-    """By how much effects change the features, (m,)."""
+    """Compute the change of the features by effects.
+
+    Args:
+        feature_set: Features of all recordings.
+        effects: Effects that are switched on.
+        options: Simulation options.
+
+    Returns:
+        Change in the units of the channels, shape (m,).
+    """
     return np.concatenate(
         [_motion_change(one, effects, options) for one in feature_set.motions]
         + [_rest_change(one, effects, options) for one in feature_set.rests]
@@ -71,32 +83,32 @@ def _with_and_without(
     options: SimulationOptions,
     pose_ticks: frozenset[int] = frozenset(),
 ) -> tuple[OpenLoopRun, OpenLoopRun]:
-    """With effects, and without: that is asked again for every effect."""
+    """Simulate with effects, and without; the run without is cached for the next effect."""
     return simulate_open_loop(recording, effects, options, pose_ticks), simulate_open_loop_cached(
         recording, (), options, pose_ticks
     )
 
 
 def _resolver_angles(one: RestFeatures, found: OpenLoopRun) -> Array:
-    """Less encoders, at the rests, (5, r)."""
+    """Return resolvers minus motor angles at the rests, (5, r)."""
     recording = replace(one.turning_points.recording, sensors=stack_readings(found.readings))
     return read_resolvers(replace(one.turning_points, recording=recording))
 
 
 PLACES_PER_EFFECT: Final = 2
-"""Of each kind that are asked: limits of all would take as long as the cases."""
+"""Number of places of each effect that are used: limits of all would take as long as the cases."""
 EFFECTS_FOLDER: Final = Path(__file__).resolve().parents[2] / "validation" / "out_of_catalogue_effects"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UncataloguedEffect:
-    """An effect of one size at a place."""
+    """Out-of-catalogue effect at a place."""
 
     hypothesis: Hypothesis
     catalogue_entry: catalogue.EffectHypothesis
 
     def spec(self, values: Array) -> str:
-        """What switches it on, the file by its name in the folder."""
+        """Return the text that switches the effect on, with the name of its file in the folder."""
         text = effect_text(make_effect(self.catalogue_entry, self.hypothesis, values))
         return text.removeprefix(f"{EFFECTS_FOLDER}/")
 
@@ -112,13 +124,13 @@ class _Job:
 class _Sensitivity:
     name: tuple[str, str]
     share: float
-    """Of a typical size, the step."""
+    """Step as a share of a typical size."""
     column: Array
-    """Change of the features per typical size, upwards, (m,)."""
+    """Change of the features per typical size, upwards, shape (m,)."""
 
 
 def list_uncatalogued() -> dict[tuple[str, str], UncataloguedEffect]:
-    """Every one, by effect and place; BadRequest if there are no files of them."""
+    """List all out-of-catalogue effects by effect and place; BadRequest if there are no files."""
     files = sorted(EFFECTS_FOLDER.glob("*.py"))
     if not files:
         raise BadRequest(f"{EFFECTS_FOLDER}: holds no effects; cases are made in a clone of the repository")
@@ -128,7 +140,7 @@ def list_uncatalogued() -> dict[tuple[str, str], UncataloguedEffect]:
 
 
 def resolve_effect(spec: str) -> Effect:
-    """The effect that a spec says, be it of the catalogue or of the folder."""
+    """Return the effect of a text, in the catalogue or in the folder."""
     try:
         return parse_effect_text(str(EFFECTS_FOLDER / spec) if ".py:" in spec else spec)
     except BadEffect as error:
@@ -136,7 +148,7 @@ def resolve_effect(spec: str) -> Effect:
 
 
 def sample_uncatalogued(rng: np.random.Generator) -> dict[tuple[str, str], UncataloguedEffect]:
-    """Each kind at a few of its places."""
+    """Sample a few places of each effect."""
     known = list_uncatalogued()
     kinds = sorted({name for name, _ in known})
     found: dict[tuple[str, str], UncataloguedEffect] = {}
@@ -155,10 +167,18 @@ def uncatalogued_limits(
     run: Runner,
     progress: Progress,
 ) -> list[DetectableEffect]:
-    """The detection limit of each, beside the nuisances, in a campaign's logs; kept as they are found.
+    """Compute the detection limit of each effect beside the nuisances; finished ones are cached.
+
+    Args:
+        logs: Logs of the campaign.
+        equations: Normal equations of the campaign.
+        kept_in: Cache folder.
+        wanted: Effects by name and place.
+        run: Runner of parallel jobs.
+        progress: Called with done, total and step.
 
     Raises:
-        BadRequest: what is kept is of another campaign or other effects.
+        BadRequest: The cache belongs to another campaign or other effects.
     """
     with Checkpoint(kept_in / "outside.jsonl", {"of": _inputs_digest(logs, equations)}, _read_limit) as kept:
         there = {(one["name"], one["place"]): _read_limit(one) for one in kept.done}
@@ -183,8 +203,8 @@ def uncatalogued_limits(
     return [DetectableEffect(one.hypothesis, there[name], None) for name, one in wanted.items()]
 
 
-def _read_limit(said: dict[str, Any]) -> float:
-    return float("inf") if said["limit"] is None else float(said["limit"])
+def _read_limit(entry: dict[str, Any]) -> float:
+    return float("inf") if entry["limit"] is None else float(entry["limit"])
 
 
 def _difference(job: _Job) -> _Sensitivity:
@@ -194,7 +214,7 @@ def _difference(job: _Job) -> _Sensitivity:
 
 
 def _simulate_step(feature_set: FeatureSet, name: tuple[str, str], share: float) -> Array:
-    """By this share of its typical size, (m,)."""
+    """Simulate a share of the typical size; return the change of the features, (m,)."""
     one = list_uncatalogued()[name]
     values = np.array([p.absent + share * p.typical * p.is_amplitude for p in one.hypothesis.parameters])
     effect = make_effect(one.catalogue_entry, one.hypothesis, values)
@@ -207,7 +227,7 @@ def _feature_set(logs: tuple[Path, ...]) -> FeatureSet:
 
 
 def _inputs_digest(logs: Sequence[Path], equations: NormalEquations) -> str:
-    """Of the campaign's logs, of the nuisances beside which effects are seen, and of the folder's files."""
+    """Return the SHA-256 of the logs, the nuisances and the effect files."""
     total = hashlib.sha256(equations.A[:, : equations.q].tobytes() + equations.whiten.sigma.tobytes())
     for path in (*sorted(logs), *sorted(EFFECTS_FOLDER.glob("*.py"))):
         total.update(path.read_bytes())

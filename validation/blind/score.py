@@ -1,4 +1,4 @@
-"""A folder of blind cases scored: first the seal, then what was said against what was true."""
+"""Score of blind cases: checks the seal of the truth, then compares results with the truth."""
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,18 +26,18 @@ from validation.blind.folder import CAMPAIGN_FOLDER, CASES_FOLDER, load_results
 from validation.blind.solve import DIAGNOSIS_SEED, features_path
 
 SIZE_BINS: Final = ((0.5, 1.0), (1.0, 1.5), (1.5, 2.0), (2.0, 4.0))
-"""Of sizes over the detection limit; the last has its upper end, too."""
+"""Bins of true amplitudes in detection limits; the last bin includes its upper end."""
 NAMED_VERDICTS: Final = ("named", "set")
 CONFIDENCE_LEVEL: Final = 0.95
 
 ResultDocument = Mapping[str, Any]
-"""What was said of a case: what `marsarm diagnose --json` says, with `seconds` and `baselines`."""
+"""Result document of a case (see `marsarm diagnose --json`), with `seconds` and `baselines`."""
 SolvedCase = tuple[TrueCase, ResultDocument]
 
 
 @dataclass(frozen=True, slots=True)
 class Median:
-    """A median with its exact interval; NaN and everything if there is nothing."""
+    """Median with its exact interval; NaN with an infinite interval if there are no values."""
 
     of: int
     median: float
@@ -47,19 +47,19 @@ class Median:
 
 @dataclass(frozen=True, slots=True)
 class DetectionRates:
-    """Of true effects of the catalogue: how often they are found."""
+    """Rates at which true effects of the catalogue are found."""
 
     place: Rate
-    """A first choice, or what it cannot be told from, sits there."""
+    """Rate at which a first choice, or its class, contains the place."""
     effect: Rate
-    """A first choice is of its class."""
+    """Rate at which a first choice is of the right class."""
     in_set: Rate
-    """Its class is in what was reported; nothing is where no name was given."""
+    """Rate at which a reported set contains the class; a case without a name counts as a miss."""
 
 
 @dataclass(frozen=True, slots=True)
 class Bin:
-    """The same of effects of some sizes, and how often outside effects of these get a wrong name."""
+    """Rates for true effects within a range of detection limits."""
 
     least: float
     most: float
@@ -69,7 +69,7 @@ class Bin:
 
 @dataclass(frozen=True, slots=True)
 class Baseline:
-    """What another method makes of effects above the limit; NaN closure if it predicts nothing."""
+    """Rates of a baseline for effects above the detection limit; NaN closure if it predicts nothing."""
 
     place: Rate
     effect: Rate
@@ -78,61 +78,69 @@ class Baseline:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Rates over cases; those of effects are of effects of the catalogue from the detection limit on."""
+    """Rates over cases; rates of effects count catalogue effects from the detection limit on."""
 
     cases: int
     false_alarm: Rate
-    """No-effect cases called anything but none."""
+    """No-effect cases with a verdict other than "none"."""
     wrong_name: Rate
-    """Cases of an effect outside the catalogue that were given a name (named or set)."""
+    """Out-of-catalogue cases with the verdict "named" or "set"."""
     found: DetectionRates
     found_given: DetectionRates
-    """Of those in whose cases a name or a set was given."""
+    """The same rates in cases with the verdict "named" or "set"."""
     superfluous: Rate
-    """Effects named in cases of the catalogue that are none of the case's."""
+    """Reported effects that are not effects of the case."""
     set_size: float
     """Mean number of classes in a reported set; NaN if there is none."""
     covered: Rate
-    """True sizes within their 90 % intervals, where the very effect was named."""
+    """True amplitudes within their 90 % intervals, where the effect itself was reported."""
     closure: Median
-    """Of named effects, on held-out motion."""
+    """Closure of reported effects on held-out motion."""
     true_closure: Median
-    """What the true effects of the same cases, fitted, achieve."""
+    """Closure of the true effects of the same cases, fitted."""
     closure_lost: Median
-    """By how much that is more, case by case."""
+    """Difference of the two, case by case."""
     seconds: Median
-    """Of CPU for a case."""
+    """CPU seconds for a case."""
     most_seconds: float
     bins: tuple[Bin, ...]
     baselines: Mapping[str, Baseline]
     verdicts: Mapping[str, Mapping[str, int]]
-    """How many cases of each kind got each verdict."""
+    """Number of cases by kind and verdict."""
     class_sizes: Mapping[int, int]
-    """How many classes have so many members."""
+    """Number of classes by number of members."""
 
 
 def score(
     classes: EquivalenceClasses, solved: Sequence[SolvedCase], true_closure: Callable[[TrueCase], float]
 ) -> Score:
-    """Of all cases; `true_closure` says what a case's true effects, fitted, achieve on held-out motion."""
-    nothing = [said for true, said in solved if true.kind == "none"]
-    outside = [(true, said) for true, said in solved if true.kind == "outside"]
-    inside = [(true, said) for true, said in solved if true.kind in ("single", "pair")]
-    each = [(one, said) for true, said in inside for one in true.effects]
-    clear = [(one, said) for one, said in each if one.times_limit >= 1.0]
-    sets = [len(_set(classes, one)) for _, said in inside for one in _reported(said)]
-    told = [(true, said) for true, said in inside if _is_named(said) and _closure_share(said) is not None]
-    shares = [(_closure_share(said) or 0.0, true_closure(true)) for true, said in told]
-    seconds = [float(said["seconds"]) for _, said in solved]
+    """Score all cases.
+
+    Args:
+        classes: Equivalence classes of the campaign.
+        solved: Cases with their results.
+        true_closure: Function that returns the closure of a case's true effects, fitted.
+    """
+    nothing = [result for true, result in solved if true.kind == "none"]
+    outside = [(true, result) for true, result in solved if true.kind == "outside"]
+    inside = [(true, result) for true, result in solved if true.kind in ("single", "pair")]
+    each = [(one, result) for true, result in inside for one in true.effects]
+    clear = [(one, result) for one, result in each if one.times_limit >= 1.0]
+    sets = [len(_set(classes, one)) for _, result in inside for one in _reported(result)]
+    named_cases = [
+        (true, result) for true, result in inside if _is_named(result) and _closure_share(result) is not None
+    ]
+    shares = [(_closure_share(result) or 0.0, true_closure(true)) for true, result in named_cases]
+    seconds = [float(result["seconds"]) for _, result in solved]
     return Score(
         len(solved),
-        _hit_rate(said["verdict"] != "none" for said in nothing),
-        _hit_rate(_is_named(said) for _, said in outside),
+        _hit_rate(result["verdict"] != "none" for result in nothing),
+        _hit_rate(_is_named(result) for _, result in outside),
         _detection_rates(classes, clear),
-        _detection_rates(classes, [(one, said) for one, said in clear if _is_named(said)]),
-        _hit_rate(_is_spurious(classes, true, one) for true, said in inside for one in _reported(said)),
+        _detection_rates(classes, [(one, result) for one, result in clear if _is_named(result)]),
+        _hit_rate(_is_spurious(classes, true, one) for true, result in inside for one in _reported(result)),
         float(np.mean(sets)) if sets else float("nan"),
-        _hit_rate(hit for true, said in inside for hit in _coverage_hits(true, said)),
+        _hit_rate(hit for true, result in inside for hit in _coverage_hits(true, result)),
         median_with_interval([ours for ours, _ in shares]),
         median_with_interval([theirs for _, theirs in shares]),
         median_with_interval([theirs - ours for ours, theirs in shares]),
@@ -146,7 +154,7 @@ def score(
 
 
 def median_with_interval(values: Sequence[float]) -> Median:
-    """A median; its interval is between two of the values, as the binomial has it."""
+    """Return the median, with an interval between two of the values by the binomial distribution."""
     known = np.sort([value for value in values if np.isfinite(value)])
     if not known.size:
         return Median(0, float("nan"), float("-inf"), float("inf"))
@@ -159,10 +167,11 @@ def _detection_rates(
     classes: EquivalenceClasses, each: Sequence[tuple[TrueEffect, ResultDocument]]
 ) -> DetectionRates:
     return DetectionRates(
-        _hit_rate(one.place in _places(classes, _first(said)) for one, said in each),
-        _hit_rate(_class(classes, one) in _classes(classes, _first(said)) for one, said in each),
+        _hit_rate(one.place in _places(classes, _first(result)) for one, result in each),
+        _hit_rate(_class(classes, one) in _classes(classes, _first(result)) for one, result in each),
         _hit_rate(
-            any(_class(classes, one) in _set(classes, told) for told in _reported(said)) for one, said in each
+            any(_class(classes, one) in _set(classes, finding) for finding in _reported(result))
+            for one, result in each
         ),
     )
 
@@ -177,9 +186,14 @@ def _bin(
     def within(one: TrueEffect) -> bool:
         return least <= one.times_limit < most or (most == SIZE_BINS[-1][1] and one.times_limit >= most)
 
-    mine = [(one, said) for one, said in each if within(one)]
-    strange = [said for true, said in outside if within(true.effects[0])]
-    return Bin(least, most, _detection_rates(classes, mine), _hit_rate(_is_named(said) for said in strange))
+    mine = [(one, result) for one, result in each if within(one)]
+    outside_results = [result for true, result in outside if within(true.effects[0])]
+    return Bin(
+        least,
+        most,
+        _detection_rates(classes, mine),
+        _hit_rate(_is_named(result) for result in outside_results),
+    )
 
 
 def _baselines(
@@ -187,7 +201,7 @@ def _baselines(
     clear: Sequence[tuple[TrueEffect, ResultDocument]],
     inside: Sequence[SolvedCase],
 ) -> dict[str, Baseline]:
-    names = dict.fromkeys(name for _, said in inside for name in said["baselines"])
+    names = dict.fromkeys(name for _, result in inside for name in result["baselines"])
     return {name: _baseline(classes, name, clear, inside) for name in names}
 
 
@@ -197,13 +211,15 @@ def _baseline(
     clear: Sequence[tuple[TrueEffect, ResultDocument]],
     inside: Sequence[SolvedCase],
 ) -> Baseline:
-    of = [(one, said["baselines"].get(name, {})) for one, said in clear]
-    names, places = (any(key in said for _, said in of) for key in ("name", "place"))
-    shares = [said["baselines"].get(name, {}).get("closure") for _, said in inside if _is_named(said)]
+    of = [(one, result["baselines"].get(name, {})) for one, result in clear]
+    names, places = (any(key in result for _, result in of) for key in ("name", "place"))
+    shares = [result["baselines"].get(name, {}).get("closure") for _, result in inside if _is_named(result)]
     return Baseline(
-        _hit_rate(one.place in _baseline_places(classes, said) for one, said in of if places),
+        _hit_rate(one.place in _baseline_places(classes, result) for one, result in of if places),
         _hit_rate(
-            "name" in said and _class(classes, one) == _class(classes, said) for one, said in of if names
+            "name" in result and _class(classes, one) == _class(classes, result)
+            for one, result in of
+            if names
         ),
         median_with_interval([share for share in shares if share is not None]),
     )
@@ -211,36 +227,36 @@ def _baseline(
 
 def _verdicts(solved: Sequence[SolvedCase]) -> dict[str, dict[str, int]]:
     result: dict[str, dict[str, int]] = {}
-    for true, said in solved:
+    for true, outcome in solved:
         row = result.setdefault(true.kind, {})
-        row[said["verdict"]] = row.get(said["verdict"], 0) + 1
+        row[outcome["verdict"]] = row.get(outcome["verdict"], 0) + 1
     return result
 
 
 def _hit_rate(hits: Iterable[bool]) -> Rate:
-    told = list(hits)
-    return estimate_rate(sum(told), len(told))
+    outcomes = list(hits)
+    return estimate_rate(sum(outcomes), len(outcomes))
 
 
-def _is_named(said: ResultDocument) -> bool:
-    """Whether a name was given."""
-    return said["verdict"] in NAMED_VERDICTS
+def _is_named(result: ResultDocument) -> bool:
+    """Check that the verdict gives a name."""
+    return result["verdict"] in NAMED_VERDICTS
 
 
-def _closure_share(said: ResultDocument) -> float | None:
-    """Of the explainable gap that was closed; None if hardly any was there."""
-    closure = said["closure"]
+def _closure_share(result: ResultDocument) -> float | None:
+    """Return the closure; None if there was too little to explain."""
+    closure = result["closure"]
     return None if closure is None else closure["share"]
 
 
-def _first(said: ResultDocument) -> list[ResultDocument]:
-    """First choices: the findings, or what would be if anything."""
-    return list(said["effects"]) or list(said["ranking"][:1])
+def _first(result: ResultDocument) -> list[ResultDocument]:
+    """Return the first choices: the findings, else the best of the ranking."""
+    return list(result["effects"]) or list(result["ranking"][:1])
 
 
-def _reported(said: ResultDocument) -> list[ResultDocument]:
-    """The findings, where names were given."""
-    return list(said["effects"]) if _is_named(said) else []
+def _reported(result: ResultDocument) -> list[ResultDocument]:
+    """Return the findings if the verdict gives a name."""
+    return list(result["effects"]) if _is_named(result) else []
 
 
 def _class(classes: EquivalenceClasses, one: TrueEffect | ResultDocument) -> int | None:
@@ -249,40 +265,43 @@ def _class(classes: EquivalenceClasses, one: TrueEffect | ResultDocument) -> int
     return classes.of(one["name"], one["place"])
 
 
-def _classes(classes: EquivalenceClasses, told: Iterable[ResultDocument]) -> set[int | None]:
-    return {_class(classes, one) for one in told}
+def _classes(classes: EquivalenceClasses, effects: Iterable[ResultDocument]) -> set[int | None]:
+    return {_class(classes, one) for one in effects}
 
 
 def _set(classes: EquivalenceClasses, finding: ResultDocument) -> set[int | None]:
-    """The classes of a finding and of what may stand in its stead."""
+    """Return the classes of a finding and of its alternatives."""
     return _classes(classes, (finding, *finding["alternatives"]))
 
 
-def _places(classes: EquivalenceClasses, told: Iterable[ResultDocument]) -> set[str]:
-    """Of these, and of what they cannot be told from."""
-    labels = [label for label in _classes(classes, told) if label is not None]
+def _places(classes: EquivalenceClasses, effects: Iterable[ResultDocument]) -> set[str]:
+    """Return the places of these effects, and of the members of their classes."""
+    labels = [label for label in _classes(classes, effects) if label is not None]
     return {place for label in labels for place in classes.places(label)}
 
 
-def _baseline_places(classes: EquivalenceClasses, said: ResultDocument) -> set[str]:
-    """Of a baseline: by its class if it names an effect; none if it says nothing."""
-    return _places(classes, [said]) if "name" in said else {said["place"]} if "place" in said else set()
+def _baseline_places(classes: EquivalenceClasses, result: ResultDocument) -> set[str]:
+    """Return the places of a baseline: by class if it names an effect."""
+    return (
+        _places(classes, [result]) if "name" in result else {result["place"]} if "place" in result else set()
+    )
 
 
 def _is_spurious(classes: EquivalenceClasses, true: TrueCase, finding: ResultDocument) -> bool:
     return _class(classes, finding) not in {_class(classes, one) for one in true.effects}
 
 
-def _coverage_hits(true: TrueCase, said: ResultDocument) -> list[bool]:
-    """Of every size of every true effect that was named."""
-    found = {(one["name"], one["place"]): one for one in _reported(said)}
-    result = []
+def _coverage_hits(true: TrueCase, document: ResultDocument) -> list[bool]:
+    """Return for every amplitude of every reported true effect whether its interval contains the truth."""
+    found = {(one["name"], one["place"]): one for one in _reported(document)}
+    hits = []
     for effect in true.effects:
         finding = found.get((effect.name, effect.place))
-        for told in finding["parameters"] if finding is not None else ():
-            if told["is_size"]:
-                result.append(bool(told["least"] <= effect.values[told["name"]] <= told["most"]))
-    return result
+        for parameter in finding["parameters"] if finding is not None else ():
+            if parameter["is_size"]:
+                value = effect.values[parameter["name"]]
+                hits.append(bool(parameter["least"] <= value <= parameter["most"]))
+    return hits
 
 
 def score_folder(
@@ -291,53 +310,61 @@ def score_folder(
     partial: bool,
     progress: Progress = lambda *_: None,
 ) -> Score:
-    """Of all cases; `partial` of those that are solved.
+    """Score the cases of a folder.
+
+    Args:
+        folder: Folder of blind cases.
+        kept_in: Function that loads the sensitivities of a campaign folder.
+        partial: Score only solved cases, instead of refusing a folder with unsolved ones.
+        progress: Called with done, total and case.
 
     Raises:
-        BadRequest: the truth is not what was sealed, cases are not solved, or what was said is damaged.
+        BadRequest: The truth does not match its digest, cases are unsolved, or a result is damaged.
     """
-    truth, said = load_truth(folder), load_results(folder)
-    open_cases = [case.name for case in truth.cases if case.name not in said]
+    truth, results = load_truth(folder), load_results(folder)
+    open_cases = [case.name for case in truth.cases if case.name not in results]
     if open_cases and (not partial or len(open_cases) == len(truth.cases)):
         raise BadRequest(
             f"{folder}: {len(open_cases)} of {len(truth.cases)} cases are not solved, {open_cases[0]} first; "
-            f"`python -m validation.blind solve` goes on where it was, --partial scores those that are"
+            f"`python -m validation.blind solve` continues, --partial scores those that are solved"
         )
-    kept, done = kept_in(folder / CAMPAIGN_FOLDER), 0
+    sensitivities, done = kept_in(folder / CAMPAIGN_FOLDER), 0
 
     def true_closure(case: TrueCase) -> float:
         nonlocal done
-        progress(done, len(said), case.name)
+        progress(done, len(results), case.name)
         done += 1
         features = read_case_features(features_path(folder / CASES_FOLDER / case.name))
         return closure_of_truth(
-            prepare_trial(*split_case(kept, features)), _true_values(kept, case), DIAGNOSIS_SEED
+            prepare_trial(*split_case(sensitivities, features)),
+            _true_values(sensitivities, case),
+            DIAGNOSIS_SEED,
         ).share
 
-    solved = [(case, said[case.name]) for case in truth.cases if case.name in said]
-    for case, told in solved:
-        _check_sizes(case, told)
+    solved = [(case, results[case.name]) for case in truth.cases if case.name in results]
+    for case, result in solved:
+        _check_sizes(case, result)
     return score(load_classes(folder / CAMPAIGN_FOLDER), solved, true_closure)
 
 
-def _check_sizes(case: TrueCase, said: ResultDocument) -> None:
-    """BadRequest if a true effect was given a size that it has not."""
+def _check_sizes(case: TrueCase, result: ResultDocument) -> None:
+    """Raise BadRequest if a result gives a true effect a parameter that it does not have."""
     true = {(effect.name, effect.place): set(effect.values) for effect in case.effects}
-    for finding in said["effects"]:
-        sizes = {told["name"] for told in finding["parameters"] if told["is_size"]}
-        for strange in sizes - true.get((finding["name"], finding["place"]), sizes):
+    for finding in result["effects"]:
+        sizes = {parameter["name"] for parameter in finding["parameters"] if parameter["is_size"]}
+        for unknown in sizes - true.get((finding["name"], finding["place"]), sizes):
             raise BadRequest(
-                f"{case.name}: {finding['name']} has no {strange}; remove what was said of it and solve again"
+                f"{case.name}: {finding['name']} has no {unknown}; remove its result and solve again"
             )
 
 
-def _true_values(kept: CampaignSensitivities, case: TrueCase) -> dict[Hypothesis, Array]:
-    """The true effects as the campaign's hypotheses."""
-    known = {(one.effect, one.place): one for one in kept.fitted.hypotheses}
-    strange = [effect for effect in case.effects if (effect.name, effect.place) not in known]
-    if strange:
+def _true_values(sensitivities: CampaignSensitivities, case: TrueCase) -> dict[Hypothesis, Array]:
+    """Return the true effects as hypotheses of the campaign."""
+    known = {(one.effect, one.place): one for one in sensitivities.fitted.hypotheses}
+    unknown = [effect for effect in case.effects if (effect.name, effect.place) not in known]
+    if unknown:
         raise BadRequest(
-            f"{case.name}: {strange[0].name} at {strange[0].place} is not in today's catalogue; "
+            f"{case.name}: {unknown[0].name} at {unknown[0].place} is not in today's catalogue; "
             f"score it with the marsarm that made it"
         )
     found = [(known[effect.name, effect.place], effect.values) for effect in case.effects]

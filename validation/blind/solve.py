@@ -1,4 +1,4 @@
-"""Every blind case that is not solved yet: what the diagnosis says of it, and what others say."""
+"""Solving of blind cases: the diagnosis and the baselines of every case without a result."""
 
 import time
 from collections.abc import Callable
@@ -13,25 +13,25 @@ from validation.blind.case_features import CampaignSensitivities, CaseFeatures, 
 from validation.blind.folder import CAMPAIGN_FOLDER, list_cases, result_path, write_json
 
 DIAGNOSIS_SEED: Final = 1
-"""Of what is drawn in a diagnosis; it has nothing to do with that of the cases."""
+"""Seed of the diagnosis, independent of the seed of the cases."""
 
 
 class NoDiagnosis(ValueError):
-    """A case that a solver cannot say anything of; the message says why."""
+    """Case that cannot be diagnosed; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class Solver:
-    """How a robot's cases are solved: functions of modules, so that other processes find them."""
+    """Functions that solve the cases of a robot, at module level so that other processes can import them."""
 
     prepare_campaign: Callable[[Path, Runner, Progress], object]
-    """Computes what is not kept yet of the campaign in a folder, with all that can work."""
+    """Compute what is not cached yet of the campaign in a folder, in parallel."""
     load_sensitivities: Callable[[Path], CampaignSensitivities]
-    """The campaign in a folder."""
+    """Load the sensitivities of the campaign in a folder."""
     diagnose: Callable[[Path, Path], tuple[dict[str, Any], CaseFeatures]]
-    """What is said of a case's folder, beside the campaign's: what `marsarm diagnose --json` says.
+    """Diagnose a case's folder with the campaign's folder; return result document and residuals.
 
-    And what its logs say, for the baselines and for what the truth would achieve. NoDiagnosis if it cannot.
+    Raises NoDiagnosis if the case cannot be diagnosed.
     """
 
 
@@ -42,15 +42,18 @@ class _Job:
 
 
 def solve_cases(folder: Path, solver: Solver, run: Runner, progress: Progress) -> tuple[int, int]:
-    """How many cases were solved now, and how many are by now. The truth is never looked at.
+    """Solve all cases without a result; never read the truth.
+
+    Returns:
+        Number of cases solved now, and number of all cases.
 
     Raises:
-        BadRequest: this is no folder of blind cases.
-        BadOutput: a result cannot be written.
+        BadRequest: This is no folder of blind cases.
+        BadOutput: A result cannot be written.
     """
     cases = list_cases(folder)
     jobs = [_Job(case, solver) for case in cases if not result_path(case).exists()]
-    if jobs:  # else every process would compute it for itself
+    if jobs:  # before the pool starts, else every process would compute it
         solver.prepare_campaign(folder / CAMPAIGN_FOLDER, run, progress)
     for done, name in enumerate(run(_solve_case, jobs), 1):
         progress(done, len(jobs), name)
@@ -58,28 +61,30 @@ def solve_cases(folder: Path, solver: Solver, run: Runner, progress: Progress) -
 
 
 def features_path(case: Path) -> Path:
-    """Where the features of a solved case are kept."""
+    """Return the path of the residuals of a solved case."""
     return result_path(case).with_suffix(".features.json")
 
 
 def _solve_case(job: _Job) -> str:
-    """One case; only its result is written last, so that a case that was cut short is solved again."""
+    """Solve one case; its result is written last, so that an interrupted case is solved again."""
     campaign = job.case.parent.parent / CAMPAIGN_FOLDER
-    kept = job.solver.load_sensitivities(campaign)  # what is known before a case is no part of its time
+    sensitivities = job.solver.load_sensitivities(
+        campaign
+    )  # what is known before a case is no part of its time
     began = time.process_time()
     try:
-        said, features = job.solver.diagnose(job.case, campaign)
+        result, features = job.solver.diagnose(job.case, campaign)
     except NoDiagnosis as why:
         write_json(result_path(job.case), _refusal(str(why), time.process_time() - began))
         return job.case.name
     seconds = time.process_time() - began
-    others = baselines(prepare_trial(*split_case(kept, features)), DIAGNOSIS_SEED)
+    others = baselines(prepare_trial(*split_case(sensitivities, features)), DIAGNOSIS_SEED)
     write_json(features_path(job.case), features.document())
-    write_json(result_path(job.case), {**said, "seconds": seconds, "baselines": others})
+    write_json(result_path(job.case), {**result, "seconds": seconds, "baselines": others})
     return job.case.name
 
 
 def _refusal(why: str, seconds: float) -> dict[str, Any]:
-    """Nothing is said, and it counts as that."""
+    """Return the result of a case that cannot be diagnosed: "unknown", without effects."""
     nothing: dict[str, Any] = {"effects": [], "ranking": [], "closure": None, "baselines": {}}
     return {"verdict": "unknown", "refused": why, **nothing, "seconds": seconds}

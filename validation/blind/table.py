@@ -1,4 +1,4 @@
-"""A score as a document and as a table that people read."""
+"""Score as a JSON document and as a Markdown page."""
 
 import json
 from collections.abc import Iterator
@@ -13,18 +13,18 @@ from validation.blind.score import DetectionRates, Median, Score
 
 
 def score_json(score: Score) -> dict[str, Any]:
-    """Plain; what is not finite is None."""
+    """Return the JSON document; NaN and infinity are None."""
     document: dict[str, Any] = _plain(score)
     return document
 
 
 def score_markdown(score: Score) -> str:
-    """As a page."""
+    """Return the Markdown page."""
     return "\n".join(_lines(score)) + "\n"
 
 
 def save_score(score: Score, path: Path) -> None:
-    """As its name's ending says; BadOutput if it cannot be written."""
+    """Write JSON or Markdown by the suffix of the path; BadOutput if it cannot be written."""
     text = json.dumps(score_json(score), indent=1) + "\n" if path.suffix == ".json" else score_markdown(score)
     with atomic_write(path, "out") as file:
         file.write(text.encode())

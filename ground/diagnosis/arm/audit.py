@@ -102,7 +102,7 @@ def _not_finite(columns: Mapping[str, NDArray[Any]]) -> Iterator[str]:
             first = int(np.flatnonzero(rows.any(axis=1))[0])
             yield (
                 f"{name} is not a number {int(rows.sum())} times, first at {first / CYCLE_HZ:.2f} s; "
-                f"leave the recording out or cut it before"
+                f"remove the recording, or cut it before that time"
             )
 
 
@@ -113,7 +113,7 @@ def _time_base(recording: Recording) -> Iterator[str]:
         lost = int(np.sum(np.maximum(steps[gaps] - 1, 0)))
         yield (
             f"the avionics' count of cycles jumps {gaps.size} times, first at {gaps[0] / CYCLE_HZ:.2f} s "
-            f"({lost} cycles are missing): what was driven meanwhile is not known"
+            f"({lost} cycles are missing): the commands in between are unknown"
         )
 
 
@@ -144,7 +144,7 @@ def _clipped(recording: Recording) -> Iterator[str]:
             first = int(np.flatnonzero(high)[0])
             yield (
                 f"current_A[{int(joint)}] is at its limit {int(high.sum())} times, first at "
-                f"{first / CYCLE_HZ:.2f} s: the motor had no more to give"
+                f"{first / CYCLE_HZ:.2f} s: its torque was limited"
             )
         most = float(np.abs(current[:, joint]).max())
         flat = np.abs(current[:, joint]) == most
@@ -181,7 +181,7 @@ def _skew(recording: Recording) -> Iterator[str]:
         if misfit[best] < SKEW_MISFIT_SHARE * usual:
             yield (
                 f"{segment.joint.name.lower()}: encoders follow their set-points by {best} ticks "
-                f"({best / CYCLE_HZ:.3f} s): one of the two has another time"
+                f"({best / CYCLE_HZ:.3f} s): their clocks differ"
             )
             return
 
@@ -213,17 +213,17 @@ def _audit_campaign(recordings: Sequence[Recording]) -> Iterator[str]:
         if count < MIN_SEGMENTS:
             yield (
                 f"{joint.name.lower()} moves {count} times; without {MIN_SEGMENTS} motions of it, "
-                f"one each way, nothing can be said of its actuator"
+                f"one each way, its actuator cannot be diagnosed"
             )
     if not any(one.tracker_poses.tick.size for one in recordings):
-        yield "no recording has tracker poses (NAME.tracker.csv): nothing can be said of links and frames"
+        yield "no recording has tracker poses (NAME.tracker.csv): links and frames cannot be diagnosed"
     if not any(find_rests(one) for one in recordings):
-        yield "the arm rests nowhere for half a second: nothing can be said of it at rest"
+        yield "the arm never rests for half a second: rests cannot be compared"
     names = [one.block for one in recordings]
     if len(set(names)) == 1:
-        yield "there is one motion alone: what explains it cannot be tried on another"
+        yield "there is only one motion: its explanation cannot be tested on another"
     if len(set(names)) == len(names):
-        yield "no motion was done twice: the floor is assumed to be the noise of the drawing's sensors"
+        yield "no motion was repeated: the noise floor is assumed to be that of the nominal sensors"
 
 
 def _motions(recordings: Sequence[Recording]) -> Counter[Joint]:

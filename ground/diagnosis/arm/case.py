@@ -132,7 +132,7 @@ def fit_case(
     recordings, held_out = (sorted(some, key=attrgetter("name")) for some in (recordings, held_out))
     layout = campaign.model.sensitivities.layout
     arm, floor = _case_simulator(recordings, campaign, patch)
-    # without a patch the simulator has what it had of the campaign
+    # without a patch, the nominal prediction of the campaign is valid
     first = build_case_simulator(
         arm, layout, campaign.keys, None if patch else campaign.model.sensitivities.nominal
     )
@@ -242,7 +242,7 @@ def _check_motion(case: CaseSimulator, campaign: CampaignModel) -> None:
         return
     raise TooLittleMotion(
         f"{case.rows.size} of the campaign's {layout.size} features are in these logs; "
-        f"nothing comparable is there of: {', '.join(_missing_sessions(case, campaign))}"
+        f"they lack the motions: {', '.join(_missing_sessions(case, campaign))}"
     )
 
 
@@ -250,7 +250,9 @@ def _missing_session_notes(case: CaseSimulator, campaign: CampaignModel) -> list
     """Return a note on sessions of the campaign that the case lacks."""
     missing = _missing_sessions(case, campaign)
     return (
-        [f"of the campaign's motions nothing comparable is there of {', '.join(missing)}"] if missing else []
+        [f"these logs have nothing comparable to the campaign's motions {', '.join(missing)}"]
+        if missing
+        else []
     )
 
 
@@ -258,7 +260,7 @@ def _threshold_notes(model: DiagnosisModel, campaign: CampaignModel) -> list[str
     """Return a note if thresholds were calibrated for other features, or for a lower noise floor."""
     if model is campaign.model:
         return []
-    return ["thresholds are those of the whole campaign with its own floor, which this is not"]
+    return ["thresholds are those of the whole campaign with its noise floor, not those of this case"]
 
 
 def _missing_sessions(case: CaseSimulator, campaign: CampaignModel) -> list[str]:

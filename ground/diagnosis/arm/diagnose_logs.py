@@ -142,10 +142,7 @@ def _parse_effects(names: str) -> tuple[str, ...]:
 
 def _unknown_effect(name: str, known: set[str]) -> str:
     if name in catalogue():
-        return (
-            f"catalogue: {name} is an effect whose size alone does not make it a cause that could be told; "
-            "leave it out"
-        )
+        return f"catalogue: {name} is an effect that a diagnosis cannot identify; leave it out"
     near = get_close_matches(name.lower(), sorted(known), n=MAX_SUGGESTIONS, cutoff=0.4)
     meant = f"did you mean {' or '.join(near)}? " if near else ""
     return f"catalogue: effect {shorten(name)!r} is not known; {meant}`marsarm effects` lists what there is"

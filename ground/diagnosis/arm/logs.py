@@ -94,8 +94,8 @@ def load_recording(path: Path) -> Recording:
         raise NotForDiagnosis(str(error)) from error
     if inputs.reference is None:
         raise NotForDiagnosis(
-            f"log {path}: its header holds no zeros of the joints, so counts are no angles; record it after "
-            f"an initialisation, or give boot.reference in the [start] of the import"
+            f"log {path}: its header holds no zeros of the joints, so counts cannot be converted "
+            f"to angles; record it after an initialisation, or give boot.reference in the [start] of the import"
         )
     ticks = min(inputs.ticks, len(_drive_packets(log)))
     drive = {f.name: _drive_packets(log)[f.name][:ticks] for f in fields(ActuatorCommand)}
@@ -186,7 +186,7 @@ def _changes(values: NDArray[Any]) -> list[bool]:
 def _drive_packets(log: Log) -> NDArray[np.void]:
     if DRIVE not in log.packets:
         raise NotForDiagnosis(
-            f"log {log.path}: has no {DRIVE}, so nobody knows what the motor controllers were given; "
+            f"log {log.path}: has no {DRIVE}, so the commands to the motor controllers are unknown; "
             f"map set-points, power, brakes and limits to {DRIVE} in the import"
         )
     return log[DRIVE]

@@ -51,8 +51,8 @@ def estimate_floor(feature_set: FeatureSet) -> NoiseFloor:
         notes.append(f"{name}: {len(mine)} pairs of repeats differ by {ratio:.2f} times the sensors' noise")
     if doubted.any():
         notes.append(
-            f"{int(doubted.sum())} of {doubted.size} features hardly count: the arm rests where friction "
-            f"nearly lets go, a joint has not yet turned through its gap, or a tool is about to touch"
+            f"{int(doubted.sum())} of {doubted.size} features have little weight: the arm rests near the "
+            f"friction limit, a joint has not yet turned through its backlash, or a tool is about to touch"
         )
     return NoiseFloor(np.where(doubted, np.hypot(sigma, doubt), sigma), tuple(notes))
 

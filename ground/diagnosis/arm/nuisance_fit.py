@@ -75,7 +75,7 @@ def fit_nuisances(model: DiagnosisModel, first: CaseSimulator, patch: tuple[Effe
     beside = _iterate(model, alone, patch, lambda current: current.selection.chosen)
     if not beside.selection.chosen:
         return beside
-    # what wins from `alone` has nuisances elsewhere, so only what is left there without it can be believed
+    # nuisances differ between both fits, so the null deviance of `alone` is the fair reference
     return _compare_runner_up(model, alone, beside, patch) if beside.cost < alone.null_deviance else alone
 
 
@@ -88,7 +88,7 @@ def _compare_runner_up(
         return beside
     try:
         return _compare_by_simulation(model, alone, beside, runner_up, patch)
-    except PlantDiverged:  # there is no such arm, so it explains nothing
+    except PlantDiverged:  # no such arm exists, so the runner-up explains nothing
         return beside
 
 
@@ -100,7 +100,7 @@ def _compare_by_simulation(
     patch: tuple[Effect, ...],
 ) -> NuisanceFit:
     runner_up_fit = _iterate(model, alone, patch, lambda _: runner_up)
-    if not runner_up_fit.selection.chosen:  # where the rival would be, nothing may be the simpler explanation
+    if not runner_up_fit.selection.chosen:  # nuisances alone may be simpler
         return runner_up_fit if runner_up_fit.null_deviance < beside.cost else beside
     chosen = beside.selection.chosen
     current = _iterate(model, beside, patch, lambda _: chosen)

@@ -81,5 +81,5 @@ def stack_readings(readings: Sequence[Sensors]) -> SensorColumns:
 
 
 def _turret(arm: OpenLoopArm) -> Pose:
-    arm.plant.truth()  # brings the kinematics up to date
+    arm.plant.truth()  # updates the kinematics
     return turret_pose(arm.plant)

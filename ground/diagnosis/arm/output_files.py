@@ -68,7 +68,7 @@ def new_params(base: Params, effects: tuple[Effect, ...]) -> Params:
         params = effect.on_params(params)
     if params == base:
         names = ", ".join(effect_text(effect) for effect in effects)
-        raise NothingToWrite(f"flight parameters have no word for {names}")
+        raise NothingToWrite(f"there is no flight parameter for {names}")
     try:
         check_params(params, "flight software would not take them")
     except BadParams as error:
@@ -89,9 +89,9 @@ def save_new_params(result: DiagnosisResult, base: Params, path: Path) -> None:
         effect_name(type(effect)) for effect in effects if not has_flight_parameter(type(effect))
     ]
     comments = [
-        "Flight parameters that know what a diagnosis found; those that are not here are nominal.",
+        "Flight parameters with the findings of a diagnosis; all others are nominal.",
         *(f"Effect: {effect_text(effect)}" for effect in effects),
-        *(f"They have no word for {name}." for name in without_parameter),
+        *(f"There is no flight parameter for {name}." for name in without_parameter),
     ]
     with atomic_write(path, "new-params") as file:
         file.write(params_toml(nominal_params(), params, comments).encode())
@@ -100,13 +100,13 @@ def save_new_params(result: DiagnosisResult, base: Params, path: Path) -> None:
 def _patch_comments(result: DiagnosisResult) -> list[str]:
     """Return comment lines: the findings, their confusable effects and their alternatives."""
     names = [hypothesis.name for hypothesis in result.model.sensitivities.hypotheses]
-    lines = ["What a diagnosis found; switch it on with --effect and the name of this file."]
+    lines = ["Findings of a diagnosis; switch them on with --effect and the name of this file."]
     for finding in result.diagnosis.findings:
         own = names[finding.hypothesis]
         alike = [names[one] for one in finding.confusable if one != finding.hypothesis]
         rest = [names[one] for one, _ in list_alternatives(finding)]
-        lines += [f"{own} is not told from {one}." for one in alike]
-        lines += [f"In the stead of {own} may stand {one}." for one in rest]
+        lines += [f"{own} cannot be distinguished from {one}." for one in alike]
+        lines += [f"{one} is an alternative to {own}." for one in rest]
     return lines
 
 

@@ -93,7 +93,7 @@ def _measure_turret(
     loop: ClosedLoop, session: DiagnosisSession, tick: int, rng: np.random.Generator
 ) -> list[tuple[int, Pose, Array]]:
     """Measure the turret pose with the tracker; nothing if too few targets are visible."""
-    loop.plant.truth()  # brings the kinematics up to date
+    loop.plant.truth()  # updates the kinematics
     try:
         seen = measure_pose(
             TYPICAL_TRACKER, loop.plant, session.world.tilt_roll_rad, turret_pose(loop.plant), rng
@@ -159,7 +159,7 @@ def record_logs(request: RecordRequest, progress: Progress) -> list[Path]:
                 made = record_campaign(folder, [session], arm, reference, seed, lambda *_: None, begun)
                 paths += [request.out / log.relative_to(part) for log in made]
     except (SessionFailed, PlantDiverged) as error:
-        raise BadRequest(f"effect: {error}; with smaller effects it may come to its end") from error
+        raise BadRequest(f"effect: {error}; with smaller effects it may complete") from error
     except OSError as error:
         raise BadRequest(f"out {request.out}: cannot be written ({error.strerror or error})") from error
     progress(len(wanted), len(wanted), "recorded")

@@ -95,7 +95,7 @@ def solve_rests(turning_points: Sequence[TurningPoints], effects: Sequence[Effec
         hardware = effect.on_hardware(hardware)
         if np.array_equal(before, hardware.counter_zero_rad):
             params = effect.on_params(params)
-        # else flight software's word for the shifted zero is a turned link: one of both is enough
+        # else the effect is applied once, as hardware: on_params would apply the shifted zero again
     config = configure(params)
     return [
         _solve_statics(one, config, hardware, effects) if one.rests else NO_RESTS for one in turning_points

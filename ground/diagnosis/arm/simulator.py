@@ -126,7 +126,7 @@ class AffectedMotions:
 
     def _shows(self, effect: Effect, one: MotionFeatures) -> bool:
         if isinstance(effect, (HardstopStiffness, *REST_ONLY_EFFECTS)):
-            return False  # no motion of a campaign comes to a hardstop
+            return False  # no motion of a campaign reaches a hardstop
         joint = getattr(effect, "joint", None)
         return joint is None or any(segment.joint is Joint(joint) for segment in one.segments)
 

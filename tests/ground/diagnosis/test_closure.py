@@ -34,10 +34,12 @@ def apart(made, campaign):
 def test_closure_agrees_with_the_truth(made, campaign, apart, rng):
     """Of a large effect: noise-free, 1 - |true - predicted|^2 / |true|^2."""
     t = np.where(made.owner == 4, 1.5, 0.0)
-    told = diagnose(campaign, Residuals(made.layout, made.measured(rng, t, robot=1)), seed=1)
-    change = QuadraticSurrogate(apart.sensitivities).change(effect_values(told))
-    again = compute_held_out_residuals(told, apart, made.measured(rng, t, robot=1), change).closure(seed=1)
-    assert told.verdict == "named"
+    diagnosis = diagnose(campaign, Residuals(made.layout, made.measured(rng, t, robot=1)), seed=1)
+    change = QuadraticSurrogate(apart.sensitivities).change(effect_values(diagnosis))
+    again = compute_held_out_residuals(diagnosis, apart, made.measured(rng, t, robot=1), change).closure(
+        seed=1
+    )
+    assert diagnosis.verdict == "named"
     assert again.least <= 1.0 <= again.most + 0.05
     assert again.share == pytest.approx(1.0, abs=0.1)
     assert again.after < again.before
@@ -61,9 +63,9 @@ def test_half_an_effect_closes_three_quarters_however_high_the_floor_is_assumed(
     S, shares, covered = explainable(made, apart, 1000.0), [], 0
     for _ in range(20):
         r = S + chance(apart, rng, floor)
-        told = whitened_closure(apart, r, r - S / 2.0, 1)
-        shares.append(told.share)
-        covered += told.least <= 0.75 <= told.most
+        closure = whitened_closure(apart, r, r - S / 2.0, 1)
+        shares.append(closure.share)
+        covered += closure.least <= 0.75 <= closure.most
     assert np.median(shares) == pytest.approx(0.75, abs=0.02)
     assert covered >= 15
 
@@ -91,9 +93,9 @@ def test_an_effect_that_hardly_moves_what_is_held_out_is_shared_out_as_well(made
             continue
         S *= 12.0 / np.linalg.norm(S)
         r = S + chance(apart, rng)
-        told = whitened_closure(apart, r, r - S, 1)
-        shares.append(told.share)
-        lost += not told.least <= 1.0 <= told.most or told.after < 0.0
+        closure = whitened_closure(apart, r, r - S, 1)
+        shares.append(closure.share)
+        lost += not closure.least <= 1.0 <= closure.most or closure.after < 0.0
     assert len(shares) > 10
     assert np.median(shares) == pytest.approx(1.0, abs=0.1)
     assert lost <= 0.2 * len(shares)
@@ -101,10 +103,10 @@ def test_an_effect_that_hardly_moves_what_is_held_out_is_shared_out_as_well(made
 
 def test_where_there_is_no_gap_no_share_is_claimed(apart, rng):
     noise = chance(apart, rng)
-    told = whitened_closure(apart, noise, noise, 1)
-    assert np.isnan(told.share)
-    assert told.least == -np.inf
-    assert told.before == pytest.approx(1.0, abs=0.5)
+    closure = whitened_closure(apart, noise, noise, 1)
+    assert np.isnan(closure.share)
+    assert closure.least == -np.inf
+    assert closure.before == pytest.approx(1.0, abs=0.5)
 
 
 def test_motion_that_was_used_for_fitting_is_refused(made, campaign):
@@ -130,7 +132,7 @@ def test_the_next_motion_is_the_one_that_separates(made, campaign, rng):
         "the same": campaign.equations,
         "another": form_normal_equations(replace(kept, effect=other)),
     }
-    told = rank_motions(campaign.equations, {h: np.array([2.0]) for h in pair}, candidates)
-    assert [motion.name for motion in told] == ["another", "the same"]
-    assert told[0].separation > 3.0 * told[0].now
-    assert told[1].separation >= told[1].now
+    motions = rank_motions(campaign.equations, {h: np.array([2.0]) for h in pair}, candidates)
+    assert [motion.name for motion in motions] == ["another", "the same"]
+    assert motions[0].separation > 3.0 * motions[0].now
+    assert motions[1].separation >= motions[1].now

@@ -47,19 +47,19 @@ def test_a_cause_that_is_left_out_seldom_gets_a_name(made, campaign, rng):
         t = np.where(
             made.owner == one, campaign.limits[one].limit * np.exp(rng.uniform(*np.log(LIMIT_MULTIPLES))), 0.0
         )
-        told = diagnose(_without(campaign, one), Residuals(made.layout, made.measured(rng, t)), seed=1)
-        named += told.verdict in ("named", "set")
+        diagnosis = diagnose(_without(campaign, one), Residuals(made.layout, made.measured(rng, t)), seed=1)
+        named += diagnosis.verdict in ("named", "set")
     assert named <= binom.ppf(0.975, cases, 0.15)
 
 
-def test_where_every_effect_has_kin_these_teach_what_a_name_needs(campaign, monkeypatch):
+def test_where_every_effect_has_an_alias_these_train_the_classifier(campaign, monkeypatch):
     of = (campaign.equations, campaign.label, campaign.cosine, campaign.limits, campaign.groups)
-    for kin in (0.0, 1.1):
-        monkeypatch.setattr("ground.diagnosis.thresholds.NEAR_ALIAS_COSINE", kin)
-        told = calibrate_thresholds(*of, seed=1, cases=20)
-        assert told.strangers == 20
-        assert told.wrong <= MAX_WRONG_NAMES
-        assert np.isfinite(told.trust.least)
+    for cosine in (0.0, 1.1):
+        monkeypatch.setattr("ground.diagnosis.thresholds.NEAR_ALIAS_COSINE", cosine)
+        thresholds = calibrate_thresholds(*of, seed=1, cases=20)
+        assert thresholds.strangers == 20
+        assert thresholds.wrong <= MAX_WRONG_NAMES
+        assert np.isfinite(thresholds.trust.least)
 
 
 def _without(campaign, one):
@@ -78,9 +78,11 @@ def test_the_margin_is_what_the_best_of_another_class_leaves(made, campaign, rng
     one = next(h for h in range(20, 40) if len(campaign.confusable(h)) == 1)
     t = np.where(made.owner == one, 4.0 * campaign.limits[one].limit, 0.0)
     case = reduce_features(equations, equations.whiten(made.measured(rng, t)))
-    won = select_effects(candidates, case)
-    features = compute_confidence_features(candidates, campaign.cosine, case, won.chosen, won.shares, 1.0)
-    assert won.chosen == (one,)
-    assert features.log_deviance == pytest.approx(np.log(won.likelihood_ratio))
-    assert 0.0 < np.expm1(features.log_margin) < won.neg_log10_p
+    selection = select_effects(candidates, case)
+    features = compute_confidence_features(
+        candidates, campaign.cosine, case, selection.chosen, selection.shares, 1.0
+    )
+    assert selection.chosen == (one,)
+    assert features.log_deviance == pytest.approx(np.log(selection.likelihood_ratio))
+    assert 0.0 < np.expm1(features.log_margin) < selection.neg_log10_p
     assert features.extra_effects == features.max_cosine == 0.0

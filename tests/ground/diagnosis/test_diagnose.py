@@ -41,12 +41,12 @@ def test_the_right_one_wins_and_its_interval_covers(made, campaign, rng):
         one = int(rng.integers(len(made.hypotheses)))
         t = _sized(made, campaign, one, 3.0)
         case, _ = reduce_residuals(campaign.equations, Residuals(made.layout, made.measured(rng, t)))
-        won = select_effects(campaign.candidates, case)
-        right += campaign.label[one] in campaign.label[list(won.chosen)]
-        if won.chosen == (one,):
+        selection = select_effects(campaign.candidates, case)
+        right += campaign.label[one] in campaign.label[list(selection.chosen)]
+        if selection.chosen == (one,):
             at = campaign.equations.columns((one,))
             sigma = np.sqrt(np.diag(np.linalg.inv(campaign.equations.R[-1][np.ix_(at, at)])))
-            covered += list(np.abs(won.t - t[at] * campaign.equations.scale[at]) < 1.645 * sigma)
+            covered += list(np.abs(selection.t - t[at] * campaign.equations.scale[at]) < 1.645 * sigma)
     assert right >= 0.95 * cases
     share = estimate_rate(sum(covered), len(covered))
     assert share.least <= 0.9 <= share.most
@@ -58,25 +58,25 @@ def test_a_pair_is_found_with_its_shares(made, campaign, rng):
         pair = rng.choice(len(made.hypotheses), 2, replace=False)
         t = sum(_sized(made, campaign, one, 3.5) for one in pair)
         case, _ = reduce_residuals(campaign.equations, Residuals(made.layout, made.measured(rng, t)))
-        won = select_effects(campaign.candidates, case)
-        hits += set(campaign.label[pair]) == set(campaign.label[list(won.chosen)])
-        assert all(0.0 <= share <= 1.0 + 1e-9 for share in won.shares)
+        selection = select_effects(campaign.candidates, case)
+        hits += set(campaign.label[pair]) == set(campaign.label[list(selection.chosen)])
+        assert all(0.0 <= share <= 1.0 + 1e-9 for share in selection.shares)
     assert hits >= 12
 
 
-def test_what_won_a_duel_keeps_its_numbers_in_whatever_order(made, campaign, rng):
+def test_the_winner_of_a_model_comparison_keeps_its_values_in_any_order(made, campaign, rng):
     pair = (2, 25)
     t = _sized(made, campaign, pair[0], 4.0) + _sized(made, campaign, pair[1], 6.0)
-    evidence = Residuals(made.layout, made.measured(rng, t))
-    case, y = reduce_residuals(campaign.equations, evidence)
-    told = diagnose(campaign, evidence, seed=1)
-    found_first = tuple(one.hypothesis for one in told.findings)
+    residuals = Residuals(made.layout, made.measured(rng, t))
+    case, y = reduce_residuals(campaign.equations, residuals)
+    diagnosis = diagnose(campaign, residuals, seed=1)
+    found_first = tuple(one.hypothesis for one in diagnosis.findings)
     assert sorted(found_first) == sorted(pair)
     for first in (found_first, found_first[::-1]):
         comparison = ModelComparison(first, fit_subset(campaign, y, case, first, None), (first[0], 8), 1.0)
-        findings = diagnose(campaign, evidence, seed=1, comparison=comparison).findings
+        findings = diagnose(campaign, residuals, seed=1, comparison=comparison).findings
         assert tuple(one.hypothesis for one in findings) == found_first
-        for one, same in zip(findings, told.findings, strict=True):
+        for one, same in zip(findings, diagnosis.findings, strict=True):
             np.testing.assert_allclose(one.values, same.values, rtol=1e-6)
         (instead,) = [one for one in findings if one.hypothesis == first[1]]
         assert 8 in instead.alternatives.hypotheses
@@ -87,16 +87,16 @@ def test_sets_hold_the_truth_and_intervals_the_size(made, campaign, rng):
     for _ in range(cases):
         one = int(rng.integers(len(made.hypotheses)))
         t = _sized(made, campaign, one, 2.0)
-        told = diagnose(campaign, Residuals(made.layout, made.measured(rng, t)), seed=1)
+        diagnosis = diagnose(campaign, Residuals(made.layout, made.measured(rng, t)), seed=1)
         true = [
             t * p.typical for t, p in zip(t[made.owner == one], made.hypotheses[one].parameters, strict=True)
         ]
-        for finding in told.findings:
+        for finding in diagnosis.findings:
             if finding.hypothesis == one:
                 covered += list((finding.least <= true) & (true <= finding.most))
-        reported = [h for f in told.findings for h in f.alternatives.hypotheses]
+        reported = [h for f in diagnosis.findings for h in f.alternatives.hypotheses]
         held += campaign.label[one] in campaign.label[reported]
-        sizes += [len(f.alternatives.hypotheses) for f in told.findings]
+        sizes += [len(f.alternatives.hypotheses) for f in diagnosis.findings]
     assert held >= binom.ppf(0.025, cases, 0.95)
     assert np.mean(sizes) < 2.0
     share = estimate_rate(sum(covered), len(covered))
@@ -112,9 +112,9 @@ def test_what_is_in_no_catalogue_gets_no_name(made, campaign, rng):
         place = int(rng.integers(len(layout.places)))
         shape = layout.condition[:, 1] * layout.condition[:, 3] + layout.condition[:, 4]
         extra = 2.0 * layout.sigma * shape * (layout.channel == 3 * place)
-        told = diagnose(campaign, Residuals(layout, made.measured(rng, extra=extra)), seed=1)
-        named += told.verdict in ("named", "set")
-        where += told.unexplained[0].place in (layout.places[place], "all")
+        diagnosis = diagnose(campaign, Residuals(layout, made.measured(rng, extra=extra)), seed=1)
+        named += diagnosis.verdict in ("named", "set")
+        where += diagnosis.unexplained[0].place in (layout.places[place], "all")
     assert named <= 0.15 * cases
     assert where >= 0.7 * cases
 

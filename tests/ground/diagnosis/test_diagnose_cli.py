@@ -45,7 +45,7 @@ def test_every_verdict_is_printed_on_a_screen(diagnose, results):
         assert len(done.stdout.splitlines()) <= SCREEN
 
 
-def test_three_effects_with_many_in_their_stead_fit_on_a_screen(diagnose, results):
+def test_three_effects_with_many_alternatives_fit_on_a_screen(diagnose, results):
     result = results["alike"]
     (finding,) = result.diagnosis.findings
     many = Alternatives(tuple(range(4, 16)), (0.2, *(0.06,) * 11))
@@ -53,11 +53,11 @@ def test_three_effects_with_many_in_their_stead_fit_on_a_screen(diagnose, result
     said = replace(result.diagnosis, findings=findings, verdict="set")
     done = diagnose(replace(result, diagnosis=said))
     assert done.exit_code == 0
-    assert "7 not told from it, 11 that may stand in its stead" in " ".join(done.stdout.split())
+    assert "7 confusable with it, 11 alternatives" in " ".join(done.stdout.split())
     assert len(done.stdout.splitlines()) <= SCREEN
 
 
-def test_what_is_surprising_and_predicts_nothing_is_told_as_that(diagnose, results):
+def test_a_significant_effect_that_predicts_nothing_is_reported_as_that(diagnose, results):
     result = results["unknown"]
     near = replace(result, diagnosis=replace(result.diagnosis, neg_log10_p=50.0))
     assert "is not in the catalogue" in " ".join(diagnose(result).stdout.split())
@@ -67,17 +67,17 @@ def test_what_is_surprising_and_predicts_nothing_is_told_as_that(diagnose, resul
     assert "Next: Record more motions that would show effect" in printed
 
 
-def test_a_motion_is_advised_only_if_it_would_tell_effects_apart(diagnose, results):
+def test_a_motion_is_advised_only_if_it_would_distinguish_effects(diagnose, results):
     result = results["alike"]
     best = replace(result.next_motion[0], separation=3.0)
     for separation, advised in ((3.0, True), (1e-5, False)):
         shown = replace(result, next_motion=(replace(best, separation=separation),))
         printed = " ".join(diagnose(shown).stdout.split())
         assert (f"Next: Record {best.name}: " in printed) == advised
-        assert ("No motion of this campaign would tell apart" in printed) != advised
+        assert ("No motion of this campaign would distinguish" in printed) != advised
 
 
-def test_the_document_is_what_is_told(diagnose, results):
+def test_the_document_is_the_json_output(diagnose, results):
     done = diagnose(results["undecided"], "--json")
     assert json.loads(done.stdout) == to_json(results["undecided"])
 
@@ -89,10 +89,10 @@ def test_the_page_is_one_file_with_the_verdict_on_top(diagnose, results, tmp_pat
         first, second = verdict_sentences(results[name])
         assert f"</h1>\n<p>{first} {second}</p>" in page
         assert page.count("src='data:image/png;base64,") == page.count("<img") == pictures
-    assert "is no name" in (tmp_path / "beside.html").read_text()
+    assert "no cause is named" in (tmp_path / "beside.html").read_text()
 
 
-def test_a_patch_that_has_nothing_to_say_is_not_written(diagnose, results, tmp_path):
+def test_a_patch_without_content_is_not_written(diagnose, results, tmp_path):
     done = diagnose(results["unknown"], "--patch", "found.toml")
     assert done.exit_code == 0
     assert "patch found.toml: not written: the verdict is unknown" in done.stderr

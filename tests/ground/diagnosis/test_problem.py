@@ -34,7 +34,7 @@ def test_what_is_kept_comes_back(made, tmp_path):
 def _plain(value):
     """Fields all the way down."""
     if is_dataclass(value):
-        return {candidates.name: _plain(getattr(value, candidates.name)) for candidates in fields(value)}
+        return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 

@@ -17,7 +17,7 @@ from sim.world import World
 BASE = nominal_params()
 
 
-def spoilt(recording: Recording, name: str, change: Callable[[np.ndarray], None]) -> Recording:
+def with_sensor_error(recording: Recording, name: str, change: Callable[[np.ndarray], None]) -> Recording:
     values = np.array(recording.sensors[name])
     change(values)
     return replace(recording, sensors={**recording.sensors, name: values})
@@ -57,7 +57,7 @@ def test_a_good_recording_is_passed_over_in_silence(recordings: list[Recording])
     [
         ("resolver_rad", stale, "is stale"),
         ("resolver_rad", degrees, "another unit"),
-        ("encoder_count", late, "one of the two has another time"),
+        ("encoder_count", late, "their clocks differ"),
         ("current_A", flat, "saturated"),
         ("gravity_R_m_s2", degrees, "m/s^2 are wanted"),
     ],
@@ -65,7 +65,7 @@ def test_a_good_recording_is_passed_over_in_silence(recordings: list[Recording])
 def test_what_is_wrong_is_said(
     recordings: list[Recording], name: str, change: Callable[[np.ndarray], None], words: str
 ) -> None:
-    assert any(words in said for said in find_anomalies(spoilt(recordings[0], name, change)))
+    assert any(words in note for note in find_anomalies(with_sensor_error(recordings[0], name, change)))
 
 
 @pytest.mark.parametrize(
@@ -79,14 +79,14 @@ def test_what_cannot_be_compared_is_refused(
     recordings: list[Recording], name: str, change: Callable[[np.ndarray], None], words: str
 ) -> None:
     assert not refusals(recordings, BASE)
-    assert any(words in said for said in refusals([spoilt(recordings[0], name, change)], BASE))
+    assert any(words in note for note in refusals([with_sensor_error(recordings[0], name, change)], BASE))
 
 
 def test_a_campaign_that_is_too_small_hears_what_is_missing(recordings: list[Recording]) -> None:
     said = audit_recordings(recordings[:1])
     assert any("moves 1 times" in sentence for sentence in said)
-    assert any("no motion was done twice" in sentence for sentence in said)
-    assert not any("no motion was done twice" in sentence for sentence in audit_recordings(recordings))
+    assert any("no motion was repeated" in sentence for sentence in said)
+    assert not any("no motion was repeated" in sentence for sentence in audit_recordings(recordings))
 
 
 def test_logs_in_which_nothing_moves_are_too_little(recordings: list[Recording]) -> None:

@@ -79,11 +79,11 @@ def test_a_case_has_the_same_features_whether_or_not_its_simulator_is_asked(
     odd = replace(again, features=(replace(again.features[0], key="odd"), *again.features[1:]))
     campaign = replace(campaign, motions=(first, odd))
     arm = build_simulator(campaign, estimate_floor(campaign).sigma, {}, SHORT_SETTLING)
-    given, simulate_open_loop = (
+    given, simulated = (
         build_case_simulator(arm, arm.layout, feature_keys(campaign), nominal)
         for nominal in (np.zeros(arm.layout.size), None)
     )
-    np.testing.assert_array_equal(given.rows, simulate_open_loop.rows)
+    np.testing.assert_array_equal(given.rows, simulated.rows)
     assert given.rows.size == arm.layout.size - 1
 
 
@@ -187,13 +187,13 @@ def test_a_sensitivity_is_the_difference_of_predictions(recordings: list[Recordi
 def test_joints_simulated_at_once_show_what_each_shows_alone(recordings: list[Recording], kind: str) -> None:
     campaign = build_feature_set([one for one in recordings if not one.tracker_poses.tick.size])
     simulator = build_simulator(campaign, estimate_floor(campaign).sigma, {kind: catalogue()[kind]})
-    nominal, stack_readings = simulator.predict_effects(()), list_columns(simulator)
-    wanted = [k for k, column in enumerate(stack_readings) if column.hypothesis is not None]
-    ((*at_once,),) = group_columns(simulator, stack_readings, wanted)
+    nominal, columns = simulator.predict_effects(()), list_columns(simulator)
+    wanted = [k for k, column in enumerate(columns) if column.hypothesis is not None]
+    ((*at_once,),) = group_columns(simulator, columns, wanted)
     assert at_once == wanted
     assert len(wanted) == len(Joint)
     # a whole typical size: what single counts of the encoders flip by does not grow with the step
-    sides = simulate_side(simulator, [stack_readings[k] for k in wanted], nominal, 0, [1.0] * len(wanted))
+    sides = simulate_side(simulator, [columns[k] for k in wanted], nominal, 0, [1.0] * len(wanted))
     zero = np.zeros(len(simulator.nuisances))
     for hypothesis, side in zip(simulator.hypotheses, sides, strict=True):
         (one,) = hypothesis.parameters
@@ -209,21 +209,21 @@ def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(recordings: li
     simulator = build_simulator(
         campaign, estimate_floor(campaign).sigma, {"gear-friction": catalogue()["gear-friction"]}
     )
-    nominal, stack_readings, sigma = (
+    nominal, columns, sigma = (
         simulator.predict_effects(()),
         list_columns(simulator),
         simulator.layout.sigma,
     )
-    begin, names = len(stack_readings) - len(simulator.nuisances), [one.name for one in simulator.nuisances]
+    begin, names = len(columns) - len(simulator.nuisances), [one.name for one in simulator.nuisances]
     own = [begin + names.index(f"friction {joint.name.lower()}") for joint in Joint]
     session = [begin + names.index(f"friction {joint.name.lower()} of a session") for joint in Joint]
-    same = find_aliases(simulator, stack_readings)
+    same = find_aliases(simulator, columns)
     assert not set(own) & set(same)
     assert [same[k] for k in session] == [(k, 1.0) for k in own]
-    assert [k for k, _ in find_shared_slopes(simulator, stack_readings).values()] == own
-    (at_once,) = group_columns(simulator, stack_readings, own)
+    assert [k for k, _ in find_shared_slopes(simulator, columns).values()] == own
+    (at_once,) = group_columns(simulator, columns, own)
     assert list(at_once) == own
-    sides = simulate_side(simulator, [stack_readings[k] for k in own], nominal, 0, [1.0] * len(own))
+    sides = simulate_side(simulator, [columns[k] for k in own], nominal, 0, [1.0] * len(own))
     for k, side in zip(own, sides, strict=True):
         one = np.zeros(len(simulator.nuisances))
         one[k - begin] = simulator.nuisances[k - begin].sigma
@@ -234,17 +234,17 @@ def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(recordings: li
 
 def test_sensitivities_are_kept_and_found_again(logs: list[Path], tmp_path: Path) -> None:
     poses = [path for path in logs if path.stem.startswith("poses")]
-    said: list[str] = []
+    calls: list[str] = []
     work, kinds = local_runner(1), ["resolver-bias", "link-stiffness"]
 
     def noted(*_: object) -> None:
-        said.append("computed")
+        calls.append("computed")
 
     first = compute_sensitivities(poses, tmp_path, work, noted, kinds).sensitivities
-    assert said
-    said.clear()
+    assert calls
+    calls.clear()
     again = compute_sensitivities(poses, tmp_path, work, noted, kinds).sensitivities
-    assert not said
+    assert not calls
     np.testing.assert_array_equal(first.effect, again.effect)
     assert np.linalg.matrix_rank(first.only(["resolver-bias"]).effect) == len(Joint)
     assert first.layout.channels[0] == "azimuth resolver-encoder"

@@ -112,7 +112,7 @@ def test_the_simulator_is_asked_only_about_nuisances_that_an_arm_may_have(
     assert 9.0 * CALIBRATED_FRAME_SIGMA_M < np.abs(shifts).max() < 10.1 * CALIBRATED_FRAME_SIGMA_M
 
 
-def test_a_rival_that_is_no_arm_has_lost(
+def test_a_runner_up_that_diverges_loses(
     against: CampaignModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     logs = recorded(tmp_path, (LinkLength(Frame.ARM3, "x", 5e-3),), 9)
@@ -124,9 +124,9 @@ def test_a_rival_that_is_no_arm_has_lost(
     monkeypatch.setattr(
         "ground.diagnosis.arm.nuisance_fit._find_runner_up", lambda known, alone, chosen: (0,)
     )
-    fought = fit_case(fitted, [], against)
-    assert fought.comparison is not None
-    assert fought.comparison.runner_up == (0,)
+    compared = fit_case(fitted, [], against)
+    assert compared.comparison is not None
+    assert compared.comparison.runner_up == (0,)
     monkeypatch.setattr("ground.diagnosis.arm.nuisance_fit._fit_simulated", diverged)
     assert fit_case(fitted, [], against).comparison is None
 
@@ -173,4 +173,4 @@ def test_a_part_of_the_effects_is_taken_from_what_is_kept_of_all(
 def test_sessions_that_are_missing_are_said(nominal: Logs, against: CampaignModel) -> None:
     some = [load_recording(path) for path in nominal[0] if path.stem != "poses-level-2"]
     said = fit_case(some, [], against).notes
-    assert "of the campaign's motions nothing comparable is there of poses-level-2" in said
+    assert "these logs have nothing comparable to the campaign's motions poses-level-2" in said

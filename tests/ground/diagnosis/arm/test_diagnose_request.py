@@ -19,16 +19,16 @@ def folder(tmp_path):
 
 
 def test_a_folder_is_all_logs_in_it(folder):
-    asked = build_request([folder / "logs"], [folder / "other.mcap"])
-    assert [path.name for path in asked.logs] == ["a.mcap", "b.mcap"]
-    assert [path.name for path in asked.held_out] == ["other.mcap"]
-    assert asked.kinds is None
+    request = build_request([folder / "logs"], [folder / "other.mcap"])
+    assert [path.name for path in request.logs] == ["a.mcap", "b.mcap"]
+    assert [path.name for path in request.held_out] == ["other.mcap"]
+    assert request.kinds is None
 
 
 def test_effects_are_named_in_any_order(folder):
-    asked = build_request([folder / "logs"], names="gear-stiffness, coulomb-friction,gear-stiffness")
-    assert sorted(asked.kinds) == ["coulomb-friction", "gear-stiffness"]
-    assert list(asked.kinds) == [name for name in catalogue() if name in asked.kinds]
+    request = build_request([folder / "logs"], names="gear-stiffness, coulomb-friction,gear-stiffness")
+    assert sorted(request.kinds) == ["coulomb-friction", "gear-stiffness"]
+    assert list(request.kinds) == [name for name in catalogue() if name in request.kinds]
 
 
 def test_what_is_held_out_takes_no_part_in_fitting(folder):

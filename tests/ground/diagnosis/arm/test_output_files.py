@@ -39,7 +39,10 @@ def test_a_finding_is_the_effect_of_the_size_that_was_found(softer):
 def test_the_patch_is_what_the_option_effect_takes(softer, tmp_path):
     save_patch(softer, tmp_path / "found.toml")
     assert parse_effects((str(tmp_path / "found.toml"),)) == effects_of_findings(softer)
-    assert "gear-stiffness at elbow is not told from effect 7" in (tmp_path / "found.toml").read_text()
+    assert (
+        "gear-stiffness at elbow cannot be distinguished from effect 7"
+        in (tmp_path / "found.toml").read_text()
+    )
 
 
 def test_flight_parameters_know_what_was_found(softer, tmp_path):
@@ -50,12 +53,12 @@ def test_flight_parameters_know_what_was_found(softer, tmp_path):
     assert read.joints.elbow.gear_stiffness_Nm_rad == pytest.approx(softened)
 
 
-def test_what_flight_parameters_have_no_word_for_gives_no_file(results, tmp_path):
+def test_an_effect_without_flight_parameter_gives_no_file(results, tmp_path):
     effect = _hypothesis("coulomb-friction at elbow")
     sizes = [p.typical if p.is_amplitude else p.absent for p in effect.parameters]
     (found,) = effects_of_findings(as_of(results["named"], effect, sizes))
     assert isinstance(found, CoulombFriction)
-    with pytest.raises(NothingToWrite, match="no word for coulomb-friction:elbow"):
+    with pytest.raises(NothingToWrite, match="no flight parameter for coulomb-friction:elbow"):
         new_params(nominal_params(), (found,))
 
 

@@ -143,9 +143,9 @@ def test_others_stand_in_the_same_table() -> None:
 @pytest.mark.parametrize("of", [6, 25, 60])
 def test_the_interval_of_a_median_holds_it_as_often_as_it_says(of: int) -> None:
     """By the binomial: it misses if too many of the values are on one side."""
-    told = median_with_interval([float(value) for value in range(of)])
-    below = round(told.least)
+    median = median_with_interval([float(value) for value in range(of)])
+    below = round(median.least)
     assert 2.0 * binom.cdf(below, of, 0.5) <= 0.05
     assert 2.0 * binom.cdf(below + 1, of, 0.5) > 0.05
-    assert told.most == of - 1 - below
+    assert median.most == of - 1 - below
     assert np.isinf(median_with_interval([1.0, 2.0]).least)

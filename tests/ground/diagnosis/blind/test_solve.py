@@ -55,11 +55,11 @@ def test_what_is_solved_stays_and_the_rest_is_solved(folder) -> None:
 def test_the_campaign_is_known_once_and_before_any_case(folder) -> None:
     solve_cases(folder.path, folder.solver, RUN, quiet)
     result_path(folder.path / "cases" / "case-009").unlink()
-    asked: list[Path] = []
-    solver = replace(folder.solver, known=lambda campaign, *_: asked.append(campaign))
+    prepared: list[Path] = []
+    solver = replace(folder.solver, prepare_campaign=lambda campaign, *_: prepared.append(campaign))
     assert solve_cases(folder.path, solver, RUN, quiet) == (1, 10)
     assert solve_cases(folder.path, solver, RUN, quiet) == (0, 10)
-    assert asked == [folder.path / "campaign"]
+    assert prepared == [folder.path / "campaign"]
 
 
 def mute(case: Path, campaign: Path) -> Any:
@@ -70,9 +70,9 @@ def test_a_case_that_nobody_can_diagnose_does_not_keep_others_from_being_solved(
     for path in (folder.path / SOLVED_FOLDER).glob("*"):
         path.unlink()
     assert solve_cases(folder.path, replace(folder.solver, diagnose=mute), RUN, quiet) == (10, 10)
-    told = load_results(folder.path)["case-003"]
-    assert (told["verdict"], told["refused"]) == ("unknown", "case-003 has no logs of campaign")
-    found = score_folder(folder.path, folder.solver.kept, partial=False)
+    result = load_results(folder.path)["case-003"]
+    assert (result["verdict"], result["refused"]) == ("unknown", "case-003 has no logs of campaign")
+    found = score_folder(folder.path, folder.solver.load_sensitivities, partial=False)
     assert found.false_alarm.share == 1.0
     assert found.found.in_set.hits == 0
     for path in (folder.path / SOLVED_FOLDER).glob("*"):
@@ -81,7 +81,7 @@ def test_a_case_that_nobody_can_diagnose_does_not_keep_others_from_being_solved(
 
 def test_solved_cases_are_scored(folder) -> None:
     solve_cases(folder.path, folder.solver, RUN, quiet)
-    found = score_folder(folder.path, folder.solver.kept, partial=False)
+    found = score_folder(folder.path, folder.solver.load_sensitivities, partial=False)
     assert (found.cases, found.false_alarm.of, found.wrong_name.of) == (10, 3, 2)
     true = [one for case in folder.truth.cases if case.kind in ("single", "pair") for one in case.effects]
     assert found.found.place.of == sum(one.times_limit >= 1.0 for one in true)
@@ -96,8 +96,8 @@ def test_cases_that_are_not_solved_are_counted(folder) -> None:
     for number in (2, 5, 7):
         result_path(folder.path / "cases" / f"case-00{number}").unlink()
     with pytest.raises(BadRequest, match="3 of 10 cases are not solved, case-002 first"):
-        score_folder(folder.path, folder.solver.kept, partial=False)
-    assert score_folder(folder.path, folder.solver.kept, partial=True).cases == 7
+        score_folder(folder.path, folder.solver.load_sensitivities, partial=False)
+    assert score_folder(folder.path, folder.solver.load_sensitivities, partial=True).cases == 7
 
 
 GOOD = {
@@ -153,7 +153,7 @@ def test_a_size_that_an_effect_has_not_is_refused(folder) -> None:
     finding = {"name": one.name, "place": one.place, "parameters": [size], "alternatives": []}
     path.write_text(json.dumps(json.loads(before) | {"verdict": "named", "effects": [finding]}))
     with pytest.raises(BadRequest, match=f"{case.name}: {one.name} has no size_of_another"):
-        score_folder(folder.path, folder.solver.kept, partial=False)
+        score_folder(folder.path, folder.solver.load_sensitivities, partial=False)
     path.write_bytes(before)
 
 
@@ -170,7 +170,7 @@ def test_a_changed_truth_is_not_scored_against(folder) -> None:
     text = (folder.path / TRUTH).read_text()
     (folder.path / TRUTH).write_text(text.replace('"none"', '"single"', 1))
     with pytest.raises(BadRequest, match="is not what was sealed"):
-        score_folder(folder.path, folder.solver.kept, partial=True)
+        score_folder(folder.path, folder.solver.load_sensitivities, partial=True)
 
 
 def test_a_folder_of_something_else_is_refused(tmp_path: Path, folder) -> None:

@@ -133,7 +133,7 @@ def test_a_case_is_there_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest
         raise KeyboardInterrupt
 
     with monkeypatch.context() as broken:
-        broken.setattr(make, "check_sealed", stopped)
+        broken.setattr(make, "check_leakage", stopped)
         with pytest.raises(KeyboardInterrupt):
             make._record_job(make._Job(tmp_path, case))
     assert list((tmp_path / "cases").iterdir()) == []
