@@ -99,7 +99,7 @@ class CommandEntry(LogEntry):
 
 def json_fields(event: Evr | Command) -> dict[str, Any]:
     """Encode the fields of a command or EVR as JSON."""
-    return dict(record_to_json(event))
+    return {f.name: record_to_json(getattr(event, f.name)) for f in fields(event)}
 
 
 def evr_entry(tick: int, evr: Evr) -> EvrEntry:

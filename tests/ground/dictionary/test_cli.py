@@ -61,9 +61,9 @@ def test_a_pattern_that_matches_nothing_is_refused_with_what_was_meant() -> None
     assert "did you mean /joint.motor_rad?" in out("/joint/moter_rad", status=2)
 
 
-def test_where_nothing_is_meant_the_way_to_all_names_is_told() -> None:
-    said = " ".join(out("nosuch", status=2).split())
-    assert said == (
+def test_without_a_similar_name_the_error_says_how_to_list_all() -> None:
+    message = " ".join(out("nosuch", status=2).split())
+    assert message == (
         "dictionary: nothing is called 'nosuch'; `marsarm dictionary` lists all there is, "
         "and a pattern is written as '*tilt*', where * stands for any letters"
     )

@@ -1,4 +1,4 @@
-"""Nothing is in the dictionary without its unit and its words; nothing of the classes is missing from it."""
+"""Every class is in the dictionary, and every entry has its unit and its text."""
 
 from typing import get_args
 
@@ -26,8 +26,8 @@ def whole() -> Dictionary:
 
 def fields_of(whole: Dictionary) -> list[tuple[str, FieldDefinition]]:
     entries: list[Definition] = [*whole.commands, *whole.evrs, *whole.packets]
-    told = [(f"{entry.name}.{one.name}", one) for entry in entries for one in entry.fields]
-    return told + [(one.name, one) for one in whole.parameters]
+    named = [(f"{entry.name}.{one.name}", one) for entry in entries for one in entry.fields]
+    return named + [(one.name, one) for one in whole.parameters]
 
 
 def test_every_number_has_a_unit_and_nothing_else_has(whole: Dictionary) -> None:
@@ -35,18 +35,18 @@ def test_every_number_has_a_unit_and_nothing_else_has(whole: Dictionary) -> None
         assert (one.unit is not None) == one.type.startswith(("float", "int")), name
 
 
-def test_every_entry_has_words(whole: Dictionary) -> None:
+def test_every_entry_has_a_text(whole: Dictionary) -> None:
     for entry in (*whole.commands, *whole.evrs, *whole.packets):
         assert entry.text, entry.name
 
 
-def test_every_channel_parameter_and_argument_has_words_of_its_own(whole: Dictionary) -> None:
-    told = [one for entry in (*whole.commands, *whole.packets) for one in entry.fields]
-    for one in (*told, *whole.parameters):
+def test_every_channel_parameter_and_argument_has_its_own_text(whole: Dictionary) -> None:
+    fields = [one for entry in (*whole.commands, *whole.packets) for one in entry.fields]
+    for one in (*fields, *whole.parameters):
         assert one.text, one.name
 
 
-def test_what_a_field_of_an_evr_means_is_said_beside_it_or_by_the_evr(whole: Dictionary) -> None:
+def test_every_field_of_an_evr_has_a_text_or_is_in_its_message(whole: Dictionary) -> None:
     for evr in whole.evrs:
         for one in evr.fields:
             assert one.text or f"{{e.{one.name}" in evr.message, f"{evr.name}.{one.name}"

@@ -1,4 +1,4 @@
-"""Two behaviours against each other: what differs is named, and nothing else is."""
+"""Comparison of two runs: it reports every difference, and nothing else."""
 
 import json
 
@@ -166,7 +166,7 @@ def test_only_chosen_channels_are_compared_but_events_always():
     assert [one.kind for one in found.evrs] == [EvrChange.MISSING]
 
 
-def test_what_only_one_side_has_is_told():
+def test_channels_of_only_one_run_are_reported():
     found = compare_behaviours(
         behaviour(a=angles(), c=np.zeros(TICKS)), behaviour(b=angles(), c=np.zeros((TICKS, 2)))
     )
@@ -177,7 +177,7 @@ def test_what_only_one_side_has_is_told():
     )
 
 
-def test_of_someone_elses_log_what_is_there_is_compared():
+def test_an_imported_log_is_compared_in_the_topics_that_it_has():
     was = behaviour(rad=angles(), evrs=())
     now = Behaviour(
         TICKS,

@@ -1,4 +1,4 @@
-"""What of a log can be replayed, and the sentence where nothing can."""
+"""Inputs of a replay from a log, and refusal of logs that cannot be replayed."""
 
 import json
 from dataclasses import replace
@@ -70,11 +70,11 @@ REFUSED = {
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_a_log_that_cannot_be_replayed_is_refused_with_a_sentence(case):
-    log, said = REFUSED[case]
+    log, message = REFUSED[case]
     with pytest.raises(NotReplayable) as caught:
         inputs_from_log(log)
     assert str(caught.value).startswith(f"log {LOG.path}: ")
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_sensors_of_another_shape_are_refused():
@@ -107,7 +107,7 @@ def test_a_log_cut_short_is_replayed_to_the_last_tick_that_is_surely_whole():
     )
 
 
-def test_a_gap_ends_the_replay():
+def test_a_missing_tick_ends_the_replay():
     inputs = inputs_from_log(with_sensor_ticks(np.concatenate([np.arange(20), np.arange(30, 50)])))
     assert inputs.ticks == 19
     assert inputs.notes == (
@@ -125,7 +125,7 @@ def test_a_gap_ends_the_replay():
         ("/evr", 5, TICKS),
     ],
 )
-def test_a_recovered_log_is_replayed_up_to_what_was_lost_of_what_went_in(topic, after_tick, ticks):
+def test_a_recovered_log_is_replayed_up_to_the_first_lost_input(topic, after_tick, ticks):
     lost = LostMessages(topic, 1, None if after_tick is None else after_tick * TICK_NS, None)
     recovered = replace(LOG, lost=(lost,))
     if ticks is None:
@@ -137,7 +137,7 @@ def test_a_recovered_log_is_replayed_up_to_what_was_lost_of_what_went_in(topic, 
         assert inputs.notes[0] == f"recovered: {lost.sentence}"
 
 
-def test_parameters_that_were_not_known_then_are_todays_and_told():
+def test_parameters_that_were_not_known_then_are_todays_and_reported():
     params = json.loads(LOG.header["params"])
     del params["joints"]["wrist"]["speed_rad_s"]
     inputs = inputs_from_log(with_header(params=json.dumps(params)))

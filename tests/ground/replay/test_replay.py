@@ -1,4 +1,4 @@
-"""A log through today's flight software: what is changed in it is seen."""
+"""Replay of a log by today's flight software: every change shows."""
 
 from dataclasses import replace
 
@@ -25,13 +25,13 @@ def ticks_of(log) -> int:
 
 
 def silent(*_) -> None:
-    """No progress bar."""
+    """Ignore progress."""
 
 
-def replayed(tmp_path, toml: str = "", **asked):
+def replayed(tmp_path, toml: str = "", **request):
     path = tmp_path / "other.toml"
     path.write_text(toml)
-    return replay(ReplayRequest(asked.pop("log", LOG), params=path if toml else None, **asked), silent)
+    return replay(ReplayRequest(request.pop("log", LOG), params=path if toml else None, **request), silent)
 
 
 def test_what_would_it_have_done_with_another_parameter(tmp_path):
@@ -52,15 +52,15 @@ def test_the_parameters_of_the_log_stay_where_the_file_says_nothing(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("toml", "said"),
+    ("toml", "message"),
     [
         ("[joints.turret]\nspeed = 1\n", "joints.turret.speed: is not a parameter"),
         ("[joints.turret]\nspeed_rad_s = 9.0\n", "joints.turret.speed_rad_s: 9.0 is outside"),
         ("[joints", "is not TOML"),
     ],
 )
-def test_parameters_that_cannot_be_flown_are_refused(tmp_path, toml, said):
-    with pytest.raises(BadRequest, match=said.replace(".", r"\.")):
+def test_parameters_that_cannot_be_flown_are_refused(tmp_path, toml, message):
+    with pytest.raises(BadRequest, match=message.replace(".", r"\.")):
         replayed(tmp_path, toml)
 
 
@@ -88,7 +88,7 @@ def test_without_outputs_there_is_nothing_to_compare(tmp_path, monkeypatch):
         replayed(tmp_path, channel="nonsense")
 
 
-def test_a_software_error_is_told_even_with_nothing_to_compare(tmp_path, monkeypatch):
+def test_a_software_error_is_reported_even_with_nothing_to_compare(tmp_path, monkeypatch):
     def broken(config, state, sensors, commands):
         raise KeyError("nobody thought of that")
 
@@ -99,13 +99,13 @@ def test_a_software_error_is_told_even_with_nothing_to_compare(tmp_path, monkeyp
 
 
 @pytest.mark.parametrize(
-    ("content", "said"), [(b"", "an empty file"), (b"hello", "not an MCAP file"), (None, "cannot be read")]
+    ("content", "message"), [(b"", "an empty file"), (b"hello", "not an MCAP file"), (None, "cannot be read")]
 )
-def test_a_file_that_is_no_log_is_refused(tmp_path, content, said):
+def test_a_file_that_is_no_log_is_refused(tmp_path, content, message):
     path = tmp_path / "run.mcap"
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(BadRequest, match=said):
+    with pytest.raises(BadRequest, match=message):
         replayed(tmp_path, log=path)
 
 
@@ -179,7 +179,7 @@ def test_a_scenario_with_a_calibrated_arm_and_missed_cycles_replays_bit_for_bit(
 
 
 @pytest.mark.slow
-def test_a_scenario_of_the_house_replays_bit_for_bit(tmp_path):
+def test_a_scenario_of_the_project_replays_bit_for_bit(tmp_path):
     log = tmp_path / "run.mcap"
     run(RunRequest("bit-exchange", files=RunFiles(log)), silent)
     found = replayed(tmp_path, log=log).differences

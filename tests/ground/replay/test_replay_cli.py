@@ -28,10 +28,10 @@ def folder(tmp_path):
 
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_a_sentence_and_status_2(folder, case):
-    words, said = BAD[case]
+    words, message = BAD[case]
     done = marsarm(folder, "replay", *words)
     assert done.returncode == 2
-    assert said in " ".join(done.stderr.split())
+    assert message in " ".join(done.stderr.split())
     assert (done.stdout, "Traceback" in done.stderr) == ("", False)
 
 
@@ -51,8 +51,8 @@ def test_the_same_is_status_0(folder):
 def test_a_difference_is_status_3_and_events_come_first(folder):
     done = marsarm(folder, "replay", LOG, "--params", "other.toml", "--channel", "/drive.*")
     assert done.returncode == 3
-    said = [line.split()[0] for line in done.stdout.splitlines()]
-    assert said.index("parameter") < said.index("event") < said.index("channel")
+    labels = [line.split()[0] for line in done.stdout.splitlines()]
+    assert labels.index("parameter") < labels.index("event") < labels.index("channel")
     assert "/drive.setpoint_rate_rad_s[4]: from tick" in done.stdout
 
 

@@ -1,4 +1,4 @@
-"""Cycles to record, made from the contracts' annotations; run as a program, it records until it is killed."""
+"""Random cycles, made from the annotations of the messages; as a program it records until it is killed."""
 
 import struct
 import sys
@@ -29,7 +29,7 @@ Bytes = Callable[[int], bytes]
 
 
 def value_of(owner: type, name: str, hint: Any, some: Bytes) -> Any:
-    """Any value of an annotated type, its bits as `some` gives them."""
+    """Return a value of an annotated type, with bits from `some`."""
     kind = strip_optional(hint)
     if get_origin(kind) is np.ndarray:
         scalar = np.dtype(get_args(get_args(kind)[1])[0])
@@ -46,19 +46,19 @@ def value_of(owner: type, name: str, hint: Any, some: Bytes) -> Any:
 
 
 def packet_of(kind: type, some: Bytes, **given: Any) -> Any:
-    """A packet, or a whole cycle, of any content but what is given."""
+    """Return a packet, or a whole cycle, of random content except the given fields."""
     hints = get_type_hints(kind, include_extras=True)
     made = (f.name for f in fields(kind) if f.name not in given)
     return kind(**given, **{name: value_of(kind, name, hints[name], some) for name in made})
 
 
 def cycle_at(tick: int) -> CycleRecord:
-    """The same cycle for the same tick, on any machine."""
+    """Return a random cycle, the same for the same tick on any machine."""
     return packet_of(CycleRecord, np.random.default_rng(tick).bytes, tick=tick)
 
 
 def record(path: Path, cycles: Iterable[CycleRecord], **more: Any) -> Path:
-    """A closed log of these cycles."""
+    """Record cycles to a closed log."""
     with Recorder(path, {"seed": "1", "arm": "nominal"}, **more) as recorder:
         for cycle in cycles:
             recorder.write(cycle)
@@ -67,7 +67,7 @@ def record(path: Path, cycles: Iterable[CycleRecord], **more: Any) -> Path:
 
 @pytest.fixture(scope="session")
 def make() -> Any:
-    """The functions of this file, for tests."""
+    """Return this module, for tests."""
     return sys.modules[__name__]
 
 

@@ -1,4 +1,4 @@
-"""A decoder of ROS 2 messages that knows nothing but the text of their definitions."""
+"""Decoder of ROS 2 messages that uses only the text of their definitions."""
 
 import re
 import struct
@@ -14,7 +14,7 @@ CONSTANT = re.compile(r"\w+\s+[A-Z][A-Z0-9_]*\s*=")
 
 
 def parts_of(text: str) -> dict[str, list[tuple[str, str | None, str]]]:
-    """Type, array and name of the fields of a definition ("") and of those it is made of, by their names."""
+    """Return type, array and name of the fields of a definition ("") and of the types it uses, by type."""
     first, *others = re.split(r"^={80}\nMSG: ", text, flags=re.MULTILINE)
     blocks = {"": first} | {block.split("\n", 1)[0].strip(): block.split("\n", 1)[1] for block in others}
     return {name: fields_of(block) for name, block in blocks.items()}
@@ -33,7 +33,7 @@ def fields_of(block: str) -> list[tuple[str, str | None, str]]:
 
 
 class Decoder:
-    """Reads one message from its bytes; the end of them must be its end."""
+    """Decoder of one message, which must end with its bytes."""
 
     def __init__(self, text: str, data: bytes) -> None:
         assert data[:4] == b"\0\1\0\0"

@@ -1,4 +1,4 @@
-"""A log tells what happened to it: killed, cut, flipped, foreign."""
+"""Reading of damaged logs: killed writer, truncated file, flipped bits, foreign file."""
 
 import os
 import signal
@@ -35,7 +35,7 @@ def read_back(path: Path, data: bytes) -> Log:
 
 
 def is_start_of(log: Log, whole: Log) -> bool:
-    """Whether a log holds only what was written, in order, with no more than its end missing."""
+    """Return whether a log holds only written messages, in order, with at most its end missing."""
     same_packets = all(p.tobytes() == whole[t][: len(p)].tobytes() for t, p in log.packets.items())
     same_times = all(np.array_equal(ns, whole.time_ns[t][: len(ns)]) for t, ns in log.time_ns.items())
     same_events = (
@@ -163,6 +163,6 @@ def test_a_file_larger_than_any_log_is_not_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["missing.mcap", "nul\0.mcap"])
-def test_a_file_that_cannot_be_read_is_said(tmp_path: Path, name: str) -> None:
+def test_a_file_that_cannot_be_read_is_reported(tmp_path: Path, name: str) -> None:
     with pytest.raises(LogNotReadable, match="cannot be read"):
         read_log(f"{tmp_path}/{name}")

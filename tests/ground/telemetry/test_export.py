@@ -1,4 +1,4 @@
-"""Tables hold what the log holds: Parquet every bit, CSV every value."""
+"""Exported tables: Parquet keeps every bit of a log, CSV every value."""
 
 import csv
 import json
@@ -21,7 +21,7 @@ HOSTILE = b"\x01\x00\x00\x00\x00\x00\xf0\x7f"
 
 
 def quiet(*_: Any) -> None:
-    """Progress that nobody watches."""
+    """Ignore progress."""
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +129,7 @@ def test_channels_by_pattern_with_their_ranges(log: Log) -> None:
     )
 
 
-def test_a_pattern_that_fits_nothing_is_said(log: Log) -> None:
+def test_a_pattern_that_matches_nothing_is_refused(log: Log) -> None:
     with pytest.raises(
         NoSuchChannel, match=r"has no channel /joint/moter; did you mean /joint.mode\? `marsarm log channels"
     ):

@@ -1,4 +1,4 @@
-"""The header says what made a log and all that flight software began with."""
+"""Header of a log: software, processor and start conditions of flight software."""
 
 import hashlib
 import json
@@ -28,7 +28,7 @@ def loop_of(name: str = "nominal", world: World | None = None) -> ClosedLoop:
 
 @cache
 def nominal() -> ClosedLoop:
-    """Never run on."""
+    """Return a loop that no test may advance."""
     return loop_of()
 
 
@@ -51,8 +51,8 @@ def test_a_header_names_the_effects_that_were_switched_on():
     ]
 
 
-def test_what_is_flown_tells_nothing_of_the_plant():
-    """A log without truth can be made of it: no arm, seed, request, effects or digest of the model."""
+def test_the_flight_header_has_nothing_of_the_plant():
+    """The flight header has no arm, seed, request, effects or digest of the model."""
     flown = flight_header(nominal(), (Stop(),))
     assert KEYS - flown.keys() == {"arm", "seed", "request", "effects", "mjcf_sha256"}
 
@@ -76,7 +76,7 @@ def test_a_digest_is_that_of_the_commands_as_written():
     assert header["commands_sha256"] == hashlib.sha256(header["commands"].encode()).hexdigest()
 
 
-def test_nothing_may_be_remembered():
+def test_the_reference_may_be_absent():
     header = start_header(arm_named("nominal").params, Mode.DEPLOYED, None)
     assert json.loads(header["boot"]) == {"mode": "DEPLOYED", "reference": None}
 

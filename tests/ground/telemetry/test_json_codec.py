@@ -1,4 +1,4 @@
-"""Commands, parameters and references come back from JSON as they were, or a sentence says what is wrong."""
+"""Commands, parameters and references read back from JSON exactly, or an error says what is wrong."""
 
 import json
 from dataclasses import fields, is_dataclass, replace
@@ -22,7 +22,7 @@ from sim.arms import arm_named
 
 
 def any_of(hint: Any) -> st.SearchStrategy:
-    """Every value of an annotated type."""
+    """Return a strategy for every value of an annotated type."""
     kind = strip_optional(hint)
     if get_origin(kind) is Literal:
         return st.sampled_from(get_args(kind))
@@ -34,14 +34,14 @@ def any_of(hint: Any) -> st.SearchStrategy:
 
 
 def any_command() -> st.SearchStrategy:
-    """Every command, with every value of its fields."""
+    """Return a strategy for every command, with every value of its fields."""
     kinds = get_args(Command)
     hints = {kind: get_type_hints(kind, include_extras=True) for kind in kinds}
     return st.one_of(st.builds(k, **{f.name: any_of(hints[k][f.name]) for f in fields(k)}) for k in kinds)
 
 
 def written(value: Any) -> Any:
-    """The value with floats by their bits, so that NaN is NaN and -0.0 is not 0.0."""
+    """Replace floats by their bits, so that NaN equals NaN and -0.0 differs from 0.0."""
     if is_dataclass(value):
         return (type(value), *(written(getattr(value, f.name)) for f in fields(value)))
     if isinstance(value, tuple):
@@ -79,7 +79,7 @@ def test_a_reference_comes_back_bit_for_bit_with_what_is_no_number():
         assert (was.dtype, was.tobytes()) == (now.dtype, now.tobytes())
 
 
-def test_what_another_version_wrote_is_told():
+def test_fields_of_another_version_are_reported():
     notes = []
     old = {"joint": "WRIST", "angle_rad": 1.0, "haste": 3}
     assert command_from_json("MoveJoint", old, notes) == MoveJoint(Joint.WRIST, 1.0)
@@ -122,10 +122,10 @@ WRONG = {
 
 @pytest.mark.parametrize("case", WRONG)
 def test_what_is_no_command_is_a_sentence(case):
-    name, arguments, said = WRONG[case]
+    name, arguments, message = WRONG[case]
     with pytest.raises(BadJson) as caught:
         command_from_json(name, arguments, [])
-    assert said in str(caught.value)
+    assert message in str(caught.value)
 
 
 def test_a_whole_number_where_a_float_may_be_stays_what_it_is():

@@ -35,14 +35,14 @@ def folder(tmp_path, written):
     return tmp_path
 
 
-def asked(folder, *words):
+def run_json(folder, *words):
     ran = marsarm(folder, "log", *words, "--json")
     assert ran.returncode == 0, ran.stderr
     return json.loads(ran.stdout)
 
 
 def test_info_says_what_the_log_holds(folder):
-    found = asked(folder, "info", "run.mcap")
+    found = run_json(folder, "info", "run.mcap")
     assert (found["closed"], found["cycles"], found["duration_s"]) == (True, CYCLES, CYCLES / 64)
     topics = {one["topic"]: one for one in found["topics"]}
     assert (topics["/joint"]["messages"], topics["/joint"]["rate_hz"]) == (CYCLES, 64.0)
@@ -53,34 +53,34 @@ def test_info_says_what_the_log_holds(folder):
 
 
 def test_a_log_cut_short_is_said_to_be(folder):
-    found = asked(folder, "info", "cut.mcap")
+    found = run_json(folder, "info", "cut.mcap")
     assert not found["closed"]
     assert 0 < found["cycles"] < CYCLES
     assert "cut short" in marsarm(folder, "log", "info", "cut.mcap").stdout
 
 
 def test_channels_lists_types_units_and_ranges(folder):
-    (found,) = asked(folder, "channels", "run.mcap", "/joint/motor_rad*")["channels"]
+    (found,) = run_json(folder, "channels", "run.mcap", "/joint/motor_rad*")["channels"]
     values = read_log(folder / "run.mcap")["/joint"]["motor_rad"]
     assert (found["channel"], found["type"], found["unit"]) == ("/joint.motor_rad", "float64[5]", "rad")
     assert (found["messages"], found["min"], found["max"]) == (CYCLES, values.min(), values.max())
 
 
 def test_channels_of_a_part(folder):
-    found = asked(folder, "channels", "run.mcap", "/joint/tick", "--from", "0.5", "--to", "1")["channels"]
+    found = run_json(folder, "channels", "run.mcap", "/joint/tick", "--from", "0.5", "--to", "1")["channels"]
     assert [(one["messages"], one["min"], one["max"]) for one in found] == [(32, 32, 63)]
 
 
 def test_one_number_is_a_channel_and_both_spellings_are_taken(folder):
     values = read_log(folder / "run.mcap")["/joint"]["motor_rad"][:, 2]
     for pattern in ("/joint.motor_rad[2]", "/joint/motor_rad[2]"):
-        (found,) = asked(folder, "channels", "run.mcap", pattern)["channels"]
+        (found,) = run_json(folder, "channels", "run.mcap", pattern)["channels"]
         assert (found["channel"], found["type"]) == ("/joint.motor_rad[2]", "float64")
         assert (found["min"], found["max"]) == (values.min(), values.max())
 
 
 def test_plot_draws_a_picture(folder):
-    found = asked(
+    found = run_json(
         folder, "plot", "run.mcap", "/joint/motor_rad*", "/joint/mode", "/truth/R_RT", "--out", "p.png"
     )
     assert found["channels"] == ["/joint.motor_rad", "/joint.mode", "/truth.R_RT"]
@@ -88,7 +88,7 @@ def test_plot_draws_a_picture(folder):
 
 
 def test_export_writes_a_file_a_topic(folder):
-    found = asked(folder, "export", "run.mcap", "tables", "--topic", "/joint", "--topic", "/evr")
+    found = run_json(folder, "export", "run.mcap", "tables", "--topic", "/joint", "--topic", "/evr")
     assert {one["topic"]: one["file"] for one in found["files"]} == {
         "/joint": "tables/joint.parquet",
         "/evr": "tables/evr.parquet",
@@ -98,21 +98,21 @@ def test_export_writes_a_file_a_topic(folder):
 
 
 def test_recover_saves_what_is_undamaged_and_says_what_is_lost(folder):
-    found = asked(folder, "recover", "broken.mcap", "good.mcap")
+    found = run_json(folder, "recover", "broken.mcap", "good.mcap")
     lost = {one["topic"]: one for one in found["lost"]}
     assert (lost["/joint"]["messages"], found["saved"]["/joint"]) == (1, CYCLES - 1)
     assert lost["/joint"]["after_s"] < lost["/joint"]["before_s"]
-    assert asked(folder, "info", "good.mcap")["lost"] == found["lost"]
+    assert run_json(folder, "info", "good.mcap")["lost"] == found["lost"]
     assert "recovered from a damaged one" in marsarm(folder, "log", "info", "good.mcap").stdout
 
 
 def test_what_stands_behind_a_log_is_said_by_every_verb(folder, written):
     (folder / "two.mcap").write_bytes(written + written)
-    found = asked(folder, "info", "two.mcap")
+    found = run_json(folder, "info", "two.mcap")
     assert (found["closed"], found["bytes_behind"], found["cycles"]) == (True, len(written), CYCLES)
     for words in (("export", "two.mcap", "tables"), ("channels", "two.mcap")):
         assert "behind the end of the log" in marsarm(folder, "log", *words).stderr
-    assert "behind the end of the log" in asked(folder, "recover", "two.mcap", "g.mcap")["notes"][0]
+    assert "behind the end of the log" in run_json(folder, "recover", "two.mcap", "g.mcap")["notes"][0]
 
 
 @pytest.mark.parametrize("verb", [["export", "--topic", "/joint"], ["plot", "/joint/mode", "--out"]])

@@ -1,4 +1,4 @@
-"""What a picture of a log says in words."""
+"""Text in the figure of a log."""
 
 import matplotlib.figure
 import pytest
@@ -13,7 +13,7 @@ matplotlib.use("agg")
 
 @pytest.fixture
 def drawn(tmp_path, monkeypatch):
-    """Draw channels, and give the panels."""
+    """Return a function that draws channels, and returns the log and the panels."""
     log = read_log(record_log(tmp_path / "run.mcap", 130, 0.0))
 
     def draw(*globs):
@@ -36,7 +36,7 @@ def test_modes_are_called_by_name(drawn):
     assert "DEPLOYED" in [label.get_text() for label in axes.get_yticklabels()]
 
 
-def test_lines_that_are_too_many_to_name_are_said_to_be(drawn):
+def test_too_many_lines_to_name_are_reported(drawn):
     _, (axes,) = drawn("/truth.R_RT")
     assert "lines are too many to name; /truth.R_RT[0,0" in axes.get_title(loc="left")
     _, (axes,) = drawn("/joint.motor_rad")

@@ -1,4 +1,4 @@
-"""A part of a log, by topic and time; and logs of strange content."""
+"""Reading a part of a log, by topic and time; and logs with unusual content."""
 
 import json
 import struct
@@ -97,7 +97,7 @@ def test_a_broken_message_index_of_a_log_cut_short_does_not_matter(path: Path, t
 
 
 def written(path: Path, messages: Iterable[tuple[str, int, int, float]], header: dict[str, str]) -> Path:
-    """A log by the stock writer: topic, sequence, log time and value of each message."""
+    """Write a log with the stock writer from topic, sequence, log time and value of each message."""
     with path.open("wb") as file:
         writer = Writer(file, enable_data_crcs=True)
         writer.start()
@@ -129,8 +129,8 @@ def test_channels_of_others_are_passed_over(tmp_path: Path) -> None:
 
 
 def test_the_header_says_what_the_messages_are_where_it_has_the_channels(tmp_path: Path) -> None:
-    said = {"/b": {"id": 1, "schema": "s", "layout": LAYOUT, "truth": True, "derived": False}}
-    log = read_log(written(tmp_path / "b.mcap", [("/b", 0, 5, 0.5)], {"channels": json.dumps(said)}))
+    topics = {"/b": {"id": 1, "schema": "s", "layout": LAYOUT, "truth": True, "derived": False}}
+    log = read_log(written(tmp_path / "b.mcap", [("/b", 0, 5, 0.5)], {"channels": json.dumps(topics)}))
     assert log["/b"]["angle_rad"].tolist() == [0.5]
     assert log.truth == {"/b"}
 

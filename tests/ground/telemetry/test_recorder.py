@@ -1,4 +1,4 @@
-"""Where a log can be written, and that all that flight software says fits in it."""
+"""Paths where a log can be written, and logging of every EVR and command."""
 
 import os
 import subprocess
@@ -134,6 +134,6 @@ def test_every_command_goes_into_a_log(kind: Any) -> None:
     assert list(entry.fields) == [f.name for f in fields(kind)]
 
 
-def test_a_field_that_json_has_no_word_for_is_refused() -> None:
+def test_a_field_without_a_json_type_is_refused() -> None:
     with pytest.raises(SchemaError, match="object in a command or EVR"):
         record_to_json(object())

@@ -1,4 +1,4 @@
-"""What recording costs is judged, not only printed."""
+"""Bounds on the cost of recording."""
 
 import json
 from typing import Any

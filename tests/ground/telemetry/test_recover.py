@@ -1,4 +1,4 @@
-"""What is undamaged is saved bit for bit; what is not is told."""
+"""Recovery saves undamaged messages bit for bit, and reports the others."""
 
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ PACKETS = ["/sensors", "/drive", "/joint", "/tool", "/truth"]
 
 @pytest.fixture(scope="module")
 def other(make: Any, tmp_path_factory: pytest.TempPathFactory) -> bytes:
-    """Another run, longer than the first."""
+    """Return the log of another run, longer than the first."""
     folder = tmp_path_factory.mktemp("other")
     cycles = map(make.cycle_at, range(2 * N_CYCLES))
     return bytes(make.record(folder / "run.mcap", cycles, chunk_s=0.0).read_bytes())
@@ -33,7 +33,7 @@ def data(make: Any, tmp_path_factory: pytest.TempPathFactory) -> bytes:
 
 
 def chunk_of(data: bytes, tick: int) -> int:
-    """Where the chunk with the messages of a tick begins."""
+    """Return the byte where the chunk with the messages of a tick begins."""
     found = original(data).chunks
     return next(one.at for one in found if one.first_ns <= tick * TICK_NS <= one.last_ns)
 
@@ -50,7 +50,7 @@ def broken(data: bytes, *places: int) -> bytes:
     return bytes(changed)
 
 
-def test_what_a_broken_chunk_held_is_told_by_topic_and_time(tmp_path: Path, data: bytes) -> None:
+def test_the_losses_of_a_broken_chunk_are_reported_by_topic_and_time(tmp_path: Path, data: bytes) -> None:
     recovered = saved(tmp_path, broken(data, chunk_of(data, 5) + 200))
     due = {topic: LostMessages(topic, 1, 4 * TICK_NS, 6 * TICK_NS) for topic in PACKETS}
     lost = {one.topic: one for one in recovered.lost}
@@ -62,24 +62,24 @@ def test_what_a_broken_chunk_held_is_told_by_topic_and_time(tmp_path: Path, data
     assert not log.truncated
 
 
-def test_the_strict_reader_tells_the_same_span(tmp_path: Path, data: bytes) -> None:
+def test_the_strict_reader_reports_the_same_span(tmp_path: Path, data: bytes) -> None:
     (tmp_path / "bad.mcap").write_bytes(broken(data, chunk_of(data, 5) + 200))
     with pytest.raises(LogDamaged, match=r"lost, between 0\.062500 s and 0\.093750 s \(byte"):
         read_log(tmp_path / "bad.mcap")
 
 
-def test_the_end_of_a_closed_log_is_told_by_its_counts(tmp_path: Path, data: bytes) -> None:
+def test_the_counts_of_a_closed_log_show_losses_at_its_end(tmp_path: Path, data: bytes) -> None:
     recovered = saved(tmp_path, broken(data, chunk_of(data, N_CYCLES - 1) + 200))
     assert LostMessages("/joint", 1, (N_CYCLES - 2) * TICK_NS, None) in recovered.lost
     assert all(one.count is not None for one in recovered.lost)
 
 
-def test_the_beginning_is_told(tmp_path: Path, data: bytes) -> None:
+def test_losses_at_the_beginning_are_reported(tmp_path: Path, data: bytes) -> None:
     recovered = saved(tmp_path, broken(data, chunk_of(data, 0) + 200))
     assert LostMessages("/joint", 1, None, TICK_NS) in recovered.lost
 
 
-def test_of_a_log_cut_short_nobody_knows_what_followed(tmp_path: Path, data: bytes) -> None:
+def test_the_losses_at_the_end_of_a_truncated_log_are_unknown(tmp_path: Path, data: bytes) -> None:
     recovered = saved(tmp_path, data[: chunk_of(data, 8) + 100])
     assert recovered.lost == (LostMessages(None, None, 7 * TICK_NS, None),)
     assert recovered.lost[0].sentence == "an unknown number of messages of all topics lost, after 0.109375 s"
@@ -103,7 +103,7 @@ def test_two_runs_in_one_file_do_not_become_one_log(
 
 
 @pytest.mark.parametrize("behind", [b"garbage", b"\0" * 4096])
-def test_what_stands_behind_a_log_is_told_and_shortens_nothing(
+def test_bytes_after_a_log_are_reported_and_cost_no_message(
     tmp_path: Path, data: bytes, other: bytes, behind: bytes
 ) -> None:
     for rest in (behind, other):
@@ -122,14 +122,14 @@ def test_chunks_out_of_order_are_put_in_order(tmp_path: Path, data: bytes) -> No
         read_log(tmp_path / "bad.mcap")
 
 
-def test_a_piece_that_is_there_twice_is_saved_once(tmp_path: Path, data: bytes) -> None:
+def test_a_chunk_that_is_there_twice_is_saved_once(tmp_path: Path, data: bytes) -> None:
     a, b = (chunk_of(data, tick) for tick in (4, 5))
     recovered = saved(tmp_path, data[:b] + data[a:b] + data[b:])
     assert recovered.notes == ("1 chunk stands in it twice",)
     assert read_log(tmp_path / "good.mcap").ticks("/joint").tolist() == list(range(N_CYCLES))
 
 
-def test_a_lost_header_is_told_and_the_values_are_saved(tmp_path: Path, data: bytes) -> None:
+def test_a_lost_header_is_reported_and_the_values_are_saved(tmp_path: Path, data: bytes) -> None:
     at = data.index(b"nominal")
     recovered = saved(tmp_path, broken(data, at))
     assert recovered.header_lost
@@ -137,7 +137,7 @@ def test_a_lost_header_is_told_and_the_values_are_saved(tmp_path: Path, data: by
     assert (len(log["/joint"]), dict(log.header)) == (N_CYCLES, {})
 
 
-def test_a_recovered_log_that_is_damaged_keeps_what_was_told_before(tmp_path: Path, data: bytes) -> None:
+def test_a_recovered_log_that_is_damaged_keeps_earlier_losses(tmp_path: Path, data: bytes) -> None:
     first = saved(tmp_path, broken(data, chunk_of(data, 5) + 200))
     again = (tmp_path / "good.mcap").read_bytes()
     second = saved(tmp_path, broken(again, chunk_of(again, 9) + 200))

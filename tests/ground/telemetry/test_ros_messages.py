@@ -1,4 +1,4 @@
-"""What the tools of others find in a log: by its own definitions, it is what flight software believes."""
+"""ROS 2 messages in a log, decoded by their own definitions, agree with the estimates of flight software."""
 
 import json
 from dataclasses import replace
@@ -33,7 +33,7 @@ def cycle(make: Any, tick: int, output_rad: Any) -> CycleRecord:
 
 
 def decoded(path: Path) -> dict[str, list[tuple[int, dict[str, Any]]]]:
-    """Log time and content of every message, by topic, each read by the definition in the log."""
+    """Return log time and content of every message by topic, decoded by the definition in the log."""
     found: dict[str, list[tuple[int, dict[str, Any]]]] = {}
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
@@ -67,8 +67,8 @@ def pose_of(transform: dict[str, Any]) -> Pose:
     return Pose(R, np.array([transform["translation"][name] for name in "xyz"]))
 
 
-def way(frames: dict[str, tuple[str, Pose]], child: str) -> Pose:
-    """A frame in the rover frame."""
+def pose_in_rover(frames: dict[str, tuple[str, Pose]], child: str) -> Pose:
+    """Return the pose of a frame in the rover frame."""
     poses = []
     while child != "rover":
         child, X = frames[child]
@@ -88,12 +88,14 @@ def test_the_frames_are_those_of_forward_kinematics(messages: Any) -> None:
     ((_, fixed),) = messages["/tf_static"]
     assert [time_ns for time_ns, _ in messages["/tf"]] == [0, 125_000_000, 250_000_000]
     for (_, moving), angles in zip(messages["/tf"], ANGLES_RAD[::8], strict=True):
-        frames, told = forward(CONFIG.arm, angles), frames_in(fixed, moving)
+        frames, poses = forward(CONFIG.arm, angles), frames_in(fixed, moving)
         for k in range(6):
-            np.testing.assert_allclose(way(told, f"arm{k + 1}").p, frames.X_RF.p[:, k], atol=1e-12)
-            np.testing.assert_allclose(way(told, f"arm{k + 1}").R, frames.X_RF.R[:, :, k], atol=1e-12)
+            np.testing.assert_allclose(pose_in_rover(poses, f"arm{k + 1}").p, frames.X_RF.p[:, k], atol=1e-12)
+            np.testing.assert_allclose(
+                pose_in_rover(poses, f"arm{k + 1}").R, frames.X_RF.R[:, :, k], atol=1e-12
+            )
         for tool in Tool:
-            X_RT, X = tool_pose(CONFIG.arm, frames, tool), way(told, tool.name.lower())
+            X_RT, X = tool_pose(CONFIG.arm, frames, tool), pose_in_rover(poses, tool.name.lower())
             np.testing.assert_allclose(np.c_[X.R, X.p], np.c_[X_RT.R, X_RT.p], atol=1e-12)
 
 
@@ -122,7 +124,7 @@ def test_markers_lie_where_the_collision_check_has_its_shapes(messages: Any) -> 
     ((_, shapes),) = messages["/arm_markers"]
     ((_, fixed),) = messages["/tf_static"]
     _, moving = messages["/tf"][0]
-    told, space = frames_in(fixed, moving), CONFIG.collision_geometry
+    poses, space = frames_in(fixed, moving), CONFIG.collision_geometry
     frames = forward(CONFIG.arm, ANGLES_RAD[0])
     markers = shapes["markers"]
     assert len({marker["id"] for marker in markers}) == len(markers)
@@ -132,7 +134,7 @@ def test_markers_lie_where_the_collision_check_has_its_shapes(messages: Any) -> 
         *(f"arm{k}" for k in range(2, 7)),
     }
     middles = [
-        way(told, frame)
+        pose_in_rover(poses, frame)
         @ pose_of({"translation": marker["pose"]["position"], "rotation": marker["pose"]["orientation"]})
         for marker in markers
         if (frame := marker["header"]["frame_id"]) != "rover" and marker["type"] != 2

@@ -1,4 +1,4 @@
-"""What is written is what is read, bit for bit."""
+"""A reader returns bit for bit the cycles that the recorder wrote."""
 
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -14,11 +14,11 @@ from ground.telemetry.read import Log, read_log
 from sim.record import CycleRecord
 
 HOSTILE_BYTES = [b"\x00", b"\xff", b"\x00\x00\x00\x00\x00\x00\x00\x80", b"\x01\x00\x00\x00\x00\x00\xf0\x7f"]
-"""Zero; NaN and -1; the least integer and -0.0; a signalling NaN."""
+"""Bits of zero; of NaN and -1; of the least integer and -0.0; of a signalling NaN."""
 
 
 def leaves(part: Any, name: str = "") -> list[tuple[str, str, Any]]:
-    """Topic, field and value of everything in a cycle but its tick, commands and EVRs."""
+    """Return topic, field and value of everything in a cycle except tick, commands and EVRs."""
     if not is_dataclass(part):
         return []
     found = []

@@ -1,4 +1,4 @@
-"""The layout of a message, against CDR decoded by hand."""
+"""Layout of a message, compared with CDR decoded by hand."""
 
 import struct
 from collections.abc import Iterator
@@ -63,7 +63,7 @@ def _shapes(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """What packets come in."""
+    """Cycle with two packets."""
 
     packet: Packet
     other: Packet = PACKET

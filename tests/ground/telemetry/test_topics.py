@@ -1,4 +1,4 @@
-"""Nothing in a cycle is left out of a log, whatever the contracts gain."""
+"""Every field of a cycle has a topic in the log, also fields that are added later."""
 
 from dataclasses import dataclass
 

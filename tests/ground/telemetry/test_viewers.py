@@ -1,6 +1,6 @@
-"""The tools of others open our logs: MCAP's own reader, pymcap-cli and Rerun.
+"""Other tools open the logs: the reader of MCAP, pymcap-cli and Rerun.
 
-`make viewers` installs the latter two where that is possible; without them their tests are skipped.
+`make viewers` installs the last two where possible; without them their tests are skipped.
 """
 
 import subprocess
@@ -41,7 +41,7 @@ needs_rerun = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A log of a run, one with a broken chunk, and what was recovered of it."""
+    """Return a folder with a log, a copy with a broken chunk, and the log recovered from it."""
     made = tmp_path_factory.mktemp("viewers")
     (made / "short.toml").write_text(SCENARIO)
     ran = marsarm(made, "run", "short.toml", "--log", "run.mcap", "--json")
@@ -55,7 +55,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def tool(name: str, *words: str | Path) -> subprocess.CompletedProcess[str]:
-    """Run a program that came with a package of this Python."""
+    """Run a program of a package in this Python."""
     command = [str(Path(sys.executable).with_name(name)), *map(str, words)]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 

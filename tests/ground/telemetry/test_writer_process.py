@@ -1,4 +1,4 @@
-"""The process that writes: nothing that it took is lost, and nothing that happens to it goes untold."""
+"""The writing process: it loses no row that it received, and every failure is reported."""
 
 import gc
 import json
@@ -37,7 +37,7 @@ ROOT = Path(__file__).parents[3]
 
 
 class Pieces:
-    """A pipe out of which some bytes come in pieces of these sizes, again and again."""
+    """Pipe that delivers bytes in pieces of given sizes, repeated in turn."""
 
     def __init__(self, data: bytes, sizes: Sequence[int]) -> None:
         self._data, self._sizes = BytesIO(data), cycle(sizes)
@@ -47,7 +47,7 @@ class Pieces:
 
 
 def python(program: str, *words: str) -> subprocess.CompletedProcess[str]:
-    """Run a program that knows this tree; warnings are errors, but for the one of a fork beside threads."""
+    """Run a program on this tree; all warnings are errors except that of a fork with threads."""
     fork = "ignore:This process:DeprecationWarning"
     return subprocess.run(
         [sys.executable, "-W", "error", "-W", fork, "-c", program, *words],
@@ -57,7 +57,7 @@ def python(program: str, *words: str) -> subprocess.CompletedProcess[str]:
 
 BEGIN = """\
 import os, signal, sys, time
-signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it for what runs behind it
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell ignores it for background processes
 from ground.telemetry.recorder import Recorder
 from tests.ground.telemetry.conftest import cycle_at
 recorder = Recorder(sys.argv[1], {})
@@ -142,12 +142,12 @@ print(recorder.written_cycles)
 """Arguments: path, bytes that fit on the disk, cycles to record."""
 
 
-def test_a_full_disk_is_told_by_a_later_cycle_and_by_the_end(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_by_a_later_cycle_and_by_close(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     done = python(SMALL_DISK, str(path), "30000", "100000")
     assert (done.returncode, done.stderr) == (0, "")
-    *told, written = done.stdout.splitlines()
-    assert told == ["cycle: File too large", "end: File too large"]
+    *errors, written = done.stdout.splitlines()
+    assert errors == ["cycle: File too large", "end: File too large"]
     log = read_log(path)
     assert log.truncated
     assert len(log["/joint"]) == int(written) > 0
@@ -155,7 +155,7 @@ def test_a_full_disk_is_told_by_a_later_cycle_and_by_the_end(tmp_path: Path) -> 
     assert ends[-1] == path.stat().st_size, "half a record is left"
 
 
-def test_a_disk_that_is_full_at_the_end_is_told_by_close(make: Any, tmp_path: Path) -> None:
+def test_a_disk_that_is_full_at_the_end_is_reported_by_close(make: Any, tmp_path: Path) -> None:
     whole = make.record(tmp_path / "whole.mcap", [make.cycle_at(0)]).stat().st_size
     done = python(SMALL_DISK, str(tmp_path / "run.mcap"), str(whole - 10), "1")
     assert (done.returncode, done.stderr) == (0, "")
@@ -165,8 +165,8 @@ def test_a_disk_that_is_full_at_the_end_is_told_by_close(make: Any, tmp_path: Pa
 
 
 @pytest.mark.parametrize("ending", ["os.kill(os.getpid(), 9)", "os._exit(0)"])
-def test_what_was_handed_over_outlives_the_run(tmp_path: Path, ending: str) -> None:
-    """All of it, without a word; the log is cut short, for nobody has ended it."""
+def test_rows_that_were_sent_outlive_the_run(tmp_path: Path, ending: str) -> None:
+    """All rows are written without a message; the log is truncated, since nobody closed it."""
     done = python(f"{BEGIN}{ending}\n", str(tmp_path / "run.mcap"))
     assert done.stderr == ""
     log = read_log(tmp_path / "run.mcap")
@@ -193,7 +193,7 @@ def test_a_run_whose_standard_streams_are_closed_has_its_log(tmp_path: Path, clo
 
 
 def test_the_writer_is_of_the_code_of_the_run_wherever_that_works(tmp_path: Path) -> None:
-    """A run that was started in the folder of the code and went to one that has another `ground`."""
+    """The run starts in the folder of the code, and changes to a folder with another `ground`."""
     (tmp_path / "ground").mkdir()
     (tmp_path / "ground" / "__init__.py").write_text("raise SystemExit('not this one')")
     done = subprocess.run(
@@ -249,7 +249,7 @@ def test_no_cycle_follows_one_that_was_interrupted_on_its_way(make: Any, tmp_pat
     assert len(log["/joint"]) > 10
 
 
-def test_an_interrupt_while_the_log_is_opened_leaves_nothing_and_is_told_once(tmp_path: Path) -> None:
+def test_an_interrupt_while_the_log_is_opened_leaves_nothing_and_is_reported_once(tmp_path: Path) -> None:
     imports, rest = BEGIN.split("recorder =")
     program = f"""{imports}
 import signal
@@ -263,7 +263,7 @@ recorder ={rest}"""
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_writer_that_is_killed_is_told_like_a_disk_that_is_gone(make: Any, tmp_path: Path) -> None:
+def test_a_writer_that_is_killed_is_reported_like_a_disk_that_is_gone(make: Any, tmp_path: Path) -> None:
     recorder = Recorder(tmp_path / "run.mcap", {})
     os.kill(recorder.writer_process, signal.SIGKILL)
     with pytest.raises(OSError, match="the process that wrote it was killed by signal 9"):
@@ -307,11 +307,11 @@ def test_the_container_is_that_of_the_stock_writer(make: Any, tmp_path: Path) ->
         )
     writer.finish()
     with stock.open("rb") as file:
-        told = make_reader(file).get_summary()
-    assert told is not None
-    assert summary.schemas == told.schemas
-    assert summary.channels == told.channels
-    ours, theirs = summary.statistics, told.statistics
+        expected = make_reader(file).get_summary()
+    assert expected is not None
+    assert summary.schemas == expected.schemas
+    assert summary.channels == expected.channels
+    ours, theirs = summary.statistics, expected.statistics
     assert ours is not None
     assert theirs is not None
     for name in ("message_count", "channel_message_counts", "message_start_time", "message_end_time",

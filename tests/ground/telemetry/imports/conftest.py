@@ -1,4 +1,4 @@
-"""A run of ours as someone else's table: exported by hand, so that the importer is held to the log itself."""
+"""Recorded run as a table, exported without the project, so that imports are compared with the log itself."""
 
 import json
 import sys
@@ -29,7 +29,7 @@ def reference() -> Reference:
 
 
 def recorded(path: Path) -> Log:
-    """Three seconds of the nominal arm: it moves, and is stopped."""
+    """Return the log of three seconds of the nominal arm: it moves, and is stopped."""
     arm = arm_named("nominal", None)
     loop = ClosedLoop(
         Setup(arm, World("mars"), arm.params.poses.ready_rad, reference=reference()), with_truth=True
@@ -41,7 +41,7 @@ def recorded(path: Path) -> Log:
 
 
 def exported(log: Log) -> dict[str, Any]:
-    """A column for each number of the log, and the time; nothing where a topic has no message."""
+    """Return a column for each number of the log, and the time; empty where a topic has no message."""
     n = N_CYCLES
     columns: dict[str, Any] = {"t": pa.array(np.arange(n) / 64)}
     for name, target in known_targets().items():
@@ -56,7 +56,7 @@ def exported(log: Log) -> dict[str, Any]:
 
 
 def channels(*names: str) -> str:
-    """The part of a mapping that says these channels of ours, or all of them, as `exported` writes them."""
+    """Return the part of a mapping with some flight channels, or all, as `exported` writes them."""
     known = known_targets()
     text = ""
     for name in names or known:
@@ -69,7 +69,7 @@ def channels(*names: str) -> str:
 
 
 def start() -> str:
-    """The part of a mapping that says what flight software began with, and was asked."""
+    """Return the part of a mapping with start conditions and commands of flight software."""
     known = reference()
     arrays = {f: getattr(known, f) for f in ("calibrated", "zero_rad", "half_gap_rad", "resolver_bias_rad")}
     arrays["friction_Nm"] = known.friction_Nm
@@ -112,5 +112,5 @@ def as_parquet(columns: dict[str, Any]) -> bytes:
 
 @pytest.fixture(scope="session")
 def make() -> Any:
-    """The functions of this file, for tests."""
+    """Return this module, for tests."""
     return sys.modules[__name__]

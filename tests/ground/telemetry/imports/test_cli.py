@@ -24,7 +24,7 @@ unit = "mA"
 
 
 def channel(target: ChannelTarget) -> str:
-    """The part of a mapping that takes a channel of ours from columns of its name."""
+    """Return the part of a mapping that takes a flight channel from columns of the same name."""
     columns = [f"{target.name}.{k}" for k in range(target.size)]
     return f'[[channel]]\nname = "{target.name}"\ncolumns = {json.dumps(columns)}\nunit = "{target.unit}"\n'
 
@@ -53,8 +53,8 @@ def test_the_document_says_what_was_made_and_what_it_lacks(words: list[str]) -> 
 def test_people_read_why_a_packet_is_not_whole(words: list[str]) -> None:
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0
-    said = " ".join(result.output.split())
-    assert "/sensors is not whole, so it is kept as /imported/sensors; it lacks cycle" in said
+    output = " ".join(result.output.split())
+    assert "/sensors is not whole, so it is kept as /imported/sensors; it lacks cycle" in output
 
 
 def test_one_is_counted_as_one(words: list[str], tmp_path: Path) -> None:
@@ -66,9 +66,11 @@ def test_one_is_counted_as_one(words: list[str], tmp_path: Path) -> None:
     )
     table = pa.table({f"{one.name}.{k}": [0.0] for one in sensors for k in range(one.size)})
     parquet.write_table(table, tmp_path / "t.parquet")
-    said = "".join(CliRunner().invoke(app, words).output.split())  # where lines break hangs on the folder
-    assert "cap:1row┏" in said
-    assert "replay1command;`marsarmreplay" in said
+    output = "".join(
+        CliRunner().invoke(app, words).output.split()
+    )  # line breaks depend on the length of the path
+    assert "cap:1row┏" in output
+    assert "replay1command;`marsarmreplay" in output
 
 
 def test_what_is_wrong_is_in_the_document(words: list[str], tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The mapping that docs/import.md shows, on the measurements that it is for."""
+"""The mapping of docs/import.md, applied to the measurements that it describes."""
 
 import re
 from pathlib import Path
@@ -15,7 +15,7 @@ ROWS = 11_911
 
 
 def mapping() -> str:
-    """The example of the page that is about these data."""
+    """Return the example of the page for these data."""
     examples = re.findall(r"```toml\n(.*?)```", DOC.read_text(), re.DOTALL)
     return next(text for text in examples if "UR10" in text)
 
@@ -35,7 +35,7 @@ def test_the_tracker_s_table_becomes_a_log(real_data: Path, tmp_path: Path) -> N
 
 
 def check_first_row(log: Log) -> None:
-    """The numbers of its first line, by hand."""
+    """Check the numbers of the first line, converted by hand."""
     tracker, arm = log["/imported/tracker"][0], log["/imported/ur10"][0]
     assert tracker["target_m"] == pytest.approx([2.3619831, -1.3685474, 0.11939713])
     assert np.degrees(tracker["target_rad"]) == pytest.approx([-90.409151, -59.885105, -90.887438])

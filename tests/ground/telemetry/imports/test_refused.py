@@ -1,4 +1,4 @@
-"""What is wrong with a table or a mapping is said, with its place and what would be right."""
+"""Refusal of wrong tables and mappings; each message names the place and the remedy."""
 
 import io
 from pathlib import Path
@@ -21,7 +21,7 @@ FREE = '[[channel]]\nname = "/imported/arm.speed_m_s"\ncolumns = "a"\nunit = "m/
 
 
 def table(t: Any = (0.0, 1 / 64, 2 / 64), **changed: Any) -> bytes:
-    """Three rows of five currents; None in place of a column leaves it out."""
+    """Return three rows of five currents; a column that is None is left out."""
     columns = {"t": t} | {name: [0.1 * k, 0.2, 0.3] for k, name in enumerate("abcde")} | changed
     sink = io.BytesIO()
     parquet.write_table(pa.table({k: v for k, v in columns.items() if v is not None}), sink)
@@ -138,7 +138,7 @@ def test_a_mapping_is_refused(case: str) -> None:
     assert words in refusal(mapping, table())
 
 
-def test_every_problem_of_a_mapping_is_told_at_once() -> None:
+def test_all_problems_of_a_mapping_are_reported_together() -> None:
     bad = TIME.replace('"s"', '"h"') + CURRENT.replace('"A"', '"V"') + FREE.replace('"m/s"', '"m"')
     lines = refusal(bad, table()).splitlines()
     assert [line.split(":")[1] for line in lines] == ["3", "7", "9"]
@@ -249,8 +249,8 @@ def test_a_value_is_refused(case: str) -> None:
 
 
 def test_a_number_that_its_gain_makes_infinite_is_refused() -> None:
-    said = refusal(TIME + CURRENT + "gain = 1e300\n", table(b=[1.0, 2.0, 1e300]))
-    assert "row 3, column 'b': 1e+300 is too large for its gain, offset and unit" in said
+    message = refusal(TIME + CURRENT + "gain = 1e300\n", table(b=[1.0, 2.0, 1e300]))
+    assert "row 3, column 'b': 1e+300 is too large for its gain, offset and unit" in message
 
 
 LOSSES = {
@@ -278,9 +278,9 @@ def test_two_rows_in_one_cycle_are_refused() -> None:
 
 def test_a_missing_cycle_is_refused_with_the_words_to_leave_or_bridge_it() -> None:
     gap = table(t=np.array([0, 1, 2, 3, 6, 7]) / 64, **{name: np.zeros(6) for name in "abcde"})
-    said = refusal(TIME + CURRENT, gap)
-    assert "row 5, column 't': 3 cycles after the row before" in said
-    assert 'grid = "nearest" to leave the gap, or "hold" or "linear" to bridge it' in said
+    message = refusal(TIME + CURRENT, gap)
+    assert "row 5, column 't': 3 cycles after the row before" in message
+    assert 'grid = "nearest" to leave the gap, or "hold" or "linear" to bridge it' in message
 
 
 @pytest.mark.parametrize("grid", ["hold", "linear"])

@@ -1,4 +1,4 @@
-"""A log of ours, exported and imported, is the same bit for bit, and replays as it ran."""
+"""An exported and imported log is bit for bit the same, and replays without a difference."""
 
 import io
 import json
@@ -92,8 +92,8 @@ def test_a_command_behind_the_table_is_refused_with_its_line(
     with pytest.raises(BadRequest) as caught:
         import_into(tmp_path, as_parquet, mapping + last + last.replace(str(ends_s), "100"))
     line = len((mapping + last).splitlines()) + 1
-    said = f"map.toml:{line}: command: at_s is 100, the table ends at {ends_s}; it would never be given"
-    assert said in str(caught.value)
+    message = f"map.toml:{line}: command: at_s is 100, the table ends at {ends_s}; it would never be given"
+    assert message in str(caught.value)
 
 
 def test_the_header_says_where_it_comes_from(as_parquet: bytes, make: Any, tmp_path: Path) -> None:
@@ -104,15 +104,15 @@ def test_the_header_says_where_it_comes_from(as_parquet: bytes, make: Any, tmp_p
     assert about["table"].endswith("table.parquet")
     assert (log.header["arm"], log.header["mjcf_sha256"]) == ("theirs", "unknown")
     assert "params" not in log.header
-    told = json.loads(log.header["channels"])
-    assert told["/imported/sensors"]["layout"] == [["current_A", "<f8", [5]]]
+    topics = json.loads(log.header["channels"])
+    assert topics["/imported/sensors"]["layout"] == [["current_A", "<f8", [5]]]
 
 
 def test_a_repeat_is_known_as_one_to_the_diagnosis(
     as_parquet: bytes, make: Any, tmp_path: Path, run: Log
 ) -> None:
-    said = '[session]\nname = "cold-again"\nblock = "cold"\n'
-    import_into(tmp_path, as_parquet, make.TIME + said + make.channels() + make.start())
+    session = '[session]\nname = "cold-again"\nblock = "cold"\n'
+    import_into(tmp_path, as_parquet, make.TIME + session + make.channels() + make.start())
     (path,) = tmp_path.glob("*.mcap")
     here = load_recording(path)
     assert (here.name, here.block) == ("cold-again", "cold")

@@ -1,4 +1,4 @@
-"""Units, gains, constants and the grid of 64 Hz: the numbers of a log are those that the mapping says."""
+"""Conversion of values by a mapping: units, gains, constants and the grid of 64 Hz."""
 
 import io
 from typing import Any
@@ -51,14 +51,14 @@ def values(made: ImportedLog) -> Any:
         ("arm.x_Pa", "hPa", 7.0, 700.0),
     ],
 )
-def test_units_become_those_of_the_house(name: str, unit: str, given_value: float, kept: float) -> None:
+def test_units_are_converted_to_those_of_a_log(name: str, unit: str, given_value: float, kept: float) -> None:
     made = mapped(one(f"/imported/{name}", f'columns = "a"\nunit = "{unit}"'), a=[given_value] * 4)
     assert values(made) == pytest.approx(np.full(4, kept), rel=1e-15, abs=1e-15)
 
 
-def test_every_unit_of_the_house_converts_to_itself() -> None:
-    for house, known in UNIT_CONVERSIONS.items():
-        assert (known[house].factor, known[house].offset) == (1.0, 0.0), house
+def test_every_unit_of_a_log_converts_to_itself() -> None:
+    for unit, known in UNIT_CONVERSIONS.items():
+        assert (known[unit].factor, known[unit].offset) == (1.0, 0.0), unit
 
 
 def test_a_gain_and_an_offset_come_before_the_unit() -> None:
