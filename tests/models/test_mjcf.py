@@ -52,7 +52,7 @@ def load(name: str) -> mujoco.MjModel:
     return mujoco.MjModel.from_xml_path(str(MJCF / name))
 
 
-def posed(model: mujoco.MjModel, pose_deg: tuple[float, ...]) -> mujoco.MjData:
+def set_pose(model: mujoco.MjModel, pose_deg: tuple[float, ...]) -> mujoco.MjData:
     data = mujoco.MjData(model)
     for joint, angle_deg in zip(JOINTS, pose_deg, strict=True):
         data.joint(f"{joint}_motor").qpos[0] = np.radians(angle_deg)
@@ -140,7 +140,7 @@ def test_leaving_the_decoration_out_does_not_change_the_motion(scene: str) -> No
     spec.compiler.discardvisual = True
     full, lean = load(scene), spec.compile()
     assert lean.ngeom < full.ngeom
-    one, other = posed(full, READY_DEG), posed(lean, READY_DEG)
+    one, other = set_pose(full, READY_DEG), set_pose(lean, READY_DEG)
     mujoco.mj_step(full, one, 200)
     mujoco.mj_step(lean, other, 200)
     assert np.array_equal(one.qpos, other.qpos)
@@ -150,7 +150,7 @@ def test_leaving_the_decoration_out_does_not_change_the_motion(scene: str) -> No
 @pytest.mark.parametrize("tool", TOOLS)
 @pytest.mark.parametrize("pose_deg", [(0.0,) * 5, STOWED_DEG, READY_DEG, (-35.0, -70.0, 95.0, 20.0, 215.0)])
 def test_tool_frames_stand_where_the_nominal_table_puts_them(tool: str, pose_deg: tuple[float, ...]) -> None:
-    site = posed(load("arm.xml"), pose_deg).site(tool)
+    site = set_pose(load("arm.xml"), pose_deg).site(tool)
     expected = turn("x", 180.0) @ nominal_tool_in_rnav(tool, pose_deg)  # MuJoCo's world is RNAV turned over
     np.testing.assert_allclose(site.xpos, expected[:3, 3], atol=1e-12)
     np.testing.assert_allclose(site.xmat.reshape(3, 3), expected[:3, :3], atol=1e-12)
@@ -187,7 +187,7 @@ def test_the_pads_of_a_tool_balance_about_its_axis(tool: str) -> None:
 @pytest.mark.parametrize("tool", sorted(set(SWITCHES.values())))
 def test_what_is_behind_the_pads_stands_back(tool: str) -> None:
     model = load("arm.xml")
-    data = posed(model, (0.0,) * 5)
+    data = set_pose(model, (0.0,) * 5)
     frame = data.site(tool)
     body = model.body(tool).id
     for geom in range(model.ngeom):
@@ -212,7 +212,7 @@ def test_the_arm_can_touch_rover_and_ground_but_not_itself(scene: str) -> None:
 @pytest.mark.parametrize("scene", SCENES)
 @pytest.mark.parametrize("pose_deg", [STOWED_DEG, READY_DEG], ids=["stowed", "ready"])
 def test_nothing_touches_at_the_named_poses(scene: str, pose_deg: tuple[float, ...]) -> None:
-    assert posed(load(scene), pose_deg).ncon == 0
+    assert set_pose(load(scene), pose_deg).ncon == 0
 
 
 @pytest.mark.parametrize("scene", SCENES)
@@ -220,7 +220,7 @@ def test_nothing_touches_on_the_way_from_stowed_to_ready(scene: str) -> None:
     model = load(scene)
     for start, end in pairwise(UNSTOW_DEG):
         for pose_deg in np.linspace(start, end, 151):
-            assert posed(model, tuple(pose_deg)).ncon == 0, pose_deg
+            assert set_pose(model, tuple(pose_deg)).ncon == 0, pose_deg
 
 
 def test_the_way_from_stowed_to_ready_is_inside_the_soft_limits() -> None:
@@ -233,12 +233,12 @@ def test_the_way_from_stowed_to_ready_is_inside_the_soft_limits() -> None:
 def test_switches_close_on_a_flat_surface_before_anything_else_touches() -> None:
     """Press the drill on a flat wall: only the two prongs touch."""
     spec = mujoco.MjSpec.from_file(str(MJCF / "mars.xml"))
-    drill = posed(load("mars.xml"), READY_DEG).site("drill")
+    drill = set_pose(load("mars.xml"), READY_DEG).site("drill")
     outward = drill.xmat.reshape(3, 3)[:, 0]
     wall = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.2] * 3, contype=2, conaffinity=1)
     wall.pos = drill.xpos + (0.2 - 0.001) * outward  # the plane stands 1 mm inside the pads
     model = spec.compile()
-    data = posed(model, READY_DEG)
+    data = set_pose(model, READY_DEG)
     pads = {model.geom(g).name for pair in data.contact.geom for g in pair if is_arm(model, g)}
     assert pads == {"drill_1_pad", "drill_2_pad"}
     mujoco.mj_step(model, data)

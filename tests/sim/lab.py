@@ -50,7 +50,7 @@ def _unedited(world: World, time_step_s: float | None) -> mujoco.MjModel:
     return _spec(world, time_step_s).compile()
 
 
-def tilted(roll_deg: float = 0.0, pitch_deg: float = 0.0, scene: str = "mars") -> World:
+def tilted_world(roll_deg: float = 0.0, pitch_deg: float = 0.0, scene: str = "mars") -> World:
     """Return a world with a tilted rover."""
     return World(scene, float(np.radians(roll_deg)), float(np.radians(pitch_deg)))
 
@@ -61,7 +61,7 @@ def without_output_friction(spec: mujoco.MjSpec) -> None:
         spec.tendon(f"{name}_output").frictionloss = 0.0
 
 
-def soon_at_rest(spec: mujoco.MjSpec) -> None:
+def settle_fast(spec: mujoco.MjSpec) -> None:
     """Remove output friction and multiply link damping by twenty, so that statics need no wait."""
     without_output_friction(spec)
     for joint in spec.joints:
@@ -69,7 +69,7 @@ def soon_at_rest(spec: mujoco.MjSpec) -> None:
             joint.damping = 20.0 * joint.damping
 
 
-def gentle(amount: float) -> float:
+def smooth_step(amount: float) -> float:
     """Return a smooth step from 0 to 1, with zero rates at both ends."""
     return amount * amount * (3 - 2 * amount)
 
@@ -104,10 +104,10 @@ def load(
         plant.data.qpos[plant.at.gear] = gear_rad
 
     def up(amount: float) -> None:
-        plant.model.opt.gravity[:] = full * overload * gentle(amount)
+        plant.model.opt.gravity[:] = full * overload * smooth_step(amount)
 
     def back(amount: float) -> None:
-        plant.model.opt.gravity[:] = full * (overload + (1 - overload) * gentle(amount))
+        plant.model.opt.gravity[:] = full * (overload + (1 - overload) * smooth_step(amount))
 
     run(plant, duration_s, up)
     if overload != 1.0:
@@ -140,7 +140,7 @@ def tool_distance_mm(a: Plant, b: Plant) -> float:
     return 1e3 * float(np.linalg.norm(apart, axis=1).max())
 
 
-def ended(loop: ClosedLoop, cycles: int = 20 * CYCLE_HZ) -> list:
+def run_to_rest(loop: ClosedLoop, cycles: int = 20 * CYCLE_HZ) -> list:
     """Run until the arm is at rest, and a little longer; return the events."""
     evrs = []
     for _ in range(cycles):
@@ -155,7 +155,7 @@ def ended(loop: ClosedLoop, cycles: int = 20 * CYCLE_HZ) -> list:
     return evrs
 
 
-def standing(loop: ClosedLoop) -> bool:
+def is_at_rest(loop: ClosedLoop) -> bool:
     """Return whether the arm is at rest on its brakes without power."""
     plant = loop.plant
     on = plant.data.eq_active[plant.at.brake].all()

@@ -181,7 +181,7 @@ def test_there_are_26_identifiable_axes_of_42() -> None:
 
 
 @pytest.fixture(scope="module")
-def screws() -> lab.Array:
+def tool_jacobian() -> lab.Array:
     """Return the Jacobian of the tool in its axes for every frame axis and 60 poses: (360, 42), m and rad."""
     arm = build_arm(nominal_params())
     rng = np.random.default_rng(17)

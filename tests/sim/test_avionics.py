@@ -107,7 +107,9 @@ def test_motors_follow_their_set_points(ready: Plant) -> None:
     sensors.apply(drive_to(lab.READY_RAD))
     lab.run(ready, 1.0, lambda _: sensors.apply(drive_to(lab.READY_RAD)))
     goal = lab.READY_RAD + 0.005
-    lab.run(ready, 1.0, lambda amount: sensors.apply(drive_to(lab.READY_RAD + 0.005 * lab.gentle(amount))))
+    lab.run(
+        ready, 1.0, lambda amount: sensors.apply(drive_to(lab.READY_RAD + 0.005 * lab.smooth_step(amount)))
+    )
     lab.run(ready, 3.0, lambda _: sensors.apply(drive_to(goal)))
     np.testing.assert_allclose(ready.motor_rad(), goal, rtol=0, atol=3e-5)
 
@@ -268,7 +270,7 @@ def pad_forces_N(plant: Plant) -> lab.Array:
 @pytest.mark.parametrize(("roll_deg", "pitch_deg"), [(0, 0), (20, 0), (0, 20), (-15, 25), (0, -30)])
 @pytest.mark.parametrize("scene", ["mars", "earth"])
 def test_the_imu_reads_gravity_in_the_tilted_rover(scene: str, roll_deg: float, pitch_deg: float) -> None:
-    world = lab.tilted(roll_deg, pitch_deg, scene)
+    world = lab.tilted_world(roll_deg, pitch_deg, scene)
     plant = lab.plant(world)
     sensors = avionics_of(plant)
     read = np.array([sensors.sense().gravity_R_m_s2 for _ in range(READINGS)])

@@ -60,7 +60,7 @@ def peak_force_N(loop, command) -> tuple[float, list]:
 TOUCHING = [tool for tool in Tool if TOOL_SWITCHES[tool]]
 
 
-def guarded_with_dead(tool, switches) -> tuple[float, list]:
+def run_without_switches(tool, switches) -> tuple[float, list]:
     """Run a guarded move to a rock with switches that never close; return peak force and events."""
     effects = tuple(SensorFault(NOW_S, "switch_closed", "biased", switch, -1.0) for switch in switches)
     loop, X_RT = facing_rock(tool, facing(CONFIG, tool), effects, ahead_m=0.04)
@@ -70,14 +70,14 @@ def guarded_with_dead(tool, switches) -> tuple[float, list]:
 
 @pytest.mark.parametrize(("tool", "dead"), [(tool, s) for tool in TOUCHING for s in TOOL_SWITCHES[tool]])
 def test_a_guarded_tool_meets_a_rock_with_less_than_50_N_whichever_switch_is_dead(tool, dead):
-    peak, evrs = guarded_with_dead(tool, (dead,))
+    peak, evrs = run_without_switches(tool, (dead,))
     assert any(isinstance(evr, ContactMade | PreloadOutside) for evr in evrs)
     assert 0.0 < peak < 50.0
 
 
 @pytest.mark.parametrize("tool", TOUCHING)
 def test_a_guarded_tool_whose_switches_are_all_dead_is_felt_before_it_presses_with_100_N(tool):
-    peak, evrs = guarded_with_dead(tool, TOOL_SWITCHES[tool])
+    peak, evrs = run_without_switches(tool, TOOL_SWITCHES[tool])
     assert any(isinstance(evr, PreloadOutside) for evr in evrs)
     assert 0.0 < peak < 100.0
 
@@ -85,7 +85,7 @@ def test_a_guarded_tool_whose_switches_are_all_dead_is_felt_before_it_presses_wi
 STRETCHED_RAD = np.radians([0.0, -45.0, 60.0, 60.0, 0.0])
 
 
-def with_turret_of(pose_rad, turned_rad):
+def with_turret_angle(pose_rad, turned_rad):
     """Return a pose with the turret angle of another."""
     return np.where(np.arange(5) == Joint.TURRET, turned_rad, pose_rad)
 
@@ -101,7 +101,7 @@ def test_joints_at_full_speed_that_drive_a_tool_into_a_rock_press_with_less_than
     tool, stretched, joints
 ):
     turned = facing(CONFIG, tool)
-    pose = with_turret_of(STRETCHED_RAD, turned) if stretched else turned
+    pose = with_turret_angle(STRETCHED_RAD, turned) if stretched else turned
     axis = tool_pose(CONFIG.arm, settle_output(CONFIG.arm, pose, MARS_R_m_s2).frames, tool).R[:, 0]
 
     def along_m(step):

@@ -40,7 +40,7 @@ class Case:
     branch: int
     motor_rad: lab.Array
     world: World
-    gap_rad: lab.Array
+    backlash_rad: lab.Array
     """Positions in the backlash, on the flank that each load presses."""
 
 
@@ -55,7 +55,7 @@ def plant_with(turret_kg: float) -> Plant:
     """Return the plant with a turret of this mass, without contacts: only its weight matters here."""
 
     def edit(spec: mujoco.MjSpec) -> None:
-        lab.soon_at_rest(spec)
+        lab.settle_fast(spec)
         turret = spec.body("turret")
         turret.inertia = turret.inertia * (turret_kg / turret.mass)
         turret.mass = turret_kg
@@ -66,7 +66,7 @@ def plant_with(turret_kg: float) -> Plant:
 
 
 @cache
-def cases(turret_kg: float) -> tuple[Case, ...]:
+def make_cases(turret_kg: float) -> tuple[Case, ...]:
     """Return cases of every branch, at targets that the arm reaches inside its limits, half of them on Earth.
 
     A load near zero leaves a gear between its flanks or on either of them. Statics then cannot predict where
@@ -81,7 +81,7 @@ def cases(turret_kg: float) -> tuple[Case, ...]:
     while len(drawn) < POSES_PER_TURRET:
         branch, scene = len(drawn) % len(BRANCHES), SCENES[len(drawn) // len(BRANCHES) % 2]
         motor, world = answers.output_rad[:, branch, next(valid[branch])], tilted(rng, scene)
-        side, decided = pressed_to(arm, motor, world)
+        side, decided = pressed_flank(arm, motor, world)
         if decided.all():
             drawn.append(Case(branch, motor, world, side * lab.HALF_GAP_RAD))
     return tuple(drawn)
@@ -96,7 +96,7 @@ def tilted(rng: np.random.Generator, scene: Literal["mars", "earth"]) -> World:
             return world
 
 
-def pressed_to(arm: Arm, motor_rad: lab.Array, world: World) -> tuple[lab.Array, NDArray[np.bool_]]:
+def pressed_flank(arm: Arm, motor_rad: lab.Array, world: World) -> tuple[lab.Array, NDArray[np.bool_]]:
     """Return the flank that each load presses, and whether it would also return there from the other."""
     gravity = world.gravity_N_m_s2
     side = np.sign(settle(arm, motor_rad, np.zeros(5), gravity).torque_Nm)
@@ -112,7 +112,7 @@ def settle_down(plant: Plant, case: Case) -> None:
     From the middle of its backlash a light turret needs a minute.
     """
     plant.model.opt.gravity[:] = FLIP * case.world.gravity_N_m_s2
-    lab.load(plant, case.motor_rad, duration_s=2.0, rest_s=3.0, gear_rad=case.gap_rad)
+    lab.load(plant, case.motor_rad, duration_s=2.0, rest_s=3.0, gear_rad=case.backlash_rad)
     mujoco.mj_forward(plant.model, plant.data)
     assert np.abs(plant.data.qvel).max() < STILL_RAD_S
     assert np.abs(plant.data.qacc).max() < STILL_RAD_S2
@@ -121,24 +121,27 @@ def settle_down(plant: Plant, case: Case) -> None:
 @pytest.mark.parametrize("turret_kg", TURRETS_KG)
 def test_the_arm_hangs_where_flight_statics_say(turret_kg: float) -> None:
     arm, plant = arm_with(turret_kg), plant_with(turret_kg)
-    for case in cases(turret_kg):
+    for case in make_cases(turret_kg):
         settle_down(plant, case)
-        said, truth = settle(arm, case.motor_rad, case.gap_rad, case.world.gravity_N_m_s2), plant.truth()
-        assert said.converged
+        expected, truth = (
+            settle(arm, case.motor_rad, case.backlash_rad, case.world.gravity_N_m_s2),
+            plant.truth(),
+        )
+        assert expected.converged
         for tool in Tool:
-            X_RT = tool_pose(arm, said.frames, tool)
+            X_RT = tool_pose(arm, expected.frames, tool)
             assert np.linalg.norm(truth.p_RoTo_R_m[tool] - X_RT.p) < NEAR_M
             assert np.linalg.norm(truth.R_RT[tool] - X_RT.R) / np.sqrt(2) < NEAR_RAD
 
 
 def test_two_hundred_poses_are_compared() -> None:
-    assert sum(len(cases(turret_kg)) for turret_kg in TURRETS_KG) == 200
+    assert sum(len(make_cases(turret_kg)) for turret_kg in TURRETS_KG) == 200
 
 
 @pytest.mark.parametrize("turret_kg", TURRETS_KG)
 @pytest.mark.parametrize("scene", SCENES)
 def test_they_are_in_all_branches_and_tilted_by_up_to_thirty_degrees(scene: str, turret_kg: float) -> None:
-    drawn = [case for case in cases(turret_kg) if case.world.scene == scene]
+    drawn = [case for case in make_cases(turret_kg) if case.world.scene == scene]
     assert {case.branch for case in drawn} == set(range(len(BRANCHES)))
     assert max(case.world.tilt_rad for case in drawn) > 0.9 * MAX_TILT_RAD
 
@@ -146,7 +149,7 @@ def test_they_are_in_all_branches_and_tilted_by_up_to_thirty_degrees(scene: str,
 def test_on_earth_the_arm_hangs_by_centimetres() -> None:
     """The deflections are large, so that the agreement means something."""
     arm = arm_with(34.0)
-    case = next(case for case in cases(34.0) if case.world.scene == "earth")
+    case = next(case for case in make_cases(34.0) if case.world.scene == "earth")
     straight = settle(arm, lab.STRAIGHT_RAD, np.zeros(5), case.world.gravity_N_m_s2)
     rigid = tool_pose(arm, forward(arm, lab.STRAIGHT_RAD), Tool.DRILL)
     assert np.linalg.norm(tool_pose(arm, straight.frames, Tool.DRILL).p - rigid.p) > 0.05

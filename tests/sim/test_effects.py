@@ -40,19 +40,19 @@ NOMINAL = build_arm(PARAMS)
 SCREW = (0.011, -0.007, 0.013, 0.004, -0.006, 0.005)
 FRAMES = [(frame, None) for frame in Frame if frame is not Frame.TOOL] + [(Frame.TOOL, tool) for tool in Tool]
 SPRING_FRAMES = [Frame.ARM1, Frame.ARM2, Frame.ARM3, Frame.ARM4, Frame.ARM5]
-TILTED_EARTH = lab.tilted(15, -10, "earth")
+TILTED_EARTH = lab.tilted_world(15, -10, "earth")
 
 
-def built(*effects: Effect, world: World | None = None) -> Plant:
+def build(*effects: Effect, world: World | None = None) -> Plant:
     def edit(spec: mujoco.MjSpec) -> None:
-        lab.soon_at_rest(spec)
+        lab.settle_fast(spec)
         for effect in effects:
             effect.on_model(spec)
 
     return lab.plant(world, edit=edit)
 
 
-def known(*effects: Effect) -> Params:
+def params_with(*effects: Effect) -> Params:
     return params_with_effects(effects, PARAMS)
 
 
@@ -61,10 +61,10 @@ def rigid_difference_m(plant: Plant, arm: Arm, motor_error_rad: lab.Array | None
     error = np.zeros(5) if motor_error_rad is None else motor_error_rad
     worst = 0.0
     for seed in range(4):
-        told = np.random.default_rng([13, seed]).uniform(NOMINAL.soft_min_rad, NOMINAL.soft_max_rad)
+        encoder_rad = np.random.default_rng([13, seed]).uniform(NOMINAL.soft_min_rad, NOMINAL.soft_max_rad)
         mujoco.mj_resetData(plant.model, plant.data)
-        plant.data.qpos[plant.at.motor] = told - error
-        truth, frames = plant.truth(), forward(arm, told)
+        plant.data.qpos[plant.at.motor] = encoder_rad - error
+        truth, frames = plant.truth(), forward(arm, encoder_rad)
         for tool in Tool:
             X_RT = tool_pose(arm, frames, tool)
             worst = max(
@@ -80,8 +80,8 @@ def rest_difference_m(plant: Plant, arm: Arm, motor_error_rad: lab.Array | None 
     error = np.zeros(5) if motor_error_rad is None else motor_error_rad
     lab.load(plant, lab.LEFT_RAD - error, duration_s=2.0, rest_s=2.0)
     gravity_N_m_s2 = TILTED_EARTH.gravity_N_m_s2
-    said = settle(arm, plant.motor_rad() + error, plant.gap_rad(), gravity_N_m_s2)
-    apart = [plant.truth().p_RoTo_R_m[tool] - tool_pose(arm, said.frames, tool).p for tool in Tool]
+    expected = settle(arm, plant.motor_rad() + error, plant.gap_rad(), gravity_N_m_s2)
+    apart = [plant.truth().p_RoTo_R_m[tool] - tool_pose(arm, expected.frames, tool).p for tool in Tool]
     return float(np.linalg.norm(apart, axis=1).max())
 
 
@@ -90,9 +90,9 @@ def test_a_frame_error_displaces_its_frame_by_its_screw_and_is_known_exactly(
     frame: Frame, tool: Tool | None
 ) -> None:
     effect = FrameError(frame, SCREW, tool)
-    plant = built(effect)
+    plant = build(effect)
     assert rigid_difference_m(plant, NOMINAL) > 1e-3
-    assert rigid_difference_m(plant, build_arm(known(effect))) < 1e-12
+    assert rigid_difference_m(plant, build_arm(params_with(effect))) < 1e-12
 
 
 @pytest.mark.parametrize(("frame", "tool"), FRAMES)
@@ -103,7 +103,7 @@ def test_the_screw_of_a_frame_error_is_in_the_frames_own_axes(frame: Frame, tool
         frames = forward(arm, lab.LEFT_RAD)
         return frames.X_RF[frame] if tool is None else tool_pose(arm, frames, tool)
 
-    X, X_new = pose(NOMINAL), pose(build_arm(known(FrameError(frame, small, tool))))
+    X, X_new = pose(NOMINAL), pose(build_arm(params_with(FrameError(frame, small, tool))))
     moved = inverse(X) @ X_new
     screw = (moved.R[2, 1], moved.R[0, 2], moved.R[1, 0], *moved.p)
     np.testing.assert_allclose(screw, small, rtol=0, atol=1e-10)
@@ -114,7 +114,7 @@ def test_a_small_frame_error_moves_the_tools_of_the_plant_as_the_frame_jacobian_
     frame: Frame, tool: Tool | None
 ) -> None:
     small = (1e-6, -2e-6, 3e-6, 4e-6, -5e-6, 6e-6)
-    plant, frames = built(FrameError(frame, small, tool)), forward(NOMINAL, lab.LEFT_RAD)
+    plant, frames = build(FrameError(frame, small, tool)), forward(NOMINAL, lab.LEFT_RAD)
     mujoco.mj_resetData(plant.model, plant.data)
     plant.data.qpos[plant.at.motor] = lab.LEFT_RAD
     truth = plant.truth()
@@ -127,7 +127,7 @@ def test_a_small_frame_error_moves_the_tools_of_the_plant_as_the_frame_jacobian_
 
 
 def test_a_frame_error_at_a_tool_moves_that_tool_only() -> None:
-    plant = built(FrameError(Frame.TOOL, SCREW, Tool.DRT))
+    plant = build(FrameError(Frame.TOOL, SCREW, Tool.DRT))
     mujoco.mj_resetData(plant.model, plant.data)
     truth, frames = plant.truth(), forward(NOMINAL, np.zeros(5))
     apart = [truth.p_RoTo_R_m[tool] - tool_pose(NOMINAL, frames, tool).p for tool in Tool]
@@ -145,7 +145,7 @@ def test_the_loaded_arm_with_a_frame_error_rests_where_flight_software_says(
 ) -> None:
     """Springs and masses that move with the frame in the plant do so in the flight parameters."""
     effect = FrameError(frame, tuple(0.2 * s for s in SCREW), tool)
-    assert rest_difference_m(built(effect, world=TILTED_EARTH), build_arm(known(effect))) < 1e-6
+    assert rest_difference_m(build(effect, world=TILTED_EARTH), build_arm(params_with(effect))) < 1e-6
 
 
 def drawn_stops(params: Params) -> lab.Array:
@@ -158,22 +158,22 @@ def test_a_hardstop_off_its_place_is_an_error_of_the_zero_until_flight_software_
 ) -> None:
     """Homing sets the zero so that the output meets its assumed hardstop: the error shows in the tool."""
     effect = HardstopAngle(joint, 0.02)
-    plant = built(effect)
+    plant = build(effect)
     shift = plant.stop_rad() - drawn_stops(PARAMS)
     np.testing.assert_allclose(shift, 0.02 * (np.arange(5) == joint), atol=1e-12)
     assert rigid_difference_m(plant, NOMINAL, -shift) > 1e-3
-    left = drawn_stops(known(effect)) - plant.stop_rad()
+    left = drawn_stops(params_with(effect)) - plant.stop_rad()
     np.testing.assert_allclose(left, 0.0, atol=1e-12)
-    assert rigid_difference_m(plant, build_arm(known(effect)), left) < 1e-12
+    assert rigid_difference_m(plant, build_arm(params_with(effect)), left) < 1e-12
 
 
 @pytest.mark.parametrize("joint", Joint)
 def test_a_hardstop_of_other_stiffness_presses_back_as_flight_software_then_says(joint: Joint) -> None:
     effect = HardstopStiffness(joint, 0.6)
-    plant = built(effect)
+    plant = build(effect)
     mujoco.mj_resetData(plant.model, plant.data)
     plant.data.qpos[plant.at.motor] = plant.stop_rad() - 1e-3
-    believed = np.array([one.hardstop_stiffness_Nm_rad for one in known(effect).joints.in_order()])
+    believed = np.array([one.hardstop_stiffness_Nm_rad for one in params_with(effect).joints.in_order()])
     np.testing.assert_allclose(plant.stop_torque_Nm(), 1e-3 * believed, rtol=1e-9)
     drawn = np.array([one.hardstop_stiffness_Nm_rad for one in PARAMS.joints.in_order()])
     np.testing.assert_allclose(believed / drawn, np.where(np.arange(5) == joint, 0.6, 1.0))
@@ -183,31 +183,31 @@ def test_a_hardstop_of_other_stiffness_presses_back_as_flight_software_then_says
 def test_a_resolver_bias_is_in_the_reading_of_its_resolver(joint: Joint) -> None:
     hardware = ResolverBias(joint, 0.003).on_hardware(nominal_hardware())
     np.testing.assert_array_equal(hardware.resolver_bias_rad, 0.003 * (np.arange(5) == joint))
-    assert known(ResolverBias(joint, 0.003)) == PARAMS
+    assert params_with(ResolverBias(joint, 0.003)) == PARAMS
 
 
 @pytest.mark.parametrize("frame", SPRING_FRAMES)
 def test_a_link_of_other_stiffness_sags_otherwise_as_flight_software_then_says(frame: Frame) -> None:
     effect = LinkStiffness(frame, 0.6)
-    plant = built(effect, world=TILTED_EARTH)
+    plant = build(effect, world=TILTED_EARTH)
     assert rest_difference_m(plant, NOMINAL) > 3e-4
-    assert rest_difference_m(plant, build_arm(known(effect))) < 1e-7
+    assert rest_difference_m(plant, build_arm(params_with(effect))) < 1e-7
 
 
 @pytest.mark.parametrize("frame", [*SPRING_FRAMES[1:], Frame.ARM6])
 def test_a_link_of_other_mass_sags_otherwise_as_flight_software_then_says(frame: Frame) -> None:
     effect = LinkMass(frame, 1.3, (0.02, -0.03, 0.04))
-    plant = built(effect, world=TILTED_EARTH)
+    plant = build(effect, world=TILTED_EARTH)
     nominal = lab.plant()
     assert plant.model.body_mass.sum() > nominal.model.body_mass.sum() + 1.0
     assert rest_difference_m(plant, NOMINAL) > 1e-4
-    assert rest_difference_m(plant, build_arm(known(effect))) < 1e-7
+    assert rest_difference_m(plant, build_arm(params_with(effect))) < 1e-7
 
 
 @pytest.mark.parametrize("mass_kg", [0.0, 8.0, 19.0])
 def test_an_arm_with_another_turret_sags_as_flight_software_then_says(mass_kg: float) -> None:
     effect = StandInTurret(mass_kg)
-    plant = built(effect, world=TILTED_EARTH)
+    plant = build(effect, world=TILTED_EARTH)
     nominal = lab.plant()
     lighter_kg = nominal.model.body_mass.sum() - plant.model.body_mass.sum()
     assert lighter_kg == pytest.approx(34.0 - mass_kg, abs=1.1e-4)
@@ -215,7 +215,7 @@ def test_an_arm_with_another_turret_sags_as_flight_software_then_says(mass_kg: f
     for_each_kg = [m.body_inertia[turret] / m.body_mass[turret] for m in (plant.model, nominal.model)]
     np.testing.assert_allclose(*for_each_kg, rtol=1e-12)
     assert rest_difference_m(plant, NOMINAL) > 1e-3
-    assert rest_difference_m(plant, build_arm(known(effect))) < 1e-6
+    assert rest_difference_m(plant, build_arm(params_with(effect))) < 1e-6
 
 
 @pytest.mark.parametrize("joint", [Joint.ELEVATION, Joint.ELBOW, Joint.WRIST])
@@ -224,15 +224,15 @@ def test_a_gear_of_other_backlash_or_stiffness_lets_the_tool_sag_as_flight_softw
     joint: Joint, kind: type[BacklashWidth] | type[GearStiffness]
 ) -> None:
     effect = kind(joint, 0.6)
-    plant = built(effect, world=TILTED_EARTH)
-    arm = build_arm(known(effect))
+    plant = build(effect, world=TILTED_EARTH)
+    arm = build_arm(params_with(effect))
     lab.load(plant, lab.LEFT_RAD, duration_s=2.0, rest_s=2.0)
-    believed = getattr(known(effect).joints, joint.name.lower())
-    half_gap = believed.backlash_rad / 2
-    assert abs(plant.gap_rad()[joint]) == pytest.approx(half_gap, rel=1e-9)
-    said = settle(arm, plant.motor_rad(), plant.gap_rad(), TILTED_EARTH.gravity_N_m_s2)
+    believed = getattr(params_with(effect).joints, joint.name.lower())
+    half_backlash_rad = believed.backlash_rad / 2
+    assert abs(plant.gap_rad()[joint]) == pytest.approx(half_backlash_rad, rel=1e-9)
+    expected = settle(arm, plant.motor_rad(), plant.gap_rad(), TILTED_EARTH.gravity_N_m_s2)
     wind_up = lab.gear_rad(plant)[joint] - plant.gap_rad()[joint]
-    assert wind_up == pytest.approx(said.torque_Nm[joint] / believed.gear_stiffness_Nm_rad, rel=1e-3)
+    assert wind_up == pytest.approx(expected.torque_Nm[joint] / believed.gear_stiffness_Nm_rad, rel=1e-3)
     untouched = np.delete(plant.gap_rad(), joint)
     assert np.all(np.abs(untouched) <= np.delete(lab.HALF_GAP_RAD, joint))
 
@@ -240,7 +240,7 @@ def test_a_gear_of_other_backlash_or_stiffness_lets_the_tool_sag_as_flight_softw
 @pytest.mark.parametrize("joint", Joint)
 def test_gear_friction_is_on_the_motor_and_flight_software_has_no_word_for_it(joint: Joint) -> None:
     effect = GearFriction(joint, 1.5)
-    plant, nominal = built(effect), built()
+    plant, nominal = build(effect), build()
     dof = plant.model.joint(f"{joint.name.lower()}_motor").dofadr[0]
     for field in ("dof_frictionloss", "dof_damping"):
         ratio = getattr(plant.model, field) / np.where(
@@ -249,12 +249,12 @@ def test_gear_friction_is_on_the_motor_and_flight_software_has_no_word_for_it(jo
         assert ratio[dof] == pytest.approx(1.5)
         others = np.delete(ratio, dof)
         assert np.all((others == 0) | (others == 1.0))
-    assert known(effect) == PARAMS
+    assert params_with(effect) == PARAMS
 
 
 def test_effects_add_up_in_any_order_of_different_places() -> None:
     effects = (FrameError(Frame.ARM3, SCREW), LinkStiffness(Frame.ARM3, 0.8), LinkMass(Frame.ARM3, 1.1))
-    one, other = known(*effects), known(*effects[::-1])
+    one, other = params_with(*effects), params_with(*effects[::-1])
     assert build_arm(one).theta_rad.tolist() == build_arm(other).theta_rad.tolist()
     np.testing.assert_allclose(build_arm(one).compliance, build_arm(other).compliance)
     np.testing.assert_allclose(build_arm(one).far_kg, build_arm(other).far_kg)
@@ -274,21 +274,21 @@ def test_in_the_cold_every_motor_has_more_friction_and_is_as_cold_as_it_is(
 ) -> None:
     effect = Ambient(temperature_C)
     for one, warm, cold in zip(
-        motor_friction(built(effect)), motor_friction(built()), (COULOMB_COLD, VISCOUS_COLD), strict=True
+        motor_friction(build(effect)), motor_friction(build()), (COULOMB_COLD, VISCOUS_COLD), strict=True
     ):
         np.testing.assert_allclose(one / warm, cold**share)
     assert (effect.on_hardware(nominal_hardware()).ambient_C == temperature_C).all()
-    assert known(effect) == PARAMS
+    assert params_with(effect) == PARAMS
 
 
 def test_the_noise_of_the_current_sensors_is_what_it_is_told_to_be() -> None:
     assert CurrentNoise(0.07).on_hardware(nominal_hardware()).current_noise_A == 0.07
-    assert known(CurrentNoise(0.07)) == PARAMS
+    assert params_with(CurrentNoise(0.07)) == PARAMS
 
 
 def test_an_arm_with_nothing_to_touch_goes_through_the_rover() -> None:
     for effects, touches in (((), True), ((NothingToTouch(),), False)):
-        plant = built(*effects)
+        plant = build(*effects)
         mujoco.mj_resetData(plant.model, plant.data)
         plant.data.qpos[plant.at.motor] = np.radians([-170.0, 0.0, 0.0, 0.0, 0.0])
         mujoco.mj_forward(plant.model, plant.data)

@@ -42,7 +42,7 @@ def test_the_torque_that_holds_the_arm_is_its_load_give_or_take_the_friction() -
     assert abs(plant.truth().motor_torque_Nm[ELEVATION]) == pytest.approx(by_hand, abs=171 + 10)
 
 
-def measured(spec: mujoco.MjSpec) -> None:
+def remove_friction(spec: mujoco.MjSpec) -> None:
     """Remove friction from the specification, and compute the energy in every step."""
     spec.option.enableflags |= mujoco.mjtEnableBit.mjENBL_ENERGY
     lab.without_output_friction(spec)
@@ -52,9 +52,9 @@ def measured(spec: mujoco.MjSpec) -> None:
         motor.damping = 0.0 * motor.damping
 
 
-def measured_undamped(spec: mujoco.MjSpec) -> None:
+def remove_friction_and_damping(spec: mujoco.MjSpec) -> None:
     """Remove friction and damping."""
-    measured(spec)
+    remove_friction(spec)
     for part in (*spec.joints, *spec.tendons):
         part.damping = 0.0 * part.damping
 
@@ -92,7 +92,7 @@ def effective_damping(model: mujoco.MjModel) -> tuple[lab.Array, lab.Array]:
 
 def test_without_friction_and_damping_a_free_swing_keeps_its_energy() -> None:
     """The tolerance at the reference step is one per cent of the exchanged energy; no step gains any."""
-    total, kinetic, _ = free_swing(lab.plant(time_step_s=REFERENCE_STEP_S, edit=measured_undamped))
+    total, kinetic, _ = free_swing(lab.plant(time_step_s=REFERENCE_STEP_S, edit=remove_friction_and_damping))
     assert kinetic.max() > 10.0
     assert total.max() - total[0] < 1e-3
     assert total[0] - total[-1] < 0.01 * kinetic.max()
@@ -103,7 +103,7 @@ def test_without_friction_and_damping_a_free_swing_keeps_its_energy() -> None:
 )
 def test_with_damping_a_free_swing_loses_what_the_dampers_take(step_s: float | None, share: float) -> None:
     """The tolerance is a share of the exchanged energy."""
-    plant = lab.plant(time_step_s=step_s, edit=measured)
+    plant = lab.plant(time_step_s=step_s, edit=remove_friction)
     total, kinetic, power = free_swing(plant)
     taken = plant.model.opt.timestep * power[1:].sum()
     assert taken > 0.005 * kinetic.max()

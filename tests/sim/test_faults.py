@@ -86,8 +86,8 @@ def test_a_biased_sensor_reads_too_much_by_its_bias_and_no_other_does(quiet, nam
 
 @pytest.mark.parametrize("name", [name for name in READINGS if name != "encoder_count"])
 def test_a_sensor_that_reads_no_number_does_so_where_it_is_told(quiet, name):
-    spoilt = avionics_with(SensorFault(NOW_S, name, "nan", 2)).sense()
-    np.testing.assert_array_equal(np.isnan(read(spoilt, name)), np.arange(READINGS[name]) == 2)
+    readings = avionics_with(SensorFault(NOW_S, name, "nan", 2)).sense()
+    np.testing.assert_array_equal(np.isnan(read(readings, name)), np.arange(READINGS[name]) == 2)
 
 
 @pytest.mark.parametrize("name", ["encoder_count", "switch_closed"])
@@ -108,12 +108,12 @@ def test_a_frozen_sensor_keeps_what_it_read_when_its_time_came():
     plant = lab.plant()
     plant.place(lab.READY_RAD, 0.5)
     sensors = avionics_with(SensorFault(0.5, "resolver_rad", "frozen", Joint.ELBOW), plant=plant)
-    told = []
+    resolver_rad = []
     for cycle in range(64):
         plant.data.qpos[plant.at.gear] = 1e-3 * cycle
         plant.data.time = cycle / CYCLE_HZ
-        told.append(sensors.sense().resolver_rad)
-    change = np.diff(told, axis=0)
+        resolver_rad.append(sensors.sense().resolver_rad)
+    change = np.diff(resolver_rad, axis=0)
     assert change[:32].all()
     assert not change[32:, Joint.ELBOW].any()
     assert np.delete(change[32:], Joint.ELBOW, axis=1).all()
@@ -145,7 +145,7 @@ def now_s() -> float:
     return float(moving().plant.data.time)
 
 
-def told(record) -> tuple:
+def bits(record) -> tuple:
     """Return all outputs of a cycle, bit for bit."""
     sensors, drive, truth = record.sensors, record.outputs.drive, record.truth
     arrays = (
@@ -162,15 +162,15 @@ def test_a_run_and_its_forks_go_on_bit_by_bit_alike_even_if_one_was_troubled():
     troubled = first.fork((JointSeized(now_s(), Joint.ELBOW), TiltStep(now_s(), 0.3, 0.0)))
     for _ in range(100):
         troubled.cycle()
-    ahead = [told(first.cycle()) for _ in range(400)]
+    ahead = [bits(first.cycle()) for _ in range(400)]
     again = snapshot.fork()
-    assert [told(snapshot.cycle()) for _ in range(400)] == ahead
-    assert [told(again.cycle()) for _ in range(400)] == ahead
+    assert [bits(snapshot.cycle()) for _ in range(400)] == ahead
+    assert [bits(again.cycle()) for _ in range(400)] == ahead
 
 
 def test_nothing_happens_before_its_time():
     calm, waiting = moving().fork(), moving().fork((WeakMotor(now_s() + 1.0, Joint.ELBOW, 0.1),))
-    same = [told(calm.cycle()) == told(waiting.cycle()) for _ in range(100)]
+    same = [bits(calm.cycle()) == bits(waiting.cycle()) for _ in range(100)]
     assert all(same[:64])
     assert not any(same[70:])
 

@@ -49,7 +49,7 @@ class Shifted:
         return current_A + self.offset_A
 
 
-def finished(run: InitialisationRun) -> InitialisationResult:
+def run_to_end(run: InitialisationRun) -> InitialisationResult:
     """Run to the end and check that no limit is ever exceeded."""
     for _ in run:
         pass
@@ -59,9 +59,9 @@ def finished(run: InitialisationRun) -> InitialisationResult:
     return result
 
 
-def failed(run: InitialisationRun, event: type[evrs.Evr], joint: Joint) -> None:
+def check_failure(run: InitialisationRun, event: type[evrs.Evr], joint: Joint) -> None:
     """Check that the run ends with this event, braked, and that the joint is not calibrated."""
-    result = finished(run)
+    result = run_to_end(run)
     happened = [evr for _, evr in result.evrs]
     assert result.outcome is Outcome.FAULTED
     assert any(isinstance(evr, event) and evr.joint is joint for evr in happened)
@@ -76,7 +76,7 @@ def failed(run: InitialisationRun, event: type[evrs.Evr], joint: Joint) -> None:
 def test_every_joint_of_the_nominal_arm_finds_its_zero_and_its_gap(joint):
     run = prepare_homing(arm_named("nominal"), joint, World())
     before = run.loop.plant.motor_rad()
-    result = finished(run)
+    result = run_to_end(run)
     assert result.outcome is Outcome.DONE
     (stop,) = result.stops
     assert abs(stop.zero_error_rad) < 0.1e-3
@@ -90,7 +90,7 @@ def test_every_joint_of_the_nominal_arm_finds_its_zero_and_its_gap(joint):
 @pytest.mark.parametrize("arm", ["as-built:3", "as-built:4"])
 @pytest.mark.parametrize("joint", Joint)
 def test_an_as_built_joint_in_the_cold_finds_its_zero(arm, joint):
-    result = finished(prepare_homing(arm_named(arm), joint, World(), effects=(Ambient(COLD_C),)))
+    result = run_to_end(prepare_homing(arm_named(arm), joint, World(), effects=(Ambient(COLD_C),)))
     assert abs(result.stops[0].zero_error_rad) < 0.3e-3
     # without wind-up it would be milliradians
     assert abs(result.stops[0].uncorrected_error_rad) > 1e-3
@@ -98,7 +98,7 @@ def test_an_as_built_joint_in_the_cold_finds_its_zero(arm, joint):
 
 def test_a_joint_repeats_on_other_days():
     runs = [
-        finished(prepare_random_homing(arm_named("as-built:1"), Joint.ELBOW, World(), seed))
+        run_to_end(prepare_random_homing(arm_named("as-built:1"), Joint.ELBOW, World(), seed))
         for seed in range(4)
     ]
     errors = np.array([run.stops[0].zero_error_rad for run in runs])
@@ -113,8 +113,8 @@ def test_a_joint_that_was_left_pressed_on_its_hardstop_is_not_pressed_any_harder
         for _ in range(2)
     )
     for _ in run:
-        seek = run.loop.state.move.homing if run.loop.state.move is not None else None
-        if seek is not None and seek.stage is HomingStage.RETREAT:
+        homing = run.loop.state.move.homing if run.loop.state.move is not None else None
+        if homing is not None and homing.stage is HomingStage.RETREAT:
             break
     record = run.loop.cycle((Stop(),))
     while record.outputs.joint.busy:
@@ -122,21 +122,21 @@ def test_a_joint_that_was_left_pressed_on_its_hardstop_is_not_pressed_any_harder
     assert run.loop.state.mode is Mode.DEPLOYED
     left_Nm = run.loop.plant.stop_torque_Nm()[joint]
     assert left_Nm > 0.5 * run.loop.config.params.joints.in_order()[joint].hardstop_press_Nm
-    result = finished(InitialisationRun(run.loop, Calibrate(joint)))
+    result = run_to_end(InitialisationRun(run.loop, Calibrate(joint)))
     assert result.outcome is Outcome.DONE
-    assert result.most_torque_Nm[joint] < 1.1 * finished(ordinary).most_torque_Nm[joint]
+    assert result.most_torque_Nm[joint] < 1.1 * run_to_end(ordinary).most_torque_Nm[joint]
     assert abs(result.stops[0].zero_error_rad) < 0.1e-3
 
 
 def test_a_snag_on_the_way_is_a_stall_too_early():
     snag = (HardstopAngle(Joint.TURRET, 0.1),)
     run = prepare_homing(arm_named("nominal"), Joint.TURRET, World(), effects=snag, before_stop_rad=0.15)
-    failed(run, faults.StalledEarly, Joint.TURRET)
+    check_failure(run, faults.StalledEarly, Joint.TURRET)
 
 
 def test_a_hardstop_that_is_not_there_is_missed():
     gone = (HardstopAngle(Joint.TURRET, -0.3),)
-    failed(
+    check_failure(
         prepare_homing(arm_named("nominal"), Joint.TURRET, World(), effects=gone),
         faults.HardstopMissed,
         Joint.TURRET,
@@ -145,7 +145,7 @@ def test_a_hardstop_that_is_not_there_is_missed():
 
 def test_something_soft_in_its_place_is_no_hardstop():
     soft = (HardstopStiffness(Joint.TURRET, 0.15),)
-    failed(
+    check_failure(
         prepare_homing(arm_named("nominal"), Joint.TURRET, World(), effects=soft),
         faults.NoHardstop,
         Joint.TURRET,
@@ -154,16 +154,16 @@ def test_something_soft_in_its_place_is_no_hardstop():
 
 def test_a_hardstop_that_moved_since_last_time_is_not_believed():
     arm = arm_named("nominal")
-    known = finished(prepare_homing(arm, Joint.TURRET, World())).reference
+    known = run_to_end(prepare_homing(arm, Joint.TURRET, World())).reference
     moved = (HardstopAngle(Joint.TURRET, 4e-3),)
     run = prepare_homing(arm, Joint.TURRET, World(), effects=moved, reference=known)
-    failed(run, faults.HardstopMoved, Joint.TURRET)
+    check_failure(run, faults.HardstopMoved, Joint.TURRET)
     # nor the second time, until the ground says so
     left = run.loop.state.joints.reference
     again = prepare_homing(arm, Joint.TURRET, World(), effects=moved, reference=left)
-    failed(again, faults.HardstopMoved, Joint.TURRET)
+    check_failure(again, faults.HardstopMoved, Joint.TURRET)
     loop = prepare_homing(arm, Joint.TURRET, World(), effects=moved, reference=left).loop
-    result = finished(InitialisationRun(loop, Calibrate(Joint.TURRET, anew=True)))
+    result = run_to_end(InitialisationRun(loop, Calibrate(Joint.TURRET, anew=True)))
     assert result.outcome is Outcome.DONE
     assert result.reference.zero_rad[Joint.TURRET] != pytest.approx(known.zero_rad[Joint.TURRET], abs=3e-3)
 
@@ -171,7 +171,7 @@ def test_a_hardstop_that_moved_since_last_time_is_not_believed():
 def test_a_seized_motor_is_stuck():
     seized = (GearFriction(Joint.TURRET, 50.0),)
     run = prepare_homing(arm_named("nominal"), Joint.TURRET, World(), effects=seized, before_stop_rad=0.1)
-    failed(run, faults.MotorStuck, Joint.TURRET)
+    check_failure(run, faults.MotorStuck, Joint.TURRET)
 
 
 @pytest.mark.parametrize("reads", [Stuck(3.5), Stuck(-3.5), Stuck(0.0), Scaled(0.6), Shifted(0.5)], ids=str)
@@ -187,7 +187,7 @@ def test_with_a_current_sensor_that_lies_nothing_is_pressed_too_hard_or_for_ever
         return replace(sensors, current_A=current_A)
 
     run.loop.avionics.sense = lying
-    result = finished(run)
+    result = run_to_end(run)
     assert result.duration_s < 120.0
     if result.outcome is Outcome.DONE:
         assert abs(result.stops[0].zero_error_rad) < 0.3e-3
@@ -198,12 +198,12 @@ def test_with_a_current_sensor_that_lies_nothing_is_pressed_too_hard_or_for_ever
 @pytest.mark.parametrize("stage", HomingStage)
 def test_power_lost_half_way_leaves_nothing_half_set(stage):
     arm = arm_named("nominal")
-    whole = finished(prepare_homing(arm, Joint.TURRET, World()))
+    whole = run_to_end(prepare_homing(arm, Joint.TURRET, World()))
     times_s = [s.time_s for s in whole.samples if s.stage is stage]
     lost = (PowerLoss(float(np.median(times_s))),)
     known = whole.reference
     run = prepare_homing(arm, Joint.TURRET, World(), effects=lost, reference=known)
-    result = finished(run)
+    result = run_to_end(run)
     assert result.outcome is Outcome.FAULTED
     assert not result.reference.calibrated[Joint.TURRET]
     assert run.loop.plant.data.eq_active[run.loop.plant.at.brake].all()
@@ -236,8 +236,8 @@ def test_a_stop_command_half_way_leaves_the_joint_uncalibrated():
 
 def test_a_joint_found_twice_is_found_in_the_same_place():
     arm = arm_named("as-built:2")
-    first = finished(prepare_homing(arm, Joint.WRIST, World(), seed=1))
-    second = finished(prepare_homing(arm, Joint.WRIST, World(), seed=2, reference=first.reference))
+    first = run_to_end(prepare_homing(arm, Joint.WRIST, World(), seed=1))
+    second = run_to_end(prepare_homing(arm, Joint.WRIST, World(), seed=2, reference=first.reference))
     assert second.outcome is Outcome.DONE
     assert CommandCompleted("Calibrate") in [evr for _, evr in second.evrs]
     zeros = first.reference.zero_rad[Joint.WRIST], second.reference.zero_rad[Joint.WRIST]

@@ -33,7 +33,7 @@ def bare() -> Params:
     return without_turret(NOMINAL, on_earth=True).params
 
 
-def run_from(params: Params, joint: Joint, pose_rad: np.ndarray) -> np.ndarray:
+def path_to_hardstop(params: Params, joint: Joint, pose_rad: np.ndarray) -> np.ndarray:
     """Return the path of a joint from a pose to its hardstop, (5, n)."""
     stop_rad = params.joints.in_order()[joint].hardstop_rad
     poses = np.repeat(pose_rad[:, None], 12, axis=1)
@@ -61,7 +61,7 @@ def test_a_joint_has_room_to_run_wherever_it_is_allowed_to(joint, world, whole, 
     rng = np.random.default_rng([15, joint])
     for pose in homing_start_poses(params, joint):
         for _ in range(20):
-            found = space.clearance(run_from(params, joint, pose + rng.uniform(-most, most, 5)))
+            found = space.clearance(path_to_hardstop(params, joint, pose + rng.uniform(-most, most, 5)))
             assert min(found.outside_m, found.self_m) > HARDSTOP_CLEARANCE_M
 
 

@@ -30,14 +30,14 @@ BY_CHANCE = (
 )
 
 
-def begun(seed: int = 0, effects: tuple = BY_CHANCE) -> ClosedLoop:
+def start_loop(seed: int = 0, effects: tuple = BY_CHANCE) -> ClosedLoop:
     setup = Setup(NOMINAL, World(), joints5(lab.READY_RAD), seed, true_reference(NOMINAL), effects)
     return ClosedLoop(setup)
 
 
 def move(loop: ClosedLoop, by_rad: float) -> list:
     loop.cycle((MoveJoints(joints5(lab.READY_RAD + by_rad)),))
-    return lab.ended(loop)
+    return lab.run_to_rest(loop)
 
 
 def drawn(loop: ClosedLoop) -> np.ndarray:
@@ -46,14 +46,14 @@ def drawn(loop: ClosedLoop) -> np.ndarray:
 
 
 def test_before_the_first_move_everything_stands_as_it_was_built():
-    assert not drawn(begun()).any()
+    assert not drawn(start_loop()).any()
 
 
 def test_every_move_draws_anew_and_stays_with_it_to_its_end():
-    loop = begun()
+    loop = start_loop()
     loop.cycle((MoveJoints(joints5(lab.READY_RAD + 0.01)),))
     first = drawn(loop)
-    lab.ended(loop)
+    lab.run_to_rest(loop)
     assert np.array_equal(drawn(loop), first)
     move(loop, 0.02)
     assert np.count_nonzero(first) == 14
@@ -61,7 +61,7 @@ def test_every_move_draws_anew_and_stays_with_it_to_its_end():
 
 
 def test_the_same_seed_draws_the_same_and_another_something_else():
-    loops = [begun(seed) for seed in (3, 3, 4)]
+    loops = [start_loop(seed) for seed in (3, 3, 4)]
     for loop in loops:
         move(loop, 0.01)
     one, same, other = (drawn(loop) for loop in loops)
@@ -70,7 +70,7 @@ def test_the_same_seed_draws_the_same_and_another_something_else():
 
 
 def test_a_fork_draws_what_the_run_itself_would_have():
-    loop = begun()
+    loop = start_loop()
     move(loop, 0.01)
     fork = loop.fork()
     for one in (loop, fork):
@@ -80,12 +80,12 @@ def test_a_fork_draws_what_the_run_itself_would_have():
 
 
 def test_the_noise_of_sensors_is_the_same_with_and_without_draws():
-    readings = [begun(effects=effects).cycle().sensors.resolver_rad for effects in ((), BY_CHANCE)]
+    readings = [start_loop(effects=effects).cycle().sensors.resolver_rad for effects in ((), BY_CHANCE)]
     assert np.array_equal(*readings)
 
 
 def test_flight_software_does_not_see_where_its_encoders_are_wrong():
-    loop = begun()
+    loop = start_loop()
     assert not [evr for evr in move(loop, 0.01) if evr.severity.name.startswith(("WARNING", "FATAL"))]
     believed, true = loop.state.joints.motor_rad, loop.plant.motor_rad()
     assert (true - believed)[Joint.WRIST] == pytest.approx(

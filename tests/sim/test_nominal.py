@@ -38,7 +38,7 @@ def random_poses(seed: int, count: int) -> lab.Array:
     return rng.uniform(arm.soft_min_rad, arm.soft_max_rad, (count, 5)).T
 
 
-def posed(plant: Plant, output_rad: lab.Array) -> None:
+def set_pose(plant: Plant, output_rad: lab.Array) -> None:
     """Set every spring and gear to zero, and the outputs to these angles."""
     mujoco.mj_resetData(plant.model, plant.data)
     plant.data.qpos[plant.at.motor] = output_rad
@@ -56,7 +56,7 @@ def test_every_tool_of_the_rigid_arm_is_where_flight_kinematics_say(nominal: Pla
     outputs = random_poses(7, 500)
     frames = forward(CONFIG.arm, outputs)
     for k in range(outputs.shape[1]):
-        posed(nominal, outputs[:, k])
+        set_pose(nominal, outputs[:, k])
         truth = nominal.truth()
         for tool in Tool:
             X_RT = tool_pose(CONFIG.arm, frames, tool)[k]
@@ -69,13 +69,13 @@ def test_every_frame_of_the_rigid_arm_is_where_flight_kinematics_say(nominal: Pl
     outputs = random_poses(8, 100)
     frames = forward(CONFIG.arm, outputs)
     for k in range(outputs.shape[1]):
-        posed(nominal, outputs[:, k])
-        said = {"arm1": frames.X_RF[0, k], "turret": frames.X_RF[5, k]}
+        set_pose(nominal, outputs[:, k])
+        expected = {"arm1": frames.X_RF[0, k], "turret": frames.X_RF[5, k]}
         for joint in Joint:
             turned = rotation_z(outputs[joint, k])
             X_RF = frames.X_RF[int(joint), k]
-            said[f"link{joint + 1}"] = Pose(X_RF.R @ turned, X_RF.p)
-        for body, X in said.items():
+            expected[f"link{joint + 1}"] = Pose(X_RF.R @ turned, X_RF.p)
+        for body, X in expected.items():
             p_R_m, R = in_rmech(nominal, body)
             np.testing.assert_allclose(p_R_m, X.p, rtol=0, atol=1e-10)
             np.testing.assert_allclose(R, X.R, rtol=0, atol=1e-10)

@@ -43,11 +43,11 @@ def run() -> tuple[RecordedStart, list[CycleRecord]]:
     return RecordedStart(World(), motor, REFERENCE.zero_rad, hardstops), records
 
 
-def driven(
-    run: tuple[RecordedStart, list[CycleRecord]], manner: SimulationOptions, *effects: Effect
+def drive_open_loop(
+    run: tuple[RecordedStart, list[CycleRecord]], options: SimulationOptions, *effects: Effect
 ) -> list[Sensors]:
     start, records = run
-    return list(OpenLoopArm(start, effects, manner).readings(record.outputs.drive for record in records))
+    return list(OpenLoopArm(start, effects, options).readings(record.outputs.drive for record in records))
 
 
 def difference(name: str, one: list[Sensors], other: list[Sensors]) -> np.ndarray:
@@ -57,7 +57,7 @@ def difference(name: str, one: list[Sensors], other: list[Sensors]) -> np.ndarra
 def test_the_same_plant_under_the_same_drive_reads_the_same_bit_for_bit(
     run: tuple[RecordedStart, list[CycleRecord]],
 ) -> None:
-    for now, record in zip(driven(run, SimulationOptions(SEED)), run[1], strict=True):
+    for now, record in zip(drive_open_loop(run, SimulationOptions(SEED)), run[1], strict=True):
         for field in fields(Sensors):
             np.testing.assert_array_equal(getattr(now, field.name), getattr(record.sensors, field.name))
 
@@ -65,7 +65,7 @@ def test_the_same_plant_under_the_same_drive_reads_the_same_bit_for_bit(
 def test_without_noise_it_reads_the_mean_of_what_it_reads_with_noise(
     run: tuple[RecordedStart, list[CycleRecord]],
 ) -> None:
-    apart = difference("current_A", [r.sensors for r in run[1]], driven(run, SimulationOptions()))
+    apart = difference("current_A", [r.sensors for r in run[1]], drive_open_loop(run, SimulationOptions()))
     assert np.abs(apart.mean(axis=0)).max() < 4 * NOISE_A / np.sqrt(len(apart))
     assert apart.std() == pytest.approx(NOISE_A, rel=0.05)
 
@@ -73,8 +73,8 @@ def test_without_noise_it_reads_the_mean_of_what_it_reads_with_noise(
 def test_a_difference_shows_in_its_own_joint_and_while_that_moves(
     run: tuple[RecordedStart, list[CycleRecord]],
 ) -> None:
-    nominal = driven(run, BRIEF)
-    apart = difference("current_A", driven(run, BRIEF, CoulombFriction(Joint.WRIST, 10.0)), nominal)
+    nominal = drive_open_loop(run, BRIEF)
+    apart = difference("current_A", drive_open_loop(run, BRIEF, CoulombFriction(Joint.WRIST, 10.0)), nominal)
     rate = np.array([record.outputs.drive.setpoint_rate_rad_s[Joint.WRIST] for record in run[1]])
     cruising = np.abs(rate) > 0.9 * np.abs(rate).max()
     expected = 10.0 / JOINTS[Joint.WRIST].torque_constant_Nm_A * np.sign(rate[cruising])
@@ -87,22 +87,22 @@ def test_a_difference_shows_in_its_own_joint_and_while_that_moves(
 def test_what_is_wrong_at_a_joint_on_its_brake_is_not_seen(
     run: tuple[RecordedStart, list[CycleRecord]],
 ) -> None:
-    nominal = driven(run, BRIEF)
-    apart = difference("current_A", driven(run, BRIEF, ViscousFriction(Joint.ELBOW, 300.0)), nominal)
+    nominal = drive_open_loop(run, BRIEF)
+    apart = difference("current_A", drive_open_loop(run, BRIEF, ViscousFriction(Joint.ELBOW, 300.0)), nominal)
     assert np.abs(apart).max() < 0.01 * NOISE_A
 
 
 def test_a_sensor_that_reads_too_much_does_so_at_rest_too(
     run: tuple[RecordedStart, list[CycleRecord]],
 ) -> None:
-    nominal = driven(run, BRIEF)
-    apart = difference("current_A", driven(run, BRIEF, CurrentBias(Joint.ELBOW, 0.05)), nominal)
+    nominal = drive_open_loop(run, BRIEF)
+    apart = difference("current_A", drive_open_loop(run, BRIEF, CurrentBias(Joint.ELBOW, 0.05)), nominal)
     np.testing.assert_allclose(apart, 0.05 * (np.arange(5) == Joint.ELBOW) * np.ones_like(apart), atol=1e-15)
 
 
 def test_an_encoder_that_lost_count_shows_in_no_motion(run: tuple[RecordedStart, list[CycleRecord]]) -> None:
-    nominal = driven(run, BRIEF)
-    lost = driven(run, BRIEF, EncoderZero(Joint.WRIST, 2e-3))
+    nominal = drive_open_loop(run, BRIEF)
+    lost = drive_open_loop(run, BRIEF, EncoderZero(Joint.WRIST, 2e-3))
     np.testing.assert_array_equal(lost[0].encoder_count, nominal[0].encoder_count)
     assert (
         np.abs(difference("current_A", lost, nominal)).max() < 0.1 * NOISE_A

@@ -16,7 +16,7 @@ from fsw.dictionary.validity import check_limits
 from sim.params import BadParams, _nominal_text, _validate, nominal_params, params_over_nominal
 
 
-def written(folder: Path, text: str) -> Path:
+def write_file(folder: Path, text: str) -> Path:
     path = folder / "over.toml"
     path.write_text(text)
     return path
@@ -27,7 +27,7 @@ def test_nominal_parameters_are_within_their_limits() -> None:
 
 
 def test_a_file_replaces_what_it_names_and_nothing_else(tmp_path: Path) -> None:
-    path = written(tmp_path, 'arm_name = "mine"\n[joints.elbow]\nbacklash_rad = 0.005\n')
+    path = write_file(tmp_path, 'arm_name = "mine"\n[joints.elbow]\nbacklash_rad = 0.005\n')
     loaded, nominal = params_over_nominal(path), nominal_params()
     assert loaded.joints.elbow.backlash_rad == 0.005
     elbow = replace(nominal.joints.elbow, backlash_rad=0.005)
@@ -190,16 +190,16 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize(("text", "said"), BAD.values(), ids=BAD)
+@pytest.mark.parametrize(("text", "expected"), BAD.values(), ids=BAD)
 def test_bad_parameters_are_refused_and_each_is_named_with_its_place(
-    tmp_path: Path, text: str, said: list[str]
+    tmp_path: Path, text: str, expected: list[str]
 ) -> None:
-    path = written(tmp_path, text)
+    path = write_file(tmp_path, text)
     with pytest.raises(BadParams) as refused:
         params_over_nominal(path)
     lines = str(refused.value).splitlines()
     assert all(line.startswith(f"{path}: ") for line in lines)
-    for sentence in said:
+    for sentence in expected:
         assert any(line.startswith(f"{path}: {sentence}") for line in lines), (sentence, lines)
 
 
@@ -212,7 +212,7 @@ def compliance(changes: dict[tuple[int, int], float]) -> str:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "expected"),
     [
         ({(0, 4): 1e-9}, r"is not symmetric: 1e-09 at \[0\]\[4\], 0.0 across"),
         ({(2, 2): -1e-9}, "is not positive semidefinite"),
@@ -236,17 +236,17 @@ def compliance(changes: dict[tuple[int, int], float]) -> str:
     ],
 )
 def test_a_compliance_of_no_spring_is_refused(
-    tmp_path: Path, changes: dict[tuple[int, int], float], said: str
+    tmp_path: Path, changes: dict[tuple[int, int], float], expected: str
 ) -> None:
-    with pytest.raises(BadParams, match=r"over\.toml: links\.arm3\.compliance: (" + said + ")"):
-        params_over_nominal(written(tmp_path, compliance(changes)))
+    with pytest.raises(BadParams, match=r"over\.toml: links\.arm3\.compliance: (" + expected + ")"):
+        params_over_nominal(write_file(tmp_path, compliance(changes)))
 
 
 @pytest.mark.parametrize("link", ["arm1", "arm2", "arm3", "arm4", "arm5", "arm6"])
 def test_the_compliance_of_every_link_is_looked_at(tmp_path: Path, link: str) -> None:
     rows = [[-1e-9 if row == column == 3 else 0.0 for column in range(6)] for row in range(6)]
     with pytest.raises(BadParams, match=rf"links\.{link}\.compliance: is not positive semidefinite"):
-        params_over_nominal(written(tmp_path, f"[links.{link}]\ncompliance = {rows}\n"))
+        params_over_nominal(write_file(tmp_path, f"[links.{link}]\ncompliance = {rows}\n"))
 
 
 @pytest.mark.parametrize(
@@ -311,11 +311,11 @@ def numbers_of(table: Any, place: tuple[str | int, ...] = ()) -> Iterator[tuple[
     ids=["coupled, rounded", "rigid"],
 )
 def test_the_compliance_of_a_spring_is_taken(tmp_path: Path, changes: dict[tuple[int, int], float]) -> None:
-    params_over_nominal(written(tmp_path, compliance(changes)))
+    params_over_nominal(write_file(tmp_path, compliance(changes)))
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "expected"),
     [
         (b"[joints", "is not TOML"),
         (b"arm_name = " + b"9" * 5000, "is not TOML"),
@@ -324,10 +324,10 @@ def test_the_compliance_of_a_spring_is_taken(tmp_path: Path, changes: dict[tuple
     ],
     ids=["torn", "a number without end", "a list without end", "binary"],
 )
-def test_a_file_that_is_not_toml_is_refused(tmp_path: Path, content: bytes, said: str) -> None:
+def test_a_file_that_is_not_toml_is_refused(tmp_path: Path, content: bytes, expected: str) -> None:
     path = tmp_path / "over.toml"
     path.write_bytes(content)
-    with pytest.raises(BadParams, match=said):
+    with pytest.raises(BadParams, match=expected):
         params_over_nominal(path)
 
 
@@ -352,7 +352,7 @@ def test_a_file_larger_than_memory_is_refused_before_it_is_read(tmp_path: Path) 
 
 
 def test_the_digest_is_of_the_values_and_not_of_their_order(tmp_path: Path) -> None:
-    one = written(
+    one = write_file(
         tmp_path, "[joints.elbow]\nbacklash_rad = 0.005\ngear_ratio = 7000.0\n[motion]\nsettle_time_s = 1.0\n"
     )
     params = params_over_nominal(one)
@@ -364,8 +364,8 @@ def test_the_digest_is_of_the_values_and_not_of_their_order(tmp_path: Path) -> N
 
 
 def test_a_whole_number_is_the_same_as_one_with_a_point(tmp_path: Path) -> None:
-    whole = params_over_nominal(written(tmp_path, "[joints.elbow]\ngear_ratio = 7000\n"))
-    point = params_over_nominal(written(tmp_path, "[joints.elbow]\ngear_ratio = 7000.0\n"))
+    whole = params_over_nominal(write_file(tmp_path, "[joints.elbow]\ngear_ratio = 7000\n"))
+    point = params_over_nominal(write_file(tmp_path, "[joints.elbow]\ngear_ratio = 7000.0\n"))
     assert digest(whole) == digest(point)
 
 

@@ -24,7 +24,7 @@ BEHIND_AN_EDGE: tuple[Vector3, Vector3] = ((2.166, -0.129, -0.127), (-0.927, 0.2
 """Face so steep that the path from the ready pose leads through the rock."""
 
 
-def seen(surface: tuple[Vector3, Vector3], tool: Tool = Tool.APXS) -> Preview:
+def preview(surface: tuple[Vector3, Vector3], tool: Tool = Tool.APXS) -> Preview:
     return preview_placement(NOMINAL, World(surface=Surface(*surface)), Placement(tool, *surface))
 
 
@@ -38,14 +38,14 @@ def place(placement: Placement, world: World) -> tuple[ClosedLoop, PlacementResu
 
 
 def test_an_open_target_has_a_straight_way() -> None:
-    found = seen(OPEN)
+    found = preview(OPEN)
     assert found.problem is None
     assert found.placement.via_m == 0.0
     assert 10.0 < found.duration_s < 300.0
 
 
 def test_a_target_behind_an_edge_has_a_way_from_above() -> None:
-    found = seen(BEHIND_AN_EDGE)
+    found = preview(BEHIND_AN_EDGE)
     assert found.problem is None
     assert found.placement.via_m == VIA_M
     assert found.placement.branch != "AUTO"
@@ -63,7 +63,7 @@ def test_a_target_behind_an_edge_has_a_way_from_above() -> None:
 def test_a_target_without_a_way_is_told_with_what_is_in_it(
     surface: tuple[Vector3, Vector3], problem: str
 ) -> None:
-    found = seen(surface)
+    found = preview(surface)
     assert found.problem is not None
     assert re.search(problem, found.problem), found.problem
 
@@ -83,9 +83,9 @@ def test_the_way_from_the_stowed_pose_is_looked_at_where_the_arm_starts_there() 
 def test_along_the_guarded_line_the_pads_may_meet_the_rock_and_nothing_else(
     tool: Tool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert seen(OPEN, tool).problem is None
+    assert preview(OPEN, tool).problem is None
     monkeypatch.setattr("sim.preview._is_intended", lambda names, touching: False)
-    problem = seen(OPEN, tool).problem
+    problem = preview(OPEN, tool).problem
     assert problem is not None
     assert re.search(
         rf"rock_face.* {tool.name.lower()}_\w+_pad|{tool.name.lower()}_\w+_pad.* rock_face", problem
@@ -95,7 +95,7 @@ def test_along_the_guarded_line_the_pads_may_meet_the_rock_and_nothing_else(
 
 def test_along_the_guarded_line_the_body_of_the_tool_is_looked_at(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sim.preview.TOUCH_CLEARANCE_M", CLEARANCE_M)
-    problem = seen(OPEN, Tool.APXS).problem
+    problem = preview(OPEN, Tool.APXS).problem
     assert problem is not None
     assert "apxs" in problem
     assert "pad" not in problem
@@ -129,7 +129,7 @@ def test_the_nominal_arm_places_the_apxs_from_the_ready_pose(surface: tuple[Vect
 
 
 def test_a_target_without_a_surface_ends_as_a_fault_with_the_brakes_on() -> None:
-    loop, result = place(seen(OPEN).placement, World())
+    loop, result = place(preview(OPEN).placement, World())
     evrs = [evr for _, evr in result.evrs]
     assert result.outcome is Outcome.FAULTED
     assert any(isinstance(evr, NoContact) for evr in evrs)

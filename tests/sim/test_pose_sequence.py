@@ -15,7 +15,7 @@ TILTED = World("mars", np.radians(15.0), np.radians(-20.0))
 POSES = 14
 
 
-def settled(backlash: str, arm_name: str = "nominal", poses: int = POSES) -> list[RestState]:
+def visit(backlash: str, arm_name: str = "nominal", poses: int = POSES) -> list[RestState]:
     arm = arm_named(arm_name)
     goals = random_goals(configure(arm.params), np.random.default_rng(41), poses)
     return list(visit_poses(arm, lab.true_reference(arm), TILTED, goals, backlash, seed=41))
@@ -23,12 +23,12 @@ def settled(backlash: str, arm_name: str = "nominal", poses: int = POSES) -> lis
 
 @pytest.fixture(scope="module")
 def compensated() -> list[RestState]:
-    return settled("on")
+    return visit("on")
 
 
 @pytest.fixture(scope="module")
 def uncompensated() -> list[RestState]:
-    return settled("off", poses=POSES // 2)
+    return visit("off", poses=POSES // 2)
 
 
 def error_rad(poses: list[RestState]) -> np.ndarray:
@@ -73,6 +73,6 @@ def test_what_is_believed_of_a_gear_is_true_within_its_uncertainty(compensated):
 
 
 def test_an_as_built_arm_is_not_claimed_to_lie_where_it_does_not():
-    for pose in settled("on", "as-built:6", poses=8):
+    for pose in visit("on", "as-built:6", poses=8):
         known = pose.side != 0
         np.testing.assert_array_equal(pose.side[known], pose.true_side[known])

@@ -20,7 +20,7 @@ AT_REST_J = 1e-7
 """Energy at which the arm still swings by about 6 um."""
 WORLDS = {
     "mars": World(),
-    "mars, 25 deg": lab.tilted(20, -15),
+    "mars, 25 deg": lab.tilted_world(20, -15),
     "earth": World("earth"),
 }
 POSES = {
@@ -57,12 +57,12 @@ def test_held_by_its_motors_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_s
 @pytest.mark.parametrize("world", WORLDS.values(), ids=WORLDS)
 def test_after_a_move_the_arm_rests_at_the_same_pose_with_a_tenth_of_the_step(world: World) -> None:
     goal = tuple(float(a) for a in np.radians([5.0, -55.0, 115.0, 135.0, 95.0]))
-    coarse, fine = (moved(world, step_s, goal) for step_s in (None, FINE_S))
+    coarse, fine = (move_arm(world, step_s, goal) for step_s in (None, FINE_S))
     assert coarse.plant.motor_rad() == pytest.approx(goal, abs=0.02)
     assert lab.tool_distance_mm(coarse.plant, fine.plant) < STOPPED_MM
 
 
-def moved(world: World, time_step_s: float | None, goal_rad: tuple[float, ...]) -> ClosedLoop:
+def move_arm(world: World, time_step_s: float | None, goal_rad: tuple[float, ...]) -> ClosedLoop:
     """Return the arm after a move from the ready pose, on its brakes again."""
     arm = arm_named("nominal")
     ready, known = arm.params.poses.ready_rad, lab.true_reference(arm)
@@ -93,11 +93,11 @@ def test_at_rest_a_gear_stands_at_half_its_backlash_and_its_wind_up(side: int) -
     def apply(loads: lab.Array) -> None:
         plant.data.qfrc_applied[gears] = loads
 
-    lab.run(plant, 8.0, lambda amount: apply(torque * lab.gentle(amount)))
+    lab.run(plant, 8.0, lambda amount: apply(torque * lab.smooth_step(amount)))
     lab.run(plant, 1.0)
     from_less = lab.gear_rad(plant)
-    lab.run(plant, 1.0, lambda amount: apply(torque + more * lab.gentle(amount)))
-    lab.run(plant, 1.0, lambda amount: apply(torque + more * lab.gentle(1 - amount)))
+    lab.run(plant, 1.0, lambda amount: apply(torque + more * lab.smooth_step(amount)))
+    lab.run(plant, 1.0, lambda amount: apply(torque + more * lab.smooth_step(1 - amount)))
     lab.run(plant, 1.0)
     from_more = lab.gear_rad(plant)
 

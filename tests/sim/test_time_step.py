@@ -11,7 +11,7 @@ from fsw.dictionary.enums import Joint
 from sim.plant import REFERENCE_STEP_S, Plant
 from tests.sim import lab
 
-SIDEWAYS = lab.tilted(20, -15)
+SIDEWAYS = lab.tilted_world(20, -15)
 """Gravity under which every gear carries a load and rests on a flank."""
 
 
@@ -58,13 +58,13 @@ def to_and_fro(joint: Joint, rate_rad_s: float, time_step_s: float | None) -> Wa
     plant.place(lab.READY_RAD, 8.0)
     lab.hold_by_motors(plant)
     lab.run(plant, 0.5)
-    rows, asked, rates = [], lab.READY_RAD.copy(), np.zeros(len(Joint))
+    rows, setpoint_rad, rates = [], lab.READY_RAD.copy(), np.zeros(len(Joint))
     for k in range(4 * lab.CYCLE_HZ):
         time_s = k / lab.CYCLE_HZ
-        share = lab.gentle(min(1.0, time_s)) - 2 * lab.gentle(min(1.0, max(0.0, time_s - 2.5)))
+        share = lab.smooth_step(min(1.0, time_s)) - 2 * lab.smooth_step(min(1.0, max(0.0, time_s - 2.5)))
         rates[joint] = rate_rad_s * share
-        asked[joint] += rates[joint] / lab.CYCLE_HZ
-        plant.command(asked, rates)
+        setpoint_rad[joint] += rates[joint] / lab.CYCLE_HZ
+        plant.command(setpoint_rad, rates)
         plant.step()
         readings = (plant.motor_rad(), plant.motor_current_A(), plant.output_rad())
         rows.append([reading[joint] for reading in readings])
@@ -106,9 +106,9 @@ def over_the_vertical(time_step_s: float | None) -> lab.Array:
     lab.hold_by_motors(plant)
     gears, rate = [], np.radians(-1.0)
     for k in range(60 * lab.CYCLE_HZ):
-        asked = np.radians([0.0, -60.0, 60.0, 40.0, 0.0])
-        asked[Joint.WRIST] += rate * (k + 1) / lab.CYCLE_HZ
-        plant.command(asked, rate * (np.arange(5) == Joint.WRIST))
+        setpoint_rad = np.radians([0.0, -60.0, 60.0, 40.0, 0.0])
+        setpoint_rad[Joint.WRIST] += rate * (k + 1) / lab.CYCLE_HZ
+        plant.command(setpoint_rad, rate * (np.arange(5) == Joint.WRIST))
         plant.step()
         gears.append(lab.gear_rad(plant))
     return np.array(gears)

@@ -35,7 +35,7 @@ def test_gravity_is_seen_from_the_rover_and_the_tilt_is_its_angle(seed: int) -> 
 
 
 def test_the_model_has_the_gravity_of_its_world() -> None:
-    world = lab.tilted(10, -20, "earth")
+    world = lab.tilted_world(10, -20, "earth")
     np.testing.assert_allclose(FLIP * build(world).option.gravity, world.gravity_N_m_s2)
 
 

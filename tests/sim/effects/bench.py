@@ -23,7 +23,7 @@ def _nominal(world: World) -> mujoco.MjSpec:
     return build(world)
 
 
-def built(
+def build_arm(
     *effects: Effect, world: World | None = None, calm: bool = False, steps_per_cycle: int | None = None
 ) -> tuple[Plant, Hardware]:
     """Build the arm with these effects, without rover and ground; `calm` settles soon, see tests.sim.lab."""
@@ -34,7 +34,7 @@ def built(
         for geom in spec.geoms:
             geom.contype = geom.conaffinity = 0
     if calm:
-        lab.soon_at_rest(spec)
+        lab.settle_fast(spec)
     hardware = apply_effects(effects, spec, nominal_hardware())
     return Plant(spec.compile()), hardware
 
@@ -45,7 +45,7 @@ def avionics(plant: Plant, hardware: Hardware) -> Avionics:
     return Avionics(plant, replace(hardware, **quiet), np.random.default_rng(1))
 
 
-def at(plant: Plant, motor_rad: Array) -> Plant:
+def set_angles(plant: Plant, motor_rad: Array) -> Plant:
     """Set the motors to these angles, undeflected and at rest."""
     mujoco.mj_resetData(plant.model, plant.data)
     plant.data.qpos[plant.at.motor] = motor_rad
@@ -54,7 +54,7 @@ def at(plant: Plant, motor_rad: Array) -> Plant:
 
 
 @dataclass(frozen=True)
-class Turned:
+class TurnRecord:
     """Record of a joint that was turned; one row a control cycle."""
 
     current_A: Array
@@ -69,7 +69,7 @@ class Turned:
         return float(self.mean_A[-64:].mean())
 
 
-def turned(
+def turn_joint(
     joint: Joint,
     *effects: Effect,
     seconds: float = 2.5,
@@ -79,19 +79,19 @@ def turned(
     start_rad: Array = lab.READY_RAD,
     back: bool = False,
     world: World | None = None,
-) -> Turned:
+) -> TurnRecord:
     """Bring one joint to a share of its speed within a second, and hold it; with `back`, turn it back too.
 
     The effects are evaluated once every `every` steps of physics, or once a cycle.
     """
-    plant, hardware = built(*effects, world=world, steps_per_cycle=steps_per_cycle)
+    plant, hardware = build_arm(*effects, world=world, steps_per_cycle=steps_per_cycle)
     state, in_cycle = [hardware], plant.steps_per_cycle
 
-    def look() -> None:
+    def act() -> None:
         if state[0].each_cycle:
             state[0] = apply_cycle_effects(plant, state[0])
 
-    plant.place(start_rad, 4.0, look)
+    plant.place(start_rad, 4.0, act)
     plant.model.opt.disableactuator = ALL_ACTUATORS & ~(2 << joint)
     plant.brake(joint, False)
     rows, currents, rate = [], [], 0.0
@@ -100,13 +100,13 @@ def turned(
     for goal in [full, -full] if back else [full]:
         first = rate
         for step in range(round(seconds / dt)):
-            rate = first + (goal - first) * lab.gentle(min(step * dt, 1.0))
+            rate = first + (goal - first) * lab.smooth_step(min(step * dt, 1.0))
             if step % in_cycle == 0:
                 rates[joint] = rate
                 plant.damp_gears()
                 plant.command(angle, rates)
             if step % (every or in_cycle) == 0:
-                look()
+                act()
             mujoco.mj_step(plant.model, plant.data)
             plant.update_motors()
             currents.append(plant.motor_current_A()[joint])
@@ -114,4 +114,4 @@ def turned(
             if step % in_cycle == in_cycle - 1:
                 angles = plant.motor_rad()[joint], plant.output_rad()[joint]
                 rows.append((currents[-1], np.mean(currents[-in_cycle:]), *angles))
-    return Turned(*np.array(rows).T)
+    return TurnRecord(*np.array(rows).T)

@@ -31,14 +31,14 @@ JOINTS = pytest.mark.parametrize("joint", [Joint.AZIMUTH, Joint.TURRET])
 
 
 @cache
-def as_drawn(joint: Joint, speed: float = 1.0, seconds: float = 2.5) -> bench.Turned:
-    return bench.turned(joint, speed=speed, seconds=seconds)
+def turn_nominal(joint: Joint, speed: float = 1.0, seconds: float = 2.5) -> bench.TurnRecord:
+    return bench.turn_joint(joint, speed=speed, seconds=seconds)
 
 
-def more_Nm(joint: Joint, *effects: Effect, speed: float = 1.0, seconds: float = 2.5) -> float:
+def added_torque_Nm(joint: Joint, *effects: Effect, speed: float = 1.0, seconds: float = 2.5) -> float:
     """Return the torque that an effect adds, from the current."""
-    with_it = bench.turned(joint, *effects, speed=speed, seconds=seconds)
-    found = with_it.steady_A() - as_drawn(joint, speed, seconds).steady_A()
+    with_it = bench.turn_joint(joint, *effects, speed=speed, seconds=seconds)
+    found = with_it.steady_A() - turn_nominal(joint, speed, seconds).steady_A()
     return found * float(bench.TORQUE_CONSTANT_NM_A[joint])
 
 
@@ -47,14 +47,16 @@ def more_Nm(joint: Joint, *effects: Effect, speed: float = 1.0, seconds: float =
 def test_coulomb_friction_raises_the_moving_current_by_its_torque_over_the_constant(
     joint: Joint, times: float
 ) -> None:
-    assert more_Nm(joint, CoulombFriction(joint, 20.0 * times)) == pytest.approx(20.0 * times, rel=1e-3)
+    assert added_torque_Nm(joint, CoulombFriction(joint, 20.0 * times)) == pytest.approx(
+        20.0 * times, rel=1e-3
+    )
 
 
 @TIMES
 @JOINTS
 def test_friction_of_an_output_is_paid_by_the_motor(joint: Joint, times: float) -> None:
     # the outer arm swings for a while on the springs of the links
-    costs_Nm = more_Nm(joint, OutputFriction(joint, 5.0 * times), seconds=5.0)
+    costs_Nm = added_torque_Nm(joint, OutputFriction(joint, 5.0 * times), seconds=5.0)
     assert costs_Nm == pytest.approx(5.0 * times, rel=5e-3)
 
 
@@ -62,28 +64,30 @@ def test_friction_of_an_output_is_paid_by_the_motor(joint: Joint, times: float) 
 @TIMES
 def test_viscous_friction_costs_its_damping_times_the_speed(speed: float, times: float) -> None:
     joint = Joint.AZIMUTH
-    said = 300.0 * times * speed * bench.SPEED_RAD_S[joint]
-    assert more_Nm(joint, ViscousFriction(joint, 300.0 * times), speed=speed) == pytest.approx(said, rel=0.02)
+    expected = 300.0 * times * speed * bench.SPEED_RAD_S[joint]
+    assert added_torque_Nm(joint, ViscousFriction(joint, 300.0 * times), speed=speed) == pytest.approx(
+        expected, rel=0.02
+    )
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.5, 1.0])
 @TIMES
 def test_stribeck_friction_falls_with_the_speed(speed: float, times: float) -> None:
     joint, knee = Joint.AZIMUTH, 0.01
-    said = 20.0 * times * np.exp(-((speed * bench.SPEED_RAD_S[joint] / knee) ** 2))
-    assert more_Nm(joint, StribeckFriction(joint, 20.0 * times, knee), speed=speed) == pytest.approx(
-        said, rel=0.02
+    expected = 20.0 * times * np.exp(-((speed * bench.SPEED_RAD_S[joint] / knee) ** 2))
+    assert added_torque_Nm(joint, StribeckFriction(joint, 20.0 * times, knee), speed=speed) == pytest.approx(
+        expected, rel=0.02
     )
 
 
 @cache
 def gravity_Nm(joint: Joint) -> float:
     """Return half the difference of the torques in both directions, from currents of the nominal arm."""
-    up, down = (as_drawn(joint, speed).steady_A() for speed in (1.0, -1.0))
+    up, down = (turn_nominal(joint, speed).steady_A() for speed in (1.0, -1.0))
     return -0.5 * (up + down) * float(bench.TORQUE_CONSTANT_NM_A[joint])
 
 
-def carried_Nm(joint: Joint, way: float) -> float:
+def gear_load_Nm(joint: Joint, way: float) -> float:
     """Return the torque in a gear that turns its output in this direction: gravity and output friction."""
     return abs(gravity_Nm(joint) - way * lab.OUTPUT_FRICTION_NM[joint])
 
@@ -93,18 +97,18 @@ def carried_Nm(joint: Joint, way: float) -> float:
 def test_load_dependent_friction_is_a_share_of_what_the_gear_carries(speed: float, times: float) -> None:
     joint = Joint.ELEVATION
     assert abs(gravity_Nm(joint)) > 100.0
-    found = more_Nm(joint, LoadFriction(joint, 0.1 * times), speed=speed) * speed
-    assert found == pytest.approx(0.1 * times * carried_Nm(joint, speed), rel=0.04)
+    found = added_torque_Nm(joint, LoadFriction(joint, 0.1 * times), speed=speed) * speed
+    assert found == pytest.approx(0.1 * times * gear_load_Nm(joint, speed), rel=0.04)
 
 
 @pytest.mark.parametrize("factor", [0.95, 0.9, 0.8])
 def test_a_gear_of_less_efficiency_costs_more_against_the_load_than_with_it(factor: float) -> None:
     joint = Joint.ELEVATION
     helps = np.sign(gravity_Nm(joint))
-    against = more_Nm(joint, GearEfficiency(joint, factor), speed=-helps) * -helps
-    with_it = more_Nm(joint, GearEfficiency(joint, factor), speed=helps) * helps
-    assert against == pytest.approx((1 / factor - 1) * carried_Nm(joint, -helps), rel=0.04)
-    assert with_it == pytest.approx((1 - factor) * carried_Nm(joint, helps), rel=0.04)
+    against = added_torque_Nm(joint, GearEfficiency(joint, factor), speed=-helps) * -helps
+    with_it = added_torque_Nm(joint, GearEfficiency(joint, factor), speed=helps) * helps
+    assert against == pytest.approx((1 / factor - 1) * gear_load_Nm(joint, -helps), rel=0.04)
+    assert with_it == pytest.approx((1 - factor) * gear_load_Nm(joint, helps), rel=0.04)
 
 
 @pytest.mark.parametrize("factor", [0.8, 1.25])
@@ -113,7 +117,7 @@ def test_a_motor_of_another_constant_draws_another_current_for_the_same_torque(f
     """Added friction loads the motor."""
     joint, other = Joint.AZIMUTH, MotorConstant(Joint.AZIMUTH, factor)
     rubs = CoulombFriction(joint, 20.0)
-    more_A = bench.turned(joint, other, rubs).steady_A() - bench.turned(joint, other).steady_A()
+    more_A = bench.turn_joint(joint, other, rubs).steady_A() - bench.turn_joint(joint, other).steady_A()
     assert more_A == pytest.approx(20.0 / (factor * bench.TORQUE_CONSTANT_NM_A[joint]), rel=1e-3)
 
 
@@ -121,10 +125,10 @@ def test_a_motor_of_another_constant_draws_another_current_for_the_same_torque(f
 def test_in_the_cold_friction_is_a_factor_more_and_when_warm_it_is_not(factor: float) -> None:
     joint = Joint.AZIMUTH
     effect = ColdFriction(joint, factor)
-    assert more_Nm(joint, effect) == 0.0
-    cold_Nm = bench.built(Ambient(COLD_C))[0].built_friction()[0][joint]
-    viscous = bench.built(Ambient(COLD_C))[0].built_friction()[1][joint] * bench.SPEED_RAD_S[joint]
-    found = more_Nm(joint, Ambient(COLD_C), effect) - more_Nm(joint, Ambient(COLD_C))
+    assert added_torque_Nm(joint, effect) == 0.0
+    cold_Nm = bench.build_arm(Ambient(COLD_C))[0].built_friction()[0][joint]
+    viscous = bench.build_arm(Ambient(COLD_C))[0].built_friction()[1][joint] * bench.SPEED_RAD_S[joint]
+    found = added_torque_Nm(joint, Ambient(COLD_C), effect) - added_torque_Nm(joint, Ambient(COLD_C))
     assert found == pytest.approx((factor - 1.0) * (cold_Nm + viscous), rel=0.02)
 
 
@@ -132,7 +136,8 @@ def test_in_the_cold_friction_is_a_factor_more_and_when_warm_it_is_not(factor: f
 def test_a_joint_whose_set_points_come_late_is_behind_by_its_speed_times_the_delay(delay_s: float) -> None:
     joint = Joint.AZIMUTH
     behind = (
-        as_drawn(joint).motor_rad[-64:] - bench.turned(joint, CommandDelay(joint, delay_s)).motor_rad[-64:]
+        turn_nominal(joint).motor_rad[-64:]
+        - bench.turn_joint(joint, CommandDelay(joint, delay_s)).motor_rad[-64:]
     )
     assert behind.mean() == pytest.approx(bench.SPEED_RAD_S[joint] * delay_s, rel=0.02)
 
@@ -141,8 +146,8 @@ def test_a_joint_whose_set_points_come_late_is_behind_by_its_speed_times_the_del
 def test_the_gain_of_a_controller_is_what_it_answers_an_error_with(factor: float) -> None:
     answers = []
     for effects in ((), (ServoGain(Joint.ELBOW, factor),)):
-        plant, _ = bench.built(*effects)
-        bench.at(plant, lab.READY_RAD)
+        plant, _ = bench.build_arm(*effects)
+        bench.set_angles(plant, lab.READY_RAD)
         plant.data.ctrl[0::2] = lab.READY_RAD + 1e-5
         answers.append(bench.mujoco.mj_forward(plant.model, plant.data) or plant.data.actuator_force.copy())
     np.testing.assert_allclose(answers[1] / answers[0], [1, 1, factor, 1, 1], rtol=1e-9)
@@ -150,7 +155,7 @@ def test_the_gain_of_a_controller_is_what_it_answers_an_error_with(factor: float
 
 def test_the_bus_sags_by_its_resistance_times_all_currents_and_the_gains_with_it() -> None:
     effect = BusSag(2.0)
-    plant, hardware = bench.built(effect)
+    plant, hardware = bench.build_arm(effect)
     drawn = plant.model.actuator_gainprm[plant.at.actuators, GAINS].copy()
     plant.data.actuator_force[:] = [228.6, -114.3, 0.0, 86.33, 0.0]
     bench.apply_cycle_effects(plant, hardware)
@@ -165,11 +170,11 @@ def test_a_flex_cable_pulls_by_its_stiffness_and_drags_by_its_drag(times: float)
     effect = FlexCable(joint, 10.0 * times, 2.0 * times, laid, give_rad=0.01)
     start = lab.READY_RAD.copy()
     start[joint] = 0.0
-    found = [bench.turned(joint, *effects, start_rad=start, back=True) for effects in ((), (effect,))]
+    found = [bench.turn_joint(joint, *effects, start_rad=start, back=True) for effects in ((), (effect,))]
     more = (found[1].current_A - found[0].current_A) * bench.TORQUE_CONSTANT_NM_A[joint]
     for window, way in ((slice(130, 160), 1.0), (slice(-30, None), -1.0)):
-        said = effect.stiffness_Nm_rad * (found[1].output_rad[window] - laid) + way * effect.drag_Nm
-        assert more[window].mean() == pytest.approx(said.mean(), rel=0.02)
+        expected = effect.stiffness_Nm_rad * (found[1].output_rad[window] - laid) + way * effect.drag_Nm
+        assert more[window].mean() == pytest.approx(expected.mean(), rel=0.02)
 
 
 @TIMES
@@ -180,13 +185,13 @@ def test_a_transmission_error_moves_the_output_of_a_standing_motor_by_its_wave(t
         pose[Joint.ELBOW] = angle
         output = []
         for effects in ((), (effect,)):
-            plant, hardware = bench.built(*effects, calm=True)
+            plant, hardware = bench.build_arm(*effects, calm=True)
             plant.place(
                 pose, 2.0, lambda plant=plant, hardware=hardware: bench.apply_cycle_effects(plant, hardware)
             )
             output.append(plant.output_rad()[Joint.ELBOW])
-        said = times * (3e-4 * np.cos(5 * angle) - 2e-4 * np.sin(5 * angle))
-        assert output[1] - output[0] == pytest.approx(said, rel=3e-3, abs=1e-7)
+        expected = times * (3e-4 * np.cos(5 * angle) - 2e-4 * np.sin(5 * angle))
+        assert output[1] - output[0] == pytest.approx(expected, rel=3e-3, abs=1e-7)
 
 
 @TIMES
@@ -195,7 +200,7 @@ def test_a_gear_with_hysteresis_comes_back_short_by_its_friction_over_its_stiffn
     joint, twist = Joint.ELBOW, []
     stiff = [GearStiffness(other, 1.0) for other in Joint]
     for effects in (stiff, [*stiff, GearHysteresis(joint, 10.0 * times)]):
-        plant, _ = bench.built(*effects)
+        plant, _ = bench.build_arm(*effects)
         plant.model.opt.gravity[:] = 0.0
         plant.place(lab.STRAIGHT_RAD, 0.5)
         for share in (*np.linspace(0, 1, 128), *np.linspace(1, 0, 256), *np.zeros(64)):

@@ -32,8 +32,8 @@ ASKED_FOR = (
 
 
 def test_all_that_was_asked_for_is_there_and_can_be_raced() -> None:
-    raced = {hypothesis.kind for hypothesis in HYPOTHESES}
-    assert [name for name in ASKED_FOR if catalogue().get(name) not in raced] == []
+    hypothesised = {hypothesis.kind for hypothesis in HYPOTHESES}
+    assert [name for name in ASKED_FOR if catalogue().get(name) not in hypothesised] == []
 
 
 def test_every_effect_of_a_file_is_in_the_catalogue_by_its_name() -> None:

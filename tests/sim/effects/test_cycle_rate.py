@@ -32,13 +32,13 @@ WHOLE = 8
 
 
 @cache
-def reversal(effect: EachCycle | None, every: int) -> bench.Turned:
+def reversal(effect: EachCycle | None, every: int) -> bench.TurnRecord:
     """Turn a joint forth and back: every effect here depends on what changes then."""
     effects = () if effect is None else (effect,)
-    return bench.turned(JOINT, *effects, seconds=2.0, every=every, steps_per_cycle=WHOLE, back=True)
+    return bench.turn_joint(JOINT, *effects, seconds=2.0, every=every, steps_per_cycle=WHOLE, back=True)
 
 
-def apart(effect: EachCycle, every: int) -> lab.Array:
+def rms_difference(effect: EachCycle, every: int) -> lab.Array:
     """Return RMS differences of output angle and current from an evaluation in every step of physics."""
     one, other = reversal(effect, every), reversal(effect, 1)
     return np.sqrt([np.mean((getattr(one, what) - getattr(other, what)) ** 2) for what in SEEN])
@@ -56,12 +56,12 @@ def test_looked_at_once_a_cycle_an_effect_does_what_it_does_looked_at_in_every_s
     """The remaining difference is small beside the effect, or below the noise of a sensor."""
     drawn, there = reversal(None, WHOLE), reversal(effect, 1)
     size = np.sqrt([np.mean((getattr(there, what) - getattr(drawn, what)) ** 2) for what in SEEN])
-    assert np.all(apart(effect, WHOLE) < 0.15 * size + 0.02 * NOISE)
+    assert np.all(rms_difference(effect, WHOLE) < 0.15 * size + 0.02 * NOISE)
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: type(effect).__name__)
 def test_looked_at_twice_as_often_it_is_nearer(effect: EachCycle) -> None:
-    assert np.all(apart(effect, WHOLE // 2) < 0.8 * apart(effect, WHOLE) + 0.01 * NOISE)
+    assert np.all(rms_difference(effect, WHOLE // 2) < 0.8 * rms_difference(effect, WHOLE) + 0.01 * NOISE)
 
 
 def test_every_effect_of_each_cycle_is_looked_at_here_but_for_three() -> None:

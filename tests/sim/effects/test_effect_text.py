@@ -92,7 +92,7 @@ def test_a_scenario_switches_effects_on_from_the_beginning_or_once_the_run_begin
 
 
 @pytest.mark.parametrize(
-    ("wrong", "right", "said"),
+    ("wrong", "right", "expected"),
     [
         (
             "offset_deg = 0.1",
@@ -113,7 +113,7 @@ def test_a_scenario_switches_effects_on_from_the_beginning_or_once_the_run_begin
         ('type = "encoder-zero"', "", r"type: is missing; write the name of an effect"),
     ],
 )
-def test_an_effect_in_a_scenario_is_refused_by_its_line(wrong: str, right: str, said: str) -> None:
+def test_an_effect_in_a_scenario_is_refused_by_its_line(wrong: str, right: str, expected: str) -> None:
     text = SCENARIO.lstrip().replace("offset_mrad = 1", "offset_deg = 0.1")
-    with pytest.raises(BadScenario, match=said):
+    with pytest.raises(BadScenario, match=expected):
         parse_scenario(text.replace(wrong, right), "still", "still.toml")

@@ -16,14 +16,14 @@ from tests.sim.effects import bench
 DEEP_M = 2e-4
 
 
-def in_rock(*effects: Effect, deep_m: float = DEEP_M, calm: bool = False) -> Plant:
+def put_in_rock(*effects: Effect, deep_m: float = DEEP_M, calm: bool = False) -> Plant:
     """Put the pads of the APXS slightly inside a rock, at rest."""
-    truth = bench.at(bench.built()[0], lab.READY_RAD).truth()
+    truth = bench.set_angles(bench.build_arm()[0], lab.READY_RAD).truth()
     normal = -truth.R_RT[Tool.APXS][:, 0]
     face = truth.p_RoTo_R_m[Tool.APXS] + P_NR_M + deep_m * normal
     world = World(surface=Surface(vector3(face), vector3(normal)))
-    plant, _ = bench.built(*effects, world=world, calm=calm)
-    return bench.at(plant, lab.READY_RAD)
+    plant, _ = bench.build_arm(*effects, world=world, calm=calm)
+    return bench.set_angles(plant, lab.READY_RAD)
 
 
 def depth_m(plant: Plant) -> float:
@@ -36,9 +36,9 @@ def total_depth_m(plant: Plant) -> float:
 
 @pytest.mark.parametrize("offset_m", [-1e-4, 1e-4, 3e-4])
 def test_a_surface_that_is_nearer_is_met_that_much_earlier(offset_m: float) -> None:
-    assert in_rock().data.ncon == 2
-    assert depth_m(in_rock()) == pytest.approx(DEEP_M, abs=1e-9)
-    assert depth_m(in_rock(SurfacePosition(offset_m))) == pytest.approx(DEEP_M + offset_m, abs=1e-9)
+    assert put_in_rock().data.ncon == 2
+    assert depth_m(put_in_rock()) == pytest.approx(DEEP_M, abs=1e-9)
+    assert depth_m(put_in_rock(SurfacePosition(offset_m))) == pytest.approx(DEEP_M + offset_m, abs=1e-9)
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0, 4.0])
@@ -46,7 +46,7 @@ def test_what_is_stiffer_gives_way_less_under_the_same_force(factor: float) -> N
     """Press the braked arm into the rock by its own springs, at rest."""
     stiffness = []
     for effects in ((), (ContactStiffness(factor),)):
-        plant = in_rock(*effects, deep_m=1e-3, calm=True)
+        plant = put_in_rock(*effects, deep_m=1e-3, calm=True)
         plant.place(lab.READY_RAD, 4.0)
         assert plant.truth().contact_force_N > 5.0
         stiffness.append(plant.truth().contact_force_N / total_depth_m(plant))
@@ -54,4 +54,4 @@ def test_what_is_stiffer_gives_way_less_under_the_same_force(factor: float) -> N
 
 
 def test_where_there_is_no_rock_there_is_nothing_to_shift() -> None:
-    bench.built(SurfacePosition(1e-3))
+    bench.build_arm(SurfacePosition(1e-3))

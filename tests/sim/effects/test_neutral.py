@@ -21,7 +21,7 @@ CYCLES = 160
 STEP = MoveJoints((0.01, -0.01, 0.01, -0.02, 0.02), relative=True)
 
 
-def compiled(*effects: Effect) -> bytes:
+def compile_plant(*effects: Effect) -> bytes:
     spec = build(WORLD)
     for effect in effects:
         effect.on_model(spec)
@@ -32,7 +32,7 @@ def compiled(*effects: Effect) -> bytes:
 
 
 def test_the_model_is_the_same() -> None:
-    assert compiled(*NEUTRAL) == compiled()
+    assert compile_plant(*NEUTRAL) == compile_plant()
 
 
 def test_flight_parameters_are_the_same() -> None:
@@ -40,7 +40,7 @@ def test_flight_parameters_are_the_same() -> None:
 
 
 @cache
-def ran(*effects: Effect) -> list[object]:
+def run_move(*effects: Effect) -> list[object]:
     """Return all readings and true states of a run with a move."""
     arm = BuiltArm("nominal", effects, NOMINAL.params)
     reference = true_reference(arm_named("nominal"))
@@ -55,17 +55,17 @@ def ran(*effects: Effect) -> list[object]:
 
 
 def test_a_run_is_the_same() -> None:
-    nothing = ran()
+    nothing = run_move()
     assert len(set(nothing)) > CYCLES
-    assert ran(*NEUTRAL) == nothing
+    assert run_move(*NEUTRAL) == nothing
 
 
 def test_effects_that_are_not_neutral_do_show() -> None:
     """Each of these alone changes the run, so that the test above compares something."""
-    nothing = ran()
+    nothing = run_move()
     for name in ("coulomb-friction:elbow", "command-delay:elbow"):
         (one,) = (hypothesis for hypothesis in hypotheses() if str(hypothesis) == name)
-        assert ran(one.typical()) != nothing
+        assert run_move(one.typical()) != nothing
 
 
 def test_an_ambient_of_the_drawing_is_that_of_the_drawing() -> None:

@@ -40,26 +40,26 @@ SHOWN: dict[str, tuple[str, ...]] = {
 EACH = pytest.mark.parametrize("name", KINDS)
 
 
-def at(name: str) -> EffectHypothesis:
+def hypothesis_at(name: str) -> EffectHypothesis:
     place = AT.get(name, "elbow")
     return next(one for one in hypotheses({name: KINDS[name]}) if str(one).endswith(place))
 
 
 @cache
-def ran(*effects: Effect) -> dict[str, np.ndarray]:
+def record_session(*effects: Effect) -> dict[str, np.ndarray]:
     """Return the first readings of a session in which all joints move, and the positions of the turret."""
     session = next(one for one in campaign_sessions(NOMINAL.params) if one.name == "poses-level-1")
     loop = start_session(session, BuiltArm("nominal", effects, NOMINAL.params), true_reference(NOMINAL), 3)
     rows: dict[str, list[np.ndarray]] = {name: [] for name in ("current_A", "encoder_count", "resolver_rad")}
-    for number, moment in enumerate(run_session(loop, session)):
+    for number, cycle in enumerate(run_session(loop, session)):
         for name, row in rows.items():
-            row.append(getattr(moment.record.sensors, name))
+            row.append(getattr(cycle.record.sensors, name))
         if number == 250:
             break
     return {name: np.array(row) for name, row in rows.items()} | {"turret": loop.truth().p_RoTo_R_m[:, 0]}
 
 
-def apart(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str, float]:
+def differences(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> dict[str, float]:
     return {name: float(np.abs(one[name] - other[name]).max()) for name in one}
 
 
@@ -78,19 +78,24 @@ def test_no_catalogue_has_it_and_it_comes_back_from_what_is_written_of_it(name: 
 
 @EACH
 def test_where_it_is_neutral_it_changes_nothing(name: str) -> None:
-    assert all(value == 0.0 for value in apart(ran(at(name).effect()), ran()).values())
+    assert all(
+        value == 0.0
+        for value in differences(record_session(hypothesis_at(name).effect()), record_session()).values()
+    )
 
 
 @EACH
 def test_of_its_typical_size_it_shows_and_the_same_each_time(name: str) -> None:
-    with_it = ran(at(name).typical())
-    moved = apart(with_it, ran())
+    with_it = record_session(hypothesis_at(name).typical())
+    moved = differences(with_it, record_session())
     for reading in SHOWN[name]:
         assert moved[reading] > LEAST[reading], reading
     if not SHOWN[name]:
         assert moved["turret"] > 2e-5
-    ran.cache_clear()
-    assert all(value == 0.0 for value in apart(ran(at(name).typical()), with_it).values())
+    record_session.cache_clear()
+    assert all(
+        value == 0.0 for value in differences(record_session(hypothesis_at(name).typical()), with_it).values()
+    )
 
 
 LEAST = {"current_A": 0.02, "encoder_count": 1, "resolver_rad": 3e-5}
@@ -99,16 +104,16 @@ LEAST = {"current_A": 0.02, "encoder_count": 1, "resolver_rad": 3e-5}
 @pytest.mark.parametrize("name", ["DeadCurrent", "SluggishCurrent", "OvalResolver", "LateResolver"])
 def test_a_sensor_that_reads_wrong_moves_nothing_at_first(name: str) -> None:
     """Flight software may react to wrong readings later; before the move all else is unchanged."""
-    with_it, without = ran(at(name).typical()), ran()
+    with_it, without = record_session(hypothesis_at(name).typical()), record_session()
     others = {"current_A", "encoder_count", "resolver_rad"} - set(SHOWN[name])
     assert all(np.array_equal(with_it[other][:64], without[other][:64]) for other in others)
 
 
 def shape(name: str) -> Callable[..., np.ndarray]:
-    return lambda **values: ran(at(name).effect(**values))["current_A"]
+    return lambda **values: record_session(hypothesis_at(name).effect(**values))["current_A"]
 
 
 def test_twice_the_ripple_is_twice_the_change() -> None:
-    ripple, current = shape("TorqueRipple"), ran()["current_A"]
+    ripple, current = shape("TorqueRipple"), record_session()["current_A"]
     once, twice = ripple(share=0.05) - current, ripple(share=0.1) - current
     np.testing.assert_allclose(twice[:100], 2.0 * once[:100], atol=1e-12)

@@ -25,17 +25,17 @@ def dent(tmp_path: Path) -> Path:
 
 
 def test_the_example_of_the_documentation_holds_a_joint_as_it_says(dent: Path) -> None:
-    asked = re.search(r"--effect dent\.py:(Dent\S*)", PAGE.read_text())[1]
-    effect = parse_effect_text(f"{dent}:{asked}")
+    option = re.search(r"--effect dent\.py:(Dent\S*)", PAGE.read_text())[1]
+    effect = parse_effect_text(f"{dent}:{option}")
     assert isinstance(effect, Effect)
     assert (effect.joint, effect.torque_Nm, effect.width_rad) == (Joint.ELBOW, 15.0, 0.02)
     start = np.where(np.arange(5) == Joint.ELBOW, effect.angle_rad - 0.02, lab.READY_RAD)
-    drawn, held = (bench.turned(Joint.ELBOW, *e, seconds=3.5, start_rad=start) for e in ((), (effect,)))
+    drawn, held = (bench.turn_joint(Joint.ELBOW, *e, seconds=3.5, start_rad=start) for e in ((), (effect,)))
     beside = (held.output_rad - effect.angle_rad) / effect.width_rad
-    said = 15.0 * beside * np.exp(0.5 - 0.5 * beside**2)
+    expected = 15.0 * beside * np.exp(0.5 - 0.5 * beside**2)
     more = (held.current_A - drawn.current_A) * bench.TORQUE_CONSTANT_NM_A[Joint.ELBOW]
-    assert said[-64:].mean() > 10.0
-    assert more[-64:].mean() == pytest.approx(said[-64:].mean(), rel=0.05)
+    assert expected[-64:].mean() > 10.0
+    assert more[-64:].mean() == pytest.approx(expected[-64:].mean(), rel=0.05)
 
 
 def test_it_is_not_in_the_catalogue_and_comes_back_from_what_is_written_of_it(dent: Path) -> None:
@@ -53,7 +53,7 @@ def test_a_file_that_is_written_anew_is_read_anew(dent: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("rest", "said"),
+    ("rest", "expected"),
     [
         ("Dnt:elbow:torque_Nm=1", r"Dnt: there is no such class; did you mean Dent\? there are Dent"),
         ("Dent:elbow:torque_Nm=1000", "torque_Nm: 1000 is outside 0 .. 100"),
@@ -63,13 +63,13 @@ def test_a_file_that_is_written_anew_is_read_anew(dent: Path) -> None:
         ("", "names no class"),
     ],
 )
-def test_what_is_wrong_with_it_is_said(dent: Path, rest: str, said: str) -> None:
-    with pytest.raises(BadEffect, match=said):
+def test_what_is_wrong_with_it_is_said(dent: Path, rest: str, expected: str) -> None:
+    with pytest.raises(BadEffect, match=expected):
         parse_effect_text(f"{dent}:{rest}")
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
         ("import nothing_of_this_name", "cannot be run: ModuleNotFoundError: No module named"),
         ("class Dent(", "cannot be run: SyntaxError"),
@@ -79,10 +79,10 @@ def test_what_is_wrong_with_it_is_said(dent: Path, rest: str, said: str) -> None
         ),
     ],
 )
-def test_a_file_that_is_no_effect_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_a_file_that_is_no_effect_is_refused(tmp_path: Path, text: str, expected: str) -> None:
     file = tmp_path / "dent.py"
     file.write_text(text)
-    with pytest.raises(BadEffect, match=said):
+    with pytest.raises(BadEffect, match=expected):
         parse_effect_text(f"{file}:Dent:elbow")
 
 

@@ -19,8 +19,8 @@ TIMES = pytest.mark.parametrize("times", [0.5, 1.0, 2.0])
 
 def read(*effects: Effect, motor_rad: lab.Array = lab.LEFT_RAD, current_A: float = 0.0) -> Sensors:
     """Read the sensors at these motor angles, undeflected, without noise, at these motor currents."""
-    plant, hardware = bench.built(*effects)
-    bench.at(plant, motor_rad)
+    plant, hardware = bench.build_arm(*effects)
+    bench.set_angles(plant, motor_rad)
     plant.data.actuator_force[:] = current_A * bench.TORQUE_CONSTANT_NM_A
     return bench.avionics(plant, hardware).sense()
 
@@ -34,13 +34,13 @@ def test_a_resolver_off_its_axis_differs_from_its_encoder_by_a_wave_once_a_turn(
     angles = np.linspace(-0.3, 5.5, 9) if joint is not Joint.AZIMUTH else np.linspace(-3.0, 1.5, 9)
     for angle in angles:
         pose = np.where(np.arange(5) == joint, angle, lab.LEFT_RAD)
-        plant, hardware = bench.built(effect)
-        sensors = bench.avionics(bench.at(plant, pose), hardware).sense()
+        plant, hardware = bench.build_arm(effect)
+        sensors = bench.avionics(bench.set_angles(plant, pose), hardware).sense()
         encoder = sensors.encoder_count * hardware.rad_per_count + hardware.counter_zero_rad
         apart = sensors.resolver_rad - encoder
-        said = times * (1e-3 * np.cos(angle) - 2e-3 * np.sin(angle))
+        expected = times * (1e-3 * np.cos(angle) - 2e-3 * np.sin(angle))
         np.testing.assert_allclose(
-            apart, np.where(np.arange(5) == joint, said, 0.0), atol=0.6 * RESOLVER_LSB_RAD
+            apart, np.where(np.arange(5) == joint, expected, 0.0), atol=0.6 * RESOLVER_LSB_RAD
         )
 
 
@@ -68,14 +68,15 @@ def test_an_encoder_that_lost_count_reads_too_much_and_its_motor_goes_less_far(
     joint: Joint, times: float
 ) -> None:
     offset = 3e-3 * times
-    plant, hardware = bench.built(EncoderZero(joint, offset))
+    plant, hardware = bench.build_arm(EncoderZero(joint, offset))
     drawn, lost = (
-        bench.avionics(*found) for found in (bench.built(), (bench.at(plant, lab.LEFT_RAD), hardware))
+        bench.avionics(*found)
+        for found in (bench.build_arm(), (bench.set_angles(plant, lab.LEFT_RAD), hardware))
     )
-    bench.at(drawn._plant, lab.LEFT_RAD)
+    bench.set_angles(drawn._plant, lab.LEFT_RAD)
     counts = lost.encoder_count() - drawn.encoder_count()
-    said = offset / hardware.rad_per_count * (np.arange(5) == joint)
-    np.testing.assert_allclose(counts, said, atol=1.0)
+    expected = offset / hardware.rad_per_count * (np.arange(5) == joint)
+    np.testing.assert_allclose(counts, expected, atol=1.0)
 
 
 @pytest.mark.parametrize(("axis", "sign"), [("x", -1.0), ("y", 1.0)])
@@ -86,9 +87,9 @@ def test_an_imu_mounted_askew_sees_gravity_turned(axis: str, sign: float, times:
     g = read(GravityDirection(axis, angle)).gravity_R_m_s2
     size = np.linalg.norm(World().gravity_N_m_s2)
     leaning = 1 if axis == "x" else 0
-    said = np.zeros(3)
-    said[2], said[leaning] = size * np.cos(angle), sign * size * np.sin(angle)
-    np.testing.assert_allclose(g, said, atol=1e-12)
+    expected = np.zeros(3)
+    expected[2], expected[leaning] = size * np.cos(angle), sign * size * np.sin(angle)
+    np.testing.assert_allclose(g, expected, atol=1e-12)
 
 
 def test_a_lost_count_is_not_there_when_joints_look_for_their_hardstops() -> None:

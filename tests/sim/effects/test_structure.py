@@ -19,7 +19,7 @@ from tests.sim.effects import bench
 
 PARAMS = nominal_params()
 ARM = build_arm(PARAMS)
-TILTED = lab.tilted(15, -10, "earth")
+TILTED = lab.tilted_world(15, -10, "earth")
 """Tilt at which every joint carries a load, so that every output rests on a flank."""
 GRAVITY = TILTED.gravity_N_m_s2
 TIMES = pytest.mark.parametrize("times", [0.5, 1.0, 2.0])
@@ -59,9 +59,11 @@ def frame_of(effect) -> Frame:
     return getattr(effect, "frame", Frame.TOOL)
 
 
-def stiff_moved_m(*effects: Effect) -> lab.Array:
+def rigid_shift_m(*effects: Effect) -> lab.Array:
     """Return the shift of the drill of the undeflected plant by these effects."""
-    places = [bench.at(bench.built(*e)[0], lab.LEFT_RAD).truth().p_RoTo_R_m[TOOL] for e in ((), effects)]
+    places = [
+        bench.set_angles(bench.build_arm(*e)[0], lab.LEFT_RAD).truth().p_RoTo_R_m[TOOL] for e in ((), effects)
+    ]
     return places[1] - places[0]
 
 
@@ -74,14 +76,14 @@ def jacobian() -> lab.Array:
 @pytest.mark.parametrize("effect", SHIFTS, ids=str)
 def test_a_link_or_tool_of_another_length_moves_the_tool_by_as_much(effect) -> None:
     size = getattr(effect, "length_m", None) or effect.offset_m
-    said = size * jacobian()[3:, 3 + axis_of(effect), frame_of(effect)]
-    np.testing.assert_allclose(stiff_moved_m(effect), said, atol=1e-12)
+    expected = size * jacobian()[3:, 3 + axis_of(effect), frame_of(effect)]
+    np.testing.assert_allclose(rigid_shift_m(effect), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("effect", TURNS, ids=str)
 def test_a_link_or_tool_of_another_angle_moves_the_tool_by_its_jacobian(effect) -> None:
-    said = effect.angle_rad * jacobian()[3:, axis_of(effect), frame_of(effect)]
-    np.testing.assert_allclose(stiff_moved_m(effect), said, atol=2 * effect.angle_rad**2)
+    expected = effect.angle_rad * jacobian()[3:, axis_of(effect), frame_of(effect)]
+    np.testing.assert_allclose(rigid_shift_m(effect), expected, atol=2 * effect.angle_rad**2)
 
 
 @pytest.mark.parametrize("axis", ["y", "z"])
@@ -110,47 +112,47 @@ def test_an_arm_that_is_warmer_reaches_farther_by_what_flight_software_makes_of_
     frames = forward(ARM, lab.LEFT_RAD)
     J = frame_jacobian(frames, tool_pose(ARM, frames, TOOL))
     growth = np.column_stack([ARM.expansion_F, ARM.expansion_T[:, TOOL]]) * warming_K
-    said = np.einsum("ijk,jk->i", J, growth)[3:]
-    np.testing.assert_allclose(stiff_moved_m(Warming(warming_K)), said, rtol=1e-3, atol=1e-9)
-    one = stiff_moved_m(LinkWarming(Frame.ARM4, warming_K))
+    expected = np.einsum("ijk,jk->i", J, growth)[3:]
+    np.testing.assert_allclose(rigid_shift_m(Warming(warming_K)), expected, rtol=1e-3, atol=1e-9)
+    one = rigid_shift_m(LinkWarming(Frame.ARM4, warming_K))
     np.testing.assert_allclose(one, J[3:, :, 3] @ growth[:, 3], rtol=1e-3, atol=1e-9)
 
 
-def settled_m(*effects: Effect) -> lab.Array:
+def rest_position_m(*effects: Effect) -> lab.Array:
     """Return the position of the drill of the plant at rest on its brakes."""
-    plant, _ = bench.built(*effects, world=TILTED, calm=True)
+    plant, _ = bench.build_arm(*effects, world=TILTED, calm=True)
     return lab.load(plant, lab.LEFT_RAD, duration_s=2.0, rest_s=2.0).truth().p_RoTo_R_m[TOOL]
 
 
 @pytest.fixture(scope="module")
-def drawn_m() -> lab.Array:
-    return settled_m()
+def nominal_position_m() -> lab.Array:
+    return rest_position_m()
 
 
 def wrenches() -> lab.Array:
     """Return the wrench on each of the first five springs of the nominal arm: C x wrench = strain."""
-    hanging = settle_output(ARM, lab.LEFT_RAD, GRAVITY)
-    return np.array([hanging.strain[:3, k] / np.diag(ARM.compliance[:3, :3, k]) for k in range(5)]).T
+    deflected = settle_output(ARM, lab.LEFT_RAD, GRAVITY)
+    return np.array([deflected.strain[:3, k] / np.diag(ARM.compliance[:3, :3, k]) for k in range(5)]).T
 
 
 @pytest.mark.parametrize("effect", SPRINGS, ids=str)
 def test_a_softer_link_moves_the_tool_by_jacobian_compliance_and_moment(effect, drawn_m) -> None:
     """u = J C tau: the spring yields by compliance times moment, and the tool turns about the spring."""
     frame, axis, compliance = effect.where()
-    hanging = settle_output(ARM, lab.LEFT_RAD, GRAVITY)
-    X_RL, tool = hanging.frames.X_RL, tool_pose(ARM, hanging.frames, TOOL)
+    deflected = settle_output(ARM, lab.LEFT_RAD, GRAVITY)
+    X_RL, tool = deflected.frames.X_RL, tool_pose(ARM, deflected.frames, TOOL)
     spring_R = X_RL.R[:, :, frame] @ ARM.p_LC_m[:, frame] + X_RL.p[:, frame]
     turn_R = X_RL.R[:, axis, frame] * compliance * wrenches()[axis, frame]
-    said = np.cross(turn_R, tool.p - spring_R)
-    moved = settled_m(effect) - drawn_m
-    assert np.linalg.norm(said) > 5e-6
-    np.testing.assert_allclose(moved, said, rtol=0, atol=0.05 * np.linalg.norm(said) + 1e-6)
+    expected = np.cross(turn_R, tool.p - spring_R)
+    moved = rest_position_m(effect) - drawn_m
+    assert np.linalg.norm(expected) > 5e-6
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=0.05 * np.linalg.norm(expected) + 1e-6)
 
 
 @TIMES
 def test_twice_the_compliance_moves_the_tool_twice_as_far(times: float, drawn_m) -> None:
-    one = np.linalg.norm(settled_m(LinkBending(Frame.ARM3, "z", 5e-6)) - drawn_m)
-    more = np.linalg.norm(settled_m(LinkBending(Frame.ARM3, "z", 5e-6 * times)) - drawn_m)
+    one = np.linalg.norm(rest_position_m(LinkBending(Frame.ARM3, "z", 5e-6)) - drawn_m)
+    more = np.linalg.norm(rest_position_m(LinkBending(Frame.ARM3, "z", 5e-6 * times)) - drawn_m)
     assert more / one == pytest.approx(times, rel=0.03)
 
 
@@ -158,14 +160,14 @@ def test_twice_the_compliance_moves_the_tool_twice_as_far(times: float, drawn_m)
     "effect", [*SHIFTS, *TURNS[:3], *SPRINGS, *MASSES, ThermalGradient(Frame.ARM3, "z", 20.0)], ids=str
 )
 def test_flight_software_that_is_told_of_an_effect_knows_where_the_arm_rests(effect) -> None:
-    plant, _ = bench.built(effect, world=TILTED, calm=True)
+    plant, _ = bench.build_arm(effect, world=TILTED, calm=True)
     lab.load(plant, lab.LEFT_RAD, duration_s=2.0, rest_s=2.0)
     there = plant.truth().p_RoTo_R_m[TOOL]
 
     def missed_m(params) -> float:
         arm = build_arm(params)
-        said = settle(arm, plant.motor_rad(), plant.gap_rad(), GRAVITY)
-        return float(np.linalg.norm(tool_pose(arm, said.frames, TOOL).p - there))
+        expected = settle(arm, plant.motor_rad(), plant.gap_rad(), GRAVITY)
+        return float(np.linalg.norm(tool_pose(arm, expected.frames, TOOL).p - there))
 
     assert missed_m(effect.on_params(PARAMS)) < 1e-6
     assert missed_m(PARAMS) > 20 * missed_m(effect.on_params(PARAMS))
@@ -182,10 +184,10 @@ def test_flight_software_that_is_told_of_a_lost_count_knows_where_the_tools_are(
 
 
 def test_a_heavier_turret_weighs_on_the_elevation_by_its_weight_times_its_lever() -> None:
-    hanging = settle_output(ARM, lab.LEFT_RAD, GRAVITY)
+    deflected = settle_output(ARM, lab.LEFT_RAD, GRAVITY)
     heavier = settle_output(build_arm(TurretMass(2.0).on_params(PARAMS)), lab.LEFT_RAD, GRAVITY)
-    X = hanging.frames.X_RL
+    X = deflected.frames.X_RL
     centre = X.R[:, :, 5] @ np.array(PARAMS.links.arm6.far.com_m) + X.p[:, 5]
-    axis, origin = hanging.frames.X_RL.R[:, 2, 2], hanging.frames.X_RL.p[:, 2]
-    said = 2.0 * axis @ np.cross(centre - origin, GRAVITY)
-    assert (heavier.torque_Nm - hanging.torque_Nm)[Joint.ELEVATION] == pytest.approx(said, rel=0.02)
+    axis, origin = deflected.frames.X_RL.R[:, 2, 2], deflected.frames.X_RL.p[:, 2]
+    expected = 2.0 * axis @ np.cross(centre - origin, GRAVITY)
+    assert (heavier.torque_Nm - deflected.torque_Nm)[Joint.ELEVATION] == pytest.approx(expected, rel=0.02)

@@ -19,7 +19,9 @@ DEEP_M = 0.004
 SETTLE_S = 16.0
 
 
-def pressed(tool: Tool, point_N_m: tuple[float, float, float], normal_N: tuple[float, float, float]) -> Plant:
+def press_tool(
+    tool: Tool, point_N_m: tuple[float, float, float], normal_N: tuple[float, float, float]
+) -> Plant:
     """Return the arm at rest with a tool pressed against a rock."""
     world = World(surface=Surface(point_N_m, normal_N))
     normal = np.array(normal_N) / np.linalg.norm(normal_N)
@@ -35,7 +37,7 @@ def pressed(tool: Tool, point_N_m: tuple[float, float, float], normal_N: tuple[f
 @pytest.fixture(scope="module", params=[(Tool.DRILL, (0.0, 0.0, -1.0)), (Tool.APXS, (-0.5, 0.1, -0.85))])
 def contact(request):
     tool, normal = request.param
-    plant = pressed(tool, (2.05, 0.1, -0.25), normal)
+    plant = press_tool(tool, (2.05, 0.1, -0.25), normal)
     return plant, tool, np.array(normal) / np.linalg.norm(normal)
 
 
@@ -49,8 +51,8 @@ def test_a_pressed_tool_is_pushed_out_of_the_rock_and_no_other_is(contact):
 def test_the_normal_force_is_what_the_touch_sensors_feel(contact):
     plant, tool, normal = contact
     sensors = [plant.model.sensor(switch.name.lower()).id for switch in TOOL_SWITCHES[tool]]
-    felt = plant.data.sensordata[plant.model.sensor_adr[sensors]].sum()
-    assert tool_forces(plant)[tool] @ normal == pytest.approx(felt, rel=1e-6)
+    measured_N = plant.data.sensordata[plant.model.sensor_adr[sensors]].sum()
+    assert tool_forces(plant)[tool] @ normal == pytest.approx(measured_N, rel=1e-6)
 
 
 def test_the_whole_force_is_what_mujoco_adds_up_on_the_body_of_the_tool(contact):

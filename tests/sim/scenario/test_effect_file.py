@@ -10,18 +10,18 @@ from sim.scenario.effects import BadEffect
 def test_every_effect_comes_back_exactly(tmp_path):
     effects = tuple(hypothesis.typical(1.0 / 3.0) for hypothesis in hypotheses())
     path = tmp_path / "found.toml"
-    path.write_text(effect_file_text(effects, ["said"]))
+    path.write_text(effect_file_text(effects, ["comment"]))
     assert read_effect_file(path) == effects
 
 
 def test_a_file_of_no_effects_switches_nothing_on(tmp_path):
     path = tmp_path / "found.toml"
-    path.write_text(effect_file_text((), ["said"]))
+    path.write_text(effect_file_text((), ["comment"]))
     assert read_effect_file(path) == ()
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "expected"),
     [
         ('[[effect]]\ntype = "coulomb-frictoin"\n', "found.toml:2: type: effect 'coulomb-frictoin' is not"),
         ('[[effect]]\ntype = "warming"\nwarming_K = 9e9\n', "found.toml:3: warming_K: 9e+09 is outside"),
@@ -30,12 +30,12 @@ def test_a_file_of_no_effects_switches_nothing_on(tmp_path):
         ("effect = 3\n", "found.toml:1: effect: is no list of tables"),
     ],
 )
-def test_what_is_wrong_is_told_by_its_line(tmp_path, text, said):
+def test_what_is_wrong_is_told_by_its_line(tmp_path, text, expected):
     path = tmp_path / "found.toml"
     path.write_text(text)
     with pytest.raises(BadEffect) as refused:
         read_effect_file(path)
-    assert said in str(refused.value)
+    assert expected in str(refused.value)
 
 
 def test_a_file_that_is_not_there_is_refused(tmp_path):

@@ -54,7 +54,7 @@ def off_by(*values: float) -> np.ndarray:
     return np.array(values)
 
 
-def looking(direction: np.ndarray) -> np.ndarray:
+def axes_along(direction: np.ndarray) -> np.ndarray:
     """Return axes as columns, the x axis along a direction."""
     x = direction / np.linalg.norm(direction)
     y = np.cross([0.3, 0.9, 0.1], x)
@@ -62,7 +62,7 @@ def looking(direction: np.ndarray) -> np.ndarray:
     return np.column_stack([x, y, np.cross(x, y)])
 
 
-def at(
+def snapshot_at(
     tool: Tool,
     p_N_m: np.ndarray = POINT_N,
     command: int = 1,
@@ -80,7 +80,7 @@ def at(
     return Snapshot(command, p, axes, force, closed, np.tile(p[tool], (len(Switch), 1)), vibrates)
 
 
-def verdict(
+def results(
     check: Check, *moments: Snapshot, ending: Ending = ENDING, world: World | None = None
 ) -> dict[str, CheckResult]:
     """Return the results of a check, by name."""
@@ -99,37 +99,41 @@ def verdict(
 
 
 def test_a_check_says_its_name_as_the_file_does():
-    (found,) = verdict(Done()).values()
+    (found,) = results(Done()).values()
     assert (found.check, found.passed) == ("done", True)
-    assert verdict(SameSpot(2, Tool.MAHLI, 1, Tool.APXS))["lateral"].check == "same_spot"
+    assert results(SameSpot(2, Tool.MAHLI, 1, Tool.APXS))["lateral"].check == "same_spot"
 
 
 @pytest.mark.parametrize("outcome", Outcome)
 def test_done_is_done_and_nothing_else_is(outcome):
-    (found,) = verdict(Done(), ending=replace(ENDING, outcome=outcome)).values()
+    (found,) = results(Done(), ending=replace(ENDING, outcome=outcome)).values()
     assert found.passed == (outcome is Outcome.DONE)
 
 
 @pytest.mark.parametrize(("lateral_m", "passed"), [(0.0149, True), (0.0151, False)])
 def test_placed_is_beside_the_point_along_the_surface_however_deep(lateral_m, passed):
     where = POINT_N + off_by(0.6 * lateral_m, -0.8 * lateral_m, 0.2)
-    found = verdict(Placed(1, Tool.APXS), at(Tool.APXS, where))
+    found = results(Placed(1, Tool.APXS), snapshot_at(Tool.APXS, where))
     assert found["lateral"].value == pytest.approx(lateral_m)
     assert found["lateral"].passed == passed
     assert found["apxs in contact"].passed
 
 
 def test_placed_needs_a_switch_of_that_tool():
-    off = verdict(Placed(1, Tool.APXS), at(Tool.APXS, touching=False))
+    off = results(Placed(1, Tool.APXS), snapshot_at(Tool.APXS, touching=False))
     assert not off["apxs in contact"].passed
-    other = replace(at(Tool.APXS), closed=at(Tool.DRILL).closed)
-    assert not verdict(Placed(1, Tool.APXS), other)["apxs in contact"].passed
+    other = replace(snapshot_at(Tool.APXS), closed=snapshot_at(Tool.DRILL).closed)
+    assert not results(Placed(1, Tool.APXS), other)["apxs in contact"].passed
 
 
 def test_what_counts_is_the_last_cycle_of_the_command():
     far = POINT_N + off_by(0.5, 0.0, 0.0)
-    run = (at(Tool.APXS, far), at(Tool.APXS), at(Tool.APXS, far, command=2, touching=False))
-    found = verdict(Placed(1, Tool.APXS), *run)
+    run = (
+        snapshot_at(Tool.APXS, far),
+        snapshot_at(Tool.APXS),
+        snapshot_at(Tool.APXS, far, command=2, touching=False),
+    )
+    found = results(Placed(1, Tool.APXS), *run)
     assert all(measured.passed for measured in found.values())
 
 
@@ -143,30 +147,30 @@ def test_what_was_not_reached_is_not_a_number_and_has_not_passed():
         OverInlet(2, "inlet"),
         Docked(2, "box"),
     ):
-        found = verdict(check, at(Tool.APXS)).values()
+        found = results(check, snapshot_at(Tool.APXS)).values()
         assert any(isnan(measured.value) for measured in found)
         assert not any(measured.passed for measured in found if isnan(measured.value))
 
 
 def test_same_spot_counts_from_where_the_first_tool_truly_was():
     off = np.array([0.004, 0.0, 0.0])
-    first = at(Tool.APXS, POINT_N + off)
-    second = at(Tool.MAHLI, POINT_N + off + off_by(0.0, 0.003, 0.05), command=2)
-    found = verdict(SameSpot(2, Tool.MAHLI, 1, Tool.APXS), first, second)
+    first = snapshot_at(Tool.APXS, POINT_N + off)
+    second = snapshot_at(Tool.MAHLI, POINT_N + off + off_by(0.0, 0.003, 0.05), command=2)
+    found = results(SameSpot(2, Tool.MAHLI, 1, Tool.APXS), first, second)
     assert found["lateral"].value == pytest.approx(0.003)
     assert all(measured.passed for measured in found.values())
 
 
 def press(normal_N: float, lateral_N: float = 0.0, slip_m: float = 0.0, command: int = 2) -> Snapshot:
     """Make snapshots of the drill pressed on the surface: the contact force points up."""
-    return at(Tool.DRILL, POINT_N + off_by(slip_m, 0.0, 0.0), command, (lateral_N, 0.0, -normal_N))
+    return snapshot_at(Tool.DRILL, POINT_N + off_by(slip_m, 0.0, 0.0), command, (lateral_N, 0.0, -normal_N))
 
 
 @pytest.mark.parametrize(
     ("force_N", "passed"), [(269.0, False), (271.0, True), (329.0, True), (331.0, False)]
 )
 def test_preloaded_is_within_its_share_at_the_end(force_N, passed):
-    found = verdict(Preloaded(2, Tool.DRILL, 300.0), press(5.0), press(force_N))
+    found = results(Preloaded(2, Tool.DRILL, 300.0), press(5.0), press(force_N))
     assert found["force"].value == pytest.approx(force_N)
     assert found["force"].passed == passed
 
@@ -179,7 +183,7 @@ def test_preloaded_watches_peaks_on_the_way_and_while_it_is_let_go():
         press(300.0, 60.0, 2e-4),
         press(250.0, 75.0, 8e-4, command=3),
     ]
-    found = verdict(check, *run)
+    found = results(check, *run)
     assert found["lateral over normal force"].value == pytest.approx(0.30)
     assert found["slip"].value == pytest.approx(8e-4)
     assert found["most force"].value == pytest.approx(300.0)
@@ -189,12 +193,12 @@ def test_preloaded_watches_peaks_on_the_way_and_while_it_is_let_go():
         (press(100.0, 36.0, command=3), "lateral over normal force"),
         (press(100.0, 0.0, 1.1e-3, command=3), "slip"),
     ):
-        wrong = verdict(check, *run, worse)
+        wrong = results(check, *run, worse)
         assert [found for found, measured in wrong.items() if not measured.passed] == [name]
 
 
 def test_preloaded_asks_nothing_of_ratio_and_slip_where_the_tool_hardly_presses():
-    found = verdict(
+    found = results(
         Preloaded(2, Tool.DRILL, 300.0), press(3.0), press(300.0), press(19.0, 15.0, 0.1, command=3)
     )
     assert all(measured.passed for measured in found.values())
@@ -202,8 +206,8 @@ def test_preloaded_asks_nothing_of_ratio_and_slip_where_the_tool_hardly_presses(
 
 def test_loaded_is_a_force_against_the_way_that_the_taught_tool_looks():
     for force, passed in ((119.0, True), (121.0, False), (79.0, False), (-100.0, False)):
-        pushed_back = at(Tool.DRILL, command=2, force_N=(force, 30.0, -50.0))
-        found = verdict(Loaded(2, "box", 100.0), pushed_back)["force"]
+        pushed_back = snapshot_at(Tool.DRILL, command=2, force_N=(force, 30.0, -50.0))
+        found = results(Loaded(2, "box", 100.0), pushed_back)["force"]
         assert (found.value, found.passed) == (pytest.approx(force), passed)
 
 
@@ -212,63 +216,63 @@ def test_loaded_is_a_force_against_the_way_that_the_taught_tool_looks():
 def test_gravity_is_held_against_true_gravity_tilt_included(roll, pitch, off_deg, passed):
     world = World(tilt_roll_rad=roll, tilt_pitch_rad=pitch)
     down = world.gravity_N_m_s2
-    R = looking(down)  # gravity lies along tool x
+    R = axes_along(down)  # gravity lies along tool x
     turned = R @ rotation_y(np.radians(off_deg))
     check = GravityHeld(1, Tool.PORTION, (2.0, 0.0, 0.0))
-    held, shaken = at(Tool.PORTION, R=R), at(Tool.PORTION, R=turned, vibrates=True)
-    on_the_way = at(Tool.PORTION, R=R @ rotation_y(1.0))
-    found = verdict(check, on_the_way, shaken, held, world=world)["gravity off"]
+    held, shaken = snapshot_at(Tool.PORTION, R=R), snapshot_at(Tool.PORTION, R=turned, vibrates=True)
+    on_the_way = snapshot_at(Tool.PORTION, R=R @ rotation_y(1.0))
+    found = results(check, on_the_way, shaken, held, world=world)["gravity off"]
     assert np.degrees(found.value) == pytest.approx(off_deg)
     assert found.passed == passed
 
 
 def test_gravity_along_another_axis_of_the_tool_is_not_along_this_one():
-    R = looking(World().gravity_N_m_s2)
-    found = verdict(GravityHeld(1, Tool.PORTION, (0.0, 1.0, 0.0)), at(Tool.PORTION, R=R))
+    R = axes_along(World().gravity_N_m_s2)
+    found = results(GravityHeld(1, Tool.PORTION, (0.0, 1.0, 0.0)), snapshot_at(Tool.PORTION, R=R))
     assert np.degrees(found["gravity off"].value) == pytest.approx(90.0)
 
 
 def test_over_the_inlet_is_near_its_upright_axis_at_any_height_with_the_tube_along_gravity():
     world = World(tilt_pitch_rad=0.3)
-    along = looking(world.gravity_N_m_s2)
+    along = axes_along(world.gravity_N_m_s2)
     where = np.array(INLET.p_N_m) + off_by(0.003, 0.004, -0.03)
-    found = verdict(OverInlet(1, "inlet"), at(Tool.PORTION, where, R=along), world=world)
+    found = results(OverInlet(1, "inlet"), snapshot_at(Tool.PORTION, where, R=along), world=world)
     assert found["from the axis"].value == pytest.approx(0.005)
     assert found["from gravity"].value == pytest.approx(0.0, abs=1e-9)
-    upright = looking(np.array([0.0, 0.0, 1.0]))
-    found = verdict(OverInlet(1, "inlet"), at(Tool.PORTION, where, R=upright), world=world)
+    upright = axes_along(np.array([0.0, 0.0, 1.0]))
+    found = results(OverInlet(1, "inlet"), snapshot_at(Tool.PORTION, where, R=upright), world=world)
     assert found["from gravity"].value == pytest.approx(0.3)
     assert not found["from gravity"].passed
 
 
 def test_docked_is_at_the_point_along_its_axis_and_in_contact():
-    R = looking(np.array([-1.0, 0.0, 0.0])) @ rotation_x(0.7)
+    R = axes_along(np.array([-1.0, 0.0, 0.0])) @ rotation_x(0.7)
     where = np.array(BOX.p_N_m) + off_by(0.002, 0.0, 0.002)
-    good = verdict(Docked(1, "box"), at(Tool.DRILL, where, R=R))
+    good = results(Docked(1, "box"), snapshot_at(Tool.DRILL, where, R=R))
     assert good["from the point"].value == pytest.approx(np.hypot(0.002, 0.002))
     assert all(measured.passed for measured in good.values())
-    askew = verdict(Docked(1, "box"), at(Tool.DRILL, where, R=R @ rotation_y(np.radians(1.6))))
+    askew = results(Docked(1, "box"), snapshot_at(Tool.DRILL, where, R=R @ rotation_y(np.radians(1.6))))
     assert [name for name, measured in askew.items() if not measured.passed] == ["from the axis"]
-    loose = verdict(Docked(1, "box"), at(Tool.DRILL, where, R=R, touching=False))
+    loose = results(Docked(1, "box"), snapshot_at(Tool.DRILL, where, R=R, touching=False))
     assert [name for name, measured in loose.items() if not measured.passed] == ["drill in contact"]
 
 
 def test_released_is_no_force_from_any_side_at_the_end():
-    assert verdict(Released(Tool.DRILL), press(300.0), press(0.0))["force"].passed
-    assert not verdict(Released(Tool.DRILL), press(0.0), press(0.0, 2.0))["force"].passed
+    assert results(Released(Tool.DRILL), press(300.0), press(0.0))["force"].passed
+    assert not results(Released(Tool.DRILL), press(0.0), press(0.0, 2.0))["force"].passed
 
 
 def test_stowed_is_the_true_pose_and_that_flight_software_knows_it():
     there = replace(ENDING, mode=Mode.STOWED, output_rad=STOWED_RAD + off_by(0.0, 0.019, 0.0, -0.01, 0.0))
-    assert all(measured.passed for measured in verdict(Stowed(), ending=there).values())
-    assert not verdict(Stowed(), ending=replace(there, mode=Mode.DEPLOYED))["known"].passed
+    assert all(measured.passed for measured in results(Stowed(), ending=there).values())
+    assert not results(Stowed(), ending=replace(there, mode=Mode.DEPLOYED))["known"].passed
     beside = replace(there, output_rad=STOWED_RAD + off_by(0.0, 0.0, -0.021, 0.0, 0.0))
-    assert not verdict(Stowed(), ending=beside)["farthest joint from it"].passed
+    assert not results(Stowed(), ending=beside)["farthest joint from it"].passed
 
 
 def test_faulted_is_this_event_brakes_and_refusal_together():
     ending = replace(ENDING, outcome=Outcome.FAULTED, refuses=True, evrs=((1.0, NoContact(0.1)),))
-    assert all(measured.passed for measured in verdict(Faulted("NoContact"), ending=ending).values())
-    assert not verdict(Faulted("OverCurrent"), ending=ending)["OverCurrent"].passed
-    assert not verdict(Faulted("NoContact"), ending=replace(ending, braked=False))["braked"].passed
-    assert not verdict(Faulted("NoContact"), ending=replace(ending, refuses=False))["refuses"].passed
+    assert all(measured.passed for measured in results(Faulted("NoContact"), ending=ending).values())
+    assert not results(Faulted("OverCurrent"), ending=ending)["OverCurrent"].passed
+    assert not results(Faulted("NoContact"), ending=replace(ending, braked=False))["braked"].passed
+    assert not results(Faulted("NoContact"), ending=replace(ending, refuses=False))["refuses"].passed

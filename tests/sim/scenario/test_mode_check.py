@@ -109,10 +109,10 @@ def test_what_flight_software_does_is_not_refused(case):
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_flight_software_refuses_is_told_with_its_number_and_what_comes_before(case):
-    start, commands, number, said = REFUSED[case]
+    start, commands, number, expected = REFUSED[case]
     ((found, problem),) = find_refusals(commands, start)
     assert found == number
-    assert said in problem
+    assert expected in problem
 
 
 def test_every_command_has_its_events():

@@ -87,16 +87,16 @@ def test_every_field_of_every_dataclass_can_be_said_and_comes_back(kind, unit):
     hints = get_type_hints(kind)
     table, wanted = {}, {}
     for k, field in enumerate(fields(kind)):
-        said = sample(hints[field.name], field.name, k)
+        expected = sample(hints[field.name], field.name, k)
         keys = list(field_keys(field.name, hints[field.name]).factors.items())
         key, factor = keys[unit % len(keys)]
-        table[key] = said
+        table[key] = expected
         if field.name in ("tool", "first_tool", "joint"):
-            wanted[field.name] = (Joint if field.name == "joint" else Tool)[str(said).upper()]
-        elif isinstance(said, list):
-            wanted[field.name] = tuple(value * factor for value in said)
+            wanted[field.name] = (Joint if field.name == "joint" else Tool)[str(expected).upper()]
+        elif isinstance(expected, list):
+            wanted[field.name] = tuple(value * factor for value in expected)
         else:
-            wanted[field.name] = said * factor if isinstance(said, float) else said
+            wanted[field.name] = expected * factor if isinstance(expected, float) else expected
     findings = Findings(NOTHING_FOUND)
     assert read_record(kind, table, (), findings) == kind(**wanted)
     assert not findings.problems
@@ -144,7 +144,7 @@ def test_every_unit_of_the_house_is_one_of_its_own(suffix):
 
 def test_positions_are_in_rnav_unless_another_frame_is_said():
     place = [2.0, 0.1, -0.25]
-    said = {"tool": "apxs", "approach": [0, 0, 1]}
+    expected = {"tool": "apxs", "approach": [0, 0, 1]}
     in_rover = tuple(float(v) for v in np.array(place) - P_NR_M)
     for kind, key, field in (
         (PlaceTool, "position_m", "p_RoTo_R_m"),
@@ -157,10 +157,10 @@ def test_positions_are_in_rnav_unless_another_frame_is_said():
             ({"frame": "RNAV"}, in_rover),
             ({"frame": "RMECH"}, tuple(place)),
         ):
-            found = command(type=name, **{key: place}, **said, **frame)
+            found = command(type=name, **{key: place}, **expected, **frame)
             assert getattr(found, field) == wanted
             assert getattr(found, "frame", ROVER) == ROVER
-    moved = command(type="MOVE_TOOL", position_mm=[0, 0, -10], frame="DRILL", **said)
+    moved = command(type="MOVE_TOOL", position_mm=[0, 0, -10], frame="DRILL", **expected)
     assert isinstance(moved, MoveTool)
     assert (moved.p_FoTo_F_m, moved.frame) == ((0.0, 0.0, -0.01), "DRILL")
 

@@ -9,8 +9,8 @@ from tests.sim.scenario.bad import BAD, GOOD
 def problems(text: str) -> tuple[tuple[int, str], ...]:
     with pytest.raises(BadScenario) as refused:
         parse_scenario(text, "test", "some/test.toml")
-    said = str(refused.value).splitlines()
-    assert said == [f"some/test.toml:{p.line}: {p.text}" for p in refused.value.problems]
+    expected = str(refused.value).splitlines()
+    assert expected == [f"some/test.toml:{p.line}: {p.text}" for p in refused.value.problems]
     return tuple((p.line, p.text) for p in refused.value.problems)
 
 
@@ -20,18 +20,18 @@ def test_the_file_that_is_spoilt_here_is_good():
 
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_refused_with_its_line_and_what_would_be_right(case):
-    right, wrong, line, said = BAD[case]
+    right, wrong, line, expected = BAD[case]
     assert GOOD.count(right) >= 1
-    spoilt = GOOD.replace(right, wrong, 1)
-    first = problems(spoilt)[0]
+    edited = GOOD.replace(right, wrong, 1)
+    first = problems(edited)[0]
     assert first[0] == line
-    assert said in first[1]
+    assert expected in first[1]
 
 
 def test_all_problems_are_told_at_once_in_the_order_of_their_lines():
-    spoilt = GOOD.replace("tilt_roll_deg", "tilt_rol_deg").replace('"elbow"', '"elbo"')
-    spoilt = spoilt.replace("distance_mm = 100\n", "").replace('"placed"', '"palced"')
-    found = problems(spoilt)
+    edited = GOOD.replace("tilt_roll_deg", "tilt_rol_deg").replace('"elbow"', '"elbo"')
+    edited = edited.replace("distance_mm = 100\n", "").replace('"placed"', '"palced"')
+    found = problems(edited)
     assert [line for line, _ in found] == [6, 29, 35, 46]
     assert [text.split(":")[0] for _, text in found] == [
         "tilt_rol_deg",
@@ -80,6 +80,6 @@ def test_any_key_of_a_scenario_of_the_house_that_is_misspelt_is_found_on_its_lin
     lines = built_in_scenarios()[name].splitlines()
     keys = [k for k, line in enumerate(lines) if " = " in line and line[:4] not in ("type", "# ")]
     for k in keys:
-        spoilt = [*lines]
-        spoilt[k] = "x" + spoilt[k]
-        assert (k + 1) in [line for line, _ in problems("\n".join(spoilt))]
+        edited = [*lines]
+        edited[k] = "x" + edited[k]
+        assert (k + 1) in [line for line, _ in problems("\n".join(edited))]

@@ -21,7 +21,7 @@ AIR = TaughtPoint("air", Tool.APXS, (2.0, 0.2, -0.5), (0.3, 0.0, 1.0))
 WORLD = World(tilt_roll_rad=0.1, tilt_pitch_rad=-0.2)
 
 
-def missed_m(name: str, point: TaughtPoint = AIR) -> tuple[float, float, float]:
+def teaching_errors(name: str, point: TaughtPoint = AIR) -> tuple[float, float, float]:
     """Return the true errors of the tool in position [m] and axis [rad], and the stored offset [m]."""
     arm = arm_named(name)
     reference = lab.true_reference(arm)
@@ -41,7 +41,7 @@ def missed_m(name: str, point: TaughtPoint = AIR) -> tuple[float, float, float]:
 
 
 def test_a_nominal_arm_learns_what_the_drawing_says():
-    off_m, axis_rad, believed_m = missed_m("nominal")
+    off_m, axis_rad, believed_m = teaching_errors("nominal")
     assert off_m < 1e-3
     assert axis_rad < 2e-3
     assert believed_m < 1e-3
@@ -49,7 +49,7 @@ def test_a_nominal_arm_learns_what_the_drawing_says():
 
 @pytest.mark.parametrize("seed", [3, 8])
 def test_a_built_arm_that_believes_to_be_elsewhere_comes_back_to_the_true_place(seed):
-    off_m, axis_rad, believed_m = missed_m(f"as-built:{seed}")
+    off_m, axis_rad, believed_m = teaching_errors(f"as-built:{seed}")
     assert believed_m > 4e-3
     assert off_m < 3e-3
     assert axis_rad < np.radians(1.5)
