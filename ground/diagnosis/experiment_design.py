@@ -27,8 +27,12 @@ def rank_motions(
 ) -> tuple[CandidateMotion, ...]:
     """Rank candidate motions by the least separation over all pairs of hypotheses.
 
-    For hypothesis g of amplitudes x, the squared separation from h is x'(R_gg - R_gh R_hh^-1 R_hg) x: the
-    part of g that h cannot imitate, with nuisances free. R sums the data so far and the candidate.
+    The squared separation of hypothesis g, with amplitudes x, from hypothesis h is
+
+        x'(R_gg - R_gh R_hh^-1 R_hg) x
+
+    This is the part of g that h cannot imitate, with nuisances free. R sums the data so far and the
+    candidate.
 
     Args:
         equations: Normal equations of the data so far.

@@ -110,8 +110,8 @@ def within_bounds(equations: NormalEquations, t: Array, columns: Ints) -> Flags:
 def cross_validation_losses(equations: NormalEquations, rhs: RightHandSide, columns: Ints) -> Array:
     """Compute the deviance of each block as predicted by the other blocks, relative to no effect.
 
-    The deviance of a block given the others is that of all blocks minus that of the others, both with
-    nuisances free: D(t) = t'R t - 2 r't. Normalising terms are the same for all sets.
+    The deviance of a block given the others is that of all blocks minus that of the others. Both have free
+    nuisances: D(t) = t'R t - 2 r't. Normalising terms are the same for all sets.
 
     Args:
         equations: Normal equations of the campaign.

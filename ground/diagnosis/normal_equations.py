@@ -1,13 +1,17 @@
 """Normal equations of the linear model, with nuisances eliminated, and the right-hand sides of cases.
 
-The whitened model is y = N v + S t + e, with e of unit covariance and a Gaussian prior of precision P on the
-nuisances v. For each block b, with A = [N S]: G_b = A_b'A_b and c_b = A_b'y_b. Summed over blocks, the
+The whitened model is y = N v + S t + e with A = [N S] and e of unit covariance. The nuisances v have a
+Gaussian prior of precision P. For each block b, G_b = A_b'A_b and c_b = A_b'y_b. Summed over blocks, the
 nuisances are eliminated by the Schur complement:
 
-    C = (G_NN + P)^-1,  W = G_SN C,  R = G_SS - W G_NS,  r = c_S - W c_N,  and then R t = r.
+    C = (G_NN + P)^-1
+    W = G_SN C
+    R = G_SS - W G_NS
+    r = c_S - W c_N
 
-The folds of the cross-validation leave out one block each; the last fold has all blocks. Shapes use m
-features, q shared nuisances, k columns of h hypotheses, b blocks and f = b + 1 folds.
+The amplitudes solve R t = r. The folds of the cross-validation leave out one block each; the last fold has
+all blocks. Shapes use m features, q shared nuisances, k columns of h hypotheses, b blocks and f = b + 1
+folds.
 """
 
 from dataclasses import dataclass

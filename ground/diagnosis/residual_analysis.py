@@ -1,9 +1,12 @@
 """Residual map and lack-of-fit test: is there structure that no model explains, and on what does it depend?
 
-For the model y = N v + S t + e with A = [N S], the fit leaves M y with M = I - A (A'A + P)^-1 A', which has
-the covariance M. For directions Q, the projection Q'M y is tested by a chi-square with covariance Q'M Q. The
-directions are a constant and the conditions, in every channel and each of its regimes. The energy of the
-channel in that regime is a second test. A last test takes all directions of all channels together.
+For the model y = N v + S t + e with A = [N S], the fit leaves M y, which has the covariance M:
+
+    M = I - A (A'A + P)^-1 A'
+
+For directions Q, the projection Q'M y is tested by a chi-square with covariance Q'M Q. The directions are a
+constant and the conditions, in every channel and each of its regimes. The energy of the channel in that
+regime is a second test. A last test takes all directions of all channels together.
 """
 
 from dataclasses import dataclass

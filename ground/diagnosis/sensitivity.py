@@ -1,7 +1,10 @@
 """Sensitivities of the features to every hypothesis and nuisance: computed once for a campaign, and cached.
 
-The simulator f near its nominal state is approximated by f(x) = f(0) + S x + Q x^2 for each amplitude x in
-typical sizes, and by a linear term for each nuisance.
+Near its nominal state the simulator f is approximated for amplitudes x in typical sizes and nuisances v by
+
+    f(x, v) = f(0, 0) + S x + Q x^2 + N v
+
+with the square taken of each amplitude.
 """
 
 import json

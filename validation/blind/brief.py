@@ -37,35 +37,35 @@ KINDS: Final = ("resolver-bias",)
 CASES_MADE: Final = 2
 
 
-def known(campaign: Path, run: Runner, progress: Progress) -> CampaignModel:
+def load_brief_model(campaign: Path, run: Runner, progress: Progress) -> CampaignModel:
     """Load the campaign model of these kinds."""
     return load_campaign_model(*split_logs(campaign), campaign, run, progress, KINDS)
 
 
 @cache
-def reference_of(campaign: Path) -> CampaignModel:
+def load_cached_model(campaign: Path) -> CampaignModel:
     """Load it once."""
-    return known(campaign, local_runner(1), _quiet)
+    return load_brief_model(campaign, local_runner(1), _quiet)
 
 
-def kept(campaign: Path) -> CampaignSensitivities:
+def load_brief_sensitivities(campaign: Path) -> CampaignSensitivities:
     """Load its sensitivities."""
-    found = reference_of(campaign)
+    found = load_cached_model(campaign)
     assert found.held_out is not None
     return CampaignSensitivities(found.model.sensitivities, found.held_out)
 
 
-def diagnosed(case: Path, campaign: Path) -> tuple[dict[str, Any], CaseFeatures]:
+def diagnose_brief_case(case: Path, campaign: Path) -> tuple[dict[str, Any], CaseFeatures]:
     """Diagnose a case; return result document and residuals."""
-    return diagnose_against(case, reference_of(campaign))
+    return diagnose_against(case, load_cached_model(campaign))
 
 
-def document(folder: Path, seed: int) -> dict[str, Any]:
+def run_brief(folder: Path, seed: int) -> dict[str, Any]:
     """Make, solve and score; return the document."""
     campaign, arm = folder / CAMPAIGN_FOLDER, arm_named("nominal")
     wanted = [one for one in all_sessions() if one.name in SESSIONS]
     record_campaign(campaign, wanted, arm, true_reference(arm), seed, _quiet)
-    model = reference_of(campaign).model
+    model = load_cached_model(campaign).model
     limits = [one.limit for one in model.limits]
     hypotheses, labels = model.sensitivities.hypotheses, model.label
     write_json(campaign / CLASSES_FILE, classes_json(hypotheses, labels, limits))
@@ -76,8 +76,13 @@ def document(folder: Path, seed: int) -> dict[str, Any]:
         record_case(folder / CASES_FOLDER / case.name, case, wanted)
         for log in sorted((folder / CASES_FOLDER / case.name).glob("*.mcap")):
             check_leakage(log, case)
-    solve_cases(folder, Solver(known, kept, diagnosed), local_runner(1), _quiet)
-    found = score_folder(folder, kept, partial=False)
+    solve_cases(
+        folder,
+        Solver(load_brief_model, load_brief_sensitivities, diagnose_brief_case),
+        local_runner(1),
+        _quiet,
+    )
+    found = score_folder(folder, load_brief_sensitivities, partial=False)
     clear = found.found.in_set
     return {
         "digest": digest,
@@ -96,7 +101,7 @@ def main() -> int:
     """Print the score as JSON; exit status 1 if a name is wrong, or a clear effect is not named."""
     options = campaign_parser("blind", __doc__, EXAMPLE).parse_args()
     with TemporaryDirectory() as folder:
-        found = document(Path(folder), options.seed)
+        found = run_brief(Path(folder), options.seed)
     print(json.dumps(found, indent=2))
     return 0 if found["in_bounds"] else 1
 

@@ -1,8 +1,8 @@
 """Sensitivities of a campaign: parallel finite differences of the arm's simulator, cached in files.
 
-`compute_sensitivities` is the entry. It simulates one side of every column, adapts the steps to the noise,
-simulates the other side with the same steps, and fits a parabola (`finite_differences`). The name of the
-cache file holds a digest of logs, model, parameters, catalogue and code.
+`compute_sensitivities` is the entry. It simulates one side of every column, and adapts the steps to the
+noise. Then it simulates the other side with the same steps, and fits a parabola (`finite_differences`). The
+name of the cache file holds a digest of logs, model, parameters, catalogue and code.
 """
 
 import hashlib

@@ -1,7 +1,12 @@
 """Features of a recording in motion: the same numbers from recorded and from simulated sensors.
 
-For every motion of a joint and every bin of a quarter of a second, three channels are averaged: motor
-current, following error (encoder minus set-point), and resolver minus encoder. The IMU adds its mean.
+Each motion of a joint is divided into bins of a quarter of a second, over which three channels are averaged:
+
+    motor current
+    following error: encoder minus set-point
+    resolver minus encoder
+
+The mean gravity reading of the IMU is added.
 """
 
 from collections.abc import Iterator, Mapping

@@ -87,8 +87,8 @@ def list_columns(simulator: ArmSimulator) -> list[JacobianColumn]:
 def find_aliases(simulator: ArmSimulator, columns: Sequence[JacobianColumn]) -> dict[int, tuple[int, float]]:
     """Find the nuisances that equal a hypothesis or another nuisance.
 
-    A hypothesis that is a factor is excluded: its step is many sigmas of the nuisance, where the response is
-    not linear and backlash changes sides.
+    A hypothesis that is a factor is excluded, as its step is many sigmas of the nuisance. There the response
+    is not linear, and backlash changes sides.
 
     Returns:
         For each alias its column, the equal column, and the typical size of that.

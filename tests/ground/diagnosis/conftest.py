@@ -1,4 +1,4 @@
-"""One small made-up campaign, ready for cases, that all tests share."""
+"""Small synthetic campaign that all tests share."""
 
 import numpy as np
 import pytest
@@ -10,24 +10,24 @@ from tests.ground.diagnosis.worlds import found, world
 
 @pytest.fixture(scope="session")
 def made():
-    """A linear world."""
+    """Return a linear world."""
     return world()
 
 
 @pytest.fixture(scope="session")
 def campaign(made):
-    """Ready for data; thresholds from its own simulated cases."""
+    """Return its diagnosis model, with thresholds from its own simulated cases."""
     return build_model(found(made), seed=1, cases=80)
 
 
 @pytest.fixture(scope="session")
 def results(made, campaign):
-    """What is said of a case of each kind, by its name."""
+    """Return a result of each kind, by its name."""
     kinds = (cases.named, cases.alike, cases.undecided, cases.nothing, cases.unknown, cases.beside)
     return {kind.__name__: kind(made, campaign) for kind in kinds}
 
 
 @pytest.fixture
 def rng():
-    """The same draws in every test."""
+    """Return a generator with the same draws in every test."""
     return np.random.default_rng(7)

@@ -1,4 +1,4 @@
-"""What is said of made-up cases: one result of each verdict, as page and document get them."""
+"""Results of synthetic cases, one of each verdict, as input for page and document."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ FLOOR = ("place 1.a: 24 pairs of repeats differ by 1.1",)
 
 
 def result_of(made, campaign, seed, t=None, extra=None):
-    """A case of sizes t (K,); the same motions, measured again, are held out."""
+    """Diagnose a case of amplitudes t (k,); the same motions, measured again, are held out."""
     rng = np.random.default_rng(seed)
     measured = [made.measured(rng, t, extra, robot=seed) for _ in range(2)]
     said = diagnose(campaign, Residuals(made.layout, measured[0]), seed=1)
@@ -32,33 +32,33 @@ def result_of(made, campaign, seed, t=None, extra=None):
 
 
 def named(made, campaign):
-    """One effect at six times its limit, which is alike to no other."""
+    """Diagnose one effect without an alias, at six times its limit."""
     one = next(h for h in range(20, 40) if len(campaign.confusable(h)) == 1)
     return result_of(made, campaign, 1, _sized(made, campaign, one, 6.0))
 
 
 def alike(made, campaign):
-    """One effect at four times its limit, which is alike to another."""
+    """Diagnose one effect with an alias, at four times its limit."""
     return result_of(made, campaign, 1, _sized(made, campaign, 4, 4.0))
 
 
 def nothing(made, campaign):
-    """No effect."""
+    """Diagnose a case without effect."""
     return result_of(made, campaign, 2)
 
 
 def unknown(made, campaign):
-    """Structure in one channel that no hypothesis imitates."""
+    """Diagnose structure in one channel that no hypothesis imitates."""
     return result_of(made, campaign, 3, extra=3.0 * _strange(made))
 
 
 def beside(made, campaign):
-    """The same beside an effect: what comes nearest is no name."""
+    """Diagnose such structure beside an effect: the nearest effect is not named."""
     return result_of(made, campaign, 3, _sized(made, campaign, 4, 8.0), _strange(made))
 
 
 def undecided(made, campaign):
-    """An effect not far above its limit, for which others may stand."""
+    """Diagnose an effect slightly above its limit, with alternatives."""
     return result_of(made, campaign, 4, _sized(made, campaign, 21, 1.7))
 
 
@@ -72,7 +72,7 @@ def _sized(made, campaign, one, times):
 
 
 def _motions(made, campaign, said: Diagnosis):
-    """Candidates for what is confusable; one repeats what was done."""
+    """Rank two motions for confusable findings; one repeats the campaign."""
     alike_to = [one for finding in said.findings for one in finding.confusable]
     if len(alike_to) < 2:
         return ()
@@ -88,7 +88,7 @@ def _motions(made, campaign, said: Diagnosis):
 
 
 def as_of(result, hypothesis, values, verdict="named"):
-    """The same with a hypothesis and values in the place of those that were found."""
+    """Replace the first finding of a result by a hypothesis with these values."""
     finding = result.diagnosis.findings[0]
     nowhere = np.full(len(values), np.nan)
     changed = replace(finding, values=np.array(values), least=nowhere, most=nowhere)

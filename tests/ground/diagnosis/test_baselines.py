@@ -1,4 +1,4 @@
-"""What others make of a case."""
+"""Baseline methods on a case."""
 
 import numpy as np
 
@@ -7,7 +7,7 @@ from ground.diagnosis.problem import Residuals
 from validation.blind.baselines import everything_free, gaussian_process, largest_error
 
 
-def test_the_place_with_the_largest_error_is_told(made):
+def test_the_place_with_the_largest_error_is_found(made):
     residual = np.where(made.layout.place == 3, 3.0, 1.0)
     assert largest_error(made.layout, residual) == "place 3"
 

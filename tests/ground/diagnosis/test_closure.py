@@ -1,4 +1,4 @@
-"""What the findings are worth on motions that took no part, and which motion comes next."""
+"""Closure on held-out motion, and the choice of the next motion."""
 
 from dataclasses import replace
 
@@ -20,23 +20,23 @@ from tests.ground.diagnosis.worlds import found
 
 
 def elsewhere(made):
-    """Sensitivities of the same motions, made again."""
+    """Return sensitivities of the same motions under other names."""
     others = tuple(f"other {name}" for name in made.layout.blocks)
     return replace(found(made), layout=replace(made.layout, blocks=others))
 
 
 @pytest.fixture
-def apart(made, campaign):
-    """Held-out motion: the same motions, made again."""
+def held_out(made, campaign):
+    """Return held-out motion: the same motions, recorded again."""
     return build_held_out_model(campaign.equations, elsewhere(made))
 
 
-def test_closure_agrees_with_the_truth(made, campaign, apart, rng):
-    """Of a large effect: noise-free, 1 - |true - predicted|^2 / |true|^2."""
+def test_closure_agrees_with_the_truth(made, campaign, held_out, rng):
+    """Without noise, the closure is 1 - |true - predicted|^2 / |true|^2."""
     t = np.where(made.owner == 4, 1.5, 0.0)
     diagnosis = diagnose(campaign, Residuals(made.layout, made.measured(rng, t, robot=1)), seed=1)
-    change = QuadraticSurrogate(apart.sensitivities).change(effect_values(diagnosis))
-    again = compute_held_out_residuals(diagnosis, apart, made.measured(rng, t, robot=1), change).closure(
+    change = QuadraticSurrogate(held_out.sensitivities).change(effect_values(diagnosis))
+    again = compute_held_out_residuals(diagnosis, held_out, made.measured(rng, t, robot=1), change).closure(
         seed=1
     )
     assert diagnosis.verdict == "named"
@@ -45,55 +45,55 @@ def test_closure_agrees_with_the_truth(made, campaign, apart, rng):
     assert again.after < again.before
 
 
-def explainable(made, apart, energy):
-    """What an effect changes there beside what nuisances take, whitened, of so much energy."""
-    S = apart.Q @ (apart.Q.T @ apart.whiten(made.effect[:, 4]))
+def explainable(made, held_out, energy):
+    """Return the explainable whitened change by an effect, scaled to an energy."""
+    S = held_out.Q @ (held_out.Q.T @ held_out.whiten(made.effect[:, 4]))
     return S * np.sqrt(energy) / np.linalg.norm(S)
 
 
-def chance(apart, rng, floor=1.0):
-    """Noise of so many floors, and what is left of the nuisances."""
-    return floor * rng.standard_normal(apart.layout.size) + apart.doubt @ rng.standard_normal(
-        apart.doubt.shape[1]
+def chance(held_out, rng, floor=1.0):
+    """Return noise of `floor` times the noise floor, and of the uncertain nuisances."""
+    return floor * rng.standard_normal(held_out.layout.size) + held_out.doubt @ rng.standard_normal(
+        held_out.doubt.shape[1]
     )
 
 
 @pytest.mark.parametrize("floor", [1.0, 0.3])
-def test_half_an_effect_closes_three_quarters_however_high_the_floor_is_assumed(made, apart, rng, floor):
-    S, shares, covered = explainable(made, apart, 1000.0), [], 0
+def test_half_an_effect_closes_three_quarters_however_high_the_floor_is_assumed(made, held_out, rng, floor):
+    S, shares, covered = explainable(made, held_out, 1000.0), [], 0
     for _ in range(20):
-        r = S + chance(apart, rng, floor)
-        closure = whitened_closure(apart, r, r - S / 2.0, 1)
+        r = S + chance(held_out, rng, floor)
+        closure = whitened_closure(held_out, r, r - S / 2.0, 1)
         shares.append(closure.share)
         covered += closure.least <= 0.75 <= closure.most
     assert np.median(shares) == pytest.approx(0.75, abs=0.02)
     assert covered >= 15
 
 
-def test_a_gap_of_a_tenth_of_the_noise_is_shared_out(made, apart, rng):
-    """Noise of all features would hide it: of what can be explained there is less."""
-    S, shares = explainable(made, apart, 0.1 * made.layout.size), []
+def test_a_gap_of_a_tenth_of_the_noise_is_shared_out(made, held_out, rng):
+    """The noise of all features would hide it, but the explainable directions have less noise."""
+    S, shares = explainable(made, held_out, 0.1 * made.layout.size), []
     for _ in range(20):
-        r = S + chance(apart, rng)
-        shares.append(whitened_closure(apart, r, r - S, 1).share)
+        r = S + chance(held_out, rng)
+        shares.append(whitened_closure(held_out, r, r - S, 1).share)
     assert np.all(np.isfinite(shares))
     assert np.median(shares) == pytest.approx(1.0, abs=0.1)
 
 
 def test_an_effect_that_hardly_moves_what_is_held_out_is_shared_out_as_well(made, rng):
-    """Most directions that effects have there are below the noise: what was found counts among them."""
+    """Most directions of effects are below the noise; the direction of the finding is added."""
     blocks = np.isin(made.layout.block, (0, 5))
     kept = found(made)
     equations = form_normal_equations(kept.select(np.flatnonzero(~blocks)))
-    apart = build_held_out_model(equations, kept.select(np.flatnonzero(blocks)))
+    held_out = build_held_out_model(equations, kept.select(np.flatnonzero(blocks)))
     shares, lost = [], 0
     for column in range(0, made.owner.size, 3):
-        S = apart.whiten(apart.sensitivities.effect[:, column])
+        S = held_out.whiten(held_out.sensitivities.effect[:, column])
         if not np.any(S):
             continue
         S *= 12.0 / np.linalg.norm(S)
-        r = S + chance(apart, rng)
-        closure = whitened_closure(apart, r, r - S, 1)
+        r = S + chance(held_out, rng)
+        closure = whitened_closure(held_out, r, r - S, 1)
         shares.append(closure.share)
         lost += not closure.least <= 1.0 <= closure.most or closure.after < 0.0
     assert len(shares) > 10
@@ -101,9 +101,9 @@ def test_an_effect_that_hardly_moves_what_is_held_out_is_shared_out_as_well(made
     assert lost <= 0.2 * len(shares)
 
 
-def test_where_there_is_no_gap_no_share_is_claimed(apart, rng):
-    noise = chance(apart, rng)
-    closure = whitened_closure(apart, noise, noise, 1)
+def test_where_there_is_no_gap_no_share_is_claimed(held_out, rng):
+    noise = chance(held_out, rng)
+    closure = whitened_closure(held_out, noise, noise, 1)
     assert np.isnan(closure.share)
     assert closure.least == -np.inf
     assert closure.before == pytest.approx(1.0, abs=0.5)
@@ -120,7 +120,7 @@ def test_held_out_motion_of_another_catalogue_is_refused(made, campaign):
 
 
 def test_the_next_motion_is_the_one_that_separates(made, campaign, rng):
-    """Of two that are alike so far: one candidate repeats what was done, one shows them differently."""
+    """One candidate repeats the campaign, the other distinguishes two aliased effects."""
     pair = next(
         (g, h) for g in range(40) for h in range(g + 1, 40)
         if campaign.label[g] == campaign.label[h] and np.bincount(made.owner)[g] == 1

@@ -1,4 +1,4 @@
-"""A name needs odds: what imitates a cause that is in no catalogue seldom has them."""
+"""Confidence classifier: an imitation of an out-of-catalogue cause seldom gets a name."""
 
 from dataclasses import replace
 
@@ -15,32 +15,32 @@ from ground.diagnosis.selection import select_effects
 from ground.diagnosis.thresholds import MAX_WRONG_NAMES, calibrate_thresholds
 
 
-def _signs(margin: float) -> ConfidenceFeatures:
+def _features(margin: float) -> ConfidenceFeatures:
     return ConfidenceFeatures(0.0, 3.0, margin, 1.0, 0.0, 1.0, 1.0)
 
 
 def test_what_wins_by_much_is_trusted_more_than_what_wins_by_little(rng):
     right = rng.random(400) < 0.5
-    features = [_signs(rng.normal(3.0 if good else 1.0)) for good in right]
+    features = [_features(rng.normal(3.0 if good else 1.0)) for good in right]
     trust = train_classifier(features, right, ~right, wrong=20)
-    assert trust.log_odds(_signs(4.0)) > trust.log_odds(_signs(0.0))
-    assert trust.accepts(_signs(4.0))
-    assert not trust.accepts(_signs(0.0))
+    assert trust.log_odds(_features(4.0)) > trust.log_odds(_features(0.0))
+    assert trust.accepts(_features(4.0))
+    assert not trust.accepts(_features(0.0))
     assert sum(trust.accepts(one) for one, good in zip(features, right, strict=True) if not good) <= 20
 
 
 def test_with_nothing_to_learn_from_every_name_is_allowed():
-    assert train_classifier([], np.zeros(0, bool), np.zeros(0, bool), wrong=0).accepts(_signs(0.0))
+    assert train_classifier([], np.zeros(0, bool), np.zeros(0, bool), wrong=0).accepts(_features(0.0))
 
 
 def test_where_nothing_chosen_was_ever_right_no_name_is_allowed():
-    assert not train_classifier([_signs(9.0)], np.zeros(1, bool), np.ones(1, bool), wrong=1).accepts(
-        _signs(9.0)
+    assert not train_classifier([_features(9.0)], np.zeros(1, bool), np.ones(1, bool), wrong=1).accepts(
+        _features(9.0)
     )
 
 
 def test_a_cause_that_is_left_out_seldom_gets_a_name(made, campaign, rng):
-    """On cases that nothing was learnt from, no more often than 97.5 % of samples of 15 % are."""
+    """On cases outside the training, at most as often as 97.5 % of samples of a rate of 15 %."""
     named, cases = 0, 60
     for _ in range(cases):
         one = int(rng.integers(len(made.hypotheses)))
@@ -63,7 +63,7 @@ def test_where_every_effect_has_an_alias_these_train_the_classifier(campaign, mo
 
 
 def _without(campaign, one):
-    """The campaign without an effect at all places, and what is of its class."""
+    """Return the campaign without an effect at all places, and without its class."""
     effect = campaign.sensitivities.hypotheses[one].effect
     same = np.array([h.effect == effect for h in campaign.sensitivities.hypotheses])
     out = np.isin(campaign.label, campaign.label[same])

@@ -1,4 +1,4 @@
-"""Verdicts on made-up cases: none, named, set or unknown, at the rates that they should have."""
+"""Verdicts on synthetic cases: none, named, set or unknown, at the required rates."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def _sized(made, campaign, one, times):
 
 
 def test_no_effect_is_not_called_one(made, campaign, rng):
-    """Not more than 5 %: fewer alarms than 97.5 % of samples of a rate of 5 % have."""
+    """At most as many alarms as 97.5 % of samples of a rate of 5 %."""
     alarms, cases = 0, 120
     for _ in range(cases):
         case, y = reduce_residuals(campaign.equations, Residuals(made.layout, made.measured(rng)))
@@ -105,7 +105,7 @@ def test_sets_hold_the_truth_and_intervals_the_size(made, campaign, rng):
 
 
 def test_what_is_in_no_catalogue_gets_no_name(made, campaign, rng):
-    """Structure in one channel that no hypothesis imitates, at several times what would be seen."""
+    """The structure in one channel is several times the detectable size, and no hypothesis imitates it."""
     named, where, cases = 0, 0, 10
     layout = made.layout
     for _ in range(cases):
@@ -119,7 +119,7 @@ def test_what_is_in_no_catalogue_gets_no_name(made, campaign, rng):
     assert where >= 0.7 * cases
 
 
-def test_the_same_seed_says_the_same(made, campaign, rng):
+def test_the_same_seed_gives_the_same_diagnosis(made, campaign, rng):
     y = Residuals(made.layout, made.measured(rng, _sized(made, campaign, 4, 3.0)))
     one, two = (diagnose(campaign, y, seed=5) for _ in range(2))
     assert one.verdict == two.verdict
@@ -141,8 +141,8 @@ def test_a_size_at_its_bound_is_no_finding(made, rng):
 
 
 @pytest.mark.parametrize("times", [1.0, 2.5])
-def test_what_is_bent_is_refined(rng, times):
-    """Within what was simulated once the parabola knows it; beyond, the simulator does."""
+def test_a_nonlinear_effect_is_fitted(rng, times):
+    """Within the simulated steps the parabola suffices; beyond them the simulator is needed."""
     bent = world(bent=0.8)
     campaign = build_model(found(bent), seed=1, cases=10)
     t = np.where(bent.owner == 4, times, 0.0)

@@ -14,12 +14,12 @@ from ground.diagnosis.sentences import verdict_sentences
 
 RUN = CliRunner()
 SCREEN = 30
-"""Lines."""
+"""Greatest number of printed lines."""
 
 
 @pytest.fixture
 def diagnose(tmp_path, monkeypatch):
-    """The command on a log that is said to give a result, or an error."""
+    """Run the command with a given result, or an error."""
     (tmp_path / "a.mcap").write_text("a")
     monkeypatch.chdir(tmp_path)
 

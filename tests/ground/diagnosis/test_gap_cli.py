@@ -1,4 +1,4 @@
-"""`gap record` and the campaign of blind cases on what they cannot do."""
+"""Errors of `gap record` and of `python -m validation.blind`."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""What is nearly as likely stands in the stead of what was chosen, wherever its nuisances are."""
+"""Alternatives to the chosen effects: the runner-up of a model comparison, and likely other classes."""
 
 import numpy as np
 import pytest
@@ -9,17 +9,17 @@ from ground.diagnosis.normal_equations import reduce_features
 from ground.diagnosis.selection import select_effects
 
 
-def _duel(rival: tuple[int, ...]) -> ModelComparison:
-    return ModelComparison((1, 2), None, rival, 1.0)  # type: ignore[arg-type]  # who won is enough
+def _comparison(runner_up: tuple[int, ...]) -> ModelComparison:
+    return ModelComparison((1, 2), None, runner_up, 1.0)  # type: ignore[arg-type]  # the chosen sets suffice
 
 
-def test_a_rival_stands_in_the_stead_of_what_it_differs_in():
-    assert _duel((3, 2)).replacement_for(1, (1, 2)) == 3
-    assert _duel((2, 3)).replacement_for(1, (2, 1)) == 3
-    assert _duel((3, 2)).replacement_for(5, (5, 2)) is None
-    assert _duel((3, 2)).replacement_for(2, (1, 2)) is None
-    assert _duel((3, 4)).replacement_for(1, (1, 2)) is None
-    assert _duel((3,)).replacement_for(1, (1, 2)) is None
+def test_the_runner_up_replaces_the_effect_in_which_it_differs():
+    assert _comparison((3, 2)).replacement_for(1, (1, 2)) == 3
+    assert _comparison((2, 3)).replacement_for(1, (2, 1)) == 3
+    assert _comparison((3, 2)).replacement_for(5, (5, 2)) is None
+    assert _comparison((3, 2)).replacement_for(2, (1, 2)) is None
+    assert _comparison((3, 4)).replacement_for(1, (1, 2)) is None
+    assert _comparison((3,)).replacement_for(1, (1, 2)) is None
 
 
 def test_the_set_has_what_is_likely_and_its_probabilities_are_a_share_of_one():
@@ -45,12 +45,12 @@ def test_what_was_chosen_is_likelier_than_what_is_worse_whatever_was_drawn(drawn
     assert known[7] > known[8] > 0.0
 
 
-def test_in_the_stead_of_an_effect_all_other_classes_are_worse(made, campaign, rng):
+def test_in_place_of_an_effect_all_other_classes_are_worse(made, campaign, rng):
     t = np.where(made.owner == 30, 5.0 * campaign.limits[int(made.owner[30])].limit, 0.0)
     case = reduce_features(campaign.equations, campaign.equations.whiten(made.measured(rng, t)))
-    won = select_effects(campaign.candidates, case)
-    (one,) = won.chosen
-    others = replacement_deviances(campaign.candidates, case, won.chosen, one)
+    selection = select_effects(campaign.candidates, case)
+    (one,) = selection.chosen
+    others = replacement_deviances(campaign.candidates, case, selection.chosen, one)
     assert min(others.values()) >= 0.0
     assert not set(others) & set(campaign.confusable(one))
     assert np.exp(-max(others.values()) / 2.0) < MIN_PROBABILITY

@@ -1,4 +1,4 @@
-"""Sums over blocks say the same as the whole covariance matrix, whatever the units and the order."""
+"""Normal equations by block agree with the whole covariance matrix, in any units and order."""
 
 from dataclasses import replace
 
@@ -22,12 +22,12 @@ from tests.ground.diagnosis.worlds import found, world
 
 @pytest.fixture(scope="module")
 def small():
-    """A campaign small enough for dense matrices."""
+    """Return a campaign small enough for dense matrices."""
     return world(seed=3, m=160, effects=4, places=2, nuisances=4, blocks=5, alike=1, two=1)
 
 
 def _dense(made):
-    """Covariance of the features, in their units."""
+    """Return the covariance of the features in their units."""
     layout = made.layout
     V = np.diag(layout.sigma**2)
     for index, nuisance in enumerate(made.nuisances):
@@ -85,14 +85,14 @@ def test_units_and_orders_change_nothing(small, rng):
     layout = replace(kept.layout, block=turned[kept.layout.block])
     owner = np.sort(np.argsort(mix)[kept.owner[at]])
     other = replace(kept, layout=layout, hypotheses=tenfold, effect=-10.0 * kept.effect[:, at], owner=owner)
-    told = []
+    results = []
     for one, names in ((kept, np.arange(mix.size)), (other, mix)):
         equations = form_normal_equations(one)
         case, _ = reduce_residuals(equations, Residuals(one.layout, y))
         won = select_effects(
             CandidateSet(equations, equivalence_classes(equations), 2.0, equations.identifiable), case
         )
-        told.append(
+        results.append(
             (
                 [names[h] for h in won.chosen],
                 [names[h] for h in won.ranking],
@@ -100,8 +100,8 @@ def test_units_and_orders_change_nothing(small, rng):
                 won.likelihood_ratio,
             )
         )
-    assert told[0][:2] == told[1][:2]
-    assert told[0][2:] == pytest.approx(told[1][2:], rel=1e-6)
+    assert results[0][:2] == results[1][:2]
+    assert results[0][2:] == pytest.approx(results[1][2:], rel=1e-6)
 
 
 def test_what_is_alike_shares_a_class_and_nothing_else_does(campaign):

@@ -1,4 +1,4 @@
-"""What is measured, what may be its cause, and what is kept of them: bad input says what is wrong."""
+"""Parameters, hypotheses, features and saved sensitivities; errors name the bad input."""
 
 from dataclasses import fields, is_dataclass, replace
 
@@ -32,7 +32,7 @@ def test_what_is_kept_comes_back(made, tmp_path):
 
 
 def _plain(value):
-    """Fields all the way down."""
+    """Convert nested records to dictionaries."""
     if is_dataclass(value):
         return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
     return value.tolist() if isinstance(value, np.ndarray) else value

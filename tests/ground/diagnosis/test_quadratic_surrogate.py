@@ -1,4 +1,4 @@
-"""Parabolas stand for the simulator as far as it was asked, and go on straight from there."""
+"""Quadratic surrogate: a parabola within the simulated steps, a line beyond them."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from tests.ground.diagnosis.worlds import found, world
 
 @pytest.fixture(scope="module")
 def bent():
-    """A world in which effects grow with their square, too."""
+    """Return a world with quadratic effects."""
     return world(seed=5, m=120, effects=4, places=2, nuisances=3, blocks=4, alike=1, two=1, bent=0.4)
 
 

@@ -1,4 +1,4 @@
-"""Where a gap is told to be."""
+"""Residual map: place, channel and interval of a residual."""
 
 from dataclasses import replace
 
@@ -8,8 +8,8 @@ import pytest
 from ground.diagnosis.residual_analysis import map_residual
 
 
-def test_a_channel_that_several_places_have_is_told_place_by_place(made, rng):
-    """One kind of channel for all places, as of motors in a row; the gap is at one of them."""
+def test_a_channel_that_several_places_have_is_mapped_place_by_place(made, rng):
+    """All places share one kind of channel; the residual is at one place."""
     kinds = ("a", "b", "c")
     layout = replace(made.layout, channel=made.layout.channel % 3, channels=kinds, units=("u",) * 3)
     here = (layout.place == 2) & (layout.channel == 1)

@@ -1,4 +1,4 @@
-"""The plain document of a diagnosis: its keys, its verdicts, and nothing that JSON has no word for."""
+"""Result document: its keys, its verdicts, and only values that JSON can hold."""
 
 import json
 from dataclasses import replace
@@ -70,7 +70,7 @@ def test_an_effect_has_its_interval_and_its_probability(results):
     assert effect["alternatives"] == effect["confusable"] == []
 
 
-def test_what_is_alike_is_told_as_a_class_with_the_motion_that_separates_it(results):
+def test_aliased_effects_are_a_class_with_the_motion_that_separates_them(results):
     document = to_json(results["alike"])
     (effect,) = document["effects"]
     (together,) = document["confusable"]
@@ -86,7 +86,7 @@ def test_a_set_holds_others_and_what_they_are_worth(results):
     assert 0.95 <= worth <= 1.0 + 1e-12
 
 
-def test_structure_is_told_of_where_it_is(results, made):
+def test_structure_is_reported_where_it_is(results, made):
     for name, expected in (("unknown", True), ("beside", True), ("named", False), ("nothing", False)):
         assert to_json(results[name])["unexplained"]["structure"] is expected
     assert to_json(results["unknown"])["unexplained"]["remains"][0]["channel"] == made.layout.channels[6]

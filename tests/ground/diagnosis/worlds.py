@@ -1,4 +1,4 @@
-"""Made-up robots that are straight lines: hypotheses (some alike), nuisances, and data of known truth."""
+"""Synthetic linear robots: hypotheses (some aliased), nuisances, and data of known truth."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ REGIMES = ("rest", "slow", "reversal")
 
 @dataclass(frozen=True)
 class World:
-    """A simulator of the protocol: linear, or with a share `bent` of the square of each size."""
+    """Simulator of the protocol: linear, or with a share `bent` of the square of each amplitude."""
 
     layout: FeatureLayout
     hypotheses: tuple[Hypothesis, ...]
@@ -31,7 +31,7 @@ class World:
         return self.effect @ (t + self.bent * t**2) + self.nuisance @ nuisance
 
     def measured(self, rng, t=None, extra=None, robot=None):
-        """A case's residual features: sizes t (K,), typical 1, drawn nuisances, and the floor's noise.
+        """Return the residual of a case: amplitudes t (k,) in typical sizes, random nuisances, and noise.
 
         A robot, by number, has the same nuisances in every campaign.
         """
@@ -51,9 +51,9 @@ class World:
 
 
 def world(seed=0, m=1200, effects=8, places=5, nuisances=12, blocks=15, alike=4, two=2, scatter=2, bent=0.0):
-    """Places with three channels each; every block moves one place; effects are smooth in the conditions.
+    """Build places with three channels each; effects are smooth in the conditions.
 
-    The last `alike` effects are others of them with a hundredth of something else; `two` have two parameters.
+    The last `alike` effects are nearly copies of others; `two` effects have two parameters.
     """
     rng = np.random.default_rng(seed)
     block = np.sort(np.arange(m) % blocks)
@@ -94,7 +94,7 @@ def world(seed=0, m=1200, effects=8, places=5, nuisances=12, blocks=15, alike=4,
 
 
 def found(made):
-    """Its sensitivities: differences about nominal, in sizes a parabola, in nuisances a line."""
+    """Return sensitivities by differences about nominal: parabolas for amplitudes, lines for nuisances."""
     zero, m = np.zeros(len(made.nuisances)), made.layout.size
     nominal = made.predict({}, zero)
     sized = [(h, at) for h in made.hypotheses for at, p in enumerate(h.parameters) if p.is_amplitude]
@@ -112,7 +112,7 @@ def _centred(made, by):
 
 
 def _parabola(made, hypothesis, at, nominal):
-    """Change of the features (m,) per typical size of one parameter and per its square, the others absent."""
+    """Return first and second-order change (m,) of the features per typical size of one parameter."""
     zero, parameter = np.zeros(len(made.nuisances)), hypothesis.parameters[at]
     ends = []
     for sign in (1.0, -1.0):
@@ -125,6 +125,6 @@ def _parabola(made, hypothesis, at, nominal):
 
 
 def _basis(c, channel):
-    """Smooth functions of the conditions, different in each kind of channel, (m, n)."""
+    """Return smooth functions (m, n) of the conditions, different in each kind of channel."""
     pure = [np.ones(len(c)), *c.T, c[:, 1] * c[:, 2], c[:, 0] * c[:, 2], c[:, 1] * c[:, 4], c[:, 3] * c[:, 5]]
     return np.column_stack([one * (channel % 3 == kind) for one in pure for kind in range(3)])

@@ -1,4 +1,4 @@
-"""Two sessions as they are recorded, read back."""
+"""Recorded sessions of the nominal arm."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ SHOWN = ("poses-level-1", "poses-level-1-again", "place-apxs")
 
 @pytest.fixture(scope="session")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    """Of the nominal arm."""
+    """Record three sessions of the nominal arm."""
     arm = arm_named("nominal")
     chosen = [session for session in campaign_sessions(arm.params) if session.name in SHOWN]
     folder = tmp_path_factory.mktemp("campaign")
@@ -24,5 +24,5 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 
 @pytest.fixture(scope="session")
 def recordings(logs: list[Path]) -> list[Recording]:
-    """Read back."""
+    """Load the recordings."""
     return [load_recording(path) for path in logs]

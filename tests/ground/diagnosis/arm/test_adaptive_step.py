@@ -1,4 +1,4 @@
-"""Steps are a few times what can be seen, whatever the first try was."""
+"""Adaptive steps reach a few times the detection limit, whatever the first step."""
 
 import numpy as np
 import pytest
@@ -17,14 +17,14 @@ from ground.diagnosis.arm.finite_differences import (
 @pytest.mark.parametrize(
     "per_typical", np.geomspace(2 * TARGET_SIGMAS / MAX_STEP_SHARE, TARGET_SIGMAS / MIN_STEP_SHARE / 2, 7)
 )
-def test_a_step_along_a_line_is_mended_at_once(per_typical: float) -> None:
+def test_a_step_along_a_line_is_adapted_at_once(per_typical: float) -> None:
     better = adapt_step(1.0, per_typical) or 1.0
     assert 1.0 / MAX_STEP_RATIO <= better * per_typical / TARGET_SIGMAS <= MAX_STEP_RATIO
     assert adapt_step(better, better * per_typical) is None
 
 
 def test_a_step_beyond_a_jump_comes_back_before_it() -> None:
-    """Something changes sides at 0.05 of a typical size, and hides what is visible from 0.02 on."""
+    """A backlash changes sides at 0.05 of a typical size, and hides what is visible from 0.02 on."""
 
     def seen(share: float) -> float:
         return 100.0 * share + (400.0 if share > 0.05 else 0.0)

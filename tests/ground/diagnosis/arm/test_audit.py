@@ -1,4 +1,4 @@
-"""What is wrong with a recording is said; of one that is right nothing is."""
+"""The audit notes errors of a recording, and nothing about a good one."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -62,7 +62,7 @@ def test_a_good_recording_is_passed_over_in_silence(recordings: list[Recording])
         ("gravity_R_m_s2", degrees, "m/s^2 are wanted"),
     ],
 )
-def test_what_is_wrong_is_said(
+def test_an_anomaly_is_noted(
     recordings: list[Recording], name: str, change: Callable[[np.ndarray], None], words: str
 ) -> None:
     assert any(words in note for note in find_anomalies(with_sensor_error(recordings[0], name, change)))
@@ -82,7 +82,7 @@ def test_what_cannot_be_compared_is_refused(
     assert any(words in note for note in refusals([with_sensor_error(recordings[0], name, change)], BASE))
 
 
-def test_a_campaign_that_is_too_small_hears_what_is_missing(recordings: list[Recording]) -> None:
+def test_a_campaign_that_is_too_small_is_noted(recordings: list[Recording]) -> None:
     said = audit_recordings(recordings[:1])
     assert any("moves 1 times" in sentence for sentence in said)
     assert any("no motion was repeated" in sentence for sentence in said)
@@ -97,12 +97,12 @@ def test_logs_in_which_nothing_moves_are_too_little(recordings: list[Recording])
     assert find_missing_motion(recordings[2:]) == ()
 
 
-def test_what_a_log_has_lost_is_said(recordings: list[Recording]) -> None:
+def test_lost_messages_are_noted(recordings: list[Recording]) -> None:
     cut = replace(recordings[0], notes=("it ends at 12.5 s: the rest was not written",))
     assert "it ends at 12.5 s: the rest was not written" in list(find_anomalies(cut))
 
 
-def test_recordings_of_another_parameter_set_are_told(recordings: list[Recording]) -> None:
+def test_recordings_of_another_parameter_set_are_refused(recordings: list[Recording]) -> None:
     other = arm_named("calibrated:1").params
     assert any("other flight parameters" in sentence for sentence in refusals(recordings[:1], other))
 

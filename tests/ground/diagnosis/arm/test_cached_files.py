@@ -1,4 +1,4 @@
-"""What is kept of a campaign, and what stands beside logs: damage is said and says what to do."""
+"""Cached files of a campaign and tables beside logs: an error names damage and remedy."""
 
 import json
 from collections.abc import Callable
@@ -143,7 +143,7 @@ def test_a_table_that_is_none_of_poses_is_refused(
 
 @dataclass(frozen=True)
 class Named:
-    """What is asked of a recording here."""
+    """Recording with name and block only."""
 
     name: str
     block: str
@@ -182,7 +182,7 @@ def test_a_part_of_a_campaign_is_beside_all_of_it_on_the_sides_that_its_logs_hav
         sides([Named("placed", "placed")], [])
 
 
-def test_a_campaign_that_comes_to_no_end_leaves_nothing(
+def test_a_campaign_that_does_not_complete_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def stopped(folder: Path, *_: object) -> list[Path]:

@@ -1,4 +1,4 @@
-"""A nominal arm leaves nothing but noise, at rest by statics and in motion under the recorded drive."""
+"""The residual of a nominal arm is noise, at rest by statics and in motion by open-loop simulation."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -69,10 +69,10 @@ def test_repeats_of_a_motion_are_one_block_and_say_what_the_floor_is(recordings:
     assert any(note.startswith("current") and "assumed" in note for note in notes)
 
 
-def test_a_case_has_the_same_features_whether_or_not_its_simulator_is_asked(
+def test_a_case_has_the_same_features_with_a_given_or_a_simulated_nominal(
     recordings: list[Recording],
 ) -> None:
-    """A feature that a repeat has and its first has not is told by no simulation."""
+    """A feature that only a repeat has is not simulated."""
     once = next(one for one in recordings if not one.tracker_poses.tick.size)
     campaign = build_feature_set([once, replace(once, name="again")])
     first, again = campaign.motions
@@ -87,8 +87,8 @@ def test_a_case_has_the_same_features_whether_or_not_its_simulator_is_asked(
     assert given.rows.size == arm.layout.size - 1
 
 
-def test_what_is_not_asked_again_goes_on_in_a_straight_line(recordings: list[Recording]) -> None:
-    """Rests are always computed; of moving recordings those that are wanted."""
+def test_motions_that_are_not_resimulated_are_extrapolated(recordings: list[Recording]) -> None:
+    """Rests are always computed; motions if they are wanted."""
     campaign = build_feature_set(recordings)
     arm = build_simulator(campaign, estimate_floor(campaign).sigma, {}, SHORT_SETTLING)
     patch, by = (GearStiffness(Joint.ELBOW, 0.8),), np.full(arm.layout.size, 1e-3)
@@ -125,7 +125,7 @@ def test_effects_are_stepped_only_where_they_can_show(recordings: list[Recording
 
 
 def remembering() -> list[Effect]:
-    """Effects of sensors that remember, from outside the catalogue."""
+    """Return out-of-catalogue sensor effects with memory."""
     found = {name: one for (name, place), one in list_uncatalogued().items() if place == "elbow"}
     values = {"late-resolver": [0.05], "sluggish-current": [0.1]}
     return [
@@ -156,7 +156,7 @@ def test_what_only_reads_is_read_as_avionics_do_without_another_step(recordings:
 
 
 def test_nothing_is_compared_near_a_touch(recordings: list[Recording]) -> None:
-    """Under the recorded drive another arm would push as the real one never did."""
+    """Under the recorded drive another arm would push where the real one did not."""
     (placed,) = [one for one in recordings if one.world.surface is not None]
     closed = np.flatnonzero(placed.sensors["switch_closed"].any(axis=1))[0]
     here = build_feature_set([placed]).motions[0]
@@ -204,7 +204,7 @@ def test_joints_simulated_at_once_show_what_each_shows_alone(recordings: list[Re
 
 
 def test_a_factor_that_is_uncertain_is_simulated_by_its_own_sigma(recordings: list[Recording]) -> None:
-    """Not by the far steps of the hypothesis that it is as well; at all joints at once."""
+    """The large step of the equal hypothesis is not used; all joints are simulated at once."""
     campaign = build_feature_set([one for one in recordings if not one.tracker_poses.tick.size])
     simulator = build_simulator(
         campaign, estimate_floor(campaign).sigma, {"gear-friction": catalogue()["gear-friction"]}

@@ -1,4 +1,4 @@
-"""A whole diagnosis of an arm, in small: which of two effects it is, how large, and what is refused."""
+"""Small diagnosis of an arm: which of two effects, how large, and what is refused."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -46,19 +46,19 @@ def recorded(folder: Path, effects: tuple[Effect, ...], seed: int) -> Logs:
 
 @pytest.fixture(scope="module")
 def nominal(tmp_path_factory: pytest.TempPathFactory) -> Logs:
-    """Logs of the arm that the simulator is."""
+    """Record the nominal arm."""
     return recorded(tmp_path_factory.mktemp("nominal"), (), 1)
 
 
 @pytest.fixture(scope="module")
 def against(nominal: Logs, tmp_path_factory: pytest.TempPathFactory) -> CampaignModel:
-    """What is known of the campaign before cases."""
+    """Load the campaign model."""
     return load_campaign_model(*nominal, tmp_path_factory.mktemp("kept"), local_runner(1), silent, KINDS)
 
 
 @pytest.fixture
 def case(against: CampaignModel, tmp_path: Path) -> Callable[..., DiagnosisResult]:
-    """What is said of an arm with these effects, beside a simulator with those of a patch."""
+    """Return a function that diagnoses an arm with effects, against a simulator with a patch."""
 
     def of(*effects: Effect, patch: tuple[Effect, ...] = ()) -> DiagnosisResult:
         fitted, apart = ([load_recording(p) for p in paths] for paths in recorded(tmp_path, effects, 9))
@@ -85,7 +85,7 @@ def test_the_effect_is_named_with_its_size_and_closes_the_gap(
 def test_nuisances_do_not_take_the_place_of_an_effect_that_they_are_like(
     against: CampaignModel, tmp_path: Path
 ) -> None:
-    """The simulator is asked about them: had they the effect, it would bend as if it were there twice."""
+    """They are resimulated: with the effect in them, the response would be that of twice the effect."""
     logs = recorded(tmp_path, (LinkLength(Frame.ARM3, "x", 5e-3),), 9)
     fitted, apart = ([load_recording(path) for path in paths] for paths in logs)
     here = fit_case(fitted, apart, against)
@@ -96,10 +96,10 @@ def test_nuisances_do_not_take_the_place_of_an_effect_that_they_are_like(
     assert np.abs(shifts).max() < 4.0 * CALIBRATED_FRAME_SIGMA_M
 
 
-def test_the_simulator_is_asked_only_about_nuisances_that_an_arm_may_have(
+def test_only_nuisances_that_an_arm_may_have_are_simulated(
     against: CampaignModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Alone they stand for an effect that is like them, however large: springs as soft would be no arm."""
+    """Fitted alone they imitate a similar effect, however large: no arm has springs so soft."""
     logs = recorded(tmp_path, (LinkLength(Frame.ARM3, "x", 0.05),), 9)
     shifts: list[np.ndarray] = []
 
@@ -170,7 +170,7 @@ def test_a_part_of_the_effects_is_taken_from_what_is_kept_of_all(
     assert part.keys() == whole.keys()
 
 
-def test_sessions_that_are_missing_are_said(nominal: Logs, against: CampaignModel) -> None:
+def test_missing_sessions_are_noted(nominal: Logs, against: CampaignModel) -> None:
     some = [load_recording(path) for path in nominal[0] if path.stem != "poses-level-2"]
     said = fit_case(some, [], against).notes
     assert "these logs have nothing comparable to the campaign's motions poses-level-2" in said

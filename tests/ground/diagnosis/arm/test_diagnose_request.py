@@ -1,4 +1,4 @@
-"""What is asked of a diagnosis: folders are opened, and what is wrong is refused before a log is read."""
+"""Request for a diagnosis: folders are listed, and bad input is refused before a log is read."""
 
 import pytest
 
@@ -9,7 +9,7 @@ from sim.effects.catalogue import catalogue
 
 @pytest.fixture
 def folder(tmp_path):
-    """Two logs, as far as a request looks, and one elsewhere."""
+    """Create two empty logs, and one elsewhere."""
     (tmp_path / "logs").mkdir()
     for name in ("b", "a"):
         (tmp_path / "logs" / f"{name}.mcap").write_text(name)

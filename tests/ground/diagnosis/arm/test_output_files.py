@@ -1,4 +1,4 @@
-"""What was found becomes what the simulator and flight software take."""
+"""Findings as a patch for the simulator and as flight parameters."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def _hypothesis(name):
 
 @pytest.fixture
 def softer(results):
-    """A gear that was found to be softer."""
+    """Return a result with a softer gear."""
     return as_of(results["alike"], _hypothesis("gear-stiffness at elbow"), [np.log(0.8)])
 
 

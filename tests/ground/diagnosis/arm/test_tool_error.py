@@ -1,4 +1,4 @@
-"""What a turret is off by is told as what its tools are off by."""
+"""Tool error from the error of the turret pose."""
 
 import numpy as np
 import pytest
@@ -30,5 +30,5 @@ def test_a_turn_moves_a_tool_by_its_way_from_the_axis() -> None:
     assert (found.before_mm, found.after_mm, found.floor_mm) == pytest.approx((away, with_shift, away))
 
 
-def test_without_a_whole_screw_nothing_is_told() -> None:
+def test_without_a_whole_screw_there_is_no_tool_error() -> None:
     assert compute_tool_error(KEYS[1:], *np.zeros((3, len(KEYS) - 1))) is None

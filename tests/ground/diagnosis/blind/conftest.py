@@ -1,4 +1,4 @@
-"""A folder of blind cases of a made-up robot: made, not solved."""
+"""Folder of unsolved blind cases of a synthetic robot."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,7 +28,7 @@ CASES_MADE = 10
 
 @dataclass(frozen=True)
 class Folder:
-    """Cases, and how they are solved."""
+    """Blind cases and their solver."""
 
     path: Path
     solver: Solver
@@ -37,7 +37,7 @@ class Folder:
 
 @pytest.fixture
 def folder(made: World, campaign: DiagnosisModel, tmp_path: Path) -> Folder:
-    """Cases with effects that the world knows, and with structure that nobody does."""
+    """Create cases with effects of the world, and with structure outside its catalogue."""
     rng = np.random.default_rng(5)
     fitted = found(made)
     apart = replace(

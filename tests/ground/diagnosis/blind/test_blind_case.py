@@ -1,4 +1,4 @@
-"""Which effects blind cases have: shares, sizes, classes, and what the truth's seal holds."""
+"""Plan of blind cases: shares, sizes and classes of effects; seal of the truth."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -91,14 +91,14 @@ def test_what_the_campaign_does_not_see_is_not_drawn() -> None:
 
 
 def test_the_same_seed_plans_the_same() -> None:
-    def told(seed: int) -> list[object]:
+    def planned(seed: int) -> list[object]:
         return [
             (case.kind, [(one.source, one.values.tolist()) for one in case.effects])
             for case in drawn(seed=seed)
         ]
 
-    assert told(3) == told(3)
-    assert told(3) != told(4)
+    assert planned(3) == planned(3)
+    assert planned(3) != planned(4)
 
 
 EFFECT = TrueEffect("e", "p", {"size": 1.25}, 2.0, "e:p:size=1.25")

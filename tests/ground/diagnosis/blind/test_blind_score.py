@@ -1,4 +1,4 @@
-"""What was said against what was true, by class, for cases written by hand."""
+"""Score of results written by hand, by equivalence class."""
 
 from typing import Any
 
@@ -120,7 +120,7 @@ def test_what_is_withheld_counts_against_all_and_not_against_those_named() -> No
 
 
 def test_others_are_rated_as_the_diagnosis_is() -> None:
-    """A place counts by its class, and a case of which nothing was said is a miss."""
+    """A place counts by its class, and a case without a result is a miss."""
     alike = EquivalenceClasses({("rub", "knee"): 0, ("drag", "hip"): 0})
     one, refused = true("single", ("drag", "hip")), {**said("unknown"), "baselines": {}}
     free = {"baselines": {"free": {"name": "rub", "place": "knee", "closure": None}}}

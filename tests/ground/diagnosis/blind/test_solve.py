@@ -66,7 +66,7 @@ def mute(case: Path, campaign: Path) -> Any:
     raise NoDiagnosis(f"{case.name} has no logs of {campaign.name}")
 
 
-def test_a_case_that_nobody_can_diagnose_does_not_keep_others_from_being_solved(folder) -> None:
+def test_a_case_that_cannot_be_diagnosed_does_not_stop_the_others(folder) -> None:
     for path in (folder.path / SOLVED_FOLDER).glob("*"):
         path.unlink()
     assert solve_cases(folder.path, replace(folder.solver, diagnose=mute), RUN, quiet) == (10, 10)

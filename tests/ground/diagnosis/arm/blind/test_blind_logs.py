@@ -1,4 +1,4 @@
-"""Logs of blind cases: nothing in them tells what the plant was made of, and a log that does is not kept."""
+"""Logs of blind cases do not reveal the plant; a log that does is deleted."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -32,7 +32,7 @@ SESSIONS = tuple(one for one in make.all_sessions() if one.name == "cold")
 
 
 def cases(kinds: tuple[str, ...] = ("single", "outside")) -> dict[str, TrueCase]:
-    """One of each kind, of effects that need no campaign to be drawn."""
+    """Return one case of each kind, with effects that need no campaign."""
     catalogue = [
         DetectableEffect(make.to_hypothesis(one), 0.4, number)
         for number, one in enumerate(make.list_candidates(None))
@@ -94,7 +94,7 @@ LEAKS: dict[str, Callable[..., dict[str, str]]] = {
 
 
 @pytest.mark.parametrize("words", LEAKS)
-def test_a_header_that_tells_is_refused(words: str, tmp_path: Path) -> None:
+def test_a_header_that_reveals_the_truth_is_refused(words: str, tmp_path: Path) -> None:
     loop = start_session(SESSIONS[0], arm_named("nominal"), true_reference(arm_named("nominal")), 1)
     whole = words.startswith("says arm")
     said = run_header(loop, "nominal", 1, {}, ()) if whole else flight_header(loop, ())
@@ -115,8 +115,8 @@ def test_the_plants_own_state_is_refused(tmp_path: Path) -> None:
         check_leakage(path, CASE)
 
 
-def test_a_case_of_which_a_log_tells_is_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An initialisation without error would find the very friction that the case is about."""
+def test_a_case_with_a_revealing_log_is_deleted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A perfect homing would measure the friction that is the case's effect."""
     monkeypatch.setattr(make, "blind_reference", true_reference)
     monkeypatch.setattr(make, "all_sessions", lambda: SESSIONS)
     case = replace(cases()["single"], background=(effect_text(CoulombFriction(Joint.ELEVATION, 12.0)),))
@@ -148,7 +148,7 @@ def test_an_effect_from_outside_is_written_by_its_file_and_switched_on() -> None
     assert {"dead_A": getattr(made, "dead_A", None)} == effect.values
 
 
-def test_a_session_that_comes_to_no_end_is_left_out(tmp_path: Path) -> None:
+def test_a_session_that_does_not_complete_is_left_out(tmp_path: Path) -> None:
     weak = ("servo-gain:elbow:factor=0.1", "coulomb-friction:elbow:torque_Nm=400")
     case = TrueCase("case-000", "none", (), weak, 5)
     make.record_case(tmp_path / CASES_FOLDER / case.name, case, SESSIONS)

@@ -1,4 +1,4 @@
-"""A plant that is stepped at rest says what statics say, of effects that statics know."""
+"""At rest, the simulated plant agrees with statics for effects that statics include."""
 
 import numpy as np
 
