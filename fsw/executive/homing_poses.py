@@ -71,7 +71,7 @@ def _check_gravity_torque(config: Config, joints: JointEstimate, joint: Joint, p
 
 
 def _check_pose(config: Config, output_rad: Array, joint: Joint, pose_rad: Array) -> str | None:
-    """Check that outputs are near a start pose, or the joint between its hardstop and that pose."""
+    """Check that outputs are near a start pose; the homed joint may be between it and its hardstop."""
     tolerance = config.params.hardstop.pose_tolerance_rad
     low, high = pose_rad - tolerance, pose_rad + tolerance
     low[joint] = config.protection.lowest_seeking_rad[joint, joint]

@@ -39,7 +39,7 @@ from fsw.messages import Sensors
 from fsw.motion.paths import JointPath, Setpoint, joint_path
 
 AT_LIMIT_SHARE: Final = 0.85
-"""Share of the limit above which a current counts as at the limit, noise included."""
+"""Share of the limit above which a current counts as at the limit; the margin covers noise."""
 STUCK_FACTOR: Final = 4
 """A motor that has not turned for this many stall times is stuck."""
 MAX_READ_SHARE, READ_NOISE_A = 1.2, 0.15
