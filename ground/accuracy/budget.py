@@ -29,6 +29,7 @@ from ground.common.progress import Progress
 MOMENTS: Final = "moments"
 COVERAGE: Final = 0.9973
 """Three sigma of a normal error; also the share of poses whose bound is within the reported value."""
+COMPONENTS: Final = tuple(field.name for field in fields(Bounds))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -155,6 +156,3 @@ def errors_by_source(model: ErrorModel, case: BudgetCase, sensitivity: Sensitivi
     """
     u = [factor * sensitivity.errors_by_frame(model.source[name]) for name, factor in case.sources.items()]
     return np.array(u), np.array([model.source[name].at_limit for name in case.sources])
-
-
-COMPONENTS: Final = tuple(field.name for field in fields(Bounds))

@@ -16,6 +16,8 @@ from ground.render.figures import render_png
 from ground.render.page import heading, image, paragraph, save_page, table
 
 RULES: Final = ("paper", "moments", "root sum square", "worst case")
+CELLS: Final = 14
+"""Number of cells along each side of the map."""
 
 
 def budget_json(report: BudgetReport) -> dict[str, Any]:
@@ -149,10 +151,6 @@ def _reproduced(found: MagnitudeFit) -> Table:
     for row, value in found.rows:
         table.add_row(row.name, row.case, format_value(row.component, value), f"{value / row.estimated:.2f}")
     return table
-
-
-CELLS: Final = 14
-"""Number of cells along each side of the map."""
 
 
 def save_budget_page(report: BudgetReport, path: Path) -> None:

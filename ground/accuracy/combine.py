@@ -15,6 +15,12 @@ MIN_SKEWNESS: Final = 0.05
 """Smallest skewness; below it, the distribution counts as symmetric."""
 MAX_SKEWNESS: Final = np.sqrt(8.0)
 """Skewness of the square of one normal variable, the largest of a sum of such squares."""
+TOTAL, LATERAL, NORMAL, AXIAL = [3, 4, 5], [4, 5], [3], [1, 2]
+"""Components of a screw in tool axes that make up each error.
+
+Total, lateral and normal are errors of position; axial is the error of the approach direction.
+"""
+PARTS: Final = (TOTAL, LATERAL, NORMAL, AXIAL)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,14 +103,6 @@ def pooled_quantile(lengths: Sequence[SquaredLength], coverage: float) -> float:
         return coverage - float(np.concatenate([one.probability_within(length) for one in lengths]).mean())
 
     return float(brentq(beyond, 0.0, 2 * most, xtol=1e-9))
-
-
-TOTAL, LATERAL, NORMAL, AXIAL = [3, 4, 5], [4, 5], [3], [1, 2]
-"""Components of a screw in tool axes that make up each error.
-
-Total, lateral and normal are errors of position; axial is the error of the approach direction.
-"""
-PARTS: Final = (TOTAL, LATERAL, NORMAL, AXIAL)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

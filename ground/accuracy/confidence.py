@@ -12,6 +12,8 @@ from ground.common.rates import clopper_pearson
 SIGMAS: Final = 3.0
 UPPER_CONFIDENCE: Final = 0.95
 NORMAL_QUANTILE: Final = float(norm.ppf(UPPER_CONFIDENCE))
+CONFIDENCE: Final = 0.95
+Interval = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,11 +87,6 @@ class _MeanSquare:
 
 def _sigmas(variance: float) -> float:
     return SIGMAS * float(np.sqrt(variance))
-
-
-CONFIDENCE: Final = 0.95
-
-Interval = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)

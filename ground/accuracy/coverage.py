@@ -23,6 +23,9 @@ from ground.accuracy.placements import MeasuredPlacement
 from ground.accuracy.sensitivity import Poses, Sensitivity, compute_sensitivity
 from ground.accuracy.sources import BudgetCase, ErrorModel
 
+ON_FLANK: Final = 0.999
+"""Smallest distance from the centre, as a share of half the backlash, that counts as on a flank."""
+
 
 @dataclass(frozen=True, slots=True)
 class AdditivityCheck:
@@ -104,10 +107,6 @@ def paper_rule_variants(u: Array, at_limit: Flags) -> dict[str, Array]:
         "paper, no frames added": paper_rule(rooted, at_limit),
         "paper, neither added": paper_rule(rooted, no_source),
     }
-
-
-ON_FLANK: Final = 0.999
-"""Smallest distance from the centre, as a share of half the backlash, that counts as on a flank."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

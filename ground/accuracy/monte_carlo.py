@@ -28,6 +28,11 @@ from ground.common.requests import BadRequest, check_distinct_files, check_seed,
 from sim.world import World
 
 ArmKind = Literal["drawn", "calibrated", "as-built"]
+ARMS: Final = (1, 1_000_000)
+PLACES: Final = (1, 1000)
+WORKERS: Final = (1, 1000)
+"""Smallest and largest number."""
+SEED_FIELD: Final = "{seed}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,13 +130,6 @@ def read_measurements(record: dict[str, Any]) -> Iterator[MeasuredPlacement]:
 def _measurement_record(measured: MeasuredPlacement) -> dict[str, Any]:
     values = asdict(measured)
     return {name: values[name].tolist() for name in ("output_rad", "error", "gap")}
-
-
-ARMS: Final = (1, 1_000_000)
-PLACES: Final = (1, 1000)
-WORKERS: Final = (1, 1000)
-"""Smallest and largest number."""
-SEED_FIELD: Final = "{seed}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,11 @@ from ground.render.figures import render_png
 from ground.render.page import heading, image, paragraph, save_page, table
 
 JOINT_NAMES: Final = tuple(joint.name.lower() for joint in Joint)
+RULE_HEAD: Final = ("rule", "", "estimate", "covers", "95 %", "width", "95 %")
+ADDITIVITY_HEAD: Final = ("source", "added", "all with one sign", "each by itself")
+SIGMA_HEAD: Final = ("three sigma", "of any arm", "at most", "of one arm", "at most")
+BINS: Final = 60
+COLOURS: Final = dict(zip(RULES, ("#c1121f", "#2a9d4b", "#e09f3e", "#6a4c93"), strict=True))
 
 
 def monte_carlo_json(report: MonteCarloReport) -> dict[str, Any]:
@@ -127,9 +132,6 @@ def rule_rows(found: CoverageReport) -> list[tuple[str, ...]]:
     return rows
 
 
-RULE_HEAD: Final = ("rule", "", "estimate", "covers", "95 %", "width", "95 %")
-
-
 def percentile_sentence(found: CoverageReport) -> str:
     """Describe the error lengths that 99.73 % of the errors do not exceed."""
     values = ", ".join(
@@ -150,9 +152,6 @@ def _rules(report: MonteCarloReport, found: CoverageReport) -> Table:
     for row in rule_rows(found):
         table.add_row(*row)
     return table
-
-
-ADDITIVITY_HEAD: Final = ("source", "added", "all with one sign", "each by itself")
 
 
 def additivity_row(one: AdditivityCheck) -> tuple[str, ...]:
@@ -187,9 +186,6 @@ def additivity_sentence(found: CoverageReport) -> str:
     return f"Total by the rule and with less of it added: {values}."
 
 
-SIGMA_HEAD: Final = ("three sigma", "of any arm", "at most", "of one arm", "at most")
-
-
 def sigma_rows(report: MonteCarloReport) -> list[tuple[str, ...]]:
     """Build the rows of accuracy and repeatability with their upper bounds."""
     rows = []
@@ -221,10 +217,6 @@ def one_arm_table(report: MonteCarloReport) -> None:
     console = plain_console()
     console.print(table)
     _print_rest(console, report)
-
-
-BINS: Final = 60
-COLOURS: Final = dict(zip(RULES, ("#c1121f", "#2a9d4b", "#e09f3e", "#6a4c93"), strict=True))
 
 
 def save_monte_carlo_page(report: MonteCarloReport, path: Path) -> None:

@@ -18,6 +18,11 @@ from ground.accuracy.sensitivity import Sensitivity, compute_sensitivity, worksp
 from ground.accuracy.sources import ErrorModel, ErrorSource, FrameMagnitude
 
 Component = Literal["total_m", "lateral_m", "normal_m", "axial_rad"]
+POSES_A_TOOL: Final = 300
+ROW_TOLERANCE: Final = 0.01
+"""A relative error of a row by this share costs as much as a change of a magnitude by a factor of e."""
+SourcePart = tuple[str, str]
+"""Name of a source, and name of a part of its magnitudes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,14 +56,6 @@ TABLE_4: Final = _paper_rows(
     "mars", "mars-repeatability", (0.0140, 0.0127, radians(1.1), 0.0077, 0.0050, radians(1.0))
 )
 """After calibration, on Mars."""
-
-
-POSES_A_TOOL: Final = 300
-ROW_TOLERANCE: Final = 0.01
-"""A relative error of a row by this share costs as much as a change of a magnitude by a factor of e."""
-
-SourcePart = tuple[str, str]
-"""Name of a source, and name of a part of its magnitudes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

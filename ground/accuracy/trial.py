@@ -32,6 +32,9 @@ from sim.initialisation import RANDOM_TEMPERATURE_C, initial_reference, true_ref
 
 Z_TURN = 2
 """Index of the rotation about z in a screw."""
+MoveMethod = Literal["closed-loop", "statics"]
+ARM_SOURCES: Final = ("assembly", "calibration", "deflection", "zero_offset", "backlash")
+"""Sources that a built, calibrated and initialised arm has itself."""
 
 
 def sample_effects(
@@ -111,11 +114,6 @@ def _frames(theta: Array) -> list[Frame]:
 
 def _tool_of(frame: Frame, tool: Tool) -> Tool | None:
     return tool if frame is Frame.TOOL else None
-
-
-MoveMethod = Literal["closed-loop", "statics"]
-ARM_SOURCES: Final = ("assembly", "calibration", "deflection", "zero_offset", "backlash")
-"""Sources that a built, calibrated and initialised arm has itself."""
 
 
 def run_sampled_trial(

@@ -40,7 +40,6 @@ from sim.arms import SPRING_FRAMES
 from sim.effects.structure import params_with_stand_in
 
 PARAMETER_COUNT: Final = len(arm_parameters())
-"""Number of parameters of the arm."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

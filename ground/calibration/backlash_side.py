@@ -16,6 +16,15 @@ from ground.calibration.screws import MeasuredPoses
 
 REST_SIGMA_RAD: Final = 3e-6
 """Uncertainty of a joint angle at rest, one sigma: encoder and friction. Measured in the closed loop."""
+CONSENSUS_SIGMAS: Final = 3.0
+"""Largest difference, in sigmas, between two outputs that count as having the same angle error."""
+MIN_OUTPUTS: Final = 5
+"""Smallest number of outputs that must agree; at least half of all on that side must agree too."""
+KNOWN_SIGMAS: Final = 2.0
+"""Largest total sigma, as a multiple of the noise, at which the model alone predicts the output.
+
+Such an output needs no agreement with others.
+"""
 
 
 def pose_whitener(measured: MeasuredPoses, output_jacobian: Array, unknown: Flags) -> Array:
@@ -54,17 +63,6 @@ def whiten_joint_jacobian(measured: MeasuredPoses, output_jacobian: Array) -> tu
     noise = measured.covariance + REST_SIGMA_RAD**2 * J @ J.swapaxes(1, 2)
     W = np.linalg.inv(np.linalg.cholesky(noise))
     return W, W @ J
-
-
-CONSENSUS_SIGMAS: Final = 3.0
-"""Largest difference, in sigmas, between two outputs that count as having the same angle error."""
-MIN_OUTPUTS: Final = 5
-"""Smallest number of outputs that must agree; at least half of all on that side must agree too."""
-KNOWN_SIGMAS: Final = 2.0
-"""Largest total sigma, as a multiple of the noise, at which the model alone predicts the output.
-
-Such an output needs no agreement with others.
-"""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

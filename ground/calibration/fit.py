@@ -11,6 +11,20 @@ from fsw.kinematics.transforms import Array, Flags
 
 NO_PRIOR: Final = np.inf
 """Prior sigma of a parameter without prior knowledge."""
+STEP_TOLERANCE: Final = 1e-7
+"""Iteration ends when no parameter changes by more than this share of its scale."""
+MAX_ITERATIONS: Final = 50
+DAMPING: Final = 1e-6
+"""First damping if a full step increases the cost, as a share of the information's largest eigenvalue."""
+DAMPING_FACTOR: Final = 10.0
+MAX_DAMPING: Final = 1e3
+MIN_SENSITIVITY: Final = 1e-2
+"""Smallest effect of a combination of parameters, in sigmas of the noise per scale.
+
+Combinations with a smaller effect keep their values.
+"""
+MAX_UNCONSTRAINED: Final = 1e-6
+"""A parameter with a larger share in unconstrained combinations has no finite sigma."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,22 +63,6 @@ class Linearisation:
 
 ResidualModel = Callable[[Array], Linearisation]
 """Function from parameter values, shape (p,), to the linearisation candidate."""
-
-
-STEP_TOLERANCE: Final = 1e-7
-"""Iteration ends when no parameter changes by more than this share of its scale."""
-MAX_ITERATIONS: Final = 50
-DAMPING: Final = 1e-6
-"""First damping if a full step increases the cost, as a share of the information's largest eigenvalue."""
-DAMPING_FACTOR: Final = 10.0
-MAX_DAMPING: Final = 1e3
-MIN_SENSITIVITY: Final = 1e-2
-"""Smallest effect of a combination of parameters, in sigmas of the noise per scale.
-
-Combinations with a smaller effect keep their values.
-"""
-MAX_UNCONSTRAINED: Final = 1e-6
-"""A parameter with a larger share in unconstrained combinations has no finite sigma."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

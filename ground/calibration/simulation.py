@@ -32,6 +32,8 @@ from sim.world import World
 
 SLIP_BAND: Final = 0.4
 """Band about the friction, as a share of it, in which an output may slip from its dragged position."""
+MIN_DATA_SHARE: Final = 0.5
+"""Smallest share of the knowledge of a combination that comes from data, not from the prior."""
 
 
 def simulate_campaign(arm: BuiltArm, plan: CampaignPlan) -> Campaign:
@@ -126,10 +128,6 @@ def hardstop_errors_rad(arm: BuiltArm) -> Array:
         if isinstance(effect, HardstopAngle):
             error_rad[effect.joint] += effect.shift_rad
     return error_rad
-
-
-MIN_DATA_SHARE: Final = 0.5
-"""Smallest share of the knowledge of a combination that comes from data, not from the prior."""
 
 
 def zero_errors_rad(arm: BuiltArm, reference: Reference) -> Array:

@@ -26,6 +26,9 @@ MIN_TARGETS: Final = 3
 """Smallest number of targets that defines a frame; they must not be on one line."""
 COLLINEARITY: Final = 1e-3
 """Targets count as collinear if they are this close to a line, as a share of their spread."""
+X_NR: Final = Pose(np.eye(3), P_NR_M)
+SWAY_RAD, SWAY_M = 2e-4, 1e-3
+"""Motion of the rover on its suspension from pose to pose, one sigma an axis; assumed."""
 
 
 class TooFewTargets(ValueError):
@@ -86,11 +89,6 @@ def turret_in_rover(rover: FrameFit, turret: FrameFit, X_NR: Pose) -> tuple[Pose
     from_N = adjoint(inverse(X_NT))
     covariance = turret.covariance + from_N @ rover.covariance @ from_N.T
     return inverse(X_NR) @ X_NT, covariance
-
-
-X_NR: Final = Pose(np.eye(3), P_NR_M)
-SWAY_RAD, SWAY_M = 2e-4, 1e-3
-"""Motion of the rover on its suspension from pose to pose, one sigma an axis; assumed."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -31,6 +31,11 @@ from sim.pose_sequence import free_air_loop, run_and_rest
 from sim.workspace import approach_from, random_targets
 from sim.world import World
 
+COLD_C: Final = -35.0
+"""Temperature of actuators and arm on cold Mars, the coldest in flight."""
+CALIBRATION_C: Final = 20.0
+MOST_TRIES: Final = 20
+
 
 def register_tools(arm: BuiltArm, seed: int) -> dict[Tool, Pose]:
     """Simulate the measurement of every tool frame by targets on the tool and on the interface.
@@ -46,12 +51,6 @@ def register_tools(arm: BuiltArm, seed: int) -> dict[Tool, Pose]:
     truth = build_arm(true_params(arm))
     noise = np.repeat([FIXTURE_RAD, FIXTURE_M], 3)
     return {tool: truth.X_FT[tool] @ screw_exp(noise * rng.standard_normal(6)) for tool in Tool}
-
-
-COLD_C: Final = -35.0
-"""Temperature of actuators and arm on cold Mars, the coldest in flight."""
-CALIBRATION_C: Final = 20.0
-MOST_TRIES: Final = 20
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,6 +28,18 @@ from sim.workspace import (
     random_targets,
 )
 
+SAMPLES_PER_CELL: Final = 40
+CELLS: Final = (4, 30)
+"""Smallest and largest number of cells along each side of a map."""
+MIN_SAMPLES: Final = 5
+"""Smallest number of samples in a cell; cells with fewer samples are grey."""
+GREY: Final = "0.85"
+BLUE: Final = "#31688e"
+X_RANGE: Final = (CENTRE_X_M - RADIUS_M, CENTRE_X_M + RADIUS_M)
+Y_RANGE: Final = (-RADIUS_M, RADIUS_M)
+Z_RANGE: Final = (TOP_Z_M, BOTTOM_Z_M)
+MOST_SAMPLES: Final = 1_000_000
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReachSamples:
@@ -54,18 +66,6 @@ def sample_workspace(model: IkModel, count: int, seed: int, progress: Progress) 
         valid.append((result.verdict == BranchVerdict.VALID).sum(axis=0))
         counted += tally(result)
     return ReachSamples(p_N_m, angles, np.concatenate(valid)), counted
-
-
-SAMPLES_PER_CELL: Final = 40
-CELLS: Final = (4, 30)
-"""Smallest and largest number of cells along each side of a map."""
-MIN_SAMPLES: Final = 5
-"""Smallest number of samples in a cell; cells with fewer samples are grey."""
-GREY: Final = "0.85"
-BLUE: Final = "#31688e"
-X_RANGE: Final = (CENTRE_X_M - RADIUS_M, CENTRE_X_M + RADIUS_M)
-Y_RANGE: Final = (-RADIUS_M, RADIUS_M)
-Z_RANGE: Final = (TOP_Z_M, BOTTOM_Z_M)
 
 
 def save_reach_figure(samples: ReachSamples, counted: Tally, model: IkModel, path: Path) -> str | None:
@@ -175,9 +175,6 @@ def _title(samples: ReachSamples, counted: Tally, model: IkModel) -> str:
         f"{counted.targets} random targets, {reachable_percent:.2f} % with a valid branch; "
         f"limits only, no collisions; grey: fewer than {MIN_SAMPLES} targets"
     )
-
-
-MOST_SAMPLES: Final = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)

@@ -26,6 +26,10 @@ FRAMES: Final = ("rnav", "rmech")
 
 TargetLabel = Callable[[int], tuple[str, str]]
 """Function from the index of a target to the names of its position and approach in messages."""
+SUFFIXES: Final = (".npz", ".parquet")
+ZIP_MAGIC: Final = b"PK\x03\x04"
+POSITION_COLUMNS: Final = ("position_x_m", "position_y_m", "position_z_m")
+APPROACH_COLUMNS: Final = ("approach_x", "approach_y", "approach_z")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,12 +97,6 @@ def _refuse(wrong: NDArray[np.bool_], values: Array, naming: TargetLabel, which:
     first = int(np.argmax(wrong))
     numbers = format_numbers(tuple(float(value) for value in values[:, first]))
     raise BadRequest(f"{naming(first)[which]}: {numbers} {complaint}")
-
-
-SUFFIXES: Final = (".npz", ".parquet")
-ZIP_MAGIC: Final = b"PK\x03\x04"
-POSITION_COLUMNS: Final = ("position_x_m", "position_y_m", "position_z_m")
-APPROACH_COLUMNS: Final = ("approach_x", "approach_y", "approach_z")
 
 
 def read_targets(path: Path, frame: str) -> IkTargets:

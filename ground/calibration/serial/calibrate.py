@@ -31,6 +31,7 @@ COMPONENTS: Final = 6
 REJECTION_FACTOR: Final = 4.0
 """Poses whose squared distance is within this factor of the worst are left out together."""
 MOST_ROUNDS: Final = 20
+NOT_LINKS = ("base", "target")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -154,9 +155,6 @@ def held_out_ratio(found: SerialCalibration, series: PoseSeries) -> float:
     """Compute the error of held-out poses over the error expected from noise and covariance."""
     fresh = serial_model(found.model.arm, found.model.setup, series, found.model.terms)
     return validate_hold_out(found.fit, fresh(found.fit.values)).ratio
-
-
-NOT_LINKS = ("base", "target")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,6 +21,12 @@ from ground.calibration.serial.series import PoseSeries
 
 NON_PERIODIC: Final = ("compliance", "approach")
 """Coefficients of a joint before those of its periodic error, which are all cosines, then all sines."""
+GEOMETRY: Final = "geometry"
+COMPLIANCE: Final = "compliance"
+PERIODIC: Final = "waves"
+HYSTERESIS: Final = "approach"
+TERMS: Final = (GEOMETRY, COMPLIANCE, PERIODIC, HYSTERESIS)
+"""Optional terms of a fit. Base and target frames are always fitted."""
 
 
 def coefficient_names(orders: int) -> list[str]:
@@ -80,14 +86,6 @@ def joint_errors_rad(arm: SerialArm, features: Array) -> Array:
     orders = (features.shape[2] - len(NON_PERIODIC)) // 2
     errors: Array = np.einsum("jnk,jk->jn", features, joint_coefficients(arm, orders))
     return errors
-
-
-GEOMETRY: Final = "geometry"
-COMPLIANCE: Final = "compliance"
-PERIODIC: Final = "waves"
-HYSTERESIS: Final = "approach"
-TERMS: Final = (GEOMETRY, COMPLIANCE, PERIODIC, HYSTERESIS)
-"""Optional terms of a fit. Base and target frames are always fitted."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

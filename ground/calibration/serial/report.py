@@ -17,6 +17,11 @@ from ground.render.figures import save_figure
 
 MAX_NOISE_RATIO: Final = 1.5
 """Largest ratio of residuals to the noise of the file; above it, the model lacks an effect."""
+BLUE: Final = "#31688e"
+COLOURS: Final = ("0.7", "#d95f02", BLUE)
+MAX_SPACING_RAD: Final = 0.03
+"""Largest distance of two measured joint angles between which the curve is drawn."""
+COLUMNS: Final = 3
 
 
 def serial_json(report: SerialReport, picture_lacks: str | None) -> dict[str, Any]:
@@ -191,13 +196,6 @@ def temperature_words(test: TemperatureTest) -> str:
         return f"{moved}, explains nothing"
     best = f"by {placebo_um:.1f} um with a curve that is not the temperature ({test.placebo})"
     return f"{moved}, explains nothing: {gain}; {best}"
-
-
-BLUE: Final = "#31688e"
-COLOURS: Final = ("0.7", "#d95f02", BLUE)
-MAX_SPACING_RAD: Final = 0.03
-"""Largest distance of two measured joint angles between which the curve is drawn."""
-COLUMNS: Final = 3
 
 
 def save_serial_figure(report: SerialReport, path: Path) -> str | None:
