@@ -26,6 +26,8 @@ from ground.diagnosis.sampling import (
 CaseKind = Literal["none", "single", "pair", "outside"]
 TRUTH: Final = "truth.json"
 DIGEST: Final = "digest.txt"
+KIND_SHARES: Final[dict[CaseKind, float]] = {"none": 0.3, "outside": 0.2, "pair": 0.2}
+"""Shares of all cases; the others have one effect of the catalogue."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,10 +150,6 @@ def _parse_truth(document: dict[str, Any]) -> SealedTruth:
             for case in document["cases"]
         ),
     )
-
-
-KIND_SHARES: Final[dict[CaseKind, float]] = {"none": 0.3, "outside": 0.2, "pair": 0.2}
-"""Shares of all cases; the others have one effect of the catalogue."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

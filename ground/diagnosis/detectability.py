@@ -19,6 +19,9 @@ ALIAS_COSINE: Final = 0.99
 """Absolute cosine of projected sensitivities above which two hypotheses cannot be distinguished."""
 RANK_TOLERANCE: Final = 1e-9
 """Eigenvalues below this share of the greatest count as 0."""
+TEST_FALSE_ALARM: Final = 0.05
+POWER: Final = 0.9
+"""Probability that an effect at the detection limit passes the test."""
 
 
 def alias_cosines(equations: NormalEquations) -> Array:
@@ -67,11 +70,6 @@ def _inverse_root(R: Array) -> Array:
     s, V = np.linalg.eigh(R)
     positive = s > RANK_TOLERANCE * max(s[-1], 1.0)
     return np.asarray(V * np.where(positive, 1.0 / np.sqrt(np.where(positive, s, 1.0)), 0.0))
-
-
-TEST_FALSE_ALARM: Final = 0.05
-POWER: Final = 0.9
-"""Probability that an effect at the detection limit passes the test."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -45,6 +45,9 @@ from ground.diagnosis.residual_analysis import (
 )
 from ground.diagnosis.selection import CandidateSet, Selection, Subset, select_effects
 
+SHORTLIST: Final = 4
+"""Number of single hypotheses that are linearised again beside those chosen."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelComparison:
@@ -68,8 +71,6 @@ class ModelComparison:
 
 
 Verdict = Literal["named", "set", "none", "unknown"]
-SHORTLIST: Final = 4
-"""Number of single hypotheses that are linearised again beside those chosen."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -16,6 +16,13 @@ from fsw.kinematics.transforms import Array, Flags
 from ground.diagnosis.normal_equations import NormalEquations, RightHandSide
 from ground.diagnosis.problem import Ints
 
+FOLD_PRIOR_SHARE: Final = 0.01
+"""Precision of the prior about 0 in a fold, as a share of the information of all blocks."""
+ASYMPTOTIC_FROM: Final = 300.0
+"""Half a likelihood ratio above which the tail probability is computed by its leading term."""
+RIDGE_SHARE: Final = 1e-9
+"""Ridge added to R, so that two identical columns can be solved."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearFit:
@@ -51,14 +58,6 @@ def whitened_residual(equations: NormalEquations, fit: LinearFit, y: Array) -> A
         Whitened residual, shape (m,).
     """
     return np.asarray(y - equations.A[:, fit.active] @ fit.theta)
-
-
-FOLD_PRIOR_SHARE: Final = 0.01
-"""Precision of the prior about 0 in a fold, as a share of the information of all blocks."""
-ASYMPTOTIC_FROM: Final = 300.0
-"""Half a likelihood ratio above which the tail probability is computed by its leading term."""
-RIDGE_SHARE: Final = 1e-9
-"""Ridge added to R, so that two identical columns can be solved."""
 
 
 def estimate_amplitudes(equations: NormalEquations, rhs: RightHandSide, columns: Ints) -> Array:

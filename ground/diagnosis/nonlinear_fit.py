@@ -17,6 +17,19 @@ from ground.diagnosis.normal_equations import NormalEquations, residual_deviance
 from ground.diagnosis.problem import Hypothesis, Ints, Parameter, Simulator
 from ground.diagnosis.sensitivity import Sensitivities
 
+MAX_STEPS: Final = 5
+SHAPE_STEP: Final = 0.1
+"""Finite-difference step of a shape parameter, as a share of its typical size."""
+CONVERGED_SIGMAS: Final = 1.0
+"""The iteration stops when a step moves every parameter by less than this many sigmas."""
+MAX_HALVINGS: Final = 2
+BOUND_TOLERANCE: Final = 1e-6
+"""Distance from a bound, as a share of a typical size, at which a parameter counts as at the bound."""
+SHAPE_PRIOR_SIGMA: Final = 1.0
+"""Prior sigma of shape parameters about their typical value, as a share of it."""
+INFORMATIVE_SHARE: Final = 0.5
+"""Share of the prior sigma below which the data determine a shape parameter."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class QuadraticSurrogate:
@@ -70,21 +83,6 @@ class QuadraticSurrogate:
         """Return the columns of a hypothesis, and its amplitudes in typical sizes."""
         columns = np.flatnonzero(self.sensitivities.owner == self.sensitivities.hypotheses.index(hypothesis))
         return columns, hypothesis.departures(values)
-
-
-MAX_STEPS: Final = 5
-SHAPE_STEP: Final = 0.1
-"""Finite-difference step of a shape parameter, as a share of its typical size."""
-CONVERGED_SIGMAS: Final = 1.0
-"""The iteration stops when a step moves every parameter by less than this many sigmas."""
-MAX_HALVINGS: Final = 2
-BOUND_TOLERANCE: Final = 1e-6
-"""Distance from a bound, as a share of a typical size, at which a parameter counts as at the bound."""
-SHAPE_PRIOR_SIGMA: Final = 1.0
-"""Prior sigma of shape parameters about their typical value, as a share of it."""
-
-INFORMATIVE_SHARE: Final = 0.5
-"""Share of the prior sigma below which the data determine a shape parameter."""
 
 
 class EffectResponse(Protocol):

@@ -23,6 +23,11 @@ from fsw.kinematics.transforms import Array, Flags
 from ground.diagnosis.problem import FeatureLayout, Hypothesis, Ints, Residuals
 from ground.diagnosis.sensitivity import Sensitivities
 
+ABSORBED_SHARE: Final = 1e-6
+"""A column counts as not identifiable if the nuisances leave less than this share of its square."""
+FLAT_PRIOR_SHARE: Final = 1e-9
+"""Prior precision of a nuisance with infinite sigma, as a share of its information in all data."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockCovariance:
@@ -74,12 +79,6 @@ def build_whitener(sensitivities: Sensitivities) -> Whitener:
             U, S, _ = np.linalg.svd(L[rows], full_matrices=False)
             scatter.append(BlockCovariance(rows, U, 1.0 - 1.0 / np.sqrt(1.0 + S**2)))
     return Whitener(layout.sigma, tuple(scatter))
-
-
-ABSORBED_SHARE: Final = 1e-6
-"""A column counts as not identifiable if the nuisances leave less than this share of its square."""
-FLAT_PRIOR_SHARE: Final = 1e-9
-"""Prior precision of a nuisance with infinite sigma, as a share of its information in all data."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -21,6 +21,10 @@ from ground.diagnosis.problem import INTERVAL_QUANTILES, FeatureLayout, Ints
 
 INTERVAL_DRAWS: Final = 400
 """Number of bootstrap draws for an interval."""
+MIN_DIRECTION_SHARE: Final = 1e-6
+"""Directions below this share of the largest are not tested."""
+MIN_GROUP_FEATURES: Final = 4
+"""Least number of features in a group."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,12 +75,6 @@ def _interval(square: Array, n: Array) -> tuple[float, float]:
     ratios = np.sqrt(square[n > 0.0] / n[n > 0.0])
     least, most = np.quantile(ratios, INTERVAL_QUANTILES)
     return float(least), float(most)
-
-
-MIN_DIRECTION_SHARE: Final = 1e-6
-"""Directions below this share of the largest are not tested."""
-MIN_GROUP_FEATURES: Final = 4
-"""Least number of features in a group."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

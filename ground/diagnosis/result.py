@@ -11,6 +11,9 @@ from ground.diagnosis.experiment_design import CandidateMotion
 from ground.diagnosis.model import DiagnosisModel
 from ground.diagnosis.problem import Hypothesis
 
+MAX_LISTED: Final = 10
+"""Number of ranked hypotheses, and of groups with structure, in the output."""
+
 
 @dataclass(frozen=True, slots=True)
 class ToolError:
@@ -42,10 +45,6 @@ class DiagnosisResult:
 def finite_or_none(value: float) -> float | None:
     """Return the number; None if it is NaN or infinite, which JSON cannot hold."""
     return float(value) if isfinite(value) else None
-
-
-MAX_LISTED: Final = 10
-"""Number of ranked hypotheses, and of groups with structure, in the output."""
 
 
 def to_json(result: DiagnosisResult) -> dict[str, Any]:

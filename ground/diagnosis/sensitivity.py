@@ -21,6 +21,20 @@ from fsw.kinematics.transforms import Array
 from ground.common.files import atomic_write
 from ground.diagnosis.problem import FeatureLayout, Hypothesis, Ints, Nuisance, Parameter
 
+_READ_ERRORS: Final = (
+    *(
+        OSError,
+        EOFError,
+        BadZipFile,
+        zlib.error,
+        RuntimeError,
+    ),  # zipfile raises the last for unknown compression
+    *(ValueError, KeyError, TypeError),
+)
+_LAYOUT_ARRAYS: Final = ("sigma", "block", "channel", "place", "regime", "condition")
+_OWN_ARRAYS: Final = ("nominal", "effect", "curve", "reach", "owner", "nuisance")
+_LAYOUT_NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensitivities:
@@ -93,18 +107,6 @@ def save_sensitivities(path: Path, found: Sensitivities) -> None:
         np.savez(file, words=np.array(json.dumps(words)), **arrays)
 
 
-_READ_ERRORS: Final = (
-    *(
-        OSError,
-        EOFError,
-        BadZipFile,
-        zlib.error,
-        RuntimeError,
-    ),  # zipfile raises the last for unknown compression
-    *(ValueError, KeyError, TypeError),
-)
-
-
 def load_sensitivities(path: Path) -> Sensitivities:
     """Load sensitivities.
 
@@ -132,11 +134,6 @@ def _read_sensitivities(path: Path) -> Sensitivities:
         nuisances = tuple(Nuisance(**nuisance) for nuisance in words["nuisances"])
         found = (file[name] for name in _OWN_ARRAYS)
         return Sensitivities(layout, hypotheses, nuisances, *found)
-
-
-_LAYOUT_ARRAYS: Final = ("sigma", "block", "channel", "place", "regime", "condition")
-_OWN_ARRAYS: Final = ("nominal", "effect", "curve", "reach", "owner", "nuisance")
-_LAYOUT_NAMES: Final = ("blocks", "channels", "units", "places", "regimes", "conditions")
 
 
 def fit_parabola(ends: Sequence[tuple[Array, float]]) -> tuple[Array, Array]:

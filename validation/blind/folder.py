@@ -14,6 +14,11 @@ from ground.common.requests import BadRequest, check_seed
 from ground.diagnosis.blind_case import DIGEST, read_digest
 from ground.diagnosis.diagnose import Verdict
 
+CAMPAIGN_FOLDER: Final = "campaign"
+CASES_FOLDER: Final = "cases"
+SOLVED_FOLDER: Final = "solved"
+PARTIAL_SUFFIX: Final = ".part"
+
 
 @dataclass(frozen=True, slots=True)
 class _PlacedEffect:
@@ -81,12 +86,6 @@ def parse_result(raw: bytes) -> dict[str, Any]:
         raise ValueError(f"{where}: {first['msg']}" if where else first["msg"]) from error
     document: dict[str, Any] = json.loads(raw)
     return document
-
-
-CAMPAIGN_FOLDER: Final = "campaign"
-CASES_FOLDER: Final = "cases"
-SOLVED_FOLDER: Final = "solved"
-PARTIAL_SUFFIX: Final = ".part"
 
 
 def case_name(number: int) -> str:

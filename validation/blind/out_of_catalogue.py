@@ -41,6 +41,9 @@ from sim.effects.effect import Effect
 from sim.open_loop import SimulationOptions
 from sim.scenario.effects import BadEffect, effect_classes_in_file, effect_text, parse_effect_text
 
+PLACES_PER_EFFECT: Final = 2
+"""Number of places of each effect that are used: limits of all would take as long as the cases."""
+
 
 def change(feature_set: FeatureSet, effects: Sequence[Effect], options: SimulationOptions) -> Array:
     """Compute the change of the features by effects.
@@ -95,8 +98,6 @@ def _resolver_angles(one: RestFeatures, found: OpenLoopRun) -> Array:
     return read_resolvers(replace(one.turning_points, recording=recording))
 
 
-PLACES_PER_EFFECT: Final = 2
-"""Number of places of each effect that are used: limits of all would take as long as the cases."""
 EFFECTS_FOLDER: Final = Path(__file__).resolve().parents[2] / "validation" / "out_of_catalogue_effects"
 
 

@@ -32,18 +32,6 @@ from sim.initialisation import DAILY_FRICTION_SIGMA, true_reference
 PLANT_NUMERICS: Final = Numerics("explicit", 7)
 """Numerics of the plant: finer than the solver's, and of a scheme that the solver does not know. With steps
 that are not much finer, this scheme nearly diverges, and gears settle elsewhere than with finer steps."""
-
-
-def sample_background(rng: np.random.Generator) -> tuple[Effect, ...]:
-    """Sample the errors left by a calibration, friction of the day, counter offsets and other numerics."""
-    errors = draw_calibration_errors(int(rng.integers(2**31)))
-    friction = tuple(
-        GearFriction(joint, float(np.exp(DAILY_FRICTION_SIGMA * rng.standard_normal()))) for joint in Joint
-    )
-    counters = tuple(CounterStart(joint, float(rng.uniform(-np.pi, np.pi))) for joint in Joint)
-    return (PLANT_NUMERICS, *counters, *errors, *friction)
-
-
 ALLOWED_KEYS: Final = frozenset({
     *("marsarm", "mujoco", "numpy", "python", "cpu", "git"),
     *("params", "params_sha256", "boot", "commands", "commands_sha256", SESSION, CHANNELS_KEY),
@@ -54,6 +42,16 @@ FORBIDDEN_WORDS: Final = ("calibrated:", "as-built:", "mjcf_sha256", "scenario")
 MIN_DIGITS: Final = 8
 """Number of digits from which on a number identifies the truth."""
 NUMBER_PATTERN: Final = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?")
+
+
+def sample_background(rng: np.random.Generator) -> tuple[Effect, ...]:
+    """Sample the errors left by a calibration, friction of the day, counter offsets and other numerics."""
+    errors = draw_calibration_errors(int(rng.integers(2**31)))
+    friction = tuple(
+        GearFriction(joint, float(np.exp(DAILY_FRICTION_SIGMA * rng.standard_normal()))) for joint in Joint
+    )
+    counters = tuple(CounterStart(joint, float(rng.uniform(-np.pi, np.pi))) for joint in Joint)
+    return (PLANT_NUMERICS, *counters, *errors, *friction)
 
 
 class TruthLeaked(RuntimeError):

@@ -33,6 +33,11 @@ from sim.effects.effect import Effect
 from sim.params import nominal_params
 from sim.plant import SCREW_AXES
 
+MIN_FEATURE_SHARE: Final = 0.5
+"""Least share of the campaign's features that a case must have."""
+OWN_FLOOR_RATIO: Final = 1.2
+"""Ratio to the campaign's noise floor from which on the noise floor of the case replaces it."""
+
 
 def compute_tool_error(keys: Sequence[str], before: Array, after: Array, sigma: Array) -> ToolError | None:
     """Compute the root mean square tool error over rests and the five tools.
@@ -66,12 +71,6 @@ def _screw_rows(keys: Sequence[str]) -> Ints:
         known.setdefault(rest, {})[axis] = row
     whole = [[one[axis] for axis in SCREW_AXES] for one in known.values() if one.keys() >= set(SCREW_AXES)]
     return np.array(whole, np.intp).reshape(-1, len(SCREW_AXES))
-
-
-MIN_FEATURE_SHARE: Final = 0.5
-"""Least share of the campaign's features that a case must have."""
-OWN_FLOOR_RATIO: Final = 1.2
-"""Ratio to the campaign's noise floor from which on the noise floor of the case replaces it."""
 
 
 class TooLittleMotion(NotForDiagnosis):

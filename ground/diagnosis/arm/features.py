@@ -28,6 +28,26 @@ CURRENT, FOLLOWING, RESOLVER, IMU, SCREW_TURN, SCREW_SHIFT = range(len(CHANNELS)
 CONDITIONS: Final = ("temperature_C", "load_Nm", "speed_rad_s", "sin_angle", "cos_angle", "way")
 
 SensorColumns = Mapping[str, NDArray[Any]]
+_MEAN: Final = 1.0 / float(np.sqrt(BIN_TICKS))
+ASSUMED_SIGMA: Final = (
+    0.02 * _MEAN,
+    4e-6,
+    float(np.hypot(1e-4, 9.6e-5 / np.sqrt(12.0))) * _MEAN,
+    0.005 * 0.03,
+    2e-5,
+    3e-5,
+)
+"""Standard deviation by channel in its unit, from noise of current sensors and resolvers, encoder counts, the
+IMU over ten seconds, and the tracker."""
+START_DOUBT: Final = (0.02, 2e-5, 0.0)
+"""Doubt of current, following error and resolver at the start of a motion, which depends on numerics."""
+START_S: Final = 1.0
+"""Duration of the start of a motion."""
+TOUCH_MARGIN_S: Final = 2.0
+"""Time before a touch from which on nothing is compared. Another arm may touch earlier, and the recorded
+drive would then push it against the rock."""
+BACKLASH_MARGIN: Final = 1.5
+"""Multiples of its backlash that a joint must turn before the side of its backlash is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,30 +157,6 @@ def evaluate_features(here: MotionFeatures, sensors: SensorColumns) -> Array:
 def assumed_sigma(feature: Feature) -> float:
     """Return the nominal sensor noise of a feature, for use without repeats."""
     return ASSUMED_SIGMA[feature.channel]
-
-
-_MEAN: Final = 1.0 / float(np.sqrt(BIN_TICKS))
-ASSUMED_SIGMA: Final = (
-    0.02 * _MEAN,
-    4e-6,
-    float(np.hypot(1e-4, 9.6e-5 / np.sqrt(12.0))) * _MEAN,
-    0.005 * 0.03,
-    2e-5,
-    3e-5,
-)
-"""Standard deviation by channel in its unit, from noise of current sensors and resolvers, encoder counts, the
-IMU over ten seconds, and the tracker."""
-
-
-START_DOUBT: Final = (0.02, 2e-5, 0.0)
-"""Doubt of current, following error and resolver at the start of a motion, which depends on numerics."""
-START_S: Final = 1.0
-"""Duration of the start of a motion."""
-TOUCH_MARGIN_S: Final = 2.0
-"""Time before a touch from which on nothing is compared. Another arm may touch earlier, and the recorded
-drive would then push it against the rock."""
-BACKLASH_MARGIN: Final = 1.5
-"""Multiples of its backlash that a joint must turn before the side of its backlash is known."""
 
 
 def _compared_bins(

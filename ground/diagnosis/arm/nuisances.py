@@ -40,6 +40,8 @@ COUNT_RAD: Final = 3.3e-6
 """Encoder count: the position of a set-point within a count is random but constant."""
 NUMERICS_SIGMA: Final = 2.0
 """Prior sigma of numerical errors, in differences to half the time step."""
+_TURN_SHIFT: Final = ({"rad": "link-angle", "m": "link-length"}, {"rad": "tool-turn", "m": "tool-offset"})
+"""Effects of rotation and shift, of frames and of tools."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,10 +94,6 @@ def _frame_nuisances() -> Iterator[NuisanceEffect]:
                 partial(_displaced_frame, frame, tool, axis),
                 f"{_TURN_SHIFT[tool is not None][unit]} at {named}.{word[1]}",
             )
-
-
-_TURN_SHIFT: Final = ({"rad": "link-angle", "m": "link-length"}, {"rad": "tool-turn", "m": "tool-offset"})
-"""Effects of rotation and shift, of frames and of tools."""
 
 
 def _session_nuisances() -> Iterator[NuisanceEffect]:

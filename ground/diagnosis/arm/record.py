@@ -34,6 +34,9 @@ from sim.loop import ClosedLoop
 from sim.plant import PlantDiverged
 from sim.tracker import TYPICAL_TRACKER, turret_pose
 
+HELD_OUT_FOLDER: Final = "held-out"
+"""Name of the folder of held-out logs, inside the folder of logs."""
+
 
 def record_campaign(
     folder: Path,
@@ -108,10 +111,6 @@ def _stack_poses(rows: list[tuple[int, Pose, Array]]) -> TrackerPoses:
         return no_tracker_poses()
     ticks, poses, sigmas = zip(*rows, strict=True)
     return TrackerPoses(np.array(ticks, np.int64), stack_poses(poses), np.stack(sigmas, -1))
-
-
-HELD_OUT_FOLDER: Final = "held-out"
-"""Name of the folder of held-out logs, inside the folder of logs."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,6 +30,8 @@ from sim.world import World, build
 
 MEAN_TICKS = CYCLE_HZ // 4
 """Number of ticks at the end of a rest over which resolvers are averaged."""
+STEPPED_EFFECTS: Final = (GearHysteresis, Numerics)
+"""Effects that need dynamic simulation: hysteresis inside a gear, and numerics that influence creep."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,8 +56,6 @@ class RestPoses:
     """Pose of the turret interface in RMECH, batch (r,)."""
 
 
-STEPPED_EFFECTS: Final = (GearHysteresis, Numerics)
-"""Effects that need dynamic simulation: hysteresis inside a gear, and numerics that influence creep."""
 NO_RESTS: Final = RestPoses(np.zeros((len(Joint), 0)), no_tracker_poses().X_RF)
 """Result for a recording without rests."""
 
