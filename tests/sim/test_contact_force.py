@@ -25,7 +25,7 @@ from sim.loop import ClosedLoop, Setup
 from sim.world import Surface, World
 from tests.fsw.rig import MARS_R_m_s2, config_of, facing, floats
 from tests.sim import lab
-from tests.sim.lab import ended, standing
+from tests.sim.lab import is_at_rest, run_to_rest
 
 CONFIG = config_of()
 NOW_S = 0.0
@@ -53,7 +53,7 @@ def peak_force_N(loop, command) -> tuple[float, list]:
 
     loop.plant.step = step
     loop.cycle((command,))
-    evrs = ended(loop)
+    evrs = run_to_rest(loop)
     return peak, evrs
 
 
@@ -115,14 +115,14 @@ def test_joints_at_full_speed_that_drive_a_tool_into_a_rock_press_with_less_than
     peak, evrs = peak_force_N(loop, MoveJoints(joints5(pose + way)))
     assert any(isinstance(evr, ContactInFreeSpace) for evr in evrs)
     assert 0.0 < peak < 250.0
-    assert standing(loop)
+    assert is_at_rest(loop)
 
 
 def test_a_rock_that_is_gone_is_not_touched_any_more():
     loop, X_RT = facing_rock(Tool.APXS, facing(CONFIG, Tool.APXS), ahead_m=0.04)
     axis = X_RT.R[:, 0]
     loop.cycle((GuardedMove(Tool.APXS, floats(X_RT.p + 0.07 * axis), floats(axis)),))
-    assert any(isinstance(evr, ContactMade) for evr in ended(loop))
+    assert any(isinstance(evr, ContactMade) for evr in run_to_rest(loop))
     gone = loop.fork((RockGone(NOW_S),))
     for _ in range(CYCLE_HZ):
         here, there = loop.cycle().sensors, gone.cycle().sensors

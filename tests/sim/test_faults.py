@@ -44,7 +44,7 @@ from sim.loop import ClosedLoop, Setup
 from sim.world import World
 from tests.fsw.rig import config_of
 from tests.sim import lab
-from tests.sim.lab import ended, standing
+from tests.sim.lab import is_at_rest, run_to_rest
 
 CONFIG = config_of()
 NOW_S = 0.0
@@ -201,11 +201,11 @@ EXPECTED = {
 def test_a_fault_in_the_middle_of_a_move_ends_on_the_brakes_by_the_response_of_the_table(name):
     fault, kind = EXPECTED[name]
     loop = moving().fork((replace(fault, at_s=now_s() + 0.25),))
-    evrs = ended(loop)
+    evrs = run_to_rest(loop)
     found = [evr for evr in evrs if isinstance(evr, Fault)]
     assert isinstance(found[0], kind)
     assert FaultResponse(RESPONSE_TO[kind]) in evrs
-    assert standing(loop)
+    assert is_at_rest(loop)
     refuses = RESPONSE_TO[kind] is not Response.STOP_AND_BRAKE
     assert (loop.state.fault is not None) is refuses
 
@@ -226,18 +226,18 @@ TOLERATED = {
 @pytest.mark.parametrize("name", TOLERATED)
 def test_what_is_tolerated_does_not_end_a_move(name):
     loop = moving().fork((replace(TOLERATED[name], at_s=now_s() + 0.25),))
-    evrs = ended(loop)
+    evrs = run_to_rest(loop)
     assert CommandCompleted("MoveJoints") in evrs
     assert not [evr for evr in evrs if isinstance(evr, Fault)]
-    assert standing(loop)
+    assert is_at_rest(loop)
 
 
 def test_power_that_is_lost_in_a_move_leaves_the_arm_on_its_brakes():
     loop = moving().fork((PowerLoss(now_s() + 0.25),))
-    evrs = ended(loop)
+    evrs = run_to_rest(loop)
     assert any(isinstance(evr, MotorStalled | FollowingErrorHigh) for evr in evrs)
     assert loop.state.fault is not None
-    assert standing(loop)
+    assert is_at_rest(loop)
 
 
 @pytest.mark.parametrize("fault", [JointSeized, BrakeStuck])
@@ -248,12 +248,12 @@ def test_a_joint_that_does_not_come_off_its_brake_stalls_at_the_start_of_the_nex
     loop = loop.fork((fault(NOW_S, joint),))
     at = loop.plant.motor_rad()[joint]
     loop.cycle((MoveJoints(joints5(lab.READY_RAD + 0.05 * (np.arange(5) == joint))),))
-    evrs = ended(loop)
+    evrs = run_to_rest(loop)
     (evr,) = [evr for evr in evrs if isinstance(evr, Fault)]
     assert isinstance(evr, MotorStalled)
     assert evr.joint is joint
     assert loop.plant.motor_rad()[joint] == pytest.approx(at, abs=1e-4)
-    assert standing(loop)
+    assert is_at_rest(loop)
 
 
 def test_a_seized_joint_stands_and_the_others_go_on_until_flight_software_notices():

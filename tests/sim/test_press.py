@@ -20,7 +20,7 @@ from sim.loop import ClosedLoop, Setup
 from sim.params import nominal_params
 from sim.sequence import run_sequence
 from sim.world import Surface, World
-from tests.sim.lab import load, plant, run, soon_at_rest, tilted, true_reference
+from tests.sim.lab import load, plant, run, settle_fast, tilted_world, true_reference
 
 POINT_N_M = (2.05, 0.1, -0.25)
 NORMAL = np.array((-0.5, 0.1, -0.85)) / np.linalg.norm((-0.5, 0.1, -0.85))
@@ -32,8 +32,8 @@ PLACE = PlaceTool(Tool.DRILL, tuple(p_R_from_N(np.array(POINT_N_M)).tolist()), t
 @pytest.mark.parametrize("force_R_N", [(0.0, 0.0, -200.0), (120.0, -80.0, 0.0), (-50.0, 60.0, 90.0)])
 def test_a_push_on_a_tool_moves_it_as_it_does_in_the_plant(force_R_N):
     arm, pose = build_arm(nominal_params()), np.radians([-20.0, -65.0, 100.0, 30.0, 80.0])
-    world = tilted(5.0, -8.0)
-    free = load(plant(world, edit=soon_at_rest), pose)
+    world = tilted_world(5.0, -8.0)
+    free = load(plant(world, edit=settle_fast), pose)
     before = free.truth()
     body = free.model.body("drill").id
     force_W = FLIP * np.array(force_R_N)
