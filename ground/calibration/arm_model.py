@@ -271,13 +271,15 @@ def joint_jacobian(parts: Sequence[TurretPoses]) -> Array:
     Returns:
         Screws of the turret frame in its own axes, per radian of each output, shape (6, n, 5).
     """
-    moved = np.empty((6, _pose_count(parts), JOINT_COUNT))
+    jacobian = np.empty((6, _pose_count(parts), JOINT_COUNT))
     for part in parts:
-        turns = np.zeros((SCREW, part.where.size, JOINT_COUNT))
-        turns[range(JOINT_COUNT), :, range(JOINT_COUNT)] = 1.0
-        still = np.zeros((6 * len(Frame), JOINT_COUNT))
-        moved[:, part.where] = screw_derivatives(part.derivatives, np.zeros_like(turns), turns, still)
-    return moved
+        unit_rotations = np.zeros((SCREW, part.where.size, JOINT_COUNT))
+        unit_rotations[range(JOINT_COUNT), :, range(JOINT_COUNT)] = 1.0
+        no_screws = np.zeros((6 * len(Frame), JOINT_COUNT))
+        jacobian[:, part.where] = screw_derivatives(
+            part.derivatives, np.zeros_like(unit_rotations), unit_rotations, no_screws
+        )
+    return jacobian
 
 
 def _parameter_jacobian(parts: Sequence[TurretPoses], x: Array) -> tuple[Pose, Array]:
@@ -287,17 +289,17 @@ def _parameter_jacobian(parts: Sequence[TurretPoses], x: Array) -> tuple[Pose, A
         X_RT, batch (n,), and the Jacobian in axes of the turret frame, shape (6, n, p).
     """
     n = _pose_count(parts)
-    moved = np.empty((6, n, PARAMETER_COUNT))
+    jacobian = np.empty((6, n, PARAMETER_COUNT))
     screws = np.zeros((6 * len(Frame), PARAMETER_COUNT))
     for frame in Frame:
         rows = slice(6 * frame, 6 * frame + 6)
         screws[rows, FRAME_SCREWS][:, rows] = _right_jacobian(_screw(x, frame))
     for part in parts:
         dQ = _load_derivatives(part.derivatives, x, part.stand_in)
-        moved[:, part.where] = screw_derivatives(
+        jacobian[:, part.where] = screw_derivatives(
             part.derivatives, dQ, _direct_derivatives(part.derivatives, x, part.at), screws
         )
-    return reorder_poses(((part.where, part.X_RT) for part in parts), n), moved
+    return reorder_poses(((part.where, part.X_RT) for part in parts), n), jacobian
 
 
 def _pose_count(parts: Sequence[TurretPoses]) -> int:

@@ -101,24 +101,24 @@ def confirm_sides(
         Flags of the confirmed outputs, shape (5, n).
     """
     joints, n = uncertain.shape
-    off, noise = np.full((joints, n), np.nan), np.full((joints, n), np.nan)
-    by_numbers = np.zeros((joints, n, covariance.shape[0]))
+    output_error_rad, noise = np.full((joints, n), np.nan), np.full((joints, n), np.nan)
+    output_sensitivity = np.zeros((joints, n, covariance.shape[0]))
     W, A = whiten_joint_jacobian(measured, output_jacobian)
     for pose in np.flatnonzero(uncertain.any(axis=0)):
-        which = uncertain[:, pose]
-        a = A[pose][:, which]
+        affected = uncertain[:, pose]
+        a = A[pose][:, affected]
         inverse = np.linalg.inv(a.T @ a)
-        turns = inverse @ a.T @ W[pose]
-        off[which, pose] = turns @ error[:, pose]
-        noise[which, pose] = np.sqrt(np.diag(inverse))
-        by_numbers[which, pose] = turns @ parameter_jacobian[:, pose]
+        to_outputs = inverse @ a.T @ W[pose]
+        output_error_rad[affected, pose] = to_outputs @ error[:, pose]
+        noise[affected, pose] = np.sqrt(np.diag(inverse))
+        output_sensitivity[affected, pose] = to_outputs @ parameter_jacobian[:, pose]
     found = np.zeros_like(uncertain)
     for joint in range(joints):
         for side in (backlash_rad[joint] < 0, backlash_rad[joint] >= 0):
-            where = np.flatnonzero(uncertain[joint] & side)
-            B = by_numbers[joint, where]
-            outputs = OutputErrors(off[joint, where], noise[joint, where], B @ covariance @ B.T)
-            found[joint, where] = find_consensus(outputs)
+            poses = np.flatnonzero(uncertain[joint] & side)
+            B = output_sensitivity[joint, poses]
+            outputs = OutputErrors(output_error_rad[joint, poses], noise[joint, poses], B @ covariance @ B.T)
+            found[joint, poses] = find_consensus(outputs)
     return found
 
 
@@ -138,10 +138,12 @@ def find_consensus(outputs: OutputErrors) -> Flags:
     shared = np.diag(outputs.shared_rad2)
     total = np.sqrt(outputs.noise_rad**2 + shared)
     difference_sigma = np.sqrt(np.maximum(total**2 + total[:, None] ** 2 - 2 * outputs.shared_rad2, 0.0))
-    same = np.abs(outputs.error_rad - outputs.error_rad[:, None]) <= CONSENSUS_SIGMAS * difference_sigma
-    most = same[int(np.argmax(same.sum(axis=1)))]
+    agree_pairwise = (
+        np.abs(outputs.error_rad - outputs.error_rad[:, None]) <= CONSENSUS_SIGMAS * difference_sigma
+    )
+    most = agree_pairwise[int(np.argmax(agree_pairwise.sum(axis=1)))]
     # compare with all of them, because the output with most agreement has noise of its own
-    most = same[:, most].mean(axis=1) >= 0.5
+    most = agree_pairwise[:, most].mean(axis=1) >= 0.5
     enough = most.sum() >= max(MIN_OUTPUTS, 0.5 * most.size)
     agree: Flags = (np.abs(outputs.error_rad) < CONSENSUS_SIGMAS * total) & (
         (most & enough) | (total <= KNOWN_SIGMAS * outputs.noise_rad)

@@ -68,19 +68,19 @@ def differentiate_deflection(
     Returns:
         Derivatives at the equilibria.
     """
-    S, place = _screws(arm, rest, X_FT)
+    S, position = _screws(arm, rest, X_FT)
     near, far = _lumps(arm, rest)
     kg = np.stack([arm.near_kg, arm.far_kg])
     lumps = np.stack([near, far])  # axes: side, xyz, link, n
     # a coordinate carries the lumps that come after it along the arm
     lump_place = LINK * np.arange(LINK_COUNT) + np.array([[NEAR], [FAR]])
-    carried = (place[:, None, None] < lump_place) * kg
+    carried = (position[:, None, None] < lump_place) * kg
     m = carried.sum(axis=(1, 2))
     M = np.einsum("csl,sxln->cxn", carried, lumps)
     a = cross(gravity_R_m_s2[:, None], S[:, :3].swapaxes(0, 1))
     b = cross(S[:, :3].swapaxes(0, 1), M.swapaxes(0, 1)) + m[:, None] * S[:, 3:].swapaxes(0, 1)
     h = np.moveaxis(a, -1, 0).swapaxes(1, 2) @ np.moveaxis(b, -1, 0)
-    first = place[:, None] <= place
+    is_inner = position[:, None] <= position
     y = S[COMPLIANT]
     along = np.einsum("csl,xn,cxsln->csln", carried[COMPLIANT], gravity_R_m_s2, _velocity(y, lumps))
     return DeflectionDerivatives(
@@ -88,7 +88,7 @@ def differentiate_deflection(
         rest=rest,
         S=S,
         C=_compliance(arm),
-        dQ=np.where(first, h, h.swapaxes(1, 2)),
+        dQ=np.where(is_inner, h, h.swapaxes(1, 2)),
         lump_Q=along,
         lump_dQ=_by_centres(rest, carried[COMPLIANT], a[:, COMPLIANT]),
         X_RT=rest.frames.X_RF[5] @ add_batch_axis(X_FT),
@@ -111,11 +111,11 @@ def screw_derivatives(
     """
     inner = deflection.dQ[:, COMPLIANT, COMPLIANT]
     loads = np.moveaxis(dQ_dx, 1, 0) + deflection.dQ[:, COMPLIANT, SCREW:] @ screw_dx
-    moved = np.linalg.solve(
+    response = np.linalg.solve(
         np.eye(SCREW) - deflection.C @ inner, deflection.C @ loads + np.moveaxis(direct, 1, 0)
     )
     S = np.moveaxis(deflection.S, -1, 0)
-    twist_R = S[:, COMPLIANT].swapaxes(1, 2) @ moved + S[:, SCREW:].swapaxes(1, 2) @ screw_dx
+    twist_R = S[:, COMPLIANT].swapaxes(1, 2) @ response + S[:, SCREW:].swapaxes(1, 2) @ screw_dx
     to_T = np.moveaxis(adjoint(inverse(deflection.X_RT)), -1, 0)
     return np.moveaxis(to_T @ twist_R, 0, 1)
 
@@ -124,10 +124,10 @@ def _screws(arm: Arm, rest: Equilibrium, X_FT: Pose) -> tuple[Array, Integers]:
     """Compute the screws (COORDINATE_COUNT, 6, n) of the coordinates, and their positions along the arm."""
     frames, n = rest.frames, rest.output_rad.shape[-1]
     R_RL, p_RL = frames.X_RL.R, frames.X_RL.p
-    S, place = np.zeros((COORDINATE_COUNT, 6, n)), np.zeros(COORDINATE_COUNT, int)
+    S, position = np.zeros((COORDINATE_COUNT, 6, n)), np.zeros(COORDINATE_COUNT, int)
     for joint in range(JOINT_COUNT):
         S[TURN + joint] = _about(R_RL[:, 2, joint + 1], p_RL[:, joint + 1])
-        place[TURN + joint] = LINK * (joint + 1)
+        position[TURN + joint] = LINK * (joint + 1)
     for link in range(LINK_COUNT):
         at = STRAIN + 6 * link
         X_LD, R = frames.X_LD[link], R_RL[:, :, link]
@@ -138,19 +138,19 @@ def _screws(arm: Arm, rest: Equilibrium, X_FT: Pose) -> tuple[Array, Integers]:
         for k in range(3):
             S[at + k] = _about(axes_R[k], spring)
             S[at + 3 + k, 3:] = R[:, k]
-        place[at : at + 6] = LINK * link + SPRING + np.array([3, 4, 5, 0, 1, 2])
+        position[at : at + 6] = LINK * link + SPRING + np.array([3, 4, 5, 0, 1, 2])
     X_RF = frames.X_RF
-    last = X_RF[5] @ add_batch_axis(X_FT)
+    X_RT = X_RF[5] @ add_batch_axis(X_FT)
     for frame in range(LINK_COUNT + 1):
-        X = last if frame == LINK_COUNT else X_RF[frame]
-        place[SCREW + 6 * frame : SCREW + 6 * frame + 6] = LINK * frame + END
+        X = X_RT if frame == LINK_COUNT else X_RF[frame]
+        position[SCREW + 6 * frame : SCREW + 6 * frame + 6] = LINK * frame + END
         if frame == 0:  # the rover's spring and bracket move with this frame
             X = frames.X_RL[0] @ Pose(np.eye(3)[:, :, None], arm.p_LC_m[:, :1]) @ arm.X_CF[[0]]
-            place[SCREW : SCREW + 6] = 0
+            position[SCREW : SCREW + 6] = 0
         if frame == 5:  # the turret's mass moves with this frame
-            place[SCREW + 30 : SCREW + 36] = LINK * frame + ON_FAR
+            position[SCREW + 30 : SCREW + 36] = LINK * frame + ON_FAR
         S[SCREW + 6 * frame : SCREW + 6 * frame + 6] = adjoint(X).swapaxes(0, 1)
-    return S, place
+    return S, position
 
 
 def _about(axis: Array, point: Array) -> Array:

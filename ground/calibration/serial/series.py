@@ -54,5 +54,5 @@ def move_directions(joint_rad: Array) -> Array:
     Returns:
         +1, -1 or 0, unitless, shape (joints, n).
     """
-    moved = np.diff(joint_rad, axis=1, prepend=joint_rad[:, :1])
-    return np.where(np.abs(moved) > STILL_RAD, np.sign(moved), 0.0)
+    motion = np.diff(joint_rad, axis=1, prepend=joint_rad[:, :1])
+    return np.where(np.abs(motion) > STILL_RAD, np.sign(motion), 0.0)
