@@ -16,8 +16,8 @@ from fsw.motion.plan import Refusal, describe_worst_limit, worst_limit_excess
 MAX_DEFLECTION_PASSES = 40
 """Largest number of passes that turn wrist and turret and compute the deflection again.
 
-Each pass reduces the error by a factor of at least 80 times the sine of the angle between gravity and the
-plane of both axes. In that plane the two solutions of the wrist coincide.
+Each pass divides the error by at least 80 sin(a); a is the angle of gravity to the plane of both axes. In
+that plane the two solutions of the wrist coincide.
 """
 DIRECTION_TOLERANCE_RAD = 1e-9
 
