@@ -23,7 +23,7 @@ from sim.effects.joints import (
 from sim.effects.structure import LinkMass, LinkStiffness
 from sim.params import nominal_params
 
-# one sigma each, assumed; see models/mjcf/PROVENANCE.md
+# assumed, one sigma each; see models/mjcf/PROVENANCE.md
 FRAME_SIGMA_RAD, FRAME_SIGMA_M = 2e-3, 1.5e-3
 ZERO_SIGMA_RAD: Final = 4e-3
 RESOLVER_SIGMA_RAD: Final = 2e-3

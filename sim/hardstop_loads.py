@@ -162,7 +162,7 @@ def equalise_loads(params: Params, gravity_R_m_s2: Array, wanted_Nm: Array) -> P
     low, high = [joint.soft_min_rad for joint in limits], [joint.soft_max_rad for joint in limits]
     solution = least_squares(torque_error_Nm, start, bounds=(low, high), xtol=1e-10)
     if np.abs(solution.fun).max() > LOAD_TOLERANCE_NM:
-        raise NoPlan(f"the torques miss what was wanted by {np.round(solution.fun, 1)} N m at best")
+        raise NoPlan(f"the best torques differ from the wanted ones by {np.round(solution.fun, 1)} N m")
     return _with_free_angles(params, solution.x)
 
 

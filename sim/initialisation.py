@@ -106,7 +106,7 @@ class InitialisationRun:
     def _note(self, record: CycleRecord) -> None:
         plant, state, time_s = self.loop.plant, self.loop.state, record.tick / CYCLE_HZ
         self._torque_Nm = np.maximum(self._torque_Nm, plant.stop_torque_Nm())
-        # the plant has just gone through a cycle under this record's limits
+        # the plant has just completed a cycle with the limits of this record
         share = np.abs(plant.motor_current_A()) / record.outputs.drive.current_limit_A
         self._current_share = np.maximum(self._current_share, share)
         for evr in record.outputs.evrs:

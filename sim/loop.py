@@ -142,7 +142,7 @@ def step_flight_software(
     try:
         state, outputs = step(config, state, sensors, commands)
     except Exception as error:
-        # the one place that catches a software error: brakes on, say so; the run is to end here
+        # only here is a software error caught: apply the brakes, report it, and end the run
         return state, _safe_outputs(last, error), error
     return state, outputs, None
 

@@ -58,15 +58,15 @@ def check_params(params: Params, name: str) -> None:
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
-    if os.path.exists(path) and not os.path.isfile(path):  # a pipe would be waited for, a device has no end
+    if os.path.exists(path) and not os.path.isfile(path):  # reading a pipe blocks, a device has no end
         raise BadParams(f"{path}: cannot be read: it is not a regular file; give the path of a TOML file")
     try:
         if path.stat().st_size > MAX_BYTES:
-            raise BadParams(f"{path}: is too large for parameters; {MAX_BYTES} bytes are the most")
+            raise BadParams(f"{path}: is too large for parameters; the limit is {MAX_BYTES} bytes")
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError) as error:
         raise BadParams(f"{path}: cannot be read: {error}") from error
-    except (ValueError, RecursionError) as error:  # torn, or a number or a list without end
+    except (ValueError, RecursionError) as error:  # cut off, or an endless number or list
         raise BadParams(f"{path}: is not TOML: {error}") from error
 
 

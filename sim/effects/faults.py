@@ -47,10 +47,12 @@ class SensorFault(Timed):
             raise ValueError(f"{self.sensor} cannot read nan; write frozen, biased or noisy")
         last = CHANNEL_COUNTS.get(self.sensor, len(Joint)) - 1
         if self.index is not None and not 0 <= self.index <= last:
-            raise ValueError(f"index: {self.index} is outside 0 .. {last}, as there are of {self.sensor}")
+            raise ValueError(f"index: {self.index} is outside 0 .. {last}, the range of {self.sensor}")
         sized = self.kind in ("biased", "noisy")
         if sized and (self.size == 0 or (self.kind == "noisy" and self.size < 0)):
-            raise ValueError(f"size: {self.size:g} says nothing of a sensor that is {self.kind}")
+            raise ValueError(
+                f"size: {self.size:g} has no meaning for a sensor that is {self.kind}; write another size"
+            )
         if not sized and self.size != 0:
             raise ValueError(f"size: a sensor that is {self.kind} has none; leave it out")
 

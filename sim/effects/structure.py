@@ -58,7 +58,7 @@ class _AddedCompliance(Effect):
 
     def on_model(self, spec: mujoco.MjSpec) -> None:
         """Add the compliance in series with the spring."""
-        frame, axis, compliance_rad_Nm = self.where()
+        frame, axis, compliance_rad_Nm = self.added_compliance()
         joint = spec.joint(f"{SPRING_NAMES[frame]}_{SPRING_AXES[axis]}")
         softer = 1.0 / (1.0 + compliance_rad_Nm * joint.stiffness[0])
         joint.stiffness *= softer
@@ -66,12 +66,12 @@ class _AddedCompliance(Effect):
 
     def on_params(self, params: Params) -> Params:
         """Add to one element of the compliance."""
-        frame, axis, compliance_rad_Nm = self.where()
+        frame, axis, compliance_rad_Nm = self.added_compliance()
         link = link_of(params, frame)
         changed = replace(link, compliance=add_compliance(link.compliance, axis, compliance_rad_Nm))
         return with_link(params, frame, changed)
 
-    def where(self) -> tuple[Frame, int, float]:
+    def added_compliance(self) -> tuple[Frame, int, float]:
         """Return the frame of the spring, the index of its axis, and the added compliance [rad/(N m)]."""
         raise NotImplementedError
 
@@ -87,7 +87,7 @@ class LinkTorsion(_AddedCompliance):
         _refuse_rigid(self.frame)
         _refuse_rover(self.frame)
 
-    def where(self) -> tuple[Frame, int, float]:
+    def added_compliance(self) -> tuple[Frame, int, float]:
         """Return the x axis of the spring."""
         return self.frame, 0, self.compliance_rad_Nm
 
@@ -104,7 +104,7 @@ class LinkBending(_AddedCompliance):
         _refuse_rigid(self.frame)
         _refuse_rover(self.frame)
 
-    def where(self) -> tuple[Frame, int, float]:
+    def added_compliance(self) -> tuple[Frame, int, float]:
         """Return the axis of the spring."""
         return self.frame, "xyz".index(self.axis), self.compliance_rad_Nm
 
@@ -116,7 +116,7 @@ class RoverCompliance(_AddedCompliance):
     axis: Literal["x", "y", "z"]
     compliance_rad_Nm: Compliance
 
-    def where(self) -> tuple[Frame, int, float]:
+    def added_compliance(self) -> tuple[Frame, int, float]:
         """Return the axis of the first spring."""
         return Frame.ARM1, "xyz".index(self.axis), self.compliance_rad_Nm
 

@@ -23,7 +23,7 @@ def read_effect_file(path: Path) -> tuple[Effect, ...]:
         BadEffect: the file cannot be read or is wrong; the message has a line for each problem.
     """
     if path.exists() and not path.is_file():
-        raise BadEffect(f"{path}: is no regular file; give the path of a .toml file")
+        raise BadEffect(f"{path}: is not a regular file; give the path of a .toml file")
     try:
         data, lines = parse_toml(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
@@ -36,7 +36,8 @@ def read_effect_file(path: Path) -> tuple[Effect, ...]:
     for key in data:
         if key != TABLE_NAME:
             findings.report(
-                (key,), f"{shorten(key)}: is not of a file of effects; there is only [[{TABLE_NAME}]]"
+                (key,),
+                f"{shorten(key)}: does not belong in a file of effects; there is only [[{TABLE_NAME}]]",
             )
     found = [read_effect(table, place, findings) for place, table in list_tables(data, TABLE_NAME, findings)]
     if findings.problems:

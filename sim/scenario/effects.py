@@ -168,7 +168,7 @@ def _load_module(path: Path) -> ModuleType:
     if spec is None or spec.loader is None:
         raise NotAnEffect(f"effect {path}: is no Python file; its name ends in .py")
     module = module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look for the module of their class
+    sys.modules[name] = module  # dataclasses look up the module of their class
     try:
         spec.loader.exec_module(module)
     except Exception as error:

@@ -129,7 +129,7 @@ def _refusal_reason(before: SequenceState, command: Command) -> str | None:
     if not modes_after(modes, command):
         if isinstance(command, ClearFault):
             return f"{name}: no fault is known to stand; leave it out, or inject a fault during a command"
-        # a fault that may have come would have ended the sequence
+        # a possible fault would have ended the sequence
         here = " or ".join(mode.name for mode in sorted(modes - {Mode.FAULTED}))
         return f"{name} is refused in mode {here}; before it comes {_enabling_commands(modes, command)}"
     if isinstance(command, ToolChange) and command.tool is before.tool:

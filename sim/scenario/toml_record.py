@@ -76,7 +76,7 @@ def read_record(
         return None
     try:
         return kind(**values)
-    except ValueError as error:  # fields that do not go together
+    except ValueError as error:  # fields that contradict each other
         findings.report(place, str(error))
         return None
 
@@ -116,7 +116,7 @@ def _match_keys(
         if meant is None:
             findings.report(at, f"{shorten(key)}: is not known here; {did_you_mean(key, map(str, words))}")
         elif meant.field in said:
-            findings.report(at, f"{key}: {said[meant.field]} says the same; give one of the two")
+            findings.report(at, f"{key}: {said[meant.field]} sets the same field; give one of the two")
         else:
             said[meant.field] = key
             if key not in meant.factors:
@@ -164,7 +164,7 @@ def _convert_value(kind: Any, value: Any, factor: float, choices: tuple[str, ...
         return kind[_match_choice(tuple(member.name.lower() for member in kind), value).upper()]
     if get_origin(kind) is tuple:
         return _read_items(get_args(kind), value, factor)
-    raise TypeError(f"a scenario file has no words for {kind}")
+    raise TypeError(f"a scenario file cannot hold a {kind}")
 
 
 def _read_items(kinds: tuple[Any, ...], value: Any, factor: float) -> tuple[Any, ...]:

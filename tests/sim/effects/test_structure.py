@@ -138,7 +138,7 @@ def wrenches() -> lab.Array:
 @pytest.mark.parametrize("effect", SPRINGS, ids=str)
 def test_a_softer_link_moves_the_tool_by_jacobian_compliance_and_moment(effect, drawn_m) -> None:
     """u = J C tau: the spring yields by compliance times moment, and the tool turns about the spring."""
-    frame, axis, compliance = effect.where()
+    frame, axis, compliance = effect.added_compliance()
     deflected = settle_output(ARM, lab.LEFT_RAD, GRAVITY)
     X_RL, tool = deflected.frames.X_RL, tool_pose(ARM, deflected.frames, TOOL)
     spring_R = X_RL.R[:, :, frame] @ ARM.p_LC_m[:, frame] + X_RL.p[:, frame]

@@ -111,7 +111,7 @@ BAD = {
         "angle_deg = 100",
         "angle_deg = 100\nangle_rad = 1.0",
         38,
-        "angle_rad: angle_deg says the same; give one of the two",
+        "angle_rad: angle_deg sets the same field; give one of the two",
     ),
     "a command that does not exist": (
         '"MOVE_TOOL"',
@@ -256,7 +256,7 @@ BAD = {
         'type = "POWER_LOSS"',
         'type = "SENSOR_FAULT"\nsensor = "resolver_rad"\nkind = "nan"\nindex = 5',
         39,
-        "index: 5 is outside 0 .. 4, as there are of resolver_rad",
+        "index: 5 is outside 0 .. 4, the range of resolver_rad",
     ),
     "a motor that is stronger": (
         'type = "POWER_LOSS"',

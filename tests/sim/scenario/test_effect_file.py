@@ -25,7 +25,7 @@ def test_a_file_of_no_effects_switches_nothing_on(tmp_path):
     [
         ('[[effect]]\ntype = "coulomb-frictoin"\n', "found.toml:2: type: effect 'coulomb-frictoin' is not"),
         ('[[effect]]\ntype = "warming"\nwarming_K = 9e9\n', "found.toml:3: warming_K: 9e+09 is outside"),
-        ('arm = "nominal"\n', "found.toml:1: arm: is not of a file of effects; there is only"),
+        ('arm = "nominal"\n', "found.toml:1: arm: does not belong in a file of effects; there is only"),
         ("[[effect]\n", "found.toml:1: is not TOML"),
         ("effect = 3\n", "found.toml:1: effect: is no list of tables"),
     ],
@@ -41,5 +41,5 @@ def test_what_is_wrong_is_told_by_its_line(tmp_path, text, expected):
 def test_a_file_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(BadEffect, match="cannot be read"):
         read_effect_file(tmp_path / "none.toml")
-    with pytest.raises(BadEffect, match="no regular file"):
+    with pytest.raises(BadEffect, match="not a regular file"):
         read_effect_file(tmp_path)
