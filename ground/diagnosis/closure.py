@@ -216,14 +216,14 @@ class HeldOutResiduals:
 
 
 def compute_held_out_residuals(
-    diagnosis: Diagnosis, held_out_model: HeldOutModel, gap: Array, change: Array
+    diagnosis: Diagnosis, held_out_model: HeldOutModel, residual: Array, change: Array
 ) -> HeldOutResiduals:
     """Subtract the fitted nuisances, and the change by the findings, from held-out residuals.
 
     Args:
         diagnosis: Diagnosis of the fitted motion.
         held_out_model: Model of the held-out motion.
-        gap: Measured minus simulated with nuisances at 0, in the units of the channels, shape (m,).
+        residual: Measured minus simulated with nuisances at 0, in the units of the channels, shape (m,).
         change: Simulated change by the findings, in the units of the channels, shape (m,).
 
     Returns:
@@ -231,7 +231,8 @@ def compute_held_out_residuals(
     """
     q = diagnosis.equations.q
     before, after = (
-        gap - held_out_model.nuisance @ fit.theta[:q] for fit in (diagnosis.null_fit, diagnosis.effect_fit)
+        residual - held_out_model.nuisance @ fit.theta[:q]
+        for fit in (diagnosis.null_fit, diagnosis.effect_fit)
     )
     return HeldOutResiduals(held_out_model, np.asarray(before), np.asarray(after - change))
 

@@ -66,7 +66,7 @@ def compute_confidence_features(
     rhs: RightHandSide,
     chosen: Subset,
     shares: tuple[float, ...],
-    remains: float,
+    lack_of_fit: float,
 ) -> ConfidenceFeatures:
     """Compute the features of a selection of at least one effect.
 
@@ -76,7 +76,7 @@ def compute_confidence_features(
         rhs: Right-hand side of the case.
         chosen: Selected hypotheses.
         shares: Share of the explained deviance that is lost without each.
-        remains: -log10 p of the lack-of-fit test after the selection.
+        lack_of_fit: -log10 p of the lack-of-fit test after the selection.
 
     Returns:
         Features of the confidence classifier.
@@ -85,10 +85,10 @@ def compute_confidence_features(
     explained = float(likelihood_ratio(equations, rhs, equations.columns(chosen)))
     own = subset_neg_log10_p(candidates, rhs, chosen)
     margin = own - max(_runner_up_neg_log10_p(candidates, rhs, chosen, index) for index in range(len(chosen)))
-    alike = max([float(cosine[a, b]) for a in chosen for b in chosen if a < b], default=0.0)
+    max_cosine = max([float(cosine[a, b]) for a in chosen for b in chosen if a < b], default=0.0)
     return ConfidenceFeatures(
         len(chosen) - 1.0, float(np.log(max(explained, 1e-3))), float(np.log1p(max(margin, 0.0))),
-        min(shares), alike, remains, best_addition(candidates, rhs, chosen),
+        min(shares), max_cosine, lack_of_fit, best_addition(candidates, rhs, chosen),
     )  # fmt: skip
 
 

@@ -161,20 +161,20 @@ def _block_information(equations: NormalEquations, columns: Ints, t: Array) -> A
     return np.asarray(np.einsum("fni,fnij,fnj->nf", t, R[-1] - R[:-1], t))
 
 
-def neg_log10_p(dropped: Array, k: Array | float) -> Array:
+def neg_log10_p(statistic: Array, k: Array | float) -> Array:
     """Convert likelihood ratios to -log10 of their probability without effect.
 
     Far in the tail the probability underflows. There the leading term of the incomplete gamma function is
     used, so that the order of strong findings is kept.
 
     Args:
-        dropped: Likelihood-ratio statistics, unitless, shape () or (n,).
+        statistic: Likelihood-ratio statistics, unitless, shape () or (n,).
         k: Degrees of freedom, the number of extra parameters, unitless, shape () or (n,).
 
     Returns:
         -log10 of the chi-square tail probability, same shape.
     """
-    x, half = np.maximum(dropped, 0.0) / 2.0, np.asarray(k) / 2.0
+    x, half = np.maximum(statistic, 0.0) / 2.0, np.asarray(k) / 2.0
     far = x - (half - 1.0) * np.log(np.maximum(x, 1.0)) + gammaln(half)
     near = -chi2.logsf(2.0 * np.minimum(x, ASYMPTOTIC_FROM), k)
     return np.asarray(np.where(x > ASYMPTOTIC_FROM, far, near) / np.log(10.0))

@@ -289,26 +289,26 @@ class _GaussNewton:
         rest = self.y - self.equations.whiten(change)
         return residual_deviance(self.equations, rest) + float(np.sum(self._shape(x) ** 2))
 
-    def sigma(self, there: _Iterate) -> Array:
+    def sigma(self, current: _Iterate) -> Array:
         """Compute standard deviations per typical size, with nuisances free."""
-        information, _ = self._normal(there.slopes, np.zeros(self.y.size))
+        information, _ = self._normal(current.slopes, np.zeros(self.y.size))
         return np.sqrt(np.diag(np.linalg.pinv(information, rcond=1e-12, hermitian=True)))
 
-    def reported_sigma(self, there: _Iterate) -> Array:
+    def reported_sigma(self, current: _Iterate) -> Array:
         """Return the standard deviations; NaN for shape parameters that the data do not determine."""
         sigma, is_shape = (
-            self.sigma(there),
+            self.sigma(current),
             np.array([not parameter.is_amplitude for parameter in self.parameters]),
         )
         return np.where(is_shape & (sigma > INFORMATIVE_SHARE * SHAPE_PRIOR_SIGMA), np.nan, sigma)
 
-    def step(self, there: _Iterate, room: Array) -> Array:
+    def step(self, current: _Iterate, room: Array) -> Array:
         """Compute the Gauss-Newton step within the bounds, in typical sizes."""
-        rest = self.y - self.equations.whiten(there.change)
-        information, gradient = self._normal(there.slopes, rest)
-        gradient = gradient - self._shape(there.x) / SHAPE_PRIOR_SIGMA
+        rest = self.y - self.equations.whiten(current.change)
+        information, gradient = self._normal(current.slopes, rest)
+        gradient = gradient - self._shape(current.x) / SHAPE_PRIOR_SIGMA
         small = 1e-12 * max(np.trace(information), 1e-12)
-        L = np.linalg.cholesky(information + small * np.eye(there.x.size))
+        L = np.linalg.cholesky(information + small * np.eye(current.x.size))
         room = np.stack([np.minimum(room[0], -1e-12), np.maximum(room[1], 1e-12)])
         return np.asarray(lsq_linear(L.T, np.linalg.solve(L, gradient), room).x)
 

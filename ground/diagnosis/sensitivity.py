@@ -148,5 +148,5 @@ def fit_parabola(ends: Sequence[tuple[Array, float]]) -> tuple[Array, Array]:
         First and second-order coefficient at 0, each of shape (m,).
     """
     (high, up), (low, down) = ends[0], ends[-1]
-    bend = np.zeros_like(high) if up == down else (high / up - low / down) / (up - down)
-    return high / up - bend * up, bend
+    curvature = np.zeros_like(high) if up == down else (high / up - low / down) / (up - down)
+    return high / up - curvature * up, curvature

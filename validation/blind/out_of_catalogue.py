@@ -182,8 +182,8 @@ def uncatalogued_limits(
         BadRequest: The cache belongs to another campaign or other effects.
     """
     with Checkpoint(kept_in / "outside.jsonl", {"of": _inputs_digest(logs, equations)}, _read_limit) as kept:
-        there = {(one["name"], one["place"]): _read_limit(one) for one in kept.done}
-        shares = {name: 1.0 for name in wanted if name not in there}
+        limits = {(one["name"], one["place"]): _read_limit(one) for one in kept.done}
+        shares = {name: 1.0 for name in wanted if name not in limits}
         best = dict.fromkeys(shares, np.inf)
         for attempt in range(MAX_ROUNDS + 1):
             jobs = [_Job(tuple(logs), name, share) for name, share in shares.items()]
@@ -191,17 +191,17 @@ def uncatalogued_limits(
             for done, one in enumerate(run(_difference, jobs), 1):
                 limit = column_detection_limit(equations, one.column[:, None])
                 seen = one.share * float(np.sqrt(noncentrality(1))) / limit
-                if step_error(seen) < best[one.name] or one.name not in there:
-                    there[one.name], best[one.name] = limit, step_error(seen)
+                if step_error(seen) < best[one.name] or one.name not in limits:
+                    limits[one.name], best[one.name] = limit, step_error(seen)
                 better = adapt_step(one.share, seen)
                 if better is not None and attempt < MAX_ROUNDS:
                     shares[one.name] = better
                 else:
                     kept.add(
-                        {"name": one.name[0], "place": one.name[1], "limit": finite_or_none(there[one.name])}
+                        {"name": one.name[0], "place": one.name[1], "limit": finite_or_none(limits[one.name])}
                     )
                 progress(done, len(jobs), "outside")
-    return [DetectableEffect(one.hypothesis, there[name], None) for name, one in wanted.items()]
+    return [DetectableEffect(one.hypothesis, limits[name], None) for name, one in wanted.items()]
 
 
 def _read_limit(entry: dict[str, Any]) -> float:

@@ -86,9 +86,7 @@ def check_leakage(path: Path, case: TrueCase) -> None:
     nominal = record_to_json(_nominal_reference())
     changed = sorted(name for name in nominal if name != "zero_rad" and reference[name] != nominal[name])
     if changed:
-        raise TruthLeaked(
-            f"{path}: flight software begins with {', '.join(changed)} that are not the drawing's"
-        )
+        raise TruthLeaked(f"{path}: flight software begins with {', '.join(changed)} that are not nominal")
     content = _log_bytes(path)
     for word in (*FORBIDDEN_WORDS, *sorted(_secret_words(case))):
         if word.encode() in content:

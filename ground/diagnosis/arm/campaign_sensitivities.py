@@ -199,11 +199,11 @@ def _assemble(
     """
     simulator = _simulator(paths, names)
     columns = list_columns(simulator)
-    slope, bend = np.zeros((2, simulator.layout.size, len(columns)))
+    slope, curvature = np.zeros((2, simulator.layout.size, len(columns)))
     reach = np.ones(len(columns))
     for k, side in up.items():
         sides = [side, down[k]] if k in down else [side]
-        slope[:, k], bend[:, k] = fit_parabola([(one.change, one.size) for one in sides])
+        slope[:, k], curvature[:, k] = fit_parabola([(one.change, one.size) for one in sides])
         reach[k] = max(abs(one.size) for one in sides)
     for k, (other, typical) in find_aliases(simulator, columns).items():
         slope[:, k] = slope[:, other] / typical
@@ -218,7 +218,7 @@ def _assemble(
         simulator.nuisances,
         _nominal_features(paths, names),
         slope[:, :sized],
-        bend[:, :sized],
+        curvature[:, :sized],
         reach[:sized],
         np.array(owner, np.intp),
         nuisance,

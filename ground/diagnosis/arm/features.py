@@ -124,11 +124,11 @@ def _segment_features(
             )
 
 
-def evaluate_features(here: MotionFeatures, sensors: SensorColumns) -> Array:
+def evaluate_features(motion: MotionFeatures, sensors: SensorColumns) -> Array:
     """Compute the features from sensors.
 
     Args:
-        here: Segments and features of the recording, m of them.
+        motion: Segments and features of the recording, m of them.
         sensors: Readings by field, recorded or simulated, each of shape (n, ...) with n ticks, in the units
             of
             their names.
@@ -136,12 +136,12 @@ def evaluate_features(here: MotionFeatures, sensors: SensorColumns) -> Array:
     Returns:
         Features in the units of their channels, shape (m,).
     """
-    recording, values = here.recording, []
+    recording, values = motion.recording, []
     touch = _touch_tick(recording)
     encoder = sensors["encoder_count"].T * recording.rad_per_count[:, None]
     setpoint = recording.drive["setpoint_count"].T * recording.rad_per_count[:, None]
     resolver = sensors["resolver_rad"].T - encoder - recording.start.zero_rad[:, None]
-    for segment in here.segments:
+    for segment in motion.segments:
         j = segment.joint
         for channel, read in (
             (CURRENT, sensors["current_A"][:, j]),
